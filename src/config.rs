@@ -1,0 +1,245 @@
+//! [`TrainConfig`]: every number of a run, with the paper's defaults.
+//!
+//! [MH] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); [3DGS] = Kerbl et al. 2023; [MCMC] = Kheradmand et al. 2024.
+
+use serde::{Deserialize, Serialize};
+
+/// Density control.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Sampler {
+    /// Metropolis–Hastings births and relocation ([MH] §4).
+    #[default]
+    Mh,
+    /// A fixed set of Gaussians.
+    None,
+}
+
+/// Where the first Gaussians come from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Init {
+    /// One Gaussian per sparse point; random where the dataset has none.
+    #[default]
+    Points,
+    /// Random points in the cameras' bounding box.
+    Random,
+    /// A PLY file with 3DGS properties, in the dataset's own frame.
+    File(std::path::PathBuf),
+}
+
+/// What lies behind the scene.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Background {
+    /// (0, 0, 0).
+    #[default]
+    Black,
+    /// (1, 1, 1).
+    White,
+    /// A new colour each iteration; black when evaluating.
+    Random,
+    /// RGB in [0, 1].
+    Color([f32; 3]),
+}
+
+/// Form of the acceptance ratio ρ; D = 1/(1 + λ_v·c) is the voxel prior's factor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Acceptance {
+    /// ρ = σ(I)·D ([MH] Eq. 20).
+    #[default]
+    Eq20,
+    /// ρ = I·D ([MH] Alg. 1).
+    Alg1,
+    /// ρ = σ(I − ½)·D (the released implementation).
+    Centred,
+}
+
+/// Loss weights ([MH] Eq. 4).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct LossConfig {
+    /// λ: share of 1 − SSIM against L1.
+    pub lambda_ssim: f32,
+    /// λ_o: weight of the mean opacity.
+    pub lambda_opacity: f32,
+    /// λ_s: weight of the mean scale, in local units (scene extent 1).
+    pub lambda_scale: f32,
+}
+
+impl Default for LossConfig {
+    fn default() -> Self {
+        Self {
+            lambda_ssim: 0.2,
+            lambda_opacity: 0.01,
+            lambda_scale: 0.01,
+        }
+    }
+}
+
+/// Adam's constants and learning rates ([MH] §5.1, [3DGS] §7.1).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct OptimizerConfig {
+    /// Decay of the first moment.
+    pub beta1: f32,
+    /// Decay of the second moment.
+    pub beta2: f32,
+    /// ε.
+    pub epsilon: f32,
+    /// Position, at the start, per unit of scene extent.
+    pub lr_position: f32,
+    /// Position, at the end (log-linear in between).
+    pub lr_position_final: f32,
+    /// SH degree 0.
+    pub lr_sh0: f32,
+    /// Higher SH bands.
+    pub lr_sh: f32,
+    /// Opacity logit.
+    pub lr_opacity: f32,
+    /// Log-scale.
+    pub lr_scale: f32,
+    /// Quaternion.
+    pub lr_rotation: f32,
+    /// Iterations between two SH bands, for 30,000 iterations (scales with the run).
+    pub sh_interval: u32,
+}
+
+impl Default for OptimizerConfig {
+    fn default() -> Self {
+        Self {
+            beta1: 0.9,
+            beta2: 0.999,
+            epsilon: 1e-15,
+            lr_position: 1.6e-4,
+            lr_position_final: 1.6e-6,
+            lr_sh0: 2.5e-3,
+            lr_sh: 1.25e-4,
+            lr_opacity: 0.025,
+            lr_scale: 5e-3,
+            lr_rotation: 1e-3,
+            sh_interval: 1000,
+        }
+    }
+}
+
+/// Metropolis–Hastings density control ([MH] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct MhConfig {
+    /// Form of ρ.
+    pub acceptance: Acceptance,
+    /// λ_v of the voxel prior (Eq. 7).
+    pub lambda_voxel: f64,
+    /// Weight of the robust-normalised opacity in the importance (Eq. 13).
+    pub weight_opacity: f64,
+    /// Weight of 1 − SSIM.
+    pub weight_ssim: f64,
+    /// Weight of L1.
+    pub weight_l1: f64,
+    /// First iteration with density control.
+    pub from_iteration: u32,
+    /// Last iteration with density control; η runs from 0 to 1 over the span.
+    pub until_iteration: u32,
+    /// Iterations between two density steps (does not scale with the run; see `TrainConfig::density_interval`).
+    pub interval: u32,
+    /// Coarse proposals per step at η = 0.
+    pub coarse_proposals: u32,
+    /// Fine proposals per step at η = 0.
+    pub fine_proposals: u32,
+    /// Coarse proposal spread in units of the Gaussian's own scale, at η = 0 and η = 1.
+    pub coarse_spread: [f64; 2],
+    /// Fine proposal spread, likewise.
+    pub fine_spread: [f64; 2],
+    /// Voxel edge at η = 0 and η = 1, in local units (scene extent 1; the papers' scenes have 1–10 units).
+    pub voxel_edge: [f64; 2],
+    /// A Gaussian is dead at or below this opacity.
+    pub dead_opacity: f64,
+}
+
+impl Default for MhConfig {
+    fn default() -> Self {
+        Self {
+            acceptance: Acceptance::Eq20,
+            lambda_voxel: 5.0,
+            weight_opacity: 0.8,
+            weight_ssim: 0.5,
+            weight_l1: 0.5,
+            from_iteration: 500,
+            until_iteration: 15_000,
+            interval: 100,
+            coarse_proposals: 4_500,
+            fine_proposals: 16_000,
+            coarse_spread: [10.0, 5.0],
+            fine_spread: [2.0, 1.0],
+            voxel_edge: [0.02, 0.005],
+            dead_opacity: 0.005,
+        }
+    }
+}
+
+/// Everything a run depends on beside the dataset and the device.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Density control.
+    pub sampler: Sampler,
+    /// Iterations; every schedule scales with it (the papers': 30,000).
+    pub iterations: u32,
+    /// Stop after this many seconds of training.
+    pub time_budget: Option<f64>,
+    /// Longest image side in pixels; larger photos are area-filtered down.
+    pub max_size: u32,
+    /// Upper bound of the number of Gaussians.
+    pub max_gaussians: Option<usize>,
+    /// SH degree, 0 to 3.
+    pub sh_degree: u32,
+    /// Seed of every random number.
+    pub seed: u64,
+    /// Iterations between two evaluations of the held-out views (0: only at the end).
+    pub eval_every: u32,
+    /// Every n-th image by name is held out (0: none).
+    pub test_every: u32,
+    /// Iterations between two exports of the scene (0: only at the end).
+    pub export_every: u32,
+    /// Iterations between two checkpoints (0: only on Ctrl-C).
+    pub checkpoint_every: u32,
+    /// Where the first Gaussians come from.
+    pub init: Init,
+    /// What lies behind the scene.
+    pub background: Background,
+    /// Loss weights.
+    pub loss: LossConfig,
+    /// Optimiser.
+    pub optimizer: OptimizerConfig,
+    /// Metropolis–Hastings density control.
+    pub mh: MhConfig,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            sampler: Sampler::Mh,
+            iterations: 30_000,
+            time_budget: None,
+            max_size: 1600,
+            max_gaussians: None,
+            sh_degree: 3,
+            seed: 0,
+            eval_every: 0,
+            test_every: 8,
+            export_every: 0,
+            checkpoint_every: 1000,
+            init: Init::Points,
+            background: Background::Black,
+            loss: LossConfig::default(),
+            optimizer: OptimizerConfig::default(),
+            mh: MhConfig::default(),
+        }
+    }
+}

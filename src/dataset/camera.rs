@@ -1,0 +1,32 @@
+//! Pinhole camera in OpenCV axes.
+
+use glam::{DMat3, DVec3};
+
+/// A pinhole camera: x right, y down, z forward; pixel centres at +0.5.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    /// Rotation W from the (local) scene frame to the camera frame.
+    pub rotation: DMat3,
+    /// Translation t₀: a point x of the scene lies at `rotation·x + translation` in the camera frame, local units.
+    pub translation: DVec3,
+    /// Focal length in x, pixels.
+    pub fx: f64,
+    /// Focal length in y, pixels.
+    pub fy: f64,
+    /// Principal point x, pixels from the left edge of the image.
+    pub cx: f64,
+    /// Principal point y, pixels from the upper edge of the image.
+    pub cy: f64,
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+}
+
+impl Camera {
+    /// Centre of projection in the scene frame: −Wᵀ t₀.
+    #[must_use]
+    pub fn center(&self) -> DVec3 {
+        -(self.rotation.transpose() * self.translation)
+    }
+}

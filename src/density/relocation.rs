@@ -1,0 +1,1 @@
+//! Relocation of dead Gaussians.

@@ -1,0 +1,116 @@
+//! The one error type of the library.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Result with the library's [`Error`].
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// Everything that can go wrong. Each variant names the place, what was found and what to do about it.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file or folder of the user's that cannot be used as it is.
+    Input {
+        /// The offending file or folder.
+        path: PathBuf,
+        /// What was found, and what was expected.
+        what: String,
+        /// What the user can do about it.
+        fix: String,
+    },
+    /// An option or configuration value outside of its domain.
+    Config {
+        /// Name of the option, as typed.
+        option: String,
+        /// What was found, and what was expected.
+        what: String,
+    },
+    /// The operating system refused a file operation.
+    Io {
+        /// The file or folder in question.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// No OpenCL device, or one that cannot do what is asked of it.
+    Device {
+        /// The stage or call that failed.
+        stage: String,
+        /// What the driver said, or what limit was met.
+        what: String,
+        /// What to install, select or lower.
+        fix: String,
+    },
+    /// Numbers that are no longer usable (all parameters non-finite, say).
+    Numerics {
+        /// Where it was noticed.
+        stage: String,
+        /// What was found.
+        what: String,
+    },
+    /// The user asked to stop (Ctrl-C); the state was saved.
+    Interrupted,
+}
+
+impl Error {
+    /// An [`Error::Input`] about `path`.
+    pub fn input(path: impl AsRef<Path>, what: impl Into<String>, fix: impl Into<String>) -> Self {
+        Self::Input {
+            path: path.as_ref().to_path_buf(),
+            what: what.into(),
+            fix: fix.into(),
+        }
+    }
+
+    /// An [`Error::Config`] about `option`.
+    pub fn config(option: impl Into<String>, what: impl Into<String>) -> Self {
+        Self::Config {
+            option: option.into(),
+            what: what.into(),
+        }
+    }
+
+    /// An [`Error::Io`] about `path`.
+    pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
+        Self::Io {
+            path: path.as_ref().to_path_buf(),
+            source,
+        }
+    }
+
+    /// An [`Error::Device`] raised in `stage`.
+    pub fn device(
+        stage: impl Into<String>,
+        what: impl Into<String>,
+        fix: impl Into<String>,
+    ) -> Self {
+        Self::Device {
+            stage: stage.into(),
+            what: what.into(),
+            fix: fix.into(),
+        }
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Input { path, what, fix } => write!(f, "{}: {what}; {fix}", path.display()),
+            Self::Config { option, what } => write!(f, "{option}: {what}"),
+            Self::Io { path, source } => write!(f, "{}: {source}", path.display()),
+            Self::Device { stage, what, fix } => write!(f, "{stage}: {what}; {fix}"),
+            Self::Numerics { stage, what } => write!(f, "{stage}: {what}"),
+            Self::Interrupted => write!(f, "interrupted; the state was saved"),
+        }
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io { source, .. } => Some(source),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! The stages in plain f64 Rust.

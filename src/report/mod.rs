@@ -1,0 +1,1 @@
+//! Run records, metrics and the report page.

@@ -1,0 +1,23 @@
+//! The one integration test binary.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
+
+mod cli;
+mod dataset;
+mod density;
+mod determinism;
+mod export;
+mod extreme;
+mod golden;
+mod gradient;
+mod layout;
+mod learning;
+mod reference;
+mod regression;
+mod report;
+mod stage;
+mod synth;
