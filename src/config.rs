@@ -4,6 +4,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::{Error, Result};
+
 /// Density control.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "kebab-case")]
@@ -201,8 +203,8 @@ pub struct TrainConfig {
     pub sh_degree: u32,
     /// Seed of every random number.
     pub seed: u64,
-    /// Iterations between two evaluations of the held-out views (0: only at the end).
-    pub eval_every: u32,
+    /// Iterations between two evaluations of the held-out views (0: only at the end; none: a twentieth of the run).
+    pub eval_every: Option<u32>,
     /// Every n-th image by name is held out (0: none).
     pub test_every: u32,
     /// Iterations between two exports of the scene (0: only at the end).
@@ -231,7 +233,7 @@ impl Default for TrainConfig {
             max_gaussians: None,
             sh_degree: 3,
             seed: 0,
-            eval_every: 0,
+            eval_every: None,
             test_every: 8,
             export_every: 0,
             checkpoint_every: 1000,
@@ -241,5 +243,72 @@ impl Default for TrainConfig {
             optimizer: OptimizerConfig::default(),
             mh: MhConfig::default(),
         }
+    }
+}
+
+impl TrainConfig {
+    /// Checks every value's domain.
+    ///
+    /// # Errors
+    /// The first option that is out of its domain.
+    pub fn validate(&self) -> Result<()> {
+        let fail = |option: &str, what: String| Err(Error::config(option, what));
+        if self.iterations == 0 {
+            return fail("--iterations", "0; at least 1 expected".into());
+        }
+        if self.sh_degree > 3 {
+            return fail("--sh-degree", format!("{}; 0 to 3 expected", self.sh_degree));
+        }
+        if self.max_size < 16 || self.max_size > 65_535 {
+            return fail("--max-size", format!("{}; 16 to 65535 expected", self.max_size));
+        }
+        if self.max_gaussians == Some(0) {
+            return fail("--max-gaussians", "0; at least 1 expected".into());
+        }
+        if let Some(t) = self.time_budget
+            && !(t.is_finite() && t > 0.0)
+        {
+            return fail("--time-budget", format!("{t} s; a positive time expected"));
+        }
+        if let Background::Color(c) = self.background
+            && !c.iter().all(|v| (0.0..=1.0).contains(v))
+        {
+            return fail("--background", format!("{c:?}; R,G,B in 0 to 1 expected"));
+        }
+        let o = &self.optimizer;
+        let rates = [
+            o.lr_position, o.lr_position_final, o.lr_sh0, o.lr_sh, o.lr_opacity, o.lr_scale, o.lr_rotation,
+        ];
+        if !rates.iter().all(|v| v.is_finite() && *v >= 0.0) {
+            return fail("optimizer", "a learning rate that is negative or not finite".into());
+        }
+        if !((0.0..1.0).contains(&o.beta1) && (0.0..1.0).contains(&o.beta2) && o.epsilon > 0.0) {
+            return fail("optimizer", "beta1 and beta2 in [0, 1) and epsilon > 0 expected".into());
+        }
+        let l = &self.loss;
+        if !(0.0..=1.0).contains(&l.lambda_ssim) || !(l.lambda_opacity >= 0.0 && l.lambda_scale >= 0.0) {
+            return fail("loss", "lambda-ssim in [0, 1] and other weights >= 0 expected".into());
+        }
+        self.mh.validate()
+    }
+}
+
+impl MhConfig {
+    fn validate(&self) -> Result<()> {
+        let positive = [self.voxel_edge[0], self.voxel_edge[1]].iter().all(|v| v.is_finite() && *v > 0.0);
+        let spreads = self.coarse_spread.iter().chain(&self.fine_spread);
+        if !positive || !spreads.into_iter().all(|v| v.is_finite() && *v >= 0.0) {
+            return Err(Error::config("mh", "voxel edges > 0 and spreads >= 0 expected"));
+        }
+        if !(self.lambda_voxel.is_finite() && self.lambda_voxel >= 0.0) {
+            return Err(Error::config("mh.lambda-voxel", "a finite value >= 0 expected"));
+        }
+        if self.from_iteration >= self.until_iteration || self.interval == 0 {
+            return Err(Error::config(
+                "mh",
+                "from-iteration before until-iteration and an interval of at least 1 expected",
+            ));
+        }
+        Ok(())
     }
 }

@@ -1,1 +1,2 @@
+//! mhsplat.
 fn main() {}

@@ -136,3 +136,40 @@ pub trait DensityControl: Send {
     /// A value that this strategy did not write.
     fn load(&mut self, state: &serde_json::Value) -> Result<()>;
 }
+
+impl DensityStats {
+    /// Adds one step's statistics: counters are summed, gauges replaced.
+    pub fn add(&mut self, step: &Self) {
+        self.proposed += step.proposed;
+        self.accepted += step.accepted;
+        self.relocated += step.relocated;
+        self.pruned += step.pruned;
+        for k in 0..2 {
+            self.coarse[k] += step.coarse[k];
+            self.fine[k] += step.fine[k];
+        }
+        self.occupied_voxels = step.occupied_voxels;
+        self.mean_prior = step.mean_prior;
+    }
+}
+
+impl DensityControl for Fixed {
+    fn view_subset(&mut self, _: usize, _: f64) -> Vec<usize> {
+        Vec::new()
+    }
+    fn step(&mut self, _: &StepContext, s: &SceneState<'_>, _: &Cues<'_>) -> Result<Outcome> {
+        Ok(Outcome { edits: vec![], len: s.len(), stats: DensityStats::default() })
+    }
+    fn save(&self) -> serde_json::Value {
+        serde_json::Value::Null
+    }
+    fn load(&mut self, _: &serde_json::Value) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// Stand-in.
+#[must_use]
+pub fn make(_: &crate::config::TrainConfig) -> Box<dyn DensityControl> {
+    Box::new(Fixed)
+}

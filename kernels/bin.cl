@@ -1,0 +1,114 @@
+// bin: visible Gaussians -> (tile, Gaussian) pairs in depth order -> ranges of pairs per tile.
+
+// The minimum over the tile's pixel centres' rectangle of the record's quadratic form, against its reach: exact for a
+// convex form, whose minimum lies at the mean or on an edge that faces the mean (StopThePop, Speedy-Splat intersect
+// likewise). TILE_SLACK covers f32 rounding: a pair too many costs time, a pair too few costs a pixel.
+static inline int touches_tile(const Record *g, int tx, int ty) {
+  const real x0 = (real)(tx * TILE) + R(0.5) - g->x, x1 = x0 + (real)(TILE - 1);
+  const real y0 = (real)(ty * TILE) + R(0.5) - g->y, y1 = y0 + (real)(TILE - 1);
+  const int right = x0 > R(0.0), left = x1 < R(0.0), below = y0 > R(0.0), above = y1 < R(0.0);
+  if (!(right || left || below || above)) return 1;
+  real q = (real)INFINITY;
+  if (right || left) {
+    const real dx = right ? x0 : x1;
+    const real dy = clamp(g->a * g->r * dx / fma(g->a * g->r, g->r, g->c), y0, y1);
+    const real u = fma(-g->r, dy, dx);
+    q = fma(g->a * u, u, g->c * dy * dy);
+  }
+  if (below || above) {
+    const real dy = below ? y0 : y1;
+    const real dx = clamp(g->r * dy, x0, x1);
+    const real u = fma(-g->r, dy, dx);
+    q = fmin(q, fma(g->a * u, u, g->c * dy * dy));
+  }
+  return q <= g->lo - (real)LOG2_ALPHA_MIN + (real)TILE_SLACK;
+}
+
+// The only walk over a Gaussian's tiles, row by row: counts, and writes where `keys` is given (so that count and
+// emission cannot disagree).
+static inline uint walk_tiles(const Record *g, uint tiles_x, __global uint *keys, __global uint *owners, uint i) {
+  const int tx0 = BOUND_LO(g->bx) / TILE, tx1 = BOUND_HI(g->bx) / TILE;
+  const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
+  uint n = 0;
+  for (int ty = ty0; ty <= ty1; ty++)
+    for (int tx = tx0; tx <= tx1; tx++)
+      if (touches_tile(g, tx, ty)) {
+        if (keys) {
+          keys[n] = (uint)ty * tiles_x + (uint)tx;
+          owners[n] = i;
+        }
+        n++;
+      }
+  return n;
+}
+
+// Launch: one work-item per chunk of Gaussians. Counts the visible ones.
+__kernel void bin_visible(__global const uint *keys, uint count, // in [count] depth bits or KEY_CULLED
+                          uint chunks, __global uint *sums) {    // out [chunks]
+  const uint c = get_global_id(0);
+  if (c >= chunks) return;
+  const uint size = (count + chunks - 1) / chunks;
+  const uint first = min(c * size, count), last = min(first + size, count);
+  uint n = 0;
+  for (uint i = first; i < last; i++) n += keys[i] != KEY_CULLED;
+  sums[c] = n;
+}
+
+// Launch: one work-item per chunk of Gaussians. Writes keys and indices of the visible ones, in index order.
+__kernel void bin_compact(__global const uint *keys, uint count, // in [count]
+                          uint chunks, __global const uint *sums, // in [chunks] exclusive
+                          __global uint *visible_keys,            // out [visible]
+                          __global uint *visible) {               // out [visible] Gaussian index
+  const uint c = get_global_id(0);
+  if (c >= chunks) return;
+  const uint size = (count + chunks - 1) / chunks;
+  const uint first = min(c * size, count), last = min(first + size, count);
+  uint at = sums[c];
+  for (uint i = first; i < last; i++)
+    if (keys[i] != KEY_CULLED) {
+      visible_keys[at] = keys[i];
+      visible[at] = i;
+      at++;
+    }
+}
+
+// Launch: one work-item per Gaussian; those past the visible ones have nothing to do.
+__kernel void bin_count(__global const Record *records, __global const uint *visible, // in, in depth order
+                        __global const uint *status, uint tiles_x,
+                        __global uint *counts) { // out [visible] tiles touched
+  const uint j = get_global_id(0);
+  if (j >= status[S_VISIBLE]) return;
+  const Record g = records[visible[j]];
+  counts[j] = walk_tiles(&g, tiles_x, 0, 0, 0);
+}
+
+// Launch: as bin_count. Emits nothing when the pairs did not fit.
+__kernel void bin_emit(__global const Record *records, __global const uint *visible,
+                       __global const uint *status, uint tiles_x,
+                       __global const uint *offsets,  // in [visible] exclusive sums of counts
+                       __global uint *tile_keys,      // out [pairs] tile, row major
+                       __global uint *pair_owner,     // out [pairs] Gaussian index
+                       __global uint *pair_start,     // out [count] first pair of a Gaussian
+                       __global uint *pair_counts) {  // out [count] its pairs
+  const uint j = get_global_id(0);
+  if (j >= status[S_VISIBLE] || status[S_OVERFLOW] != 0) return;
+  const uint i = visible[j], at = offsets[j];
+  const Record g = records[i];
+  pair_start[i] = at;
+  pair_counts[i] = walk_tiles(&g, tiles_x, tile_keys + at, pair_owner + at, i);
+}
+
+// Launch: one work-item per tile boundary (tiles + 1): lower bound of the tile in the sorted keys.
+__kernel void bin_ranges(__global const uint *tile_keys, // in [pairs] sorted
+                         __global const uint *status, uint tiles,
+                         __global uint *tile_start) { // out [tiles + 1]
+  const uint t = get_global_id(0);
+  if (t > tiles) return;
+  uint lo = 0, hi = status[S_PAIRS];
+  while (lo < hi) {
+    const uint mid = lo + (hi - lo) / 2;
+    if (tile_keys[mid] < t) lo = mid + 1;
+    else hi = mid;
+  }
+  tile_start[t] = lo;
+}

@@ -1,0 +1,26 @@
+// metrics: squared error of a render clamped to [0, 1] against a photo; the clamped image stays in place, so that SSIM
+// (loss_forward) is taken of the same picture. Launch: one work-item per image row.
+
+__kernel void metrics(__global real *image,               // in/out [>= 3, rows, stride]
+                      __global const uchar *photo,        // in [3 or 4, height, width]
+                      real bg_red, real bg_green, real bg_blue, int width, int height, int stride, int rows,
+                      __global real *squared_error) { // out [height] sum over the row and the channels
+  const int y = get_global_id(0);
+  if (y >= height) return;
+  const size_t plane = (size_t)stride * rows, pixels = (size_t)width * height;
+  real sum = R(0.0);
+  for (int ch = 0; ch < 3; ch++) {
+    const real background = ch == 0 ? bg_red : ch == 1 ? bg_green : bg_blue;
+    for (int x = 0; x < width; x++) {
+      const size_t at = ch * plane + (size_t)y * stride + x, from = (size_t)y * width + x;
+      const real c = clamp(image[at], R(0.0), R(1.0));
+      image[at] = c;
+      real p = (real)photo[ch * pixels + from] / R(255.0);
+#if HAS_ALPHA
+      p += (R(1.0) - (real)photo[3 * pixels + from] / R(255.0)) * background;
+#endif
+      sum = fma(c - p, c - p, sum);
+    }
+  }
+  squared_error[y] = sum;
+}

@@ -1,0 +1,118 @@
+// splat: front-to-back compositing of each tile's Gaussians. One formula for both styles: a work-item per tile with
+// blocks of VW pixels in registers (CPUs), or a work-group per tile with a work-item per pixel (GPUs).
+// A pixel takes contributions while its transmittance is >= T_MIN; alpha is capped at ALPHA_MAX and dropped below the
+// cut. Source: 3DGS; block structure and staging measured on CPUs.
+// Images are planar with stride tiles_x*TILE and tiles_y*TILE rows: planes red, green, blue, transmittance.
+
+#define STAGE 32 // records copied to private (local) memory at a time
+
+#if !GROUP_STYLE
+// Launch: one work-item per tile, local size 1.
+__kernel void splat(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+                    __global const uint *order,      // in [pairs] sorted: emission slot of each pair
+                    __global const uint *tile_start, // in [tiles + 1]
+                    int tiles_x, int tiles, real bg_red, real bg_green, real bg_blue,
+                    __global real *image,       // out [4, rows, stride]
+                    __global uint *tile_used) { // out [tiles] pairs looked at before every pixel was opaque
+  const int tile = get_global_id(0);
+  if (tile >= tiles) return;
+  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
+  const uint start = tile_start[tile], end = tile_start[tile + 1];
+  const realV lanes = LANES, lane_y = floor(lanes / (real)BLOCK_W), lane_x = lanes - lane_y * (real)BLOCK_W;
+  realV T[BLOCKS], red[BLOCKS], green[BLOCKS], blue[BLOCKS];
+  for (int k = 0; k < BLOCKS; k++) {
+    T[k] = (realV)(R(1.0));
+    red[k] = green[k] = blue[k] = (realV)(R(0.0));
+  }
+  Record staged[STAGE];
+  uint p = start;
+  while (p < end) {
+    realV most = T[0];
+    for (int k = 1; k < BLOCKS; k++) most = max(most, T[k]);
+    if (!any_lane(most >= (realV)T_MIN)) break;
+    const uint n = min((uint)STAGE, end - p);
+    for (uint j = 0; j < n; j++) staged[j] = records[pair_owner[order[p + j]]];
+    for (uint j = 0; j < n; j++) {
+      const Record *g = &staged[j];
+      const real gx = g->x - (real)tile_x - R(0.5), gy = g->y - (real)tile_y - R(0.5);
+      int x0, x1, y0, y1;
+      block_range(g->bx, tile_x, BLOCK_W, &x0, &x1);
+      block_range(g->by, tile_y, BLOCK_H, &y0, &y1);
+      for (int by = y0; by <= y1; by++) {
+        const realV dy = lane_y + (realV)((real)(by * BLOCK_H) - gy), rdy = g->r * dy;
+        for (int bx = x0; bx <= x1; bx++) {
+          const int k = by * BLOCKS_X + bx;
+          const realV u = lane_x + (realV)((real)(bx * BLOCK_W) - gx) - rdy;
+          const realV alpha =
+              min(effective_alpha(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), T[k]),
+                   (realV)ALPHA_MAX);
+          const realV w = alpha * T[k];
+          red[k] = fma(w, (realV)(g->red), red[k]);
+          green[k] = fma(w, (realV)(g->green), green[k]);
+          blue[k] = fma(w, (realV)(g->blue), blue[k]);
+          T[k] -= w;
+        }
+      }
+    }
+    p += n;
+  }
+  tile_used[tile] = p - start;
+  const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
+  for (int k = 0; k < BLOCKS; k++) {
+    real out[4][VW];
+    vstore_real(fma(T[k], (realV)(bg_red), red[k]), 0, out[0]);
+    vstore_real(fma(T[k], (realV)(bg_green), green[k]), 0, out[1]);
+    vstore_real(fma(T[k], (realV)(bg_blue), blue[k]), 0, out[2]);
+    vstore_real(T[k], 0, out[3]);
+    for (int c = 0; c < 4; c++)
+      for (int l = 0; l < VW; l++) {
+        const int x = tile_x + k % BLOCKS_X * BLOCK_W + l % BLOCK_W, y = tile_y + k / BLOCKS_X * BLOCK_H + l / BLOCK_W;
+        image[c * plane + (size_t)y * stride + x] = out[c][l];
+      }
+  }
+}
+#else
+// Launch: one work-group of TILE x TILE work-items per tile.
+__kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
+splat(__global const Record *records, __global const uint *pair_owner, __global const uint *order,
+      __global const uint *tile_start, int tiles_x, int tiles, real bg_red, real bg_green, real bg_blue,
+      __global real *image, __global uint *tile_used) {
+  const int tile = get_group_id(0), l = get_local_id(0);
+  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
+  const int x = l % TILE, y = l / TILE;
+  const uint start = tile_start[tile], end = tile_start[tile + 1];
+  real T = R(1.0), red = R(0.0), green = R(0.0), blue = R(0.0);
+  __local Record staged[STAGE];
+  __local int open;
+  uint p = start;
+  for (;;) {
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (l == 0) open = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (T >= (real)T_MIN) open = 1; // every writer writes the same value
+    const uint n = min((uint)STAGE, end - p);
+    if ((uint)l < n) staged[l] = records[pair_owner[order[p + l]]];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (n == 0 || !open) break;
+    for (uint j = 0; j < n; j++) {
+      const Record g = staged[j];
+      const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
+      const real dy = (real)y - gy, u = (real)x - gx - g.r * dy;
+      const real alpha = min(effective_alpha(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T), (real)ALPHA_MAX);
+      const real w = alpha * T;
+      red = fma(w, g.red, red);
+      green = fma(w, g.green, green);
+      blue = fma(w, g.blue, blue);
+      T -= w;
+    }
+    p += n;
+  }
+  if (l == 0) tile_used[tile] = p - start;
+  const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
+  const size_t at = (size_t)(tile_y + y) * stride + (tile_x + x);
+  image[at] = fma(T, bg_red, red);
+  image[plane + at] = fma(T, bg_green, green);
+  image[2 * plane + at] = fma(T, bg_blue, blue);
+  image[3 * plane + at] = T;
+}
+#endif

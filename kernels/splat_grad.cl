@@ -1,0 +1,153 @@
+// splat_grad: derivative of the compositing, front to back over the same pairs with the same formula. Per (tile,
+// Gaussian) pair it writes nine sums at the pair's emission slot; project_grad adds a Gaussian's slots up, so no atomics
+// and a fixed order. With g = dL/dalpha * alpha (0 where alpha is capped):
+//   0 sum g, 1 sum g u, 2 sum g dy, 3 sum g u^2, 4 sum g u dy, 5 sum g dy^2, 6..8 sum alpha T dL/dcolour
+// (u, dy are the coordinates in which the record's quadratic form is diagonal: no cancellation for needles).
+// dL/dalpha = T <dL/dC, c> - behind / (1 - alpha), behind = <dL/dC, what is composited after>, kept by subtraction from
+// the final colour (1 - alpha >= 1 - ALPHA_MAX). Source: 3DGS backward; front to back as in Faster-GS.
+
+#define STAGE 32
+#define SUMS 9
+
+// Adds one block's contributions. s: the nine sums, d*: dL/dC, T and behind are advanced.
+static inline void grad_block(const Record *g, realV u, realV dy, realV dred, realV dgreen, realV dblue, realV *T,
+                              realV *behind, realV s[SUMS]) {
+  const realV free_alpha =
+      effective_alpha(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), *T);
+  const realV alpha = min(free_alpha, (realV)ALPHA_MAX);
+  const realV w = alpha * *T;
+  const realV along = fma(dred, (realV)(g->red), fma(dgreen, (realV)(g->green), dblue * (realV)(g->blue)));
+  *behind = fma(-w, along, *behind);
+  const realV dalpha = *T * along - *behind / ((realV)(R(1.0)) - alpha);
+  *T -= w;
+  const realV gr = choose(free_alpha < (realV)ALPHA_MAX, dalpha * alpha, (realV)(R(0.0)));
+  const realV gu = gr * u, gy = gr * dy;
+  s[0] += gr;
+  s[1] += gu;
+  s[2] += gy;
+  s[3] = fma(gu, u, s[3]);
+  s[4] = fma(gu, dy, s[4]);
+  s[5] = fma(gy, dy, s[5]);
+  s[6] = fma(w, dred, s[6]);
+  s[7] = fma(w, dgreen, s[7]);
+  s[8] = fma(w, dblue, s[8]);
+}
+
+#if !GROUP_STYLE
+static inline real lane_sum(realV v) {
+#if VW == 1
+  return v;
+#else
+  real lane[VW];
+  vstore_real(v, 0, lane);
+  for (int h = VW / 2; h > 0; h /= 2)
+    for (int l = 0; l < h; l++) lane[l] += lane[l + h];
+  return lane[0];
+#endif
+}
+
+// One plane's block k of a tile, from a planar image.
+static inline realV load_block(__global const real *plane, int tile_x, int tile_y, int stride, int k) {
+  real in[VW];
+  for (int l = 0; l < VW; l++)
+    in[l] = plane[(size_t)(tile_y + k / BLOCKS_X * BLOCK_H + l / BLOCK_W) * stride + tile_x + k % BLOCKS_X * BLOCK_W +
+                  l % BLOCK_W];
+  return vload_real(0, in);
+}
+
+// Launch: one work-item per tile, local size 1.
+__kernel void splat_grad(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+                         __global const uint *order, __global const uint *tile_start, // in [pairs], [tiles + 1]
+                         __global const uint *tile_used, int tiles_x, int tiles,      // in [tiles]
+                         __global const real *image,  // in [4, rows, stride] as splat left it
+                         __global const real *dimage, // in [3, rows, stride] dL/dC, 0 outside of the image
+                         __global real *sums) {       // out [pairs, SUMS] at emission slots
+  const int tile = get_global_id(0);
+  if (tile >= tiles) return;
+  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
+  const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
+  const uint start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
+  const realV lanes = LANES, lane_y = floor(lanes / (real)BLOCK_W), lane_x = lanes - lane_y * (real)BLOCK_W;
+  realV T[BLOCKS], behind[BLOCKS], dred[BLOCKS], dgreen[BLOCKS], dblue[BLOCKS];
+  for (int k = 0; k < BLOCKS; k++) {
+    T[k] = (realV)(R(1.0));
+    dred[k] = load_block(dimage, tile_x, tile_y, stride, k);
+    dgreen[k] = load_block(dimage + plane, tile_x, tile_y, stride, k);
+    dblue[k] = load_block(dimage + 2 * plane, tile_x, tile_y, stride, k);
+    behind[k] = dred[k] * load_block(image, tile_x, tile_y, stride, k) +
+                dgreen[k] * load_block(image + plane, tile_x, tile_y, stride, k) +
+                dblue[k] * load_block(image + 2 * plane, tile_x, tile_y, stride, k);
+  }
+  Record staged[STAGE];
+  uint slot[STAGE];
+  for (uint p = start; p < used; p += STAGE) {
+    const uint n = min((uint)STAGE, used - p);
+    for (uint j = 0; j < n; j++) {
+      slot[j] = order[p + j];
+      staged[j] = records[pair_owner[slot[j]]];
+    }
+    for (uint j = 0; j < n; j++) {
+      const Record *g = &staged[j];
+      const real gx = g->x - (real)tile_x - R(0.5), gy = g->y - (real)tile_y - R(0.5);
+      int x0, x1, y0, y1;
+      block_range(g->bx, tile_x, BLOCK_W, &x0, &x1);
+      block_range(g->by, tile_y, BLOCK_H, &y0, &y1);
+      realV s[SUMS];
+      for (int q = 0; q < SUMS; q++) s[q] = (realV)(R(0.0));
+      for (int by = y0; by <= y1; by++) {
+        const realV dy = lane_y + (realV)((real)(by * BLOCK_H) - gy), rdy = g->r * dy;
+        for (int bx = x0; bx <= x1; bx++) {
+          const int k = by * BLOCKS_X + bx;
+          const realV u = lane_x + (realV)((real)(bx * BLOCK_W) - gx) - rdy;
+          grad_block(g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
+        }
+      }
+      for (int q = 0; q < SUMS; q++) sums[(size_t)slot[j] * SUMS + q] = lane_sum(s[q]);
+    }
+  }
+  for (uint p = used; p < end; p++)
+    for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
+}
+#else
+// Launch: one work-group of TILE x TILE work-items per tile; sums over the group in a fixed order (two stages through
+// local memory), no assumption on sub-groups.
+__kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
+splat_grad(__global const Record *records, __global const uint *pair_owner, __global const uint *order,
+           __global const uint *tile_start, __global const uint *tile_used, int tiles_x, int tiles,
+           __global const real *image, __global const real *dimage, __global real *sums) {
+  const int tile = get_group_id(0), l = get_local_id(0);
+  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
+  const int x = l % TILE, y = l / TILE;
+  const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
+  const size_t at = (size_t)(tile_y + y) * stride + (tile_x + x);
+  const uint start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
+  const real dred = dimage[at], dgreen = dimage[plane + at], dblue = dimage[2 * plane + at];
+  real T = R(1.0), behind = dred * image[at] + dgreen * image[plane + at] + dblue * image[2 * plane + at];
+  __local real lane[SUMS][TILE * TILE];
+  __local real row[SUMS][TILE];
+  for (uint p = start; p < used; p++) {
+    const uint slot = order[p];
+    const Record g = records[pair_owner[slot]];
+    const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
+    const real dy = (real)y - gy, u = (real)x - gx - g.r * dy;
+    real s[SUMS];
+    for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
+    grad_block(&g, u, dy, dred, dgreen, dblue, &T, &behind, s);
+    for (int q = 0; q < SUMS; q++) lane[q][l] = s[q];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (l < SUMS * TILE) {
+      real sum = R(0.0);
+      for (int k = 0; k < TILE; k++) sum += lane[l / TILE][l % TILE * TILE + k];
+      row[l / TILE][l % TILE] = sum;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (l < SUMS) {
+      real sum = R(0.0);
+      for (int k = 0; k < TILE; k++) sum += row[l][k];
+      sums[(size_t)slot * SUMS + l] = sum;
+    }
+  }
+  for (uint p = used + l; p < end; p += TILE * TILE)
+    for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
+}
+#endif

@@ -1,0 +1,183 @@
+//! Builds the embedded kernel sources for a device.
+
+use std::ffi::CString;
+use std::fmt::Write as _;
+
+use ocl::core::{self, ProgramBuildInfo};
+
+use super::device::Device;
+use super::launch::Kernel;
+use super::tuning::{self, Tuning, status};
+use super::{Real, device_error};
+use crate::error::{Error, Result};
+use crate::model::Plane;
+
+const COMMON: &str = include_str!("../../kernels/common.clh");
+
+/// Sources by stage.
+const SOURCES: &[(&str, &str)] = &[
+    ("project", include_str!("../../kernels/project.cl")),
+    ("scan", include_str!("../../kernels/scan.cl")),
+    ("bin", include_str!("../../kernels/bin.cl")),
+    ("sort", include_str!("../../kernels/sort.cl")),
+    ("splat", include_str!("../../kernels/splat.cl")),
+    ("loss", include_str!("../../kernels/loss.cl")),
+    ("splat_grad", include_str!("../../kernels/splat_grad.cl")),
+    ("project_grad", include_str!("../../kernels/project_grad.cl")),
+    ("adam", include_str!("../../kernels/adam.cl")),
+    ("importance", include_str!("../../kernels/importance.cl")),
+    ("metrics", include_str!("../../kernels/metrics.cl")),
+    ("edit", include_str!("../../kernels/edit.cl")),
+];
+
+/// What a program is specialised for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Defines {
+    /// Sizes for the device.
+    pub tuning: Tuning,
+    /// Contributions below this alpha are dropped.
+    pub alpha_min: f64,
+    /// SH degree in use.
+    pub sh_degree: u32,
+    /// Photos have an alpha plane.
+    pub has_alpha: bool,
+    /// Build the layout probe.
+    pub layout_probe: bool,
+}
+
+impl Defines {
+    /// The trainer's choice for a device.
+    #[must_use]
+    pub fn new(tuning: Tuning) -> Self {
+        Self {
+            tuning,
+            alpha_min: tuning::ALPHA_MIN,
+            sh_degree: 0,
+            has_alpha: false,
+            layout_probe: false,
+        }
+    }
+
+    fn prelude(&self, is_double: bool) -> String {
+        let mut text = String::new();
+        let mut int = |name: &str, v: u64| {
+            let _ = writeln!(text, "#define {name} {v}");
+        };
+        int("REAL_IS_DOUBLE", u64::from(is_double));
+        int("VW", u64::from(self.tuning.vector_width));
+        int("BLOCK_W", u64::from(self.tuning.block_width));
+        int("TILE", u64::from(tuning::TILE));
+        int("GROUP_STYLE", u64::from(self.tuning.group_style));
+        int("STRIP", u64::from(self.tuning.strip));
+        int("SH_DEGREE", u64::from(self.sh_degree));
+        int("HAS_ALPHA", u64::from(self.has_alpha));
+        int("P_POSITION", Plane::POSITION as u64);
+        int("P_LOG_SCALE", Plane::LOG_SCALE as u64);
+        int("P_ROTATION", Plane::ROTATION as u64);
+        int("P_OPACITY", Plane::OPACITY as u64);
+        int("P_SH", Plane::SH as u64);
+        int("S_VISIBLE", u64::from(status::VISIBLE));
+        int("S_PAIRS", u64::from(status::PAIRS));
+        int("S_OVERFLOW", u64::from(status::OVERFLOW));
+        int("S_NON_FINITE", u64::from(status::NON_FINITE));
+        if self.layout_probe {
+            int("LAYOUT_PROBE", 1);
+        }
+        let suffix = if is_double { "" } else { "f" };
+        let mut real = |name: &str, v: f64| {
+            let _ = writeln!(text, "#define {name} ({v:?}{suffix})");
+        };
+        real("ALPHA_MAX", tuning::ALPHA_MAX);
+        real("LOG2_ALPHA_MIN", self.alpha_min.log2());
+        real("T_MIN", tuning::T_MIN);
+        real("BLUR", tuning::BLUR);
+        real("TILE_SLACK", tuning::TILE_SLACK);
+        real("LOG_SCALE_MIN", tuning::LOG_SCALE[0]);
+        real("LOG_SCALE_MAX", tuning::LOG_SCALE[1]);
+        let window: Vec<String> = ssim_window().iter().map(|w| format!("{w:?}{suffix}")).collect();
+        let _ = writeln!(text, "#define SSIM_WINDOW {{{}}}", window.join(", "));
+        let _ = writeln!(text, "#define KEY_CULLED {}u", tuning::KEY_CULLED);
+        text
+    }
+}
+
+/// The 11-tap Gaussian window of SSIM, σ = 1.5, normalised (Wang et al. 2004).
+fn ssim_window() -> [f64; 11] {
+    let raw: [f64; 11] = std::array::from_fn(|k| {
+        let d = k as f64 - 5.0;
+        (-d * d / (2.0 * 1.5 * 1.5)).exp()
+    });
+    let sum: f64 = raw.iter().sum();
+    raw.map(|w| w / sum)
+}
+
+/// Kernels of one set of defines, built on demand.
+#[derive(Debug, Clone)]
+pub struct Kernels {
+    device: Device,
+    defines: Defines,
+}
+
+impl Kernels {
+    /// Nothing is built yet.
+    #[must_use]
+    pub fn new(device: &Device, defines: Defines) -> Self {
+        Self {
+            device: device.clone(),
+            defines,
+        }
+    }
+
+    /// The device.
+    #[must_use]
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// What the kernels are specialised for.
+    #[must_use]
+    pub fn defines(&self) -> &Defines {
+        &self.defines
+    }
+
+    /// Builds `kernels/<stage>.cl` and takes kernels out of it by name.
+    ///
+    /// # Errors
+    /// A build failure, with the compiler's log.
+    pub fn build<R: Real, const K: usize>(
+        &self,
+        stage: &'static str,
+        names: [&'static str; K],
+    ) -> Result<[Kernel; K]> {
+        let source = SOURCES.iter().find(|(s, _)| *s == stage).map_or("", |(_, t)| t);
+        let text = format!(
+            "{}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{source}",
+            self.defines.prelude(R::IS_DOUBLE)
+        );
+        let bug = "update the driver or select another device; the log above names the line";
+        let bytes = CString::new(text)
+            .map_err(|_| Error::device(stage, "the source holds a NUL byte", bug))?;
+        let inner = &self.device.inner;
+        let program = core::create_program_with_source(&inner.context, &[bytes])
+            .map_err(|e| device_error(stage, &e, bug))?;
+        let options = c"-cl-std=CL1.2 -cl-kernel-arg-info".to_owned();
+        if let Err(e) = core::build_program(&program, Some(&[inner.device_ptr()]), &options, None, None)
+        {
+            let log = core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildLog)
+                .map_or_else(|_| e.to_string(), |l| l.to_string());
+            let log = if log.trim().is_empty() { e.to_string() } else { log };
+            return Err(Error::device(
+                format!("build {stage}.cl"),
+                format!("the device's compiler says:\n{}", log.trim()),
+                bug,
+            ));
+        }
+        let mut built = Vec::with_capacity(K);
+        for name in names {
+            built.push(Kernel::new(&self.device, &program, stage, name)?);
+        }
+        built
+            .try_into()
+            .map_err(|_| Error::device(stage, "kernels missing", bug))
+    }
+}

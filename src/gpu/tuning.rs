@@ -1,0 +1,102 @@
+//! Constants of the kernels (each has its owner here and reaches OpenCL C through the prelude) and the sizes that depend
+//! on the class of device.
+
+use super::device::{DeviceInfo, DeviceKind};
+
+/// Edge of a tile, pixels.
+pub const TILE: u32 = 16;
+/// Cap of alpha (3DGS uses 0.99; [MH]'s code base 0.999).
+pub const ALPHA_MAX: f64 = 0.999;
+/// Contributions below this alpha are dropped (3DGS).
+pub const ALPHA_MIN: f64 = 1.0 / 255.0;
+/// A pixel takes contributions while its transmittance is at least this (3DGS).
+pub const T_MIN: f64 = 1e-4;
+/// Added to the diagonal of the 2D covariance, pixels² (3DGS).
+pub const BLUR: f64 = 0.3;
+/// Slack of the tile test in the exponent (base 2), for f32 rounding.
+pub const TILE_SLACK: f64 = 1e-3;
+/// Log-scales are clamped to this range, in which the covariance stays finite in f32.
+pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
+/// Near plane in units of the scene extent.
+pub const NEAR: f64 = 0.01;
+/// Sums that splat_grad writes per pair.
+pub const SUMS: usize = 9;
+/// Key of a Gaussian that is not visible.
+pub const KEY_CULLED: u32 = u32::MAX;
+
+/// Slots of the device's status array.
+pub mod status {
+    /// Visible Gaussians.
+    pub const VISIBLE: u32 = 0;
+    /// Pairs (0 after an overflow).
+    pub const PAIRS: u32 = 1;
+    /// Pairs needed when they did not fit; sticky until the host clears it.
+    pub const OVERFLOW: u32 = 2;
+    /// Gradient values that were not finite.
+    pub const NON_FINITE: u32 = 3;
+    /// Number of slots.
+    pub const SLOTS: usize = 8;
+}
+
+/// How kernels are cut for a class of devices. A measured choice per device is a later step; these are the measured
+/// defaults for CPUs and conservative ones for GPUs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Tuning {
+    /// Lanes of realV.
+    pub vector_width: u32,
+    /// Width of a block of `vector_width` pixels.
+    pub block_width: u32,
+    /// A work-group per tile instead of a work-item per tile.
+    pub group_style: bool,
+    /// Work-items per group for kernels with a work-item per Gaussian.
+    pub local: usize,
+    /// Chunks of the scan and sort kernels.
+    pub chunks: usize,
+    /// Bits per radix pass.
+    pub radix_bits: u32,
+    /// Rows per strip of the loss kernels.
+    pub strip: u32,
+}
+
+impl Tuning {
+    /// Explicit vectors, a work-item per tile: for CPUs.
+    pub const CPU: Self = Self {
+        vector_width: 16,
+        block_width: 4,
+        group_style: false,
+        local: 64,
+        chunks: 16,
+        radix_bits: 12,
+        strip: 32,
+    };
+
+    /// One pixel per work-item, a work-group per tile: for GPUs.
+    pub const GPU: Self = Self {
+        vector_width: 1,
+        block_width: 1,
+        group_style: true,
+        local: 128,
+        chunks: 2048,
+        radix_bits: 4,
+        strip: 16,
+    };
+
+    /// The default for a device.
+    #[must_use]
+    pub fn for_device(info: &DeviceInfo) -> Self {
+        match info.kind {
+            DeviceKind::Cpu if info.vector_width < 16 && info.vector_width > 0 => Self {
+                vector_width: 8,
+                ..Self::CPU
+            },
+            DeviceKind::Cpu => Self::CPU,
+            _ => Self::GPU,
+        }
+    }
+
+    /// Local size of kernels with a work-item per tile or per chunk.
+    #[must_use]
+    pub fn coarse_local(&self) -> usize {
+        if self.group_style { 32 } else { 1 }
+    }
+}

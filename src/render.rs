@@ -1,0 +1,281 @@
+//! [`Renderer`]: the forward stages, in order.
+
+use crate::buffers::{Frame, Scene};
+use crate::dataset::Camera;
+use crate::error::{Error, Result};
+use crate::gpu::tuning::{NEAR, Tuning, status};
+use crate::gpu::{CameraArg, Defines, Device, Kernels, Real};
+use crate::stage::bin::{Bin, BinArgs, EmitArgs};
+use crate::stage::project::{Project, ProjectArgs};
+use crate::stage::scan::{Scan, ScanArgs};
+use crate::stage::sort::{Sort, SortArgs};
+use crate::stage::splat::{Splat, TileLists, tiles_of};
+
+/// What is composited.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Quantity {
+    /// View-dependent colour.
+    #[default]
+    Color,
+    /// Camera z, local units (opacity-weighted; divide by alpha for the mean depth).
+    Depth,
+}
+
+/// How a view is rendered.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RenderOptions {
+    /// SH degree in use (at most the scene's).
+    pub sh_degree: u32,
+    /// Background colour.
+    pub background: [f32; 3],
+    /// What is composited.
+    pub quantity: Quantity,
+}
+
+/// A rendered image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rendered {
+    /// Width, pixels.
+    pub width: usize,
+    /// Height, pixels.
+    pub height: usize,
+    /// Planar red, green, blue \[3, height, width\].
+    pub rgb: Vec<f32>,
+    /// Transmittance that is left \[height, width\].
+    pub transmittance: Vec<f32>,
+}
+
+/// Runs the forward stages for one view at a time.
+#[derive(Debug)]
+pub struct Renderer<R: Real = f32> {
+    device: Device,
+    project: Vec<Project>,
+    scan: Scan,
+    bin: Bin,
+    sort: Sort,
+    splat: Splat,
+    pub(crate) frame: Frame<R>,
+    order_at: usize,
+}
+
+impl<R: Real> Renderer<R> {
+    /// Builds the kernels for SH degrees 0 to `sh_degree`; `gradients` also allocates what the backward stages need.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new(device: &Device, defines: Defines, sh_degree: u32, gradients: bool) -> Result<Self> {
+        let kernels = Kernels::new(device, defines);
+        let project = (0..=sh_degree)
+            .map(|d| Project::new::<R>(&Kernels::new(device, Defines { sh_degree: d, ..defines })))
+            .collect::<Result<_>>()?;
+        Ok(Self {
+            device: device.clone(),
+            project,
+            scan: Scan::new::<R>(&kernels)?,
+            bin: Bin::new::<R>(&kernels)?,
+            sort: Sort::new::<R>(&kernels)?,
+            splat: Splat::new::<R>(&kernels)?,
+            frame: Frame::new(device, &defines.tuning, gradients)?,
+            order_at: 0,
+        })
+    }
+
+    /// A renderer with the device's default tuning, for display.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn for_display(device: &Device, sh_degree: u32) -> Result<Self> {
+        let defines = Defines::new(Tuning::for_device(device.info()));
+        Self::new(device, defines, sh_degree, false)
+    }
+
+    /// The camera as the kernels take it.
+    #[must_use]
+    pub fn camera(camera: &Camera) -> CameraArg<R> {
+        CameraArg::new(camera, NEAR)
+    }
+
+    /// Makes the arrays large enough for a scene and a camera (pairs grow on demand).
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn fit(&mut self, scene: &Scene<R>, camera: &CameraArg<R>) -> Result<()> {
+        self.frame.fit_gaussians(&self.device, scene.stride)?;
+        self.frame.fit_pairs(&self.device, 4 * scene.count.max(1024))?;
+        self.frame.fit_image(&self.device, camera)
+    }
+
+    /// Enqueues the forward stages. Does not wait; an overflow of the pairs is told by the status array.
+    ///
+    /// # Errors
+    /// Arrays that were not made to fit, or the driver's.
+    pub fn enqueue(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        let f = &self.frame;
+        let degree = options.sh_degree.min(scene.sh_degree) as usize;
+        let Some(project) = self.project.get(degree) else {
+            return Err(Error::device(
+                "project",
+                format!("not built for SH degree {degree}"),
+                "make the renderer for this degree",
+            ));
+        };
+        let status = &f.status;
+        project.run(&ProjectArgs {
+            params: &scene.params,
+            stride: scene.stride,
+            count: scene.count,
+            camera,
+            depth_as_color: options.quantity == Quantity::Depth,
+            records: &f.records,
+            keys: &f.keys,
+            pair_counts: &f.pair_counts,
+        })?;
+        self.bin.visible(&f.keys, scene.count, &f.chunk_sums)?;
+        self.scan.totals(&f.chunk_sums, status, status::VISIBLE, scene.stride)?;
+        let [keys, visible] = [&f.visible_keys, &f.visible];
+        self.bin.compact(&f.keys, scene.count, &f.chunk_sums, &keys[0], &visible[0])?;
+        let by_depth = self.sort.run(&SortArgs {
+            keys: [&keys[0], &keys[1]],
+            values: [&visible[0], &visible[1]],
+            index_values: false,
+            status,
+            n_slot: status::VISIBLE,
+            bits: 32,
+        })?;
+        let [tiles_x, tiles] = tiles_of(camera);
+        let bin = BinArgs {
+            records: &f.records,
+            visible: &visible[by_depth],
+            count: scene.count,
+            status,
+            tiles_x: tiles_x as u32,
+        };
+        self.bin.count(&bin, &f.counts)?;
+        self.scan.run(&ScanArgs {
+            values: &f.counts,
+            status,
+            n_slot: status::VISIBLE,
+            total_slot: status::PAIRS,
+            capacity: f.pair_capacity(),
+            sums: &f.chunk_sums,
+            out: &f.offsets,
+        })?;
+        self.bin.emit(
+            &bin,
+            &EmitArgs {
+                offsets: &f.offsets,
+                tile_keys: &f.tile_keys[0],
+                pair_owner: &f.pair_owner,
+                pair_start: &f.pair_start,
+                pair_counts: &f.pair_counts,
+            },
+        )?;
+        self.order_at = self.sort.run(&SortArgs {
+            keys: [&f.tile_keys[0], &f.tile_keys[1]],
+            values: [&f.order[0], &f.order[1]],
+            index_values: true,
+            status,
+            n_slot: status::PAIRS,
+            bits: usize::BITS - tiles.leading_zeros(),
+        })?;
+        self.bin.ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)?;
+        self.splat.run(&self.lists(camera), options.background)
+    }
+
+    /// The sorted pairs of the view enqueued last.
+    pub(crate) fn lists(&self, camera: &CameraArg<R>) -> TileLists<'_, R> {
+        let f = &self.frame;
+        TileLists {
+            records: &f.records,
+            pair_owner: &f.pair_owner,
+            order: &f.order[self.order_at],
+            tile_start: &f.tile_start,
+            tile_used: &f.tile_used,
+            tiles: tiles_of(camera),
+            image: &f.image,
+        }
+    }
+
+    /// Makes room for the pairs that did not fit and clears the flag.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub(crate) fn grow_pairs(&mut self, needed: u32) -> Result<()> {
+        let needed = needed as usize;
+        if needed >= u32::MAX as usize {
+            return Err(Error::device(
+                "bin",
+                "more than 2^32 - 1 (tile, Gaussian) pairs in one view",
+                "lower --max-size or --max-gaussians",
+            ));
+        }
+        self.device.finish()?;
+        self.frame.fit_pairs(&self.device, needed + needed / 2)?;
+        self.frame.status.write(status::OVERFLOW as usize, &[0])
+    }
+
+    /// Renders a view and waits; grows the pair arrays as needed.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn render(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        self.fit(scene, camera)?;
+        loop {
+            self.enqueue(scene, camera, options)?;
+            let counters = self.frame.status.to_vec()?;
+            match counters.get(status::OVERFLOW as usize) {
+                Some(&needed) if needed > 0 => self.grow_pairs(needed)?,
+                _ => return Ok(()),
+            }
+        }
+    }
+
+    /// Renders a view and reads the image back.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn image(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &Camera,
+        options: &RenderOptions,
+    ) -> Result<Rendered> {
+        let arg = Self::camera(camera);
+        self.render(scene, &arg, options)?;
+        self.read_image(&arg)
+    }
+
+    /// The image of the view rendered last, without its padding.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn read_image(&self, camera: &CameraArg<R>) -> Result<Rendered> {
+        let [width, height] = camera.size.map(|s| s as usize);
+        let stride = camera.tiles[0] as usize * crate::gpu::tuning::TILE as usize;
+        let plane = self.lists(camera).plane();
+        let padded = self.frame.image.read(0, 4 * plane)?;
+        let cut = |c: usize| {
+            (0..height).flat_map(move |y| {
+                let row = c * plane + y * stride;
+                row..row + width
+            })
+        };
+        let take = |c: usize| cut(c).map(|i| padded[i].into() as f32).collect::<Vec<f32>>();
+        Ok(Rendered {
+            width,
+            height,
+            rgb: (0..3).flat_map(take).collect(),
+            transmittance: take(3),
+        })
+    }
+}

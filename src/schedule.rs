@@ -1,0 +1,133 @@
+//! What changes over a run: pure functions of the configuration and the iteration.
+
+use crate::config::{Background, TrainConfig};
+use crate::density::rng::{Philox, Stream};
+use crate::stage::adam::LearningRates;
+
+/// Iterations that the papers' schedules are written for.
+const PAPER_ITERATIONS: f64 = 30_000.0;
+
+/// A run has at least this many density steps, however short it is.
+const LEAST_DENSITY_STEPS: u32 = 15;
+
+/// The schedules of one run.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    config: TrainConfig,
+    scale: f64,
+}
+
+impl Schedule {
+    /// Schedules scaled from the papers' 30,000 iterations to the run's.
+    #[must_use]
+    pub fn new(config: &TrainConfig) -> Self {
+        Self {
+            config: config.clone(),
+            scale: f64::from(config.iterations) / PAPER_ITERATIONS,
+        }
+    }
+
+    fn scaled(&self, iteration: u32) -> u32 {
+        (f64::from(iteration) * self.scale).round() as u32
+    }
+
+    /// SH degree in use: one more band every `sh_interval` (scaled) iterations.
+    #[must_use]
+    pub fn sh_degree(&self, iteration: u32) -> u32 {
+        let interval = self.scaled(self.config.optimizer.sh_interval).max(1);
+        self.config.sh_degree.min(iteration / interval)
+    }
+
+    /// Learning rates; position decays log-linearly over the run. Local units: the scene extent is 1.
+    #[must_use]
+    pub fn rates(&self, iteration: u32) -> LearningRates {
+        let o = &self.config.optimizer;
+        let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
+        let (from, to) = (f64::from(o.lr_position), f64::from(o.lr_position_final));
+        LearningRates {
+            position: if from > 0.0 && to > 0.0 {
+                (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
+            } else {
+                from
+            },
+            scale: f64::from(o.lr_scale),
+            rotation: f64::from(o.lr_rotation),
+            opacity: f64::from(o.lr_opacity),
+            sh0: f64::from(o.lr_sh0),
+            sh: f64::from(o.lr_sh),
+        }
+    }
+
+    /// First and last iteration of density control.
+    #[must_use]
+    pub fn density_span(&self) -> [u32; 2] {
+        let mh = &self.config.mh;
+        [self.scaled(mh.from_iteration), self.scaled(mh.until_iteration)]
+    }
+
+    /// Iterations between two density steps: the paper's, or fewer where a short run would have less than 15 steps.
+    #[must_use]
+    pub fn density_interval(&self) -> u32 {
+        let [from, until] = self.density_span();
+        let least = until.saturating_sub(from) / LEAST_DENSITY_STEPS;
+        self.config.mh.interval.min(least).max(1)
+    }
+
+    /// Progress η of density control if a step is due after `done` iterations.
+    #[must_use]
+    pub fn density_due(&self, done: u32) -> Option<f64> {
+        let [from, until] = self.density_span();
+        if done < from || done >= until || !done.is_multiple_of(self.density_interval()) {
+            return None;
+        }
+        Some(f64::from(done - from) / f64::from((until - from).max(1)))
+    }
+
+    /// Iterations between two evaluations, 0 for none before the end.
+    #[must_use]
+    pub fn eval_every(&self) -> u32 {
+        self.config
+            .eval_every
+            .unwrap_or((self.config.iterations / 20).max(1))
+    }
+
+    /// View of an iteration: every epoch is a permutation of the views, keyed by (seed, epoch).
+    #[must_use]
+    pub fn view(&self, iteration: u32, views: usize) -> usize {
+        let epoch = iteration as usize / views.max(1);
+        let order = self.permutation(epoch as u64, views);
+        order[iteration as usize % views.max(1)]
+    }
+
+    fn permutation(&self, epoch: u64, views: usize) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..views.max(1)).collect();
+        for i in (1..order.len()).rev() {
+            let u = Philox::uniform(self.config.seed, Stream::ViewOrder.at(epoch), i as u64)[0];
+            order.swap(i, (u * (i + 1) as f64) as usize);
+        }
+        order
+    }
+
+    /// Background colour of an iteration.
+    #[must_use]
+    pub fn background(&self, iteration: u32) -> [f32; 3] {
+        match self.config.background {
+            Background::Random => {
+                let stream = Stream::Background.at(0);
+                let u = Philox::uniform(self.config.seed, stream, u64::from(iteration));
+                [u[0] as f32, u[1] as f32, u[2] as f32]
+            }
+            _ => self.fixed_background(),
+        }
+    }
+
+    /// Background colour where it must not change: evaluation and error maps.
+    #[must_use]
+    pub fn fixed_background(&self) -> [f32; 3] {
+        match self.config.background {
+            Background::White => [1.0; 3],
+            Background::Color(c) => c,
+            Background::Black | Background::Random => [0.0; 3],
+        }
+    }
+}

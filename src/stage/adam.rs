@@ -1,0 +1,103 @@
+//! The optimiser (`kernels/adam.cl`).
+
+use crate::error::Result;
+use crate::gpu::{Array, Kernel, Kernels, Real};
+
+/// The adam stage.
+#[derive(Debug)]
+pub struct Adam {
+    kernel: Kernel,
+    vector_width: usize,
+    local: usize,
+}
+
+/// Learning rates of one iteration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LearningRates {
+    /// Position, local units.
+    pub position: f64,
+    /// Log-scale.
+    pub scale: f64,
+    /// Quaternion.
+    pub rotation: f64,
+    /// Opacity logit.
+    pub opacity: f64,
+    /// SH degree 0.
+    pub sh0: f64,
+    /// Higher SH bands.
+    pub sh: f64,
+}
+
+/// Arguments of [`Adam::run`].
+#[derive(Debug)]
+pub struct AdamArgs<'a, R: Real> {
+    /// Gradients \[planes, stride\].
+    pub grads: &'a Array<R>,
+    /// Gaussians allocated, a multiple of 16.
+    pub stride: usize,
+    /// Planes in use (those of the SH degree in use).
+    pub planes: usize,
+    /// Learning rates.
+    pub rates: LearningRates,
+    /// β₁, β₂, ε.
+    pub constants: [f64; 3],
+    /// Step, from 1.
+    pub step: u32,
+    /// In/out \[planes, stride\].
+    pub params: &'a Array<R>,
+    /// In/out \[planes, stride\].
+    pub moment1: &'a Array<R>,
+    /// In/out \[planes, stride\].
+    pub moment2: &'a Array<R>,
+    /// Status array.
+    pub status: &'a Array<u32>,
+}
+
+impl Adam {
+    /// Builds the kernel.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+        let [kernel] = kernels.build::<R, 1>("adam", ["adam"])?;
+        let tuning = kernels.defines().tuning;
+        Ok(Self {
+            kernel,
+            vector_width: tuning.vector_width as usize,
+            local: tuning.local,
+        })
+    }
+
+    /// Enqueues one step.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn run<R: Real>(&self, a: &AdamArgs<'_, R>) -> Result<()> {
+        let len = a.planes * a.stride;
+        let groups = a.stride / self.vector_width;
+        let [beta1, beta2, epsilon] = a.constants;
+        let t = f64::from(a.step);
+        let r = &a.rates;
+        self.kernel
+            .launch()
+            .array(a.grads, len)
+            .value(a.stride as u32)
+            .value(groups as u32)
+            .value(R::of(r.position))
+            .value(R::of(r.scale))
+            .value(R::of(r.rotation))
+            .value(R::of(r.opacity))
+            .value(R::of(r.sh0))
+            .value(R::of(r.sh))
+            .value(R::of(beta1))
+            .value(R::of(beta2))
+            .value(R::of(epsilon))
+            .value(R::of(1.0 / (1.0 - beta1.powf(t))))
+            .value(R::of(1.0 / (1.0 - beta2.powf(t)).sqrt()))
+            .array(a.params, len)
+            .array(a.moment1, len)
+            .array(a.moment2, len)
+            .array(a.status, 1)
+            .run([groups, a.planes], [self.local, 1])
+    }
+}

@@ -1,0 +1,162 @@
+//! Visible Gaussians → (tile, Gaussian) pairs → ranges per tile (`kernels/bin.cl`).
+
+use crate::error::Result;
+use crate::gpu::{Array, Kernel, Kernels, Real, Record};
+
+/// The bin stage.
+#[derive(Debug)]
+pub struct Bin {
+    visible: Kernel,
+    compact: Kernel,
+    count: Kernel,
+    emit: Kernel,
+    ranges: Kernel,
+    chunks: usize,
+    local: usize,
+    coarse_local: usize,
+}
+
+/// Arguments of [`Bin::count`] and [`Bin::emit`].
+#[derive(Debug)]
+pub struct BinArgs<'a, R: Real> {
+    /// Records \[count\].
+    pub records: &'a Array<Record<R>>,
+    /// Gaussian indices in depth order \[visible\].
+    pub visible: &'a Array<u32>,
+    /// Gaussians (upper bound of the visible ones).
+    pub count: usize,
+    /// Status array.
+    pub status: &'a Array<u32>,
+    /// Tiles per row.
+    pub tiles_x: u32,
+}
+
+/// Where [`Bin::emit`] writes.
+#[derive(Debug)]
+pub struct EmitArgs<'a> {
+    /// First pair of each visible Gaussian \[visible\].
+    pub offsets: &'a Array<u32>,
+    /// Out \[pairs\]: tile.
+    pub tile_keys: &'a Array<u32>,
+    /// Out \[pairs\]: Gaussian.
+    pub pair_owner: &'a Array<u32>,
+    /// Out \[count\]: first pair.
+    pub pair_start: &'a Array<u32>,
+    /// Out \[count\]: pairs.
+    pub pair_counts: &'a Array<u32>,
+}
+
+impl Bin {
+    /// Builds the kernels.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+        let [visible, compact, count, emit, ranges] = kernels.build::<R, 5>(
+            "bin",
+            ["bin_visible", "bin_compact", "bin_count", "bin_emit", "bin_ranges"],
+        )?;
+        let tuning = kernels.defines().tuning;
+        Ok(Self {
+            visible,
+            compact,
+            count,
+            emit,
+            ranges,
+            chunks: tuning.chunks,
+            local: tuning.local,
+            coarse_local: tuning.coarse_local(),
+        })
+    }
+
+    /// Counts the visible Gaussians per chunk.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn visible(&self, keys: &Array<u32>, count: usize, sums: &Array<u32>) -> Result<()> {
+        self.visible
+            .launch()
+            .array(keys, count)
+            .value(count as u32)
+            .value(self.chunks as u32)
+            .array(sums, self.chunks)
+            .run([self.chunks, 1], [self.coarse_local, 1])
+    }
+
+    /// Writes keys and indices of the visible Gaussians.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn compact(
+        &self,
+        keys: &Array<u32>,
+        count: usize,
+        sums: &Array<u32>,
+        visible_keys: &Array<u32>,
+        visible: &Array<u32>,
+    ) -> Result<()> {
+        self.compact
+            .launch()
+            .array(keys, count)
+            .value(count as u32)
+            .value(self.chunks as u32)
+            .array(sums, self.chunks)
+            .array(visible_keys, count)
+            .array(visible, count)
+            .run([self.chunks, 1], [self.coarse_local, 1])
+    }
+
+    /// Counts the tiles of each visible Gaussian into `counts` \[visible\].
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn count<R: Real>(&self, a: &BinArgs<'_, R>, counts: &Array<u32>) -> Result<()> {
+        self.count
+            .launch()
+            .array(a.records, a.count)
+            .array(a.visible, a.count)
+            .array(a.status, 1)
+            .value(a.tiles_x)
+            .array(counts, a.count)
+            .run([a.count, 1], [self.local, 1])
+    }
+
+    /// Writes the pairs.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn emit<R: Real>(&self, a: &BinArgs<'_, R>, out: &EmitArgs<'_>) -> Result<()> {
+        self.emit
+            .launch()
+            .array(a.records, a.count)
+            .array(a.visible, a.count)
+            .array(a.status, 1)
+            .value(a.tiles_x)
+            .array(out.offsets, a.count)
+            .array(out.tile_keys, 1)
+            .array(out.pair_owner, 1)
+            .array(out.pair_start, a.count)
+            .array(out.pair_counts, a.count)
+            .run([a.count, 1], [self.local, 1])
+    }
+
+    /// First pair of each tile (`tiles + 1` values) in the sorted keys.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn ranges(
+        &self,
+        tile_keys: &Array<u32>,
+        status: &Array<u32>,
+        tiles: usize,
+        tile_start: &Array<u32>,
+    ) -> Result<()> {
+        self.ranges
+            .launch()
+            .array(tile_keys, 1)
+            .array(status, 1)
+            .value(tiles as u32)
+            .array(tile_start, tiles + 1)
+            .run([tiles + 1, 1], [self.local, 1])
+    }
+}

@@ -1,0 +1,62 @@
+//! Writes the rows that density control decided on (`kernels/edit.cl`).
+
+use crate::error::Result;
+use crate::gpu::{Array, EditRow, Kernel, Kernels, Real};
+
+/// The edit stage.
+#[derive(Debug)]
+pub struct Edit {
+    kernel: Kernel,
+    local: usize,
+}
+
+/// Arguments of [`Edit::run`].
+#[derive(Debug)]
+pub struct EditArgs<'a, R: Real> {
+    /// Rows \[edits\].
+    pub edits: &'a Array<EditRow>,
+    /// Gaussians allocated.
+    pub stride: usize,
+    /// Planes.
+    pub planes: usize,
+    /// In/out \[planes, stride\].
+    pub params: &'a Array<R>,
+    /// In/out \[planes, stride\].
+    pub moment1: &'a Array<R>,
+    /// In/out \[planes, stride\].
+    pub moment2: &'a Array<R>,
+}
+
+impl Edit {
+    /// Builds the kernel.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+        let [kernel] = kernels.build::<R, 1>("edit", ["edit"])?;
+        Ok(Self {
+            kernel,
+            local: kernels.defines().tuning.local,
+        })
+    }
+
+    /// Enqueues the edits.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn run<R: Real>(&self, a: &EditArgs<'_, R>) -> Result<()> {
+        if a.edits.is_empty() {
+            return Ok(());
+        }
+        let len = a.planes * a.stride;
+        self.kernel
+            .launch()
+            .array(a.edits, a.edits.len())
+            .value(a.edits.len() as u32)
+            .value(a.stride as u32)
+            .array(a.params, len)
+            .array(a.moment1, len)
+            .array(a.moment2, len)
+            .run([a.edits.len(), a.planes], [self.local, 1])
+    }
+}

@@ -1,0 +1,71 @@
+//! Error cues per Gaussian (`kernels/importance.cl`).
+
+use crate::error::Result;
+use crate::gpu::tuning::TILE;
+use crate::gpu::{Array, CameraArg, Kernel, Kernels, Real};
+
+/// The importance stage.
+#[derive(Debug)]
+pub struct Importance {
+    kernel: Kernel,
+    local: usize,
+}
+
+/// Arguments of [`Importance::run`].
+#[derive(Debug)]
+pub struct ImportanceArgs<'a, R: Real> {
+    /// Raw parameters \[planes, stride\].
+    pub params: &'a Array<R>,
+    /// Gaussians allocated.
+    pub stride: usize,
+    /// Gaussians.
+    pub count: usize,
+    /// Camera.
+    pub camera: &'a CameraArg<R>,
+    /// Error maps \[2, rows, stride\]: 1 − SSIM, |x − y|.
+    pub maps: &'a Array<R>,
+    /// Start the sums with this view.
+    pub first_view: bool,
+    /// In/out \[count\].
+    pub ssim: &'a Array<R>,
+    /// In/out \[count\].
+    pub l1: &'a Array<R>,
+    /// In/out \[count\].
+    pub views: &'a Array<u32>,
+}
+
+impl Importance {
+    /// Builds the kernel.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+        let [kernel] = kernels.build::<R, 1>("importance", ["importance"])?;
+        Ok(Self {
+            kernel,
+            local: kernels.defines().tuning.local,
+        })
+    }
+
+    /// Enqueues the stage for one view.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn run<R: Real>(&self, a: &ImportanceArgs<'_, R>) -> Result<()> {
+        let [stride, rows] = a.camera.tiles.map(|t| t * TILE as i32);
+        self.kernel
+            .launch()
+            .array(a.params, 3 * a.stride)
+            .value(a.stride as u32)
+            .value(a.count as u32)
+            .value(*a.camera)
+            .array(a.maps, 2 * (stride * rows) as usize)
+            .value(stride)
+            .value(rows)
+            .value(i32::from(a.first_view))
+            .array(a.ssim, a.count)
+            .array(a.l1, a.count)
+            .array(a.views, a.count)
+            .run([a.count, 1], [self.local, 1])
+    }
+}

@@ -1,0 +1,15 @@
+//! The compute stages: one file per file in `kernels/`. Each takes a named argument struct, checks lengths and launches;
+//! none waits. Shapes and units of every array are listed in `kernels/README.md`.
+
+pub mod adam;
+pub mod bin;
+pub mod edit;
+pub mod importance;
+pub mod loss;
+pub mod metrics;
+pub mod project;
+pub mod project_grad;
+pub mod scan;
+pub mod sort;
+pub mod splat;
+pub mod splat_grad;

@@ -1,0 +1,357 @@
+//! Every stage once, in order, on one device and in one precision, with every intermediate result read back.
+
+use crate::buffers::{Scene, ViewSet};
+use crate::dataset::View;
+use crate::density::Edit as DensityEdit;
+use crate::error::Result;
+use crate::gpu::tuning::{SUMS, TILE, Tuning, status};
+use crate::gpu::{Array, CameraArg, Defines, Device, EditRow, Kernels, Real, Record};
+use crate::model::{Plane, Splats};
+use crate::render::{Quantity, RenderOptions, Renderer};
+use crate::stage::adam::{Adam, AdamArgs, LearningRates};
+use crate::stage::edit::{Edit, EditArgs};
+use crate::stage::importance::{Importance, ImportanceArgs};
+use crate::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::stage::metrics::Metrics;
+use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::stage::splat_grad::SplatGrad;
+
+/// Inputs of a passage through all stages.
+#[derive(Debug, Clone)]
+pub struct Case {
+    /// Name of the case.
+    pub name: String,
+    /// Scene (f32 values, so that both precisions start from the same numbers).
+    pub splats: Splats,
+    /// Camera and photo.
+    pub view: View,
+    /// Background colour.
+    pub background: [f32; 3],
+    /// Contributions below this alpha are dropped.
+    pub alpha_min: f64,
+    /// SH degree in use.
+    pub sh_degree: u32,
+    /// λ, λ_o, λ_s.
+    pub lambdas: [f64; 3],
+    /// Learning rates of the optimiser step.
+    pub rates: LearningRates,
+    /// Rows written after the step.
+    pub edits: Vec<DensityEdit>,
+}
+
+/// Adam's constants in every case: β₁, β₂, ε.
+pub const ADAM: [f64; 3] = [0.9, 0.999, 1e-15];
+
+/// What the stages gave, as f64 whatever the precision. Images are without padding.
+#[derive(Debug, Clone, Default)]
+pub struct Outputs {
+    /// project: record of each Gaussian, none when culled.
+    pub records: Vec<Option<Record<f64>>>,
+    /// bin, scan and sort: Gaussians of each tile, front to back.
+    pub tiles: Vec<Vec<u32>>,
+    /// Sum of the counts of bin, which must equal the number of pairs.
+    pub counted: usize,
+    /// splat: \[3, height, width\].
+    pub image: Vec<f64>,
+    /// splat: \[height, width\].
+    pub transmittance: Vec<f64>,
+    /// loss: mean |x − y| and mean SSIM.
+    pub loss: [f64; 2],
+    /// loss: \[3, height, width\].
+    pub dimage: Vec<f64>,
+    /// loss: 1 − SSIM and |x − y|, channel means \[2, height, width\].
+    pub error_maps: Vec<f64>,
+    /// splat_grad: nine sums of each Gaussian.
+    pub sums: Vec<[f64; SUMS]>,
+    /// project_grad: planes.
+    pub grads: Vec<Vec<f64>>,
+    /// adam: parameters and moments after two steps with the same gradient.
+    pub adam: [Vec<Vec<f64>>; 3],
+    /// Non-finite gradients that adam counted.
+    pub non_finite: u32,
+    /// importance: sums of 1 − SSIM and L1, views (twice the same view).
+    pub cues: [Vec<f64>; 3],
+    /// metrics: squared error over the image.
+    pub squared_error: f64,
+    /// edit: parameters and moments afterwards.
+    pub edited: [Vec<Vec<f64>>; 3],
+    /// Seconds of device time per stage.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+struct Stages {
+    loss: Loss,
+    splat_grad: SplatGrad,
+    project_grad: ProjectGrad,
+    adam: Adam,
+    importance: Importance,
+    metrics: Metrics,
+    edit: Edit,
+}
+
+impl Stages {
+    fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+        Ok(Self {
+            loss: Loss::new::<R>(kernels)?,
+            splat_grad: SplatGrad::new::<R>(kernels)?,
+            project_grad: ProjectGrad::new::<R>(kernels)?,
+            adam: Adam::new::<R>(kernels)?,
+            importance: Importance::new::<R>(kernels)?,
+            metrics: Metrics::new::<R>(kernels)?,
+            edit: Edit::new::<R>(kernels)?,
+        })
+    }
+}
+
+/// Runs every stage in precision `R` on `case`.
+///
+/// # Errors
+/// A build failure, or the driver's.
+pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outputs> {
+    let defines = Defines {
+        tuning,
+        alpha_min: case.alpha_min,
+        sh_degree: case.sh_degree,
+        has_alpha: case.view.photo.channels == 4,
+        layout_probe: false,
+    };
+    let stages = Stages::new::<R>(&Kernels::new(device, defines))?;
+    let mut renderer = Renderer::<R>::new(device, defines, case.sh_degree, true)?;
+    let scene = Scene::<R>::upload(device, &case.splats, 0)?;
+    let views = ViewSet::<R>::upload(device, std::slice::from_ref(&case.view))?;
+    let camera = views.cameras[0];
+    device.reset_times();
+    let options = RenderOptions {
+        sh_degree: case.sh_degree,
+        background: case.background,
+        quantity: Quantity::Color,
+    };
+    renderer.render(&scene, &camera, &options)?;
+
+    let mut out = Outputs::default();
+    read_forward(&renderer, &scene, &camera, &mut out)?;
+    let mut run = Run { device, stages, renderer, scene, views, camera, case };
+    run.loss_and_gradient(&mut out)?;
+    run.importance_and_metrics(&mut out)?;
+    device.collect_times(usize::MAX)?;
+    out.seconds = device.times().into_iter().map(|(s, t)| (s, t.seconds)).collect();
+    Ok(out)
+}
+
+fn widen<R: Real>(values: Vec<R>) -> Vec<f64> {
+    values.into_iter().map(Into::into).collect()
+}
+
+fn read_forward<R: Real>(
+    renderer: &Renderer<R>,
+    scene: &Scene<R>,
+    camera: &CameraArg<R>,
+    out: &mut Outputs,
+) -> Result<()> {
+    let f = &renderer.frame;
+    let keys = f.keys.read(0, scene.count)?;
+    let records = f.records.read(0, scene.count)?;
+    out.records = keys
+        .iter()
+        .zip(records)
+        .map(|(key, r)| {
+            (*key != crate::gpu::tuning::KEY_CULLED).then(|| Record {
+                x: r.x.into(),
+                y: r.y.into(),
+                a: r.a.into(),
+                r: r.r.into(),
+                c: r.c.into(),
+                lo: r.lo.into(),
+                rgb: r.rgb.map(Into::into),
+                depth: r.depth.into(),
+                bx: r.bx,
+                by: r.by,
+            })
+        })
+        .collect();
+    let pairs = f.status.read(status::PAIRS as usize, 1)?[0] as usize;
+    let visible = f.status.read(status::VISIBLE as usize, 1)?[0] as usize;
+    out.counted = f.counts.read(0, visible)?.iter().map(|c| *c as usize).sum();
+    let lists = renderer.lists(camera);
+    let order = lists.order.read(0, pairs)?;
+    let owner = f.pair_owner.read(0, pairs)?;
+    let start = f.tile_start.read(0, camera.tile_count() + 1)?;
+    out.tiles = start
+        .windows(2)
+        .map(|w| {
+            order[w[0] as usize..w[1] as usize]
+                .iter()
+                .map(|slot| owner[*slot as usize])
+                .collect()
+        })
+        .collect();
+    let planes = widen(f.image.read(0, 4 * lists.plane())?);
+    out.image = crop(&planes, camera, 0..3);
+    out.transmittance = crop(&planes, camera, 3..4);
+    Ok(())
+}
+
+/// Planes of a padded image without the padding.
+fn crop<R: Real>(padded: &[f64], camera: &CameraArg<R>, planes: std::ops::Range<usize>) -> Vec<f64> {
+    let [w, h] = camera.size.map(|s| s as usize);
+    let [stride, rows] = camera.tiles.map(|t| t as usize * TILE as usize);
+    planes
+        .flat_map(|c| (0..h).map(move |y| (c * rows + y) * stride))
+        .flat_map(|from| padded[from..from + w].iter().copied())
+        .collect()
+}
+
+struct Run<'a, R: Real> {
+    device: &'a Device,
+    stages: Stages,
+    renderer: Renderer<R>,
+    scene: Scene<R>,
+    views: ViewSet<R>,
+    camera: CameraArg<R>,
+    case: &'a Case,
+}
+
+impl<R: Real> Run<'_, R> {
+    fn pair(&self) -> ImagePair<'_, R> {
+        ImagePair {
+            image: &self.renderer.frame.image,
+            photo: &self.views.photos[0],
+            background: self.case.background,
+            size: size_of_image(&self.camera),
+        }
+    }
+
+    fn planes(&self, array: &Array<R>) -> Result<Vec<Vec<f64>>> {
+        (0..self.scene.planes())
+            .map(|p| Ok(widen(array.read(p * self.scene.stride, self.scene.count)?)))
+            .collect()
+    }
+
+    fn loss_and_gradient(&mut self, out: &mut Outputs) -> Result<()> {
+        let (device, s, case) = (self.device, &self.stages, self.case);
+        let pair = self.pair();
+        let [w, h] = pair.size;
+        let plane = pair.plane();
+        let maps = Array::zeros(device, "maps", 9 * plane)?;
+        let dimage = Array::zeros(device, "dimage", 3 * plane)?;
+        let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
+        let loss = Array::zeros(device, "losses", 2)?;
+        s.loss.forward(&pair, false, &maps, &partial)?;
+        s.loss.backward(&pair, &maps, case.lambdas[0], &dimage)?;
+        s.loss.sum(&pair, &partial, &loss, 0)?;
+        let sums = widen(loss.to_vec()?);
+        out.loss = [sums[0], sums[1]];
+        out.dimage = crop(&widen(dimage.to_vec()?), &self.camera, 0..3);
+
+        let f = &self.renderer.frame;
+        s.splat_grad.run(&self.renderer.lists(&self.camera), &dimage, &f.sums)?;
+        let (counts, starts) =
+            (f.pair_counts.read(0, self.scene.count)?, f.pair_start.read(0, self.scene.count)?);
+        let all = widen(f.sums.to_vec()?);
+        out.sums = counts
+            .iter()
+            .zip(&starts)
+            .map(|(n, first)| {
+                let mut total = [0.0; SUMS];
+                for p in 0..*n as usize {
+                    for (k, t) in total.iter_mut().enumerate() {
+                        *t += all[(*first as usize + p) * SUMS + k];
+                    }
+                }
+                total
+            })
+            .collect();
+        let len = self.scene.planes() * self.scene.stride;
+        let [grads, m, v] =
+            [Array::zeros(device, "grads", len)?, Array::zeros(device, "moment1", len)?, Array::zeros(device, "moment2", len)?];
+        s.project_grad.run(&ProjectGradArgs {
+            params: &self.scene.params,
+            stride: self.scene.stride,
+            count: self.scene.count,
+            camera: &self.camera,
+            pair_start: &f.pair_start,
+            pair_counts: &f.pair_counts,
+            sums: &f.sums,
+            lambda_opacity: case.lambdas[1],
+            lambda_scale: case.lambdas[2],
+            grads: &grads,
+        })?;
+        out.grads = self.planes(&grads)?;
+        // The optimiser and the edits change the parameters that the later stages read: keep a copy.
+        let kept = Array::zeros(device, "params", len)?;
+        kept.copy_from(0, &self.scene.params, 0, len)?;
+        for step in 1..=2 {
+            s.adam.run(&AdamArgs {
+                grads: &grads,
+                stride: self.scene.stride,
+                planes: Plane::count(case.sh_degree),
+                rates: case.rates,
+                constants: ADAM,
+                step,
+                params: &kept,
+                moment1: &m,
+                moment2: &v,
+                status: &f.status,
+            })?;
+        }
+        out.adam = [self.planes(&kept)?, self.planes(&m)?, self.planes(&v)?];
+        out.non_finite = f.status.read(status::NON_FINITE as usize, 1)?[0];
+        let rows: Vec<EditRow> = case.edits.iter().map(row_of).collect();
+        s.edit.run(&EditArgs {
+            edits: &Array::from_slice(device, "edits", &rows)?,
+            stride: self.scene.stride,
+            planes: self.scene.planes(),
+            params: &kept,
+            moment1: &m,
+            moment2: &v,
+        })?;
+        out.edited = [self.planes(&kept)?, self.planes(&m)?, self.planes(&v)?];
+        Ok(())
+    }
+
+    fn importance_and_metrics(&mut self, out: &mut Outputs) -> Result<()> {
+        let (device, s, n) = (self.device, &self.stages, self.scene.count);
+        let pair = self.pair();
+        let [w, h] = pair.size;
+        let maps = Array::zeros(device, "maps", 2 * pair.plane())?;
+        let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
+        s.loss.forward(&pair, true, &maps, &partial)?;
+        out.error_maps = crop(&widen(maps.to_vec()?), &self.camera, 0..2);
+        let [ssim, l1] = [Array::zeros(device, "cue 1-SSIM", n)?, Array::zeros(device, "cue L1", n)?];
+        let views = Array::zeros(device, "cue views", n)?;
+        for first_view in [true, false] {
+            s.importance.run(&ImportanceArgs {
+                params: &self.scene.params,
+                stride: self.scene.stride,
+                count: n,
+                camera: &self.camera,
+                maps: &maps,
+                first_view,
+                ssim: &ssim,
+                l1: &l1,
+                views: &views,
+            })?;
+        }
+        out.cues = [
+            widen(ssim.to_vec()?),
+            widen(l1.to_vec()?),
+            views.to_vec()?.into_iter().map(f64::from).collect(),
+        ];
+        let rows = Array::zeros(device, "squared_error", h)?;
+        s.metrics.run(&pair, &rows)?;
+        out.squared_error = widen(rows.to_vec()?).iter().sum();
+        Ok(())
+    }
+}
+
+/// An edit as the device takes it.
+#[must_use]
+pub fn row_of(e: &DensityEdit) -> EditRow {
+    EditRow {
+        src: e.src,
+        dst: e.dst,
+        position: e.position,
+        log_scale: e.log_scale,
+        opacity_logit: e.opacity_logit,
+    }
+}
