@@ -45,6 +45,23 @@ pub struct Rendered {
     pub transmittance: Vec<f32>,
 }
 
+impl Rendered {
+    /// Interleaved 8-bit RGB, clamped and rounded.
+    #[must_use]
+    pub fn rgb8(&self) -> Vec<u8> {
+        let pixels = self.width * self.height;
+        (0..pixels)
+            .flat_map(|i| (0..3).map(move |c| to_byte(self.rgb[c * pixels + i])))
+            .collect()
+    }
+}
+
+/// A value in [0, 1] as a byte.
+#[must_use]
+pub fn to_byte(v: f32) -> u8 {
+    (v.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
 /// Runs the forward stages for one view at a time.
 #[derive(Debug)]
 pub struct Renderer<R: Real = f32> {

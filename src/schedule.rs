@@ -1,7 +1,7 @@
 //! What changes over a run: pure functions of the configuration and the iteration.
 
 use crate::config::{Background, TrainConfig};
-use crate::density::rng::{Philox, Stream};
+use crate::density::rng::{Philox, Purpose};
 use crate::stage::adam::LearningRates;
 
 /// Iterations that the papers' schedules are written for.
@@ -95,14 +95,14 @@ impl Schedule {
     #[must_use]
     pub fn view(&self, iteration: u32, views: usize) -> usize {
         let epoch = iteration as usize / views.max(1);
-        let order = self.permutation(epoch as u64, views);
+        let order = self.permutation(epoch as u32, views);
         order[iteration as usize % views.max(1)]
     }
 
-    fn permutation(&self, epoch: u64, views: usize) -> Vec<usize> {
+    fn permutation(&self, epoch: u32, views: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..views.max(1)).collect();
         for i in (1..order.len()).rev() {
-            let u = Philox::uniform(self.config.seed, Stream::ViewOrder.at(epoch), i as u64)[0];
+            let u = Philox::uniform(self.config.seed, Purpose::ViewOrder.stream(epoch), i as u64)[0];
             order.swap(i, (u * (i + 1) as f64) as usize);
         }
         order
@@ -113,7 +113,7 @@ impl Schedule {
     pub fn background(&self, iteration: u32) -> [f32; 3] {
         match self.config.background {
             Background::Random => {
-                let stream = Stream::Background.at(0);
+                let stream = Purpose::Background.stream(0);
                 let u = Philox::uniform(self.config.seed, stream, u64::from(iteration));
                 [u[0] as f32, u[1] as f32, u[2] as f32]
             }

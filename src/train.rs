@@ -8,7 +8,7 @@ use crate::dataset::Dataset;
 use crate::density::{self, Cues, DensityControl, DensityStats, SceneState, StepContext};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::{Tuning, status};
-use crate::gpu::{Array, Defines, Device, EditRow, Kernels, PendingRead};
+use crate::gpu::{Array, Defines, Device, EditRow, Kernels, PendingRead, StageTime};
 use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::schedule::Schedule;
@@ -492,6 +492,12 @@ impl Trainer {
     #[must_use]
     pub fn non_finite(&self) -> u64 {
         self.non_finite
+    }
+
+    /// Device time per stage so far.
+    #[must_use]
+    pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
+        self.device.times()
     }
 
     /// The schedules of this run.

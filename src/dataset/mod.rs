@@ -22,6 +22,16 @@ pub enum Layout {
     Transforms,
 }
 
+impl std::fmt::Display for Layout {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::ColmapBin => "colmap-bin",
+            Self::ColmapTxt => "colmap-txt",
+            Self::Transforms => "transforms",
+        })
+    }
+}
+
 /// One photo with its camera.
 #[derive(Debug, Clone)]
 pub struct View {

@@ -7,6 +7,7 @@ pub mod rng;
 
 pub use none::Fixed;
 
+use crate::config::{Sampler, TrainConfig};
 use crate::error::Result;
 
 /// What density control sees of the scene: raw parameters, struct of arrays, each slice of length N.
@@ -100,6 +101,25 @@ pub struct DensityStats {
     pub mean_prior: f64,
 }
 
+impl DensityStats {
+    /// Adds a later step: counters are summed, the two gauges (`occupied_voxels`, `mean_prior`) take its values. A step
+    /// that proposed nothing leaves `mean_prior` as it was, for it has none.
+    pub fn add(&mut self, step: &Self) {
+        self.proposed += step.proposed;
+        self.accepted += step.accepted;
+        self.relocated += step.relocated;
+        self.pruned += step.pruned;
+        for k in 0..2 {
+            self.coarse[k] += step.coarse[k];
+            self.fine[k] += step.fine[k];
+        }
+        self.occupied_voxels = step.occupied_voxels;
+        if step.proposed > 0 {
+            self.mean_prior = step.mean_prior;
+        }
+    }
+}
+
 /// The outcome of a density step.
 #[derive(Debug, Clone, Default)]
 pub struct Outcome {
@@ -137,39 +157,11 @@ pub trait DensityControl: Send {
     fn load(&mut self, state: &serde_json::Value) -> Result<()>;
 }
 
-impl DensityStats {
-    /// Adds one step's statistics: counters are summed, gauges replaced.
-    pub fn add(&mut self, step: &Self) {
-        self.proposed += step.proposed;
-        self.accepted += step.accepted;
-        self.relocated += step.relocated;
-        self.pruned += step.pruned;
-        for k in 0..2 {
-            self.coarse[k] += step.coarse[k];
-            self.fine[k] += step.fine[k];
-        }
-        self.occupied_voxels = step.occupied_voxels;
-        self.mean_prior = step.mean_prior;
-    }
-}
-
-impl DensityControl for Fixed {
-    fn view_subset(&mut self, _: usize, _: f64) -> Vec<usize> {
-        Vec::new()
-    }
-    fn step(&mut self, _: &StepContext, s: &SceneState<'_>, _: &Cues<'_>) -> Result<Outcome> {
-        Ok(Outcome { edits: vec![], len: s.len(), stats: DensityStats::default() })
-    }
-    fn save(&self) -> serde_json::Value {
-        serde_json::Value::Null
-    }
-    fn load(&mut self, _: &serde_json::Value) -> Result<()> {
-        Ok(())
-    }
-}
-
-/// Stand-in.
+/// The strategy that a configuration names.
 #[must_use]
-pub fn make(_: &crate::config::TrainConfig) -> Box<dyn DensityControl> {
-    Box::new(Fixed)
+pub fn make(config: &TrainConfig) -> Box<dyn DensityControl> {
+    match config.sampler {
+        Sampler::Mh => Box::new(mh::MetropolisHastings::new(&config.mh)),
+        Sampler::None => Box::new(Fixed),
+    }
 }

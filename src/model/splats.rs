@@ -109,6 +109,16 @@ impl Splats {
         self.sh_degree
     }
 
+    /// The same Gaussians with the SH bands of another degree: higher bands are cut off, missing ones are zero.
+    ///
+    /// # Errors
+    /// A degree above 3.
+    pub fn with_sh_degree(mut self, degree: u32) -> Result<Self> {
+        let n = self.len();
+        self.planes.resize(Plane::count(degree.min(3)), vec![0.0; n]);
+        Self::new(degree, self.planes)
+    }
+
     /// All planes, in the order of [`Plane`].
     #[must_use]
     pub fn planes(&self) -> &[Vec<f32>] {

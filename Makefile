@@ -1,0 +1,20 @@
+# make demo   install what is missing, build, train the bundled scene, leave a report
+# make test   run the tests
+DEMO ?= run-demo
+export MHSPLAT_COMMIT ?= $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
+
+.PHONY: demo install test bench
+
+install:
+	.ci/install
+
+demo: install
+	cargo build --release --locked
+	@if [ -e $(DEMO) ]; then echo "$(DEMO) is there already: open $(DEMO)/report.html, or choose another with DEMO=name"; \
+	else target/release/mhsplat train data/room-tiny -o $(DEMO) --iterations 1000; fi
+
+test: install
+	cargo test --release --locked
+
+bench: install
+	cargo bench --locked

@@ -1,0 +1,73 @@
+//! The density step on the host: a million Gaussians counted, importance, about 20,000 proposals decided.
+#![allow(missing_docs, clippy::unwrap_used)]
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use mhsplat::config::MhConfig;
+use mhsplat::density::mh::MetropolisHastings;
+use mhsplat::density::mh::importance::importance;
+use mhsplat::density::mh::sparsity::VoxelCounts;
+use mhsplat::density::relocation::split;
+use mhsplat::density::rng::{Philox, Purpose};
+use mhsplat::density::{Cues, DensityControl, SceneState, StepContext};
+use std::hint::black_box;
+
+const N: usize = 1_000_000;
+
+fn plane(k: u64, scale: f64, shift: f64) -> Vec<f32> {
+    let stream = Purpose::Synthetic.stream(0) + k;
+    (0..N as u64)
+        .map(|i| (shift + scale * Philox::normal(1, stream, i)[0]) as f32)
+        .collect()
+}
+
+fn density(c: &mut Criterion) {
+    let positions = [0, 1, 2].map(|k| plane(k, 0.2, 0.0));
+    let scales = [3, 4, 5].map(|k| plane(k, 0.5, -5.0));
+    let rotations = [6, 7, 8, 9].map(|k| plane(k, 1.0, 0.0));
+    // About one in 300 is dead at the start.
+    let logits = plane(10, 2.0, 0.0);
+    let errors = [11, 12].map(|k| plane(k, 1.0, 4.0));
+    let views: Vec<u32> = (0..N as u32).map(|i| i % 4).collect();
+    let scene = SceneState {
+        positions: positions.each_ref().map(Vec::as_slice),
+        log_scales: scales.each_ref().map(Vec::as_slice),
+        rotations: rotations.each_ref().map(Vec::as_slice),
+        opacity_logits: &logits,
+    };
+    let cues = Cues {
+        ssim: &errors[0],
+        l1: &errors[1],
+        views: &views,
+    };
+    let mut group = c.benchmark_group("density");
+    group.sample_size(20);
+    for edge in [0.02, 0.005] {
+        group.bench_function(format!("count 1M, edge {edge}"), |b| {
+            b.iter(|| VoxelCounts::count(black_box(scene.positions), edge).occupied());
+        });
+    }
+    group.bench_function("importance 1M", |b| {
+        b.iter(|| importance(black_box(&logits), &cues, [0.8, 0.5, 0.5]));
+    });
+    let context = StepContext {
+        iteration: 500,
+        progress: 0.0,
+        seed: 0,
+        max_gaussians: None,
+    };
+    let mut mh = MetropolisHastings::new(&MhConfig::default());
+    println!("{:?}", mh.step(&context, &scene, &cues).unwrap().stats);
+    group.bench_function("whole step 1M, 20,500 draws", |b| {
+        b.iter(|| mh.step(black_box(&context), &scene, &cues).unwrap().len);
+    });
+    group.bench_function("split, 3 copies", |b| {
+        b.iter(|| split(black_box(0.3), black_box(3)));
+    });
+    group.bench_function("split, 1000 copies", |b| {
+        b.iter(|| split(black_box(0.3), black_box(1000)));
+    });
+    group.finish();
+}
+
+criterion_group!(benches, density);
+criterion_main!(benches);

@@ -1,0 +1,74 @@
+//! `mhsplat eval`.
+
+use std::path::PathBuf;
+
+use mhsplat::buffers::ViewSet;
+use mhsplat::error::{Error, Result};
+use mhsplat::evaluate::{Evaluator, mean};
+use mhsplat::gpu::Defines;
+use mhsplat::gpu::tuning::Tuning;
+use serde_json::json;
+
+use super::{Common, Outcome, output, scene};
+
+/// Arguments.
+#[derive(clap::Args)]
+pub struct EvalArgs {
+    /// Scene: a PLY file or a run folder.
+    scene: PathBuf,
+    /// Dataset with the photos to compare with.
+    dataset: PathBuf,
+    /// Longest image side, pixels (the run's, else 1600).
+    #[arg(long)]
+    max_size: Option<u32>,
+    /// Every n-th image is held out (the run's, else 8).
+    #[arg(long)]
+    test_every: Option<u32>,
+    /// black, white or R,G,B (the run's, else black).
+    #[arg(long)]
+    background: Option<String>,
+    /// Exit with 1 unless the mean PSNR reaches this, dB.
+    #[arg(long, value_name = "DB")]
+    require_psnr: Option<f64>,
+}
+
+/// Scores the held-out views.
+pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
+    let (ply, record) = scene::locate(&args.scene)?;
+    let data = scene::dataset(&args.dataset, record.as_ref(), args.max_size, args.test_every)?;
+    if data.test.is_empty() {
+        return Err(Error::input(
+            &args.dataset,
+            "no held-out view",
+            "hold some out with --test-every",
+        ));
+    }
+    let mut loaded = scene::open(&ply, &data.frame, common.device.as_deref())?;
+    let views = ViewSet::upload(&loaded.device, &data.test)?;
+    let defines = Defines::new(Tuning::for_device(loaded.device.info()));
+    let evaluator = Evaluator::new(&loaded.device, defines, views)?;
+    let background = scene::background(args.background.as_deref(), record.as_ref())?;
+    let degree = loaded.scene.sh_degree;
+    let scores = evaluator.score_all(&loaded.scene, &mut loaded.renderer, degree, background)?;
+    let (psnr, ssim) = mean(&scores).unwrap_or((0.0, 0.0));
+    let size = data.test.first().map_or([0, 0], |v| [v.photo.width, v.photo.height]);
+    if common.json {
+        output::json(&json!({
+            "scene": ply, "gaussians": loaded.scene.count, "width": size[0], "height": size[1],
+            "psnr": psnr, "ssim": ssim, "per_view": scores,
+        }))?;
+    } else {
+        for s in &scores {
+            output::line(&format!("{:>7.3} dB  SSIM {:.4}  {}", s.psnr, s.ssim, s.view));
+        }
+        output::line(&format!(
+            "{psnr:>7.3} dB  SSIM {ssim:.4}  mean of {} held-out views at {}x{}, {} Gaussians",
+            scores.len(),
+            size[0],
+            size[1],
+            loaded.scene.count
+        ));
+    }
+    let missed = args.require_psnr.is_some_and(|bar| psnr < bar);
+    Ok(if missed { Outcome::Missed } else { Outcome::Done })
+}

@@ -1,0 +1,95 @@
+//! The only place that names `clap`: one file per subcommand, flags → library types, call, print.
+
+mod devices;
+mod eval;
+mod output;
+mod render;
+mod scene;
+mod synth;
+mod train;
+mod verify;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use mhsplat::error::{Error, Result};
+
+/// Posed photos to a 3D Gaussian scene, on any OpenCL device.
+///
+/// Exit codes: 0 done; 1 ran but missed a requested bar; 2 bad input, device or usage; 130 stopped by Ctrl-C.
+#[derive(Parser)]
+#[command(name = "mhsplat", version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Print one JSON document on stdout and nothing else there.
+    #[arg(long, global = true)]
+    json: bool,
+    /// OpenCL device: index, part of its name, or cpu, gpu, accelerator (also MHSPLAT_DEVICE).
+    #[arg(long, global = true, value_name = "SEL")]
+    device: Option<String>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Train a scene from posed photos.
+    Train(Box<train::TrainArgs>),
+    /// PSNR and SSIM per held-out view and mean.
+    Eval(eval::EvalArgs),
+    /// Render a scene to PNG files.
+    Render(render::RenderArgs),
+    /// List every OpenCL platform and device.
+    Devices,
+    /// Check every stage on a device against the f64 reference.
+    Verify(verify::VerifyArgs),
+    /// Make a seeded scene with known truth.
+    Synth(synth::SynthArgs),
+}
+
+/// What every subcommand shares.
+pub struct Common {
+    /// Print JSON.
+    pub json: bool,
+    /// Device selector.
+    pub device: Option<String>,
+}
+
+/// Whether a requested bar was reached.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Everything asked for.
+    Done,
+    /// It ran, but missed a bar that was asked for.
+    Missed,
+}
+
+fn dispatch(cli: Cli) -> Result<Outcome> {
+    let common = Common {
+        json: cli.json,
+        device: cli.device.or_else(|| std::env::var("MHSPLAT_DEVICE").ok().filter(|v| !v.is_empty())),
+    };
+    match cli.command {
+        Command::Train(args) => train::run(&args, &common),
+        Command::Eval(args) => eval::run(&args, &common),
+        Command::Render(args) => render::run(&args, &common),
+        Command::Devices => devices::run(&common),
+        Command::Verify(args) => verify::run(&args, &common),
+        Command::Synth(args) => synth::run(&args, &common),
+    }
+}
+
+/// Parses the command line, runs it and answers the exit code.
+pub fn main() -> ExitCode {
+    match dispatch(Cli::parse()) {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::Missed) => ExitCode::from(1),
+        Err(Error::Interrupted) => {
+            output::note("stopped; continue with --resume");
+            ExitCode::from(130)
+        }
+        Err(error) => {
+            output::note(&format!("error: {error}"));
+            ExitCode::from(2)
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! Where text goes: results to stdout, everything else to stderr.
+
+use std::io::Write;
+
+use mhsplat::error::{Error, Result};
+use serde::Serialize;
+
+/// A line on stderr. A closed stderr is nobody's loss.
+pub fn note(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+/// A line on stdout. A closed pipe (`| head`) ends the output, not the program.
+pub fn line(text: &str) {
+    let _ = writeln!(std::io::stdout(), "{text}");
+}
+
+/// A JSON document on stdout.
+pub fn json(value: &impl Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Error::Numerics {
+        stage: "json".into(),
+        what: e.to_string(),
+    })?;
+    line(&text);
+    Ok(())
+}

@@ -1,0 +1,67 @@
+//! What eval and render share: a scene file or run folder with its dataset, on a device.
+
+use std::path::{Path, PathBuf};
+
+use mhsplat::buffers::Scene;
+use mhsplat::dataset::{self, Dataset, Frame, LoadOptions};
+use mhsplat::error::{Error, Result};
+use mhsplat::export::ply;
+use mhsplat::gpu::Device;
+use mhsplat::render::Renderer;
+use mhsplat::report::RunRecord;
+
+/// A scene ready to be rendered.
+pub struct Loaded {
+    pub device: Device,
+    pub scene: Scene,
+    pub renderer: Renderer,
+}
+
+/// The PLY file that `path` (a file or a run folder) means, and the run's record.
+pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
+    if !path.is_dir() {
+        return Ok((path.to_path_buf(), None));
+    }
+    let ply = path.join("scene.ply");
+    if !ply.exists() {
+        return Err(Error::input(
+            path,
+            "holds no scene.ply",
+            "give a PLY file or the folder of a finished run",
+        ));
+    }
+    Ok((ply, RunRecord::read(path).ok()))
+}
+
+/// Reads a dataset at the resolution and split of a run, unless asked otherwise.
+pub fn dataset(
+    path: &Path,
+    record: Option<&RunRecord>,
+    max_size: Option<u32>,
+    test_every: Option<u32>,
+) -> Result<Dataset> {
+    let defaults = LoadOptions::default();
+    let options = LoadOptions {
+        max_size: max_size.or(record.map(|r| r.config.max_size)).unwrap_or(defaults.max_size),
+        test_every: test_every.or(record.map(|r| r.config.test_every)).unwrap_or(defaults.test_every),
+    };
+    dataset::load(path, &options)
+}
+
+/// Uploads a scene in a local frame.
+pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
+    let splats = ply::read(ply, frame)?;
+    let device = Device::open(device)?;
+    let renderer = Renderer::for_display(&device, splats.sh_degree())?;
+    let scene = Scene::upload(&device, &splats, 0)?;
+    Ok(Loaded { device, scene, renderer })
+}
+
+/// The background a run used for evaluation, or the one asked for.
+pub fn background(asked: Option<&str>, record: Option<&RunRecord>) -> Result<[f32; 3]> {
+    let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
+    if let Some(text) = asked {
+        config.background = text.parse()?;
+    }
+    Ok(mhsplat::schedule::Schedule::new(&config).fixed_background())
+}

@@ -1,0 +1,229 @@
+//! `mhsplat train`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressStyle};
+use mhsplat::config::{Sampler, TrainConfig, parse_duration};
+use mhsplat::dataset::{self, LoadOptions};
+use mhsplat::error::{Error, Result};
+use mhsplat::export::checkpoint;
+use mhsplat::gpu::Device;
+use mhsplat::report::{Clock, RunRecord};
+use mhsplat::run::{Progress, Run, claim_folder};
+
+use super::{Common, Outcome, output};
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SamplerFlag {
+    /// Metropolis-Hastings births and relocation.
+    Mh,
+    /// A fixed set of Gaussians.
+    None,
+}
+
+/// Arguments; every one also has its place in a --config file, and wins over it.
+#[derive(clap::Args)]
+pub struct TrainArgs {
+    /// Folder with images/ and sparse/0/, or with transforms_train.json or transforms.json.
+    dataset: PathBuf,
+    /// Run folder; must not exist [default: run]
+    #[arg(short, long, value_name = "RUN")]
+    output: Option<PathBuf>,
+    /// Density control [default: mh]
+    #[arg(long, value_enum)]
+    sampler: Option<SamplerFlag>,
+    /// Iterations; every schedule scales with it [default: 30000]
+    #[arg(long, value_name = "N")]
+    iterations: Option<u32>,
+    /// Stop after this much training (90s, 10m, 1h30m).
+    #[arg(long, value_name = "TIME")]
+    time_budget: Option<String>,
+    /// Longest image side, pixels [default: 1600]
+    #[arg(long, value_name = "PX")]
+    max_size: Option<u32>,
+    /// Upper bound of the number of Gaussians [default: none]
+    #[arg(long, value_name = "N")]
+    max_gaussians: Option<usize>,
+    /// SH degree, 0 to 3 [default: 3]
+    #[arg(long, value_name = "D")]
+    sh_degree: Option<u32>,
+    /// Seed of every random number [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Iterations between evaluations; 0 for the end only [default: a twentieth of the run]
+    #[arg(long, value_name = "N")]
+    eval_every: Option<u32>,
+    /// Every n-th image by name is held out; 0 for none [default: 8]
+    #[arg(long, value_name = "N")]
+    test_every: Option<u32>,
+    /// Iterations between exports of scene.ply; 0 for the end only [default: 0]
+    #[arg(long, value_name = "N")]
+    export_every: Option<u32>,
+    /// Iterations between checkpoints [default: 1000]
+    #[arg(long, value_name = "N")]
+    checkpoint_every: Option<u32>,
+    /// Continue the run in this folder from its checkpoint.
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["output", "config"])]
+    resume: Option<PathBuf>,
+    /// points, random or FILE.ply [default: points]
+    #[arg(long)]
+    init: Option<String>,
+    /// black, white, random or R,G,B [default: black]
+    #[arg(long)]
+    background: Option<String>,
+    /// TOML file (or a run's run.json) with the same names; flags win.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Exit with 1 unless the mean held-out PSNR reaches this, dB.
+    #[arg(long, value_name = "DB")]
+    require_psnr: Option<f64>,
+}
+
+/// Trains, showing progress on stderr.
+pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
+    let config = config(args)?;
+    config.validate()?;
+    let dir = match (&args.resume, &args.output) {
+        (Some(dir), _) | (None, Some(dir)) => dir.clone(),
+        (None, None) => PathBuf::from("run"),
+    };
+    let device = Device::open(common.device.as_deref())?;
+    if args.resume.is_none() {
+        claim_folder(&dir)?;
+    }
+    let stop = stop_flag()?;
+    let mut run = match prepare(args, &dir, config, &device) {
+        Ok(run) => run,
+        Err(error) => {
+            // Only an empty folder goes: what is in it is the user's.
+            let _ = std::fs::remove_dir(&dir);
+            return Err(error);
+        }
+    };
+    output::note(&format!("device: {} ({})", device.info().name, device.info().platform));
+    output::note(&run.plan().summary());
+    let bar = progress_bar();
+    let record = run.drive(&stop, |p| show(&bar, p))?;
+    bar.finish();
+    finish(record, &dir, common)?;
+    let reached = |bar: f64| record.final_scores.as_ref().is_some_and(|f| f.psnr >= bar);
+    Ok(match args.require_psnr {
+        Some(bar) if !reached(bar) => Outcome::Missed,
+        _ => Outcome::Done,
+    })
+}
+
+fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -> Result<Run> {
+    let clock = Clock::start();
+    let options = LoadOptions { max_size: config.max_size, test_every: config.test_every };
+    let data = dataset::load(&args.dataset, &options)?;
+    output::note(&format!(
+        "{}: {} training views, {} held out, {} points",
+        args.dataset.display(),
+        data.train.len(),
+        data.test.len(),
+        data.points.positions.len()
+    ));
+    if args.resume.is_some() {
+        Run::resume(dir, data, config, device)
+    } else {
+        Run::start(dir, data, config, device, clock)
+    }
+}
+
+/// Sets a flag on Ctrl-C or SIGTERM; a second signal ends the program at once.
+fn stop_flag() -> Result<Arc<AtomicBool>> {
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        let fail = |e| Error::io("signal handler", e);
+        signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone()).map_err(fail)?;
+        signal_hook::flag::register(signal, stop.clone()).map_err(fail)?;
+    }
+    Ok(stop)
+}
+
+fn config(args: &TrainArgs) -> Result<TrainConfig> {
+    let mut c = match (&args.resume, &args.config) {
+        (Some(run), _) => checkpoint::read(run)?.config,
+        (None, Some(file)) => read_config(file)?,
+        (None, None) => TrainConfig::default(),
+    };
+    macro_rules! take {
+        ($($name:ident),*) => { $(if let Some(v) = args.$name { c.$name = v; })* };
+    }
+    take!(iterations, max_size, sh_degree, seed, test_every, export_every, checkpoint_every);
+    if let Some(s) = args.sampler {
+        c.sampler = match s {
+            SamplerFlag::Mh => Sampler::Mh,
+            SamplerFlag::None => Sampler::None,
+        };
+    }
+    if let Some(t) = &args.time_budget {
+        c.time_budget = Some(parse_duration(t)?);
+    }
+    c.max_gaussians = args.max_gaussians.or(c.max_gaussians);
+    c.eval_every = args.eval_every.or(c.eval_every);
+    if let Some(init) = &args.init {
+        c.init = init.parse()?;
+    }
+    if let Some(background) = &args.background {
+        c.background = background.parse()?;
+    }
+    Ok(c)
+}
+
+fn read_config(file: &Path) -> Result<TrainConfig> {
+    let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
+    let wrong = |what: String| {
+        Error::input(file, what.trim().replace('\n', " "), "see `mhsplat train --help` for the names")
+    };
+    if file.extension().is_some_and(|e| e == "json") {
+        let value: serde_json::Value =
+            serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+        let inner = value.get("config").cloned().unwrap_or(value);
+        return serde_json::from_value(inner).map_err(|e| wrong(e.to_string()));
+    }
+    toml::from_str(&text).map_err(|e| wrong(e.to_string()))
+}
+
+fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::new(0);
+    let style = "{bar:24} {pos}/{len} {per_sec} {msg} {eta} left";
+    if let Ok(style) = ProgressStyle::with_template(style) {
+        bar.set_style(style);
+    }
+    bar
+}
+
+fn show(bar: &ProgressBar, p: &Progress) {
+    bar.set_length(u64::from(p.iterations));
+    bar.set_position(u64::from(p.iteration));
+    if p.iteration.is_multiple_of(10) {
+        let psnr = p.psnr.map_or_else(String::new, |v| format!("{v:.2} dB, "));
+        bar.set_message(format!("{psnr}{} Gaussians, {:.0} s,", p.gaussians, p.train_seconds));
+    }
+}
+
+fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
+    if common.json {
+        return output::json(record);
+    }
+    let scores = record.final_scores.as_ref().map_or_else(
+        || "no held-out view".to_owned(),
+        |f| format!("held-out PSNR {:.2} dB, SSIM {:.4}", f.psnr, f.ssim),
+    );
+    output::line(&format!(
+        "{scores}; {} Gaussians; {} iterations in {:.1} s ({:.1} CPU s)\nscene: {}\nreport: {}",
+        record.gaussians,
+        record.iterations,
+        record.train_seconds,
+        record.cpu_seconds,
+        dir.join("scene.ply").display(),
+        dir.join("report.html").display(),
+    ));
+    Ok(())
+}

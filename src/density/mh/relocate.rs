@@ -1,0 +1,130 @@
+//! Dead Gaussians take over alive ones ([MH] Eq. 17, [MCMC] Eq. 9).
+
+use super::propose::{Categorical, gather};
+use crate::density::relocation::{sigmoid, split};
+use crate::density::rng::{Philox, Purpose};
+use crate::density::{Edit, SceneState, StepContext};
+use rayon::prelude::*;
+
+/// Which rows live, and what relocation made of them.
+#[derive(Debug, Clone)]
+pub struct Relocation {
+    /// Whether each row was alive before the step.
+    pub alive: Vec<bool>,
+    /// Rows that were alive, rising.
+    pub alive_rows: Vec<u32>,
+    /// Number of dead rows that were moved.
+    pub moved: usize,
+    /// One edit per changed row: sources (src == dst, rising), then the moved rows (rising). No row appears twice as
+    /// `dst`.
+    pub edits: Vec<Edit>,
+    sources: usize,
+}
+
+impl Relocation {
+    /// Finds the dead rows and gives each the place of an alive one, drawn with replacement ∝ opacity. A source that
+    /// was drawn by m dead rows is split into 1 + m equal copies, itself being one.
+    ///
+    /// Alive is what has an opacity above `dead_opacity` and a finite position, log-scale and rotation; so a row that broke is
+    /// relocated like a dead one. With nothing alive nothing can be moved, and there are no edits.
+    #[must_use]
+    pub fn plan(context: &StepContext, scene: &SceneState<'_>, dead_opacity: f64) -> Self {
+        let alive: Vec<bool> = (0..scene.len())
+            .into_par_iter()
+            .map(|i| is_alive(scene, i, dead_opacity))
+            .collect();
+        let rows = |state: bool| -> Vec<u32> {
+            (0u32..)
+                .zip(&alive)
+                .filter_map(|(i, a)| (*a == state).then_some(i))
+                .collect()
+        };
+        let (alive_rows, dead_rows) = (rows(true), rows(false));
+        let mut plan = Self {
+            alive,
+            alive_rows,
+            moved: 0,
+            edits: Vec::new(),
+            sources: 0,
+        };
+        if !(dead_rows.is_empty() || plan.alive_rows.is_empty()) {
+            plan.assign(context, scene, &dead_rows);
+        }
+        plan
+    }
+
+    fn assign(&mut self, context: &StepContext, scene: &SceneState<'_>, dead_rows: &[u32]) {
+        let logit = |row: u32| f64::from(scene.opacity_logits[row as usize]);
+        let weights: Vec<f64> = self
+            .alive_rows
+            .par_iter()
+            .map(|&r| sigmoid(logit(r)))
+            .collect();
+        let categorical = Categorical::new(&weights);
+        let stream = Purpose::Relocation.stream(context.iteration);
+        // (source, dead row), by source: the dead rows of one source lie side by side.
+        let mut pairs: Vec<(u32, u32)> = dead_rows
+            .par_iter()
+            .filter_map(|&dead| {
+                let u = Philox::uniform_53(context.seed, stream, u64::from(dead))[0];
+                let source = self.alive_rows.get(categorical.draw(u)?)?;
+                Some((*source, dead))
+            })
+            .collect();
+        pairs.par_sort_unstable();
+        let groups: Vec<&[(u32, u32)]> = pairs.chunk_by(|a, b| a.0 == b.0).collect();
+        let split_source = |group: &&[(u32, u32)]| -> Option<Edit> {
+            let source = group.first()?.0;
+            let copies = u32::try_from(group.len())
+                .unwrap_or(u32::MAX)
+                .saturating_add(1);
+            let part = split(logit(source), copies);
+            let log_scale = gather(&scene.log_scales, source as usize)?;
+            Some(Edit {
+                src: source,
+                dst: source,
+                position: gather(&scene.positions, source as usize)?,
+                log_scale: log_scale.map(|s| (f64::from(s) + part.log_scale_offset) as f32),
+                opacity_logit: part.opacity_logit as f32,
+            })
+        };
+        self.edits = groups.par_iter().filter_map(split_source).collect();
+        self.sources = self.edits.len();
+        let mut moved: Vec<Edit> = self
+            .edits
+            .iter()
+            .zip(&groups)
+            .flat_map(|(edit, group)| group.iter().map(|&(_, dst)| Edit { dst, ..*edit }))
+            .collect();
+        moved.par_sort_unstable_by_key(|e| e.dst);
+        self.moved = moved.len();
+        self.edits.append(&mut moved);
+    }
+
+    /// The edit of an alive row that was split, if it was.
+    #[must_use]
+    pub fn source(&self, row: u32) -> Option<&Edit> {
+        let sources = self.edits.get(..self.sources)?;
+        let i = sources.binary_search_by_key(&row, |e| e.dst).ok()?;
+        sources.get(i)
+    }
+
+    /// The edits of the moved rows.
+    #[must_use]
+    pub fn moved_edits(&self) -> &[Edit] {
+        self.edits.get(self.sources..).unwrap_or_default()
+    }
+}
+
+fn is_alive(scene: &SceneState<'_>, row: usize, dead_opacity: f64) -> bool {
+    fn finite<const K: usize>(planes: &[&[f32]; K], row: usize) -> bool {
+        gather(planes, row).is_some_and(|values| values.iter().all(|v| v.is_finite()))
+    }
+    let logit = f64::from(scene.opacity_logits[row]);
+    // Says what is good, so that a NaN is dead.
+    logit.is_finite()
+        && sigmoid(logit) > dead_opacity
+        && finite(&scene.positions, row)
+        && finite(&scene.log_scales, row)
+        && finite(&scene.rotations, row)
+}

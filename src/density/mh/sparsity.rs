@@ -1,0 +1,220 @@
+//! How many Gaussian centres each voxel holds: the c(v) of the sparsity prior ([MH] Eq. 7).
+//!
+//! The grid is only ever counted, so the store is a hash table of the occupied voxels with exact lattice keys. It is
+//! split into shards by hash: each shard is filled by one task, and counts do not depend on the order of counting, so
+//! the result is the same for any number of threads.
+
+use rayon::prelude::*;
+
+/// Shards, a power of two: enough tasks for any desktop, and each table of a million points fits a second-level cache.
+const SHARDS: usize = 64;
+/// Points per task when keys are computed; a constant, so that the work does not depend on the number of threads.
+const CHUNK: usize = 16_384;
+
+/// Lattice coordinates ⌊x/s⌋ of a voxel.
+type Key = [i32; 3];
+
+/// Occupied voxels of a cubic lattice and their counts.
+#[derive(Debug, Clone)]
+pub struct VoxelCounts {
+    edge: f64,
+    shards: Vec<Shard>,
+}
+
+impl VoxelCounts {
+    /// Counts positions (x, y, z planes of equal length, local units) in voxels of edge `edge` (same unit, above 0).
+    ///
+    /// Lattice coordinates are ⌊x/edge⌋ in f64, saturated to 32 bits: beyond 2³¹ edges from the origin (10⁷ scene
+    /// extents at the finest edge of the paper) voxels merge into the outermost one. Non-finite positions are in no voxel.
+    #[must_use]
+    pub fn count(positions: [&[f32]; 3], edge: f64) -> Self {
+        Self::count_where(positions, edge, |_| true)
+    }
+
+    /// [`VoxelCounts::count`] over the rows that `keep` names.
+    #[must_use]
+    pub fn count_where(
+        positions: [&[f32]; 3],
+        edge: f64,
+        keep: impl Fn(usize) -> bool + Sync,
+    ) -> Self {
+        let n = positions.iter().map(|p| p.len()).min().unwrap_or(0);
+        let chunks: Vec<Chunk> = (0..n.div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|c| Chunk::new(positions, edge, c * CHUNK..n.min((c + 1) * CHUNK), &keep))
+            .collect();
+        let shards = (0..SHARDS)
+            .into_par_iter()
+            .map(|s| {
+                let points = chunks.iter().map(|c| c.shard(s).len()).sum();
+                let mut shard = Shard::with_points(points);
+                for chunk in &chunks {
+                    for &key in chunk.shard(s) {
+                        shard.add(key, hash(key));
+                    }
+                }
+                shard
+            })
+            .collect();
+        Self { edge, shards }
+    }
+
+    /// Number of centres in the voxel around a position; 0 at a non-finite one.
+    #[must_use]
+    pub fn get(&self, position: [f64; 3]) -> u32 {
+        key(position, self.edge).map_or(0, |key| {
+            let hash = hash(key);
+            self.shards
+                .get(shard_of(hash))
+                .map_or(0, |s| s.get(key, hash))
+        })
+    }
+
+    /// Counts one more centre; a non-finite one is not counted.
+    pub fn add(&mut self, position: [f64; 3]) {
+        if let Some(key) = key(position, self.edge) {
+            let hash = hash(key);
+            if let Some(shard) = self.shards.get_mut(shard_of(hash)) {
+                shard.add(key, hash);
+            }
+        }
+    }
+
+    /// Number of voxels that hold a centre.
+    #[must_use]
+    pub fn occupied(&self) -> usize {
+        self.shards.iter().map(|s| s.occupied).sum()
+    }
+
+    /// Edge of the voxels, local units.
+    #[must_use]
+    pub fn edge(&self) -> f64 {
+        self.edge
+    }
+}
+
+fn key(position: [f64; 3], edge: f64) -> Option<Key> {
+    let lattice = position.map(|x| (x / edge).floor());
+    // `as` saturates; NaN and ±∞ are turned away first.
+    lattice
+        .iter()
+        .all(|v| v.is_finite())
+        .then(|| lattice.map(|v| v as i32))
+}
+
+/// Multiply and fold (wyhash's mixing step): every key bit reaches both the upper bits (shard) and the lower (slot).
+fn hash(key: Key) -> u64 {
+    let fold = |a: u64, b: u64| {
+        let p = u128::from(a) * u128::from(b);
+        (p as u64) ^ ((p >> 64) as u64)
+    };
+    let [x, y, z] = key.map(|v| u64::from(v as u32));
+    let a = fold(
+        (x | (y << 32)) ^ 0x9E37_79B9_7F4A_7C15,
+        0xD6E8_FEB8_6659_FD93,
+    );
+    fold(
+        a ^ z.wrapping_mul(0xA076_1D64_78BD_642F),
+        0xE703_7ED1_A0B4_28DB,
+    )
+}
+
+fn shard_of(hash: u64) -> usize {
+    (hash >> 58) as usize & (SHARDS - 1)
+}
+
+/// Keys of a range of points, sorted by shard.
+struct Chunk {
+    keys: Vec<Key>,
+    /// `starts[s]..starts[s + 1]` are the keys of shard s.
+    starts: [usize; SHARDS + 1],
+}
+
+impl Chunk {
+    fn new(
+        positions: [&[f32]; 3],
+        edge: f64,
+        range: std::ops::Range<usize>,
+        keep: &(impl Fn(usize) -> bool + Sync),
+    ) -> Self {
+        let mut found = Vec::with_capacity(range.len());
+        let mut starts = [0; SHARDS + 1];
+        for i in range {
+            let at = positions.map(|p| f64::from(p[i]));
+            if let Some(key) = keep(i).then(|| key(at, edge)).flatten() {
+                let shard = shard_of(hash(key));
+                starts[shard + 1] += 1;
+                found.push((shard as u8, key));
+            }
+        }
+        for s in 0..SHARDS {
+            starts[s + 1] += starts[s];
+        }
+        let mut next = starts;
+        let mut keys = vec![[0; 3]; found.len()];
+        for (shard, key) in found {
+            let slot = &mut next[usize::from(shard)];
+            keys[*slot] = key;
+            *slot += 1;
+        }
+        Self { keys, starts }
+    }
+
+    fn shard(&self, s: usize) -> &[Key] {
+        &self.keys[self.starts[s]..self.starts[s + 1]]
+    }
+}
+
+/// Open addressing with linear probing; a count of 0 marks a free slot. Nothing is ever removed.
+#[derive(Debug, Clone)]
+struct Shard {
+    slots: Vec<(Key, u32)>,
+    occupied: usize,
+}
+
+impl Shard {
+    /// Room for that many points at the usual occupancy of a voxel; it grows when they are spread more thinly.
+    fn with_points(points: usize) -> Self {
+        let slots = (points / 2).max(16).next_power_of_two();
+        Self {
+            slots: vec![([0; 3], 0); slots],
+            occupied: 0,
+        }
+    }
+
+    /// Index of the key's slot, or of the free slot it would take. Ends because a slot is always free.
+    fn find(&self, key: Key, hash: u64) -> usize {
+        let mask = self.slots.len() - 1;
+        let mut i = hash as usize & mask;
+        while self.slots[i].1 != 0 && self.slots[i].0 != key {
+            i = (i + 1) & mask;
+        }
+        i
+    }
+
+    fn get(&self, key: Key, hash: u64) -> u32 {
+        self.slots[self.find(key, hash)].1
+    }
+
+    fn add(&mut self, key: Key, hash: u64) {
+        let mut i = self.find(key, hash);
+        if self.slots[i].1 == 0 {
+            if (self.occupied + 1) * 4 > self.slots.len() * 3 {
+                self.grow();
+                i = self.find(key, hash);
+            }
+            self.occupied += 1;
+            self.slots[i].0 = key;
+        }
+        self.slots[i].1 = self.slots[i].1.saturating_add(1);
+    }
+
+    fn grow(&mut self) {
+        let larger = vec![([0; 3], 0); self.slots.len() * 2];
+        let old = std::mem::replace(&mut self.slots, larger);
+        for (key, count) in old.into_iter().filter(|(_, count)| *count != 0) {
+            let i = self.find(key, hash(key));
+            self.slots[i] = (key, count);
+        }
+    }
+}

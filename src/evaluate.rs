@@ -1,0 +1,120 @@
+//! PSNR and SSIM of rendered views against their photos (after clamping to [0, 1]; mean over RGB; no masks).
+
+use crate::buffers::{Scene, ViewSet};
+use crate::error::Result;
+use crate::gpu::{Array, Defines, Device, Kernels};
+use crate::report::ViewScore;
+use crate::render::{Quantity, RenderOptions, Renderer};
+use crate::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::stage::metrics::Metrics;
+
+/// PSNR of two equal images (mean squared error below 1e-10).
+pub const MAX_PSNR: f64 = 100.0;
+
+/// Scores views with the metrics and loss stages.
+#[derive(Debug)]
+pub struct Evaluator {
+    views: ViewSet,
+    metrics: Metrics,
+    loss: Loss,
+    maps: Array<f32>,
+    partial: Array<f32>,
+    sums: Array<f32>,
+    rows: Array<f32>,
+}
+
+impl Evaluator {
+    /// Takes the views to score. `defines` must be the renderer's.
+    ///
+    /// # Errors
+    /// A build failure, or more than the device can allocate.
+    pub fn new(device: &Device, defines: Defines, views: ViewSet) -> Result<Self> {
+        let kernels = Kernels::new(device, Defines { has_alpha: views.has_alpha, ..defines });
+        let loss = Loss::new::<f32>(&kernels)?;
+        let [w, h] = views.largest;
+        let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
+        Ok(Self {
+            metrics: Metrics::new::<f32>(&kernels)?,
+            maps: Array::zeros(device, "error maps", 2 * plane)?,
+            partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
+            sums: Array::zeros(device, "score", 2)?,
+            rows: Array::zeros(device, "squared_error", h)?,
+            loss,
+            views,
+        })
+    }
+
+    /// The views.
+    #[must_use]
+    pub fn views(&self) -> &ViewSet {
+        &self.views
+    }
+
+    /// Renders and scores one view; the clamped image stays in the renderer.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn score(
+        &self,
+        view: usize,
+        scene: &Scene,
+        renderer: &mut Renderer,
+        sh_degree: u32,
+        background: [f32; 3],
+    ) -> Result<ViewScore> {
+        let camera = &self.views.cameras[view];
+        let options = RenderOptions { sh_degree, background, quantity: Quantity::Color };
+        renderer.render(scene, camera, &options)?;
+        let size = size_of_image(camera);
+        let pair = ImagePair {
+            image: &renderer.frame.image,
+            photo: &self.views.photos[view],
+            background,
+            size,
+        };
+        self.metrics.run(&pair, &self.rows)?;
+        self.loss.forward(&pair, true, &self.maps, &self.partial)?;
+        self.loss.sum(&pair, &self.partial, &self.sums, 0)?;
+        let squared: f64 = self.rows.read(0, size[1])?.into_iter().map(f64::from).sum();
+        let ssim = f64::from(self.sums.to_vec()?[1]);
+        Ok(ViewScore {
+            view: self.views.names[view].clone(),
+            psnr: psnr(squared / (3 * size[0] * size[1]) as f64),
+            ssim,
+        })
+    }
+
+    /// Scores every view.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn score_all(
+        &self,
+        scene: &Scene,
+        renderer: &mut Renderer,
+        sh_degree: u32,
+        background: [f32; 3],
+    ) -> Result<Vec<ViewScore>> {
+        (0..self.views.len())
+            .map(|v| self.score(v, scene, renderer, sh_degree, background))
+            .collect()
+    }
+}
+
+/// PSNR of a mean squared error of values in [0, 1].
+#[must_use]
+pub fn psnr(mse: f64) -> f64 {
+    (-10.0 * mse.log10()).min(MAX_PSNR)
+}
+
+/// Mean PSNR and mean SSIM; none for no view.
+#[must_use]
+pub fn mean(scores: &[ViewScore]) -> Option<(f64, f64)> {
+    let n = scores.len() as f64;
+    (!scores.is_empty()).then(|| {
+        (
+            scores.iter().map(|s| s.psnr).sum::<f64>() / n,
+            scores.iter().map(|s| s.ssim).sum::<f64>() / n,
+        )
+    })
+}

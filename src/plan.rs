@@ -1,0 +1,86 @@
+//! [`Plan`]: what this scene needs, and what is left out because it does not.
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::{Init, Sampler, TrainConfig};
+use crate::dataset::Dataset;
+
+/// One decision.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Item {
+    /// What is kept or left out.
+    pub what: String,
+    /// Why.
+    pub why: String,
+}
+
+/// Decisions taken from the dataset and the configuration before training.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Plan {
+    /// What is computed.
+    pub kept: Vec<Item>,
+    /// What is not, and costs nothing.
+    pub left_out: Vec<Item>,
+}
+
+impl Plan {
+    /// Decides for a dataset and a configuration.
+    #[must_use]
+    pub fn new(dataset: &Dataset, config: &TrainConfig) -> Self {
+        let mut plan = Self::default();
+        let alpha = dataset.train.iter().any(|v| v.photo.channels == 4);
+        plan.decide(
+            alpha,
+            "photo alpha over the background",
+            "photos have transparent pixels",
+            "no photo has an alpha channel",
+        );
+        plan.decide(
+            config.sh_degree > 0,
+            "view-dependent colour",
+            &format!("SH degree {} asked for, one band at a time", config.sh_degree),
+            "SH degree 0 asked for",
+        );
+        plan.decide(
+            config.sampler == Sampler::Mh,
+            "importance pass and density control",
+            "Metropolis-Hastings sampler",
+            "a fixed set of Gaussians asked for",
+        );
+        plan.decide(
+            !dataset.test.is_empty(),
+            "held-out evaluation",
+            &format!("{} views are held out", dataset.test.len()),
+            "no view is held out",
+        );
+        let points = config.init == Init::Points && !dataset.points.positions.is_empty();
+        plan.decide(
+            points,
+            "initial Gaussians from sparse points",
+            &format!("{} points", dataset.points.positions.len()),
+            if config.init == Init::Points {
+                "the dataset has no points; random initialisation"
+            } else {
+                "another initialisation asked for"
+            },
+        );
+        plan
+    }
+
+    fn decide(&mut self, keep: bool, what: &str, why: &str, why_not: &str) {
+        let (list, why) = if keep { (&mut self.kept, why) } else { (&mut self.left_out, why_not) };
+        list.push(Item { what: what.into(), why: why.into() });
+    }
+
+    /// One line for the terminal.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let kept: Vec<&str> = self.kept.iter().map(|i| i.what.as_str()).collect();
+        let out: Vec<String> = self.left_out.iter().map(|i| format!("{}, because {}", i.what, i.why)).collect();
+        if out.is_empty() {
+            format!("plan: {}", kept.join(", "))
+        } else {
+            format!("plan: {}; left out: {}", kept.join(", "), out.join("; "))
+        }
+    }
+}

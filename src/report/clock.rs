@@ -1,0 +1,168 @@
+//! The three clocks of a run, and the process figures of `/proc`.
+//!
+//! All three start together. `wall` runs on; `train` and `cpu` stop while the run evaluates or exports, so that both
+//! cover the same span. On shared machines `cpu` is the one to compare by.
+
+use std::time::{Duration, Instant};
+
+/// Clock ticks per second of `/proc/self/stat`: Linux's `USER_HZ`, which is 100 on every architecture Rust's standard
+/// library supports. (Asking `sysconf` would need a dependency on libc.)
+const TICKS_PER_SECOND: f64 = 100.0;
+
+/// CPU seconds (user + system) of this process so far, over all its threads, ended ones included.
+///
+/// From fields 14 and 15 of `/proc/self/stat` (proc(5)). The resolution is one tick, 10 ms; the nanosecond figures of
+/// `/proc/self/task/*/schedstat` are finer but lose the threads that have ended. 0 where there is no `/proc`.
+#[must_use]
+pub fn process_cpu_seconds() -> f64 {
+    std::fs::read_to_string("/proc/self/stat")
+        .ok()
+        .and_then(|text| parse_stat(&text))
+        .unwrap_or(0.0)
+}
+
+/// CPU seconds of one `/proc/*/stat` line; `None` where it is not such a line.
+#[must_use]
+pub fn parse_stat(text: &str) -> Option<f64> {
+    // Field 2 is the program's name in brackets and may itself hold blanks and brackets.
+    let (_, rest) = text.rsplit_once(')')?;
+    let mut fields = rest.split_ascii_whitespace().skip(11);
+    let user: u64 = fields.next()?.parse().ok()?;
+    let system: u64 = fields.next()?.parse().ok()?;
+    Some(user.saturating_add(system) as f64 / TICKS_PER_SECOND)
+}
+
+/// Largest resident set of this process so far in bytes (`VmHWM` of `/proc/self/status`); 0 where there is no `/proc`.
+#[must_use]
+pub fn peak_rss_bytes() -> u64 {
+    std::fs::read_to_string("/proc/self/status")
+        .ok()
+        .and_then(|text| parse_peak(&text))
+        .unwrap_or(0)
+}
+
+/// Bytes of the `VmHWM` line of `/proc/*/status`; `None` where there is none.
+#[must_use]
+pub fn parse_peak(text: &str) -> Option<u64> {
+    let line = text.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
+    let kib: u64 = line.split_ascii_whitespace().next()?.parse().ok()?;
+    kib.checked_mul(1024)
+}
+
+/// What the clocks show, in seconds.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Reading {
+    /// Time spent training: evaluation and export left out.
+    pub train_seconds: f64,
+    /// Time since the start.
+    pub wall_seconds: f64,
+    /// CPU time of the process over the span of `train_seconds`; 0 where the system does not tell.
+    pub cpu_seconds: f64,
+}
+
+/// Marks where the running span began.
+#[derive(Debug, Clone, Copy)]
+struct Mark {
+    at: Instant,
+    cpu: f64,
+}
+
+impl Mark {
+    fn now() -> Self {
+        Self {
+            at: Instant::now(),
+            cpu: process_cpu_seconds(),
+        }
+    }
+}
+
+/// The clocks of a run. Start it when the dataset's images begin to be read: loading counts.
+#[derive(Debug, Clone)]
+pub struct Clock {
+    start: Instant,
+    wall_before: f64,
+    train: Duration,
+    train_before: f64,
+    cpu: f64,
+    running: Option<Mark>,
+}
+
+impl Clock {
+    /// Starts all clocks at zero.
+    #[must_use]
+    pub fn start() -> Self {
+        Self::resume_from(Reading::default())
+    }
+
+    /// Starts all clocks where an earlier part of the run left them (from a checkpoint).
+    #[must_use]
+    pub fn resume_from(earlier: Reading) -> Self {
+        let mark = Mark::now();
+        Self {
+            start: mark.at,
+            wall_before: earlier.wall_seconds,
+            train: Duration::ZERO,
+            train_before: earlier.train_seconds,
+            cpu: earlier.cpu_seconds,
+            running: Some(mark),
+        }
+    }
+
+    /// Stops `train` and `cpu`; no effect while they are stopped.
+    pub fn pause(&mut self) {
+        if let Some(mark) = self.running.take() {
+            self.train += mark.at.elapsed();
+            self.cpu += (process_cpu_seconds() - mark.cpu).max(0.0);
+        }
+    }
+
+    /// Lets `train` and `cpu` run again; no effect while they run.
+    pub fn resume(&mut self) {
+        if self.running.is_none() {
+            self.running = Some(Mark::now());
+        }
+    }
+
+    /// Runs `work` (an evaluation, an export) off the clock, and restores the state the clock was in.
+    pub fn excluding<T>(&mut self, work: impl FnOnce() -> T) -> T {
+        let was_running = self.running.is_some();
+        self.pause();
+        let value = work();
+        if was_running {
+            self.resume();
+        }
+        value
+    }
+
+    /// Seconds spent training. Cheap: reads no file, so a progress bar may ask at every iteration.
+    #[must_use]
+    pub fn train_seconds(&self) -> f64 {
+        let span = self.running.map_or(Duration::ZERO, |m| m.at.elapsed());
+        self.train_before + (self.train + span).as_secs_f64()
+    }
+
+    /// Seconds since the start, pauses included.
+    #[must_use]
+    pub fn wall_seconds(&self) -> f64 {
+        self.wall_before + self.start.elapsed().as_secs_f64()
+    }
+
+    /// CPU seconds over the span of [`Clock::train_seconds`], to 10 ms per span; 0 where the system does not tell.
+    #[must_use]
+    pub fn cpu_seconds(&self) -> f64 {
+        let span = self
+            .running
+            .map_or(0.0, |m| (process_cpu_seconds() - m.cpu).max(0.0));
+        self.cpu + span
+    }
+
+    /// All three clocks.
+    #[must_use]
+    pub fn reading(&self) -> Reading {
+        Reading {
+            train_seconds: self.train_seconds(),
+            wall_seconds: self.wall_seconds(),
+            cpu_seconds: self.cpu_seconds(),
+        }
+    }
+}

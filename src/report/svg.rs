@@ -1,0 +1,397 @@
+//! Charts as hand-made SVG: lines over an axis of time or iterations, and horizontal bars.
+//!
+//! A chart is drawn in a view box 380 wide, which is about a phone's column in CSS pixels, so that its 12-unit text is
+//! readable at 390 px and larger on wider pages. Colours are CSS variables of the page (`--s0` …). Numbers that are not
+//! finite are skipped.
+
+use super::html::escape;
+use std::fmt::Write;
+
+const WIDTH: f64 = 380.0;
+const HEIGHT: f64 = 216.0;
+const LEFT: f64 = 44.0;
+const RIGHT: f64 = 14.0;
+const TOP: f64 = 10.0;
+const BOTTOM: f64 = 38.0;
+/// Above this many points a series is drawn without marks.
+const MARKED: usize = 24;
+/// Above this many points a series is thinned to the extremes of each of `MOST / 2` columns.
+const MOST: usize = 480;
+/// Number of colours (`--s0` to `--s5`); series beyond them start over.
+const COLORS: usize = 6;
+
+/// How an axis spells its numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scale {
+    /// As they are, with k, M, G for thousands.
+    Number,
+    /// Shares in [0, 1] as percent.
+    Percent,
+    /// Seconds, shown as s, min or h, whichever suits the range.
+    Seconds,
+}
+
+/// One axis of a chart.
+#[derive(Debug, Clone, Copy)]
+pub struct Axis<'a> {
+    /// What it shows.
+    pub label: &'a str,
+    /// Unit, empty for none; ignored for [`Scale::Seconds`] and [`Scale::Percent`], which know theirs.
+    pub unit: &'a str,
+    /// How its numbers are spelt.
+    pub scale: Scale,
+    /// Whether it starts at zero (all values non-negative); otherwise it frames the data.
+    pub from_zero: bool,
+}
+
+/// One line of a chart.
+#[derive(Debug, Clone)]
+pub struct Series<'a> {
+    /// Name in the legend.
+    pub name: &'a str,
+    /// Points (x, y) in drawing order.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// One bar of a bar chart.
+#[derive(Debug, Clone)]
+pub struct Bar {
+    /// Name at its left.
+    pub name: String,
+    /// Length.
+    pub value: f64,
+    /// Text at its right.
+    pub text: String,
+}
+
+/// A range of numbers with round ticks in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ticks {
+    /// Lower end.
+    pub low: f64,
+    /// Upper end, above `low`.
+    pub high: f64,
+    /// Distance of the ticks: 1, 2 or 5 times a power of ten.
+    pub step: f64,
+    /// The ticks, within [`low`, `high`].
+    pub at: Vec<f64>,
+}
+
+/// Round ticks, about `target` of them, for data in [`low`, `high`]. With `widen` the range is extended to whole ticks.
+/// A range without width is given one. `None` where the ends are not finite or no step can tell them apart.
+#[must_use]
+pub fn ticks(low: f64, high: f64, target: u32, widen: bool) -> Option<Ticks> {
+    let (mut low, mut high) = (low.min(high), high.max(low));
+    let size = low.abs().max(high.abs());
+    if high - low <= size * 1e-9 {
+        let pad = if size > 0.0 { size * 0.05 } else { 0.5 };
+        (low, high) = if low == 0.0 {
+            (0.0, 1.0)
+        } else {
+            (low - pad, high + pad)
+        };
+    }
+    let rough = (high - low) / f64::from(target.max(1));
+    let power = 10f64.powf(rough.log10().floor());
+    let step = power
+        * match rough / power {
+            r if r <= 1.0 => 1.0,
+            r if r <= 2.0 => 2.0,
+            r if r <= 5.0 => 5.0,
+            _ => 10.0,
+        };
+    if !(step.is_finite() && step > 0.0 && low.is_finite() && high.is_finite()) {
+        return None;
+    }
+    if widen {
+        // The slack keeps an end that rounding pushed past a tick from opening another step.
+        low = (low / step + 1e-9).floor() * step;
+        high = (high / step - 1e-9).ceil() * step;
+    }
+    let first = (low / step - 1e-9).ceil();
+    let count = ((high / step + 1e-9).floor() - first).clamp(0.0, 50.0) as u32;
+    let at = (0..=count).map(|i| (first + f64::from(i)) * step).collect();
+    Some(Ticks {
+        low,
+        high,
+        step,
+        at,
+    })
+}
+
+/// A number with at most `decimals` places, thousands as k, M or G from 10,000 on (judged by `largest`).
+fn spell(value: f64, step: f64, largest: f64) -> String {
+    let (divisor, suffix) = match largest.abs() {
+        a if a >= 1e10 => (1e9, "G"),
+        a if a >= 1e7 => (1e6, "M"),
+        a if a >= 1e4 => (1e3, "k"),
+        _ => (1.0, ""),
+    };
+    let decimals = (-(step / divisor).log10() - 1e-9).ceil().clamp(0.0, 9.0) as usize;
+    let text = format!("{:.decimals$}", value / divisor);
+    match text.trim_start_matches('-').trim_matches(['0', '.']) {
+        "" => "0".to_owned(),
+        _ => text.replace('-', "−") + suffix,
+    }
+}
+
+/// The unit seconds are best shown in up to `high`, and its length in seconds.
+fn time_unit(high: f64) -> (&'static str, f64) {
+    match high {
+        h if h > 7200.0 => ("h", 3600.0),
+        h if h > 300.0 => ("min", 60.0),
+        _ => ("s", 1.0),
+    }
+}
+
+/// An axis with its range, in the numbers that its labels show.
+struct Laid<'a> {
+    axis: &'a Axis<'a>,
+    ticks: Ticks,
+    divisor: f64,
+    unit: &'a str,
+}
+
+impl<'a> Laid<'a> {
+    fn new(axis: &'a Axis<'a>, values: impl Iterator<Item = f64>, x: bool) -> Option<Self> {
+        let (mut low, mut high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+            (l.min(v), h.max(v))
+        });
+        if axis.from_zero {
+            low = low.min(0.0);
+        }
+        let (unit, divisor) = match axis.scale {
+            Scale::Number => (axis.unit, 1.0),
+            Scale::Percent => ("%", 0.01),
+            Scale::Seconds => time_unit(high),
+        };
+        (low, high) = (low / divisor, high / divisor);
+        // Lines may end anywhere along x; along y a range of whole ticks keeps them off the frame.
+        let ticks = ticks(low, high, if x { 5 } else { 4 }, !x)?;
+        Some(Self {
+            axis,
+            ticks,
+            divisor,
+            unit,
+        })
+    }
+
+    /// Position of `value` within the range, 0 to 1.
+    fn place(&self, value: f64) -> f64 {
+        (value / self.divisor - self.ticks.low) / (self.ticks.high - self.ticks.low)
+    }
+
+    fn tick_label(&self, tick: f64) -> String {
+        let largest = self.ticks.low.abs().max(self.ticks.high.abs());
+        spell(tick, self.ticks.step, largest)
+    }
+
+    /// `value` in the axis's unit, two digits finer than its ticks.
+    fn value_label(&self, value: f64) -> String {
+        let shown = value / self.divisor;
+        let text = spell(shown, self.ticks.step / 100.0, shown);
+        match self.unit {
+            "" => text,
+            unit => format!("{text} {}", escape(unit)),
+        }
+    }
+
+    fn title(&self) -> String {
+        match self.unit {
+            "" => escape(self.axis.label),
+            unit => format!("{} ({})", escape(self.axis.label), escape(unit)),
+        }
+    }
+}
+
+/// A figure with a line for every series; `no data` where there is no finite point.
+#[must_use]
+pub fn line_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Series<'_>]) -> String {
+    let finite = |s: &Series<'_>| -> Vec<(f64, f64)> {
+        let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
+        s.points.iter().filter(good).copied().collect()
+    };
+    let lines: Vec<_> = series.iter().map(finite).collect();
+    let all = || lines.iter().flatten();
+    let laid_x = Laid::new(x, all().map(|p| p.0), true);
+    let laid_y = Laid::new(y, all().map(|p| p.1), false);
+    let mut out = format!("<figure class=chart><figcaption>{}", escape(title));
+    let (Some(laid_x), Some(laid_y)) = (laid_x, laid_y) else {
+        out.push_str("</figcaption><p class=none>no data</p></figure>\n");
+        return out;
+    };
+    for (index, (line, series)) in lines.iter().zip(series).enumerate() {
+        let last = line.last().map(|p| laid_y.value_label(p.1));
+        let last = last.unwrap_or_else(|| "no data".to_owned());
+        let name = escape(series.name);
+        let key = match series.name {
+            "" => String::new(),
+            _ => format!("<i class=k{}></i>{name} ", index % COLORS),
+        };
+        let _ = write!(out, "<span>{key}<b>{last}</b></span>");
+    }
+    let _ = write!(
+        out,
+        "</figcaption><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">",
+        escape(title)
+    );
+    grid(&mut out, &laid_x, &laid_y);
+    for (index, line) in lines.iter().enumerate() {
+        draw(&mut out, index % COLORS, line, &laid_x, &laid_y);
+    }
+    out.push_str("</svg></figure>\n");
+    out
+}
+
+fn pixel_x(share: f64) -> f64 {
+    LEFT + share * (WIDTH - LEFT - RIGHT)
+}
+
+fn pixel_y(share: f64) -> f64 {
+    HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)
+}
+
+/// A coordinate to a tenth of a unit, without needless digits.
+fn short(value: f64) -> f64 {
+    (value * 10.0).round() / 10.0
+}
+
+fn grid(out: &mut String, x: &Laid<'_>, y: &Laid<'_>) {
+    let (left, right) = (short(pixel_x(0.0)), short(pixel_x(1.0)));
+    let (bottom, top) = (short(pixel_y(0.0)), short(pixel_y(1.0)));
+    let mut path = String::new();
+    let mut labels = String::new();
+    for &tick in &y.ticks.at {
+        let at = short(pixel_y(y.place(tick * y.divisor)));
+        let _ = write!(path, "M{left} {at}H{right}");
+        let (text_x, text_y, text) = (left - 6.0, short(at + 4.0), y.tick_label(tick));
+        let _ = write!(
+            labels,
+            "<text x=\"{text_x}\" y=\"{text_y}\" text-anchor=\"end\">{text}</text>"
+        );
+    }
+    for &tick in &x.ticks.at {
+        let at = short(pixel_x(x.place(tick * x.divisor)));
+        let _ = write!(path, "M{at} {top}V{bottom}");
+        let (text_y, text) = (bottom + 15.0, x.tick_label(tick));
+        let _ = write!(
+            labels,
+            "<text x=\"{at}\" y=\"{text_y}\" text-anchor=\"middle\">{text}</text>"
+        );
+    }
+    let _ = write!(
+        out,
+        "<path class=\"grid\" d=\"{path}\"/><path class=\"axis\" d=\"M{left} {top}V{bottom}H{right}\"/>{labels}\
+         <text x=\"{right}\" y=\"{}\" text-anchor=\"end\" class=\"name\">{}</text>",
+        HEIGHT - 5.0,
+        x.title()
+    );
+}
+
+fn draw(out: &mut String, color: usize, line: &[(f64, f64)], x: &Laid<'_>, y: &Laid<'_>) {
+    let mut points = String::new();
+    for (px, py) in thin(line) {
+        let (at_x, at_y) = (pixel_x(x.place(px)), pixel_y(y.place(py)));
+        let _ = write!(points, "{},{} ", short(at_x), short(at_y));
+    }
+    let points = points.trim_end();
+    let _ = write!(
+        out,
+        "<polyline class=\"line s{color}\" points=\"{points}\"/>"
+    );
+    if line.len() > MARKED {
+        return;
+    }
+    let _ = write!(out, "<g class=\"mark m{color}\">");
+    for &(px, py) in line {
+        let (at_x, at_y) = (short(pixel_x(x.place(px))), short(pixel_y(y.place(py))));
+        let (tip_x, tip_y) = (x.value_label(px), y.value_label(py));
+        let _ = write!(
+            out,
+            "<circle cx=\"{at_x}\" cy=\"{at_y}\" r=\"3\"><title>{tip_x}: {tip_y}</title></circle>"
+        );
+    }
+    out.push_str("</g>");
+}
+
+/// The smallest and largest point of each of `MOST / 2` runs of points, in order: peaks survive, bytes do not.
+fn thin(line: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    if line.len() <= MOST {
+        return line.to_vec();
+    }
+    let mut kept = Vec::with_capacity(MOST + 2);
+    for run in line.chunks(line.len().div_ceil(MOST / 2)) {
+        let by_y = |a: &(usize, &(f64, f64)), b: &(usize, &(f64, f64))| a.1.1.total_cmp(&b.1.1);
+        let low = run.iter().enumerate().min_by(by_y);
+        let high = run.iter().enumerate().max_by(by_y);
+        let (Some(low), Some(high)) = (low, high) else {
+            continue;
+        };
+        let (first, second) = if low.0 <= high.0 {
+            (low, high)
+        } else {
+            (high, low)
+        };
+        kept.push(*first.1);
+        if first.0 != second.0 {
+            kept.push(*second.1);
+        }
+    }
+    if let (Some(last), true) = (line.last(), kept.last() != line.last()) {
+        kept.push(*last);
+    }
+    kept
+}
+
+/// A figure with one horizontal bar per entry, longest full width; `no data` where there is none.
+#[must_use]
+pub fn bar_chart(title: &str, bars: &[Bar]) -> String {
+    const ROW: f64 = 24.0;
+    const NAMES: f64 = 104.0;
+    const TEXTS: f64 = 104.0;
+    let title = escape(title);
+    let mut out = format!("<figure class=\"chart bars\"><figcaption>{title}</figcaption>");
+    let good: Vec<&Bar> = bars
+        .iter()
+        .filter(|b| b.value.is_finite() && b.value >= 0.0)
+        .collect();
+    let longest = good.iter().fold(0.0f64, |l, b| l.max(b.value));
+    if good.is_empty() {
+        out.push_str("<p class=none>no data</p></figure>\n");
+        return out;
+    }
+    let height = good.len() as f64 * ROW + 4.0;
+    let _ = write!(
+        out,
+        "<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{title}\">"
+    );
+    for (row, bar) in good.iter().enumerate() {
+        let y = row as f64 * ROW + 4.0;
+        let share = if longest > 0.0 {
+            bar.value / longest
+        } else {
+            0.0
+        };
+        let width = short((share * (WIDTH - NAMES - TEXTS)).max(1.0));
+        // 12-unit text is about 6.2 units a character: what does not fit is cut, and whole in the tooltip.
+        let name: String = match bar.name.chars().count() {
+            0..=16 => bar.name.clone(),
+            _ => bar.name.chars().take(15).chain(['…']).collect(),
+        };
+        let _ = write!(
+            out,
+            "<g><title>{}</title><text x=\"{}\" y=\"{}\" text-anchor=\"end\">{}</text>\
+             <rect class=\"bar\" x=\"{NAMES}\" y=\"{y}\" width=\"{width}\" height=\"16\" rx=\"2\"/>\
+             <text x=\"{}\" y=\"{}\" class=\"value\">{}</text></g>",
+            escape(&bar.name),
+            NAMES - 8.0,
+            y + 12.5,
+            escape(&name),
+            short(NAMES + width + 6.0),
+            y + 12.5,
+            escape(&bar.text)
+        );
+    }
+    out.push_str("</svg></figure>\n");
+    out
+}
