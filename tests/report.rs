@@ -1,1 +1,297 @@
-//! Tests: report.
+//! Run records, metrics tables and the report page.
+
+mod page;
+mod samples;
+
+use mhsplat::error::Error;
+use mhsplat::report::table::Row;
+use mhsplat::report::*;
+use samples::*;
+
+fn keys(value: &serde_json::Value) -> Vec<&str> {
+    let mut keys: Vec<_> = value
+        .as_object()
+        .unwrap()
+        .keys()
+        .map(String::as_str)
+        .collect();
+    keys.sort_unstable();
+    keys
+}
+
+#[test]
+fn run_json_has_the_contracts_keys() {
+    let value: serde_json::Value = serde_json::from_str(&record().to_json().unwrap()).unwrap();
+    let mut expected = [
+        "version",
+        "commit",
+        "config",
+        "seed",
+        "dataset",
+        "device",
+        "plan",
+        "iterations",
+        "gaussians",
+        "train_seconds",
+        "wall_seconds",
+        "cpu_seconds",
+        "peak_rss_bytes",
+        "stages",
+        "density",
+        "final",
+    ];
+    expected.sort_unstable();
+    assert_eq!(keys(&value), expected);
+    let dataset = [
+        "height",
+        "layout",
+        "path",
+        "test_views",
+        "train_views",
+        "width",
+    ];
+    assert_eq!(keys(&value["dataset"]), dataset);
+    assert_eq!(
+        keys(&value["device"]),
+        ["driver", "name", "platform", "vendor"]
+    );
+    assert_eq!(keys(&value["plan"]), ["kept", "left_out"]);
+    assert_eq!(keys(&value["plan"]["left_out"][0]), ["what", "why"]);
+    assert_eq!(keys(&value["stages"][0]), ["calls", "name", "seconds"]);
+    for key in ["proposed", "accepted", "relocated", "pruned"] {
+        assert!(value["density"][key].is_u64(), "{key}");
+    }
+    assert_eq!(keys(&value["final"]), ["per_view", "psnr", "ssim"]);
+    assert_eq!(
+        keys(&value["final"]["per_view"][0]),
+        ["psnr", "ssim", "view"]
+    );
+    // An f32 option is spelt as it was typed, so that the file serves as a configuration.
+    assert!(
+        record()
+            .to_json()
+            .unwrap()
+            .contains("\"lambda-ssim\": 0.2,")
+    );
+}
+
+#[test]
+fn run_json_round_trips() {
+    let dir = tempfile::tempdir().unwrap();
+    for record in [
+        record(),
+        RunRecord {
+            final_scores: None,
+            ..record()
+        },
+    ] {
+        record.write(dir.path()).unwrap();
+        assert_eq!(RunRecord::read(dir.path()).unwrap(), record);
+    }
+    std::fs::write(dir.path().join("run.json"), "{\"version\": 3}").unwrap();
+    assert!(matches!(
+        RunRecord::read(dir.path()),
+        Err(Error::Input { .. })
+    ));
+    let absent = RunRecord::read(dir.path().join("absent"));
+    assert!(matches!(absent, Err(Error::Io { .. })));
+}
+
+#[test]
+fn run_json_refuses_what_is_not_finite() {
+    let dir = tempfile::tempdir().unwrap();
+    record().write(dir.path()).unwrap();
+    type Spoil = fn(&mut RunRecord);
+    let cases: [(&str, Spoil); 6] = [
+        ("train_seconds", |r| r.train_seconds = f64::NAN),
+        ("psnr", |r| {
+            r.final_scores.as_mut().unwrap().psnr = f64::INFINITY
+        }),
+        ("seconds", |r| r.stages[3].seconds = f64::NEG_INFINITY),
+        ("mean_prior", |r| r.density.mean_prior = f64::NAN),
+        ("time-budget", |r| r.config.time_budget = Some(f64::NAN)),
+        ("lambda-ssim", |r| r.config.loss.lambda_ssim = f32::NAN),
+    ];
+    for (name, spoil) in cases {
+        let mut bad = record();
+        spoil(&mut bad);
+        match bad.write(dir.path()) {
+            Err(Error::Numerics { what, .. }) => assert!(what.contains(name), "{name}: {what}"),
+            other => panic!("{name}: {other:?}"),
+        }
+    }
+    assert_eq!(
+        RunRecord::read(dir.path()).unwrap(),
+        record(),
+        "the good file stays"
+    );
+}
+
+#[test]
+fn metrics_csv_has_the_contracts_columns() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("metrics.csv");
+    let mut writer = MetricsWriter::create(&path).unwrap();
+    let row = MetricsRow {
+        iteration: 500,
+        train_seconds: 1.5,
+        wall_seconds: 2.25,
+        cpu_seconds: 3.0,
+        loss: Some(0.125),
+        psnr: None,
+        ssim: Some(0.5),
+        gaussians: 6,
+        proposed: 7,
+        accepted: 8,
+        relocated: 9,
+        pruned: 10,
+        non_finite: 11,
+    };
+    writer.write(&row).unwrap();
+    // Read while the writer is alive: a row is there as soon as `write` returns.
+    let text = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(
+        text,
+        "iteration,train_seconds,wall_seconds,cpu_seconds,loss,psnr,ssim,gaussians,proposed,accepted,relocated,pruned,non_finite\n\
+         500,1.5,2.25,3,0.125,,0.5,6,7,8,9,10,11\n"
+    );
+    assert_eq!(read_rows(&path).unwrap(), [row]);
+    let bad = MetricsRow {
+        loss: Some(f64::NAN),
+        ..row
+    };
+    assert!(
+        matches!(writer.write(&bad), Err(Error::Numerics { what, .. }) if what.contains("loss"))
+    );
+    assert_eq!(
+        read_rows(&path).unwrap(),
+        [row],
+        "nothing of a refused row is written"
+    );
+}
+
+#[test]
+fn appending_drops_what_lies_beyond_the_checkpoint() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("metrics.csv");
+    let mut writer = MetricsWriter::append(&path, 0).unwrap();
+    rows().iter().for_each(|r| writer.write(r).unwrap());
+    drop(writer);
+    let mut whole = std::fs::read_to_string(&path).unwrap();
+    whole.push_str("7500,12");
+    std::fs::write(&path, whole).unwrap();
+    assert_eq!(
+        read_rows(&path).unwrap(),
+        rows(),
+        "an unfinished line is not a row"
+    );
+    let mut writer = MetricsWriter::append(&path, 1000).unwrap();
+    writer.write(&row(1250)).unwrap();
+    assert_eq!(
+        read_rows(&path).unwrap(),
+        [row(0), row(500), row(1000), row(1250)]
+    );
+}
+
+#[test]
+fn tables_reject_what_is_not_theirs() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.csv");
+    let header = DensityRow::COLUMNS.join(",");
+    let good = "100,1.5,9,3,2,0,0,1,1,2,1,4,0.5";
+    let put = |line: &str| {
+        std::fs::write(&path, format!("{header}\n{good}\n{line}\n")).unwrap();
+        read_density(&path)
+    };
+    assert_eq!(put("").unwrap().len(), 1);
+    for line in [
+        "100",
+        "x,1,9,3,2,0,0,1,1,2,1,4,0.5",
+        "1,NaN,9,3,2,0,0,1,1,2,1,4,0.5",
+        "1,2,-9,3,2,0,0,1,1,2,1,4,0.5",
+        &format!("{good},7"),
+    ] {
+        let found = put(line);
+        assert!(
+            matches!(&found, Err(Error::Input { what, .. }) if what.contains("line 3")),
+            "{found:?}"
+        );
+    }
+    put("").unwrap();
+    assert!(
+        matches!(MetricsWriter::append(&path, 9), Err(Error::Input { what, .. }) if what.contains("header"))
+    );
+    assert_eq!(
+        read_density(&path).unwrap().len(),
+        1,
+        "the other table is left alone"
+    );
+}
+
+#[test]
+fn density_csv_round_trips() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("density.csv");
+    let mut writer = DensityWriter::create(&path).unwrap();
+    density().iter().for_each(|r| writer.write(r).unwrap());
+    assert_eq!(read_density(&path).unwrap(), density());
+}
+
+#[test]
+fn clock_leaves_evaluation_out() {
+    let earlier = Reading {
+        train_seconds: 10.0,
+        wall_seconds: 20.0,
+        cpu_seconds: 30.0,
+    };
+    let mut clock = Clock::resume_from(earlier);
+    let pause = std::time::Duration::from_millis(80);
+    clock.excluding(|| std::thread::sleep(pause));
+    let after = clock.reading();
+    assert!(after.wall_seconds >= 20.08, "{after:?}");
+    assert!(
+        after.train_seconds >= 10.0 && after.train_seconds < after.wall_seconds - 10.079,
+        "{after:?}"
+    );
+    std::thread::sleep(pause);
+    assert!(clock.train_seconds() >= 10.08);
+    clock.pause();
+    let stopped = clock.train_seconds();
+    clock.excluding(|| std::thread::sleep(pause));
+    assert_eq!(
+        clock.train_seconds(),
+        stopped,
+        "a stopped clock stays stopped"
+    );
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn cpu_seconds_count_threads_that_have_ended() {
+    let clock = Clock::start();
+    let spin = || {
+        let start = std::time::Instant::now();
+        while start.elapsed().as_millis() < 150 {
+            std::hint::spin_loop();
+        }
+    };
+    let before = clock.cpu_seconds();
+    std::thread::spawn(spin).join().unwrap();
+    // The process shares its cores with other tests and processes: a third of the time is asked for.
+    assert!(clock.cpu_seconds() - before >= 0.05);
+    assert!(mhsplat::report::clock::peak_rss_bytes() > 1 << 20);
+}
+
+#[test]
+fn proc_lines_parse_whatever_the_program_is_called() {
+    use mhsplat::report::clock::{parse_peak, parse_stat};
+    let stat = "7 (a ) b (c) R 1 7 7 0 -1 4194304 100 0 0 0 250 50 9 9 20 0 1 0";
+    assert_eq!(parse_stat(stat), Some(3.0));
+    assert_eq!(parse_stat("7 (a) R 1 7"), None);
+    assert_eq!(parse_stat(""), None);
+    assert_eq!(
+        parse_peak("VmPeak:\t9 kB\nVmHWM:\t    12 kB\n"),
+        Some(12 * 1024)
+    );
+    assert_eq!(parse_peak("VmPeak:\t9 kB\n"), None);
+}

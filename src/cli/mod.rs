@@ -5,7 +5,7 @@ mod eval;
 mod output;
 mod render;
 mod scene;
-mod synth;
+
 mod train;
 mod verify;
 
@@ -42,8 +42,6 @@ enum Command {
     Devices,
     /// Check every stage on a device against the f64 reference.
     Verify(verify::VerifyArgs),
-    /// Make a seeded scene with known truth.
-    Synth(synth::SynthArgs),
 }
 
 /// What every subcommand shares.
@@ -74,7 +72,6 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Command::Render(args) => render::run(&args, &common),
         Command::Devices => devices::run(&common),
         Command::Verify(args) => verify::run(&args, &common),
-        Command::Synth(args) => synth::run(&args, &common),
     }
 }
 

@@ -29,4 +29,18 @@ impl Camera {
     pub fn center(&self) -> DVec3 {
         -(self.rotation.transpose() * self.translation)
     }
+
+    /// The same camera for an image of another size: intrinsics scale with each axis.
+    #[must_use]
+    pub fn scaled_to(mut self, width: u32, height: u32) -> Self {
+        let sx = f64::from(width) / f64::from(self.width);
+        let sy = f64::from(height) / f64::from(self.height);
+        self.fx *= sx;
+        self.cx *= sx;
+        self.fy *= sy;
+        self.cy *= sy;
+        self.width = width;
+        self.height = height;
+        self
+    }
 }

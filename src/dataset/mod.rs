@@ -1,11 +1,15 @@
 //! Posed photos: files → [`Dataset`] of [`View`]s in a local frame.
 
 pub mod camera;
+pub mod colmap;
 pub mod frame;
+mod load;
 pub mod photo;
+pub mod transforms;
 
 pub use camera::Camera;
 pub use frame::Frame;
+pub use load::{LoadOptions, load};
 pub use photo::Photo;
 
 use std::path::PathBuf;

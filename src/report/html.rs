@@ -6,52 +6,14 @@
 use super::density_log::DensityRow;
 use super::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use super::metrics::MetricsRow;
-use super::record::{FinalRecord, PlanItem, RunRecord};
-use super::svg::{Axis, Bar, Scale, Series, bar_chart, line_chart};
-use super::{settings, write_atomic};
+use super::record::{FinalRecord, RunRecord};
+use super::{panels, settings, write_atomic};
 use crate::error::Result;
 use std::fmt::Write;
 use std::path::Path;
 
 /// Name of the page in the run folder.
 pub const REPORT_FILE: &str = "report.html";
-
-const TIME: Axis<'static> = Axis {
-    label: "training time",
-    unit: "s",
-    scale: Scale::Seconds,
-    from_zero: true,
-};
-const ITERATION: Axis<'static> = Axis {
-    label: "iteration",
-    unit: "",
-    scale: Scale::Number,
-    from_zero: true,
-};
-const PSNR: Axis<'static> = Axis {
-    label: "PSNR",
-    unit: "dB",
-    scale: Scale::Number,
-    from_zero: false,
-};
-const SSIM: Axis<'static> = Axis {
-    label: "SSIM",
-    unit: "",
-    scale: Scale::Number,
-    from_zero: false,
-};
-const SHARE: Axis<'static> = Axis {
-    label: "share",
-    unit: "%",
-    scale: Scale::Percent,
-    from_zero: true,
-};
-const COUNT: Axis<'static> = Axis {
-    label: "count",
-    unit: "",
-    scale: Scale::Number,
-    from_zero: true,
-};
 
 /// Writes `report.html` into `run_dir`, replacing it as a whole. Any slice may be empty.
 ///
@@ -67,9 +29,9 @@ pub fn write_report(
 ) -> Result<()> {
     let mut body = String::new();
     headlines(&mut body, record, rows);
-    quality(&mut body, rows, density);
-    density_control(&mut body, density);
-    stages(&mut body, record);
+    panels::quality(&mut body, rows, density);
+    panels::density_control(&mut body, density);
+    panels::stages(&mut body, record);
     plan(&mut body, record);
     views(&mut body, gallery)?;
     scores(&mut body, record.final_scores.as_ref());
@@ -141,7 +103,7 @@ pub fn span(seconds: f64) -> String {
 }
 
 /// A number with `decimals` places, a dash where it is not finite.
-fn fixed(value: f64, decimals: usize) -> String {
+pub(super) fn fixed(value: f64, decimals: usize) -> String {
     if value.is_finite() {
         format!("{value:.decimals$}").replace('-', "−")
     } else {
@@ -153,6 +115,18 @@ fn folder_name(path: &str) -> &str {
     let name = path.trim_end_matches(['/', '\\']);
     let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
     if name.is_empty() { "run" } else { name }
+}
+
+/// A [`span`] with its units set small.
+fn small_units(span: &str) -> String {
+    let words = span.split(' ').enumerate().map(|(index, word)| {
+        if index % 2 == 1 {
+            format!("<small>{word}</small>")
+        } else {
+            word.to_owned()
+        }
+    });
+    words.collect::<Vec<_>>().join(" ")
 }
 
 fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
@@ -176,196 +150,37 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
         |(p, s)| (format!("{} <small>dB</small>", fixed(p, 2)), fixed(s, 4)),
     );
     let cpu = match record.cpu_seconds {
-        s if s > 0.0 => span(s),
+        s if s > 0.0 => small_units(&span(s)),
         _ => "<small>not measured</small>".to_owned(),
+    };
+    let memory = match record.peak_rss_bytes {
+        0 => "<small>not measured</small>".to_owned(),
+        bytes => format!(
+            "{:.2} <small>GiB</small>",
+            bytes as f64 / f64::from(1 << 30)
+        ),
     };
     let heads = [
         ("PSNR, held-out", psnr),
         ("SSIM, held-out", ssim),
         ("Gaussians", grouped(record.gaussians)),
-        ("Training time", span(record.train_seconds)),
+        ("Training time", small_units(&span(record.train_seconds))),
         ("CPU time", cpu),
+        ("Peak memory", memory),
     ];
     out.push_str("<dl class=heads>");
     for (name, value) in heads {
         let _ = write!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
     }
-    let _ = write!(
+    let _ = writeln!(
         out,
-        "<div class=wide><dt>Device</dt><dd>{}</dd></div></dl>\n",
+        "<div class=wide><dt>Device</dt><dd>{}</dd></div></dl>",
         escape(&record.device.name)
     );
 }
 
-fn points<R>(rows: &[R], x: impl Fn(&R) -> f64, y: impl Fn(&R) -> Option<f64>) -> Vec<(f64, f64)> {
-    rows.iter()
-        .filter_map(|r| y(r).map(|value| (x(r), value)))
-        .collect()
-}
-
-fn single(points: Vec<(f64, f64)>) -> [Series<'static>; 1] {
-    [Series { name: "", points }]
-}
-
-fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityRow]) {
-    let time = |r: &MetricsRow| r.train_seconds;
-    let iteration = |r: &MetricsRow| f64::from(r.iteration);
-    out.push_str("<h2>Quality on held-out views</h2><div class=charts>\n");
-    let charts = [
-        (
-            "PSNR against time",
-            TIME,
-            PSNR,
-            points(rows, time, |r| r.psnr),
-        ),
-        (
-            "PSNR against iterations",
-            ITERATION,
-            PSNR,
-            points(rows, iteration, |r| r.psnr),
-        ),
-        (
-            "SSIM against time",
-            TIME,
-            SSIM,
-            points(rows, time, |r| r.ssim),
-        ),
-        (
-            "SSIM against iterations",
-            ITERATION,
-            SSIM,
-            points(rows, iteration, |r| r.ssim),
-        ),
-    ];
-    for (title, x, y, points) in charts {
-        out.push_str(&line_chart(title, &x, &y, &single(points)));
-    }
-    out.push_str("</div>\n<h2>Gaussians and loss</h2><div class=charts>\n");
-    // Density steps come more often than evaluations; evaluations also cover the time without density control.
-    let mut counts = points(rows, time, |r| Some(r.gaussians as f64));
-    counts.extend(points(
-        density,
-        |r| r.train_seconds,
-        |r| Some(r.gaussians as f64),
-    ));
-    counts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    out.push_str(&line_chart(
-        "Gaussians against time",
-        &TIME,
-        &COUNT,
-        &single(counts),
-    ));
-    let loss = points(rows, time, |r| r.loss);
-    let axis = Axis {
-        label: "loss",
-        ..COUNT
-    };
-    out.push_str(&line_chart("Training loss", &TIME, &axis, &single(loss)));
-    out.push_str("</div>\n");
-}
-
-fn density_control(out: &mut String, density: &[DensityRow]) {
-    let iteration = |r: &DensityRow| f64::from(r.iteration);
-    let rate = |pair: [u64; 2]| (pair[0] > 0).then(|| pair[1] as f64 / pair[0] as f64);
-    out.push_str("<h2>Density control, per step</h2><div class=charts>\n");
-    let phases = [
-        Series {
-            name: "coarse",
-            points: points(density, iteration, |r| rate(r.stats.coarse)),
-        },
-        Series {
-            name: "fine",
-            points: points(density, iteration, |r| rate(r.stats.fine)),
-        },
-    ];
-    out.push_str(&line_chart("Acceptance", &ITERATION, &SHARE, &phases));
-    let born = [
-        Series {
-            name: "born",
-            points: points(density, iteration, |r| Some(r.stats.accepted as f64)),
-        },
-        Series {
-            name: "relocated",
-            points: points(density, iteration, |r| Some(r.stats.relocated as f64)),
-        },
-        Series {
-            name: "removed",
-            points: points(density, iteration, |r| Some(r.stats.pruned as f64)),
-        },
-    ];
-    out.push_str(&line_chart("Changes", &ITERATION, &COUNT, &born));
-    let voxels = points(density, iteration, |r| Some(r.stats.occupied_voxels as f64));
-    out.push_str(&line_chart(
-        "Occupied voxels",
-        &ITERATION,
-        &COUNT,
-        &single(voxels),
-    ));
-    // D is the mean over the proposals, so a step without proposals has none.
-    let prior = points(density, iteration, |r| {
-        (r.stats.proposed > 0).then_some(r.stats.mean_prior)
-    });
-    let axis = Axis {
-        label: "D",
-        ..COUNT
-    };
-    out.push_str(&line_chart(
-        "Mean voxel prior D of the proposals",
-        &ITERATION,
-        &axis,
-        &single(prior),
-    ));
-    out.push_str("</div>\n");
-}
-
-fn stages(out: &mut String, record: &RunRecord) {
-    let total: f64 = record.stages.iter().map(|s| s.seconds).sum();
-    let bars: Vec<Bar> = record
-        .stages
-        .iter()
-        .map(|s| Bar {
-            name: s.name.clone(),
-            value: s.seconds,
-            text: if total > 0.0 {
-                format!(
-                    "{} · {} %",
-                    span(s.seconds),
-                    fixed(100.0 * s.seconds / total, 1)
-                )
-            } else {
-                span(s.seconds)
-            },
-        })
-        .collect();
-    out.push_str("<h2>Time by stage</h2>\n");
-    out.push_str(&bar_chart("Seconds in each stage", &bars));
-    if bars.is_empty() {
-        return;
-    }
-    let _ = write!(
-        out,
-        "<p class=note>{} in stages, of {} of training.</p><details><summary>Time per call</summary><table>\
-         <tr><th>stage</th><th class=n>calls</th><th class=n>ms per call</th></tr>",
-        span(total),
-        span(record.train_seconds)
-    );
-    for stage in &record.stages {
-        let per_call = match stage.calls {
-            0 => "–".to_owned(),
-            n => fixed(1e3 * stage.seconds / n as f64, 3),
-        };
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td class=n>{}</td><td class=n>{per_call}</td></tr>",
-            escape(&stage.name),
-            grouped(stage.calls)
-        );
-    }
-    out.push_str("</table></details>\n");
-}
-
 fn plan(out: &mut String, record: &RunRecord) {
-    let table = |out: &mut String, items: &[PlanItem]| {
+    let table = |out: &mut String, items: &[crate::plan::Item]| {
         out.push_str("<table>");
         for item in items {
             let (what, why) = (escape(&item.what), escape(&item.why));
@@ -404,10 +219,10 @@ fn views(out: &mut String, gallery: &[GalleryItem]) -> Result<()> {
             format!("rgb({r} {g} {b})")
         })
         .collect();
-    let _ = write!(
+    let _ = writeln!(
         out,
         "<p class=note>Error: mean absolute difference over R, G, B of values in [0, 1].</p>\
-         <div class=ramp><span>0</span><i style=\"background:linear-gradient(90deg,{})\"></i><span>≥ {ERROR_FULL_SCALE}</span></div>\n",
+         <div class=ramp><span>0</span><i style=\"background:linear-gradient(90deg,{})\"></i><span>≥ {ERROR_FULL_SCALE}</span></div>",
         stops.join(",")
     );
     for item in gallery {

@@ -16,6 +16,7 @@ pub mod density_log;
 pub mod gallery;
 pub mod html;
 pub mod metrics;
+mod panels;
 pub mod record;
 mod settings;
 pub mod svg;
@@ -26,9 +27,8 @@ pub use density_log::{DensityRow, DensityWriter, read_density};
 pub use gallery::{GalleryItem, error_map};
 pub use html::write_report;
 pub use metrics::{MetricsRow, MetricsWriter, read_rows};
-pub use crate::plan::{Item as PlanItem, Plan as PlanRecord};
 pub use record::{
-    DatasetRecord, DeviceRecord, FinalRecord, PlanItem, PlanRecord, RunRecord, StageRecord,
+    DatasetRecord, DeviceRecord, FinalRecord, RunRecord, StageRecord,
     ViewScore,
 };
 

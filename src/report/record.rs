@@ -2,6 +2,7 @@
 
 use super::write_atomic;
 use crate::config::TrainConfig;
+use crate::plan::Plan;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -38,24 +39,6 @@ pub struct DeviceRecord {
     pub platform: String,
     /// Driver version.
     pub driver: String,
-}
-
-/// One decision of the plan.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct PlanItem {
-    /// The stage, feature or buffer.
-    pub what: String,
-    /// The reason.
-    pub why: String,
-}
-
-/// What the scene needs of the pipeline, and what was left out because it does not.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct PlanRecord {
-    /// Parts in use.
-    pub kept: Vec<PlanItem>,
-    /// Parts left out.
-    pub left_out: Vec<PlanItem>,
 }
 
 /// Time spent in one stage over the run.
@@ -107,7 +90,7 @@ pub struct RunRecord {
     /// The device.
     pub device: DeviceRecord,
     /// What was kept and left out.
-    pub plan: PlanRecord,
+    pub plan: Plan,
     /// Iterations done.
     pub iterations: u32,
     /// Number of Gaussians.
@@ -138,7 +121,7 @@ impl RunRecord {
         config: TrainConfig,
         dataset: DatasetRecord,
         device: DeviceRecord,
-        plan: PlanRecord,
+        plan: Plan,
     ) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),

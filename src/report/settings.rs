@@ -50,21 +50,38 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
     for (name, value) in facts {
         let _ = write!(out, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
     }
-    out.push_str("</table>\n<h2>Options</h2><p class=note>Bold where not the default.</p><table>");
-    let defaults = flatten(&TrainConfig::default());
-    for (name, value) in flatten(&record.config) {
-        let default = defaults.iter().any(|d| d.0 == name && d.1 == value);
-        let class = if default { "dim" } else { "set" };
-        let (name, value) = (escape(&name), escape(&value));
-        let _ = write!(
-            out,
-            "<tr class={class}><th>{name}</th><td>{value}</td></tr>"
-        );
-    }
     out.push_str("</table>\n");
+    options(out, &record.config);
 }
 
-/// Every option with its dotted name, in the order of the configuration file.
+/// The options that were set, and the list of all.
+fn options(out: &mut String, config: &TrainConfig) {
+    let table = |out: &mut String, options: &[(String, String)]| {
+        out.push_str("<table>");
+        for (name, value) in options {
+            let (name, value) = (escape(name), escape(value));
+            let _ = write!(out, "<tr><th>{name}</th><td>{value}</td></tr>");
+        }
+        out.push_str("</table>");
+    };
+    let (all, defaults) = (flatten(config), flatten(&TrainConfig::default()));
+    let set: Vec<_> = all
+        .iter()
+        .filter(|o| !defaults.contains(o))
+        .cloned()
+        .collect();
+    out.push_str("<h2>Options that differ from the defaults</h2>");
+    if set.is_empty() {
+        out.push_str("<p class=note>None.</p>");
+    } else {
+        table(out, &set);
+    }
+    let _ = write!(out, "<details><summary>All {} options</summary>", all.len());
+    table(out, &all);
+    out.push_str("</details>\n");
+}
+
+/// Every option with its dotted name, sorted by name.
 fn flatten(config: &TrainConfig) -> Vec<(String, String)> {
     // By way of text, which spells an f32 as it was typed (0.2), where serde_json's own values widen it.
     let value = serde_json::to_string(config)
@@ -94,73 +111,55 @@ fn walk(out: &mut Vec<(String, String)>, name: &str, value: &Value) {
 fn command(record: &RunRecord, run_dir: &Path) -> String {
     let (c, d) = (&record.config, TrainConfig::default());
     let mut line = format!("mhsplat train {}", quoted(&record.dataset.path));
-    let mut flag = |set: bool, name: &str, value: String| {
-        if set {
-            let _ = write!(line, " --{name} {}", quoted(&value));
+    let mut flag = |name: &str, value: String| {
+        let _ = write!(line, " --{name} {}", quoted(&value));
+    };
+    if c.loss != d.loss || c.optimizer != d.optimizer || c.mh != d.mh {
+        flag("config", run_dir.join(RECORD_FILE).display().to_string());
+    }
+    if c.sampler != d.sampler {
+        flag("sampler", plain(&c.sampler));
+    }
+    for ((name, value), (_, default)) in numbers(c).into_iter().zip(numbers(&d)) {
+        if value != default {
+            flag(name, value.to_string());
         }
-    };
-    let flagless = c.loss != d.loss || c.optimizer != d.optimizer || c.mh != d.mh;
-    flag(
-        flagless,
-        "config",
-        run_dir.join(RECORD_FILE).display().to_string(),
-    );
-    flag(c.sampler != d.sampler, "sampler", plain(&c.sampler));
-    flag(
-        c.iterations != d.iterations,
-        "iterations",
-        c.iterations.to_string(),
-    );
+    }
     if let Some(seconds) = c.time_budget {
-        flag(true, "time-budget", format!("{seconds}s"));
+        flag("time-budget", format!("{seconds}s"));
     }
-    flag(c.max_size != d.max_size, "max-size", c.max_size.to_string());
     if let Some(most) = c.max_gaussians {
-        flag(true, "max-gaussians", most.to_string());
+        flag("max-gaussians", most.to_string());
     }
-    flag(
-        c.sh_degree != d.sh_degree,
-        "sh-degree",
-        c.sh_degree.to_string(),
-    );
-    flag(c.seed != d.seed, "seed", c.seed.to_string());
-    flag(
-        c.eval_every != d.eval_every,
-        "eval-every",
-        c.eval_every.to_string(),
-    );
-    flag(
-        c.test_every != d.test_every,
-        "test-every",
-        c.test_every.to_string(),
-    );
-    flag(
-        c.export_every != d.export_every,
-        "export-every",
-        c.export_every.to_string(),
-    );
-    let every = c.checkpoint_every;
-    flag(
-        every != d.checkpoint_every,
-        "checkpoint-every",
-        every.to_string(),
-    );
-    let init = match &c.init {
-        Init::File(path) => path.display().to_string(),
-        other => plain(other),
-    };
-    flag(c.init != d.init, "init", init);
-    let background = match c.background {
-        Background::Color([r, g, b]) => format!("{r},{g},{b}"),
-        other => plain(&other),
-    };
-    flag(c.background != d.background, "background", background);
-    flag(
-        !record.device.name.is_empty(),
-        "device",
-        record.device.name.clone(),
-    );
+    match &c.init {
+        init if *init == d.init => {}
+        Init::File(path) => flag("init", path.display().to_string()),
+        init => flag("init", plain(init)),
+    }
+    match c.background {
+        background if background == d.background => {}
+        Background::Color([r, g, b]) => flag("background", format!("{r},{g},{b}")),
+        background => flag("background", plain(&background)),
+    }
+    if !record.device.name.is_empty() {
+        flag("device", record.device.name.clone());
+    }
     line
+}
+
+/// The flags that take a whole number.
+fn numbers(config: &TrainConfig) -> [(&'static str, u64); 8] {
+    [
+        ("iterations", config.iterations.into()),
+        ("max-size", config.max_size.into()),
+        ("sh-degree", config.sh_degree.into()),
+        ("seed", config.seed),
+        // None is the default, which is never printed.
+        ("eval-every", config.eval_every.map_or(u64::MAX, u64::from)),
+        ("test-every", config.test_every.into()),
+        ("export-every", config.export_every.into()),
+        ("checkpoint-every", config.checkpoint_every.into()),
+    ]
 }
 
 /// The name of a unit variant, as typed.

@@ -8,10 +8,10 @@ use super::html::escape;
 use std::fmt::Write;
 
 const WIDTH: f64 = 380.0;
-const HEIGHT: f64 = 216.0;
+const HEIGHT: f64 = 226.0;
 const LEFT: f64 = 44.0;
 const RIGHT: f64 = 14.0;
-const TOP: f64 = 10.0;
+const TOP: f64 = 24.0;
 const BOTTOM: f64 = 38.0;
 /// Above this many points a series is drawn without marks.
 const MARKED: usize = 24;
@@ -220,6 +220,7 @@ pub fn line_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Series<'_>]
         out.push_str("</figcaption><p class=none>no data</p></figure>\n");
         return out;
     };
+    out.push_str("<div>");
     for (index, (line, series)) in lines.iter().zip(series).enumerate() {
         let last = line.last().map(|p| laid_y.value_label(p.1));
         let last = last.unwrap_or_else(|| "no data".to_owned());
@@ -232,7 +233,7 @@ pub fn line_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Series<'_>]
     }
     let _ = write!(
         out,
-        "</figcaption><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">",
+        "</div></figcaption><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">",
         escape(title)
     );
     grid(&mut out, &laid_x, &laid_y);
@@ -282,9 +283,11 @@ fn grid(out: &mut String, x: &Laid<'_>, y: &Laid<'_>) {
     let _ = write!(
         out,
         "<path class=\"grid\" d=\"{path}\"/><path class=\"axis\" d=\"M{left} {top}V{bottom}H{right}\"/>{labels}\
-         <text x=\"{right}\" y=\"{}\" text-anchor=\"end\" class=\"name\">{}</text>",
+         <text x=\"{right}\" y=\"{}\" text-anchor=\"end\" class=\"name\">{}</text>\
+         <text x=\"4\" y=\"12\" class=\"name\">{}</text>",
         HEIGHT - 5.0,
-        x.title()
+        x.title(),
+        y.title()
     );
 }
 
@@ -348,7 +351,7 @@ fn thin(line: &[(f64, f64)]) -> Vec<(f64, f64)> {
 pub fn bar_chart(title: &str, bars: &[Bar]) -> String {
     const ROW: f64 = 24.0;
     const NAMES: f64 = 104.0;
-    const TEXTS: f64 = 104.0;
+    const TEXTS: f64 = 120.0;
     let title = escape(title);
     let mut out = format!("<figure class=\"chart bars\"><figcaption>{title}</figcaption>");
     let good: Vec<&Bar> = bars

@@ -1,0 +1,304 @@
+//! The report page and its charts.
+
+use super::samples::*;
+use mhsplat::config::{Init, TrainConfig};
+use mhsplat::error::Error;
+use mhsplat::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
+use mhsplat::report::html::{escape, grouped, span};
+use mhsplat::report::svg::{Axis, Bar, Scale, Series, bar_chart, line_chart, ticks};
+use mhsplat::plan::{Item, Plan};
+use mhsplat::report::*;
+use std::path::Path;
+
+/// Tag names left open, or the first thing that is wrong: enough of a parser for a page that spells every tag out.
+fn check_tags(text: &str) -> Result<(), String> {
+    let (mut open, mut rest): (Vec<String>, &str) = (Vec::new(), text);
+    while let Some(start) = rest.find('<') {
+        let end = rest[start..].find('>').ok_or("a tag without an end")? + start;
+        let tag = &rest[start + 1..end];
+        rest = &rest[end + 1..];
+        if tag.contains('<') || tag.matches('"').count() % 2 == 1 {
+            return Err(format!("broken tag <{tag}>"));
+        }
+        let name: String = tag.chars().take_while(|c| !c.is_whitespace()).collect();
+        if tag.starts_with('!') || tag.ends_with('/') {
+            continue;
+        } else if let Some(name) = name.strip_prefix('/') {
+            let last = open.pop();
+            if last.as_deref() != Some(name) {
+                return Err(format!("</{name}> closes {last:?}"));
+            }
+        } else {
+            if name == "style" {
+                rest = &rest[rest.find("</style>").ok_or("style never ends")?..];
+            }
+            open.push(name);
+        }
+    }
+    match open.is_empty() {
+        true => Ok(()),
+        false => Err(format!("left open: {open:?}")),
+    }
+}
+
+fn page(
+    record: &RunRecord,
+    rows: &[MetricsRow],
+    density: &[DensityRow],
+    views: &[GalleryItem],
+) -> String {
+    let dir = tempfile::tempdir().unwrap();
+    write_report(dir.path(), record, rows, density, views).unwrap();
+    let text = std::fs::read_to_string(dir.path().join("report.html")).unwrap();
+    check_tags(&text).unwrap();
+    // Nothing but the page itself is left in the folder.
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    text
+}
+
+const X: Axis<'static> = Axis {
+    label: "x",
+    unit: "",
+    scale: Scale::Number,
+    from_zero: false,
+};
+
+fn chart(points: Vec<(f64, f64)>) -> String {
+    let text = line_chart("t", &X, &X, &[Series { name: "", points }]);
+    check_tags(&text).unwrap();
+    assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
+    text
+}
+
+#[test]
+fn tag_checker_finds_what_is_wrong() {
+    assert!(check_tags("<p>a<br/></p>").is_ok());
+    for bad in [
+        "<p>a",
+        "<p><b></p></b>",
+        "</p>",
+        "<p a=\"1>b</p>",
+        "<p",
+        "<p <b></b></p>",
+    ] {
+        assert!(check_tags(bad).is_err(), "{bad}");
+    }
+}
+
+#[test]
+fn page_shows_the_run() {
+    let views = [view("IMG_0008.jpg", 0.0), view("IMG_0016.jpg", 1.3)];
+    let text = page(&record(), &rows(), &density(), &views);
+    // For looking at the page: MHSPLAT_KEEP_REPORT names a folder to write it to.
+    if let Some(dir) = std::env::var_os("MHSPLAT_KEEP_REPORT") {
+        write_report(Path::new(&dir), &record(), &rows(), &density(), &views).unwrap();
+    }
+    let shown = [
+        "27.31",
+        "0.8712",
+        "412\u{202f}345",
+        "23 min 53 s",
+        "<dd>45 <small>min</small> 15 <small>s</small></dd>",
+        "AMD EPYC",
+        "alpha loss",
+        "no photo has an alpha channel",
+        "IMG_0016.jpg",
+        "PSNR against time",
+        "SSIM against iterations",
+        "Gaussians against time",
+        "Acceptance",
+        "coarse",
+        "fine",
+        "splat_grad",
+        "IMG_0008.jpg",
+        "mhsplat train scenes/plush --iterations 7000 --seed 18446744073709551615 --time-budget 600s --init &#39;a b/scene.ply&#39; --background white",
+    ];
+    for text_shown in shown {
+        assert!(text.contains(text_shown), "{text_shown}");
+    }
+    assert_eq!(text.matches("src=\"data:image/png;base64,").count(), 6);
+    assert_eq!(text.matches("src=").count(), 6);
+    for reference in ["http://", "https://", "url(", "@import", "<script", "<link"] {
+        assert!(!text.contains(reference), "{reference}");
+    }
+    assert!(text.contains("width=device-width") && text.contains("prefers-color-scheme:dark"));
+    let bytes = page(&record(), &rows(), &density(), &[]).len();
+    assert!(bytes < 40_000, "{bytes} bytes without images");
+}
+
+#[test]
+fn page_of_an_empty_run() {
+    let empty = RunRecord::new(
+        TrainConfig::default(),
+        DatasetRecord::default(),
+        DeviceRecord::default(),
+        Plan::default(),
+    );
+    let text = page(&empty, &[], &[], &[]);
+    assert!(text.contains("no data") && text.contains("not measured"));
+    assert!(!text.contains("NaN"));
+    let one = page(&record(), &rows()[..1], &density()[..1], &[]);
+    assert!(one.contains("<circle"));
+}
+
+#[test]
+fn page_escapes_every_string() {
+    let evil = "<b a=\"x\">&'\u{7}";
+    let mut record = record();
+    record.dataset.path = format!("dir/{evil}");
+    record.dataset.layout = evil.into();
+    record.device = DeviceRecord {
+        name: evil.into(),
+        vendor: evil.into(),
+        platform: evil.into(),
+        driver: evil.into(),
+    };
+    (record.version, record.commit) = (evil.into(), evil.into());
+    record.plan.kept.push(item(evil, evil));
+    record.plan.left_out.push(item(evil, evil));
+    record.stages[0].name = evil.into();
+    record.config.init = Init::File(evil.into());
+    record.final_scores.as_mut().unwrap().per_view[0].view = evil.into();
+    let text = page(&record, &rows(), &density(), &[view(evil, 0.0)]);
+    assert!(!text.contains("<b a") && !text.contains('\u{7}'));
+    let escaped = "&lt;b a=&quot;x&quot;&gt;&amp;&#39;\u{fffd}";
+    assert!(
+        text.matches(escaped).count() >= 15,
+        "{}",
+        text.matches(escaped).count()
+    );
+    assert_eq!(escape(evil), escaped);
+}
+
+#[test]
+fn page_refuses_images_of_another_size() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut bad = view("v", 0.0);
+    bad.photo.pop();
+    let found = write_report(dir.path(), &record(), &[], &[], &[bad]);
+    assert!(matches!(found, Err(Error::Numerics { .. })));
+    assert!(data_uri("v", &[], 0, 0).is_err());
+    assert!(data_uri("v", &[0; 6], 1, 1).is_err());
+    assert!(error_map(&[0; 6], &[0; 3]).is_err() && error_map(&[0; 4], &[0; 4]).is_err());
+}
+
+#[test]
+fn large_images_are_reduced() {
+    use base64::Engine;
+    let uri = data_uri("v", &vec![90; 1300 * 650 * 3], 1300, 650).unwrap();
+    let png = uri.strip_prefix("data:image/png;base64,").unwrap();
+    let png = base64::engine::general_purpose::STANDARD
+        .decode(png)
+        .unwrap();
+    let image = image::load_from_memory(&png).unwrap().to_rgb8();
+    assert_eq!(image.dimensions(), (640, 320));
+    assert_eq!(image.get_pixel(7, 7).0, [90; 3]);
+}
+
+#[test]
+fn error_map_follows_the_scale() {
+    // Per channel 51 of 255 is 0.2, the full scale; 30, 60 and 63 have the same mean.
+    assert_eq!(ERROR_FULL_SCALE, 0.2);
+    let map = error_map(
+        &[0, 0, 0, 30, 60, 63, 9, 9, 9, 255, 0, 255],
+        &[51, 51, 51, 0, 0, 0, 9, 9, 9, 0, 255, 0],
+    )
+    .unwrap();
+    let pixels: Vec<_> = map.chunks(3).collect();
+    assert_eq!(
+        pixels,
+        [colormap(1.0), colormap(1.0), colormap(0.0), colormap(1.0)]
+    );
+    // Lightness rises all along, so that the map reads in grey: luminance of sRGB (IEC 61966-2-1).
+    let linear = |v: u8| match f64::from(v) / 255.0 {
+        v if v <= 0.04045 => v / 12.92,
+        v => ((v + 0.055) / 1.055).powf(2.4),
+    };
+    let luminance = |t: f64| {
+        let [r, g, b] = colormap(t).map(linear);
+        0.2126 * r + 0.7152 * g + 0.0722 * b
+    };
+    for i in 0..50 {
+        let t = f64::from(i) / 50.0;
+        assert!(luminance(t + 0.02) > luminance(t), "{t}");
+    }
+    assert_eq!(colormap(f64::NAN), colormap(1.0));
+    assert_eq!(colormap(-3.0), colormap(0.0));
+}
+
+#[test]
+fn ticks_are_round_and_frame_the_data() {
+    let t = ticks(13.2, 27.3, 4, true).unwrap();
+    assert_eq!((t.low, t.high, t.step), (10.0, 30.0, 5.0));
+    assert_eq!(t.at, [10.0, 15.0, 20.0, 25.0, 30.0]);
+    assert_eq!(ticks(0.0, 0.0, 4, true).unwrap().high, 1.0);
+    for (low, high) in [
+        (0.0, 1e-300),
+        (1e300, 1.1e300),
+        (5.0, 5.0),
+        (-3.0, -3.0),
+        (1e15, 1e15 + 1.0),
+        (-1e-9, 7.3e8),
+    ] {
+        let t = ticks(low, high, 5, false).unwrap();
+        assert!(t.low <= low && t.high >= high && t.low < t.high, "{t:?}");
+        assert!((1..=12).contains(&t.at.len()), "{t:?}");
+        assert!(t.at.windows(2).all(|w| w[0] < w[1]), "{t:?}");
+    }
+    assert!(ticks(f64::NAN, f64::NAN, 4, true).is_none());
+    assert!(ticks(f64::MIN, f64::MAX, 4, true).is_none());
+    assert!(ticks(f64::INFINITY, f64::NEG_INFINITY, 4, true).is_none());
+}
+
+#[test]
+fn charts_take_any_data() {
+    assert!(chart(vec![]).contains("no data"));
+    assert!(chart(vec![(f64::NAN, 1.0), (1.0, f64::INFINITY)]).contains("no data"));
+    assert_eq!(chart(vec![(3.0, 4.0)]).matches("<circle").count(), 1);
+    let gap = chart(vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 3.0)]);
+    assert_eq!(gap.matches("<circle").count(), 2);
+    // The two ends of a rising line lie at the lower left and the upper right (SVG's y points down).
+    assert!(chart(vec![(0.0, 0.0), (1.0, 1.0)]).contains("points=\"44,188 366,24\""));
+    assert!(chart(vec![(-1e300, 1e300), (1e300, -1e300)]).contains("<polyline"));
+    let bar = |value| Bar {
+        name: "a very long name of a stage".into(),
+        value,
+        text: "<1>".into(),
+    };
+    let bars = bar_chart("t", &[bar(1.0), bar(0.0), bar(f64::NAN)]);
+    check_tags(&bars).unwrap();
+    assert_eq!(bars.matches("<rect").count(), 2);
+    assert!(bar_chart("t", &[bar(f64::NAN)]).contains("no data"));
+}
+
+#[test]
+fn long_series_are_thinned_and_keep_their_peaks() {
+    let mut points: Vec<_> = (0..100_000).map(|i| (f64::from(i), 0.0)).collect();
+    points[54_321].1 = 8.0;
+    let text = chart(points);
+    assert!(text.len() < 12_000, "{}", text.len());
+    assert!(
+        text.contains(",24 "),
+        "the peak at the top of the frame is drawn"
+    );
+}
+
+#[test]
+fn numbers_read_well() {
+    assert_eq!(grouped(0), "0");
+    assert_eq!(grouped(999), "999");
+    assert_eq!(grouped(1_234_567), "1\u{202f}234\u{202f}567");
+    let spans = [
+        (0.0, "0.00 s"),
+        (119.4, "119.4 s"),
+        (119.96, "2 min 00 s"),
+        (185.2, "3 min 05 s"),
+        (7199.7, "2 h 00 min"),
+        (4e5, "111 h 06 min"),
+        (f64::NAN, "–"),
+        (-1.0, "–"),
+    ];
+    for (seconds, text) in spans {
+        assert_eq!(span(seconds), text);
+    }
+}
