@@ -7,8 +7,11 @@ use crate::stage::adam::LearningRates;
 /// Iterations that the papers' schedules are written for.
 const PAPER_ITERATIONS: f64 = 30_000.0;
 
-/// A run has at least this many density steps, however short it is.
+/// A run has this many density steps, however short it is, unless they would be closer than [`LEAST_INTERVAL`].
 const LEAST_DENSITY_STEPS: u32 = 15;
+
+/// Iterations that new Gaussians are given before the next step judges them.
+const LEAST_INTERVAL: u32 = 25;
 
 /// The schedules of one run.
 #[derive(Debug, Clone)]
@@ -70,7 +73,7 @@ impl Schedule {
     pub fn density_interval(&self) -> u32 {
         let [from, until] = self.density_span();
         let least = until.saturating_sub(from) / LEAST_DENSITY_STEPS;
-        self.config.mh.interval.min(least).max(1)
+        self.config.mh.interval.min(least.max(LEAST_INTERVAL))
     }
 
     /// Progress η of density control if a step is due after `done` iterations.

@@ -6,6 +6,7 @@ mod output;
 mod render;
 mod scene;
 
+mod synth;
 mod train;
 mod verify;
 
@@ -40,6 +41,8 @@ enum Command {
     Render(render::RenderArgs),
     /// List every OpenCL platform and device.
     Devices,
+    /// Make a seeded scene with known truth.
+    Synth(synth::SynthArgs),
     /// Check every stage on a device against the f64 reference.
     Verify(verify::VerifyArgs),
 }
@@ -71,6 +74,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Command::Eval(args) => eval::run(&args, &common),
         Command::Render(args) => render::run(&args, &common),
         Command::Devices => devices::run(&common),
+        Command::Synth(args) => synth::run(&args, &common),
         Command::Verify(args) => verify::run(&args, &common),
     }
 }

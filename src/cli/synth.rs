@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use mhsplat::error::{Error, Result};
-use mhsplat::synthetic::{SynthLayout, SynthOptions, generate};
+use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
 
 use super::{Common, Outcome, output};
 
@@ -47,7 +47,7 @@ pub struct SynthArgs {
 
 /// Makes the scene.
 pub fn run(args: &SynthArgs, common: &Common) -> Result<Outcome> {
-    let mut options = SynthOptions::for_scene(&args.name)?;
+    let mut options = SynthOptions::for_scene(&args.name);
     if let Some(layout) = args.layout {
         options.layout = match layout {
             LayoutFlag::Colmap => SynthLayout::Colmap,

@@ -5,6 +5,7 @@ pub mod colmap;
 pub mod frame;
 mod load;
 pub mod photo;
+pub mod synthetic;
 pub mod transforms;
 
 pub use camera::Camera;

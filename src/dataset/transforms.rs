@@ -3,34 +3,27 @@
 use std::path::{Component, Path, PathBuf};
 
 use glam::{DMat3, DVec3};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use super::Camera;
 use crate::error::{Error, Result};
 
 /// Intrinsics, for the whole file or for one frame.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Deserialize)]
 pub struct Intrinsics {
     /// Focal length x, pixels.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub fl_x: Option<f64>,
     /// Focal length y, pixels (fl_x where absent).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub fl_y: Option<f64>,
     /// Principal point x, pixels (the middle where absent).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub cx: Option<f64>,
     /// Principal point y, pixels (the middle where absent).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub cy: Option<f64>,
     /// Width that the intrinsics are meant for, pixels (the image's where absent).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub w: Option<f64>,
     /// Height, likewise.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub h: Option<f64>,
     /// Horizontal field of view, radians.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub camera_angle_x: Option<f64>,
     /// Lens distortion and anything else.
     #[serde(flatten)]
@@ -38,7 +31,7 @@ pub struct Intrinsics {
 }
 
 /// One image.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 pub struct Frame {
     /// Path relative to the JSON file, with or without its extension.
     pub file_path: String,
@@ -50,12 +43,11 @@ pub struct Frame {
 }
 
 /// A transforms file.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 pub struct Transforms {
     /// Images.
     pub frames: Vec<Frame>,
     /// Sparse points, a PLY file.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub ply_file_path: Option<String>,
     /// Intrinsics of all frames.
     #[serde(flatten)]
@@ -177,13 +169,4 @@ pub fn inside(folder: &Path, relative: &str) -> Result<()> {
         ));
     }
     Ok(())
-}
-
-/// Writes a transforms file.
-///
-/// # Errors
-/// [`Error::Io`].
-pub fn write(path: &Path, transforms: &Transforms) -> Result<()> {
-    let text = serde_json::to_string_pretty(transforms).map_err(|e| Error::io(path, e.into()))?;
-    std::fs::write(path, text).map_err(|e| Error::io(path, e))
 }
