@@ -56,10 +56,14 @@ fn density(c: &mut Criterion) {
         max_gaussians: None,
     };
     let mut mh = MetropolisHastings::new(&MhConfig::default());
-    println!("{:?}", mh.step(&context, &scene, &cues).unwrap().stats);
     group.bench_function("whole step 1M, 20,500 draws", |b| {
         b.iter(|| mh.step(black_box(&context), &scene, &cues).unwrap().len);
     });
+    group.finish();
+}
+
+fn relocation(c: &mut Criterion) {
+    let mut group = c.benchmark_group("relocation");
     group.bench_function("split, 3 copies", |b| {
         b.iter(|| split(black_box(0.3), black_box(3)));
     });
@@ -69,5 +73,5 @@ fn density(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, density);
+criterion_group!(benches, density, relocation);
 criterion_main!(benches);

@@ -79,7 +79,9 @@ impl<R: Real> Scene<R> {
     /// # Errors
     /// The driver's, or non-finite parameters.
     pub fn download(&self) -> Result<Splats> {
-        let planes = (0..self.planes()).map(|p| self.plane(p)).collect::<Result<_>>()?;
+        let planes = (0..self.planes())
+            .map(|p| self.plane(p))
+            .collect::<Result<_>>()?;
         Splats::new(self.sh_degree, planes)
     }
 
@@ -243,8 +245,10 @@ impl<R: Real> ViewSet<R> {
     /// # Errors
     /// More than the device can allocate.
     pub fn upload(device: &Device, views: &[View]) -> Result<Self> {
-        let cameras: Vec<CameraArg<R>> =
-            views.iter().map(|v| CameraArg::new(&v.camera, NEAR)).collect();
+        let cameras: Vec<CameraArg<R>> = views
+            .iter()
+            .map(|v| CameraArg::new(&v.camera, NEAR))
+            .collect();
         let photos = views
             .iter()
             .map(|v| Array::from_slice(device, "photo", &v.photo.data))

@@ -2,7 +2,12 @@
 //!
 //! [MH] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); [3DGS] = Kerbl et al. 2023; [MCMC] = Kheradmand et al. 2024.
 
+mod values;
+
 use serde::{Deserialize, Serialize};
+
+use values::duration_or_number;
+pub use values::{Background, Init, parse_duration};
 
 use crate::error::{Error, Result};
 
@@ -16,158 +21,6 @@ pub enum Sampler {
     Mh,
     /// A fixed set of Gaussians.
     None,
-}
-
-/// Where the first Gaussians come from; written `points`, `random` or the path of a PLY file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(try_from = "String", into = "String")]
-#[non_exhaustive]
-pub enum Init {
-    /// One Gaussian per sparse point; random where the dataset has none.
-    #[default]
-    Points,
-    /// Random points in the cameras' bounding box.
-    Random,
-    /// A PLY file with 3DGS properties, in the dataset's own frame.
-    File(std::path::PathBuf),
-}
-
-impl std::str::FromStr for Init {
-    type Err = Error;
-    fn from_str(s: &str) -> Result<Self> {
-        match s {
-            "points" => Ok(Self::Points),
-            "random" => Ok(Self::Random),
-            path if path.to_lowercase().ends_with(".ply") => Ok(Self::File(path.into())),
-            other => Err(Error::config(
-                "--init",
-                format!("{other:?}; points, random or a .ply file expected"),
-            )),
-        }
-    }
-}
-
-impl TryFrom<String> for Init {
-    type Error = Error;
-    fn try_from(s: String) -> Result<Self> {
-        s.parse()
-    }
-}
-
-impl From<Init> for String {
-    fn from(v: Init) -> Self {
-        match v {
-            Init::Points => "points".into(),
-            Init::Random => "random".into(),
-            Init::File(path) => path.to_string_lossy().into_owned(),
-        }
-    }
-}
-
-/// What lies behind the scene; written `black`, `white`, `random` or `R,G,B`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
-#[serde(try_from = "String", into = "String")]
-#[non_exhaustive]
-pub enum Background {
-    /// (0, 0, 0).
-    #[default]
-    Black,
-    /// (1, 1, 1).
-    White,
-    /// A new colour each iteration; black when evaluating.
-    Random,
-    /// RGB in [0, 1].
-    Color([f32; 3]),
-}
-
-impl std::str::FromStr for Background {
-    type Err = Error;
-    fn from_str(s: &str) -> Result<Self> {
-        let wrong = || {
-            Error::config(
-                "--background",
-                format!("{s:?}; black, white, random or R,G,B in 0 to 1 expected"),
-            )
-        };
-        match s {
-            "black" => Ok(Self::Black),
-            "white" => Ok(Self::White),
-            "random" => Ok(Self::Random),
-            _ => {
-                let parts: Vec<f32> = s
-                    .split(',')
-                    .map(|v| v.trim().parse().map_err(|_| wrong()))
-                    .collect::<Result<_>>()?;
-                let rgb: [f32; 3] = parts.try_into().map_err(|_| wrong())?;
-                if rgb.iter().all(|v| (0.0..=1.0).contains(v)) {
-                    Ok(Self::Color(rgb))
-                } else {
-                    Err(wrong())
-                }
-            }
-        }
-    }
-}
-
-impl TryFrom<String> for Background {
-    type Error = Error;
-    fn try_from(s: String) -> Result<Self> {
-        s.parse()
-    }
-}
-
-impl From<Background> for String {
-    fn from(v: Background) -> Self {
-        match v {
-            Background::Black => "black".into(),
-            Background::White => "white".into(),
-            Background::Random => "random".into(),
-            Background::Color([r, g, b]) => format!("{r},{g},{b}"),
-        }
-    }
-}
-
-/// Seconds from `90`, `90s`, `10m`, `1.5h` or `1h30m`.
-///
-/// # Errors
-/// Anything else, or a time that is not positive.
-pub fn parse_duration(s: &str) -> Result<f64> {
-    let wrong = || Error::config("--time-budget", format!("{s:?}; a time like 90s, 10m or 1h30m expected"));
-    let mut total = 0.0;
-    let mut number = String::new();
-    for c in s.trim().chars() {
-        let unit = match c {
-            '0'..='9' | '.' => {
-                number.push(c);
-                continue;
-            }
-            's' => 1.0,
-            'm' => 60.0,
-            'h' => 3600.0,
-            _ => return Err(wrong()),
-        };
-        total += unit * number.parse::<f64>().map_err(|_| wrong())?;
-        number.clear();
-    }
-    if !number.is_empty() {
-        total += number.parse::<f64>().map_err(|_| wrong())?;
-    }
-    if total > 0.0 { Ok(total) } else { Err(wrong()) }
-}
-
-/// `time-budget` as a number of seconds or as [`parse_duration`] reads it.
-fn duration_or_number<'de, D: serde::Deserializer<'de>>(d: D) -> std::result::Result<Option<f64>, D::Error> {
-    #[derive(Deserialize)]
-    #[serde(untagged)]
-    enum Either {
-        Number(f64),
-        Text(String),
-    }
-    Ok(match Option::<Either>::deserialize(d)? {
-        None => None,
-        Some(Either::Number(v)) => Some(v),
-        Some(Either::Text(s)) => Some(parse_duration(&s).map_err(serde::de::Error::custom)?),
-    })
 }
 
 /// Form of the acceptance ratio ρ; D = 1/(1 + λ_v·c) is the voxel prior's factor.
@@ -380,10 +233,16 @@ impl TrainConfig {
             return fail("--iterations", "0; at least 1 expected".into());
         }
         if self.sh_degree > 3 {
-            return fail("--sh-degree", format!("{}; 0 to 3 expected", self.sh_degree));
+            return fail(
+                "--sh-degree",
+                format!("{}; 0 to 3 expected", self.sh_degree),
+            );
         }
         if self.max_size < 16 || self.max_size > 65_535 {
-            return fail("--max-size", format!("{}; 16 to 65535 expected", self.max_size));
+            return fail(
+                "--max-size",
+                format!("{}; 16 to 65535 expected", self.max_size),
+            );
         }
         if self.max_gaussians == Some(0) {
             return fail("--max-gaussians", "0; at least 1 expected".into());
@@ -400,17 +259,34 @@ impl TrainConfig {
         }
         let o = &self.optimizer;
         let rates = [
-            o.lr_position, o.lr_position_final, o.lr_sh0, o.lr_sh, o.lr_opacity, o.lr_scale, o.lr_rotation,
+            o.lr_position,
+            o.lr_position_final,
+            o.lr_sh0,
+            o.lr_sh,
+            o.lr_opacity,
+            o.lr_scale,
+            o.lr_rotation,
         ];
         if !rates.iter().all(|v| v.is_finite() && *v >= 0.0) {
-            return fail("optimizer", "a learning rate that is negative or not finite".into());
+            return fail(
+                "optimizer",
+                "a learning rate that is negative or not finite".into(),
+            );
         }
         if !((0.0..1.0).contains(&o.beta1) && (0.0..1.0).contains(&o.beta2) && o.epsilon > 0.0) {
-            return fail("optimizer", "beta1 and beta2 in [0, 1) and epsilon > 0 expected".into());
+            return fail(
+                "optimizer",
+                "beta1 and beta2 in [0, 1) and epsilon > 0 expected".into(),
+            );
         }
         let l = &self.loss;
-        if !(0.0..=1.0).contains(&l.lambda_ssim) || !(l.lambda_opacity >= 0.0 && l.lambda_scale >= 0.0) {
-            return fail("loss", "lambda-ssim in [0, 1] and other weights >= 0 expected".into());
+        if !(0.0..=1.0).contains(&l.lambda_ssim)
+            || !(l.lambda_opacity >= 0.0 && l.lambda_scale >= 0.0)
+        {
+            return fail(
+                "loss",
+                "lambda-ssim in [0, 1] and other weights >= 0 expected".into(),
+            );
         }
         self.mh.validate()
     }
@@ -418,13 +294,21 @@ impl TrainConfig {
 
 impl MhConfig {
     fn validate(&self) -> Result<()> {
-        let positive = [self.voxel_edge[0], self.voxel_edge[1]].iter().all(|v| v.is_finite() && *v > 0.0);
+        let positive = [self.voxel_edge[0], self.voxel_edge[1]]
+            .iter()
+            .all(|v| v.is_finite() && *v > 0.0);
         let spreads = self.coarse_spread.iter().chain(&self.fine_spread);
         if !positive || !spreads.into_iter().all(|v| v.is_finite() && *v >= 0.0) {
-            return Err(Error::config("mh", "voxel edges > 0 and spreads >= 0 expected"));
+            return Err(Error::config(
+                "mh",
+                "voxel edges > 0 and spreads >= 0 expected",
+            ));
         }
         if !(self.lambda_voxel.is_finite() && self.lambda_voxel >= 0.0) {
-            return Err(Error::config("mh.lambda-voxel", "a finite value >= 0 expected"));
+            return Err(Error::config(
+                "mh.lambda-voxel",
+                "a finite value >= 0 expected",
+            ));
         }
         if self.from_iteration >= self.until_iteration || self.interval == 0 {
             return Err(Error::config(

@@ -3,8 +3,8 @@
 use crate::buffers::{Scene, ViewSet};
 use crate::error::Result;
 use crate::gpu::{Array, Defines, Device, Kernels};
-use crate::report::ViewScore;
 use crate::render::{Quantity, RenderOptions, Renderer};
+use crate::report::ViewScore;
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::stage::metrics::Metrics;
 
@@ -29,7 +29,13 @@ impl Evaluator {
     /// # Errors
     /// A build failure, or more than the device can allocate.
     pub fn new(device: &Device, defines: Defines, views: ViewSet) -> Result<Self> {
-        let kernels = Kernels::new(device, Defines { has_alpha: views.has_alpha, ..defines });
+        let kernels = Kernels::new(
+            device,
+            Defines {
+                has_alpha: views.has_alpha,
+                ..defines
+            },
+        );
         let loss = Loss::new::<f32>(&kernels)?;
         let [w, h] = views.largest;
         let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
@@ -63,7 +69,11 @@ impl Evaluator {
         background: [f32; 3],
     ) -> Result<ViewScore> {
         let camera = &self.views.cameras[view];
-        let options = RenderOptions { sh_degree, background, quantity: Quantity::Color };
+        let options = RenderOptions {
+            sh_degree,
+            background,
+            quantity: Quantity::Color,
+        };
         renderer.render(scene, camera, &options)?;
         let size = size_of_image(camera);
         let pair = ImagePair {

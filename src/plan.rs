@@ -38,7 +38,10 @@ impl Plan {
         plan.decide(
             config.sh_degree > 0,
             "view-dependent colour",
-            &format!("SH degree {} asked for, one band at a time", config.sh_degree),
+            &format!(
+                "SH degree {} asked for, one band at a time",
+                config.sh_degree
+            ),
             "SH degree 0 asked for",
         );
         plan.decide(
@@ -68,15 +71,26 @@ impl Plan {
     }
 
     fn decide(&mut self, keep: bool, what: &str, why: &str, why_not: &str) {
-        let (list, why) = if keep { (&mut self.kept, why) } else { (&mut self.left_out, why_not) };
-        list.push(Item { what: what.into(), why: why.into() });
+        let (list, why) = if keep {
+            (&mut self.kept, why)
+        } else {
+            (&mut self.left_out, why_not)
+        };
+        list.push(Item {
+            what: what.into(),
+            why: why.into(),
+        });
     }
 
     /// One line for the terminal.
     #[must_use]
     pub fn summary(&self) -> String {
         let kept: Vec<&str> = self.kept.iter().map(|i| i.what.as_str()).collect();
-        let out: Vec<String> = self.left_out.iter().map(|i| format!("{}, because {}", i.what, i.why)).collect();
+        let out: Vec<String> = self
+            .left_out
+            .iter()
+            .map(|i| format!("{}, because {}", i.what, i.why))
+            .collect();
         if out.is_empty() {
             format!("plan: {}", kept.join(", "))
         } else {

@@ -83,7 +83,15 @@ impl<R: Real> Renderer<R> {
     pub fn new(device: &Device, defines: Defines, sh_degree: u32, gradients: bool) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let project = (0..=sh_degree)
-            .map(|d| Project::new::<R>(&Kernels::new(device, Defines { sh_degree: d, ..defines })))
+            .map(|d| {
+                Project::new::<R>(&Kernels::new(
+                    device,
+                    Defines {
+                        sh_degree: d,
+                        ..defines
+                    },
+                ))
+            })
             .collect::<Result<_>>()?;
         Ok(Self {
             device: device.clone(),
@@ -118,7 +126,8 @@ impl<R: Real> Renderer<R> {
     /// More than the device can allocate.
     pub fn fit(&mut self, scene: &Scene<R>, camera: &CameraArg<R>) -> Result<()> {
         self.frame.fit_gaussians(&self.device, scene.stride)?;
-        self.frame.fit_pairs(&self.device, 4 * scene.count.max(1024))?;
+        self.frame
+            .fit_pairs(&self.device, 4 * scene.count.max(1024))?;
         self.frame.fit_image(&self.device, camera)
     }
 
@@ -153,9 +162,11 @@ impl<R: Real> Renderer<R> {
             pair_counts: &f.pair_counts,
         })?;
         self.bin.visible(&f.keys, scene.count, &f.chunk_sums)?;
-        self.scan.totals(&f.chunk_sums, status, status::VISIBLE, scene.stride)?;
+        self.scan
+            .totals(&f.chunk_sums, status, status::VISIBLE, scene.stride)?;
         let [keys, visible] = [&f.visible_keys, &f.visible];
-        self.bin.compact(&f.keys, scene.count, &f.chunk_sums, &keys[0], &visible[0])?;
+        self.bin
+            .compact(&f.keys, scene.count, &f.chunk_sums, &keys[0], &visible[0])?;
         let by_depth = self.sort.run(&SortArgs {
             keys: [&keys[0], &keys[1]],
             values: [&visible[0], &visible[1]],
@@ -200,7 +211,8 @@ impl<R: Real> Renderer<R> {
             n_slot: status::PAIRS,
             bits: usize::BITS - tiles.leading_zeros(),
         })?;
-        self.bin.ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)?;
+        self.bin
+            .ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)?;
         self.splat.run(&self.lists(camera), options.background)
     }
 
@@ -287,7 +299,11 @@ impl<R: Real> Renderer<R> {
                 row..row + width
             })
         };
-        let take = |c: usize| cut(c).map(|i| padded[i].into() as f32).collect::<Vec<f32>>();
+        let take = |c: usize| {
+            cut(c)
+                .map(|i| padded[i].into() as f32)
+                .collect::<Vec<f32>>()
+        };
         Ok(Rendered {
             width,
             height,

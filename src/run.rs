@@ -86,14 +86,21 @@ impl Run {
         let trainer = Trainer::new(device, &dataset, &config, &splats)?;
         let metrics = MetricsWriter::create(dir.join("metrics.csv"))?;
         let density = DensityWriter::create(dir.join("density.csv"))?;
-        Self::assemble(dir, dataset, config, device, trainer, clock, metrics, density)
+        Self::assemble(
+            dir, dataset, config, device, trainer, clock, metrics, density,
+        )
     }
 
     /// Continues the run in `dir` from its checkpoint.
     ///
     /// # Errors
     /// No usable checkpoint, another dataset, or as [`Trainer::new`].
-    pub fn resume(dir: &Path, dataset: Dataset, config: TrainConfig, device: &Device) -> Result<Self> {
+    pub fn resume(
+        dir: &Path,
+        dataset: Dataset,
+        config: TrainConfig,
+        device: &Device,
+    ) -> Result<Self> {
         let saved = checkpoint::read(dir)?;
         let state = &saved.state;
         let mut trainer = Trainer::new(device, &dataset, &config, &state.splats)?;
@@ -101,7 +108,9 @@ impl Run {
         let clock = Clock::resume_from(saved.clock);
         let metrics = MetricsWriter::append(dir.join("metrics.csv"), state.iteration)?;
         let density = DensityWriter::append(dir.join("density.csv"), state.iteration)?;
-        Self::assemble(dir, dataset, config, device, trainer, clock, metrics, density)
+        Self::assemble(
+            dir, dataset, config, device, trainer, clock, metrics, density,
+        )
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -119,7 +128,11 @@ impl Run {
             None
         } else {
             let defines = Defines::new(Tuning::for_device(device.info()));
-            Some(Evaluator::new(device, defines, ViewSet::upload(device, &dataset.test)?)?)
+            Some(Evaluator::new(
+                device,
+                defines,
+                ViewSet::upload(device, &dataset.test)?,
+            )?)
         };
         let info = device.info();
         let size = |f: fn(&crate::dataset::Photo) -> u32| {
@@ -212,7 +225,9 @@ impl Run {
     }
 
     fn out_of_time(&self) -> bool {
-        self.config.time_budget.is_some_and(|t| self.clock.train_seconds() >= t)
+        self.config
+            .time_budget
+            .is_some_and(|t| self.clock.train_seconds() >= t)
     }
 
     /// What was planned, for the terminal.
@@ -243,7 +258,11 @@ impl Run {
         let means = mean(&scores);
         self.psnr = means.map(|(p, _)| p);
         if let Some((psnr, ssim)) = means {
-            self.record.final_scores = Some(FinalRecord { psnr, ssim, per_view: scores });
+            self.record.final_scores = Some(FinalRecord {
+                psnr,
+                ssim,
+                per_view: scores,
+            });
         }
         let now = self.clock.reading();
         let stats = *self.trainer.stats();
@@ -281,7 +300,11 @@ impl Run {
             .trainer
             .stage_times()
             .into_iter()
-            .map(|(name, t)| StageRecord { name: name.into(), seconds: t.seconds, calls: t.calls })
+            .map(|(name, t)| StageRecord {
+                name: name.into(),
+                seconds: t.seconds,
+                calls: t.calls,
+            })
             .collect();
         r.write(&self.dir)
     }
@@ -356,6 +379,10 @@ pub fn claim_folder(dir: &Path) -> Result<()> {
         ));
     }
     std::fs::create_dir_all(dir).map_err(|e| {
-        Error::input(dir, format!("cannot be made: {e}"), "choose a folder that can be written with -o")
+        Error::input(
+            dir,
+            format!("cannot be made: {e}"),
+            "choose a folder that can be written with -o",
+        )
     })
 }

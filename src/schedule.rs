@@ -65,7 +65,10 @@ impl Schedule {
     #[must_use]
     pub fn density_span(&self) -> [u32; 2] {
         let mh = &self.config.mh;
-        [self.scaled(mh.from_iteration), self.scaled(mh.until_iteration)]
+        [
+            self.scaled(mh.from_iteration),
+            self.scaled(mh.until_iteration),
+        ]
     }
 
     /// Iterations between two density steps: the paper's, or fewer where a short run would have less than 15 steps.
@@ -105,7 +108,8 @@ impl Schedule {
     fn permutation(&self, epoch: u32, views: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..views.max(1)).collect();
         for i in (1..order.len()).rev() {
-            let u = Philox::uniform(self.config.seed, Purpose::ViewOrder.stream(epoch), i as u64)[0];
+            let u =
+                Philox::uniform(self.config.seed, Purpose::ViewOrder.stream(epoch), i as u64)[0];
             order.swap(i, (u * (i + 1) as f64) as usize);
         }
         order

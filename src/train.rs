@@ -1,11 +1,17 @@
 //! [`Trainer`]: one iteration after the other, as the paper's loop.
 
+mod control;
+mod state;
+
+pub use control::DensityEvent;
+pub use state::TrainerState;
+
 use std::collections::VecDeque;
 
-use crate::buffers::{Scene, ViewSet, restride};
+use crate::buffers::{Scene, ViewSet};
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
-use crate::density::{self, Cues, DensityControl, DensityStats, SceneState, StepContext};
+use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::{Tuning, status};
 use crate::gpu::{Array, Defines, Device, EditRow, Kernels, PendingRead, StageTime};
@@ -13,8 +19,8 @@ use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::schedule::Schedule;
 use crate::stage::adam::{Adam, AdamArgs};
-use crate::stage::edit::{Edit, EditArgs};
-use crate::stage::importance::{Importance, ImportanceArgs};
+use crate::stage::edit::Edit;
+use crate::stage::importance::Importance;
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
 use crate::stage::splat_grad::SplatGrad;
@@ -23,38 +29,6 @@ use crate::stage::splat_grad::SplatGrad;
 const LAG: usize = 2;
 /// Losses kept on the device.
 const LOSS_RING: usize = 256;
-
-/// What one density step did.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DensityEvent {
-    /// Iteration.
-    pub iteration: u32,
-    /// Progress η.
-    pub progress: f64,
-    /// Gaussians afterwards.
-    pub gaussians: usize,
-    /// This step's statistics.
-    pub stats: DensityStats,
-}
-
-/// Everything that a checkpoint must hold to continue bit for bit.
-#[derive(Debug, Clone)]
-pub struct TrainerState {
-    /// Iterations done.
-    pub iteration: u32,
-    /// Parameters.
-    pub splats: Splats,
-    /// First moments, planes as in [`Splats`].
-    pub moment1: Vec<Vec<f32>>,
-    /// Second moments.
-    pub moment2: Vec<Vec<f32>>,
-    /// State of density control.
-    pub density: serde_json::Value,
-    /// Statistics of density control so far.
-    pub stats: DensityStats,
-    /// Non-finite gradient values so far.
-    pub non_finite: u64,
-}
 
 struct InFlight {
     iteration: u32,
@@ -119,7 +93,15 @@ impl Trainer {
         let kernels = Kernels::new(device, defines);
         let degree = config.sh_degree;
         let project_grad = (0..=degree)
-            .map(|d| ProjectGrad::new::<f32>(&Kernels::new(device, Defines { sh_degree: d, ..defines })))
+            .map(|d| {
+                ProjectGrad::new::<f32>(&Kernels::new(
+                    device,
+                    Defines {
+                        sh_degree: d,
+                        ..defines
+                    },
+                ))
+            })
             .collect::<Result<_>>()?;
         let scene = Scene::upload(device, splats, Scene::<f32>::grown_stride(splats.len()))?;
         let loss = Loss::new::<f32>(&kernels)?;
@@ -165,11 +147,21 @@ impl Trainer {
             self.enqueue_step(0, degree)?;
         }
         self.error_maps(0)?;
-        let cues = [Array::zeros(&self.device, "cues", 1)?, Array::zeros(&self.device, "cues", 1)?];
+        let cues = [
+            Array::zeros(&self.device, "cues", 1)?,
+            Array::zeros(&self.device, "cues", 1)?,
+        ];
         self.accumulate(0, true, &cues, &Array::zeros(&self.device, "cues", 1)?)?;
         let edits = Array::from_slice(&self.device, "edits", &[EditRow::default()])?;
         let spare = self.scene.stride as u32 - 1;
-        edits.write(0, &[EditRow { src: spare, dst: spare, ..EditRow::default() }])?;
+        edits.write(
+            0,
+            &[EditRow {
+                src: spare,
+                dst: spare,
+                ..EditRow::default()
+            }],
+        )?;
         self.apply_edits(&edits)?;
         self.scene.count = count;
         for moment in [&self.moment1, &self.moment2] {
@@ -177,7 +169,8 @@ impl Trainer {
         }
         for v in 0..self.views.len() {
             let options = self.options(0, 0);
-            self.renderer.render(&self.scene, &self.views.cameras[v], &options)?;
+            self.renderer
+                .render(&self.scene, &self.views.cameras[v], &options)?;
             let pairs = self.renderer.frame.status.read(status::PAIRS as usize, 1)?[0];
             self.most_pairs = self.most_pairs.max(pairs as usize);
         }
@@ -190,8 +183,12 @@ impl Trainer {
 
     /// Makes the arrays fit the scene, the largest image, and the pairs seen so far with a quarter to spare.
     fn fit_views(&mut self) -> Result<()> {
-        self.renderer.frame.fit_gaussians(&self.device, self.scene.stride)?;
-        self.renderer.frame.fit_image(&self.device, &self.views.largest_camera)?;
+        self.renderer
+            .frame
+            .fit_gaussians(&self.device, self.scene.stride)?;
+        self.renderer
+            .frame
+            .fit_image(&self.device, &self.views.largest_camera)?;
         let pairs = (self.most_pairs + self.most_pairs / 4).max(4 * self.scene.count.max(1024));
         self.renderer.frame.fit_pairs(&self.device, pairs)
     }
@@ -223,11 +220,18 @@ impl Trainer {
         let pair = self.pair(view, options.background);
         self.loss.forward(&pair, false, &self.maps, &self.partial)?;
         let lambda = f64::from(self.config.loss.lambda_ssim);
-        self.loss.backward(&pair, &self.maps, lambda, &self.dimage)?;
-        self.loss.sum(&pair, &self.partial, &self.losses, iteration as usize % LOSS_RING)?;
+        self.loss
+            .backward(&pair, &self.maps, lambda, &self.dimage)?;
+        self.loss.sum(
+            &pair,
+            &self.partial,
+            &self.losses,
+            iteration as usize % LOSS_RING,
+        )?;
 
         let frame = &self.renderer.frame;
-        self.splat_grad.run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
+        self.splat_grad
+            .run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
         self.project_grad[degree as usize].run(&ProjectGradArgs {
             params: &self.scene.params,
             stride: self.scene.stride,
@@ -287,7 +291,9 @@ impl Trainer {
         for later in &mut self.in_flight {
             later.launches -= done.launches.min(later.launches);
         }
-        self.most_pairs = self.most_pairs.max(counters[status::PAIRS as usize] as usize);
+        self.most_pairs = self
+            .most_pairs
+            .max(counters[status::PAIRS as usize] as usize);
         self.non_finite = u64::from(counters[status::NON_FINITE as usize]);
         let needed = counters[status::OVERFLOW as usize];
         if needed > 0 {
@@ -316,148 +322,16 @@ impl Trainer {
         }
     }
 
-    /// Renders a view and writes its error maps.
-    fn error_maps(&mut self, view: usize) -> Result<()> {
-        let degree = self.schedule.sh_degree(self.iteration);
-        let background = self.schedule.fixed_background();
-        let options = RenderOptions { background, ..self.options(0, degree) };
-        self.renderer.enqueue(&self.scene, &self.views.cameras[view], &options)?;
-        self.loss.forward(&self.pair(view, background), true, &self.maps, &self.partial)
-    }
-
-    fn accumulate(
-        &self,
-        view: usize,
-        first_view: bool,
-        cues: &[Array<f32>; 2],
-        seen: &Array<u32>,
-    ) -> Result<()> {
-        self.importance.run(&ImportanceArgs {
-            params: &self.scene.params,
-            stride: self.scene.stride,
-            count: self.scene.count,
-            camera: &self.views.cameras[view],
-            maps: &self.maps,
-            first_view,
-            ssim: &cues[0],
-            l1: &cues[1],
-            views: seen,
-        })
-    }
-
-    /// Error cues of every Gaussian over a subset of the views: sums of 1 − SSIM and L1, views that see it.
-    fn cues(&mut self, subset: &[usize]) -> Result<(Vec<f32>, Vec<f32>, Vec<u32>)> {
-        let n = self.scene.count;
-        let cues = [
-            Array::zeros(&self.device, "cue 1-SSIM", n)?,
-            Array::zeros(&self.device, "cue L1", n)?,
-        ];
-        let seen = Array::zeros(&self.device, "cue views", n)?;
-        let mut next = 0;
-        while next < subset.len() {
-            self.error_maps(subset[next])?;
-            // A blocking look at the counters: a view that did not fit must not be counted.
-            let counters = self.renderer.frame.status.to_vec()?;
-            self.most_pairs = self.most_pairs.max(counters[status::PAIRS as usize] as usize);
-            let needed = counters[status::OVERFLOW as usize];
-            if needed > 0 {
-                self.renderer.grow_pairs(needed)?;
-                continue;
-            }
-            self.accumulate(subset[next], next == 0, &cues, &seen)?;
-            next += 1;
-        }
-        self.device.collect_times(usize::MAX)?;
-        Ok((cues[0].to_vec()?, cues[1].to_vec()?, seen.to_vec()?))
-    }
-
-    /// Runs density control if it is due after the iterations done so far.
-    ///
-    /// # Errors
-    /// As [`Trainer::step`].
-    pub fn density_step(&mut self) -> Result<Option<DensityEvent>> {
-        let Some(progress) = self.schedule.density_due(self.iteration) else {
-            return Ok(None);
-        };
-        self.settle()?;
-        let subset = self.density.view_subset(self.views.len(), progress);
-        if subset.is_empty() {
-            return Ok(None);
-        }
-        let (ssim, l1, views) = self.cues(&subset)?;
-        let planes: Vec<Vec<f32>> =
-            (0..Plane::SH).map(|p| self.scene.plane(p)).collect::<Result<_>>()?;
-        let slice = |p: usize| planes[p].as_slice();
-        let state = SceneState {
-            positions: std::array::from_fn(|k| slice(Plane::POSITION + k)),
-            log_scales: std::array::from_fn(|k| slice(Plane::LOG_SCALE + k)),
-            rotations: std::array::from_fn(|k| slice(Plane::ROTATION + k)),
-            opacity_logits: slice(Plane::OPACITY),
-        };
-        let context = StepContext {
-            iteration: self.iteration,
-            progress,
-            seed: self.config.seed,
-            max_gaussians: self.config.max_gaussians,
-        };
-        let cues = Cues { ssim: &ssim, l1: &l1, views: &views };
-        let outcome = self.density.step(&context, &state, &cues)?;
-        self.apply(&outcome)?;
-        self.stats.add(&outcome.stats);
-        Ok(Some(DensityEvent {
-            iteration: self.iteration,
-            progress,
-            gaussians: self.scene.count,
-            stats: outcome.stats,
-        }))
-    }
-
-    fn apply(&mut self, outcome: &density::Outcome) -> Result<()> {
-        let before = self.scene.count;
-        if outcome.len > self.scene.stride {
-            let (planes, from) = (self.scene.planes(), self.scene.stride);
-            let to = Scene::<f32>::grown_stride(outcome.len);
-            self.grads = Array::zeros(&self.device, "grads", planes * to)?;
-            for array in [&mut self.scene.params, &mut self.moment1, &mut self.moment2] {
-                *array = restride(&self.device, array, planes, from, to)?;
-            }
-            self.scene.stride = to;
-        }
-        let rows: Vec<EditRow> = outcome
-            .edits
-            .iter()
-            .map(|e| EditRow {
-                src: e.src,
-                dst: e.dst,
-                position: e.position,
-                log_scale: e.log_scale,
-                opacity_logit: e.opacity_logit,
-            })
-            .collect();
-        self.apply_edits(&Array::from_slice(&self.device, "edits", &rows)?)?;
-        self.scene.count = outcome.len;
-        self.most_pairs = (self.most_pairs as f64 * outcome.len as f64 / before.max(1) as f64) as usize;
-        self.fit_views()
-    }
-
-    fn apply_edits(&self, edits: &Array<EditRow>) -> Result<()> {
-        self.edit.run(&EditArgs {
-            edits,
-            stride: self.scene.stride,
-            planes: self.scene.planes(),
-            params: &self.scene.params,
-            moment1: &self.moment1,
-            moment2: &self.moment2,
-        })
-    }
-
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256).
     ///
     /// # Errors
     /// The driver's.
     pub fn recent_loss(&mut self) -> Result<f64> {
         self.settle()?;
-        let n = (self.iteration as usize).min(LOSS_RING).min(self.views.len()).max(1);
+        let n = (self.iteration as usize)
+            .min(LOSS_RING)
+            .min(self.views.len())
+            .max(1);
         let ring = self.losses.to_vec()?;
         let lambda = f64::from(self.config.loss.lambda_ssim);
         let sum: f64 = (0..n)
@@ -509,45 +383,5 @@ impl Trainer {
     /// The scene on the device and the renderer, for evaluation between iterations.
     pub fn scene_and_renderer(&mut self) -> (&Scene, &mut Renderer) {
         (&self.scene, &mut self.renderer)
-    }
-
-    /// Reads everything a checkpoint needs.
-    ///
-    /// # Errors
-    /// The driver's, or non-finite parameters.
-    pub fn state(&mut self) -> Result<TrainerState> {
-        self.settle()?;
-        let read = |array: &Array<f32>| -> Result<Vec<Vec<f32>>> {
-            (0..self.scene.planes())
-                .map(|p| array.read(p * self.scene.stride, self.scene.count))
-                .collect()
-        };
-        Ok(TrainerState {
-            iteration: self.iteration,
-            splats: self.scene.download()?,
-            moment1: read(&self.moment1)?,
-            moment2: read(&self.moment2)?,
-            density: self.density.save(),
-            stats: self.stats,
-            non_finite: self.non_finite,
-        })
-    }
-
-    /// Continues from a state; the trainer must have been made with its splats.
-    ///
-    /// # Errors
-    /// A state of another shape, or the driver's.
-    pub fn restore(&mut self, state: &TrainerState) -> Result<()> {
-        for (array, planes) in [(&self.moment1, &state.moment1), (&self.moment2, &state.moment2)] {
-            for (p, plane) in planes.iter().enumerate() {
-                array.write(p * self.scene.stride, plane)?;
-            }
-        }
-        self.density.load(&state.density)?;
-        self.stats = state.stats;
-        self.iteration = state.iteration;
-        self.non_finite = state.non_finite;
-        let slot = status::NON_FINITE as usize;
-        self.renderer.frame.status.write(slot, &[state.non_finite.min(u64::from(u32::MAX)) as u32])
     }
 }

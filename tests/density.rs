@@ -3,6 +3,7 @@
 mod chain;
 mod parts;
 mod step;
+mod voxels;
 
 use mhsplat::density::rng::{Philox, Purpose};
 use mhsplat::density::{Cues, SceneState};

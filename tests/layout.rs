@@ -1,1 +1,214 @@
-//! Tests: layout.
+//! The shared structs on the device and in Rust, and the rules of the house that a script can check.
+
+use std::path::{Path, PathBuf};
+
+use mhsplat::gpu::tuning::Tuning;
+use mhsplat::gpu::{Array, CameraArg, Defines, Device, Kernels, Record};
+
+fn probe<R: mhsplat::gpu::Real>() -> Vec<u32> {
+    let device = Device::open(None).unwrap();
+    let defines = Defines {
+        layout_probe: true,
+        ..Defines::new(Tuning::CPU)
+    };
+    let [kernel] = Kernels::new(&device, defines)
+        .build::<R, 1>("project", ["layout_probe"])
+        .unwrap();
+    let out = Array::zeros(&device, "layout", 8).unwrap();
+    kernel.launch().array(&out, 8).run([1, 1], [1, 1]).unwrap();
+    out.to_vec().unwrap()
+}
+
+macro_rules! layout {
+    ($real:ty) => {
+        [
+            size_of::<Record<$real>>(),
+            std::mem::offset_of!(Record<$real>, lo),
+            std::mem::offset_of!(Record<$real>, depth),
+            std::mem::offset_of!(Record<$real>, by),
+            size_of::<CameraArg<$real>>(),
+            std::mem::offset_of!(CameraArg<$real>, intrinsics),
+            std::mem::offset_of!(CameraArg<$real>, near),
+            std::mem::offset_of!(CameraArg<$real>, tiles) + 4,
+        ]
+        .map(|v| v as u32)
+        .to_vec()
+    };
+}
+
+#[test]
+fn structs_have_the_same_layout_on_the_device() {
+    assert_eq!(probe::<f32>(), layout!(f32));
+    assert_eq!(probe::<f64>(), layout!(f64));
+    assert_ne!(
+        probe::<f32>(),
+        layout!(f64),
+        "the comparison must be able to fail"
+    );
+}
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn files(folder: &str, extension: &str) -> Vec<PathBuf> {
+    let mut out = Vec::new();
+    let mut folders = vec![root().join(folder)];
+    while let Some(f) = folders.pop() {
+        for entry in std::fs::read_dir(f).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == extension) {
+                out.push(path);
+            }
+        }
+    }
+    out.sort();
+    out
+}
+
+fn stems(folder: &str, extension: &str) -> Vec<String> {
+    files(folder, extension)
+        .iter()
+        .map(|p| p.file_stem().unwrap().to_string_lossy().into_owned())
+        .filter(|s| s != "mod")
+        .collect()
+}
+
+#[test]
+fn every_stage_has_its_four_files() {
+    let kernels = stems("kernels", "cl");
+    assert!(kernels.len() >= 11, "{kernels:?}");
+    assert_eq!(kernels, stems("src/stage", "rs"));
+    for stage in &kernels {
+        for folder in ["src/reference", "tests/stage"] {
+            let file = root().join(folder).join(format!("{stage}.rs"));
+            assert!(file.is_file(), "{} is missing", file.display());
+        }
+    }
+}
+
+fn text(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap()
+}
+
+#[test]
+fn only_gpu_names_opencl_and_is_unsafe() {
+    for file in files("src", "rs") {
+        let inside = file.components().any(|c| c.as_os_str() == "gpu");
+        let source = text(&file);
+        let speaks = source.contains("ocl::") || source.contains("unsafe {");
+        assert!(inside || !speaks, "{}", file.display());
+    }
+}
+
+/// (folder or file below src, crate modules it must not use)
+const FORBIDDEN: [(&str, &[&str]); 6] = [
+    ("error.rs", &["crate::"]),
+    (
+        "density",
+        &[
+            "crate::gpu",
+            "crate::stage",
+            "crate::train",
+            "crate::render",
+            "crate::report",
+        ],
+    ),
+    (
+        "model",
+        &[
+            "crate::gpu",
+            "crate::stage",
+            "crate::train",
+            "crate::render",
+            "crate::report",
+        ],
+    ),
+    (
+        "stage",
+        &[
+            "crate::train",
+            "crate::render",
+            "crate::report",
+            "crate::export",
+            "crate::dataset",
+        ],
+    ),
+    (
+        "reference",
+        &[
+            "crate::gpu",
+            "crate::stage",
+            "crate::train",
+            "crate::render",
+        ],
+    ),
+    (
+        "gpu",
+        &[
+            "crate::stage",
+            "crate::train",
+            "crate::render",
+            "crate::report",
+            "crate::density",
+        ],
+    ),
+];
+
+#[test]
+fn dependencies_point_one_way() {
+    for (part, forbidden) in FORBIDDEN {
+        let path = root().join("src").join(part);
+        let sources = if path.is_file() {
+            vec![path]
+        } else {
+            files(&format!("src/{part}"), "rs")
+        };
+        for file in sources {
+            for line in text(&file)
+                .lines()
+                .filter(|l| l.trim_start().starts_with("use "))
+            {
+                for f in forbidden {
+                    assert!(!line.contains(f), "{}: {line}", file.display());
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn clap_stays_in_the_command_line() {
+    for file in files("src", "rs") {
+        let inside = file.components().any(|c| c.as_os_str() == "cli");
+        assert!(
+            inside || !text(&file).contains("clap"),
+            "{}",
+            file.display()
+        );
+    }
+}
+
+#[test]
+fn files_are_small() {
+    let all = [
+        files("src", "rs"),
+        files("kernels", "cl"),
+        files("kernels", "clh"),
+        files("tests", "rs"),
+    ]
+    .concat();
+    for file in all {
+        let n = text(&file).lines().count();
+        assert!(n <= 400, "{} has {n} lines", file.display());
+    }
+}
+
+#[test]
+fn few_packages_are_locked() {
+    let lock = text(&root().join("Cargo.lock"));
+    let n = lock.lines().filter(|l| l.starts_with("name = ")).count();
+    assert!(n < 150, "{n} packages");
+}

@@ -31,6 +31,8 @@ pub fn run(common: &Common) -> Result<Outcome> {
             d.driver,
         ));
     }
-    output::line(&format!("* is the default: {why}. Select with --device or MHSPLAT_DEVICE."));
+    output::line(&format!(
+        "* is the default: {why}. Select with --device or MHSPLAT_DEVICE."
+    ));
     Ok(Outcome::Done)
 }

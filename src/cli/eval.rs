@@ -35,7 +35,12 @@ pub struct EvalArgs {
 /// Scores the held-out views.
 pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let (ply, record) = scene::locate(&args.scene)?;
-    let data = scene::dataset(&args.dataset, record.as_ref(), args.max_size, args.test_every)?;
+    let data = scene::dataset(
+        &args.dataset,
+        record.as_ref(),
+        args.max_size,
+        args.test_every,
+    )?;
     if data.test.is_empty() {
         return Err(Error::input(
             &args.dataset,
@@ -51,7 +56,10 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let degree = loaded.scene.sh_degree;
     let scores = evaluator.score_all(&loaded.scene, &mut loaded.renderer, degree, background)?;
     let (psnr, ssim) = mean(&scores).unwrap_or((0.0, 0.0));
-    let size = data.test.first().map_or([0, 0], |v| [v.photo.width, v.photo.height]);
+    let size = data
+        .test
+        .first()
+        .map_or([0, 0], |v| [v.photo.width, v.photo.height]);
     if common.json {
         output::json(&json!({
             "scene": ply, "gaussians": loaded.scene.count, "width": size[0], "height": size[1],
@@ -59,7 +67,10 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         }))?;
     } else {
         for s in &scores {
-            output::line(&format!("{:>7.3} dB  SSIM {:.4}  {}", s.psnr, s.ssim, s.view));
+            output::line(&format!(
+                "{:>7.3} dB  SSIM {:.4}  {}",
+                s.psnr, s.ssim, s.view
+            ));
         }
         output::line(&format!(
             "{psnr:>7.3} dB  SSIM {ssim:.4}  mean of {} held-out views at {}x{}, {} Gaussians",
@@ -70,5 +81,9 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     let missed = args.require_psnr.is_some_and(|bar| psnr < bar);
-    Ok(if missed { Outcome::Missed } else { Outcome::Done })
+    Ok(if missed {
+        Outcome::Missed
+    } else {
+        Outcome::Done
+    })
 }

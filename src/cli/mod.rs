@@ -67,7 +67,11 @@ pub enum Outcome {
 fn dispatch(cli: Cli) -> Result<Outcome> {
     let common = Common {
         json: cli.json,
-        device: cli.device.or_else(|| std::env::var("MHSPLAT_DEVICE").ok().filter(|v| !v.is_empty())),
+        device: cli.device.or_else(|| {
+            std::env::var("MHSPLAT_DEVICE")
+                .ok()
+                .filter(|v| !v.is_empty())
+        }),
     };
     match cli.command {
         Command::Train(args) => train::run(&args, &common),

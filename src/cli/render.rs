@@ -64,7 +64,11 @@ type Job = (String, Camera, Option<Vec<u8>>);
 pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     let (ply, record) = scene::locate(&args.scene)?;
     if args.output.exists() {
-        return Err(Error::input(&args.output, "exists already; nothing is overwritten", "choose another with -o"));
+        return Err(Error::input(
+            &args.output,
+            "exists already; nothing is overwritten",
+            "choose another with -o",
+        ));
     }
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let (frame, jobs) = match &args.dataset {
@@ -73,7 +77,10 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
             (data.frame, dataset_jobs(data, background))
         }
         None if args.what == What::Error => {
-            return Err(Error::config("--what error", "a photo to compare with is needed; give --dataset"));
+            return Err(Error::config(
+                "--what error",
+                "a photo to compare with is needed; give --dataset",
+            ));
         }
         None => (Frame::IDENTITY, Vec::new()),
     };
@@ -87,14 +94,24 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     for (name, camera, photo) in &jobs {
         let rgb = pixels(args.what, &mut loaded, camera, background, photo.as_deref())?;
         let path = args.output.join(file_name(name));
-        image::save_buffer(&path, &rgb, camera.width, camera.height, image::ColorType::Rgb8)
-            .map_err(|e| Error::input(&path, e.to_string(), "choose another folder with -o"))?;
+        image::save_buffer(
+            &path,
+            &rgb,
+            camera.width,
+            camera.height,
+            image::ColorType::Rgb8,
+        )
+        .map_err(|e| Error::input(&path, e.to_string(), "choose another folder with -o"))?;
         written.push(path);
     }
     if common.json {
         output::json(&json!({ "images": written }))?;
     } else {
-        output::line(&format!("{} images in {}", written.len(), args.output.display()));
+        output::line(&format!(
+            "{} images in {}",
+            written.len(),
+            args.output.display()
+        ));
     }
     Ok(Outcome::Done)
 }
@@ -104,13 +121,23 @@ fn file_name(view: &str) -> PathBuf {
     let flat: String = stem
         .to_string_lossy()
         .chars()
-        .map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' })
+        .map(|c| {
+            if c.is_alphanumeric() || "-_.".contains(c) {
+                c
+            } else {
+                '_'
+            }
+        })
         .collect();
     PathBuf::from(format!("{}.png", flat.trim_start_matches(['.', '_'])))
 }
 
 fn dataset_jobs(data: Dataset, background: [f32; 3]) -> Vec<Job> {
-    let views = if data.test.is_empty() { data.train } else { data.test };
+    let views = if data.test.is_empty() {
+        data.train
+    } else {
+        data.test
+    };
     views
         .into_iter()
         .map(|v| (v.name, v.camera, Some(v.photo.rgb_over(background))))
@@ -119,18 +146,30 @@ fn dataset_jobs(data: Dataset, background: [f32; 3]) -> Vec<Job> {
 
 /// A circle around the median of the Gaussians, in the plane in which they extend most, at 2.5 times their spread.
 fn orbit_jobs(loaded: &Loaded, n: u32, width: u32, height: u32) -> Result<Vec<Job>> {
-    let axes: Vec<Vec<f32>> = (0..3).map(|k| loaded.scene.plane(k)).collect::<Result<_>>()?;
+    let axes: Vec<Vec<f32>> = (0..3)
+        .map(|k| loaded.scene.plane(k))
+        .collect::<Result<_>>()?;
     let quantile = |k: usize, q: f64| {
         let mut v = axes[k].clone();
         v.sort_by(f32::total_cmp);
-        f64::from(v.get(((v.len().max(1) - 1) as f64 * q) as usize).copied().unwrap_or(0.0))
+        f64::from(
+            v.get(((v.len().max(1) - 1) as f64 * q) as usize)
+                .copied()
+                .unwrap_or(0.0),
+        )
     };
     let center = DVec3::new(quantile(0, 0.5), quantile(1, 0.5), quantile(2, 0.5));
     let spread = DVec3::from_array(std::array::from_fn(|k| quantile(k, 0.9) - quantile(k, 0.1)));
-    let up_axis = (0..3).min_by(|a, b| spread[*a].total_cmp(&spread[*b])).unwrap_or(1);
+    let up_axis = (0..3)
+        .min_by(|a, b| spread[*a].total_cmp(&spread[*b]))
+        .unwrap_or(1);
     let radius = 1.25 * spread.max_element().max(1e-6);
     // Captures are upright far more often than not; y points down in COLMAP's frames, z up in Blender's.
-    let up = if up_axis == 1 { -DVec3::Y } else { DVec3::AXES[up_axis] };
+    let up = if up_axis == 1 {
+        -DVec3::Y
+    } else {
+        DVec3::AXES[up_axis]
+    };
     let (u, v) = up.any_orthonormal_pair();
     let focal = f64::from(width) * 0.9;
     Ok((0..n)
@@ -162,7 +201,11 @@ fn pixels(
     background: [f32; 3],
     photo: Option<&[u8]>,
 ) -> Result<Vec<u8>> {
-    let options = RenderOptions { sh_degree: loaded.scene.sh_degree, background, quantity: Quantity::Color };
+    let options = RenderOptions {
+        sh_degree: loaded.scene.sh_degree,
+        background,
+        quantity: Quantity::Color,
+    };
     let renderer: &mut Renderer = &mut loaded.renderer;
     match what {
         What::Color => Ok(renderer.image(&loaded.scene, camera, &options)?.rgb8()),
@@ -175,8 +218,16 @@ fn pixels(
             Ok(grey(image.transmittance.iter().map(|t| 1.0 - t)))
         }
         What::Depth => {
-            let options = RenderOptions { background: [0.0; 3], quantity: Quantity::Depth, ..options };
-            Ok(depth_image(&renderer.image(&loaded.scene, camera, &options)?))
+            let options = RenderOptions {
+                background: [0.0; 3],
+                quantity: Quantity::Depth,
+                ..options
+            };
+            Ok(depth_image(&renderer.image(
+                &loaded.scene,
+                camera,
+                &options,
+            )?))
         }
     }
 }
@@ -191,10 +242,20 @@ fn depth_image(image: &Rendered) -> Vec<u8> {
         .transmittance
         .iter()
         .zip(&image.rgb)
-        .map(|(t, d)| if *d > 0.0 && *t < 0.5 { (1.0 - t) / d } else { 0.0 })
+        .map(|(t, d)| {
+            if *d > 0.0 && *t < 0.5 {
+                (1.0 - t) / d
+            } else {
+                0.0
+            }
+        })
         .collect();
     let mut sorted = inverse.clone();
     sorted.sort_by(f32::total_cmp);
-    let top = sorted.get(sorted.len() * 99 / 100).copied().unwrap_or(1.0).max(f32::MIN_POSITIVE);
+    let top = sorted
+        .get(sorted.len() * 99 / 100)
+        .copied()
+        .unwrap_or(1.0)
+        .max(f32::MIN_POSITIVE);
     grey(inverse.into_iter().map(|v| v / top))
 }

@@ -42,8 +42,12 @@ pub fn dataset(
 ) -> Result<Dataset> {
     let defaults = LoadOptions::default();
     let options = LoadOptions {
-        max_size: max_size.or(record.map(|r| r.config.max_size)).unwrap_or(defaults.max_size),
-        test_every: test_every.or(record.map(|r| r.config.test_every)).unwrap_or(defaults.test_every),
+        max_size: max_size
+            .or(record.map(|r| r.config.max_size))
+            .unwrap_or(defaults.max_size),
+        test_every: test_every
+            .or(record.map(|r| r.config.test_every))
+            .unwrap_or(defaults.test_every),
     };
     dataset::load(path, &options)
 }
@@ -54,7 +58,11 @@ pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
     let device = Device::open(device)?;
     let renderer = Renderer::for_display(&device, splats.sh_degree())?;
     let scene = Scene::upload(&device, &splats, 0)?;
-    Ok(Loaded { device, scene, renderer })
+    Ok(Loaded {
+        device,
+        scene,
+        renderer,
+    })
 }
 
 /// The background a run used for evaluation, or the one asked for.

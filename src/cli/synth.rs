@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use mhsplat::error::{Error, Result};
 use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
+use mhsplat::error::{Error, Result};
 
 use super::{Common, Outcome, output};
 
@@ -56,7 +56,12 @@ pub fn run(args: &SynthArgs, common: &Common) -> Result<Outcome> {
         };
     }
     if let Some(size) = &args.size {
-        let wrong = || Error::config("--size", format!("{size:?}; WIDTHxHEIGHT expected, like 256x192"));
+        let wrong = || {
+            Error::config(
+                "--size",
+                format!("{size:?}; WIDTHxHEIGHT expected, like 256x192"),
+            )
+        };
         let (w, h) = size.split_once('x').ok_or_else(wrong)?;
         options.width = w.parse().map_err(|_| wrong())?;
         options.height = h.parse().map_err(|_| wrong())?;

@@ -103,7 +103,11 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
             return Err(error);
         }
     };
-    output::note(&format!("device: {} ({})", device.info().name, device.info().platform));
+    output::note(&format!(
+        "device: {} ({})",
+        device.info().name,
+        device.info().platform
+    ));
     output::note(&run.plan().summary());
     let bar = progress_bar();
     let record = run.drive(&stop, |p| show(&bar, p))?;
@@ -118,7 +122,10 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
 
 fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -> Result<Run> {
     let clock = Clock::start();
-    let options = LoadOptions { max_size: config.max_size, test_every: config.test_every };
+    let options = LoadOptions {
+        max_size: config.max_size,
+        test_every: config.test_every,
+    };
     let data = dataset::load(&args.dataset, &options)?;
     output::note(&format!(
         "{}: {} training views, {} held out, {} points",
@@ -140,7 +147,8 @@ fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         let fail = |e| Error::io("signal handler", e);
-        signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone()).map_err(fail)?;
+        signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
+            .map_err(fail)?;
         signal_hook::flag::register(signal, stop.clone()).map_err(fail)?;
     }
     Ok(stop)
@@ -155,7 +163,15 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
     macro_rules! take {
         ($($name:ident),*) => { $(if let Some(v) = args.$name { c.$name = v; })* };
     }
-    take!(iterations, max_size, sh_degree, seed, test_every, export_every, checkpoint_every);
+    take!(
+        iterations,
+        max_size,
+        sh_degree,
+        seed,
+        test_every,
+        export_every,
+        checkpoint_every
+    );
     if let Some(s) = args.sampler {
         c.sampler = match s {
             SamplerFlag::Mh => Sampler::Mh,
@@ -179,7 +195,11 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
 fn read_config(file: &Path) -> Result<TrainConfig> {
     let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
     let wrong = |what: String| {
-        Error::input(file, what.trim().replace('\n', " "), "see `mhsplat train --help` for the names")
+        Error::input(
+            file,
+            what.trim().replace('\n', " "),
+            "see `mhsplat train --help` for the names",
+        )
     };
     if file.extension().is_some_and(|e| e == "json") {
         let value: serde_json::Value =
@@ -204,7 +224,10 @@ fn show(bar: &ProgressBar, p: &Progress) {
     bar.set_position(u64::from(p.iteration));
     if p.iteration.is_multiple_of(10) {
         let psnr = p.psnr.map_or_else(String::new, |v| format!("{v:.2} dB, "));
-        bar.set_message(format!("{psnr}{} Gaussians, {:.0} s,", p.gaussians, p.train_seconds));
+        bar.set_message(format!(
+            "{psnr}{} Gaussians, {:.0} s,",
+            p.gaussians, p.train_seconds
+        ));
     }
 }
 

@@ -21,7 +21,10 @@ pub struct LoadOptions {
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { max_size: 1600, test_every: 8 }
+        Self {
+            max_size: 1600,
+            test_every: 8,
+        }
     }
 }
 
@@ -58,7 +61,11 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     } else if single.is_file() {
         list_transforms(path, &single, None)?
     } else {
-        let what = if path.is_dir() { "is not a dataset" } else { "is not a folder" };
+        let what = if path.is_dir() {
+            "is not a dataset"
+        } else {
+            "is not a folder"
+        };
         return Err(Error::input(
             path,
             what,
@@ -76,7 +83,11 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     let (mut train, mut test) = (Vec::new(), Vec::new());
     for (k, (view, listed)) in views.into_iter().zip(&listing.views).enumerate() {
         let by_rule = options.test_every > 0 && (k as u32).is_multiple_of(options.test_every);
-        if listed.test.unwrap_or(by_rule) { test.push(view) } else { train.push(view) }
+        if listed.test.unwrap_or(by_rule) {
+            test.push(view)
+        } else {
+            train.push(view)
+        }
     }
     if train.is_empty() {
         return Err(Error::input(
@@ -86,10 +97,21 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
         ));
     }
     let points = Points {
-        positions: listing.points.iter().map(|(p, _)| frame.to_local(*p).as_vec3().to_array()).collect(),
+        positions: listing
+            .points
+            .iter()
+            .map(|(p, _)| frame.to_local(*p).as_vec3().to_array())
+            .collect(),
         colors: listing.points.iter().map(|(_, c)| *c).collect(),
     };
-    Ok(Dataset { path: path.to_path_buf(), layout: listing.layout, train, test, points, frame })
+    Ok(Dataset {
+        path: path.to_path_buf(),
+        layout: listing.layout,
+        train,
+        test,
+        points,
+        frame,
+    })
 }
 
 fn list_colmap(path: &Path, sparse: &Path, layout: Layout) -> Result<Listing> {
@@ -108,8 +130,16 @@ fn list_colmap(path: &Path, sparse: &Path, layout: Layout) -> Result<Listing> {
             })
         })
         .collect::<Result<_>>()?;
-    let points = model.points.iter().map(|p| (DVec3::from_array(p.position), p.color)).collect();
-    Ok(Listing { layout, views, points })
+    let points = model
+        .points
+        .iter()
+        .map(|p| (DVec3::from_array(p.position), p.color))
+        .collect();
+    Ok(Listing {
+        layout,
+        views,
+        points,
+    })
 }
 
 fn list_transforms(path: &Path, train: &Path, test: Option<&Path>) -> Result<Listing> {
@@ -131,7 +161,11 @@ fn list_transforms(path: &Path, train: &Path, test: Option<&Path>) -> Result<Lis
         }
         list_frames(path, file, &all, with_test.then_some(held_out), &mut views)?;
     }
-    Ok(Listing { layout: Layout::Transforms, views, points })
+    Ok(Listing {
+        layout: Layout::Transforms,
+        views,
+        points,
+    })
 }
 
 fn list_frames(
@@ -142,7 +176,10 @@ fn list_frames(
     views: &mut Vec<Listed>,
 ) -> Result<()> {
     // The frames are cut off the copy that each camera closure keeps: it needs the shared intrinsics alone.
-    let shared = Transforms { frames: Vec::new(), ..all.clone() };
+    let shared = Transforms {
+        frames: Vec::new(),
+        ..all.clone()
+    };
     for frame in &all.frames {
         let (shared, own, json) = (shared.clone(), frame.clone(), file.to_path_buf());
         views.push(Listed {
@@ -161,7 +198,11 @@ fn check_files(views: &[Listed]) -> Result<()> {
         None => Ok(()),
         Some(first) => Err(Error::input(
             &first.file,
-            format!("is missing ({} of {} images are)", missing.len(), views.len()),
+            format!(
+                "is missing ({} of {} images are)",
+                missing.len(),
+                views.len()
+            ),
             "copy the images beside the model, or remove them from it",
         )),
     }
@@ -188,12 +229,24 @@ fn decode(listed: &[Listed], max_size: u32) -> Result<Vec<View>> {
                 ));
             }
             let camera = camera.scaled_to(photo.width, photo.height);
-            Ok(View { name: v.name.clone(), camera, photo })
+            Ok(View {
+                name: v.name.clone(),
+                camera,
+                photo,
+            })
         })
         .collect::<Result<Vec<View>>>()?;
     if views.iter().any(|v| v.photo.channels == 4) {
         for v in &mut views {
-            let photo = std::mem::replace(&mut v.photo, Photo { width: 0, height: 0, channels: 3, data: Vec::new() });
+            let photo = std::mem::replace(
+                &mut v.photo,
+                Photo {
+                    width: 0,
+                    height: 0,
+                    channels: 3,
+                    data: Vec::new(),
+                },
+            );
             v.photo = photo.with_alpha();
         }
     }
@@ -206,13 +259,30 @@ fn local_frame(views: &[View], points: &[(DVec3, [u8; 3])]) -> Frame {
     let n = views.len().max(1) as f64;
     // The mean of differences to the first centre: exact for coordinates far from the origin.
     let origin = views.first().map_or(DVec3::ZERO, |v| v.camera.center());
-    let center = origin + views.iter().map(|v| v.camera.center() - origin).sum::<DVec3>() / n;
-    let radius = views.iter().map(|v| v.camera.center().distance(center)).fold(0.0, f64::max);
+    let center = origin
+        + views
+            .iter()
+            .map(|v| v.camera.center() - origin)
+            .sum::<DVec3>()
+            / n;
+    let radius = views
+        .iter()
+        .map(|v| v.camera.center().distance(center))
+        .fold(0.0, f64::max);
     if radius > 1e-9 * (center.length() + 1e-3) {
-        return Frame { center, scale: 1.1 * radius };
+        return Frame {
+            center,
+            scale: 1.1 * radius,
+        };
     }
     let mut distances: Vec<f64> = points.iter().map(|(p, _)| p.distance(center)).collect();
     distances.sort_by(f64::total_cmp);
-    let median = distances.get(distances.len() / 2).copied().filter(|d| *d > 0.0);
-    Frame { center, scale: median.unwrap_or(1.0) }
+    let median = distances
+        .get(distances.len() / 2)
+        .copied()
+        .filter(|d| *d > 0.0);
+    Frame {
+        center,
+        scale: median.unwrap_or(1.0),
+    }
 }

@@ -26,12 +26,18 @@ impl Photo {
     /// A file that is missing or not an image.
     pub fn open(path: &Path, max_size: u32) -> Result<(Self, [u32; 2])> {
         let wrong = |what: String| {
-            Error::input(path, what, "give a JPEG, PNG or WebP image, or remove it from the dataset")
+            Error::input(
+                path,
+                what,
+                "give a JPEG, PNG or WebP image, or remove it from the dataset",
+            )
         };
         let reader = image::ImageReader::open(path)
             .and_then(image::ImageReader::with_guessed_format)
             .map_err(|e| wrong(format!("cannot be read: {e}")))?;
-        let decoded = reader.decode().map_err(|e| wrong(format!("is not an image: {e}")))?;
+        let decoded = reader
+            .decode()
+            .map_err(|e| wrong(format!("is not an image: {e}")))?;
         let (width, height) = (decoded.width(), decoded.height());
         if width == 0 || height == 0 {
             return Err(wrong("is an image without pixels".into()));
@@ -60,7 +66,12 @@ impl Photo {
                 data[k * n + i] = ((u32::from(*v) * weight + 127) / 255) as u8;
             }
         }
-        Self { width, height, channels, data }
+        Self {
+            width,
+            height,
+            channels,
+            data,
+        }
     }
 
     /// Area-filtered reduction: each pixel is the mean of the area it covers, exact to rounding. Sizes that are not
@@ -72,7 +83,10 @@ impl Photo {
         }
         let columns = coverage(self.width, width);
         let rows = coverage(self.height, height);
-        let (w, n) = (self.width as usize, self.width as usize * self.height as usize);
+        let (w, n) = (
+            self.width as usize,
+            self.width as usize * self.height as usize,
+        );
         let mut data = Vec::with_capacity((self.channels * width * height) as usize);
         for plane in self.data.chunks_exact(n) {
             for (y0, row_weights) in &rows {
@@ -89,7 +103,12 @@ impl Photo {
                 }
             }
         }
-        Self { width, height, channels: self.channels, data }
+        Self {
+            width,
+            height,
+            channels: self.channels,
+            data,
+        }
     }
 
     /// The same photo with an (opaque) alpha plane.
@@ -97,7 +116,8 @@ impl Photo {
     pub fn with_alpha(mut self) -> Self {
         if self.channels == 3 {
             self.channels = 4;
-            self.data.resize(4 * self.width as usize * self.height as usize, 255);
+            self.data
+                .resize(4 * self.width as usize * self.height as usize, 255);
         }
         self
     }
@@ -108,9 +128,17 @@ impl Photo {
         let n = self.width as usize * self.height as usize;
         let mut out = Vec::with_capacity(3 * n);
         for i in 0..n {
-            let gap = if self.channels == 4 { 255.0 - f32::from(self.data[3 * n + i]) } else { 0.0 };
+            let gap = if self.channels == 4 {
+                255.0 - f32::from(self.data[3 * n + i])
+            } else {
+                0.0
+            };
             for (c, b) in background.iter().enumerate() {
-                out.push((f32::from(self.data[c * n + i]) + gap * b).round().min(255.0) as u8);
+                out.push(
+                    (f32::from(self.data[c * n + i]) + gap * b)
+                        .round()
+                        .min(255.0) as u8,
+                );
             }
         }
         out

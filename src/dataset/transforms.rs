@@ -64,13 +64,18 @@ pub fn read(path: &Path) -> Result<Transforms> {
     let fix = "export it again; `frames` with `file_path` and `transform_matrix` are needed";
     let text = std::fs::read_to_string(path)
         .map_err(|e| Error::input(path, format!("cannot be read: {e}"), fix))?;
-    let t: Transforms =
-        serde_json::from_str(&text).map_err(|e| Error::input(path, format!("is not a transforms file: {e}"), fix))?;
+    let t: Transforms = serde_json::from_str(&text)
+        .map_err(|e| Error::input(path, format!("is not a transforms file: {e}"), fix))?;
     if t.frames.is_empty() {
         return Err(Error::input(path, "has no frames", fix));
     }
     for part in std::iter::once(&t.intrinsics).chain(t.frames.iter().map(|f| &f.intrinsics)) {
-        let bent = |k: &&str| part.other.get(*k).and_then(serde_json::Value::as_f64).is_some_and(|v| v != 0.0);
+        let bent = |k: &&str| {
+            part.other
+                .get(*k)
+                .and_then(serde_json::Value::as_f64)
+                .is_some_and(|v| v != 0.0)
+        };
         if let Some(k) = DISTORTION.iter().find(|k| bent(k)) {
             return Err(Error::input(
                 path,
@@ -81,11 +86,17 @@ pub fn read(path: &Path) -> Result<Transforms> {
     }
     for f in &t.frames {
         let m = &f.transform_matrix;
-        let good = m.len() >= 3 && m.iter().take(3).all(|r| r.len() == 4 && r.iter().all(|v| v.is_finite()));
+        let good = m.len() >= 3
+            && m.iter()
+                .take(3)
+                .all(|r| r.len() == 4 && r.iter().all(|v| v.is_finite()));
         if !good {
             return Err(Error::input(
                 path,
-                format!("the transform_matrix of {} is not a finite 4x4 matrix", f.file_path),
+                format!(
+                    "the transform_matrix of {} is not a finite 4x4 matrix",
+                    f.file_path
+                ),
                 fix,
             ));
         }
@@ -137,7 +148,10 @@ impl Transforms {
         let [x, y, z] = [column(0), -column(1), -column(2)].map(DVec3::normalize_or_zero);
         let to_world = DMat3::from_cols(x, y, z);
         if (to_world.determinant() - 1.0).abs() > 1e-3 {
-            return Err(wrong(format!("the transform_matrix of {} is not a rotation", frame.file_path)));
+            return Err(wrong(format!(
+                "the transform_matrix of {} is not a rotation",
+                frame.file_path
+            )));
         }
         let rotation = to_world.transpose();
         Ok(Camera {

@@ -52,7 +52,12 @@ pub fn path(run_dir: &Path) -> PathBuf {
 ///
 /// # Errors
 /// [`Error::Io`] when writing fails; the previous checkpoint is then still there.
-pub fn write(run_dir: &Path, state: &TrainerState, config: &TrainConfig, clock: &Reading) -> Result<()> {
+pub fn write(
+    run_dir: &Path,
+    state: &TrainerState,
+    config: &TrainConfig,
+    clock: &Reading,
+) -> Result<()> {
     let file = path(run_dir);
     let folder = run_dir.join("checkpoint");
     std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
@@ -66,10 +71,17 @@ pub fn write(run_dir: &Path, state: &TrainerState, config: &TrainConfig, clock: 
         stats: state.stats,
         non_finite: state.non_finite,
     };
-    let encoded = |what: String| Error::Numerics { stage: "checkpoint".into(), what };
+    let encoded = |what: String| Error::Numerics {
+        stage: "checkpoint".into(),
+        what,
+    };
     let header = serde_json::to_string(&header).map_err(|e| encoded(e.to_string()))?;
     let bytes = |planes: &[Vec<f32>]| -> Vec<u8> {
-        planes.iter().flatten().flat_map(|v| v.to_le_bytes()).collect()
+        planes
+            .iter()
+            .flatten()
+            .flat_map(|v| v.to_le_bytes())
+            .collect()
     };
     let tensors = [
         ("params", bytes(state.splats.planes())),
@@ -86,8 +98,7 @@ pub fn write(run_dir: &Path, state: &TrainerState, config: &TrainConfig, clock: 
         })
         .collect::<Result<Vec<_>>>()?;
     let metadata = HashMap::from([("mhsplat".to_owned(), header)]);
-    let data =
-        safetensors::serialize(views, Some(metadata)).map_err(|e| encoded(e.to_string()))?;
+    let data = safetensors::serialize(views, Some(metadata)).map_err(|e| encoded(e.to_string()))?;
     write_atomic(&file, &data)
 }
 
@@ -105,7 +116,11 @@ pub fn read(run_dir: &Path) -> Result<Checkpoint> {
         )
     })?;
     let damaged = |what: String| {
-        Error::input(&file, format!("damaged checkpoint: {what}"), "start anew with -o NEW_FOLDER")
+        Error::input(
+            &file,
+            format!("damaged checkpoint: {what}"),
+            "start anew with -o NEW_FOLDER",
+        )
     };
     let (_, metadata) = SafeTensors::read_metadata(&data).map_err(|e| damaged(e.to_string()))?;
     let text = metadata
@@ -115,28 +130,41 @@ pub fn read(run_dir: &Path) -> Result<Checkpoint> {
         .ok_or_else(|| damaged("it was not written by mhsplat".into()))?;
     let header: Header = serde_json::from_str(text).map_err(|e| damaged(e.to_string()))?;
     if header.version != VERSION {
-        return Err(damaged(format!("version {}; {VERSION} expected", header.version)));
+        return Err(damaged(format!(
+            "version {}; {VERSION} expected",
+            header.version
+        )));
     }
     let tensors = SafeTensors::deserialize(&data).map_err(|e| damaged(e.to_string()))?;
     let planes = |name: &str| -> Result<Vec<Vec<f32>>> {
         let t = tensors.tensor(name).map_err(|e| damaged(e.to_string()))?;
         let expected = Plane::count(header.sh_degree.min(3));
         let &[rows, n] = t.shape() else {
-            return Err(damaged(format!("{name} has {} dimensions; 2 expected", t.shape().len())));
+            return Err(damaged(format!(
+                "{name} has {} dimensions; 2 expected",
+                t.shape().len()
+            )));
         };
         if rows != expected || t.dtype() != Dtype::F32 || n == 0 {
-            return Err(damaged(format!("{name} is {rows} x {n}; {expected} planes of f32 expected")));
+            return Err(damaged(format!(
+                "{name} is {rows} x {n}; {expected} planes of f32 expected"
+            )));
         }
         Ok(t.data()
             .chunks_exact(4 * n)
             .map(|row| {
-                row.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+                row.chunks_exact(4)
+                    .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+                    .collect()
             })
             .collect())
     };
     let splats = Splats::new(header.sh_degree, planes("params")?)?;
     let (moment1, moment2) = (planes("moment1")?, planes("moment2")?);
-    if [&moment1, &moment2].iter().any(|m| m.iter().any(|p| p.len() != splats.len())) {
+    if [&moment1, &moment2]
+        .iter()
+        .any(|m| m.iter().any(|p| p.len() != splats.len()))
+    {
         return Err(damaged("moments and parameters differ in length".into()));
     }
     let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
@@ -151,6 +179,10 @@ pub fn read(run_dir: &Path) -> Result<Checkpoint> {
             non_finite: header.non_finite,
         },
         config: header.config,
-        clock: Reading { train_seconds, wall_seconds, cpu_seconds },
+        clock: Reading {
+            train_seconds,
+            wall_seconds,
+            cpu_seconds,
+        },
     })
 }

@@ -26,7 +26,10 @@ fn properties(sh_degree: u32) -> Vec<(String, Option<usize>)> {
     // Inria keeps all coefficients of one channel together; the planes here keep the channels of one together.
     for c in 0..3 {
         for j in 1..k {
-            out.push((format!("f_rest_{}", c * (k - 1) + j - 1), Some(Plane::SH + 3 * j + c)));
+            out.push((
+                format!("f_rest_{}", c * (k - 1) + j - 1),
+                Some(Plane::SH + 3 * j + c),
+            ));
         }
     }
     out.push(("opacity".into(), Some(Plane::OPACITY)));
@@ -45,7 +48,10 @@ fn properties(sh_degree: u32) -> Vec<(String, Option<usize>)> {
 /// A value that is not finite in that frame, or [`Error::Io`].
 pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
     let properties = properties(splats.sh_degree());
-    let mut out = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", splats.len());
+    let mut out = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n",
+        splats.len()
+    );
     for (name, _) in &properties {
         out.push_str(&format!("property float {name}\n"));
     }
@@ -60,7 +66,9 @@ pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
             let value = match *plane {
                 None => 0.0,
                 Some(p) if p < Plane::LOG_SCALE => world[p] as f32,
-                Some(p) if p < Plane::ROTATION => (f64::from(splats.planes()[p][i]) + ln_scale) as f32,
+                Some(p) if p < Plane::ROTATION => {
+                    (f64::from(splats.planes()[p][i]) + ln_scale) as f32
+                }
                 Some(p) => splats.planes()[p][i],
             };
             if !value.is_finite() {
@@ -84,7 +92,9 @@ fn not_a_scene(path: &Path, what: impl Into<String>) -> Error {
 }
 
 fn column<'a>(table: &'a Table, path: &Path, name: &str) -> Result<&'a [f64]> {
-    table.column(name).ok_or_else(|| not_a_scene(path, format!("has no property {name}")))
+    table
+        .column(name)
+        .ok_or_else(|| not_a_scene(path, format!("has no property {name}")))
 }
 
 /// Reads a scene into a local frame. Properties are found by name; the SH degree follows from the number of f_rest.
@@ -93,9 +103,14 @@ fn column<'a>(table: &'a Table, path: &Path, name: &str) -> Result<&'a [f64]> {
 /// A file that is missing, damaged, no 3DGS scene, or holds a value that is not finite.
 pub fn read(path: &Path, frame: &Frame) -> Result<Splats> {
     let table = parse(path)?;
-    let rest = (0..).take_while(|k| table.column(&format!("f_rest_{k}")).is_some()).count();
+    let rest = (0..)
+        .take_while(|k| table.column(&format!("f_rest_{k}")).is_some())
+        .count();
     let Some(degree) = (0..=3).find(|d| 3 * (sh_coefficients(*d) - 1) == rest) else {
-        return Err(not_a_scene(path, format!("has {rest} f_rest properties; 0, 9, 24 or 45 expected")));
+        return Err(not_a_scene(
+            path,
+            format!("has {rest} f_rest properties; 0, 9, 24 or 45 expected"),
+        ));
     };
     let mut planes = vec![vec![0.0f32; table.rows]; Plane::count(degree)];
     let ln_scale = frame.scale.ln();
@@ -134,12 +149,17 @@ pub fn read_points(path: &Path, frame: &Frame) -> Result<Points> {
         if !p.is_finite() {
             return Err(Error::input(
                 path,
-                format!("point {i} lies at ({}, {}, {}); finite numbers expected", x[i], y[i], z[i]),
+                format!(
+                    "point {i} lies at ({}, {}, {}); finite numbers expected",
+                    x[i], y[i], z[i]
+                ),
                 "remove the point",
             ));
         }
         points.positions.push(p.to_array());
-        points.colors.push(rgb.map(|c| c.map_or(128, |c| c[i].clamp(0.0, 255.0) as u8)));
+        points
+            .colors
+            .push(rgb.map(|c| c.map_or(128, |c| c[i].clamp(0.0, 255.0) as u8)));
     }
     Ok(points)
 }

@@ -15,7 +15,10 @@ pub(super) struct Table {
 impl Table {
     /// Values of a property.
     pub fn column(&self, name: &str) -> Option<&[f64]> {
-        self.columns.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_slice())
+        self.columns
+            .iter()
+            .find(|(n, _)| n == name)
+            .map(|(_, v)| v.as_slice())
     }
 }
 
@@ -81,7 +84,11 @@ struct Header {
 }
 
 fn wrong(path: &Path, what: impl Into<String>) -> Error {
-    Error::input(path, what, "give a PLY file, ascii or binary_little_endian, with the vertices first")
+    Error::input(
+        path,
+        what,
+        "give a PLY file, ascii or binary_little_endian, with the vertices first",
+    )
 }
 
 fn header(path: &Path, data: &[u8]) -> Result<Header> {
@@ -96,7 +103,12 @@ fn header(path: &Path, data: &[u8]) -> Result<Header> {
     let line_end = data[end..].iter().position(|b| *b == b'\n');
     let body = line_end.map_or(data.len(), |k| end + k + 1);
     let text = String::from_utf8_lossy(&data[..end]);
-    let mut out = Header { ascii: false, rows: 0, properties: Vec::new(), body };
+    let mut out = Header {
+        ascii: false,
+        rows: 0,
+        properties: Vec::new(),
+        body,
+    };
     let mut elements = 0;
     for line in text.lines() {
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -108,17 +120,24 @@ fn header(path: &Path, data: &[u8]) -> Result<Header> {
                 elements += 1;
                 if elements == 1 {
                     if *name != "vertex" {
-                        return Err(wrong(path, format!("starts with {name} elements; vertex expected (a compressed PLY?)")));
+                        return Err(wrong(
+                            path,
+                            format!(
+                                "starts with {name} elements; vertex expected (a compressed PLY?)"
+                            ),
+                        ));
                     }
                     let count = count.parse();
-                    out.rows = count.map_err(|_| wrong(path, "has an unreadable number of vertices"))?;
+                    out.rows =
+                        count.map_err(|_| wrong(path, "has an unreadable number of vertices"))?;
                 }
             }
             ["property", "list", ..] if elements == 1 => {
                 return Err(wrong(path, "has list properties in its vertices"));
             }
             ["property", kind, name] if elements == 1 => {
-                let kind = Scalar::named(kind).ok_or_else(|| wrong(path, format!("has the unknown type {kind}")))?;
+                let kind = Scalar::named(kind)
+                    .ok_or_else(|| wrong(path, format!("has the unknown type {kind}")))?;
                 out.properties.push(((*name).to_owned(), kind));
             }
             _ => {}
@@ -136,21 +155,31 @@ pub(super) fn parse(path: &Path) -> Result<Table> {
     let h = header(path, &data)?;
     let body = &data[h.body.min(data.len())..];
     let size: usize = h.properties.iter().map(|(_, s)| s.size()).sum();
-    let least = if h.ascii { 2 * h.properties.len() } else { size };
+    let least = if h.ascii {
+        2 * h.properties.len()
+    } else {
+        size
+    };
     let short = || wrong(path, format!("is cut short: {} vertices announced", h.rows));
     // The last line of a text file may lack its newline.
     if h.rows.checked_mul(least).is_none_or(|n| n > body.len() + 1) {
         return Err(short());
     }
-    let mut columns: Vec<(String, Vec<f64>)> =
-        h.properties.iter().map(|(n, _)| (n.clone(), Vec::with_capacity(h.rows))).collect();
+    let mut columns: Vec<(String, Vec<f64>)> = h
+        .properties
+        .iter()
+        .map(|(n, _)| (n.clone(), Vec::with_capacity(h.rows)))
+        .collect();
     if h.ascii {
         let text = String::from_utf8_lossy(body);
         let mut words = text.split_whitespace();
         for row in 0..h.rows {
             for (name, values) in &mut columns {
                 let word = words.next().ok_or_else(short)?;
-                values.push(word.parse().map_err(|_| wrong(path, format!("{name} of row {row} is {word:?}")))?);
+                values.push(
+                    word.parse()
+                        .map_err(|_| wrong(path, format!("{name} of row {row} is {word:?}")))?,
+                );
             }
         }
     } else {
@@ -165,5 +194,8 @@ pub(super) fn parse(path: &Path) -> Result<Table> {
             }
         }
     }
-    Ok(Table { rows: h.rows, columns })
+    Ok(Table {
+        rows: h.rows,
+        columns,
+    })
 }

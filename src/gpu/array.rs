@@ -3,7 +3,7 @@
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-use ocl::core::{self, Event, Mem, MEM_READ_WRITE};
+use ocl::core::{self, Event, MEM_READ_WRITE, Mem};
 
 use super::device::{Device, Inner};
 use super::{Element, device_error};
@@ -116,7 +116,10 @@ impl<T: Element> Array<T> {
         }
         Err(Error::device(
             self.name,
-            format!("{len} values from {offset} on; the array holds {}", self.len),
+            format!(
+                "{len} values from {offset} on; the array holds {}",
+                self.len
+            ),
             "this is a bug; please report it",
         ))
     }
@@ -204,8 +207,7 @@ impl<T: Element> Array<T> {
         .map_err(|e| device_error(self.name, &e, LOWER))?;
         let mut pending = PendingRead { data, event };
         if len == 0 {
-            core::wait_for_event(&pending.event)
-                .map_err(|e| device_error(self.name, &e, LOWER))?;
+            core::wait_for_event(&pending.event).map_err(|e| device_error(self.name, &e, LOWER))?;
             pending.data.clear();
         }
         Ok(pending)

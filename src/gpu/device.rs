@@ -112,13 +112,20 @@ impl Device {
             ));
         };
         let Some((info, id)) = all.into_iter().nth(index) else {
-            return Err(Error::device("device", "the list of devices changed", INSTALL));
+            return Err(Error::device(
+                "device",
+                "the list of devices changed",
+                INSTALL,
+            ));
         };
         let fail = |e: core::Error| device_error("open device", &e, "select another with --device");
         let context = core::create_context(None, &[id], None, None).map_err(fail)?;
-        let queue =
-            core::create_command_queue(&context, id, Some(CommandQueueProperties::PROFILING_ENABLE))
-                .map_err(fail)?;
+        let queue = core::create_command_queue(
+            &context,
+            id,
+            Some(CommandQueueProperties::PROFILING_ENABLE),
+        )
+        .map_err(fail)?;
         Ok(Self {
             inner: Arc::new(Inner {
                 info,
@@ -176,8 +183,7 @@ fn select(list: &[DeviceInfo], selector: &str) -> Option<usize> {
 }
 
 fn enumerate() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
-    let platforms =
-        core::get_platform_ids().map_err(|e| device_error("OpenCL", &e, INSTALL))?;
+    let platforms = core::get_platform_ids().map_err(|e| device_error("OpenCL", &e, INSTALL))?;
     let mut out = Vec::new();
     for platform in platforms {
         let name = core::get_platform_info(platform, PlatformInfo::Name)
@@ -209,8 +215,9 @@ fn describe(index: usize, platform: &str, id: core::DeviceId) -> Result<DeviceIn
     };
     let number = |query: Query| -> Result<u64> {
         Ok(match ask(query)? {
-            DeviceInfoResult::MaxComputeUnits(v)
-            | DeviceInfoResult::NativeVectorWidthFloat(v) => u64::from(v),
+            DeviceInfoResult::MaxComputeUnits(v) | DeviceInfoResult::NativeVectorWidthFloat(v) => {
+                u64::from(v)
+            }
             DeviceInfoResult::MaxMemAllocSize(v) | DeviceInfoResult::GlobalMemSize(v) => v,
             DeviceInfoResult::MaxWorkGroupSize(v) => v as u64,
             _ => 0,

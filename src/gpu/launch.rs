@@ -54,7 +54,11 @@ impl Kernel {
         let KernelInfoResult::NumArgs(n) =
             core::get_kernel_info(&kernel, KernelInfo::NumArgs).map_err(fail)?
         else {
-            return Err(Error::device(name, "no number of arguments", "update the driver"));
+            return Err(Error::device(
+                name,
+                "no number of arguments",
+                "update the driver",
+            ));
         };
         // Drivers may answer without -cl-kernel-arg-info support; then lengths alone are checked.
         let types = (0..n)
@@ -92,9 +96,7 @@ impl Launch<'_> {
         let matches = match found {
             None => false,
             Some("") => true,
-            Some(t) => {
-                t.trim_end_matches('*') == type_name && t.ends_with('*') == pointer
-            }
+            Some(t) => t.trim_end_matches('*') == type_name && t.ends_with('*') == pointer,
         };
         if !matches {
             self.error = Some(Error::device(
@@ -111,7 +113,11 @@ impl Launch<'_> {
             return self;
         }
         if let Err(e) = core::set_kernel_arg(&self.kernel, self.next, value) {
-            self.error = Some(device_error(self.owner.name, &e, "this is a bug; please report it"));
+            self.error = Some(device_error(
+                self.owner.name,
+                &e,
+                "this is a bug; please report it",
+            ));
         }
         self.next += 1;
         self
@@ -123,7 +129,11 @@ impl Launch<'_> {
         if self.error.is_none() && array.len() < len {
             self.error = Some(Error::device(
                 self.owner.name,
-                format!("{} holds {} values; {len} are needed", array.name(), array.len()),
+                format!(
+                    "{} holds {} values; {len} are needed",
+                    array.name(),
+                    array.len()
+                ),
                 "this is a bug; please report it",
             ));
         }
@@ -147,7 +157,11 @@ impl Launch<'_> {
         if self.next as usize != self.owner.types.len() {
             return Err(Error::device(
                 self.owner.name,
-                format!("{} arguments given; {} expected", self.next, self.owner.types.len()),
+                format!(
+                    "{} arguments given; {} expected",
+                    self.next,
+                    self.owner.types.len()
+                ),
                 "this is a bug; please report it",
             ));
         }
@@ -166,8 +180,19 @@ impl Launch<'_> {
                 Some(&mut event),
             )
         }
-        .map_err(|e| device_error(self.owner.name, &e, "lower --max-size, or select another device"))?;
-        let mut pending = self.owner.device.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        .map_err(|e| {
+            device_error(
+                self.owner.name,
+                &e,
+                "lower --max-size, or select another device",
+            )
+        })?;
+        let mut pending = self
+            .owner
+            .device
+            .pending
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         pending.push(Pending {
             stage: self.owner.stage,
             event,
@@ -180,7 +205,11 @@ impl Device {
     /// Launches so far whose device time has not been read.
     #[must_use]
     pub fn launches(&self) -> usize {
-        let pending = self.inner.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let pending = self
+            .inner
+            .pending
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         pending.len()
     }
 
@@ -190,11 +219,19 @@ impl Device {
     /// The driver's.
     pub fn collect_times(&self, launches: usize) -> Result<()> {
         let drained: Vec<Pending> = {
-            let mut pending = self.inner.pending.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut pending = self
+                .inner
+                .pending
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner);
             let n = launches.min(pending.len());
             pending.drain(..n).collect()
         };
-        let mut times = self.inner.times.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut times = self
+            .inner
+            .times
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         for p in drained {
             core::wait_for_event(&p.event)
                 .map_err(|e| device_error(p.stage, &e, "the device may be lost; start again"))?;
@@ -215,12 +252,20 @@ impl Device {
     /// Device time per stage since the device was opened (or [`Device::reset_times`]).
     #[must_use]
     pub fn times(&self) -> Vec<(&'static str, StageTime)> {
-        let times = self.inner.times.lock().unwrap_or_else(PoisonError::into_inner);
+        let times = self
+            .inner
+            .times
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         times.iter().map(|(k, v)| (*k, *v)).collect()
     }
 
     /// Forgets the times so far.
     pub fn reset_times(&self) {
-        self.inner.times.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        self.inner
+            .times
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clear();
     }
 }

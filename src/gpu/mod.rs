@@ -24,6 +24,10 @@ fn device_error(stage: &str, error: &ocl::core::Error, fix: &str) -> Error {
         .map(str::trim)
         .filter(|l| !l.is_empty() && !l.starts_with('#') && !l.contains("http"))
         .collect();
-    let first = if said.is_empty() { text.clone() } else { said.join(" ") };
+    let first = if said.is_empty() {
+        text.clone()
+    } else {
+        said.join(" ")
+    };
     Error::device(stage, first, fix)
 }

@@ -23,7 +23,10 @@ const SOURCES: &[(&str, &str)] = &[
     ("splat", include_str!("../../kernels/splat.cl")),
     ("loss", include_str!("../../kernels/loss.cl")),
     ("splat_grad", include_str!("../../kernels/splat_grad.cl")),
-    ("project_grad", include_str!("../../kernels/project_grad.cl")),
+    (
+        "project_grad",
+        include_str!("../../kernels/project_grad.cl"),
+    ),
     ("adam", include_str!("../../kernels/adam.cl")),
     ("importance", include_str!("../../kernels/importance.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
@@ -94,7 +97,10 @@ impl Defines {
         real("TILE_SLACK", tuning::TILE_SLACK);
         real("LOG_SCALE_MIN", tuning::LOG_SCALE[0]);
         real("LOG_SCALE_MAX", tuning::LOG_SCALE[1]);
-        let window: Vec<String> = ssim_window().iter().map(|w| format!("{w:?}{suffix}")).collect();
+        let window: Vec<String> = ssim_window()
+            .iter()
+            .map(|w| format!("{w:?}{suffix}"))
+            .collect();
         let _ = writeln!(text, "#define SSIM_WINDOW {{{}}}", window.join(", "));
         let _ = writeln!(text, "#define KEY_CULLED {}u", tuning::KEY_CULLED);
         text
@@ -149,7 +155,10 @@ impl Kernels {
         stage: &'static str,
         names: [&'static str; K],
     ) -> Result<[Kernel; K]> {
-        let source = SOURCES.iter().find(|(s, _)| *s == stage).map_or("", |(_, t)| t);
+        let source = SOURCES
+            .iter()
+            .find(|(s, _)| *s == stage)
+            .map_or("", |(_, t)| t);
         let text = format!(
             "{}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{source}",
             self.defines.prelude(R::IS_DOUBLE)
@@ -161,11 +170,16 @@ impl Kernels {
         let program = core::create_program_with_source(&inner.context, &[bytes])
             .map_err(|e| device_error(stage, &e, bug))?;
         let options = c"-cl-std=CL1.2 -cl-kernel-arg-info".to_owned();
-        if let Err(e) = core::build_program(&program, Some(&[inner.device_ptr()]), &options, None, None)
+        if let Err(e) =
+            core::build_program(&program, Some(&[inner.device_ptr()]), &options, None, None)
         {
             let log = core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildLog)
                 .map_or_else(|_| e.to_string(), |l| l.to_string());
-            let log = if log.trim().is_empty() { e.to_string() } else { log };
+            let log = if log.trim().is_empty() {
+                e.to_string()
+            } else {
+                log
+            };
             return Err(Error::device(
                 format!("build {stage}.cl"),
                 format!("the device's compiler says:\n{}", log.trim()),

@@ -25,7 +25,10 @@ const MAX_SCALE: f64 = 1.0;
 pub fn from_points(points: &Points, sh_degree: u32) -> Result<Splats> {
     let n = points.positions.len();
     if n == 0 {
-        return Err(Error::Numerics { stage: "init".into(), what: "no points".into() });
+        return Err(Error::Numerics {
+            stage: "init".into(),
+            what: "no points".into(),
+        });
     }
     let squared = mean_squared_neighbours(&points.positions);
     let mut s = Splats::zeros(sh_degree, n);
@@ -65,7 +68,13 @@ pub fn random(dataset: &Dataset, count: usize, sh_degree: u32, seed: u64) -> Res
             p.as_vec3().to_array()
         })
         .collect();
-    from_points(&Points { positions, colors: vec![[128; 3]; count] }, sh_degree)
+    from_points(
+        &Points {
+            positions,
+            colors: vec![[128; 3]; count],
+        },
+        sh_degree,
+    )
 }
 
 /// Mean squared distance of each point to its 3 nearest neighbours (fewer where there are fewer), O(N log N).
@@ -97,7 +106,10 @@ fn build(positions: &[[f32; 3]], order: &mut [u32], axis: usize) {
     order.select_nth_unstable_by(middle, |a, b| key(a).total_cmp(&key(b)).then(a.cmp(b)));
     let (left, right) = order.split_at_mut(middle);
     let next = (axis + 1) % 3;
-    rayon::join(|| build(positions, left, next), || build(positions, &mut right[1..], next));
+    rayon::join(
+        || build(positions, left, next),
+        || build(positions, &mut right[1..], next),
+    );
 }
 
 fn visit(positions: &[[f32; 3]], from: u32, to: u32, best: &mut [f64; 3]) {
@@ -105,7 +117,9 @@ fn visit(positions: &[[f32; 3]], from: u32, to: u32, best: &mut [f64; 3]) {
         return;
     }
     let (a, b) = (positions[from as usize], positions[to as usize]);
-    let d: f64 = (0..3).map(|k| (f64::from(a[k]) - f64::from(b[k])).powi(2)).sum();
+    let d: f64 = (0..3)
+        .map(|k| (f64::from(a[k]) - f64::from(b[k])).powi(2))
+        .sum();
     if d < best[2] {
         best[2] = d;
         best.sort_by(f64::total_cmp);
@@ -123,7 +137,11 @@ fn search(positions: &[[f32; 3]], order: &[u32], axis: usize, i: u32, best: &mut
     let pivot = order[middle];
     let gap = f64::from(positions[i as usize][axis]) - f64::from(positions[pivot as usize][axis]);
     let (left, right) = (&order[..middle], &order[middle + 1..]);
-    let (near, far) = if gap < 0.0 { (left, right) } else { (right, left) };
+    let (near, far) = if gap < 0.0 {
+        (left, right)
+    } else {
+        (right, left)
+    };
     let next = (axis + 1) % 3;
     search(positions, near, next, i, best);
     visit(positions, i, pivot, best);

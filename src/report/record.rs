@@ -2,9 +2,9 @@
 
 use super::write_atomic;
 use crate::config::TrainConfig;
-use crate::plan::Plan;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
+use crate::plan::Plan;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

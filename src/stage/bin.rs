@@ -54,7 +54,13 @@ impl Bin {
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         let [visible, compact, count, emit, ranges] = kernels.build::<R, 5>(
             "bin",
-            ["bin_visible", "bin_compact", "bin_count", "bin_emit", "bin_ranges"],
+            [
+                "bin_visible",
+                "bin_compact",
+                "bin_count",
+                "bin_emit",
+                "bin_ranges",
+            ],
         )?;
         let tuning = kernels.defines().tuning;
         Ok(Self {

@@ -44,7 +44,13 @@ impl Sort {
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         let [histogram, totals, bins, offsets, scatter] = kernels.build::<R, 5>(
             "sort",
-            ["sort_histogram", "sort_totals", "sort_bins", "sort_offsets", "sort_scatter"],
+            [
+                "sort_histogram",
+                "sort_totals",
+                "sort_bins",
+                "sort_offsets",
+                "sort_scatter",
+            ],
         )?;
         let tuning = kernels.defines().tuning;
         let device: &Device = kernels.device();

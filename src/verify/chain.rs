@@ -130,11 +130,23 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
 
     let mut out = Outputs::default();
     read_forward(&renderer, &scene, &camera, &mut out)?;
-    let mut run = Run { device, stages, renderer, scene, views, camera, case };
+    let mut run = Run {
+        device,
+        stages,
+        renderer,
+        scene,
+        views,
+        camera,
+        case,
+    };
     run.loss_and_gradient(&mut out)?;
     run.importance_and_metrics(&mut out)?;
     device.collect_times(usize::MAX)?;
-    out.seconds = device.times().into_iter().map(|(s, t)| (s, t.seconds)).collect();
+    out.seconds = device
+        .times()
+        .into_iter()
+        .map(|(s, t)| (s, t.seconds))
+        .collect();
     Ok(out)
 }
 
@@ -192,7 +204,11 @@ fn read_forward<R: Real>(
 }
 
 /// Planes of a padded image without the padding.
-fn crop<R: Real>(padded: &[f64], camera: &CameraArg<R>, planes: std::ops::Range<usize>) -> Vec<f64> {
+fn crop<R: Real>(
+    padded: &[f64],
+    camera: &CameraArg<R>,
+    planes: std::ops::Range<usize>,
+) -> Vec<f64> {
     let [w, h] = camera.size.map(|s| s as usize);
     let [stride, rows] = camera.tiles.map(|t| t as usize * TILE as usize);
     planes
@@ -244,9 +260,12 @@ impl<R: Real> Run<'_, R> {
         out.dimage = crop(&widen(dimage.to_vec()?), &self.camera, 0..3);
 
         let f = &self.renderer.frame;
-        s.splat_grad.run(&self.renderer.lists(&self.camera), &dimage, &f.sums)?;
-        let (counts, starts) =
-            (f.pair_counts.read(0, self.scene.count)?, f.pair_start.read(0, self.scene.count)?);
+        s.splat_grad
+            .run(&self.renderer.lists(&self.camera), &dimage, &f.sums)?;
+        let (counts, starts) = (
+            f.pair_counts.read(0, self.scene.count)?,
+            f.pair_start.read(0, self.scene.count)?,
+        );
         let all = widen(f.sums.to_vec()?);
         out.sums = counts
             .iter()
@@ -262,8 +281,11 @@ impl<R: Real> Run<'_, R> {
             })
             .collect();
         let len = self.scene.planes() * self.scene.stride;
-        let [grads, m, v] =
-            [Array::zeros(device, "grads", len)?, Array::zeros(device, "moment1", len)?, Array::zeros(device, "moment2", len)?];
+        let [grads, m, v] = [
+            Array::zeros(device, "grads", len)?,
+            Array::zeros(device, "moment1", len)?,
+            Array::zeros(device, "moment2", len)?,
+        ];
         s.project_grad.run(&ProjectGradArgs {
             params: &self.scene.params,
             stride: self.scene.stride,
@@ -317,7 +339,10 @@ impl<R: Real> Run<'_, R> {
         let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
         s.loss.forward(&pair, true, &maps, &partial)?;
         out.error_maps = crop(&widen(maps.to_vec()?), &self.camera, 0..2);
-        let [ssim, l1] = [Array::zeros(device, "cue 1-SSIM", n)?, Array::zeros(device, "cue L1", n)?];
+        let [ssim, l1] = [
+            Array::zeros(device, "cue 1-SSIM", n)?,
+            Array::zeros(device, "cue L1", n)?,
+        ];
         let views = Array::zeros(device, "cue views", n)?;
         for first_view in [true, false] {
             s.importance.run(&ImportanceArgs {

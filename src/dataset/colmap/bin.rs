@@ -14,7 +14,11 @@ struct Reader {
 impl Reader {
     fn open(path: PathBuf) -> Result<Self> {
         let data = std::fs::read(&path).map_err(|e| {
-            Error::input(&path, format!("cannot be read: {e}"), "copy the whole sparse/0 folder")
+            Error::input(
+                &path,
+                format!("cannot be read: {e}"),
+                "copy the whole sparse/0 folder",
+            )
         })?;
         Ok(Self { path, data, at: 0 })
     }
@@ -22,13 +26,21 @@ impl Reader {
     fn truncated(&self, what: &str) -> Error {
         Error::input(
             &self.path,
-            format!("ends within {what} (byte {} of {})", self.at, self.data.len()),
+            format!(
+                "ends within {what} (byte {} of {})",
+                self.at,
+                self.data.len()
+            ),
             "the file is cut short or damaged; copy or export it again",
         )
     }
 
     fn take<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
-        let bytes = self.data.get(self.at..).and_then(|rest| rest.first_chunk::<N>()).copied();
+        let bytes = self
+            .data
+            .get(self.at..)
+            .and_then(|rest| rest.first_chunk::<N>())
+            .copied();
         match bytes {
             Some(b) => {
                 self.at += N;
@@ -120,7 +132,13 @@ fn cameras(mut r: Reader) -> Result<Vec<ColmapCamera>> {
             ));
         };
         let params = (0..*count).map(|_| r.f64(what)).collect::<Result<_>>()?;
-        out.push(ColmapCamera { id, model: name, width, height, params });
+        out.push(ColmapCamera {
+            id,
+            model: name,
+            width,
+            height,
+            params,
+        });
     }
     Ok(out)
 }
@@ -137,7 +155,13 @@ fn images(mut r: Reader) -> Result<Vec<ColmapImage>> {
         let name = r.name()?;
         let features = r.u64(what)?;
         r.skip(features, 24, "the features of an image")?;
-        out.push(ColmapImage { id, rotation, translation, camera, name });
+        out.push(ColmapImage {
+            id,
+            rotation,
+            translation,
+            camera,
+            name,
+        });
     }
     Ok(out)
 }

@@ -88,10 +88,13 @@ pub const MODELS: [(&str, usize); 18] = [
 /// The camera file of a model in `folder`, binary preferred.
 #[must_use]
 pub fn find(folder: &Path) -> Option<(PathBuf, Layout)> {
-    [("cameras.bin", Layout::ColmapBin), ("cameras.txt", Layout::ColmapTxt)]
-        .into_iter()
-        .map(|(name, layout)| (folder.join(name), layout))
-        .find(|(file, _)| file.exists())
+    [
+        ("cameras.bin", Layout::ColmapBin),
+        ("cameras.txt", Layout::ColmapTxt),
+    ]
+    .into_iter()
+    .map(|(name, layout)| (folder.join(name), layout))
+    .find(|(file, _)| file.exists())
 }
 
 /// Reads the model in `folder`.
@@ -103,7 +106,11 @@ pub fn read(folder: &Path, layout: Layout) -> Result<ColmapModel> {
         Layout::ColmapBin => bin::read(folder)?,
         _ => txt::read(folder)?,
     };
-    let extension = if layout == Layout::ColmapBin { "bin" } else { "txt" };
+    let extension = if layout == Layout::ColmapBin {
+        "bin"
+    } else {
+        "txt"
+    };
     check(&model, folder, extension)?;
     Ok(model)
 }
@@ -118,13 +125,26 @@ fn check(model: &ColmapModel, folder: &Path, extension: &str) -> Result<()> {
     };
     for (k, p) in model.points.iter().enumerate() {
         if !p.position.iter().all(|v| v.is_finite()) {
-            return bad("points3D", format!("point {k} lies at {:?}; finite numbers expected", p.position));
+            return bad(
+                "points3D",
+                format!(
+                    "point {k} lies at {:?}; finite numbers expected",
+                    p.position
+                ),
+            );
         }
     }
     for i in &model.images {
-        let finite = i.rotation.iter().chain(&i.translation).all(|v| v.is_finite());
+        let finite = i
+            .rotation
+            .iter()
+            .chain(&i.translation)
+            .all(|v| v.is_finite());
         if !finite || i.rotation.iter().all(|v| *v == 0.0) {
-            return bad("images", format!("the pose of {} is not finite, or no rotation", i.name));
+            return bad(
+                "images",
+                format!("the pose of {} is not finite, or no rotation", i.name),
+            );
         }
     }
     if model.images.is_empty() {
@@ -133,7 +153,10 @@ fn check(model: &ColmapModel, folder: &Path, extension: &str) -> Result<()> {
     for c in &model.cameras {
         let focal_good = c.params.first().is_some_and(|f| *f > 0.0);
         if !c.params.iter().all(|v| v.is_finite()) || !focal_good || c.width == 0 || c.height == 0 {
-            return bad("cameras", format!("camera {} has unusable size or parameters", c.id));
+            return bad(
+                "cameras",
+                format!("camera {} has unusable size or parameters", c.id),
+            );
         }
     }
     Ok(())
@@ -149,7 +172,10 @@ impl ColmapModel {
         let Some(c) = self.cameras.iter().find(|c| c.id == image.camera) else {
             return Err(Error::input(
                 file("cameras"),
-                format!("no camera {}, which {} was taken with", image.camera, image.name),
+                format!(
+                    "no camera {}, which {} was taken with",
+                    image.camera, image.name
+                ),
                 "export the model again",
             ));
         };
@@ -159,7 +185,10 @@ impl ColmapModel {
             (model, _) => {
                 return Err(Error::input(
                     file("cameras"),
-                    format!("camera {} has the model {model}; PINHOLE or SIMPLE_PINHOLE expected", c.id),
+                    format!(
+                        "camera {} has the model {model}; PINHOLE or SIMPLE_PINHOLE expected",
+                        c.id
+                    ),
                     "undistort first: `colmap image_undistorter --image_path images --input_path sparse/0 --output_path undistorted`",
                 ));
             }

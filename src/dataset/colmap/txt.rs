@@ -25,7 +25,9 @@ impl Line<'_> {
     fn next<T: FromStr>(&mut self, what: &str) -> Result<T> {
         match self.words.next() {
             None => Err(self.wrong(format!("{what} missing"))),
-            Some(w) => w.parse().map_err(|_| self.wrong(format!("{what} expected, found {w:?}"))),
+            Some(w) => w
+                .parse()
+                .map_err(|_| self.wrong(format!("{what} expected, found {w:?}"))),
         }
     }
 
@@ -40,18 +42,25 @@ impl Line<'_> {
 
 fn text(path: &PathBuf) -> Result<String> {
     let bytes = std::fs::read(path).map_err(|e| {
-        Error::input(path, format!("cannot be read: {e}"), "copy the whole sparse/0 folder")
+        Error::input(
+            path,
+            format!("cannot be read: {e}"),
+            "copy the whole sparse/0 folder",
+        )
     })?;
-    String::from_utf8(bytes).map_err(|_| {
-        Error::input(path, "is not text", "export the model again as text")
-    })
+    String::from_utf8(bytes)
+        .map_err(|_| Error::input(path, "is not text", "export the model again as text"))
 }
 
 fn lines<'a>(path: &'a Path, text: &'a str) -> impl Iterator<Item = Line<'a>> {
     text.lines()
         .enumerate()
         .filter(|(_, l)| !l.starts_with('#'))
-        .map(move |(k, l)| Line { path, number: k + 1, words: l.split_whitespace() })
+        .map(move |(k, l)| Line {
+            path,
+            number: k + 1,
+            words: l.split_whitespace(),
+        })
 }
 
 pub(super) fn read(folder: &Path) -> Result<ColmapModel> {
@@ -59,7 +68,11 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel> {
     Ok(ColmapModel {
         cameras: cameras(&folder.join("cameras.txt"))?,
         images: images(&folder.join("images.txt"))?,
-        points: if points.exists() { read_points(&points)? } else { Vec::new() },
+        points: if points.exists() {
+            read_points(&points)?
+        } else {
+            Vec::new()
+        },
     })
 }
 
@@ -76,8 +89,16 @@ fn cameras(path: &PathBuf) -> Result<Vec<ColmapCamera>> {
             return Err(line.wrong(format!("unknown camera model {model}")));
         };
         let (width, height) = (line.next("width")?, line.next("height")?);
-        let params = (0..*count).map(|_| line.next("a parameter")).collect::<Result<_>>()?;
-        out.push(ColmapCamera { id, model: name, width, height, params });
+        let params = (0..*count)
+            .map(|_| line.next("a parameter"))
+            .collect::<Result<_>>()?;
+        out.push(ColmapCamera {
+            id,
+            model: name,
+            width,
+            height,
+            params,
+        });
     }
     Ok(out)
 }
@@ -99,7 +120,13 @@ fn images(path: &PathBuf) -> Result<Vec<ColmapImage>> {
         if name.is_empty() {
             return Err(line.wrong("image name missing"));
         }
-        out.push(ColmapImage { id, rotation, translation, camera, name });
+        out.push(ColmapImage {
+            id,
+            rotation,
+            translation,
+            camera,
+            name,
+        });
         all.next();
     }
     Ok(out)
@@ -114,7 +141,11 @@ fn read_points(path: &PathBuf) -> Result<Vec<ColmapPoint>> {
         }
         let _id: u64 = line.next("point id")?;
         let position = line.reals("a position")?;
-        let color = [line.next("a colour")?, line.next("a colour")?, line.next("a colour")?];
+        let color = [
+            line.next("a colour")?,
+            line.next("a colour")?,
+            line.next("a colour")?,
+        ];
         out.push(ColmapPoint { position, color });
     }
     Ok(out)

@@ -56,13 +56,27 @@ pub fn write_bin(folder: &Path, model: &ColmapModel) -> Result<()> {
 /// # Errors
 /// [`Error::Io`].
 pub fn write_txt(folder: &Path, model: &ColmapModel) -> Result<()> {
-    let join = |v: &[f64]| v.iter().map(|x| format!("{x:?}")).collect::<Vec<_>>().join(" ");
+    let join = |v: &[f64]| {
+        v.iter()
+            .map(|x| format!("{x:?}"))
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
     let mut out = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
     for c in &model.cameras {
-        let _ = writeln!(out, "{} {} {} {} {}", c.id, c.model, c.width, c.height, join(&c.params));
+        let _ = writeln!(
+            out,
+            "{} {} {} {} {}",
+            c.id,
+            c.model,
+            c.width,
+            c.height,
+            join(&c.params)
+        );
     }
     put(folder, "cameras.txt", out.as_bytes())?;
-    let mut out = String::from("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of features\n");
+    let mut out =
+        String::from("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of features\n");
     for i in &model.images {
         let pose = [i.rotation.as_slice(), i.translation.as_slice()].concat();
         let _ = writeln!(out, "{} {} {} {}\n", i.id, join(&pose), i.camera, i.name);

@@ -30,34 +30,36 @@ pub fn importance(opacity_logits: &[f32], cues: &Cues<'_>, weights: [f64; 3]) ->
     let n = [cues.ssim.len(), cues.l1.len(), cues.views.len()]
         .into_iter()
         .fold(opacity_logits.len(), usize::min);
-    let opacity = |i: usize| valid(sigmoid(f64::from(opacity_logits[i])));
     let average = |sums: &[f32], i: usize| match cues.views[i] {
-        0 => None,
-        views => valid(f64::from(sums[i]) / f64::from(views)),
+        0 => f64::NAN,
+        views => f64::from(sums[i]) / f64::from(views),
     };
-    let ssim = |i: usize| average(cues.ssim, i);
-    let l1 = |i: usize| average(cues.l1, i);
-    let scales = [Scale::of(n, opacity), Scale::of(n, ssim), Scale::of(n, l1)];
-    let values = (0..n)
+    // Opacity, 1 − SSIM, L1 of each Gaussian; what is absent is NaN.
+    let rows: Vec<[f64; 3]> = (0..n)
         .into_par_iter()
         .map(|i| {
-            let cues = [opacity(i), ssim(i), l1(i)];
-            let terms: [f64; 3] = std::array::from_fn(|k| weights[k] * scales[k].apply(cues[k]));
-            sigmoid(terms[0] + terms[1] + terms[2])
+            [
+                sigmoid(f64::from(opacity_logits[i])),
+                average(cues.ssim, i),
+                average(cues.l1, i),
+            ]
         })
         .collect();
-    let broken = |i: &usize| {
-        opacity(*i).is_none() || (cues.views[*i] > 0 && (ssim(*i).is_none() || l1(*i).is_none()))
+    let scales = Scale::of(&rows);
+    let value = |row: &[f64; 3]| {
+        let term = |k: usize| weights[k] * scales[k].apply(row[k]);
+        sigmoid(term(0) + term(1) + term(2))
     };
+    let broken = |(row, views): &(&[f64; 3], &u32)| {
+        let [opacity, ssim, l1] = row.map(f64::is_finite);
+        !(opacity && (**views == 0 || (ssim && l1)))
+    };
+    let views = &cues.views[..n];
     Importance {
-        values,
-        unseen: cues.views[..n].par_iter().filter(|v| **v == 0).count(),
-        invalid: (0..n).into_par_iter().filter(broken).count(),
+        values: rows.par_iter().map(value).collect(),
+        unseen: views.par_iter().filter(|v| **v == 0).count(),
+        invalid: rows.par_iter().zip(views).filter(broken).count(),
     }
-}
-
-fn valid(v: f64) -> Option<f64> {
-    v.is_finite().then_some(v)
 }
 
 /// Mean and standard deviation of a cue.
@@ -68,34 +70,53 @@ struct Scale {
 }
 
 impl Scale {
-    fn of(n: usize, cue: impl Fn(usize) -> Option<f64> + Sync) -> Self {
-        let (sum, count) = ordered_sum(n, &cue);
-        let count = count.max(1) as f64;
-        let mean = sum / count;
+    /// Of the finite values of each column.
+    fn of(rows: &[[f64; 3]]) -> [Self; 3] {
+        let (sums, counts) = ordered_sums(rows, |_, v| v);
+        let counts = counts.map(|c| c.max(1) as f64);
+        let means: [f64; 3] = std::array::from_fn(|k| sums[k] / counts[k]);
         // Around the mean in a second pass: E[v²] − E[v]² goes negative on a constant cue.
-        let (squares, _) = ordered_sum(n, &|i| cue(i).map(|v| (v - mean) * (v - mean)));
-        Self {
-            mean,
-            std: (squares / count).sqrt(),
-        }
+        let (squares, _) = ordered_sums(rows, |k, v| (v - means[k]) * (v - means[k]));
+        std::array::from_fn(|k| Self {
+            mean: means[k],
+            std: (squares[k] / counts[k]).sqrt(),
+        })
     }
 
-    fn apply(self, cue: Option<f64>) -> f64 {
-        cue.map_or(0.0, |v| (v - self.mean) / (self.std + STD_FLOOR))
+    fn apply(self, v: f64) -> f64 {
+        if v.is_finite() {
+            (v - self.mean) / (self.std + STD_FLOOR)
+        } else {
+            0.0
+        }
     }
 }
 
-/// Sum and number of the present values, in an order that depends on n alone.
-fn ordered_sum(n: usize, value: &(impl Fn(usize) -> Option<f64> + Sync)) -> (f64, usize) {
-    let partial: Vec<(f64, usize)> = (0..n.div_ceil(CHUNK))
-        .into_par_iter()
-        .map(|c| {
-            (c * CHUNK..n.min((c + 1) * CHUNK))
-                .filter_map(value)
-                .fold((0.0, 0), |(sum, count), v| (sum + v, count + 1))
-        })
-        .collect();
-    partial
-        .into_iter()
-        .fold((0.0, 0), |(sum, count), (s, c)| (sum + s, count + c))
+/// Sum of `term(column, value)` and number of the finite values of each column, in an order that depends on the number
+/// of rows alone.
+fn ordered_sums(
+    rows: &[[f64; 3]],
+    term: impl Fn(usize, f64) -> f64 + Sync,
+) -> ([f64; 3], [usize; 3]) {
+    let sum_chunk = |chunk: &[[f64; 3]]| {
+        let (mut sums, mut counts) = ([0.0; 3], [0; 3]);
+        for row in chunk {
+            for k in 0..3 {
+                if row[k].is_finite() {
+                    sums[k] += term(k, row[k]);
+                    counts[k] += 1;
+                }
+            }
+        }
+        (sums, counts)
+    };
+    let partial: Vec<_> = rows.par_chunks(CHUNK).map(sum_chunk).collect();
+    let (mut sums, mut counts) = ([0.0; 3], [0; 3]);
+    for (s, c) in partial {
+        for k in 0..3 {
+            sums[k] += s[k];
+            counts[k] += c[k];
+        }
+    }
+    (sums, counts)
 }

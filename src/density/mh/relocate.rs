@@ -29,9 +29,12 @@ impl Relocation {
     /// relocated like a dead one. With nothing alive nothing can be moved, and there are no edits.
     #[must_use]
     pub fn plan(context: &StepContext, scene: &SceneState<'_>, dead_opacity: f64) -> Self {
+        // The logit of the threshold: one logarithm instead of one exponential per row.
+        let dead = dead_opacity.clamp(0.0, 1.0);
+        let threshold = dead.ln() - (-dead).ln_1p();
         let alive: Vec<bool> = (0..scene.len())
             .into_par_iter()
-            .map(|i| is_alive(scene, i, dead_opacity))
+            .map(|i| is_alive(scene, i, threshold))
             .collect();
         let rows = |state: bool| -> Vec<u32> {
             (0u32..)
@@ -116,14 +119,14 @@ impl Relocation {
     }
 }
 
-fn is_alive(scene: &SceneState<'_>, row: usize, dead_opacity: f64) -> bool {
+fn is_alive(scene: &SceneState<'_>, row: usize, threshold: f64) -> bool {
     fn finite<const K: usize>(planes: &[&[f32]; K], row: usize) -> bool {
         gather(planes, row).is_some_and(|values| values.iter().all(|v| v.is_finite()))
     }
     let logit = f64::from(scene.opacity_logits[row]);
     // Says what is good, so that a NaN is dead.
     logit.is_finite()
-        && sigmoid(logit) > dead_opacity
+        && logit > threshold
         && finite(&scene.positions, row)
         && finite(&scene.log_scales, row)
         && finite(&scene.rotations, row)

@@ -6,8 +6,9 @@
 
 use rayon::prelude::*;
 
-/// Shards, a power of two: enough tasks for any desktop, and each table of a million points fits a second-level cache.
-const SHARDS: usize = 64;
+/// Shards, a power of two: enough tasks for any desktop, and each table of a million points
+/// fits a first or second-level cache.
+const SHARDS: usize = 256;
 /// Points per task when keys are computed; a constant, so that the work does not depend on the number of threads.
 const CHUNK: usize = 16_384;
 
@@ -41,7 +42,10 @@ impl VoxelCounts {
         let n = positions.iter().map(|p| p.len()).min().unwrap_or(0);
         let chunks: Vec<Chunk> = (0..n.div_ceil(CHUNK))
             .into_par_iter()
-            .map(|c| Chunk::new(positions, edge, c * CHUNK..n.min((c + 1) * CHUNK), &keep))
+            .map_init(Vec::new, |found, c| {
+                let range = c * CHUNK..n.min((c + 1) * CHUNK);
+                Chunk::new(positions, edge, range, &keep, found)
+            })
             .collect();
         let shards = (0..SHARDS)
             .into_par_iter()
@@ -94,12 +98,18 @@ impl VoxelCounts {
 }
 
 fn key(position: [f64; 3], edge: f64) -> Option<Key> {
-    let lattice = position.map(|x| (x / edge).floor());
-    // `as` saturates; NaN and ±∞ are turned away first.
+    let lattice = position.map(|x| x / edge);
+    // Casts saturate; NaN and ±∞ are turned away first.
     lattice
         .iter()
         .all(|v| v.is_finite())
-        .then(|| lattice.map(|v| v as i32))
+        .then(|| lattice.map(floor_to_i32))
+}
+
+/// ⌊v⌋ saturated to 32 bits. `f64::floor` is a library call on baseline x86-64, and there are three per Gaussian.
+fn floor_to_i32(v: f64) -> i32 {
+    let truncated = v as i32;
+    truncated.saturating_sub(i32::from(f64::from(truncated) > v))
 }
 
 /// Multiply and fold (wyhash's mixing step): every key bit reaches both the upper bits (shard) and the lower (slot).
@@ -120,7 +130,7 @@ fn hash(key: Key) -> u64 {
 }
 
 fn shard_of(hash: u64) -> usize {
-    (hash >> 58) as usize & (SHARDS - 1)
+    (hash >> 56) as usize & (SHARDS - 1)
 }
 
 /// Keys of a range of points, sorted by shard.
@@ -131,13 +141,15 @@ struct Chunk {
 }
 
 impl Chunk {
+    /// `found` is scratch space, kept between chunks.
     fn new(
         positions: [&[f32]; 3],
         edge: f64,
         range: std::ops::Range<usize>,
         keep: &(impl Fn(usize) -> bool + Sync),
+        found: &mut Vec<(u8, Key)>,
     ) -> Self {
-        let mut found = Vec::with_capacity(range.len());
+        found.clear();
         let mut starts = [0; SHARDS + 1];
         for i in range {
             let at = positions.map(|p| f64::from(p[i]));
@@ -152,7 +164,7 @@ impl Chunk {
         }
         let mut next = starts;
         let mut keys = vec![[0; 3]; found.len()];
-        for (shard, key) in found {
+        for &(shard, key) in found.iter() {
             let slot = &mut next[usize::from(shard)];
             keys[*slot] = key;
             *slot += 1;
@@ -173,21 +185,24 @@ struct Shard {
 }
 
 impl Shard {
-    /// Room for that many points at the usual occupancy of a voxel; it grows when they are spread more thinly.
+    /// Room for that many points if no two share a voxel.
     fn with_points(points: usize) -> Self {
-        let slots = (points / 2).max(16).next_power_of_two();
         Self {
-            slots: vec![([0; 3], 0); slots],
+            slots: vec![([0; 3], 0); points + points / 4 + 16],
             occupied: 0,
         }
     }
 
     /// Index of the key's slot, or of the free slot it would take. Ends because a slot is always free.
     fn find(&self, key: Key, hash: u64) -> usize {
-        let mask = self.slots.len() - 1;
-        let mut i = hash as usize & mask;
+        // The lower half of the hash scaled to the table (Lemire 2019): no power of two, no division.
+        let home = (hash & 0xFFFF_FFFF) * self.slots.len() as u64;
+        let mut i = (home >> 32) as usize;
         while self.slots[i].1 != 0 && self.slots[i].0 != key {
-            i = (i + 1) & mask;
+            i += 1;
+            if i == self.slots.len() {
+                i = 0;
+            }
         }
         i
     }
@@ -199,7 +214,7 @@ impl Shard {
     fn add(&mut self, key: Key, hash: u64) {
         let mut i = self.find(key, hash);
         if self.slots[i].1 == 0 {
-            if (self.occupied + 1) * 4 > self.slots.len() * 3 {
+            if (self.occupied + 1) * 8 > self.slots.len() * 7 {
                 self.grow();
                 i = self.find(key, hash);
             }

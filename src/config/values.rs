@@ -1,0 +1,164 @@
+//! Options with a spelling of their own.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+
+/// Where the first Gaussians come from; written `points`, `random` or the path of a PLY file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum Init {
+    /// One Gaussian per sparse point; random where the dataset has none.
+    #[default]
+    Points,
+    /// Random points in the cameras' bounding box.
+    Random,
+    /// A PLY file with 3DGS properties, in the dataset's own frame.
+    File(std::path::PathBuf),
+}
+
+impl std::str::FromStr for Init {
+    type Err = Error;
+    fn from_str(s: &str) -> Result<Self> {
+        match s {
+            "points" => Ok(Self::Points),
+            "random" => Ok(Self::Random),
+            path if path.to_lowercase().ends_with(".ply") => Ok(Self::File(path.into())),
+            other => Err(Error::config(
+                "--init",
+                format!("{other:?}; points, random or a .ply file expected"),
+            )),
+        }
+    }
+}
+
+impl TryFrom<String> for Init {
+    type Error = Error;
+    fn try_from(s: String) -> Result<Self> {
+        s.parse()
+    }
+}
+
+impl From<Init> for String {
+    fn from(v: Init) -> Self {
+        match v {
+            Init::Points => "points".into(),
+            Init::Random => "random".into(),
+            Init::File(path) => path.to_string_lossy().into_owned(),
+        }
+    }
+}
+
+/// What lies behind the scene; written `black`, `white`, `random` or `R,G,B`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum Background {
+    /// (0, 0, 0).
+    #[default]
+    Black,
+    /// (1, 1, 1).
+    White,
+    /// A new colour each iteration; black when evaluating.
+    Random,
+    /// RGB in [0, 1].
+    Color([f32; 3]),
+}
+
+impl std::str::FromStr for Background {
+    type Err = Error;
+    fn from_str(s: &str) -> Result<Self> {
+        let wrong = || {
+            Error::config(
+                "--background",
+                format!("{s:?}; black, white, random or R,G,B in 0 to 1 expected"),
+            )
+        };
+        match s {
+            "black" => Ok(Self::Black),
+            "white" => Ok(Self::White),
+            "random" => Ok(Self::Random),
+            _ => {
+                let parts: Vec<f32> = s
+                    .split(',')
+                    .map(|v| v.trim().parse().map_err(|_| wrong()))
+                    .collect::<Result<_>>()?;
+                let rgb: [f32; 3] = parts.try_into().map_err(|_| wrong())?;
+                if rgb.iter().all(|v| (0.0..=1.0).contains(v)) {
+                    Ok(Self::Color(rgb))
+                } else {
+                    Err(wrong())
+                }
+            }
+        }
+    }
+}
+
+impl TryFrom<String> for Background {
+    type Error = Error;
+    fn try_from(s: String) -> Result<Self> {
+        s.parse()
+    }
+}
+
+impl From<Background> for String {
+    fn from(v: Background) -> Self {
+        match v {
+            Background::Black => "black".into(),
+            Background::White => "white".into(),
+            Background::Random => "random".into(),
+            Background::Color([r, g, b]) => format!("{r},{g},{b}"),
+        }
+    }
+}
+
+/// Seconds from `90`, `90s`, `10m`, `1.5h` or `1h30m`.
+///
+/// # Errors
+/// Anything else, or a time that is not positive.
+pub fn parse_duration(s: &str) -> Result<f64> {
+    let wrong = || {
+        Error::config(
+            "--time-budget",
+            format!("{s:?}; a time like 90s, 10m or 1h30m expected"),
+        )
+    };
+    let mut total = 0.0;
+    let mut number = String::new();
+    for c in s.trim().chars() {
+        let unit = match c {
+            '0'..='9' | '.' => {
+                number.push(c);
+                continue;
+            }
+            's' => 1.0,
+            'm' => 60.0,
+            'h' => 3600.0,
+            _ => return Err(wrong()),
+        };
+        total += unit * number.parse::<f64>().map_err(|_| wrong())?;
+        number.clear();
+    }
+    if !number.is_empty() {
+        total += number.parse::<f64>().map_err(|_| wrong())?;
+    }
+    if total > 0.0 { Ok(total) } else { Err(wrong()) }
+}
+
+/// `time-budget` as a number of seconds or as [`parse_duration`] reads it.
+pub(super) fn duration_or_number<'de, D: serde::Deserializer<'de>>(
+    d: D,
+) -> std::result::Result<Option<f64>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Either {
+        Number(f64),
+        Text(String),
+    }
+    Ok(match Option::<Either>::deserialize(d)? {
+        None => None,
+        Some(Either::Number(v)) => Some(v),
+        Some(Either::Text(s)) => Some(parse_duration(&s).map_err(serde::de::Error::custom)?),
+    })
+}

@@ -1,0 +1,75 @@
+//! What a checkpoint holds of the trainer.
+
+use super::Trainer;
+use crate::density::DensityStats;
+use crate::error::Result;
+use crate::gpu::Array;
+use crate::gpu::tuning::status;
+use crate::model::Splats;
+
+/// Everything that a checkpoint must hold to continue bit for bit.
+#[derive(Debug, Clone)]
+pub struct TrainerState {
+    /// Iterations done.
+    pub iteration: u32,
+    /// Parameters.
+    pub splats: Splats,
+    /// First moments, planes as in [`Splats`].
+    pub moment1: Vec<Vec<f32>>,
+    /// Second moments.
+    pub moment2: Vec<Vec<f32>>,
+    /// State of density control.
+    pub density: serde_json::Value,
+    /// Statistics of density control so far.
+    pub stats: DensityStats,
+    /// Non-finite gradient values so far.
+    pub non_finite: u64,
+}
+
+impl Trainer {
+    /// Reads everything a checkpoint needs.
+    ///
+    /// # Errors
+    /// The driver's, or non-finite parameters.
+    pub fn state(&mut self) -> Result<TrainerState> {
+        self.settle()?;
+        let read = |array: &Array<f32>| -> Result<Vec<Vec<f32>>> {
+            (0..self.scene.planes())
+                .map(|p| array.read(p * self.scene.stride, self.scene.count))
+                .collect()
+        };
+        Ok(TrainerState {
+            iteration: self.iteration,
+            splats: self.scene.download()?,
+            moment1: read(&self.moment1)?,
+            moment2: read(&self.moment2)?,
+            density: self.density.save(),
+            stats: self.stats,
+            non_finite: self.non_finite,
+        })
+    }
+
+    /// Continues from a state; the trainer must have been made with its splats.
+    ///
+    /// # Errors
+    /// A state of another shape, or the driver's.
+    pub fn restore(&mut self, state: &TrainerState) -> Result<()> {
+        for (array, planes) in [
+            (&self.moment1, &state.moment1),
+            (&self.moment2, &state.moment2),
+        ] {
+            for (p, plane) in planes.iter().enumerate() {
+                array.write(p * self.scene.stride, plane)?;
+            }
+        }
+        self.density.load(&state.density)?;
+        self.stats = state.stats;
+        self.iteration = state.iteration;
+        self.non_finite = state.non_finite;
+        let slot = status::NON_FINITE as usize;
+        self.renderer
+            .frame
+            .status
+            .write(slot, &[state.non_finite.min(u64::from(u32::MAX)) as u32])
+    }
+}

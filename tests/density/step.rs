@@ -1,0 +1,351 @@
+//! The whole density step, its contract and its reproducibility.
+
+use super::{Scene, on_threads};
+use mhsplat::config::{MhConfig, Sampler, TrainConfig};
+use mhsplat::density::mh::MetropolisHastings;
+use mhsplat::density::relocation::sigmoid;
+use mhsplat::density::{
+    Cues, DensityControl, DensityStats, Edit, Fixed, Outcome, StepContext, make,
+};
+use std::collections::{HashMap, HashSet};
+
+fn context(iteration: u32, progress: f64, seed: u64) -> StepContext {
+    StepContext {
+        iteration,
+        progress,
+        seed,
+        max_gaussians: None,
+    }
+}
+
+fn step(scene: &Scene, context: &StepContext) -> Outcome {
+    MetropolisHastings::new(&MhConfig::default())
+        .step(context, &scene.state(), &scene.cues())
+        .unwrap()
+}
+
+/// What the documentation of [`Edit`] promises, as a list of breaches.
+fn breaches(n: usize, outcome: &Outcome) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut dst = HashSet::new();
+    let changed: HashMap<u32, u32> = outcome.edits.iter().map(|e| (e.dst, e.src)).collect();
+    for e in &outcome.edits {
+        let values = e
+            .position
+            .iter()
+            .chain(&e.log_scale)
+            .chain([&e.opacity_logit]);
+        if !values.into_iter().all(|v| v.is_finite()) {
+            found.push(format!("not finite: {e:?}"));
+        }
+        if e.src as usize >= n || e.dst as usize >= outcome.len {
+            found.push(format!("outside: {e:?}"));
+        }
+        if !dst.insert(e.dst) {
+            found.push(format!("written twice: {}", e.dst));
+        }
+        if changed.get(&e.src).is_some_and(|src| *src != e.src) {
+            found.push(format!("source {} is overwritten", e.src));
+        }
+    }
+    if !(n..outcome.len).all(|row| dst.contains(&(row as u32))) {
+        found.push("a gap in the appended rows".into());
+    }
+    found
+}
+
+/// A scene in which every seventh Gaussian is dead, two of them because they are broken.
+fn dying(n: usize) -> Scene {
+    let mut scene = Scene::random(n, 21);
+    for i in (0..n).step_by(7) {
+        scene.logits[i] = -6.0;
+    }
+    scene.logits[0] = f32::NAN;
+    scene.positions[1][7] = f32::INFINITY;
+    scene
+}
+
+#[test]
+fn edits_obey_their_contract() {
+    for (scene, dead) in [(dying(7000), 1000), (Scene::random(7000, 3), 0)] {
+        let outcome = step(&scene, &context(700, 0.1, 1));
+        assert_eq!(breaches(7000, &outcome), Vec::<String>::new());
+        assert_eq!(outcome.stats.relocated, dead);
+        let s = outcome.stats;
+        assert_eq!(s.proposed, s.coarse[0] + s.fine[0]);
+        assert_eq!(s.accepted, s.coarse[1] + s.fine[1]);
+        assert_eq!(outcome.len as u64, 7000 + s.accepted);
+        assert!(s.coarse[1] > 0 && s.fine[1] > 0 && s.accepted < s.proposed);
+        assert!(s.mean_prior > 0.0 && s.mean_prior < 1.0 && s.occupied_voxels > 0);
+    }
+}
+
+#[test]
+fn a_breach_of_the_contract_is_noticed() {
+    let good = step(&dying(700), &context(700, 0.1, 1));
+    let broken = |change: &dyn Fn(&mut Vec<Edit>)| {
+        let mut outcome = good.clone();
+        change(&mut outcome.edits);
+        breaches(700, &outcome)
+    };
+    assert!(broken(&|_| ()).is_empty());
+    assert!(!broken(&|e| e.push(e[0])).is_empty());
+    assert!(
+        !broken(&|e| {
+            e.pop();
+        })
+        .is_empty()
+    );
+    assert!(!broken(&|e| e[0].position[0] = f32::NAN).is_empty());
+    assert!(!broken(&|e| e[0].src = 700).is_empty());
+    let moved = good.edits.iter().find(|e| e.src != e.dst).unwrap().dst;
+    assert!(!broken(&|e| e[0].src = moved).is_empty());
+}
+
+#[test]
+fn relocation_keeps_the_rendered_opacity_and_shares_it() {
+    let scene = dying(7000);
+    let outcome = step(&scene, &context(700, 0.1, 1));
+    let mut groups: HashMap<u32, Vec<&Edit>> = HashMap::new();
+    for e in outcome.edits.iter().filter(|e| (e.dst as usize) < 7000) {
+        groups.entry(e.src).or_default().push(e);
+    }
+    assert!(
+        groups.values().any(|g| g.len() > 2),
+        "a source drawn twice is wanted here"
+    );
+    for (src, group) in &groups {
+        let i = *src as usize;
+        assert!(!i.is_multiple_of(7), "a dead row was drawn as a source");
+        assert!(
+            group.iter().any(|e| e.dst == *src),
+            "the source itself keeps the old opacity"
+        );
+        let pass = |l: f32| sigmoid(-f64::from(l));
+        let after: f64 = group.iter().map(|e| pass(e.opacity_logit)).product();
+        assert!((after - pass(scene.logits[i])).abs() < 1e-6);
+        for e in group {
+            assert_eq!(e.position, [0, 1, 2].map(|k| scene.positions[k][i]));
+            let offset: Vec<f32> = (0..3)
+                .map(|k| e.log_scale[k] - scene.log_scales[k][i])
+                .collect();
+            assert!(
+                offset
+                    .iter()
+                    .all(|o| *o < 0.0 && (o - offset[0]).abs() < 1e-5)
+            );
+        }
+    }
+    // Births copy what relocation left, not what was there before.
+    let births: Vec<&Edit> = outcome
+        .edits
+        .iter()
+        .filter(|e| e.dst as usize >= 7000)
+        .collect();
+    let of_split = births
+        .iter()
+        .filter(|b| groups.contains_key(&b.src))
+        .count();
+    assert!(of_split > 0);
+    for b in births {
+        assert!(!b.src.is_multiple_of(7), "a dead row gave birth");
+        let logit = groups
+            .get(&b.src)
+            .map_or(scene.logits[b.src as usize], |g| g[0].opacity_logit);
+        assert_eq!(b.opacity_logit, logit);
+    }
+}
+
+#[test]
+fn sources_of_relocation_follow_opacity() {
+    let mut scene = Scene::random(20_000, 4);
+    for i in 0..20_000 {
+        scene.logits[i] = [-9.0, -2.0, 2.0][i % 3];
+    }
+    let outcome = step(&scene, &context(700, 0.5, 1));
+    let moved = outcome
+        .edits
+        .iter()
+        .filter(|e| e.dst % 3 == 0 && (e.dst as usize) < 20_000);
+    let sources: Vec<u32> = moved.map(|e| e.src % 3).collect();
+    let share = sources.iter().filter(|s| **s == 2).count() as f64 / sources.len() as f64;
+    let (low, high) = (sigmoid(-2.0), sigmoid(2.0));
+    assert_eq!(sources.len(), 6667);
+    // Five standard errors of a share of 6,667 draws.
+    assert!((share - high / (low + high)).abs() < 0.02, "{share}");
+}
+
+#[test]
+fn with_everything_dead_nothing_happens() {
+    let mut scene = Scene::random(50, 1);
+    scene.logits.fill(-9.0);
+    let outcome = step(&scene, &context(500, 0.0, 0));
+    assert!(outcome.edits.is_empty());
+    assert_eq!(
+        (outcome.len, outcome.stats.proposed, outcome.stats.relocated),
+        (50, 0, 0)
+    );
+    let empty = step(&Scene::random(0, 1), &context(500, 0.0, 0));
+    assert_eq!((empty.edits.len(), empty.len), (0, 0));
+}
+
+#[test]
+fn one_survivor_takes_all() {
+    let mut scene = Scene::random(300, 1);
+    scene.logits.fill(-9.0);
+    scene.logits[123] = 3.0;
+    let outcome = step(&scene, &context(500, 0.0, 0));
+    assert_eq!(breaches(300, &outcome), Vec::<String>::new());
+    assert_eq!(outcome.stats.relocated, 299);
+    assert!(outcome.edits.iter().all(|e| e.src == 123));
+    // One source: one coarse and one fine proposal, whatever was drawn.
+    assert_eq!((outcome.stats.coarse[0], outcome.stats.fine[0]), (1, 1));
+}
+
+#[test]
+fn the_upper_bound_holds() {
+    let scene = dying(3000);
+    let free = step(&scene, &context(700, 0.1, 1));
+    for limit in [3000 + 10, 3000, 100, free.len, free.len + 1] {
+        let bounded = StepContext {
+            max_gaussians: Some(limit),
+            ..context(700, 0.1, 1)
+        };
+        let outcome = step(&scene, &bounded);
+        assert_eq!(outcome.len, limit.min(free.len).max(3000));
+        assert_eq!(outcome.stats.accepted as usize, outcome.len - 3000);
+        assert_eq!(breaches(3000, &outcome), Vec::<String>::new());
+        assert_eq!(
+            outcome.edits[..],
+            free.edits[..outcome.edits.len()],
+            "the first births stay"
+        );
+    }
+}
+
+#[test]
+fn same_seed_same_edits_on_any_number_of_threads() {
+    let scene = dying(20_000);
+    let run = |seed: u64, iteration: u32| step(&scene, &context(iteration, 0.3, seed)).edits;
+    let one = on_threads(1, || run(5, 900));
+    let two = on_threads(2, || run(5, 900));
+    let four = on_threads(4, || run(5, 900));
+    assert!(one == two && two == four);
+    assert!(run(6, 900) != one, "another seed must differ");
+    assert!(run(5, 1000) != one, "another iteration must differ");
+}
+
+#[test]
+fn crowded_voxels_take_fewer_births() {
+    let spread = Scene::random(20_000, 8);
+    let mut crowded = spread.clone();
+    for plane in &mut crowded.positions {
+        plane.iter_mut().for_each(|x| *x *= 1e-3);
+    }
+    for plane in &mut crowded.log_scales {
+        plane.fill(-12.0);
+    }
+    let a = step(&spread, &context(700, 0.0, 1)).stats;
+    let b = step(&crowded, &context(700, 0.0, 1)).stats;
+    assert!(b.mean_prior < 0.01 && a.mean_prior > 0.1, "{a:?} {b:?}");
+    assert!(b.accepted * 10 < a.accepted);
+}
+
+#[test]
+fn proposals_fade_with_progress() {
+    let scene = Scene::random(30_000, 8);
+    let first = step(&scene, &context(500, 0.0, 1)).stats;
+    let last = step(&scene, &context(15_000, 1.0, 1)).stats;
+    assert!(
+        first.coarse[0] > 3500 && first.coarse[0] <= 4500,
+        "{first:?}"
+    );
+    assert!(first.fine[0] > 9000 && first.fine[0] <= 16_000, "{first:?}");
+    assert_eq!((last.coarse[0], last.fine[0]), (1, 1));
+}
+
+#[test]
+fn view_subsets_walk_round_robin() {
+    let mut mh = MetropolisHastings::new(&MhConfig::default());
+    assert_eq!(mh.view_subset(10, 0.0), (0..10).collect::<Vec<_>>());
+    assert_eq!(mh.view_subset(10, 0.6), vec![0, 1, 2, 3]);
+    let saved = mh.save();
+    assert_eq!(mh.view_subset(10, 0.6), vec![4, 5, 6, 7]);
+    assert_eq!(mh.view_subset(10, 0.6), vec![8, 9, 0, 1]);
+    assert_eq!(mh.view_subset(10, 1.0), vec![2]);
+    assert!(mh.view_subset(0, 0.5).is_empty());
+    let mut again = MetropolisHastings::new(&MhConfig::default());
+    again.load(&saved).unwrap();
+    assert_eq!(again.view_subset(10, 0.6), vec![4, 5, 6, 7]);
+    assert!(again.load(&serde_json::json!({ "other": 1 })).is_err());
+    let mut seen = [0; 7];
+    for _ in 0..7 {
+        for v in mh.view_subset(7, 0.5) {
+            seen[v] += 1;
+        }
+    }
+    assert_eq!(seen, [3; 7], "every view as often as every other");
+}
+
+#[test]
+fn bad_input_is_an_error_that_names_it() {
+    let scene = Scene::random(10, 1);
+    let mut mh = MetropolisHastings::new(&MhConfig::default());
+    let short = Cues {
+        l1: &scene.l1[..9],
+        ..scene.cues()
+    };
+    let said = mh
+        .step(&context(1, 0.0, 0), &scene.state(), &short)
+        .unwrap_err()
+        .to_string();
+    assert!(said.contains("9 values; 10 expected"), "{said}");
+    assert!(
+        mh.step(&context(1, f64::NAN, 0), &scene.state(), &scene.cues())
+            .is_err()
+    );
+    let bad = MhConfig {
+        voxel_edge: [0.0, 0.0],
+        ..MhConfig::default()
+    };
+    let said = MetropolisHastings::new(&bad)
+        .step(&context(1, 0.0, 0), &scene.state(), &scene.cues())
+        .unwrap_err()
+        .to_string();
+    assert!(said.contains("voxel-edge"), "{said}");
+}
+
+#[test]
+fn a_fixed_set_stays() {
+    let scene = dying(100);
+    let outcome = Fixed
+        .step(&context(1, 0.0, 0), &scene.state(), &scene.cues())
+        .unwrap();
+    assert!(outcome.edits.is_empty() && outcome.len == 100);
+    assert!(Fixed.view_subset(9, 0.0).is_empty());
+    assert!(Fixed.load(&Fixed.save()).is_ok() && Fixed.load(&serde_json::json!(3)).is_err());
+    let mut config = TrainConfig::default();
+    assert_eq!(make(&config).view_subset(4, 0.0).len(), 4);
+    config.sampler = Sampler::None;
+    assert!(make(&config).view_subset(4, 0.0).is_empty());
+}
+
+#[test]
+fn statistics_add_up() {
+    let scene = dying(2000);
+    let first = step(&scene, &context(500, 0.0, 1)).stats;
+    let second = step(&scene, &context(600, 0.5, 1)).stats;
+    let mut sum = DensityStats::default();
+    sum.add(&first);
+    sum.add(&second);
+    assert_eq!(sum.proposed, first.proposed + second.proposed);
+    assert_eq!(sum.accepted, first.accepted + second.accepted);
+    assert_eq!(sum.relocated, first.relocated + second.relocated);
+    assert_eq!(
+        sum.coarse,
+        [0, 1].map(|k| first.coarse[k] + second.coarse[k])
+    );
+    assert_eq!(sum.fine, [0, 1].map(|k| first.fine[k] + second.fine[k]));
+    assert_eq!(sum.occupied_voxels, second.occupied_voxels);
+    assert_eq!(sum.mean_prior, second.mean_prior);
+}

@@ -1,0 +1,79 @@
+//! Voxel counts against brute force.
+
+use super::Scene;
+use mhsplat::density::mh::sparsity::VoxelCounts;
+use std::collections::HashMap;
+
+/// Counts with a map of floored f64 coordinates.
+fn brute_force(positions: [&[f32]; 3], edge: f64) -> HashMap<[i64; 3], u32> {
+    let mut counts = HashMap::new();
+    for i in 0..positions[0].len() {
+        let key = positions.map(|p| (f64::from(p[i]) / edge).floor() as i64);
+        *counts.entry(key).or_insert(0) += 1;
+    }
+    counts
+}
+
+/// Number of positions at which the counts differ from the expected ones of lattice edge `edge`.
+fn disagreements(
+    counts: &VoxelCounts,
+    positions: [&[f32]; 3],
+    expected: &HashMap<[i64; 3], u32>,
+    edge: f64,
+) -> usize {
+    (0..positions[0].len())
+        .filter(|&i| {
+            let at = positions.map(|p| f64::from(p[i]));
+            let key = at.map(|x| (x / edge).floor() as i64);
+            counts.get(at) != expected[&key]
+        })
+        .count()
+}
+
+#[test]
+fn voxel_counts_equal_brute_force() {
+    let mut scene = Scene::random(40_000, 5);
+    // Borders of cells on both sides of zero, and places far away.
+    for i in 0..4000 {
+        let k = i as f32 - 2000.0;
+        scene.positions[0][i] = k * 0.0625;
+        scene.positions[1][i] = if i % 2 == 0 { -0.0 } else { 0.125 };
+        scene.positions[2][i] = if i % 7 == 0 { k * 1e3 } else { -0.0625 };
+    }
+    for edge in [0.0625, 0.02, 0.005] {
+        let positions = scene.state().positions;
+        let expected = brute_force(positions, edge);
+        let counts = VoxelCounts::count(positions, edge);
+        assert_eq!(counts.occupied(), expected.len());
+        assert_eq!(disagreements(&counts, positions, &expected, edge), 0);
+        let shifted = VoxelCounts::count(positions, edge * 1.5);
+        assert!(disagreements(&shifted, positions, &expected, edge) > 0);
+    }
+    let counts = VoxelCounts::count([&[0.5], &[0.5], &[0.5]], 1.0);
+    assert_eq!(counts.get([-0.5, 0.5, 0.5]), 0);
+    assert_eq!(counts.get([0.0, 0.999, 0.5]), 1);
+    assert_eq!(counts.get([1.0, 0.5, 0.5]), 0);
+    // Beyond 2³¹ edges the outermost voxel takes everything; nothing wraps around to the other side.
+    let far = VoxelCounts::count([&[1e30, 3e38], &[0.0; 2], &[0.0; 2]], 0.005);
+    assert_eq!(
+        (far.get([2e30, 0.0, 0.0]), far.get([-2e30, 0.0, 0.0])),
+        (2, 0)
+    );
+}
+
+#[test]
+fn voxel_counts_grow_and_ignore_what_is_not_finite() {
+    let nan = [f32::NAN, 0.1, f32::INFINITY];
+    let mut counts = VoxelCounts::count([&nan, &[0.1; 3], &[0.1; 3]], 0.5);
+    assert_eq!((counts.occupied(), counts.get([0.1; 3])), (1, 1));
+    assert_eq!(counts.get([f64::NAN, 0.0, 0.0]), 0);
+    counts.add([f64::NAN; 3]);
+    for i in 0..20_000 {
+        counts.add([f64::from(i % 10_000) + 0.25, -1.0, 3.0]);
+    }
+    assert_eq!(counts.occupied(), 10_001);
+    assert!((0..10_000).all(|i| counts.get([f64::from(i), -0.75, 3.4]) == 2));
+    assert_eq!(VoxelCounts::count([&[], &[], &[]], 1.0).occupied(), 0);
+    let some = VoxelCounts::count_where([&[0.1, 0.1], &[0.1; 2], &[0.1; 2]], 1.0, |i| i == 1);
+    assert_eq!(some.get([0.2; 3]), 1);
+}
