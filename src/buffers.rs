@@ -195,6 +195,14 @@ impl<R: Real> Frame<R> {
         if self.pair_capacity() >= pairs {
             return Ok(());
         }
+        self.set_pairs(device, pairs)
+    }
+
+    /// Room for `pairs` pairs, rounded up, whatever there was before.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn set_pairs(&mut self, device: &Device, pairs: usize) -> Result<()> {
         let pairs = pairs.next_multiple_of(ROUND);
         let ints = |name| Array::<u32>::zeros(device, name, pairs);
         self.tile_keys = [ints("tile_keys")?, ints("tile_keys")?];

@@ -1,6 +1,6 @@
 //! [`TrainConfig`]: every number of a run, with the paper's defaults.
 //!
-//! [MH] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); [3DGS] = Kerbl et al. 2023; [MCMC] = Kheradmand et al. 2024.
+//! \[MH\] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); \[3DGS\] = Kerbl et al. 2023; \[MCMC\] = Kheradmand et al. 2024.
 
 mod values;
 
@@ -16,7 +16,7 @@ use crate::error::{Error, Result};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Sampler {
-    /// Metropolis–Hastings births and relocation ([MH] §4).
+    /// Metropolis–Hastings births and relocation (\[MH\] §4).
     #[default]
     Mh,
     /// A fixed set of Gaussians.
@@ -28,16 +28,16 @@ pub enum Sampler {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Acceptance {
-    /// ρ = σ(I)·D ([MH] Eq. 20).
+    /// ρ = σ(I)·D (\[MH\] Eq. 20).
     #[default]
     Eq20,
-    /// ρ = I·D ([MH] Alg. 1).
+    /// ρ = I·D (\[MH\] Alg. 1).
     Alg1,
     /// ρ = σ(I − ½)·D (the released implementation).
     Centred,
 }
 
-/// Loss weights ([MH] Eq. 4).
+/// Loss weights (\[MH\] Eq. 4).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct LossConfig {
@@ -59,7 +59,7 @@ impl Default for LossConfig {
     }
 }
 
-/// Adam's constants and learning rates ([MH] §5.1, [3DGS] §7.1).
+/// Adam's constants and learning rates (\[MH\] §5.1, \[3DGS\] §7.1).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct OptimizerConfig {
@@ -105,7 +105,7 @@ impl Default for OptimizerConfig {
     }
 }
 
-/// Metropolis–Hastings density control ([MH] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations.
+/// Metropolis–Hastings density control (\[MH\] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct MhConfig {

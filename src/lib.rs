@@ -1,5 +1,48 @@
-//! Placeholder map; completed with the first working line.
+//! 3D Gaussian Splatting training on any OpenCL device, with Metropolis–Hastings density control.
+//!
+//! Posed photos become a scene of N Gaussians. Raw parameters per Gaussian and their activations: position (none),
+//! log-scale (exp), quaternion w, x, y, z (normalised), opacity logit (sigmoid), SH coefficients of three channels (real
+//! SH basis in 3DGS's sign convention, + ½, clamped at 0). Lengths are in a local frame in which the scene extent
+//! (1.1 × the largest distance of a camera centre from their mean) is 1.
+//!
+//! # The way of the data
+//!
+//! | step | where | what |
+//! |---|---|---|
+//! | read | [`dataset`] | files → posed photos in the local frame |
+//! | start | [`model`] | points → [`Splats`] |
+//! | project | `kernels/project.cl` | Gaussians → 2D records of one camera |
+//! | scan, bin, sort | `kernels/{scan,bin,sort}.cl` | records → Gaussians of each tile, front to back |
+//! | splat | `kernels/splat.cl` | tiles → image |
+//! | loss | `kernels/loss.cl` | L1 + SSIM and its gradient |
+//! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
+//! | adam | `kernels/adam.cl` | one step of all parameters |
+//! | importance, edit | `kernels/{importance,edit}.cl` | error cues of each Gaussian; rows written by density control |
+//! | density control | [`density`] | which Gaussians are born or moved, on the host |
+//! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM |
+//! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
+//!
+//! [`train`] and [`render`] alone know the order of the stages. Every stage has a twin in plain f64 Rust in
+//! [`reference`](mod@reference), which defines what is correct; [`verify`] compares the two on a device.
+//!
+//! ```no_run
+//! use mhsplat::{Device, LoadOptions, TrainConfig, Trainer, load_dataset, run};
+//! # fn main() -> mhsplat::Result<()> {
+//! let dataset = load_dataset("photos".as_ref(), &LoadOptions::default())?;
+//! let device = Device::open(None)?;
+//! let config = TrainConfig { iterations: 3000, ..TrainConfig::default() };
+//! let splats = run::initial_splats(&dataset, &config)?;
+//! let mut trainer = Trainer::new(&device, &dataset, &config, &splats)?;
+//! while trainer.iteration() < config.iterations {
+//!     trainer.step()?;
+//!     trainer.density_step()?;
+//! }
+//! mhsplat::export::ply::write("scene.ply".as_ref(), &trainer.state()?.splats, &dataset.frame)?;
+//! # Ok(())
+//! # }
+//! ```
 
+#[doc(hidden)]
 pub mod buffers;
 pub mod config;
 pub mod dataset;
@@ -7,6 +50,7 @@ pub mod density;
 pub mod error;
 pub mod evaluate;
 pub mod export;
+#[doc(hidden)]
 pub mod gpu;
 pub mod model;
 pub mod plan;
@@ -15,6 +59,17 @@ pub mod render;
 pub mod report;
 pub mod run;
 pub mod schedule;
+#[doc(hidden)]
 pub mod stage;
 pub mod train;
 pub mod verify;
+
+pub use config::TrainConfig;
+pub use dataset::{Camera, Dataset, LoadOptions, View, load as load_dataset, synthetic};
+pub use error::{Error, Result};
+pub use gpu::Device;
+pub use model::Splats;
+pub use plan::Plan;
+pub use render::Renderer;
+pub use report::RunRecord;
+pub use train::Trainer;

@@ -63,6 +63,7 @@ pub struct Trainer {
     iteration: u32,
     most_pairs: usize,
     non_finite: u64,
+    overflows: u64,
 }
 
 impl Trainer {
@@ -130,6 +131,7 @@ impl Trainer {
             iteration: 0,
             most_pairs: 0,
             non_finite: 0,
+            overflows: 0,
             config: config.clone(),
             views,
             scene,
@@ -298,6 +300,7 @@ impl Trainer {
         let needed = counters[status::OVERFLOW as usize];
         if needed > 0 {
             self.in_flight.clear();
+            self.overflows += 1;
             self.most_pairs = self.most_pairs.max(needed as usize);
             self.renderer.grow_pairs(needed)?;
             self.iteration = done.iteration;
@@ -366,6 +369,22 @@ impl Trainer {
     #[must_use]
     pub fn non_finite(&self) -> u64 {
         self.non_finite
+    }
+
+    /// How often pairs did not fit and iterations were repeated.
+    #[must_use]
+    pub fn overflows(&self) -> u64 {
+        self.overflows
+    }
+
+    /// Leaves room for no more than `pairs` pairs, so that a test can see what happens then.
+    ///
+    /// # Errors
+    /// The driver's.
+    #[doc(hidden)]
+    pub fn shrink_pairs(&mut self, pairs: usize) -> Result<()> {
+        self.settle()?;
+        self.renderer.frame.set_pairs(&self.device, pairs)
     }
 
     /// Device time per stage so far.

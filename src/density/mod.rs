@@ -37,7 +37,7 @@ impl SceneState<'_> {
     }
 }
 
-/// Error cues of each Gaussian over the view subset ([MH] Eq. 11, 13), each slice of length N.
+/// Error cues of each Gaussian over the view subset (\[MH\] Eq. 11, 13), each slice of length N.
 #[derive(Debug, Clone, Copy)]
 pub struct Cues<'a> {
     /// Sum over the seeing views of 1 − SSIM at the pixel under the projected centre.
@@ -133,7 +133,7 @@ pub struct Outcome {
 
 /// A strategy of density control. State that must survive a restart is given as one string.
 pub trait DensityControl: Send {
-    /// Views of the training set whose error maps the next step wants, empty for none ([MH] Eq. 10).
+    /// Views of the training set whose error maps the next step wants, empty for none (\[MH\] Eq. 10).
     fn view_subset(&mut self, views: usize, progress: f64) -> Vec<usize>;
 
     /// Decides on births and relocations.

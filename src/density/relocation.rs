@@ -1,4 +1,4 @@
-//! Splitting one Gaussian into N equal copies that render alike ([MCMC] Eq. 9, Kheradmand et al., NeurIPS 2024).
+//! Splitting one Gaussian into N equal copies that render alike (\[MCMC\] Eq. 9, Kheradmand et al., NeurIPS 2024).
 //!
 //! o′ = 1 − (1−o)^{1/N} and Σ′ = (o/F)²·Σ with F = Σ_{i=1..N} Σ_{k<i} C(i−1,k) (−1)^k o′^{k+1}/√(k+1). The alternating
 //! sum loses every digit of f64 near N = 50; 1/√(k+1) = (2/√π) ∫₀^∞ e^{−(k+1)t²} dt turns it into
@@ -52,7 +52,7 @@ pub fn ln_sigmoid(x: f64) -> f64 {
     -softplus(-x)
 }
 
-/// Splits a Gaussian of opacity σ(`opacity_logit`) into `copies` equal ones ([MCMC] Eq. 9). 0 and 1 copies leave it
+/// Splits a Gaussian of opacity σ(`opacity_logit`) into `copies` equal ones (\[MCMC\] Eq. 9). 0 and 1 copies leave it
 /// as it is. Logits beyond ±600 are taken as ±600; a NaN stays one.
 ///
 /// The opacity is kept: 1 − (1−o′)^N = o, computed from ln(1−o) = −softplus(logit), so that neither o → 0 nor o → 1

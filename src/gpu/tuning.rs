@@ -5,7 +5,7 @@ use super::device::{DeviceInfo, DeviceKind};
 
 /// Edge of a tile, pixels.
 pub const TILE: u32 = 16;
-/// Cap of alpha (3DGS uses 0.99; [MH]'s code base 0.999).
+/// Cap of alpha (3DGS uses 0.99; \[MH\]'s code base 0.999).
 pub const ALPHA_MAX: f64 = 0.999;
 /// Contributions below this alpha are dropped (3DGS).
 pub const ALPHA_MIN: f64 = 1.0 / 255.0;

@@ -3,7 +3,7 @@
 use super::samples::*;
 use mhsplat::config::{Init, TrainConfig};
 use mhsplat::error::Error;
-use mhsplat::plan::{Item, Plan};
+use mhsplat::plan::Plan;
 use mhsplat::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
 use mhsplat::report::html::{escape, grouped, span};
 use mhsplat::report::svg::{Axis, Bar, Scale, Series, bar_chart, line_chart, ticks};

@@ -1,4 +1,4 @@
-//! Acceptance of a proposed birth, in logarithms ([MH] Eq. 7, 18–20, Alg. 1).
+//! Acceptance of a proposed birth, in logarithms (\[MH\] Eq. 7, 18–20, Alg. 1).
 //!
 //! The posterior is π ∝ exp(−E) with E = L + λ_v Σ_v ln(1 + c(v)) (Eq. 7). Adding one Gaussian to a voxel that holds c
 //! multiplies the prior by ((1+c)/(2+c))^λ_v exactly: [`exact_ln_prior_ratio`]. The paper replaces that factor by

@@ -1,4 +1,4 @@
-//! Importance of each Gaussian from its opacity and the error maps under it ([MH] Eq. 12, 13).
+//! Importance of each Gaussian from its opacity and the error maps under it (\[MH\] Eq. 12, 13).
 
 use crate::density::Cues;
 use crate::density::relocation::sigmoid;

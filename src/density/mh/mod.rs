@@ -1,4 +1,4 @@
-//! Metropolis–Hastings density control ([MH] = Kim, Jung, Park, NeurIPS 2025, §4 and Alg. 1).
+//! Metropolis–Hastings density control (\[MH\] = Kim, Jung, Park, NeurIPS 2025, §4 and Alg. 1).
 //!
 //! One step: dead Gaussians are relocated (Eq. 17), voxels are counted, then births are proposed and decided twice, far
 //! from their sources and near (Eq. 14–16, 20). Within a phase every proposal sees the same counts, which keeps it

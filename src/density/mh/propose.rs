@@ -1,4 +1,4 @@
-//! Where births are proposed ([MH] Eq. 14–16): sources drawn by weight, positions by the source's own shape.
+//! Where births are proposed (\[MH\] Eq. 14–16): sources drawn by weight, positions by the source's own shape.
 
 use crate::density::SceneState;
 use crate::density::rng::Philox;

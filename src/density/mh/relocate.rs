@@ -1,4 +1,4 @@
-//! Dead Gaussians take over alive ones ([MH] Eq. 17, [MCMC] Eq. 9).
+//! Dead Gaussians take over alive ones (\[MH\] Eq. 17, \[MCMC\] Eq. 9).
 
 use super::propose::{Categorical, gather};
 use crate::density::relocation::{sigmoid, split};

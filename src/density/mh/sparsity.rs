@@ -1,4 +1,4 @@
-//! How many Gaussian centres each voxel holds: the c(v) of the sparsity prior ([MH] Eq. 7).
+//! How many Gaussian centres each voxel holds: the c(v) of the sparsity prior (\[MH\] Eq. 7).
 //!
 //! The grid is only ever counted, so the store is a hash table of the occupied voxels with exact lattice keys. It is
 //! split into shards by hash: each shard is filled by one task, and counts do not depend on the order of counting, so

@@ -1,0 +1,99 @@
+//! How two results are compared: NaN is rejected first, then four numbers, each with a bound.
+
+/// Bounds of a comparison. Errors are relative to the largest wanted value of the array (a scale that does not vanish
+/// where single values do).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tolerance {
+    /// Largest difference of an element over the largest wanted magnitude.
+    pub element: f64,
+    /// ‖got − want‖ / ‖want‖.
+    pub l2: f64,
+    /// 1 − cosine of the angle between the two.
+    pub cosine: f64,
+    /// Elements that may miss the element bound (a decision at a discontinuity fell the other way).
+    pub flips: usize,
+}
+
+impl Tolerance {
+    /// The same bound for the element and the norm, its square for the angle, no flips.
+    #[must_use]
+    pub const fn all(bound: f64) -> Self {
+        Self { element: bound, l2: bound, cosine: bound * bound + 1e-14, flips: 0 }
+    }
+
+    /// The same with some flips, which then also count in the norm and the angle.
+    #[must_use]
+    pub const fn with_flips(self, flips: usize, l2: f64) -> Self {
+        Self { flips, l2, cosine: l2 * l2, ..self }
+    }
+}
+
+/// What a comparison found.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Report {
+    /// Largest element error that is no flip.
+    pub max: f64,
+    /// Median element error.
+    pub median: f64,
+    /// Relative L2 error.
+    pub l2: f64,
+    /// 1 − cosine.
+    pub cosine: f64,
+    /// Elements beyond the element bound.
+    pub flips: usize,
+    /// Values that are not finite.
+    pub non_finite: usize,
+}
+
+/// Compares `got` with `want`.
+///
+/// # Errors
+/// A sentence that says which bound is missed: lengths, values that are not finite, an element, the norm, the angle, or a
+/// result that is zero where something was wanted.
+pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report, String> {
+    let report = measure(got, want, tolerance.element);
+    if got.len() != want.len() {
+        return Err(format!("{} values; {} expected", got.len(), want.len()));
+    }
+    if report.non_finite > 0 {
+        return Err(format!("{} values are not finite", report.non_finite));
+    }
+    if report.flips > tolerance.flips {
+        return Err(format!(
+            "{} elements beyond {:e} of the largest; {} may be",
+            report.flips, tolerance.element, tolerance.flips
+        ));
+    }
+    if want.iter().any(|v| *v != 0.0) && got.iter().all(|v| *v == 0.0) {
+        return Err("silently zero".into());
+    }
+    if report.l2 > tolerance.l2 {
+        return Err(format!("relative L2 error {:e}; {:e} allowed", report.l2, tolerance.l2));
+    }
+    if report.cosine > tolerance.cosine {
+        return Err(format!("1 - cosine {:e}; {:e} allowed", report.cosine, tolerance.cosine));
+    }
+    Ok(report)
+}
+
+/// The numbers of a comparison without a verdict; `element` says what counts as a flip.
+#[must_use]
+pub fn measure(got: &[f64], want: &[f64], element: f64) -> Report {
+    let non_finite = got.iter().chain(want).filter(|v| !v.is_finite()).count();
+    let largest = want.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let scale = if largest > 0.0 { largest } else { 1.0 };
+    let mut errors: Vec<f64> = got.iter().zip(want).map(|(a, b)| (a - b).abs() / scale).collect();
+    errors.sort_by(f64::total_cmp);
+    let norm = |v: &[f64]| v.iter().map(|x| (x / scale).powi(2)).sum::<f64>().sqrt();
+    let (a, b) = (norm(got), norm(want));
+    let dot: f64 = got.iter().zip(want).map(|(x, y)| x / scale * (y / scale)).sum();
+    let l2 = errors.iter().map(|e| e * e).sum::<f64>().sqrt();
+    Report {
+        max: errors.iter().rev().find(|e| **e <= element).copied().unwrap_or(0.0),
+        median: errors.get(errors.len() / 2).copied().unwrap_or(0.0),
+        l2: if b > 0.0 { l2 / b } else { l2 },
+        cosine: if a > 0.0 && b > 0.0 { (1.0 - dot / (a * b)).max(0.0) } else { 0.0 },
+        flips: errors.iter().filter(|e| e.is_nan() || **e > element).count(),
+        non_finite,
+    }
+}

@@ -1,0 +1,153 @@
+//! Twin of `kernels/project.cl`: raw Gaussians → records of one camera.
+
+use super::{
+    BLUR, Camera64, LOG_SCALE, Options, Scene64, product, rotation, sh, sigmoid, transpose,
+    unit_quaternion,
+};
+use crate::model::{Plane, sh_coefficients};
+
+/// A projected Gaussian, in the kernels' terms: with u = dx − r·dy, log2 α = lo − (a·u² + c·dy²).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Record64 {
+    /// Mean, pixels.
+    pub mean: [f64; 2],
+    /// ½·log2(e)·Σ′yy/det.
+    pub a: f64,
+    /// Σ′xy/Σ′yy.
+    pub r: f64,
+    /// ½·log2(e)/Σ′yy.
+    pub c: f64,
+    /// log2 of the opacity.
+    pub lo: f64,
+    /// Colour.
+    pub rgb: [f64; 3],
+    /// Camera z.
+    pub depth: f64,
+    /// Inclusive pixel bounds (first, last) in x and y.
+    pub bounds: [[i32; 2]; 2],
+}
+
+/// The geometry that project and project_grad share.
+#[derive(Debug, Clone, Copy)]
+pub struct Shape64 {
+    /// Camera position.
+    pub t: [f64; 3],
+    /// x/z and y/z after clamping, and whether the clamp is idle.
+    pub ratio: [(f64, bool); 2],
+    /// J·W.
+    pub jw: [[f64; 3]; 2],
+    /// R.
+    pub rot: [[f64; 3]; 3],
+    /// Scales.
+    pub s: [f64; 3],
+    /// 3D covariance R S Sᵀ Rᵀ.
+    pub sigma: [[f64; 3]; 3],
+    /// 2D covariance with the blur.
+    pub cov: [[f64; 2]; 2],
+    /// Its determinant.
+    pub det: f64,
+}
+
+/// Camera-space geometry of Gaussian `i`; none at or behind the near plane.
+#[must_use]
+pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
+    let t = camera.apply(scene.position(i));
+    let good = t[2] > camera.near && t.iter().all(|v| v.abs() < 1e30);
+    if !good {
+        return None;
+    }
+    let ratio = std::array::from_fn(|k| {
+        let v = t[k] / t[2];
+        let [low, high] = camera.limits[k];
+        (v.clamp(low, high), v >= low && v <= high)
+    });
+    let f = camera.focal.map(|f| f / t[2]);
+    let j = [[f[0], 0.0, -f[0] * ratio[0].0], [0.0, f[1], -f[1] * ratio[1].0]];
+    let jw = product(&j, &camera.w);
+    let s = scene.gather::<3>(Plane::LOG_SCALE, i).map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp());
+    let (q, _) = unit_quaternion(scene.gather(Plane::ROTATION, i));
+    let rot = rotation(q);
+    let rs: [[f64; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|k| rot[r][k] * s[k]));
+    let sigma = product(&rs, &transpose(&rs));
+    let m = product(&jw, &rs);
+    let mut cov = product(&m, &transpose(&m));
+    // det(M Mᵀ + b I) by Lagrange's identity: a sum of positive terms, exact for needles too.
+    let cross = [
+        m[0][1] * m[1][2] - m[0][2] * m[1][1],
+        m[0][2] * m[1][0] - m[0][0] * m[1][2],
+        m[0][0] * m[1][1] - m[0][1] * m[1][0],
+    ];
+    let det = cross.iter().map(|c| c * c).sum::<f64>() + BLUR * (cov[0][0] + cov[1][1]) + BLUR * BLUR;
+    cov[0][0] += BLUR;
+    cov[1][1] += BLUR;
+    (det < 1e37 && cov[0][0] < 1e30 && cov[1][1] < 1e30).then_some(Shape64 { t, ratio, jw, rot, s, sigma, cov, det })
+}
+
+/// Colour of Gaussian `i` before the clamp at 0, and the unit vector from the camera to it with its length.
+#[must_use]
+pub fn color(scene: &Scene64, i: usize, camera: &Camera64, degree: u32) -> ([f64; 3], [f64; 3], f64) {
+    let x = scene.position(i);
+    let d: [f64; 3] = std::array::from_fn(|k| x[k] - camera.center[k]);
+    let length = d.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let dir = if length > 0.0 { d.map(|v| v / length) } else { [0.0, 0.0, 1.0] };
+    let basis = sh::basis(dir);
+    let rgb = std::array::from_fn(|c| {
+        0.5 + (0..sh_coefficients(degree)).map(|k| basis[k] * scene.planes[Plane::SH + 3 * k + c][i]).sum::<f64>()
+    });
+    (rgb, dir, length)
+}
+
+/// Record of Gaussian `i`, none when culled.
+#[must_use]
+pub fn project(scene: &Scene64, i: usize, camera: &Camera64, options: &Options) -> Option<Record64> {
+    let o = shape(scene, i, camera)?;
+    let log2_e = std::f64::consts::LOG2_E;
+    let logit = scene.planes[Plane::OPACITY][i];
+    // ln σ(l) for very negative l is l itself; σ would underflow before its logarithm is taken.
+    let lo = if logit < -500.0 { logit * log2_e } else { sigmoid(logit).log2() };
+    let tau = lo - options.alpha_min.log2();
+    if tau.is_nan() || tau <= 0.0 {
+        return None;
+    }
+    let mean = std::array::from_fn(|k| camera.focal[k] * o.t[k] / o.t[2] + camera.principal[k]);
+    let mut bounds = [[0; 2]; 2];
+    for k in 0..2 {
+        let half = (2.0 * std::f64::consts::LN_2 * tau * o.cov[k][k]).sqrt();
+        let first = (mean[k] - half - 0.5).ceil().max(0.0);
+        let last = (mean[k] + half - 0.5).floor().min(f64::from(camera.size[k] - 1));
+        if first.is_nan() || last.is_nan() || first > last {
+            return None;
+        }
+        bounds[k] = [first as i32, last as i32];
+    }
+    let (rgb, _, _) = color(scene, i, camera, options.sh_degree);
+    let record = Record64 {
+        mean,
+        a: 0.5 * log2_e * o.cov[1][1] / o.det,
+        r: o.cov[0][1] / o.cov[1][1],
+        c: 0.5 * log2_e / o.cov[1][1],
+        lo,
+        rgb: rgb.map(|v| v.max(0.0)),
+        depth: o.t[2],
+        bounds,
+    };
+    let finite = [record.a, record.r, record.c].iter().chain(&rgb).all(|v| v.is_finite());
+    finite.then_some(record)
+}
+
+impl Record64 {
+    /// u and dy at a pixel centre.
+    #[must_use]
+    pub fn offsets(&self, x: i32, y: i32) -> [f64; 2] {
+        let dx = f64::from(x) + 0.5 - self.mean[0];
+        let dy = f64::from(y) + 0.5 - self.mean[1];
+        [dx - self.r * dy, dy]
+    }
+
+    /// log2 α at a pixel centre, before the cap.
+    #[must_use]
+    pub fn log2_alpha(&self, x: i32, y: i32) -> f64 {
+        let [u, dy] = self.offsets(x, y);
+        self.lo - (self.a * u * u + self.c * dy * dy)
+    }
+}

@@ -1,0 +1,131 @@
+//! Twin of `kernels/project_grad.cl`, by the textbook's road through the 3D covariance.
+
+use super::project::{Shape64, color, shape};
+use super::{Camera64, LOG_SCALE, Options, Scene64, product, sh, sigmoid, transpose, unit_quaternion};
+use crate::model::{Plane, sh_coefficients};
+
+/// Gradients of all raw parameters from the nine sums of each Gaussian, regularisers λ_o·mean(o) + λ_s·mean(scale)
+/// included. `sums[i]` is none for a culled Gaussian.
+#[must_use]
+pub fn project_grad(
+    scene: &Scene64,
+    camera: &Camera64,
+    options: &Options,
+    sums: &[Option<[f64; 9]>],
+    lambdas: [f64; 2],
+) -> Scene64 {
+    let n = scene.len() as f64;
+    let mut out = scene.zeros_like();
+    for (i, s) in sums.iter().enumerate() {
+        if let (Some(s), Some(o)) = (s, shape(scene, i, camera)) {
+            geometry(scene, i, camera, &o, s, &mut out);
+            colors(scene, i, camera, options, [s[6], s[7], s[8]], &mut out);
+            out.planes[Plane::OPACITY][i] = s[0] * sigmoid(-scene.planes[Plane::OPACITY][i]);
+        }
+        let logit = scene.planes[Plane::OPACITY][i];
+        out.planes[Plane::OPACITY][i] += lambdas[0] / n * sigmoid(logit) * sigmoid(-logit);
+        for p in Plane::LOG_SCALE..Plane::ROTATION {
+            let l = scene.planes[p][i];
+            let free = l > LOG_SCALE[0] && l < LOG_SCALE[1];
+            let d = &mut out.planes[p][i];
+            *d = if free { *d + lambdas[1] / (3.0 * n) * l.exp() } else { 0.0 };
+        }
+    }
+    out
+}
+
+fn geometry(scene: &Scene64, i: usize, camera: &Camera64, o: &Shape64, s: &[f64; 9], out: &mut Scene64) {
+    // Inverse covariance K; the moments back in (dx, dy): dx = u + r dy.
+    let k = [
+        [o.cov[1][1] / o.det, -o.cov[0][1] / o.det],
+        [-o.cov[0][1] / o.det, o.cov[0][0] / o.det],
+    ];
+    let r = o.cov[0][1] / o.cov[1][1];
+    let first = [s[1] + r * s[2], s[2]];
+    let xy = s[4] + r * s[5];
+    let q = [[s[3] + r * s[4] + r * xy, xy], [xy, s[5]]];
+    let dmean: [f64; 2] = std::array::from_fn(|a| k[a][0] * first[0] + k[a][1] * first[1]);
+    let dcov = product(&product(&k, &q), &k).map(|row| row.map(|v| 0.5 * v));
+    // cov = T Sigma T^t + b I with T = J W.
+    let dsigma = product(&product(&transpose(&o.jw), &dcov), &o.jw);
+    let djw = product(&product(&dcov, &o.jw), &o.sigma).map(|row| row.map(|v| 2.0 * v));
+    // Sigma = N N^t with N = R S.
+    let nn: [[f64; 3]; 3] = std::array::from_fn(|a| std::array::from_fn(|b| o.rot[a][b] * o.s[b]));
+    let dn = product(&dsigma, &nn).map(|row| row.map(|v| 2.0 * v));
+    let drot: [[f64; 3]; 3] = std::array::from_fn(|a| std::array::from_fn(|b| dn[a][b] * o.s[b]));
+    for b in 0..3 {
+        let ds: f64 = (0..3).map(|a| dn[a][b] * o.rot[a][b]).sum();
+        out.planes[Plane::LOG_SCALE + b][i] = ds * o.s[b];
+    }
+    let dq = quaternion(scene.gather(Plane::ROTATION, i), &drot);
+    for b in 0..4 {
+        out.planes[Plane::ROTATION + b][i] = dq[b];
+    }
+    let dt = camera_position(camera, o, &djw, dmean);
+    for b in 0..3 {
+        out.planes[Plane::POSITION + b][i] = (0..3).map(|a| camera.w[a][b] * dt[a]).sum();
+    }
+}
+
+/// Through J = [[fx/z, 0, −fx·u/z], [0, fy/z, −fy·v/z]] and the mean to the camera position.
+fn camera_position(camera: &Camera64, o: &Shape64, djw: &[[f64; 3]; 2], dmean: [f64; 2]) -> [f64; 3] {
+    let dj = product(djw, &transpose(&camera.w));
+    let z = o.t[2];
+    let mut dt = [0.0; 3];
+    for k in 0..2 {
+        let f = camera.focal[k];
+        let (ratio, free) = o.ratio[k];
+        dt[2] += -dj[k][k] * f / (z * z) + dj[k][2] * f * ratio / (z * z);
+        let mut dratio = dmean[k] * f;
+        if free {
+            dratio -= dj[k][2] * f / z;
+        }
+        dt[k] += dratio / z;
+        dt[2] -= dratio * o.t[k] / (z * z);
+    }
+    dt
+}
+
+/// dL/dq of the raw quaternion from dL/dR: derivative of each entry of the rotation matrix, then of the normalisation.
+fn quaternion(raw: [f64; 4], drot: &[[f64; 3]; 3]) -> [f64; 4] {
+    let ([w, x, y, z], norm) = unit_quaternion(raw);
+    if norm == 0.0 {
+        return [0.0; 4];
+    }
+    let derivatives: [[[f64; 3]; 3]; 4] = [
+        [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]],
+        [[0.0, y, z], [y, -2.0 * x, -w], [z, w, -2.0 * x]],
+        [[-2.0 * y, x, w], [x, 0.0, z], [-w, z, -2.0 * y]],
+        [[-2.0 * z, -w, x], [w, -2.0 * z, y], [x, y, 0.0]],
+    ];
+    let d: [f64; 4] = std::array::from_fn(|k| {
+        (0..9).map(|e| 2.0 * drot[e / 3][e % 3] * derivatives[k][e / 3][e % 3]).sum()
+    });
+    let unit = [w, x, y, z];
+    let along: f64 = (0..4).map(|k| d[k] * unit[k]).sum();
+    std::array::from_fn(|k| (d[k] - along * unit[k]) / norm)
+}
+
+fn colors(scene: &Scene64, i: usize, camera: &Camera64, options: &Options, d: [f64; 3], out: &mut Scene64) {
+    let (rgb, dir, length) = color(scene, i, camera, options.sh_degree);
+    let (basis, slopes) = (sh::basis(dir), sh::gradient(dir));
+    let mut ddir = [0.0; 3];
+    for c in 0..3 {
+        if rgb[c] <= 0.0 {
+            continue;
+        }
+        for k in 0..sh_coefficients(options.sh_degree) {
+            let p = Plane::SH + 3 * k + c;
+            out.planes[p][i] = d[c] * basis[k];
+            for a in 0..3 {
+                ddir[a] += d[c] * scene.planes[p][i] * slopes[k][a];
+            }
+        }
+    }
+    if length > 0.0 {
+        let along: f64 = (0..3).map(|a| ddir[a] * dir[a]).sum();
+        for a in 0..3 {
+            out.planes[Plane::POSITION + a][i] += (ddir[a] - along * dir[a]) / length;
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Twin of `kernels/splat.cl`: compositing of one pixel after the other.
+
+use super::project::Record64;
+use super::{ALPHA_MAX, Camera64, Options, T_MIN, TILE};
+
+/// One contribution to a pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contribution {
+    /// Gaussian.
+    pub gaussian: u32,
+    /// Alpha after the cap.
+    pub alpha: f64,
+    /// Whether the cap acts.
+    pub capped: bool,
+    /// Transmittance in front of it.
+    pub transmittance: f64,
+}
+
+/// Contributions to a pixel, front to back, and the transmittance that is left.
+#[must_use]
+pub fn contributions(
+    records: &[Option<Record64>],
+    list: &[u32],
+    x: i32,
+    y: i32,
+    alpha_min: f64,
+) -> (Vec<Contribution>, f64) {
+    let mut t = 1.0;
+    let mut out = Vec::new();
+    for &gaussian in list {
+        let Some(g) = &records[gaussian as usize] else { continue };
+        if t < T_MIN {
+            break;
+        }
+        let log2_alpha = g.log2_alpha(x, y);
+        if log2_alpha < alpha_min.log2() {
+            continue;
+        }
+        let free = log2_alpha.exp2();
+        let alpha = free.min(ALPHA_MAX);
+        out.push(Contribution { gaussian, alpha, capped: free >= ALPHA_MAX, transmittance: t });
+        t *= 1.0 - alpha;
+    }
+    (out, t)
+}
+
+/// The list of the tile that holds a pixel.
+#[must_use]
+pub fn list_at<'a>(tiles: &'a [Vec<u32>], camera: &Camera64, x: i32, y: i32) -> &'a [u32] {
+    &tiles[(y / TILE * camera.tiles()[0] + x / TILE) as usize]
+}
+
+/// Image over the background \[3, height, width\] and transmittance \[height, width\].
+#[must_use]
+pub fn splat(
+    records: &[Option<Record64>],
+    tiles: &[Vec<u32>],
+    camera: &Camera64,
+    options: &Options,
+) -> (Vec<f64>, Vec<f64>) {
+    let n = camera.pixels();
+    let (mut image, mut left) = (vec![0.0; 3 * n], vec![0.0; n]);
+    for y in 0..camera.size[1] {
+        for x in 0..camera.size[0] {
+            let list = list_at(tiles, camera, x, y);
+            let (parts, t) = contributions(records, list, x, y, options.alpha_min);
+            let at = (y * camera.size[0] + x) as usize;
+            left[at] = t;
+            for c in 0..3 {
+                let sum: f64 = parts
+                    .iter()
+                    .filter_map(|p| records[p.gaussian as usize].as_ref().map(|g| p.alpha * p.transmittance * g.rgb[c]))
+                    .sum();
+                image[c * n + at] = sum + t * options.background[c];
+            }
+        }
+    }
+    (image, left)
+}

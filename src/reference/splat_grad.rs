@@ -1,0 +1,44 @@
+//! Twin of `kernels/splat_grad.cl`: back to front, with what lies behind composited anew.
+
+use super::project::Record64;
+use super::splat::{contributions, list_at};
+use super::{Camera64, Options};
+
+/// Nine sums of each Gaussian: g, g·u, g·dy, g·u², g·u·dy, g·dy² with g = dL/dα·α (0 where α is capped), then
+/// α·T·dL/dcolour.
+#[must_use]
+pub fn splat_grad(
+    records: &[Option<Record64>],
+    tiles: &[Vec<u32>],
+    camera: &Camera64,
+    options: &Options,
+    dimage: &[f64],
+) -> Vec<[f64; 9]> {
+    let n = camera.pixels();
+    let mut sums = vec![[0.0; 9]; records.len()];
+    for y in 0..camera.size[1] {
+        for x in 0..camera.size[0] {
+            let at = (y * camera.size[0] + x) as usize;
+            let d: [f64; 3] = std::array::from_fn(|c| dimage[c * n + at]);
+            let list = list_at(tiles, camera, x, y);
+            let (parts, _) = contributions(records, list, x, y, options.alpha_min);
+            // Colour seen behind a contribution, per unit of transmittance: starts with the background.
+            let mut behind = options.background;
+            for p in parts.iter().rev() {
+                let Some(g) = &records[p.gaussian as usize] else { continue };
+                let dot: f64 = (0..3).map(|c| d[c] * (g.rgb[c] - behind[c])).sum();
+                let gr = if p.capped { 0.0 } else { p.transmittance * dot * p.alpha };
+                let [u, dy] = g.offsets(x, y);
+                let s = &mut sums[p.gaussian as usize];
+                for (k, v) in [1.0, u, dy, u * u, u * dy, dy * dy].into_iter().enumerate() {
+                    s[k] += gr * v;
+                }
+                for c in 0..3 {
+                    s[6 + c] += p.alpha * p.transmittance * d[c];
+                    behind[c] = p.alpha * g.rgb[c] + (1.0 - p.alpha) * behind[c];
+                }
+            }
+        }
+    }
+    sums
+}
