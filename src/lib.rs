@@ -43,6 +43,8 @@
 //! ```
 
 #[doc(hidden)]
+pub mod atomic;
+#[doc(hidden)]
 pub mod buffers;
 pub mod config;
 pub mod dataset;

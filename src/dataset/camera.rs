@@ -30,17 +30,21 @@ impl Camera {
         -(self.rotation.transpose() * self.translation)
     }
 
-    /// The same camera for an image of another size: intrinsics scale with each axis.
+    /// The same camera for a photo resampled to `width` × `height` pixels. Focal lengths and principal point scale per
+    /// axis: with pixel centres at +0.5, pixel coordinates are continuous lengths from the image's corner and a plain
+    /// factor is exact.
     #[must_use]
-    pub fn scaled_to(mut self, width: u32, height: u32) -> Self {
+    pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let sx = f64::from(width) / f64::from(self.width);
         let sy = f64::from(height) / f64::from(self.height);
-        self.fx *= sx;
-        self.cx *= sx;
-        self.fy *= sy;
-        self.cy *= sy;
-        self.width = width;
-        self.height = height;
-        self
+        Self {
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            cx: self.cx * sx,
+            cy: self.cy * sy,
+            width,
+            height,
+            ..*self
+        }
     }
 }

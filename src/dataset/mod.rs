@@ -2,18 +2,23 @@
 
 pub mod camera;
 pub mod colmap;
+mod decode;
 pub mod frame;
-mod load;
 pub mod photo;
+pub(crate) mod ply;
+mod raw;
 pub mod synthetic;
 pub mod transforms;
 
 pub use camera::Camera;
+#[doc(hidden)]
+pub use decode::shrink;
 pub use frame::Frame;
-pub use load::{LoadOptions, load};
 pub use photo::Photo;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use crate::error::{Error, Result};
 
 /// Layout the dataset was read from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -72,4 +77,70 @@ pub struct Dataset {
     pub points: Points,
     /// Where the local frame lies in the dataset's own frame.
     pub frame: Frame,
+}
+
+impl Dataset {
+    /// The scene extent in local units: 1 by construction of the frame (1.1 × the largest distance of a camera centre
+    /// from the mean camera centre, 3DGS `getNerfppNorm`).
+    #[must_use]
+    pub fn extent(&self) -> f64 {
+        1.0
+    }
+
+    /// Whether the photos have alpha, so that what lies behind the scene matters. All photos have it, or none.
+    #[must_use]
+    pub fn background_matters(&self) -> bool {
+        let mut views = self.train.iter().chain(&self.test);
+        views.any(|view| view.photo.channels == 4)
+    }
+}
+
+/// How [`load`] reads a dataset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// Photos are shrunk to this length of their longest side, pixels, ≥ 1; never enlarged.
+    pub max_size: u32,
+    /// Every n-th image by name is held out, the first one included (0: none). A `transforms_test.json` wins over this.
+    pub test_every: u32,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self {
+            max_size: 1600,
+            test_every: 8,
+        }
+    }
+}
+
+/// Reads a dataset folder: COLMAP (`images/` and `sparse/0/`, binary preferred over text) or `transforms_train.json` /
+/// `transforms.json`.
+///
+/// Names are sorted bytewise before the split. Everything is computed in f64 and moved to the local frame before it is
+/// rounded to f32, so that far-off frames (UTM) lose nothing.
+///
+/// # Errors
+/// [`Error::Input`] for a folder of neither layout, anything unreadable, missing, non-finite or inconsistent in it, lens
+/// distortion, and a split that leaves no training view; [`Error::Config`] for `max_size` 0; [`Error::Io`].
+pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
+    if options.max_size == 0 {
+        return Err(Error::config("max-size", "0; at least 1 pixel expected"));
+    }
+    let scene = if let Some((dir, layout)) = colmap::find(path) {
+        colmap::load(path, &dir, layout)?
+    } else if let Some(file) = transforms::find(path) {
+        transforms::load(path, &file)?
+    } else {
+        let found = if path.is_dir() {
+            "neither sparse/0/cameras.bin or .txt (COLMAP) nor transforms_train.json or transforms.json"
+        } else {
+            "no such folder"
+        };
+        return Err(Error::input(
+            path,
+            found,
+            "give the folder that holds images/ and sparse/0/, or a transforms file",
+        ));
+    };
+    raw::assemble(path, scene, options)
 }

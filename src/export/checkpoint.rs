@@ -14,7 +14,7 @@ use crate::config::TrainConfig;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
 use crate::model::{Plane, Splats};
-use crate::report::{Reading, write_atomic};
+use crate::report::Reading;
 use crate::train::TrainerState;
 
 const VERSION: u32 = 1;
@@ -99,7 +99,7 @@ pub fn write(
         .collect::<Result<Vec<_>>>()?;
     let metadata = HashMap::from([("mhsplat".to_owned(), header)]);
     let data = safetensors::serialize(views, Some(metadata)).map_err(|e| encoded(e.to_string()))?;
-    write_atomic(&file, &data)
+    crate::atomic::write_bytes(&file, &data)
 }
 
 /// Reads the checkpoint of a run folder.

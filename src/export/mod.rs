@@ -2,4 +2,3 @@
 
 pub mod checkpoint;
 pub mod ply;
-mod ply_header;

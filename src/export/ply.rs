@@ -1,165 +1,187 @@
-//! PLY: scenes with the properties of 3DGS in Inria's order, and plain coloured point clouds.
+//! 3DGS PLY files, with the properties and their order as in Inria's implementation (Kerbl et al. 2023, `save_ply`).
+//!
+//! Everything is stored raw: log-scales, opacity logits, quaternions w, x, y, z, SH coefficients. `f_rest_*` goes channel
+//! by channel: all coefficients but the first of red, then of green, then of blue.
 
+use std::io::Write;
 use std::path::Path;
 
 use glam::DVec3;
 
-use super::ply_header::{Table, parse};
+use crate::dataset::ply::{self, Table};
 use crate::dataset::{Frame, Points};
 use crate::error::{Error, Result};
 use crate::model::{Plane, Splats, sh_coefficients};
-use crate::report::write_atomic;
 
-/// Names of the properties of a scene, in Inria's order, and the plane of each (none: zero).
-fn properties(sh_degree: u32) -> Vec<(String, Option<usize>)> {
-    let k = sh_coefficients(sh_degree);
-    let mut out: Vec<(String, Option<usize>)> = Vec::new();
-    for (c, name) in ["x", "y", "z"].into_iter().enumerate() {
-        out.push((name.into(), Some(Plane::POSITION + c)));
-    }
-    for name in ["nx", "ny", "nz"] {
-        out.push((name.into(), None));
-    }
-    for c in 0..3 {
-        out.push((format!("f_dc_{c}"), Some(Plane::SH + c)));
-    }
-    // Inria keeps all coefficients of one channel together; the planes here keep the channels of one together.
-    for c in 0..3 {
-        for j in 1..k {
-            out.push((
-                format!("f_rest_{}", c * (k - 1) + j - 1),
-                Some(Plane::SH + 3 * j + c),
-            ));
-        }
-    }
-    out.push(("opacity".into(), Some(Plane::OPACITY)));
-    for c in 0..3 {
-        out.push((format!("scale_{c}"), Some(Plane::LOG_SCALE + c)));
-    }
-    for c in 0..4 {
-        out.push((format!("rot_{c}"), Some(Plane::ROTATION + c)));
-    }
-    out
-}
-
-/// Writes a scene in the dataset's own frame, binary, whole or not at all.
+/// Writes the Gaussians in the dataset's frame (`frame` tells where the local one lies), binary little endian, atomically.
+///
+/// Positions are moved in f64 and then rounded to f32, the format's precision: at UTM offsets (10⁶ m) that leaves 0.5 m.
 ///
 /// # Errors
-/// A value that is not finite in that frame, or [`Error::Io`].
+/// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
 pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
-    let properties = properties(splats.sh_degree());
-    let mut out = format!(
+    let rows = to_rows(splats, frame)?;
+    let mut header = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\n",
         splats.len()
     );
-    for (name, _) in &properties {
-        out.push_str(&format!("property float {name}\n"));
+    for name in property_names(splats.sh_degree()) {
+        header.push_str("property float ");
+        header.push_str(&name);
+        header.push('\n');
     }
-    out.push_str("end_header\n");
-    let mut bytes = out.into_bytes();
-    bytes.reserve(splats.len() * properties.len() * 4);
-    let ln_scale = frame.scale.ln();
+    header.push_str("end_header\n");
+    crate::atomic::write(path, |out| {
+        out.write_all(header.as_bytes())?;
+        rows.iter()
+            .try_for_each(|v| out.write_all(&v.to_le_bytes()))
+    })
+}
+
+fn property_names(sh_degree: u32) -> Vec<String> {
+    let numbered = |stem: &'static str, n: usize| (0..n).map(move |i| format!("{stem}_{i}"));
+    ["x", "y", "z", "nx", "ny", "nz"]
+        .into_iter()
+        .map(String::from)
+        .chain(numbered("f_dc", 3))
+        .chain(numbered("f_rest", 3 * (sh_coefficients(sh_degree) - 1)))
+        .chain(["opacity".to_string()])
+        .chain(numbered("scale", 3))
+        .chain(numbered("rot", 4))
+        .collect()
+}
+
+/// Planes of SH coefficients above the first, in the file's order.
+fn rest_planes(sh_degree: u32) -> impl Iterator<Item = usize> {
+    let n = sh_coefficients(sh_degree);
+    (0..3).flat_map(move |c| (1..n).map(move |k| Plane::SH + 3 * k + c))
+}
+
+/// The rows of the file, `[N][properties]`, checked.
+fn to_rows(splats: &Splats, frame: &Frame) -> Result<Vec<f32>> {
+    let names = property_names(splats.sh_degree());
+    let stretch = frame.scale.ln();
+    let rest: Vec<usize> = rest_planes(splats.sh_degree()).collect();
+    let mut rows = Vec::with_capacity(splats.len() * names.len());
     for i in 0..splats.len() {
-        let local = DVec3::from_array(splats.gather::<3>(Plane::POSITION, i).map(f64::from));
-        let world = frame.to_dataset(local).to_array();
-        for (name, plane) in &properties {
-            let value = match *plane {
-                None => 0.0,
-                Some(p) if p < Plane::LOG_SCALE => world[p] as f32,
-                Some(p) if p < Plane::ROTATION => {
-                    (f64::from(splats.planes()[p][i]) + ln_scale) as f32
-                }
-                Some(p) => splats.planes()[p][i],
-            };
-            if !value.is_finite() {
-                return Err(Error::Numerics {
-                    stage: format!("export {}", path.display()),
-                    what: format!("{name} of Gaussian {i} is {value}"),
-                });
-            }
-            bytes.extend(value.to_le_bytes());
+        let start = rows.len();
+        let position = DVec3::from_array(splats.gather(Plane::POSITION, i).map(f64::from));
+        rows.extend(frame.to_dataset(position).as_vec3().to_array());
+        rows.extend([0.0; 3]);
+        rows.extend(splats.gather::<3>(Plane::SH, i));
+        rows.extend(rest.iter().map(|&p| splats.gather::<1>(p, i)[0]));
+        rows.extend(splats.gather::<1>(Plane::OPACITY, i));
+        let scales: [f32; 3] = splats.gather(Plane::LOG_SCALE, i);
+        rows.extend(scales.map(|s| (f64::from(s) + stretch) as f32));
+        rows.extend(splats.gather::<4>(Plane::ROTATION, i));
+        if let Some(k) = rows[start..].iter().position(|v| !v.is_finite()) {
+            return Err(Error::Numerics {
+                stage: "export".into(),
+                what: format!("{} of Gaussian {i} is {}", names[k], rows[start + k]),
+            });
         }
     }
-    write_atomic(path, &bytes)
+    Ok(rows)
 }
 
-fn not_a_scene(path: &Path, what: impl Into<String>) -> Error {
-    Error::input(
-        path,
-        what,
-        "give a PLY with the 3DGS properties (x, f_dc_0, opacity, scale_0, rot_0, …), as 3DGS trainers write it",
-    )
-}
-
-fn column<'a>(table: &'a Table, path: &Path, name: &str) -> Result<&'a [f64]> {
-    table
-        .column(name)
-        .ok_or_else(|| not_a_scene(path, format!("has no property {name}")))
-}
-
-/// Reads a scene into a local frame. Properties are found by name; the SH degree follows from the number of f_rest.
+/// Reads Gaussians, ascii or binary little endian, properties in any order and of any scalar type. The SH degree follows
+/// from the number of `f_rest_*`.
 ///
 /// # Errors
-/// A file that is missing, damaged, no 3DGS scene, or holds a value that is not finite.
+/// [`Error::Input`] for what is no such file, is truncated, lacks a property, or holds a value that is not finite (named
+/// by row and property); [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<Splats> {
-    let table = parse(path)?;
-    let rest = (0..)
-        .take_while(|k| table.column(&format!("f_rest_{k}")).is_some())
-        .count();
-    let Some(degree) = (0..=3).find(|d| 3 * (sh_coefficients(*d) - 1) == rest) else {
-        return Err(not_a_scene(
+    let table = Table::read(path)?;
+    if !table.has("opacity") && !table.has("f_dc_0") {
+        return Err(Error::input(
             path,
-            format!("has {rest} f_rest properties; 0, 9, 24 or 45 expected"),
+            "no 3DGS properties (f_dc_0, opacity, …): a plain point cloud",
+            "give a PLY of Gaussians",
+        ));
+    }
+    let rest = table.names().filter(|n| n.starts_with("f_rest_")).count();
+    let Some(sh_degree) = (0..=3).find(|&d| 3 * (sh_coefficients(d) - 1) == rest) else {
+        return Err(Error::input(
+            path,
+            format!("{rest} properties f_rest_*; 0, 9, 24 or 45 expected (SH degree 0 to 3)"),
+            "export the scene again",
         ));
     };
-    let mut planes = vec![vec![0.0f32; table.rows]; Plane::count(degree)];
-    let ln_scale = frame.scale.ln();
-    for (name, plane) in properties(degree) {
-        let Some(p) = plane else { continue };
-        let values = column(&table, path, &name)?;
-        for (row, (to, v)) in planes[p].iter_mut().zip(values).enumerate() {
-            *to = if p < Plane::LOG_SCALE {
-                ((v - frame.center[p]) / frame.scale) as f32
-            } else if p < Plane::ROTATION {
-                (v - ln_scale) as f32
-            } else {
-                *v as f32
-            };
-            if !to.is_finite() {
-                return Err(not_a_scene(path, format!("{name} of row {row} is {v}")));
-            }
+    let stretch = frame.scale.ln();
+    let mut planes = vec![Vec::new(); Plane::count(sh_degree)];
+    let mut fill = |plane: usize, name: String, change: &dyn Fn(f64) -> f64| -> Result<()> {
+        let values = table.column(&name)?;
+        planes[plane] = values.into_iter().map(|v| change(v) as f32).collect();
+        match planes[plane].iter().position(|v| !v.is_finite()) {
+            None => Ok(()),
+            Some(row) => Err(Error::input(
+                path,
+                format!("{name} of vertex {row} is beyond single precision"),
+                "remove the Gaussian",
+            )),
         }
+    };
+    for (k, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let to_local = |v: f64| (v - frame.center[k]) / frame.scale;
+        fill(Plane::POSITION + k, name.into(), &to_local)?;
+        fill(Plane::LOG_SCALE + k, format!("scale_{k}"), &|v| v - stretch)?;
+        fill(Plane::SH + k, format!("f_dc_{k}"), &|v| v)?;
     }
-    Splats::new(degree, planes)
+    for k in 0..4 {
+        fill(Plane::ROTATION + k, format!("rot_{k}"), &|v| v)?;
+    }
+    fill(Plane::OPACITY, "opacity".into(), &|v| v)?;
+    for (i, plane) in rest_planes(sh_degree).enumerate() {
+        fill(plane, format!("f_rest_{i}"), &|v| v)?;
+    }
+    Splats::new(sh_degree, planes)
 }
 
-/// Reads a point cloud (x, y, z and, where given, red, green, blue) into a local frame.
+/// Reads a plain point cloud (`x y z`, and `red green blue` where there are any; grey otherwise) into the local frame.
 ///
 /// # Errors
-/// As [`read`].
+/// [`Error::Input`] for what is no such file, is truncated or holds a value that is not finite; [`Error::Io`].
 pub fn read_points(path: &Path, frame: &Frame) -> Result<Points> {
-    let table = parse(path)?;
-    let axes = ["x", "y", "z"].map(|n| column(&table, path, n));
-    let [x, y, z] = axes;
-    let (x, y, z) = (x?, y?, z?);
-    let rgb = ["red", "green", "blue"].map(|n| table.column(n));
-    let mut points = Points::default();
-    for i in 0..table.rows {
-        let p = frame.to_local(DVec3::new(x[i], y[i], z[i])).as_vec3();
-        if !p.is_finite() {
-            return Err(Error::input(
-                path,
-                format!(
-                    "point {i} lies at ({}, {}, {}); finite numbers expected",
-                    x[i], y[i], z[i]
-                ),
-                "remove the point",
-            ));
-        }
-        points.positions.push(p.to_array());
-        points
-            .colors
-            .push(rgb.map(|c| c.map_or(128, |c| c[i].clamp(0.0, 255.0) as u8)));
+    let (positions, colors) = ply::read_points(path)?;
+    let local = |p: DVec3| frame.to_local(p).as_vec3().to_array();
+    let positions: Vec<[f32; 3]> = positions.into_iter().map(local).collect();
+    let far = |p: &[f32; 3]| p.iter().any(|v| !v.is_finite());
+    if let Some(row) = positions.iter().position(far) {
+        let what = format!("vertex {row} is beyond single precision");
+        return Err(Error::input(path, what, "remove the vertex"));
     }
-    Ok(points)
+    Ok(Points { positions, colors })
+}
+
+/// Writes a plain point cloud (`x y z red green blue`, double precision) in the dataset's frame, atomically.
+///
+/// # Errors
+/// [`Error::Numerics`] for unequal lengths or a coordinate that is not finite, [`Error::Io`].
+pub fn write_points(path: &Path, points: &Points, frame: &Frame) -> Result<()> {
+    let (n, colors) = (points.positions.len(), points.colors.len());
+    let finite = |p: &[f32; 3]| p.iter().all(|v| v.is_finite());
+    if n != colors || !points.positions.iter().all(finite) {
+        return Err(Error::Numerics {
+            stage: "export".into(),
+            what: format!("{n} points, not all finite or not matched by {colors} colours"),
+        });
+    }
+    crate::atomic::write(path, |out| {
+        let (xyz, rgb) = (["x", "y", "z"], ["red", "green", "blue"]);
+        let line = |scalar: &str, name: &str| format!("property {scalar} {name}\n");
+        let coordinates: String = xyz.iter().map(|c| line("double", c)).collect();
+        let channels: String = rgb.iter().map(|c| line("uchar", c)).collect();
+        write!(
+            out,
+            "ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{coordinates}{channels}end_header\n"
+        )?;
+        for (p, color) in points.positions.iter().zip(&points.colors) {
+            let p = frame.to_dataset(DVec3::from_array(p.map(f64::from)));
+            for v in p.to_array() {
+                out.write_all(&v.to_le_bytes())?;
+            }
+            out.write_all(color)?;
+        }
+        Ok(())
+    })
 }

@@ -1,151 +1,148 @@
-//! The first Gaussians (3DGS §5.1): one per point, isotropic, as large as the distance to its neighbours.
+//! The first Gaussians: one per sparse point, or random ones.
 
-use glam::DVec3;
-use rayon::prelude::*;
-
+use super::knn::mean_squared_distances;
 use super::{Plane, Splats};
 use crate::dataset::{Dataset, Points};
-use crate::density::rng::{Philox, Purpose};
+use crate::density::rng::Philox;
 use crate::error::{Error, Result};
 
-/// SH basis function of degree 0.
-pub const SH_C0: f64 = 0.282_094_791_773_878_14;
-/// Opacity of a new Gaussian.
-const OPACITY: f64 = 0.1;
-/// Smallest squared scale, local units² (3DGS's 1e-7 is in world units; here the scene extent is 1).
-const MIN_SQUARED: f64 = 1e-10;
-/// Largest scale, local units: a stray point must not become a wall in front of every camera.
-const MAX_SCALE: f64 = 1.0;
+/// Value of the constant SH basis function, ½·√(1/π).
+const SH_C0: f64 = 0.282_094_791_773_878_14;
 
-/// One Gaussian per point: scale √(mean squared distance to the 3 nearest neighbours), opacity 0.1, identity rotation,
-/// colour in SH degree 0.
+/// Opacity of a new Gaussian (3DGS §5.1).
+const OPACITY: f64 = 0.1;
+
+/// Smallest initial scale, local units (the scene extent is 1). 3DGS clamps the squared distance at 1e-7 in whatever
+/// units the dataset has, against duplicates, whose distance 0 has no logarithm. Relative to the extent that would cost
+/// detail in large scenes; 1e-5 is below a hundredth of a pixel for a camera at the scene's distance, and so is no limit
+/// to anything that photos resolve.
+const MIN_SCALE: f64 = 1e-5;
+
+/// Scale of a Gaussian that has no neighbour to tell it, local units.
+const LONE_SCALE: f64 = 0.01;
+
+/// Philox stream of random initialisation ("init" in ASCII).
+const STREAM: u64 = 0x696e_6974;
+
+/// Degenerate sides of the cameras' box are widened to this share of the longest one.
+const THINNEST_SIDE: f64 = 0.1;
+
+/// One Gaussian per point (method §2): isotropic scale, the root of the mean squared distance to the 3 nearest neighbours
+/// (as many as there are, for fewer than 4 points; at least 1e-5 of the extent); opacity 0.1; identity
+/// rotation; the point's colour in SH band 0, the other bands 0.
 ///
 /// # Errors
-/// No point, or one that is not finite.
+/// [`Error::Numerics`] for no points, as many colours as points are not, or positions that are not finite;
+/// [`Error::Config`] for an SH degree above 3.
 pub fn from_points(points: &Points, sh_degree: u32) -> Result<Splats> {
-    let n = points.positions.len();
-    if n == 0 {
-        return Err(Error::Numerics {
-            stage: "init".into(),
-            what: "no points".into(),
-        });
+    if points.positions.len() != points.colors.len() {
+        return Err(numerics(format!(
+            "{} points with {} colours; one each expected",
+            points.positions.len(),
+            points.colors.len()
+        )));
     }
-    let squared = mean_squared_neighbours(&points.positions);
-    let mut s = Splats::zeros(sh_degree, n);
-    let logit = (OPACITY / (1.0 - OPACITY)).ln() as f32;
-    for i in 0..n {
-        let scale = squared[i].max(MIN_SQUARED).sqrt().min(MAX_SCALE);
-        s.scatter(Plane::POSITION, i, points.positions[i]);
-        s.scatter(Plane::LOG_SCALE, i, [scale.ln() as f32; 3]);
-        s.scatter(Plane::OPACITY, i, [logit]);
-        let rgb = points.colors.get(i).copied().unwrap_or([128; 3]);
-        let sh = rgb.map(|c| ((f64::from(c) / 255.0 - 0.5) / SH_C0) as f32);
-        s.scatter(Plane::SH, i, sh);
-    }
-    Splats::new(sh_degree, s.planes().to_vec())
+    let colors: Vec<[f64; 3]> = points
+        .colors
+        .iter()
+        .map(|c| c.map(|v| f64::from(v) / 255.0))
+        .collect();
+    build(&points.positions, &colors, sh_degree)
 }
 
-/// `count` points uniform in the cameras' bounding box (axes shorter than half the longest are widened to that), grey.
+/// `count` Gaussians uniform in the bounding box of all camera centres, sides thinner than a tenth of the longest widened
+/// to that (a single camera: 1 to each side); colours uniform within 0.5 ± 0.25, so that nothing starts saturated; the
+/// rest as [`from_points`] does.
 ///
 /// # Errors
-/// As [`from_points`].
+/// [`Error::Config`] for `count` 0 or an SH degree above 3; [`Error::Numerics`] for a dataset without views.
 pub fn random(dataset: &Dataset, count: usize, sh_degree: u32, seed: u64) -> Result<Splats> {
-    let centers = || dataset.train.iter().map(|v| v.camera.center());
-    let low = centers().fold(DVec3::INFINITY, DVec3::min);
-    let high = centers().fold(DVec3::NEG_INFINITY, DVec3::max);
-    let longest = (high - low).max_element();
-    let middle = 0.5 * (low + high);
-    let half = if longest > 0.0 {
-        (0.5 * (high - low)).max(DVec3::splat(0.25 * longest))
-    } else {
-        DVec3::ONE
-    };
-    let stream = Purpose::Init.stream(0);
-    let positions = (0..count as u64)
+    if count == 0 {
+        return Err(Error::config(
+            "init",
+            "0 random points; at least 1 expected",
+        ));
+    }
+    let centers = dataset.train.iter().chain(&dataset.test);
+    let centers: Vec<[f64; 3]> = centers.map(|v| v.camera.center().to_array()).collect();
+    let (middle, half) = camera_box(&centers).ok_or_else(|| numerics("no views".into()))?;
+    let draw = |i: u64| Philox::uniform(seed, STREAM, i);
+    let positions: Vec<[f32; 3]> = (0..count as u64)
         .map(|i| {
-            let [x, y, z, _] = Philox::uniform(seed, stream, i);
-            let p = middle + half * (2.0 * DVec3::new(x, y, z) - 1.0);
-            p.as_vec3().to_array()
+            let u = draw(2 * i);
+            std::array::from_fn(|k| (middle[k] + half[k] * (2.0 * u[k] - 1.0)) as f32)
         })
         .collect();
-    from_points(
-        &Points {
-            positions,
-            colors: vec![[128; 3]; count],
-        },
-        sh_degree,
-    )
-}
-
-/// Mean squared distance of each point to its 3 nearest neighbours (fewer where there are fewer), O(N log N).
-#[must_use]
-pub fn mean_squared_neighbours(positions: &[[f32; 3]]) -> Vec<f64> {
-    let mut order: Vec<u32> = (0..positions.len() as u32).collect();
-    build(positions, &mut order, 0);
-    (0..positions.len())
-        .into_par_iter()
+    let colors: Vec<[f64; 3]> = (0..count as u64)
         .map(|i| {
-            let mut best = [f64::INFINITY; 3];
-            search(positions, &order, 0, i as u32, &mut best);
-            let found: Vec<f64> = best.into_iter().filter(|d| d.is_finite()).collect();
-            found.iter().sum::<f64>() / found.len().max(1) as f64
+            let u = draw(2 * i + 1);
+            std::array::from_fn(|k| 0.25 + 0.5 * u[k])
         })
-        .collect()
+        .collect();
+    build(&positions, &colors, sh_degree)
 }
 
-/// Points below which a node of the tree is searched through.
-const LEAF: usize = 8;
-
-/// A k-d tree in place: the median of each range splits it along the axes in turn.
-fn build(positions: &[[f32; 3]], order: &mut [u32], axis: usize) {
-    if order.len() <= LEAF {
-        return;
-    }
-    let middle = order.len() / 2;
-    let key = |i: &u32| positions[*i as usize][axis];
-    order.select_nth_unstable_by(middle, |a, b| key(a).total_cmp(&key(b)).then(a.cmp(b)));
-    let (left, right) = order.split_at_mut(middle);
-    let next = (axis + 1) % 3;
-    rayon::join(
-        || build(positions, left, next),
-        || build(positions, &mut right[1..], next),
-    );
-}
-
-fn visit(positions: &[[f32; 3]], from: u32, to: u32, best: &mut [f64; 3]) {
-    if from == to {
-        return;
-    }
-    let (a, b) = (positions[from as usize], positions[to as usize]);
-    let d: f64 = (0..3)
-        .map(|k| (f64::from(a[k]) - f64::from(b[k])).powi(2))
-        .sum();
-    if d < best[2] {
-        best[2] = d;
-        best.sort_by(f64::total_cmp);
-    }
-}
-
-fn search(positions: &[[f32; 3]], order: &[u32], axis: usize, i: u32, best: &mut [f64; 3]) {
-    if order.len() <= LEAF {
-        for &j in order {
-            visit(positions, i, j, best);
+/// Middle and half sides of the (widened) box around points; `None` without any.
+fn camera_box(centers: &[[f64; 3]]) -> Option<([f64; 3], [f64; 3])> {
+    let first = *centers.first()?;
+    let (mut low, mut high) = (first, first);
+    for c in centers {
+        for k in 0..3 {
+            low[k] = low[k].min(c[k]);
+            high[k] = high[k].max(c[k]);
         }
-        return;
     }
-    let middle = order.len() / 2;
-    let pivot = order[middle];
-    let gap = f64::from(positions[i as usize][axis]) - f64::from(positions[pivot as usize][axis]);
-    let (left, right) = (&order[..middle], &order[middle + 1..]);
-    let (near, far) = if gap < 0.0 {
-        (left, right)
+    let middle = std::array::from_fn(|k| 0.5 * (low[k] + high[k]));
+    let half: [f64; 3] = std::array::from_fn(|k| 0.5 * (high[k] - low[k]));
+    let longest = half.into_iter().fold(0.0, f64::max);
+    let least = if longest > 1e-9 {
+        THINNEST_SIDE * longest
     } else {
-        (right, left)
+        1.0
     };
-    let next = (axis + 1) % 3;
-    search(positions, near, next, i, best);
-    visit(positions, i, pivot, best);
-    if gap * gap < best[2] {
-        search(positions, far, next, i, best);
+    Some((middle, half.map(|h| h.max(least))))
+}
+
+/// Gaussians at positions (local units) with colours (RGB in [0, 1]).
+fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<Splats> {
+    if sh_degree > 3 {
+        return Err(Error::config(
+            "sh-degree",
+            format!("{sh_degree}; 0 to 3 expected"),
+        ));
+    }
+    if positions.is_empty() || u32::try_from(positions.len()).is_err() {
+        return Err(numerics(format!(
+            "{} points; 1 to 4294967295 expected",
+            positions.len()
+        )));
+    }
+    if let Some(i) = positions
+        .iter()
+        .position(|p| !p.iter().all(|v| v.is_finite()))
+    {
+        return Err(numerics(format!("point {i} lies at {:?}", positions[i])));
+    }
+    let mut splats = Splats::zeros(sh_degree, positions.len());
+    let opacity = (OPACITY / (1.0 - OPACITY)).ln() as f32;
+    splats.plane_mut(Plane::OPACITY).fill(opacity);
+    let distances = mean_squared_distances::<3>(positions);
+    for (i, ((&p, c), d)) in positions.iter().zip(colors).zip(distances).enumerate() {
+        let scale = if d.is_nan() {
+            LONE_SCALE
+        } else {
+            d.sqrt().max(MIN_SCALE)
+        };
+        splats.scatter(Plane::POSITION, i, p);
+        splats.scatter(Plane::LOG_SCALE, i, [scale.ln() as f32; 3]);
+        splats.scatter(Plane::SH, i, c.map(|v| ((v - 0.5) / SH_C0) as f32));
+    }
+    Ok(splats)
+}
+
+fn numerics(what: String) -> Error {
+    Error::Numerics {
+        stage: "initialisation".into(),
+        what,
     }
 }

@@ -1,6 +1,8 @@
 //! The scene being trained: a set of 3D Gaussians in raw (unactivated) form.
 
 pub mod init;
+#[doc(hidden)]
+pub mod knn;
 mod splats;
 
 pub use splats::{Plane, Splats, sh_coefficients};

@@ -7,7 +7,7 @@ use super::density_log::DensityRow;
 use super::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use super::metrics::MetricsRow;
 use super::record::{FinalRecord, RunRecord};
-use super::{panels, settings, write_atomic};
+use super::{panels, settings};
 use crate::error::Result;
 use std::fmt::Write;
 use std::path::Path;
@@ -37,7 +37,7 @@ pub fn write_report(
     scores(&mut body, record.final_scores.as_ref());
     settings::section(&mut body, record, run_dir);
     let title = format!("{} · mhsplat", folder_name(&record.dataset.path));
-    write_atomic(&run_dir.join(REPORT_FILE), page(&title, &body).as_bytes())
+    crate::atomic::write_bytes(&run_dir.join(REPORT_FILE), page(&title, &body).as_bytes())
 }
 
 /// A complete page of the report's style around `body` (HTML).

@@ -29,26 +29,3 @@ pub use html::write_report;
 pub use metrics::{MetricsRow, MetricsWriter, read_rows};
 pub use record::{DatasetRecord, DeviceRecord, FinalRecord, RunRecord, StageRecord, ViewScore};
 
-use crate::error::{Error, Result};
-use std::io::Write;
-use std::path::Path;
-
-/// Replaces the file at `path` as a whole: a reader sees the old bytes or the new ones, never half of them.
-///
-/// The bytes go to a sibling that is renamed over `path`; both lie in one folder, so the rename is atomic (POSIX
-/// `rename`).
-///
-/// # Errors
-/// [`Error::Io`] when the sibling cannot be written or renamed.
-pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut name = std::ffi::OsString::from(".");
-    name.push(path.file_name().unwrap_or_default());
-    name.push(".tmp");
-    let sibling = path.with_file_name(name);
-    let written = std::fs::File::create(&sibling).and_then(|mut file| {
-        file.write_all(bytes)?;
-        file.sync_all()
-    });
-    written.map_err(|e| Error::io(&sibling, e))?;
-    std::fs::rename(&sibling, path).map_err(|e| Error::io(path, e))
-}

@@ -1,6 +1,5 @@
 //! `run.json`: what was run, on what, and what came of it.
 
-use super::write_atomic;
 use crate::config::TrainConfig;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
@@ -178,7 +177,7 @@ impl RunRecord {
     pub fn write(&self, run_dir: impl AsRef<Path>) -> Result<()> {
         let mut text = self.to_json()?;
         text.push('\n');
-        write_atomic(&run_dir.as_ref().join(RECORD_FILE), text.as_bytes())
+        crate::atomic::write_bytes(&run_dir.as_ref().join(RECORD_FILE), text.as_bytes())
     }
 
     /// Reads `run.json` of `run_dir`.

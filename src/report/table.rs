@@ -2,7 +2,6 @@
 //!
 //! Cells are numbers only, so nothing needs quoting. An absent number is an empty cell.
 
-use super::write_atomic;
 use crate::error::{Error, Result};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -76,7 +75,7 @@ impl<R: Row> TableWriter<R> {
     /// [`Error::Io`] when the file cannot be written.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        write_atomic(path, header::<R>().as_bytes())?;
+        crate::atomic::write_bytes(path, header::<R>().as_bytes())?;
         Self::open(path)
     }
 
@@ -95,7 +94,7 @@ impl<R: Row> TableWriter<R> {
         for row in rows.iter().filter(|r| r.iteration() <= iteration) {
             text.push_str(&line(path, row)?);
         }
-        write_atomic(path, text.as_bytes())?;
+        crate::atomic::write_bytes(path, text.as_bytes())?;
         Self::open(path)
     }
 

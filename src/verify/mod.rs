@@ -1,3 +1,83 @@
 //! Every stage on a device against the f64 reference: error and time.
+//!
+//! Each case goes through the reference, through the kernels in f64 (where the device has it; this finds wrong formulas)
+//! and through the kernels in f32 (rounding alone).
 
+pub mod cases;
 pub mod chain;
+pub mod check;
+pub mod twin;
+
+use serde::Serialize;
+
+use crate::error::Result;
+use crate::gpu::Device;
+use crate::gpu::tuning::Tuning;
+use chain::Case;
+use check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check, device_quantities, reference_quantities};
+
+/// Outcome of a suite on one device.
+#[derive(Debug, Clone, Serialize)]
+pub struct Verification {
+    /// Device name.
+    pub device: String,
+    /// Suite.
+    pub suite: &'static str,
+    /// One row per case, stage and quantity.
+    pub cases: Vec<Row>,
+    /// Rows within their bounds.
+    pub passed: usize,
+    /// Rows that missed a bound.
+    pub failed: usize,
+}
+
+/// The quick suite: a few small scenes, both precisions, the device's own style and the other one.
+///
+/// # Errors
+/// A build failure, or the driver's.
+pub fn quick(device: &Device) -> Result<Verification> {
+    let mut rows = Vec::new();
+    for (family, case, bound) in quick_cases() {
+        rows.extend(verify_case(device, family, &case, bound)?);
+    }
+    let failed = rows.iter().filter(|r| !r.pass).count();
+    Ok(Verification {
+        device: device.info().name.clone(),
+        suite: "quick",
+        passed: rows.len() - failed,
+        failed,
+        cases: rows,
+    })
+}
+
+fn quick_cases() -> Vec<(&'static str, Case, f64)> {
+    vec![
+        ("mild", cases::mild("300 Gaussians, 75x50, SH 3", 300, [75, 50], 3, 7), SINGLE),
+        ("mild", cases::mild("40 Gaussians, 33x17, SH 0", 40, [33, 17], 0, 8), SINGLE),
+        ("mild", cases::mild("1 Gaussian, 16x16, SH 1", 1, [16, 16], 1, 9), SINGLE),
+        ("alpha", cases::mild("60 Gaussians, 40x48, SH 2", 60, [40, 48], 2, 10).with_alpha(), SINGLE),
+        ("needles", cases::needles(60, [64, 48], 11), SINGLE_NEEDLES),
+    ]
+}
+
+/// Every stage of one case: f64 and f32 in the device's style, f32 in the other style.
+///
+/// # Errors
+/// A build failure, or the driver's.
+pub fn verify_case(device: &Device, family: &str, case: &Case, bound: f64) -> Result<Vec<Row>> {
+    let own = Tuning::for_device(device.info());
+    let other = if own.group_style { Tuning::CPU } else { Tuning { chunks: 64, ..Tuning::GPU } };
+    let reference = twin::run(case);
+    let mut rows = Vec::new();
+    if device.info().fp64 {
+        let out = chain::run::<f64>(device, own, case)?;
+        let want = reference_quantities(case, &reference, &out);
+        rows.extend(check(family, case, &device_quantities(&out), &want, "f64", EXACT));
+    }
+    for (tuning, name) in [(own, "f32"), (other, "f32, other style")] {
+        let out = chain::run::<f32>(device, tuning, case)?;
+        let want = reference_quantities(case, &reference, &out);
+        rows.extend(check(family, case, &device_quantities(&out), &want, name, bound));
+    }
+    Ok(rows)
+}

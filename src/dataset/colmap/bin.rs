@@ -1,183 +1,235 @@
-//! The binary form. Every count is checked against what is left of the file before anything is allocated.
+//! Binary COLMAP models (little endian).
 
 use std::path::{Path, PathBuf};
 
-use super::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, MODELS};
+use super::models::{Model, PINHOLE};
+use super::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 use crate::error::{Error, Result};
 
-struct Reader {
-    path: PathBuf,
-    data: Vec<u8>,
-    at: usize,
+/// Reads `cameras.bin`, `images.bin` and, if there is one, `points3D.bin` in `dir`.
+///
+/// # Errors
+/// A missing, truncated or overlong file; a camera model with lens distortion; a number that is not finite; no image.
+pub fn read_bin(dir: &Path) -> Result<ColmapModel> {
+    let file = |stem: &str| dir.join(format!("{stem}.bin"));
+    let mut cursor = Cursor::open(file("cameras"))?;
+    let cameras = cursor.list("camera", 24, camera)?;
+    let mut cursor = Cursor::open(file("images"))?;
+    let images = cursor.list("image", 73, image)?;
+    let points = if file("points3D").is_file() {
+        let mut cursor = Cursor::open(file("points3D"))?;
+        cursor.list("point", 51, point)?
+    } else {
+        Vec::new()
+    };
+    let model = ColmapModel {
+        cameras,
+        images,
+        points,
+    };
+    model.validate(file)?;
+    Ok(model)
 }
 
-impl Reader {
+fn camera(cursor: &mut Cursor) -> Result<ColmapCamera> {
+    let id = cursor.u32()?;
+    let number = cursor.u32()?.cast_signed();
+    let size = (cursor.u64()?, cursor.u64()?);
+    let model = Model::from_id(&cursor.path, id, number)?;
+    let mut params = Vec::with_capacity(model.count());
+    for _ in 0..model.count() {
+        params.push(cursor.f64()?);
+    }
+    model.camera(&cursor.path, id, size, &params)
+}
+
+fn image(cursor: &mut Cursor) -> Result<ColmapImage> {
+    let image = ColmapImage {
+        id: cursor.u32()?,
+        rotation: cursor.f64s()?,
+        translation: cursor.f64s()?,
+        camera_id: cursor.u32()?,
+        name: cursor.name()?,
+    };
+    cursor.skip_list(24)?; // x, y: f64; point: u64
+    Ok(image)
+}
+
+fn point(cursor: &mut Cursor) -> Result<ColmapPoint> {
+    let point = ColmapPoint {
+        id: cursor.u64()?,
+        position: cursor.f64s()?,
+        color: cursor.take()?,
+        error: cursor.f64()?,
+    };
+    cursor.skip_list(8)?; // image, observation: u32
+    Ok(point)
+}
+
+/// Writes `cameras.bin`, `images.bin` and `points3D.bin` into `dir`, which is created where needed.
+///
+/// # Errors
+/// [`Error::Io`] where the system refuses.
+pub fn write_bin(dir: &Path, model: &ColmapModel) -> Result<()> {
+    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
+    let mut cameras = (model.cameras.len() as u64).to_le_bytes().to_vec();
+    for c in &model.cameras {
+        cameras.extend(c.id.to_le_bytes());
+        cameras.extend(PINHOLE.to_le_bytes());
+        cameras.extend(u64::from(c.width).to_le_bytes());
+        cameras.extend(u64::from(c.height).to_le_bytes());
+        cameras.extend(c.params.iter().flat_map(|v| v.to_le_bytes()));
+    }
+    let mut images = (model.images.len() as u64).to_le_bytes().to_vec();
+    for i in &model.images {
+        images.extend(i.id.to_le_bytes());
+        images.extend(i.rotation.iter().flat_map(|v| v.to_le_bytes()));
+        images.extend(i.translation.iter().flat_map(|v| v.to_le_bytes()));
+        images.extend(i.camera_id.to_le_bytes());
+        images.extend(i.name.as_bytes());
+        images.push(0);
+        images.extend(0_u64.to_le_bytes());
+    }
+    let mut points = (model.points.len() as u64).to_le_bytes().to_vec();
+    for p in &model.points {
+        points.extend(p.id.to_le_bytes());
+        points.extend(p.position.iter().flat_map(|v| v.to_le_bytes()));
+        points.extend(p.color);
+        points.extend(p.error.to_le_bytes());
+        points.extend(0_u64.to_le_bytes());
+    }
+    for (name, bytes) in [
+        ("cameras.bin", cameras),
+        ("images.bin", images),
+        ("points3D.bin", points),
+    ] {
+        let file = dir.join(name);
+        std::fs::write(&file, bytes).map_err(|e| Error::io(&file, e))?;
+    }
+    Ok(())
+}
+
+/// A bounds-checked reader that knows what it is reading.
+struct Cursor {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    at: usize,
+    /// "camera 3", for messages.
+    reading: String,
+}
+
+impl Cursor {
     fn open(path: PathBuf) -> Result<Self> {
-        let data = std::fs::read(&path).map_err(|e| {
-            Error::input(
-                &path,
-                format!("cannot be read: {e}"),
-                "copy the whole sparse/0 folder",
-            )
-        })?;
-        Ok(Self { path, data, at: 0 })
+        let bytes = std::fs::read(&path).map_err(|e| Error::io(&path, e))?;
+        Ok(Self {
+            path,
+            bytes,
+            at: 0,
+            reading: "the count".into(),
+        })
     }
 
-    fn truncated(&self, what: &str) -> Error {
+    fn remaining(&self) -> usize {
+        self.bytes.len() - self.at
+    }
+
+    fn truncated(&self, needed: u64) -> Error {
         Error::input(
             &self.path,
             format!(
-                "ends within {what} (byte {} of {})",
+                "the file ends within {}: {needed} bytes expected at offset {}, {} left",
+                self.reading,
                 self.at,
-                self.data.len()
+                self.remaining()
             ),
-            "the file is cut short or damaged; copy or export it again",
+            REBUILD,
         )
     }
 
-    fn take<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
-        let bytes = self
-            .data
-            .get(self.at..)
-            .and_then(|rest| rest.first_chunk::<N>())
-            .copied();
-        match bytes {
-            Some(b) => {
-                self.at += N;
-                Ok(b)
+    /// Every record of the file: a count, then `read` as often as it says. `least` is the smallest size of a record in
+    /// bytes; a count that cannot fit into the file is refused before anything is allocated.
+    fn list<T>(
+        &mut self,
+        what: &str,
+        least: usize,
+        read: impl Fn(&mut Self) -> Result<T>,
+    ) -> Result<Vec<T>> {
+        let count = self.u64()?;
+        if count > (self.remaining() / least) as u64 {
+            return Err(Error::input(
+                &self.path,
+                format!(
+                    "{count} records ({what}) are announced, but {} bytes hold at most {}",
+                    self.remaining(),
+                    self.remaining() / least
+                ),
+                REBUILD,
+            ));
+        }
+        let mut records = Vec::with_capacity(count as usize);
+        for i in 0..count {
+            self.reading = format!("{what} {i} of {count}");
+            records.push(read(self)?);
+        }
+        if self.remaining() > 0 {
+            let what = format!("{} bytes follow after the last {what}", self.remaining());
+            return Err(Error::input(&self.path, what, REBUILD));
+        }
+        Ok(records)
+    }
+
+    fn take<const K: usize>(&mut self) -> Result<[u8; K]> {
+        match self.bytes[self.at..].first_chunk::<K>() {
+            Some(chunk) => {
+                self.at += K;
+                Ok(*chunk)
             }
-            None => Err(self.truncated(what)),
+            None => Err(self.truncated(K as u64)),
         }
     }
 
-    fn skip(&mut self, count: u64, size: u64, what: &str) -> Result<()> {
-        let left = (self.data.len() - self.at) as u64;
-        match count.checked_mul(size).filter(|n| *n <= left) {
-            Some(n) => {
-                self.at += n as usize;
-                Ok(())
-            }
-            None => Err(self.truncated(what)),
-        }
+    fn u32(&mut self) -> Result<u32> {
+        self.take().map(u32::from_le_bytes)
     }
 
-    fn u32(&mut self, what: &str) -> Result<u32> {
-        self.take(what).map(u32::from_le_bytes)
+    fn u64(&mut self) -> Result<u64> {
+        self.take().map(u64::from_le_bytes)
     }
 
-    fn u64(&mut self, what: &str) -> Result<u64> {
-        self.take(what).map(u64::from_le_bytes)
+    fn f64(&mut self) -> Result<f64> {
+        self.take().map(f64::from_le_bytes)
     }
 
-    fn f64(&mut self, what: &str) -> Result<f64> {
-        self.take(what).map(f64::from_le_bytes)
-    }
-
-    fn reals<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
-        let mut out = [0.0; N];
+    fn f64s<const K: usize>(&mut self) -> Result<[f64; K]> {
+        let mut out = [0.0; K];
         for v in &mut out {
-            *v = self.f64(what)?;
+            *v = self.f64()?;
         }
         Ok(out)
     }
 
-    /// A count of entries of at least `size` bytes each.
-    fn count(&mut self, size: usize, what: &str) -> Result<usize> {
-        let n = self.u64(what)?;
-        let left = (self.data.len() - self.at) as u64;
-        if n.checked_mul(size as u64).is_none_or(|bytes| bytes > left) {
-            return Err(Error::input(
-                &self.path,
-                format!("announces {n} {what}, but {left} bytes are left"),
-                "the file is cut short or damaged; copy or export it again",
-            ));
-        }
-        Ok(n as usize)
-    }
-
+    /// A string that ends with a zero byte.
     fn name(&mut self) -> Result<String> {
-        let rest = self.data.get(self.at..).unwrap_or(&[]);
-        let Some(len) = rest.iter().position(|b| *b == 0) else {
-            return Err(self.truncated("an image name"));
+        let rest = &self.bytes[self.at..];
+        let Some(length) = rest.iter().position(|&b| b == 0) else {
+            return Err(self.truncated(self.remaining() as u64 + 1));
         };
-        let name = String::from_utf8_lossy(&rest[..len]).into_owned();
-        self.at += len + 1;
+        let Ok(name) = std::str::from_utf8(&rest[..length]) else {
+            let what = format!("the name of {} is not UTF-8", self.reading);
+            return Err(Error::input(&self.path, what, "rename the photo"));
+        };
+        let name = name.to_string();
+        self.at += length + 1;
         Ok(name)
     }
-}
 
-pub(super) fn read(folder: &Path) -> Result<ColmapModel> {
-    Ok(ColmapModel {
-        cameras: cameras(Reader::open(folder.join("cameras.bin"))?)?,
-        images: images(Reader::open(folder.join("images.bin"))?)?,
-        points: match folder.join("points3D.bin") {
-            file if file.exists() => points(Reader::open(file)?)?,
-            _ => Vec::new(),
-        },
-    })
-}
-
-fn cameras(mut r: Reader) -> Result<Vec<ColmapCamera>> {
-    let n = r.count(24, "cameras")?;
-    let mut out = Vec::with_capacity(n);
-    for _ in 0..n {
-        let what = "a camera";
-        let (id, model) = (r.u32(what)?, r.u32(what)?);
-        let (width, height) = (r.u64(what)?, r.u64(what)?);
-        let Some((name, count)) = MODELS.get(model as usize) else {
-            return Err(Error::input(
-                &r.path,
-                format!("camera {id} has the unknown model number {model}"),
-                "undistort with COLMAP, or export the model again",
-            ));
-        };
-        let params = (0..*count).map(|_| r.f64(what)).collect::<Result<_>>()?;
-        out.push(ColmapCamera {
-            id,
-            model: name,
-            width,
-            height,
-            params,
-        });
+    /// Skips a count and that many records of `size` bytes.
+    fn skip_list(&mut self, size: u64) -> Result<()> {
+        let length = self.u64()?.saturating_mul(size);
+        if length > self.remaining() as u64 {
+            return Err(self.truncated(length));
+        }
+        self.at += length as usize;
+        Ok(())
     }
-    Ok(out)
-}
-
-fn images(mut r: Reader) -> Result<Vec<ColmapImage>> {
-    let n = r.count(73, "images")?;
-    let mut out = Vec::with_capacity(n);
-    for _ in 0..n {
-        let what = "an image";
-        let id = r.u32(what)?;
-        let rotation = r.reals(what)?;
-        let translation = r.reals(what)?;
-        let camera = r.u32(what)?;
-        let name = r.name()?;
-        let features = r.u64(what)?;
-        r.skip(features, 24, "the features of an image")?;
-        out.push(ColmapImage {
-            id,
-            rotation,
-            translation,
-            camera,
-            name,
-        });
-    }
-    Ok(out)
-}
-
-fn points(mut r: Reader) -> Result<Vec<ColmapPoint>> {
-    let n = r.count(51, "points")?;
-    let mut out = Vec::with_capacity(n);
-    for _ in 0..n {
-        let what = "a point";
-        r.u64(what)?;
-        let position = r.reals(what)?;
-        let color = r.take::<3>(what)?;
-        r.f64(what)?;
-        let track = r.u64(what)?;
-        r.skip(track, 8, "the track of a point")?;
-        out.push(ColmapPoint { position, color });
-    }
-    Ok(out)
 }

@@ -1,208 +1,239 @@
-//! COLMAP models (`sparse/0`), binary and text: cameras, images, points3D.
+//! COLMAP sparse models: `cameras`, `images` and `points3D`, binary or text.
+//!
+//! Format: <https://colmap.github.io/format.html>. Poses are world-to-camera in OpenCV axes, which is the convention of
+//! [`Camera`] too. Point tracks and 2D observations are skipped when reading and left empty when writing.
 
 mod bin;
+mod models;
 mod txt;
-mod write;
 
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
 
-pub use write::{write_bin, write_txt};
+pub use bin::{read_bin, write_bin};
+pub use txt::{read_txt, write_txt};
 
+use super::raw::{RawScene, RawView, inside};
 use super::{Camera, Layout};
 use crate::error::{Error, Result};
 
-/// A camera of the model.
-#[derive(Debug, Clone, PartialEq)]
+/// Remedy for anything wrong inside of a model file.
+const REBUILD: &str = "export the COLMAP model again";
+
+/// A pinhole camera of a COLMAP model (`PINHOLE`; a `SIMPLE_PINHOLE` has `fx == fy`).
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ColmapCamera {
-    /// COLMAP's id.
+    /// Identifier, unique within the model.
     pub id: u32,
-    /// Model, always one of [`MODELS`].
-    pub model: &'static str,
-    /// Width, pixels.
-    pub width: u64,
-    /// Height, pixels.
-    pub height: u64,
-    /// Parameters in COLMAP's order.
-    pub params: Vec<f64>,
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+    /// Focal lengths and principal point fx, fy, cx, cy, pixels; pixel centres at +0.5.
+    pub params: [f64; 4],
 }
 
-/// A registered image.
+/// A registered image of a COLMAP model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColmapImage {
-    /// COLMAP's id.
+    /// Identifier, unique within the model.
     pub id: u32,
-    /// Rotation world → camera, w x y z.
+    /// World-to-camera rotation as a quaternion w, x, y, z (normalised on use).
     pub rotation: [f64; 4],
-    /// Translation world → camera.
+    /// World-to-camera translation, dataset units.
     pub translation: [f64; 3],
-    /// Id of its camera.
-    pub camera: u32,
-    /// File name below `images/`.
+    /// Identifier of its camera.
+    pub camera_id: u32,
+    /// File name relative to `images/`, with forward slashes.
     pub name: String,
 }
 
-/// A sparse point.
+/// A triangulated point of a COLMAP model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ColmapPoint {
-    /// Position, world.
+    /// Identifier, unique within the model.
+    pub id: u64,
+    /// Position, dataset units.
     pub position: [f64; 3],
-    /// 8-bit RGB.
+    /// RGB colour.
     pub color: [u8; 3],
+    /// Mean reprojection error, pixels.
+    pub error: f64,
 }
 
-/// A sparse model.
-#[derive(Debug, Clone, Default, PartialEq)]
+/// A COLMAP sparse model.
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ColmapModel {
-    /// Cameras.
+    /// Cameras, in the file's order.
     pub cameras: Vec<ColmapCamera>,
-    /// Images.
+    /// Registered images, in the file's order.
     pub images: Vec<ColmapImage>,
-    /// Points.
+    /// Points, in the file's order.
     pub points: Vec<ColmapPoint>,
 }
 
-/// Names and numbers of parameters of COLMAP's camera models, by their ids from 0 on.
-pub const MODELS: [(&str, usize); 18] = [
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-    ("SIMPLE_DIVISION", 4),
-    ("DIVISION", 5),
-    ("SIMPLE_FISHEYE", 3),
-    ("FISHEYE", 4),
-    ("EQUIRECTANGULAR", 2),
-    ("OTHER", 0),
-];
-
-/// The camera file of a model in `folder`, binary preferred.
-#[must_use]
-pub fn find(folder: &Path) -> Option<(PathBuf, Layout)> {
-    [
-        ("cameras.bin", Layout::ColmapBin),
-        ("cameras.txt", Layout::ColmapTxt),
-    ]
-    .into_iter()
-    .map(|(name, layout)| (folder.join(name), layout))
-    .find(|(file, _)| file.exists())
-}
-
-/// Reads the model in `folder`.
-///
-/// # Errors
-/// A missing or damaged file, or values that are not finite.
-pub fn read(folder: &Path, layout: Layout) -> Result<ColmapModel> {
-    let model = match layout {
-        Layout::ColmapBin => bin::read(folder)?,
-        _ => txt::read(folder)?,
-    };
-    let extension = if layout == Layout::ColmapBin {
-        "bin"
-    } else {
-        "txt"
-    };
-    check(&model, folder, extension)?;
-    Ok(model)
-}
-
-fn check(model: &ColmapModel, folder: &Path, extension: &str) -> Result<()> {
-    let bad = |stem: &str, what: String| {
-        Err(Error::input(
-            folder.join(format!("{stem}.{extension}")),
-            what,
-            "run the reconstruction again, or remove the entry",
-        ))
-    };
-    for (k, p) in model.points.iter().enumerate() {
-        if !p.position.iter().all(|v| v.is_finite()) {
-            return bad(
-                "points3D",
-                format!(
-                    "point {k} lies at {:?}; finite numbers expected",
-                    p.position
-                ),
-            );
+impl ColmapModel {
+    /// A model of named cameras in the dataset's frame; images with equal intrinsics share a camera. Identifiers count
+    /// from 1.
+    #[must_use]
+    pub fn from_views(views: &[(String, Camera)], points: Vec<ColmapPoint>) -> Self {
+        let mut model = Self {
+            points,
+            ..Self::default()
+        };
+        for (name, camera) in views {
+            let wanted = ColmapCamera {
+                id: model.cameras.len() as u32 + 1,
+                width: camera.width,
+                height: camera.height,
+                params: [camera.fx, camera.fy, camera.cx, camera.cy],
+            };
+            let same = |c: &&ColmapCamera| ColmapCamera { id: c.id, ..wanted } == **c;
+            let camera_id = if let Some(c) = model.cameras.iter().find(same) {
+                c.id
+            } else {
+                model.cameras.push(wanted);
+                wanted.id
+            };
+            let q = DQuat::from_mat3(&camera.rotation);
+            model.images.push(ColmapImage {
+                id: model.images.len() as u32 + 1,
+                rotation: [q.w, q.x, q.y, q.z],
+                translation: camera.translation.to_array(),
+                camera_id,
+                name: name.clone(),
+            });
         }
+        model
     }
-    for i in &model.images {
-        let finite = i
-            .rotation
-            .iter()
-            .chain(&i.translation)
-            .all(|v| v.is_finite());
-        if !finite || i.rotation.iter().all(|v| *v == 0.0) {
+
+    /// What both readers check: finite numbers, usable intrinsics, unique identifiers, known cameras. `file` gives the
+    /// path of each of the three files by its stem.
+    fn validate(&self, file: impl Fn(&str) -> PathBuf) -> Result<()> {
+        let bad = |stem: &str, what: String| Err(Error::input(file(stem), what, REBUILD));
+        let mut ids = HashSet::new();
+        for c in &self.cameras {
+            let [fx, fy, cx, cy] = c.params;
+            let good = fx > 0.0 && fy > 0.0 && c.params.iter().all(|v| v.is_finite());
+            if !good || c.width == 0 || c.height == 0 {
+                return bad(
+                    "cameras",
+                    format!(
+                        "camera {} is {}×{} with fx {fx}, fy {fy}, cx {cx}, cy {cy}; positive sizes and focal lengths expected",
+                        c.id, c.width, c.height
+                    ),
+                );
+            }
+            if !ids.insert(c.id) {
+                return bad("cameras", format!("camera {} is given twice", c.id));
+            }
+        }
+        let mut names = HashSet::new();
+        for (i, image) in self.images.iter().enumerate() {
+            let [w, x, y, z] = image.rotation;
+            let norm = (w * w + x * x + y * y + z * z).sqrt();
+            let good = norm > 1e-6 && norm < 1e6 && image.translation.iter().all(|v| v.is_finite());
+            if !good {
+                return bad(
+                    "images",
+                    format!(
+                        "image {i} ({}) has the pose q = {:?}, t = {:?}; finite numbers and a non-zero quaternion expected",
+                        image.name, image.rotation, image.translation
+                    ),
+                );
+            }
+            if !ids.contains(&image.camera_id) {
+                let what = format!("{} uses camera {}, which", image.name, image.camera_id);
+                return bad("images", format!("{what} the cameras file does not hold"));
+            }
+            if !names.insert(image.name.as_str()) {
+                return bad("images", format!("image {} is given twice", image.name));
+            }
+        }
+        for (i, p) in self.points.iter().enumerate() {
+            if !p.position.iter().all(|v| v.is_finite()) {
+                return bad(
+                    "points3D",
+                    format!(
+                        "point {i} lies at {:?}; finite numbers expected",
+                        p.position
+                    ),
+                );
+            }
+        }
+        if self.images.is_empty() {
             return bad(
                 "images",
-                format!("the pose of {} is not finite, or no rotation", i.name),
+                "no registered image; at least one expected".into(),
             );
         }
+        Ok(())
     }
-    if model.images.is_empty() {
-        return bad("images", "no registered image".into());
-    }
-    for c in &model.cameras {
-        let focal_good = c.params.first().is_some_and(|f| *f > 0.0);
-        if !c.params.iter().all(|v| v.is_finite()) || !focal_good || c.width == 0 || c.height == 0 {
-            return bad(
-                "cameras",
-                format!("camera {} has unusable size or parameters", c.id),
-            );
-        }
-    }
-    Ok(())
 }
 
-impl ColmapModel {
-    /// The pinhole camera of an image, in world units.
-    ///
-    /// # Errors
-    /// A camera model with lens distortion, named with the remedy; or an id that no camera has.
-    pub fn camera_of(&self, image: &ColmapImage, folder: &Path) -> Result<Camera> {
-        let file = |stem: &str| find(folder).map_or_else(|| folder.join(stem), |(f, _)| f);
-        let Some(c) = self.cameras.iter().find(|c| c.id == image.camera) else {
-            return Err(Error::input(
-                file("cameras"),
-                format!(
-                    "no camera {}, which {} was taken with",
-                    image.camera, image.name
-                ),
-                "export the model again",
-            ));
-        };
-        let (fx, fy, cx, cy) = match (c.model, c.params.as_slice()) {
-            ("SIMPLE_PINHOLE", [f, cx, cy]) => (*f, *f, *cx, *cy),
-            ("PINHOLE", [fx, fy, cx, cy]) => (*fx, *fy, *cx, *cy),
-            (model, _) => {
-                return Err(Error::input(
-                    file("cameras"),
-                    format!(
-                        "camera {} has the model {model}; PINHOLE or SIMPLE_PINHOLE expected",
-                        c.id
-                    ),
-                    "undistort first: `colmap image_undistorter --image_path images --input_path sparse/0 --output_path undistorted`",
-                ));
-            }
+/// The folder below `root` that holds a sparse model, and its layout. `sparse/` itself is accepted too, because that is
+/// where `colmap image_undistorter` writes.
+pub(in crate::dataset) fn find(root: &Path) -> Option<(PathBuf, Layout)> {
+    ["sparse/0", "sparse"].iter().find_map(|below| {
+        let dir = root.join(below);
+        if dir.join("cameras.bin").is_file() {
+            Some((dir, Layout::ColmapBin))
+        } else if dir.join("cameras.txt").is_file() {
+            Some((dir, Layout::ColmapTxt))
+        } else {
+            None
+        }
+    })
+}
+
+/// Reads the model in `dir` with photos in `root/images`.
+///
+/// # Errors
+/// See [`read_bin`] and [`read_txt`]; also a missing `images` folder or image names that leave it.
+pub(in crate::dataset) fn load(root: &Path, dir: &Path, layout: Layout) -> Result<RawScene> {
+    let model = if layout == Layout::ColmapBin {
+        read_bin(dir)?
+    } else {
+        read_txt(dir)?
+    };
+    let folder = root.join("images");
+    if !folder.is_dir() {
+        return Err(Error::input(
+            &folder,
+            "no such folder; the photos of a COLMAP dataset are expected there",
+            "copy or link the (undistorted) photos to it",
+        ));
+    }
+    let cameras: HashMap<u32, &ColmapCamera> = model.cameras.iter().map(|c| (c.id, c)).collect();
+    let mut train = Vec::with_capacity(model.images.len());
+    for image in &model.images {
+        let Some(c) = cameras.get(&image.camera_id) else {
+            continue; // validate() refused unknown cameras
         };
         let [w, x, y, z] = image.rotation;
-        Ok(Camera {
-            rotation: DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()),
-            translation: DVec3::from_array(image.translation),
-            fx,
-            fy,
-            cx,
-            cy,
-            width: u32::try_from(c.width).unwrap_or(u32::MAX),
-            height: u32::try_from(c.height).unwrap_or(u32::MAX),
-        })
+        let [fx, fy, cx, cy] = c.params;
+        train.push(RawView {
+            name: image.name.clone(),
+            file: inside(&folder, &image.name)?,
+            camera: Camera {
+                rotation: DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()),
+                translation: DVec3::from_array(image.translation),
+                fx,
+                fy,
+                cx,
+                cy,
+                width: c.width,
+                height: c.height,
+            },
+        });
     }
+    Ok(RawScene {
+        layout,
+        train,
+        test: None,
+        positions: model.points.iter().map(|p| p.position.into()).collect(),
+        colors: model.points.iter().map(|p| p.color).collect(),
+    })
 }

@@ -1,9 +1,8 @@
 //! Seeded scenes with known truth: exact cameras, points on the true surfaces, photos from a small ray tracer of our own
 //! (64-bit floats, shading after Lambert, Blinn and Schlick; no code or asset of others).
 //!
-//! The same arguments give the same bytes. Geometry and shading use + − × ÷ and √ alone, which IEEE 754 defines to the last bit,
-//! so this holds across machines too, with one exception: the key `camera_angle_x` of the transforms layout needs an arc tangent,
-//! whose last digit is up to the platform.
+//! The same arguments give the same bytes. Geometry and shading use + − × ÷ and √ alone, which IEEE 754 defines to the last
+//! bit, so this holds across machines too.
 
 mod furniture;
 mod hash;
@@ -23,8 +22,11 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::Camera;
+use super::colmap::{write_bin, write_txt};
+use super::transforms::write_transforms;
+use super::{Camera, Frame};
 use crate::error::{Error, Result};
+use crate::export::ply;
 use scene::Scene;
 
 /// Names of the scenes that [`generate`] knows.
@@ -188,19 +190,28 @@ pub fn generate(name: &str, dir: &Path, options: &SynthOptions) -> Result<SynthR
     }
     let points = trace::points(&scene, &cameras, options.points, options.seed);
     match options.layout {
-        SynthLayout::Colmap => write::colmap(dir, &bare(&views), &points, false)?,
-        SynthLayout::ColmapTxt => write::colmap(dir, &bare(&views), &points, true)?,
         SynthLayout::Transforms => {
-            let part = |test: bool| -> Vec<&(String, Camera)> {
-                let wanted = views.iter().enumerate();
-                wanted
+            for (split, test) in [("train", false), ("test", true)] {
+                let part: Vec<(String, Camera)> = views
+                    .iter()
+                    .enumerate()
                     .filter(|(i, _)| (i % TEST_EVERY == 0) == test)
-                    .map(|(_, v)| v)
-                    .collect()
-            };
-            write::transforms(dir, "train", &part(false))?;
-            write::transforms(dir, "test", &part(true))?;
-            write::ply(&dir.join("points3d.ply"), &points)?;
+                    .map(|(_, v)| v.clone())
+                    .collect();
+                let file = dir.join(format!("transforms_{split}.json"));
+                write_transforms(&file, &part, Some("points3d.ply"))?;
+            }
+            ply::write_points(&dir.join("points3d.ply"), &write::cloud(&points), &Frame::IDENTITY)?;
+        }
+        layout => {
+            let folder = dir.join("sparse/0");
+            fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+            let model = write::colmap_model(&bare(&views), &points);
+            if layout == SynthLayout::ColmapTxt {
+                write_txt(&folder, &model)?;
+            } else {
+                write_bin(&folder, &model)?;
+            }
         }
     }
     let test_views = views.len().div_ceil(TEST_EVERY) as u32;

@@ -18,8 +18,6 @@ const HALF: f64 = 1.0 / (1u64 << 32) as f64;
 pub(super) struct Sample {
     /// Where.
     pub position: DVec3,
-    /// Outward unit normal.
-    pub normal: DVec3,
     /// Displayed colour of the evenly scattered light.
     pub color: [u8; 3],
 }
@@ -186,7 +184,6 @@ fn sample(scene: &Scene, origin: DVec3, d: DVec3) -> Option<Sample> {
     }
     Some(Sample {
         position: s.point,
-        normal: s.normal,
         color: bytes(display(light / POINT_SAMPLES as f64)),
     })
 }

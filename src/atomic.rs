@@ -1,0 +1,50 @@
+//! Files that are either the old ones or the new ones, never half of each.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+use crate::error::{Error, Result};
+
+/// Writes a file through `content` into a temporary one next to it, which then takes its place: a reader, or a run that is
+/// killed, sees the old file or the new one. The temporary file is removed when something fails.
+///
+/// # Errors
+/// [`Error::Io`] where the system refuses; [`Error::Input`] for a path without a file name.
+pub fn write(
+    path: &Path,
+    content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
+    let Some(name) = path.file_name() else {
+        return Err(Error::input(
+            path,
+            "not a file name",
+            "give a file to write",
+        ));
+    };
+    // The process id keeps two runs with one output from writing into the same temporary file.
+    let mut hidden = OsString::from(".");
+    hidden.push(name);
+    hidden.push(format!(".{}.tmp", std::process::id()));
+    let temporary = path.with_file_name(hidden);
+    let written = File::create(&temporary).and_then(|file| {
+        let mut writer = BufWriter::with_capacity(1 << 20, file);
+        content(&mut writer)?;
+        writer.flush()?;
+        writer.get_ref().sync_all()?;
+        fs::rename(&temporary, path)
+    });
+    written.map_err(|source| {
+        let _ = fs::remove_file(&temporary);
+        Error::io(path, source)
+    })
+}
+
+/// [`write`] for bytes that are there already.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
+    write(path, |w| w.write_all(bytes))
+}

@@ -1,0 +1,110 @@
+//! Scenes that the stages are checked on: seeded, exact in f32.
+
+use glam::{DMat3, DVec3};
+
+use super::chain::Case;
+use crate::dataset::{Camera, Photo, View};
+use crate::density::Edit;
+use crate::density::rng::{Philox, Purpose};
+use crate::gpu::tuning::ALPHA_MIN;
+use crate::model::{Plane, Splats};
+use crate::stage::adam::LearningRates;
+
+fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
+    Philox::uniform(seed, Purpose::Synthetic.stream(0), (index as u64) << 8 | what)
+}
+
+fn camera(size: [u32; 2]) -> Camera {
+    let [w, h] = size.map(f64::from);
+    let rotation = DMat3::from_rotation_y(0.1) * DMat3::from_rotation_x(-0.2);
+    Camera {
+        rotation,
+        translation: DVec3::new(0.1, -0.05, 3.0),
+        fx: 1.1 * w,
+        fy: 1.05 * w,
+        cx: 0.47 * w,
+        cy: 0.55 * h,
+        width: size[0],
+        height: size[1],
+    }
+}
+
+/// Well-conditioned Gaussians in front of the camera, some beside and behind it; a noisy photo; two edits.
+#[must_use]
+pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> Case {
+    let mut s = Splats::zeros(sh_degree, n);
+    for i in 0..n {
+        let [x, y, z, far] = uniform(seed, i, 0);
+        let scale = uniform(seed, i, 1);
+        let spread = if far > 0.9 { 8.0 } else { 2.0 };
+        s.scatter(Plane::POSITION, i, [x, y, z].map(|v| (spread * (v - 0.5)) as f32));
+        s.scatter(Plane::LOG_SCALE, i, [0, 1, 2].map(|k| (2.0 * scale[k] - 3.2) as f32));
+        s.scatter(Plane::ROTATION, i, uniform(seed, i, 2).map(|v| (v - 0.5) as f32));
+        s.scatter(Plane::OPACITY, i, [(6.0 * scale[3] - 2.0) as f32]);
+        for p in Plane::SH..Plane::count(sh_degree) {
+            s.scatter(p, i, [(1.2 * uniform(seed, i, 3 + p as u64)[0] - 0.4) as f32]);
+        }
+    }
+    let [w, h] = size;
+    let data = (0..3 * (w * h) as usize).map(|i| (255.0 * uniform(seed, i, 255)[0]) as u8).collect();
+    let last = n.saturating_sub(1) as u32;
+    let edit = |src: u32, dst: u32| Edit {
+        src,
+        dst,
+        position: [0.25, -0.5, 0.75],
+        log_scale: [-3.0, -2.0, -1.0],
+        opacity_logit: 0.5,
+    };
+    Case {
+        name: name.into(),
+        splats: s,
+        view: View {
+            name: "view".into(),
+            camera: camera(size),
+            photo: Photo { width: w, height: h, channels: 3, data },
+        },
+        background: [0.2, 0.5, 0.1],
+        alpha_min: ALPHA_MIN,
+        sh_degree,
+        lambdas: [0.2, 0.01, 0.01],
+        rates: LearningRates {
+            position: 1e-3,
+            scale: 5e-3,
+            rotation: 1e-3,
+            opacity: 0.025,
+            sh0: 2.5e-3,
+            sh: 1e-4,
+        },
+        edits: if last > 0 { vec![edit(0, last), edit(1, 1)] } else { vec![edit(0, 0)] },
+    }
+}
+
+/// Gaussians a thousand times longer than thick, at all angles.
+#[must_use]
+pub fn needles(n: usize, size: [u32; 2], seed: u64) -> Case {
+    let mut case = mild("needles 1000:1", n, size, 1, seed);
+    for i in 0..n {
+        let long = uniform(seed, i, 4)[0] as f32;
+        case.splats.scatter(Plane::LOG_SCALE, i, [-0.5 - long, -7.4 - long, -7.4]);
+    }
+    case
+}
+
+impl Case {
+    /// The same with a photo that has a premultiplied alpha plane.
+    #[must_use]
+    pub fn with_alpha(mut self) -> Self {
+        let photo = &mut self.view.photo;
+        let n = (photo.width * photo.height) as usize;
+        let alpha: Vec<u8> = (0..n).map(|i| if i % 3 == 0 { 255 } else { (i * 37 % 256) as u8 }).collect();
+        for c in 0..3 {
+            for i in 0..n {
+                let v = u32::from(photo.data[c * n + i]) * u32::from(alpha[i]) / 255;
+                photo.data[c * n + i] = v as u8;
+            }
+        }
+        photo.data.extend(alpha);
+        photo.channels = 4;
+        self
+    }
+}

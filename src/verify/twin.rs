@@ -1,0 +1,39 @@
+//! A case through the f64 reference.
+
+use super::chain::Case;
+use crate::gpu::tuning::NEAR;
+use crate::reference::chain::{Passage, run as reference};
+use crate::reference::{Camera64, Options, Scene64};
+
+/// The photo over the background, planar \[3, height, width\].
+#[must_use]
+pub fn photo(case: &Case) -> Vec<f64> {
+    let p = &case.view.photo;
+    let n = (p.width * p.height) as usize;
+    let value = |c: usize, i: usize| f64::from(p.data[c * n + i]) / 255.0;
+    (0..3 * n)
+        .map(|at| {
+            let (c, i) = (at / n, at % n);
+            let gap = if p.channels == 4 { 1.0 - value(3, i) } else { 0.0 };
+            value(c, i) + gap * f64::from(case.background[c])
+        })
+        .collect()
+}
+
+/// Camera, scene and options of a case.
+#[must_use]
+pub fn inputs(case: &Case) -> (Scene64, Camera64, Options) {
+    let options = Options {
+        alpha_min: case.alpha_min,
+        sh_degree: case.sh_degree,
+        background: case.background.map(f64::from),
+    };
+    (Scene64::new(&case.splats), Camera64::new(&case.view.camera, NEAR), options)
+}
+
+/// Every stage of the reference on a case.
+#[must_use]
+pub fn run(case: &Case) -> Passage {
+    let (scene, camera, options) = inputs(case);
+    reference(&scene, &camera, &options, &photo(case), case.lambdas)
+}

@@ -1,0 +1,213 @@
+//! COLMAP models: round trips, truncation, refusals.
+
+use std::fs;
+
+use glam::DVec3;
+use mhsplat::dataset::Layout;
+use mhsplat::dataset::colmap::{ColmapModel, read_bin, read_txt, write_bin, write_txt};
+
+use super::{assert_refused, assert_ring, colmap_scene, load_every, ring, three_points};
+
+fn model() -> ColmapModel {
+    let middle = DVec3::new(0.1, 1.0 / 3.0, -7.0);
+    ColmapModel::from_views(&ring(3, middle), three_points(middle))
+}
+
+#[test]
+fn models_survive_both_formats_bit_for_bit() {
+    let dir = tempfile::tempdir().unwrap();
+    let model = model();
+    write_bin(dir.path(), &model).unwrap();
+    write_txt(dir.path(), &model).unwrap();
+    assert_eq!(read_bin(dir.path()).unwrap(), model);
+    assert_eq!(read_txt(dir.path()).unwrap(), model);
+    assert_eq!(model.cameras.len(), 1, "equal intrinsics share a camera");
+}
+
+#[test]
+fn cameras_arrive_where_they_were_put() {
+    for (binary, layout) in [(true, Layout::ColmapBin), (false, Layout::ColmapTxt)] {
+        let dir = colmap_scene(9, DVec3::ONE, binary);
+        let d = load_every(dir.path(), 8).unwrap();
+        assert_eq!(d.layout, layout);
+        assert_ring(&d, 9, DVec3::ONE, 1e-12);
+    }
+}
+
+#[test]
+fn every_truncation_is_an_error() {
+    let dir = tempfile::tempdir().unwrap();
+    write_bin(dir.path(), &model()).unwrap();
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let file = dir.path().join(name);
+        let whole = fs::read(&file).unwrap();
+        for length in 0..whole.len() {
+            fs::write(&file, &whole[..length]).unwrap();
+            assert_refused(read_bin(dir.path()), &[name]);
+        }
+        let mut longer = whole.clone();
+        longer.push(0);
+        fs::write(&file, longer).unwrap();
+        assert_refused(read_bin(dir.path()), &[name, "follow after"]);
+        fs::write(&file, &whole).unwrap();
+        assert!(read_bin(dir.path()).is_ok());
+    }
+}
+
+#[test]
+fn absurd_counts_are_refused_before_allocating() {
+    let dir = tempfile::tempdir().unwrap();
+    write_bin(dir.path(), &model()).unwrap();
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let file = dir.path().join(name);
+        let whole = fs::read(&file).unwrap();
+        for count in [4, 1 << 40, u64::MAX] {
+            let mut bytes = whole.clone();
+            bytes[..8].copy_from_slice(&u64::to_le_bytes(count));
+            fs::write(&file, bytes).unwrap();
+            assert_refused(read_bin(dir.path()), &[name]);
+        }
+        fs::write(&file, &whole).unwrap();
+    }
+    // The count of an image's observations: the last 8 bytes of the file.
+    let file = dir.path().join("images.bin");
+    let mut bytes = fs::read(&file).unwrap();
+    let end = bytes.len();
+    bytes[end - 8..].copy_from_slice(&u64::MAX.to_le_bytes());
+    fs::write(&file, bytes).unwrap();
+    assert_refused(read_bin(dir.path()), &["images.bin", "image 2 of 3"]);
+}
+
+#[test]
+fn distorted_models_are_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    write_bin(dir.path(), &model()).unwrap();
+    write_txt(dir.path(), &model()).unwrap();
+    let (bin, txt) = (
+        dir.path().join("cameras.bin"),
+        dir.path().join("cameras.txt"),
+    );
+    let whole = fs::read(&bin).unwrap();
+    for (id, name) in [
+        (2, "SIMPLE_RADIAL"),
+        (4, "OPENCV"),
+        (5, "OPENCV_FISHEYE"),
+        (13, "DIVISION"),
+    ] {
+        let mut bytes = whole.clone();
+        bytes[12..16].copy_from_slice(&i32::to_le_bytes(id));
+        fs::write(&bin, bytes).unwrap();
+        assert_refused(read_bin(dir.path()), &[name, "image_undistorter"]);
+        fs::write(&txt, format!("1 {name} 16 12 20 8 6 0.1\n")).unwrap();
+        assert_refused(read_txt(dir.path()), &[name, "image_undistorter"]);
+    }
+    let mut bytes = whole.clone();
+    bytes[12..16].copy_from_slice(&(-1_i32).to_le_bytes());
+    fs::write(&bin, bytes).unwrap();
+    assert_refused(read_bin(dir.path()), &["-1"]);
+    fs::write(&txt, "1 SIMPLE_PINHOLE 16 12 20 8 6\n").unwrap();
+    let read = read_txt(dir.path()).unwrap();
+    assert_eq!(read.cameras[0].params, [20.0, 20.0, 8.0, 6.0]);
+    fs::write(&txt, "1 PINHOLE 16 12 20 8 6\n").unwrap();
+    assert_refused(read_txt(dir.path()), &["3 parameters", "4 expected"]);
+}
+
+#[test]
+fn non_finite_numbers_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let write_both = |model: &ColmapModel| {
+        write_bin(dir.path(), model).unwrap();
+        write_txt(dir.path(), model).unwrap();
+    };
+    for bad in [f64::NAN, f64::INFINITY] {
+        let mut broken = model();
+        broken.points[2].position[1] = bad;
+        write_both(&broken);
+        assert_refused(read_bin(dir.path()), &["points3D.bin", "point 2"]);
+        assert_refused(read_txt(dir.path()), &["points3D.txt", "point 2"]);
+        broken = model();
+        broken.images[1].translation[0] = bad;
+        write_both(&broken);
+        assert_refused(read_bin(dir.path()), &["images.bin", "image 1"]);
+        broken = model();
+        broken.images[1].rotation = [0.0; 4];
+        write_both(&broken);
+        assert_refused(read_txt(dir.path()), &["images.txt", "image 1"]);
+        broken = model();
+        broken.cameras[0].params[0] = bad;
+        write_both(&broken);
+        assert_refused(read_bin(dir.path()), &["cameras.bin", "camera 1"]);
+    }
+}
+
+#[test]
+fn inconsistent_models_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut broken = model();
+    broken.images.clear();
+    write_bin(dir.path(), &broken).unwrap();
+    assert_refused(read_bin(dir.path()), &["no registered image"]);
+    broken = model();
+    broken.images[2].camera_id = 77;
+    write_bin(dir.path(), &broken).unwrap();
+    assert_refused(read_bin(dir.path()), &["camera 77"]);
+    broken = model();
+    broken.images[2].name = broken.images[0].name.clone();
+    write_bin(dir.path(), &broken).unwrap();
+    assert_refused(read_bin(dir.path()), &["given twice"]);
+    fs::write(
+        dir.path().join("images.txt"),
+        "1 1 0 0 0 0 zero 0 1 a.png\n\n",
+    )
+    .unwrap();
+    write_txt_cameras(dir.path());
+    assert_refused(read_txt(dir.path()), &["line 1", "TY", "zero"]);
+    fs::write(dir.path().join("images.txt"), "# x\n1 1 0 0 0 0 0 0 1\n\n").unwrap();
+    assert_refused(read_txt(dir.path()), &["line 2", "NAME"]);
+}
+
+fn write_txt_cameras(dir: &std::path::Path) {
+    fs::write(dir.join("cameras.txt"), "1 PINHOLE 16 12 20 20 8 6\n").unwrap();
+}
+
+#[test]
+fn image_names_cannot_leave_the_dataset() {
+    for name in ["../secret.png", "/etc/passwd", "a/../../b.png", ""] {
+        let dir = colmap_scene(2, DVec3::ZERO, true);
+        let mut broken = ColmapModel::from_views(&ring(2, DVec3::ZERO), Vec::new());
+        broken.images[0].name = name.into();
+        write_bin(&dir.path().join("sparse/0"), &broken).unwrap();
+        assert_refused(load_every(dir.path(), 0), &["not below this folder"]);
+    }
+}
+
+#[test]
+fn missing_photos_are_counted() {
+    let dir = colmap_scene(5, DVec3::ZERO, false);
+    fs::remove_file(dir.path().join("images/v 01.png")).unwrap();
+    fs::remove_file(dir.path().join("images/v 03.png")).unwrap();
+    assert_refused(load_every(dir.path(), 0), &["2 of 5", "v 01.png"]);
+    fs::remove_dir_all(dir.path().join("images")).unwrap();
+    assert_refused(load_every(dir.path(), 0), &["images", "no such folder"]);
+}
+
+#[test]
+fn corrupt_bytes_never_panic() {
+    let dir = colmap_scene(3, DVec3::ZERO, true);
+    let sparse = dir.path().join("sparse/0");
+    let mut refused = 0;
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let file = sparse.join(name);
+        let whole = fs::read(&file).unwrap();
+        for at in 0..whole.len() {
+            for flip in [0xff, 0x80] {
+                let mut bytes = whole.clone();
+                bytes[at] ^= flip;
+                fs::write(&file, bytes).unwrap();
+                refused += u32::from(load_every(dir.path(), 0).is_err());
+            }
+        }
+        fs::write(&file, &whole).unwrap();
+    }
+    assert!(refused > 100, "{refused} corruptions noticed");
+}
