@@ -11,11 +11,24 @@ use mhsplat::{Result, TrainConfig};
 
 pub fn room(max_size: u32) -> Dataset {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
-    load(&path, &LoadOptions { max_size, test_every: 8 }).unwrap()
+    load(
+        &path,
+        &LoadOptions {
+            max_size,
+            test_every: 8,
+        },
+    )
+    .unwrap()
 }
 
 fn config(iterations: u32) -> TrainConfig {
-    TrainConfig { iterations, max_size: 64, sh_degree: 2, seed: 5, ..TrainConfig::default() }
+    TrainConfig {
+        iterations,
+        max_size: 64,
+        sh_degree: 2,
+        seed: 5,
+        ..TrainConfig::default()
+    }
 }
 
 fn drive(trainer: &mut Trainer, until: u32) -> Result<()> {
@@ -39,10 +52,16 @@ fn trained(dataset: &Dataset, config: &TrainConfig, until: u32) -> (Trainer, Spl
 fn same_seed_same_bits_and_another_seed_other_bits() {
     let (data, config) = (room(64), config(120));
     let (trainer, first) = trained(&data, &config, 120);
-    assert!(trainer.stats().accepted > 0, "density control must have taken part");
+    assert!(
+        trainer.stats().accepted > 0,
+        "density control must have taken part"
+    );
     assert!(first == trained(&data, &config, 120).1);
     let other = TrainConfig { seed: 6, ..config };
-    assert!(first != trained(&data, &other, 120).1, "the comparison must be able to fail");
+    assert!(
+        first != trained(&data, &other, 120).1,
+        "the comparison must be able to fail"
+    );
 }
 
 #[test]
@@ -51,7 +70,13 @@ fn a_resumed_run_ends_with_the_same_bits() {
     let (_, whole) = trained(&data, &config, 120);
     let (mut half, _) = trained(&data, &config, 70);
     let folder = tempfile::tempdir().unwrap();
-    checkpoint::write(folder.path(), &half.state().unwrap(), &config, &Reading::default()).unwrap();
+    checkpoint::write(
+        folder.path(),
+        &half.state().unwrap(),
+        &config,
+        &Reading::default(),
+    )
+    .unwrap();
     drop(half);
     let saved = checkpoint::read(folder.path()).unwrap();
     assert_eq!(saved.config, config);
@@ -67,12 +92,22 @@ fn a_damaged_checkpoint_is_refused() {
     let (data, config) = (room(64), config(10));
     let (mut trainer, _) = trained(&data, &config, 2);
     let folder = tempfile::tempdir().unwrap();
-    checkpoint::write(folder.path(), &trainer.state().unwrap(), &config, &Reading::default()).unwrap();
+    checkpoint::write(
+        folder.path(),
+        &trainer.state().unwrap(),
+        &config,
+        &Reading::default(),
+    )
+    .unwrap();
     let file = checkpoint::path(folder.path());
     let bytes = std::fs::read(&file).unwrap();
     for keep in [0, 7, 100, bytes.len() / 2, bytes.len() - 1] {
         std::fs::write(&file, &bytes[..keep]).unwrap();
-        assert!(checkpoint::read(folder.path()).is_err(), "{keep} of {} bytes", bytes.len());
+        assert!(
+            checkpoint::read(folder.path()).is_err(),
+            "{keep} of {} bytes",
+            bytes.len()
+        );
     }
 }
 
@@ -85,6 +120,9 @@ fn pairs_that_do_not_fit_are_repeated_not_lost() {
     let mut tight = Trainer::new(&device, &data, &config, &splats).unwrap();
     tight.shrink_pairs(1024).unwrap();
     drive(&mut tight, 60).unwrap();
-    assert!(tight.overflows() > 0, "the small buffer must have overflowed");
+    assert!(
+        tight.overflows() > 0,
+        "the small buffer must have overflowed"
+    );
     assert!(roomy == tight.state().unwrap().splats);
 }

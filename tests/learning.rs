@@ -20,7 +20,9 @@ fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let evaluator = Evaluator::new(&device, defines, views).unwrap();
     let score = |trainer: &mut Trainer| {
         let (scene, renderer) = trainer.scene_and_renderer();
-        mean(&evaluator.score_all(scene, renderer, 3, [0.0; 3]).unwrap()).unwrap().0
+        mean(&evaluator.score_all(scene, renderer, 3, [0.0; 3]).unwrap())
+            .unwrap()
+            .0
     };
     let before = score(&mut trainer);
     while trainer.iteration() < config.iterations {
@@ -35,10 +37,22 @@ fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
 #[test]
 fn a_room_is_learned_and_density_control_helps() {
     let data = room(128);
-    let config = TrainConfig { iterations: 800, max_size: 128, ..TrainConfig::default() };
+    let config = TrainConfig {
+        iterations: 800,
+        max_size: 128,
+        ..TrainConfig::default()
+    };
     let [before, with] = psnr(&data, &config);
-    let [_, without] = psnr(&data, &TrainConfig { sampler: Sampler::None, ..config });
-    println!("held-out PSNR: {before:.2} dB at the start, {without:.2} dB fixed set, {with:.2} dB Metropolis-Hastings");
+    let [_, without] = psnr(
+        &data,
+        &TrainConfig {
+            sampler: Sampler::None,
+            ..config
+        },
+    );
+    println!(
+        "held-out PSNR: {before:.2} dB at the start, {without:.2} dB fixed set, {with:.2} dB Metropolis-Hastings"
+    );
     assert!(with > before + 6.0);
     assert!(with > without);
 }

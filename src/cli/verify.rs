@@ -26,7 +26,10 @@ pub struct VerifyArgs {
 pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     let Suite::Quick = args.suite;
     let selectors: Vec<Option<String>> = match common.device.as_deref() {
-        Some("all") => Device::list()?.iter().map(|d| Some(d.index.to_string())).collect(),
+        Some("all") => Device::list()?
+            .iter()
+            .map(|d| Some(d.index.to_string()))
+            .collect(),
         other => vec![other.map(str::to_owned)],
     };
     let results = selectors
@@ -42,10 +45,18 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
         results.iter().for_each(print);
     }
     if results.is_empty() {
-        return Err(Error::device("verify", "no device", "see `mhsplat devices`"));
+        return Err(Error::device(
+            "verify",
+            "no device",
+            "see `mhsplat devices`",
+        ));
     }
     let failed: usize = results.iter().map(|r| r.failed).sum();
-    Ok(if failed == 0 { Outcome::Done } else { Outcome::Missed })
+    Ok(if failed == 0 {
+        Outcome::Done
+    } else {
+        Outcome::Missed
+    })
 }
 
 fn print(v: &Verification) {

@@ -115,7 +115,8 @@ impl Splats {
     /// A degree above 3.
     pub fn with_sh_degree(mut self, degree: u32) -> Result<Self> {
         let n = self.len();
-        self.planes.resize(Plane::count(degree.min(3)), vec![0.0; n]);
+        self.planes
+            .resize(Plane::count(degree.min(3)), vec![0.0; n]);
         Self::new(degree, self.planes)
     }
 

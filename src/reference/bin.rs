@@ -24,7 +24,10 @@ pub fn touches(g: &Record64, tx: i32, ty: i32, alpha_min: f64) -> bool {
         least = 0.0;
     }
     for dx in x {
-        least = least.min(q(dx, (g.a * g.r * dx / (g.a * g.r * g.r + g.c)).clamp(y[0], y[1])));
+        least = least.min(q(
+            dx,
+            (g.a * g.r * dx / (g.a * g.r * g.r + g.c)).clamp(y[0], y[1]),
+        ));
     }
     for dy in y {
         least = least.min(q((g.r * dy).clamp(x[0], x[1]), dy));
@@ -44,7 +47,9 @@ pub fn bin(records: &[Option<Record64>], camera: &Camera64, alpha_min: f64) -> V
     order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut tiles = vec![Vec::new(); (tiles_x * tiles_y) as usize];
     for (_, i) in order {
-        let Some(g) = &records[i as usize] else { continue };
+        let Some(g) = &records[i as usize] else {
+            continue;
+        };
         for ty in g.bounds[1][0] / TILE..=g.bounds[1][1] / TILE {
             for tx in g.bounds[0][0] / TILE..=g.bounds[0][1] / TILE {
                 if touches(g, tx, ty, alpha_min) {

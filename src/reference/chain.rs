@@ -1,11 +1,11 @@
 //! The stages one after the other: loss and gradient of a scene in one view.
 
+use super::bin::bin;
 use super::loss::{Loss64, loss};
 use super::project::{Record64, project};
 use super::project_grad::project_grad;
 use super::splat::splat;
 use super::splat_grad::splat_grad;
-use super::bin::bin;
 use super::{Camera64, LOG_SCALE, Options, Scene64, sigmoid};
 use crate::model::Plane;
 
@@ -32,7 +32,11 @@ pub struct Passage {
 #[must_use]
 pub fn total(scene: &Scene64, l1: f64, ssim: f64, lambdas: [f64; 3]) -> f64 {
     let n = scene.len() as f64;
-    let opacity: f64 = scene.planes[Plane::OPACITY].iter().map(|l| sigmoid(*l)).sum::<f64>() / n;
+    let opacity: f64 = scene.planes[Plane::OPACITY]
+        .iter()
+        .map(|l| sigmoid(*l))
+        .sum::<f64>()
+        / n;
     let scale: f64 = scene.planes[Plane::LOG_SCALE..Plane::ROTATION]
         .iter()
         .flatten()
@@ -44,8 +48,14 @@ pub fn total(scene: &Scene64, l1: f64, ssim: f64, lambdas: [f64; 3]) -> f64 {
 
 /// The forward stages.
 #[must_use]
-pub fn render(scene: &Scene64, camera: &Camera64, options: &Options) -> (Vec<Option<Record64>>, Vec<Vec<u32>>, Vec<f64>, Vec<f64>) {
-    let records: Vec<_> = (0..scene.len()).map(|i| project(scene, i, camera, options)).collect();
+pub fn render(
+    scene: &Scene64,
+    camera: &Camera64,
+    options: &Options,
+) -> (Vec<Option<Record64>>, Vec<Vec<u32>>, Vec<f64>, Vec<f64>) {
+    let records: Vec<_> = (0..scene.len())
+        .map(|i| project(scene, i, camera, options))
+        .collect();
     let tiles = bin(&records, camera, options.alpha_min);
     let (image, transmittance) = splat(&records, &tiles, camera, options);
     (records, tiles, image, transmittance)
@@ -53,7 +63,13 @@ pub fn render(scene: &Scene64, camera: &Camera64, options: &Options) -> (Vec<Opt
 
 /// Loss alone (for finite differences).
 #[must_use]
-pub fn loss_of(scene: &Scene64, camera: &Camera64, options: &Options, photo: &[f64], lambdas: [f64; 3]) -> f64 {
+pub fn loss_of(
+    scene: &Scene64,
+    camera: &Camera64,
+    options: &Options,
+    photo: &[f64],
+    lambdas: [f64; 3],
+) -> f64 {
     let (_, _, image, _) = render(scene, camera, options);
     let l = loss(&image, photo, camera.size.map(|s| s as usize), lambdas[0]);
     total(scene, l.l1, l.ssim, lambdas)
@@ -61,12 +77,29 @@ pub fn loss_of(scene: &Scene64, camera: &Camera64, options: &Options, photo: &[f
 
 /// All stages.
 #[must_use]
-pub fn run(scene: &Scene64, camera: &Camera64, options: &Options, photo: &[f64], lambdas: [f64; 3]) -> Passage {
+pub fn run(
+    scene: &Scene64,
+    camera: &Camera64,
+    options: &Options,
+    photo: &[f64],
+    lambdas: [f64; 3],
+) -> Passage {
     let (records, tiles, image, transmittance) = render(scene, camera, options);
     let loss = loss(&image, photo, camera.size.map(|s| s as usize), lambdas[0]);
     let sums = splat_grad(&records, &tiles, camera, options, &loss.gradient);
-    let sums: Vec<Option<[f64; 9]>> =
-        sums.into_iter().zip(&records).map(|(s, r)| r.as_ref().map(|_| s)).collect();
+    let sums: Vec<Option<[f64; 9]>> = sums
+        .into_iter()
+        .zip(&records)
+        .map(|(s, r)| r.as_ref().map(|_| s))
+        .collect();
     let grads = project_grad(scene, camera, options, &sums, [lambdas[1], lambdas[2]]);
-    Passage { records, tiles, image, transmittance, loss, sums, grads }
+    Passage {
+        records,
+        tiles,
+        image,
+        transmittance,
+        loss,
+        sums,
+        grads,
+    }
 }

@@ -18,13 +18,23 @@ impl Tolerance {
     /// The same bound for the element and the norm, its square for the angle, no flips.
     #[must_use]
     pub const fn all(bound: f64) -> Self {
-        Self { element: bound, l2: bound, cosine: bound * bound + 1e-14, flips: 0 }
+        Self {
+            element: bound,
+            l2: bound,
+            cosine: bound * bound + 1e-14,
+            flips: 0,
+        }
     }
 
     /// The same with some flips, which then also count in the norm and the angle.
     #[must_use]
     pub const fn with_flips(self, flips: usize, l2: f64) -> Self {
-        Self { flips, l2, cosine: l2 * l2, ..self }
+        Self {
+            flips,
+            l2,
+            cosine: l2 * l2,
+            ..self
+        }
     }
 }
 
@@ -68,10 +78,16 @@ pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report
         return Err("silently zero".into());
     }
     if report.l2 > tolerance.l2 {
-        return Err(format!("relative L2 error {:e}; {:e} allowed", report.l2, tolerance.l2));
+        return Err(format!(
+            "relative L2 error {:e}; {:e} allowed",
+            report.l2, tolerance.l2
+        ));
     }
     if report.cosine > tolerance.cosine {
-        return Err(format!("1 - cosine {:e}; {:e} allowed", report.cosine, tolerance.cosine));
+        return Err(format!(
+            "1 - cosine {:e}; {:e} allowed",
+            report.cosine, tolerance.cosine
+        ));
     }
     Ok(report)
 }
@@ -82,18 +98,38 @@ pub fn measure(got: &[f64], want: &[f64], element: f64) -> Report {
     let non_finite = got.iter().chain(want).filter(|v| !v.is_finite()).count();
     let largest = want.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     let scale = if largest > 0.0 { largest } else { 1.0 };
-    let mut errors: Vec<f64> = got.iter().zip(want).map(|(a, b)| (a - b).abs() / scale).collect();
+    let mut errors: Vec<f64> = got
+        .iter()
+        .zip(want)
+        .map(|(a, b)| (a - b).abs() / scale)
+        .collect();
     errors.sort_by(f64::total_cmp);
     let norm = |v: &[f64]| v.iter().map(|x| (x / scale).powi(2)).sum::<f64>().sqrt();
     let (a, b) = (norm(got), norm(want));
-    let dot: f64 = got.iter().zip(want).map(|(x, y)| x / scale * (y / scale)).sum();
+    let dot: f64 = got
+        .iter()
+        .zip(want)
+        .map(|(x, y)| x / scale * (y / scale))
+        .sum();
     let l2 = errors.iter().map(|e| e * e).sum::<f64>().sqrt();
     Report {
-        max: errors.iter().rev().find(|e| **e <= element).copied().unwrap_or(0.0),
+        max: errors
+            .iter()
+            .rev()
+            .find(|e| **e <= element)
+            .copied()
+            .unwrap_or(0.0),
         median: errors.get(errors.len() / 2).copied().unwrap_or(0.0),
         l2: if b > 0.0 { l2 / b } else { l2 },
-        cosine: if a > 0.0 && b > 0.0 { (1.0 - dot / (a * b)).max(0.0) } else { 0.0 },
-        flips: errors.iter().filter(|e| e.is_nan() || **e > element).count(),
+        cosine: if a > 0.0 && b > 0.0 {
+            (1.0 - dot / (a * b)).max(0.0)
+        } else {
+            0.0
+        },
+        flips: errors
+            .iter()
+            .filter(|e| e.is_nan() || **e > element)
+            .count(),
         non_finite,
     }
 }

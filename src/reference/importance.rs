@@ -5,7 +5,12 @@ use super::{Camera64, Scene64};
 /// Values of two error maps \[height, width\] at the pixel under the projected centre of Gaussian `i`, if it is in front
 /// of the camera and inside the image.
 #[must_use]
-pub fn importance(scene: &Scene64, i: usize, camera: &Camera64, maps: [&[f64]; 2]) -> Option<[f64; 2]> {
+pub fn importance(
+    scene: &Scene64,
+    i: usize,
+    camera: &Camera64,
+    maps: [&[f64]; 2],
+) -> Option<[f64; 2]> {
     let t = camera.apply(scene.position(i));
     if t[2].is_nan() || t[2] <= camera.near {
         return None;

@@ -29,7 +29,12 @@ pub fn loss(x: &[f64], y: &[f64], size: [usize; 2], lambda: f64) -> Loss64 {
     let n = w * h;
     let total = (3 * n) as f64;
     let taps = window();
-    let mut out = Loss64 { gradient: vec![0.0; 3 * n], ssim_error: vec![0.0; n], l1_error: vec![0.0; n], ..Loss64::default() };
+    let mut out = Loss64 {
+        gradient: vec![0.0; 3 * n],
+        ssim_error: vec![0.0; n],
+        l1_error: vec![0.0; n],
+        ..Loss64::default()
+    };
     for c in 0..3 {
         let (a, b) = (&x[c * n..(c + 1) * n], &y[c * n..(c + 1) * n]);
         for at in 0..n {
@@ -65,9 +70,17 @@ fn ssim_at(a: &[f64], b: &[f64], cells: &[(usize, f64)]) -> (f64, [f64; 3]) {
     let (mx, my) = (mean(a), mean(b));
     let outside = 1.0 - cells.iter().map(|(_, w)| w).sum::<f64>();
     let moment = |u: &[f64], mu: f64, v: &[f64], mv: f64| {
-        cells.iter().map(|(p, w)| w * (u[*p] - mu) * (v[*p] - mv)).sum::<f64>() + outside * mu * mv
+        cells
+            .iter()
+            .map(|(p, w)| w * (u[*p] - mu) * (v[*p] - mv))
+            .sum::<f64>()
+            + outside * mu * mv
     };
-    let (vx, vy, cov) = (moment(a, mx, a, mx), moment(b, my, b, my), moment(a, mx, b, my));
+    let (vx, vy, cov) = (
+        moment(a, mx, a, mx),
+        moment(b, my, b, my),
+        moment(a, mx, b, my),
+    );
     let (a1, a2) = (2.0 * mx * my + c1, 2.0 * cov + c2);
     let (b1, b2) = (mx * mx + my * my + c1, vx + vy + c2);
     let ssim = a1 * a2 / (b1 * b2);

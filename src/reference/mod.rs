@@ -64,7 +64,10 @@ impl Camera64 {
         let size = [camera.width, camera.height].map(f64::from);
         let limits = std::array::from_fn(|k| {
             let margin = 0.3 * size[k] / (2.0 * focal[k]);
-            [-principal[k] / focal[k] - margin, (size[k] - principal[k]) / focal[k] + margin]
+            [
+                -principal[k] / focal[k] - margin,
+                (size[k] - principal[k]) / focal[k] + margin,
+            ]
         });
         Self {
             w: std::array::from_fn(|r| camera.rotation.row(r).to_array()),
@@ -111,7 +114,10 @@ impl Scene64 {
     #[must_use]
     pub fn new(splats: &Splats) -> Self {
         let widen = |p: &Vec<f32>| p.iter().map(|v| f64::from(*v)).collect();
-        Self { sh_degree: splats.sh_degree(), planes: splats.planes().iter().map(widen).collect() }
+        Self {
+            sh_degree: splats.sh_degree(),
+            planes: splats.planes().iter().map(widen).collect(),
+        }
     }
 
     /// Number of Gaussians.
@@ -141,7 +147,10 @@ impl Scene64 {
     /// Zeros of the same shape.
     #[must_use]
     pub fn zeros_like(&self) -> Self {
-        Self { sh_degree: self.sh_degree, planes: vec![vec![0.0; self.len()]; self.planes.len()] }
+        Self {
+            sh_degree: self.sh_degree,
+            planes: vec![vec![0.0; self.len()]; self.planes.len()],
+        }
     }
 }
 
@@ -159,7 +168,11 @@ pub struct Options {
 /// σ(x) without cancellation for either sign.
 #[must_use]
 pub fn sigmoid(x: f64) -> f64 {
-    if x >= 0.0 { 1.0 / (1.0 + (-x).exp()) } else { x.exp() / (1.0 + x.exp()) }
+    if x >= 0.0 {
+        1.0 / (1.0 + (-x).exp())
+    } else {
+        x.exp() / (1.0 + x.exp())
+    }
 }
 
 /// Unit quaternion and norm; the zero quaternion is the identity with norm 0.
@@ -179,9 +192,21 @@ pub fn unit_quaternion(q: [f64; 4]) -> ([f64; 4], f64) {
 pub fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
     let [w, x, y, z] = q;
     [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        [
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y - w * z),
+            2.0 * (x * z + w * y),
+        ],
+        [
+            2.0 * (x * y + w * z),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z - w * x),
+        ],
+        [
+            2.0 * (x * z - w * y),
+            2.0 * (y * z + w * x),
+            1.0 - 2.0 * (x * x + y * y),
+        ],
     ]
 }
 

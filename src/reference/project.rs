@@ -62,9 +62,14 @@ pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
         (v.clamp(low, high), v >= low && v <= high)
     });
     let f = camera.focal.map(|f| f / t[2]);
-    let j = [[f[0], 0.0, -f[0] * ratio[0].0], [0.0, f[1], -f[1] * ratio[1].0]];
+    let j = [
+        [f[0], 0.0, -f[0] * ratio[0].0],
+        [0.0, f[1], -f[1] * ratio[1].0],
+    ];
     let jw = product(&j, &camera.w);
-    let s = scene.gather::<3>(Plane::LOG_SCALE, i).map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp());
+    let s = scene
+        .gather::<3>(Plane::LOG_SCALE, i)
+        .map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp());
     let (q, _) = unit_quaternion(scene.gather(Plane::ROTATION, i));
     let rot = rotation(q);
     let rs: [[f64; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|k| rot[r][k] * s[k]));
@@ -77,34 +82,64 @@ pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
         m[0][2] * m[1][0] - m[0][0] * m[1][2],
         m[0][0] * m[1][1] - m[0][1] * m[1][0],
     ];
-    let det = cross.iter().map(|c| c * c).sum::<f64>() + BLUR * (cov[0][0] + cov[1][1]) + BLUR * BLUR;
+    let det =
+        cross.iter().map(|c| c * c).sum::<f64>() + BLUR * (cov[0][0] + cov[1][1]) + BLUR * BLUR;
     cov[0][0] += BLUR;
     cov[1][1] += BLUR;
-    (det < 1e37 && cov[0][0] < 1e30 && cov[1][1] < 1e30).then_some(Shape64 { t, ratio, jw, rot, s, sigma, cov, det })
+    (det < 1e37 && cov[0][0] < 1e30 && cov[1][1] < 1e30).then_some(Shape64 {
+        t,
+        ratio,
+        jw,
+        rot,
+        s,
+        sigma,
+        cov,
+        det,
+    })
 }
 
 /// Colour of Gaussian `i` before the clamp at 0, and the unit vector from the camera to it with its length.
 #[must_use]
-pub fn color(scene: &Scene64, i: usize, camera: &Camera64, degree: u32) -> ([f64; 3], [f64; 3], f64) {
+pub fn color(
+    scene: &Scene64,
+    i: usize,
+    camera: &Camera64,
+    degree: u32,
+) -> ([f64; 3], [f64; 3], f64) {
     let x = scene.position(i);
     let d: [f64; 3] = std::array::from_fn(|k| x[k] - camera.center[k]);
     let length = d.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let dir = if length > 0.0 { d.map(|v| v / length) } else { [0.0, 0.0, 1.0] };
+    let dir = if length > 0.0 {
+        d.map(|v| v / length)
+    } else {
+        [0.0, 0.0, 1.0]
+    };
     let basis = sh::basis(dir);
     let rgb = std::array::from_fn(|c| {
-        0.5 + (0..sh_coefficients(degree)).map(|k| basis[k] * scene.planes[Plane::SH + 3 * k + c][i]).sum::<f64>()
+        0.5 + (0..sh_coefficients(degree))
+            .map(|k| basis[k] * scene.planes[Plane::SH + 3 * k + c][i])
+            .sum::<f64>()
     });
     (rgb, dir, length)
 }
 
 /// Record of Gaussian `i`, none when culled.
 #[must_use]
-pub fn project(scene: &Scene64, i: usize, camera: &Camera64, options: &Options) -> Option<Record64> {
+pub fn project(
+    scene: &Scene64,
+    i: usize,
+    camera: &Camera64,
+    options: &Options,
+) -> Option<Record64> {
     let o = shape(scene, i, camera)?;
     let log2_e = std::f64::consts::LOG2_E;
     let logit = scene.planes[Plane::OPACITY][i];
     // ln σ(l) for very negative l is l itself; σ would underflow before its logarithm is taken.
-    let lo = if logit < -500.0 { logit * log2_e } else { sigmoid(logit).log2() };
+    let lo = if logit < -500.0 {
+        logit * log2_e
+    } else {
+        sigmoid(logit).log2()
+    };
     let tau = lo - options.alpha_min.log2();
     if tau.is_nan() || tau <= 0.0 {
         return None;
@@ -114,7 +149,9 @@ pub fn project(scene: &Scene64, i: usize, camera: &Camera64, options: &Options) 
     for k in 0..2 {
         let half = (2.0 * std::f64::consts::LN_2 * tau * o.cov[k][k]).sqrt();
         let first = (mean[k] - half - 0.5).ceil().max(0.0);
-        let last = (mean[k] + half - 0.5).floor().min(f64::from(camera.size[k] - 1));
+        let last = (mean[k] + half - 0.5)
+            .floor()
+            .min(f64::from(camera.size[k] - 1));
         if first.is_nan() || last.is_nan() || first > last {
             return None;
         }
@@ -131,7 +168,10 @@ pub fn project(scene: &Scene64, i: usize, camera: &Camera64, options: &Options) 
         depth: o.t[2],
         bounds,
     };
-    let finite = [record.a, record.r, record.c].iter().chain(&rgb).all(|v| v.is_finite());
+    let finite = [record.a, record.r, record.c]
+        .iter()
+        .chain(&rgb)
+        .all(|v| v.is_finite());
     finite.then_some(record)
 }
 

@@ -1,7 +1,9 @@
 //! Twin of `kernels/project_grad.cl`, by the textbook's road through the 3D covariance.
 
 use super::project::{Shape64, color, shape};
-use super::{Camera64, LOG_SCALE, Options, Scene64, product, sh, sigmoid, transpose, unit_quaternion};
+use super::{
+    Camera64, LOG_SCALE, Options, Scene64, product, sh, sigmoid, transpose, unit_quaternion,
+};
 use crate::model::{Plane, sh_coefficients};
 
 /// Gradients of all raw parameters from the nine sums of each Gaussian, regularisers λ_o·mean(o) + λ_s·mean(scale)
@@ -28,13 +30,24 @@ pub fn project_grad(
             let l = scene.planes[p][i];
             let free = l > LOG_SCALE[0] && l < LOG_SCALE[1];
             let d = &mut out.planes[p][i];
-            *d = if free { *d + lambdas[1] / (3.0 * n) * l.exp() } else { 0.0 };
+            *d = if free {
+                *d + lambdas[1] / (3.0 * n) * l.exp()
+            } else {
+                0.0
+            };
         }
     }
     out
 }
 
-fn geometry(scene: &Scene64, i: usize, camera: &Camera64, o: &Shape64, s: &[f64; 9], out: &mut Scene64) {
+fn geometry(
+    scene: &Scene64,
+    i: usize,
+    camera: &Camera64,
+    o: &Shape64,
+    s: &[f64; 9],
+    out: &mut Scene64,
+) {
     // Inverse covariance K; the moments back in (dx, dy): dx = u + r dy.
     let k = [
         [o.cov[1][1] / o.det, -o.cov[0][1] / o.det],
@@ -68,7 +81,12 @@ fn geometry(scene: &Scene64, i: usize, camera: &Camera64, o: &Shape64, s: &[f64;
 }
 
 /// Through J = [[fx/z, 0, −fx·u/z], [0, fy/z, −fy·v/z]] and the mean to the camera position.
-fn camera_position(camera: &Camera64, o: &Shape64, djw: &[[f64; 3]; 2], dmean: [f64; 2]) -> [f64; 3] {
+fn camera_position(
+    camera: &Camera64,
+    o: &Shape64,
+    djw: &[[f64; 3]; 2],
+    dmean: [f64; 2],
+) -> [f64; 3] {
     let dj = product(djw, &transpose(&camera.w));
     let z = o.t[2];
     let mut dt = [0.0; 3];
@@ -99,14 +117,23 @@ fn quaternion(raw: [f64; 4], drot: &[[f64; 3]; 3]) -> [f64; 4] {
         [[-2.0 * z, -w, x], [w, -2.0 * z, y], [x, y, 0.0]],
     ];
     let d: [f64; 4] = std::array::from_fn(|k| {
-        (0..9).map(|e| 2.0 * drot[e / 3][e % 3] * derivatives[k][e / 3][e % 3]).sum()
+        (0..9)
+            .map(|e| 2.0 * drot[e / 3][e % 3] * derivatives[k][e / 3][e % 3])
+            .sum()
     });
     let unit = [w, x, y, z];
     let along: f64 = (0..4).map(|k| d[k] * unit[k]).sum();
     std::array::from_fn(|k| (d[k] - along * unit[k]) / norm)
 }
 
-fn colors(scene: &Scene64, i: usize, camera: &Camera64, options: &Options, d: [f64; 3], out: &mut Scene64) {
+fn colors(
+    scene: &Scene64,
+    i: usize,
+    camera: &Camera64,
+    options: &Options,
+    d: [f64; 3],
+    out: &mut Scene64,
+) {
     let (rgb, dir, length) = color(scene, i, camera, options.sh_degree);
     let (basis, slopes) = (sh::basis(dir), sh::gradient(dir));
     let mut ddir = [0.0; 3];

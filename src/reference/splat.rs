@@ -28,7 +28,9 @@ pub fn contributions(
     let mut t = 1.0;
     let mut out = Vec::new();
     for &gaussian in list {
-        let Some(g) = &records[gaussian as usize] else { continue };
+        let Some(g) = &records[gaussian as usize] else {
+            continue;
+        };
         if t < T_MIN {
             break;
         }
@@ -38,7 +40,12 @@ pub fn contributions(
         }
         let free = log2_alpha.exp2();
         let alpha = free.min(ALPHA_MAX);
-        out.push(Contribution { gaussian, alpha, capped: free >= ALPHA_MAX, transmittance: t });
+        out.push(Contribution {
+            gaussian,
+            alpha,
+            capped: free >= ALPHA_MAX,
+            transmittance: t,
+        });
         t *= 1.0 - alpha;
     }
     (out, t)
@@ -69,7 +76,11 @@ pub fn splat(
             for c in 0..3 {
                 let sum: f64 = parts
                     .iter()
-                    .filter_map(|p| records[p.gaussian as usize].as_ref().map(|g| p.alpha * p.transmittance * g.rgb[c]))
+                    .filter_map(|p| {
+                        records[p.gaussian as usize]
+                            .as_ref()
+                            .map(|g| p.alpha * p.transmittance * g.rgb[c])
+                    })
                     .sum();
                 image[c * n + at] = sum + t * options.background[c];
             }

@@ -25,9 +25,15 @@ pub fn splat_grad(
             // Colour seen behind a contribution, per unit of transmittance: starts with the background.
             let mut behind = options.background;
             for p in parts.iter().rev() {
-                let Some(g) = &records[p.gaussian as usize] else { continue };
+                let Some(g) = &records[p.gaussian as usize] else {
+                    continue;
+                };
                 let dot: f64 = (0..3).map(|c| d[c] * (g.rgb[c] - behind[c])).sum();
-                let gr = if p.capped { 0.0 } else { p.transmittance * dot * p.alpha };
+                let gr = if p.capped {
+                    0.0
+                } else {
+                    p.transmittance * dot * p.alpha
+                };
                 let [u, dy] = g.offsets(x, y);
                 let s = &mut sums[p.gaussian as usize];
                 for (k, v) in [1.0, u, dy, u * u, u * dy, dy * dy].into_iter().enumerate() {

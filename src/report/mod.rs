@@ -28,4 +28,3 @@ pub use gallery::{GalleryItem, error_map};
 pub use html::write_report;
 pub use metrics::{MetricsRow, MetricsWriter, read_rows};
 pub use record::{DatasetRecord, DeviceRecord, FinalRecord, RunRecord, StageRecord, ViewScore};
-

@@ -11,7 +11,11 @@ use crate::model::{Plane, Splats};
 use crate::stage::adam::LearningRates;
 
 fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
-    Philox::uniform(seed, Purpose::Synthetic.stream(0), (index as u64) << 8 | what)
+    Philox::uniform(
+        seed,
+        Purpose::Synthetic.stream(0),
+        (index as u64) << 8 | what,
+    )
 }
 
 fn camera(size: [u32; 2]) -> Camera {
@@ -37,16 +41,34 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         let [x, y, z, far] = uniform(seed, i, 0);
         let scale = uniform(seed, i, 1);
         let spread = if far > 0.9 { 8.0 } else { 2.0 };
-        s.scatter(Plane::POSITION, i, [x, y, z].map(|v| (spread * (v - 0.5)) as f32));
-        s.scatter(Plane::LOG_SCALE, i, [0, 1, 2].map(|k| (2.0 * scale[k] - 3.2) as f32));
-        s.scatter(Plane::ROTATION, i, uniform(seed, i, 2).map(|v| (v - 0.5) as f32));
+        s.scatter(
+            Plane::POSITION,
+            i,
+            [x, y, z].map(|v| (spread * (v - 0.5)) as f32),
+        );
+        s.scatter(
+            Plane::LOG_SCALE,
+            i,
+            [0, 1, 2].map(|k| (2.0 * scale[k] - 3.2) as f32),
+        );
+        s.scatter(
+            Plane::ROTATION,
+            i,
+            uniform(seed, i, 2).map(|v| (v - 0.5) as f32),
+        );
         s.scatter(Plane::OPACITY, i, [(6.0 * scale[3] - 2.0) as f32]);
         for p in Plane::SH..Plane::count(sh_degree) {
-            s.scatter(p, i, [(1.2 * uniform(seed, i, 3 + p as u64)[0] - 0.4) as f32]);
+            s.scatter(
+                p,
+                i,
+                [(1.2 * uniform(seed, i, 3 + p as u64)[0] - 0.4) as f32],
+            );
         }
     }
     let [w, h] = size;
-    let data = (0..3 * (w * h) as usize).map(|i| (255.0 * uniform(seed, i, 255)[0]) as u8).collect();
+    let data = (0..3 * (w * h) as usize)
+        .map(|i| (255.0 * uniform(seed, i, 255)[0]) as u8)
+        .collect();
     let last = n.saturating_sub(1) as u32;
     let edit = |src: u32, dst: u32| Edit {
         src,
@@ -61,7 +83,12 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         view: View {
             name: "view".into(),
             camera: camera(size),
-            photo: Photo { width: w, height: h, channels: 3, data },
+            photo: Photo {
+                width: w,
+                height: h,
+                channels: 3,
+                data,
+            },
         },
         background: [0.2, 0.5, 0.1],
         alpha_min: ALPHA_MIN,
@@ -75,7 +102,11 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
             sh0: 2.5e-3,
             sh: 1e-4,
         },
-        edits: if last > 0 { vec![edit(0, last), edit(1, 1)] } else { vec![edit(0, 0)] },
+        edits: if last > 0 {
+            vec![edit(0, last), edit(1, 1)]
+        } else {
+            vec![edit(0, 0)]
+        },
     }
 }
 
@@ -85,7 +116,8 @@ pub fn needles(n: usize, size: [u32; 2], seed: u64) -> Case {
     let mut case = mild("needles 1000:1", n, size, 1, seed);
     for i in 0..n {
         let long = uniform(seed, i, 4)[0] as f32;
-        case.splats.scatter(Plane::LOG_SCALE, i, [-0.5 - long, -7.4 - long, -7.4]);
+        case.splats
+            .scatter(Plane::LOG_SCALE, i, [-0.5 - long, -7.4 - long, -7.4]);
     }
     case
 }
@@ -96,7 +128,15 @@ impl Case {
     pub fn with_alpha(mut self) -> Self {
         let photo = &mut self.view.photo;
         let n = (photo.width * photo.height) as usize;
-        let alpha: Vec<u8> = (0..n).map(|i| if i % 3 == 0 { 255 } else { (i * 37 % 256) as u8 }).collect();
+        let alpha: Vec<u8> = (0..n)
+            .map(|i| {
+                if i % 3 == 0 {
+                    255
+                } else {
+                    (i * 37 % 256) as u8
+                }
+            })
+            .collect();
         for c in 0..3 {
             for i in 0..n {
                 let v = u32::from(photo.data[c * n + i]) * u32::from(alpha[i]) / 255;

@@ -52,10 +52,26 @@ pub fn quick(device: &Device) -> Result<Verification> {
 
 fn quick_cases() -> Vec<(&'static str, Case, f64)> {
     vec![
-        ("mild", cases::mild("300 Gaussians, 75x50, SH 3", 300, [75, 50], 3, 7), SINGLE),
-        ("mild", cases::mild("40 Gaussians, 33x17, SH 0", 40, [33, 17], 0, 8), SINGLE),
-        ("mild", cases::mild("1 Gaussian, 16x16, SH 1", 1, [16, 16], 1, 9), SINGLE),
-        ("alpha", cases::mild("60 Gaussians, 40x48, SH 2", 60, [40, 48], 2, 10).with_alpha(), SINGLE),
+        (
+            "mild",
+            cases::mild("300 Gaussians, 75x50, SH 3", 300, [75, 50], 3, 7),
+            SINGLE,
+        ),
+        (
+            "mild",
+            cases::mild("40 Gaussians, 33x17, SH 0", 40, [33, 17], 0, 8),
+            SINGLE,
+        ),
+        (
+            "mild",
+            cases::mild("1 Gaussian, 16x16, SH 1", 1, [16, 16], 1, 9),
+            SINGLE,
+        ),
+        (
+            "alpha",
+            cases::mild("60 Gaussians, 40x48, SH 2", 60, [40, 48], 2, 10).with_alpha(),
+            SINGLE,
+        ),
         ("needles", cases::needles(60, [64, 48], 11), SINGLE_NEEDLES),
     ]
 }
@@ -66,18 +82,39 @@ fn quick_cases() -> Vec<(&'static str, Case, f64)> {
 /// A build failure, or the driver's.
 pub fn verify_case(device: &Device, family: &str, case: &Case, bound: f64) -> Result<Vec<Row>> {
     let own = Tuning::for_device(device.info());
-    let other = if own.group_style { Tuning::CPU } else { Tuning { chunks: 64, ..Tuning::GPU } };
+    let other = if own.group_style {
+        Tuning::CPU
+    } else {
+        Tuning {
+            chunks: 64,
+            ..Tuning::GPU
+        }
+    };
     let reference = twin::run(case);
     let mut rows = Vec::new();
     if device.info().fp64 {
         let out = chain::run::<f64>(device, own, case)?;
         let want = reference_quantities(case, &reference, &out);
-        rows.extend(check(family, case, &device_quantities(&out), &want, "f64", EXACT));
+        rows.extend(check(
+            family,
+            case,
+            &device_quantities(&out),
+            &want,
+            "f64",
+            EXACT,
+        ));
     }
     for (tuning, name) in [(own, "f32"), (other, "f32, other style")] {
         let out = chain::run::<f32>(device, tuning, case)?;
         let want = reference_quantities(case, &reference, &out);
-        rows.extend(check(family, case, &device_quantities(&out), &want, name, bound));
+        rows.extend(check(
+            family,
+            case,
+            &device_quantities(&out),
+            &want,
+            name,
+            bound,
+        ));
     }
     Ok(rows)
 }

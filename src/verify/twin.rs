@@ -14,7 +14,11 @@ pub fn photo(case: &Case) -> Vec<f64> {
     (0..3 * n)
         .map(|at| {
             let (c, i) = (at / n, at % n);
-            let gap = if p.channels == 4 { 1.0 - value(3, i) } else { 0.0 };
+            let gap = if p.channels == 4 {
+                1.0 - value(3, i)
+            } else {
+                0.0
+            };
             value(c, i) + gap * f64::from(case.background[c])
         })
         .collect()
@@ -28,7 +32,11 @@ pub fn inputs(case: &Case) -> (Scene64, Camera64, Options) {
         sh_degree: case.sh_degree,
         background: case.background.map(f64::from),
     };
-    (Scene64::new(&case.splats), Camera64::new(&case.view.camera, NEAR), options)
+    (
+        Scene64::new(&case.splats),
+        Camera64::new(&case.view.camera, NEAR),
+        options,
+    )
 }
 
 /// Every stage of the reference on a case.

@@ -201,7 +201,11 @@ pub fn generate(name: &str, dir: &Path, options: &SynthOptions) -> Result<SynthR
                 let file = dir.join(format!("transforms_{split}.json"));
                 write_transforms(&file, &part, Some("points3d.ply"))?;
             }
-            ply::write_points(&dir.join("points3d.ply"), &write::cloud(&points), &Frame::IDENTITY)?;
+            ply::write_points(
+                &dir.join("points3d.ply"),
+                &write::cloud(&points),
+                &Frame::IDENTITY,
+            )?;
         }
         layout => {
             let folder = dir.join("sparse/0");

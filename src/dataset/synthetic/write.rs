@@ -47,7 +47,10 @@ pub(super) fn colmap_model(views: &[(String, Camera)], points: &[Sample]) -> Col
 /// The points in single precision.
 pub(super) fn cloud(points: &[Sample]) -> Points {
     Points {
-        positions: points.iter().map(|s| s.position.as_vec3().to_array()).collect(),
+        positions: points
+            .iter()
+            .map(|s| s.position.as_vec3().to_array())
+            .collect(),
         colors: points.iter().map(|s| s.color).collect(),
     }
 }
