@@ -39,10 +39,10 @@ __kernel void splat(__global const Record *records, __global const uint *pair_ow
       block_range(g->bx, tile_x, BLOCK_W, &x0, &x1);
       block_range(g->by, tile_y, BLOCK_H, &y0, &y1);
       for (int by = y0; by <= y1; by++) {
-        const realV dy = lane_y + (realV)((real)(by * BLOCK_H) - gy), rdy = g->r * dy;
+        const realV dy = lane_y + (real)(by * BLOCK_H) - gy, rdy = g->r * dy;
         for (int bx = x0; bx <= x1; bx++) {
           const int k = by * BLOCKS_X + bx;
-          const realV u = lane_x + (realV)((real)(bx * BLOCK_W) - gx) - rdy;
+          const realV u = lane_x + (real)(bx * BLOCK_W) - gx - rdy; // pixel first: the same bits for every block shape
           const realV alpha =
               min(effective_alpha(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), T[k]),
                    (realV)ALPHA_MAX);

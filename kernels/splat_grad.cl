@@ -95,10 +95,10 @@ __kernel void splat_grad(__global const Record *records, __global const uint *pa
       realV s[SUMS];
       for (int q = 0; q < SUMS; q++) s[q] = (realV)(R(0.0));
       for (int by = y0; by <= y1; by++) {
-        const realV dy = lane_y + (realV)((real)(by * BLOCK_H) - gy), rdy = g->r * dy;
+        const realV dy = lane_y + (real)(by * BLOCK_H) - gy, rdy = g->r * dy;
         for (int bx = x0; bx <= x1; bx++) {
           const int k = by * BLOCKS_X + bx;
-          const realV u = lane_x + (realV)((real)(bx * BLOCK_W) - gx) - rdy;
+          const realV u = lane_x + (real)(bx * BLOCK_W) - gx - rdy; // pixel first: the same bits for every block shape
           grad_block(g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
         }
       }

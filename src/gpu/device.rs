@@ -1,7 +1,7 @@
 //! Platforms and devices: listing, choosing, opening.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use ocl::core::{
     self, ClDeviceIdPtr, CommandQueueProperties, DeviceInfo as Query, DeviceInfoResult, DeviceType,
@@ -182,7 +182,18 @@ fn select(list: &[DeviceInfo], selector: &str) -> Option<usize> {
         .map(|d| d.index)
 }
 
+/// The devices, asked for once: some drivers answer wrongly when several threads ask for the first time.
+static DEVICES: Mutex<Vec<(DeviceInfo, core::DeviceId)>> = Mutex::new(Vec::new());
+
 fn enumerate() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
+    let mut known = DEVICES.lock().unwrap_or_else(PoisonError::into_inner);
+    if known.is_empty() {
+        *known = ask_platforms()?;
+    }
+    Ok(known.clone())
+}
+
+fn ask_platforms() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
     let platforms = core::get_platform_ids().map_err(|e| device_error("OpenCL", &e, INSTALL))?;
     let mut out = Vec::new();
     for platform in platforms {

@@ -1,1 +1,74 @@
-//! Tests: adam.
+//! adam: the optimiser.
+
+use super::*;
+use mhsplat::gpu::Array;
+use mhsplat::gpu::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
+use mhsplat::stage::adam::{Adam, AdamArgs};
+
+#[test]
+fn agrees_with_the_reference() {
+    agrees("adam");
+}
+
+#[test]
+fn wrong_parameters_are_rejected() {
+    rejects("adam", |out| {
+        out.adam[1].iter_mut().flatten().for_each(|m| *m *= 1.01)
+    });
+}
+
+/// Parameters and status after one step of 256 Gaussians at 1.0 with the given gradients in every plane.
+fn step(gradient: impl Fn(usize) -> f32, overflow: u32) -> (Vec<f32>, Vec<u32>) {
+    let device = device();
+    let kernels = kernels(&device);
+    let (stride, planes) = (256, 14);
+    let array = |name, v: f32| Array::from_slice(&device, name, &vec![v; planes * stride]).unwrap();
+    let grads: Vec<f32> = (0..planes * stride).map(|k| gradient(k % stride)).collect();
+    let grads = Array::from_slice(&device, "grads", &grads).unwrap();
+    let (params, m, v) = (array("params", 1.0), array("m", 0.0), array("v", 0.0));
+    let status = Array::zeros(&device, "status", SLOTS).unwrap();
+    status.write(OVERFLOW as usize, &[overflow]).unwrap();
+    let case = cases::mild("rates", 1, [1, 1], 0, 1);
+    Adam::new::<f32>(&kernels)
+        .unwrap()
+        .run(&AdamArgs {
+            grads: &grads,
+            stride,
+            planes,
+            rates: case.rates,
+            constants: [0.9, 0.999, 1e-15],
+            step: 1,
+            params: &params,
+            moment1: &m,
+            moment2: &v,
+            status: &status,
+        })
+        .unwrap();
+    (params.to_vec().unwrap(), status.to_vec().unwrap())
+}
+
+#[test]
+fn the_first_step_is_the_learning_rate_times_the_sign() {
+    let (params, _) = step(|i| if i % 2 == 0 { 3e-7 } else { -40.0 }, 0);
+    for (p, rate) in [(0, 1e-3), (3, 5e-3), (6, 1e-3), (10, 0.025), (11, 2.5e-3)] {
+        assert!((params[p * 256] - (1.0 - rate)).abs() < 1e-6, "plane {p}");
+        assert!(
+            (params[p * 256 + 1] - (1.0 + rate)).abs() < 1e-6,
+            "plane {p}"
+        );
+    }
+}
+
+#[test]
+fn gradients_that_are_not_finite_are_counted_and_change_nothing() {
+    let bad = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+    let (params, status) = step(|i| bad.get(i).copied().unwrap_or(0.0), 0);
+    assert_eq!(status[NON_FINITE as usize], 3 * 14);
+    assert!(params.iter().all(|p| *p == 1.0));
+}
+
+#[test]
+fn nothing_happens_after_an_overflow() {
+    let (params, _) = step(|_| 1.0, 12345);
+    assert!(params.iter().all(|p| *p == 1.0));
+}

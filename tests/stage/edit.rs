@@ -1,1 +1,45 @@
-//! Tests: edit.
+//! edit: rows written by density control.
+
+use super::*;
+use mhsplat::density::Edit;
+use mhsplat::model::Plane;
+
+#[test]
+fn agrees_with_the_reference() {
+    agrees("edit");
+}
+
+#[test]
+fn a_wrong_row_is_rejected() {
+    rejects("edit", |out| {
+        out.edited[0][Plane::SH].iter_mut().for_each(|v| *v += 1.0)
+    });
+}
+
+#[test]
+fn a_copy_takes_everything_but_what_is_replaced() {
+    let device = device();
+    let mut case = cases::mild("copy", 6, [20, 20], 1, 36);
+    let row = Edit {
+        src: 2,
+        dst: 4,
+        position: [1.0, 2.0, 3.0],
+        log_scale: [-1.0; 3],
+        opacity_logit: 0.25,
+    };
+    case.edits = vec![row];
+    let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
+    for p in 0..Plane::count(1) {
+        let want = match p {
+            0..3 => f64::from(row.position[p]),
+            3..6 => -1.0,
+            10 => 0.25,
+            _ => out.adam[0][p][2],
+        };
+        assert_eq!(out.edited[0][p][4], want, "plane {p}");
+        for i in [0, 1, 2, 3, 5] {
+            assert_eq!(out.edited[0][p][i], out.adam[0][p][i], "plane {p}, row {i}");
+        }
+        assert_eq!([out.edited[1][p][4], out.edited[2][p][4]], [0.0; 2]);
+    }
+}

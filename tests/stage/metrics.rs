@@ -1,1 +1,21 @@
-//! Tests: metrics.
+//! metrics: squared error after clamping.
+
+use super::*;
+use mhsplat::evaluate::{MAX_PSNR, psnr};
+
+#[test]
+fn agrees_with_the_reference() {
+    agrees("metrics");
+}
+
+#[test]
+fn a_wrong_error_is_rejected() {
+    rejects("metrics", |out| out.squared_error *= 1.001);
+}
+
+#[test]
+fn psnr_of_known_errors() {
+    assert!((psnr(0.01) - 20.0).abs() < 1e-12);
+    assert!((psnr(1.0)).abs() < 1e-12);
+    assert_eq!(psnr(0.0), MAX_PSNR);
+}

@@ -1,4 +1,4 @@
-//! One file per stage, and the cases they share.
+//! One file per stage: the device against the reference on shared cases, and what is particular to the stage.
 
 mod adam;
 mod bin;
@@ -12,3 +12,85 @@ mod scan;
 mod sort;
 mod splat;
 mod splat_grad;
+
+use std::sync::LazyLock;
+
+use mhsplat::gpu::tuning::Tuning;
+use mhsplat::gpu::{Defines, Device, Kernels};
+use mhsplat::verify::chain::{self, Case, Outputs};
+use mhsplat::verify::check::{
+    EXACT, Row, SINGLE, SINGLE_NEEDLES, check, device_quantities, reference_quantities,
+};
+use mhsplat::verify::{cases, twin, verify_case};
+
+fn device() -> Device {
+    Device::open(None).unwrap()
+}
+
+fn kernels(device: &Device) -> Kernels {
+    Kernels::new(device, Defines::new(Tuning::for_device(device.info())))
+}
+
+/// The cases of the stage tests; every image has parts of tiles.
+fn scenes() -> Vec<(Case, f64)> {
+    vec![
+        (cases::mild("SH 3", 200, [75, 50], 3, 21), SINGLE),
+        (
+            cases::mild("SH 2, alpha", 50, [33, 17], 2, 22).with_alpha(),
+            SINGLE,
+        ),
+        (cases::mild("SH 1", 1, [1, 1], 1, 23), SINGLE),
+        (cases::mild("SH 0, wide", 80, [130, 20], 0, 24), SINGLE),
+        (cases::needles(40, [64, 48], 25), SINGLE_NEEDLES),
+    ]
+}
+
+static ROWS: LazyLock<Vec<Row>> = LazyLock::new(|| {
+    let device = device();
+    scenes()
+        .iter()
+        .flat_map(|(case, bound)| verify_case(&device, "stage", case, *bound).unwrap())
+        .collect()
+});
+
+/// Asserts that every quantity of a stage is within its bounds, in f64, f32 and both styles.
+fn agrees(stage: &str) {
+    let rows: Vec<&Row> = ROWS.iter().filter(|r| r.stage == stage).collect();
+    assert!(
+        rows.len() >= 3 * scenes().len(),
+        "{stage}: {} rows",
+        rows.len()
+    );
+    for row in rows {
+        assert!(row.pass && row.non_finite == 0, "{row:?}");
+    }
+}
+
+/// Asserts that the check of a stage rejects outputs that `spoil` has changed.
+fn rejects(stage: &str, spoil: impl Fn(&mut Outputs)) {
+    let device = device();
+    let case = cases::mild("spoilt", 60, [40, 30], 1, 26);
+    let good = chain::run::<f32>(&device, Tuning::for_device(device.info()), &case).unwrap();
+    let mut bad = good.clone();
+    spoil(&mut bad);
+    let want = reference_quantities(&case, &twin::run(&case), &good);
+    let fails = |out: &Outputs| {
+        check(
+            "spoilt",
+            &case,
+            &device_quantities(out),
+            &want,
+            "f32",
+            SINGLE,
+        )
+        .iter()
+        .any(|r| r.stage == stage && !r.pass)
+    };
+    assert!(!fails(&good));
+    assert!(fails(&bad), "{stage}: a wrong result went through");
+}
+
+#[test]
+fn f64_bound_is_far_below_the_f32_bound() {
+    const { assert!(EXACT < 1e-4 * SINGLE) };
+}

@@ -1,1 +1,69 @@
-//! Tests: scan.
+//! scan: prefix sums.
+
+use super::*;
+use mhsplat::gpu::Array;
+use mhsplat::gpu::tuning::status::{OVERFLOW, PAIRS, SLOTS, VISIBLE};
+use mhsplat::reference;
+use mhsplat::stage::scan::{Scan, ScanArgs};
+
+#[test]
+fn agrees_with_the_reference() {
+    agrees("scan");
+}
+
+#[test]
+fn a_wrong_count_is_rejected() {
+    rejects("scan", |out| out.counted += 1);
+}
+
+/// Sums and status after scanning `values` with room for `capacity`.
+fn scanned(values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>) {
+    let device = device();
+    let kernels = kernels(&device);
+    let n = values.len().max(1);
+    let input = Array::zeros(&device, "values", n).unwrap();
+    input.write(0, values).unwrap();
+    let out = Array::zeros(&device, "out", n).unwrap();
+    let status = Array::zeros(&device, "status", SLOTS).unwrap();
+    status
+        .write(VISIBLE as usize, &[values.len() as u32])
+        .unwrap();
+    let sums = Array::zeros(&device, "sums", kernels.defines().tuning.chunks).unwrap();
+    let args = ScanArgs {
+        values: &input,
+        status: &status,
+        n_slot: VISIBLE,
+        total_slot: PAIRS,
+        capacity,
+        sums: &sums,
+        out: &out,
+    };
+    Scan::new::<f32>(&kernels).unwrap().run(&args).unwrap();
+    (out.read(0, values.len()).unwrap(), status.to_vec().unwrap())
+}
+
+#[test]
+fn sums_of_every_length() {
+    for n in [0usize, 1, 2, 15, 16, 17, 1000, 4097] {
+        let values: Vec<u32> = (0..n as u32).map(|i| i * 7 % 11).collect();
+        let (sums, total) = reference::scan::scan(&values);
+        let (got, status) = scanned(&values, usize::MAX >> 33);
+        assert_eq!(got, sums, "{n} values");
+        assert_eq!(u64::from(status[PAIRS as usize]), total);
+        assert_eq!(status[OVERFLOW as usize], 0);
+    }
+}
+
+#[test]
+fn a_total_beyond_the_capacity_raises_the_flag() {
+    let values = vec![3u32; 100];
+    assert_eq!(scanned(&values, 300).1[PAIRS as usize], 300);
+    let (_, status) = scanned(&values, 299);
+    assert_eq!(status[PAIRS as usize], 0, "nothing is left to do");
+    assert_eq!(
+        status[OVERFLOW as usize], 300,
+        "what would have been needed"
+    );
+    let (_, status) = scanned(&[u32::MAX, u32::MAX], 299);
+    assert_eq!(status[OVERFLOW as usize], u32::MAX, "saturates");
+}

@@ -1,1 +1,88 @@
-//! Tests: sort.
+//! sort: stable radix sort.
+
+use super::*;
+use mhsplat::density::rng::Philox;
+use mhsplat::gpu::Array;
+use mhsplat::gpu::tuning::status::{SLOTS, VISIBLE};
+use mhsplat::reference;
+use mhsplat::stage::sort::{Sort, SortArgs};
+
+#[test]
+fn agrees_with_the_reference() {
+    agrees("sort");
+}
+
+#[test]
+fn a_swapped_list_is_rejected() {
+    rejects("sort", |out| {
+        for list in &mut out.tiles {
+            list.reverse();
+        }
+    });
+}
+
+/// Positions of the keys after sorting on the device.
+fn sorted(keys: &[u32], bits: u32, tuning: Tuning) -> Vec<u32> {
+    let device = device();
+    let kernels = Kernels::new(&device, Defines::new(tuning));
+    let n = keys.len().max(1);
+    let array = |name| Array::<u32>::zeros(&device, name, n).unwrap();
+    let (k0, k1, v0, v1) = (array("k0"), array("k1"), array("v0"), array("v1"));
+    k0.write(0, keys).unwrap();
+    let status = Array::zeros(&device, "status", SLOTS).unwrap();
+    status
+        .write(VISIBLE as usize, &[keys.len() as u32])
+        .unwrap();
+    let args = SortArgs {
+        keys: [&k0, &k1],
+        values: [&v0, &v1],
+        index_values: true,
+        status: &status,
+        n_slot: VISIBLE,
+        bits,
+    };
+    let at = Sort::new::<f32>(&kernels).unwrap().run(&args).unwrap();
+    [&v0, &v1][at].read(0, keys.len()).unwrap()
+}
+
+#[test]
+fn any_keys_any_width_both_tunings() {
+    for (n, bits) in [
+        (0usize, 32u32),
+        (1, 32),
+        (1000, 32),
+        (5000, 12),
+        (3000, 5),
+        (700, 17),
+        (4000, 1),
+    ] {
+        // Few different keys among many elements: equal keys must keep their order.
+        let mask = if bits == 32 {
+            u32::MAX
+        } else {
+            (1 << bits) - 1
+        };
+        let keys: Vec<u32> = (0..n as u64)
+            .map(|i| Philox::words(3, 1, i)[0] & mask)
+            .collect();
+        let want = reference::sort::sort(&keys);
+        for tuning in [
+            Tuning::CPU,
+            Tuning {
+                chunks: 64,
+                ..Tuning::GPU
+            },
+        ] {
+            assert_eq!(sorted(&keys, bits, tuning), want, "{n} keys of {bits} bits");
+        }
+    }
+}
+
+#[test]
+fn equal_keys_keep_their_order() {
+    let keys = vec![7u32; 2000];
+    assert_eq!(
+        sorted(&keys, 32, Tuning::CPU),
+        (0..2000).collect::<Vec<u32>>()
+    );
+}
