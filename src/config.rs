@@ -257,7 +257,15 @@ impl TrainConfig {
         {
             return fail("--background", format!("{c:?}; R,G,B in 0 to 1 expected"));
         }
-        let o = &self.optimizer;
+        self.optimizer.validate()?;
+        self.loss.validate()?;
+        self.mh.validate()
+    }
+}
+
+impl OptimizerConfig {
+    fn validate(&self) -> Result<()> {
+        let o = self;
         let rates = [
             o.lr_position,
             o.lr_position_final,
@@ -268,27 +276,33 @@ impl TrainConfig {
             o.lr_rotation,
         ];
         if !rates.iter().all(|v| v.is_finite() && *v >= 0.0) {
-            return fail(
+            return Err(Error::config(
                 "optimizer",
-                "a learning rate that is negative or not finite".into(),
-            );
+                "a learning rate that is negative or not finite",
+            ));
         }
         if !((0.0..1.0).contains(&o.beta1) && (0.0..1.0).contains(&o.beta2) && o.epsilon > 0.0) {
-            return fail(
+            return Err(Error::config(
                 "optimizer",
-                "beta1 and beta2 in [0, 1) and epsilon > 0 expected".into(),
-            );
+                "beta1 and beta2 in [0, 1) and epsilon > 0 expected",
+            ));
         }
-        let l = &self.loss;
-        if !(0.0..=1.0).contains(&l.lambda_ssim)
-            || !(l.lambda_opacity >= 0.0 && l.lambda_scale >= 0.0)
-        {
-            return fail(
+        Ok(())
+    }
+}
+
+impl LossConfig {
+    fn validate(&self) -> Result<()> {
+        let l = self;
+        let shares = (0.0..=1.0).contains(&l.lambda_ssim);
+        let weights = [l.lambda_opacity, l.lambda_scale];
+        if !(shares && weights.iter().all(|w| w.is_finite() && *w >= 0.0)) {
+            return Err(Error::config(
                 "loss",
-                "lambda-ssim in [0, 1] and other weights >= 0 expected".into(),
-            );
+                "lambda-ssim in [0, 1] and other weights >= 0 expected",
+            ));
         }
-        self.mh.validate()
+        Ok(())
     }
 }
 

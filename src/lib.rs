@@ -47,6 +47,8 @@ pub mod atomic;
 #[doc(hidden)]
 pub mod buffers;
 pub mod config;
+#[doc(hidden)]
+pub mod constants;
 pub mod dataset;
 pub mod density;
 pub mod error;

@@ -161,25 +161,44 @@ impl<R: Real> Renderer<R> {
             keys: &f.keys,
             pair_counts: &f.pair_counts,
         })?;
-        self.bin.visible(&f.keys, scene.count, &f.chunk_sums)?;
+        let by_depth = self.sort_visible(scene.count)?;
+        self.order_at = self.pair_up(scene.count, camera, by_depth)?;
+        let (f, [_, tiles]) = (&self.frame, tiles_of(camera));
+        self.bin
+            .ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)?;
+        self.splat.run(&self.lists(camera), options.background)
+    }
+
+    /// Compacts the visible Gaussians and sorts them by depth; answers which of the two arrays holds them.
+    fn sort_visible(&self, count: usize) -> Result<usize> {
+        let f = &self.frame;
+        let status = &f.status;
+        self.bin.visible(&f.keys, count, &f.chunk_sums)?;
         self.scan
-            .totals(&f.chunk_sums, status, status::VISIBLE, scene.stride)?;
+            .totals(&f.chunk_sums, status, status::VISIBLE, f.keys.len())?;
         let [keys, visible] = [&f.visible_keys, &f.visible];
         self.bin
-            .compact(&f.keys, scene.count, &f.chunk_sums, &keys[0], &visible[0])?;
-        let by_depth = self.sort.run(&SortArgs {
+            .compact(&f.keys, count, &f.chunk_sums, &keys[0], &visible[0])?;
+        self.sort.run(&SortArgs {
             keys: [&keys[0], &keys[1]],
             values: [&visible[0], &visible[1]],
             index_values: false,
             status,
             n_slot: status::VISIBLE,
             bits: 32,
-        })?;
+        })
+    }
+
+    /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile; answers which of the two arrays
+    /// holds the order.
+    fn pair_up(&self, count: usize, camera: &CameraArg<R>, by_depth: usize) -> Result<usize> {
+        let f = &self.frame;
+        let (status, visible) = (&f.status, &f.visible);
         let [tiles_x, tiles] = tiles_of(camera);
         let bin = BinArgs {
             records: &f.records,
             visible: &visible[by_depth],
-            count: scene.count,
+            count,
             status,
             tiles_x: tiles_x as u32,
         };
@@ -203,17 +222,14 @@ impl<R: Real> Renderer<R> {
                 pair_counts: &f.pair_counts,
             },
         )?;
-        self.order_at = self.sort.run(&SortArgs {
+        self.sort.run(&SortArgs {
             keys: [&f.tile_keys[0], &f.tile_keys[1]],
             values: [&f.order[0], &f.order[1]],
             index_values: true,
             status,
             n_slot: status::PAIRS,
             bits: usize::BITS - tiles.leading_zeros(),
-        })?;
-        self.bin
-            .ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)?;
-        self.splat.run(&self.lists(camera), options.background)
+        })
     }
 
     /// The sorted pairs of the view enqueued last.

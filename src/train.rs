@@ -66,6 +66,25 @@ pub struct Trainer {
     overflows: u64,
 }
 
+/// One build of the stage for every SH degree that training passes through.
+fn project_grad_per_degree(
+    device: &Device,
+    defines: Defines,
+    highest: u32,
+) -> Result<Vec<ProjectGrad>> {
+    (0..=highest)
+        .map(|sh_degree| {
+            ProjectGrad::new::<f32>(&Kernels::new(
+                device,
+                Defines {
+                    sh_degree,
+                    ..defines
+                },
+            ))
+        })
+        .collect()
+}
+
 impl Trainer {
     /// Uploads the training views and the scene, builds every kernel and runs each once over nothing, so that no later
     /// iteration waits for a compiler.
@@ -93,17 +112,6 @@ impl Trainer {
         };
         let kernels = Kernels::new(device, defines);
         let degree = config.sh_degree;
-        let project_grad = (0..=degree)
-            .map(|d| {
-                ProjectGrad::new::<f32>(&Kernels::new(
-                    device,
-                    Defines {
-                        sh_degree: d,
-                        ..defines
-                    },
-                ))
-            })
-            .collect::<Result<_>>()?;
         let scene = Scene::upload(device, splats, Scene::<f32>::grown_stride(splats.len()))?;
         let loss = Loss::new::<f32>(&kernels)?;
         let [w, h] = views.largest;
@@ -117,7 +125,7 @@ impl Trainer {
             moment2: state("moment2")?,
             renderer: Renderer::new(device, defines, degree, true)?,
             splat_grad: SplatGrad::new::<f32>(&kernels)?,
-            project_grad,
+            project_grad: project_grad_per_degree(device, defines, degree)?,
             adam: Adam::new::<f32>(&kernels)?,
             importance: Importance::new::<f32>(&kernels)?,
             edit: Edit::new::<f32>(&kernels)?,

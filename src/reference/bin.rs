@@ -2,9 +2,7 @@
 
 use super::project::Record64;
 use super::{Camera64, TILE};
-
-/// Slack of the tile test in the exponent (base 2), as the kernels have it.
-pub const SLACK: f64 = 1e-3;
+use crate::constants::TILE_SLACK;
 
 /// Whether the smallest value of the record's quadratic form over the tile's rectangle of pixel centres is within its
 /// reach. The minimum of a convex form over a rectangle lies at its centre or on the boundary; here every edge is looked
@@ -32,7 +30,7 @@ pub fn touches(g: &Record64, tx: i32, ty: i32, alpha_min: f64) -> bool {
     for dy in y {
         least = least.min(q((g.r * dy).clamp(x[0], x[1]), dy));
     }
-    least <= g.lo - alpha_min.log2() + SLACK
+    least <= g.lo - alpha_min.log2() + TILE_SLACK
 }
 
 /// Gaussians of each tile (row major), sorted by the f32 depth, ties by index.

@@ -46,13 +46,12 @@ pub fn total(scene: &Scene64, l1: f64, ssim: f64, lambdas: [f64; 3]) -> f64 {
     (1.0 - lambdas[0]) * l1 + lambdas[0] * (1.0 - ssim) + lambdas[1] * opacity + lambdas[2] * scale
 }
 
+/// Records, Gaussians of each tile, image \[3, height, width\] and transmittance \[height, width\].
+type Forward = (Vec<Option<Record64>>, Vec<Vec<u32>>, Vec<f64>, Vec<f64>);
+
 /// The forward stages.
 #[must_use]
-pub fn render(
-    scene: &Scene64,
-    camera: &Camera64,
-    options: &Options,
-) -> (Vec<Option<Record64>>, Vec<Vec<u32>>, Vec<f64>, Vec<f64>) {
+pub fn render(scene: &Scene64, camera: &Camera64, options: &Options) -> Forward {
     let records: Vec<_> = (0..scene.len())
         .map(|i| project(scene, i, camera, options))
         .collect();

@@ -20,19 +20,12 @@ pub mod sort;
 pub mod splat;
 pub mod splat_grad;
 
+pub use crate::constants::{ALPHA_MAX, BLUR, LOG_SCALE, T_MIN};
 use crate::dataset::Camera;
 use crate::model::{Plane, Splats};
 
-/// Cap of alpha.
-pub const ALPHA_MAX: f64 = 0.999;
-/// A pixel takes contributions while its transmittance is at least this.
-pub const T_MIN: f64 = 1e-4;
-/// Added to the diagonal of the 2D covariance, pixels².
-pub const BLUR: f64 = 0.3;
 /// Edge of a tile, pixels.
-pub const TILE: i32 = 16;
-/// Range to which log-scales are clamped.
-pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
+pub const TILE: i32 = crate::constants::TILE as i32;
 
 /// A camera in f64.
 #[derive(Debug, Clone, Copy, PartialEq)]

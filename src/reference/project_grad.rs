@@ -66,13 +66,13 @@ fn geometry(
     let nn: [[f64; 3]; 3] = std::array::from_fn(|a| std::array::from_fn(|b| o.rot[a][b] * o.s[b]));
     let dn = product(&dsigma, &nn).map(|row| row.map(|v| 2.0 * v));
     let drot: [[f64; 3]; 3] = std::array::from_fn(|a| std::array::from_fn(|b| dn[a][b] * o.s[b]));
-    for b in 0..3 {
+    for (b, s) in o.s.iter().enumerate() {
         let ds: f64 = (0..3).map(|a| dn[a][b] * o.rot[a][b]).sum();
-        out.planes[Plane::LOG_SCALE + b][i] = ds * o.s[b];
+        out.planes[Plane::LOG_SCALE + b][i] = ds * s;
     }
     let dq = quaternion(scene.gather(Plane::ROTATION, i), &drot);
-    for b in 0..4 {
-        out.planes[Plane::ROTATION + b][i] = dq[b];
+    for (b, d) in dq.iter().enumerate() {
+        out.planes[Plane::ROTATION + b][i] = *d;
     }
     let dt = camera_position(camera, o, &djw, dmean);
     for b in 0..3 {

@@ -138,9 +138,8 @@ impl Case {
             })
             .collect();
         for c in 0..3 {
-            for i in 0..n {
-                let v = u32::from(photo.data[c * n + i]) * u32::from(alpha[i]) / 255;
-                photo.data[c * n + i] = v as u8;
+            for (v, a) in photo.data[c * n..].iter_mut().zip(&alpha) {
+                *v = (u32::from(*v) * u32::from(*a) / 255) as u8;
             }
         }
         photo.data.extend(alpha);

@@ -140,6 +140,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         case,
     };
     run.loss_and_gradient(&mut out)?;
+    run.gradient_and_update(&mut out)?;
     run.importance_and_metrics(&mut out)?;
     device.collect_times(usize::MAX)?;
     out.seconds = device
@@ -262,12 +263,19 @@ impl<R: Real> Run<'_, R> {
         let f = &self.renderer.frame;
         s.splat_grad
             .run(&self.renderer.lists(&self.camera), &dimage, &f.sums)?;
+        out.sums = self.read_sums()?;
+        Ok(())
+    }
+
+    /// The nine sums of each Gaussian, added over its pairs.
+    fn read_sums(&self) -> Result<Vec<[f64; SUMS]>> {
+        let f = &self.renderer.frame;
         let (counts, starts) = (
             f.pair_counts.read(0, self.scene.count)?,
             f.pair_start.read(0, self.scene.count)?,
         );
         let all = widen(f.sums.to_vec()?);
-        out.sums = counts
+        Ok(counts
             .iter()
             .zip(&starts)
             .map(|(n, first)| {
@@ -279,7 +287,12 @@ impl<R: Real> Run<'_, R> {
                 }
                 total
             })
-            .collect();
+            .collect())
+    }
+
+    fn gradient_and_update(&mut self, out: &mut Outputs) -> Result<()> {
+        let (device, s, case) = (self.device, &self.stages, self.case);
+        let f = &self.renderer.frame;
         let len = self.scene.planes() * self.scene.stride;
         let [grads, m, v] = [
             Array::zeros(device, "grads", len)?,

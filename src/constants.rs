@@ -1,0 +1,20 @@
+//! Constants of the image formation. Each has its owner here and reaches OpenCL C through the prelude.
+
+/// Edge of a tile, pixels.
+pub const TILE: u32 = 16;
+/// Cap of alpha (3DGS uses 0.99, \[MH\]'s code base 0.999).
+pub const ALPHA_MAX: f64 = 0.999;
+/// Contributions below this alpha are dropped (3DGS).
+pub const ALPHA_MIN: f64 = 1.0 / 255.0;
+/// A pixel takes contributions while its transmittance is at least this (3DGS).
+pub const T_MIN: f64 = 1e-4;
+/// Added to the diagonal of the 2D covariance, pixels² (3DGS).
+pub const BLUR: f64 = 0.3;
+/// Slack of the tile test in the exponent (base 2), for f32 rounding.
+pub const TILE_SLACK: f64 = 1e-3;
+/// Log-scales are clamped to this range, in which the covariance stays finite in f32.
+pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
+/// Near plane in units of the scene extent.
+pub const NEAR: f64 = 0.01;
+/// Sums that splat_grad writes per pair.
+pub const SUMS: usize = 9;
