@@ -1,66 +1,98 @@
 // project: raw Gaussians -> records of one camera.
-// Launch: one work-item per Gaussian. Culled (behind the near plane, outside the image, below the alpha cut, any
+// Launch: one work-item per VW Gaussians. Culled (behind the near plane, outside the image, below the alpha cut, any
 // non-finite value): key KEY_CULLED, no record. Source: 3DGS image formation in the stable forms of the reference twin.
 
-// Colour from SH coefficients: max(0, sum + 1/2).
-static inline void sh_color(__global const real *params, uint stride, uint i, const real basis[SH_COUNT], real rgb[3]) {
+// Colour from SH coefficients: max(0, sum + 1/2); off where that is broken.
+static inline maskV sh_color(__global const real *params, uint stride, uint i, const realV basis[SH_COUNT],
+                             realV rgb[3]) {
+  maskV good = V(R(0.0)) == V(R(0.0));
   for (int ch = 0; ch < 3; ch++) {
-    real sum = R(0.5);
-    for (int k = 0; k < SH_COUNT; k++) sum = fma(basis[k], params[(size_t)(P_SH + 3 * k + ch) * stride + i], sum);
-    rgb[ch] = fmax(sum, R(0.0));
+    realV sum = V(R(0.5));
+    for (int k = 0; k < SH_COUNT; k++) sum = fma(basis[k], PLANE(params, P_SH + 3 * k + ch), sum);
+    good &= fabs(sum) < V(COLOR_MAX);
+    rgb[ch] = max(sum, V(R(0.0)));
   }
+  return good;
 }
 
-// Inclusive pixel range |p + 1/2 - mean| <= half within [0, size); returns 0 when empty.
-static inline int pixel_bounds(real mean, real half_extent, int size, uint *packed) {
-  const real lo = ceil(mean - half_extent - R(0.5)), hi = floor(mean + half_extent - R(0.5));
-  if (!(hi >= R(0.0) && lo <= (real)(size - 1) && lo <= hi)) return 0;
-  const uint first = (uint)fmax(lo, R(0.0)), last = (uint)fmin(hi, (real)(size - 1));
-  *packed = first | (last << 16);
-  return 1;
+// Inclusive pixel range |p + 1/2 - mean| <= half within [0, size); off when empty or not finite.
+static inline maskV pixel_bounds(realV mean, realV half_extent, int size, realV *first, realV *last) {
+  const realV zero = V(R(0.0)), end = V((real)(size - 1));
+  const realV lo = ceil(mean - half_extent - R(0.5)), hi = floor(mean + half_extent - R(0.5));
+  *first = fmax(lo, zero);
+  *last = fmin(hi, end);
+  return (hi >= zero) & (lo <= end) & (lo <= hi);
 }
+
+// A field of the records of VW Gaussians, lane by lane.
+#define EACH_LANE(field, value)                  \
+  do {                                           \
+    real lane[VW];                               \
+    vstore_real(value, 0, lane);                 \
+    for (int l = 0; l < VW; l++) g[l].field = lane[l]; \
+  } while (0)
 
 __kernel void project(__global const real *params,   // in [planes, stride] raw parameters
-                      uint stride, uint count,       // Gaussians allocated, Gaussians
+                      uint stride, uint count,       // Gaussians allocated (a multiple of VW), Gaussians
                       const Camera cam,              // in camera
                       int depth_as_color,            // 1: the colour is the depth (for depth images)
                       __global Record *records,      // out [stride]
                       __global uint *keys,           // out [stride] bits of the f32 depth, or KEY_CULLED
                       __global uint *pair_counts) {  // out [stride] 0: no pair of this Gaussian yet
-  const uint i = get_global_id(0);
+  const uint i = get_global_id(0) * VW;
   if (i >= count) return;
-  keys[i] = KEY_CULLED;
-  pair_counts[i] = 0;
-  real x[3], ls[3], q[4];
-  for (int k = 0; k < 3; k++) {
-    x[k] = params[(size_t)(P_POSITION + k) * stride + i];
-    ls[k] = params[(size_t)(P_LOG_SCALE + k) * stride + i];
+  const uint n = min((uint)VW, count - i);
+  for (uint l = 0; l < n; l++) {
+    keys[i + l] = KEY_CULLED;
+    pair_counts[i + l] = 0;
   }
-  for (int k = 0; k < 4; k++) q[k] = params[(size_t)(P_ROTATION + k) * stride + i];
+  realV x[3], ls[3], q[4];
+  for (int k = 0; k < 3; k++) {
+    x[k] = PLANE(params, P_POSITION + k);
+    ls[k] = PLANE(params, P_LOG_SCALE + k);
+  }
+  for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
   Shape o;
-  if (!shape_of(&cam, x, ls, q, &o)) return;
-  Record g;
-  g.lo = -softplus(-params[(size_t)P_OPACITY * stride + i]) * R(1.4426950408889634);
-  const real tau = g.lo - (real)LOG2_ALPHA_MIN;
-  if (!(tau > R(0.0))) return;
-  g.x = fma(cam.fx, o.t[0] * o.iz, cam.cx);
-  g.y = fma(cam.fy, o.t[1] * o.iz, cam.cy);
-  const real reach = R(1.3862943611198906) * tau; // 2 ln2
-  if (!pixel_bounds(g.x, sqrt(reach * o.sxx), cam.width, &g.bx)) return;
-  if (!pixel_bounds(g.y, sqrt(reach * o.syy), cam.height, &g.by)) return;
-  g.a = R(0.7213475204444817) * (o.syy / o.det);
-  g.r = o.sxy / o.syy;
-  g.c = R(0.7213475204444817) / o.syy;
-  if (!(isfinite(g.a) && isfinite(g.r) && isfinite(g.c))) return;
-  g.depth = o.t[2];
-  real dir[3], basis[SH_COUNT], rgb[3];
+  maskV seen = shape_of(&cam, x, ls, q, &o);
+  const realV lo = -softplus(-PLANE(params, P_OPACITY)) * R(1.4426950408889634);
+  const realV tau = lo - (real)LOG2_ALPHA_MIN;
+  seen &= tau > V(R(0.0));
+  const realV px = fma(V(cam.fx), o.t[0] * o.iz, V(cam.cx)), py = fma(V(cam.fy), o.t[1] * o.iz, V(cam.cy));
+  const realV reach = R(1.3862943611198906) * tau; // 2 ln2
+  realV x0, x1, y0, y1;
+  seen &= pixel_bounds(px, sqrt(reach * o.sxx), cam.width, &x0, &x1);
+  seen &= pixel_bounds(py, sqrt(reach * o.syy), cam.height, &y0, &y1);
+  const realV a = R(0.7213475204444817) * (o.syy / o.det), r = o.sxy / o.syy, c = R(0.7213475204444817) / o.syy;
+  const realV large = V(R(1e38));
+  seen &= (a < large) & (fabs(r) < large) & (c < large);
+  if (!any_lane(seen)) return;
+  realV dir[3], basis[SH_COUNT], rgb[3];
   view_direction(&cam, x, dir);
   sh_basis(dir, basis);
-  sh_color(params, stride, i, basis, rgb);
-  if (!(isfinite(rgb[0]) && isfinite(rgb[1]) && isfinite(rgb[2]))) return;
-  g.red = depth_as_color ? g.depth : rgb[0];
-  g.green = depth_as_color ? g.depth : rgb[1];
-  g.blue = depth_as_color ? g.depth : rgb[2];
-  records[i] = g;
-  keys[i] = as_uint((float)o.t[2]);
+  seen &= sh_color(params, stride, i, basis, rgb);
+  if (depth_as_color) rgb[0] = rgb[1] = rgb[2] = o.t[2];
+  Record g[VW];
+  EACH_LANE(x, px);
+  EACH_LANE(y, py);
+  EACH_LANE(a, a);
+  EACH_LANE(r, r);
+  EACH_LANE(c, c);
+  EACH_LANE(lo, lo);
+  EACH_LANE(red, rgb[0]);
+  EACH_LANE(green, rgb[1]);
+  EACH_LANE(blue, rgb[2]);
+  EACH_LANE(depth, o.t[2]);
+  real on[VW], left[VW], right[VW], top[VW], bottom[VW];
+  vstore_real(choose(seen, V(R(1.0)), V(R(0.0))), 0, on);
+  vstore_real(x0, 0, left);
+  vstore_real(x1, 0, right);
+  vstore_real(y0, 0, top);
+  vstore_real(y1, 0, bottom);
+  for (uint l = 0; l < n; l++) {
+    if (!(on[l] > R(0.0))) continue;
+    g[l].bx = (uint)left[l] | ((uint)right[l] << 16);
+    g[l].by = (uint)top[l] | ((uint)bottom[l] << 16);
+    records[i + l] = g[l];
+    keys[i + l] = as_uint((float)g[l].depth);
+  }
 }

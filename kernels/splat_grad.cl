@@ -34,15 +34,23 @@ static inline void grad_block(const Record *g, realV u, realV dy, realV dred, re
 }
 
 #if !GROUP_STYLE
-static inline real lane_sum(realV v) {
+// Sums over the lanes of each of the vectors s, written to `out`. Every round adds neighbouring lanes of two vectors into
+// one, so that SUMS sums cost about SUMS additions of vectors instead of SUMS times log2(VW) of shrinking ones.
+static inline void lane_sums(realV s[SUMS], __global real *out) {
 #if VW == 1
-  return v;
+  for (int q = 0; q < SUMS; q++) out[q] = s[q];
 #else
-  real lane[VW];
-  vstore_real(v, 0, lane);
-  for (int h = VW / 2; h > 0; h /= 2)
-    for (int l = 0; l < h; l++) lane[l] += lane[l + h];
-  return lane[0];
+  int n = SUMS;
+  for (int width = VW; width > 1; width /= 2) {
+    for (int k = 0; 2 * k < n; k++) {
+      const realV a = s[2 * k], b = s[min(2 * k + 1, n - 1)]; // an odd one is paired with itself; nobody reads that
+      s[k] = (realV)(a.even, b.even) + (realV)(a.odd, b.odd);
+    }
+    n = (n + 1) / 2;
+  }
+  real lane[(SUMS + VW - 1) / VW * VW];
+  for (int k = 0; k < n; k++) vstore_real(s[k], k, lane);
+  for (int q = 0; q < SUMS; q++) out[q] = lane[q];
 #endif
 }
 
@@ -102,7 +110,7 @@ __kernel void splat_grad(__global const Record *records, __global const uint *pa
           grad_block(g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
         }
       }
-      for (int q = 0; q < SUMS; q++) sums[(size_t)slot[j] * SUMS + q] = lane_sum(s[q]);
+      lane_sums(s, sums + (size_t)slot[j] * SUMS);
     }
   }
   for (uint p = used; p < end; p++)

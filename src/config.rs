@@ -37,6 +37,19 @@ pub enum Acceptance {
     Centred,
 }
 
+/// What a birth takes of its source's opacity and scale.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Birth {
+    /// The source keeps its own and the birth has the same (\[MH\] §4.3: other parameters are copied).
+    Copy,
+    /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
+    /// no opacity to the scene.
+    #[default]
+    Split,
+}
+
 /// Loss weights (\[MH\] Eq. 4).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
@@ -83,6 +96,8 @@ pub struct OptimizerConfig {
     pub lr_scale: f32,
     /// Quaternion.
     pub lr_rotation: f32,
+    /// Factor that every rate but the position's has reached at the end (log-linear in between; 1 in the papers).
+    pub lr_decay: f32,
     /// Iterations between two SH bands, for 30,000 iterations (scales with the run).
     pub sh_interval: u32,
 }
@@ -100,6 +115,7 @@ impl Default for OptimizerConfig {
             lr_opacity: 0.025,
             lr_scale: 5e-3,
             lr_rotation: 1e-3,
+            lr_decay: 1.0,
             sh_interval: 1000,
         }
     }
@@ -111,6 +127,8 @@ impl Default for OptimizerConfig {
 pub struct MhConfig {
     /// Form of ρ.
     pub acceptance: Acceptance,
+    /// What a birth takes of its source.
+    pub birth: Birth,
     /// λ_v of the voxel prior (Eq. 7).
     pub lambda_voxel: f64,
     /// Weight of the robust-normalised opacity in the importance (Eq. 13).
@@ -143,6 +161,7 @@ impl Default for MhConfig {
     fn default() -> Self {
         Self {
             acceptance: Acceptance::Eq20,
+            birth: Birth::Split,
             lambda_voxel: 5.0,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -271,6 +290,7 @@ impl OptimizerConfig {
             o.lr_position_final,
             o.lr_sh0,
             o.lr_sh,
+            o.lr_decay,
             o.lr_opacity,
             o.lr_scale,
             o.lr_rotation,

@@ -8,6 +8,9 @@ pub const ALPHA_MAX: f64 = 0.999;
 pub const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// A pixel takes contributions while its transmittance is at least this (3DGS).
 pub const T_MIN: f64 = 1e-4;
+/// A colour channel at or above this is taken for broken and its Gaussian is culled: far beyond any photo (1), and its
+/// eighth power, which the derivative of SSIM holds, is still finite in f32.
+pub const COLOR_MAX: f64 = 1e4;
 /// Added to the diagonal of the 2D covariance, pixels² (3DGS).
 pub const BLUR: f64 = 0.3;
 /// Slack of the tile test in the exponent (base 2), for f32 rounding.

@@ -47,17 +47,18 @@ impl Schedule {
         let o = &self.config.optimizer;
         let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
         let (from, to) = (f64::from(o.lr_position), f64::from(o.lr_position_final));
+        let decay = f64::from(o.lr_decay).powf(t.min(1.0));
         LearningRates {
             position: if from > 0.0 && to > 0.0 {
                 (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
             } else {
                 from
             },
-            scale: f64::from(o.lr_scale),
-            rotation: f64::from(o.lr_rotation),
-            opacity: f64::from(o.lr_opacity),
-            sh0: f64::from(o.lr_sh0),
-            sh: f64::from(o.lr_sh),
+            scale: decay * f64::from(o.lr_scale),
+            rotation: decay * f64::from(o.lr_rotation),
+            opacity: decay * f64::from(o.lr_opacity),
+            sh0: decay * f64::from(o.lr_sh0),
+            sh: decay * f64::from(o.lr_sh),
         }
     }
 

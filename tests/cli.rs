@@ -1,1 +1,123 @@
-//! Tests: cli.
+//! The command line as a contract: run folder, JSON, exit codes, and what a new user gets wrong.
+
+mod refusals;
+mod run_folder;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
+
+/// The program under test, on the default device.
+pub fn program() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_mhsplat"));
+    command.env_remove("MHSPLAT_DEVICE");
+    command
+}
+
+pub fn mhsplat(args: &[&str]) -> Output {
+    program().args(args).output().unwrap()
+}
+
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Runs, asserts success and answers stdout.
+pub fn done(args: &[&str]) -> String {
+    let output = mhsplat(args);
+    assert_eq!(
+        output.status.code(),
+        Some(0),
+        "{args:?}: {}",
+        stderr(&output)
+    );
+    stdout(&output)
+}
+
+/// The bundled scene.
+pub fn room() -> String {
+    format!("{}/data/room-tiny", env!("CARGO_MANIFEST_DIR"))
+}
+
+pub fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A tiny dataset on disk that a test may damage: 9 views of 48 × 36 pixels.
+pub fn scratch_dataset(dir: &Path, layout: SynthLayout) -> PathBuf {
+    let path = dir.join("dataset");
+    let options = SynthOptions {
+        layout,
+        views: 9,
+        width: 48,
+        height: 36,
+        points: 200,
+        seed: 1,
+        samples: 1,
+    };
+    generate("room", &path, &options).unwrap();
+    path
+}
+
+#[test]
+fn devices_lists_the_default_and_says_why() {
+    let list: serde_json::Value = serde_json::from_str(&done(&["devices", "--json"])).unwrap();
+    assert!(!list["devices"].as_array().unwrap().is_empty());
+    assert!(list["default"].is_u64());
+    assert!(done(&["devices"]).contains("* is the default"));
+}
+
+#[test]
+fn a_device_nobody_has_is_refused_from_flag_and_from_environment() {
+    let by_flag = mhsplat(&["verify", "--device", "abacus"]);
+    assert_eq!(by_flag.status.code(), Some(2));
+    assert!(stderr(&by_flag).contains("abacus"));
+    let by_variable = program()
+        .arg("verify")
+        .env("MHSPLAT_DEVICE", "abacus")
+        .output()
+        .unwrap();
+    assert_eq!(by_variable.status.code(), Some(2));
+}
+
+#[test]
+fn verify_passes_here_and_speaks_json() {
+    let v: serde_json::Value = serde_json::from_str(&done(&["verify", "--json"])).unwrap();
+    assert_eq!(v["suite"], "quick");
+    assert_eq!(v["failed"], 0);
+    assert_eq!(v["passed"], v["cases"].as_array().unwrap().len());
+    let keys = [
+        "family",
+        "case",
+        "stage",
+        "quantity",
+        "max_rel_error",
+        "median_rel_error",
+        "bound",
+        "non_finite",
+        "flips",
+        "pass",
+    ];
+    for key in keys {
+        assert!(!v["cases"][0][key].is_null(), "{key}");
+    }
+}
+
+#[test]
+fn usage_errors_exit_with_2() {
+    for args in [
+        vec!["train"],
+        vec!["train", "x", "--iterations", "many"],
+        vec!["frobnicate"],
+        vec!["render", "x.ply", "-o", "y"],
+    ] {
+        assert_eq!(mhsplat(&args).status.code(), Some(2), "{args:?}");
+    }
+    assert!(done(&["--help"]).contains("Exit codes"));
+    assert!(done(&["train", "--help"]).contains("--max-size"));
+}

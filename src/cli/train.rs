@@ -90,11 +90,12 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         (Some(dir), _) | (None, Some(dir)) => dir.clone(),
         (None, None) => PathBuf::from("run"),
     };
+    // Before the device: some drivers' compilers set handlers that end the process, and whoever comes first is asked last.
+    let stop = stop_flag()?;
     let device = Device::open(common.device.as_deref())?;
     if args.resume.is_none() {
         claim_folder(&dir)?;
     }
-    let stop = stop_flag()?;
     let mut run = match prepare(args, &dir, config, &device) {
         Ok(run) => run,
         Err(error) => {

@@ -105,6 +105,13 @@ fn read(root: &Path, file: &Path) -> Result<(Vec<RawView>, Option<String>)> {
         let fix = "a list `frames` with `file_path` and a 4×4 `transform_matrix` each is expected";
         Error::input(file, e.to_string(), fix)
     })?;
+    if parsed.frames.is_empty() {
+        return Err(Error::input(
+            file,
+            "no view in `frames`",
+            "list one frame per photo, with `file_path` and `transform_matrix`",
+        ));
+    }
     let mut found = Vec::with_capacity(parsed.frames.len());
     let mut missing = Vec::new();
     for frame in &parsed.frames {

@@ -93,6 +93,7 @@ impl Defines {
         real("ALPHA_MAX", tuning::ALPHA_MAX);
         real("LOG2_ALPHA_MIN", self.alpha_min.log2());
         real("T_MIN", tuning::T_MIN);
+        real("COLOR_MAX", tuning::COLOR_MAX);
         real("BLUR", tuning::BLUR);
         real("TILE_SLACK", tuning::TILE_SLACK);
         real("LOG_SCALE_MIN", tuning::LOG_SCALE[0]);

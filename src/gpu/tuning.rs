@@ -2,7 +2,7 @@
 
 use super::device::{DeviceInfo, DeviceKind};
 pub use crate::constants::{
-    ALPHA_MAX, ALPHA_MIN, BLUR, LOG_SCALE, NEAR, SUMS, T_MIN, TILE, TILE_SLACK,
+    ALPHA_MAX, ALPHA_MIN, BLUR, COLOR_MAX, LOG_SCALE, NEAR, SUMS, T_MIN, TILE, TILE_SLACK,
 };
 
 /// Key of a Gaussian that is not visible.
@@ -32,7 +32,7 @@ pub struct Tuning {
     pub block_width: u32,
     /// A work-group per tile instead of a work-item per tile.
     pub group_style: bool,
-    /// Work-items per group for kernels with a work-item per Gaussian.
+    /// Gaussians per group of the kernels that take them one by one or by vectors.
     pub local: usize,
     /// Chunks of the scan and sort kernels.
     pub chunks: usize,
@@ -76,6 +76,12 @@ impl Tuning {
             DeviceKind::Cpu => Self::CPU,
             _ => Self::GPU,
         }
+    }
+
+    /// Local size of kernels in which a work-item takes a vector of Gaussians.
+    #[must_use]
+    pub fn lane_local(&self) -> usize {
+        (self.local / self.vector_width as usize).max(1)
     }
 
     /// Local size of kernels with a work-item per tile or per chunk.

@@ -20,7 +20,7 @@ pub mod sort;
 pub mod splat;
 pub mod splat_grad;
 
-pub use crate::constants::{ALPHA_MAX, BLUR, LOG_SCALE, T_MIN};
+pub use crate::constants::{ALPHA_MAX, BLUR, COLOR_MAX, LOG_SCALE, T_MIN};
 use crate::dataset::Camera;
 use crate::model::{Plane, Splats};
 

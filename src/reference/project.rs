@@ -1,8 +1,8 @@
 //! Twin of `kernels/project.cl`: raw Gaussians → records of one camera.
 
 use super::{
-    BLUR, Camera64, LOG_SCALE, Options, Scene64, product, rotation, sh, sigmoid, transpose,
-    unit_quaternion,
+    BLUR, COLOR_MAX, Camera64, LOG_SCALE, Options, Scene64, product, rotation, sh, sigmoid,
+    transpose, unit_quaternion,
 };
 use crate::model::{Plane, sh_coefficients};
 
@@ -168,11 +168,8 @@ pub fn project(
         depth: o.t[2],
         bounds,
     };
-    let finite = [record.a, record.r, record.c]
-        .iter()
-        .chain(&rgb)
-        .all(|v| v.is_finite());
-    finite.then_some(record)
+    let finite = [record.a, record.r, record.c].iter().all(|v| v.is_finite());
+    (finite && rgb.iter().all(|v| v.abs() < COLOR_MAX)).then_some(record)
 }
 
 impl Record64 {

@@ -9,6 +9,7 @@ use crate::gpu::{Array, CameraArg, Kernel, Kernels, Real};
 pub struct Importance {
     kernel: Kernel,
     local: usize,
+    lanes: usize,
 }
 
 /// Arguments of [`Importance::run`].
@@ -43,7 +44,8 @@ impl Importance {
         let [kernel] = kernels.build::<R, 1>("importance", ["importance"])?;
         Ok(Self {
             kernel,
-            local: kernels.defines().tuning.local,
+            local: kernels.defines().tuning.lane_local(),
+            lanes: kernels.defines().tuning.vector_width as usize,
         })
     }
 
@@ -66,6 +68,6 @@ impl Importance {
             .array(a.ssim, a.count)
             .array(a.l1, a.count)
             .array(a.views, a.count)
-            .run([a.count, 1], [self.local, 1])
+            .run([a.count.div_ceil(self.lanes), 1], [self.local, 1])
     }
 }

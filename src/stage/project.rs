@@ -9,6 +9,7 @@ use crate::model::Plane;
 pub struct Project {
     kernel: Kernel,
     local: usize,
+    lanes: usize,
     planes: usize,
 }
 
@@ -43,7 +44,8 @@ impl Project {
         let defines = kernels.defines();
         Ok(Self {
             kernel,
-            local: defines.tuning.local,
+            local: defines.tuning.lane_local(),
+            lanes: defines.tuning.vector_width as usize,
             planes: Plane::count(defines.sh_degree),
         })
     }
@@ -63,6 +65,6 @@ impl Project {
             .array(a.records, a.count)
             .array(a.keys, a.count)
             .array(a.pair_counts, a.count)
-            .run([a.count, 1], [self.local, 1])
+            .run([a.count.div_ceil(self.lanes), 1], [self.local, 1])
     }
 }

@@ -9,6 +9,7 @@ use crate::model::Plane;
 pub struct ProjectGrad {
     kernel: Kernel,
     local: usize,
+    lanes: usize,
     planes: usize,
 }
 
@@ -47,7 +48,8 @@ impl ProjectGrad {
         let defines = kernels.defines();
         Ok(Self {
             kernel,
-            local: defines.tuning.local,
+            local: defines.tuning.lane_local(),
+            lanes: defines.tuning.vector_width as usize,
             planes: Plane::count(defines.sh_degree),
         })
     }
@@ -70,6 +72,6 @@ impl ProjectGrad {
             .value(R::of(a.lambda_opacity / n))
             .value(R::of(a.lambda_scale / (3.0 * n)))
             .array(a.grads, self.planes * a.stride)
-            .run([a.count, 1], [self.local, 1])
+            .run([a.count.div_ceil(self.lanes), 1], [self.local, 1])
     }
 }

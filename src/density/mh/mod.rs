@@ -12,11 +12,12 @@ pub mod sparsity;
 
 use super::rng::{Philox, Purpose};
 use super::{Cues, DensityControl, DensityStats, Edit, Outcome, SceneState, StepContext};
-use crate::config::MhConfig;
+use crate::config::{Birth, MhConfig};
 use crate::error::{Error, Result};
 use propose::{Categorical, birth_position, gather};
 use rayon::prelude::*;
 use relocate::Relocation;
+use rustc_hash::FxHashSet;
 use sparsity::VoxelCounts;
 
 /// Density control by Metropolis–Hastings births and relocation.
@@ -230,7 +231,7 @@ impl DensityControl for MetropolisHastings {
             let decisions = self.decide(&step, phase, &counts);
             births.take(k, &decisions, &mut counts);
         }
-        Ok(births.finish(&relocation, &counts))
+        Ok(births.finish(c.birth, scene, relocation, &counts))
     }
 
     fn save(&self) -> serde_json::Value {
@@ -296,7 +297,13 @@ impl Births {
         }
     }
 
-    fn finish(mut self, relocation: &Relocation, counts: &VoxelCounts) -> Outcome {
+    fn finish(
+        mut self,
+        form: Birth,
+        scene: &SceneState<'_>,
+        relocation: Relocation,
+        counts: &VoxelCounts,
+    ) -> Outcome {
         let stats = &mut self.stats;
         stats.proposed = stats.coarse[0] + stats.fine[0];
         stats.accepted = stats.coarse[1] + stats.fine[1];
@@ -305,7 +312,19 @@ impl Births {
         if stats.proposed > 0 {
             stats.mean_prior = self.prior_sum / stats.proposed as f64;
         }
-        let mut edits = relocation.edits.clone();
+        if form == Birth::Split {
+            let sources = relocate::share(&mut self.edits, scene);
+            self.edits.extend(sources);
+        }
+        // What birth made of a source replaces what relocation had made of it.
+        let split: FxHashSet<u32> = self
+            .edits
+            .iter()
+            .filter(|e| e.src == e.dst)
+            .map(|e| e.dst)
+            .collect();
+        let mut edits = relocation.edits;
+        edits.retain(|e| !split.contains(&e.dst));
         edits.append(&mut self.edits);
         Outcome {
             edits,

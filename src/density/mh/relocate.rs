@@ -5,6 +5,7 @@ use crate::density::relocation::{sigmoid, split};
 use crate::density::rng::{Philox, Purpose};
 use crate::density::{Edit, SceneState, StepContext};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Which rows live, and what relocation made of them.
 #[derive(Debug, Clone)]
@@ -130,4 +131,45 @@ fn is_alive(scene: &SceneState<'_>, row: usize, threshold: f64) -> bool {
         && finite(&scene.positions, row)
         && finite(&scene.log_scales, row)
         && finite(&scene.rotations, row)
+}
+
+/// Lets births share opacity and scale with their sources: a source with m births becomes 1 + m equal parts, itself being
+/// one. Changes the births in place and answers the edits of the sources, rising.
+pub(super) fn share(births: &mut [Edit], scene: &SceneState<'_>) -> Vec<Edit> {
+    let mut families: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (k, birth) in births.iter().enumerate() {
+        families.entry(birth.src).or_default().push(k);
+    }
+    let mut sources = Vec::with_capacity(families.len());
+    for (source, members) in families {
+        let (Some(position), Some(first)) = (
+            gather(&scene.positions, source as usize),
+            members.first().and_then(|k| births.get(*k)).copied(),
+        ) else {
+            continue;
+        };
+        let copies = u32::try_from(members.len())
+            .unwrap_or(u32::MAX)
+            .saturating_add(1);
+        let part = split(f64::from(first.opacity_logit), copies);
+        let log_scale = first
+            .log_scale
+            .map(|s| (f64::from(s) + part.log_scale_offset) as f32);
+        let opacity_logit = part.opacity_logit as f32;
+        for k in members {
+            births[k] = Edit {
+                log_scale,
+                opacity_logit,
+                ..births[k]
+            };
+        }
+        sources.push(Edit {
+            src: source,
+            dst: source,
+            position,
+            log_scale,
+            opacity_logit,
+        });
+    }
+    sources
 }

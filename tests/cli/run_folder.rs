@@ -1,0 +1,229 @@
+//! What train leaves behind, and what eval and render make of it.
+
+use std::fs;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use super::{done, mhsplat, program, room, stderr, text};
+
+fn json(text: &str) -> Value {
+    serde_json::from_str(text).unwrap()
+}
+
+fn train(run: &Path, more: &[&str]) -> Value {
+    let room = room();
+    let mut args = vec!["train", room.as_str(), "-o", text(run), "--json"];
+    args.extend(["--max-size", "64", "--iterations", "80"]);
+    args.extend(more);
+    json(&done(&args))
+}
+
+#[test]
+fn the_run_folder_keeps_the_contract() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let printed = train(&run, &["--seed", "3"]);
+    assert_eq!(
+        printed,
+        json(&fs::read_to_string(run.join("run.json")).unwrap())
+    );
+    for key in "version commit config seed dataset device plan iterations gaussians train_seconds wall_seconds cpu_seconds \
+                peak_rss_bytes stages density final"
+        .split_whitespace()
+    {
+        assert!(!printed[key].is_null(), "run.json lacks {key}");
+    }
+    assert_eq!(printed["seed"], 3);
+    assert_eq!(printed["iterations"], 80);
+    assert_eq!(printed["dataset"]["train_views"], 35);
+    assert_eq!(printed["dataset"]["test_views"], 5);
+    assert_eq!(printed["dataset"]["width"], 64);
+    assert_eq!(printed["final"]["per_view"].as_array().unwrap().len(), 5);
+    assert!(!printed["plan"]["left_out"].as_array().unwrap().is_empty());
+    assert!(printed["density"]["proposed"].as_u64() > Some(0));
+    let table = fs::read_to_string(run.join("metrics.csv")).unwrap();
+    let mut lines = table.lines();
+    assert_eq!(
+        lines.next(),
+        Some(
+            "iteration,train_seconds,wall_seconds,cpu_seconds,loss,psnr,ssim,gaussians,proposed,accepted,relocated,pruned,non_finite"
+        )
+    );
+    let last = lines.next_back().unwrap();
+    assert!(last.starts_with("80,") && last.ends_with(",0"), "{last}");
+    let report = fs::read_to_string(run.join("report.html")).unwrap();
+    assert!(report.contains("<svg") && report.contains("data:image/"));
+    assert!(run.join("checkpoint").is_dir());
+
+    evaluated_alike(&run, &printed);
+    rendered(&run, dir.path());
+}
+
+fn evaluated_alike(run: &Path, record: &Value) {
+    let scores = json(&done(&["eval", text(run), &room(), "--json"]));
+    for key in ["psnr", "ssim"] {
+        let (a, b) = (&scores[key], &record["final"][key]);
+        let difference = (a.as_f64().unwrap() - b.as_f64().unwrap()).abs();
+        // The scene went through the dataset's frame and back: f32 rounding of positions and scales.
+        assert!(difference < 1e-3, "{key}: {a} against {b}");
+    }
+    let missed = mhsplat(&["eval", text(run), &room(), "--require-psnr", "99"]);
+    assert_eq!(missed.status.code(), Some(1));
+    let met = mhsplat(&["eval", text(run), &room(), "--require-psnr", "1"]);
+    assert_eq!(met.status.code(), Some(0));
+}
+
+fn rendered(run: &Path, dir: &Path) {
+    for what in ["color", "depth", "alpha", "error"] {
+        let folder = dir.join(what);
+        let room = room();
+        let args = [
+            "render",
+            text(run),
+            "--dataset",
+            &room,
+            "-o",
+            text(&folder),
+            "--what",
+            what,
+            "--json",
+        ];
+        let listed = json(&done(&args));
+        let images = listed["images"].as_array().unwrap();
+        assert_eq!(images.len(), 5);
+        let picture = image::open(images[0].as_str().unwrap()).unwrap().to_rgb8();
+        assert_eq!(picture.dimensions(), (64, 48));
+        let first = picture.get_pixel(0, 0);
+        assert!(
+            picture.pixels().any(|p| p != first),
+            "{what} is one flat colour"
+        );
+        assert_eq!(
+            mhsplat(&args).status.code(),
+            Some(2),
+            "an existing folder must be refused"
+        );
+    }
+    let ply = run.join("scene.ply");
+    let orbit = dir.join("orbit");
+    let args = [
+        "render",
+        text(&ply),
+        "--orbit",
+        "2",
+        "-o",
+        text(&orbit),
+        "--width",
+        "40",
+        "--height",
+        "30",
+    ];
+    done(&args);
+    assert_eq!(fs::read_dir(&orbit).unwrap().count(), 2);
+}
+
+#[test]
+fn same_seed_same_scene_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = |name: &str, seed: &str| {
+        let run = dir.path().join(name);
+        train(&run, &["--seed", seed]);
+        fs::read(run.join("scene.ply")).unwrap()
+    };
+    let first = scene("a", "1");
+    assert!(first == scene("b", "1"), "two runs at one seed differ");
+    assert!(first != scene("c", "2"), "the seed has no effect");
+}
+
+#[test]
+fn a_recorded_configuration_trains_the_same_scene_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let (a, b) = (dir.path().join("a"), dir.path().join("b"));
+    train(&a, &["--seed", "4", "--sh-degree", "1"]);
+    let config = a.join("run.json");
+    let room = room();
+    done(&["train", &room, "-o", text(&b), "--config", text(&config)]);
+    let scene = |run: &Path| fs::read(run.join("scene.ply")).unwrap();
+    assert!(scene(&a) == scene(&b));
+}
+
+#[test]
+fn ctrl_c_leaves_a_checkpoint_that_resumes_to_the_same_scene() {
+    let dir = tempfile::tempdir().unwrap();
+    let (whole, cut) = (dir.path().join("whole"), dir.path().join("cut"));
+    let room = room();
+    let common = [
+        "--max-size",
+        "64",
+        "--iterations",
+        "1500",
+        "--checkpoint-every",
+        "0",
+    ];
+    let with = |run: &Path| {
+        let mut command = program();
+        command
+            .args(["train", &room, "-o", text(run)])
+            .args(common)
+            .stderr(Stdio::null());
+        command
+    };
+    let mut child = with(&cut).spawn().unwrap();
+    // Once the first evaluation has been written, it is training.
+    let metrics = cut.join("metrics.csv");
+    let started = Instant::now();
+    while fs::read_to_string(&metrics).map_or(0, |t| t.lines().count()) < 2 {
+        assert!(started.elapsed() < Duration::from_secs(120));
+        assert!(child.try_wait().unwrap().is_none(), "ended too early");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let killed = std::process::Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(killed.success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let record = json(&fs::read_to_string(cut.join("run.json")).unwrap());
+    assert!(record["iterations"].as_u64() < Some(1500));
+    done(&["train", &room, "--resume", text(&cut)]);
+    let status = with(&whole).stdout(Stdio::null()).status().unwrap();
+    assert!(status.success());
+    let scene = |run: &Path| fs::read(run.join("scene.ply")).unwrap();
+    assert!(scene(&whole) == scene(&cut));
+    let resumed = fs::read_to_string(cut.join("metrics.csv")).unwrap();
+    let straight = fs::read_to_string(whole.join("metrics.csv")).unwrap();
+    let iterations = |t: &str| -> Vec<String> {
+        t.lines()
+            .map(|l| l.split(',').next().unwrap().to_owned())
+            .collect()
+    };
+    assert_eq!(iterations(&resumed), iterations(&straight));
+}
+
+#[test]
+fn a_missed_bar_is_1_and_a_time_budget_ends_the_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let room = room();
+    let args = [
+        "train",
+        &room,
+        "-o",
+        text(&run),
+        "--max-size",
+        "64",
+        "--time-budget",
+        "2s",
+        "--require-psnr",
+        "99",
+        "--json",
+    ];
+    let output = mhsplat(&args);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let record = json(&super::stdout(&output));
+    assert!(record["iterations"].as_u64() < Some(30_000));
+    assert!(run.join("scene.ply").exists());
+}
