@@ -58,7 +58,8 @@ pub struct LossConfig {
     pub lambda_ssim: f32,
     /// λ_o: weight of the mean opacity.
     pub lambda_opacity: f32,
-    /// λ_s: weight of the mean scale, in local units (scene extent 1).
+    /// λ_s: weight of the mean scale, in local units (scene extent 1). The papers' 0.01 is per world unit, and their scenes
+    /// have an extent of about five.
     pub lambda_scale: f32,
 }
 
@@ -67,7 +68,7 @@ impl Default for LossConfig {
         Self {
             lambda_ssim: 0.2,
             lambda_opacity: 0.01,
-            lambda_scale: 0.01,
+            lambda_scale: 0.05,
         }
     }
 }
@@ -96,8 +97,8 @@ pub struct OptimizerConfig {
     pub lr_scale: f32,
     /// Quaternion.
     pub lr_rotation: f32,
-    /// Factor that every rate but the position's has reached at the end (log-linear in between; 1 in the papers).
-    pub lr_decay: f32,
+    /// Whether runs shorter than the papers' 30,000 iterations take larger steps (see `Schedule::rates`).
+    pub lr_scales_with_run: bool,
     /// Iterations between two SH bands, for 30,000 iterations (scales with the run).
     pub sh_interval: u32,
 }
@@ -115,7 +116,7 @@ impl Default for OptimizerConfig {
             lr_opacity: 0.025,
             lr_scale: 5e-3,
             lr_rotation: 1e-3,
-            lr_decay: 1.0,
+            lr_scales_with_run: true,
             sh_interval: 1000,
         }
     }
@@ -290,7 +291,6 @@ impl OptimizerConfig {
             o.lr_position_final,
             o.lr_sh0,
             o.lr_sh,
-            o.lr_decay,
             o.lr_opacity,
             o.lr_scale,
             o.lr_rotation,

@@ -2,6 +2,7 @@
 
 mod control;
 mod state;
+mod warm_up;
 
 pub use control::DensityEvent;
 pub use state::TrainerState;
@@ -14,7 +15,7 @@ use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::{Tuning, status};
-use crate::gpu::{Array, Defines, Device, EditRow, Kernels, PendingRead, StageTime};
+use crate::gpu::{Array, Defines, Device, Kernels, PendingRead, StageTime};
 use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::schedule::Schedule;
@@ -66,25 +67,6 @@ pub struct Trainer {
     overflows: u64,
 }
 
-/// One build of the stage for every SH degree that training passes through.
-fn project_grad_per_degree(
-    device: &Device,
-    defines: Defines,
-    highest: u32,
-) -> Result<Vec<ProjectGrad>> {
-    (0..=highest)
-        .map(|sh_degree| {
-            ProjectGrad::new::<f32>(&Kernels::new(
-                device,
-                Defines {
-                    sh_degree,
-                    ..defines
-                },
-            ))
-        })
-        .collect()
-}
-
 impl Trainer {
     /// Uploads the training views and the scene, builds every kernel and runs each once over nothing, so that no later
     /// iteration waits for a compiler.
@@ -125,7 +107,7 @@ impl Trainer {
             moment2: state("moment2")?,
             renderer: Renderer::new(device, defines, degree, true)?,
             splat_grad: SplatGrad::new::<f32>(&kernels)?,
-            project_grad: project_grad_per_degree(device, defines, degree)?,
+            project_grad: warm_up::project_grad_per_degree(device, defines, degree)?,
             adam: Adam::new::<f32>(&kernels)?,
             importance: Importance::new::<f32>(&kernels)?,
             edit: Edit::new::<f32>(&kernels)?,
@@ -147,48 +129,6 @@ impl Trainer {
         };
         trainer.warm_up()?;
         Ok(trainer)
-    }
-
-    /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the pair arrays by rendering each view.
-    fn warm_up(&mut self) -> Result<()> {
-        let count = std::mem::take(&mut self.scene.count);
-        for degree in 0..=self.config.sh_degree {
-            self.fit_views()?;
-            self.enqueue_step(0, degree)?;
-        }
-        self.error_maps(0)?;
-        let cues = [
-            Array::zeros(&self.device, "cues", 1)?,
-            Array::zeros(&self.device, "cues", 1)?,
-        ];
-        self.accumulate(0, true, &cues, &Array::zeros(&self.device, "cues", 1)?)?;
-        let edits = Array::from_slice(&self.device, "edits", &[EditRow::default()])?;
-        let spare = self.scene.stride as u32 - 1;
-        edits.write(
-            0,
-            &[EditRow {
-                src: spare,
-                dst: spare,
-                ..EditRow::default()
-            }],
-        )?;
-        self.apply_edits(&edits)?;
-        self.scene.count = count;
-        for moment in [&self.moment1, &self.moment2] {
-            moment.clear()?;
-        }
-        for v in 0..self.views.len() {
-            let options = self.options(0, 0);
-            self.renderer
-                .render(&self.scene, &self.views.cameras[v], &options)?;
-            let pairs = self.renderer.frame.status.read(status::PAIRS as usize, 1)?[0];
-            self.most_pairs = self.most_pairs.max(pairs as usize);
-        }
-        self.fit_views()?;
-        self.device.finish()?;
-        self.device.collect_times(usize::MAX)?;
-        self.device.reset_times();
-        Ok(())
     }
 
     /// Makes the arrays fit the scene, the largest image, and the pairs seen so far with a quarter to spare.

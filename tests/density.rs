@@ -2,6 +2,7 @@
 
 mod chain;
 mod parts;
+mod sharing;
 mod step;
 mod voxels;
 

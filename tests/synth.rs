@@ -197,14 +197,17 @@ fn frames(root: &Path) -> (Vec<(PathBuf, DMat3, DVec3)>, f64) {
     let frames = json["frames"].as_array().unwrap().iter().map(|f| {
         let m = |i: usize, j: usize| f["transform_matrix"][i][j].as_f64().unwrap();
         let column = |j: usize| DVec3::new(m(0, j), m(1, j), m(2, j));
-        let file = root.join(format!("{}.png", f["file_path"].as_str().unwrap()));
+        let file = root.join(f["file_path"].as_str().unwrap());
         (
             file,
             DMat3::from_cols(column(0), -column(1), -column(2)),
             column(3),
         )
     });
-    (frames.collect(), json["fl_x"].as_f64().unwrap())
+    (
+        frames.collect(),
+        json["frames"][0]["fl_x"].as_f64().unwrap(),
+    )
 }
 
 #[test]

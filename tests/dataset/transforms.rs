@@ -165,7 +165,7 @@ fn what_cannot_be_used_is_refused() {
             |v| v["frames"][0]["file_path"] = json!("b.png"),
             &["1 of 2", "b.png"],
         ),
-        (|v| v["frames"] = json!([]), &["none is left"]),
+        (|v| v["frames"] = json!([]), &["transforms.json", "no view"]),
         (|v| v["frames"] = json!(3), &["frames"]),
     ];
     for (change, words) in cases {

@@ -1,7 +1,7 @@
 //! The whole density step, its contract and its reproducibility.
 
 use super::{Scene, on_threads};
-use mhsplat::config::{MhConfig, Sampler, TrainConfig};
+use mhsplat::config::{Birth, MhConfig, Sampler, TrainConfig};
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::relocation::sigmoid;
 use mhsplat::density::{
@@ -9,7 +9,7 @@ use mhsplat::density::{
 };
 use std::collections::{HashMap, HashSet};
 
-fn context(iteration: u32, progress: f64, seed: u64) -> StepContext {
+pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext {
     StepContext {
         iteration,
         progress,
@@ -18,14 +18,22 @@ fn context(iteration: u32, progress: f64, seed: u64) -> StepContext {
     }
 }
 
-fn step(scene: &Scene, context: &StepContext) -> Outcome {
-    MetropolisHastings::new(&MhConfig::default())
+pub fn step(scene: &Scene, context: &StepContext) -> Outcome {
+    step_with(Birth::Split, scene, context)
+}
+
+pub fn step_with(birth: Birth, scene: &Scene, context: &StepContext) -> Outcome {
+    let config = MhConfig {
+        birth,
+        ..MhConfig::default()
+    };
+    MetropolisHastings::new(&config)
         .step(context, &scene.state(), &scene.cues())
         .unwrap()
 }
 
 /// What the documentation of [`Edit`] promises, as a list of breaches.
-fn breaches(n: usize, outcome: &Outcome) -> Vec<String> {
+pub fn breaches(n: usize, outcome: &Outcome) -> Vec<String> {
     let mut found = Vec::new();
     let mut dst = HashSet::new();
     let changed: HashMap<u32, u32> = outcome.edits.iter().map(|e| (e.dst, e.src)).collect();
@@ -55,7 +63,7 @@ fn breaches(n: usize, outcome: &Outcome) -> Vec<String> {
 }
 
 /// A scene in which every seventh Gaussian is dead, two of them because they are broken.
-fn dying(n: usize) -> Scene {
+pub fn dying(n: usize) -> Scene {
     let mut scene = Scene::random(n, 21);
     for i in (0..n).step_by(7) {
         scene.logits[i] = -6.0;
@@ -82,7 +90,7 @@ fn edits_obey_their_contract() {
 
 #[test]
 fn a_breach_of_the_contract_is_noticed() {
-    let good = step(&dying(700), &context(700, 0.1, 1));
+    let good = step_with(Birth::Copy, &dying(700), &context(700, 0.1, 1));
     let broken = |change: &dyn Fn(&mut Vec<Edit>)| {
         let mut outcome = good.clone();
         change(&mut outcome.edits);
@@ -100,60 +108,6 @@ fn a_breach_of_the_contract_is_noticed() {
     assert!(!broken(&|e| e[0].src = 700).is_empty());
     let moved = good.edits.iter().find(|e| e.src != e.dst).unwrap().dst;
     assert!(!broken(&|e| e[0].src = moved).is_empty());
-}
-
-#[test]
-fn relocation_keeps_the_rendered_opacity_and_shares_it() {
-    let scene = dying(7000);
-    let outcome = step(&scene, &context(700, 0.1, 1));
-    let mut groups: HashMap<u32, Vec<&Edit>> = HashMap::new();
-    for e in outcome.edits.iter().filter(|e| (e.dst as usize) < 7000) {
-        groups.entry(e.src).or_default().push(e);
-    }
-    assert!(
-        groups.values().any(|g| g.len() > 2),
-        "a source drawn twice is wanted here"
-    );
-    for (src, group) in &groups {
-        let i = *src as usize;
-        assert!(!i.is_multiple_of(7), "a dead row was drawn as a source");
-        assert!(
-            group.iter().any(|e| e.dst == *src),
-            "the source itself keeps the old opacity"
-        );
-        let pass = |l: f32| sigmoid(-f64::from(l));
-        let after: f64 = group.iter().map(|e| pass(e.opacity_logit)).product();
-        assert!((after - pass(scene.logits[i])).abs() < 1e-6);
-        for e in group {
-            assert_eq!(e.position, [0, 1, 2].map(|k| scene.positions[k][i]));
-            let offset: Vec<f32> = (0..3)
-                .map(|k| e.log_scale[k] - scene.log_scales[k][i])
-                .collect();
-            assert!(
-                offset
-                    .iter()
-                    .all(|o| *o < 0.0 && (o - offset[0]).abs() < 1e-5)
-            );
-        }
-    }
-    // Births copy what relocation left, not what was there before.
-    let births: Vec<&Edit> = outcome
-        .edits
-        .iter()
-        .filter(|e| e.dst as usize >= 7000)
-        .collect();
-    let of_split = births
-        .iter()
-        .filter(|b| groups.contains_key(&b.src))
-        .count();
-    assert!(of_split > 0);
-    for b in births {
-        assert!(!b.src.is_multiple_of(7), "a dead row gave birth");
-        let logit = groups
-            .get(&b.src)
-            .map_or(scene.logits[b.src as usize], |g| g[0].opacity_logit);
-        assert_eq!(b.opacity_logit, logit);
-    }
 }
 
 #[test]
@@ -205,13 +159,16 @@ fn one_survivor_takes_all() {
 #[test]
 fn the_upper_bound_holds() {
     let scene = dying(3000);
-    let free = step(&scene, &context(700, 0.1, 1));
+    let free = step_with(Birth::Copy, &scene, &context(700, 0.1, 1));
     for limit in [3000 + 10, 3000, 100, free.len, free.len + 1] {
         let bounded = StepContext {
             max_gaussians: Some(limit),
             ..context(700, 0.1, 1)
         };
-        let outcome = step(&scene, &bounded);
+        let split = step(&scene, &bounded);
+        assert_eq!(breaches(3000, &split), Vec::<String>::new());
+        let outcome = step_with(Birth::Copy, &scene, &bounded);
+        assert_eq!(split.len, outcome.len);
         assert_eq!(outcome.len, limit.min(free.len).max(3000));
         assert_eq!(outcome.stats.accepted as usize, outcome.len - 3000);
         assert_eq!(breaches(3000, &outcome), Vec::<String>::new());

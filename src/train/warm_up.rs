@@ -1,0 +1,70 @@
+//! What happens before the first iteration: every kernel is built and run once.
+
+use super::Trainer;
+use crate::error::Result;
+use crate::gpu::tuning::status;
+use crate::gpu::{Array, Defines, Device, EditRow, Kernels};
+use crate::stage::project_grad::ProjectGrad;
+
+/// One build of the stage for every SH degree that training passes through.
+pub(super) fn project_grad_per_degree(
+    device: &Device,
+    defines: Defines,
+    highest: u32,
+) -> Result<Vec<ProjectGrad>> {
+    (0..=highest)
+        .map(|sh_degree| {
+            ProjectGrad::new::<f32>(&Kernels::new(
+                device,
+                Defines {
+                    sh_degree,
+                    ..defines
+                },
+            ))
+        })
+        .collect()
+}
+
+impl Trainer {
+    /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the pair arrays by rendering each view.
+    pub(super) fn warm_up(&mut self) -> Result<()> {
+        let count = std::mem::take(&mut self.scene.count);
+        for degree in 0..=self.config.sh_degree {
+            self.fit_views()?;
+            self.enqueue_step(0, degree)?;
+        }
+        self.error_maps(0)?;
+        let cues = [
+            Array::zeros(&self.device, "cues", 1)?,
+            Array::zeros(&self.device, "cues", 1)?,
+        ];
+        self.accumulate(0, true, &cues, &Array::zeros(&self.device, "cues", 1)?)?;
+        let edits = Array::from_slice(&self.device, "edits", &[EditRow::default()])?;
+        let spare = self.scene.stride as u32 - 1;
+        edits.write(
+            0,
+            &[EditRow {
+                src: spare,
+                dst: spare,
+                ..EditRow::default()
+            }],
+        )?;
+        self.apply_edits(&edits)?;
+        self.scene.count = count;
+        for moment in [&self.moment1, &self.moment2] {
+            moment.clear()?;
+        }
+        for v in 0..self.views.len() {
+            let options = self.options(0, 0);
+            self.renderer
+                .render(&self.scene, &self.views.cameras[v], &options)?;
+            let pairs = self.renderer.frame.status.read(status::PAIRS as usize, 1)?[0];
+            self.most_pairs = self.most_pairs.max(pairs as usize);
+        }
+        self.fit_views()?;
+        self.device.finish()?;
+        self.device.collect_times(usize::MAX)?;
+        self.device.reset_times();
+        Ok(())
+    }
+}
