@@ -7,8 +7,8 @@ use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::mh::importance::importance;
 use mhsplat::density::mh::sparsity::VoxelCounts;
 use mhsplat::density::relocation::split;
-use mhsplat::density::rng::{Philox, Purpose};
 use mhsplat::density::{Cues, DensityControl, SceneState, StepContext};
+use mhsplat::rng::{Philox, Purpose};
 use std::hint::black_box;
 
 const N: usize = 1_000_000;
@@ -56,6 +56,15 @@ fn density(c: &mut Criterion) {
         max_gaussians: None,
     };
     let mut mh = MetropolisHastings::new(&MhConfig::default());
+    // The difference of the two is what proposing and deciding costs.
+    let mut still = MetropolisHastings::new(&MhConfig {
+        coarse_proposals: 0,
+        fine_proposals: 0,
+        ..MhConfig::default()
+    });
+    group.bench_function("whole step 1M, no draws", |b| {
+        b.iter(|| still.step(black_box(&context), &scene, &cues).unwrap().len);
+    });
     group.bench_function("whole step 1M, 20,500 draws", |b| {
         b.iter(|| mh.step(black_box(&context), &scene, &cues).unwrap().len);
     });

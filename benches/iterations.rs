@@ -37,6 +37,12 @@ fn main() {
     let device = Device::open(None).unwrap();
     let splats = initial_splats(&data, &config).unwrap();
     let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+    let times = measure(&mut trainer, iterations);
+    print(times, &trainer);
+}
+
+/// Seconds, iteration and what happened, of every iteration that counts.
+fn measure(trainer: &mut Trainer, iterations: u32) -> Vec<(f64, u32, &'static str)> {
     let mut times: Vec<(f64, u32, &str)> = Vec::new();
     let mut quiet = 0;
     while trainer.iteration() < iterations {
@@ -61,6 +67,10 @@ fn main() {
             times.push((seconds, at, what));
         }
     }
+    times
+}
+
+fn print(mut times: Vec<(f64, u32, &str)>, trainer: &Trainer) {
     times.sort_by(|a, b| a.0.total_cmp(&b.0));
     let at = |q: f64| times[((times.len() - 1) as f64 * q) as usize].0 * 1e3;
     println!(

@@ -11,8 +11,8 @@ use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use glam::{DMat3, DVec3};
 use mhsplat::config::Sampler;
 use mhsplat::dataset::{Frame, Layout, Photo, Points};
-use mhsplat::density::rng::{Philox, Purpose};
 use mhsplat::model::{Plane, Splats};
+use mhsplat::rng::{Philox, Purpose};
 use mhsplat::{Camera, Dataset, Device, TrainConfig, Trainer, View};
 
 const STAGES: [&str; 9] = [

@@ -1,6 +1,7 @@
-// edit: writes the rows that density control decided on. Row src is copied to dst, then position, log-scale and opacity
-// are replaced and the moments of dst are zeroed. Launch: (edits, planes) work-items; the order of edits does not matter
-// (no dst of one edit is the src of another, unless src == dst).
+// edit: writes the rows that density control decided on. Rotation and SH coefficients of row src are copied to dst;
+// position, log-scale and opacity are replaced; the moments of dst are zeroed. Launch: (edits, planes) work-items. The
+// order of edits does not matter: no dst is named twice, and a row that is a src is a dst only of its own edit, which
+// writes none of the planes that others copy.
 
 typedef struct {
   uint src, dst;
@@ -13,11 +14,10 @@ __kernel void edit(__global const Edit *edits, uint count, uint stride, // in [c
   if (e >= count) return;
   const Edit row = edits[e];
   const size_t at = (size_t)plane * stride + row.dst;
-  real value = params[(size_t)plane * stride + row.src];
-  if (plane < P_LOG_SCALE) value = row.position[plane - P_POSITION];
-  else if (plane < P_ROTATION) value = row.log_scale[plane - P_LOG_SCALE];
-  else if (plane == P_OPACITY) value = row.opacity_logit;
-  params[at] = value;
+  if (plane < P_LOG_SCALE) params[at] = row.position[plane - P_POSITION];
+  else if (plane < P_ROTATION) params[at] = row.log_scale[plane - P_LOG_SCALE];
+  else if (plane == P_OPACITY) params[at] = row.opacity_logit;
+  else if (row.src != row.dst) params[at] = params[(size_t)plane * stride + row.src];
   moment1[at] = R(0.0);
   moment2[at] = R(0.0);
 }

@@ -4,8 +4,7 @@
 // A work-item takes a strip: VW columns by STRIP rows. Source: [MH] Eq. 4; SSIM of Wang et al. 2004; gradient through
 // three maps as in fused-ssim.
 
-#define TAPS 11
-#define RADIUS 5
+#define RADIUS (TAPS / 2)
 #define ROW (VW + 2 * RADIUS)
 #define SHIFT R(0.5)
 __constant real WINDOW[TAPS] = SSIM_WINDOW;
@@ -69,7 +68,7 @@ static inline real inside_sum(realV v, int x0, int width) {
 // SSIM of a pixel block from the windowed moments of the shifted images, and its derivatives with respect to the
 // windowed x, x^2 and x y.
 static inline realV ssim_of(realV mx, realV my, realV xx, realV yy, realV xy, realV *dmx, realV *dxx, realV *dxy) {
-  const realV c1 = (realV)(R(0.0001)), c2 = (realV)(R(0.0009)), two = (realV)(R(2.0));
+  const realV c1 = (realV)(SSIM_C1), c2 = (realV)(SSIM_C2), two = (realV)(R(2.0));
   const realV mux = mx + SHIFT, muy = my + SHIFT;
   const realV vx = xx - mx * mx, vy = yy - my * my, cov = xy - mx * my;
   const realV a1 = fma(two * mux, muy, c1), a2 = fma(two, cov, c2);
@@ -192,7 +191,7 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
   }
 }
 
-// Launch: one work-item. Adds the strips in order; skipped after an overflow, whose iteration is repeated.
+// Launch: one work-item. Adds the strips in order. After an overflow the value means nothing; the repetition replaces it.
 __kernel void loss_sum(__global const real *partial, uint strips, real scale, // in [strips, 2], 1 / (3 width height)
                        __global real *out, uint slot) { // out [slots, 2] mean |x - y| and mean SSIM
   if (get_global_id(0) != 0) return;

@@ -2,8 +2,6 @@
 // Launch: one work-item per VW Gaussians; culled ones get the regularisers alone, rows beyond the last Gaussian zero. A Gaussian's pairs are added in the order
 // of their tiles. Source: chain rule through M = J W R S (see common.clh), [MH] Eq. 4 for the regularisers.
 
-#define SUMS 9
-
 // dL/d(unit quaternion) from dL/dR, then through the normalisation.
 static inline void quaternion_grad(const realV n[4], realV inv_norm, const realV d[9], realV out[4]) {
   const realV w = n[0], x = n[1], y = n[2], z = n[3];

@@ -4,8 +4,6 @@
 // cut. Source: 3DGS; block structure and staging measured on CPUs.
 // Images are planar with stride tiles_x*TILE and tiles_y*TILE rows: planes red, green, blue, transmittance.
 
-#define STAGE 32 // records copied to private (local) memory at a time
-
 #if !GROUP_STYLE
 // Launch: one work-item per tile, local size 1.
 __kernel void splat(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]

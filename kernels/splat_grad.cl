@@ -6,9 +6,6 @@
 // dL/dalpha = T <dL/dC, c> - behind / (1 - alpha), behind = <dL/dC, what is composited after>, kept by subtraction from
 // the final colour (1 - alpha >= 1 - ALPHA_MAX). Source: 3DGS backward; front to back as in Faster-GS.
 
-#define STAGE 32
-#define SUMS 9
-
 // Adds one block's contributions. s: the nine sums, d*: dL/dC, T and behind are advanced.
 static inline void grad_block(const Record *g, realV u, realV dy, realV dred, realV dgreen, realV dblue, realV *T,
                               realV *behind, realV s[SUMS]) {

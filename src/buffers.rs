@@ -1,13 +1,15 @@
 //! What lives on the device: the scene, and the arrays of one view's passage through the stages.
 
 use crate::dataset::View;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::tuning::{NEAR, SUMS, TILE, Tuning, status};
 use crate::gpu::{Array, CameraArg, Device, Real, Record};
 use crate::model::{Plane, Splats};
 
 /// Strides are multiples of this, so that vector loads of a plane never straddle two.
 const ROUND: usize = 256;
+/// Longest side of an image: records hold pixel bounds in 16 bits.
+const MOST_PIXELS: i32 = 1 << 16;
 
 /// Raw parameters of a scene on the device.
 #[derive(Debug)]
@@ -203,7 +205,9 @@ impl<R: Real> Frame<R> {
     /// # Errors
     /// More than the device can allocate.
     pub fn set_pairs(&mut self, device: &Device, pairs: usize) -> Result<()> {
-        let pairs = pairs.next_multiple_of(ROUND);
+        // Slots are numbered by 32 bits.
+        let most = u32::MAX as usize - (ROUND - 1);
+        let pairs = pairs.min(most).next_multiple_of(ROUND);
         let ints = |name| Array::<u32>::zeros(device, name, pairs);
         self.tile_keys = [ints("tile_keys")?, ints("tile_keys")?];
         self.order = [ints("order")?, ints("order")?];
@@ -219,6 +223,13 @@ impl<R: Real> Frame<R> {
     /// # Errors
     /// More than the device can allocate.
     pub fn fit_image(&mut self, device: &Device, camera: &CameraArg<R>) -> Result<()> {
+        if camera.size.iter().any(|s| *s < 1 || *s > MOST_PIXELS) {
+            let [w, h] = camera.size;
+            return Err(Error::config(
+                "image size",
+                format!("{w} x {h}; 1 to {MOST_PIXELS} pixels a side expected"),
+            ));
+        }
         let tiles = camera.tile_count();
         if self.tile_used.len() >= tiles {
             return Ok(());

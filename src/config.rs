@@ -142,7 +142,7 @@ pub struct MhConfig {
     pub from_iteration: u32,
     /// Last iteration with density control; η runs from 0 to 1 over the span.
     pub until_iteration: u32,
-    /// Iterations between two density steps (does not scale with the run; see `TrainConfig::density_interval`).
+    /// Iterations between two density steps; fewer in short runs, see `Schedule::density_interval`.
     pub interval: u32,
     /// Coarse proposals per step at η = 0.
     pub coarse_proposals: u32,
@@ -342,6 +342,13 @@ impl MhConfig {
             return Err(Error::config(
                 "mh.lambda-voxel",
                 "a finite value >= 0 expected",
+            ));
+        }
+        let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
+        if !(weights.iter().all(|w| w.is_finite()) && (0.0..1.0).contains(&self.dead_opacity)) {
+            return Err(Error::config(
+                "mh",
+                "finite weights and a dead-opacity in [0, 1) expected",
             ));
         }
         if self.from_iteration >= self.until_iteration || self.interval == 0 {

@@ -21,3 +21,11 @@ pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
 pub const NEAR: f64 = 0.01;
 /// Sums that splat_grad writes per pair.
 pub const SUMS: usize = 9;
+/// Records that the splat kernels copy next to the processor at a time (measured: 32 on CPUs).
+pub const STAGE: u32 = 32;
+/// Taps of SSIM's window (Wang et al. 2004).
+pub const SSIM_TAPS: usize = 11;
+/// Standard deviation of SSIM's window, pixels.
+pub const SSIM_SIGMA: f64 = 1.5;
+/// Constants C1 and C2 of SSIM for a data range of 1.
+pub const SSIM_C: [f64; 2] = [0.01 * 0.01, 0.03 * 0.03];

@@ -98,7 +98,11 @@ impl fmt::Display for Error {
         match self {
             Self::Input { path, what, fix } => write!(f, "{}: {what}; {fix}", path.display()),
             Self::Config { option, what } => write!(f, "{option}: {what}"),
-            Self::Io { path, source } => write!(f, "{}: {source}", path.display()),
+            Self::Io { path, source } => write!(
+                f,
+                "{}: {source}; check that the path is right, may be used, and has room",
+                path.display()
+            ),
             Self::Device { stage, what, fix } => write!(f, "{stage}: {what}; {fix}"),
             Self::Numerics { stage, what } => write!(f, "{stage}: {what}"),
             Self::Interrupted => write!(f, "interrupted; the state was saved"),

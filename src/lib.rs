@@ -61,6 +61,8 @@ pub mod plan;
 pub mod reference;
 pub mod render;
 pub mod report;
+#[doc(hidden)]
+pub mod rng;
 pub mod run;
 pub mod schedule;
 #[doc(hidden)]

@@ -1,29 +1,28 @@
 //! One training run with its run folder: evaluations, exports, checkpoints, records and the report.
 
+mod gallery;
+mod start;
+
+pub use start::{abandon_folder, claim_folder, initial_splats};
+
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::buffers::ViewSet;
-use crate::config::{Init, TrainConfig};
+use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::error::{Error, Result};
 use crate::evaluate::{Evaluator, mean};
+use crate::export::checkpoint::Checkpoint;
 use crate::export::{checkpoint, ply};
 use crate::gpu::tuning::Tuning;
 use crate::gpu::{Defines, Device};
-use crate::model::{Splats, init};
 use crate::plan::Plan;
 use crate::report::{
-    Clock, DatasetRecord, DensityRow, DensityWriter, DeviceRecord, FinalRecord, GalleryItem,
-    MetricsRow, MetricsWriter, RunRecord, StageRecord, clock, error_map, read_density, read_rows,
-    write_report,
+    Clock, DatasetRecord, DensityRow, DensityWriter, DeviceRecord, FinalRecord, MetricsRow,
+    MetricsWriter, RunRecord, StageRecord, clock, read_density, read_rows, write_report,
 };
 use crate::train::Trainer;
-
-/// Held-out views shown in the report.
-const GALLERY_VIEWS: usize = 6;
-/// Gaussians of a random initialisation.
-const RANDOM_GAUSSIANS: usize = 30_000;
 
 /// What the progress display shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,23 +50,21 @@ pub struct Run {
     clock: Clock,
     metrics: MetricsWriter,
     density: DensityWriter,
+    /// Seconds per stage of the sessions before this one.
+    stages: Vec<StageRecord>,
     psnr: Option<f64>,
+    /// Iterations after which evaluation, export and checkpoint were looked after: repeating an iteration whose pairs did
+    /// not fit must not repeat those.
+    handled: u32,
 }
 
-/// The first Gaussians that a configuration asks for.
-///
-/// # Errors
-/// A PLY file that cannot be read, or has another SH degree than can be used.
-pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats> {
-    match &config.init {
-        Init::File(path) => ply::read(path, &dataset.frame)?.with_sh_degree(config.sh_degree),
-        Init::Points if !dataset.points.positions.is_empty() => {
-            init::from_points(&dataset.points, config.sh_degree)
-        }
-        Init::Points | Init::Random => {
-            init::random(dataset, RANDOM_GAUSSIANS, config.sh_degree, config.seed)
-        }
-    }
+/// What a new run and a resumed one have different.
+struct Start {
+    trainer: Trainer,
+    clock: Clock,
+    metrics: MetricsWriter,
+    density: DensityWriter,
+    stages: Vec<StageRecord>,
 }
 
 impl Run {
@@ -84,17 +81,21 @@ impl Run {
     ) -> Result<Self> {
         let splats = initial_splats(&dataset, &config)?;
         let trainer = Trainer::new(device, &dataset, &config, &splats)?;
-        let metrics = MetricsWriter::create(dir.join("metrics.csv"))?;
-        let density = DensityWriter::create(dir.join("density.csv"))?;
-        Self::assemble(
-            dir, dataset, config, device, trainer, clock, metrics, density,
-        )
+        let start = Start {
+            trainer,
+            clock,
+            metrics: MetricsWriter::create(dir.join("metrics.csv"))?,
+            density: DensityWriter::create(dir.join("density.csv"))?,
+            stages: Vec::new(),
+        };
+        Self::assemble(dir, dataset, config, device, start)
     }
 
-    /// Continues the run in `dir` from its checkpoint.
+    /// Continues the run in `dir` from its checkpoint. `config` is the checkpoint's, but for what may change on the way:
+    /// the time budget and how often to evaluate, export and save.
     ///
     /// # Errors
-    /// No usable checkpoint, another dataset, or as [`Trainer::new`].
+    /// No usable checkpoint, another dataset, a time budget that is used up, or as [`Trainer::new`].
     pub fn resume(
         dir: &Path,
         dataset: Dataset,
@@ -102,27 +103,42 @@ impl Run {
         device: &Device,
     ) -> Result<Self> {
         let saved = checkpoint::read(dir)?;
+        if saved.dataset != dataset.fingerprint() {
+            return Err(Error::input(
+                &dataset.path,
+                format!(
+                    "its views are not those that {} was trained on",
+                    dir.display()
+                ),
+                "give the dataset of that run, or start anew with -o",
+            ));
+        }
+        let used = saved.clock.train_seconds;
+        if config.time_budget.is_some_and(|budget| used >= budget) {
+            return Err(Error::config(
+                "--time-budget",
+                format!("{used:.0} s of training are done already; give a larger one"),
+            ));
+        }
         let state = &saved.state;
         let mut trainer = Trainer::new(device, &dataset, &config, &state.splats)?;
         trainer.restore(state)?;
-        let clock = Clock::resume_from(saved.clock);
-        let metrics = MetricsWriter::append(dir.join("metrics.csv"), state.iteration)?;
-        let density = DensityWriter::append(dir.join("density.csv"), state.iteration)?;
-        Self::assemble(
-            dir, dataset, config, device, trainer, clock, metrics, density,
-        )
+        let start = Start {
+            trainer,
+            clock: Clock::resume_from(saved.clock),
+            metrics: MetricsWriter::append(dir.join("metrics.csv"), state.iteration)?,
+            density: DensityWriter::append(dir.join("density.csv"), state.iteration)?,
+            stages: saved.stages,
+        };
+        Self::assemble(dir, dataset, config, device, start)
     }
 
-    #[allow(clippy::too_many_arguments)]
     fn assemble(
         dir: &Path,
         dataset: Dataset,
         config: TrainConfig,
         device: &Device,
-        trainer: Trainer,
-        clock: Clock,
-        metrics: MetricsWriter,
-        density: DensityWriter,
+        start: Start,
     ) -> Result<Self> {
         let evaluator = if dataset.test.is_empty() {
             None
@@ -160,12 +176,14 @@ impl Run {
             dir: dir.to_path_buf(),
             dataset,
             config,
-            trainer,
+            handled: start.trainer.iteration(),
+            trainer: start.trainer,
             evaluator,
             record,
-            clock,
-            metrics,
-            density,
+            clock: start.clock,
+            metrics: start.metrics,
+            density: start.density,
+            stages: start.stages,
             psnr: None,
         };
         run.write_record()?;
@@ -197,7 +215,8 @@ impl Run {
                 })?;
             }
             let done = self.trainer.iteration();
-            if done < self.config.iterations {
+            if done < self.config.iterations && done > self.handled {
+                self.handled = done;
                 if due(self.trainer.schedule().eval_every(), done) {
                     self.evaluate()?;
                 }
@@ -228,6 +247,12 @@ impl Run {
         self.config
             .time_budget
             .is_some_and(|t| self.clock.train_seconds() >= t)
+    }
+
+    /// The record as it was last written.
+    #[must_use]
+    pub fn record(&self) -> &RunRecord {
+        &self.record
     }
 
     /// What was planned, for the terminal.
@@ -271,7 +296,7 @@ impl Run {
             train_seconds: now.train_seconds,
             wall_seconds: now.wall_seconds,
             cpu_seconds: now.cpu_seconds,
-            loss: loss.is_finite().then_some(loss),
+            loss: loss.filter(|l| l.is_finite()),
             psnr: self.psnr,
             ssim: means.map(|(_, s)| s),
             gaussians: self.trainer.gaussians() as u64,
@@ -288,6 +313,7 @@ impl Run {
 
     fn write_record(&mut self) -> Result<()> {
         let now = self.clock.reading();
+        let stages = self.stage_times();
         let r = &mut self.record;
         r.iterations = self.trainer.iteration();
         r.gaussians = self.trainer.gaussians() as u64;
@@ -296,17 +322,22 @@ impl Run {
         r.cpu_seconds = now.cpu_seconds;
         r.peak_rss_bytes = clock::peak_rss_bytes();
         r.density = *self.trainer.stats();
-        r.stages = self
-            .trainer
-            .stage_times()
-            .into_iter()
-            .map(|(name, t)| StageRecord {
-                name: name.into(),
-                seconds: t.seconds,
-                calls: t.calls,
-            })
-            .collect();
+        r.stages = stages;
         r.write(&self.dir)
+    }
+
+    /// Seconds per stage over all sessions of the run.
+    fn stage_times(&self) -> Vec<StageRecord> {
+        let now = self.trainer.stage_times().into_iter();
+        now.map(|(name, t)| {
+            let before = self.stages.iter().find(|s| s.name == name);
+            StageRecord {
+                name: name.into(),
+                seconds: t.seconds + before.map_or(0.0, |s| s.seconds),
+                calls: t.calls + before.map_or(0, |s| s.calls),
+            }
+        })
+        .collect()
     }
 
     fn export(&mut self) -> Result<()> {
@@ -319,8 +350,14 @@ impl Run {
 
     fn checkpoint(&mut self) -> Result<()> {
         self.clock.pause();
-        let state = self.trainer.state()?;
-        checkpoint::write(&self.dir, &state, &self.config, &self.clock.reading())?;
+        let saved = Checkpoint {
+            state: self.trainer.state()?,
+            config: self.config.clone(),
+            clock: self.clock.reading(),
+            dataset: self.dataset.fingerprint(),
+            stages: self.stage_times(),
+        };
+        checkpoint::write(&self.dir, &saved)?;
         self.clock.resume();
         Ok(())
     }
@@ -334,55 +371,4 @@ impl Run {
         self.clock.resume();
         Ok(())
     }
-
-    fn gallery(&mut self) -> Result<Vec<GalleryItem>> {
-        let Some(evaluator) = &self.evaluator else {
-            return Ok(Vec::new());
-        };
-        let degree = self.trainer.schedule().sh_degree(self.trainer.iteration());
-        let background = self.trainer.schedule().fixed_background();
-        let (scene, renderer) = self.trainer.scene_and_renderer();
-        let n = self.dataset.test.len();
-        let shown = n.min(GALLERY_VIEWS);
-        let mut items = Vec::with_capacity(shown);
-        for k in 0..shown {
-            let view = k * n / shown;
-            let score = evaluator.score(view, scene, renderer, degree, background)?;
-            let image = renderer.read_image(&evaluator.views().cameras[view])?;
-            let render = image.rgb8();
-            let photo = self.dataset.test[view].photo.rgb_over(background);
-            items.push(GalleryItem {
-                view: score.view,
-                psnr: score.psnr,
-                ssim: score.ssim,
-                width: image.width as u32,
-                height: image.height as u32,
-                error: error_map(&render, &photo)?,
-                render,
-                photo,
-            });
-        }
-        Ok(items)
-    }
-}
-
-/// Makes the run folder; refuses one that exists.
-///
-/// # Errors
-/// An existing folder, or one that cannot be made.
-pub fn claim_folder(dir: &Path) -> Result<()> {
-    if dir.exists() {
-        return Err(Error::input(
-            dir,
-            "exists already; a run never overwrites anything",
-            "choose another folder with -o, or continue it with --resume",
-        ));
-    }
-    std::fs::create_dir_all(dir).map_err(|e| {
-        Error::input(
-            dir,
-            format!("cannot be made: {e}"),
-            "choose a folder that can be written with -o",
-        )
-    })
 }

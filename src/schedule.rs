@@ -1,7 +1,7 @@
 //! What changes over a run: pure functions of the configuration and the iteration.
 
 use crate::config::{Background, TrainConfig};
-use crate::density::rng::{Philox, Purpose};
+use crate::rng::{Philox, Purpose};
 use crate::stage::adam::LearningRates;
 
 /// Iterations that the papers' schedules are written for.

@@ -62,6 +62,8 @@ pub struct Trainer {
     stats: DensityStats,
     in_flight: VecDeque<InFlight>,
     iteration: u32,
+    /// Iterations done when density control last acted: repeating an iteration must not repeat that.
+    last_density: Option<u32>,
     most_pairs: usize,
     non_finite: u64,
     overflows: u64,
@@ -119,6 +121,7 @@ impl Trainer {
             stats: DensityStats::default(),
             in_flight: VecDeque::new(),
             iteration: 0,
+            last_density: None,
             most_pairs: 0,
             non_finite: 0,
             overflows: 0,
@@ -273,16 +276,19 @@ impl Trainer {
         }
     }
 
-    /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256).
+    /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
+    /// more than there are views). None before the first iteration.
     ///
     /// # Errors
     /// The driver's.
-    pub fn recent_loss(&mut self) -> Result<f64> {
+    pub fn recent_loss(&mut self) -> Result<Option<f64>> {
         self.settle()?;
         let n = (self.iteration as usize)
             .min(LOSS_RING)
-            .min(self.views.len())
-            .max(1);
+            .min(self.views.len());
+        if n == 0 {
+            return Ok(None);
+        }
         let ring = self.losses.to_vec()?;
         let lambda = f64::from(self.config.loss.lambda_ssim);
         let sum: f64 = (0..n)
@@ -292,7 +298,7 @@ impl Trainer {
                 (1.0 - lambda) * l1 + lambda * (1.0 - ssim)
             })
             .sum();
-        Ok(sum / n as f64)
+        Ok(Some(sum / n as f64))
     }
 
     /// Iterations enqueued so far.

@@ -6,8 +6,8 @@ mod sharing;
 mod step;
 mod voxels;
 
-use mhsplat::density::rng::{Philox, Purpose};
 use mhsplat::density::{Cues, SceneState};
+use mhsplat::rng::{Philox, Purpose};
 
 /// A scene and its cues, owned.
 #[derive(Clone)]

@@ -1,7 +1,7 @@
 //! Same seed, same bits; interruptions and small buffers change nothing.
 
 use mhsplat::dataset::{Dataset, LoadOptions, load};
-use mhsplat::export::checkpoint;
+use mhsplat::export::checkpoint::{self, Checkpoint};
 use mhsplat::gpu::Device;
 use mhsplat::model::Splats;
 use mhsplat::report::Reading;
@@ -28,6 +28,16 @@ fn config(iterations: u32) -> TrainConfig {
         sh_degree: 2,
         seed: 5,
         ..TrainConfig::default()
+    }
+}
+
+fn saved(trainer: &mut Trainer, config: &TrainConfig, data: &Dataset) -> Checkpoint {
+    Checkpoint {
+        state: trainer.state().unwrap(),
+        config: config.clone(),
+        clock: Reading::default(),
+        dataset: data.fingerprint(),
+        stages: Vec::new(),
     }
 }
 
@@ -70,16 +80,11 @@ fn a_resumed_run_ends_with_the_same_bits() {
     let (_, whole) = trained(&data, &config, 120);
     let (mut half, _) = trained(&data, &config, 70);
     let folder = tempfile::tempdir().unwrap();
-    checkpoint::write(
-        folder.path(),
-        &half.state().unwrap(),
-        &config,
-        &Reading::default(),
-    )
-    .unwrap();
+    checkpoint::write(folder.path(), &saved(&mut half, &config, &data)).unwrap();
     drop(half);
     let saved = checkpoint::read(folder.path()).unwrap();
     assert_eq!(saved.config, config);
+    assert_eq!(saved.dataset, data.fingerprint());
     let device = Device::open(None).unwrap();
     let mut trainer = Trainer::new(&device, &data, &config, &saved.state.splats).unwrap();
     trainer.restore(&saved.state).unwrap();
@@ -92,13 +97,7 @@ fn a_damaged_checkpoint_is_refused() {
     let (data, config) = (room(64), config(10));
     let (mut trainer, _) = trained(&data, &config, 2);
     let folder = tempfile::tempdir().unwrap();
-    checkpoint::write(
-        folder.path(),
-        &trainer.state().unwrap(),
-        &config,
-        &Reading::default(),
-    )
-    .unwrap();
+    checkpoint::write(folder.path(), &saved(&mut trainer, &config, &data)).unwrap();
     let file = checkpoint::path(folder.path());
     let bytes = std::fs::read(&file).unwrap();
     for keep in [0, 7, 100, bytes.len() / 2, bytes.len() - 1] {
@@ -125,4 +124,36 @@ fn pairs_that_do_not_fit_are_repeated_not_lost() {
         "the small buffer must have overflowed"
     );
     assert!(roomy == tight.state().unwrap().splats);
+}
+
+#[test]
+fn an_overflow_right_after_density_control_does_not_repeat_it() {
+    let (data, config) = (room(64), config(120));
+    let (roomy, whole) = trained(&data, &config, 120);
+    let device = Device::open(None).unwrap();
+    let splats = initial_splats(&data, &config).unwrap();
+    let mut tight = Trainer::new(&device, &data, &config, &splats).unwrap();
+    let mut shrunk = 0;
+    while tight.iteration() < 120 {
+        tight.step().unwrap();
+        if tight.density_step().unwrap().is_some() {
+            // The next iteration finds no room, and the trainer comes back to this one.
+            tight.shrink_pairs(1024).unwrap();
+            shrunk += 1;
+        }
+    }
+    tight.settle().unwrap();
+    assert!(shrunk >= 2 && tight.overflows() >= shrunk);
+    assert_eq!(tight.stats().proposed, roomy.stats().proposed);
+    assert!(whole == tight.state().unwrap().splats);
+}
+
+#[test]
+fn fingerprints_tell_datasets_apart() {
+    let data = room(64);
+    assert_eq!(data.fingerprint(), room(64).fingerprint());
+    assert_ne!(data.fingerprint(), room(32).fingerprint());
+    let mut moved = data.clone();
+    moved.train[3].camera.translation.x += 1e-9;
+    assert_ne!(data.fingerprint(), moved.fingerprint());
 }

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use glam::DVec3;
 use mhsplat::dataset::{Frame, Points};
-use mhsplat::density::rng::Philox;
 use mhsplat::error::Error;
 use mhsplat::export::ply;
 use mhsplat::model::{Plane, Splats};
+use mhsplat::rng::Philox;
 
 use crate::dataset::assert_refused;
 use crate::dataset::data;

@@ -198,6 +198,7 @@ fn files_are_small() {
         files("kernels", "cl"),
         files("kernels", "clh"),
         files("tests", "rs"),
+        files("benches", "rs"),
     ]
     .concat();
     for file in all {
@@ -211,4 +212,38 @@ fn few_packages_are_locked() {
     let lock = text(&root().join("Cargo.lock"));
     let n = lock.lines().filter(|l| l.starts_with("name = ")).count();
     assert!(n < 150, "{n} packages");
+}
+
+/// Names and lengths of the functions of a formatted source: from the line with `fn` to the bracket below it.
+fn functions(source: &str) -> Vec<(String, usize)> {
+    let lines: Vec<&str> = source.lines().collect();
+    let starts = lines.iter().enumerate().filter(|(_, l)| {
+        let words = l.trim_start();
+        ["fn ", "pub fn ", "pub(super) fn ", "pub(crate) fn "]
+            .iter()
+            .any(|w| words.starts_with(w))
+    });
+    starts
+        .map(|(at, line)| {
+            let indent = line.len() - line.trim_start().len();
+            let end = format!("{}}}", " ".repeat(indent));
+            let length = lines[at..].iter().position(|l| **l == end).unwrap_or(0);
+            (line.trim().to_owned(), length + 1)
+        })
+        .collect()
+}
+
+#[test]
+fn functions_are_short() {
+    let all = [files("src", "rs"), files("benches", "rs")].concat();
+    let mut seen = 0;
+    for file in all {
+        for (name, length) in functions(&text(&file)) {
+            seen += 1;
+            assert!(length <= 60, "{}: {name}: {length} lines", file.display());
+        }
+    }
+    assert!(seen > 300, "only {seen} functions were found");
+    let long = format!("fn f() {{\n{}}}\n", "    x();\n".repeat(70));
+    assert_eq!(functions(&long), [("fn f() {".to_owned(), 72)]);
 }

@@ -28,7 +28,7 @@ pub struct EvalArgs {
     #[arg(long)]
     background: Option<String>,
     /// Exit with 1 unless the mean PSNR reaches this, dB.
-    #[arg(long, value_name = "DB")]
+    #[arg(long, value_name = "DB", value_parser = output::finite)]
     require_psnr: Option<f64>,
 }
 
@@ -80,10 +80,5 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
             loaded.scene.count
         ));
     }
-    let missed = args.require_psnr.is_some_and(|bar| psnr < bar);
-    Ok(if missed {
-        Outcome::Missed
-    } else {
-        Outcome::Done
-    })
+    Ok(Outcome::of(args.require_psnr, Some(psnr)))
 }

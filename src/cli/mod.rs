@@ -64,6 +64,16 @@ pub enum Outcome {
     Missed,
 }
 
+impl Outcome {
+    /// Whether `psnr` reaches the bar, if one was set.
+    fn of(bar: Option<f64>, psnr: Option<f64>) -> Self {
+        match bar {
+            Some(bar) if !psnr.is_some_and(|p| p >= bar) => Self::Missed,
+            _ => Self::Done,
+        }
+    }
+}
+
 fn dispatch(cli: Cli) -> Result<Outcome> {
     let common = Common {
         json: cli.json,
@@ -88,10 +98,7 @@ pub fn main() -> ExitCode {
     match dispatch(Cli::parse()) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::Missed) => ExitCode::from(1),
-        Err(Error::Interrupted) => {
-            output::note("stopped; continue with --resume");
-            ExitCode::from(130)
-        }
+        Err(Error::Interrupted) => ExitCode::from(130),
         Err(error) => {
             output::note(&format!("error: {error}"));
             ExitCode::from(2)

@@ -24,3 +24,11 @@ pub fn json(value: &impl Serialize) -> Result<()> {
     line(&text);
     Ok(())
 }
+
+/// A number on the command line; NaN and infinities are none.
+pub fn finite(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v.is_finite() => Ok(v),
+        _ => Err("a finite number expected".into()),
+    }
+}

@@ -35,7 +35,7 @@ pub struct RenderArgs {
     #[arg(long, required_unless_present = "orbit", conflicts_with = "orbit")]
     dataset: Option<PathBuf>,
     /// Render N views on a circle around the scene.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     orbit: Option<u32>,
     /// Folder for the PNG files; must not exist.
     #[arg(short, long)]
@@ -47,10 +47,10 @@ pub struct RenderArgs {
     #[arg(long)]
     max_size: Option<u32>,
     /// Width of orbit images, pixels.
-    #[arg(long, default_value_t = 640)]
+    #[arg(long, default_value_t = 640, value_parser = clap::value_parser!(u32).range(1..=65536))]
     width: u32,
     /// Height of orbit images, pixels.
-    #[arg(long, default_value_t = 480)]
+    #[arg(long, default_value_t = 480, value_parser = clap::value_parser!(u32).range(1..=65536))]
     height: u32,
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
@@ -89,21 +89,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
         Some(n) => orbit_jobs(&loaded, n, args.width, args.height)?,
         None => jobs,
     };
-    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, e))?;
-    let mut written = Vec::with_capacity(jobs.len());
-    for (name, camera, photo) in &jobs {
-        let rgb = pixels(args.what, &mut loaded, camera, background, photo.as_deref())?;
-        let path = args.output.join(file_name(name));
-        image::save_buffer(
-            &path,
-            &rgb,
-            camera.width,
-            camera.height,
-            image::ColorType::Rgb8,
-        )
-        .map_err(|e| Error::input(&path, e.to_string(), "choose another folder with -o"))?;
-        written.push(path);
-    }
+    let written = write_all(args, &mut loaded, background, &jobs)?;
     if common.json {
         output::json(&json!({ "images": written }))?;
     } else {
@@ -114,6 +100,39 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     Ok(Outcome::Done)
+}
+
+/// Renders every job into a file of its own.
+fn write_all(
+    args: &RenderArgs,
+    loaded: &mut Loaded,
+    background: [f32; 3],
+    jobs: &[Job],
+) -> Result<Vec<PathBuf>> {
+    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, e))?;
+    let mut written = Vec::with_capacity(jobs.len());
+    let mut taken = std::collections::HashSet::new();
+    for (name, camera, photo) in jobs {
+        let rgb = pixels(args.what, loaded, camera, background, photo.as_deref())?;
+        let mut file = file_name(name);
+        while !taken.insert(file.clone()) {
+            // Two views whose names differ in folder or ending alone.
+            file = file
+                .with_extension("")
+                .with_extension(format!("{}.png", taken.len()));
+        }
+        let path = args.output.join(file);
+        image::save_buffer(
+            &path,
+            &rgb,
+            camera.width,
+            camera.height,
+            image::ColorType::Rgb8,
+        )
+        .map_err(|e| Error::input(&path, e.to_string(), "choose another folder with -o"))?;
+        written.push(path);
+    }
+    Ok(written)
 }
 
 fn file_name(view: &str) -> PathBuf {

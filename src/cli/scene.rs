@@ -8,7 +8,7 @@ use mhsplat::error::{Error, Result};
 use mhsplat::export::ply;
 use mhsplat::gpu::Device;
 use mhsplat::render::Renderer;
-use mhsplat::report::RunRecord;
+use mhsplat::report::{RECORD_FILE, RunRecord};
 
 /// A scene ready to be rendered.
 pub struct Loaded {
@@ -30,7 +30,12 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
             "give a PLY file or the folder of a finished run",
         ));
     }
-    Ok((ply, RunRecord::read(path).ok()))
+    let record = if path.join(RECORD_FILE).exists() {
+        Some(RunRecord::read(path)?)
+    } else {
+        None
+    };
+    Ok((ply, record))
 }
 
 /// Reads a dataset at the resolution and split of a run, unless asked otherwise.

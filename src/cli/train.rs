@@ -12,7 +12,7 @@ use mhsplat::error::{Error, Result};
 use mhsplat::export::checkpoint;
 use mhsplat::gpu::Device;
 use mhsplat::report::{Clock, RunRecord};
-use mhsplat::run::{Progress, Run, claim_folder};
+use mhsplat::run::{Progress, Run, abandon_folder, claim_folder};
 
 use super::{Common, Outcome, output};
 
@@ -65,8 +65,11 @@ pub struct TrainArgs {
     /// Iterations between checkpoints [default: 1000]
     #[arg(long, value_name = "N")]
     checkpoint_every: Option<u32>,
-    /// Continue the run in this folder from its checkpoint.
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["output", "config"])]
+    /// Continue the run in this folder from its checkpoint, as it was configured.
+    #[arg(long, value_name = "RUN", conflicts_with_all = [
+        "output", "config", "sampler", "iterations", "max_size", "max_gaussians", "sh_degree", "seed", "test_every", "init",
+        "background",
+    ])]
     resume: Option<PathBuf>,
     /// points, random or FILE.ply [default: points]
     #[arg(long)]
@@ -78,7 +81,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Exit with 1 unless the mean held-out PSNR reaches this, dB.
-    #[arg(long, value_name = "DB")]
+    #[arg(long, value_name = "DB", value_parser = output::finite)]
     require_psnr: Option<f64>,
 }
 
@@ -99,8 +102,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let mut run = match prepare(args, &dir, config, &device) {
         Ok(run) => run,
         Err(error) => {
-            // Only an empty folder goes: what is in it is the user's.
-            let _ = std::fs::remove_dir(&dir);
+            if args.resume.is_none() {
+                abandon_folder(&dir);
+            }
             return Err(error);
         }
     };
@@ -111,14 +115,24 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     ));
     output::note(&run.plan().summary());
     let bar = progress_bar();
-    let record = run.drive(&stop, |p| show(&bar, p))?;
+    let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());
     bar.finish();
+    if matches!(driven, Err(Error::Interrupted)) {
+        output::note(&format!(
+            "stopped after {} iterations; continue with: mhsplat train {} --resume {}",
+            run.record().iterations,
+            args.dataset.display(),
+            dir.display()
+        ));
+        if common.json {
+            output::json(run.record())?;
+        }
+    }
+    driven?;
+    let record = run.record();
     finish(record, &dir, common)?;
-    let reached = |bar: f64| record.final_scores.as_ref().is_some_and(|f| f.psnr >= bar);
-    Ok(match args.require_psnr {
-        Some(bar) if !reached(bar) => Outcome::Missed,
-        _ => Outcome::Done,
-    })
+    let psnr = record.final_scores.as_ref().map(|f| f.psnr);
+    Ok(Outcome::of(args.require_psnr, psnr))
 }
 
 fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -> Result<Run> {

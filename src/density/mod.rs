@@ -1,9 +1,8 @@
-//! Density control on the host: which Gaussians are born, moved or merged. No OpenCL here; importance arrives as slices.
+//! Density control on the host: which Gaussians are born or moved. No OpenCL here; importance arrives as slices.
 
 pub mod mh;
 mod none;
 pub mod relocation;
-pub mod rng;
 
 pub use none::Fixed;
 
@@ -131,7 +130,7 @@ pub struct Outcome {
     pub stats: DensityStats,
 }
 
-/// A strategy of density control. State that must survive a restart is given as one string.
+/// A strategy of density control. State that must survive a restart is given as one JSON value.
 pub trait DensityControl: Send {
     /// Views of the training set whose error maps the next step wants, empty for none (\[MH\] Eq. 10).
     fn view_subset(&mut self, views: usize, progress: f64) -> Vec<usize>;

@@ -1,8 +1,8 @@
 //! Checkpoints: everything a run needs to continue bit for bit, as one safetensors file.
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
-//! order of [`crate::model::Plane`]) and, as metadata, format version, iteration, configuration, clocks and the state of
-//! density control. It is written beside the old one and renamed over it.
+//! order of [`crate::model::Plane`]), `losses` \[2 · ring\] and, as metadata, format version, fingerprint of the dataset,
+//! iteration, configuration, clocks, stage times and the state of density control. It is written beside the old one and renamed over it.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -14,10 +14,10 @@ use crate::config::TrainConfig;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
 use crate::model::{Plane, Splats};
-use crate::report::Reading;
+use crate::report::{Reading, StageRecord};
 use crate::train::TrainerState;
 
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -29,9 +29,11 @@ struct Header {
     density: serde_json::Value,
     stats: DensityStats,
     non_finite: u64,
+    dataset: String,
+    stages: Vec<StageRecord>,
 }
 
-/// A checkpoint read back.
+/// A checkpoint, to be written or read back.
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
     /// State of the trainer.
@@ -40,6 +42,10 @@ pub struct Checkpoint {
     pub config: TrainConfig,
     /// Clocks at the time of writing.
     pub clock: Reading,
+    /// [`crate::Dataset::fingerprint`] of what it was trained on.
+    pub dataset: String,
+    /// Seconds per stage so far.
+    pub stages: Vec<StageRecord>,
 }
 
 /// The file within a run folder.
@@ -48,57 +54,60 @@ pub fn path(run_dir: &Path) -> PathBuf {
     run_dir.join("checkpoint").join("state.safetensors")
 }
 
+fn encoding(what: impl std::fmt::Display) -> Error {
+    Error::Numerics {
+        stage: "checkpoint".into(),
+        what: what.to_string(),
+    }
+}
+
+fn bytes(values: impl Iterator<Item = f32>) -> Vec<u8> {
+    values.flat_map(f32::to_le_bytes).collect()
+}
+
 /// Writes a checkpoint into a run folder.
 ///
 /// # Errors
 /// [`Error::Io`] when writing fails; the previous checkpoint is then still there.
-pub fn write(
-    run_dir: &Path,
-    state: &TrainerState,
-    config: &TrainConfig,
-    clock: &Reading,
-) -> Result<()> {
+pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
     let file = path(run_dir);
     let folder = run_dir.join("checkpoint");
     std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+    let (state, clock) = (&checkpoint.state, &checkpoint.clock);
     let header = Header {
         version: VERSION,
         iteration: state.iteration,
         sh_degree: state.splats.sh_degree(),
-        config: config.clone(),
+        config: checkpoint.config.clone(),
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
         density: state.density.clone(),
         stats: state.stats,
         non_finite: state.non_finite,
+        dataset: checkpoint.dataset.clone(),
+        stages: checkpoint.stages.clone(),
     };
-    let encoded = |what: String| Error::Numerics {
-        stage: "checkpoint".into(),
-        what,
-    };
-    let header = serde_json::to_string(&header).map_err(|e| encoded(e.to_string()))?;
-    let bytes = |planes: &[Vec<f32>]| -> Vec<u8> {
-        planes
-            .iter()
-            .flatten()
-            .flat_map(|v| v.to_le_bytes())
-            .collect()
-    };
-    let tensors = [
-        ("params", bytes(state.splats.planes())),
-        ("moment1", bytes(&state.moment1)),
-        ("moment2", bytes(&state.moment2)),
-    ];
+    let header = serde_json::to_string(&header).map_err(encoding)?;
     let shape = vec![state.splats.planes().len(), state.splats.len()];
+    let planes = |p: &[Vec<f32>]| bytes(p.iter().flatten().copied());
+    let tensors = [
+        ("params", shape.clone(), planes(state.splats.planes())),
+        ("moment1", shape.clone(), planes(&state.moment1)),
+        ("moment2", shape, planes(&state.moment2)),
+        (
+            "losses",
+            vec![state.losses.len()],
+            bytes(state.losses.iter().copied()),
+        ),
+    ];
     let views = tensors
         .iter()
-        .map(|(name, data)| {
-            TensorView::new(Dtype::F32, shape.clone(), data)
-                .map(|t| (*name, t))
-                .map_err(|e| encoded(e.to_string()))
+        .map(|(name, shape, data)| {
+            let view = TensorView::new(Dtype::F32, shape.clone(), data);
+            view.map(|t| (*name, t)).map_err(encoding)
         })
         .collect::<Result<Vec<_>>>()?;
     let metadata = HashMap::from([("mhsplat".to_owned(), header)]);
-    let data = safetensors::serialize(views, Some(metadata)).map_err(|e| encoded(e.to_string()))?;
+    let data = safetensors::serialize(views, Some(metadata)).map_err(encoding)?;
     crate::atomic::write_bytes(&file, &data)
 }
 
@@ -115,58 +124,42 @@ pub fn read(run_dir: &Path) -> Result<Checkpoint> {
             "give the folder of a run that was stopped, or start anew with -o",
         )
     })?;
-    let damaged = |what: String| {
+    parse(&data).map_err(|what| {
         Error::input(
             &file,
             format!("damaged checkpoint: {what}"),
             "start anew with -o NEW_FOLDER",
         )
-    };
-    let (_, metadata) = SafeTensors::read_metadata(&data).map_err(|e| damaged(e.to_string()))?;
-    let text = metadata
+    })
+}
+
+/// A checkpoint from the bytes of its file, or what is wrong with them.
+fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
+    let text = |e: &dyn std::fmt::Display| e.to_string();
+    let (_, metadata) = SafeTensors::read_metadata(data).map_err(|e| text(&e))?;
+    let header = metadata
         .metadata()
         .as_ref()
         .and_then(|m| m.get("mhsplat"))
-        .ok_or_else(|| damaged("it was not written by mhsplat".into()))?;
-    let header: Header = serde_json::from_str(text).map_err(|e| damaged(e.to_string()))?;
+        .ok_or("it was not written by mhsplat")?;
+    let header: Header = serde_json::from_str(header).map_err(|e| text(&e))?;
     if header.version != VERSION {
-        return Err(damaged(format!(
-            "version {}; {VERSION} expected",
-            header.version
-        )));
+        return Err(format!("version {}; {VERSION} expected", header.version));
     }
-    let tensors = SafeTensors::deserialize(&data).map_err(|e| damaged(e.to_string()))?;
-    let planes = |name: &str| -> Result<Vec<Vec<f32>>> {
-        let t = tensors.tensor(name).map_err(|e| damaged(e.to_string()))?;
-        let expected = Plane::count(header.sh_degree.min(3));
-        let &[rows, n] = t.shape() else {
-            return Err(damaged(format!(
-                "{name} has {} dimensions; 2 expected",
-                t.shape().len()
-            )));
-        };
-        if rows != expected || t.dtype() != Dtype::F32 || n == 0 {
-            return Err(damaged(format!(
-                "{name} is {rows} x {n}; {expected} planes of f32 expected"
-            )));
-        }
-        Ok(t.data()
-            .chunks_exact(4 * n)
-            .map(|row| {
-                row.chunks_exact(4)
-                    .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
-                    .collect()
-            })
-            .collect())
-    };
-    let splats = Splats::new(header.sh_degree, planes("params")?)?;
-    let (moment1, moment2) = (planes("moment1")?, planes("moment2")?);
+    let tensors = SafeTensors::deserialize(data).map_err(|e| text(&e))?;
+    let expected = Plane::count(header.sh_degree.min(3));
+    let params = planes(&tensors, "params", expected)?;
+    let splats = Splats::new(header.sh_degree, params).map_err(|e| text(&e))?;
+    let moments = ["moment1", "moment2"].map(|name| planes(&tensors, name, expected));
+    let [moment1, moment2] = moments;
+    let (moment1, moment2) = (moment1?, moment2?);
     if [&moment1, &moment2]
         .iter()
         .any(|m| m.iter().any(|p| p.len() != splats.len()))
     {
-        return Err(damaged("moments and parameters differ in length".into()));
+        return Err("moments and parameters differ in length".into());
     }
+    let losses = planes(&tensors, "losses", 1)?.concat();
     let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
     Ok(Checkpoint {
         state: TrainerState {
@@ -177,6 +170,7 @@ pub fn read(run_dir: &Path) -> Result<Checkpoint> {
             density: header.density,
             stats: header.stats,
             non_finite: header.non_finite,
+            losses,
         },
         config: header.config,
         clock: Reading {
@@ -184,5 +178,32 @@ pub fn read(run_dir: &Path) -> Result<Checkpoint> {
             wall_seconds,
             cpu_seconds,
         },
+        dataset: header.dataset,
+        stages: header.stages,
     })
+}
+
+/// The rows of an f32 tensor; one of a single dimension is one row.
+fn planes(
+    tensors: &SafeTensors<'_>,
+    name: &str,
+    expected: usize,
+) -> std::result::Result<Vec<Vec<f32>>, String> {
+    let t = tensors.tensor(name).map_err(|e| e.to_string())?;
+    let (rows, n) = match *t.shape() {
+        [rows, n] => (rows, n),
+        [n] => (1, n),
+        _ => return Err(format!("{name} has {} dimensions", t.shape().len())),
+    };
+    if rows != expected || t.dtype() != Dtype::F32 || n == 0 {
+        return Err(format!(
+            "{name} is {rows} x {n}; {expected} planes of f32 expected"
+        ));
+    }
+    let row = |row: &[u8]| {
+        row.chunks_exact(4)
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect()
+    };
+    Ok(t.data().chunks_exact(4 * n).map(row).collect())
 }

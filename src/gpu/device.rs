@@ -203,8 +203,10 @@ fn ask_platforms() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
         let devices =
             core::get_device_ids(platform, Some(DeviceType::ALL), None).unwrap_or_default();
         for id in devices {
-            let info = describe(out.len(), &name, id)?;
-            out.push((info, id));
+            // A device that cannot say what it is must not keep the others from being used.
+            if let Ok(info) = describe(out.len(), &name, id) {
+                out.push((info, id));
+            }
         }
     }
     if out.is_empty() {

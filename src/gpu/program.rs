@@ -61,6 +61,12 @@ impl Defines {
         }
     }
 
+    /// Planes of the photos that kernels built with these defines read: colour, and alpha if there is any.
+    #[must_use]
+    pub fn photo_planes(&self) -> usize {
+        3 + usize::from(self.has_alpha)
+    }
+
     fn prelude(&self, is_double: bool) -> String {
         let mut text = String::new();
         let mut int = |name: &str, v: u64| {
@@ -71,6 +77,9 @@ impl Defines {
         int("BLOCK_W", u64::from(self.tuning.block_width));
         int("TILE", u64::from(tuning::TILE));
         int("GROUP_STYLE", u64::from(self.tuning.group_style));
+        int("SUMS", tuning::SUMS as u64);
+        int("STAGE", u64::from(tuning::STAGE));
+        int("TAPS", tuning::SSIM_TAPS as u64);
         int("STRIP", u64::from(self.tuning.strip));
         int("SH_DEGREE", u64::from(self.sh_degree));
         int("HAS_ALPHA", u64::from(self.has_alpha));
@@ -93,6 +102,8 @@ impl Defines {
         real("ALPHA_MAX", tuning::ALPHA_MAX);
         real("LOG2_ALPHA_MIN", self.alpha_min.log2());
         real("T_MIN", tuning::T_MIN);
+        real("SSIM_C1", tuning::SSIM_C[0]);
+        real("SSIM_C2", tuning::SSIM_C[1]);
         real("COLOR_MAX", tuning::COLOR_MAX);
         real("BLUR", tuning::BLUR);
         real("TILE_SLACK", tuning::TILE_SLACK);
@@ -108,11 +119,11 @@ impl Defines {
     }
 }
 
-/// The 11-tap Gaussian window of SSIM, σ = 1.5, normalised (Wang et al. 2004).
-fn ssim_window() -> [f64; 11] {
-    let raw: [f64; 11] = std::array::from_fn(|k| {
-        let d = k as f64 - 5.0;
-        (-d * d / (2.0 * 1.5 * 1.5)).exp()
+/// The Gaussian window of SSIM, normalised.
+fn ssim_window() -> [f64; tuning::SSIM_TAPS] {
+    let raw: [f64; tuning::SSIM_TAPS] = std::array::from_fn(|k| {
+        let d = (k as f64 - (tuning::SSIM_TAPS / 2) as f64) / tuning::SSIM_SIGMA;
+        (-0.5 * d * d).exp()
     });
     let sum: f64 = raw.iter().sum();
     raw.map(|w| w / sum)

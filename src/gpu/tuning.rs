@@ -2,7 +2,8 @@
 
 use super::device::{DeviceInfo, DeviceKind};
 pub use crate::constants::{
-    ALPHA_MAX, ALPHA_MIN, BLUR, COLOR_MAX, LOG_SCALE, NEAR, SUMS, T_MIN, TILE, TILE_SLACK,
+    ALPHA_MAX, ALPHA_MIN, BLUR, COLOR_MAX, LOG_SCALE, NEAR, SSIM_C, SSIM_SIGMA, SSIM_TAPS, STAGE,
+    SUMS, T_MIN, TILE, TILE_SLACK,
 };
 
 /// Key of a Gaussian that is not visible.
@@ -74,6 +75,12 @@ impl Tuning {
                 ..Self::CPU
             },
             DeviceKind::Cpu => Self::CPU,
+            // Too small for a work-group per tile: one pixel at a time, slow but right.
+            _ if info.max_work_group < (TILE * TILE) as usize => Self {
+                group_style: false,
+                local: info.max_work_group.clamp(1, Self::GPU.local),
+                ..Self::GPU
+            },
             _ => Self::GPU,
         }
     }

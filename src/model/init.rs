@@ -3,8 +3,8 @@
 use super::knn::mean_squared_distances;
 use super::{Plane, Splats};
 use crate::dataset::{Dataset, Points};
-use crate::density::rng::Philox;
 use crate::error::{Error, Result};
+use crate::rng::{Philox, Purpose};
 
 /// Value of the constant SH basis function, ½·√(1/π).
 const SH_C0: f64 = 0.282_094_791_773_878_14;
@@ -20,9 +20,6 @@ const MIN_SCALE: f64 = 1e-5;
 
 /// Scale of a Gaussian that has no neighbour to tell it, local units.
 const LONE_SCALE: f64 = 0.01;
-
-/// Philox stream of random initialisation ("init" in ASCII).
-const STREAM: u64 = 0x696e_6974;
 
 /// Degenerate sides of the cameras' box are widened to this share of the longest one.
 const THINNEST_SIDE: f64 = 0.1;
@@ -50,6 +47,24 @@ pub fn from_points(points: &Points, sh_degree: u32) -> Result<Splats> {
     build(&points.positions, &colors, sh_degree)
 }
 
+/// At most `most` of the points, in their order; which, depends on the seed alone.
+#[must_use]
+pub fn subset(points: &Points, most: usize, seed: u64) -> Points {
+    let n = points.positions.len();
+    if n <= most {
+        return points.clone();
+    }
+    let key = |i: &usize| Philox::uniform(seed, Purpose::Subset.stream(0), *i as u64)[0].to_bits();
+    let mut rows: Vec<usize> = (0..n).collect();
+    rows.sort_by_key(key);
+    rows.truncate(most);
+    rows.sort_unstable();
+    Points {
+        positions: rows.iter().map(|i| points.positions[*i]).collect(),
+        colors: rows.iter().map(|i| points.colors[*i]).collect(),
+    }
+}
+
 /// `count` Gaussians uniform in the bounding box of all camera centres, sides thinner than a tenth of the longest widened
 /// to that (a single camera: 1 to each side); colours uniform within 0.5 ± 0.25, so that nothing starts saturated; the
 /// rest as [`from_points`] does.
@@ -66,7 +81,7 @@ pub fn random(dataset: &Dataset, count: usize, sh_degree: u32, seed: u64) -> Res
     let centers = dataset.train.iter().chain(&dataset.test);
     let centers: Vec<[f64; 3]> = centers.map(|v| v.camera.center().to_array()).collect();
     let (middle, half) = camera_box(&centers).ok_or_else(|| numerics("no views".into()))?;
-    let draw = |i: u64| Philox::uniform(seed, STREAM, i);
+    let draw = |i: u64| Philox::uniform(seed, Purpose::Init.stream(0), i);
     let positions: Vec<[f32; 3]> = (0..count as u64)
         .map(|i| {
             let u = draw(2 * i);

@@ -1,8 +1,12 @@
 //! Twin of `kernels/loss.cl`: L1 + SSIM, window by window.
 
+use crate::constants::{SSIM_C, SSIM_SIGMA, SSIM_TAPS};
+
 /// The 11-tap Gaussian window, σ = 1.5, normalised.
-fn window() -> [f64; 11] {
-    let raw: [f64; 11] = std::array::from_fn(|k| (-(k as f64 - 5.0).powi(2) / 4.5).exp());
+fn window() -> [f64; SSIM_TAPS] {
+    let raw = std::array::from_fn(|k| {
+        (-(k as f64 - 5.0).powi(2) / (2.0 * SSIM_SIGMA * SSIM_SIGMA)).exp()
+    });
     let sum: f64 = raw.iter().sum();
     raw.map(|v| v / sum)
 }
@@ -65,7 +69,7 @@ pub fn loss(x: &[f64], y: &[f64], size: [usize; 2], lambda: f64) -> Loss64 {
 /// SSIM of one window and its derivatives with respect to E[x], E[x²] and E[xy]. Variances are sums of squared
 /// differences to the mean; what the window has outside of the image is 0 there.
 fn ssim_at(a: &[f64], b: &[f64], cells: &[(usize, f64)]) -> (f64, [f64; 3]) {
-    let (c1, c2) = (1e-4, 9e-4);
+    let [c1, c2] = SSIM_C;
     let mean = |v: &[f64]| cells.iter().map(|(p, w)| w * v[*p]).sum::<f64>();
     let (mx, my) = (mean(a), mean(b));
     let outside = 1.0 - cells.iter().map(|(_, w)| w).sum::<f64>();

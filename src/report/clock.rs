@@ -123,17 +123,6 @@ impl Clock {
         }
     }
 
-    /// Runs `work` (an evaluation, an export) off the clock, and restores the state the clock was in.
-    pub fn excluding<T>(&mut self, work: impl FnOnce() -> T) -> T {
-        let was_running = self.running.is_some();
-        self.pause();
-        let value = work();
-        if was_running {
-            self.resume();
-        }
-        value
-    }
-
     /// Seconds spent training. Cheap: reads no file, so a progress bar may ask at every iteration.
     #[must_use]
     pub fn train_seconds(&self) -> f64 {

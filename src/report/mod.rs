@@ -27,4 +27,6 @@ pub use density_log::{DensityRow, DensityWriter, read_density};
 pub use gallery::{GalleryItem, error_map};
 pub use html::write_report;
 pub use metrics::{MetricsRow, MetricsWriter, read_rows};
-pub use record::{DatasetRecord, DeviceRecord, FinalRecord, RunRecord, StageRecord, ViewScore};
+pub use record::{
+    DatasetRecord, DeviceRecord, FinalRecord, RECORD_FILE, RunRecord, StageRecord, ViewScore,
+};

@@ -1,6 +1,7 @@
 //! The optimiser (`kernels/adam.cl`).
 
 use crate::error::Result;
+use crate::gpu::tuning::status::SLOTS;
 use crate::gpu::{Array, Kernel, Kernels, Real};
 
 /// The adam stage.
@@ -97,7 +98,7 @@ impl Adam {
             .array(a.params, len)
             .array(a.moment1, len)
             .array(a.moment2, len)
-            .array(a.status, 1)
+            .array(a.status, SLOTS)
             .run([groups, a.planes], [self.local, 1])
     }
 }

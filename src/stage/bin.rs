@@ -1,6 +1,7 @@
 //! Visible Gaussians → (tile, Gaussian) pairs → ranges per tile (`kernels/bin.cl`).
 
 use crate::error::Result;
+use crate::gpu::tuning::status::SLOTS;
 use crate::gpu::{Array, Kernel, Kernels, Real, Record};
 
 /// The bin stage.
@@ -121,7 +122,7 @@ impl Bin {
             .launch()
             .array(a.records, a.count)
             .array(a.visible, a.count)
-            .array(a.status, 1)
+            .array(a.status, SLOTS)
             .value(a.tiles_x)
             .array(counts, a.count)
             .run([a.count, 1], [self.local, 1])
@@ -136,7 +137,7 @@ impl Bin {
             .launch()
             .array(a.records, a.count)
             .array(a.visible, a.count)
-            .array(a.status, 1)
+            .array(a.status, SLOTS)
             .value(a.tiles_x)
             .array(out.offsets, a.count)
             .array(out.tile_keys, 1)
@@ -160,7 +161,7 @@ impl Bin {
         self.ranges
             .launch()
             .array(tile_keys, 1)
-            .array(status, 1)
+            .array(status, SLOTS)
             .value(tiles as u32)
             .array(tile_start, tiles + 1)
             .run([tiles + 1, 1], [self.local, 1])

@@ -13,6 +13,7 @@ pub struct Loss {
     vector_width: usize,
     strip: usize,
     local: usize,
+    photo_planes: usize,
 }
 
 /// A rendered image and its photo.
@@ -69,6 +70,7 @@ impl Loss {
             vector_width: tuning.vector_width as usize,
             strip: tuning.strip as usize,
             local: tuning.coarse_local(),
+            photo_planes: kernels.defines().photo_planes(),
         })
     }
 
@@ -103,7 +105,7 @@ impl Loss {
         self.forward
             .launch()
             .array(pair.image, 3 * pair.plane())
-            .array(pair.photo, 3 * w * h)
+            .array(pair.photo, self.photo_planes * w * h)
             .value(bg[0])
             .value(bg[1])
             .value(bg[2])
@@ -133,7 +135,7 @@ impl Loss {
         self.backward
             .launch()
             .array(pair.image, 3 * pair.plane())
-            .array(pair.photo, 3 * w * h)
+            .array(pair.photo, self.photo_planes * w * h)
             .value(bg[0])
             .value(bg[1])
             .value(bg[2])

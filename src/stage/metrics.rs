@@ -9,6 +9,7 @@ use crate::gpu::{Array, Kernel, Kernels, Real};
 pub struct Metrics {
     kernel: Kernel,
     local: usize,
+    photo_planes: usize,
 }
 
 impl Metrics {
@@ -21,6 +22,7 @@ impl Metrics {
         Ok(Self {
             kernel,
             local: kernels.defines().tuning.coarse_local(),
+            photo_planes: kernels.defines().photo_planes(),
         })
     }
 
@@ -33,7 +35,7 @@ impl Metrics {
         self.kernel
             .launch()
             .array(pair.image, 3 * pair.plane())
-            .array(pair.photo, 3 * w * h)
+            .array(pair.photo, self.photo_planes * w * h)
             .value(bg[0])
             .value(bg[1])
             .value(bg[2])

@@ -1,6 +1,7 @@
 //! Exclusive prefix sums (`kernels/scan.cl`).
 
 use crate::error::Result;
+use crate::gpu::tuning::status::SLOTS;
 use crate::gpu::{Array, Kernel, Kernels, Real};
 
 /// The scan stage.
@@ -59,7 +60,7 @@ impl Scan {
         self.sums
             .launch()
             .array(a.values, 1)
-            .array(a.status, 1)
+            .array(a.status, SLOTS)
             .value(a.n_slot)
             .value(self.chunk_count as u32)
             .array(a.sums, self.chunk_count)
@@ -68,7 +69,7 @@ impl Scan {
         self.write
             .launch()
             .array(a.values, 1)
-            .array(a.status, 1)
+            .array(a.status, SLOTS)
             .value(a.n_slot)
             .value(self.chunk_count as u32)
             .array(a.sums, self.chunk_count)
@@ -91,7 +92,7 @@ impl Scan {
             .launch()
             .array(sums, self.chunk_count)
             .value(self.chunk_count as u32)
-            .array(status, 1)
+            .array(status, SLOTS)
             .value(total_slot)
             .value(capacity as u32)
             .run([1, 1], [1, 1])

@@ -1,6 +1,7 @@
 //! Stable radix sort of (key, value) pairs (`kernels/sort.cl`).
 
 use crate::error::Result;
+use crate::gpu::tuning::status::SLOTS;
 use crate::gpu::{Array, Device, Kernel, Kernels, Real};
 
 /// The sort stage with its scratch.
@@ -85,7 +86,7 @@ impl Sort {
             self.histogram
                 .launch()
                 .array(a.keys[from], 1)
-                .array(a.status, 1)
+                .array(a.status, SLOTS)
                 .value(a.n_slot)
                 .value(chunks)
                 .value(shift)
@@ -115,7 +116,7 @@ impl Sort {
                 .launch()
                 .array(a.keys[from], 1)
                 .array(a.values[from], 1)
-                .array(a.status, 1)
+                .array(a.status, SLOTS)
                 .value(a.n_slot)
                 .value(chunks)
                 .value(shift)

@@ -96,10 +96,16 @@ impl Trainer {
     /// # Errors
     /// As [`Trainer::step`].
     pub fn density_step(&mut self) -> Result<Option<DensityEvent>> {
-        let Some(progress) = self.schedule.density_due(self.iteration) else {
+        if self.schedule.density_due(self.iteration).is_none() {
+            return Ok(None);
+        }
+        self.settle()?;
+        // Settling may have gone back and forth; only now is the iteration what it says.
+        let due = self.schedule.density_due(self.iteration);
+        let Some(progress) = due.filter(|_| self.last_density != Some(self.iteration)) else {
             return Ok(None);
         };
-        self.settle()?;
+        self.last_density = Some(self.iteration);
         let subset = self.density.view_subset(self.views.len(), progress);
         if subset.is_empty() {
             return Ok(None);

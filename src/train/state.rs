@@ -2,7 +2,7 @@
 
 use super::Trainer;
 use crate::density::DensityStats;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::Array;
 use crate::gpu::tuning::status;
 use crate::model::Splats;
@@ -24,6 +24,8 @@ pub struct TrainerState {
     pub stats: DensityStats,
     /// Non-finite gradient values so far.
     pub non_finite: u64,
+    /// Ring of the last losses on the device: L1 and SSIM of each iteration.
+    pub losses: Vec<f32>,
 }
 
 impl Trainer {
@@ -46,6 +48,7 @@ impl Trainer {
             density: self.density.save(),
             stats: self.stats,
             non_finite: self.non_finite,
+            losses: self.losses.to_vec()?,
         })
     }
 
@@ -65,6 +68,19 @@ impl Trainer {
         self.density.load(&state.density)?;
         self.stats = state.stats;
         self.iteration = state.iteration;
+        // A checkpoint is written after density control, where both fall on one iteration.
+        self.last_density = Some(state.iteration);
+        if state.losses.len() != self.losses.len() {
+            return Err(Error::Numerics {
+                stage: "checkpoint".into(),
+                what: format!(
+                    "{} losses; {} expected",
+                    state.losses.len(),
+                    self.losses.len()
+                ),
+            });
+        }
+        self.losses.write(0, &state.losses)?;
         self.non_finite = state.non_finite;
         let slot = status::NON_FINITE as usize;
         self.renderer

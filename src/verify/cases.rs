@@ -5,9 +5,9 @@ use glam::{DMat3, DVec3};
 use super::chain::Case;
 use crate::dataset::{Camera, Photo, View};
 use crate::density::Edit;
-use crate::density::rng::{Philox, Purpose};
 use crate::gpu::tuning::ALPHA_MIN;
 use crate::model::{Plane, Splats};
+use crate::rng::{Philox, Purpose};
 use crate::stage::adam::LearningRates;
 
 fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
@@ -33,9 +33,7 @@ fn camera(size: [u32; 2]) -> Camera {
     }
 }
 
-/// Well-conditioned Gaussians in front of the camera, some beside and behind it; a noisy photo; two edits.
-#[must_use]
-pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> Case {
+fn cloud(n: usize, sh_degree: u32, seed: u64) -> Splats {
     let mut s = Splats::zeros(sh_degree, n);
     for i in 0..n {
         let [x, y, z, far] = uniform(seed, i, 0);
@@ -65,6 +63,13 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
             );
         }
     }
+    s
+}
+
+/// Well-conditioned Gaussians in front of the camera, some beside and behind it; a noisy photo; two edits.
+#[must_use]
+pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> Case {
+    let s = cloud(n, sh_degree, seed);
     let [w, h] = size;
     let data = (0..3 * (w * h) as usize)
         .map(|i| (255.0 * uniform(seed, i, 255)[0]) as u8)
@@ -103,7 +108,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
             sh: 1e-4,
         },
         edits: if last > 0 {
-            vec![edit(0, last), edit(1, 1)]
+            vec![edit(0, last), edit(0, 0), edit(1, 1)]
         } else {
             vec![edit(0, 0)]
         },

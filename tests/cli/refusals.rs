@@ -172,6 +172,7 @@ fn configurations_that_make_no_sense() {
         ("sh-degree = 4", "sh-degree"),
         ("[optimizer]\nlr-scale = -1.0", "optimizer"),
         ("[mh]\nvoxel-edge = [0.0, 0.1]", "mh"),
+        ("[mh]\nweight-opacity = nan", "mh"),
         ("not toml", "config.toml"),
     ] {
         fs::write(&file, config).unwrap();

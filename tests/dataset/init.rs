@@ -2,9 +2,9 @@
 
 use glam::DVec3;
 use mhsplat::dataset::Points;
-use mhsplat::density::rng::Philox;
 use mhsplat::model::knn::mean_squared_distances;
 use mhsplat::model::{Plane, Splats, init};
+use mhsplat::rng::Philox;
 
 use super::{colmap_scene, load_every};
 

@@ -5,7 +5,7 @@ use mhsplat::config::Acceptance;
 use mhsplat::density::mh::accept::{
     accepts, exact_ln_prior_ratio, exact_ln_prior_ratio_of_death, ln_acceptance, voxel_prior,
 };
-use mhsplat::density::rng::{Philox, Purpose};
+use mhsplat::rng::{Philox, Purpose};
 
 const LAMBDA: f64 = 0.7;
 /// log-weight of one more Gaussian in each voxel, standing for −ΔL; a few voxels that want to be filled differently.

@@ -6,7 +6,7 @@ use mhsplat::density::mh::importance::importance;
 use mhsplat::density::mh::propose::{Categorical, birth_position, rotate};
 use mhsplat::density::mh::sparsity::VoxelCounts;
 use mhsplat::density::relocation::{ln_coefficient, sigmoid, split};
-use mhsplat::density::rng::{Philox, Purpose};
+use mhsplat::rng::{Philox, Purpose};
 
 /// Known answers of Random123's `kat_vectors` for philox4x32-10.
 #[test]

@@ -1,10 +1,10 @@
 //! sort: stable radix sort.
 
 use super::*;
-use mhsplat::density::rng::Philox;
 use mhsplat::gpu::Array;
 use mhsplat::gpu::tuning::status::{SLOTS, VISIBLE};
 use mhsplat::reference;
+use mhsplat::rng::Philox;
 use mhsplat::stage::sort::{Sort, SortArgs};
 
 #[test]

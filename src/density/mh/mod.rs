@@ -10,10 +10,10 @@ pub mod propose;
 pub mod relocate;
 pub mod sparsity;
 
-use super::rng::{Philox, Purpose};
 use super::{Cues, DensityControl, DensityStats, Edit, Outcome, SceneState, StepContext};
 use crate::config::{Birth, MhConfig};
 use crate::error::{Error, Result};
+use crate::rng::{Philox, Purpose};
 use propose::{Categorical, birth_position, gather};
 use rayon::prelude::*;
 use relocate::Relocation;
@@ -216,7 +216,7 @@ impl DensityControl for MetropolisHastings {
         let importance = importance::importance(scene.opacity_logits, cues, weights).values;
         let alive: Vec<f64> = relocation
             .alive_rows
-            .iter()
+            .par_iter()
             .map(|&r| importance[r as usize])
             .collect();
         let step = Step {

@@ -1,7 +1,7 @@
 //! Where births are proposed (\[MH\] Eq. 14–16): sources drawn by weight, positions by the source's own shape.
 
 use crate::density::SceneState;
-use crate::density::rng::Philox;
+use crate::rng::Philox;
 use rayon::prelude::*;
 
 /// Weights per partial sum; fixed, so that sums round alike for any number of threads.

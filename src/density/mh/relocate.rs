@@ -2,10 +2,13 @@
 
 use super::propose::{Categorical, gather};
 use crate::density::relocation::{sigmoid, split};
-use crate::density::rng::{Philox, Purpose};
 use crate::density::{Edit, SceneState, StepContext};
+use crate::rng::{Philox, Purpose};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+
+/// Rows per task.
+const CHUNK: usize = 16_384;
 
 /// Which rows live, and what relocation made of them.
 #[derive(Debug, Clone)]
@@ -38,10 +41,14 @@ impl Relocation {
             .map(|i| is_alive(scene, i, threshold))
             .collect();
         let rows = |state: bool| -> Vec<u32> {
-            (0u32..)
-                .zip(&alive)
-                .filter_map(|(i, a)| (*a == state).then_some(i))
-                .collect()
+            let among = |(c, states): (usize, &[bool])| -> Vec<u32> {
+                ((c * CHUNK) as u32..)
+                    .zip(states)
+                    .filter_map(|(i, a)| (*a == state).then_some(i))
+                    .collect()
+            };
+            let parts: Vec<Vec<u32>> = alive.par_chunks(CHUNK).enumerate().map(among).collect();
+            parts.concat()
         };
         let (alive_rows, dead_rows) = (rows(true), rows(false));
         let mut plan = Self {
@@ -136,40 +143,30 @@ fn is_alive(scene: &SceneState<'_>, row: usize, threshold: f64) -> bool {
 /// Lets births share opacity and scale with their sources: a source with m births becomes 1 + m equal parts, itself being
 /// one. Changes the births in place and answers the edits of the sources, rising.
 pub(super) fn share(births: &mut [Edit], scene: &SceneState<'_>) -> Vec<Edit> {
-    let mut families: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
-    for (k, birth) in births.iter().enumerate() {
-        families.entry(birth.src).or_default().push(k);
+    let mut families: BTreeMap<u32, (u32, Edit)> = BTreeMap::new();
+    for birth in births.iter() {
+        families.entry(birth.src).or_insert((1, *birth)).0 += 1;
     }
-    let mut sources = Vec::with_capacity(families.len());
-    for (source, members) in families {
-        let (Some(position), Some(first)) = (
-            gather(&scene.positions, source as usize),
-            members.first().and_then(|k| births.get(*k)).copied(),
-        ) else {
-            continue;
-        };
-        let copies = u32::try_from(members.len())
-            .unwrap_or(u32::MAX)
-            .saturating_add(1);
-        let part = split(f64::from(first.opacity_logit), copies);
-        let log_scale = first
-            .log_scale
-            .map(|s| (f64::from(s) + part.log_scale_offset) as f32);
-        let opacity_logit = part.opacity_logit as f32;
-        for k in members {
-            births[k] = Edit {
-                log_scale,
-                opacity_logit,
-                ..births[k]
-            };
+    let sources: Vec<Edit> = families
+        .into_par_iter()
+        .filter_map(|(source, (copies, one))| {
+            let part = split(f64::from(one.opacity_logit), copies);
+            Some(Edit {
+                dst: source,
+                position: gather(&scene.positions, source as usize)?,
+                log_scale: one
+                    .log_scale
+                    .map(|s| (f64::from(s) + part.log_scale_offset) as f32),
+                opacity_logit: part.opacity_logit as f32,
+                ..one
+            })
+        })
+        .collect();
+    for birth in births {
+        if let Ok(at) = sources.binary_search_by_key(&birth.src, |e| e.dst) {
+            birth.log_scale = sources[at].log_scale;
+            birth.opacity_logit = sources[at].opacity_logit;
         }
-        sources.push(Edit {
-            src: source,
-            dst: source,
-            position,
-            log_scale,
-            opacity_logit,
-        });
     }
     sources
 }

@@ -42,6 +42,8 @@ pub enum Purpose {
     FineAccept = 10,
     /// Synthetic scenes and tests.
     Synthetic = 11,
+    /// Which sparse points a bounded run starts from.
+    Subset = 12,
 }
 
 impl Purpose {

@@ -1,0 +1,40 @@
+//! The held-out views that the report shows.
+
+use super::Run;
+use crate::error::Result;
+use crate::report::{GalleryItem, error_map};
+
+/// Held-out views shown in the report.
+const GALLERY_VIEWS: usize = 6;
+
+impl Run {
+    pub(super) fn gallery(&mut self) -> Result<Vec<GalleryItem>> {
+        let Some(evaluator) = &self.evaluator else {
+            return Ok(Vec::new());
+        };
+        let degree = self.trainer.schedule().sh_degree(self.trainer.iteration());
+        let background = self.trainer.schedule().fixed_background();
+        let (scene, renderer) = self.trainer.scene_and_renderer();
+        let n = self.dataset.test.len();
+        let shown = n.min(GALLERY_VIEWS);
+        let mut items = Vec::with_capacity(shown);
+        for k in 0..shown {
+            let view = k * n / shown;
+            let score = evaluator.score(view, scene, renderer, degree, background)?;
+            let image = renderer.read_image(&evaluator.views().cameras[view])?;
+            let render = image.rgb8();
+            let photo = self.dataset.test[view].photo.rgb_over(background);
+            items.push(GalleryItem {
+                view: score.view,
+                psnr: score.psnr,
+                ssim: score.ssim,
+                width: image.width as u32,
+                height: image.height as u32,
+                error: error_map(&render, &photo)?,
+                render,
+                photo,
+            });
+        }
+        Ok(items)
+    }
+}
