@@ -3,11 +3,6 @@
 // order of edits does not matter: no dst is named twice, and a row that is a src is a dst only of its own edit, which
 // writes none of the planes that others copy.
 
-typedef struct {
-  uint src, dst;
-  float position[3], log_scale[3], opacity_logit;
-} Edit;
-
 __kernel void edit(__global const Edit *edits, uint count, uint stride, // in [count]
                    __global real *params, __global real *moment1, __global real *moment2) { // in/out [planes, stride]
   const uint e = get_global_id(0), plane = get_global_id(1);

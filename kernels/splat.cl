@@ -1,7 +1,7 @@
 // splat: front-to-back compositing of each tile's Gaussians. One formula for both styles: a work-item per tile with
 // blocks of VW pixels in registers (CPUs), or a work-group per tile with a work-item per pixel (GPUs).
 // A pixel takes contributions while its transmittance is >= T_MIN; alpha is capped at ALPHA_MAX and dropped below the
-// cut. Source: 3DGS; block structure and staging measured on CPUs.
+// cut. Longer than a function should be: the compositing loop stays in one piece, in registers. Source: 3DGS; block structure and staging measured on CPUs.
 // Images are planar with stride tiles_x*TILE and tiles_y*TILE rows: planes red, green, blue, transmittance.
 
 #if !GROUP_STYLE
@@ -72,9 +72,12 @@ __kernel void splat(__global const Record *records, __global const uint *pair_ow
 #else
 // Launch: one work-group of TILE x TILE work-items per tile.
 __kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
-splat(__global const Record *records, __global const uint *pair_owner, __global const uint *order,
-      __global const uint *tile_start, int tiles_x, int tiles, real bg_red, real bg_green, real bg_blue,
-      __global real *image, __global uint *tile_used) {
+splat(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+      __global const uint *order,      // in [pairs] sorted: emission slot of each pair
+      __global const uint *tile_start, // in [tiles + 1]
+      int tiles_x, int tiles, real bg_red, real bg_green, real bg_blue,
+      __global real *image,       // out [4, rows, stride]
+      __global uint *tile_used) { // out [tiles] pairs looked at before every pixel was opaque
   const int tile = get_group_id(0), l = get_local_id(0);
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
   const int x = l % TILE, y = l / TILE;

@@ -117,9 +117,12 @@ __kernel void splat_grad(__global const Record *records, __global const uint *pa
 // Launch: one work-group of TILE x TILE work-items per tile; sums over the group in a fixed order (two stages through
 // local memory), no assumption on sub-groups.
 __kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
-splat_grad(__global const Record *records, __global const uint *pair_owner, __global const uint *order,
-           __global const uint *tile_start, __global const uint *tile_used, int tiles_x, int tiles,
-           __global const real *image, __global const real *dimage, __global real *sums) {
+splat_grad(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+           __global const uint *order, __global const uint *tile_start,     // in [pairs], [tiles + 1]
+           __global const uint *tile_used, int tiles_x, int tiles,          // in [tiles]
+           __global const real *image,  // in [4, rows, stride] as splat left it
+           __global const real *dimage, // in [3, rows, stride] dL/dC, 0 outside of the image
+           __global real *sums) {       // out [pairs, SUMS] at emission slots
   const int tile = get_group_id(0), l = get_local_id(0);
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
   const int x = l % TILE, y = l / TILE;

@@ -200,7 +200,9 @@ impl Run {
         mut progress: impl FnMut(&Progress),
     ) -> Result<&RunRecord> {
         let due = |every: u32, done: u32| every > 0 && done.is_multiple_of(every);
-        while self.trainer.iteration() < self.config.iterations && !self.out_of_time() {
+        while self.trainer.iteration() < self.config.iterations
+            && (self.trainer.iteration() == 0 || !self.out_of_time())
+        {
             if stop.load(Ordering::Relaxed) {
                 self.interrupt()?;
                 return Err(Error::Interrupted);

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
-use mhsplat::dataset::{Frame, Points};
+use mhsplat::dataset::{Frame, Points, point_cloud};
 use mhsplat::error::Error;
 use mhsplat::export::ply;
 use mhsplat::model::{Plane, Splats};
@@ -245,8 +245,8 @@ fn point_clouds() {
         center: DVec3::new(5e6, -4e5, 100.0),
         scale: 2.0,
     };
-    ply::write_points(&file, &points, &frame).unwrap();
-    let back = ply::read_points(&file, &frame).unwrap();
+    point_cloud::write(&file, &points, &frame).unwrap();
+    let back = point_cloud::read(&file, &frame).unwrap();
     assert_eq!(
         (&back.positions, &back.colors),
         (&points.positions, &points.colors)
@@ -254,12 +254,12 @@ fn point_clouds() {
     assert_refused(ply::read(&file, &frame), &["point cloud"]);
     let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
         property float red\nproperty float green\nproperty float blue\nend_header\n1 2 3 1 0.5 0\n";
-    let back = ply::read_points(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY).unwrap();
+    let back = point_cloud::read(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY).unwrap();
     assert_eq!(back.colors, [[255, 128, 0]]);
     let text = text.replace("1 2 3", "1 NaN 3");
     let file = with(dir.path(), text.as_bytes());
     assert_refused(
-        ply::read_points(&file, &Frame::IDENTITY),
+        point_cloud::read(&file, &Frame::IDENTITY),
         &["y of vertex 0"],
     );
 }
@@ -274,7 +274,7 @@ fn files_of_other_programs() {
     assert_eq!((scene.len(), scene.sh_degree()), (100, 3));
     let scene = ply::read(&folder.join("kacytran_iter7000.ply"), &frame).unwrap();
     assert_eq!((scene.len(), scene.sh_degree()), (9080, 3));
-    let points = ply::read_points(&folder.join("brush_init.ply"), &frame).unwrap();
+    let points = point_cloud::read(&folder.join("brush_init.ply"), &frame).unwrap();
     assert_eq!(points.positions.len(), 100);
     for name in [
         "playcanvas_biker.compressed.ply",

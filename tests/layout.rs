@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use mhsplat::gpu::tuning::Tuning;
-use mhsplat::gpu::{Array, CameraArg, Defines, Device, Kernels, Record};
+use mhsplat::gpu::{Array, CameraArg, Defines, Device, EditRow, Kernels, Record};
 
 fn probe<R: mhsplat::gpu::Real>() -> Vec<u32> {
     let device = Device::open(None).unwrap();
@@ -14,8 +14,8 @@ fn probe<R: mhsplat::gpu::Real>() -> Vec<u32> {
     let [kernel] = Kernels::new(&device, defines)
         .build::<R, 1>("project", ["layout_probe"])
         .unwrap();
-    let out = Array::zeros(&device, "layout", 8).unwrap();
-    kernel.launch().array(&out, 8).run([1, 1], [1, 1]).unwrap();
+    let out = Array::zeros(&device, "layout", 11).unwrap();
+    kernel.launch().array(&out, 11).run([1, 1], [1, 1]).unwrap();
     out.to_vec().unwrap()
 }
 
@@ -30,6 +30,9 @@ macro_rules! layout {
             std::mem::offset_of!(CameraArg<$real>, intrinsics),
             std::mem::offset_of!(CameraArg<$real>, near),
             std::mem::offset_of!(CameraArg<$real>, tiles) + 4,
+            size_of::<EditRow>(),
+            std::mem::offset_of!(EditRow, log_scale),
+            std::mem::offset_of!(EditRow, opacity_logit),
         ]
         .map(|v| v as u32)
         .to_vec()
@@ -104,7 +107,7 @@ fn only_gpu_names_opencl_and_is_unsafe() {
 }
 
 /// (folder or file below src, crate modules it must not use)
-const FORBIDDEN: [(&str, &[&str]); 6] = [
+const FORBIDDEN: [(&str, &[&str]); 7] = [
     ("error.rs", &["crate::"]),
     (
         "density",
@@ -117,8 +120,22 @@ const FORBIDDEN: [(&str, &[&str]); 6] = [
         ],
     ),
     (
+        "dataset",
+        &[
+            "crate::gpu",
+            "crate::stage",
+            "crate::density",
+            "crate::train",
+            "crate::render",
+            "crate::report",
+            "crate::export",
+        ],
+    ),
+    (
         "model",
         &[
+            "crate::density",
+            "crate::export",
             "crate::gpu",
             "crate::stage",
             "crate::train",

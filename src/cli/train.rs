@@ -250,6 +250,12 @@ fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
     if common.json {
         return output::json(record);
     }
+    if record.iterations < record.config.iterations {
+        output::note(&format!(
+            "the time budget ended the run after {} of {} iterations, before its schedules did",
+            record.iterations, record.config.iterations
+        ));
+    }
     let scores = record.final_scores.as_ref().map_or_else(
         || "no held-out view".to_owned(),
         |f| format!("held-out PSNR {:.2} dB, SSIM {:.4}", f.psnr, f.ssim),

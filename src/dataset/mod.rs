@@ -6,6 +6,8 @@ mod decode;
 pub mod frame;
 pub mod photo;
 pub(crate) mod ply;
+#[doc(hidden)]
+pub mod point_cloud;
 mod raw;
 pub mod synthetic;
 pub mod transforms;

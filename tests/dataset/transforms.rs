@@ -4,9 +4,9 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
+use mhsplat::dataset::point_cloud;
 use mhsplat::dataset::transforms::write_transforms;
 use mhsplat::dataset::{Frame, Layout, Points};
-use mhsplat::export::ply;
 use serde_json::{Value, json};
 
 use super::{assert_refused, assert_ring, load_every, ring, write_images};
@@ -115,7 +115,7 @@ fn points_come_with_ply_file_path() {
         positions: vec![[0.5, -0.25, 8.0], [1.0, 2.0, 3.0]],
         colors: vec![[1, 2, 3], [255, 0, 7]],
     };
-    ply::write_points(&dir.path().join("sparse.ply"), &points, &Frame::IDENTITY).unwrap();
+    point_cloud::write(&dir.path().join("sparse.ply"), &points, &Frame::IDENTITY).unwrap();
     edit(dir.path(), "transforms.json", |v| {
         v["ply_file_path"] = json!("sparse.ply")
     });

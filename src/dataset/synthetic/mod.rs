@@ -24,9 +24,8 @@ use serde::{Deserialize, Serialize};
 
 use super::colmap::{write_bin, write_txt};
 use super::transforms::write_transforms;
-use super::{Camera, Frame};
+use super::{Camera, Frame, point_cloud};
 use crate::error::{Error, Result};
-use crate::export::ply;
 use scene::Scene;
 
 /// Names of the scenes that [`generate`] knows.
@@ -201,7 +200,7 @@ pub fn generate(name: &str, dir: &Path, options: &SynthOptions) -> Result<SynthR
                 let file = dir.join(format!("transforms_{split}.json"));
                 write_transforms(&file, &part, Some("points3d.ply"))?;
             }
-            ply::write_points(
+            point_cloud::write(
                 &dir.join("points3d.ply"),
                 &write::cloud(&points),
                 &Frame::IDENTITY,

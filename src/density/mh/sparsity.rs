@@ -89,12 +89,6 @@ impl VoxelCounts {
     pub fn occupied(&self) -> usize {
         self.shards.iter().map(|s| s.occupied).sum()
     }
-
-    /// Edge of the voxels, local units.
-    #[must_use]
-    pub fn edge(&self) -> f64 {
-        self.edge
-    }
 }
 
 fn key(position: [f64; 3], edge: f64) -> Option<Key> {
