@@ -3,7 +3,7 @@
 // The minimum over the tile's pixel centres' rectangle of the record's quadratic form, against its reach: exact for a
 // convex form, whose minimum lies at the mean or on an edge that faces the mean (StopThePop, Speedy-Splat intersect
 // likewise). TILE_SLACK covers f32 rounding: a pair too many costs time, a pair too few costs a pixel.
-static inline int touches_tile(const Record *g, int tx, int ty) {
+static inline int touches_tile(const Record *g, real slope, real reach, int tx, int ty) {
   const real x0 = (real)(tx * TILE) + R(0.5) - g->x, x1 = x0 + (real)(TILE - 1);
   const real y0 = (real)(ty * TILE) + R(0.5) - g->y, y1 = y0 + (real)(TILE - 1);
   const int right = x0 > R(0.0), left = x1 < R(0.0), below = y0 > R(0.0), above = y1 < R(0.0);
@@ -11,7 +11,7 @@ static inline int touches_tile(const Record *g, int tx, int ty) {
   real q = (real)INFINITY;
   if (right || left) {
     const real dx = right ? x0 : x1;
-    const real dy = clamp(g->a * g->r * dx / fma(g->a * g->r, g->r, g->c), y0, y1);
+    const real dy = clamp(slope * dx, y0, y1);
     const real u = fma(-g->r, dy, dx);
     q = fma(g->a * u, u, g->c * dy * dy);
   }
@@ -21,25 +21,54 @@ static inline int touches_tile(const Record *g, int tx, int ty) {
     const real u = fma(-g->r, dy, dx);
     q = fmin(q, fma(g->a * u, u, g->c * dy * dy));
   }
-  return q <= g->lo - (real)LOG2_ALPHA_MIN + (real)TILE_SLACK;
+  return q <= reach;
 }
 
-// The only walk over a Gaussian's tiles, row by row: counts, and writes where `keys` is given (so that count and
-// emission cannot disagree).
-static inline uint walk_tiles(const Record *g, uint tiles_x, __global uint *keys, __global uint *owners, uint i) {
+// The tiles of a Gaussian's box, row by row. Up to MASKED of them are remembered as a mask, so that nobody decides again;
+// larger boxes are walked again when they are emitted, by the same function.
+#define MASKED 32
+
+// Whether a box is small enough for a mask.
+static inline int is_masked(const Record *g) {
+  const int w = BOUND_HI(g->bx) / TILE - BOUND_LO(g->bx) / TILE + 1;
+  const int h = BOUND_HI(g->by) / TILE - BOUND_LO(g->by) / TILE + 1;
+  return w <= MASKED && h <= MASKED && w * h <= MASKED;
+}
+
+// Counts the tiles touched, remembers them in *mask if they fit, and writes them where `keys` is given.
+static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, __global uint *keys, __global uint *owners,
+                              uint i) {
   const int tx0 = BOUND_LO(g->bx) / TILE, tx1 = BOUND_HI(g->bx) / TILE;
   const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
-  uint n = 0;
+  const real slope = g->a * g->r / fma(g->a * g->r, g->r, g->c); // dy of the minimum along a vertical line, per dx
+  const real reach = g->lo - (real)LOG2_ALPHA_MIN + (real)TILE_SLACK;
+  uint n = 0, bits = 0, at = 0;
   for (int ty = ty0; ty <= ty1; ty++)
-    for (int tx = tx0; tx <= tx1; tx++)
-      if (touches_tile(g, tx, ty)) {
+    for (int tx = tx0; tx <= tx1; tx++, at++)
+      if (touches_tile(g, slope, reach, tx, ty)) {
         if (keys) {
           keys[n] = (uint)ty * tiles_x + (uint)tx;
           owners[n] = i;
         }
+        bits |= 1u << (at % MASKED);
         n++;
       }
+  *mask = bits;
   return n;
+}
+
+// Writes the tiles of a mask in the order in which walk_tiles sets its bits.
+static inline void emit_mask(uint mask, uint tx0, uint ty0, uint width, uint tiles_x, __global uint *keys,
+                             __global uint *owners, uint i) {
+  uint n = 0;
+  for (uint ty = ty0; mask; ty++) {
+    for (uint row = mask & (0xffffffffu >> (MASKED - width)); row; row &= row - 1) {
+      keys[n] = ty * tiles_x + tx0 + (MASKED - 1 - clz(row & -row));
+      owners[n] = i;
+      n++;
+    }
+    mask = width < MASKED ? mask >> width : 0;
+  }
 }
 
 // Launch: one work-item per chunk of Gaussians. Counts the visible ones.
@@ -72,30 +101,51 @@ __kernel void bin_compact(__global const uint *keys, uint count, // in [count]
     }
 }
 
-// Launch: one work-item per Gaussian; those past the visible ones have nothing to do.
+// Launch: one work-item per BATCH visible Gaussians, whose records are fetched together; those past the visible ones
+// have nothing to do.
 __kernel void bin_count(__global const Record *records, __global const uint *visible, // in, in depth order
                         __global const uint *status, uint tiles_x,
-                        __global uint *counts) { // out [visible] tiles touched
-  const uint j = get_global_id(0);
-  if (j >= status[S_VISIBLE]) return;
-  const Record g = records[visible[j]];
-  counts[j] = walk_tiles(&g, tiles_x, 0, 0, 0);
+                        __global uint *counts,  // out [visible] tiles touched
+                        __global uint *cover) { // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
+  const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
+  if (first >= visible_count) return;
+  const uint n = min((uint)BATCH, visible_count - first);
+  Record staged[BATCH];
+  for (uint j = 0; j < n; j++) staged[j] = records[visible[first + j]];
+  for (uint j = 0; j < n; j++) {
+    const Record *g = &staged[j];
+    uint mask;
+    counts[first + j] = walk_tiles(g, &mask, tiles_x, 0, 0, 0);
+    const uint tx0 = BOUND_LO(g->bx) / TILE, ty0 = BOUND_LO(g->by) / TILE, width = BOUND_HI(g->bx) / TILE - tx0 + 1;
+    cover[2 * (first + j)] = mask;
+    cover[2 * (first + j) + 1] = is_masked(g) ? tx0 | ty0 << 12 | width << 24 : 0;
+  }
 }
 
 // Launch: as bin_count. Emits nothing when the pairs did not fit.
 __kernel void bin_emit(__global const Record *records, __global const uint *visible,
                        __global const uint *status, uint tiles_x,
+                       __global const uint *counts, __global const uint *cover, // in, as bin_count wrote them
                        __global const uint *offsets,  // in [visible] exclusive sums of counts
                        __global uint *tile_keys,      // out [pairs] tile, row major
                        __global uint *pair_owner,     // out [pairs] Gaussian index
                        __global uint *pair_start,     // out [count] first pair of a Gaussian
                        __global uint *pair_counts) {  // out [count] its pairs
-  const uint j = get_global_id(0);
-  if (j >= status[S_VISIBLE] || status[S_OVERFLOW] != 0) return;
-  const uint i = visible[j], at = offsets[j];
-  const Record g = records[i];
-  pair_start[i] = at;
-  pair_counts[i] = walk_tiles(&g, tiles_x, tile_keys + at, pair_owner + at, i);
+  const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
+  if (first >= visible_count || status[S_OVERFLOW] != 0) return;
+  const uint n = min((uint)BATCH, visible_count - first);
+  for (uint j = first; j < first + n; j++) {
+    const uint i = visible[j], at = offsets[j], box = cover[2 * j + 1];
+    pair_start[i] = at;
+    pair_counts[i] = counts[j];
+    if (box) {
+      emit_mask(cover[2 * j], box & 0xfffu, box >> 12 & 0xfffu, box >> 24, tiles_x, tile_keys + at, pair_owner + at, i);
+    } else {
+      const Record g = records[i];
+      uint mask;
+      walk_tiles(&g, &mask, tiles_x, tile_keys + at, pair_owner + at, i);
+    }
+  }
 }
 
 // Launch: one work-item per tile boundary (tiles + 1): lower bound of the tile in the sorted keys.

@@ -1,194 +1,234 @@
 // loss: L = (1 - lambda) mean|x - y| + lambda (1 - mean SSIM) and dL/dx, by two sweeps of separable 11-tap windows
-// (sigma 1.5, zero padding, per channel). Both images are shifted by SHIFT = 1/2, padding included, which leaves
-// variances and covariances as they are and keeps E[x^2] - E[x]^2 from cancelling on flat images.
-// A work-item takes a strip: VW columns by STRIP rows. Source: [MH] Eq. 4; SSIM of Wang et al. 2004; gradient through
-// three maps as in fused-ssim.
+// (sigma 1.5, zero padding), one channel after the other so that the maps between the sweeps stay in cache. Both images
+// are shifted by SHIFT = 1/2, padding included, which leaves variances and covariances as they are and keeps
+// E[x^2] - E[x]^2 from cancelling on flat images. A work-item takes a strip of STRIP columns by LOSS_ROWS rows: it windows
+// columns first (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in registers), then rows. Source: [MH] Eq. 4; SSIM of Wang et
+// al. 2004; gradient through three maps as in fused-ssim.
 
 #define RADIUS (TAPS / 2)
-#define ROW (VW + 2 * RADIUS)
+#define REACH (LOSS_ROWS + 2 * RADIUS) // rows that a group sees
+#define HALO ((RADIUS + VW - 1) / VW)     // vectors that a strip needs on either side; loads stay aligned
+#define VECTORS (STRIP / VW + 2 * HALO)
 #define SHIFT R(0.5)
 __constant real WINDOW[TAPS] = SSIM_WINDOW;
 
-// ROW shifted values of a rendered row from column x0 - RADIUS on; 0 before the shift outside of the image.
-static inline void render_row(__global const real *plane, int stride, int x0, int y, int width, int height,
-                              real out[ROW]) {
-  const int inside = y >= 0 && y < height;
-  if (inside && x0 >= RADIUS && x0 + VW + RADIUS <= width) {
-    __global const real *from = plane + (size_t)y * stride + (x0 - RADIUS);
-    for (int k = 0; k < ROW; k++) out[k] = from[k] - SHIFT;
-  } else {
-    for (int k = 0; k < ROW; k++) {
-      const int x = x0 - RADIUS + k;
-      out[k] = (inside && x >= 0 && x < width ? plane[(size_t)y * stride + x] : R(0.0)) - SHIFT;
-    }
-  }
+// All ones in lanes that lie inside of the image.
+static inline maskV inside(int x, int width) {
+  const realV at = LANES + (realV)((real)x);
+  return (at >= (realV)(R(0.0))) & (at < (realV)((real)width));
 }
 
-// The photo's counterpart: bytes, premultiplied colour plus (1 - alpha) of the background when there is an alpha plane.
-static inline void photo_row(__global const uchar *plane, __global const uchar *alpha, real background, int x0, int y,
-                             int width, int height, real out[ROW]) {
-  const int inside = y >= 0 && y < height;
-  for (int k = 0; k < ROW; k++) {
-    const int x = x0 - RADIUS + k;
-    real v = R(0.0);
-    if (inside && x >= 0 && x < width) {
-      const size_t at = (size_t)y * width + x;
-      v = (real)plane[at] / R(255.0);
+// VW values of row y from column x on, 0 outside of the image. Vectors that stick out are loaded whole and masked,
+// unless that would leave the array of `length` values.
+#define LOAD_AT(name, type, load)                                                                                  \
+  static inline realV name(__global const type *image, long length, long row, int x, int width) {                \
+    realV v;                                                                                                       \
+    if (row + x >= 0 && row + x + VW <= length) v = load(image + row + x);                                         \
+    else {                                                                                                         \
+      real in[VW];                                                                                                 \
+      for (int l = 0; l < VW; l++) in[l] = x + l >= 0 && x + l < width ? (real)image[row + x + l] : R(0.0);        \
+      v = vload_real(0, in);                                                                                       \
+    }                                                                                                              \
+    return x >= 0 && x + VW <= width ? v : choose(inside(x, width), v, (realV)(R(0.0)));                           \
+  }
+#define REALS(p) vload_real(0, p)
+LOAD_AT(reals_at, real, REALS)
+LOAD_AT(bytes_at, uchar, bytes_to_real)
+
+// A render and its photo.
+typedef struct {
+  __global const real *image;  // [>= 3, rows, stride]
+  __global const uchar *photo; // [3 or 4, height, width]
+  long plane, pixels;
+  int channel, width, height, stride;
+  real background;
+} Images;
+
+// VW rendered values of row y from column x on, shifted.
+static inline realV render_at(const Images *s, int x, int y) {
+  if (y < 0 || y >= s->height) return (realV)(-SHIFT);
+  return reals_at(s->image, 3 * s->plane, s->channel * s->plane + (long)y * s->stride, x, s->width) - SHIFT;
+}
+
+// v / 255 to the last bit without a division, so that a render that equals its photo has no gradient.
+static inline realV over_255(realV v) {
+  const realV r = (realV)(R(1.0) / R(255.0)), q = v * r;
+  return fma(fma((realV)(-R(255.0)), q, v), r, q);
+}
+
+// The photo's counterpart: premultiplied colour plus (1 - alpha) of the background when there is an alpha plane.
+static inline realV photo_at(const Images *s, int x, int y) {
+  if (y < 0 || y >= s->height) return (realV)(-SHIFT);
+  const long length = (3 + HAS_ALPHA) * s->pixels, row = (long)y * s->width;
+  realV v = over_255(bytes_at(s->photo, length, s->channel * s->pixels + row, x, s->width));
 #if HAS_ALPHA
-      v += (R(1.0) - (real)alpha[at] / R(255.0)) * background;
+  const realV a = over_255(bytes_at(s->photo, length, 3 * s->pixels + row, x, s->width));
+  v += choose(inside(x, s->width), (realV)(R(1.0)) - a, (realV)(R(0.0))) * s->background;
 #endif
-    }
-    out[k] = v - SHIFT;
+  return v - SHIFT;
+}
+
+// Vertical windows of LOSS_ROWS consecutive rows, of REACH rows. The window is symmetric: 5 sums, 6 products.
+static inline void window_columns(const realV r[REACH], realV out[LOSS_ROWS]) {
+  const real weights[TAPS] = SSIM_WINDOW;
+#pragma unroll
+  for (int g = 0; g < LOSS_ROWS; g++) {
+    realV sum = (realV)(weights[RADIUS]) * r[g + RADIUS];
+#pragma unroll
+    for (int k = 0; k < RADIUS; k++) sum = fma((realV)(weights[k]), r[g + k] + r[g + 2 * RADIUS - k], sum);
+    out[g] = sum;
   }
 }
 
-// Horizontal window over a row.
-static inline realV window_row(const real *row) {
-  realV sum = (realV)(R(0.0));
-  for (int k = 0; k < TAPS; k++) sum = fma((realV)(WINDOW[k]), vload_real(0, row + k), sum);
+// Horizontal window over the lanes of row[at], from its neighbours.
+static inline realV window_row(const realV row[VECTORS], int at) {
+#if VW == 16
+  // Lanes shifted in registers: cheaper than loads that cross cache lines.
+  const realV a = row[at - 1], b = row[at], c = row[at + 1];
+  realV sum = (realV)(WINDOW[5]) * b;
+  sum = fma((realV)(WINDOW[4]), (realV)(a.sf, b.s012, b.s3456, b.s789a, b.sbcde) +
+                                    (realV)(b.s1234, b.s5678, b.s9abc, b.sdef, c.s0), sum);
+  sum = fma((realV)(WINDOW[3]), (realV)(a.sef, b.s01, b.s2345, b.s6789, b.sabcd) +
+                                    (realV)(b.s2345, b.s6789, b.sabcd, b.sef, c.s01), sum);
+  sum = fma((realV)(WINDOW[2]), (realV)(a.sdef, b.s0, b.s1234, b.s5678, b.s9abc) +
+                                    (realV)(b.s3456, b.s789a, b.sbcde, b.sf, c.s012), sum);
+  sum = fma((realV)(WINDOW[1]), (realV)(a.scdef, b.s0123, b.s4567, b.s89ab) +
+                                    (realV)(b.s4567, b.s89ab, b.scdef, c.s0123), sum);
+  return fma((realV)(WINDOW[0]), (realV)(a.sbcde, a.sf, b.s012, b.s3456, b.s789a) +
+                                     (realV)(b.s5678, b.s9abc, b.sdef, c.s0123, c.s4), sum);
+#else
+  const real *from = (const real *)row + at * VW;
+  realV sum = (realV)(WINDOW[RADIUS]) * vload_real(0, from);
+  for (int k = 1; k <= RADIUS; k++)
+    sum = fma((realV)(WINDOW[RADIUS - k]), vload_real(0, from - k) + vload_real(0, from + k), sum);
   return sum;
+#endif
 }
 
-// Vertical window over TAPS consecutive entries.
-static inline realV window_column(const realV *rows) {
-  realV sum = (realV)(R(0.0));
-  for (int k = 0; k < TAPS; k++) sum = fma((realV)(WINDOW[k]), rows[k], sum);
-  return sum;
-}
-
-// Sum over the lanes that lie inside of the image.
-static inline real inside_sum(realV v, int x0, int width) {
+// Sum over the lanes.
+static inline real lane_total(realV v) {
   real lane[VW], sum = R(0.0);
   vstore_real(v, 0, lane);
-  for (int l = 0; l < VW; l++)
-    if (x0 + l < width) sum += lane[l];
+  for (int l = 0; l < VW; l++) sum += lane[l];
   return sum;
 }
 
-// SSIM of a pixel block from the windowed moments of the shifted images, and its derivatives with respect to the
-// windowed x, x^2 and x y.
-static inline realV ssim_of(realV mx, realV my, realV xx, realV yy, realV xy, realV *dmx, realV *dxx, realV *dxy) {
+// SSIM of VW pixels from the windowed moments of the shifted images (means, E[x^2 + y^2], E[xy]), and its derivatives
+// with respect to the windowed x, x^2 and x y.
+static inline realV ssim_of(realV mx, realV my, realV squares, realV xy, realV *dmx, realV *dxx, realV *dxy) {
   const realV c1 = (realV)(SSIM_C1), c2 = (realV)(SSIM_C2), two = (realV)(R(2.0));
   const realV mux = mx + SHIFT, muy = my + SHIFT;
-  const realV vx = xx - mx * mx, vy = yy - my * my, cov = xy - mx * my;
+  const realV variances = squares - mx * mx - my * my, cov = xy - mx * my;
   const realV a1 = fma(two * mux, muy, c1), a2 = fma(two, cov, c2);
-  const realV b1 = fma(mux, mux, fma(muy, muy, c1)), b2 = vx + vy + c2;
+  const realV b1 = fma(mux, mux, fma(muy, muy, c1)), b2 = variances + c2;
   const realV inv = (realV)(R(1.0)) / (b1 * b2), ssim = a1 * a2 * inv;
-  *dxx = -ssim / b2;
+  *dxx = -ssim * (b1 * inv);
   *dxy = two * a1 * inv;
-  *dmx = two * (muy * a2 * inv - mux * ssim / b1) - two * mx * *dxx - my * *dxy;
+  *dmx = two * (muy * a2 * inv - mux * ssim * (b2 * inv)) - two * mx * *dxx - my * *dxy;
   return ssim;
 }
 
-// Launch: one work-item per strip (columns x rows of strips). With write_error the maps hold the channel means of
-// 1 - SSIM (plane 0) and |x - y| (plane 1); otherwise the derivative maps of the three channels.
+// Launch: one work-item per strip (columns x groups of rows). With write_error the maps hold the channel means of
+// 1 - SSIM (plane 0) and |x - y| (plane 1), added up from channel 0 on; otherwise the channel's derivative maps, 0 in
+// the padding.
 __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, stride]
                            __global const uchar *photo, // in [3 or 4, height, width]
-                           real bg_red, real bg_green, real bg_blue, int width, int height, int stride, int rows,
+                           int channel, real background, int width, int height, int stride, int rows,
                            int write_error,
-                           __global real *maps,      // out [9, rows, stride], or [2, rows, stride]
-                           __global real *partial) { // out [strips, 2] sums of |x - y| and SSIM
+                           __global real *maps,      // out [3, rows, stride], or [2, rows, stride]
+                           __global real *partial) { // out [3, strips, 2] sums of |x - y| and SSIM
   const int sx = get_global_id(0), sy = get_global_id(1);
-  if (sx * VW >= stride || sy * STRIP >= rows) return;
-  const int x0 = sx * VW, y0 = sy * STRIP;
-  const size_t plane = (size_t)stride * rows, pixels = (size_t)width * height;
-  real l1_sum = R(0.0), ssim_sum = R(0.0);
-  for (int ch = 0; ch < 3; ch++) {
-    const real background = ch == 0 ? bg_red : ch == 1 ? bg_green : bg_blue;
-    realV h[5][STRIP + 2 * RADIUS], difference[STRIP];
-    for (int r = 0; r < STRIP + 2 * RADIUS; r++) {
-      const int y = y0 - RADIUS + r;
-      real x[ROW], p[ROW], xx[ROW], pp[ROW], xp[ROW];
-      render_row(image + ch * plane, stride, x0, y, width, height, x);
-      photo_row(photo + ch * pixels, photo + 3 * pixels, background, x0, y, width, height, p);
-      for (int k = 0; k < ROW; k++) {
-        xx[k] = x[k] * x[k];
-        pp[k] = p[k] * p[k];
-        xp[k] = x[k] * p[k];
-      }
-      h[0][r] = window_row(x);
-      h[1][r] = window_row(p);
-      h[2][r] = window_row(xx);
-      h[3][r] = window_row(pp);
-      h[4][r] = window_row(xp);
-      if (r >= RADIUS && r < STRIP + RADIUS)
-        difference[r - RADIUS] = fabs(vload_real(0, x + RADIUS) - vload_real(0, p + RADIUS));
+  const int x0 = sx * STRIP, y0 = sy * LOSS_ROWS;
+  if (x0 >= stride || y0 >= rows) return;
+  const long plane = (long)stride * rows;
+  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  realV moments[4][LOSS_ROWS][VECTORS];
+  for (int j = 0; j < VECTORS; j++) {
+    const int x = x0 + (j - HALO) * VW;
+    realV a[REACH], b[REACH], squares[REACH], products[REACH], out[LOSS_ROWS];
+    for (int r = 0; r < REACH; r++) {
+      a[r] = render_at(&s, x, y0 - RADIUS + r);
+      b[r] = photo_at(&s, x, y0 - RADIUS + r);
+      squares[r] = fma(a[r], a[r], b[r] * b[r]);
+      products[r] = a[r] * b[r];
     }
-    for (int r = 0; r < STRIP; r++) {
-      const int y = y0 + r;
-      if (y >= rows) break;
+    window_columns(a, out);
+    for (int g = 0; g < LOSS_ROWS; g++) moments[0][g][j] = out[g];
+    window_columns(b, out);
+    for (int g = 0; g < LOSS_ROWS; g++) moments[1][g][j] = out[g];
+    window_columns(squares, out);
+    for (int g = 0; g < LOSS_ROWS; g++) moments[2][g][j] = out[g];
+    window_columns(products, out);
+    for (int g = 0; g < LOSS_ROWS; g++) moments[3][g][j] = out[g];
+  }
+  const realV zero = (realV)(R(0.0)), one = (realV)(R(1.0)), third = (realV)(R(1.0) / R(3.0));
+  realV l1_sum = zero, ssim_sum = zero;
+  for (int g = 0; g < LOSS_ROWS && y0 + g < rows; g++)
+    for (int j = 0; j * VW < STRIP && x0 + j * VW < stride; j++) {
+      const int x = x0 + j * VW, y = y0 + g;
+      const maskV in = inside(x, y < height ? width : 0);
       realV dmx, dxx, dxy;
-      const realV ssim = ssim_of(window_column(h[0] + r), window_column(h[1] + r), window_column(h[2] + r),
-                                 window_column(h[3] + r), window_column(h[4] + r), &dmx, &dxx, &dxy);
-      __global real *at = maps + (size_t)y * stride + x0;
-      if (y < height) {
-        l1_sum += inside_sum(difference[r], x0, width);
-        ssim_sum += inside_sum(ssim, x0, width);
-      }
+      realV ssim = ssim_of(window_row(moments[0][g], j + HALO), window_row(moments[1][g], j + HALO), window_row(moments[2][g], j + HALO),
+                           window_row(moments[3][g], j + HALO), &dmx, &dxx, &dxy);
+      const realV difference = choose(in, fabs(render_at(&s, x, y) -
+                                               photo_at(&s, x, y)), zero);
+      ssim = choose(in, ssim, zero);
+      l1_sum += difference;
+      ssim_sum += ssim;
+      __global real *at = maps + (size_t)y * stride + x;
       if (write_error) {
-        const realV third = (realV)(R(1.0) / R(3.0)), one = (realV)(R(1.0));
-        const realV e = (one - ssim) * third, l = difference[r] * third;
-        vstore_real(ch == 0 ? e : vload_real(0, at) + e, 0, at);
-        vstore_real(ch == 0 ? l : vload_real(0, at + plane) + l, 0, at + plane);
+        const realV e = (one - ssim) * third, l = difference * third;
+        vstore_real(channel == 0 ? e : vload_real(0, at) + e, 0, at);
+        vstore_real(channel == 0 ? l : vload_real(0, at + plane) + l, 0, at + plane);
       } else {
-        at += 3 * ch * plane;
-        vstore_real(dmx, 0, at);
-        vstore_real(dxx, 0, at + plane);
-        vstore_real(dxy, 0, at + 2 * plane);
+        vstore_real(choose(in, dmx, zero), 0, at);
+        vstore_real(choose(in, dxx, zero), 0, at + plane);
+        vstore_real(choose(in, dxy, zero), 0, at + 2 * plane);
       }
     }
-  }
-  const size_t strip = (size_t)sy * ((stride + VW - 1) / VW) + sx;
-  partial[2 * strip] = l1_sum;
-  partial[2 * strip + 1] = ssim_sum;
+  const size_t columns = (stride + STRIP - 1) / STRIP, strips = columns * ((rows + LOSS_ROWS - 1) / LOSS_ROWS);
+  const size_t strip = channel * strips + sy * columns + sx;
+  partial[2 * strip] = lane_total(l1_sum);
+  partial[2 * strip + 1] = lane_total(ssim_sum);
 }
 
-// ROW values of a derivative map; 0 outside of the image.
-static inline void map_row(__global const real *plane, int stride, int x0, int y, int width, int height,
-                           real out[ROW]) {
-  const int inside = y >= 0 && y < height;
-  for (int k = 0; k < ROW; k++) {
-    const int x = x0 - RADIUS + k;
-    out[k] = inside && x >= 0 && x < width ? plane[(size_t)y * stride + x] : R(0.0);
-  }
-}
-
-// Launch: as loss_forward. dL/dx, zero in the padding.
+// Launch: as loss_forward. dL/dx of the channel, zero in the padding.
 __kernel void loss_backward(__global const real *image, __global const uchar *photo, // in, as loss_forward
-                            real bg_red, real bg_green, real bg_blue, int width, int height, int stride, int rows,
-                            __global const real *maps,   // in [9, rows, stride]
+                            int channel, real background, int width, int height, int stride, int rows,
+                            __global const real *maps,   // in [3, rows, stride]
                             real weight_l1,              // (1 - lambda) / (3 width height)
                             real weight_ssim,            // lambda / (3 width height)
                             __global real *dimage) {     // out [3, rows, stride]
-  const int sx = get_global_id(0), sy = get_global_id(1);
-  if (sx * VW >= stride || sy * STRIP >= rows) return;
-  const int x0 = sx * VW, y0 = sy * STRIP;
-  const size_t plane = (size_t)stride * rows, pixels = (size_t)width * height;
-  for (int ch = 0; ch < 3; ch++) {
-    const real background = ch == 0 ? bg_red : ch == 1 ? bg_green : bg_blue;
-    realV h[3][STRIP + 2 * RADIUS];
-    for (int r = 0; r < STRIP + 2 * RADIUS; r++)
-      for (int m = 0; m < 3; m++) {
-        real row[ROW];
-        map_row(maps + (3 * ch + m) * plane, stride, x0, y0 - RADIUS + r, width, height, row);
-        h[m][r] = window_row(row);
+  const int x0 = get_global_id(0) * STRIP, y0 = get_global_id(1) * LOSS_ROWS;
+  if (x0 >= stride || y0 >= rows) return;
+  const long plane = (long)stride * rows;
+  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  dimage += channel * plane;
+  realV windows[3][LOSS_ROWS][VECTORS];
+  for (int m = 0; m < 3; m++)
+    for (int j = 0; j < VECTORS; j++) {
+      realV in[REACH], out[LOSS_ROWS];
+      for (int r = 0; r < REACH; r++)
+        {
+        const int y = y0 - RADIUS + r;
+        in[r] = y < 0 || y >= rows ? (realV)(R(0.0))
+                                   : reals_at(maps, 3 * plane, m * plane + (long)y * stride, x0 + (j - HALO) * VW, stride);
       }
-    for (int r = 0; r < STRIP; r++) {
-      const int y = y0 + r;
-      if (y >= rows) break;
-      real xr[ROW], pr[ROW], d[VW];
-      render_row(image + ch * plane, stride, x0, y, width, height, xr);
-      photo_row(photo + ch * pixels, photo + 3 * pixels, background, x0, y, width, height, pr);
-      const realV x = vload_real(0, xr + RADIUS), p = vload_real(0, pr + RADIUS);
-      const realV dssim = window_column(h[0] + r) +
-                          fma((realV)(R(2.0)) * x, window_column(h[1] + r), p * window_column(h[2] + r));
-      const realV zero = (realV)(R(0.0)), one = (realV)(R(1.0));
-      const realV sign = choose(x > p, one, zero) - choose(x < p, one, zero);
-      vstore_real(fma((realV)(weight_l1), sign, -(realV)(weight_ssim)*dssim), 0, d);
-      for (int l = 0; l < VW; l++)
-        dimage[ch * plane + (size_t)y * stride + x0 + l] = x0 + l < width && y < height ? d[l] : R(0.0);
+      window_columns(in, out);
+      for (int g = 0; g < LOSS_ROWS; g++) windows[m][g][j] = out[g];
     }
-  }
+  const realV zero = (realV)(R(0.0)), one = (realV)(R(1.0));
+  for (int g = 0; g < LOSS_ROWS && y0 + g < rows; g++)
+    for (int j = 0; j * VW < STRIP && x0 + j * VW < stride; j++) {
+      const int x = x0 + j * VW, y = y0 + g;
+      const realV a = render_at(&s, x, y);
+      const realV b = photo_at(&s, x, y);
+      const realV dssim = window_row(windows[0][g], j + HALO) +
+                          fma((realV)(R(2.0)) * a, window_row(windows[1][g], j + HALO), b * window_row(windows[2][g], j + HALO));
+      const realV sign = choose(a > b, one, zero) - choose(a < b, one, zero);
+      const realV d = fma((realV)(weight_l1), sign, -(realV)(weight_ssim)*dssim);
+      vstore_real(choose(inside(x, y < height ? width : 0), d, zero), 0, dimage + (size_t)y * stride + x);
+    }
 }
 
 // Launch: one work-item. Adds the strips in order. After an overflow the value means nothing; the repetition replaces it.

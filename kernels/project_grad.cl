@@ -124,20 +124,30 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
   const uint i = get_global_id(0) * VW;
   if (i >= count) return;
   const realV zero = V(R(0.0));
-  real lane[SUMS][VW], paired[VW], row[VW];
+  real lane[VW][SUMS], paired[VW], row[VW];
   for (uint l = 0; l < VW; l++) {
     const uint pairs = i + l < count ? pair_counts[i + l] : 0;
     row[l] = i + l < count ? R(1.0) : R(0.0);
     paired[l] = pairs > 0 ? R(1.0) : R(0.0);
-    for (int k = 0; k < SUMS; k++) lane[k][l] = R(0.0);
-    if (pairs == 0) continue;
-    __global const real *from = sums + (size_t)pair_start[i + l] * SUMS;
-    for (uint p = 0; p < pairs; p++)
-      for (int k = 0; k < SUMS; k++) lane[k][l] += from[(size_t)p * SUMS + k];
+    real8 eight = (real8)(R(0.0)); // in registers over the pairs
+    real ninth = R(0.0);
+    if (pairs > 0) {
+      __global const real *from = sums + (size_t)pair_start[i + l] * SUMS;
+      for (uint p = 0; p < pairs; p++, from += SUMS) {
+        eight += vload8(0, from);
+        ninth += from[8];
+      }
+    }
+    vstore8(eight, 0, lane[l]);
+    lane[l][8] = ninth;
   }
   const maskV exists = vload_real(0, row) > zero;
   realV x[3], ls[3], q[4], s[SUMS], dx[3], dls[3], dq[4];
-  for (int k = 0; k < SUMS; k++) s[k] = vload_real(0, lane[k]);
+  for (int k = 0; k < SUMS; k++) {
+    real in[VW];
+    for (int l = 0; l < VW; l++) in[l] = lane[l][k];
+    s[k] = vload_real(0, in);
+  }
   for (int k = 0; k < 3; k++) {
     x[k] = PLANE(params, P_POSITION + k);
     ls[k] = PLANE(params, P_LOG_SCALE + k);

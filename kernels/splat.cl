@@ -57,16 +57,12 @@ __kernel void splat(__global const Record *records, __global const uint *pair_ow
   tile_used[tile] = p - start;
   const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
   for (int k = 0; k < BLOCKS; k++) {
-    real out[4][VW];
-    vstore_real(fma(T[k], (realV)(bg_red), red[k]), 0, out[0]);
-    vstore_real(fma(T[k], (realV)(bg_green), green[k]), 0, out[1]);
-    vstore_real(fma(T[k], (realV)(bg_blue), blue[k]), 0, out[2]);
-    vstore_real(T[k], 0, out[3]);
-    for (int c = 0; c < 4; c++)
-      for (int l = 0; l < VW; l++) {
-        const int x = tile_x + k % BLOCKS_X * BLOCK_W + l % BLOCK_W, y = tile_y + k / BLOCKS_X * BLOCK_H + l / BLOCK_W;
-        image[c * plane + (size_t)y * stride + x] = out[c][l];
-      }
+    __global real *at =
+        image + (size_t)(tile_y + k / BLOCKS_X * BLOCK_H) * stride + (tile_x + k % BLOCKS_X * BLOCK_W);
+    store_block(fma(T[k], (realV)(bg_red), red[k]), at, stride);
+    store_block(fma(T[k], (realV)(bg_green), green[k]), at + plane, stride);
+    store_block(fma(T[k], (realV)(bg_blue), blue[k]), at + 2 * plane, stride);
+    store_block(T[k], at + 3 * plane, stride);
   }
 }
 #else

@@ -38,7 +38,9 @@ static inline void lane_sums(realV s[SUMS], __global real *out) {
   for (int q = 0; q < SUMS; q++) out[q] = s[q];
 #else
   int n = SUMS;
+#pragma unroll
   for (int width = VW; width > 1; width /= 2) {
+#pragma unroll
     for (int k = 0; 2 * k < n; k++) {
       const realV a = s[2 * k], b = s[min(2 * k + 1, n - 1)]; // an odd one is paired with itself; nobody reads that
       s[k] = (realV)(a.even, b.even) + (realV)(a.odd, b.odd);
@@ -49,15 +51,6 @@ static inline void lane_sums(realV s[SUMS], __global real *out) {
   for (int k = 0; k < n; k++) vstore_real(s[k], k, lane);
   for (int q = 0; q < SUMS; q++) out[q] = lane[q];
 #endif
-}
-
-// One plane's block k of a tile, from a planar image.
-static inline realV load_block(__global const real *plane, int tile_x, int tile_y, int stride, int k) {
-  real in[VW];
-  for (int l = 0; l < VW; l++)
-    in[l] = plane[(size_t)(tile_y + k / BLOCKS_X * BLOCK_H + l / BLOCK_W) * stride + tile_x + k % BLOCKS_X * BLOCK_W +
-                  l % BLOCK_W];
-  return vload_real(0, in);
 }
 
 // Launch: one work-item per tile, local size 1.
@@ -76,12 +69,12 @@ __kernel void splat_grad(__global const Record *records, __global const uint *pa
   realV T[BLOCKS], behind[BLOCKS], dred[BLOCKS], dgreen[BLOCKS], dblue[BLOCKS];
   for (int k = 0; k < BLOCKS; k++) {
     T[k] = (realV)(R(1.0));
-    dred[k] = load_block(dimage, tile_x, tile_y, stride, k);
-    dgreen[k] = load_block(dimage + plane, tile_x, tile_y, stride, k);
-    dblue[k] = load_block(dimage + 2 * plane, tile_x, tile_y, stride, k);
-    behind[k] = dred[k] * load_block(image, tile_x, tile_y, stride, k) +
-                dgreen[k] * load_block(image + plane, tile_x, tile_y, stride, k) +
-                dblue[k] * load_block(image + 2 * plane, tile_x, tile_y, stride, k);
+    const size_t at = (size_t)(tile_y + k / BLOCKS_X * BLOCK_H) * stride + (tile_x + k % BLOCKS_X * BLOCK_W);
+    dred[k] = load_block(dimage + at, stride);
+    dgreen[k] = load_block(dimage + plane + at, stride);
+    dblue[k] = load_block(dimage + 2 * plane + at, stride);
+    behind[k] = dred[k] * load_block(image + at, stride) + dgreen[k] * load_block(image + plane + at, stride) +
+                dblue[k] * load_block(image + 2 * plane + at, stride);
   }
   Record staged[STAGE];
   uint slot[STAGE];

@@ -111,6 +111,8 @@ pub struct Frame<R: Real> {
     pub visible: [Array<u32>; 2],
     /// Tiles of each visible Gaussian \[stride\].
     pub counts: Array<u32>,
+    /// Which tiles those are, if they are few \[stride, 2\].
+    pub cover: Array<u32>,
     /// First pair of each visible Gaussian \[stride\].
     pub offsets: Array<u32>,
     /// Sums per chunk \[chunks\].
@@ -149,6 +151,7 @@ impl<R: Real> Frame<R> {
             visible_keys: [ints("visible_keys")?, ints("visible_keys")?],
             visible: [ints("visible")?, ints("visible")?],
             counts: ints("counts")?,
+            cover: ints("cover")?,
             offsets: ints("offsets")?,
             chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
             tile_keys: [ints("tile_keys")?, ints("tile_keys")?],
@@ -179,6 +182,7 @@ impl<R: Real> Frame<R> {
         self.visible_keys = [ints("visible_keys")?, ints("visible_keys")?];
         self.visible = [ints("visible")?, ints("visible")?];
         self.counts = ints("counts")?;
+        self.cover = Array::zeros(device, "cover", 2 * stride)?;
         self.offsets = ints("offsets")?;
         Ok(())
     }

@@ -23,6 +23,8 @@ pub const NEAR: f64 = 0.01;
 pub const SUMS: usize = 9;
 /// Records that the splat kernels copy next to the processor at a time (measured: 32 on CPUs).
 pub const STAGE: u32 = 32;
+/// Rows of the image that one work-item of the loss windows together.
+pub const LOSS_ROWS: u32 = 8;
 /// Taps of SSIM's window (Wang et al. 2004).
 pub const SSIM_TAPS: usize = 11;
 /// Standard deviation of SSIM's window, pixels.

@@ -83,7 +83,7 @@ impl Evaluator {
             size,
         };
         self.metrics.run(&pair, &self.rows)?;
-        self.loss.forward(&pair, true, &self.maps, &self.partial)?;
+        self.loss.errors(&pair, &self.maps, &self.partial)?;
         self.loss.sum(&pair, &self.partial, &self.sums, 0)?;
         let squared: f64 = self.rows.read(0, size[1])?.into_iter().map(f64::from).sum();
         let ssim = f64::from(self.sums.to_vec()?[1]);

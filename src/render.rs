@@ -201,8 +201,10 @@ impl<R: Real> Renderer<R> {
             count,
             status,
             tiles_x: tiles_x as u32,
+            counts: &f.counts,
+            cover: &f.cover,
         };
-        self.bin.count(&bin, &f.counts)?;
+        self.bin.count(&bin)?;
         self.scan.run(&ScanArgs {
             values: &f.counts,
             status,

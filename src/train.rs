@@ -113,7 +113,7 @@ impl Trainer {
             adam: Adam::new::<f32>(&kernels)?,
             importance: Importance::new::<f32>(&kernels)?,
             edit: Edit::new::<f32>(&kernels)?,
-            maps: Array::zeros(device, "maps", 9 * plane)?,
+            maps: Array::zeros(device, "maps", 3 * plane)?,
             dimage: Array::zeros(device, "dimage", 3 * plane)?,
             partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
             losses: Array::zeros(device, "losses", 2 * LOSS_RING)?,
@@ -171,10 +171,9 @@ impl Trainer {
         self.renderer.enqueue(&self.scene, &camera, &options)?;
 
         let pair = self.pair(view, options.background);
-        self.loss.forward(&pair, false, &self.maps, &self.partial)?;
         let lambda = f64::from(self.config.loss.lambda_ssim);
         self.loss
-            .backward(&pair, &self.maps, lambda, &self.dimage)?;
+            .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
         self.loss.sum(
             &pair,
             &self.partial,

@@ -10,7 +10,7 @@ pub mod tuning;
 
 pub use array::{Array, PendingRead};
 pub use device::{Device, DeviceInfo, DeviceKind};
-pub use launch::{Kernel, StageTime};
+pub use launch::{Kernel, Launch, StageTime};
 pub use layout::{CameraArg, EditRow, Element, Real, Record};
 pub use program::{Defines, Kernels};
 

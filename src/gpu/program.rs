@@ -79,7 +79,9 @@ impl Defines {
         int("GROUP_STYLE", u64::from(self.tuning.group_style));
         int("SUMS", tuning::SUMS as u64);
         int("STAGE", u64::from(tuning::STAGE));
+        int("BATCH", self.tuning.batch() as u64);
         int("TAPS", tuning::SSIM_TAPS as u64);
+        int("LOSS_ROWS", u64::from(tuning::LOSS_ROWS));
         int("STRIP", u64::from(self.tuning.strip));
         int("SH_DEGREE", u64::from(self.sh_degree));
         int("HAS_ALPHA", u64::from(self.has_alpha));

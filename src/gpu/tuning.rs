@@ -2,8 +2,8 @@
 
 use super::device::{DeviceInfo, DeviceKind};
 pub use crate::constants::{
-    ALPHA_MAX, ALPHA_MIN, BLUR, COLOR_MAX, LOG_SCALE, NEAR, SSIM_C, SSIM_SIGMA, SSIM_TAPS, STAGE,
-    SUMS, T_MIN, TILE, TILE_SLACK,
+    ALPHA_MAX, ALPHA_MIN, BLUR, COLOR_MAX, LOG_SCALE, LOSS_ROWS, NEAR, SSIM_C, SSIM_SIGMA,
+    SSIM_TAPS, STAGE, SUMS, T_MIN, TILE, TILE_SLACK,
 };
 
 /// Key of a Gaussian that is not visible.
@@ -39,7 +39,7 @@ pub struct Tuning {
     pub chunks: usize,
     /// Bits per radix pass.
     pub radix_bits: u32,
-    /// Rows per strip of the loss kernels.
+    /// Columns per strip of the loss kernels.
     pub strip: u32,
 }
 
@@ -52,7 +52,7 @@ impl Tuning {
         local: 64,
         chunks: 16,
         radix_bits: 12,
-        strip: 32,
+        strip: 400,
     };
 
     /// One pixel per work-item, a work-group per tile: for GPUs.
@@ -63,7 +63,7 @@ impl Tuning {
         local: 128,
         chunks: 2048,
         radix_bits: 4,
-        strip: 16,
+        strip: 8,
     };
 
     /// The default for a device.
@@ -89,6 +89,19 @@ impl Tuning {
     #[must_use]
     pub fn lane_local(&self) -> usize {
         (self.local / self.vector_width as usize).max(1)
+    }
+
+    /// Gaussians whose scattered records a work-item of the bin stage fetches together: enough to have their cache misses
+    /// at the same time on a CPU; a GPU has its other work-items for that.
+    #[must_use]
+    pub fn batch(&self) -> usize {
+        if self.group_style { 1 } else { STAGE as usize }
+    }
+
+    /// Local size of kernels with a work-item per batch.
+    #[must_use]
+    pub fn batch_local(&self) -> usize {
+        if self.group_style { self.local } else { 1 }
     }
 
     /// Local size of kernels with a work-item per tile or per chunk.

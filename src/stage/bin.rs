@@ -13,6 +13,8 @@ pub struct Bin {
     emit: Kernel,
     ranges: Kernel,
     chunks: usize,
+    batch: usize,
+    batch_local: usize,
     local: usize,
     coarse_local: usize,
 }
@@ -30,6 +32,10 @@ pub struct BinArgs<'a, R: Real> {
     pub status: &'a Array<u32>,
     /// Tiles per row.
     pub tiles_x: u32,
+    /// Tiles of each visible Gaussian \[visible\], written by [`Bin::count`].
+    pub counts: &'a Array<u32>,
+    /// Which tiles those are, if they are few \[visible, 2\], written by [`Bin::count`].
+    pub cover: &'a Array<u32>,
 }
 
 /// Where [`Bin::emit`] writes.
@@ -71,6 +77,8 @@ impl Bin {
             emit,
             ranges,
             chunks: tuning.chunks,
+            batch: tuning.batch(),
+            batch_local: tuning.batch_local(),
             local: tuning.local,
             coarse_local: tuning.coarse_local(),
         })
@@ -113,19 +121,20 @@ impl Bin {
             .run([self.chunks, 1], [self.coarse_local, 1])
     }
 
-    /// Counts the tiles of each visible Gaussian into `counts` \[visible\].
+    /// Counts the tiles of each visible Gaussian.
     ///
     /// # Errors
     /// Arrays that are too short, or the driver's.
-    pub fn count<R: Real>(&self, a: &BinArgs<'_, R>, counts: &Array<u32>) -> Result<()> {
+    pub fn count<R: Real>(&self, a: &BinArgs<'_, R>) -> Result<()> {
         self.count
             .launch()
             .array(a.records, a.count)
             .array(a.visible, a.count)
             .array(a.status, SLOTS)
             .value(a.tiles_x)
-            .array(counts, a.count)
-            .run([a.count, 1], [self.local, 1])
+            .array(a.counts, a.count)
+            .array(a.cover, 2 * a.count)
+            .run([a.count.div_ceil(self.batch), 1], [self.batch_local, 1])
     }
 
     /// Writes the pairs.
@@ -139,12 +148,14 @@ impl Bin {
             .array(a.visible, a.count)
             .array(a.status, SLOTS)
             .value(a.tiles_x)
+            .array(a.counts, a.count)
+            .array(a.cover, 2 * a.count)
             .array(out.offsets, a.count)
             .array(out.tile_keys, 1)
             .array(out.pair_owner, 1)
             .array(out.pair_start, a.count)
             .array(out.pair_counts, a.count)
-            .run([a.count, 1], [self.local, 1])
+            .run([a.count.div_ceil(self.batch), 1], [self.batch_local, 1])
     }
 
     /// First pair of each tile (`tiles + 1` values) in the sorted keys.

@@ -1,8 +1,8 @@
 //! L1 + SSIM and its gradient (`kernels/loss.cl`).
 
 use crate::error::Result;
-use crate::gpu::tuning::TILE;
-use crate::gpu::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::gpu::tuning::{LOSS_ROWS, TILE};
+use crate::gpu::{Array, CameraArg, Kernel, Kernels, Launch, Real};
 
 /// The loss stage.
 #[derive(Debug)]
@@ -10,7 +10,6 @@ pub struct Loss {
     forward: Kernel,
     backward: Kernel,
     sum: Kernel,
-    vector_width: usize,
     strip: usize,
     local: usize,
     photo_planes: usize,
@@ -67,87 +66,102 @@ impl Loss {
             forward,
             backward,
             sum,
-            vector_width: tuning.vector_width as usize,
             strip: tuning.strip as usize,
             local: tuning.coarse_local(),
             photo_planes: kernels.defines().photo_planes(),
         })
     }
 
-    /// Work-items (columns, rows) of strips over a padded image.
+    /// Work-items (columns, groups of rows) over a padded image.
     fn strips(&self, padded: [usize; 2]) -> [usize; 2] {
         [
-            padded[0].div_ceil(self.vector_width),
-            padded[1].div_ceil(self.strip),
+            padded[0].div_ceil(self.strip),
+            padded[1].div_ceil(LOSS_ROWS as usize),
         ]
     }
 
-    /// Values that `partial` must hold for an image: two per strip.
+    /// Values that `partial` must hold for an image: two per strip and channel.
     #[must_use]
     pub fn partial_len(&self, width: usize, height: usize) -> usize {
         let tile = TILE as usize;
         let [x, y] = self.strips([width.next_multiple_of(tile), height.next_multiple_of(tile)]);
-        2 * x * y
+        3 * 2 * x * y
     }
 
-    /// Windowed moments; derivative maps \[9, rows, stride\], or error maps \[2, rows, stride\] with `write_error`.
+    /// Gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render into `dimage` \[3, rows, stride\]. `maps`
+    /// \[3, rows, stride\] is scratch, `partial` receives what [`Loss::sum`] adds up.
     ///
     /// # Errors
     /// Arrays that are too short, or the driver's.
-    pub fn forward<R: Real>(
+    pub fn gradient<R: Real>(
         &self,
         pair: &ImagePair<'_, R>,
+        lambda_ssim: f64,
+        maps: &Array<R>,
+        partial: &Array<R>,
+        dimage: &Array<R>,
+    ) -> Result<()> {
+        let n = (3 * pair.size[0] * pair.size[1]) as f64;
+        for channel in 0..3 {
+            self.forward(pair, channel, false, maps, partial)?;
+            self.with_images(&self.backward, pair, channel)
+                .array(maps, 3 * pair.plane())
+                .value(R::of((1.0 - lambda_ssim) / n))
+                .value(R::of(lambda_ssim / n))
+                .array(dimage, 3 * pair.plane())
+                .run(self.strips(pair.padded()), [self.local, 1])?;
+        }
+        Ok(())
+    }
+
+    /// Channel means of 1 − SSIM and |x − y| into `maps` \[2, rows, stride\]; `partial` receives what [`Loss::sum`] adds
+    /// up.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn errors<R: Real>(
+        &self,
+        pair: &ImagePair<'_, R>,
+        maps: &Array<R>,
+        partial: &Array<R>,
+    ) -> Result<()> {
+        (0..3).try_for_each(|channel| self.forward(pair, channel, true, maps, partial))
+    }
+
+    fn forward<R: Real>(
+        &self,
+        pair: &ImagePair<'_, R>,
+        channel: usize,
         write_error: bool,
         maps: &Array<R>,
         partial: &Array<R>,
     ) -> Result<()> {
-        let ([w, h], [stride, rows], bg) = (pair.size, pair.padded(), pair.background_real());
-        self.forward
-            .launch()
-            .array(pair.image, 3 * pair.plane())
-            .array(pair.photo, self.photo_planes * w * h)
-            .value(bg[0])
-            .value(bg[1])
-            .value(bg[2])
-            .value(w as i32)
-            .value(h as i32)
-            .value(stride as i32)
-            .value(rows as i32)
+        let [w, h] = pair.size;
+        self.with_images(&self.forward, pair, channel)
             .value(i32::from(write_error))
-            .array(maps, if write_error { 2 } else { 9 } * pair.plane())
+            .array(maps, if write_error { 2 } else { 3 } * pair.plane())
             .array(partial, self.partial_len(w, h))
-            .run(self.strips([stride, rows]), [self.local, 1])
+            .run(self.strips(pair.padded()), [self.local, 1])
     }
 
-    /// dL/dC into `dimage` \[3, rows, stride\], from the derivative maps of [`Loss::forward`].
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn backward<R: Real>(
+    /// The arguments that both sweeps begin with.
+    fn with_images<'k, R: Real>(
         &self,
+        kernel: &'k Kernel,
         pair: &ImagePair<'_, R>,
-        maps: &Array<R>,
-        lambda_ssim: f64,
-        dimage: &Array<R>,
-    ) -> Result<()> {
-        let ([w, h], [stride, rows], bg) = (pair.size, pair.padded(), pair.background_real());
-        let n = (3 * w * h) as f64;
-        self.backward
+        channel: usize,
+    ) -> Launch<'k> {
+        let ([w, h], [stride, rows]) = (pair.size, pair.padded());
+        kernel
             .launch()
             .array(pair.image, 3 * pair.plane())
             .array(pair.photo, self.photo_planes * w * h)
-            .value(bg[0])
-            .value(bg[1])
-            .value(bg[2])
+            .value(channel as i32)
+            .value(pair.background_real()[channel])
             .value(w as i32)
             .value(h as i32)
             .value(stride as i32)
             .value(rows as i32)
-            .array(maps, 9 * pair.plane())
-            .value(R::of((1.0 - lambda_ssim) / n))
-            .value(R::of(lambda_ssim / n))
-            .array(dimage, 3 * pair.plane())
-            .run(self.strips([stride, rows]), [self.local, 1])
     }
 
     /// Mean |x − y| and mean SSIM into `out[2·slot..]`.

@@ -35,12 +35,8 @@ impl Trainer {
         };
         self.renderer
             .enqueue(&self.scene, &self.views.cameras[view], &options)?;
-        self.loss.forward(
-            &self.pair(view, background),
-            true,
-            &self.maps,
-            &self.partial,
-        )
+        self.loss
+            .errors(&self.pair(view, background), &self.maps, &self.partial)
     }
 
     pub(super) fn accumulate(

@@ -249,12 +249,12 @@ impl<R: Real> Run<'_, R> {
         let pair = self.pair();
         let [w, h] = pair.size;
         let plane = pair.plane();
-        let maps = Array::zeros(device, "maps", 9 * plane)?;
+        let maps = Array::zeros(device, "maps", 3 * plane)?;
         let dimage = Array::zeros(device, "dimage", 3 * plane)?;
         let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
         let loss = Array::zeros(device, "losses", 2)?;
-        s.loss.forward(&pair, false, &maps, &partial)?;
-        s.loss.backward(&pair, &maps, case.lambdas[0], &dimage)?;
+        s.loss
+            .gradient(&pair, case.lambdas[0], &maps, &partial, &dimage)?;
         s.loss.sum(&pair, &partial, &loss, 0)?;
         let sums = widen(loss.to_vec()?);
         out.loss = [sums[0], sums[1]];
@@ -350,7 +350,7 @@ impl<R: Real> Run<'_, R> {
         let [w, h] = pair.size;
         let maps = Array::zeros(device, "maps", 2 * pair.plane())?;
         let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
-        s.loss.forward(&pair, true, &maps, &partial)?;
+        s.loss.errors(&pair, &maps, &partial)?;
         out.error_maps = crop(&widen(maps.to_vec()?), &self.camera, 0..2);
         let [ssim, l1] = [
             Array::zeros(device, "cue 1-SSIM", n)?,
