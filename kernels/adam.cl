@@ -1,10 +1,11 @@
-// adam: all parameter groups in one pass.
-// Launch: (stride / VW, active planes) work-items. A non-finite gradient counts as zero and is counted; a step that
-// would make a parameter non-finite is not taken. Nothing is changed after a pair overflow: the host repeats the
-// iteration. Source: Kingma and Ba 2015, epsilon outside of the bias correction's root as in 3DGS.
+// adam: all parameter groups in one pass over a block of Gaussians.
+// Launch: (Gaussians of the block / VW, active planes) work-items. A non-finite gradient counts as zero and is counted;
+// a step that would make a parameter non-finite is not taken. Nothing is changed after a pair overflow: the host repeats
+// the iteration. Source: Kingma and Ba 2015, epsilon outside of the bias correction's root as in 3DGS.
 
-__kernel void adam(__global const real *grads,           // in [planes, stride]
-                   uint stride, uint groups,             // stride / VW
+__kernel void adam(__global const real *grads, uint grad_stride, // in [planes, grad_stride] of the block
+                   uint first, uint groups,                     // block: first Gaussian, a multiple of VW; its vectors
+                   uint stride,
                    real lr_position, real lr_scale, real lr_rotation, real lr_opacity, real lr_sh0, real lr_sh,
                    real beta1, real beta2, real epsilon,
                    real correction1, real correction2,   // 1 / (1 - beta1^t), 1 / sqrt(1 - beta2^t)
@@ -18,8 +19,8 @@ __kernel void adam(__global const real *grads,           // in [planes, stride]
                   : plane < P_SH       ? lr_opacity
                   : plane < P_SH + 3   ? lr_sh0
                                        : lr_sh;
-  const size_t base = (size_t)plane * stride;
-  const realV zero = (realV)(R(0.0)), raw = vload_real(group, grads + base);
+  const size_t base = (size_t)plane * stride + first;
+  const realV zero = (realV)(R(0.0)), raw = vload_real(group, grads + (size_t)plane * grad_stride);
   const maskV good = fabs(raw) < (realV)(R(1e18)); // squares stay finite; NaN fails
   const realV g = choose(good, raw, zero);
   const realV m = fma((realV)(beta1), vload_real(group, moment1 + base), (realV)(R(1.0) - beta1) * g);
@@ -30,9 +31,11 @@ __kernel void adam(__global const real *grads,           // in [planes, stride]
   vstore_real(choose(isfinite(next), next, old), group, params + base);
   vstore_real(m, group, moment1 + base);
   vstore_real(v, group, moment2 + base);
-  real lane[VW];
-  vstore_real(choose(good, zero, (realV)(R(1.0))), 0, lane);
-  uint bad = 0;
-  for (int l = 0; l < VW; l++) bad += lane[l] > R(0.0);
-  if (bad) atomic_add(status + S_NON_FINITE, bad); // an integer count: order does not matter
+  if (any_lane(!good)) {
+    real lane[VW];
+    vstore_real(choose(good, zero, (realV)(R(1.0))), 0, lane);
+    uint bad = 0;
+    for (int l = 0; l < VW; l++) bad += lane[l] > R(0.0);
+    atomic_add(status + S_NON_FINITE, bad); // an integer count: order does not matter
+  }
 }

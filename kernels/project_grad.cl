@@ -1,6 +1,7 @@
 // project_grad: the nine sums of each Gaussian -> gradients of its raw parameters, regularisers included.
-// Launch: one work-item per VW Gaussians; culled ones get the regularisers alone, rows beyond the last Gaussian zero. A Gaussian's pairs are added in the order
-// of their tiles. Source: chain rule through M = J W R S (see common.clh), [MH] Eq. 4 for the regularisers.
+// Launch: one work-item per VW Gaussians of a block (blocks keep the gradients in cache until adam has used them); culled
+// ones get the regularisers alone, rows beyond the last Gaussian zero. A Gaussian's pairs are added in the order of their
+// tiles. Source: chain rule through M = J W R S (see common.clh), [MH] Eq. 4 for the regularisers.
 
 // dL/d(unit quaternion) from dL/dR, then through the normalisation.
 static inline void quaternion_grad(const realV n[4], realV inv_norm, const realV d[9], realV out[4]) {
@@ -45,8 +46,8 @@ static inline void sh_direction_grad(const realV d[3], const realV *weight, real
 }
 
 // Colour gradient -> SH coefficient gradients (written) and position gradient (added), 0 where `active` is off.
-static inline void color_grad(__global const real *params, __global real *grads, uint stride, uint i,
-                              const Camera *cam, maskV active, const realV x[3], const realV dcolor[3], realV dx[3]) {
+static inline void color_grad(__global const real *params, uint stride, uint i, __global real *grads,
+                              uint grad_stride, uint at, const Camera *cam, maskV active, const realV x[3], const realV dcolor[3], realV dx[3]) {
   const realV zero = V(R(0.0));
   realV dir[3], basis[SH_COUNT], weight[SH_COUNT];
   const realV inv_distance = view_direction(cam, x, dir);
@@ -58,7 +59,7 @@ static inline void color_grad(__global const real *params, __global real *grads,
     for (int k = 0; k < SH_COUNT; k++) sum = fma(basis[k], PLANE(params, P_SH + 3 * k + ch), sum);
     const realV d = choose(active & (sum > zero), dcolor[ch], zero);
     for (int k = 0; k < SH_COUNT; k++) {
-      vstore_real(d * basis[k], 0, grads + (size_t)(P_SH + 3 * k + ch) * stride + i);
+      vstore_real(d * basis[k], 0, grads + (size_t)(P_SH + 3 * k + ch) * grad_stride + at);
       weight[k] = fma(d, PLANE(params, P_SH + 3 * k + ch), weight[k]);
     }
   }
@@ -115,14 +116,15 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
 }
 
 __kernel void project_grad(__global const real *params, uint stride, uint count, // in [planes, stride]
+                           uint first, uint grad_stride,                         // block: first Gaussian, room
                            const Camera cam, __global const uint *pair_start,    // in [count] first emission slot
                            __global const uint *pair_counts,                     // in [count]
                            __global const real *sums,                            // in [pairs, SUMS]
                            real weight_opacity, // lambda_o / N
                            real weight_scale,   // lambda_s / (3 N), per local unit
-                           __global real *grads) { // out [planes, stride]
-  const uint i = get_global_id(0) * VW;
-  if (i >= count) return;
+                           __global real *grads) { // out [planes, grad_stride] of the block
+  const uint at = get_global_id(0) * VW, i = first + at;
+  if (at >= grad_stride || i >= count) return;
   const realV zero = V(R(0.0));
   real lane[VW][SUMS], paired[VW], row[VW];
   for (uint l = 0; l < VW; l++) {
@@ -156,16 +158,16 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
   Shape o;
   const maskV active = shape_of(&cam, x, ls, q, &o) & (vload_real(0, paired) > zero);
   shape_grad(&cam, &o, s, dx, dls, dq);
-  color_grad(params, grads, stride, i, &cam, active, x, s + 6, dx);
+  color_grad(params, stride, i, grads, grad_stride, at, &cam, active, x, s + 6, dx);
   for (int k = 0; k < 3; k++) {
     const maskV free_scale = exists & (ls[k] > V(LOG_SCALE_MIN)) & (ls[k] < V(LOG_SCALE_MAX));
     const realV regular = fma(V(weight_scale), exp(ls[k]), choose(active, dls[k], zero));
-    vstore_real(choose(active, dx[k], zero), 0, grads + (size_t)(P_POSITION + k) * stride + i);
-    vstore_real(choose(free_scale, regular, zero), 0, grads + (size_t)(P_LOG_SCALE + k) * stride + i);
+    vstore_real(choose(active, dx[k], zero), 0, grads + (size_t)(P_POSITION + k) * grad_stride + at);
+    vstore_real(choose(free_scale, regular, zero), 0, grads + (size_t)(P_LOG_SCALE + k) * grad_stride + at);
   }
   for (int k = 0; k < 4; k++)
-    vstore_real(choose(active, dq[k], zero), 0, grads + (size_t)(P_ROTATION + k) * stride + i);
+    vstore_real(choose(active, dq[k], zero), 0, grads + (size_t)(P_ROTATION + k) * grad_stride + at);
   const realV logit = PLANE(params, P_OPACITY), complement = sigmoid(-logit);
   const realV dlogit = fma(s[0], complement, weight_opacity * sigmoid(logit) * complement);
-  vstore_real(choose(exists & (logit == logit), dlogit, zero), 0, grads + (size_t)P_OPACITY * stride + i);
+  vstore_real(choose(exists & (logit == logit), dlogit, zero), 0, grads + (size_t)P_OPACITY * grad_stride + at);
 }

@@ -15,7 +15,7 @@ use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::{Tuning, status};
-use crate::gpu::{Array, Defines, Device, Kernels, PendingRead, StageTime};
+use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, PendingRead, StageTime};
 use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::schedule::Schedule;
@@ -104,7 +104,7 @@ impl Trainer {
         let mut trainer = Self {
             schedule: Schedule::new(config),
             device: device.clone(),
-            grads: state("grads")?,
+            grads: Array::zeros(device, "grads", scene.planes() * tuning.update_block)?,
             moment1: state("moment1")?,
             moment2: state("moment2")?,
             renderer: Renderer::new(device, defines, degree, true)?,
@@ -184,31 +184,47 @@ impl Trainer {
         let frame = &self.renderer.frame;
         self.splat_grad
             .run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
-        self.project_grad[degree as usize].run(&ProjectGradArgs {
-            params: &self.scene.params,
-            stride: self.scene.stride,
-            count: self.scene.count,
-            camera: &camera,
-            pair_start: &frame.pair_start,
-            pair_counts: &frame.pair_counts,
-            sums: &frame.sums,
-            lambda_opacity: f64::from(self.config.loss.lambda_opacity),
-            lambda_scale: f64::from(self.config.loss.lambda_scale),
-            grads: &self.grads,
-        })?;
+        self.update(iteration, degree, &camera)
+    }
+
+    /// Gradients of the parameters and the optimiser's step, block by block: a block's gradients are used while they are
+    /// still in cache.
+    fn update(&self, iteration: u32, degree: u32, camera: &CameraArg<f32>) -> Result<()> {
+        let (frame, count) = (&self.renderer.frame, self.scene.count);
+        let grad_stride = self.grads.len() / self.scene.planes();
         let o = &self.config.optimizer;
-        self.adam.run(&AdamArgs {
-            grads: &self.grads,
-            stride: self.scene.stride,
-            planes: Plane::count(degree),
-            rates: self.schedule.rates(iteration),
-            constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
-            step: iteration + 1,
-            params: &self.scene.params,
-            moment1: &self.moment1,
-            moment2: &self.moment2,
-            status: &frame.status,
-        })
+        for first in (0..count).step_by(grad_stride) {
+            let block = first..count.min(first + grad_stride);
+            self.project_grad[degree as usize].run(&ProjectGradArgs {
+                params: &self.scene.params,
+                stride: self.scene.stride,
+                count,
+                camera,
+                pair_start: &frame.pair_start,
+                pair_counts: &frame.pair_counts,
+                sums: &frame.sums,
+                lambda_opacity: f64::from(self.config.loss.lambda_opacity),
+                lambda_scale: f64::from(self.config.loss.lambda_scale),
+                block: block.clone(),
+                grad_stride,
+                grads: &self.grads,
+            })?;
+            self.adam.run(&AdamArgs {
+                grads: &self.grads,
+                grad_stride,
+                block,
+                stride: self.scene.stride,
+                planes: Plane::count(degree),
+                rates: self.schedule.rates(iteration),
+                constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
+                step: iteration + 1,
+                params: &self.scene.params,
+                moment1: &self.moment1,
+                moment2: &self.moment2,
+                status: &frame.status,
+            })?;
+        }
+        Ok(())
     }
 
     /// One iteration; returns as soon as it is enqueued and no more than two others are under way.

@@ -41,6 +41,8 @@ pub struct Tuning {
     pub radix_bits: u32,
     /// Columns per strip of the loss kernels.
     pub strip: u32,
+    /// Gaussians whose gradients are computed and used before the next ones; a multiple of 16.
+    pub update_block: usize,
 }
 
 impl Tuning {
@@ -53,6 +55,7 @@ impl Tuning {
         chunks: 16,
         radix_bits: 12,
         strip: 400,
+        update_block: 8192,
     };
 
     /// One pixel per work-item, a work-group per tile: for GPUs.
@@ -64,6 +67,7 @@ impl Tuning {
         chunks: 2048,
         radix_bits: 4,
         strip: 8,
+        update_block: 1 << 18,
     };
 
     /// The default for a device.

@@ -1,5 +1,7 @@
 //! The optimiser (`kernels/adam.cl`).
 
+use std::ops::Range;
+
 use crate::error::Result;
 use crate::gpu::tuning::status::SLOTS;
 use crate::gpu::{Array, Kernel, Kernels, Real};
@@ -32,8 +34,12 @@ pub struct LearningRates {
 /// Arguments of [`Adam::run`].
 #[derive(Debug)]
 pub struct AdamArgs<'a, R: Real> {
-    /// Gradients \[planes, stride\].
+    /// Gradients of the block \[planes, grad_stride\].
     pub grads: &'a Array<R>,
+    /// Gaussians that a plane of `grads` has room for.
+    pub grad_stride: usize,
+    /// The Gaussians to step; starts at a multiple of 16.
+    pub block: Range<usize>,
     /// Gaussians allocated, a multiple of 16.
     pub stride: usize,
     /// Planes in use (those of the SH degree in use).
@@ -75,15 +81,17 @@ impl Adam {
     /// Arrays that are too short, or the driver's.
     pub fn run<R: Real>(&self, a: &AdamArgs<'_, R>) -> Result<()> {
         let len = a.planes * a.stride;
-        let groups = a.stride / self.vector_width;
+        let groups = a.block.len().div_ceil(self.vector_width);
         let [beta1, beta2, epsilon] = a.constants;
         let t = f64::from(a.step);
         let r = &a.rates;
         self.kernel
             .launch()
-            .array(a.grads, len)
-            .value(a.stride as u32)
+            .array(a.grads, a.planes * a.grad_stride)
+            .value(a.grad_stride as u32)
+            .value(a.block.start as u32)
             .value(groups as u32)
+            .value(a.stride as u32)
             .value(R::of(r.position))
             .value(R::of(r.scale))
             .value(R::of(r.rotation))

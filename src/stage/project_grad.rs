@@ -1,5 +1,7 @@
 //! Sums per pair → gradients of the raw parameters (`kernels/project_grad.cl`).
 
+use std::ops::Range;
+
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg, Kernel, Kernels, Real};
 use crate::model::Plane;
@@ -34,7 +36,11 @@ pub struct ProjectGradArgs<'a, R: Real> {
     pub lambda_opacity: f64,
     /// λ_s of the mean scale, per local unit.
     pub lambda_scale: f64,
-    /// Out \[planes, stride\].
+    /// The Gaussians whose gradients are wanted; starts at a multiple of 16.
+    pub block: Range<usize>,
+    /// Gaussians that a plane of `grads` has room for, a multiple of 16.
+    pub grad_stride: usize,
+    /// Out \[planes, grad_stride\].
     pub grads: &'a Array<R>,
 }
 
@@ -65,13 +71,15 @@ impl ProjectGrad {
             .array(a.params, self.planes * a.stride)
             .value(a.stride as u32)
             .value(a.count as u32)
+            .value(a.block.start as u32)
+            .value(a.grad_stride as u32)
             .value(*a.camera)
             .array(a.pair_start, a.count)
             .array(a.pair_counts, a.count)
             .array(a.sums, 1)
             .value(R::of(a.lambda_opacity / n))
             .value(R::of(a.lambda_scale / (3.0 * n)))
-            .array(a.grads, self.planes * a.stride)
-            .run([a.count.div_ceil(self.lanes), 1], [self.local, 1])
+            .array(a.grads, self.planes * a.grad_stride)
+            .run([a.block.len().div_ceil(self.lanes), 1], [self.local, 1])
     }
 }

@@ -144,7 +144,6 @@ impl Trainer {
         if outcome.len > self.scene.stride {
             let (planes, from) = (self.scene.planes(), self.scene.stride);
             let to = Scene::<f32>::grown_stride(outcome.len);
-            self.grads = Array::zeros(&self.device, "grads", planes * to)?;
             for array in [&mut self.scene.params, &mut self.moment1, &mut self.moment2] {
                 *array = restride(&self.device, array, planes, from, to)?;
             }

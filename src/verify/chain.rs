@@ -309,6 +309,8 @@ impl<R: Real> Run<'_, R> {
             sums: &f.sums,
             lambda_opacity: case.lambdas[1],
             lambda_scale: case.lambdas[2],
+            block: 0..self.scene.count,
+            grad_stride: self.scene.stride,
             grads: &grads,
         })?;
         out.grads = self.planes(&grads)?;
@@ -318,6 +320,8 @@ impl<R: Real> Run<'_, R> {
         for step in 1..=2 {
             s.adam.run(&AdamArgs {
                 grads: &grads,
+                grad_stride: self.scene.stride,
+                block: 0..self.scene.count,
                 stride: self.scene.stride,
                 planes: Plane::count(case.sh_degree),
                 rates: case.rates,

@@ -19,6 +19,15 @@ fn wrong_parameters_are_rejected() {
 
 /// Parameters and status after one step of 256 Gaussians at 1.0 with the given gradients in every plane.
 fn step(gradient: impl Fn(usize) -> f32, overflow: u32) -> (Vec<f32>, Vec<u32>) {
+    step_of(0..256, gradient, overflow)
+}
+
+/// As [`step`], of one block; the gradients are indexed from its start.
+fn step_of(
+    block: std::ops::Range<usize>,
+    gradient: impl Fn(usize) -> f32,
+    overflow: u32,
+) -> (Vec<f32>, Vec<u32>) {
     let device = device();
     let kernels = kernels(&device);
     let (stride, planes) = (256, 14);
@@ -33,6 +42,8 @@ fn step(gradient: impl Fn(usize) -> f32, overflow: u32) -> (Vec<f32>, Vec<u32>) 
         .unwrap()
         .run(&AdamArgs {
             grads: &grads,
+            grad_stride: stride,
+            block,
             stride,
             planes,
             rates: case.rates,
@@ -71,4 +82,12 @@ fn gradients_that_are_not_finite_are_counted_and_change_nothing() {
 fn nothing_happens_after_an_overflow() {
     let (params, _) = step(|_| 1.0, 12345);
     assert!(params.iter().all(|p| *p == 1.0));
+}
+
+#[test]
+fn a_block_changes_its_own_gaussians_alone() {
+    let (params, _) = step_of(64..96, |i| if i < 32 { 1.0 } else { 7.0 }, 0);
+    for (i, p) in params.iter().enumerate() {
+        assert_eq!(*p != 1.0, (64..96).contains(&(i % 256)), "{i}");
+    }
 }
