@@ -36,8 +36,7 @@ static inline int is_masked(const Record *g) {
 }
 
 // Counts the tiles touched, remembers them in *mask if they fit, and writes them where `keys` is given.
-static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, __global uint *keys, __global uint *owners,
-                              uint i) {
+static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, __global uint *keys) {
   const int tx0 = BOUND_LO(g->bx) / TILE, tx1 = BOUND_HI(g->bx) / TILE;
   const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
   const real slope = g->a * g->r / fma(g->a * g->r, g->r, g->c); // dy of the minimum along a vertical line, per dx
@@ -46,10 +45,7 @@ static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, __globa
   for (int ty = ty0; ty <= ty1; ty++)
     for (int tx = tx0; tx <= tx1; tx++, at++)
       if (touches_tile(g, slope, reach, tx, ty)) {
-        if (keys) {
-          keys[n] = (uint)ty * tiles_x + (uint)tx;
-          owners[n] = i;
-        }
+        if (keys) keys[n] = (uint)ty * tiles_x + (uint)tx;
         bits |= 1u << (at % MASKED);
         n++;
       }
@@ -58,17 +54,14 @@ static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, __globa
 }
 
 // Writes the tiles of a mask in the order in which walk_tiles sets its bits.
-static inline void emit_mask(uint mask, uint tx0, uint ty0, uint width, uint tiles_x, __global uint *keys,
-                             __global uint *owners, uint i) {
+static inline uint emit_mask(uint mask, uint tx0, uint ty0, uint width, uint tiles_x, __global uint *keys) {
   uint n = 0;
   for (uint ty = ty0; mask; ty++) {
-    for (uint row = mask & (0xffffffffu >> (MASKED - width)); row; row &= row - 1) {
-      keys[n] = ty * tiles_x + tx0 + (MASKED - 1 - clz(row & -row));
-      owners[n] = i;
-      n++;
-    }
+    for (uint row = mask & (0xffffffffu >> (MASKED - width)); row; row &= row - 1)
+      keys[n++] = ty * tiles_x + tx0 + (MASKED - 1 - clz(row & -row));
     mask = width < MASKED ? mask >> width : 0;
   }
+  return n;
 }
 
 // Launch: one work-item per chunk of Gaussians. Counts the visible ones.
@@ -106,7 +99,8 @@ __kernel void bin_compact(__global const uint *keys, uint count, // in [count]
 __kernel void bin_count(__global const Record *records, __global const uint *visible, // in, in depth order
                         __global const uint *status, uint tiles_x,
                         __global uint *counts,  // out [visible] tiles touched
-                        __global uint *cover) { // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
+                        __global uint *cover,   // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
+                        __global uint *pair_counts) { // out [count] the same counts by Gaussian
   const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
   if (first >= visible_count) return;
   const uint n = min((uint)BATCH, visible_count - first);
@@ -115,35 +109,41 @@ __kernel void bin_count(__global const Record *records, __global const uint *vis
   for (uint j = 0; j < n; j++) {
     const Record *g = &staged[j];
     uint mask;
-    counts[first + j] = walk_tiles(g, &mask, tiles_x, 0, 0, 0);
+    counts[first + j] = pair_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, 0);
     const uint tx0 = BOUND_LO(g->bx) / TILE, ty0 = BOUND_LO(g->by) / TILE, width = BOUND_HI(g->bx) / TILE - tx0 + 1;
     cover[2 * (first + j)] = mask;
     cover[2 * (first + j) + 1] = is_masked(g) ? tx0 | ty0 << 12 | width << 24 : 0;
   }
 }
 
-// Launch: as bin_count. Emits nothing when the pairs did not fit.
+// Launch: as bin_count. Pairs are written in depth order, for the stable sort; each is known by its slot, and slots are
+// given out by Gaussian, so that project_grad finds a Gaussian's sums in one place and its neighbours' beside them.
+// Emits nothing when the pairs did not fit.
 __kernel void bin_emit(__global const Record *records, __global const uint *visible,
                        __global const uint *status, uint tiles_x,
-                       __global const uint *counts, __global const uint *cover, // in, as bin_count wrote them
-                       __global const uint *offsets,  // in [visible] exclusive sums of counts
-                       __global uint *tile_keys,      // out [pairs] tile, row major
-                       __global uint *pair_owner,     // out [pairs] Gaussian index
-                       __global uint *pair_start,     // out [count] first pair of a Gaussian
-                       __global uint *pair_counts) {  // out [count] its pairs
+                       __global const uint *cover,      // in, as bin_count wrote it
+                       __global const uint *offsets,    // in [visible] exclusive sums of counts
+                       __global const uint *pair_start, // in [count] exclusive sums of pair_counts
+                       __global uint *tile_keys,        // out [pairs] tile, row major
+                       __global uint *slots,            // out [pairs] slot
+                       __global uint *pair_owner) {     // out [pairs] Gaussian index, by slot
   const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
   if (first >= visible_count || status[S_OVERFLOW] != 0) return;
   const uint n = min((uint)BATCH, visible_count - first);
   for (uint j = first; j < first + n; j++) {
-    const uint i = visible[j], at = offsets[j], box = cover[2 * j + 1];
-    pair_start[i] = at;
-    pair_counts[i] = counts[j];
+    const uint i = visible[j], at = offsets[j], slot = pair_start[i], box = cover[2 * j + 1];
+    __global uint *keys = tile_keys + at;
+    uint emitted;
     if (box) {
-      emit_mask(cover[2 * j], box & 0xfffu, box >> 12 & 0xfffu, box >> 24, tiles_x, tile_keys + at, pair_owner + at, i);
+      emitted = emit_mask(cover[2 * j], box & 0xfffu, box >> 12 & 0xfffu, box >> 24, tiles_x, keys);
     } else {
       const Record g = records[i];
       uint mask;
-      walk_tiles(&g, &mask, tiles_x, tile_keys + at, pair_owner + at, i);
+      emitted = walk_tiles(&g, &mask, tiles_x, keys);
+    }
+    for (uint k = 0; k < emitted; k++) {
+      slots[at + k] = slot + k;
+      pair_owner[slot + k] = i;
     }
   }
 }

@@ -86,16 +86,11 @@ static inline realV window_row(const realV row[VECTORS], int at) {
   // Lanes shifted in registers: cheaper than loads that cross cache lines.
   const realV a = row[at - 1], b = row[at], c = row[at + 1];
   realV sum = (realV)(WINDOW[5]) * b;
-  sum = fma((realV)(WINDOW[4]), (realV)(a.sf, b.s012, b.s3456, b.s789a, b.sbcde) +
-                                    (realV)(b.s1234, b.s5678, b.s9abc, b.sdef, c.s0), sum);
-  sum = fma((realV)(WINDOW[3]), (realV)(a.sef, b.s01, b.s2345, b.s6789, b.sabcd) +
-                                    (realV)(b.s2345, b.s6789, b.sabcd, b.sef, c.s01), sum);
-  sum = fma((realV)(WINDOW[2]), (realV)(a.sdef, b.s0, b.s1234, b.s5678, b.s9abc) +
-                                    (realV)(b.s3456, b.s789a, b.sbcde, b.sf, c.s012), sum);
-  sum = fma((realV)(WINDOW[1]), (realV)(a.scdef, b.s0123, b.s4567, b.s89ab) +
-                                    (realV)(b.s4567, b.s89ab, b.scdef, c.s0123), sum);
-  return fma((realV)(WINDOW[0]), (realV)(a.sbcde, a.sf, b.s012, b.s3456, b.s789a) +
-                                     (realV)(b.s5678, b.s9abc, b.sdef, c.s0123, c.s4), sum);
+  sum = fma((realV)(WINDOW[4]), NEXT_LANES(a, b, 15) + NEXT_LANES(b, c, 1), sum);
+  sum = fma((realV)(WINDOW[3]), NEXT_LANES(a, b, 14) + NEXT_LANES(b, c, 2), sum);
+  sum = fma((realV)(WINDOW[2]), NEXT_LANES(a, b, 13) + NEXT_LANES(b, c, 3), sum);
+  sum = fma((realV)(WINDOW[1]), NEXT_LANES(a, b, 12) + NEXT_LANES(b, c, 4), sum);
+  return fma((realV)(WINDOW[0]), NEXT_LANES(a, b, 11) + NEXT_LANES(b, c, 5), sum);
 #else
   const real *from = (const real *)row + at * VW;
   realV sum = (realV)(WINDOW[RADIUS]) * vload_real(0, from);

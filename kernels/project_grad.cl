@@ -118,7 +118,8 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
 __kernel void project_grad(__global const real *params, uint stride, uint count, // in [planes, stride]
                            uint first, uint grad_stride,                         // block: first Gaussian, room
                            const Camera cam, __global const uint *pair_start,    // in [count] first emission slot
-                           __global const uint *pair_counts,                     // in [count]
+                           __global const uint *pair_counts,                     // in [count]; counted only
+                           __global const uint *status,                          // unless S_OVERFLOW: then nothing was emitted
                            __global const real *sums,                            // in [pairs, SUMS]
                            real weight_opacity, // lambda_o / N
                            real weight_scale,   // lambda_s / (3 N), per local unit
@@ -128,7 +129,7 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
   const realV zero = V(R(0.0));
   real lane[VW][SUMS], paired[VW], row[VW];
   for (uint l = 0; l < VW; l++) {
-    const uint pairs = i + l < count ? pair_counts[i + l] : 0;
+    const uint pairs = i + l < count && status[S_OVERFLOW] == 0 ? pair_counts[i + l] : 0;
     row[l] = i + l < count ? R(1.0) : R(0.0);
     paired[l] = pairs > 0 ? R(1.0) : R(0.0);
     real8 eight = (real8)(R(0.0)); // in registers over the pairs

@@ -1,15 +1,19 @@
 // scan: exclusive prefix sum of uint, in fixed order, in three launches. The number of elements is status[n_slot], so
-// that no count ever travels to the host; `chunk` elements per work-item are contiguous.
+// that no count ever travels to the host (or `known`, where n_slot is no slot); `chunk` elements per work-item are contiguous.
 
 static inline uint chunk_size(uint n, uint chunks) { return (n + chunks - 1) / chunks; }
 
+static inline uint count_of(__global const uint *status, uint n_slot, uint known) {
+  return n_slot < STATUS_SLOTS ? status[n_slot] : known;
+}
+
 // Launch: one work-item per chunk.
 __kernel void scan_sums(__global const uint *values, // in [n]
-                        __global const uint *status, uint n_slot, uint chunks,
+                        __global const uint *status, uint n_slot, uint known, uint chunks,
                         __global uint *sums) { // out [chunks]
   const uint c = get_global_id(0);
   if (c >= chunks) return;
-  const uint n = status[n_slot], size = chunk_size(n, chunks);
+  const uint n = count_of(status, n_slot, known), size = chunk_size(n, chunks);
   const uint first = min(c * size, n), last = min(first + size, n);
   uint sum = 0;
   for (uint i = first; i < last; i++) sum += values[i];
@@ -37,12 +41,12 @@ __kernel void scan_chunks(__global uint *sums, uint chunks, // in/out [chunks]
 
 // Launch: one work-item per chunk.
 __kernel void scan_write(__global const uint *values, // in [n]
-                         __global const uint *status, uint n_slot, uint chunks,
+                         __global const uint *status, uint n_slot, uint known, uint chunks,
                          __global const uint *sums, // in [chunks] exclusive
                          __global uint *out) {      // out [n] exclusive prefix sums
   const uint c = get_global_id(0);
   if (c >= chunks) return;
-  const uint n = status[n_slot], size = chunk_size(n, chunks);
+  const uint n = count_of(status, n_slot, known), size = chunk_size(n, chunks);
   const uint first = min(c * size, n), last = min(first + size, n);
   uint sum = sums[c];
   for (uint i = first; i < last; i++) {

@@ -51,10 +51,10 @@ __kernel void sort_offsets(__global uint *histogram, uint chunks, uint bins, // 
   }
 }
 
-// Launch: one work-item per chunk. With `index_values` the value of an element is its position (first pass).
+// Launch: one work-item per chunk.
 __kernel void sort_scatter(__global const uint *keys, __global const uint *values, // in [n]
                            __global const uint *status, uint n_slot, uint chunks, uint shift, uint bins,
-                           uint index_values, __global uint *histogram, // in/out [chunks, bins] next position
+                           __global uint *histogram, // in/out [chunks, bins] next position
                            __global uint *keys_out, __global uint *values_out) { // out [n]
   const uint c = get_global_id(0);
   if (c >= chunks) return;
@@ -64,6 +64,6 @@ __kernel void sort_scatter(__global const uint *keys, __global const uint *value
   for (uint i = first; i < last; i++) {
     const uint key = keys[i], at = row[digit_of(key, shift, bins)]++;
     keys_out[at] = key;
-    values_out[at] = index_values ? i : values[i];
+    values_out[at] = values[i];
   }
 }

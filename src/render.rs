@@ -7,7 +7,7 @@ use crate::gpu::tuning::{NEAR, Tuning, status};
 use crate::gpu::{CameraArg, Defines, Device, Kernels, Real};
 use crate::stage::bin::{Bin, BinArgs, EmitArgs};
 use crate::stage::project::{Project, ProjectArgs};
-use crate::stage::scan::{Scan, ScanArgs};
+use crate::stage::scan::{Count, Scan, ScanArgs};
 use crate::stage::sort::{Sort, SortArgs};
 use crate::stage::splat::{Splat, TileLists, tiles_of};
 
@@ -182,7 +182,6 @@ impl<R: Real> Renderer<R> {
         self.sort.run(&SortArgs {
             keys: [&keys[0], &keys[1]],
             values: [&visible[0], &visible[1]],
-            index_values: false,
             status,
             n_slot: status::VISIBLE,
             bits: 32,
@@ -202,32 +201,36 @@ impl<R: Real> Renderer<R> {
             status,
             tiles_x: tiles_x as u32,
             counts: &f.counts,
+            pair_counts: &f.pair_counts,
             cover: &f.cover,
         };
         self.bin.count(&bin)?;
-        self.scan.run(&ScanArgs {
-            values: &f.counts,
-            status,
-            n_slot: status::VISIBLE,
-            total_slot: status::PAIRS,
-            capacity: f.pair_capacity(),
-            sums: &f.chunk_sums,
-            out: &f.offsets,
-        })?;
+        let scan = |values, n, out| {
+            self.scan.run(&ScanArgs {
+                values,
+                status,
+                n,
+                total_slot: status::PAIRS,
+                capacity: f.pair_capacity(),
+                sums: &f.chunk_sums,
+                out,
+            })
+        };
+        scan(&f.counts, Count::Slot(status::VISIBLE), &f.offsets)?;
+        scan(&f.pair_counts, Count::Known(count), &f.pair_start)?;
         self.bin.emit(
             &bin,
             &EmitArgs {
                 offsets: &f.offsets,
-                tile_keys: &f.tile_keys[0],
-                pair_owner: &f.pair_owner,
                 pair_start: &f.pair_start,
-                pair_counts: &f.pair_counts,
+                tile_keys: &f.tile_keys[0],
+                slots: &f.order[0],
+                pair_owner: &f.pair_owner,
             },
         )?;
         self.sort.run(&SortArgs {
             keys: [&f.tile_keys[0], &f.tile_keys[1]],
             values: [&f.order[0], &f.order[1]],
-            index_values: true,
             status,
             n_slot: status::PAIRS,
             bits: usize::BITS - tiles.leading_zeros(),

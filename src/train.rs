@@ -202,6 +202,7 @@ impl Trainer {
                 camera,
                 pair_start: &frame.pair_start,
                 pair_counts: &frame.pair_counts,
+                status: &frame.status,
                 sums: &frame.sums,
                 lambda_opacity: f64::from(self.config.loss.lambda_opacity),
                 lambda_scale: f64::from(self.config.loss.lambda_scale),

@@ -90,6 +90,7 @@ impl Defines {
         int("P_ROTATION", Plane::ROTATION as u64);
         int("P_OPACITY", Plane::OPACITY as u64);
         int("P_SH", Plane::SH as u64);
+        int("STATUS_SLOTS", status::SLOTS as u64);
         int("S_VISIBLE", u64::from(status::VISIBLE));
         int("S_PAIRS", u64::from(status::PAIRS));
         int("S_OVERFLOW", u64::from(status::OVERFLOW));

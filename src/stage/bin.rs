@@ -34,23 +34,25 @@ pub struct BinArgs<'a, R: Real> {
     pub tiles_x: u32,
     /// Tiles of each visible Gaussian \[visible\], written by [`Bin::count`].
     pub counts: &'a Array<u32>,
+    /// The same counts by Gaussian \[count\], written by [`Bin::count`] where there are any.
+    pub pair_counts: &'a Array<u32>,
     /// Which tiles those are, if they are few \[visible, 2\], written by [`Bin::count`].
     pub cover: &'a Array<u32>,
 }
 
-/// Where [`Bin::emit`] writes.
+/// What [`Bin::emit`] goes by and writes.
 #[derive(Debug)]
 pub struct EmitArgs<'a> {
-    /// First pair of each visible Gaussian \[visible\].
+    /// Exclusive sums of the counts in depth order \[visible\].
     pub offsets: &'a Array<u32>,
-    /// Out \[pairs\]: tile.
-    pub tile_keys: &'a Array<u32>,
-    /// Out \[pairs\]: Gaussian.
-    pub pair_owner: &'a Array<u32>,
-    /// Out \[count\]: first pair.
+    /// Exclusive sums of the counts by Gaussian: its first slot \[count\].
     pub pair_start: &'a Array<u32>,
-    /// Out \[count\]: pairs.
-    pub pair_counts: &'a Array<u32>,
+    /// Out \[pairs\]: tile, in depth order.
+    pub tile_keys: &'a Array<u32>,
+    /// Out \[pairs\]: slot, in depth order.
+    pub slots: &'a Array<u32>,
+    /// Out \[pairs\]: Gaussian, by slot.
+    pub pair_owner: &'a Array<u32>,
 }
 
 impl Bin {
@@ -134,6 +136,7 @@ impl Bin {
             .value(a.tiles_x)
             .array(a.counts, a.count)
             .array(a.cover, 2 * a.count)
+            .array(a.pair_counts, a.count)
             .run([a.count.div_ceil(self.batch), 1], [self.batch_local, 1])
     }
 
@@ -148,13 +151,12 @@ impl Bin {
             .array(a.visible, a.count)
             .array(a.status, SLOTS)
             .value(a.tiles_x)
-            .array(a.counts, a.count)
             .array(a.cover, 2 * a.count)
             .array(out.offsets, a.count)
-            .array(out.tile_keys, 1)
-            .array(out.pair_owner, 1)
             .array(out.pair_start, a.count)
-            .array(out.pair_counts, a.count)
+            .array(out.tile_keys, 1)
+            .array(out.slots, 1)
+            .array(out.pair_owner, 1)
             .run([a.count.div_ceil(self.batch), 1], [self.batch_local, 1])
     }
 

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use crate::error::Result;
+use crate::gpu::tuning::status::SLOTS;
 use crate::gpu::{Array, CameraArg, Kernel, Kernels, Real};
 use crate::model::Plane;
 
@@ -30,6 +31,8 @@ pub struct ProjectGradArgs<'a, R: Real> {
     pub pair_start: &'a Array<u32>,
     /// Pairs of each Gaussian \[count\].
     pub pair_counts: &'a Array<u32>,
+    /// Status array; after an overflow no Gaussian has pairs.
+    pub status: &'a Array<u32>,
     /// Sums \[pairs, 9\].
     pub sums: &'a Array<R>,
     /// λ_o of the mean opacity.
@@ -76,6 +79,7 @@ impl ProjectGrad {
             .value(*a.camera)
             .array(a.pair_start, a.count)
             .array(a.pair_counts, a.count)
+            .array(a.status, SLOTS)
             .array(a.sums, 1)
             .value(R::of(a.lambda_opacity / n))
             .value(R::of(a.lambda_scale / (3.0 * n)))

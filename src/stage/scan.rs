@@ -19,10 +19,10 @@ pub struct Scan {
 pub struct ScanArgs<'a> {
     /// Values \[n\].
     pub values: &'a Array<u32>,
-    /// Status array; `n_slot` holds n, `total_slot` receives the total.
+    /// Status array; `total_slot` receives the total.
     pub status: &'a Array<u32>,
-    /// Slot of n.
-    pub n_slot: u32,
+    /// n.
+    pub n: Count,
     /// Slot of the total.
     pub total_slot: u32,
     /// A larger total raises the overflow flag.
@@ -31,6 +31,15 @@ pub struct ScanArgs<'a> {
     pub sums: &'a Array<u32>,
     /// Out \[n\].
     pub out: &'a Array<u32>,
+}
+
+/// A number of elements.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Count {
+    /// What this slot of the status array holds when the kernel runs.
+    Slot(u32),
+    /// Known to the host.
+    Known(usize),
 }
 
 impl Scan {
@@ -57,11 +66,16 @@ impl Scan {
     /// Arrays that are too short, or the driver's.
     pub fn run(&self, a: &ScanArgs<'_>) -> Result<()> {
         let global = [self.chunk_count, 1];
+        let (slot, known) = match a.n {
+            Count::Slot(slot) => (slot, 0),
+            Count::Known(n) => (SLOTS as u32, n as u32),
+        };
         self.sums
             .launch()
             .array(a.values, 1)
             .array(a.status, SLOTS)
-            .value(a.n_slot)
+            .value(slot)
+            .value(known)
             .value(self.chunk_count as u32)
             .array(a.sums, self.chunk_count)
             .run(global, [self.local, 1])?;
@@ -70,7 +84,8 @@ impl Scan {
             .launch()
             .array(a.values, 1)
             .array(a.status, SLOTS)
-            .value(a.n_slot)
+            .value(slot)
+            .value(known)
             .value(self.chunk_count as u32)
             .array(a.sums, self.chunk_count)
             .array(a.out, 1)

@@ -27,8 +27,6 @@ pub struct SortArgs<'a> {
     pub keys: [&'a Array<u32>; 2],
     /// Values, in and scratch \[n\].
     pub values: [&'a Array<u32>; 2],
-    /// Ignore the values: each element's value is its position.
-    pub index_values: bool,
     /// Status array.
     pub status: &'a Array<u32>,
     /// Slot of n.
@@ -121,7 +119,6 @@ impl Sort {
                 .value(chunks)
                 .value(shift)
                 .value(bins)
-                .value(u32::from(pass == 0 && a.index_values))
                 .array(&self.counts, cells)
                 .array(a.keys[to], 1)
                 .array(a.values[to], 1)

@@ -306,6 +306,7 @@ impl<R: Real> Run<'_, R> {
             camera: &self.camera,
             pair_start: &f.pair_start,
             pair_counts: &f.pair_counts,
+            status: &f.status,
             sums: &f.sums,
             lambda_opacity: case.lambdas[1],
             lambda_scale: case.lambdas[2],

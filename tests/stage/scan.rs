@@ -4,7 +4,7 @@ use super::*;
 use mhsplat::gpu::Array;
 use mhsplat::gpu::tuning::status::{OVERFLOW, PAIRS, SLOTS, VISIBLE};
 use mhsplat::reference;
-use mhsplat::stage::scan::{Scan, ScanArgs};
+use mhsplat::stage::scan::{Count, Scan, ScanArgs};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -18,12 +18,18 @@ fn a_wrong_count_is_rejected() {
 
 /// Sums and status after scanning `values` with room for `capacity`.
 fn scanned(values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>) {
+    let known = scanned_by(Count::Known(values.len()), values, capacity);
+    assert_eq!(known, scanned_by(Count::Slot(VISIBLE), values, capacity));
+    known
+}
+
+fn scanned_by(n: Count, values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>) {
     let device = device();
     let kernels = kernels(&device);
-    let n = values.len().max(1);
-    let input = Array::zeros(&device, "values", n).unwrap();
+    let room = values.len().max(1);
+    let input = Array::zeros(&device, "values", room).unwrap();
     input.write(0, values).unwrap();
-    let out = Array::zeros(&device, "out", n).unwrap();
+    let out = Array::zeros(&device, "out", room).unwrap();
     let status = Array::zeros(&device, "status", SLOTS).unwrap();
     status
         .write(VISIBLE as usize, &[values.len() as u32])
@@ -32,7 +38,7 @@ fn scanned(values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>) {
     let args = ScanArgs {
         values: &input,
         status: &status,
-        n_slot: VISIBLE,
+        n,
         total_slot: PAIRS,
         capacity,
         sums: &sums,
