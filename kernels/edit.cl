@@ -1,4 +1,6 @@
-// edit: writes the rows that density control decided on. Rotation and SH coefficients of row src are copied to dst;
+// edit: the set of Gaussians changes.
+
+// Writes the rows that density control decided on. Rotation and SH coefficients of row src are copied to dst;
 // position, log-scale and opacity are replaced; the moments of dst are zeroed. Launch: (edits, planes) work-items. The
 // order of edits does not matter: no dst is named twice, and a row that is a src is a dst only of its own edit, which
 // writes none of the planes that others copy.
@@ -15,4 +17,13 @@ __kernel void edit(__global const Edit *edits, uint count, uint stride, // in [c
   else if (row.src != row.dst) params[at] = params[(size_t)plane * stride + row.src];
   moment1[at] = R(0.0);
   moment2[at] = R(0.0);
+}
+
+// Gaussians in another order. Launch: (count, planes) work-items.
+__kernel void edit_reorder(__global const uint *order, uint count, uint stride, // in [count] old row of each new one
+                           __global const real *from, __global real *to) {      // in, out [planes, stride]
+  const uint i = get_global_id(0);
+  if (i >= count) return;
+  const size_t plane = (size_t)get_global_id(1) * stride;
+  to[plane + i] = from[plane + order[i]];
 }

@@ -2,6 +2,7 @@
 
 mod colmap;
 mod init;
+mod morton;
 mod photo;
 mod real;
 mod transforms;

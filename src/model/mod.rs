@@ -3,6 +3,7 @@
 pub mod init;
 #[doc(hidden)]
 pub mod knn;
+pub mod morton;
 mod splats;
 
 pub use splats::{Plane, Splats, sh_coefficients};

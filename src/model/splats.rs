@@ -1,5 +1,8 @@
 //! [`Splats`]: struct of arrays of raw parameters, in the very order the device keeps them.
 
+use rayon::prelude::*;
+
+use super::morton;
 use crate::error::{Error, Result};
 
 /// Number of SH coefficients per colour channel for a degree: (d+1)².
@@ -118,6 +121,17 @@ impl Splats {
         self.planes
             .resize(Plane::count(degree.min(3)), vec![0.0; n]);
         Self::new(degree, self.planes)
+    }
+
+    /// The same Gaussians in Morton order (see [`morton`]).
+    #[must_use]
+    pub fn in_morton_order(mut self) -> Self {
+        let axis = |k: usize| self.planes[Plane::POSITION + k].as_slice();
+        let order = morton::order([axis(0), axis(1), axis(2)]);
+        self.planes.par_iter_mut().for_each(|plane| {
+            *plane = order.iter().map(|&i| plane[i as usize]).collect();
+        });
+        self
     }
 
     /// All planes, in the order of [`Plane`].

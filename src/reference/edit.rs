@@ -25,3 +25,9 @@ pub fn edit(edits: &[Edit], params: &mut [Vec<f64>], moments: [&mut [Vec<f64>]; 
         }
     }
 }
+
+/// A plane with row `order[i]` as row i.
+#[must_use]
+pub fn reorder(order: &[u32], plane: &[f64]) -> Vec<f64> {
+    order.iter().map(|&i| plane[i as usize]).collect()
+}

@@ -19,7 +19,7 @@ const RANDOM_GAUSSIANS: usize = 30_000;
 /// A PLY file that cannot be read, has another SH degree than can be used, or holds too many Gaussians.
 pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats> {
     let most = config.max_gaussians.unwrap_or(usize::MAX);
-    match &config.init {
+    let splats = match &config.init {
         Init::File(path) => {
             let splats = ply::read(path, &dataset.frame)?;
             if splats.len() > most {
@@ -39,7 +39,8 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
             let count = RANDOM_GAUSSIANS.min(most);
             init::random(dataset, count, config.sh_degree, config.seed)
         }
-    }
+    }?;
+    Ok(splats.in_morton_order())
 }
 
 /// Makes the run folder; refuses one that exists.

@@ -1,4 +1,4 @@
-//! Writes the rows that density control decided on (`kernels/edit.cl`).
+//! The set of Gaussians changes: rows that density control decided on, another order (`kernels/edit.cl`).
 
 use crate::error::Result;
 use crate::gpu::{Array, EditRow, Kernel, Kernels, Real};
@@ -6,7 +6,8 @@ use crate::gpu::{Array, EditRow, Kernel, Kernels, Real};
 /// The edit stage.
 #[derive(Debug)]
 pub struct Edit {
-    kernel: Kernel,
+    rows: Kernel,
+    reorder: Kernel,
     local: usize,
 }
 
@@ -33,9 +34,10 @@ impl Edit {
     /// # Errors
     /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("edit", ["edit"])?;
+        let [rows, reorder] = kernels.build::<R, 2>("edit", ["edit", "edit_reorder"])?;
         Ok(Self {
-            kernel,
+            rows,
+            reorder,
             local: kernels.defines().tuning.local,
         })
     }
@@ -49,7 +51,7 @@ impl Edit {
             return Ok(());
         }
         let len = a.planes * a.stride;
-        self.kernel
+        self.rows
             .launch()
             .array(a.edits, a.edits.len())
             .value(a.edits.len() as u32)
@@ -58,5 +60,26 @@ impl Edit {
             .array(a.moment1, len)
             .array(a.moment2, len)
             .run([a.edits.len(), a.planes], [self.local, 1])
+    }
+
+    /// Planes of `from` \[planes, stride\] with row `order[i]` as row i, in `to`; rows beyond `order` stay as they are.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn reorder<R: Real>(
+        &self,
+        order: &Array<u32>,
+        [planes, stride]: [usize; 2],
+        from: &Array<R>,
+        to: &Array<R>,
+    ) -> Result<()> {
+        self.reorder
+            .launch()
+            .array(order, order.len())
+            .value(order.len() as u32)
+            .value(stride as u32)
+            .array(from, planes * stride)
+            .array(to, planes * stride)
+            .run([order.len(), planes], [self.local, 1])
     }
 }

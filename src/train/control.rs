@@ -6,7 +6,7 @@ use crate::density::{Cues, DensityStats, Outcome, SceneState, StepContext};
 use crate::error::Result;
 use crate::gpu::tuning::status;
 use crate::gpu::{Array, EditRow};
-use crate::model::Plane;
+use crate::model::{Plane, morton};
 use crate::render::RenderOptions;
 use crate::stage::edit::EditArgs;
 use crate::stage::importance::ImportanceArgs;
@@ -162,9 +162,24 @@ impl Trainer {
             .collect();
         self.apply_edits(&Array::from_slice(&self.device, "edits", &rows)?)?;
         self.scene.count = outcome.len;
+        self.reorder()?;
         self.most_pairs =
             (self.most_pairs as f64 * outcome.len as f64 / before.max(1) as f64) as usize;
         self.fit_views()
+    }
+
+    /// Puts the Gaussians in Morton order: births are appended, wherever they lie.
+    fn reorder(&mut self) -> Result<()> {
+        let position = |k: usize| self.scene.plane(Plane::POSITION + k);
+        let [x, y, z] = [position(0)?, position(1)?, position(2)?];
+        let order = Array::from_slice(&self.device, "order", &morton::order([&x, &y, &z]))?;
+        let shape = [self.scene.planes(), self.scene.stride];
+        for array in [&mut self.scene.params, &mut self.moment1, &mut self.moment2] {
+            let to = Array::zeros(&self.device, array.name(), shape[0] * shape[1])?;
+            self.edit.reorder(&order, shape, array, &to)?;
+            *array = to;
+        }
+        Ok(())
     }
 
     pub(super) fn apply_edits(&self, edits: &Array<EditRow>) -> Result<()> {

@@ -2,6 +2,7 @@
 
 use super::*;
 use mhsplat::density::Edit;
+use mhsplat::gpu::Array;
 use mhsplat::model::Plane;
 
 #[test]
@@ -41,5 +42,33 @@ fn a_copy_takes_everything_but_what_is_replaced() {
             assert_eq!(out.edited[0][p][i], out.adam[0][p][i], "plane {p}, row {i}");
         }
         assert_eq!([out.edited[1][p][4], out.edited[2][p][4]], [0.0; 2]);
+    }
+}
+
+#[test]
+fn rows_in_another_order_are_the_reference_s() {
+    let device = device();
+    let edit = mhsplat::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
+    let (planes, stride, order) = (3, 256, [4u32, 0, 2, 1, 3]);
+    let values: Vec<f32> = (0..planes * stride).map(|v| v as f32).collect();
+    let array = |name, v: &[f32]| Array::from_slice(&device, name, v).unwrap();
+    let (from, to) = (
+        array("from", &values),
+        array("to", &vec![-1.0; values.len()]),
+    );
+    let rows = Array::from_slice(&device, "order", &order).unwrap();
+    edit.reorder(&rows, [planes, stride], &from, &to).unwrap();
+    let got = to.to_vec().unwrap();
+    for (p, plane) in values.chunks(stride).enumerate() {
+        let plane: Vec<f64> = plane.iter().map(|v| f64::from(*v)).collect();
+        let want = mhsplat::reference::edit::reorder(&order, &plane);
+        for (i, w) in want.iter().enumerate() {
+            assert_eq!(f64::from(got[p * stride + i]), *w);
+        }
+        assert_eq!(
+            got[p * stride + 5],
+            -1.0,
+            "rows beyond the order stay as they are"
+        );
     }
 }

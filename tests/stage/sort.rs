@@ -29,7 +29,8 @@ fn sorted(keys: &[u32], bits: u32, tuning: Tuning) -> Vec<u32> {
     let array = |name| Array::<u32>::zeros(&device, name, n).unwrap();
     let (k0, k1, v0, v1) = (array("k0"), array("k1"), array("v0"), array("v1"));
     k0.write(0, keys).unwrap();
-    v0.write(0, &(0..keys.len() as u32).collect::<Vec<u32>>()).unwrap();
+    v0.write(0, &(0..keys.len() as u32).collect::<Vec<u32>>())
+        .unwrap();
     let status = Array::zeros(&device, "status", SLOTS).unwrap();
     status
         .write(VISIBLE as usize, &[keys.len() as u32])

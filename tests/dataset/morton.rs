@@ -1,0 +1,44 @@
+//! Order along the Z curve.
+
+use mhsplat::model::{Plane, Splats, morton};
+
+#[test]
+fn corners_of_a_cube_in_z_order() {
+    let corner = |k: usize| -> Vec<f32> { (0..8).map(|c| (c >> k & 1) as f32).rev().collect() };
+    let [x, y, z] = [corner(0), corner(1), corner(2)];
+    let order = morton::order([&x, &y, &z]);
+    assert_eq!(order, [7, 6, 5, 4, 3, 2, 1, 0]);
+}
+
+#[test]
+fn neighbours_lie_together_and_nothing_is_lost() {
+    let mut splats = Splats::zeros(1, 64 * 64);
+    for i in 0..64 * 64 {
+        let shuffled = i * 2731 % (64 * 64);
+        let at = [(shuffled % 64) as f32, (shuffled / 64) as f32, 0.5];
+        splats.scatter(Plane::POSITION, i, at);
+        splats.scatter(Plane::SH, i, [shuffled as f32]);
+    }
+    let sorted = splats.in_morton_order();
+    let mut seen: Vec<f32> = sorted.planes()[Plane::SH].clone();
+    let step = |i: usize| {
+        let [a, b] = [i, i + 1].map(|j| sorted.gather::<2>(Plane::POSITION, j));
+        f64::from((a[0] - b[0]).abs() + (a[1] - b[1]).abs())
+    };
+    let mean = (0..64 * 64 - 1).map(step).sum::<f64>() / 4095.0;
+    assert!(mean < 2.0, "{mean} cells between neighbours");
+    for i in 0..64 * 64 {
+        let [x, y] = sorted.gather::<2>(Plane::POSITION, i);
+        assert_eq!(seen[i], y * 64.0 + x, "rows stay whole");
+    }
+    seen.sort_by(f32::total_cmp);
+    assert!(seen.iter().enumerate().all(|(i, v)| *v == i as f32));
+}
+
+#[test]
+fn equal_positions_and_one_far_away_keep_their_rows() {
+    let x = [1.0, 1.0, 1e30, 1.0];
+    let order = morton::order([&x, &[0.0; 4], &[0.0; 4]]);
+    assert_eq!(order, [0, 1, 3, 2]);
+    assert!(morton::order([&[], &[], &[]]).is_empty());
+}
