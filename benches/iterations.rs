@@ -25,7 +25,7 @@ fn main() {
         &path,
         &LoadOptions {
             max_size,
-            test_every: 8,
+            ..LoadOptions::default()
         },
     )
     .unwrap();

@@ -79,7 +79,8 @@ fn dataset(size: u32) -> Dataset {
                 height: size,
                 channels: 3,
                 data: (0..pixels).map(|i| (i * 31 % 251) as u8).collect(),
-            },
+            }
+            .into(),
         }
     };
     Dataset {
@@ -89,6 +90,7 @@ fn dataset(size: u32) -> Dataset {
         test: Vec::new(),
         points: Points::default(),
         frame: Frame::IDENTITY,
+        image_budget: u64::MAX,
     }
 }
 

@@ -1,10 +1,13 @@
 //! What lives on the device: the scene, and the arrays of one view's passage through the stages.
 
-use crate::dataset::View;
+use std::sync::Arc;
+
+use crate::dataset::{Photo, View};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::{NEAR, SUMS, TILE, Tuning, status};
 use crate::gpu::{Array, CameraArg, Device, Real, Record};
 use crate::model::{Plane, Splats};
+use crate::photos::Photos;
 
 /// Strides are multiples of this, so that vector loads of a plane never straddle two.
 const ROUND: usize = 256;
@@ -245,15 +248,17 @@ impl<R: Real> Frame<R> {
     }
 }
 
-/// Photos and cameras of a set of views on the device.
+/// Cameras of a set of views, and access to their photos on the device.
 #[derive(Debug)]
 pub struct ViewSet<R: Real = f32> {
     /// Names, as the dataset gives them.
     pub names: Vec<String>,
     /// Cameras.
     pub cameras: Vec<CameraArg<R>>,
-    /// Photos \[3 or 4, height, width\].
-    pub photos: Vec<Array<u8>>,
+    /// Where the photos come from, shared with other sets.
+    photos: Photos,
+    /// The photos' numbers there.
+    numbers: Vec<usize>,
     /// Whether the photos have an alpha plane.
     pub has_alpha: bool,
     /// Largest width and largest height, pixels.
@@ -263,31 +268,64 @@ pub struct ViewSet<R: Real = f32> {
 }
 
 impl<R: Real> ViewSet<R> {
-    /// Uploads views (u8, as they are).
+    /// Takes views; their photos are added to `photos` one by one, so that pixels that nobody else holds are freed as soon as
+    /// they are uploaded.
     ///
     /// # Errors
-    /// More than the device can allocate.
-    pub fn upload(device: &Device, views: &[View]) -> Result<Self> {
-        let cameras: Vec<CameraArg<R>> = views
-            .iter()
-            .map(|v| CameraArg::new(&v.camera, NEAR))
-            .collect();
-        let photos = views
-            .iter()
-            .map(|v| Array::from_slice(device, "photo", &v.photo.data))
-            .collect::<Result<_>>()?;
+    /// As [`Photos::add`].
+    pub fn new(photos: &Photos, views: impl IntoIterator<Item = View>) -> Result<Self> {
+        let (mut names, mut cameras, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
+        let mut has_alpha = false;
+        for view in views {
+            has_alpha |= view.photo.channels() == 4;
+            names.push(view.name);
+            cameras.push(CameraArg::<R>::new(&view.camera, NEAR));
+            numbers.push(photos.add(view.photo)?);
+        }
         let most = |k: usize| cameras.iter().map(|c| c.size[k].max(1)).max().unwrap_or(1) as usize;
         let largest = [most(0), most(1)];
         let mut largest_camera = cameras.first().copied().unwrap_or_default();
         largest_camera.tiles = largest.map(|s| s.div_ceil(TILE as usize) as i32);
         Ok(Self {
-            names: views.iter().map(|v| v.name.clone()).collect(),
-            has_alpha: views.iter().any(|v| v.photo.channels == 4),
+            names,
+            has_alpha,
             cameras,
-            photos,
+            photos: photos.clone(),
+            numbers,
             largest,
             largest_camera,
         })
+    }
+
+    /// The photo of a view \[3 or 4, height, width\]; those of the views `next`, in the order of their use, are decoded
+    /// meanwhile if they are not there yet.
+    ///
+    /// # Errors
+    /// As [`Photos::get`].
+    pub fn photo(&self, view: usize, next: &[usize]) -> Result<Arc<Array<u8>>> {
+        let next = next.iter().map(|v| self.numbers[*v]);
+        self.photos.get(self.numbers[view], next)
+    }
+
+    /// The photo of a view, read back from the device.
+    ///
+    /// # Errors
+    /// As [`ViewSet::photo`], or the driver's.
+    pub fn read_photo(&self, view: usize) -> Result<Photo> {
+        let data = self.photo(view, &[])?.to_vec()?;
+        let [width, height] = self.cameras[view].size.map(|s| s as u32);
+        Ok(Photo {
+            width,
+            height,
+            channels: if self.has_alpha { 4 } else { 3 },
+            data,
+        })
+    }
+
+    /// Where the photos come from.
+    #[must_use]
+    pub fn photos(&self) -> &Photos {
+        &self.photos
     }
 
     /// Number of views.

@@ -6,8 +6,8 @@ mod values;
 
 use serde::{Deserialize, Serialize};
 
-use values::duration_or_number;
-pub use values::{Background, Init, parse_duration};
+pub use values::{Background, Init, parse_bytes, parse_duration};
+use values::{bytes_or_number, duration_or_number};
 
 use crate::error::{Error, Result};
 
@@ -193,6 +193,10 @@ pub struct TrainConfig {
     pub time_budget: Option<f64>,
     /// Longest image side in pixels; larger photos are area-filtered down.
     pub max_size: u32,
+    /// Bytes that the decoded photos may take; what does not fit is decoded on demand, which changes no result (none: half of
+    /// the memory available at the start).
+    #[serde(deserialize_with = "bytes_or_number")]
+    pub image_budget: Option<u64>,
     /// Upper bound of the number of Gaussians.
     pub max_gaussians: Option<usize>,
     /// SH degree, 0 to 3.
@@ -226,6 +230,7 @@ impl Default for TrainConfig {
             iterations: 30_000,
             time_budget: None,
             max_size: 1600,
+            image_budget: None,
             max_gaussians: None,
             sh_degree: 3,
             seed: 0,
@@ -263,6 +268,9 @@ impl TrainConfig {
                 "--max-size",
                 format!("{}; 16 to 65535 expected", self.max_size),
             );
+        }
+        if self.image_budget == Some(0) {
+            return fail("--image-budget", "0; at least 1 byte expected".into());
         }
         if self.max_gaussians == Some(0) {
             return fail("--max-gaussians", "0; at least 1 expected".into());

@@ -56,18 +56,20 @@ impl Evaluator {
         &self.views
     }
 
-    /// Renders and scores one view; the clamped image stays in the renderer.
+    /// Renders and scores one view; the clamped image stays in the renderer. `next` are the views to be scored after it.
     ///
     /// # Errors
-    /// As [`Renderer::render`].
+    /// As [`Renderer::render`] and [`ViewSet::photo`].
     pub fn score(
         &self,
         view: usize,
+        next: &[usize],
         scene: &Scene,
         renderer: &mut Renderer,
         sh_degree: u32,
         background: [f32; 3],
     ) -> Result<ViewScore> {
+        let photo = self.views.photo(view, next)?;
         let camera = &self.views.cameras[view];
         let options = RenderOptions {
             sh_degree,
@@ -78,7 +80,7 @@ impl Evaluator {
         let size = size_of_image(camera);
         let pair = ImagePair {
             image: &renderer.frame.image,
-            photo: &self.views.photos[view],
+            photo: &photo,
             background,
             size,
         };
@@ -97,7 +99,7 @@ impl Evaluator {
     /// Scores every view.
     ///
     /// # Errors
-    /// As [`Renderer::render`].
+    /// As [`Renderer::render`] and [`ViewSet::photo`].
     pub fn score_all(
         &self,
         scene: &Scene,
@@ -105,8 +107,9 @@ impl Evaluator {
         sh_degree: u32,
         background: [f32; 3],
     ) -> Result<Vec<ViewScore>> {
-        (0..self.views.len())
-            .map(|v| self.score(v, scene, renderer, sh_degree, background))
+        let all: Vec<usize> = (0..self.views.len()).collect();
+        all.iter()
+            .map(|&v| self.score(v, &all[v + 1..], scene, renderer, sh_degree, background))
             .collect()
     }
 }

@@ -57,6 +57,8 @@ pub mod export;
 #[doc(hidden)]
 pub mod gpu;
 pub mod model;
+#[doc(hidden)]
+pub mod photos;
 pub mod plan;
 pub mod reference;
 pub mod render;

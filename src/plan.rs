@@ -28,12 +28,22 @@ impl Plan {
     #[must_use]
     pub fn new(dataset: &Dataset, config: &TrainConfig) -> Self {
         let mut plan = Self::default();
-        let alpha = dataset.train.iter().any(|v| v.photo.channels == 4);
         plan.decide(
-            alpha,
+            dataset.background_matters(),
             "photo alpha over the background",
             "photos have transparent pixels",
             "no photo has an alpha channel",
+        );
+        let mebibytes = |bytes: u64| format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20));
+        let photos = mebibytes(dataset.photo_bytes());
+        plan.decide(
+            dataset.photos_on_demand(),
+            "photos decoded ahead of their use",
+            &format!(
+                "they take {photos}, and {} is their budget",
+                mebibytes(dataset.image_budget)
+            ),
+            &format!("all photos fit in memory ({photos})"),
         );
         plan.decide(
             config.sh_degree > 0,

@@ -8,19 +8,17 @@ pub use start::{abandon_folder, claim_folder, initial_splats};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::buffers::ViewSet;
 use crate::config::TrainConfig;
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Frame};
 use crate::error::{Error, Result};
 use crate::evaluate::{Evaluator, mean};
 use crate::export::checkpoint::Checkpoint;
 use crate::export::{checkpoint, ply};
-use crate::gpu::tuning::Tuning;
-use crate::gpu::{Defines, Device};
+use crate::gpu::Device;
 use crate::plan::Plan;
 use crate::report::{
-    Clock, DatasetRecord, DensityRow, DensityWriter, DeviceRecord, FinalRecord, MetricsRow,
-    MetricsWriter, RunRecord, StageRecord, clock, read_density, read_rows, write_report,
+    Clock, DensityRow, DensityWriter, FinalRecord, MetricsRow, MetricsWriter, RunRecord,
+    StageRecord, clock, read_density, read_rows, write_report,
 };
 use crate::train::Trainer;
 
@@ -42,7 +40,10 @@ pub struct Progress {
 /// A run under way.
 pub struct Run {
     dir: PathBuf,
-    dataset: Dataset,
+    /// Where the local frame lies in the dataset's own.
+    frame: Frame,
+    /// [`Dataset::fingerprint`].
+    fingerprint: String,
     config: TrainConfig,
     trainer: Trainer,
     evaluator: Option<Evaluator>,
@@ -58,9 +59,17 @@ pub struct Run {
     handled: u32,
 }
 
+/// What a run keeps of its dataset, on the device and on the host.
+struct Prepared {
+    trainer: Trainer,
+    evaluator: Option<Evaluator>,
+    record: RunRecord,
+    frame: Frame,
+    fingerprint: String,
+}
+
 /// What a new run and a resumed one have different.
 struct Start {
-    trainer: Trainer,
     clock: Clock,
     metrics: MetricsWriter,
     density: DensityWriter,
@@ -80,19 +89,18 @@ impl Run {
         clock: Clock,
     ) -> Result<Self> {
         let splats = initial_splats(&dataset, &config)?;
-        let trainer = Trainer::new(device, &dataset, &config, &splats)?;
+        let prepared = Prepared::new(dataset, &config, device, &splats)?;
         let start = Start {
-            trainer,
             clock,
             metrics: MetricsWriter::create(dir.join("metrics.csv"))?,
             density: DensityWriter::create(dir.join("density.csv"))?,
             stages: Vec::new(),
         };
-        Self::assemble(dir, dataset, config, device, start)
+        Self::assemble(dir, config, prepared, start)
     }
 
     /// Continues the run in `dir` from its checkpoint. `config` is the checkpoint's, but for what may change on the way:
-    /// the time budget and how often to evaluate, export and save.
+    /// the budgets for time and photos, and how often to evaluate, export and save.
     ///
     /// # Errors
     /// No usable checkpoint, another dataset, a time budget that is used up, or as [`Trainer::new`].
@@ -121,65 +129,27 @@ impl Run {
             ));
         }
         let state = &saved.state;
-        let mut trainer = Trainer::new(device, &dataset, &config, &state.splats)?;
-        trainer.restore(state)?;
+        let mut prepared = Prepared::new(dataset, &config, device, &state.splats)?;
+        prepared.trainer.restore(state)?;
         let start = Start {
-            trainer,
             clock: Clock::resume_from(saved.clock),
             metrics: MetricsWriter::append(dir.join("metrics.csv"), state.iteration)?,
             density: DensityWriter::append(dir.join("density.csv"), state.iteration)?,
             stages: saved.stages,
         };
-        Self::assemble(dir, dataset, config, device, start)
+        Self::assemble(dir, config, prepared, start)
     }
 
-    fn assemble(
-        dir: &Path,
-        dataset: Dataset,
-        config: TrainConfig,
-        device: &Device,
-        start: Start,
-    ) -> Result<Self> {
-        let evaluator = if dataset.test.is_empty() {
-            None
-        } else {
-            let defines = Defines::new(Tuning::for_device(device.info()));
-            Some(Evaluator::new(
-                device,
-                defines,
-                ViewSet::upload(device, &dataset.test)?,
-            )?)
-        };
-        let info = device.info();
-        let size = |f: fn(&crate::dataset::Photo) -> u32| {
-            dataset.train.iter().map(|v| f(&v.photo)).max().unwrap_or(0)
-        };
-        let record = RunRecord::new(
-            config.clone(),
-            DatasetRecord {
-                path: dataset.path.display().to_string(),
-                layout: dataset.layout.to_string(),
-                train_views: dataset.train.len(),
-                test_views: dataset.test.len(),
-                width: size(|p| p.width),
-                height: size(|p| p.height),
-            },
-            DeviceRecord {
-                name: info.name.clone(),
-                vendor: info.vendor.clone(),
-                platform: info.platform.clone(),
-                driver: info.driver.clone(),
-            },
-            Plan::new(&dataset, &config),
-        );
+    fn assemble(dir: &Path, config: TrainConfig, prepared: Prepared, start: Start) -> Result<Self> {
         let mut run = Self {
             dir: dir.to_path_buf(),
-            dataset,
+            frame: prepared.frame,
+            fingerprint: prepared.fingerprint,
             config,
-            handled: start.trainer.iteration(),
-            trainer: start.trainer,
-            evaluator,
-            record,
+            handled: prepared.trainer.iteration(),
+            trainer: prepared.trainer,
+            evaluator: prepared.evaluator,
+            record: prepared.record,
             clock: start.clock,
             metrics: start.metrics,
             density: start.density,
@@ -324,6 +294,7 @@ impl Run {
         r.cpu_seconds = now.cpu_seconds;
         r.peak_rss_bytes = clock::peak_rss_bytes();
         r.density = *self.trainer.stats();
+        r.photos = self.trainer.photo_stats();
         r.stages = stages;
         r.write(&self.dir)
     }
@@ -345,7 +316,7 @@ impl Run {
     fn export(&mut self) -> Result<()> {
         self.clock.pause();
         let splats = self.trainer.state()?.splats;
-        ply::write(&self.dir.join("scene.ply"), &splats, &self.dataset.frame)?;
+        ply::write(&self.dir.join("scene.ply"), &splats, &self.frame)?;
         self.clock.resume();
         Ok(())
     }
@@ -356,7 +327,7 @@ impl Run {
             state: self.trainer.state()?,
             config: self.config.clone(),
             clock: self.clock.reading(),
-            dataset: self.dataset.fingerprint(),
+            dataset: self.fingerprint.clone(),
             stages: self.stage_times(),
         };
         checkpoint::write(&self.dir, &saved)?;

@@ -114,9 +114,24 @@ impl Schedule {
     /// View of an iteration: every epoch is a permutation of the views, keyed by (seed, epoch).
     #[must_use]
     pub fn view(&self, iteration: u32, views: usize) -> usize {
-        let epoch = iteration as usize / views.max(1);
-        let order = self.permutation(epoch as u32, views);
-        order[iteration as usize % views.max(1)]
+        self.upcoming(iteration, 1, views)[0]
+    }
+
+    /// Views of `count` iterations from `iteration` on.
+    #[must_use]
+    pub fn upcoming(&self, iteration: u32, count: usize, views: usize) -> Vec<usize> {
+        let n = views.max(1);
+        let first = iteration as usize;
+        let mut epoch = first / n;
+        let mut order = self.permutation(epoch as u32, views);
+        let view = |i: usize| {
+            if i / n != epoch {
+                epoch = i / n;
+                order = self.permutation(epoch as u32, views);
+            }
+            order[i % n]
+        };
+        (first..first + count).map(view).collect()
     }
 
     fn permutation(&self, epoch: u32, views: usize) -> Vec<usize> {

@@ -17,6 +17,7 @@ use crate::error::{Error, Result};
 use crate::gpu::tuning::{Tuning, status};
 use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, PendingRead, StageTime};
 use crate::model::{Plane, Splats};
+use crate::photos::{AHEAD, PhotoStats, Photos};
 use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::schedule::Schedule;
 use crate::stage::adam::{Adam, AdamArgs};
@@ -81,6 +82,18 @@ impl Trainer {
         config: &TrainConfig,
         splats: &Splats,
     ) -> Result<Self> {
+        let photos = Photos::new(device, dataset.image_budget);
+        let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
+        Self::with_views(views, config, splats)
+    }
+
+    /// As [`Trainer::new`], with training views whose photos may share their budget with others.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`].
+    #[doc(hidden)]
+    pub fn with_views(views: ViewSet, config: &TrainConfig, splats: &Splats) -> Result<Self> {
+        let device = &views.photos().device().clone();
         config.validate()?;
         if splats.is_empty() {
             return Err(Error::Numerics {
@@ -89,7 +102,6 @@ impl Trainer {
             });
         }
         let tuning = Tuning::for_device(device.info());
-        let views = ViewSet::upload(device, &dataset.train)?;
         let defines = Defines {
             has_alpha: views.has_alpha,
             ..Defines::new(tuning)
@@ -154,10 +166,15 @@ impl Trainer {
         }
     }
 
-    fn pair(&self, view: usize, background: [f32; 3]) -> ImagePair<'_, f32> {
+    fn pair<'a>(
+        &'a self,
+        view: usize,
+        photo: &'a Array<u8>,
+        background: [f32; 3],
+    ) -> ImagePair<'a, f32> {
         ImagePair {
             image: &self.renderer.frame.image,
-            photo: &self.views.photos[view],
+            photo,
             background,
             size: size_of_image(&self.views.cameras[view]),
         }
@@ -165,12 +182,16 @@ impl Trainer {
 
     /// Forward, loss, backward and optimiser of one iteration, without waiting.
     fn enqueue_step(&mut self, iteration: u32, degree: u32) -> Result<()> {
-        let view = self.schedule.view(iteration, self.views.len());
+        let order = self
+            .schedule
+            .upcoming(iteration, 1 + AHEAD, self.views.len());
+        let view = order[0];
+        let photo = self.views.photo(view, &order[1..])?;
         let camera = self.views.cameras[view];
         let options = self.options(iteration, degree);
         self.renderer.enqueue(&self.scene, &camera, &options)?;
 
-        let pair = self.pair(view, options.background);
+        let pair = self.pair(view, &photo, options.background);
         let lambda = f64::from(self.config.loss.lambda_ssim);
         self.loss
             .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
@@ -361,6 +382,12 @@ impl Trainer {
     #[must_use]
     pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
         self.device.times()
+    }
+
+    /// Photos waited for, and what they took of their budget; sets of views that share it are counted, too.
+    #[must_use]
+    pub fn photo_stats(&self) -> PhotoStats {
+        self.views.photos().stats()
     }
 
     /// The schedules of this run.

@@ -204,7 +204,7 @@ fn unknown_folders_are_refused() {
     assert_refused(load_every(&dir.path().join("no"), 8), &["no such folder"]);
     let options = LoadOptions {
         max_size: 0,
-        test_every: 8,
+        ..LoadOptions::default()
     };
     assert!(matches!(
         load(dir.path(), &options),

@@ -9,13 +9,20 @@ use mhsplat::run::initial_splats;
 use mhsplat::train::Trainer;
 use mhsplat::{Result, TrainConfig};
 
+/// The bundled scene.
 pub fn room(max_size: u32) -> Dataset {
+    room_within(max_size, None)
+}
+
+/// The bundled scene with so many bytes for photos.
+pub fn room_within(max_size: u32, image_budget: Option<u64>) -> Dataset {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
     load(
         &path,
         &LoadOptions {
             max_size,
-            test_every: 8,
+            image_budget,
+            ..LoadOptions::default()
         },
     )
     .unwrap()

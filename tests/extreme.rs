@@ -128,7 +128,7 @@ fn opacities_saturate() {
 fn the_camera_inside_behind_and_far_away() {
     let mut inside = base();
     inside.name = "inside".into();
-    let center = inside.view.camera.center().as_vec3().to_array();
+    let center = inside.camera.center().as_vec3().to_array();
     inside.splats.scatter(Plane::POSITION, 0, center);
     inside.splats.scatter(Plane::LOG_SCALE, 0, [0.0; 3]);
     assert!(render(&inside).records[0].is_none(), "at the near plane");

@@ -85,7 +85,7 @@ fn assert_same(what: &str, got: &[Vec<f64>], want: &[Vec<f64>], tolerance: Toler
 
 fn cases() -> Vec<(Case, Tolerance)> {
     let mut off_center = case("cx, cy, alpha", [33, 21], 1, 33).with_alpha();
-    off_center.view.camera.cx += 3.3;
+    off_center.camera.cx += 3.3;
     vec![
         (case("SH 3", [40, 30], 3, 31), ACROSS_A_BOUND),
         (case("SH 2, wide", [70, 18], 2, 32), DIFFERENCES),

@@ -7,6 +7,7 @@ use mhsplat::dataset::Dataset;
 use mhsplat::evaluate::{Evaluator, mean};
 use mhsplat::gpu::tuning::Tuning;
 use mhsplat::gpu::{Defines, Device};
+use mhsplat::photos::Photos;
 use mhsplat::run::initial_splats;
 use mhsplat::train::Trainer;
 
@@ -15,7 +16,7 @@ fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let device = Device::open(None).unwrap();
     let splats = initial_splats(data, config).unwrap();
     let mut trainer = Trainer::new(&device, data, config, &splats).unwrap();
-    let views = ViewSet::upload(&device, &data.test).unwrap();
+    let views = ViewSet::new(&Photos::new(&device, data.image_budget), data.test.clone()).unwrap();
     let defines = Defines::new(Tuning::for_device(device.info()));
     let evaluator = Evaluator::new(&device, defines, views).unwrap();
     let score = |trainer: &mut Trainer| {

@@ -15,6 +15,7 @@ mod extreme;
 mod gradient;
 mod layout;
 mod learning;
+mod photos;
 mod reference;
 mod report;
 mod stage;

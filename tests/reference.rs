@@ -18,7 +18,7 @@ fn alone(log_scale: f32, logit: f32, depth: f32) -> (Scene64, Camera64, Options)
     let mut case = cases::mild("alone", 1, [32, 32], 0, 1);
     case.splats = splats;
     case.background = [0.0; 3];
-    let camera = &mut case.view.camera;
+    let camera = &mut case.camera;
     camera.rotation = glam::DMat3::IDENTITY;
     camera.translation = glam::DVec3::ZERO;
     (camera.cx, camera.cy, camera.fx, camera.fy) = (16.5, 16.5, 40.0, 40.0);

@@ -36,6 +36,7 @@ fn run_json_has_the_contracts_keys() {
         "wall_seconds",
         "cpu_seconds",
         "peak_rss_bytes",
+        "photos",
         "stages",
         "density",
         "final",

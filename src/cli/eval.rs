@@ -7,6 +7,7 @@ use mhsplat::error::{Error, Result};
 use mhsplat::evaluate::{Evaluator, mean};
 use mhsplat::gpu::Defines;
 use mhsplat::gpu::tuning::Tuning;
+use mhsplat::photos::Photos;
 use serde_json::json;
 
 use super::{Common, Outcome, output, scene};
@@ -49,17 +50,15 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     let mut loaded = scene::open(&ply, &data.frame, common.device.as_deref())?;
-    let views = ViewSet::upload(&loaded.device, &data.test)?;
+    let photos = Photos::new(&loaded.device, data.image_budget);
+    let views = ViewSet::new(&photos, data.test)?;
     let defines = Defines::new(Tuning::for_device(loaded.device.info()));
     let evaluator = Evaluator::new(&loaded.device, defines, views)?;
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let degree = loaded.scene.sh_degree;
     let scores = evaluator.score_all(&loaded.scene, &mut loaded.renderer, degree, background)?;
     let (psnr, ssim) = mean(&scores).unwrap_or((0.0, 0.0));
-    let size = data
-        .test
-        .first()
-        .map_or([0, 0], |v| [v.photo.width, v.photo.height]);
+    let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
     if common.json {
         output::json(&json!({
             "scene": ply, "gaussians": loaded.scene.count, "width": size[0], "height": size[1],

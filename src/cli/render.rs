@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
-use mhsplat::dataset::{Camera, Dataset, Frame};
+use mhsplat::dataset::{Camera, Dataset, Frame, PhotoSource};
 use mhsplat::error::{Error, Result};
 use mhsplat::render::{Quantity, RenderOptions, Rendered, Renderer, to_byte};
 use mhsplat::report::error_map;
@@ -57,8 +57,8 @@ pub struct RenderArgs {
     background: Option<String>,
 }
 
-/// A view to render: name, camera, and the photo as RGB bytes.
-type Job = (String, Camera, Option<Vec<u8>>);
+/// A view to render: name, camera, and its photo.
+type Job = (String, Camera, Option<PhotoSource>);
 
 /// Renders views to PNG files.
 pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
@@ -74,7 +74,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     let (frame, jobs) = match &args.dataset {
         Some(path) => {
             let data = scene::dataset(path, record.as_ref(), args.max_size, None)?;
-            (data.frame, dataset_jobs(data, background))
+            (data.frame, dataset_jobs(data))
         }
         None if args.what == What::Error => {
             return Err(Error::config(
@@ -113,7 +113,7 @@ fn write_all(
     let mut written = Vec::with_capacity(jobs.len());
     let mut taken = std::collections::HashSet::new();
     for (name, camera, photo) in jobs {
-        let rgb = pixels(args.what, loaded, camera, background, photo.as_deref())?;
+        let rgb = pixels(args.what, loaded, camera, background, photo.as_ref())?;
         let mut file = file_name(name);
         while !taken.insert(file.clone()) {
             // Two views whose names differ in folder or ending alone.
@@ -151,7 +151,7 @@ fn file_name(view: &str) -> PathBuf {
     PathBuf::from(format!("{}.png", flat.trim_start_matches(['.', '_'])))
 }
 
-fn dataset_jobs(data: Dataset, background: [f32; 3]) -> Vec<Job> {
+fn dataset_jobs(data: Dataset) -> Vec<Job> {
     let views = if data.test.is_empty() {
         data.train
     } else {
@@ -159,7 +159,7 @@ fn dataset_jobs(data: Dataset, background: [f32; 3]) -> Vec<Job> {
     };
     views
         .into_iter()
-        .map(|v| (v.name, v.camera, Some(v.photo.rgb_over(background))))
+        .map(|v| (v.name, v.camera, Some(v.photo)))
         .collect()
 }
 
@@ -218,7 +218,7 @@ fn pixels(
     loaded: &mut Loaded,
     camera: &Camera,
     background: [f32; 3],
-    photo: Option<&[u8]>,
+    photo: Option<&PhotoSource>,
 ) -> Result<Vec<u8>> {
     let options = RenderOptions {
         sh_degree: loaded.scene.sh_degree,
@@ -230,7 +230,10 @@ fn pixels(
         What::Color => Ok(renderer.image(&loaded.scene, camera, &options)?.rgb8()),
         What::Error => {
             let render = renderer.image(&loaded.scene, camera, &options)?.rgb8();
-            error_map(&render, photo.unwrap_or(&render))
+            match photo {
+                Some(photo) => error_map(&render, &photo.load()?.rgb_over(background)),
+                None => error_map(&render, &render),
+            }
         }
         What::Alpha => {
             let image = renderer.image(&loaded.scene, camera, &options)?;

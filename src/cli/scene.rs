@@ -53,6 +53,7 @@ pub fn dataset(
         test_every: test_every
             .or(record.map(|r| r.config.test_every))
             .unwrap_or(defaults.test_every),
+        image_budget: None,
     };
     dataset::load(path, &options)
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
-use mhsplat::config::{Sampler, TrainConfig, parse_duration};
+use mhsplat::config::{Sampler, TrainConfig, parse_bytes, parse_duration};
 use mhsplat::dataset::{self, LoadOptions};
 use mhsplat::error::{Error, Result};
 use mhsplat::export::checkpoint;
@@ -44,6 +44,9 @@ pub struct TrainArgs {
     /// Longest image side, pixels [default: 1600]
     #[arg(long, value_name = "PX")]
     max_size: Option<u32>,
+    /// Memory for decoded photos (512M, 4G, bytes); the rest is decoded on demand [default: half of what is available]
+    #[arg(long, value_name = "BYTES")]
+    image_budget: Option<String>,
     /// Upper bound of the number of Gaussians [default: none]
     #[arg(long, value_name = "N")]
     max_gaussians: Option<usize>,
@@ -140,6 +143,7 @@ fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -
     let options = LoadOptions {
         max_size: config.max_size,
         test_every: config.test_every,
+        image_budget: config.image_budget,
     };
     let data = dataset::load(&args.dataset, &options)?;
     output::note(&format!(
@@ -195,6 +199,9 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
     }
     if let Some(t) = &args.time_budget {
         c.time_budget = Some(parse_duration(t)?);
+    }
+    if let Some(b) = &args.image_budget {
+        c.image_budget = Some(parse_bytes(b)?);
     }
     c.max_gaussians = args.max_gaussians.or(c.max_gaussians);
     c.eval_every = args.eval_every.or(c.eval_every);

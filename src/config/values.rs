@@ -146,6 +146,50 @@ pub fn parse_duration(s: &str) -> Result<f64> {
     if total > 0.0 { Ok(total) } else { Err(wrong()) }
 }
 
+/// Bytes from `4294967296`, `512M`, `4G` or `1.5GiB`: K, M, G and T are powers of 1024, and a B or iB after them is allowed.
+///
+/// # Errors
+/// Anything else, or less than one byte.
+pub fn parse_bytes(s: &str) -> Result<u64> {
+    let wrong = || {
+        Error::config(
+            "--image-budget",
+            format!("{s:?}; a positive number of bytes like 800000000, 512M or 4G expected"),
+        )
+    };
+    let text = s.trim().to_ascii_uppercase();
+    let text = text.strip_suffix('B').unwrap_or(&text);
+    let text = text.strip_suffix('I').unwrap_or(text);
+    let power = text.chars().last().and_then(|unit| "KMGT".find(unit));
+    let (number, scale) = match power {
+        Some(power) => (&text[..text.len() - 1], 1024_u64 << (10 * power)),
+        None => (text, 1),
+    };
+    let bytes = number.parse::<f64>().map_err(|_| wrong())? * scale as f64;
+    if bytes.is_finite() && bytes >= 1.0 {
+        Ok(bytes as u64)
+    } else {
+        Err(wrong())
+    }
+}
+
+/// `image-budget` as a number of bytes or as [`parse_bytes`] reads it.
+pub(super) fn bytes_or_number<'de, D: serde::Deserializer<'de>>(
+    d: D,
+) -> std::result::Result<Option<u64>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Either {
+        Number(u64),
+        Text(String),
+    }
+    Ok(match Option::<Either>::deserialize(d)? {
+        None => None,
+        Some(Either::Number(v)) => Some(v),
+        Some(Either::Text(s)) => Some(parse_bytes(&s).map_err(serde::de::Error::custom)?),
+    })
+}
+
 /// `time-budget` as a number of seconds or as [`parse_duration`] reads it.
 pub(super) fn duration_or_number<'de, D: serde::Deserializer<'de>>(
     d: D,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use image::ImageReader;
+use image::{ImageDecoder, ImageReader};
 
 use super::Photo;
 use crate::error::{Error, Result};
@@ -23,31 +23,26 @@ fn not_an_image(file: &Path, reason: &image::ImageError) -> Error {
     )
 }
 
-/// Width and height from the file's header, pixels.
-///
-/// # Errors
-/// A file that cannot be opened or is no image.
-pub(crate) fn dimensions(file: &Path) -> Result<(u32, u32)> {
-    open(file)?
-        .into_dimensions()
-        .map_err(|e| not_an_image(file, &e))
+/// What an image file says of itself before its pixels.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Header {
+    /// Width, pixels, ≥ 1.
+    pub width: u32,
+    /// Height, pixels, ≥ 1.
+    pub height: u32,
+    /// Whether pixels may be transparent.
+    pub has_alpha: bool,
 }
 
-/// A decoded photo and the size of the file it came from.
-pub(crate) struct Decoded {
-    /// The photo, longest side at most the requested size; 4 channels only where some pixel is not opaque.
-    pub photo: Photo,
-    /// Width and height of the file, pixels.
-    pub original: (u32, u32),
-}
-
-/// Decodes a photo and shrinks it to a longest side of at most `max_size` pixels.
+/// Reads an image file's header.
 ///
 /// # Errors
-/// A file that cannot be opened or is no image.
-pub(crate) fn decode(file: &Path, max_size: u32) -> Result<Decoded> {
-    let image = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
-    let (width, height) = (image.width(), image.height());
+/// A file that cannot be opened, is no image, or has no pixel.
+pub(crate) fn header(file: &Path) -> Result<Header> {
+    let decoder = open(file)?
+        .into_decoder()
+        .map_err(|e| not_an_image(file, &e))?;
+    let (width, height) = decoder.dimensions();
     if width == 0 || height == 0 {
         return Err(Error::input(
             file,
@@ -55,6 +50,21 @@ pub(crate) fn decode(file: &Path, max_size: u32) -> Result<Decoded> {
             "replace the file or remove its entry from the dataset",
         ));
     }
+    Ok(Header {
+        width,
+        height,
+        has_alpha: decoder.color_type().has_alpha(),
+    })
+}
+
+/// Decodes a photo and shrinks it to a longest side of at most `max_size` pixels; 4 channels only where some pixel is not
+/// opaque.
+///
+/// # Errors
+/// A file that cannot be opened or is no image.
+pub(crate) fn decode(file: &Path, max_size: u32) -> Result<Photo> {
+    let image = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
+    let (width, height) = (image.width(), image.height());
     let (channels, bytes) = if image.color().has_alpha() {
         let rgba = image.into_rgba8().into_raw();
         if rgba.chunks_exact(4).all(|p| p[3] == 255) {
@@ -67,15 +77,11 @@ pub(crate) fn decode(file: &Path, max_size: u32) -> Result<Decoded> {
         (3, image.into_rgb8().into_raw())
     };
     let (w, h) = fitted(width, height, max_size);
-    let photo = if (w, h) == (width, height) {
-        Photo::from_interleaved(width, height, channels, &bytes)?
+    if (w, h) == (width, height) {
+        Photo::from_interleaved(width, height, channels, &bytes)
     } else {
-        shrink(width, height, channels, &bytes, w, h)?
-    };
-    Ok(Decoded {
-        photo,
-        original: (width, height),
-    })
+        shrink(width, height, channels, &bytes, w, h)
+    }
 }
 
 /// The largest size of the same shape whose longest side is at most `max_size` (never larger than the original).

@@ -9,6 +9,7 @@ pub(crate) mod ply;
 #[doc(hidden)]
 pub mod point_cloud;
 mod raw;
+pub mod source;
 pub mod synthetic;
 pub mod transforms;
 
@@ -17,6 +18,7 @@ pub use camera::Camera;
 pub use decode::shrink;
 pub use frame::Frame;
 pub use photo::Photo;
+pub use source::{PhotoFile, PhotoSource};
 
 use std::path::{Path, PathBuf};
 
@@ -51,8 +53,8 @@ pub struct View {
     pub name: String,
     /// Camera in the dataset's local frame, intrinsics at the photo's (downscaled) resolution.
     pub camera: Camera,
-    /// The photo.
-    pub photo: Photo,
+    /// The photo, of the camera's width and height.
+    pub photo: PhotoSource,
 }
 
 /// Sparse points in the local frame.
@@ -79,6 +81,8 @@ pub struct Dataset {
     pub points: Points,
     /// Where the local frame lies in the dataset's own frame.
     pub frame: Frame,
+    /// Bytes that photos left in their files may take on the device at one time; those in memory are uploaded whatever it is.
+    pub image_budget: u64,
 }
 
 impl Dataset {
@@ -115,7 +119,21 @@ impl Dataset {
     #[must_use]
     pub fn background_matters(&self) -> bool {
         let mut views = self.train.iter().chain(&self.test);
-        views.any(|view| view.photo.channels == 4)
+        views.any(|view| view.photo.channels() == 4)
+    }
+
+    /// Bytes of all photos, decoded.
+    #[must_use]
+    pub fn photo_bytes(&self) -> u64 {
+        let views = self.train.iter().chain(&self.test);
+        views.map(|view| view.photo.bytes()).sum()
+    }
+
+    /// Whether photos stay in their files until they are needed, because not all fit into the budget at one time.
+    #[must_use]
+    pub fn photos_on_demand(&self) -> bool {
+        let mut views = self.train.iter().chain(&self.test);
+        views.any(|view| matches!(view.photo, PhotoSource::File(_)))
     }
 }
 
@@ -126,6 +144,9 @@ pub struct LoadOptions {
     pub max_size: u32,
     /// Every n-th image by name is held out, the first one included (0: none). A `transforms_test.json` wins over this.
     pub test_every: u32,
+    /// Bytes that all photos together may take: more than that stays in the files and is decoded on demand. None: half of
+    /// the memory that is available.
+    pub image_budget: Option<u64>,
 }
 
 impl Default for LoadOptions {
@@ -133,6 +154,7 @@ impl Default for LoadOptions {
         Self {
             max_size: 1600,
             test_every: 8,
+            image_budget: None,
         }
     }
 }
@@ -145,7 +167,8 @@ impl Default for LoadOptions {
 ///
 /// # Errors
 /// [`Error::Input`] for a folder of neither layout, anything unreadable, missing, non-finite or inconsistent in it, lens
-/// distortion, and a split that leaves no training view; [`Error::Config`] for `max_size` 0; [`Error::Io`].
+/// distortion, and a split that leaves no training view; [`Error::Config`] for `max_size` 0 and for an `image_budget` that is
+/// too small for one photo; [`Error::Io`].
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     if options.max_size == 0 {
         return Err(Error::config("max-size", "0; at least 1 pixel expected"));

@@ -6,7 +6,8 @@ use std::path::{Component, Path, PathBuf};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::decode::{Decoded, decode};
+use super::decode::header;
+use super::source::{PhotoFile, automatic_budget, read};
 use super::{Camera, Dataset, Frame, Layout, LoadOptions, Points, View};
 use crate::error::{Error, Result};
 
@@ -53,11 +54,11 @@ pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf> {
     ))
 }
 
-/// Splits, normalises and decodes.
+/// Splits, normalises and reads the photos.
 ///
 /// # Errors
 /// Missing photos, a name given twice, an empty training set, an unreadable photo or one of another shape than its camera,
-/// poses or points that leave the range of numbers.
+/// a photo larger than the budget, poses or points that leave the range of numbers.
 pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> Result<Dataset> {
     let (train, test) = split(path, scene.train, scene.test, options.test_every)?;
     check_files(path, &train, &test)?;
@@ -68,26 +69,32 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         .collect();
     let frame = local_frame(path, &centers, &scene.positions)?;
     let points = local_points(path, &frame, &scene.positions, scene.colors)?;
-    let decode_all = |views: &[RawView]| -> Result<Vec<View>> {
-        views
-            .par_iter()
-            .map(|v| finish(v, &frame, options.max_size))
-            .collect()
-    };
-    let mut dataset = Dataset {
+    let budget = options.image_budget.unwrap_or_else(automatic_budget);
+    let first_held_out = train.len();
+    let raw: Vec<RawView> = train.into_iter().chain(test).collect();
+    let (cameras, files): (Vec<Camera>, Vec<PhotoFile>) = raw
+        .par_iter()
+        .map(|v| place(v, &frame, options.max_size))
+        .collect::<Result<_>>()?;
+    let photos = read(files, budget)?;
+    let mut views = raw
+        .into_iter()
+        .zip(cameras)
+        .zip(photos)
+        .map(|((raw, camera), photo)| View {
+            name: raw.name,
+            camera,
+            photo,
+        });
+    Ok(Dataset {
         path: path.to_path_buf(),
         layout: scene.layout,
-        train: decode_all(&train)?,
-        test: decode_all(&test)?,
+        train: views.by_ref().take(first_held_out).collect(),
+        test: views.collect(),
         points,
         frame,
-    };
-    if dataset.background_matters() {
-        for view in dataset.train.iter_mut().chain(&mut dataset.test) {
-            view.photo.add_alpha();
-        }
-    }
-    Ok(dataset)
+        image_budget: budget,
+    })
 }
 
 /// Sorts by name; without a held-out list, every `test_every`-th image is held out, beginning with the first.
@@ -201,9 +208,10 @@ fn local_points(
     Ok(Points { positions, colors })
 }
 
-/// Decodes the photo and moves the camera to the local frame and the photo's resolution.
-fn finish(view: &RawView, frame: &Frame, max_size: u32) -> Result<View> {
-    let Decoded { photo, original } = decode(&view.file, max_size)?;
+/// Moves the camera to the local frame and to the resolution that the photo will have.
+fn place(view: &RawView, frame: &Frame, max_size: u32) -> Result<(Camera, PhotoFile)> {
+    let header = header(&view.file)?;
+    let original = (header.width, header.height);
     let camera = &view.camera;
     let expected = (f64::from(camera.width), f64::from(camera.height));
     let aspect = f64::from(original.0) * expected.1 / (f64::from(original.1) * expected.0);
@@ -219,11 +227,9 @@ fn finish(view: &RawView, frame: &Frame, max_size: u32) -> Result<View> {
             "use the photos that the camera parameters were computed for",
         ));
     }
-    let mut camera = camera.scaled_to(photo.width, photo.height);
+    let file = PhotoFile::new(view.file.clone(), header, max_size);
+    let (width, height) = file.size();
+    let mut camera = camera.scaled_to(width, height);
     camera.translation = -(camera.rotation * frame.to_local(view.camera.center()));
-    Ok(View {
-        name: view.name.clone(),
-        camera,
-        photo,
-    })
+    Ok((camera, file))
 }

@@ -207,7 +207,10 @@ impl Place<'_> {
         let own = &self.frame.lens;
         let (width, height) = match (own.w.or(file.w), own.h.or(file.h)) {
             (Some(w), Some(h)) => (self.pixels("w", w)?, self.pixels("h", h)?),
-            _ => decode::dimensions(image)?,
+            _ => {
+                let header = decode::header(image)?;
+                (header.width, header.height)
+            }
         };
         let (w, h) = (f64::from(width), f64::from(height));
         let from_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());

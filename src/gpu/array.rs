@@ -3,13 +3,14 @@
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-use ocl::core::{self, Event, MEM_READ_WRITE, Mem};
+use ocl::core::{self, Event, MEM_COPY_HOST_PTR, MEM_READ_WRITE, Mem};
 
 use super::device::{Device, Inner};
 use super::{Element, device_error};
 use crate::error::{Error, Result};
 
-const LOWER: &str = "lower --max-gaussians or --max-size, or select a device with more memory";
+const LOWER: &str =
+    "lower --max-gaussians, --max-size or --image-budget, or select a device with more memory";
 
 /// A device buffer of `len` values of `T`.
 #[derive(Debug)]
@@ -53,22 +54,20 @@ impl<T: Element> Array<T> {
     /// # Errors
     /// More than the device can allocate.
     pub fn zeros(device: &Device, name: &'static str, len: usize) -> Result<Self> {
-        let array = Self::uninit(device, name, len)?;
+        let array = Self::create(device, name, len, None)?;
         array.clear()?;
         Ok(array)
     }
 
-    /// A copy of `data`.
+    /// A copy of `data`, made at once: it waits for nothing that is enqueued, and any thread may make one.
     ///
     /// # Errors
     /// More than the device can allocate.
     pub fn from_slice(device: &Device, name: &'static str, data: &[T]) -> Result<Self> {
-        let array = Self::uninit(device, name, data.len())?;
-        array.write(0, data)?;
-        Ok(array)
+        Self::create(device, name, data.len(), Some(data))
     }
 
-    fn uninit(device: &Device, name: &'static str, len: usize) -> Result<Self> {
+    fn create(device: &Device, name: &'static str, len: usize, data: Option<&[T]>) -> Result<Self> {
         let bytes = (len.max(1) * size_of::<T>()) as u64;
         let max = device.info().max_alloc;
         if bytes > max {
@@ -78,11 +77,14 @@ impl<T: Element> Array<T> {
                 LOWER,
             ));
         }
-        // SAFETY: no host pointer is given; the buffer is owned by `mem`.
-        let mem = unsafe {
-            core::create_buffer::<_, T>(&device.inner.context, MEM_READ_WRITE, len.max(1), None)
-        }
-        .map_err(|e| device_error(&format!("allocate {name} ({bytes} bytes)"), &e, LOWER))?;
+        let data = data.filter(|d| !d.is_empty());
+        let flags = match data {
+            Some(_) => MEM_READ_WRITE | MEM_COPY_HOST_PTR,
+            None => MEM_READ_WRITE,
+        };
+        // SAFETY: a host pointer, if given, is read for `len` values during the call alone; the buffer is owned by `mem`.
+        let mem = unsafe { core::create_buffer(&device.inner.context, flags, len.max(1), data) }
+            .map_err(|e| device_error(&format!("allocate {name} ({bytes} bytes)"), &e, LOWER))?;
         Ok(Self {
             device: device.inner.clone(),
             mem,

@@ -3,6 +3,7 @@
 use crate::config::TrainConfig;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
+use crate::photos::PhotoStats;
 use crate::plan::Plan;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -102,6 +103,9 @@ pub struct RunRecord {
     pub cpu_seconds: f64,
     /// Largest resident set in bytes; 0 where the system does not tell.
     pub peak_rss_bytes: u64,
+    /// Photos waited for, and what they took of their budget.
+    #[serde(default)]
+    pub photos: PhotoStats,
     /// Time by stage, in the order of the pipeline.
     pub stages: Vec<StageRecord>,
     /// Density control, summed over the run.
@@ -138,6 +142,7 @@ impl RunRecord {
             wall_seconds: 0.0,
             cpu_seconds: 0.0,
             peak_rss_bytes: 0,
+            photos: PhotoStats::default(),
             stages: Vec::new(),
             density: DensityStats::default(),
             final_scores: None,

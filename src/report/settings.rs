@@ -128,6 +128,9 @@ fn command(record: &RunRecord, run_dir: &Path) -> String {
     if let Some(seconds) = c.time_budget {
         flag("time-budget", format!("{seconds}s"));
     }
+    if let Some(bytes) = c.image_budget {
+        flag("image-budget", bytes.to_string());
+    }
     if let Some(most) = c.max_gaussians {
         flag("max-gaussians", most.to_string());
     }

@@ -15,15 +15,16 @@ impl Run {
         let degree = self.trainer.schedule().sh_degree(self.trainer.iteration());
         let background = self.trainer.schedule().fixed_background();
         let (scene, renderer) = self.trainer.scene_and_renderer();
-        let n = self.dataset.test.len();
+        let n = evaluator.views().len();
         let shown = n.min(GALLERY_VIEWS);
+        let views: Vec<usize> = (0..shown).map(|k| k * n / shown).collect();
         let mut items = Vec::with_capacity(shown);
-        for k in 0..shown {
-            let view = k * n / shown;
-            let score = evaluator.score(view, scene, renderer, degree, background)?;
+        for (k, &view) in views.iter().enumerate() {
+            let next = &views[k + 1..];
+            let score = evaluator.score(view, next, scene, renderer, degree, background)?;
             let image = renderer.read_image(&evaluator.views().cameras[view])?;
             let render = image.rgb8();
-            let photo = self.dataset.test[view].photo.rgb_over(background);
+            let photo = evaluator.views().read_photo(view)?.rgb_over(background);
             items.push(GalleryItem {
                 view: score.view,
                 psnr: score.psnr,

@@ -1,12 +1,21 @@
-//! What a run begins with: its folder and the first Gaussians.
+//! What a run begins with: its folder, the first Gaussians and the record.
 
 use std::path::Path;
 
+use super::Prepared;
+use crate::buffers::ViewSet;
 use crate::config::{Init, TrainConfig};
-use crate::dataset::Dataset;
+use crate::dataset::{Camera, Dataset};
 use crate::error::{Error, Result};
+use crate::evaluate::Evaluator;
 use crate::export::ply;
+use crate::gpu::tuning::Tuning;
+use crate::gpu::{Defines, Device};
 use crate::model::{Splats, init};
+use crate::photos::Photos;
+use crate::plan::Plan;
+use crate::report::{DatasetRecord, DeviceRecord, RunRecord};
+use crate::train::Trainer;
 
 /// Gaussians of a random initialisation.
 const RANDOM_GAUSSIANS: usize = 30_000;
@@ -41,6 +50,67 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
         }
     }?;
     Ok(splats.in_morton_order())
+}
+
+impl Prepared {
+    /// Moves the photos to the device one by one, so that nobody holds their pixels on the host from then on, and makes the
+    /// trainer and, for held-out views, the evaluator.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`].
+    pub(super) fn new(
+        dataset: Dataset,
+        config: &TrainConfig,
+        device: &Device,
+        splats: &Splats,
+    ) -> Result<Self> {
+        let record = record(&dataset, config, device);
+        let (frame, fingerprint) = (dataset.frame, dataset.fingerprint());
+        let photos = Photos::new(device, dataset.image_budget);
+        let train = ViewSet::new(&photos, dataset.train)?;
+        let test = ViewSet::new(&photos, dataset.test)?;
+        let trainer = Trainer::with_views(train, config, splats)?;
+        let evaluator = if test.is_empty() {
+            None
+        } else {
+            let defines = Defines::new(Tuning::for_device(device.info()));
+            Some(Evaluator::new(device, defines, test)?)
+        };
+        Ok(Self {
+            trainer,
+            evaluator,
+            record,
+            frame,
+            fingerprint,
+        })
+    }
+}
+
+/// The record of a run that has not begun.
+fn record(dataset: &Dataset, config: &TrainConfig, device: &Device) -> RunRecord {
+    let info = device.info();
+    let largest = |side: fn(&Camera) -> u32| {
+        let sides = dataset.train.iter().map(|v| side(&v.camera));
+        sides.max().unwrap_or(0)
+    };
+    RunRecord::new(
+        config.clone(),
+        DatasetRecord {
+            path: dataset.path.display().to_string(),
+            layout: dataset.layout.to_string(),
+            train_views: dataset.train.len(),
+            test_views: dataset.test.len(),
+            width: largest(|c| c.width),
+            height: largest(|c| c.height),
+        },
+        DeviceRecord {
+            name: info.name.clone(),
+            vendor: info.vendor.clone(),
+            platform: info.platform.clone(),
+            driver: info.driver.clone(),
+        },
+        Plan::new(dataset, config),
+    )
 }
 
 /// Makes the run folder; refuses one that exists.

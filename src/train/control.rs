@@ -25,8 +25,9 @@ pub struct DensityEvent {
 }
 
 impl Trainer {
-    /// Renders a view and writes its error maps.
-    pub(super) fn error_maps(&mut self, view: usize) -> Result<()> {
+    /// Renders a view and writes its error maps; `next` are the views to follow.
+    pub(super) fn error_maps(&mut self, view: usize, next: &[usize]) -> Result<()> {
+        let photo = self.views.photo(view, next)?;
         let degree = self.schedule.sh_degree(self.iteration);
         let background = self.schedule.fixed_background();
         let options = RenderOptions {
@@ -35,8 +36,11 @@ impl Trainer {
         };
         self.renderer
             .enqueue(&self.scene, &self.views.cameras[view], &options)?;
-        self.loss
-            .errors(&self.pair(view, background), &self.maps, &self.partial)
+        self.loss.errors(
+            &self.pair(view, &photo, background),
+            &self.maps,
+            &self.partial,
+        )
     }
 
     pub(super) fn accumulate(
@@ -69,7 +73,7 @@ impl Trainer {
         let seen = Array::zeros(&self.device, "cue views", n)?;
         let mut next = 0;
         while next < subset.len() {
-            self.error_maps(subset[next])?;
+            self.error_maps(subset[next], &subset[next + 1..])?;
             // A blocking look at the counters: a view that did not fit must not be counted.
             let counters = self.renderer.frame.status.to_vec()?;
             self.most_pairs = self

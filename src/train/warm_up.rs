@@ -33,7 +33,7 @@ impl Trainer {
             self.fit_views()?;
             self.enqueue_step(0, degree)?;
         }
-        self.error_maps(0)?;
+        self.error_maps(0, &[])?;
         let cues = [
             Array::zeros(&self.device, "cues", 1)?,
             Array::zeros(&self.device, "cues", 1)?,

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::chain::Case;
-use crate::dataset::{Camera, Photo, View};
+use crate::dataset::{Camera, Photo};
 use crate::density::Edit;
 use crate::gpu::tuning::ALPHA_MIN;
 use crate::model::{Plane, Splats};
@@ -85,15 +85,12 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
     Case {
         name: name.into(),
         splats: s,
-        view: View {
-            name: "view".into(),
-            camera: camera(size),
-            photo: Photo {
-                width: w,
-                height: h,
-                channels: 3,
-                data,
-            },
+        camera: camera(size),
+        photo: Photo {
+            width: w,
+            height: h,
+            channels: 3,
+            data,
         },
         background: [0.2, 0.5, 0.1],
         alpha_min: ALPHA_MIN,
@@ -131,7 +128,7 @@ impl Case {
     /// The same with a photo that has a premultiplied alpha plane.
     #[must_use]
     pub fn with_alpha(mut self) -> Self {
-        let photo = &mut self.view.photo;
+        let photo = &mut self.photo;
         let n = (photo.width * photo.height) as usize;
         let alpha: Vec<u8> = (0..n)
             .map(|i| {

@@ -1,10 +1,10 @@
 //! Every stage once, in order, on one device and in one precision, with every intermediate result read back.
 
-use crate::buffers::{Scene, ViewSet};
-use crate::dataset::View;
+use crate::buffers::Scene;
+use crate::dataset::{Camera, Photo};
 use crate::density::Edit as DensityEdit;
 use crate::error::Result;
-use crate::gpu::tuning::{SUMS, TILE, Tuning, status};
+use crate::gpu::tuning::{NEAR, SUMS, TILE, Tuning, status};
 use crate::gpu::{Array, CameraArg, Defines, Device, EditRow, Kernels, Real, Record};
 use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
@@ -23,8 +23,10 @@ pub struct Case {
     pub name: String,
     /// Scene (f32 values, so that both precisions start from the same numbers).
     pub splats: Splats,
-    /// Camera and photo.
-    pub view: View,
+    /// Camera.
+    pub camera: Camera,
+    /// Photo, of the camera's size.
+    pub photo: Photo,
     /// Background colour.
     pub background: [f32; 3],
     /// Contributions below this alpha are dropped.
@@ -112,14 +114,14 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         tuning,
         alpha_min: case.alpha_min,
         sh_degree: case.sh_degree,
-        has_alpha: case.view.photo.channels == 4,
+        has_alpha: case.photo.channels == 4,
         layout_probe: false,
     };
     let stages = Stages::new::<R>(&Kernels::new(device, defines))?;
     let mut renderer = Renderer::<R>::new(device, defines, case.sh_degree, true)?;
     let scene = Scene::<R>::upload(device, &case.splats, 0)?;
-    let views = ViewSet::<R>::upload(device, std::slice::from_ref(&case.view))?;
-    let camera = views.cameras[0];
+    let photo = Array::from_slice(device, "photo", &case.photo.data)?;
+    let camera = CameraArg::<R>::new(&case.camera, NEAR);
     device.reset_times();
     let options = RenderOptions {
         sh_degree: case.sh_degree,
@@ -135,7 +137,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         stages,
         renderer,
         scene,
-        views,
+        photo,
         camera,
         case,
     };
@@ -223,7 +225,7 @@ struct Run<'a, R: Real> {
     stages: Stages,
     renderer: Renderer<R>,
     scene: Scene<R>,
-    views: ViewSet<R>,
+    photo: Array<u8>,
     camera: CameraArg<R>,
     case: &'a Case,
 }
@@ -232,7 +234,7 @@ impl<R: Real> Run<'_, R> {
     fn pair(&self) -> ImagePair<'_, R> {
         ImagePair {
             image: &self.renderer.frame.image,
-            photo: &self.views.photos[0],
+            photo: &self.photo,
             background: self.case.background,
             size: size_of_image(&self.camera),
         }

@@ -8,7 +8,7 @@ use crate::reference::{Camera64, Options, Scene64};
 /// The photo over the background, planar \[3, height, width\].
 #[must_use]
 pub fn photo(case: &Case) -> Vec<f64> {
-    let p = &case.view.photo;
+    let p = &case.photo;
     let n = (p.width * p.height) as usize;
     let value = |c: usize, i: usize| f64::from(p.data[c * n + i]) / 255.0;
     (0..3 * n)
@@ -34,7 +34,7 @@ pub fn inputs(case: &Case) -> (Scene64, Camera64, Options) {
     };
     (
         Scene64::new(&case.splats),
-        Camera64::new(&case.view.camera, NEAR),
+        Camera64::new(&case.camera, NEAR),
         options,
     )
 }

@@ -170,6 +170,8 @@ fn configurations_that_make_no_sense() {
         ("iteratoins = 5", "iteratoins"),
         ("iterations = 0", "iterations"),
         ("sh-degree = 4", "sh-degree"),
+        ("image-budget = 0", "image-budget"),
+        ("image-budget = \"much\"", "image-budget"),
         ("[optimizer]\nlr-scale = -1.0", "optimizer"),
         ("[mh]\nvoxel-edge = [0.0, 0.1]", "mh"),
         ("[mh]\nweight-opacity = nan", "mh"),
@@ -191,6 +193,9 @@ fn configurations_that_make_no_sense() {
         ("--background", "plaid"),
         ("--init", "nowhere.ply"),
         ("--max-size", "0"),
+        ("--image-budget", "0"),
+        ("--image-budget", "much"),
+        ("--image-budget", "1K"),
     ] {
         let output = mhsplat(&["train", &room(), "-o", text(&out), flag, value]);
         assert_eq!(output.status.code(), Some(2), "{flag} {value}");

@@ -32,7 +32,7 @@ fn the_run_folder_keeps_the_contract() {
         json(&fs::read_to_string(run.join("run.json")).unwrap())
     );
     for key in "version commit config seed dataset device plan iterations gaussians train_seconds wall_seconds cpu_seconds \
-                peak_rss_bytes stages density final"
+                peak_rss_bytes photos stages density final"
         .split_whitespace()
     {
         assert!(!printed[key].is_null(), "run.json lacks {key}");
@@ -186,6 +186,31 @@ fn same_seed_same_scene_file() {
     let first = scene("a", "1");
     assert!(first == scene("b", "1"), "two runs at one seed differ");
     assert!(first != scene("c", "2"), "the seed has no effect");
+}
+
+#[test]
+fn a_small_image_budget_ends_with_the_same_scene_and_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let (whole, part) = (dir.path().join("whole"), dir.path().join("part"));
+    let all = train(&whole, &[]);
+    let some = train(&part, &["--image-budget", "30K"]);
+    let scene = |run: &Path| fs::read(run.join("scene.ply")).unwrap();
+    assert!(scene(&whole) == scene(&part));
+    assert_eq!(all["final"], some["final"]);
+    let ahead = |record: &Value, list: &str| {
+        let items = record["plan"][list].as_array().unwrap().clone();
+        let found = items
+            .into_iter()
+            .find(|i| i["what"] == "photos decoded ahead of their use");
+        found.map(|i| i["why"].as_str().unwrap().to_owned())
+    };
+    assert!(ahead(&all, "left_out").unwrap().contains("fit in memory"));
+    assert!(ahead(&some, "kept").is_some());
+    assert_eq!(all["photos"]["decoded"], 0);
+    assert_eq!(some["config"]["image-budget"], 30 * 1024);
+    assert!(some["photos"]["decoded"].as_u64() >= Some(80));
+    assert!(some["photos"]["peak_bytes"].as_u64() <= Some(30 * 1024));
+    assert_eq!(some["photos"]["total_bytes"], 40 * 64 * 48 * 3);
 }
 
 #[test]

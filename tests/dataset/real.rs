@@ -55,7 +55,7 @@ fn colmap_points_lie_where_the_cameras_look() {
         let mut d = load(&path, &options).unwrap();
         assert_eq!(d.layout, layout);
         assert_eq!((d.train.len(), d.test.len()), views, "{name}");
-        assert_eq!(d.train[0].photo.width.max(d.train[0].photo.height), 100);
+        assert_eq!(d.train[0].camera.width.max(d.train[0].camera.height), 100);
         let share = visible(&d);
         assert!(share > 0.25, "{name}: {share} of the points are in view");
         for view in &mut d.train {

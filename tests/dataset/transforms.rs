@@ -61,7 +61,10 @@ fn blender_convention() {
     let q = (view.camera.rotation * p + view.camera.translation) * d.frame.scale;
     assert!((q - DVec3::new(0.5, -0.25, 1.0)).length() < 1e-12, "{q}");
     assert!(d.background_matters());
-    assert_eq!(view.photo.rgb_over([0.0; 3])[..3], [100, 50, 25]);
+    assert_eq!(
+        view.photo.load().unwrap().rgb_over([0.0; 3])[..3],
+        [100, 50, 25]
+    );
 }
 
 #[test]

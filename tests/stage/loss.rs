@@ -19,7 +19,7 @@ fn flat_images_stay_finite() {
         let mut case = cases::mild("flat", 3, [37, 21], 0, 34);
         case.splats.plane_mut(2).fill(-100.0);
         case.background = background;
-        case.view.photo.data.fill(level);
+        case.photo.data.fill(level);
         let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
         assert!(out.dimage.iter().all(|d| d.is_finite()));
         assert!(

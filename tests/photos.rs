@@ -1,0 +1,350 @@
+//! Photos within a budget: decoded on demand and ahead, the least recently used gives way, and no result changes.
+
+use std::fs;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+
+use crate::dataset::colmap_scene;
+use crate::determinism::room_within;
+use mhsplat::buffers::ViewSet;
+use mhsplat::config::parse_bytes;
+use mhsplat::dataset::source::parse_available;
+use mhsplat::dataset::{Dataset, LoadOptions, PhotoSource, load};
+use mhsplat::error::{Error, Result};
+use mhsplat::evaluate::Evaluator;
+use mhsplat::gpu::tuning::Tuning;
+use mhsplat::gpu::{Array, Defines, Device, Kernels};
+use mhsplat::model::Splats;
+use mhsplat::photos::{PhotoStats, Photos};
+use mhsplat::report::ViewScore;
+use mhsplat::run::initial_splats;
+use mhsplat::schedule::Schedule;
+use mhsplat::stage::loss::ImagePair;
+use mhsplat::stage::metrics::Metrics;
+use mhsplat::{TrainConfig, Trainer};
+
+/// Bytes of a photo of [`colmap_scene`].
+const SMALL: u64 = 16 * 12 * 3;
+/// Bytes of a photo of the bundled room at 64 pixels.
+const ROOM: u64 = 64 * 48 * 3;
+
+fn within(path: &Path, budget: u64) -> Result<Dataset> {
+    let options = LoadOptions {
+        test_every: 0,
+        image_budget: Some(budget),
+        ..LoadOptions::default()
+    };
+    load(path, &options)
+}
+
+/// Photos of a dataset's training views, in their order.
+fn added(data: &Dataset) -> Photos {
+    let photos = Photos::new(&Device::open(None).unwrap(), data.image_budget);
+    for (i, view) in data.train.iter().enumerate() {
+        assert_eq!(photos.add(view.photo.clone()).unwrap(), i);
+    }
+    photos
+}
+
+/// Waits until so many files have been decoded, and a little longer for those that should not be.
+fn wait_for(photos: &Photos, decoded: u64) {
+    let start = Instant::now();
+    while photos.stats().decoded < decoded {
+        assert!(start.elapsed() < Duration::from_secs(60), "{decoded}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    std::thread::sleep(Duration::from_millis(50));
+    assert_eq!(photos.stats().decoded, decoded);
+}
+
+#[test]
+fn the_least_recently_used_photo_gives_way() {
+    let dir = colmap_scene(6, DVec3::ZERO, true);
+    let data = within(dir.path(), 3 * SMALL).unwrap();
+    assert!(data.photos_on_demand());
+    let photos = added(&data);
+    let mut decoded = 0;
+    for (photo, is_there) in [
+        (0, false),
+        (1, false),
+        (2, false),
+        (0, true),
+        (3, false), // in the place of 1
+        (2, true),
+        (0, true),
+        (1, false), // in the place of 3
+        (2, true),
+        (3, false), // in the place of 0
+        (1, true),
+        (0, false),
+    ] {
+        let array = photos.get(photo, []).unwrap();
+        let expected = data.train[photo].photo.load().unwrap();
+        assert_eq!(array.to_vec().unwrap(), expected.data);
+        decoded += u64::from(!is_there);
+        assert_eq!(photos.stats().decoded, decoded, "photo {photo}");
+    }
+    let stats = photos.stats();
+    assert_eq!((stats.hits, stats.misses), (5, 7));
+    assert_eq!(stats.peak_bytes, 3 * SMALL);
+    assert_eq!(
+        (stats.total_bytes, stats.budget_bytes),
+        (6 * SMALL, 3 * SMALL)
+    );
+    assert!(stats.seconds_waited > 0.0);
+}
+
+#[test]
+fn photos_are_decoded_ahead_as_far_as_the_budget_goes() {
+    let dir = colmap_scene(9, DVec3::ZERO, true);
+    let photos = added(&within(dir.path(), 5 * SMALL).unwrap());
+    photos.get(0, 1..9).unwrap();
+    wait_for(&photos, 5);
+    for photo in 1..5 {
+        photos.get(photo, photo + 1..5).unwrap();
+    }
+    assert_eq!((photos.stats().hits, photos.stats().misses), (4, 1));
+    photos.get(5, [6, 5, 6, 7]).unwrap();
+    wait_for(&photos, 8);
+    assert_eq!(photos.stats().peak_bytes, 5 * SMALL);
+}
+
+#[test]
+fn photos_that_fit_are_uploaded_once() {
+    let dir = colmap_scene(4, DVec3::ZERO, true);
+    let data = within(dir.path(), 4 * SMALL).unwrap();
+    assert!(!data.photos_on_demand());
+    let photos = added(&data);
+    for photo in [3, 0, 3, 1] {
+        photos.get(photo, [2]).unwrap();
+    }
+    let stats = photos.stats();
+    assert_eq!((stats.hits, stats.misses, stats.decoded), (4, 0, 0));
+    assert_eq!(stats.peak_bytes, 4 * SMALL);
+}
+
+/// One photo with transparent pixels, one with an alpha channel and none.
+fn with_alpha(dir: &Path, transparent: bool) {
+    let mut image = image::RgbaImage::from_pixel(16, 12, image::Rgba([200, 100, 50, 255]));
+    image.save(dir.join("images/v 01.png")).unwrap();
+    if transparent {
+        image.put_pixel(5, 5, image::Rgba([200, 100, 50, 128]));
+        image.save(dir.join("images/v 02.png")).unwrap();
+    }
+}
+
+#[test]
+fn photos_on_demand_are_those_in_memory() {
+    for (alpha, channels) in [(None, 3), (Some(false), 3), (Some(true), 4)] {
+        let dir = colmap_scene(5, DVec3::ZERO, true);
+        if let Some(transparent) = alpha {
+            with_alpha(dir.path(), transparent);
+        }
+        let eager = within(dir.path(), u64::MAX).unwrap();
+        let lazy = within(dir.path(), 2 * SMALL).unwrap();
+        assert_eq!(eager.fingerprint(), lazy.fingerprint());
+        assert_eq!(eager.background_matters(), channels == 4);
+        assert_eq!(lazy.background_matters(), channels == 4);
+        assert_eq!(eager.photo_bytes(), lazy.photo_bytes());
+        for (a, b) in eager.train.iter().zip(&lazy.train) {
+            assert!(matches!(a.photo, PhotoSource::Memory(_)));
+            assert!(matches!(b.photo, PhotoSource::File(_)));
+            let photo = a.photo.load().unwrap();
+            assert_eq!(photo, b.photo.load().unwrap());
+            assert_eq!((photo.channels, b.photo.channels()), (channels, channels));
+            assert_eq!(
+                (photo.width, photo.height),
+                (b.camera.width, b.camera.height)
+            );
+        }
+    }
+}
+
+#[test]
+fn broken_files_are_found_at_the_start_on_demand_too() {
+    let dir = colmap_scene(4, DVec3::ZERO, true);
+    let file = dir.path().join("images/v 02.png");
+    let whole = fs::read(&file).unwrap();
+    // The header of the first is in order.
+    for bytes in [&whole[..whole.len() / 2], b"not a photo"] {
+        fs::write(&file, bytes).unwrap();
+        let refused = within(dir.path(), SMALL);
+        crate::dataset::assert_refused(refused, &["v 02.png", "not a readable image"]);
+    }
+}
+
+#[test]
+fn a_budget_below_one_photo_is_refused() {
+    let dir = colmap_scene(3, DVec3::ZERO, true);
+    assert!(within(dir.path(), SMALL).is_ok());
+    let Err(Error::Config { option, what }) = within(dir.path(), SMALL - 1) else {
+        panic!("a budget of less than one photo is accepted");
+    };
+    assert_eq!(option, "--image-budget");
+    assert!(
+        what.contains("575") && what.contains("576") && what.contains(".png"),
+        "{what}"
+    );
+}
+
+/// Parameters, scores of the held-out views and use of the budget after 60 iterations.
+fn trained(budget: u64) -> (Splats, Vec<ViewScore>, PhotoStats) {
+    let data = room_within(64, Some(budget));
+    let config = TrainConfig {
+        iterations: 60,
+        max_size: 64,
+        seed: 5,
+        ..TrainConfig::default()
+    };
+    let device = Device::open(None).unwrap();
+    let splats = initial_splats(&data, &config).unwrap();
+    let photos = Photos::new(&device, data.image_budget);
+    let train = ViewSet::new(&photos, data.train).unwrap();
+    let test = ViewSet::new(&photos, data.test).unwrap();
+    let mut trainer = Trainer::with_views(train, &config, &splats).unwrap();
+    let defines = Defines::new(Tuning::for_device(device.info()));
+    let evaluator = Evaluator::new(&device, defines, test).unwrap();
+    let mut scores = Vec::new();
+    while trainer.iteration() < 60 {
+        trainer.step().unwrap();
+        trainer.density_step().unwrap();
+        if trainer.iteration().is_multiple_of(30) {
+            trainer.settle().unwrap();
+            let (scene, renderer) = trainer.scene_and_renderer();
+            let all = evaluator.score_all(scene, renderer, 3, [0.0; 3]);
+            scores.extend(all.unwrap());
+        }
+    }
+    trainer.settle().unwrap();
+    assert!(trainer.stats().accepted > 0, "density control took no part");
+    let splats = trainer.state().unwrap().splats;
+    (splats, scores, trainer.photo_stats())
+}
+
+#[test]
+fn a_small_budget_changes_no_bit() {
+    let (whole, scores, stats) = trained(u64::MAX);
+    assert_eq!((stats.misses, stats.peak_bytes), (0, 40 * ROOM));
+    for photos in [1, 3, 12] {
+        let (parts, same, stats) = trained(photos * ROOM);
+        assert!(whole == parts, "{photos} photos at one time");
+        assert_eq!(scores, same);
+        assert!(
+            stats.peak_bytes <= photos * ROOM && stats.decoded >= 60,
+            "{stats:?}"
+        );
+        assert_eq!(stats.total_bytes, 40 * ROOM);
+    }
+}
+
+#[test]
+fn a_photo_that_goes_missing_is_named() {
+    type Spoil = fn(&Path);
+    let spoils: [(Spoil, &str); 3] = [
+        (|file| fs::remove_file(file).unwrap(), "check that the path"),
+        (
+            |file| fs::write(file, "no photo").unwrap(),
+            "not a readable image",
+        ),
+        (
+            |file| image::RgbImage::new(32, 24).save(file).unwrap(),
+            "32×24 pixels in 3 channels; 16×12 in 3",
+        ),
+    ];
+    for (spoil, word) in spoils {
+        let dir = colmap_scene(6, DVec3::ZERO, true);
+        let data = within(dir.path(), 2 * SMALL).unwrap();
+        let config = TrainConfig {
+            iterations: 100,
+            ..TrainConfig::default()
+        };
+        let device = Device::open(None).unwrap();
+        let splats = initial_splats(&data, &config).unwrap();
+        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        for _ in 0..8 {
+            trainer.step().unwrap();
+        }
+        spoil(&dir.path().join("images/v 04.png"));
+        let error = (0..50).find_map(|_| trainer.step().err()).unwrap();
+        let text = error.to_string();
+        assert!(text.contains("v 04.png") && text.contains(word), "{text}");
+    }
+}
+
+/// Squared errors of the rows of an image against a photo whose handle is gone before the kernels have run.
+fn rows_against(device: &Device, photo: Array<u8>, side: usize, drop_early: bool) -> Vec<f32> {
+    let kernels = Kernels::new(device, Defines::new(Tuning::for_device(device.info())));
+    let metrics = Metrics::new::<f32>(&kernels).unwrap();
+    let image = Array::zeros(device, "image", 4 * side * side).unwrap();
+    let rows = Array::zeros(device, "rows", side).unwrap();
+    let pair = ImagePair {
+        image: &image,
+        photo: &photo,
+        background: [0.0; 3],
+        size: [side, side],
+    };
+    for _ in 0..20 {
+        metrics.run(&pair, &rows).unwrap();
+    }
+    device.flush().unwrap();
+    if drop_early {
+        drop(photo);
+        let others =
+            (0..8).map(|_| Array::from_slice(device, "photo", &vec![255; 3 * side * side]));
+        assert!(others.into_iter().all(|a| a.is_ok()));
+    }
+    rows.to_vec().unwrap()
+}
+
+#[test]
+fn kernels_under_way_keep_the_photo_that_gave_way() {
+    let device = Device::open(None).unwrap();
+    let side = 1024;
+    let data: Vec<u8> = (0..3 * side * side).map(|i| (i * 31 % 251) as u8).collect();
+    let photo = || Array::from_slice(&device, "photo", &data).unwrap();
+    let kept = rows_against(&device, photo(), side, false);
+    assert!(kept.iter().all(|v| *v > 0.0));
+    assert_eq!(kept, rows_against(&device, photo(), side, true));
+}
+
+#[test]
+fn the_views_ahead_are_those_of_the_schedule() {
+    let schedule = Schedule::new(&TrainConfig::default());
+    for views in [1, 2, 5, 40] {
+        let ahead = schedule.upcoming(33, 20, views);
+        let one_by_one: Vec<usize> = (33..53).map(|i| schedule.view(i, views)).collect();
+        assert_eq!(ahead, one_by_one);
+    }
+}
+
+#[test]
+fn budgets_are_read() {
+    for (text, bytes) in [
+        ("1", 1),
+        (" 800000000 ", 800_000_000),
+        ("512M", 512 << 20),
+        ("4g", 4 << 30),
+        ("1.5GiB", 3 << 29),
+        ("2KB", 2048),
+        ("1T", 1 << 40),
+    ] {
+        assert_eq!(parse_bytes(text).unwrap(), bytes, "{text}");
+    }
+    for text in [
+        "", "0", "0.2", "-1", "M", "4GG", "much", "nan", "inf", "1e999",
+    ] {
+        let refused = parse_bytes(text).map_err(|e| e.to_string());
+        assert!(refused.unwrap_err().contains("--image-budget"), "{text}");
+    }
+    let read = |text: &str| toml::from_str::<TrainConfig>(text).map(|c| c.image_budget);
+    assert_eq!(read("image-budget = \"2G\"").unwrap(), Some(2 << 30));
+    assert_eq!(read("image-budget = 1000").unwrap(), Some(1000));
+    assert_eq!(read("").unwrap(), None);
+    assert!(read("image-budget = \"much\"").is_err());
+    assert!(read("image-budget = -1").is_err());
+    let meminfo = "MemTotal:  24683896 kB\nMemFree: 1 kB\nMemAvailable:    1024 kB\n";
+    assert_eq!(parse_available(meminfo), Some(1 << 20));
+    assert_eq!(parse_available("MemTotal:  24683896 kB\n"), None);
+}
