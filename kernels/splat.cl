@@ -17,6 +17,8 @@ __kernel void splat(__global const Record *records, __global const uint *pair_ow
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
   const uint start = tile_start[tile], end = tile_start[tile + 1];
   const realV lanes = LANES, lane_y = floor(lanes / (real)BLOCK_W), lane_x = lanes - lane_y * (real)BLOCK_W;
+  realV px[BLOCKS_X];
+  for (int k = 0; k < BLOCKS_X; k++) px[k] = lane_x + (real)(k * BLOCK_W);
   realV T[BLOCKS], red[BLOCKS], green[BLOCKS], blue[BLOCKS];
   for (int k = 0; k < BLOCKS; k++) {
     T[k] = (realV)(R(1.0));
@@ -37,10 +39,10 @@ __kernel void splat(__global const Record *records, __global const uint *pair_ow
       block_range(g->bx, tile_x, BLOCK_W, &x0, &x1);
       block_range(g->by, tile_y, BLOCK_H, &y0, &y1);
       for (int by = y0; by <= y1; by++) {
-        const realV dy = lane_y + (real)(by * BLOCK_H) - gy, rdy = g->r * dy;
+        const realV dy = lane_y + (real)(by * BLOCK_H) - gy, line = fma((realV)(g->r), dy, (realV)(gx));
         for (int bx = x0; bx <= x1; bx++) {
           const int k = by * BLOCKS_X + bx;
-          const realV u = lane_x + (real)(bx * BLOCK_W) - gx - rdy; // pixel first: the same bits for every block shape
+          const realV u = px[bx] - line;
           const realV alpha =
               min(effective_alpha(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), T[k]),
                    (realV)ALPHA_MAX);
@@ -94,7 +96,7 @@ splat(__global const Record *records, __global const uint *pair_owner, // in [co
     for (uint j = 0; j < n; j++) {
       const Record g = staged[j];
       const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
-      const real dy = (real)y - gy, u = (real)x - gx - g.r * dy;
+      const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
       const real alpha = min(effective_alpha(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T), (real)ALPHA_MAX);
       const real w = alpha * T;
       red = fma(w, g.red, red);

@@ -66,6 +66,8 @@ __kernel void splat_grad(__global const Record *records, __global const uint *pa
   const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
   const uint start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
   const realV lanes = LANES, lane_y = floor(lanes / (real)BLOCK_W), lane_x = lanes - lane_y * (real)BLOCK_W;
+  realV px[BLOCKS_X];
+  for (int k = 0; k < BLOCKS_X; k++) px[k] = lane_x + (real)(k * BLOCK_W);
   realV T[BLOCKS], behind[BLOCKS], dred[BLOCKS], dgreen[BLOCKS], dblue[BLOCKS];
   for (int k = 0; k < BLOCKS; k++) {
     T[k] = (realV)(R(1.0));
@@ -93,10 +95,10 @@ __kernel void splat_grad(__global const Record *records, __global const uint *pa
       realV s[SUMS];
       for (int q = 0; q < SUMS; q++) s[q] = (realV)(R(0.0));
       for (int by = y0; by <= y1; by++) {
-        const realV dy = lane_y + (real)(by * BLOCK_H) - gy, rdy = g->r * dy;
+        const realV dy = lane_y + (real)(by * BLOCK_H) - gy, line = fma((realV)(g->r), dy, (realV)(gx));
         for (int bx = x0; bx <= x1; bx++) {
           const int k = by * BLOCKS_X + bx;
-          const realV u = lane_x + (real)(bx * BLOCK_W) - gx - rdy; // pixel first: the same bits for every block shape
+          const realV u = px[bx] - line;
           grad_block(g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
         }
       }
@@ -130,7 +132,7 @@ splat_grad(__global const Record *records, __global const uint *pair_owner, // i
     const uint slot = order[p];
     const Record g = records[pair_owner[slot]];
     const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
-    const real dy = (real)y - gy, u = (real)x - gx - g.r * dy;
+    const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
     real s[SUMS];
     for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
     grad_block(&g, u, dy, dred, dgreen, dblue, &T, &behind, s);

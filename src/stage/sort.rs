@@ -69,12 +69,25 @@ impl Sort {
         })
     }
 
+    /// Passes for keys of `bits` bits: the fewest bins and sweeps over at most `n` elements together.
+    fn passes(&self, bits: u32, n: usize) -> u32 {
+        let least = bits.div_ceil(self.radix_bits).max(1);
+        let cost = |passes: u32| {
+            let bins = 1usize << bits.div_ceil(passes);
+            // Every element is read twice and written; every counter of a chunk and bin is zeroed, summed and rewritten.
+            passes as usize * 3 * (n + self.chunks * bins)
+        };
+        (least..=bits.max(least))
+            .min_by_key(|p| cost(*p))
+            .unwrap_or(least)
+    }
+
     /// Enqueues the passes; answers which of the two pairs of arrays holds the result.
     ///
     /// # Errors
     /// Arrays that are too short, or the driver's.
     pub fn run(&self, a: &SortArgs<'_>) -> Result<usize> {
-        let passes = a.bits.div_ceil(self.radix_bits).max(1);
+        let passes = self.passes(a.bits, a.keys[0].len());
         let per_pass = a.bits.div_ceil(passes).max(1);
         for pass in 0..passes {
             let (from, to) = (pass as usize % 2, (pass as usize + 1) % 2);
