@@ -23,6 +23,9 @@ pub const NEAR: f64 = 0.01;
 pub const SUMS: usize = 9;
 /// Records that the splat kernels copy next to the processor at a time (measured: 32 on CPUs).
 pub const STAGE: u32 = 32;
+/// Independent chains of multiply-adds in the peak benchmark: more than the latency (4 cycles) times the units (2) of
+/// CPUs, and few enough to stay in 16 registers.
+pub const PEAK_CHAINS: u32 = 12;
 /// Taps of SSIM's window (Wang et al. 2004).
 pub const SSIM_TAPS: usize = 11;
 /// Standard deviation of SSIM's window, pixels.

@@ -2,6 +2,7 @@
 
 use std::marker::PhantomData;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use ocl::core::{self, Event, MEM_READ_WRITE, Mem};
 
@@ -26,6 +27,13 @@ pub struct Array<T> {
 pub struct PendingRead<T> {
     data: Vec<T>,
     event: Event,
+}
+
+impl<T> Drop for Array<T> {
+    fn drop(&mut self) {
+        let bytes = (self.len.max(1) * size_of::<T>()) as u64;
+        self.device.allocated.fetch_sub(bytes, Ordering::Relaxed);
+    }
 }
 
 impl<T: Element> PendingRead<T> {
@@ -83,6 +91,7 @@ impl<T: Element> Array<T> {
             core::create_buffer::<_, T>(&device.inner.context, MEM_READ_WRITE, len.max(1), None)
         }
         .map_err(|e| device_error(&format!("allocate {name} ({bytes} bytes)"), &e, LOWER))?;
+        device.inner.allocated.fetch_add(bytes, Ordering::Relaxed);
         Ok(Self {
             device: device.inner.clone(),
             mem,

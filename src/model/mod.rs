@@ -3,6 +3,8 @@
 pub mod init;
 #[doc(hidden)]
 pub mod knn;
+mod orbit;
 mod splats;
 
+pub use orbit::orbit;
 pub use splats::{Plane, Splats, sh_coefficients};
