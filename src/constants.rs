@@ -25,6 +25,9 @@ pub const SUMS: usize = 9;
 pub const STAGE: u32 = 32;
 /// Rows of the image that one work-item of the loss windows together.
 pub const LOSS_ROWS: u32 = 8;
+/// Independent chains of multiply-adds in the peak benchmark: more than the latency (4 cycles) times the units (2) of
+/// CPUs, and few enough to stay in 16 registers.
+pub const PEAK_CHAINS: u32 = 12;
 /// Taps of SSIM's window (Wang et al. 2004).
 pub const SSIM_TAPS: usize = 11;
 /// Standard deviation of SSIM's window, pixels.

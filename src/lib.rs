@@ -21,6 +21,7 @@
 //! | density control | [`density`] | which Gaussians are born or moved, on the host |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM |
 //! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
+//! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |
 //!
 //! [`train`] and [`render`] alone know the order of the stages. Every stage has a twin in plain f64 Rust in
 //! [`reference`](mod@reference), which defines what is correct; [`verify`] compares the two on a device.
@@ -44,6 +45,7 @@
 
 #[doc(hidden)]
 pub mod atomic;
+pub mod bench;
 #[doc(hidden)]
 pub mod buffers;
 pub mod config;

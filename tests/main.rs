@@ -6,6 +6,7 @@
     clippy::print_stdout
 )]
 
+mod bench;
 mod cli;
 mod dataset;
 mod density;

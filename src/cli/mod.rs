@@ -1,5 +1,6 @@
 //! The only place that names `clap`: one file per subcommand, flags → library types, call, print.
 
+mod bench;
 mod devices;
 mod eval;
 mod output;
@@ -43,6 +44,8 @@ enum Command {
     Devices,
     /// Make a seeded scene with known truth.
     Synth(synth::SynthArgs),
+    /// Time, throughput, share of the measured peak and error of every stage.
+    Bench(bench::BenchArgs),
     /// Check every stage on a device against the f64 reference.
     Verify(verify::VerifyArgs),
 }
@@ -89,6 +92,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Command::Render(args) => render::run(&args, &common),
         Command::Devices => devices::run(&common),
         Command::Synth(args) => synth::run(&args, &common),
+        Command::Bench(args) => bench::run(&args, &common),
         Command::Verify(args) => verify::run(&args, &common),
     }
 }

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use glam::{DMat3, DVec3};
 use mhsplat::dataset::{Camera, Dataset, Frame, PhotoSource};
 use mhsplat::error::{Error, Result};
+use mhsplat::model::orbit;
 use mhsplat::render::{Quantity, RenderOptions, Rendered, Renderer, to_byte};
 use mhsplat::report::error_map;
 use serde_json::json;
@@ -163,53 +163,13 @@ fn dataset_jobs(data: Dataset) -> Vec<Job> {
         .collect()
 }
 
-/// A circle around the median of the Gaussians, in the plane in which they extend most, at 2.5 times their spread.
+/// Views on a circle around the scene.
 fn orbit_jobs(loaded: &Loaded, n: u32, width: u32, height: u32) -> Result<Vec<Job>> {
-    let axes: Vec<Vec<f32>> = (0..3)
-        .map(|k| loaded.scene.plane(k))
-        .collect::<Result<_>>()?;
-    let quantile = |k: usize, q: f64| {
-        let mut v = axes[k].clone();
-        v.sort_by(f32::total_cmp);
-        f64::from(
-            v.get(((v.len().max(1) - 1) as f64 * q) as usize)
-                .copied()
-                .unwrap_or(0.0),
-        )
-    };
-    let center = DVec3::new(quantile(0, 0.5), quantile(1, 0.5), quantile(2, 0.5));
-    let spread = DVec3::from_array(std::array::from_fn(|k| quantile(k, 0.9) - quantile(k, 0.1)));
-    let up_axis = (0..3)
-        .min_by(|a, b| spread[*a].total_cmp(&spread[*b]))
-        .unwrap_or(1);
-    let radius = 1.25 * spread.max_element().max(1e-6);
-    // Captures are upright far more often than not; y points down in COLMAP's frames, z up in Blender's.
-    let up = if up_axis == 1 {
-        -DVec3::Y
-    } else {
-        DVec3::AXES[up_axis]
-    };
-    let (u, v) = up.any_orthonormal_pair();
-    let focal = f64::from(width) * 0.9;
-    Ok((0..n)
-        .map(|k| {
-            let a = std::f64::consts::TAU * f64::from(k) / f64::from(n.max(1));
-            let eye = center + (u * a.cos() + v * a.sin() + up * 0.35) * radius;
-            let z = (center - eye).normalize();
-            let x = z.cross(up).normalize();
-            let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
-            let camera = Camera {
-                rotation,
-                translation: -(rotation * eye),
-                fx: focal,
-                fy: focal,
-                cx: f64::from(width) / 2.0,
-                cy: f64::from(height) / 2.0,
-                width,
-                height,
-            };
-            (format!("orbit_{k:04}"), camera, None)
-        })
+    let [x, y, z] = [0, 1, 2].map(|k| loaded.scene.plane(k));
+    let cameras = orbit([&x?, &y?, &z?], n, [width, height]);
+    let named = cameras.into_iter().enumerate();
+    Ok(named
+        .map(|(k, camera)| (format!("orbit_{k:04}"), camera, None))
         .collect())
 }
 

@@ -2,6 +2,7 @@
 
 use std::marker::PhantomData;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use ocl::core::{self, Event, MEM_COPY_HOST_PTR, MEM_READ_WRITE, Mem};
 
@@ -27,6 +28,13 @@ pub struct Array<T> {
 pub struct PendingRead<T> {
     data: Vec<T>,
     event: Event,
+}
+
+impl<T> Drop for Array<T> {
+    fn drop(&mut self) {
+        let bytes = (self.len.max(1) * size_of::<T>()) as u64;
+        self.device.allocated.fetch_sub(bytes, Ordering::Relaxed);
+    }
 }
 
 impl<T: Element> PendingRead<T> {
@@ -85,6 +93,7 @@ impl<T: Element> Array<T> {
         // SAFETY: a host pointer, if given, is read for `len` values during the call alone; the buffer is owned by `mem`.
         let mem = unsafe { core::create_buffer(&device.inner.context, flags, len.max(1), data) }
             .map_err(|e| device_error(&format!("allocate {name} ({bytes} bytes)"), &e, LOWER))?;
+        device.inner.allocated.fetch_add(bytes, Ordering::Relaxed);
         Ok(Self {
             device: device.inner.clone(),
             mem,

@@ -1,6 +1,7 @@
 //! Platforms and devices: listing, choosing, opening.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use ocl::core::{
@@ -68,6 +69,8 @@ pub(super) struct Inner {
     pub queue: core::CommandQueue,
     pub pending: Mutex<Vec<Pending>>,
     pub times: Mutex<BTreeMap<&'static str, StageTime>>,
+    /// Bytes of the buffers that are alive.
+    pub allocated: AtomicU64,
 }
 
 const INSTALL: &str = "install an OpenCL driver (on Debian/Ubuntu: `apt-get install ocl-icd-libopencl1 pocl-opencl-icd`) \
@@ -134,6 +137,7 @@ impl Device {
                 queue,
                 pending: Mutex::new(Vec::new()),
                 times: Mutex::new(BTreeMap::new()),
+                allocated: AtomicU64::new(0),
             }),
         })
     }
@@ -142,6 +146,12 @@ impl Device {
     #[must_use]
     pub fn info(&self) -> &DeviceInfo {
         &self.inner.info
+    }
+
+    /// Bytes of all arrays that are alive on the device.
+    #[must_use]
+    pub fn allocated_bytes(&self) -> u64 {
+        self.inner.allocated.load(Ordering::Relaxed)
     }
 
     /// Hands everything enqueued so far to the device without waiting.

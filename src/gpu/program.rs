@@ -31,6 +31,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("importance", include_str!("../../kernels/importance.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
     ("edit", include_str!("../../kernels/edit.cl")),
+    ("peak", include_str!("../../kernels/peak.cl")),
 ];
 
 /// What a program is specialised for.
@@ -82,6 +83,7 @@ impl Defines {
         int("BATCH", self.tuning.batch() as u64);
         int("TAPS", tuning::SSIM_TAPS as u64);
         int("LOSS_ROWS", u64::from(tuning::LOSS_ROWS));
+        int("CHAINS", u64::from(tuning::PEAK_CHAINS));
         int("STRIP", u64::from(self.tuning.strip));
         int("SH_DEGREE", u64::from(self.sh_degree));
         int("HAS_ALPHA", u64::from(self.has_alpha));

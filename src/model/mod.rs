@@ -4,6 +4,8 @@ pub mod init;
 #[doc(hidden)]
 pub mod knn;
 pub mod morton;
+mod orbit;
 mod splats;
 
+pub use orbit::orbit;
 pub use splats::{Plane, Splats, sh_coefficients};

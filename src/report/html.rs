@@ -103,7 +103,8 @@ pub fn span(seconds: f64) -> String {
 }
 
 /// A number with `decimals` places, a dash where it is not finite.
-pub(super) fn fixed(value: f64, decimals: usize) -> String {
+#[must_use]
+pub fn fixed(value: f64, decimals: usize) -> String {
     if value.is_finite() {
         format!("{value:.decimals$}").replace('-', "−")
     } else {

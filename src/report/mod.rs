@@ -15,6 +15,7 @@ pub mod clock;
 pub mod density_log;
 pub mod gallery;
 pub mod html;
+pub mod loglog;
 pub mod metrics;
 mod panels;
 pub mod record;

@@ -7,18 +7,18 @@
 use super::html::escape;
 use std::fmt::Write;
 
-const WIDTH: f64 = 380.0;
-const HEIGHT: f64 = 226.0;
-const LEFT: f64 = 44.0;
-const RIGHT: f64 = 14.0;
-const TOP: f64 = 24.0;
-const BOTTOM: f64 = 38.0;
+pub(super) const WIDTH: f64 = 380.0;
+pub(super) const HEIGHT: f64 = 226.0;
+pub(super) const LEFT: f64 = 44.0;
+pub(super) const RIGHT: f64 = 14.0;
+pub(super) const TOP: f64 = 24.0;
+pub(super) const BOTTOM: f64 = 38.0;
 /// Above this many points a series is drawn without marks.
 const MARKED: usize = 24;
 /// Above this many points a series is thinned to the extremes of each of `MOST / 2` columns.
 const MOST: usize = 480;
 /// Number of colours (`--s0` to `--s5`); series beyond them start over.
-const COLORS: usize = 6;
+pub(super) const COLORS: usize = 6;
 
 /// How an axis spells its numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -244,16 +244,16 @@ pub fn line_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Series<'_>]
     out
 }
 
-fn pixel_x(share: f64) -> f64 {
+pub(super) fn pixel_x(share: f64) -> f64 {
     LEFT + share * (WIDTH - LEFT - RIGHT)
 }
 
-fn pixel_y(share: f64) -> f64 {
+pub(super) fn pixel_y(share: f64) -> f64 {
     HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)
 }
 
 /// A coordinate to a tenth of a unit, without needless digits.
-fn short(value: f64) -> f64 {
+pub(super) fn short(value: f64) -> f64 {
     (value * 10.0).round() / 10.0
 }
 

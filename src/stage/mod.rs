@@ -7,6 +7,7 @@ pub mod edit;
 pub mod importance;
 pub mod loss;
 pub mod metrics;
+pub mod peak;
 pub mod project;
 pub mod project_grad;
 pub mod scan;

@@ -6,6 +6,7 @@ mod edit;
 mod importance;
 mod loss;
 mod metrics;
+mod peak;
 mod project;
 mod project_grad;
 mod scan;
