@@ -103,6 +103,16 @@ impl Schedule {
         Some(f64::from(done - from) / f64::from((until - from).max(1)))
     }
 
+    /// The next density step at or after `iteration`'s end: after how many iterations done, and its progress η.
+    #[must_use]
+    pub fn next_density(&self, iteration: u32) -> Option<(u32, f64)> {
+        let [from, _] = self.density_span();
+        let due = from
+            .max(iteration.saturating_add(1))
+            .checked_next_multiple_of(self.density_interval())?;
+        self.density_due(due).map(|progress| (due, progress))
+    }
+
     /// Iterations between two evaluations, 0 for none before the end.
     #[must_use]
     pub fn eval_every(&self) -> u32 {

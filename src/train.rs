@@ -59,6 +59,7 @@ pub struct Trainer {
     dimage: Array<f32>,
     partial: Array<f32>,
     losses: Array<f32>,
+    cues: Array<f32>,
     density: Box<dyn DensityControl>,
     stats: DensityStats,
     in_flight: VecDeque<InFlight>,
@@ -129,6 +130,7 @@ impl Trainer {
             dimage: Array::zeros(device, "dimage", 3 * plane)?,
             partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
             losses: Array::zeros(device, "losses", 2 * LOSS_RING)?,
+            cues: Array::zeros(device, "cues", 3 * scene.stride)?,
             density: density::make(config),
             stats: DensityStats::default(),
             in_flight: VecDeque::new(),
@@ -201,6 +203,7 @@ impl Trainer {
             &self.losses,
             iteration as usize % LOSS_RING,
         )?;
+        self.watch(iteration, view, &pair)?;
 
         let frame = &self.renderer.frame;
         self.splat_grad

@@ -130,10 +130,11 @@ pub struct Outcome {
     pub stats: DensityStats,
 }
 
-/// A strategy of density control. State that must survive a restart is given as one JSON value.
+/// A strategy of density control. It decides from what a step gives it and keeps nothing between steps, so that a
+/// checkpoint needs nothing of it.
 pub trait DensityControl: Send {
-    /// Views of the training set whose error maps the next step wants, empty for none (\[MH\] Eq. 10).
-    fn view_subset(&mut self, views: usize, progress: f64) -> Vec<usize>;
+    /// Of how many of the training views a step at this progress wants the errors, 0 for none (\[MH\] Eq. 10).
+    fn views_wanted(&self, views: usize, progress: f64) -> usize;
 
     /// Decides on births and relocations.
     ///
@@ -145,15 +146,6 @@ pub trait DensityControl: Send {
         scene: &SceneState<'_>,
         cues: &Cues<'_>,
     ) -> Result<Outcome>;
-
-    /// State to be kept in a checkpoint.
-    fn save(&self) -> serde_json::Value;
-
-    /// Takes back what [`DensityControl::save`] gave.
-    ///
-    /// # Errors
-    /// A value that this strategy did not write.
-    fn load(&mut self, state: &serde_json::Value) -> Result<()>;
 }
 
 /// The strategy that a configuration names.

@@ -1,15 +1,15 @@
 //! A fixed set of Gaussians.
 
 use super::{Cues, DensityControl, Outcome, SceneState, StepContext};
-use crate::error::{Error, Result};
+use crate::error::Result;
 
 /// Density control that never changes the set.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Fixed;
 
 impl DensityControl for Fixed {
-    fn view_subset(&mut self, _views: usize, _progress: f64) -> Vec<usize> {
-        Vec::new()
+    fn views_wanted(&self, _views: usize, _progress: f64) -> usize {
+        0
     }
 
     fn step(
@@ -22,21 +22,5 @@ impl DensityControl for Fixed {
             len: scene.len(),
             ..Outcome::default()
         })
-    }
-
-    fn save(&self) -> serde_json::Value {
-        serde_json::Value::Null
-    }
-
-    fn load(&mut self, state: &serde_json::Value) -> Result<()> {
-        if state.is_null() {
-            return Ok(());
-        }
-        Err(Error::config(
-            "sampler",
-            format!(
-                "the checkpoint holds density state {state}; a fixed set has none (was it trained with another sampler?)"
-            ),
-        ))
     }
 }

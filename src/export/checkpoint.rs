@@ -1,8 +1,9 @@
 //! Checkpoints: everything a run needs to continue bit for bit, as one safetensors file.
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
-//! order of [`crate::model::Plane`]), `losses` \[2 · ring\] and, as metadata, format version, fingerprint of the dataset,
-//! iteration, configuration, clocks, stage times and the state of density control. It is written beside the old one and renamed over it.
+//! order of [`crate::model::Plane`]), `cues` \[3, N\] and `losses` \[2 · ring\] and, as metadata, format version,
+//! fingerprint of the dataset, iteration, configuration, clocks and stage times. It is written beside the old one and
+//! renamed over it.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -17,7 +18,7 @@ use crate::model::{Plane, Splats};
 use crate::report::{Reading, StageRecord};
 use crate::train::TrainerState;
 
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -26,7 +27,6 @@ struct Header {
     sh_degree: u32,
     config: TrainConfig,
     clock: [f64; 3],
-    density: serde_json::Value,
     stats: DensityStats,
     non_finite: u64,
     dataset: String,
@@ -80,7 +80,6 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
-        density: state.density.clone(),
         stats: state.stats,
         non_finite: state.non_finite,
         dataset: checkpoint.dataset.clone(),
@@ -93,6 +92,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         ("params", shape.clone(), planes(state.splats.planes())),
         ("moment1", shape.clone(), planes(&state.moment1)),
         ("moment2", shape, planes(&state.moment2)),
+        ("cues", vec![3, state.splats.len()], planes(&state.cues)),
         (
             "losses",
             vec![state.losses.len()],
@@ -159,6 +159,12 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     {
         return Err("moments and parameters differ in length".into());
     }
+    let cues: [Vec<f32>; 3] = planes(&tensors, "cues", 3)?
+        .try_into()
+        .map_err(|_| "cues are not three")?;
+    if cues.iter().any(|c| c.len() != splats.len()) {
+        return Err("cues and parameters differ in length".into());
+    }
     let losses = planes(&tensors, "losses", 1)?.concat();
     let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
     Ok(Checkpoint {
@@ -167,7 +173,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             splats,
             moment1,
             moment2,
-            density: header.density,
+            cues,
             stats: header.stats,
             non_finite: header.non_finite,
             losses,

@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::gpu::tuning::TILE;
+use crate::gpu::tuning::status::SLOTS;
 use crate::gpu::{Array, CameraArg, Kernel, Kernels, Real};
 
 /// The importance stage.
@@ -27,12 +28,10 @@ pub struct ImportanceArgs<'a, R: Real> {
     pub maps: &'a Array<R>,
     /// Start the sums with this view.
     pub first_view: bool,
-    /// In/out \[count\].
-    pub ssim: &'a Array<R>,
-    /// In/out \[count\].
-    pub l1: &'a Array<R>,
-    /// In/out \[count\].
-    pub views: &'a Array<u32>,
+    /// Status array; after an overflow the view does not count.
+    pub status: &'a Array<u32>,
+    /// In/out \[3, stride\]: sums of 1 − SSIM and |x − y|, views that see the centre.
+    pub cues: &'a Array<R>,
 }
 
 impl Importance {
@@ -65,9 +64,8 @@ impl Importance {
             .value(stride)
             .value(rows)
             .value(i32::from(a.first_view))
-            .array(a.ssim, a.count)
-            .array(a.l1, a.count)
-            .array(a.views, a.count)
+            .array(a.status, SLOTS)
+            .array(a.cues, 3 * a.stride)
             .run([a.count.div_ceil(self.lanes), 1], [self.local, 1])
     }
 }

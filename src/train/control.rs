@@ -4,12 +4,11 @@ use super::Trainer;
 use crate::buffers::{Scene, restride};
 use crate::density::{Cues, DensityStats, Outcome, SceneState, StepContext};
 use crate::error::Result;
-use crate::gpu::tuning::status;
 use crate::gpu::{Array, EditRow};
 use crate::model::{Plane, morton};
-use crate::render::RenderOptions;
 use crate::stage::edit::EditArgs;
 use crate::stage::importance::ImportanceArgs;
+use crate::stage::loss::ImagePair;
 
 /// What one density step did.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,31 +24,35 @@ pub struct DensityEvent {
 }
 
 impl Trainer {
-    /// Renders a view and writes its error maps; `next` are the views to follow.
-    pub(super) fn error_maps(&mut self, view: usize, next: &[usize]) -> Result<()> {
-        let photo = self.views.photo(view, next)?;
-        let degree = self.schedule.sh_degree(self.iteration);
-        let background = self.schedule.fixed_background();
-        let options = RenderOptions {
-            background,
-            ..self.options(0, degree)
+    /// Adds the errors of the iteration's render to the cues if the next density step wants them: the last k renders
+    /// before it serve as its view subset (\[MH\] Eq. 10), as many as there are since the last step at most. Training
+    /// takes the views in random order, so that they are a random subset, and no view is rendered for density control
+    /// alone.
+    pub(super) fn watch(
+        &self,
+        iteration: u32,
+        view: usize,
+        pair: &ImagePair<'_, f32>,
+    ) -> Result<()> {
+        let Some((due, progress)) = self.schedule.next_density(iteration) else {
+            return Ok(());
         };
-        self.renderer
-            .enqueue(&self.scene, &self.views.cameras[view], &options)?;
-        self.loss.errors(
-            &self.pair(view, &photo, background),
-            &self.maps,
-            &self.partial,
-        )
+        let wanted = self.density.views_wanted(self.views.len(), progress);
+        let since_last = self.schedule.density_interval().min(due);
+        let first = due - since_last.min(u32::try_from(wanted).unwrap_or(u32::MAX));
+        if iteration < first {
+            return Ok(());
+        }
+        self.add_cues(view, pair, iteration == first)
     }
 
-    pub(super) fn accumulate(
+    pub(super) fn add_cues(
         &self,
         view: usize,
+        pair: &ImagePair<'_, f32>,
         first_view: bool,
-        cues: &[Array<f32>; 2],
-        seen: &Array<u32>,
     ) -> Result<()> {
+        self.loss.errors(pair, &self.maps, &self.partial)?;
         self.importance.run(&ImportanceArgs {
             params: &self.scene.params,
             stride: self.scene.stride,
@@ -57,38 +60,9 @@ impl Trainer {
             camera: &self.views.cameras[view],
             maps: &self.maps,
             first_view,
-            ssim: &cues[0],
-            l1: &cues[1],
-            views: seen,
+            status: &self.renderer.frame.status,
+            cues: &self.cues,
         })
-    }
-
-    /// Error cues of every Gaussian over a subset of the views: sums of 1 − SSIM and L1, views that see it.
-    fn cues(&mut self, subset: &[usize]) -> Result<(Vec<f32>, Vec<f32>, Vec<u32>)> {
-        let n = self.scene.count;
-        let cues = [
-            Array::zeros(&self.device, "cue 1-SSIM", n)?,
-            Array::zeros(&self.device, "cue L1", n)?,
-        ];
-        let seen = Array::zeros(&self.device, "cue views", n)?;
-        let mut next = 0;
-        while next < subset.len() {
-            self.error_maps(subset[next], &subset[next + 1..])?;
-            // A blocking look at the counters: a view that did not fit must not be counted.
-            let counters = self.renderer.frame.status.to_vec()?;
-            self.most_pairs = self
-                .most_pairs
-                .max(counters[status::PAIRS as usize] as usize);
-            let needed = counters[status::OVERFLOW as usize];
-            if needed > 0 {
-                self.renderer.grow_pairs(needed)?;
-                continue;
-            }
-            self.accumulate(subset[next], next == 0, &cues, &seen)?;
-            next += 1;
-        }
-        self.device.collect_times(usize::MAX)?;
-        Ok((cues[0].to_vec()?, cues[1].to_vec()?, seen.to_vec()?))
     }
 
     /// Runs density control if it is due after the iterations done so far.
@@ -106,11 +80,11 @@ impl Trainer {
             return Ok(None);
         };
         self.last_density = Some(self.iteration);
-        let subset = self.density.view_subset(self.views.len(), progress);
-        if subset.is_empty() {
+        if self.density.views_wanted(self.views.len(), progress) == 0 {
             return Ok(None);
         }
-        let (ssim, l1, views) = self.cues(&subset)?;
+        let [ssim, l1, views] = self.read_cues()?;
+        let views: Vec<u32> = views.into_iter().map(|v| v as u32).collect();
         let planes: Vec<Vec<f32>> = (0..Plane::SH)
             .map(|p| self.scene.plane(p))
             .collect::<Result<_>>()?;
@@ -143,6 +117,12 @@ impl Trainer {
         }))
     }
 
+    /// The cues so far: sums of 1 − SSIM and of |x − y|, views that see the centre.
+    pub(super) fn read_cues(&self) -> Result<[Vec<f32>; 3]> {
+        let row = |k: usize| self.cues.read(k * self.scene.stride, self.scene.count);
+        Ok([row(0)?, row(1)?, row(2)?])
+    }
+
     fn apply(&mut self, outcome: &Outcome) -> Result<()> {
         let before = self.scene.count;
         if outcome.len > self.scene.stride {
@@ -152,6 +132,7 @@ impl Trainer {
                 *array = restride(&self.device, array, planes, from, to)?;
             }
             self.scene.stride = to;
+            self.cues = Array::zeros(&self.device, "cues", 3 * to)?;
         }
         let rows: Vec<EditRow> = outcome
             .edits

@@ -18,8 +18,8 @@ pub struct TrainerState {
     pub moment1: Vec<Vec<f32>>,
     /// Second moments.
     pub moment2: Vec<Vec<f32>>,
-    /// State of density control.
-    pub density: serde_json::Value,
+    /// Error cues gathered for the next density step \[3\]\[N\].
+    pub cues: [Vec<f32>; 3],
     /// Statistics of density control so far.
     pub stats: DensityStats,
     /// Non-finite gradient values so far.
@@ -45,7 +45,7 @@ impl Trainer {
             splats: self.scene.download()?,
             moment1: read(&self.moment1)?,
             moment2: read(&self.moment2)?,
-            density: self.density.save(),
+            cues: self.read_cues()?,
             stats: self.stats,
             non_finite: self.non_finite,
             losses: self.losses.to_vec()?,
@@ -65,7 +65,9 @@ impl Trainer {
                 array.write(p * self.scene.stride, plane)?;
             }
         }
-        self.density.load(&state.density)?;
+        for (k, row) in state.cues.iter().enumerate() {
+            self.cues.write(k * self.scene.stride, row)?;
+        }
         self.stats = state.stats;
         self.iteration = state.iteration;
         // A checkpoint is written after density control, where both fall on one iteration.

@@ -33,12 +33,9 @@ impl Trainer {
             self.fit_views()?;
             self.enqueue_step(0, degree)?;
         }
-        self.error_maps(0, &[])?;
-        let cues = [
-            Array::zeros(&self.device, "cues", 1)?,
-            Array::zeros(&self.device, "cues", 1)?,
-        ];
-        self.accumulate(0, true, &cues, &Array::zeros(&self.device, "cues", 1)?)?;
+        let photo = self.views.photo(0, &[])?;
+        let pair = self.pair(0, &photo, self.schedule.fixed_background());
+        self.add_cues(0, &pair, true)?;
         let edits = Array::from_slice(&self.device, "edits", &[EditRow::default()])?;
         let spare = self.scene.stride as u32 - 1;
         edits.write(

@@ -359,29 +359,22 @@ impl<R: Real> Run<'_, R> {
         let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
         s.loss.errors(&pair, &maps, &partial)?;
         out.error_maps = crop(&widen(maps.to_vec()?), &self.camera, 0..2);
-        let [ssim, l1] = [
-            Array::zeros(device, "cue 1-SSIM", n)?,
-            Array::zeros(device, "cue L1", n)?,
-        ];
-        let views = Array::zeros(device, "cue views", n)?;
+        let stride = self.scene.stride;
+        let cues = Array::zeros(device, "cues", 3 * stride)?;
         for first_view in [true, false] {
             s.importance.run(&ImportanceArgs {
                 params: &self.scene.params,
-                stride: self.scene.stride,
+                stride,
                 count: n,
                 camera: &self.camera,
                 maps: &maps,
                 first_view,
-                ssim: &ssim,
-                l1: &l1,
-                views: &views,
+                status: &self.renderer.frame.status,
+                cues: &cues,
             })?;
         }
-        out.cues = [
-            widen(ssim.to_vec()?),
-            widen(l1.to_vec()?),
-            views.to_vec()?.into_iter().map(f64::from).collect(),
-        ];
+        let row = |k: usize| Ok(widen(cues.read(k * stride, n)?));
+        out.cues = [row(0)?, row(1)?, row(2)?];
         let rows = Array::zeros(device, "squared_error", h)?;
         s.metrics.run(&pair, &rows)?;
         out.squared_error = widen(rows.to_vec()?).iter().sum();

@@ -222,26 +222,11 @@ fn proposals_fade_with_progress() {
 }
 
 #[test]
-fn view_subsets_walk_round_robin() {
-    let mut mh = MetropolisHastings::new(&MhConfig::default());
-    assert_eq!(mh.view_subset(10, 0.0), (0..10).collect::<Vec<_>>());
-    assert_eq!(mh.view_subset(10, 0.6), vec![0, 1, 2, 3]);
-    let saved = mh.save();
-    assert_eq!(mh.view_subset(10, 0.6), vec![4, 5, 6, 7]);
-    assert_eq!(mh.view_subset(10, 0.6), vec![8, 9, 0, 1]);
-    assert_eq!(mh.view_subset(10, 1.0), vec![2]);
-    assert!(mh.view_subset(0, 0.5).is_empty());
-    let mut again = MetropolisHastings::new(&MhConfig::default());
-    again.load(&saved).unwrap();
-    assert_eq!(again.view_subset(10, 0.6), vec![4, 5, 6, 7]);
-    assert!(again.load(&serde_json::json!({ "other": 1 })).is_err());
-    let mut seen = [0; 7];
-    for _ in 0..7 {
-        for v in mh.view_subset(7, 0.5) {
-            seen[v] += 1;
-        }
-    }
-    assert_eq!(seen, [3; 7], "every view as often as every other");
+fn fewer_views_are_wanted_as_the_run_goes_on() {
+    let mh = MetropolisHastings::new(&MhConfig::default());
+    let wanted = [0.0, 0.5, 0.6, 1.0].map(|eta| mh.views_wanted(10, eta));
+    assert_eq!(wanted, [10, 5, 4, 1]);
+    assert_eq!(mh.views_wanted(0, 0.5), 0);
 }
 
 #[test]
@@ -279,12 +264,11 @@ fn a_fixed_set_stays() {
         .step(&context(1, 0.0, 0), &scene.state(), &scene.cues())
         .unwrap();
     assert!(outcome.edits.is_empty() && outcome.len == 100);
-    assert!(Fixed.view_subset(9, 0.0).is_empty());
-    assert!(Fixed.load(&Fixed.save()).is_ok() && Fixed.load(&serde_json::json!(3)).is_err());
+    assert_eq!(Fixed.views_wanted(9, 0.0), 0);
     let mut config = TrainConfig::default();
-    assert_eq!(make(&config).view_subset(4, 0.0).len(), 4);
+    assert_eq!(make(&config).views_wanted(4, 0.0), 4);
     config.sampler = Sampler::None;
-    assert!(make(&config).view_subset(4, 0.0).is_empty());
+    assert_eq!(make(&config).views_wanted(4, 0.0), 0);
 }
 
 #[test]

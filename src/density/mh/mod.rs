@@ -24,8 +24,6 @@ use sparsity::VoxelCounts;
 #[derive(Debug, Clone)]
 pub struct MetropolisHastings {
     config: MhConfig,
-    /// First view of the next subset.
-    cursor: usize,
 }
 
 /// One of the two phases of a step.
@@ -60,10 +58,7 @@ impl MetropolisHastings {
     /// Density control with these settings.
     #[must_use]
     pub fn new(config: &MhConfig) -> Self {
-        Self {
-            config: *config,
-            cursor: 0,
-        }
+        Self { config: *config }
     }
 
     fn phases(&self, context: &StepContext) -> [Phase; 2] {
@@ -182,15 +177,9 @@ impl MetropolisHastings {
 }
 
 impl DensityControl for MetropolisHastings {
-    /// k = max(1, ⌊views·(1−η)⌋) neighbouring views (Eq. 10); each call goes on where the last one ended.
-    fn view_subset(&mut self, views: usize, progress: f64) -> Vec<usize> {
-        if views == 0 {
-            return Vec::new();
-        }
-        let k = shrinking(views, progress);
-        let first = self.cursor % views;
-        self.cursor = (first + k) % views;
-        (first..first + k).map(|v| v % views).collect()
+    /// k = max(1, ⌊views·(1−η)⌋) (Eq. 10).
+    fn views_wanted(&self, views: usize, progress: f64) -> usize {
+        shrinking(views, progress)
     }
 
     fn step(
@@ -232,22 +221,6 @@ impl DensityControl for MetropolisHastings {
             births.take(k, &decisions, &mut counts);
         }
         Ok(births.finish(c.birth, scene, relocation, &counts))
-    }
-
-    fn save(&self) -> serde_json::Value {
-        serde_json::json!({ "cursor": self.cursor })
-    }
-
-    fn load(&mut self, state: &serde_json::Value) -> Result<()> {
-        let cursor = state.get("cursor").and_then(serde_json::Value::as_u64);
-        let cursor = cursor.and_then(|c| usize::try_from(c).ok());
-        self.cursor = cursor.ok_or_else(|| {
-            Error::config(
-                "sampler",
-                format!("the checkpoint holds density state {state}; {{\"cursor\": view}} expected (was it trained with another sampler?)"),
-            )
-        })?;
-        Ok(())
     }
 }
 
