@@ -1,0 +1,100 @@
+//! What can be seen of a trainer between iterations.
+
+use super::{LOSS_RING, Trainer};
+use crate::buffers::Scene;
+use crate::density::DensityStats;
+use crate::error::Result;
+use crate::gpu::StageTime;
+use crate::photos::PhotoStats;
+use crate::render::Renderer;
+use crate::schedule::Schedule;
+
+impl Trainer {
+    /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
+    /// more than there are views). None before the first iteration.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn recent_loss(&mut self) -> Result<Option<f64>> {
+        self.settle()?;
+        let n = (self.iteration as usize)
+            .min(LOSS_RING)
+            .min(self.views.len());
+        if n == 0 {
+            return Ok(None);
+        }
+        let ring = self.losses.to_vec()?;
+        let lambda = f64::from(self.config.loss.lambda_ssim);
+        let sum: f64 = (0..n)
+            .map(|k| {
+                let slot = (self.iteration as usize + LOSS_RING - 1 - k) % LOSS_RING;
+                let (l1, ssim) = (f64::from(ring[2 * slot]), f64::from(ring[2 * slot + 1]));
+                (1.0 - lambda) * l1 + lambda * (1.0 - ssim)
+            })
+            .sum();
+        Ok(Some(sum / n as f64))
+    }
+
+    /// Iterations enqueued so far.
+    #[must_use]
+    pub fn iteration(&self) -> u32 {
+        self.iteration
+    }
+
+    /// Number of Gaussians.
+    #[must_use]
+    pub fn gaussians(&self) -> usize {
+        self.scene.count
+    }
+
+    /// Density statistics over the run.
+    #[must_use]
+    pub fn stats(&self) -> &DensityStats {
+        &self.stats
+    }
+
+    /// Gradient values that were not finite, as far as the host has seen.
+    #[must_use]
+    pub fn non_finite(&self) -> u64 {
+        self.non_finite
+    }
+
+    /// How often pairs did not fit and iterations were repeated.
+    #[must_use]
+    pub fn overflows(&self) -> u64 {
+        self.overflows
+    }
+
+    /// Leaves room for no more than `pairs` pairs, so that a test can see what happens then.
+    ///
+    /// # Errors
+    /// The driver's.
+    #[doc(hidden)]
+    pub fn shrink_pairs(&mut self, pairs: usize) -> Result<()> {
+        self.settle()?;
+        self.renderer.frame.set_pairs(&self.device, pairs)
+    }
+
+    /// Device time per stage so far.
+    #[must_use]
+    pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
+        self.device.times()
+    }
+
+    /// Photos waited for, and what they took of their budget; sets of views that share it are counted, too.
+    #[must_use]
+    pub fn photo_stats(&self) -> PhotoStats {
+        self.views.photos().stats()
+    }
+
+    /// The schedules of this run.
+    #[must_use]
+    pub fn schedule(&self) -> &Schedule {
+        &self.schedule
+    }
+
+    /// The scene on the device and the renderer, for evaluation between iterations.
+    pub fn scene_and_renderer(&mut self) -> (&Scene, &mut Renderer) {
+        (&self.scene, &mut self.renderer)
+    }
+}
