@@ -90,10 +90,10 @@ impl<R: Real> Scene<R> {
         Splats::new(self.sh_degree, planes)
     }
 
-    /// A stride for at least `capacity` Gaussians, with half as many again to grow into.
+    /// A stride for at least `capacity` Gaussians, with a quarter as many again to grow into.
     #[must_use]
     pub fn grown_stride(capacity: usize) -> usize {
-        (capacity + capacity / 2).next_multiple_of(ROUND)
+        (capacity + capacity / 4).next_multiple_of(ROUND)
     }
 }
 

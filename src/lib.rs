@@ -24,7 +24,8 @@
 //! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |
 //!
 //! [`train`] and [`render`] alone know the order of the stages. Every stage has a twin in plain f64 Rust in
-//! [`reference`](mod@reference), which defines what is correct; [`verify`] compares the two on a device.
+//! [`reference`](mod@reference), which defines what is correct; [`verify`] compares the two on a device,
+//! [`bench`](mod@bench) sets their error beside their time, and [`tune`] chooses how kernels are cut for a device.
 //!
 //! ```no_run
 //! use mhsplat::{Device, LoadOptions, TrainConfig, Trainer, load_dataset, run};
@@ -72,6 +73,7 @@ pub mod schedule;
 #[doc(hidden)]
 pub mod stage;
 pub mod train;
+pub mod tune;
 pub mod verify;
 
 pub use config::TrainConfig;

@@ -3,7 +3,7 @@
 use crate::buffers::{Frame, Scene};
 use crate::dataset::Camera;
 use crate::error::{Error, Result};
-use crate::gpu::tuning::{NEAR, Tuning, status};
+use crate::gpu::tuning::{NEAR, status};
 use crate::gpu::{CameraArg, Defines, Device, Kernels, Real};
 use crate::stage::bin::{Bin, BinArgs, EmitArgs};
 use crate::stage::project::{Project, ProjectArgs};
@@ -110,7 +110,7 @@ impl<R: Real> Renderer<R> {
     /// # Errors
     /// A build failure.
     pub fn for_display(device: &Device, sh_degree: u32) -> Result<Self> {
-        let defines = Defines::new(Tuning::for_device(device.info()));
+        let defines = Defines::new(device.tuning());
         Self::new(device, defines, sh_degree, false)
     }
 

@@ -11,11 +11,11 @@ pub use state::TrainerState;
 use std::collections::VecDeque;
 
 use crate::buffers::{Scene, ViewSet};
-use crate::config::TrainConfig;
+use crate::config::{Sampler, TrainConfig};
 use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
-use crate::gpu::tuning::{Tuning, status};
+use crate::gpu::tuning::status;
 use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, PendingRead};
 use crate::model::{Plane, Splats};
 use crate::photos::{AHEAD, Photos};
@@ -103,14 +103,18 @@ impl Trainer {
                 what: "no Gaussian to start from".into(),
             });
         }
-        let tuning = Tuning::for_device(device.info());
+        let tuning = device.tuning();
         let defines = Defines {
             has_alpha: views.has_alpha,
             ..Defines::new(tuning)
         };
         let kernels = Kernels::new(device, defines);
         let degree = config.sh_degree;
-        let scene = Scene::upload(device, splats, Scene::<f32>::grown_stride(splats.len()))?;
+        let capacity = match config.sampler {
+            Sampler::None => splats.len(),
+            Sampler::Mh => Scene::<f32>::grown_stride(splats.len()),
+        };
+        let scene = Scene::upload(device, splats, capacity)?;
         let loss = Loss::new::<f32>(&kernels)?;
         let [w, h] = views.largest;
         let plane = w.next_multiple_of(16) * h.next_multiple_of(16);

@@ -336,6 +336,11 @@ fn what_cannot_be_measured_is_refused() {
         assert!(cli::stderr(&output).contains(word), "{args:?}");
     }
     let missing = [("abacus".to_owned(), Some("abacus".to_owned()))];
-    let outcomes = bench::run_all(&missing, &Options::brief(vec![(9, 9)]), &mut |_| ());
+    let outcomes = bench::run_all(
+        &missing,
+        Device::open,
+        &Options::brief(vec![(9, 9)]),
+        &mut |_| (),
+    );
     assert!(matches!(&outcomes[..], [Outcome::Failed { device, .. }] if device == "abacus"));
 }

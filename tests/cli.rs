@@ -11,6 +11,8 @@ use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
 /// The program under test, on the default device.
 pub fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_mhsplat"));
+    // Nothing is measured for a test, or kept outside of its folders.
+    command.env("MHSPLAT_TUNING", "default");
     command.env_remove("MHSPLAT_DEVICE");
     command
 }
@@ -120,4 +122,35 @@ fn usage_errors_exit_with_2() {
     }
     assert!(done(&["--help"]).contains("Exit codes"));
     assert!(done(&["train", "--help"]).contains("--max-size"));
+}
+
+#[test]
+fn a_tuning_that_means_nothing_is_refused() {
+    for (asked, said) in [
+        ("vector-width=3", "1, 4, 8 or 16"),
+        ("widht=8", "name=value"),
+        ("fast", "name=value"),
+    ] {
+        let out = program()
+            .env("MHSPLAT_TUNING", asked)
+            .arg("devices")
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert_eq!(out.status.code(), Some(2), "{text}");
+        assert!(
+            text.contains(said) && text.contains("MHSPLAT_TUNING"),
+            "{text}"
+        );
+    }
+    let out = program()
+        .env("MHSPLAT_TUNING", "update-block=4096")
+        .arg("devices")
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(
+        text.contains("given") && text.contains("update-block=4096"),
+        "{text}"
+    );
 }

@@ -21,3 +21,4 @@ mod reference;
 mod report;
 mod stage;
 mod synth;
+mod tune;

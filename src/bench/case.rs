@@ -9,7 +9,7 @@ use super::work::{Load, TileWork};
 use super::{Options, STAGES, no_samples};
 use crate::dataset::Dataset;
 use crate::error::Result;
-use crate::gpu::tuning::{TILE, Tuning};
+use crate::gpu::tuning::TILE;
 use crate::gpu::{Device, DeviceKind};
 use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
@@ -119,7 +119,7 @@ pub(super) fn measure(
 
 /// Means over the views, counted after the timing, and pairs looked at.
 fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result<(Load, u64)> {
-    let tuning = Tuning::for_device(device.info());
+    let tuning = device.tuning();
     let (scene, renderer) = trainer.scene_and_renderer();
     let options = RenderOptions {
         sh_degree: subject.splats.sh_degree(),

@@ -198,22 +198,22 @@ fn around(splats: &Splats) -> Vec<crate::dataset::Camera> {
     orbit([x, y, z], scene::VIEWS, [SCENE_SIZE; 2])
 }
 
-/// Measures several devices (name, selector of [`Device::open`]), one after the other. A device that fails does not keep
+/// Measures several devices (name, selector for `open`), one after the other. A device that fails does not keep
 /// the others from being measured.
 pub fn run_all(
     devices: &[(String, Option<String>)],
+    open: impl Fn(Option<&str>) -> Result<Device>,
     options: &Options,
     note: &mut dyn FnMut(&str),
 ) -> Vec<Outcome> {
-    let measure = |(name, selector): &(String, Option<String>)| {
-        let opened = Device::open(selector.as_deref());
-        match opened.and_then(|device| run(&device, options, note)) {
-            Ok(record) => Outcome::Done(Box::new(record)),
-            Err(error) => Outcome::Failed {
-                device: name.clone(),
-                error: error.to_string(),
-            },
-        }
+    let measure = |(name, selector): &(String, Option<String>)| match open(selector.as_deref())
+        .and_then(|device| run(&device, options, note))
+    {
+        Ok(record) => Outcome::Done(Box::new(record)),
+        Err(error) => Outcome::Failed {
+            device: name.clone(),
+            error: error.to_string(),
+        },
     };
     devices.iter().map(measure).collect()
 }

@@ -40,7 +40,7 @@ fn time(device: &Device, enqueue: impl FnOnce() -> Result<()>) -> Result<[f64; 2
 /// # Errors
 /// A build failure, or the driver's.
 pub(super) fn measure(device: &Device, options: &Options) -> Result<Record> {
-    let own = Tuning::for_device(device.info());
+    let own = device.tuning();
     let build = |tuning| Peak::new::<f32>(&Kernels::new(device, Defines::new(tuning)));
     let (fma, core) = fma(device, &build(own)?, options)?;
     let widths = COPY_WIDTHS.map(|(vector_width, block_width)| Tuning {

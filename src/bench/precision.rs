@@ -11,7 +11,6 @@ use crate::gpu::tuning::{ALPHA_MIN, TILE, Tuning};
 use crate::gpu::{Device, Real};
 use crate::reference::chain::Passage;
 use crate::reference::compare::measure as error;
-use crate::stage::adam::LearningRates;
 use crate::verify::chain::{self, Case, Outputs};
 use crate::verify::check::{Quantity, device_quantities, reference_quantities};
 use crate::verify::twin;
@@ -51,7 +50,7 @@ struct Variant {
 /// Every vector width in the style of CPUs, the style of GPUs, f64 as the device would have it, and every cut: what the
 /// device can do of it.
 fn variants(device: &Device) -> Vec<Variant> {
-    let (info, own) = (device.info(), Tuning::for_device(device.info()));
+    let (info, own) = (device.info(), device.tuning());
     let single = |name: String, tuning: Tuning| Variant {
         name,
         tuning,
@@ -90,30 +89,6 @@ fn variants(device: &Device) -> Vec<Variant> {
     all
 }
 
-/// The first view of the synthetic cloud.
-fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
-    let camera = scene::circle(size)[0];
-    Case {
-        name: "precision".into(),
-        splats: scene::cloud(gaussians),
-        photo: scene::photo(&camera),
-        camera,
-        background: [0.2, 0.5, 0.1],
-        alpha_min,
-        sh_degree: scene::SH_DEGREE,
-        lambdas: [0.2, 0.01, 0.01],
-        rates: LearningRates {
-            position: 0.0,
-            scale: 0.0,
-            rotation: 0.0,
-            opacity: 0.0,
-            sh0: 0.0,
-            sh: 0.0,
-        },
-        edits: Vec::new(),
-    }
-}
-
 /// What the variants are measured on.
 struct Setup {
     gaussians: usize,
@@ -134,14 +109,14 @@ pub(super) fn measure(
     };
     let mut all = variants(device);
     if options.own_build_only {
-        let own = Tuning::for_device(device.info());
+        let own = device.tuning();
         all.retain(|v| v.tuning == own && v.alpha_min == ALPHA_MIN);
     }
     let setup = Setup {
         gaussians,
         size,
-        same_cut: twin::run(&case(gaussians, size, ALPHA_MIN)),
-        no_cut: twin::run(&case(gaussians, size, NO_CUT)),
+        same_cut: twin::run(&scene::case(gaussians, size, ALPHA_MIN)),
+        no_cut: twin::run(&scene::case(gaussians, size, NO_CUT)),
     };
     let mut rows = Vec::new();
     for v in all {
@@ -157,7 +132,7 @@ pub(super) fn measure(
 
 impl Setup {
     fn measure(&self, device: &Device, v: &Variant, samples: usize) -> Result<Vec<Precision>> {
-        let case = case(self.gaussians, self.size, v.alpha_min);
+        let case = scene::case(self.gaussians, self.size, v.alpha_min);
         let runs = if v.double {
             passages::<f64>(device, v.tuning, &case, samples)?
         } else {

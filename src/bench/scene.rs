@@ -8,6 +8,8 @@ use crate::config::{OptimizerConfig, Sampler, TrainConfig};
 use crate::dataset::{Camera, Dataset, Frame, Layout, Photo, Points, View};
 use crate::model::{Plane, Splats};
 use crate::rng::{Philox, Purpose};
+use crate::stage::adam::LearningRates;
+use crate::verify::chain::Case;
 
 /// Views of every case.
 pub const VIEWS: u32 = 8;
@@ -116,5 +118,30 @@ pub fn still(sh_degree: u32) -> TrainConfig {
         sampler: Sampler::None,
         sh_degree,
         ..TrainConfig::default()
+    }
+}
+
+/// The cloud in its first view, for a passage through all stages.
+#[must_use]
+pub fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
+    let camera = circle(size)[0];
+    Case {
+        name: "precision".into(),
+        splats: cloud(gaussians),
+        photo: photo(&camera),
+        camera,
+        background: [0.2, 0.5, 0.1],
+        alpha_min,
+        sh_degree: SH_DEGREE,
+        lambdas: [0.2, 0.01, 0.01],
+        rates: LearningRates {
+            position: 0.0,
+            scale: 0.0,
+            rotation: 0.0,
+            opacity: 0.0,
+            sh0: 0.0,
+            sh: 0.0,
+        },
+        edits: Vec::new(),
     }
 }

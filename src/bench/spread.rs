@@ -1,12 +1,12 @@
 //! Several samples of one figure, and what may be said of two of them.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Samples that a ratio needs on both sides.
 pub const RATIO_SAMPLES: usize = 3;
 
 /// Median and range of repeated measurements.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Median.
     pub median: f64,

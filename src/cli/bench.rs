@@ -51,10 +51,10 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
         Some("all") => {
             let all = Device::list()?.into_iter();
             let devices: Vec<_> = all.map(|d| (d.name, Some(d.index.to_string()))).collect();
-            bench::run_all(&devices, &options, &mut note)
+            bench::run_all(&devices, super::open_device, &options, &mut note)
         }
         one => {
-            let record = bench::run(&Device::open(one)?, &options, &mut note)?;
+            let record = bench::run(&super::open_device(one)?, &options, &mut note)?;
             vec![Measured::Done(Box::new(record))]
         }
     };

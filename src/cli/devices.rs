@@ -2,6 +2,8 @@
 
 use mhsplat::error::Result;
 use mhsplat::gpu::Device;
+use mhsplat::gpu::tuning::Tuning;
+use mhsplat::tune::{self, Origin};
 use serde_json::json;
 
 use super::{Common, Outcome, output};
@@ -11,11 +13,18 @@ pub fn run(common: &Common) -> Result<Outcome> {
     let list = Device::list()?;
     let default = Device::default_of(&list).map(|d| d.index);
     let why = "the first GPU, else the first accelerator, else the first CPU";
+    let tunings = list.iter().map(tune::known).collect::<Result<Vec<_>>>()?;
     if common.json {
-        output::json(&json!({ "devices": list, "default": default, "why": why }))?;
+        let tunings: Vec<_> = tunings
+            .iter()
+            .map(|t| t.map(|(tuning, origin)| json!({ "tuning": tuning, "origin": origin })))
+            .collect();
+        output::json(
+            &json!({ "devices": list, "tunings": tunings, "default": default, "why": why }),
+        )?;
         return Ok(Outcome::Done);
     }
-    for d in &list {
+    for (d, tuning) in list.iter().zip(&tunings) {
         let mark = if Some(d.index) == default { "*" } else { " " };
         output::line(&format!(
             "{mark} {}  {} [{:?}, {} compute units, f32 x {}, {}f64, {} MiB, buffers to {} MiB]\n     {}, driver {}",
@@ -30,9 +39,33 @@ pub fn run(common: &Common) -> Result<Outcome> {
             d.platform,
             d.driver,
         ));
+        output::line(&format!("     {}", tuning_line(tuning.as_ref())));
     }
     output::line(&format!(
         "* is the default: {why}. Select with --device or MHSPLAT_DEVICE."
     ));
     Ok(Outcome::Done)
+}
+
+/// The tuning in the form that `MHSPLAT_TUNING` takes.
+fn tuning_line(known: Option<&(Tuning, Origin)>) -> String {
+    let Some((t, origin)) = known else {
+        return "tuning: measured at first use".into();
+    };
+    let from = match origin {
+        Origin::Default => "default of its class",
+        Origin::Measured => "measured",
+        Origin::Given => "given",
+    };
+    format!(
+        "tuning ({from}): vector-width={},block-width={},group-style={},local={},chunks={},radix-bits={},strip={},update-block={}",
+        t.vector_width,
+        t.block_width,
+        t.group_style,
+        t.local,
+        t.chunks,
+        t.radix_bits,
+        t.strip,
+        t.update_block,
+    )
 }

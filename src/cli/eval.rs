@@ -6,7 +6,6 @@ use mhsplat::buffers::ViewSet;
 use mhsplat::error::{Error, Result};
 use mhsplat::evaluate::{Evaluator, mean};
 use mhsplat::gpu::Defines;
-use mhsplat::gpu::tuning::Tuning;
 use mhsplat::photos::Photos;
 use serde_json::json;
 
@@ -52,7 +51,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let mut loaded = scene::open(&ply, &data.frame, common.device.as_deref())?;
     let photos = Photos::new(&loaded.device, data.image_budget);
     let views = ViewSet::new(&photos, data.test)?;
-    let defines = Defines::new(Tuning::for_device(loaded.device.info()));
+    let defines = Defines::new(loaded.device.tuning());
     let evaluator = Evaluator::new(&loaded.device, defines, views)?;
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let degree = loaded.scene.sh_degree;

@@ -15,6 +15,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use mhsplat::error::{Error, Result};
+use mhsplat::{Device, tune};
 
 /// Posed photos to a 3D Gaussian scene, on any OpenCL device.
 ///
@@ -75,6 +76,11 @@ impl Outcome {
             _ => Self::Done,
         }
     }
+}
+
+/// Opens a device with the tuning that suits it.
+fn open_device(selector: Option<&str>) -> Result<Device> {
+    tune::tuned(Device::open(selector)?, &mut output::note)
 }
 
 fn dispatch(cli: Cli) -> Result<Outcome> {

@@ -98,7 +98,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     };
     // Before the device: some drivers' compilers set handlers that end the process, and whoever comes first is asked last.
     let stop = stop_flag()?;
-    let device = Device::open(common.device.as_deref())?;
+    let device = super::open_device(common.device.as_deref())?;
     if args.resume.is_none() {
         claim_folder(&dir)?;
     }

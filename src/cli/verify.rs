@@ -34,7 +34,7 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     };
     let results = selectors
         .iter()
-        .map(|s| quick(&Device::open(s.as_deref())?))
+        .map(|s| quick(&super::open_device(s.as_deref())?))
         .collect::<Result<Vec<Verification>>>()?;
     if common.json {
         match results.as_slice() {

@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::device_error;
 use super::launch::{Pending, StageTime};
+use super::tuning::Tuning;
 use crate::error::{Error, Result};
 
 /// Kind of a device, as OpenCL classes it.
@@ -59,6 +60,7 @@ pub struct DeviceInfo {
 #[derive(Clone, Debug)]
 pub struct Device {
     pub(super) inner: Arc<Inner>,
+    tuning: Tuning,
 }
 
 #[derive(Debug)]
@@ -130,6 +132,7 @@ impl Device {
         )
         .map_err(fail)?;
         Ok(Self {
+            tuning: Tuning::for_device(&info),
             inner: Arc::new(Inner {
                 info,
                 id,
@@ -146,6 +149,19 @@ impl Device {
     #[must_use]
     pub fn info(&self) -> &DeviceInfo {
         &self.inner.info
+    }
+
+    /// How kernels are cut for this device: the default of its class, unless [`Device::with_tuning`] says otherwise.
+    #[must_use]
+    pub fn tuning(&self) -> Tuning {
+        self.tuning
+    }
+
+    /// The same device, for which kernels are to be cut like this.
+    #[must_use]
+    pub fn with_tuning(mut self, tuning: Tuning) -> Self {
+        self.tuning = tuning;
+        self
     }
 
     /// Bytes of all arrays that are alive on the device.

@@ -12,7 +12,7 @@ pub use array::{Array, PendingRead};
 pub use device::{Device, DeviceInfo, DeviceKind};
 pub use launch::{Kernel, Launch, StageTime};
 pub use layout::{CameraArg, EditRow, Element, Real, Record};
-pub use program::{Defines, Kernels};
+pub use program::{Defines, Kernels, sources_hash};
 
 use crate::error::Error;
 

@@ -2,8 +2,10 @@
 
 use std::ffi::CString;
 use std::fmt::Write as _;
+use std::hash::{Hash, Hasher};
 
 use ocl::core::{self, ProgramBuildInfo};
+use rustc_hash::FxHasher;
 
 use super::device::Device;
 use super::launch::Kernel;
@@ -33,6 +35,14 @@ const SOURCES: &[(&str, &str)] = &[
     ("edit", include_str!("../../kernels/edit.cl")),
     ("peak", include_str!("../../kernels/peak.cl")),
 ];
+
+/// A number that changes when a kernel does.
+#[must_use]
+pub fn sources_hash() -> u64 {
+    let mut hasher = FxHasher::default();
+    (COMMON, SOURCES).hash(&mut hasher);
+    hasher.finish()
+}
 
 /// What a program is specialised for.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,5 +1,7 @@
 //! Constants that only the device side knows, and the sizes that depend on the class of device.
 
+use serde::{Deserialize, Serialize};
+
 use super::device::{DeviceInfo, DeviceKind};
 pub use crate::constants::{
     ALPHA_MAX, ALPHA_MIN, BLUR, COLOR_MAX, LOG_SCALE, LOSS_ROWS, NEAR, PEAK_CHAINS, SSIM_C,
@@ -23,9 +25,10 @@ pub mod status {
     pub const SLOTS: usize = 8;
 }
 
-/// How kernels are cut for a class of devices. A measured choice per device is a later step; these are the measured
-/// defaults for CPUs and conservative ones for GPUs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+/// How kernels are cut for a device. The defaults of its class were measured for CPUs and are conservative for GPUs; a
+/// choice for the device at hand is measured by [`crate::tune`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Tuning {
     /// Lanes of realV.
     pub vector_width: u32,
@@ -87,6 +90,63 @@ impl Tuning {
             },
             _ => Self::GPU,
         }
+    }
+
+    /// What is wrong with these sizes for a device, if anything: no kernel is built with such.
+    #[must_use]
+    pub fn fault(&self, info: &DeviceInfo) -> Option<&'static str> {
+        let Self {
+            vector_width: lanes,
+            block_width: block,
+            ..
+        } = *self;
+        let tile = TILE as usize;
+        let checks = [
+            (
+                matches!(lanes, 1 | 4 | 8 | 16),
+                "vector-width is 1, 4, 8 or 16",
+            ),
+            (
+                block > 0
+                    && lanes.is_multiple_of(block)
+                    && matches!(lanes / block, 1 | 2 | 4)
+                    && TILE.is_multiple_of(block)
+                    && (block > 1 || lanes == 1),
+                "a block is one, two or four rows of block-width pixels and holds vector-width of them",
+            ),
+            (
+                !self.group_style || lanes == 1,
+                "group-style goes with vector-width 1",
+            ),
+            (
+                !self.group_style || info.max_work_group >= tile * tile,
+                "the device has no room for a work-group per tile",
+            ),
+            (
+                (1..=info.max_work_group).contains(&self.local),
+                "local is between 1 and the device's largest work-group",
+            ),
+            (
+                (1..=1 << 16).contains(&self.chunks),
+                "chunks is between 1 and 65536",
+            ),
+            (
+                (1..=16).contains(&self.radix_bits),
+                "radix-bits is between 1 and 16",
+            ),
+            (
+                self.strip > 0 && self.strip.is_multiple_of(lanes.max(1)) && self.strip <= 4096,
+                "strip is a multiple of vector-width, up to 4096",
+            ),
+            (
+                self.update_block > 0 && self.update_block.is_multiple_of(16),
+                "update-block is a multiple of 16",
+            ),
+        ];
+        checks
+            .into_iter()
+            .find(|(good, _)| !good)
+            .map(|(_, what)| what)
     }
 
     /// Local size of kernels in which a work-item takes a vector of Gaussians.

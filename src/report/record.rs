@@ -3,6 +3,7 @@
 use crate::config::TrainConfig;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
+use crate::gpu::tuning::Tuning;
 use crate::photos::PhotoStats;
 use crate::plan::Plan;
 use serde::{Deserialize, Serialize};
@@ -39,6 +40,9 @@ pub struct DeviceRecord {
     pub platform: String,
     /// Driver version.
     pub driver: String,
+    /// How kernels were cut for it; not in records of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tuning: Option<Tuning>,
 }
 
 /// Time spent in one stage over the run.

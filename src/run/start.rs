@@ -9,7 +9,6 @@ use crate::dataset::{Camera, Dataset};
 use crate::error::{Error, Result};
 use crate::evaluate::Evaluator;
 use crate::export::ply;
-use crate::gpu::tuning::Tuning;
 use crate::gpu::{Defines, Device};
 use crate::model::{Splats, init};
 use crate::photos::Photos;
@@ -73,7 +72,7 @@ impl Prepared {
         let evaluator = if test.is_empty() {
             None
         } else {
-            let defines = Defines::new(Tuning::for_device(device.info()));
+            let defines = Defines::new(device.tuning());
             Some(Evaluator::new(device, defines, test)?)
         };
         Ok(Self {
@@ -108,6 +107,7 @@ fn record(dataset: &Dataset, config: &TrainConfig, device: &Device) -> RunRecord
             vendor: info.vendor.clone(),
             platform: info.platform.clone(),
             driver: info.driver.clone(),
+            tuning: Some(device.tuning()),
         },
         Plan::new(dataset, config),
     )

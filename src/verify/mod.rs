@@ -81,7 +81,7 @@ fn quick_cases() -> Vec<(&'static str, Case, f64)> {
 /// # Errors
 /// A build failure, or the driver's.
 pub fn verify_case(device: &Device, family: &str, case: &Case, bound: f64) -> Result<Vec<Row>> {
-    let own = Tuning::for_device(device.info());
+    let own = device.tuning();
     let other = if own.group_style {
         Tuning::CPU
     } else {

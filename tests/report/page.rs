@@ -152,6 +152,7 @@ fn page_escapes_every_string() {
         vendor: evil.into(),
         platform: evil.into(),
         driver: evil.into(),
+        tuning: None,
     };
     (record.version, record.commit) = (evil.into(), evil.into());
     record.plan.kept.push(item(evil, evil));

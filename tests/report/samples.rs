@@ -77,6 +77,7 @@ pub fn record() -> RunRecord {
             vendor: "AuthenticAMD".into(),
             platform: "Portable Computing Language".into(),
             driver: "3.1".into(),
+            tuning: None,
         },
         plan(),
     );
