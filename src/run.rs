@@ -128,8 +128,17 @@ impl Run {
                 format!("{used:.0} s of training are done already; give a larger one"),
             ));
         }
+        if let Some(fault) = saved.tuning.fault(device.info()) {
+            return Err(Error::input(
+                checkpoint::path(dir),
+                format!("its kernels cannot be built for this device ({fault})"),
+                "resume on the device it was trained on, with --device",
+            ));
+        }
+        // Another tuning would add in another order: the run goes on as it began.
+        let device = device.clone().with_tuning(saved.tuning);
         let state = &saved.state;
-        let mut prepared = Prepared::new(dataset, &config, device, &state.splats)?;
+        let mut prepared = Prepared::new(dataset, &config, &device, &state.splats)?;
         prepared.trainer.restore(state)?;
         let start = Start {
             clock: Clock::resume_from(saved.clock),
@@ -328,6 +337,7 @@ impl Run {
             config: self.config.clone(),
             clock: self.clock.reading(),
             dataset: self.fingerprint.clone(),
+            tuning: self.trainer.tuning(),
             stages: self.stage_times(),
         };
         checkpoint::write(&self.dir, &saved)?;

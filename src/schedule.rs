@@ -167,7 +167,7 @@ impl Schedule {
         }
     }
 
-    /// Background colour where it must not change: evaluation and error maps.
+    /// Background colour where it must not change: evaluation.
     #[must_use]
     pub fn fixed_background(&self) -> [f32; 3] {
         match self.config.background {

@@ -222,7 +222,8 @@ impl Trainer {
         let (frame, count) = (&self.renderer.frame, self.scene.count);
         let grad_stride = self.grads.len() / self.scene.planes();
         let o = &self.config.optimizer;
-        for first in (0..count).step_by(grad_stride) {
+        // Once for no Gaussians, too: warming up builds the kernels so.
+        for first in (0..count.max(1)).step_by(grad_stride) {
             let block = first..count.min(first + grad_stride);
             self.project_grad[degree as usize].run(&ProjectGradArgs {
                 params: &self.scene.params,

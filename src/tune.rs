@@ -120,6 +120,7 @@ fn file(info: &DeviceInfo) -> Option<PathBuf> {
     )?;
     let mut hasher = FxHasher::default();
     (&info.platform, &info.name, &info.driver, sources_hash()).hash(&mut hasher);
+    candidates(info).hash(&mut hasher);
     Some(cache.join(format!("mhsplat/tuning-{:016x}.json", hasher.finish())))
 }
 

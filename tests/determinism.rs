@@ -1,5 +1,6 @@
 //! Same seed, same bits; interruptions and small buffers change nothing.
 
+use mhsplat::config::Sampler;
 use mhsplat::dataset::{Dataset, LoadOptions, load};
 use mhsplat::export::checkpoint::{self, Checkpoint};
 use mhsplat::gpu::Device;
@@ -44,6 +45,7 @@ fn saved(trainer: &mut Trainer, config: &TrainConfig, data: &Dataset) -> Checkpo
         config: config.clone(),
         clock: Reading::default(),
         dataset: data.fingerprint(),
+        tuning: Device::open(None).unwrap().tuning(),
         stages: Vec::new(),
     }
 }
@@ -163,4 +165,22 @@ fn fingerprints_tell_datasets_apart() {
     let mut moved = data.clone();
     moved.train[3].camera.translation.x += 1e-9;
     assert_ne!(data.fingerprint(), moved.fingerprint());
+}
+
+#[test]
+fn making_a_trainer_changes_no_gaussian() {
+    let data = room(64);
+    let device = Device::open(None).unwrap();
+    // 256 rows fill the planes to the last one where nothing is to grow.
+    for sampler in [Sampler::None, Sampler::Mh] {
+        let config = TrainConfig {
+            sampler,
+            max_gaussians: Some(256),
+            ..config(60)
+        };
+        let splats = initial_splats(&data, &config).unwrap();
+        assert_eq!(splats.len(), 256);
+        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        assert!(trainer.state().unwrap().splats == splats, "{sampler:?}");
+    }
 }

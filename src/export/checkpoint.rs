@@ -2,7 +2,7 @@
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
 //! order of [`crate::model::Plane`]), `cues` \[3, N\] and `losses` \[2 · ring\] and, as metadata, format version,
-//! fingerprint of the dataset, iteration, configuration, clocks and stage times. It is written beside the old one and
+//! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning. It is written beside the old one and
 //! renamed over it.
 
 use std::collections::HashMap;
@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::TrainConfig;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
+use crate::gpu::tuning::Tuning;
 use crate::model::{Plane, Splats};
 use crate::report::{Reading, StageRecord};
 use crate::train::TrainerState;
@@ -30,6 +31,7 @@ struct Header {
     stats: DensityStats,
     non_finite: u64,
     dataset: String,
+    tuning: Tuning,
     stages: Vec<StageRecord>,
 }
 
@@ -44,6 +46,8 @@ pub struct Checkpoint {
     pub clock: Reading,
     /// [`crate::Dataset::fingerprint`] of what it was trained on.
     pub dataset: String,
+    /// How kernels were cut: the last bits depend on it.
+    pub tuning: Tuning,
     /// Seconds per stage so far.
     pub stages: Vec<StageRecord>,
 }
@@ -83,6 +87,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         stats: state.stats,
         non_finite: state.non_finite,
         dataset: checkpoint.dataset.clone(),
+        tuning: checkpoint.tuning,
         stages: checkpoint.stages.clone(),
     };
     let header = serde_json::to_string(&header).map_err(encoding)?;
@@ -185,6 +190,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             cpu_seconds,
         },
         dataset: header.dataset,
+        tuning: header.tuning,
         stages: header.stages,
     })
 }

@@ -26,8 +26,8 @@ pub struct DensityEvent {
 impl Trainer {
     /// Adds the errors of the iteration's render to the cues if the next density step wants them: the last k renders
     /// before it serve as its view subset (\[MH\] Eq. 10), as many as there are since the last step at most. Training
-    /// takes the views in random order, so that they are a random subset, and no view is rendered for density control
-    /// alone.
+    /// takes the views in random order, so that they are a random subset (of two epochs where one ends between: a view may
+    /// then count twice), and no view is rendered for density control alone.
     pub(super) fn watch(
         &self,
         iteration: u32,

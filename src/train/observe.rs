@@ -5,6 +5,7 @@ use crate::buffers::Scene;
 use crate::density::DensityStats;
 use crate::error::Result;
 use crate::gpu::StageTime;
+use crate::gpu::tuning::Tuning;
 use crate::photos::PhotoStats;
 use crate::render::Renderer;
 use crate::schedule::Schedule;
@@ -33,6 +34,12 @@ impl Trainer {
             })
             .sum();
         Ok(Some(sum / n as f64))
+    }
+
+    /// How the kernels were cut.
+    #[must_use]
+    pub fn tuning(&self) -> Tuning {
+        self.device.tuning()
     }
 
     /// Iterations enqueued so far.

@@ -4,6 +4,7 @@ use super::Trainer;
 use crate::error::Result;
 use crate::gpu::tuning::status;
 use crate::gpu::{Array, Defines, Device, EditRow, Kernels};
+use crate::stage::edit::EditArgs;
 use crate::stage::project_grad::ProjectGrad;
 
 /// One build of the stage for every SH degree that training passes through.
@@ -36,17 +37,7 @@ impl Trainer {
         let photo = self.views.photo(0, &[])?;
         let pair = self.pair(0, &photo, self.schedule.fixed_background());
         self.add_cues(0, &pair, true)?;
-        let edits = Array::from_slice(&self.device, "edits", &[EditRow::default()])?;
-        let spare = self.scene.stride as u32 - 1;
-        edits.write(
-            0,
-            &[EditRow {
-                src: spare,
-                dst: spare,
-                ..EditRow::default()
-            }],
-        )?;
-        self.apply_edits(&edits)?;
+        self.warm_up_edits()?;
         self.scene.count = count;
         for moment in [&self.moment1, &self.moment2] {
             moment.clear()?;
@@ -63,5 +54,23 @@ impl Trainer {
         self.device.collect_times(usize::MAX)?;
         self.device.reset_times();
         Ok(())
+    }
+
+    /// The edit kernels write where they are told to, so they get planes of their own.
+    fn warm_up_edits(&self) -> Result<()> {
+        let (planes, stride) = (self.scene.planes(), 16);
+        let scratch = || Array::<f32>::zeros(&self.device, "scratch", planes * stride);
+        let [params, moment1, moment2] = [scratch()?, scratch()?, scratch()?];
+        self.edit.run(&EditArgs {
+            edits: &Array::from_slice(&self.device, "edits", &[EditRow::default()])?,
+            stride,
+            planes,
+            params: &params,
+            moment1: &moment1,
+            moment2: &moment2,
+        })?;
+        let order = Array::from_slice(&self.device, "order", &[0u32])?;
+        self.edit
+            .reorder(&order, [planes, stride], &params, &moment1)
     }
 }
