@@ -50,11 +50,8 @@ static inline realV render_at(const Images *s, int x, int y) {
   return reals_at(s->image, 3 * s->plane, s->channel * s->plane + (long)y * s->stride, x, s->width) - SHIFT;
 }
 
-// v / 255 to the last bit without a division, so that a render that equals its photo has no gradient.
-static inline realV over_255(realV v) {
-  const realV r = (realV)(R(1.0) / R(255.0)), q = v * r;
-  return fma(fma((realV)(-R(255.0)), q, v), r, q);
-}
+// v / 255 to a unit of the last place, and exactly for 0 and 255, the colours that renders do reach.
+static inline realV over_255(realV v) { return v * (R(1.0) / R(255.0)); }
 
 // The photo's counterpart: premultiplied colour plus (1 - alpha) of the background when there is an alpha plane.
 static inline realV photo_at(const Images *s, int x, int y) {
@@ -137,7 +134,7 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
   if (x0 >= stride || y0 >= rows) return;
   const long plane = (long)stride * rows;
   const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
-  realV moments[4][LOSS_ROWS][VECTORS];
+  realV moments[4][LOSS_ROWS][VECTORS], differences[LOSS_ROWS][VECTORS];
   for (int j = 0; j < VECTORS; j++) {
     const int x = x0 + (j - HALO) * VW;
     realV a[REACH], b[REACH], squares[REACH], products[REACH], out[LOSS_ROWS];
@@ -147,6 +144,7 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
       squares[r] = fma(a[r], a[r], b[r] * b[r]);
       products[r] = a[r] * b[r];
     }
+    for (int g = 0; g < LOSS_ROWS; g++) differences[g][j] = fabs(a[g + RADIUS] - b[g + RADIUS]);
     window_columns(a, out);
     for (int g = 0; g < LOSS_ROWS; g++) moments[0][g][j] = out[g];
     window_columns(b, out);
@@ -165,8 +163,7 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
       realV dmx, dxx, dxy;
       realV ssim = ssim_of(window_row(moments[0][g], j + HALO), window_row(moments[1][g], j + HALO), window_row(moments[2][g], j + HALO),
                            window_row(moments[3][g], j + HALO), &dmx, &dxx, &dxy);
-      const realV difference = choose(in, fabs(render_at(&s, x, y) -
-                                               photo_at(&s, x, y)), zero);
+      const realV difference = choose(in, differences[g][j + HALO], zero);
       ssim = choose(in, ssim, zero);
       l1_sum += difference;
       ssim_sum += ssim;
@@ -203,11 +200,10 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
   for (int m = 0; m < 3; m++)
     for (int j = 0; j < VECTORS; j++) {
       realV in[REACH], out[LOSS_ROWS];
-      for (int r = 0; r < REACH; r++)
-        {
-        const int y = y0 - RADIUS + r;
-        in[r] = y < 0 || y >= rows ? (realV)(R(0.0))
-                                   : reals_at(maps, 3 * plane, m * plane + (long)y * stride, x0 + (j - HALO) * VW, stride);
+      for (int r = 0; r < REACH; r++) {
+        const int x = x0 + (j - HALO) * VW, y = y0 - RADIUS + r; // a vector of a padded row is in it or not
+        in[r] = (realV)(R(0.0));
+        if (x >= 0 && x < stride && y >= 0 && y < rows) in[r] = vload_real(0, maps + m * plane + (long)y * stride + x);
       }
       window_columns(in, out);
       for (int g = 0; g < LOSS_ROWS; g++) windows[m][g][j] = out[g];

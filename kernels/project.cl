@@ -24,6 +24,27 @@ static inline maskV pixel_bounds(realV mean, realV half_extent, int size, realV 
   return (hi >= zero) & (lo <= end) & (lo <= hi);
 }
 
+#if CULL_CHUNKS
+// Off for what project() is sure to cull, by its centre and its largest scale alone: behind the near plane, or beyond the
+// image by more than the widest ellipse that any opacity gives it. Neighbours in Morton order are off together. NaN is on.
+static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV ls[3]) {
+  realV t[3];
+  to_camera(cam, x, t);
+  const realV largest = exp(clamp(fmax(ls[0], fmax(ls[1], ls[2])), V(LOG_SCALE_MIN), V(LOG_SCALE_MAX)));
+  const realV iz = R(1.0) / t[2], u = t[0] * iz, v = t[1] * iz;
+  const realV reach = V(R(-1.4) * (real)LOG2_ALPHA_MIN); // 2 ln2 (1 + 1 %) of the largest exponent
+  // |J W| of a row is f/z |(1, u)| with the clamped u; the rest of M is a rotation and the scales.
+  const realV cu = clamp(u, V(cam->u_min), V(cam->u_max)), cv = clamp(v, V(cam->v_min), V(cam->v_max));
+  const realV jx = cam->fx * iz * largest, jy = cam->fy * iz * largest;
+  const realV wide = sqrt(reach * fma(jx * jx, fma(cu, cu, V(R(1.0))), V((real)BLUR))) + R(1.0);
+  const realV high = sqrt(reach * fma(jy * jy, fma(cv, cv, V(R(1.0))), V((real)BLUR))) + R(1.0);
+  const realV px = fma(V(cam->fx), u, V(cam->cx)), py = fma(V(cam->fy), v, V(cam->cy));
+  const maskV outside = (px + wide < V(R(0.0))) | (px - wide > V((real)cam->width)) | (py + high < V(R(0.0))) |
+                        (py - high > V((real)cam->height));
+  return !((t[2] <= V(cam->near)) | outside);
+}
+#endif
+
 // A field of the records of VW Gaussians, lane by lane.
 #define EACH_LANE(field, value)                  \
   do {                                           \
@@ -51,12 +72,14 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
     x[k] = PLANE(params, P_POSITION + k);
     ls[k] = PLANE(params, P_LOG_SCALE + k);
   }
-  for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
-  Shape o;
-  maskV seen = shape_of(&cam, x, ls, q, &o);
+#if CULL_CHUNKS
+  if (!any_lane(may_be_seen(&cam, x, ls))) return;
+#endif
   const realV lo = -softplus(-PLANE(params, P_OPACITY)) * R(1.4426950408889634);
   const realV tau = lo - (real)LOG2_ALPHA_MIN;
-  seen &= tau > V(R(0.0));
+  for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
+  Shape o;
+  maskV seen = shape_of(&cam, x, ls, q, &o) & (tau > V(R(0.0)));
   const realV px = fma(V(cam.fx), o.t[0] * o.iz, V(cam.cx)), py = fma(V(cam.fy), o.t[1] * o.iz, V(cam.cy));
   const realV reach = R(1.3862943611198906) * tau; // 2 ln2
   realV x0, x1, y0, y1;

@@ -146,20 +146,24 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
   }
   const maskV exists = vload_real(0, row) > zero;
   realV x[3], ls[3], q[4], s[SUMS], dx[3], dls[3], dq[4];
-  for (int k = 0; k < SUMS; k++) {
-    real in[VW];
-    for (int l = 0; l < VW; l++) in[l] = lane[l][k];
-    s[k] = vload_real(0, in);
+  for (int k = 0; k < 3; k++) ls[k] = PLANE(params, P_LOG_SCALE + k);
+  maskV active = vload_real(0, paired) > zero;
+  if (!CULL_CHUNKS || any_lane(active)) {
+    for (int k = 0; k < SUMS; k++) {
+      real in[VW];
+      for (int l = 0; l < VW; l++) in[l] = lane[l][k];
+      s[k] = vload_real(0, in);
+    }
+    for (int k = 0; k < 3; k++) x[k] = PLANE(params, P_POSITION + k);
+    for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
+    Shape o;
+    active &= shape_of(&cam, x, ls, q, &o);
+    shape_grad(&cam, &o, s, dx, dls, dq);
+    color_grad(params, stride, i, grads, grad_stride, at, &cam, active, x, s + 6, dx);
+  } else { // neighbours that no pixel saw
+    s[0] = dx[0] = dx[1] = dx[2] = dls[0] = dls[1] = dls[2] = dq[0] = dq[1] = dq[2] = dq[3] = zero;
+    for (int k = 0; k < 3 * SH_COUNT; k++) vstore_real(zero, 0, grads + (size_t)(P_SH + k) * grad_stride + at);
   }
-  for (int k = 0; k < 3; k++) {
-    x[k] = PLANE(params, P_POSITION + k);
-    ls[k] = PLANE(params, P_LOG_SCALE + k);
-  }
-  for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
-  Shape o;
-  const maskV active = shape_of(&cam, x, ls, q, &o) & (vload_real(0, paired) > zero);
-  shape_grad(&cam, &o, s, dx, dls, dq);
-  color_grad(params, stride, i, grads, grad_stride, at, &cam, active, x, s + 6, dx);
   for (int k = 0; k < 3; k++) {
     const maskV free_scale = exists & (ls[k] > V(LOG_SCALE_MIN)) & (ls[k] < V(LOG_SCALE_MAX));
     const realV regular = fma(V(weight_scale), exp(ls[k]), choose(active, dls[k], zero));

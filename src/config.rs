@@ -3,11 +3,13 @@
 //! \[MH\] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); \[3DGS\] = Kerbl et al. 2023; \[MCMC\] = Kheradmand et al. 2024.
 
 mod values;
+mod work;
 
 use serde::{Deserialize, Serialize};
 
 pub use values::{Background, Init, parse_bytes, parse_duration};
 use values::{bytes_or_number, duration_or_number};
+pub use work::WorkConfig;
 
 use crate::error::{Error, Result};
 
@@ -221,6 +223,8 @@ pub struct TrainConfig {
     pub optimizer: OptimizerConfig,
     /// Metropolis–Hastings density control.
     pub mh: MhConfig,
+    /// Ways to do less work.
+    pub work: WorkConfig,
 }
 
 impl Default for TrainConfig {
@@ -243,6 +247,7 @@ impl Default for TrainConfig {
             loss: LossConfig::default(),
             optimizer: OptimizerConfig::default(),
             mh: MhConfig::default(),
+            work: WorkConfig::default(),
         }
     }
 }
@@ -285,6 +290,7 @@ impl TrainConfig {
         {
             return fail("--background", format!("{c:?}; R,G,B in 0 to 1 expected"));
         }
+        self.work.validate()?;
         self.optimizer.validate()?;
         self.loss.validate()?;
         self.mh.validate()

@@ -25,6 +25,8 @@ pub const SUMS: usize = 9;
 pub const STAGE: u32 = 32;
 /// Rows of the image that one work-item of the loss windows together.
 pub const LOSS_ROWS: u32 = 8;
+/// Pixels of a row that a work-item of the shrink stage writes.
+pub const SHRINK_RUN: u32 = 16;
 /// Independent chains of multiply-adds in the peak benchmark: more than the latency (4 cycles) times the units (2) of
 /// CPUs, and few enough to stay in 16 registers.
 pub const PEAK_CHAINS: u32 = 12;

@@ -14,7 +14,7 @@
 //! | project | `kernels/project.cl` | Gaussians → 2D records of one camera |
 //! | scan, bin, sort | `kernels/{scan,bin,sort}.cl` | records → Gaussians of each tile, front to back |
 //! | splat | `kernels/splat.cl` | tiles → image |
-//! | loss | `kernels/loss.cl` | L1 + SSIM and its gradient |
+//! | shrink, loss | `kernels/{shrink,loss}.cl` | early in a run the photo at a fraction of its size; L1 + SSIM and its gradient |
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
 //! | adam | `kernels/adam.cl` | one step of all parameters |
 //! | importance, edit | `kernels/{importance,edit}.cl` | error cues of each Gaussian; rows written by density control |

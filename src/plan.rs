@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::config::{Init, Sampler, TrainConfig};
+use crate::config::{Init, Sampler, TrainConfig, WorkConfig};
 use crate::dataset::Dataset;
 
 /// One decision.
@@ -54,6 +54,7 @@ impl Plan {
             ),
             "SH degree 0 asked for",
         );
+        plan.decide_work(&config.work);
         plan.decide(
             config.sampler == Sampler::Mh,
             "importance pass and density control",
@@ -78,6 +79,31 @@ impl Plan {
             },
         );
         plan
+    }
+
+    /// What saves work: switched on is kept.
+    fn decide_work(&mut self, work: &WorkConfig) {
+        self.decide(
+            work.resolution_levels > 0,
+            "coarse photos first",
+            &format!(
+                "{} halvings, {} iterations of 30000 at each size: every error is reached sooner",
+                work.resolution_levels, work.resolution_interval
+            ),
+            "work.resolution-levels is 0",
+        );
+        self.decide(
+            work.morton_order,
+            "Morton order",
+            "neighbours in space share cache lines and are culled together",
+            "work.morton-order is off",
+        );
+        self.decide(
+            work.cull_chunks,
+            "culling of neighbours together",
+            "what a view cannot see costs it next to nothing",
+            "work.cull-chunks is off",
+        );
     }
 
     fn decide(&mut self, keep: bool, what: &str, why: &str, why_not: &str) {

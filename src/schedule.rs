@@ -16,6 +16,9 @@ const LEAST_DENSITY_STEPS: u32 = 15;
 /// Iterations that new Gaussians are given before the next step judges them.
 const LEAST_INTERVAL: u32 = 25;
 
+/// Pixels that a shrunk photo has in width and height at least.
+const LEAST_SIDE: usize = 64;
+
 /// The schedules of one run.
 #[derive(Debug, Clone)]
 pub struct Schedule {
@@ -42,6 +45,18 @@ impl Schedule {
     pub fn sh_degree(&self, iteration: u32) -> u32 {
         let interval = self.scaled(self.config.optimizer.sh_interval).max(1);
         self.config.sh_degree.min(iteration / interval)
+    }
+
+    /// By how much the photos of `size` pixels are shrunk at an iteration: a power of two, 1 for not at all. Every smaller
+    /// size is used for `work.resolution_interval` (scaled) iterations, the smallest first; both sides keep at least 64
+    /// pixels.
+    #[must_use]
+    pub fn shrink_factor(&self, iteration: u32, size: [usize; 2]) -> usize {
+        let work = &self.config.work;
+        let interval = self.scaled(work.resolution_interval).max(1);
+        let level = work.resolution_levels.saturating_sub(iteration / interval);
+        let most = size[0].min(size[1]) / LEAST_SIDE;
+        (1 << level).min(1 << most.max(1).ilog2())
     }
 
     /// Learning rates; position decays log-linearly over the run. Local units: the scene extent is 1.

@@ -16,7 +16,7 @@ use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::status;
-use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, PendingRead};
+use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, PendingRead, StageTime};
 use crate::model::{Plane, Splats};
 use crate::photos::{AHEAD, Photos};
 use crate::render::{Quantity, RenderOptions, Renderer};
@@ -26,12 +26,32 @@ use crate::stage::edit::Edit;
 use crate::stage::importance::Importance;
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::stage::shrink::Shrink;
 use crate::stage::splat_grad::SplatGrad;
 
 /// Iterations that may be on their way to the device before the host looks at the counters of the oldest.
 const LAG: usize = 2;
 /// Losses kept on the device.
 const LOSS_RING: usize = 256;
+
+/// Gaussians to make room for.
+fn capacity(config: &TrainConfig, count: usize) -> usize {
+    match config.sampler {
+        Sampler::None => count,
+        Sampler::Mh => Scene::<f32>::grown_stride(count),
+    }
+}
+
+/// Room for a photo at half its size, if the configuration ever asks for one.
+fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result<Array<u8>> {
+    let pixels = if config.work.resolution_levels > 0 {
+        (views.largest[0] / 2) * (views.largest[1] / 2)
+    } else {
+        0
+    };
+    let planes = if views.has_alpha { 4 } else { 3 };
+    Array::zeros(device, "small", planes * pixels)
+}
 
 struct InFlight {
     iteration: u32,
@@ -50,6 +70,7 @@ pub struct Trainer {
     moment1: Array<f32>,
     moment2: Array<f32>,
     renderer: Renderer,
+    shrink: Shrink,
     loss: Loss,
     splat_grad: SplatGrad,
     project_grad: Vec<ProjectGrad>,
@@ -57,12 +78,16 @@ pub struct Trainer {
     importance: Importance,
     edit: Edit,
     maps: Array<f32>,
+    /// A photo at a fraction of its size.
+    small: Array<u8>,
     dimage: Array<f32>,
     partial: Array<f32>,
     losses: Array<f32>,
     cues: Array<f32>,
     density: Box<dyn DensityControl>,
     stats: DensityStats,
+    /// Time that density steps took on the host, their transfers and edits included.
+    density_time: StageTime,
     in_flight: VecDeque<InFlight>,
     iteration: u32,
     /// Iterations done when density control last acted: repeating an iteration must not repeat that.
@@ -106,15 +131,12 @@ impl Trainer {
         let tuning = device.tuning();
         let defines = Defines {
             has_alpha: views.has_alpha,
+            cull_chunks: config.work.cull_chunks,
             ..Defines::new(tuning)
         };
         let kernels = Kernels::new(device, defines);
         let degree = config.sh_degree;
-        let capacity = match config.sampler {
-            Sampler::None => splats.len(),
-            Sampler::Mh => Scene::<f32>::grown_stride(splats.len()),
-        };
-        let scene = Scene::upload(device, splats, capacity)?;
+        let scene = Scene::upload(device, splats, capacity(config, splats.len()))?;
         let loss = Loss::new::<f32>(&kernels)?;
         let [w, h] = views.largest;
         let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
@@ -131,6 +153,8 @@ impl Trainer {
             adam: Adam::new::<f32>(&kernels)?,
             importance: Importance::new::<f32>(&kernels)?,
             edit: Edit::new::<f32>(&kernels)?,
+            shrink: Shrink::new::<f32>(&kernels)?,
+            small: small_photo(device, &views, config)?,
             maps: Array::zeros(device, "maps", 3 * plane)?,
             dimage: Array::zeros(device, "dimage", 3 * plane)?,
             partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
@@ -138,6 +162,7 @@ impl Trainer {
             cues: Array::zeros(device, "cues", 3 * scene.stride)?,
             density: density::make(config),
             stats: DensityStats::default(),
+            density_time: StageTime::default(),
             in_flight: VecDeque::new(),
             iteration: 0,
             last_density: None,
@@ -175,7 +200,7 @@ impl Trainer {
 
     fn pair<'a>(
         &'a self,
-        view: usize,
+        camera: &CameraArg<f32>,
         photo: &'a Array<u8>,
         background: [f32; 3],
     ) -> ImagePair<'a, f32> {
@@ -183,7 +208,7 @@ impl Trainer {
             image: &self.renderer.frame.image,
             photo,
             background,
-            size: size_of_image(&self.views.cameras[view]),
+            size: size_of_image(camera),
         }
     }
 
@@ -194,11 +219,20 @@ impl Trainer {
             .upcoming(iteration, 1 + AHEAD, self.views.len());
         let view = order[0];
         let photo = self.views.photo(view, &order[1..])?;
-        let camera = self.views.cameras[view];
+        let full = self.views.cameras[view];
+        let factor = self.schedule.shrink_factor(iteration, size_of_image(&full));
+        let camera = full.shrunk(factor);
         let options = self.options(iteration, degree);
         self.renderer.enqueue(&self.scene, &camera, &options)?;
 
-        let pair = self.pair(view, &photo, options.background);
+        let photo = if factor > 1 {
+            self.shrink
+                .run(&photo, size_of_image(&full), factor, &self.small)?;
+            &self.small
+        } else {
+            &*photo
+        };
+        let pair = self.pair(&camera, photo, options.background);
         let lambda = f64::from(self.config.loss.lambda_ssim);
         self.loss
             .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
@@ -208,7 +242,7 @@ impl Trainer {
             &self.losses,
             iteration as usize % LOSS_RING,
         )?;
-        self.watch(iteration, view, &pair)?;
+        self.watch(iteration, &camera, &pair)?;
 
         let frame = &self.renderer.frame;
         self.splat_grad

@@ -7,6 +7,7 @@ use mhsplat::gpu::Device;
 use mhsplat::model::Splats;
 use mhsplat::report::Reading;
 use mhsplat::run::initial_splats;
+use mhsplat::schedule::Schedule;
 use mhsplat::train::Trainer;
 use mhsplat::{Result, TrainConfig};
 
@@ -99,6 +100,51 @@ fn a_resumed_run_ends_with_the_same_bits() {
     trainer.restore(&saved.state).unwrap();
     drive(&mut trainer, 120).unwrap();
     assert!(whole == trainer.state().unwrap().splats);
+}
+
+#[test]
+fn culling_neighbours_together_changes_no_bit() {
+    let (data, config) = (room(64), config(80));
+    let (_, culled) = trained(&data, &config, 80);
+    let mut everything = config.clone();
+    everything.work.cull_chunks = false;
+    assert!(culled == trained(&data, &everything, 80).1);
+    // Another order adds in another order: the comparison can fail.
+    let mut unordered = config;
+    unordered.work.morton_order = false;
+    assert!(culled != trained(&data, &unordered, 80).1);
+}
+
+#[test]
+fn a_run_that_begins_with_coarse_photos_resumes_with_the_same_bits() {
+    let (data, mut config) = (room(200), config(60));
+    config.work.resolution_levels = 1;
+    config.work.resolution_interval = 15_000; // 30 of 60 iterations
+    let (_, whole) = trained(&data, &config, 60);
+    let (mut part, _) = trained(&data, &config, 20);
+    let state = part.state().unwrap();
+    let device = Device::open(None).unwrap();
+    let mut trainer = Trainer::new(&device, &data, &config, &state.splats).unwrap();
+    trainer.restore(&state).unwrap();
+    drive(&mut trainer, 60).unwrap();
+    assert!(whole == trainer.state().unwrap().splats);
+    config.work.resolution_levels = 0;
+    assert!(
+        whole != trained(&data, &config, 60).1,
+        "coarse photos must have been used"
+    );
+}
+
+#[test]
+fn coarse_photos_come_first_and_keep_64_pixels() {
+    let mut config = config(3000);
+    config.work.resolution_levels = 2;
+    config.work.resolution_interval = 1500;
+    let schedule = Schedule::new(&config);
+    let factors = |size| [0, 149, 150, 299, 300].map(|i| schedule.shrink_factor(i, size));
+    assert_eq!(factors([800, 600]), [4, 4, 2, 2, 1]);
+    assert_eq!(factors([800, 200]), [2, 2, 2, 2, 1]);
+    assert_eq!(factors([100, 90]), [1; 5]);
 }
 
 #[test]

@@ -280,9 +280,12 @@ fn cpu_seconds_count_threads_that_have_ended() {
         }
     };
     let before = clock.cpu_seconds();
-    std::thread::spawn(spin).join().unwrap();
-    // The process shares its cores with other tests and processes: a third of the time is asked for.
-    assert!(clock.cpu_seconds() - before >= 0.05);
+    // The process shares its cores with other tests and processes, so as many threads as it takes.
+    let counted = (0..100).any(|_| {
+        std::thread::spawn(spin).join().unwrap();
+        clock.cpu_seconds() - before >= 0.05
+    });
+    assert!(counted);
     assert!(mhsplat::report::clock::peak_rss_bytes() > 1 << 20);
 }
 

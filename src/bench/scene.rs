@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
 
-use crate::config::{OptimizerConfig, Sampler, TrainConfig};
+use crate::config::{OptimizerConfig, Sampler, TrainConfig, WorkConfig};
 use crate::dataset::{Camera, Dataset, Frame, Layout, Photo, Points, View};
 use crate::model::{Plane, Splats};
 use crate::rng::{Philox, Purpose};
@@ -104,6 +104,10 @@ pub fn dataset(cameras: &[Camera]) -> Dataset {
 #[must_use]
 pub fn still(sh_degree: u32) -> TrainConfig {
     TrainConfig {
+        work: WorkConfig {
+            resolution_levels: 0,
+            ..WorkConfig::default()
+        },
         optimizer: OptimizerConfig {
             lr_position: 0.0,
             lr_position_final: 0.0,

@@ -52,6 +52,15 @@ pub fn ln_sigmoid(x: f64) -> f64 {
     -softplus(-x)
 }
 
+/// Into how many equal copies a Gaussian can be split so that each keeps an opacity of at least `floor` in (0, 1): the
+/// largest N with 1 − (1−o)^{1/N} ≥ floor, 1 where even two are too many.
+#[must_use]
+pub fn most_copies(opacity_logit: f64, floor: f64) -> u32 {
+    let copies = softplus(opacity_logit.min(LOGIT_LIMIT)) / -(-floor).ln_1p();
+    // Says what is good: NaN is 1, and the conversion saturates.
+    if copies >= 2.0 { copies as u32 } else { 1 }
+}
+
 /// Splits a Gaussian of opacity σ(`opacity_logit`) into `copies` equal ones (\[MCMC\] Eq. 9). 0 and 1 copies leave it
 /// as it is. Logits beyond ±600 are taken as ±600; a NaN stays one.
 ///

@@ -76,6 +76,12 @@ impl Kernel {
         })
     }
 
+    /// The same kernel with its time counted under another stage's name.
+    #[must_use]
+    pub fn counted_as(self, stage: &'static str) -> Self {
+        Self { stage, ..self }
+    }
+
     /// Starts an argument list; arguments follow in the order of the kernel's signature.
     pub fn launch(&self) -> Launch<'_> {
         Launch {

@@ -118,6 +118,18 @@ impl<R: Real> CameraArg<R> {
         }
     }
 
+    /// The camera of the photo that the shrink stage makes: the same pixel grid, `factor` times coarser (1: as it is).
+    #[must_use]
+    pub fn shrunk(&self, factor: usize) -> Self {
+        let size = self.size.map(|s| s / factor as i32);
+        Self {
+            intrinsics: self.intrinsics.map(|v| R::of(v.into() / factor as f64)),
+            size,
+            tiles: size.map(|s| (s as u32).div_ceil(super::tuning::TILE) as i32),
+            ..*self
+        }
+    }
+
     /// Number of tiles.
     #[must_use]
     pub fn tile_count(&self) -> usize {

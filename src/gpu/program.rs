@@ -31,6 +31,7 @@ const SOURCES: &[(&str, &str)] = &[
     ),
     ("adam", include_str!("../../kernels/adam.cl")),
     ("importance", include_str!("../../kernels/importance.cl")),
+    ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
     ("edit", include_str!("../../kernels/edit.cl")),
     ("peak", include_str!("../../kernels/peak.cl")),
@@ -55,6 +56,8 @@ pub struct Defines {
     pub sh_degree: u32,
     /// Photos have an alpha plane.
     pub has_alpha: bool,
+    /// Gaussians that cannot be seen are left alone by the VW, before most of the work is done.
+    pub cull_chunks: bool,
     /// Build the layout probe.
     pub layout_probe: bool,
 }
@@ -68,6 +71,7 @@ impl Defines {
             alpha_min: tuning::ALPHA_MIN,
             sh_degree: 0,
             has_alpha: false,
+            cull_chunks: true,
             layout_probe: false,
         }
     }
@@ -93,6 +97,8 @@ impl Defines {
         int("BATCH", self.tuning.batch() as u64);
         int("TAPS", tuning::SSIM_TAPS as u64);
         int("LOSS_ROWS", u64::from(tuning::LOSS_ROWS));
+        int("SHRINK_RUN", u64::from(tuning::SHRINK_RUN));
+        int("CULL_CHUNKS", u64::from(self.cull_chunks));
         int("CHAINS", u64::from(tuning::PEAK_CHAINS));
         int("STRIP", u64::from(self.tuning.strip));
         int("SH_DEGREE", u64::from(self.sh_degree));

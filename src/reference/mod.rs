@@ -17,6 +17,7 @@ pub mod project;
 pub mod project_grad;
 pub mod scan;
 pub mod sh;
+pub mod shrink;
 pub mod sort;
 pub mod splat;
 pub mod splat_grad;

@@ -48,7 +48,11 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
             init::random(dataset, count, config.sh_degree, config.seed)
         }
     }?;
-    Ok(splats.in_morton_order())
+    Ok(if config.work.morton_order {
+        splats.in_morton_order()
+    } else {
+        splats
+    })
 }
 
 impl Prepared {

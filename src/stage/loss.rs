@@ -8,6 +8,8 @@ use crate::gpu::{Array, CameraArg, Kernel, Kernels, Launch, Real};
 #[derive(Debug)]
 pub struct Loss {
     forward: Kernel,
+    /// As `forward`, for density control: its time is importance's.
+    errors: Kernel,
     backward: Kernel,
     sum: Kernel,
     strip: usize,
@@ -59,11 +61,12 @@ impl Loss {
     /// # Errors
     /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [forward, backward, sum] =
-            kernels.build::<R, 3>("loss", ["loss_forward", "loss_backward", "loss_sum"])?;
+        let names = ["loss_forward", "loss_forward", "loss_backward", "loss_sum"];
+        let [forward, errors, backward, sum] = kernels.build::<R, 4>("loss", names)?;
         let tuning = kernels.defines().tuning;
         Ok(Self {
             forward,
+            errors: errors.counted_as("importance"),
             backward,
             sum,
             strip: tuning.strip as usize,
@@ -137,7 +140,12 @@ impl Loss {
         partial: &Array<R>,
     ) -> Result<()> {
         let [w, h] = pair.size;
-        self.with_images(&self.forward, pair, channel)
+        let kernel = if write_error {
+            &self.errors
+        } else {
+            &self.forward
+        };
+        self.with_images(kernel, pair, channel)
             .value(i32::from(write_error))
             .array(maps, if write_error { 2 } else { 3 } * pair.plane())
             .array(partial, self.partial_len(w, h))

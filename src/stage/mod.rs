@@ -11,6 +11,7 @@ pub mod peak;
 pub mod project;
 pub mod project_grad;
 pub mod scan;
+pub mod shrink;
 pub mod sort;
 pub mod splat;
 pub mod splat_grad;

@@ -1,10 +1,12 @@
 //! The density step: error cues from the device, decisions on the host, edits back to the device.
 
+use std::time::Instant;
+
 use super::Trainer;
 use crate::buffers::{Scene, restride};
 use crate::density::{Cues, DensityStats, Outcome, SceneState, StepContext};
 use crate::error::Result;
-use crate::gpu::{Array, EditRow};
+use crate::gpu::{Array, CameraArg, EditRow};
 use crate::model::{Plane, morton};
 use crate::stage::edit::EditArgs;
 use crate::stage::importance::ImportanceArgs;
@@ -31,7 +33,7 @@ impl Trainer {
     pub(super) fn watch(
         &self,
         iteration: u32,
-        view: usize,
+        camera: &CameraArg<f32>,
         pair: &ImagePair<'_, f32>,
     ) -> Result<()> {
         let Some((due, progress)) = self.schedule.next_density(iteration) else {
@@ -43,12 +45,12 @@ impl Trainer {
         if iteration < first {
             return Ok(());
         }
-        self.add_cues(view, pair, iteration == first)
+        self.add_cues(camera, pair, iteration == first)
     }
 
     pub(super) fn add_cues(
         &self,
-        view: usize,
+        camera: &CameraArg<f32>,
         pair: &ImagePair<'_, f32>,
         first_view: bool,
     ) -> Result<()> {
@@ -57,7 +59,7 @@ impl Trainer {
             params: &self.scene.params,
             stride: self.scene.stride,
             count: self.scene.count,
-            camera: &self.views.cameras[view],
+            camera,
             maps: &self.maps,
             first_view,
             status: &self.renderer.frame.status,
@@ -83,6 +85,23 @@ impl Trainer {
         if self.density.views_wanted(self.views.len(), progress) == 0 {
             return Ok(None);
         }
+        let began = Instant::now();
+        let outcome = self.decide(progress)?;
+        self.apply(&outcome)?;
+        self.device.finish()?;
+        self.density_time.seconds += began.elapsed().as_secs_f64();
+        self.density_time.calls += 1;
+        self.stats.add(&outcome.stats);
+        Ok(Some(DensityEvent {
+            iteration: self.iteration,
+            progress,
+            gaussians: self.scene.count,
+            stats: outcome.stats,
+        }))
+    }
+
+    /// What density control wants, from what the device knows.
+    fn decide(&mut self, progress: f64) -> Result<Outcome> {
         let [ssim, l1, views] = self.read_cues()?;
         let views: Vec<u32> = views.into_iter().map(|v| v as u32).collect();
         let planes: Vec<Vec<f32>> = (0..Plane::SH)
@@ -106,15 +125,7 @@ impl Trainer {
             l1: &l1,
             views: &views,
         };
-        let outcome = self.density.step(&context, &state, &cues)?;
-        self.apply(&outcome)?;
-        self.stats.add(&outcome.stats);
-        Ok(Some(DensityEvent {
-            iteration: self.iteration,
-            progress,
-            gaussians: self.scene.count,
-            stats: outcome.stats,
-        }))
+        self.density.step(&context, &state, &cues)
     }
 
     /// The cues so far: sums of 1 − SSIM and of |x − y|, views that see the centre.
@@ -147,7 +158,9 @@ impl Trainer {
             .collect();
         self.apply_edits(&Array::from_slice(&self.device, "edits", &rows)?)?;
         self.scene.count = outcome.len;
-        self.reorder()?;
+        if self.config.work.morton_order {
+            self.reorder()?;
+        }
         self.most_pairs =
             (self.most_pairs as f64 * outcome.len as f64 / before.max(1) as f64) as usize;
         self.fit_views()

@@ -82,10 +82,15 @@ impl Trainer {
         self.renderer.frame.set_pairs(&self.device, pairs)
     }
 
-    /// Device time per stage so far.
+    /// Device time per stage so far, and under `density` the host's time in density steps (which the device's `edit` is
+    /// part of).
     #[must_use]
     pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
-        self.device.times()
+        let mut times = self.device.times();
+        if self.density_time.calls > 0 {
+            times.push(("density", self.density_time));
+        }
+        times
     }
 
     /// Photos waited for, and what they took of their budget; sets of views that share it are counted, too.

@@ -35,8 +35,9 @@ impl Trainer {
             self.enqueue_step(0, degree)?;
         }
         let photo = self.views.photo(0, &[])?;
-        let pair = self.pair(0, &photo, self.schedule.fixed_background());
-        self.add_cues(0, &pair, true)?;
+        let camera = self.views.cameras[0];
+        let pair = self.pair(&camera, &photo, self.schedule.fixed_background());
+        self.add_cues(&camera, &pair, true)?;
         self.warm_up_edits()?;
         self.scene.count = count;
         for moment in [&self.moment1, &self.moment2] {

@@ -115,6 +115,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         alpha_min: case.alpha_min,
         sh_degree: case.sh_degree,
         has_alpha: case.photo.channels == 4,
+        cull_chunks: true,
         layout_probe: false,
     };
     let stages = Stages::new::<R>(&Kernels::new(device, defines))?;

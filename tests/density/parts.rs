@@ -5,7 +5,7 @@ use mhsplat::density::Cues;
 use mhsplat::density::mh::importance::importance;
 use mhsplat::density::mh::propose::{Categorical, birth_position, rotate};
 use mhsplat::density::mh::sparsity::VoxelCounts;
-use mhsplat::density::relocation::{ln_coefficient, sigmoid, split};
+use mhsplat::density::relocation::{ln_coefficient, most_copies, sigmoid, split};
 use mhsplat::rng::{Philox, Purpose};
 
 /// Known answers of Random123's `kat_vectors` for philox4x32-10.
@@ -69,6 +69,20 @@ fn streams_of_two_purposes_never_meet() {
     assert_ne!(a, b);
     assert_eq!(a >> 32, Purpose::CoarseOffset as u64);
     assert_ne!(Philox::words(1, a, 5), Philox::words(1, b, 5));
+}
+
+#[test]
+fn most_copies_are_as_many_as_keep_the_floor() {
+    for logit in [-5.0, -3.0, 0.0, 4.0, 60.0] {
+        for floor in [0.005, 0.01, 0.2] {
+            let most = most_copies(logit, floor);
+            let opacity = |copies| sigmoid(split(logit, copies).opacity_logit);
+            assert!(most == 1 || opacity(most) >= floor * (1.0 - 1e-9));
+            assert!(opacity(most + 1) < floor * (1.0 + 1e-9));
+        }
+    }
+    assert_eq!(most_copies(f64::NAN, 0.01), 1);
+    assert_eq!(most_copies(f64::INFINITY, 1e-300), u32::MAX);
 }
 
 /// [MCMC] Eq. 9 as printed; good to about 1e-12 for N ≤ 12.

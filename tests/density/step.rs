@@ -156,6 +156,29 @@ fn one_survivor_takes_all() {
     assert_eq!((outcome.stats.coarse[0], outcome.stats.fine[0]), (1, 1));
 }
 
+/// Once few are alive and they are faint, sharing their opacity among all of the dead would kill them, too, and the next
+/// step would find nothing alive: seen on objects before a white background, where fog has to go first.
+#[test]
+fn the_faint_host_no_more_than_they_can_bear() {
+    let mut scene = Scene::random(2000, 8);
+    let alive = |i: usize| i.is_multiple_of(20);
+    for i in 0..2000 {
+        scene.logits[i] = if alive(i) { -3.0 } else { -7.0 };
+    }
+    let outcome = step_with(Birth::Copy, &scene, &context(700, 0.9, 1));
+    let moved = outcome
+        .edits
+        .iter()
+        .filter(|e| (e.dst as usize) < 2000 && e.src != e.dst);
+    // 1900 dead on 100 sources of opacity 0.047: three more copies each keep twice 0.005.
+    assert_eq!(outcome.stats.relocated, moved.count() as u64);
+    assert!((200..=300).contains(&outcome.stats.relocated));
+    for e in &outcome.edits {
+        assert!(sigmoid(f64::from(e.opacity_logit)) >= 2.0 * 0.005);
+    }
+    assert_eq!(breaches(2000, &outcome), Vec::<String>::new());
+}
+
 #[test]
 fn the_upper_bound_holds() {
     let scene = dying(3000);

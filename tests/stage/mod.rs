@@ -10,6 +10,7 @@ mod peak;
 mod project;
 mod project_grad;
 mod scan;
+mod shrink;
 mod sort;
 mod splat;
 mod splat_grad;

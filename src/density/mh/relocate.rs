@@ -1,11 +1,15 @@
 //! Dead Gaussians take over alive ones (\[MH\] Eq. 17, \[MCMC\] Eq. 9).
 
 use super::propose::{Categorical, gather};
-use crate::density::relocation::{sigmoid, split};
+use crate::density::relocation::{most_copies, sigmoid, split};
 use crate::density::{Edit, SceneState, StepContext};
 use crate::rng::{Philox, Purpose};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+
+/// Copies keep an opacity of this many times the one at which a Gaussian is dead: copies that the next step would find
+/// dead spread until nothing is alive.
+pub(super) const LEAST_OPACITY: f64 = 2.0;
 
 /// Rows per task.
 const CHUNK: usize = 16_384;
@@ -59,12 +63,18 @@ impl Relocation {
             sources: 0,
         };
         if !(dead_rows.is_empty() || plan.alive_rows.is_empty()) {
-            plan.assign(context, scene, &dead_rows);
+            plan.assign(context, scene, &dead_rows, dead);
         }
         plan
     }
 
-    fn assign(&mut self, context: &StepContext, scene: &SceneState<'_>, dead_rows: &[u32]) {
+    fn assign(
+        &mut self,
+        context: &StepContext,
+        scene: &SceneState<'_>,
+        dead_rows: &[u32],
+        dead: f64,
+    ) {
         let logit = |row: u32| f64::from(scene.opacity_logits[row as usize]);
         let weights: Vec<f64> = self
             .alive_rows
@@ -83,7 +93,16 @@ impl Relocation {
             })
             .collect();
         pairs.par_sort_unstable();
-        let groups: Vec<&[(u32, u32)]> = pairs.chunk_by(|a, b| a.0 == b.0).collect();
+        // Of the dead that drew one source, as many as it can host.
+        let hosted = |group: &'_ [(u32, u32)]| {
+            let room = most_copies(logit(group[0].0), LEAST_OPACITY * dead) as usize - 1;
+            group.len().min(room)
+        };
+        let groups: Vec<&[(u32, u32)]> = pairs
+            .chunk_by(|a, b| a.0 == b.0)
+            .map(|group| &group[..hosted(group)])
+            .filter(|group| !group.is_empty())
+            .collect();
         let split_source = |group: &&[(u32, u32)]| -> Option<Edit> {
             let source = group.first()?.0;
             let copies = u32::try_from(group.len())

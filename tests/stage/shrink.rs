@@ -1,0 +1,54 @@
+//! shrink: photos at a fraction of their size.
+
+use super::*;
+use mhsplat::dataset::Photo;
+use mhsplat::gpu::Array;
+use mhsplat::stage::shrink::Shrink;
+
+/// A photo whose bytes take every value in no pattern.
+fn photo(width: u32, height: u32, channels: u32) -> Photo {
+    let byte = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
+    Photo {
+        width,
+        height,
+        channels,
+        data: (0..width * height * channels).map(byte).collect(),
+    }
+}
+
+fn shrunk(photo: &Photo, factor: u32) -> Vec<u8> {
+    let device = device();
+    let defines = Defines {
+        has_alpha: photo.channels == 4,
+        ..Defines::new(device.tuning())
+    };
+    let stage = Shrink::new::<f32>(&Kernels::new(&device, defines)).unwrap();
+    let size = [photo.width, photo.height].map(|s| s as usize);
+    let from = Array::from_slice(&device, "photo", &photo.data).unwrap();
+    let pixels = (photo.width / factor * (photo.height / factor)) as usize;
+    let to = Array::zeros(&device, "small", photo.channels as usize * pixels).unwrap();
+    stage.run(&from, size, factor as usize, &to).unwrap();
+    to.to_vec().unwrap()
+}
+
+#[test]
+fn agrees_with_the_reference_to_the_byte() {
+    for (size, channels) in [([64, 48], 3), ([75, 50], 4), ([33, 17], 3)] {
+        for factor in [2, 4, 8] {
+            let photo = photo(size[0], size[1], channels);
+            let want = mhsplat::reference::shrink::shrink(&photo, factor);
+            assert_eq!(shrunk(&photo, factor), want.data, "{size:?} / {factor}");
+        }
+    }
+}
+
+#[test]
+fn what_does_not_fill_a_pixel_is_left_out() {
+    let photo = Photo {
+        width: 3,
+        height: 2,
+        channels: 3,
+        data: [[10, 20, 255], [30, 41, 255]].concat().repeat(3),
+    };
+    assert_eq!(shrunk(&photo, 2), [25, 25, 25]); // (10 + 20 + 30 + 41) / 4 = 25.25
+}
