@@ -2,6 +2,7 @@
 
 mod control;
 mod observe;
+mod sampler;
 mod state;
 mod warm_up;
 
@@ -10,8 +11,10 @@ pub use state::TrainerState;
 
 use std::collections::VecDeque;
 
+use sampler::SamplerStages;
+
 use crate::buffers::{Scene, ViewSet};
-use crate::config::{Sampler, TrainConfig};
+use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
@@ -62,6 +65,7 @@ pub struct Trainer {
     losses: Array<f32>,
     cues: Array<f32>,
     density: Box<dyn DensityControl>,
+    sampler: SamplerStages,
     stats: DensityStats,
     in_flight: VecDeque<InFlight>,
     iteration: u32,
@@ -110,11 +114,9 @@ impl Trainer {
         };
         let kernels = Kernels::new(device, defines);
         let degree = config.sh_degree;
-        let capacity = match config.sampler {
-            Sampler::None => splats.len(),
-            Sampler::Mh => Scene::<f32>::grown_stride(splats.len()),
-        };
-        let scene = Scene::upload(device, splats, capacity)?;
+        let scene = Scene::upload(device, splats, sampler::capacity(config, splats.len()))?;
+        let density = density::make(config);
+        let sampler = SamplerStages::new(&kernels, density.as_ref())?;
         let loss = Loss::new::<f32>(&kernels)?;
         let [w, h] = views.largest;
         let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
@@ -135,8 +137,9 @@ impl Trainer {
             dimage: Array::zeros(device, "dimage", 3 * plane)?,
             partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
             losses: Array::zeros(device, "losses", 2 * LOSS_RING)?,
-            cues: Array::zeros(device, "cues", 3 * scene.stride)?,
-            density: density::make(config),
+            cues: sampler.cues(device, scene.stride)?,
+            density,
+            sampler,
             stats: DensityStats::default(),
             in_flight: VecDeque::new(),
             iteration: 0,
@@ -213,7 +216,8 @@ impl Trainer {
         let frame = &self.renderer.frame;
         self.splat_grad
             .run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
-        self.update(iteration, degree, &camera)
+        self.update(iteration, degree, &camera)?;
+        self.sample(iteration, &camera)
     }
 
     /// Gradients of the parameters and the optimiser's step, block by block: a block's gradients are used while they are
