@@ -7,7 +7,7 @@ use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::mh::importance::importance;
 use mhsplat::density::mh::sparsity::VoxelCounts;
 use mhsplat::density::relocation::split;
-use mhsplat::density::{Cues, DensityControl, SceneState, StepContext};
+use mhsplat::density::{Cues, DensityControl, Evidence, SceneState, StepContext};
 use mhsplat::rng::{Philox, Purpose};
 use std::hint::black_box;
 
@@ -26,7 +26,7 @@ fn density(c: &mut Criterion) {
     let rotations = [6, 7, 8, 9].map(|k| plane(k, 1.0, 0.0));
     // About one in 300 is dead at the start.
     let logits = plane(10, 2.0, 0.0);
-    let errors = [11, 12].map(|k| plane(k, 1.0, 4.0));
+    let planes = [11, 12].map(|k| plane(k, 1.0, 4.0));
     let views: Vec<u32> = (0..N as u32).map(|i| i % 4).collect();
     let scene = SceneState {
         positions: positions.each_ref().map(Vec::as_slice),
@@ -35,8 +35,8 @@ fn density(c: &mut Criterion) {
         opacity_logits: &logits,
     };
     let cues = Cues {
-        ssim: &errors[0],
-        l1: &errors[1],
+        ssim: &planes[0],
+        l1: &planes[1],
         views: &views,
     };
     let mut group = c.benchmark_group("density");
@@ -54,7 +54,9 @@ fn density(c: &mut Criterion) {
         progress: 0.0,
         seed: 0,
         max_gaussians: None,
+        opacity_resets: [0, 0],
     };
+    let errors = Evidence::Errors(cues);
     let mut mh = MetropolisHastings::new(&MhConfig::default());
     // The difference of the two is what proposing and deciding costs.
     let mut still = MetropolisHastings::new(&MhConfig {
@@ -63,10 +65,15 @@ fn density(c: &mut Criterion) {
         ..MhConfig::default()
     });
     group.bench_function("whole step 1M, no draws", |b| {
-        b.iter(|| still.step(black_box(&context), &scene, &cues).unwrap().len);
+        b.iter(|| {
+            still
+                .step(black_box(&context), &scene, &errors)
+                .unwrap()
+                .rows
+        });
     });
     group.bench_function("whole step 1M, 20,500 draws", |b| {
-        b.iter(|| mh.step(black_box(&context), &scene, &cues).unwrap().len);
+        b.iter(|| mh.step(black_box(&context), &scene, &errors).unwrap().rows);
     });
     group.finish();
 }

@@ -19,7 +19,19 @@ __kernel void edit(__global const Edit *edits, uint count, uint stride, // in [c
   moment2[at] = R(0.0);
 }
 
-// Gaussians in another order. Launch: (count, planes) work-items.
+// No opacity logit above `limit`; all moments of opacity are zeroed. Launch: one work-item per Gaussian. Source: [3DGS]
+// section 5.2, the periodic reset.
+__kernel void edit_limit_opacity(uint count, uint stride, real limit,
+                                 __global real *params, __global real *moment1, __global real *moment2) { // in/out
+  const uint i = get_global_id(0);
+  if (i >= count) return;
+  const size_t at = (size_t)P_OPACITY * stride + i;
+  params[at] = fmin(params[at], limit);
+  moment1[at] = R(0.0);
+  moment2[at] = R(0.0);
+}
+
+// Gaussians in another order, those that `order` leaves out being gone. Launch: (count, planes) work-items.
 __kernel void edit_reorder(__global const uint *order, uint count, uint stride, // in [count] old row of each new one
                            __global const real *from, __global real *to) {      // in, out [planes, stride]
   const uint i = get_global_id(0);

@@ -50,8 +50,11 @@ static inline realV render_at(const Images *s, int x, int y) {
   return reals_at(s->image, 3 * s->plane, s->channel * s->plane + (long)y * s->stride, x, s->width) - SHIFT;
 }
 
-// v / 255 to a unit of the last place, and exactly for 0 and 255, the colours that renders do reach.
-static inline realV over_255(realV v) { return v * (R(1.0) / R(255.0)); }
+// v / 255 to the last bit without a division, so that a render that equals its photo has no gradient.
+static inline realV over_255(realV v) {
+  const realV r = (realV)(R(1.0) / R(255.0)), q = v * r;
+  return fma(fma((realV)(-R(255.0)), q, v), r, q);
+}
 
 // The photo's counterpart: premultiplied colour plus (1 - alpha) of the background when there is an alpha plane.
 static inline realV photo_at(const Images *s, int x, int y) {

@@ -17,8 +17,10 @@
 //! | shrink, loss | `kernels/{shrink,loss}.cl` | early in a run the photo at a fraction of its size; L1 + SSIM and its gradient |
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
 //! | adam | `kernels/adam.cl` | one step of all parameters |
-//! | importance, edit | `kernels/{importance,edit}.cl` | error cues of each Gaussian; rows written by density control |
-//! | density control | [`density`] | which Gaussians are born or moved, on the host |
+//! | noise | `kernels/noise.cl` | a random step of every position (sampler mcmc) |
+//! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error cues (sampler mh) or gradients on the screen (adc) of each Gaussian |
+//! | density control | [`density`] | which Gaussians are born, moved or removed, on the host |
+//! | edit | `kernels/edit.cl` | rows written by density control |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM |
 //! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
 //! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |

@@ -55,12 +55,7 @@ impl Plan {
             "SH degree 0 asked for",
         );
         plan.decide_work(&config.work);
-        plan.decide(
-            config.sampler == Sampler::Mh,
-            "importance pass and density control",
-            "Metropolis-Hastings sampler",
-            "a fixed set of Gaussians asked for",
-        );
+        plan.sampler(config);
         plan.decide(
             !dataset.test.is_empty(),
             "held-out evaluation",
@@ -104,6 +99,36 @@ impl Plan {
             "what a view cannot see costs it next to nothing",
             "work.cull-chunks is off",
         );
+    }
+
+    fn sampler(&mut self, config: &TrainConfig) {
+        let errors = "importance pass";
+        match config.sampler {
+            Sampler::Mh => self.decide(
+                true,
+                "importance pass and density control",
+                "Metropolis-Hastings sampler",
+                "",
+            ),
+            Sampler::Mcmc => {
+                let most = config.max_gaussians.unwrap_or(config.mcmc.cap);
+                let why = format!("MCMC sampler, at most {most} Gaussians");
+                self.decide(true, "noise on positions, relocation, growth", &why, "");
+                self.decide(false, errors, "", "the MCMC sampler draws by opacity");
+            }
+            Sampler::Adc => {
+                let what = "gradients on the screen, clone, split, prune, opacity reset";
+                self.decide(true, what, "ADC sampler", "");
+                let why = "the ADC sampler goes by gradients on the screen";
+                self.decide(false, errors, "", why);
+            }
+            Sampler::None => self.decide(
+                false,
+                "importance pass and density control",
+                "",
+                "a fixed set of Gaussians asked for",
+            ),
+        }
     }
 
     fn decide(&mut self, keep: bool, what: &str, why: &str, why_not: &str) {

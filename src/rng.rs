@@ -44,6 +44,12 @@ pub enum Purpose {
     Synthetic = 11,
     /// Which sparse points a bounded run starts from.
     Subset = 12,
+    /// Noise on the positions after an optimiser step.
+    Noise = 13,
+    /// Sources of the growth by a fixed rate.
+    Growth = 14,
+    /// Positions of the two that a Gaussian is split into.
+    Split = 15,
 }
 
 impl Purpose {

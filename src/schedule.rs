@@ -84,20 +84,19 @@ impl Schedule {
                 },
             scale: boost.sqrt() * f64::from(o.lr_scale),
             rotation: boost.sqrt() * f64::from(o.lr_rotation),
-            opacity: boost.sqrt() * f64::from(o.lr_opacity),
+            opacity: boost.sqrt() * f64::from(self.config.lr_opacity()),
             sh0: boost.sqrt() * f64::from(o.lr_sh0),
             sh: boost * f64::from(o.lr_sh),
         }
     }
 
-    /// First and last iteration of density control.
+    /// First iteration at which density control may act, and the one before which it ends; empty for a fixed set.
     #[must_use]
     pub fn density_span(&self) -> [u32; 2] {
-        let mh = &self.config.mh;
-        [
-            self.scaled(mh.from_iteration),
-            self.scaled(mh.until_iteration),
-        ]
+        self.config.density_times().map_or([0, 0], |times| {
+            let from = self.scaled(times.from) + u32::from(times.after_from);
+            [from, self.scaled(times.until)]
+        })
     }
 
     /// Iterations between two density steps: the paper's, or fewer where a short run would have less than 15 steps.
@@ -105,7 +104,8 @@ impl Schedule {
     pub fn density_interval(&self) -> u32 {
         let [from, until] = self.density_span();
         let least = until.saturating_sub(from) / LEAST_DENSITY_STEPS;
-        self.config.mh.interval.min(least.max(LEAST_INTERVAL))
+        let asked = self.config.density_times().map_or(1, |t| t.interval);
+        asked.min(least.max(LEAST_INTERVAL))
     }
 
     /// Progress η of density control if a step is due after `done` iterations.
@@ -126,6 +126,14 @@ impl Schedule {
             .max(iteration.saturating_add(1))
             .checked_next_multiple_of(self.density_interval())?;
         self.density_due(due).map(|progress| (due, progress))
+    }
+
+    /// Opacity resets (adc) before the density step at `done`, and with it.
+    #[must_use]
+    pub fn opacity_resets(&self, done: u32) -> [u32; 2] {
+        let every = self.scaled(self.config.adc.reset_interval).max(1);
+        let before = done.saturating_sub(self.density_interval());
+        [before / every, done / every]
     }
 
     /// Iterations between two evaluations, 0 for none before the end.

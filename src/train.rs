@@ -2,6 +2,7 @@
 
 mod control;
 mod observe;
+mod sampler;
 mod state;
 mod warm_up;
 
@@ -10,8 +11,10 @@ pub use state::TrainerState;
 
 use std::collections::VecDeque;
 
+use sampler::SamplerStages;
+
 use crate::buffers::{Scene, ViewSet};
-use crate::config::{Sampler, TrainConfig};
+use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
@@ -33,14 +36,6 @@ use crate::stage::splat_grad::SplatGrad;
 const LAG: usize = 2;
 /// Losses kept on the device.
 const LOSS_RING: usize = 256;
-
-/// Gaussians to make room for.
-fn capacity(config: &TrainConfig, count: usize) -> usize {
-    match config.sampler {
-        Sampler::None => count,
-        Sampler::Mh => Scene::<f32>::grown_stride(count),
-    }
-}
 
 /// Room for a photo at half its size, if the configuration ever asks for one.
 fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result<Array<u8>> {
@@ -85,6 +80,7 @@ pub struct Trainer {
     losses: Array<f32>,
     cues: Array<f32>,
     density: Box<dyn DensityControl>,
+    sampler: SamplerStages,
     stats: DensityStats,
     /// Time that density steps took on the host, their transfers and edits included.
     density_time: StageTime,
@@ -128,15 +124,16 @@ impl Trainer {
                 what: "no Gaussian to start from".into(),
             });
         }
-        let tuning = device.tuning();
+        let (tuning, degree) = (device.tuning(), config.sh_degree);
         let defines = Defines {
             has_alpha: views.has_alpha,
             cull_chunks: config.work.cull_chunks,
             ..Defines::new(tuning)
         };
         let kernels = Kernels::new(device, defines);
-        let degree = config.sh_degree;
-        let scene = Scene::upload(device, splats, capacity(config, splats.len()))?;
+        let scene = Scene::upload(device, splats, sampler::capacity(config, splats.len()))?;
+        let density = density::make(config);
+        let sampler = SamplerStages::new(&kernels, density.as_ref())?;
         let loss = Loss::new::<f32>(&kernels)?;
         let [w, h] = views.largest;
         let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
@@ -159,8 +156,9 @@ impl Trainer {
             dimage: Array::zeros(device, "dimage", 3 * plane)?,
             partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
             losses: Array::zeros(device, "losses", 2 * LOSS_RING)?,
-            cues: Array::zeros(device, "cues", 3 * scene.stride)?,
-            density: density::make(config),
+            cues: sampler.cues(device, scene.stride)?,
+            density,
+            sampler,
             stats: DensityStats::default(),
             density_time: StageTime::default(),
             in_flight: VecDeque::new(),
@@ -247,7 +245,8 @@ impl Trainer {
         let frame = &self.renderer.frame;
         self.splat_grad
             .run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
-        self.update(iteration, degree, &camera)
+        self.update(iteration, degree, &camera)?;
+        self.sample(iteration, &camera)
     }
 
     /// Gradients of the parameters and the optimiser's step, block by block: a block's gradients are used while they are

@@ -1,12 +1,14 @@
 //! Density control: random numbers, relocation, voxel counts, importance, proposals, acceptance, the whole step.
 
+mod adc;
 mod chain;
+mod mcmc;
 mod parts;
 mod sharing;
 mod step;
 mod voxels;
 
-use mhsplat::density::{Cues, SceneState};
+use mhsplat::density::{Cues, Evidence, SceneState};
 use mhsplat::rng::{Philox, Purpose};
 
 /// A scene and its cues, owned.
@@ -57,6 +59,10 @@ impl Scene {
             l1: &self.l1,
             views: &self.views,
         }
+    }
+
+    pub fn errors(&self) -> Evidence<'_> {
+        Evidence::Errors(self.cues())
     }
 }
 

@@ -264,3 +264,15 @@ fn functions_are_short() {
     let long = format!("fn f() {{\n{}}}\n", "    x();\n".repeat(70));
     assert_eq!(functions(&long), [("fn f() {".to_owned(), 72)]);
 }
+
+/// A fresh machine has neither a loader nor a driver: what installs them was once committed empty, and nobody noticed where
+/// both were there already.
+#[test]
+fn continuous_integration_installs_what_a_machine_lacks() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let install = text(&root.join(".ci/install"));
+    for word in ["pocl-opencl-icd", "ocl-icd-opencl-dev", "apt-get"] {
+        assert!(install.contains(word), ".ci/install lacks {word}");
+    }
+    assert!(text(&root.join(".ci/run")).contains(".ci/install"));
+}

@@ -19,6 +19,7 @@ mod learning;
 mod photos;
 mod reference;
 mod report;
+mod samplers;
 mod stage;
 mod synth;
 mod tune;

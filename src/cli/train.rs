@@ -20,6 +20,10 @@ use super::{Common, Outcome, output};
 enum SamplerFlag {
     /// Metropolis-Hastings births and relocation.
     Mh,
+    /// Noise on the positions, relocation, 5 % growth per step up to a cap (3DGS-MCMC).
+    Mcmc,
+    /// Clone, split, prune, opacity reset (3DGS).
+    Adc,
     /// A fixed set of Gaussians.
     None,
 }
@@ -47,7 +51,7 @@ pub struct TrainArgs {
     /// Memory for decoded photos (512M, 4G, bytes); the rest is decoded on demand [default: half of what is available]
     #[arg(long, value_name = "BYTES")]
     image_budget: Option<String>,
-    /// Upper bound of the number of Gaussians [default: none]
+    /// Upper bound of the number of Gaussians, for any sampler [default: none; mcmc: 1000000]
     #[arg(long, value_name = "N")]
     max_gaussians: Option<usize>,
     /// SH degree, 0 to 3 [default: 3]
@@ -194,6 +198,8 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
     if let Some(s) = args.sampler {
         c.sampler = match s {
             SamplerFlag::Mh => Sampler::Mh,
+            SamplerFlag::Mcmc => Sampler::Mcmc,
+            SamplerFlag::Adc => Sampler::Adc,
             SamplerFlag::None => Sampler::None,
         };
     }

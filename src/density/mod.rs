@@ -1,13 +1,20 @@
-//! Density control on the host: which Gaussians are born or moved. No OpenCL here; importance arrives as slices.
+//! Density control on the host: which Gaussians are born, moved or removed. No OpenCL here; what the device gathered arrives
+//! as slices.
 
+mod adc;
+pub mod draw;
+mod mcmc;
 pub mod mh;
 mod none;
+mod relocate;
 pub mod relocation;
 
+pub use adc::Adaptive;
+pub use mcmc::Mcmc;
 pub use none::Fixed;
 
 use crate::config::{Sampler, TrainConfig};
-use crate::error::Result;
+use crate::error::{Error, Result};
 
 /// What density control sees of the scene: raw parameters, struct of arrays, each slice of length N.
 #[derive(Debug, Clone, Copy)]
@@ -47,6 +54,66 @@ pub struct Cues<'a> {
     pub views: &'a [u32],
 }
 
+/// How hard training pulled at the projected centre of each Gaussian since the last step (\[3DGS\] §5.2), each slice of
+/// length N.
+#[derive(Debug, Clone, Copy)]
+pub struct ScreenGradient<'a> {
+    /// Sum over the iterations that saw it of the norm of the loss gradient of the projected centre, in normalised device
+    /// coordinates.
+    pub norms: &'a [f32],
+    /// Number of those iterations.
+    pub views: &'a [u32],
+}
+
+/// What a strategy wants gathered of each Gaussian before a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wanted {
+    /// Nothing: it decides from the parameters alone.
+    Nothing,
+    /// [`Cues`] of the last so many renders of training.
+    Errors {
+        /// Renders.
+        views: usize,
+    },
+    /// [`ScreenGradient`] of every iteration since the last step.
+    ScreenGradient,
+}
+
+impl Wanted {
+    /// Values per Gaussian that are gathered on the device.
+    #[must_use]
+    pub fn rows(self) -> usize {
+        match self {
+            Self::Nothing => 0,
+            Self::Errors { .. } => 3,
+            Self::ScreenGradient => 2,
+        }
+    }
+}
+
+/// What was gathered; the variant that [`DensityControl::wanted`] names.
+#[derive(Debug, Clone, Copy)]
+pub enum Evidence<'a> {
+    /// Nothing.
+    Nothing,
+    /// Errors under the centres.
+    Errors(Cues<'a>),
+    /// Gradients on the screen.
+    ScreenGradient(ScreenGradient<'a>),
+}
+
+/// Noise on the positions after every optimiser step: x += rate · lr_position · Σ·ξ · σ(−steepness·(o − opacity)),
+/// ξ ~ N(0, I) (\[MCMC\] Eq. 8).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NoiseLaw {
+    /// Factor on the position's learning rate, for Σ in local units.
+    pub rate: f64,
+    /// Steepness of the gate.
+    pub steepness: f64,
+    /// Opacity at which the gate is one half.
+    pub opacity: f64,
+}
+
 /// Where in the run a density step happens.
 #[derive(Debug, Clone, Copy)]
 pub struct StepContext {
@@ -58,6 +125,8 @@ pub struct StepContext {
     pub seed: u64,
     /// Upper bound of the number of Gaussians.
     pub max_gaussians: Option<usize>,
+    /// Opacity resets that are due by now: before this step, and with it.
+    pub opacity_resets: [u32; 2],
 }
 
 /// One Gaussian to be written: the row `src` is copied to `dst`, then position, log-scale and opacity are replaced, and
@@ -98,6 +167,15 @@ pub struct DensityStats {
     pub occupied_voxels: u64,
     /// Mean of D(v′) over the proposals of the (last) step.
     pub mean_prior: f64,
+    /// Of the accepted births, those that copy their source (adc).
+    #[serde(default)]
+    pub cloned: u64,
+    /// Of the accepted births, those that share their source's room (adc).
+    #[serde(default)]
+    pub split: u64,
+    /// Opacity resets (adc).
+    #[serde(default)]
+    pub opacity_resets: u64,
 }
 
 impl DensityStats {
@@ -108,6 +186,9 @@ impl DensityStats {
         self.accepted += step.accepted;
         self.relocated += step.relocated;
         self.pruned += step.pruned;
+        self.cloned += step.cloned;
+        self.split += step.split;
+        self.opacity_resets += step.opacity_resets;
         for k in 0..2 {
             self.coarse[k] += step.coarse[k];
             self.fine[k] += step.fine[k];
@@ -119,40 +200,99 @@ impl DensityStats {
     }
 }
 
-/// The outcome of a density step.
+/// The outcome of a density step: edits, then an opacity reset, then removals.
 #[derive(Debug, Clone, Default)]
 pub struct Outcome {
     /// Rows to write; appended rows are N, N+1, … without a gap.
     pub edits: Vec<Edit>,
-    /// Number of Gaussians after the edits.
-    pub len: usize,
+    /// Number of rows after the edits.
+    pub rows: usize,
+    /// No opacity logit is left above this, and every opacity's moments are zeroed.
+    pub logit_limit: Option<f32>,
+    /// Rows that go, rising; never all of them.
+    pub removed: Vec<u32>,
     /// Statistics of this step.
     pub stats: DensityStats,
+}
+
+impl Outcome {
+    /// Nothing is changed.
+    #[must_use]
+    pub fn unchanged(rows: usize) -> Self {
+        Self {
+            rows,
+            ..Self::default()
+        }
+    }
+
+    /// Number of Gaussians afterwards.
+    #[must_use]
+    pub fn gaussians(&self) -> usize {
+        self.rows - self.removed.len()
+    }
 }
 
 /// A strategy of density control. It decides from what a step gives it and keeps nothing between steps, so that a
 /// checkpoint needs nothing of it.
 pub trait DensityControl: Send {
-    /// Of how many of the training views a step at this progress wants the errors, 0 for none (\[MH\] Eq. 10).
-    fn views_wanted(&self, views: usize, progress: f64) -> usize;
+    /// What a step at this progress wants gathered, for a run of so many training views. The kind stays the same over a run.
+    fn wanted(&self, views: usize, progress: f64) -> Wanted;
 
-    /// Decides on births and relocations.
+    /// Noise on the positions after every optimiser step, if any.
+    fn noise(&self) -> Option<NoiseLaw> {
+        None
+    }
+
+    /// Decides on births, relocations and removals.
     ///
     /// # Errors
-    /// Cues that do not match the scene, or a scene that cannot be sampled.
+    /// Evidence that does not match the scene or the strategy, or a scene that cannot be sampled.
     fn step(
         &mut self,
         context: &StepContext,
         scene: &SceneState<'_>,
-        cues: &Cues<'_>,
+        evidence: &Evidence<'_>,
     ) -> Result<Outcome>;
 }
 
-/// The strategy that a configuration names.
+/// The strategy that a configuration names: the only place that tells them apart.
 #[must_use]
 pub fn make(config: &TrainConfig) -> Box<dyn DensityControl> {
     match config.sampler {
         Sampler::Mh => Box::new(mh::MetropolisHastings::new(&config.mh)),
+        Sampler::Mcmc => Box::new(Mcmc::new(&config.mcmc)),
+        Sampler::Adc => Box::new(Adaptive::new(&config.adc)),
         Sampler::None => Box::new(Fixed),
+    }
+}
+
+fn numerics(what: String) -> Error {
+    Error::Numerics {
+        stage: "density control".into(),
+        what,
+    }
+}
+
+/// Evidence of another kind than [`DensityControl::wanted`] names.
+fn unexpected() -> Error {
+    numerics("the evidence is of another kind than the sampler wants".into())
+}
+
+/// Refuses a scene whose planes, or other slices (`lengths`), are not of one length, or whose rows 32 bits cannot name.
+fn check_lengths(scene: &SceneState<'_>, lengths: impl IntoIterator<Item = usize>) -> Result<()> {
+    let n = scene.len();
+    if u32::try_from(n).is_err() {
+        return Err(numerics(format!("{n} Gaussians; fewer than 2^32 expected")));
+    }
+    let planes = scene
+        .positions
+        .iter()
+        .chain(&scene.log_scales)
+        .chain(&scene.rotations);
+    match planes.map(|p| p.len()).chain(lengths).find(|l| *l != n) {
+        Some(l) => Err(numerics(format!(
+            "a parameter or cue has {l} values; {n} expected"
+        ))),
+        None => Ok(()),
     }
 }

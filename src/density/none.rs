@@ -1,6 +1,6 @@
 //! A fixed set of Gaussians.
 
-use super::{Cues, DensityControl, Outcome, SceneState, StepContext};
+use super::{DensityControl, Evidence, Outcome, SceneState, StepContext, Wanted};
 use crate::error::Result;
 
 /// Density control that never changes the set.
@@ -8,19 +8,16 @@ use crate::error::Result;
 pub struct Fixed;
 
 impl DensityControl for Fixed {
-    fn views_wanted(&self, _views: usize, _progress: f64) -> usize {
-        0
+    fn wanted(&self, _views: usize, _progress: f64) -> Wanted {
+        Wanted::Nothing
     }
 
     fn step(
         &mut self,
         _context: &StepContext,
         scene: &SceneState<'_>,
-        _cues: &Cues<'_>,
+        _evidence: &Evidence<'_>,
     ) -> Result<Outcome> {
-        Ok(Outcome {
-            len: scene.len(),
-            ..Outcome::default()
-        })
+        Ok(Outcome::unchanged(scene.len()))
     }
 }

@@ -56,7 +56,7 @@ pub fn ln_sigmoid(x: f64) -> f64 {
 /// largest N with 1 − (1−o)^{1/N} ≥ floor, 1 where even two are too many.
 #[must_use]
 pub fn most_copies(opacity_logit: f64, floor: f64) -> u32 {
-    let copies = softplus(opacity_logit.min(LOGIT_LIMIT)) / -(-floor).ln_1p();
+    let copies = softplus(opacity_logit) / -(-floor).ln_1p();
     // Says what is good: NaN is 1, and the conversion saturates.
     if copies >= 2.0 { copies as u32 } else { 1 }
 }

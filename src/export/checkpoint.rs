@@ -1,7 +1,7 @@
 //! Checkpoints: everything a run needs to continue bit for bit, as one safetensors file.
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
-//! order of [`crate::model::Plane`]), `cues` \[3, N\] and `losses` \[2 · ring\] and, as metadata, format version,
+//! order of [`crate::model::Plane`]), `cues` \[rows, N\] (where the sampler has any) and `losses` \[2 · ring\] and, as metadata, format version,
 //! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning. It is written beside the old one and
 //! renamed over it.
 
@@ -12,14 +12,14 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 use crate::config::TrainConfig;
-use crate::density::DensityStats;
+use crate::density::{self, DensityStats};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::Tuning;
 use crate::model::{Plane, Splats};
 use crate::report::{Reading, StageRecord};
 use crate::train::TrainerState;
 
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -93,17 +93,20 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
     let header = serde_json::to_string(&header).map_err(encoding)?;
     let shape = vec![state.splats.planes().len(), state.splats.len()];
     let planes = |p: &[Vec<f32>]| bytes(p.iter().flatten().copied());
-    let tensors = [
+    let mut tensors = vec![
         ("params", shape.clone(), planes(state.splats.planes())),
         ("moment1", shape.clone(), planes(&state.moment1)),
         ("moment2", shape, planes(&state.moment2)),
-        ("cues", vec![3, state.splats.len()], planes(&state.cues)),
         (
             "losses",
             vec![state.losses.len()],
             bytes(state.losses.iter().copied()),
         ),
     ];
+    if !state.cues.is_empty() {
+        let shape = vec![state.cues.len(), state.splats.len()];
+        tensors.push(("cues", shape, planes(&state.cues)));
+    }
     let views = tensors
         .iter()
         .map(|(name, shape, data)| {
@@ -164,9 +167,10 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     {
         return Err("moments and parameters differ in length".into());
     }
-    let cues: [Vec<f32>; 3] = planes(&tensors, "cues", 3)?
-        .try_into()
-        .map_err(|_| "cues are not three")?;
+    let cues = match density::make(&header.config).wanted(1, 0.0).rows() {
+        0 => Vec::new(),
+        rows => planes(&tensors, "cues", rows)?,
+    };
     if cues.iter().any(|c| c.len() != splats.len()) {
         return Err("cues and parameters differ in length".into());
     }

@@ -30,6 +30,8 @@ const SOURCES: &[(&str, &str)] = &[
         include_str!("../../kernels/project_grad.cl"),
     ),
     ("adam", include_str!("../../kernels/adam.cl")),
+    ("noise", include_str!("../../kernels/noise.cl")),
+    ("screen_grad", include_str!("../../kernels/screen_grad.cl")),
     ("importance", include_str!("../../kernels/importance.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),

@@ -1,6 +1,7 @@
 //! Twin of `kernels/project_grad.cl`, by the textbook's road through the 3D covariance.
 
 use super::project::{Shape64, color, shape};
+use super::screen_grad::mean_gradient;
 use super::{
     Camera64, LOG_SCALE, Options, Scene64, product, sh, sigmoid, transpose, unit_quaternion,
 };
@@ -54,10 +55,9 @@ fn geometry(
         [-o.cov[0][1] / o.det, o.cov[0][0] / o.det],
     ];
     let r = o.cov[0][1] / o.cov[1][1];
-    let first = [s[1] + r * s[2], s[2]];
     let xy = s[4] + r * s[5];
     let q = [[s[3] + r * s[4] + r * xy, xy], [xy, s[5]]];
-    let dmean: [f64; 2] = std::array::from_fn(|a| k[a][0] * first[0] + k[a][1] * first[1]);
+    let dmean = mean_gradient(o, s);
     let dcov = product(&product(&k, &q), &k).map(|row| row.map(|v| 0.5 * v));
     // cov = T Sigma T^t + b I with T = J W.
     let dsigma = product(&product(&transpose(&o.jw), &dcov), &o.jw);

@@ -20,7 +20,7 @@ pub struct DensityRow {
     pub train_seconds: f64,
     /// Number of Gaussians after the step.
     pub gaussians: u64,
-    /// What happened in this step (not the sum over the run).
+    /// What happened in this step (not the sum over the run); what the sampler does not know is zero.
     pub stats: DensityStats,
 }
 
@@ -39,6 +39,9 @@ impl Row for DensityRow {
         "fine_accepted",
         "occupied_voxels",
         "mean_prior",
+        "cloned",
+        "split",
+        "opacity_resets",
     ];
 
     fn iteration(&self) -> u32 {
@@ -61,6 +64,9 @@ impl Row for DensityRow {
             Cell::Count(s.fine[1]),
             Cell::Count(s.occupied_voxels),
             Cell::Real(s.mean_prior),
+            Cell::Count(s.cloned),
+            Cell::Count(s.split),
+            Cell::Count(s.opacity_resets),
         ]
     }
 
@@ -78,6 +84,9 @@ impl Row for DensityRow {
                 fine: [cells.count()?, cells.count()?],
                 occupied_voxels: cells.count()?,
                 mean_prior: cells.real()?,
+                cloned: cells.count()?,
+                split: cells.count()?,
+                opacity_resets: cells.count()?,
             },
         })
     }

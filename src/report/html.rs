@@ -30,7 +30,7 @@ pub fn write_report(
     let mut body = String::new();
     headlines(&mut body, record, rows);
     panels::quality(&mut body, rows, density);
-    panels::density_control(&mut body, density);
+    panels::density_control(&mut body, record.config.sampler, density);
     panels::stages(&mut body, record);
     plan(&mut body, record);
     views(&mut body, gallery)?;

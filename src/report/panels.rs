@@ -5,6 +5,8 @@ use super::html::{escape, fixed, grouped, span};
 use super::metrics::MetricsRow;
 use super::record::RunRecord;
 use super::svg::{Axis, Bar, Scale, Series, bar_chart, line_chart};
+use crate::config::Sampler;
+use crate::density::DensityStats;
 use std::fmt::Write;
 
 const TIME: Axis<'static> = Axis {
@@ -115,42 +117,70 @@ pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityR
     out.push_str("</div>\n");
 }
 
-pub(super) fn density_control(out: &mut String, density: &[DensityRow]) {
-    let iteration = |r: &DensityRow| f64::from(r.iteration);
-    let rate = |pair: [u64; 2]| (pair[0] > 0).then(|| pair[1] as f64 / pair[0] as f64);
+/// One number of a step.
+type Count = fn(&DensityStats) -> u64;
+
+/// What the sampler did at each of its steps.
+pub(super) fn density_control(out: &mut String, sampler: Sampler, density: &[DensityRow]) {
+    if sampler == Sampler::None {
+        out.push_str("<h2>Density control</h2><p class=note>A fixed set of Gaussians.</p>\n");
+        return;
+    }
     out.push_str("<h2>Density control, per step</h2><div class=charts>\n");
+    let shown: &[(&str, Count)] = match sampler {
+        Sampler::Adc => &[
+            ("cloned", |s| s.cloned),
+            ("split", |s| s.split),
+            ("removed", |s| s.pruned),
+        ],
+        Sampler::Mcmc => &[("born", |s| s.accepted), ("relocated", |s| s.relocated)],
+        _ => &[
+            ("born", |s| s.accepted),
+            ("relocated", |s| s.relocated),
+            ("removed", |s| s.pruned),
+        ],
+    };
+    if sampler == Sampler::Mh {
+        acceptance(out, density);
+    }
+    let changes: Vec<Series> = shown
+        .iter()
+        .map(|(name, count)| Series {
+            name,
+            points: points(density, step_of, |r| Some(count(&r.stats) as f64)),
+        })
+        .collect();
+    let unit = number("Gaussians");
+    out.push_str(&line_chart("Changes", &ITERATION, &unit, &changes));
+    match sampler {
+        Sampler::Mh => voxels(out, density),
+        Sampler::Adc => resets(out, density),
+        _ => (),
+    }
+    out.push_str("</div>\n");
+}
+
+fn step_of(row: &DensityRow) -> f64 {
+    f64::from(row.iteration)
+}
+
+fn acceptance(out: &mut String, density: &[DensityRow]) {
+    let rate = |pair: [u64; 2]| (pair[0] > 0).then(|| pair[1] as f64 / pair[0] as f64);
     let phases = [
         Series {
             name: "coarse",
-            points: points(density, iteration, |r| rate(r.stats.coarse)),
+            points: points(density, step_of, |r| rate(r.stats.coarse)),
         },
         Series {
             name: "fine",
-            points: points(density, iteration, |r| rate(r.stats.fine)),
+            points: points(density, step_of, |r| rate(r.stats.fine)),
         },
     ];
     out.push_str(&line_chart("Acceptance", &ITERATION, &SHARE, &phases));
-    let born = [
-        Series {
-            name: "born",
-            points: points(density, iteration, |r| Some(r.stats.accepted as f64)),
-        },
-        Series {
-            name: "relocated",
-            points: points(density, iteration, |r| Some(r.stats.relocated as f64)),
-        },
-        Series {
-            name: "removed",
-            points: points(density, iteration, |r| Some(r.stats.pruned as f64)),
-        },
-    ];
-    out.push_str(&line_chart(
-        "Changes",
-        &ITERATION,
-        &number("Gaussians"),
-        &born,
-    ));
-    let voxels = points(density, iteration, |r| Some(r.stats.occupied_voxels as f64));
+}
+
+fn voxels(out: &mut String, density: &[DensityRow]) {
+    let voxels = points(density, step_of, |r| Some(r.stats.occupied_voxels as f64));
     out.push_str(&line_chart(
         "Occupied voxels",
         &ITERATION,
@@ -158,7 +188,7 @@ pub(super) fn density_control(out: &mut String, density: &[DensityRow]) {
         &single(voxels),
     ));
     // D is the mean over the proposals, so a step without proposals has none.
-    let prior = points(density, iteration, |r| {
+    let prior = points(density, step_of, |r| {
         (r.stats.proposed > 0).then_some(r.stats.mean_prior)
     });
     out.push_str(&line_chart(
@@ -167,7 +197,21 @@ pub(super) fn density_control(out: &mut String, density: &[DensityRow]) {
         &number("D"),
         &single(prior),
     ));
-    out.push_str("</div>\n");
+}
+
+fn resets(out: &mut String, density: &[DensityRow]) {
+    let mut sum = 0;
+    let so_far = points(density, step_of, |r| Some(r.stats.opacity_resets as f64));
+    let so_far = so_far.into_iter().map(|(at, n)| {
+        sum += n as u64;
+        (at, sum as f64)
+    });
+    out.push_str(&line_chart(
+        "Opacity resets so far",
+        &ITERATION,
+        &number("resets"),
+        &single(so_far.collect()),
+    ));
 }
 
 pub(super) fn stages(out: &mut String, record: &RunRecord) {

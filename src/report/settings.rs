@@ -2,7 +2,7 @@
 
 use super::html::{escape, grouped, span};
 use super::record::{RECORD_FILE, RunRecord};
-use crate::config::{Background, Init, TrainConfig};
+use crate::config::{Background, Init, Sampler, TrainConfig};
 use serde_json::Value;
 use std::fmt::Write;
 use std::path::Path;
@@ -19,7 +19,6 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
         0 => "not measured".to_owned(),
         bytes => format!("{:.0} MiB", bytes as f64 / (1024.0 * 1024.0)),
     };
-    let density = &record.density;
     let facts = [
         ("dataset", dataset.path.clone()),
         ("layout", dataset.layout.clone()),
@@ -30,28 +29,30 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
         ("version", format!("{} ({})", record.version, record.commit)),
         ("whole run", span(record.wall_seconds)),
         ("peak memory", memory),
-        (
-            "births",
-            format!(
-                "{} of {} proposed",
-                grouped(density.accepted),
-                grouped(density.proposed)
-            ),
-        ),
-        (
-            "relocated, removed",
-            format!(
-                "{}, {}",
-                grouped(density.relocated),
-                grouped(density.pruned)
-            ),
-        ),
+        ("density control", density_control(record)),
     ];
     for (name, value) in facts {
         let _ = write!(out, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
     }
     out.push_str("</table>\n");
     options(out, &record.config);
+}
+
+/// What density control did over the run, in the sampler's terms.
+fn density_control(record: &RunRecord) -> String {
+    let d = &record.density;
+    let [born, proposed] = [d.accepted, d.proposed].map(grouped);
+    let [relocated, removed] = [d.relocated, d.pruned].map(grouped);
+    let [cloned, split] = [d.cloned, d.split].map(grouped);
+    match record.config.sampler {
+        Sampler::Mh => format!("{born} of {proposed} proposed births, {relocated} relocated"),
+        Sampler::Mcmc => format!("{born} born, {relocated} relocated"),
+        Sampler::Adc => format!(
+            "{cloned} cloned, {split} split, {removed} removed, {} opacity resets",
+            grouped(d.opacity_resets)
+        ),
+        Sampler::None => "none: a fixed set".to_owned(),
+    }
 }
 
 /// The options that were set, and the list of all.
@@ -114,7 +115,8 @@ fn command(record: &RunRecord, run_dir: &Path) -> String {
     let mut flag = |name: &str, value: String| {
         let _ = write!(line, " --{name} {}", quoted(&value));
     };
-    if c.loss != d.loss || c.optimizer != d.optimizer || c.mh != d.mh {
+    let samplers = c.mh == d.mh && c.mcmc == d.mcmc && c.adc == d.adc;
+    if !samplers || c.loss != d.loss || c.optimizer != d.optimizer {
         flag("config", run_dir.join(RECORD_FILE).display().to_string());
     }
     if c.sampler != d.sampler {

@@ -2,11 +2,13 @@
 
 use crate::error::Result;
 use crate::gpu::{Array, EditRow, Kernel, Kernels, Real};
+use crate::model::Plane;
 
 /// The edit stage.
 #[derive(Debug)]
 pub struct Edit {
     rows: Kernel,
+    limit_opacity: Kernel,
     reorder: Kernel,
     local: usize,
 }
@@ -34,9 +36,11 @@ impl Edit {
     /// # Errors
     /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [rows, reorder] = kernels.build::<R, 2>("edit", ["edit", "edit_reorder"])?;
+        let names = ["edit", "edit_limit_opacity", "edit_reorder"];
+        let [rows, limit_opacity, reorder] = kernels.build::<R, 3>("edit", names)?;
         Ok(Self {
             rows,
+            limit_opacity,
             reorder,
             local: kernels.defines().tuning.local,
         })
@@ -60,6 +64,28 @@ impl Edit {
             .array(a.moment1, len)
             .array(a.moment2, len)
             .run([a.edits.len(), a.planes], [self.local, 1])
+    }
+
+    /// Lowers every opacity logit of the first `count` Gaussians to `limit` and zeroes its moments; `a.edits` is not used.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn limit_opacity<R: Real>(
+        &self,
+        a: &EditArgs<'_, R>,
+        count: usize,
+        limit: f64,
+    ) -> Result<()> {
+        let len = (Plane::OPACITY + 1) * a.stride;
+        self.limit_opacity
+            .launch()
+            .value(count as u32)
+            .value(a.stride as u32)
+            .value(R::of(limit))
+            .array(a.params, len)
+            .array(a.moment1, len)
+            .array(a.moment2, len)
+            .run([count, 1], [self.local, 1])
     }
 
     /// Planes of `from` \[planes, stride\] with row `order[i]` as row i, in `to`; rows beyond `order` stay as they are.

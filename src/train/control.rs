@@ -4,7 +4,9 @@ use std::time::Instant;
 
 use super::Trainer;
 use crate::buffers::{Scene, restride};
-use crate::density::{Cues, DensityStats, Outcome, SceneState, StepContext};
+use crate::density::{
+    Cues, DensityStats, Evidence, Outcome, SceneState, ScreenGradient, StepContext, Wanted,
+};
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg, EditRow};
 use crate::model::{Plane, morton};
@@ -39,9 +41,11 @@ impl Trainer {
         let Some((due, progress)) = self.schedule.next_density(iteration) else {
             return Ok(());
         };
-        let wanted = self.density.views_wanted(self.views.len(), progress);
+        let Wanted::Errors { views } = self.density.wanted(self.views.len(), progress) else {
+            return Ok(());
+        };
         let since_last = self.schedule.density_interval().min(due);
-        let first = due - since_last.min(u32::try_from(wanted).unwrap_or(u32::MAX));
+        let first = due - since_last.min(u32::try_from(views).unwrap_or(u32::MAX));
         if iteration < first {
             return Ok(());
         }
@@ -82,9 +86,6 @@ impl Trainer {
             return Ok(None);
         };
         self.last_density = Some(self.iteration);
-        if self.density.views_wanted(self.views.len(), progress) == 0 {
-            return Ok(None);
-        }
         let began = Instant::now();
         let outcome = self.decide(progress)?;
         self.apply(&outcome)?;
@@ -102,8 +103,6 @@ impl Trainer {
 
     /// What density control wants, from what the device knows.
     fn decide(&mut self, progress: f64) -> Result<Outcome> {
-        let [ssim, l1, views] = self.read_cues()?;
-        let views: Vec<u32> = views.into_iter().map(|v| v as u32).collect();
         let planes: Vec<Vec<f32>> = (0..Plane::SH)
             .map(|p| self.scene.plane(p))
             .collect::<Result<_>>()?;
@@ -119,31 +118,50 @@ impl Trainer {
             progress,
             seed: self.config.seed,
             max_gaussians: self.config.max_gaussians,
+            opacity_resets: self.schedule.opacity_resets(self.iteration),
         };
-        let cues = Cues {
-            ssim: &ssim,
-            l1: &l1,
-            views: &views,
+        let rows = self.read_cues()?;
+        let cue = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
+        let wanted = self.density.wanted(self.views.len(), progress);
+        let views: Vec<u32> = match wanted {
+            Wanted::Nothing => Vec::new(),
+            // The last row counts.
+            _ => cue(wanted.rows() - 1).iter().map(|v| *v as u32).collect(),
         };
-        self.density.step(&context, &state, &cues)
+        let evidence = match wanted {
+            Wanted::Nothing => Evidence::Nothing,
+            Wanted::Errors { .. } => Evidence::Errors(Cues {
+                ssim: cue(0),
+                l1: cue(1),
+                views: &views,
+            }),
+            Wanted::ScreenGradient => Evidence::ScreenGradient(ScreenGradient {
+                norms: cue(0),
+                views: &views,
+            }),
+        };
+        self.density.step(&context, &state, &evidence)
     }
 
-    /// The cues so far: sums of 1 − SSIM and of |x − y|, views that see the centre.
-    pub(super) fn read_cues(&self) -> Result<[Vec<f32>; 3]> {
+    /// The cues so far, as the sampler wants them: sums of 1 − SSIM and of |x − y| and the views that see the centre (mh),
+    /// sums of the gradient's norm and the iterations that saw the Gaussian (adc), or none.
+    pub(super) fn read_cues(&self) -> Result<Vec<Vec<f32>>> {
         let row = |k: usize| self.cues.read(k * self.scene.stride, self.scene.count);
-        Ok([row(0)?, row(1)?, row(2)?])
+        (0..self.sampler.cue_rows).map(row).collect()
     }
 
     fn apply(&mut self, outcome: &Outcome) -> Result<()> {
         let before = self.scene.count;
-        if outcome.len > self.scene.stride {
+        if outcome.rows > self.scene.stride {
             let (planes, from) = (self.scene.planes(), self.scene.stride);
-            let to = Scene::<f32>::grown_stride(outcome.len);
+            let to = Scene::<f32>::grown_stride(outcome.rows);
             for array in [&mut self.scene.params, &mut self.moment1, &mut self.moment2] {
                 *array = restride(&self.device, array, planes, from, to)?;
             }
             self.scene.stride = to;
-            self.cues = Array::zeros(&self.device, "cues", 3 * to)?;
+            self.cues = self.sampler.cues(&self.device, to)?;
+        } else {
+            self.cues.clear()?;
         }
         let rows: Vec<EditRow> = outcome
             .edits
@@ -156,21 +174,36 @@ impl Trainer {
                 opacity_logit: e.opacity_logit,
             })
             .collect();
-        self.apply_edits(&Array::from_slice(&self.device, "edits", &rows)?)?;
-        self.scene.count = outcome.len;
-        if self.config.work.morton_order {
-            self.reorder()?;
+        let edits = Array::from_slice(&self.device, "edits", &rows)?;
+        self.edit.run(&self.edit_args(&edits))?;
+        self.scene.count = outcome.rows;
+        if let Some(limit) = outcome.logit_limit {
+            let args = self.edit_args(&edits);
+            self.edit
+                .limit_opacity(&args, outcome.rows, f64::from(limit))?;
+        }
+        if self.config.work.morton_order || !outcome.removed.is_empty() {
+            self.reorder(&outcome.removed)?;
         }
         self.most_pairs =
-            (self.most_pairs as f64 * outcome.len as f64 / before.max(1) as f64) as usize;
+            (self.most_pairs as f64 * self.scene.count as f64 / before.max(1) as f64) as usize;
         self.fit_views()
     }
 
-    /// Puts the Gaussians in Morton order: births are appended, wherever they lie.
-    fn reorder(&mut self) -> Result<()> {
+    /// Puts the Gaussians in Morton order (if that is wanted), the removed ones (rows, rising) left out: births are appended, wherever they lie.
+    fn reorder(&mut self, removed: &[u32]) -> Result<()> {
         let position = |k: usize| self.scene.plane(Plane::POSITION + k);
         let [x, y, z] = [position(0)?, position(1)?, position(2)?];
-        let order = Array::from_slice(&self.device, "order", &morton::order([&x, &y, &z]))?;
+        let mut order = if self.config.work.morton_order {
+            morton::order([&x, &y, &z])
+        } else {
+            (0..x.len() as u32).collect()
+        };
+        if !removed.is_empty() {
+            order.retain(|row| removed.binary_search(row).is_err());
+        }
+        self.scene.count = order.len();
+        let order = Array::from_slice(&self.device, "order", &order)?;
         let shape = [self.scene.planes(), self.scene.stride];
         for array in [&mut self.scene.params, &mut self.moment1, &mut self.moment2] {
             let to = Array::zeros(&self.device, array.name(), shape[0] * shape[1])?;
@@ -180,14 +213,14 @@ impl Trainer {
         Ok(())
     }
 
-    pub(super) fn apply_edits(&self, edits: &Array<EditRow>) -> Result<()> {
-        self.edit.run(&EditArgs {
+    fn edit_args<'a>(&'a self, edits: &'a Array<EditRow>) -> EditArgs<'a, f32> {
+        EditArgs {
             edits,
             stride: self.scene.stride,
             planes: self.scene.planes(),
             params: &self.scene.params,
             moment1: &self.moment1,
             moment2: &self.moment2,
-        })
+        }
     }
 }

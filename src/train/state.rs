@@ -18,8 +18,8 @@ pub struct TrainerState {
     pub moment1: Vec<Vec<f32>>,
     /// Second moments.
     pub moment2: Vec<Vec<f32>>,
-    /// Error cues gathered for the next density step \[3\]\[N\].
-    pub cues: [Vec<f32>; 3],
+    /// What the sampler has had gathered for its next step \[rows\]\[N\].
+    pub cues: Vec<Vec<f32>>,
     /// Statistics of density control so far.
     pub stats: DensityStats,
     /// Non-finite gradient values so far.
@@ -64,6 +64,16 @@ impl Trainer {
             for (p, plane) in planes.iter().enumerate() {
                 array.write(p * self.scene.stride, plane)?;
             }
+        }
+        if state.cues.len() != self.sampler.cue_rows {
+            return Err(Error::Numerics {
+                stage: "checkpoint".into(),
+                what: format!(
+                    "{} rows of cues; {} expected",
+                    state.cues.len(),
+                    self.sampler.cue_rows
+                ),
+            });
         }
         for (k, row) in state.cues.iter().enumerate() {
             self.cues.write(k * self.scene.stride, row)?;

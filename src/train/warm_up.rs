@@ -1,6 +1,7 @@
 //! What happens before the first iteration: every kernel is built and run once.
 
 use super::Trainer;
+use crate::density::Wanted;
 use crate::error::Result;
 use crate::gpu::tuning::status;
 use crate::gpu::{Array, Defines, Device, EditRow, Kernels};
@@ -34,10 +35,12 @@ impl Trainer {
             self.fit_views()?;
             self.enqueue_step(0, degree)?;
         }
-        let photo = self.views.photo(0, &[])?;
-        let camera = self.views.cameras[0];
-        let pair = self.pair(&camera, &photo, self.schedule.fixed_background());
-        self.add_cues(&camera, &pair, true)?;
+        if let Wanted::Errors { .. } = self.density.wanted(1, 0.0) {
+            let photo = self.views.photo(0, &[])?;
+            let camera = self.views.cameras[0];
+            let pair = self.pair(&camera, &photo, self.schedule.fixed_background());
+            self.add_cues(&camera, &pair, true)?;
+        }
         self.warm_up_edits()?;
         self.scene.count = count;
         for moment in [&self.moment1, &self.moment2] {
@@ -62,14 +65,16 @@ impl Trainer {
         let (planes, stride) = (self.scene.planes(), 16);
         let scratch = || Array::<f32>::zeros(&self.device, "scratch", planes * stride);
         let [params, moment1, moment2] = [scratch()?, scratch()?, scratch()?];
-        self.edit.run(&EditArgs {
+        let args = EditArgs {
             edits: &Array::from_slice(&self.device, "edits", &[EditRow::default()])?,
             stride,
             planes,
             params: &params,
             moment1: &moment1,
             moment2: &moment2,
-        })?;
+        };
+        self.edit.run(&args)?;
+        self.edit.limit_opacity(&args, 1, 0.0)?;
         let order = Array::from_slice(&self.device, "order", &[0u32])?;
         self.edit
             .reorder(&order, [planes, stride], &params, &moment1)

@@ -1,10 +1,11 @@
 //! Every stage once, in order, on one device and in one precision, with every intermediate result read back.
 
+use super::readback::{crop, read_forward, widen};
 use crate::buffers::Scene;
 use crate::dataset::{Camera, Photo};
 use crate::density::Edit as DensityEdit;
 use crate::error::Result;
-use crate::gpu::tuning::{NEAR, SUMS, TILE, Tuning, status};
+use crate::gpu::tuning::{NEAR, SUMS, Tuning, status};
 use crate::gpu::{Array, CameraArg, Defines, Device, EditRow, Kernels, Real, Record};
 use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
@@ -13,7 +14,9 @@ use crate::stage::edit::{Edit, EditArgs};
 use crate::stage::importance::{Importance, ImportanceArgs};
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::stage::metrics::Metrics;
+use crate::stage::noise::Noise;
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::stage::screen_grad::ScreenGrad;
 use crate::stage::splat_grad::SplatGrad;
 
 /// Inputs of a passage through all stages.
@@ -71,6 +74,10 @@ pub struct Outputs {
     pub adam: [Vec<Vec<f64>>; 3],
     /// Non-finite gradients that adam counted.
     pub non_finite: u32,
+    /// noise: displacement of each Gaussian, x, y and z.
+    pub noise: Vec<Vec<f64>>,
+    /// screen_grad: sums of norms, iterations (twice the same one).
+    pub screen_grad: [Vec<f64>; 2],
     /// importance: sums of 1 − SSIM and L1, views (twice the same view).
     pub cues: [Vec<f64>; 3],
     /// metrics: squared error over the image.
@@ -81,11 +88,13 @@ pub struct Outputs {
     pub seconds: Vec<(&'static str, f64)>,
 }
 
-struct Stages {
+pub(super) struct Stages {
     loss: Loss,
     splat_grad: SplatGrad,
     project_grad: ProjectGrad,
     adam: Adam,
+    pub(super) noise: Noise,
+    pub(super) screen_grad: ScreenGrad,
     importance: Importance,
     metrics: Metrics,
     edit: Edit,
@@ -98,6 +107,8 @@ impl Stages {
             splat_grad: SplatGrad::new::<R>(kernels)?,
             project_grad: ProjectGrad::new::<R>(kernels)?,
             adam: Adam::new::<R>(kernels)?,
+            noise: Noise::new::<R>(kernels)?,
+            screen_grad: ScreenGrad::new::<R>(kernels)?,
             importance: Importance::new::<R>(kernels)?,
             metrics: Metrics::new::<R>(kernels)?,
             edit: Edit::new::<R>(kernels)?,
@@ -144,6 +155,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
     };
     run.loss_and_gradient(&mut out)?;
     run.gradient_and_update(&mut out)?;
+    run.sampler_stages(&mut out)?;
     run.importance_and_metrics(&mut out)?;
     device.collect_times(usize::MAX)?;
     out.seconds = device
@@ -154,80 +166,14 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
     Ok(out)
 }
 
-fn widen<R: Real>(values: Vec<R>) -> Vec<f64> {
-    values.into_iter().map(Into::into).collect()
-}
-
-fn read_forward<R: Real>(
-    renderer: &Renderer<R>,
-    scene: &Scene<R>,
-    camera: &CameraArg<R>,
-    out: &mut Outputs,
-) -> Result<()> {
-    let f = &renderer.frame;
-    let keys = f.keys.read(0, scene.count)?;
-    let records = f.records.read(0, scene.count)?;
-    out.records = keys
-        .iter()
-        .zip(records)
-        .map(|(key, r)| {
-            (*key != crate::gpu::tuning::KEY_CULLED).then(|| Record {
-                x: r.x.into(),
-                y: r.y.into(),
-                a: r.a.into(),
-                r: r.r.into(),
-                c: r.c.into(),
-                lo: r.lo.into(),
-                rgb: r.rgb.map(Into::into),
-                depth: r.depth.into(),
-                bx: r.bx,
-                by: r.by,
-            })
-        })
-        .collect();
-    let pairs = f.status.read(status::PAIRS as usize, 1)?[0] as usize;
-    let visible = f.status.read(status::VISIBLE as usize, 1)?[0] as usize;
-    out.counted = f.counts.read(0, visible)?.iter().map(|c| *c as usize).sum();
-    let lists = renderer.lists(camera);
-    let order = lists.order.read(0, pairs)?;
-    let owner = f.pair_owner.read(0, pairs)?;
-    let start = f.tile_start.read(0, camera.tile_count() + 1)?;
-    out.tiles = start
-        .windows(2)
-        .map(|w| {
-            order[w[0] as usize..w[1] as usize]
-                .iter()
-                .map(|slot| owner[*slot as usize])
-                .collect()
-        })
-        .collect();
-    let planes = widen(f.image.read(0, 4 * lists.plane())?);
-    out.image = crop(&planes, camera, 0..3);
-    out.transmittance = crop(&planes, camera, 3..4);
-    Ok(())
-}
-
-/// Planes of a padded image without the padding.
-fn crop<R: Real>(
-    padded: &[f64],
-    camera: &CameraArg<R>,
-    planes: std::ops::Range<usize>,
-) -> Vec<f64> {
-    let [w, h] = camera.size.map(|s| s as usize);
-    let [stride, rows] = camera.tiles.map(|t| t as usize * TILE as usize);
-    planes
-        .flat_map(|c| (0..h).map(move |y| (c * rows + y) * stride))
-        .flat_map(|from| padded[from..from + w].iter().copied())
-        .collect()
-}
-
-struct Run<'a, R: Real> {
-    device: &'a Device,
-    stages: Stages,
-    renderer: Renderer<R>,
-    scene: Scene<R>,
+/// A passage under way: what is on the device, and the stages.
+pub(super) struct Run<'a, R: Real> {
+    pub(super) device: &'a Device,
+    pub(super) stages: Stages,
+    pub(super) renderer: Renderer<R>,
+    pub(super) scene: Scene<R>,
     photo: Array<u8>,
-    camera: CameraArg<R>,
+    pub(super) camera: CameraArg<R>,
     case: &'a Case,
 }
 
@@ -241,7 +187,7 @@ impl<R: Real> Run<'_, R> {
         }
     }
 
-    fn planes(&self, array: &Array<R>) -> Result<Vec<Vec<f64>>> {
+    pub(super) fn planes(&self, array: &Array<R>) -> Result<Vec<Vec<f64>>> {
         (0..self.scene.planes())
             .map(|p| Ok(widen(array.read(p * self.scene.stride, self.scene.count)?)))
             .collect()

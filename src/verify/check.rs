@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use serde::Serialize;
 
 use super::chain::{ADAM, Case, Outputs};
+use super::sampler::{NOISE, NOISE_KEYS};
 use super::twin;
 use crate::model::Plane;
 use crate::reference::adam::{Step, adam};
@@ -13,7 +14,9 @@ use crate::reference::compare::{Report, Tolerance, compare, measure};
 use crate::reference::edit::edit;
 use crate::reference::importance::importance;
 use crate::reference::metrics::squared_error;
+use crate::reference::noise::noise;
 use crate::reference::project::Record64;
+use crate::reference::screen_grad::screen_grad;
 use crate::reference::{Camera64, Scene64};
 
 /// f64 kernels against the f64 reference: rounding of f64 through the longest stage, with room for its condition.
@@ -154,6 +157,9 @@ pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
             "moments",
             [flat(&out.adam[1]), flat(&out.adam[2])].concat(),
         ),
+        quantity("noise", "displacement", flat(&out.noise)),
+        quantity("screen_grad", "norms", out.screen_grad[0].clone()),
+        quantity("screen_grad", "iterations", out.screen_grad[1].clone()),
         quantity(
             "importance",
             "cues",
@@ -182,6 +188,7 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     let pixels = camera.pixels();
     let maps = [&device.error_maps[..pixels], &device.error_maps[pixels..]];
     let cues = cues_of(&scene, &camera, maps);
+    let [norms, iterations] = pulls(&scene, &camera, device);
     let g = &p.grads.planes;
     vec![
         quantity("project", "mean", of_reference(&p.records, 0..2)),
@@ -212,6 +219,9 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
         quantity("project_grad", "SH", flat(&g[11..])),
         quantity("adam", "parameters", flat(&params)),
         quantity("adam", "moments", [flat(&m), flat(&v)].concat()),
+        quantity("noise", "displacement", displacements(&scene)),
+        quantity("screen_grad", "norms", norms),
+        quantity("screen_grad", "iterations", iterations),
         quantity("importance", "cues", cues),
         quantity(
             "metrics",
@@ -223,6 +233,32 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
             "rows",
             [flat(&rows), flat(&first), flat(&second)].concat(),
         ),
+    ]
+}
+
+/// Displacement of every Gaussian by the noise: all x, all y, all z.
+fn displacements(scene: &Scene64) -> Vec<f64> {
+    let [seed, stream] = NOISE_KEYS;
+    let moves: Vec<[f64; 3]> = (0..scene.len())
+        .map(|i| noise(scene, i, &NOISE, seed, stream))
+        .collect();
+    (0..3)
+        .flat_map(|k| moves.iter().map(move |m| m[k]))
+        .collect()
+}
+
+/// Sums of the screen gradient's norm and number of iterations, after the same one twice, from the device's own sums.
+fn pulls(scene: &Scene64, camera: &Camera64, device: &Outputs) -> [Vec<f64>; 2] {
+    let seen: HashSet<u32> = device.tiles.iter().flatten().copied().collect();
+    let norm = |i: usize| {
+        let norm = screen_grad(scene, i, camera, &device.sums[i]);
+        norm.filter(|_| seen.contains(&(i as u32)))
+    };
+    let norms: Vec<Option<f64>> = (0..scene.len()).map(norm).collect();
+    let twice = |value: fn(&Option<f64>) -> f64| norms.iter().map(|n| 2.0 * value(n)).collect();
+    [
+        twice(|n| n.unwrap_or(0.0)),
+        twice(|n| f64::from(u8::from(n.is_some()))),
     ]
 }
 

@@ -6,6 +6,8 @@
 pub mod cases;
 pub mod chain;
 pub mod check;
+mod readback;
+pub mod sampler;
 pub mod twin;
 
 use serde::Serialize;

@@ -2,8 +2,8 @@
 
 use super::{Scene, on_threads};
 use mhsplat::density::Cues;
+use mhsplat::density::draw::{Categorical, birth_position, rotate};
 use mhsplat::density::mh::importance::importance;
-use mhsplat::density::mh::propose::{Categorical, birth_position, rotate};
 use mhsplat::density::mh::sparsity::VoxelCounts;
 use mhsplat::density::relocation::{ln_coefficient, most_copies, sigmoid, split};
 use mhsplat::rng::{Philox, Purpose};
@@ -86,7 +86,7 @@ fn most_copies_are_as_many_as_keep_the_floor() {
 }
 
 /// [MCMC] Eq. 9 as printed; good to about 1e-12 for N ≤ 12.
-fn alternating_sum(opacity: f64, copies: u32) -> f64 {
+pub fn alternating_sum(opacity: f64, copies: u32) -> f64 {
     let mut sum = 0.0;
     for i in 1..=copies {
         let mut binomial = 1.0;

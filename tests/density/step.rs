@@ -5,7 +5,7 @@ use mhsplat::config::{Birth, MhConfig, Sampler, TrainConfig};
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::relocation::sigmoid;
 use mhsplat::density::{
-    Cues, DensityControl, DensityStats, Edit, Fixed, Outcome, StepContext, make,
+    Cues, DensityControl, DensityStats, Edit, Evidence, Fixed, Outcome, StepContext, Wanted, make,
 };
 use std::collections::{HashMap, HashSet};
 
@@ -15,6 +15,7 @@ pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext {
         progress,
         seed,
         max_gaussians: None,
+        opacity_resets: [0, 0],
     }
 }
 
@@ -28,7 +29,7 @@ pub fn step_with(birth: Birth, scene: &Scene, context: &StepContext) -> Outcome 
         ..MhConfig::default()
     };
     MetropolisHastings::new(&config)
-        .step(context, &scene.state(), &scene.cues())
+        .step(context, &scene.state(), &scene.errors())
         .unwrap()
 }
 
@@ -46,7 +47,7 @@ pub fn breaches(n: usize, outcome: &Outcome) -> Vec<String> {
         if !values.into_iter().all(|v| v.is_finite()) {
             found.push(format!("not finite: {e:?}"));
         }
-        if e.src as usize >= n || e.dst as usize >= outcome.len {
+        if e.src as usize >= n || e.dst as usize >= outcome.rows {
             found.push(format!("outside: {e:?}"));
         }
         if !dst.insert(e.dst) {
@@ -56,7 +57,7 @@ pub fn breaches(n: usize, outcome: &Outcome) -> Vec<String> {
             found.push(format!("source {} is overwritten", e.src));
         }
     }
-    if !(n..outcome.len).all(|row| dst.contains(&(row as u32))) {
+    if !(n..outcome.rows).all(|row| dst.contains(&(row as u32))) {
         found.push("a gap in the appended rows".into());
     }
     found
@@ -82,7 +83,7 @@ fn edits_obey_their_contract() {
         let s = outcome.stats;
         assert_eq!(s.proposed, s.coarse[0] + s.fine[0]);
         assert_eq!(s.accepted, s.coarse[1] + s.fine[1]);
-        assert_eq!(outcome.len as u64, 7000 + s.accepted);
+        assert_eq!(outcome.rows as u64, 7000 + s.accepted);
         assert!(s.coarse[1] > 0 && s.fine[1] > 0 && s.accepted < s.proposed);
         assert!(s.mean_prior > 0.0 && s.mean_prior < 1.0 && s.occupied_voxels > 0);
     }
@@ -136,11 +137,15 @@ fn with_everything_dead_nothing_happens() {
     let outcome = step(&scene, &context(500, 0.0, 0));
     assert!(outcome.edits.is_empty());
     assert_eq!(
-        (outcome.len, outcome.stats.proposed, outcome.stats.relocated),
+        (
+            outcome.rows,
+            outcome.stats.proposed,
+            outcome.stats.relocated
+        ),
         (50, 0, 0)
     );
     let empty = step(&Scene::random(0, 1), &context(500, 0.0, 0));
-    assert_eq!((empty.edits.len(), empty.len), (0, 0));
+    assert_eq!((empty.edits.len(), empty.rows), (0, 0));
 }
 
 #[test]
@@ -183,7 +188,7 @@ fn the_faint_host_no_more_than_they_can_bear() {
 fn the_upper_bound_holds() {
     let scene = dying(3000);
     let free = step_with(Birth::Copy, &scene, &context(700, 0.1, 1));
-    for limit in [3000 + 10, 3000, 100, free.len, free.len + 1] {
+    for limit in [3000 + 10, 3000, 100, free.rows, free.rows + 1] {
         let bounded = StepContext {
             max_gaussians: Some(limit),
             ..context(700, 0.1, 1)
@@ -191,9 +196,9 @@ fn the_upper_bound_holds() {
         let split = step(&scene, &bounded);
         assert_eq!(breaches(3000, &split), Vec::<String>::new());
         let outcome = step_with(Birth::Copy, &scene, &bounded);
-        assert_eq!(split.len, outcome.len);
-        assert_eq!(outcome.len, limit.min(free.len).max(3000));
-        assert_eq!(outcome.stats.accepted as usize, outcome.len - 3000);
+        assert_eq!(split.rows, outcome.rows);
+        assert_eq!(outcome.rows, limit.min(free.rows).max(3000));
+        assert_eq!(outcome.stats.accepted as usize, outcome.rows - 3000);
         assert_eq!(breaches(3000, &outcome), Vec::<String>::new());
         assert_eq!(
             outcome.edits[..],
@@ -247,26 +252,26 @@ fn proposals_fade_with_progress() {
 #[test]
 fn fewer_views_are_wanted_as_the_run_goes_on() {
     let mh = MetropolisHastings::new(&MhConfig::default());
-    let wanted = [0.0, 0.5, 0.6, 1.0].map(|eta| mh.views_wanted(10, eta));
-    assert_eq!(wanted, [10, 5, 4, 1]);
-    assert_eq!(mh.views_wanted(0, 0.5), 0);
+    let wanted = [0.0, 0.5, 0.6, 1.0].map(|eta| mh.wanted(10, eta));
+    assert_eq!(wanted, [10, 5, 4, 1].map(|views| Wanted::Errors { views }));
+    assert_eq!(mh.wanted(0, 0.5), Wanted::Errors { views: 0 });
 }
 
 #[test]
 fn bad_input_is_an_error_that_names_it() {
     let scene = Scene::random(10, 1);
     let mut mh = MetropolisHastings::new(&MhConfig::default());
-    let short = Cues {
+    let short = Evidence::Errors(Cues {
         l1: &scene.l1[..9],
         ..scene.cues()
-    };
+    });
     let said = mh
         .step(&context(1, 0.0, 0), &scene.state(), &short)
         .unwrap_err()
         .to_string();
     assert!(said.contains("9 values; 10 expected"), "{said}");
     assert!(
-        mh.step(&context(1, f64::NAN, 0), &scene.state(), &scene.cues())
+        mh.step(&context(1, f64::NAN, 0), &scene.state(), &scene.errors())
             .is_err()
     );
     let bad = MhConfig {
@@ -274,7 +279,7 @@ fn bad_input_is_an_error_that_names_it() {
         ..MhConfig::default()
     };
     let said = MetropolisHastings::new(&bad)
-        .step(&context(1, 0.0, 0), &scene.state(), &scene.cues())
+        .step(&context(1, 0.0, 0), &scene.state(), &scene.errors())
         .unwrap_err()
         .to_string();
     assert!(said.contains("voxel-edge"), "{said}");
@@ -284,14 +289,40 @@ fn bad_input_is_an_error_that_names_it() {
 fn a_fixed_set_stays() {
     let scene = dying(100);
     let outcome = Fixed
-        .step(&context(1, 0.0, 0), &scene.state(), &scene.cues())
+        .step(&context(1, 0.0, 0), &scene.state(), &scene.errors())
         .unwrap();
-    assert!(outcome.edits.is_empty() && outcome.len == 100);
-    assert_eq!(Fixed.views_wanted(9, 0.0), 0);
-    let mut config = TrainConfig::default();
-    assert_eq!(make(&config).views_wanted(4, 0.0), 4);
-    config.sampler = Sampler::None;
-    assert_eq!(make(&config).views_wanted(4, 0.0), 0);
+    assert!(outcome.edits.is_empty() && outcome.rows == 100);
+    assert_eq!(Fixed.wanted(9, 0.0), Wanted::Nothing);
+}
+
+#[test]
+fn a_configuration_names_its_strategy() {
+    let of = |sampler| {
+        let config = TrainConfig {
+            sampler,
+            ..TrainConfig::default()
+        };
+        let made = make(&config);
+        (made.wanted(4, 0.0), made.noise().is_some())
+    };
+    assert_eq!(of(Sampler::Mh), (Wanted::Errors { views: 4 }, false));
+    assert_eq!(of(Sampler::Mcmc), (Wanted::Nothing, true));
+    assert_eq!(of(Sampler::Adc), (Wanted::ScreenGradient, false));
+    assert_eq!(of(Sampler::None), (Wanted::Nothing, false));
+    // Evidence of another kind is refused, not guessed at.
+    let scene = dying(10);
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
+        let config = TrainConfig {
+            sampler,
+            ..TrainConfig::default()
+        };
+        let evidence = match sampler {
+            Sampler::Mh => Evidence::Nothing,
+            _ => scene.errors(),
+        };
+        let result = make(&config).step(&context(600, 0.0, 0), &scene.state(), &evidence);
+        assert!(result.unwrap_err().to_string().contains("another kind"));
+    }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The report page and its charts.
 
 use super::samples::*;
-use mhsplat::config::{Init, TrainConfig};
+use mhsplat::config::{Init, Sampler, TrainConfig};
 use mhsplat::error::Error;
 use mhsplat::plan::Plan;
 use mhsplat::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
@@ -124,6 +124,26 @@ fn page_shows_the_run() {
     assert!(text.contains("width=device-width") && text.contains("prefers-color-scheme:dark"));
     let bytes = page(&record(), &rows(), &density(), &[]).len();
     assert!(bytes < 40_000, "{bytes} bytes without images");
+}
+
+#[test]
+fn density_control_is_told_in_the_samplers_terms() {
+    let told = |sampler| {
+        let mut record = record();
+        record.config.sampler = sampler;
+        page(&record, &rows(), &density(), &[])
+    };
+    let [mh, mcmc, adc, none] = [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None].map(told);
+    for (text, has, has_not) in [
+        (&mh, "Mean voxel prior D", "Opacity resets"),
+        (&mcmc, "relocated", "Acceptance"),
+        (&adc, "Opacity resets so far", "Occupied voxels"),
+        (&none, "A fixed set of Gaussians.", "Changes"),
+    ] {
+        assert!(text.contains(has) && !text.contains(has_not), "{has}");
+    }
+    assert!(adc.contains("cloned") && !mcmc.contains("cloned"));
+    assert!(mcmc.contains("--sampler mcmc") && !mh.contains("--sampler"));
 }
 
 #[test]

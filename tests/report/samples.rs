@@ -157,6 +157,7 @@ pub fn density() -> Vec<DensityRow> {
                 fine,
                 occupied_voxels: (9000.0 + 1900.0 * x) as u64,
                 mean_prior: 0.21 + 0.3 * (-x / 9.0).exp(),
+                ..DensityStats::default()
             },
         }
     });

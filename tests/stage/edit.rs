@@ -72,3 +72,33 @@ fn rows_in_another_order_are_the_reference_s() {
         );
     }
 }
+
+#[test]
+fn an_opacity_reset_lowers_what_is_above_and_forgets_the_moments() {
+    let device = device();
+    let edit = mhsplat::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
+    let (planes, stride, count) = (Plane::count(0), 256, 5);
+    let array = |name| Array::from_slice(&device, name, &vec![1.5f32; planes * stride]).unwrap();
+    let (params, moment1, moment2) = (array("params"), array("moment1"), array("moment2"));
+    params
+        .write(Plane::OPACITY * stride, &[-6.0, -4.0, 0.0, f32::NAN])
+        .unwrap();
+    let args = mhsplat::stage::edit::EditArgs {
+        edits: &Array::from_slice(&device, "edits", &[]).unwrap(),
+        stride,
+        planes,
+        params: &params,
+        moment1: &moment1,
+        moment2: &moment2,
+    };
+    edit.limit_opacity(&args, count, -4.5).unwrap();
+    let opacity = params.read(Plane::OPACITY * stride, 6).unwrap();
+    assert_eq!(opacity, [-6.0, -4.5, -4.5, -4.5, -4.5, 1.5]);
+    for moment in [&moment1, &moment2] {
+        let values = moment.to_vec().unwrap();
+        for (at, v) in values.iter().enumerate() {
+            let reset = at / stride == Plane::OPACITY && at % stride < count;
+            assert_eq!(*v, if reset { 0.0 } else { 1.5 }, "{at}");
+        }
+    }
+}

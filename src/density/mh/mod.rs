@@ -6,17 +6,18 @@
 
 pub mod accept;
 pub mod importance;
-pub mod propose;
-pub mod relocate;
 pub mod sparsity;
 
-use super::{Cues, DensityControl, DensityStats, Edit, Outcome, SceneState, StepContext};
+use super::draw::{Categorical, birth_position, gather};
+use super::relocate::{self, Relocation};
+use super::{
+    Cues, DensityControl, DensityStats, Edit, Evidence, Outcome, SceneState, StepContext, Wanted,
+    check_lengths, numerics, unexpected,
+};
 use crate::config::{Birth, MhConfig};
 use crate::error::{Error, Result};
 use crate::rng::{Philox, Purpose};
-use propose::{Categorical, birth_position, gather};
 use rayon::prelude::*;
-use relocate::Relocation;
 use rustc_hash::FxHashSet;
 use sparsity::VoxelCounts;
 
@@ -144,50 +145,33 @@ impl MetropolisHastings {
                 format!("{}; 0 or more expected", c.lambda_voxel),
             ));
         }
-        let numerics = |what: String| Error::Numerics {
-            stage: "density control".into(),
-            what,
-        };
         if !context.progress.is_finite() {
             return Err(numerics(format!(
                 "progress is {}; 0 to 1 expected",
                 context.progress
             )));
         }
-        let n = scene.len();
-        if u32::try_from(n).is_err() {
-            return Err(numerics(format!("{n} Gaussians; fewer than 2^32 expected")));
-        }
-        let planes = scene
-            .positions
-            .iter()
-            .chain(&scene.log_scales)
-            .chain(&scene.rotations);
-        let lengths =
-            planes
-                .map(|p| p.len())
-                .chain([cues.ssim.len(), cues.l1.len(), cues.views.len()]);
-        match lengths.into_iter().find(|l| *l != n) {
-            Some(l) => Err(numerics(format!(
-                "a parameter or cue has {l} values; {n} expected"
-            ))),
-            None => Ok(()),
-        }
+        check_lengths(scene, [cues.ssim.len(), cues.l1.len(), cues.views.len()])
     }
 }
 
 impl DensityControl for MetropolisHastings {
     /// k = max(1, ⌊views·(1−η)⌋) (Eq. 10).
-    fn views_wanted(&self, views: usize, progress: f64) -> usize {
-        shrinking(views, progress)
+    fn wanted(&self, views: usize, progress: f64) -> Wanted {
+        Wanted::Errors {
+            views: shrinking(views, progress),
+        }
     }
 
     fn step(
         &mut self,
         context: &StepContext,
         scene: &SceneState<'_>,
-        cues: &Cues<'_>,
+        evidence: &Evidence<'_>,
     ) -> Result<Outcome> {
+        let Evidence::Errors(cues) = evidence else {
+            return Err(unexpected());
+        };
         self.check(context, scene, cues)?;
         let context = &StepContext {
             progress: context.progress.clamp(0.0, 1.0),
@@ -301,8 +285,9 @@ impl Births {
         edits.append(&mut self.edits);
         Outcome {
             edits,
-            len: self.len,
+            rows: self.len,
             stats: self.stats,
+            ..Outcome::default()
         }
     }
 }

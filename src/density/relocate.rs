@@ -1,6 +1,6 @@
 //! Dead Gaussians take over alive ones (\[MH\] Eq. 17, \[MCMC\] Eq. 9).
 
-use super::propose::{Categorical, gather};
+use super::draw::{Categorical, gather, is_finite};
 use crate::density::relocation::{most_copies, sigmoid, split};
 use crate::density::{Edit, SceneState, StepContext};
 use crate::rng::{Philox, Purpose};
@@ -94,13 +94,10 @@ impl Relocation {
             .collect();
         pairs.par_sort_unstable();
         // Of the dead that drew one source, as many as it can host.
-        let hosted = |group: &'_ [(u32, u32)]| {
-            let room = most_copies(logit(group[0].0), LEAST_OPACITY * dead) as usize - 1;
-            group.len().min(room)
-        };
+        let room = |source| most_copies(logit(source), LEAST_OPACITY * dead) as usize - 1;
         let groups: Vec<&[(u32, u32)]> = pairs
             .chunk_by(|a, b| a.0 == b.0)
-            .map(|group| &group[..hosted(group)])
+            .map(|group| &group[..group.len().min(room(group[0].0))])
             .filter(|group| !group.is_empty())
             .collect();
         let split_source = |group: &&[(u32, u32)]| -> Option<Edit> {
@@ -139,6 +136,15 @@ impl Relocation {
         sources.get(i)
     }
 
+    /// The edit of a row that was split or moved, if it was.
+    #[must_use]
+    pub fn edit(&self, row: u32) -> Option<&Edit> {
+        let moved = self.moved_edits();
+        let at = |i: usize| moved.get(i);
+        let moved = moved.binary_search_by_key(&row, |e| e.dst).ok();
+        self.source(row).or_else(|| moved.and_then(at))
+    }
+
     /// The edits of the moved rows.
     #[must_use]
     pub fn moved_edits(&self) -> &[Edit] {
@@ -147,21 +153,12 @@ impl Relocation {
 }
 
 fn is_alive(scene: &SceneState<'_>, row: usize, threshold: f64) -> bool {
-    fn finite<const K: usize>(planes: &[&[f32]; K], row: usize) -> bool {
-        gather(planes, row).is_some_and(|values| values.iter().all(|v| v.is_finite()))
-    }
-    let logit = f64::from(scene.opacity_logits[row]);
-    // Says what is good, so that a NaN is dead.
-    logit.is_finite()
-        && logit > threshold
-        && finite(&scene.positions, row)
-        && finite(&scene.log_scales, row)
-        && finite(&scene.rotations, row)
+    f64::from(scene.opacity_logits[row]) > threshold && is_finite(scene, row)
 }
 
 /// Lets births share opacity and scale with their sources: a source with m births becomes 1 + m equal parts, itself being
 /// one. Changes the births in place and answers the edits of the sources, rising.
-pub(super) fn share(births: &mut [Edit], scene: &SceneState<'_>) -> Vec<Edit> {
+pub fn share(births: &mut [Edit], scene: &SceneState<'_>) -> Vec<Edit> {
     let mut families: BTreeMap<u32, (u32, Edit)> = BTreeMap::new();
     for birth in births.iter() {
         families.entry(birth.src).or_insert((1, *birth)).0 += 1;

@@ -1,4 +1,4 @@
-//! Where births are proposed (\[MH\] Eq. 14–16): sources drawn by weight, positions by the source's own shape.
+//! What every sampler draws: sources by weight, positions by the source's own shape (\[MH\] Eq. 14–16, \[3DGS\] §5.2).
 
 use crate::density::SceneState;
 use crate::rng::Philox;
@@ -115,6 +115,17 @@ pub(super) fn gather<const K: usize>(planes: &[&[f32]; K], row: usize) -> Option
         *value = *plane.get(row)?;
     }
     Some(values)
+}
+
+/// Whether every parameter of a row that density control sees is finite.
+pub(super) fn is_finite(scene: &SceneState<'_>, row: usize) -> bool {
+    fn all<const K: usize>(planes: &[&[f32]; K], row: usize) -> bool {
+        gather(planes, row).is_some_and(|values| values.iter().all(|v| v.is_finite()))
+    }
+    all(&[scene.opacity_logits], row)
+        && all(&scene.positions, row)
+        && all(&scene.log_scales, row)
+        && all(&scene.rotations, row)
 }
 
 /// R(q)·v for a quaternion (w, x, y, z) of any norm; a zero or non-finite one is the identity.

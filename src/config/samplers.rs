@@ -1,0 +1,364 @@
+//! The samplers and the numbers that are theirs alone. Everything else of a run is the same whichever is chosen.
+
+use serde::{Deserialize, Serialize};
+
+use super::TrainConfig;
+use crate::error::{Error, Result};
+
+/// Density control.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Sampler {
+    /// Metropolis–Hastings births and relocation (\[MH\] §4).
+    #[default]
+    Mh,
+    /// Noise on the positions, relocation, growth by a fixed rate up to a cap (\[MCMC\] §3).
+    Mcmc,
+    /// Adaptive density control: clone, split, prune, opacity reset (\[3DGS\] §5.2).
+    Adc,
+    /// A fixed set of Gaussians.
+    None,
+}
+
+/// Form of the acceptance ratio ρ; D = 1/(1 + λ_v·c) is the voxel prior's factor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Acceptance {
+    /// ρ = σ(I)·D (\[MH\] Eq. 20).
+    #[default]
+    Eq20,
+    /// ρ = I·D (\[MH\] Alg. 1).
+    Alg1,
+    /// ρ = σ(I − ½)·D (the released implementation).
+    Centred,
+}
+
+/// What a birth takes of its source's opacity and scale.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Birth {
+    /// The source keeps its own and the birth has the same (\[MH\] §4.3: other parameters are copied).
+    Copy,
+    /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
+    /// no opacity to the scene.
+    #[default]
+    Split,
+}
+
+/// Metropolis–Hastings density control (\[MH\] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct MhConfig {
+    /// Form of ρ.
+    pub acceptance: Acceptance,
+    /// What a birth takes of its source.
+    pub birth: Birth,
+    /// λ_v of the voxel prior (Eq. 7).
+    pub lambda_voxel: f64,
+    /// Weight of the robust-normalised opacity in the importance (Eq. 13).
+    pub weight_opacity: f64,
+    /// Weight of 1 − SSIM.
+    pub weight_ssim: f64,
+    /// Weight of L1.
+    pub weight_l1: f64,
+    /// First iteration with density control.
+    pub from_iteration: u32,
+    /// Last iteration with density control; η runs from 0 to 1 over the span.
+    pub until_iteration: u32,
+    /// Iterations between two density steps; fewer in short runs, see `Schedule::density_interval`.
+    pub interval: u32,
+    /// Coarse proposals per step at η = 0.
+    pub coarse_proposals: u32,
+    /// Fine proposals per step at η = 0.
+    pub fine_proposals: u32,
+    /// Coarse proposal spread in units of the Gaussian's own scale, at η = 0 and η = 1.
+    pub coarse_spread: [f64; 2],
+    /// Fine proposal spread, likewise.
+    pub fine_spread: [f64; 2],
+    /// Voxel edge at η = 0 and η = 1, in local units (scene extent 1; the papers' scenes have 1–10 units).
+    pub voxel_edge: [f64; 2],
+    /// A Gaussian is dead at or below this opacity.
+    pub dead_opacity: f64,
+}
+
+impl Default for MhConfig {
+    fn default() -> Self {
+        Self {
+            acceptance: Acceptance::Eq20,
+            birth: Birth::Split,
+            lambda_voxel: 5.0,
+            weight_opacity: 0.8,
+            weight_ssim: 0.5,
+            weight_l1: 0.5,
+            from_iteration: 500,
+            until_iteration: 15_000,
+            interval: 100,
+            coarse_proposals: 4_500,
+            fine_proposals: 16_000,
+            coarse_spread: [10.0, 5.0],
+            fine_spread: [2.0, 1.0],
+            voxel_edge: [0.02, 0.005],
+            dead_opacity: 0.005,
+        }
+    }
+}
+
+impl MhConfig {
+    pub(super) fn validate(&self) -> Result<()> {
+        let positive = [self.voxel_edge[0], self.voxel_edge[1]]
+            .iter()
+            .all(|v| v.is_finite() && *v > 0.0);
+        let spreads = self.coarse_spread.iter().chain(&self.fine_spread);
+        if !positive || !spreads.into_iter().all(|v| v.is_finite() && *v >= 0.0) {
+            return Err(Error::config(
+                "mh",
+                "voxel edges > 0 and spreads >= 0 expected",
+            ));
+        }
+        if !(self.lambda_voxel.is_finite() && self.lambda_voxel >= 0.0) {
+            return Err(Error::config(
+                "mh.lambda-voxel",
+                "a finite value >= 0 expected",
+            ));
+        }
+        let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
+        if !(weights.iter().all(|w| w.is_finite()) && (0.0..1.0).contains(&self.dead_opacity)) {
+            return Err(Error::config(
+                "mh",
+                "finite weights and a dead-opacity in [0, 1) expected",
+            ));
+        }
+        self.times().validate("mh")
+    }
+
+    fn times(&self) -> DensityTimes {
+        DensityTimes {
+            from: self.from_iteration,
+            until: self.until_iteration,
+            interval: self.interval,
+            after_from: false,
+        }
+    }
+}
+
+/// MCMC density control (\[MCMC\] §3 and its released implementation). Iteration numbers are for a run of 30,000 iterations.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct McmcConfig {
+    /// Noise per unit of the position's learning rate (released code, `noise_lr`): x += Σ·ξ·gate·noise-rate·lr. It has the
+    /// unit of an inverse squared length; see `world_extent`.
+    pub noise_rate: f64,
+    /// Scene extent, in the units that `noise_rate` is for. In local units, in which the extent is 1, Σ shrinks by e² while
+    /// position and learning rate shrink by e each: the noise of a scene of extent e is e² times as strong as the same
+    /// formula says here. 1 takes the formula as it stands, as gsplat does in its own normalised units; the released code's
+    /// scenes come to about 5 in theirs (measured on one indoor scene at 1,500 and 3,000 iterations, one run each: 28.8 and
+    /// 29.9 dB with 5, 29.3 and 30.0 dB with 1).
+    pub world_extent: f64,
+    /// k of the gate σ(−k·(o − x₀)), which spares what is opaque (\[MCMC\] Eq. 8).
+    pub noise_steepness: f64,
+    /// x₀ of the gate: the opacity at which it is one half.
+    pub noise_opacity: f64,
+    /// A Gaussian is dead, and relocated, at or below this opacity (\[MCMC\] §3.2).
+    pub dead_opacity: f64,
+    /// Gaussians after a step over those before it, until the cap (\[MCMC\] §4: 5 % more).
+    pub growth: f64,
+    /// Most Gaussians where `max-gaussians` does not say. The released code demands a cap; gsplat's default is this.
+    pub cap: usize,
+    /// Learning rate of the opacity logit (\[MCMC\], released code: twice that of the others).
+    pub lr_opacity: f32,
+    /// Density steps come after this iteration (released code, `densify_from_iter`).
+    pub from_iteration: u32,
+    /// And before this one (`densify_until_iter`); the noise goes on to the end.
+    pub until_iteration: u32,
+    /// Iterations between two density steps (`densification_interval`).
+    pub interval: u32,
+}
+
+impl Default for McmcConfig {
+    fn default() -> Self {
+        Self {
+            noise_rate: 5e5,
+            world_extent: 1.0,
+            noise_steepness: 100.0,
+            noise_opacity: 0.005,
+            dead_opacity: 0.005,
+            growth: 1.05,
+            cap: 1_000_000,
+            lr_opacity: 0.05,
+            from_iteration: 500,
+            until_iteration: 25_000,
+            interval: 100,
+        }
+    }
+}
+
+impl McmcConfig {
+    pub(super) fn validate(&self) -> Result<()> {
+        let rates = [self.noise_rate, self.world_extent, self.noise_steepness];
+        if !rates.iter().all(|v| v.is_finite() && *v >= 0.0) {
+            return Err(Error::config(
+                "mcmc",
+                "noise-rate, world-extent and noise-steepness of 0 or more expected",
+            ));
+        }
+        let opacities = [self.noise_opacity, self.dead_opacity];
+        if !opacities.iter().all(|o| (0.0..1.0).contains(o)) {
+            return Err(Error::config(
+                "mcmc",
+                "noise-opacity and dead-opacity in [0, 1) expected",
+            ));
+        }
+        if !((1.0..=2.0).contains(&self.growth) && self.cap > 0) {
+            return Err(Error::config(
+                "mcmc",
+                "growth from 1 to 2 and a cap of at least 1 expected",
+            ));
+        }
+        if !(self.lr_opacity.is_finite() && self.lr_opacity >= 0.0) {
+            return Err(Error::config("mcmc.lr-opacity", "0 or more expected"));
+        }
+        self.times().validate("mcmc")
+    }
+
+    fn times(&self) -> DensityTimes {
+        DensityTimes {
+            from: self.from_iteration,
+            until: self.until_iteration,
+            interval: self.interval,
+            after_from: true,
+        }
+    }
+}
+
+/// Adaptive density control (\[3DGS\] §5.2 and its released implementation). Iteration numbers are for a run of 30,000
+/// iterations; lengths are in local units, in which the scene extent is 1, so that its fractions of the extent stand as they
+/// are.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct AdcConfig {
+    /// A Gaussian is cloned or split above this mean norm of the gradient of its projected centre, in normalised device
+    /// coordinates (−1 to 1 over the image), over the iterations that saw it (τ_pos, \[3DGS\] §5.2).
+    pub grad_threshold: f64,
+    /// Cloned up to this largest scale, split above it (released code, `percent_dense`).
+    pub clone_scale: f64,
+    /// Scale of a Gaussian over that of the two it is split into (φ, \[3DGS\] §5.2).
+    pub split_shrink: f64,
+    /// Pruned below this opacity (released code, `min_opacity`).
+    pub prune_opacity: f64,
+    /// Pruned, after the first opacity reset, above this largest scale (released code, `big_points_ws`). The released code
+    /// also compares the largest radius in pixels with 20, but sets those radii to zero just before, so that nothing is
+    /// pruned by them: they are not kept here.
+    pub prune_scale: f64,
+    /// A reset leaves no opacity above this (released code, `reset_opacity`).
+    pub reset_opacity: f64,
+    /// Iterations between two opacity resets (N, \[3DGS\] §5.2), each at the first density step from then on.
+    pub reset_interval: u32,
+    /// Density steps come after this iteration (released code, `densify_from_iter`).
+    pub from_iteration: u32,
+    /// And before this one (`densify_until_iter`).
+    pub until_iteration: u32,
+    /// Iterations between two density steps (`densification_interval`).
+    pub interval: u32,
+}
+
+impl Default for AdcConfig {
+    fn default() -> Self {
+        Self {
+            grad_threshold: 2e-4,
+            clone_scale: 0.01,
+            split_shrink: 1.6,
+            prune_opacity: 0.005,
+            prune_scale: 0.1,
+            reset_opacity: 0.01,
+            reset_interval: 3000,
+            from_iteration: 500,
+            until_iteration: 15_000,
+            interval: 100,
+        }
+    }
+}
+
+impl AdcConfig {
+    pub(super) fn validate(&self) -> Result<()> {
+        let lengths = [self.grad_threshold, self.clone_scale, self.prune_scale];
+        if !lengths.iter().all(|v| v.is_finite() && *v >= 0.0) {
+            return Err(Error::config(
+                "adc",
+                "grad-threshold, clone-scale and prune-scale of 0 or more expected",
+            ));
+        }
+        if !(self.split_shrink.is_finite() && self.split_shrink >= 1.0) {
+            return Err(Error::config("adc.split-shrink", "at least 1 expected"));
+        }
+        let reset = self.reset_opacity;
+        if !((0.0..1.0).contains(&self.prune_opacity) && reset > 0.0 && reset < 1.0) {
+            return Err(Error::config(
+                "adc",
+                "prune-opacity in [0, 1) and reset-opacity between 0 and 1 expected",
+            ));
+        }
+        if self.reset_interval == 0 {
+            return Err(Error::config("adc.reset-interval", "at least 1 expected"));
+        }
+        self.times().validate("adc")
+    }
+
+    fn times(&self) -> DensityTimes {
+        DensityTimes {
+            from: self.from_iteration,
+            until: self.until_iteration,
+            interval: self.interval,
+            after_from: true,
+        }
+    }
+}
+
+/// When a sampler acts, for a run of 30,000 iterations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DensityTimes {
+    /// First iteration.
+    pub from: u32,
+    /// Iteration before which the last step comes.
+    pub until: u32,
+    /// Iterations between two steps.
+    pub interval: u32,
+    /// Whether a step at `from` itself is left out, as the released implementations of \[3DGS\] and \[MCMC\] do.
+    pub after_from: bool,
+}
+
+impl DensityTimes {
+    fn validate(&self, table: &str) -> Result<()> {
+        if self.from >= self.until || self.interval == 0 {
+            return Err(Error::config(
+                table,
+                "from-iteration before until-iteration and an interval of at least 1 expected",
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl TrainConfig {
+    /// When the chosen sampler acts; none for a fixed set.
+    #[must_use]
+    pub fn density_times(&self) -> Option<DensityTimes> {
+        match self.sampler {
+            Sampler::Mh => Some(self.mh.times()),
+            Sampler::Mcmc => Some(self.mcmc.times()),
+            Sampler::Adc => Some(self.adc.times()),
+            Sampler::None => None,
+        }
+    }
+
+    /// Learning rate of the opacity logit under the chosen sampler.
+    #[must_use]
+    pub fn lr_opacity(&self) -> f32 {
+        match self.sampler {
+            Sampler::Mcmc => self.mcmc.lr_opacity,
+            _ => self.optimizer.lr_opacity,
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! Adaptive density control (\[3DGS\] = Kerbl et al., *3D Gaussian Splatting for Real-Time Radiance Field Rendering*, 2023,
+//! §5.2): where training keeps pulling at a Gaussian's projected centre, a small one is cloned and a large one split; what is
+//! nearly transparent or too large goes; and from time to time every opacity is lowered, so that only what is needed comes
+//! back.
+
+use super::draw::{birth_position, gather, is_finite};
+use super::relocation::sigmoid;
+use super::{
+    DensityControl, DensityStats, Edit, Evidence, Outcome, SceneState, ScreenGradient, StepContext,
+    Wanted, check_lengths, unexpected,
+};
+use crate::config::AdcConfig;
+use crate::error::Result;
+use crate::rng::{Philox, Purpose};
+use rayon::prelude::*;
+
+/// Density control by thresholds on gradient, size and opacity.
+#[derive(Debug, Clone)]
+pub struct Adaptive {
+    config: AdcConfig,
+}
+
+/// What becomes of a Gaussian in one step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Fate {
+    Stays,
+    Clones,
+    Splits,
+    Goes,
+}
+
+impl Adaptive {
+    /// Density control with these settings.
+    #[must_use]
+    pub fn new(config: &AdcConfig) -> Self {
+        Self { config: *config }
+    }
+
+    /// What is to become of a row on which training pulled so hard. Pruning comes after cloning and splitting and sees what
+    /// they leave: so what is too transparent has no copies, and what is too large may stay as two smaller ones.
+    fn fate(&self, scene: &SceneState<'_>, row: usize, pull: f64, bounded_size: bool) -> Fate {
+        let c = &self.config;
+        let Some(log_scale) = gather(&scene.log_scales, row) else {
+            return Fate::Stays;
+        };
+        // Says what is good, so that what broke goes.
+        let opacity = sigmoid(f64::from(scene.opacity_logits[row]));
+        if !(opacity >= c.prune_opacity && is_finite(scene, row)) {
+            return Fate::Goes;
+        }
+        let largest = log_scale.into_iter().fold(f32::MIN, f32::max);
+        let size = f64::from(largest).exp();
+        let fate = match (pull > c.grad_threshold, size <= c.clone_scale) {
+            (false, _) => Fate::Stays,
+            (true, true) => Fate::Clones,
+            (true, false) => Fate::Splits,
+        };
+        let left = match fate {
+            Fate::Splits => size / c.split_shrink,
+            _ => size,
+        };
+        if bounded_size && left > c.prune_scale {
+            return Fate::Goes;
+        }
+        fate
+    }
+
+    /// Writes a clone, or the two that a Gaussian is split into; the new row is `dst`. False if the new positions would not be
+    /// finite.
+    fn bear(
+        &self,
+        edits: &mut Vec<Edit>,
+        context: &StepContext,
+        scene: &SceneState<'_>,
+        birth: &Birth,
+        dst: u32,
+    ) -> bool {
+        let row = birth.row as usize;
+        let own = || {
+            Some(Edit {
+                src: birth.row,
+                dst,
+                position: gather(&scene.positions, row)?,
+                log_scale: gather(&scene.log_scales, row)?,
+                opacity_logit: *scene.opacity_logits.get(row)?,
+            })
+        };
+        let Some(copy) = own() else {
+            return false;
+        };
+        if birth.fate == Fate::Clones {
+            edits.push(copy);
+            return true;
+        }
+        let stream = Purpose::Split.stream(context.iteration);
+        let sample = |k: u64| {
+            let index = 2 * u64::from(birth.row) + k;
+            let [x, y, z, _] = Philox::normal(context.seed, stream, index);
+            birth_position(scene, row, copy.log_scale, 1.0, [x, y, z])
+        };
+        let (Some(first), Some(second)) = (sample(0), sample(1)) else {
+            return false;
+        };
+        let shrink = self.config.split_shrink.ln();
+        let log_scale = copy.log_scale.map(|s| (f64::from(s) - shrink) as f32);
+        for (dst, position) in [(birth.row, first), (dst, second)] {
+            edits.push(Edit {
+                dst,
+                position,
+                log_scale,
+                ..copy
+            });
+        }
+        true
+    }
+}
+
+/// A row that is to be cloned or split.
+struct Birth {
+    row: u32,
+    fate: Fate,
+    pull: f64,
+}
+
+/// Mean norm of the gradient of the projected centre over the iterations that saw a row; 0 if none did.
+fn pull(gradient: &ScreenGradient<'_>, row: usize) -> f64 {
+    match gradient.views[row] {
+        0 => 0.0,
+        views => f64::from(gradient.norms[row]) / f64::from(views),
+    }
+}
+
+/// The births there is room for, by row: where not all fit, those with the largest gradient, ties by row.
+fn bounded(mut births: Vec<Birth>, room: usize) -> Vec<Birth> {
+    if births.len() > room {
+        births.sort_by(|a, b| b.pull.total_cmp(&a.pull).then(a.row.cmp(&b.row)));
+        births.truncate(room);
+        births.sort_by_key(|b| b.row);
+    }
+    births
+}
+
+impl DensityControl for Adaptive {
+    fn wanted(&self, _views: usize, _progress: f64) -> Wanted {
+        Wanted::ScreenGradient
+    }
+
+    fn step(
+        &mut self,
+        context: &StepContext,
+        scene: &SceneState<'_>,
+        evidence: &Evidence<'_>,
+    ) -> Result<Outcome> {
+        let Evidence::ScreenGradient(gradient) = evidence else {
+            return Err(unexpected());
+        };
+        check_lengths(scene, [gradient.norms.len(), gradient.views.len()])?;
+        let n = scene.len();
+        let [resets_before, resets] = context.opacity_resets;
+        let fates: Vec<(Fate, f64)> = (0..n)
+            .into_par_iter()
+            .map(|row| {
+                let pull = pull(gradient, row);
+                (self.fate(scene, row, pull, resets_before > 0), pull)
+            })
+            .collect();
+        let (mut births, mut removed) = (Vec::new(), Vec::new());
+        for (row, (fate, pull)) in (0u32..).zip(fates) {
+            match fate {
+                Fate::Stays => (),
+                Fate::Goes => removed.push(row),
+                Fate::Clones | Fate::Splits => births.push(Birth { row, fate, pull }),
+            }
+        }
+        if removed.len() == n {
+            // An empty scene cannot be trained.
+            removed.clear();
+        }
+        // Rows are named by 32 bits.
+        let most = context.max_gaussians.unwrap_or(usize::MAX);
+        let room = most.saturating_sub(n - removed.len());
+        let mut stats = DensityStats {
+            proposed: births.len() as u64,
+            pruned: removed.len() as u64,
+            opacity_resets: u64::from(resets > resets_before),
+            ..DensityStats::default()
+        };
+        let (mut edits, mut dst) = (Vec::new(), n as u32);
+        for birth in &bounded(births, room.min(u32::MAX as usize - n)) {
+            if self.bear(&mut edits, context, scene, birth, dst) {
+                dst += 1;
+                stats.cloned += u64::from(birth.fate == Fate::Clones);
+                stats.split += u64::from(birth.fate == Fate::Splits);
+            }
+        }
+        stats.accepted = stats.cloned + stats.split;
+        let limit = self.config.reset_opacity;
+        Ok(Outcome {
+            edits,
+            rows: dst as usize,
+            logit_limit: (resets > resets_before).then(|| (limit / (1.0 - limit)).ln() as f32),
+            removed,
+            stats,
+        })
+    }
+}

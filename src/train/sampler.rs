@@ -1,0 +1,85 @@
+//! What some samplers add to an iteration. For the others these stages are not even built.
+
+use super::Trainer;
+use crate::config::TrainConfig;
+use crate::density::{DensityControl, NoiseLaw, Wanted};
+use crate::error::Result;
+use crate::gpu::{Array, CameraArg, Device, Kernels};
+use crate::rng::Purpose;
+use crate::stage::noise::{Noise, NoiseArgs};
+use crate::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
+
+/// Stages of one sampler alone.
+#[derive(Debug)]
+pub(super) struct SamplerStages {
+    noise: Option<(Noise, NoiseLaw)>,
+    screen_grad: Option<ScreenGrad>,
+    /// Rows of cues that the sampler wants gathered.
+    pub(super) cue_rows: usize,
+}
+
+impl SamplerStages {
+    pub(super) fn new(kernels: &Kernels, density: &dyn DensityControl) -> Result<Self> {
+        let wanted = density.wanted(1, 0.0);
+        let noise = density.noise();
+        Ok(Self {
+            noise: noise
+                .map(|law| Ok((Noise::new::<f32>(kernels)?, law)))
+                .transpose()?,
+            screen_grad: (wanted == Wanted::ScreenGradient)
+                .then(|| ScreenGrad::new::<f32>(kernels))
+                .transpose()?,
+            cue_rows: wanted.rows(),
+        })
+    }
+
+    /// Zeroed cues for so many Gaussians.
+    pub(super) fn cues(&self, device: &Device, stride: usize) -> Result<Array<f32>> {
+        Array::zeros(device, "cues", self.cue_rows * stride)
+    }
+}
+
+/// Gaussians to make room for at the start: no more where the set never changes.
+pub(super) fn capacity(config: &TrainConfig, count: usize) -> usize {
+    match config.density_times() {
+        None => count,
+        Some(_) => crate::buffers::Scene::<f32>::grown_stride(count),
+    }
+}
+
+impl Trainer {
+    /// The sampler's own part of an iteration, after the update: gradients on the screen are added up until the last density
+    /// step, noise goes on to the end.
+    pub(super) fn sample(&self, iteration: u32, camera: &CameraArg<f32>) -> Result<()> {
+        let (frame, scene) = (&self.renderer.frame, &self.scene);
+        if let Some(stage) = &self.sampler.screen_grad
+            && self.schedule.next_density(iteration).is_some()
+        {
+            stage.run(&ScreenGradArgs {
+                records: &frame.records,
+                stride: scene.stride,
+                count: scene.count,
+                pair_start: &frame.pair_start,
+                pair_counts: &frame.pair_counts,
+                sums: &frame.sums,
+                size: camera.size,
+                status: &frame.status,
+                cues: &self.cues,
+            })?;
+        }
+        if let Some((stage, law)) = &self.sampler.noise {
+            stage.run(&NoiseArgs {
+                stride: scene.stride,
+                count: scene.count,
+                seed: self.config.seed,
+                stream: Purpose::Noise.stream(iteration),
+                rate: law.rate * self.schedule.rates(iteration).position,
+                steepness: law.steepness,
+                opacity: law.opacity,
+                status: &frame.status,
+                params: &scene.params,
+            })?;
+        }
+        Ok(())
+    }
+}

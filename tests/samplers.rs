@@ -1,0 +1,274 @@
+//! Samplers in a run: what a trainer makes of their decisions, bounds, schedules, options.
+
+use crate::determinism::room;
+use mhsplat::TrainConfig;
+use mhsplat::config::{AdcConfig, McmcConfig, OptimizerConfig, Sampler};
+use mhsplat::gpu::Device;
+use mhsplat::model::{Plane, Splats};
+use mhsplat::run::initial_splats;
+use mhsplat::schedule::Schedule;
+use mhsplat::train::{DensityEvent, Trainer};
+
+/// A run in which the optimiser moves nothing.
+fn still(sampler: Sampler) -> TrainConfig {
+    TrainConfig {
+        sampler,
+        iterations: 60,
+        max_size: 64,
+        sh_degree: 1,
+        optimizer: OptimizerConfig {
+            lr_position: 0.0,
+            lr_position_final: 0.0,
+            lr_sh0: 0.0,
+            lr_sh: 0.0,
+            lr_opacity: 0.0,
+            lr_scale: 0.0,
+            lr_rotation: 0.0,
+            ..OptimizerConfig::default()
+        },
+        ..TrainConfig::default()
+    }
+}
+
+fn train(config: &TrainConfig, splats: &Splats) -> (Vec<DensityEvent>, Splats) {
+    let device = Device::open(None).unwrap();
+    let mut trainer = Trainer::new(&device, &room(64), config, splats).unwrap();
+    let mut events = Vec::new();
+    while trainer.iteration() < config.iterations {
+        trainer.step().unwrap();
+        events.extend(trainer.density_step().unwrap());
+    }
+    let state = trainer.state().unwrap();
+    assert_eq!(state.splats.len(), trainer.gaussians());
+    (events, state.splats)
+}
+
+/// Rows as bits, sorted: the set without its order.
+fn rows(splats: &Splats, keep: impl Fn(usize) -> bool) -> Vec<Vec<u32>> {
+    let row = |i: usize| splats.planes().iter().map(|p| p[i].to_bits()).collect();
+    let mut rows: Vec<Vec<u32>> = (0..splats.len()).filter(|i| keep(*i)).map(row).collect();
+    rows.sort();
+    rows
+}
+
+#[test]
+fn pruned_gaussians_are_gone_and_the_others_unchanged() {
+    let config = TrainConfig {
+        adc: AdcConfig {
+            // Nothing is born, and nothing reset.
+            grad_threshold: 1e9,
+            reset_interval: 1_000_000,
+            ..AdcConfig::default()
+        },
+        ..still(Sampler::Adc)
+    };
+    let mut splats = initial_splats(&room(64), &config).unwrap();
+    let n = splats.len();
+    for i in (0..n).step_by(3) {
+        splats.plane_mut(Plane::OPACITY)[i] = -6.0;
+    }
+    let (events, left) = train(&config, &splats);
+    assert_eq!(events[0].stats.pruned as usize, n.div_ceil(3));
+    assert_eq!(events[0].gaussians, n - n.div_ceil(3));
+    assert!(events[1..].iter().all(|e| e.stats.pruned == 0));
+    assert!(rows(&left, |_| true) == rows(&splats, |i| i % 3 != 0));
+}
+
+#[test]
+fn a_reset_lowers_every_opacity() {
+    let config = TrainConfig {
+        adc: AdcConfig {
+            grad_threshold: 1e9,
+            ..AdcConfig::default()
+        },
+        ..still(Sampler::Adc)
+    };
+    let splats = initial_splats(&room(64), &config).unwrap();
+    let (events, left) = train(&config, &splats);
+    assert!(events.iter().any(|e| e.stats.opacity_resets == 1));
+    let limit = (0.01f32 / 0.99).ln();
+    let logits = &left.planes()[Plane::OPACITY];
+    assert!(
+        logits.iter().all(|l| (l - limit).abs() < 1e-5),
+        "0.1 before"
+    );
+}
+
+#[test]
+fn noise_moves_positions_alone_and_only_under_mcmc() {
+    let config = TrainConfig {
+        // Nothing is relocated, and nothing born.
+        mcmc: McmcConfig {
+            growth: 1.0,
+            dead_opacity: 0.0,
+            lr_opacity: 0.0,
+            noise_opacity: 0.5,
+            ..McmcConfig::default()
+        },
+        ..still(Sampler::Mcmc)
+    };
+    let splats = initial_splats(&room(64), &config).unwrap();
+    assert!(train(&config, &splats).1 == splats, "no rate, no noise");
+    let moving = TrainConfig {
+        optimizer: OptimizerConfig {
+            // Adam's steps of 1e-9 are lost in rounding; the noise is 10⁷ times as strong.
+            lr_position: 1e-9,
+            lr_position_final: 1e-9,
+            ..config.optimizer
+        },
+        ..config.clone()
+    };
+    let (_, moved) = train(&moving, &splats);
+    let fixed = TrainConfig {
+        sampler: Sampler::None,
+        ..moving
+    };
+    assert!(train(&fixed, &splats).1 != moved);
+    let sorted = |s: &Splats, p: usize| {
+        let mut bits: Vec<u32> = s.planes()[p].iter().map(|v| v.to_bits()).collect();
+        bits.sort_unstable();
+        bits
+    };
+    for p in 0..splats.planes().len() {
+        // Density steps put the rows in another order.
+        let same = sorted(&splats, p) == sorted(&moved, p);
+        assert_eq!(same, p >= Plane::LOG_SCALE, "plane {p}");
+    }
+}
+
+#[test]
+fn no_sampler_exceeds_the_bound() {
+    let free = TrainConfig {
+        iterations: 60,
+        max_size: 64,
+        sh_degree: 0,
+        ..TrainConfig::default()
+    };
+    let splats = initial_splats(&room(64), &free).unwrap();
+    let n = splats.len();
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None] {
+        let run = |max_gaussians| {
+            let config = TrainConfig {
+                sampler,
+                max_gaussians,
+                ..free.clone()
+            };
+            let (events, splats) = train(&config, &splats);
+            (events.iter().map(|e| e.gaussians).max(), splats.len())
+        };
+        let most = n + 50;
+        let (during, after) = run(Some(most));
+        assert!(during.is_none_or(|d| d <= most) && after <= most);
+        let (during, _) = run(None);
+        match sampler {
+            Sampler::None => assert_eq!(during, None),
+            _ => assert!(during.unwrap() > most, "{sampler:?}: the bound must bind"),
+        }
+    }
+}
+
+#[test]
+fn all_dead_scenes_are_survived() {
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
+        let config = still(sampler);
+        let mut splats = initial_splats(&room(64), &config).unwrap();
+        splats.plane_mut(Plane::OPACITY).fill(-9.0);
+        let (events, left) = train(&config, &splats);
+        assert!(!events.is_empty());
+        assert_eq!(left.len(), splats.len(), "{sampler:?}");
+    }
+}
+
+fn schedule(sampler: Sampler, iterations: u32) -> Schedule {
+    Schedule::new(&TrainConfig {
+        sampler,
+        iterations,
+        ..TrainConfig::default()
+    })
+}
+
+#[test]
+fn each_sampler_has_its_own_times_and_they_scale() {
+    let due = |sampler, iterations| -> Vec<u32> {
+        let s = schedule(sampler, iterations);
+        let due = |i: &u32| s.density_due(*i).is_some();
+        (0..iterations).filter(due).collect()
+    };
+    for (sampler, first, last, steps) in [
+        (Sampler::Mh, 500, 14_900, 145),
+        (Sampler::Mcmc, 600, 24_900, 244),
+        (Sampler::Adc, 600, 14_900, 144),
+    ] {
+        let at = due(sampler, 30_000);
+        assert_eq!((at[0], at[at.len() - 1], at.len()), (first, last, steps));
+    }
+    assert!(due(Sampler::None, 30_000).is_empty());
+    // A tenth of the run: a tenth of the span, at closer steps.
+    let at = due(Sampler::Adc, 3000);
+    assert!(at[0] > 50 && at[at.len() - 1] < 1500 && at.len() >= 14);
+    let at = due(Sampler::Mcmc, 3000);
+    assert_eq!((at[0], at[at.len() - 1], at.len()), (100, 2400, 24));
+}
+
+#[test]
+fn opacity_is_reset_every_3000_of_30000() {
+    let resets = |iterations: u32| -> Vec<u32> {
+        let s = schedule(Sampler::Adc, iterations);
+        let due = |i: &u32| {
+            let [before, by_now] = s.opacity_resets(*i);
+            s.density_due(*i).is_some() && by_now > before
+        };
+        (0..iterations).filter(due).collect()
+    };
+    assert_eq!(resets(30_000), [3000, 6000, 9000, 12_000]);
+    let short = resets(3000);
+    assert_eq!(short.len(), 4, "{short:?}");
+    for (k, at) in short.iter().enumerate() {
+        let from = 300 * (k as u32 + 1);
+        assert!((from..from + 100).contains(at), "{short:?}");
+    }
+}
+
+#[test]
+fn the_opacity_rate_is_the_samplers_and_no_other_is() {
+    let rates = |sampler| schedule(sampler, 30_000).rates(100);
+    let [mh, mcmc, adc, none] =
+        [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None].map(rates);
+    assert_eq!((mh, mh), (adc, none));
+    assert!((mcmc.opacity - 0.05).abs() < 1e-8 && (mh.opacity - 0.025).abs() < 1e-8);
+    assert_eq!(
+        mhsplat::stage::adam::LearningRates {
+            opacity: mh.opacity,
+            ..mcmc
+        },
+        mh
+    );
+}
+
+#[test]
+fn options_of_the_samplers_are_read_and_checked() {
+    let text = "sampler = \"mcmc\"\nmax-gaussians = 5000\n[mcmc]\nnoise-rate = 1e5\ngrowth = 1.1\n[adc]\nreset-interval = 2000\n";
+    let config: TrainConfig = toml::from_str(text).unwrap();
+    assert_eq!(config.sampler, Sampler::Mcmc);
+    assert_eq!((config.mcmc.noise_rate, config.mcmc.growth), (1e5, 1.1));
+    assert_eq!(config.adc.reset_interval, 2000);
+    config.validate().unwrap();
+    assert!(toml::from_str::<TrainConfig>("[adc]\nresetinterval = 1\n").is_err());
+    for (bad, named) in [
+        ("[mcmc]\nnoise-rate = -1.0", "mcmc"),
+        ("[mcmc]\ngrowth = 0.5", "growth"),
+        ("[mcmc]\ndead-opacity = 1.0", "dead-opacity"),
+        ("[mcmc]\ncap = 0", "cap"),
+        ("[mcmc]\nlr-opacity = nan", "lr-opacity"),
+        ("[mcmc]\nuntil-iteration = 500", "until-iteration"),
+        ("[adc]\ngrad-threshold = nan", "grad-threshold"),
+        ("[adc]\nsplit-shrink = 0.5", "split-shrink"),
+        ("[adc]\nreset-opacity = 0.0", "reset-opacity"),
+        ("[adc]\nreset-interval = 0", "reset-interval"),
+        ("[adc]\ninterval = 0", "interval"),
+    ] {
+        let config: TrainConfig = toml::from_str(bad).unwrap();
+        let said = config.validate().unwrap_err().to_string();
+        assert!(said.contains(named), "{bad}: {said}");
+    }
+}

@@ -1,0 +1,102 @@
+//! screen_grad: gradients by the projected centres.
+
+use super::*;
+use mhsplat::gpu::tuning::SUMS;
+use mhsplat::gpu::tuning::status::{OVERFLOW, SLOTS};
+use mhsplat::gpu::{Array, Record};
+use mhsplat::reference::{Camera64, chain};
+use mhsplat::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
+
+#[test]
+fn agrees_with_the_reference() {
+    agrees("screen_grad");
+}
+
+#[test]
+fn wrong_sums_are_rejected() {
+    rejects("screen_grad", |out| out.screen_grad[0][3] += 1e-3);
+    rejects("screen_grad", |out| out.screen_grad[1][5] += 1.0);
+}
+
+/// Cues after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
+/// second pair of the second Gaussian holds for the sums by u and dy.
+fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
+    let device = device();
+    // a = c = log2(e)/2 for the unit matrix.
+    let record = Record {
+        a: std::f64::consts::LOG2_E / 2.0,
+        c: std::f64::consts::LOG2_E / 2.0,
+        ..Record::default()
+    };
+    let mut sums = vec![7.0; 4 * SUMS];
+    for (pair, by) in [[1.0, 0.5], [2.0, 0.5], [10.0, 0.0], second]
+        .iter()
+        .enumerate()
+    {
+        sums[pair * SUMS + 1..pair * SUMS + 3].copy_from_slice(by);
+    }
+    let status = Array::zeros(&device, "status", SLOTS).unwrap();
+    status.write(OVERFLOW as usize, &[overflow]).unwrap();
+    let cues = Array::from_slice(&device, "cues", &[100.0, 200.0, 1.0, 2.0]).unwrap();
+    ScreenGrad::new::<f64>(&kernels(&device))
+        .unwrap()
+        .run(&ScreenGradArgs {
+            records: &Array::from_slice(&device, "records", &[record; 2]).unwrap(),
+            stride: 2,
+            count: 2,
+            pair_start: &Array::from_slice(&device, "pair_start", &[0, 2]).unwrap(),
+            pair_counts: &Array::from_slice(&device, "pair_counts", &pairs).unwrap(),
+            sums: &Array::from_slice(&device, "sums", &sums).unwrap(),
+            size: [40, 80],
+            status: &status,
+            cues: &cues,
+        })
+        .unwrap();
+    cues.to_vec().unwrap()
+}
+
+#[test]
+fn a_norm_in_device_coordinates_is_added_for_what_was_seen() {
+    // The first: (3, 1) per pixel is (60, 40) per half an image of 40 × 80 pixels; the second: (14, 0) is 280.
+    let got = cues([2, 2], [4.0, 0.0], 0);
+    let want = [100.0 + 60.0f64.hypot(40.0), 480.0, 2.0, 3.0];
+    assert!(
+        got.iter().zip(want).all(|(g, w)| (g - w).abs() < 1e-9),
+        "{got:?} {want:?}"
+    );
+    let unseen = cues([2, 0], [4.0, 0.0], 0);
+    assert_eq!(unseen[1..], [200.0, 2.0, 2.0]);
+}
+
+#[test]
+fn what_is_not_finite_or_overflowed_does_not_count() {
+    assert_eq!(cues([2, 2], [f64::NAN, 0.0], 0)[1..], [200.0, 2.0, 2.0]);
+    assert_eq!(cues([2, 2], [4.0, 0.0], 5), [100.0, 200.0, 1.0, 2.0]);
+}
+
+/// Moving the principal point moves the projected centre and nothing else, so the loss changes by the centre's gradient.
+#[test]
+fn the_gradient_by_the_mean_is_a_finite_difference() {
+    let mut case = cases::mild("one", 1, [40, 30], 0, 37);
+    // Without the cut, which is no part of the derivative.
+    case.alpha_min = 1e-12;
+    case.splats.scatter(0, 0, [0.1f32, 0.05, 0.2]);
+    case.splats.scatter(3, 0, [-1.6f32, -1.2, -2.0]);
+    let (scene, camera, options) = twin::inputs(&case);
+    let passage = twin::run(&case);
+    let sums = passage.sums[0].unwrap();
+    let shape = mhsplat::reference::project::shape(&scene, 0, &camera).unwrap();
+    let got = mhsplat::reference::screen_grad::mean_gradient(&shape, &sums);
+    let photo = twin::photo(&case);
+    let loss = |camera: &Camera64| chain::loss_of(&scene, camera, &options, &photo, case.lambdas);
+    for (k, got) in got.into_iter().enumerate() {
+        let shifted = |by: f64| {
+            let mut camera = camera;
+            camera.principal[k] += by;
+            loss(&camera)
+        };
+        let h = 1e-4;
+        let want = (shifted(h) - shifted(-h)) / (2.0 * h);
+        assert!((got - want).abs() < 1e-5 * want.abs(), "{k}: {got} {want}");
+    }
+}
