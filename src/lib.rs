@@ -19,7 +19,7 @@
 //! | adam | `kernels/adam.cl` | one step of all parameters |
 //! | importance, edit | `kernels/{importance,edit}.cl` | error cues of each Gaussian; rows written by density control |
 //! | density control | [`density`] | which Gaussians are born or moved, on the host |
-//! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM |
+//! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
 //! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |
 //!

@@ -13,6 +13,7 @@ mod density;
 mod determinism;
 mod export;
 mod extreme;
+mod flip;
 mod gradient;
 mod layout;
 mod learning;

@@ -37,7 +37,7 @@ struct Cli {
 enum Command {
     /// Train a scene from posed photos.
     Train(Box<train::TrainArgs>),
-    /// PSNR and SSIM per held-out view and mean.
+    /// PSNR, SSIM and FLIP per held-out view and mean.
     Eval(eval::EvalArgs),
     /// Render a scene to PNG files.
     Render(render::RenderArgs),

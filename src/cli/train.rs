@@ -265,7 +265,12 @@ fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
     }
     let scores = record.final_scores.as_ref().map_or_else(
         || "no held-out view".to_owned(),
-        |f| format!("held-out PSNR {:.2} dB, SSIM {:.4}", f.psnr, f.ssim),
+        |f| {
+            let flip = f
+                .flip
+                .map_or_else(String::new, |v| format!(", FLIP {v:.4}"));
+            format!("held-out PSNR {:.2} dB, SSIM {:.4}{flip}", f.psnr, f.ssim)
+        },
     );
     output::line(&format!(
         "{scores}; {} Gaussians; {} iterations in {:.1} s ({:.1} CPU s)\nscene: {}\nreport: {}",
