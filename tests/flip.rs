@@ -138,6 +138,36 @@ fn symmetric_zero_for_equal_pictures_and_growing_with_the_error() {
 }
 
 #[test]
+fn tall_pictures_are_those_of_their_parts() {
+    // Worked on by strips of 96 rows: the map of the whole in its upper and lower part is that of these parts, as far as no
+    // filter reaches over the cut.
+    let [width, height, cut, reach] = [24, 300, 150, 10];
+    let value = |i: usize, k: usize| ((i * k) % 251) as f32 / 250.0;
+    let picture = |k: usize| -> Vec<f32> { (0..3 * width * height).map(|i| value(i, k)).collect() };
+    let (a, b) = (picture(7919), picture(104_729));
+    let rows = |p: &[f32], from: usize, to: usize| -> Vec<f32> {
+        let planes = p.chunks_exact(width * height);
+        planes
+            .flat_map(|plane| plane[from * width..to * width].to_vec())
+            .collect()
+    };
+    let map = |from: usize, to: usize| {
+        let (a, b) = (rows(&a, from, to), rows(&b, from, to));
+        error_map(&a, &b, width, to - from, PIXELS_PER_DEGREE).unwrap()
+    };
+    let (whole, upper, lower) = (map(0, height), map(0, cut), map(cut, height));
+    let alike = |x: &[f64], y: &[f64]| x.iter().zip(y).all(|(x, y)| (x - y).abs() < 1e-12);
+    let near = (cut - reach) * width;
+    assert!(alike(&whole[..near], &upper[..near]));
+    let far = (cut + reach) * width;
+    assert!(alike(&whole[far..], &lower[reach * width..]));
+    assert!(
+        !alike(&whole[..cut * width], &upper),
+        "at the cut they differ"
+    );
+}
+
+#[test]
 fn what_is_no_picture_is_refused() {
     let gray = vec![0.5; 12];
     assert!(error_map(&gray, &gray, 2, 2, PIXELS_PER_DEGREE).is_ok());

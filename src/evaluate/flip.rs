@@ -48,6 +48,9 @@ const KNEE_TO: f64 = 0.95;
 const FEATURE_WIDTH: f64 = 0.082;
 const FEATURE_POWER: f64 = 0.5;
 
+/// Rows that are worked on at a time, so that large photos take no memory that counts.
+const STRIP: usize = 96;
+
 type Color = [f64; 3];
 /// A picture by channels, each row after row.
 type Planes = [Vec<f64>; 3];
@@ -83,11 +86,43 @@ pub fn error_map(
     if let Some(v) = reference.iter().chain(test).find(inside) {
         return Err(wrong(format!("a value of {v}; 0 to 1 expected")));
     }
-    let ([a, b], size) = ([reference, test].map(opponent), [width, height]);
+    let mut map = Vec::with_capacity(n);
+    for top in (0..height).step_by(STRIP) {
+        let rows = STRIP.min(height - top);
+        map.extend(strip(
+            [reference, test],
+            [width, height],
+            [top, rows],
+            pixels_per_degree,
+        ));
+    }
+    Ok(map)
+}
+
+/// The error of some rows: only as much of the picture is held in f64 as their filters reach.
+fn strip(
+    pictures: [&[f32]; 2],
+    [width, height]: [usize; 2],
+    [top, rows]: [usize; 2],
+    pixels_per_degree: f64,
+) -> Vec<f64> {
+    let reach = blur_radius(pixels_per_degree).max(feature_radius(pixels_per_degree));
+    // Rows beyond the picture repeat its last one, as the filters have it.
+    let row = |y: usize| (top + y).saturating_sub(reach).min(height - 1) * width;
+    let cut = |planar: &[f32]| -> Vec<f32> {
+        let planes = planar.chunks_exact(width * height);
+        let lines = planes.flat_map(|plane| {
+            (0..rows + 2 * reach).flat_map(move |y| &plane[row(y)..row(y) + width])
+        });
+        lines.copied().collect()
+    };
+    let [a, b] = pictures.map(|p| opponent(&cut(p)));
+    let size = [width, rows + 2 * reach];
     let colors = color_error(&a, &b, size, pixels_per_degree);
     let features = feature_error(&a[0], &b[0], size, pixels_per_degree);
-    let both = colors.par_iter().zip(&features);
-    Ok(both.map(|(c, f)| c.powf(1.0 - f)).collect())
+    let inside = reach * width..(reach + rows) * width;
+    let both = inside.into_par_iter();
+    both.map(|i| colors[i].powf(1.0 - features[i])).collect()
 }
 
 /// Mean of [`error_map`] at [`PIXELS_PER_DEGREE`]: 0 for equal pictures.
@@ -208,9 +243,23 @@ fn filter(plane: &[f64], size: [usize; 2], across: &[f64], down: &[f64]) -> Vec<
     out
 }
 
+/// Radius of the filters of [`SENSITIVITY`], pixels: three standard deviations of the widest.
+fn blur_radius(pixels_per_degree: f64) -> usize {
+    (3.0 * (WIDEST / (2.0 * PI * PI)).sqrt() * pixels_per_degree).ceil() as usize
+}
+
+/// Standard deviation of the feature detector, pixels.
+fn feature_width(pixels_per_degree: f64) -> f64 {
+    0.5 * FEATURE_WIDTH * pixels_per_degree
+}
+
+fn feature_radius(pixels_per_degree: f64) -> usize {
+    (3.0 * feature_width(pixels_per_degree)).ceil() as usize
+}
+
 /// The picture as the eye resolves it at this distance, as linear sRGB.
 fn blurred(picture: &Planes, size: [usize; 2], pixels_per_degree: f64) -> Vec<Color> {
-    let radius = (3.0 * (WIDEST / (2.0 * PI * PI)).sqrt() * pixels_per_degree).ceil() as usize;
+    let radius = blur_radius(pixels_per_degree);
     let planes: Vec<Vec<f64>> = picture
         .iter()
         .zip(SENSITIVITY)
@@ -275,8 +324,8 @@ fn balanced(mut taps: Vec<f64>) -> Vec<f64> {
 
 /// The difference of edges and points in the achromatic channel, in [0, 1] (§4.2).
 fn feature_error(a: &[f64], b: &[f64], size: [usize; 2], pixels_per_degree: f64) -> Vec<f64> {
-    let sd = 0.5 * FEATURE_WIDTH * pixels_per_degree;
-    let radius = (3.0 * sd).ceil() as usize;
+    let sd = feature_width(pixels_per_degree);
+    let radius = feature_radius(pixels_per_degree);
     let gaussian = |i: f64| (-i * i / (2.0 * sd * sd)).exp();
     let mut smooth = taps(radius, gaussian);
     let mass: f64 = smooth.iter().sum();
