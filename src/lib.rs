@@ -21,6 +21,7 @@
 //! | density control | [`density`] | which Gaussians are born or moved, on the host |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
+//! | compare | [`mod@compare`] | several runs: error against run time, time to equal error |
 //! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |
 //!
 //! [`train`] and [`render`] alone know the order of the stages. Every stage has a twin in plain f64 Rust in
@@ -49,6 +50,7 @@ pub mod atomic;
 pub mod bench;
 #[doc(hidden)]
 pub mod buffers;
+pub mod compare;
 pub mod config;
 #[doc(hidden)]
 pub mod constants;

@@ -8,6 +8,7 @@
 
 mod bench;
 mod cli;
+mod compare;
 mod dataset;
 mod density;
 mod determinism;

@@ -1,6 +1,7 @@
 //! The only place that names `clap`: one file per subcommand, flags → library types, call, print.
 
 mod bench;
+mod compare;
 mod devices;
 mod eval;
 mod output;
@@ -41,6 +42,8 @@ enum Command {
     Eval(eval::EvalArgs),
     /// Render a scene to PNG files.
     Render(render::RenderArgs),
+    /// Error against run time of several runs, and time to equal error.
+    Compare(compare::CompareArgs),
     /// List every OpenCL platform and device.
     Devices,
     /// Make a seeded scene with known truth.
@@ -96,6 +99,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Command::Train(args) => train::run(&args, &common),
         Command::Eval(args) => eval::run(&args, &common),
         Command::Render(args) => render::run(&args, &common),
+        Command::Compare(args) => compare::run(&args, &common),
         Command::Devices => devices::run(&common),
         Command::Synth(args) => synth::run(&args, &common),
         Command::Bench(args) => bench::run(&args, &common),

@@ -149,20 +149,26 @@ pub struct Banded {
     pub line: Vec<(f64, f64)>,
     /// Ranges (x, low, high), x rising; may be empty.
     pub band: Vec<(f64, f64, f64)>,
-    /// Points that are marked each; without any, those of a short line are.
-    pub marks: Vec<(f64, f64)>,
+    /// The samples, as thin lines that end in a mark; without any, the points of a short line are marked.
+    pub samples: Vec<Vec<(f64, f64)>>,
+    /// Value in the legend; none for the last of the line.
+    pub value: Option<f64>,
 }
 
 impl Banded {
     /// Without what is not finite.
     fn finite(&self) -> Self {
-        let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
+        let clean = |line: &Vec<(f64, f64)>| -> Vec<(f64, f64)> {
+            let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
+            line.iter().filter(good).copied().collect()
+        };
         let whole = |p: &&(f64, f64, f64)| p.0.is_finite() && p.1.is_finite() && p.2.is_finite();
         Self {
             name: self.name.clone(),
-            line: self.line.iter().filter(good).copied().collect(),
+            line: clean(&self.line),
             band: self.band.iter().filter(whole).copied().collect(),
-            marks: self.marks.iter().filter(good).copied().collect(),
+            samples: self.samples.iter().map(clean).collect(),
+            value: self.value,
         }
     }
 
@@ -170,7 +176,11 @@ impl Banded {
     fn points(&self) -> impl Iterator<Item = (f64, f64)> {
         let edges = |b: &(f64, f64, f64)| [(b.0, b.1), (b.0, b.2)];
         let ends = self.band.iter().flat_map(edges);
-        let lone = self.line.iter().chain(&self.marks).copied();
+        let lone = self
+            .line
+            .iter()
+            .chain(self.samples.iter().flatten())
+            .copied();
         lone.chain(ends)
     }
 }
@@ -201,8 +211,8 @@ pub fn band_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Banded]) ->
     };
     out.push_str("<div>");
     for (index, series) in series.iter().enumerate() {
-        let last = series.line.last().map(|p| laid_y.value_label(p.1));
-        let last = last.unwrap_or_else(|| "no data".to_owned());
+        let last = series.value.or(series.line.last().map(|p| p.1));
+        let last = last.map_or_else(|| "no data".to_owned(), |v| laid_y.value_label(v));
         let name = escape(&series.name);
         let key = match name.as_str() {
             "" => String::new(),
@@ -218,11 +228,22 @@ pub fn band_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Banded]) ->
     grid(&mut out, &laid_x, &laid_y);
     for (index, series) in series.iter().enumerate() {
         draw_band(&mut out, index, &series.band, &laid_x, &laid_y);
+        for sample in &series.samples {
+            let class = format!("{} thin", color_class('s', index));
+            draw(&mut out, &class, sample, &laid_x, &laid_y);
+        }
     }
     for (index, series) in series.iter().enumerate() {
-        draw(&mut out, index, &series.line, &laid_x, &laid_y);
-        let own = series.marks.is_empty() && series.line.len() <= MARKED;
-        let marks = if own { &series.line } else { &series.marks };
+        let class = color_class('s', index);
+        draw(&mut out, &class, &series.line, &laid_x, &laid_y);
+        let ends: Vec<_> = series
+            .samples
+            .iter()
+            .filter_map(|s| s.last())
+            .copied()
+            .collect();
+        let own = ends.is_empty() && series.line.len() <= MARKED;
+        let marks = if own { &series.line } else { &ends };
         draw_marks(&mut out, index, marks, &laid_x, &laid_y);
     }
     out.push_str("</svg></figure>\n");
@@ -303,7 +324,7 @@ fn draw_band(out: &mut String, index: usize, band: &[(f64, f64, f64)], x: &Laid<
     );
 }
 
-fn draw(out: &mut String, index: usize, line: &[(f64, f64)], x: &Laid<'_>, y: &Laid<'_>) {
+fn draw(out: &mut String, class: &str, line: &[(f64, f64)], x: &Laid<'_>, y: &Laid<'_>) {
     let mut points = String::new();
     for (px, py) in thin(line) {
         let (at_x, at_y) = (pixel_x(x.place(px)), pixel_y(y.place(py)));
@@ -311,8 +332,7 @@ fn draw(out: &mut String, index: usize, line: &[(f64, f64)], x: &Laid<'_>, y: &L
     }
     let _ = write!(
         out,
-        "<polyline class=\"line {}\" points=\"{}\"/>",
-        color_class('s', index),
+        "<polyline class=\"line {class}\" points=\"{}\"/>",
         points.trim_end()
     );
 }
