@@ -22,6 +22,7 @@
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
 //! | compare | [`mod@compare`] | several runs: error against run time, time to equal error |
+//! | experiment | [`experiment`] | a matrix of runs within a time budget, and its comparison |
 //! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |
 //!
 //! [`train`] and [`render`] alone know the order of the stages. Every stage has a twin in plain f64 Rust in
@@ -58,6 +59,7 @@ pub mod dataset;
 pub mod density;
 pub mod error;
 pub mod evaluate;
+pub mod experiment;
 pub mod export;
 #[doc(hidden)]
 pub mod gpu;

@@ -12,6 +12,7 @@ mod compare;
 mod dataset;
 mod density;
 mod determinism;
+mod experiment;
 mod export;
 mod extreme;
 mod flip;

@@ -4,6 +4,7 @@ mod bench;
 mod compare;
 mod devices;
 mod eval;
+mod experiment;
 mod output;
 mod render;
 mod scene;
@@ -44,6 +45,8 @@ enum Command {
     Render(render::RenderArgs),
     /// Error against run time of several runs, and time to equal error.
     Compare(compare::CompareArgs),
+    /// Scenes, settings and seeds from a file: trains what is missing and compares.
+    Experiment(experiment::ExperimentArgs),
     /// List every OpenCL platform and device.
     Devices,
     /// Make a seeded scene with known truth.
@@ -100,6 +103,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Command::Eval(args) => eval::run(&args, &common),
         Command::Render(args) => render::run(&args, &common),
         Command::Compare(args) => compare::run(&args, &common),
+        Command::Experiment(args) => experiment::run(&args, &common),
         Command::Devices => devices::run(&common),
         Command::Synth(args) => synth::run(&args, &common),
         Command::Bench(args) => bench::run(&args, &common),
