@@ -37,6 +37,17 @@ fn seeds_are_samples_of_one_group_and_everything_else_sets_apart() {
             ("mh, iterations 500".into(), 3)
         ]
     );
+    // Only what tells groups of one sampler apart is in their names, and the cap only if nothing else does.
+    let capped = |m: Made| m.with(|r| r.config.max_gaussians = Some(900));
+    let three = [
+        run("a", 0),
+        run("b", 0).sampler_none(),
+        capped(run("c", 0).iterations(500)),
+    ];
+    let names: Vec<String> = labels(&three).into_iter().map(|l| l.0).collect();
+    assert_eq!(names, ["mh, iterations 1000", "none", "mh, iterations 500"]);
+    let caps = labels(&[run("a", 0), capped(run("b", 0))]);
+    assert_eq!(caps[1].0, "mh, max-gaussians 900");
     // How often a run was evaluated changes nothing in it.
     let beside = [
         run("a", 0),
@@ -126,6 +137,22 @@ fn unequal_numbers_of_gaussians_are_named() {
     let (warnings, equal) = more(200);
     let named = "not at equal numbers of Gaussians: 1200 (mh) to 1400 (other)";
     assert!(warnings[0].starts_with(named) && !equal, "{warnings:?}");
+}
+
+#[test]
+fn runs_that_lose_what_they_reached_are_named() {
+    let ends_lower = |by: f64| {
+        let mut run = run("a", 0);
+        run.rows[19].psnr = run.rows[18].psnr.map(|p| p - by);
+        compared(&[run], &Options::default()).unwrap().warnings
+    };
+    assert!(ends_lower(0.4).is_empty());
+    let named = "mh: 1 of 1 runs end up to 2.0 dB below their best";
+    assert!(
+        ends_lower(2.0)[0].starts_with(named),
+        "{:?}",
+        ends_lower(2.0)
+    );
 }
 
 #[test]

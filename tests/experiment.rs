@@ -111,6 +111,10 @@ fn runs_come_scene_by_scene_and_seed_by_seed_with_the_caps_run_first() {
     assert_eq!(record(&e, "a/mh/seed-1").config.max_gaussians, None);
     assert_eq!(record(&e, "a/none/seed-1").config.max_gaussians, Some(1201));
     assert_eq!(record(&e, "b/none/seed-0").config.max_size, 240);
+    let names = fs::read_dir(e.output.join("a/mh")).unwrap();
+    let names = names.map(|n| n.unwrap().file_name().into_string().unwrap());
+    let runs: Vec<_> = names.filter(|n| n.starts_with("seed-")).collect();
+    assert_eq!(runs.len(), 2, "seed-* are runs: {runs:?}");
     // Once more: everything is there.
     let mut again = Fake::default();
     assert_eq!(drive(&e, &mut again).unwrap().done, 8);

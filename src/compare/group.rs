@@ -108,36 +108,39 @@ fn by_cap(members: &[&Loaded], places: &[usize]) -> Vec<Vec<usize>> {
     kinds.into_iter().map(|(_, list)| list).collect()
 }
 
-/// Names groups that have none by their sampler and by what differs between them.
+/// Names groups that have none by their sampler and, where that does not tell them apart, by what does; the cap only if nothing
+/// else does.
 fn label(
     groups: Vec<(Option<String>, Vec<usize>)>,
     runs: &[Loaded],
     facts: &[Facts],
 ) -> Vec<Group> {
-    let of = |place: usize, name: &str| -> String {
+    let of = |place: usize, name: &str| -> &str {
         let found = facts[place].iter().find(|f| f.0 == name);
-        found.map_or_else(|| "none".into(), |f| f.1.clone())
+        found.map_or("none", |f| f.1.as_str())
     };
     let first = |places: &[usize]| places.first().copied().unwrap_or(0);
-    let unnamed: Vec<usize> = groups
-        .iter()
-        .filter(|g| g.0.is_none())
-        .map(|g| first(&g.1))
-        .collect();
-    let names = facts.first().into_iter().flatten().map(|f| f.0.as_str());
-    let differing: Vec<&str> = names
-        .filter(|n| *n != "sampler")
-        .filter(|n| unnamed.iter().any(|p| of(*p, n) != of(unnamed[0], n)))
-        .collect();
+    let unnamed = groups.iter().filter(|g| g.0.is_none());
+    let unnamed: Vec<usize> = unnamed.map(|g| first(&g.1)).collect();
+    let own = |place: usize| -> String {
+        let sampler = of(place, "sampler");
+        let alike = unnamed.iter().filter(|p| of(**p, "sampler") == sampler);
+        let alike: Vec<usize> = alike.copied().collect();
+        let names = facts[place].iter().map(|f| f.0.as_str());
+        let mut differing: Vec<&str> = names
+            .filter(|n| alike.iter().any(|p| of(*p, n) != of(place, n)))
+            .collect();
+        if differing.len() > 1 {
+            differing.retain(|n| *n != CAP);
+        }
+        let more = differing.iter().map(|n| format!("{n} {}", of(place, n)));
+        let parts: Vec<String> = std::iter::once(sampler.to_owned()).chain(more).collect();
+        parts.join(", ")
+    };
     let mut out: Vec<Group> = Vec::new();
     for (name, places) in groups {
         let place = first(&places);
-        let own = || {
-            let sampler = of(place, "sampler");
-            let more = differing.iter().map(|n| format!("{n} {}", of(place, n)));
-            std::iter::once(sampler).chain(more).collect::<Vec<_>>()
-        };
-        let mut label = name.unwrap_or_else(|| own().join(", "));
+        let mut label = name.unwrap_or_else(|| own(place));
         if out.iter().any(|g| g.label == label) {
             label = format!("{label}, {}", runs[place].source.path.display());
         }

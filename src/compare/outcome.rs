@@ -11,6 +11,8 @@ use crate::report::spread::{RATIO_SAMPLES, Ratio, Spread, ratio};
 
 /// Shares of its own final PSNR that a run is timed to.
 pub const SHARES: [f64; 2] = [0.95, 0.98];
+/// A run that ends so much below its best PSNR, dB, has lost what it had reached.
+const FALL: f64 = 0.5;
 /// Numbers of Gaussians within this share of each other are equal.
 pub const EQUAL: f64 = 0.02;
 
@@ -238,7 +240,7 @@ fn ratio_of(
     let y = b.reach(place, clock).ok_or_else(missing)?;
     let part = |r: &Reach| match r.reached() {
         0 => "not reached".to_owned(),
-        k => format!("reached by {k} of {} runs", r.runs.len()),
+        k => format!("{k} of {} runs", r.runs.len()),
     };
     let (Some(p), Some(q)) = (&x.spread, &y.spread) else {
         return Err(match (x.spread, y.spread) {
@@ -347,6 +349,7 @@ pub fn remarks(groups: &[Group], runs: &[Loaded], outcomes: &[GroupOutcome]) -> 
             ));
         }
     }
+    out.extend(groups.iter().filter_map(|g| fallen(g, runs)));
     if let Some([least, most]) = unequal(outcomes) {
         out.push(format!(
             "not at equal numbers of Gaussians: {} ({}) to {} ({}); --max-gaussians makes them equal",
@@ -365,4 +368,23 @@ pub fn unequal(outcomes: &[GroupOutcome]) -> Option<[(f64, &str); 2]> {
     let least = *counts.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
     let most = *counts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
     (most.0 > least.0 * (1.0 + EQUAL)).then_some([least, most])
+}
+
+/// What to know of a group whose runs end below what they had reached.
+fn fallen(group: &Group, runs: &[Loaded]) -> Option<String> {
+    let falls = group.runs.iter().map(|r| {
+        let curve = runs[*r].psnr(Clock::Iterations);
+        let best = curve.points().iter().map(|p| p.1).fold(0.0, f64::max);
+        best - curve.last().unwrap_or(best)
+    });
+    let deep: Vec<f64> = falls.filter(|f| *f > FALL).collect();
+    let most = deep.iter().copied().fold(0.0, f64::max);
+    (!deep.is_empty()).then(|| {
+        format!(
+            "{}: {} of {} runs end up to {most:.1} dB below their best; a PSNR that they reached first may be lost again",
+            group.label,
+            deep.len(),
+            group.runs.len()
+        )
+    })
 }

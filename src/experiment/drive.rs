@@ -245,9 +245,10 @@ impl Drive<'_> {
     }
 }
 
-/// Writes `seed-N.json` beside the run folder.
+/// Writes `config-seed-N.json` beside the run folder: `seed-*` are runs and nothing else.
 fn write_config(dir: &Path, config: &TrainConfig) -> Result<PathBuf> {
-    let file = dir.with_extension("json");
+    let run = dir.file_name().unwrap_or_default().to_string_lossy();
+    let file = dir.with_file_name(format!("config-{run}.json"));
     if let Some(parent) = file.parent() {
         std::fs::create_dir_all(parent).map_err(|e| Error::io(parent, e))?;
     }
