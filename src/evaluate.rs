@@ -1,4 +1,6 @@
-//! PSNR and SSIM of rendered views against their photos (after clamping to [0, 1]; mean over RGB; no masks).
+//! PSNR, SSIM and ꟻLIP of rendered views against their photos (after clamping to [0, 1]; mean over RGB; no masks).
+
+pub mod flip;
 
 use crate::buffers::{Scene, ViewSet};
 use crate::error::Result;
@@ -93,10 +95,21 @@ impl Evaluator {
             view: self.views.names[view].clone(),
             psnr: psnr(squared / (3 * size[0] * size[1]) as f64),
             ssim,
+            flip: None,
         })
     }
 
-    /// Scores every view.
+    /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
+    fn flip(&self, view: usize, renderer: &Renderer, background: [f32; 3]) -> Result<f64> {
+        let image = renderer.read_image(&self.views.cameras[view])?;
+        let photo = self.views.read_photo(view)?.rgb_over(background);
+        let channel = |c: usize| photo.iter().skip(c).step_by(3);
+        let planes = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
+        let planes: Vec<f32> = planes.collect();
+        flip::flip(&planes, &image.rgb, image.width, image.height)
+    }
+
+    /// Scores every view by PSNR and SSIM.
     ///
     /// # Errors
     /// As [`Renderer::render`] and [`ViewSet::photo`].
@@ -111,6 +124,30 @@ impl Evaluator {
         all.iter()
             .map(|&v| self.score(v, &all[v + 1..], scene, renderer, sh_degree, background))
             .collect()
+    }
+
+    /// Scores every view by PSNR, SSIM and ꟻLIP, the last of them on the host.
+    ///
+    /// # Errors
+    /// As [`Evaluator::score_all`].
+    pub fn score_all_with_flip(
+        &self,
+        scene: &Scene,
+        renderer: &mut Renderer,
+        sh_degree: u32,
+        background: [f32; 3],
+    ) -> Result<Vec<ViewScore>> {
+        let all: Vec<usize> = (0..self.views.len()).collect();
+        let full = |&v: &usize| {
+            let next = &all[v + 1..];
+            let score = self.score(v, next, scene, renderer, sh_degree, background)?;
+            let flip = self.flip(v, renderer, background)?;
+            Ok(ViewScore {
+                flip: Some(flip),
+                ..score
+            })
+        };
+        all.iter().map(full).collect()
     }
 }
 
@@ -130,4 +167,12 @@ pub fn mean(scores: &[ViewScore]) -> Option<(f64, f64)> {
             scores.iter().map(|s| s.ssim).sum::<f64>() / n,
         )
     })
+}
+
+/// Mean ꟻLIP; none for no view, or where a view has none.
+#[must_use]
+pub fn mean_flip(scores: &[ViewScore]) -> Option<f64> {
+    let all: Option<Vec<f64>> = scores.iter().map(|s| s.flip).collect();
+    all.filter(|v| !v.is_empty())
+        .map(|v| v.iter().sum::<f64>() / v.len() as f64)
 }

@@ -21,8 +21,10 @@
 //! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error cues (sampler mh) or gradients on the screen (adc) of each Gaussian |
 //! | density control | [`density`] | which Gaussians are born, moved or removed, on the host |
 //! | edit | `kernels/edit.cl` | rows written by density control |
-//! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM |
+//! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
+//! | compare | [`mod@compare`] | several runs: error against run time, time to equal error |
+//! | experiment | [`experiment`] | a matrix of runs within a time budget, and its comparison |
 //! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |
 //!
 //! [`train`] and [`render`] alone know the order of the stages. Every stage has a twin in plain f64 Rust in
@@ -51,6 +53,7 @@ pub mod atomic;
 pub mod bench;
 #[doc(hidden)]
 pub mod buffers;
+pub mod compare;
 pub mod config;
 #[doc(hidden)]
 pub mod constants;
@@ -58,6 +61,7 @@ pub mod dataset;
 pub mod density;
 pub mod error;
 pub mod evaluate;
+pub mod experiment;
 pub mod export;
 #[doc(hidden)]
 pub mod gpu;

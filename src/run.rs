@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::config::TrainConfig;
 use crate::dataset::{Dataset, Frame};
 use crate::error::{Error, Result};
-use crate::evaluate::{Evaluator, mean};
+use crate::evaluate::{Evaluator, mean, mean_flip};
 use crate::export::checkpoint::Checkpoint;
 use crate::export::{checkpoint, ply};
 use crate::gpu::Device;
@@ -199,7 +199,7 @@ impl Run {
             if done < self.config.iterations && done > self.handled {
                 self.handled = done;
                 if due(self.trainer.schedule().eval_every(), done) {
-                    self.evaluate()?;
+                    self.evaluate(false)?;
                 }
                 if due(self.config.export_every, done) {
                     self.export()?;
@@ -217,7 +217,7 @@ impl Run {
             });
         }
         self.trainer.settle()?;
-        self.evaluate()?;
+        self.evaluate(true)?;
         self.export()?;
         self.checkpoint()?;
         self.report()?;
@@ -249,7 +249,8 @@ impl Run {
         self.write_record()
     }
 
-    fn evaluate(&mut self) -> Result<()> {
+    /// Scores the held-out views; `last` takes FLIP, too.
+    fn evaluate(&mut self, last: bool) -> Result<()> {
         self.trainer.settle()?;
         self.clock.pause();
         let loss = self.trainer.recent_loss()?;
@@ -258,6 +259,7 @@ impl Run {
         let background = self.trainer.schedule().fixed_background();
         let (scene, renderer) = self.trainer.scene_and_renderer();
         let scores = match &self.evaluator {
+            Some(e) if last => e.score_all_with_flip(scene, renderer, degree, background)?,
             Some(e) => e.score_all(scene, renderer, degree, background)?,
             None => Vec::new(),
         };
@@ -267,6 +269,7 @@ impl Run {
             self.record.final_scores = Some(FinalRecord {
                 psnr,
                 ssim,
+                flip: mean_flip(&scores),
                 per_view: scores,
             });
         }

@@ -8,11 +8,14 @@
 
 mod bench;
 mod cli;
+mod compare;
 mod dataset;
 mod density;
 mod determinism;
+mod experiment;
 mod export;
 mod extreme;
+mod flip;
 mod gradient;
 mod layout;
 mod learning;

@@ -44,6 +44,7 @@ fn run_json_has_the_contracts_keys() {
     expected.sort_unstable();
     assert_eq!(keys(&value), expected);
     let dataset = [
+        "fingerprint",
         "height",
         "layout",
         "path",
@@ -62,10 +63,10 @@ fn run_json_has_the_contracts_keys() {
     for key in ["proposed", "accepted", "relocated", "pruned"] {
         assert!(value["density"][key].is_u64(), "{key}");
     }
-    assert_eq!(keys(&value["final"]), ["per_view", "psnr", "ssim"]);
+    assert_eq!(keys(&value["final"]), ["flip", "per_view", "psnr", "ssim"]);
     assert_eq!(
         keys(&value["final"]["per_view"][0]),
-        ["psnr", "ssim", "view"]
+        ["flip", "psnr", "ssim", "view"]
     );
     // An f32 option is spelt as it was typed, so that the file serves as a configuration.
     assert!(
@@ -103,7 +104,10 @@ fn run_json_refuses_what_is_not_finite() {
     let dir = tempfile::tempdir().unwrap();
     record().write(dir.path()).unwrap();
     type Spoil = fn(&mut RunRecord);
-    let cases: [(&str, Spoil); 6] = [
+    let cases: [(&str, Spoil); 7] = [
+        ("flip", |r| {
+            r.final_scores.as_mut().unwrap().per_view[1].flip = Some(f64::NAN)
+        }),
         ("train_seconds", |r| r.train_seconds = f64::NAN),
         ("psnr", |r| {
             r.final_scores.as_mut().unwrap().psnr = f64::INFINITY

@@ -15,11 +15,12 @@ mod peak;
 mod precision;
 pub mod record;
 pub mod scene;
-pub mod spread;
+
 mod tables;
 #[doc(hidden)]
 pub mod work;
 
+pub use crate::report::spread;
 pub use folder::{check_folder, csv, json, write_folder};
 pub use growth::growth;
 pub use page::page;

@@ -5,8 +5,9 @@ use std::fmt::Write;
 
 use super::growth::SYNTHETIC;
 use super::record::{BenchRecord, Case, Outcome, Precision, Stage};
-use super::tables::{Table, case_title, comparison, digits, done, of_record, ranged};
+use super::tables::{Table, case_title, comparison, done, of_record};
 use super::work::Load;
+use crate::report::figures::{digits, ranged, write_html as write_table};
 use crate::report::html::{self, escape};
 use crate::report::loglog::{LogPoint, LogSeries, log_log_chart};
 use crate::report::svg::{Bar, bar_chart};
@@ -37,28 +38,6 @@ pub fn page(outcomes: &[Outcome]) -> String {
         }
     }
     html::page("mhsplat bench", &body)
-}
-
-fn write_table(out: &mut String, table: &Table, heading: &str) {
-    let title = escape(&table.title);
-    let _ = write!(out, "<{heading}>{title}</{heading}>");
-    if !table.note.is_empty() {
-        let _ = write!(out, "<p class=note>{}</p>", escape(table.note));
-    }
-    out.push_str("<div class=scroll><table>");
-    let line = |out: &mut String, cells: &[String], tag: &str| {
-        out.push_str("<tr>");
-        for (k, cell) in cells.iter().enumerate() {
-            let class = if k == 0 { "" } else { " class=n" };
-            let _ = write!(out, "<{tag}{class}>{}</{tag}>", escape(cell));
-        }
-        out.push_str("</tr>");
-    };
-    line(out, &table.columns, "th");
-    for row in &table.rows {
-        line(out, row, "td");
-    }
-    out.push_str("</table></div>\n");
 }
 
 /// Iteration times against N of the synthetic cases at one width, as a series.

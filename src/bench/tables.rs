@@ -5,38 +5,8 @@ use std::fmt::Write;
 use super::growth::SYNTHETIC;
 use super::record::{BenchRecord, Case, Outcome, Stage};
 use super::spread::{Ratio, Spread};
-
-/// A table of text.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Table {
-    /// Heading.
-    pub title: String,
-    /// A sentence on how to read it, may be empty.
-    pub note: &'static str,
-    /// Column names.
-    pub columns: Vec<String>,
-    /// Cells.
-    pub rows: Vec<Vec<String>>,
-}
-
-/// Three significant digits.
-pub(super) fn digits(value: f64) -> String {
-    let size = value.abs();
-    match size {
-        _ if !size.is_finite() => "–".into(),
-        0.0 => "0".into(),
-        s if !(1e-3..1e6).contains(&s) => format!("{value:.1e}"),
-        s => {
-            let decimals = (2 - s.log10().floor() as i32).clamp(0, 5) as usize;
-            format!("{value:.decimals$}")
-        }
-    }
-}
-
-/// `median (min–max)`.
-pub(super) fn ranged(median: f64, min: f64, max: f64) -> String {
-    format!("{} ({}–{})", digits(median), digits(min), digits(max))
-}
+pub use crate::report::figures::Table;
+use crate::report::figures::{digits, ranged, write_markdown};
 
 fn ranged_ratio(r: &Ratio) -> String {
     ranged(r.median, r.low, r.high)
@@ -77,7 +47,7 @@ fn maybe(figures: [Option<f64>; 3], factor: f64) -> String {
 fn table(title: &str, note: &'static str, columns: &[&str], rows: Vec<Vec<String>>) -> Table {
     Table {
         title: title.into(),
-        note,
+        note: note.into(),
         columns: columns.iter().map(|c| (*c).to_owned()).collect(),
         rows,
     }
@@ -247,7 +217,7 @@ pub(super) fn comparison(records: &[&BenchRecord]) -> Option<Table> {
     }));
     (records.len() > 1).then(|| Table {
         title: "Devices side by side".into(),
-        note: "Measured peaks, and wall time of one iteration, median (min–max).",
+        note: "Measured peaks, and wall time of one iteration, median (min–max).".into(),
         columns: row("".into(), &|r| r.device.clone()),
         rows,
     })
@@ -260,24 +230,6 @@ pub(super) fn done<'a>(outcomes: &'a [Outcome]) -> Vec<&'a BenchRecord> {
         Outcome::Failed { .. } => None,
     };
     outcomes.iter().filter_map(record).collect()
-}
-
-fn write_markdown(out: &mut String, table: &Table, level: &str) {
-    let cell = |text: &str| text.replace('|', "\\|").replace('\n', " ");
-    let line = |cells: &[String]| -> String {
-        let cells: Vec<String> = cells.iter().map(|c| cell(c)).collect();
-        format!("| {} |\n", cells.join(" | "))
-    };
-    let _ = write!(out, "\n{level} {}\n\n", table.title);
-    if !table.note.is_empty() {
-        let _ = write!(out, "{}\n\n", table.note);
-    }
-    out.push_str(&line(&table.columns));
-    let rule = vec!["---:"; table.columns.len().saturating_sub(1)];
-    let _ = writeln!(out, "| --- | {} |", rule.join(" | "));
-    for row in &table.rows {
-        out.push_str(&line(row));
-    }
 }
 
 /// Every device as Markdown.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use mhsplat::buffers::ViewSet;
 use mhsplat::error::{Error, Result};
-use mhsplat::evaluate::{Evaluator, mean};
+use mhsplat::evaluate::{Evaluator, mean, mean_flip};
 use mhsplat::gpu::Defines;
 use mhsplat::photos::Photos;
 use serde_json::json;
@@ -55,23 +55,28 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let evaluator = Evaluator::new(&loaded.device, defines, views)?;
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let degree = loaded.scene.sh_degree;
-    let scores = evaluator.score_all(&loaded.scene, &mut loaded.renderer, degree, background)?;
+    let (scene, renderer) = (&loaded.scene, &mut loaded.renderer);
+    let scores = evaluator.score_all_with_flip(scene, renderer, degree, background)?;
     let (psnr, ssim) = mean(&scores).unwrap_or((0.0, 0.0));
+    let flip = mean_flip(&scores).unwrap_or(1.0);
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
     if common.json {
         output::json(&json!({
             "scene": ply, "gaussians": loaded.scene.count, "width": size[0], "height": size[1],
-            "psnr": psnr, "ssim": ssim, "per_view": scores,
+            "psnr": psnr, "ssim": ssim, "flip": flip, "per_view": scores,
         }))?;
     } else {
         for s in &scores {
             output::line(&format!(
-                "{:>7.3} dB  SSIM {:.4}  {}",
-                s.psnr, s.ssim, s.view
+                "{:>7.3} dB  SSIM {:.4}  FLIP {:.4}  {}",
+                s.psnr,
+                s.ssim,
+                s.flip.unwrap_or(1.0),
+                s.view
             ));
         }
         output::line(&format!(
-            "{psnr:>7.3} dB  SSIM {ssim:.4}  mean of {} held-out views at {}x{}, {} Gaussians",
+            "{psnr:>7.3} dB  SSIM {ssim:.4}  FLIP {flip:.4}  mean of {} held-out views at {}x{}, {} Gaussians",
             scores.len(),
             size[0],
             size[1],

@@ -1,8 +1,10 @@
 //! The only place that names `clap`: one file per subcommand, flags → library types, call, print.
 
 mod bench;
+mod compare;
 mod devices;
 mod eval;
+mod experiment;
 mod output;
 mod render;
 mod scene;
@@ -37,10 +39,14 @@ struct Cli {
 enum Command {
     /// Train a scene from posed photos.
     Train(Box<train::TrainArgs>),
-    /// PSNR and SSIM per held-out view and mean.
+    /// PSNR, SSIM and FLIP per held-out view and mean.
     Eval(eval::EvalArgs),
     /// Render a scene to PNG files.
     Render(render::RenderArgs),
+    /// Error against run time of several runs, and time to equal error.
+    Compare(compare::CompareArgs),
+    /// Scenes, settings and seeds from a file: trains what is missing and compares.
+    Experiment(experiment::ExperimentArgs),
     /// List every OpenCL platform and device.
     Devices,
     /// Make a seeded scene with known truth.
@@ -96,6 +102,8 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Command::Train(args) => train::run(&args, &common),
         Command::Eval(args) => eval::run(&args, &common),
         Command::Render(args) => render::run(&args, &common),
+        Command::Compare(args) => compare::run(&args, &common),
+        Command::Experiment(args) => experiment::run(&args, &common),
         Command::Devices => devices::run(&common),
         Command::Synth(args) => synth::run(&args, &common),
         Command::Bench(args) => bench::run(&args, &common),

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -87,6 +87,9 @@ pub struct TrainArgs {
     /// TOML file (or a run's run.json) with the same names; flags win.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Stop as on Ctrl-C when stdin ends: how a program that started this one stops it on any system.
+    #[arg(long, hide = true)]
+    until_stdin_ends: bool,
     /// Exit with 1 unless the mean held-out PSNR reaches this, dB.
     #[arg(long, value_name = "DB", value_parser = output::finite)]
     require_psnr: Option<f64>,
@@ -102,6 +105,13 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     };
     // Before the device: some drivers' compilers set handlers that end the process, and whoever comes first is asked last.
     let stop = stop_flag()?;
+    if args.until_stdin_ends {
+        let stop = stop.clone();
+        std::thread::spawn(move || {
+            let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+            stop.store(true, Ordering::Relaxed);
+        });
+    }
     let device = super::open_device(common.device.as_deref())?;
     if args.resume.is_none() {
         claim_folder(&dir)?;
@@ -165,7 +175,7 @@ fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -
 }
 
 /// Sets a flag on Ctrl-C or SIGTERM; a second signal ends the program at once.
-fn stop_flag() -> Result<Arc<AtomicBool>> {
+pub fn stop_flag() -> Result<Arc<AtomicBool>> {
     use signal_hook::consts::{SIGINT, SIGTERM};
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
@@ -271,7 +281,12 @@ fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
     }
     let scores = record.final_scores.as_ref().map_or_else(
         || "no held-out view".to_owned(),
-        |f| format!("held-out PSNR {:.2} dB, SSIM {:.4}", f.psnr, f.ssim),
+        |f| {
+            let flip = f
+                .flip
+                .map_or_else(String::new, |v| format!(", FLIP {v:.4}"));
+            format!("held-out PSNR {:.2} dB, SSIM {:.4}{flip}", f.psnr, f.ssim)
+        },
     );
     output::line(&format!(
         "{scores}; {} Gaussians; {} iterations in {:.1} s ({:.1} CPU s)\nscene: {}\nreport: {}",

@@ -150,6 +150,8 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
         || ("–".to_owned(), "–".to_owned()),
         |(p, s)| (format!("{} <small>dB</small>", fixed(p, 2)), fixed(s, 4)),
     );
+    let flip = record.final_scores.as_ref().and_then(|f| f.flip);
+    let flip = flip.map_or_else(|| "–".to_owned(), |v| fixed(v, 4));
     let cpu = match record.cpu_seconds {
         s if s > 0.0 => small_units(&span(s)),
         _ => "<small>not measured</small>".to_owned(),
@@ -164,6 +166,7 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
     let heads = [
         ("PSNR, held-out", psnr),
         ("SSIM, held-out", ssim),
+        ("FLIP, held-out", flip),
         ("Gaussians", grouped(record.gaussians)),
         ("Training time", small_units(&span(record.train_seconds))),
         ("CPU time", cpu),
@@ -259,16 +262,17 @@ fn scores(out: &mut String, scores: Option<&FinalRecord>) {
     let _ = write!(
         out,
         "<details><summary>Scores of all {} held-out views</summary><table>\
-         <tr><th>view</th><th class=n>PSNR, dB</th><th class=n>SSIM</th></tr>",
+         <tr><th>view</th><th class=n>PSNR, dB</th><th class=n>SSIM</th><th class=n>FLIP</th></tr>",
         scores.per_view.len()
     );
     for score in &scores.per_view {
         let _ = write!(
             out,
-            "<tr><td>{}</td><td class=n>{}</td><td class=n>{}</td></tr>",
+            "<tr><td>{}</td><td class=n>{}</td><td class=n>{}</td><td class=n>{}</td></tr>",
             escape(&score.view),
             fixed(score.psnr, 2),
-            fixed(score.ssim, 4)
+            fixed(score.ssim, 4),
+            fixed(score.flip.unwrap_or(f64::NAN), 4)
         );
     }
     out.push_str("</table></details>\n");

@@ -11,17 +11,21 @@
 //! `NaN` breaks the scripts that read it. Such a value is an error that names where it was found.
 //! Tests: report.
 
+mod bars;
 pub mod clock;
 pub mod density_log;
+pub mod figures;
 pub mod gallery;
 pub mod html;
 pub mod loglog;
 pub mod metrics;
 mod panels;
 pub mod record;
-mod settings;
+pub(crate) mod settings;
+pub mod spread;
 pub mod svg;
 pub mod table;
+mod ticks;
 
 pub use clock::{Clock, Reading};
 pub use density_log::{DensityRow, DensityWriter, read_density};

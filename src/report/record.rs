@@ -27,6 +27,9 @@ pub struct DatasetRecord {
     pub width: u32,
     /// Largest height of a photo as trained on, in pixels.
     pub height: u32,
+    /// `Dataset::fingerprint`: views, cameras, sizes and split; not in records of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fingerprint: Option<String>,
 }
 
 /// The OpenCL device of a run.
@@ -65,6 +68,9 @@ pub struct ViewScore {
     pub psnr: f64,
     /// SSIM.
     pub ssim: f64,
+    /// ꟻLIP, 0 (equal) to 1; taken at the end of a run and by `eval` only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flip: Option<f64>,
 }
 
 /// Scores of the last evaluation.
@@ -74,6 +80,9 @@ pub struct FinalRecord {
     pub psnr: f64,
     /// Mean SSIM over the views.
     pub ssim: f64,
+    /// Mean ꟻLIP over the views; of the evaluation at the end of the run only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flip: Option<f64>,
     /// Scores by view, sorted by name.
     pub per_view: Vec<ViewScore>,
 }
@@ -162,9 +171,14 @@ impl RunRecord {
             stage: RECORD_FILE.to_owned(),
             what,
         };
-        let optional = self.config.time_budget.unwrap_or(0.0);
-        if !optional.is_finite() {
-            return Err(numerics(format!("time-budget is {optional}")));
+        let scores = self.final_scores.iter();
+        let flips = scores.flat_map(|f| f.per_view.iter().map(|v| v.flip).chain([f.flip]));
+        let mut optional = flips
+            .map(|flip| ("flip", flip))
+            .chain([("time-budget", self.config.time_budget)]);
+        let bad = optional.find_map(|(name, v)| Some((name, v.filter(|v| !v.is_finite())?)));
+        if let Some((name, value)) = bad {
+            return Err(numerics(format!("{name} is {value}")));
         }
         let text = serde_json::to_string_pretty(self).map_err(|e| numerics(e.to_string()))?;
         // serde_json spells NaN and infinity `null`, and no number reads back from that: what cannot be read back as it

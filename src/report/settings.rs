@@ -83,7 +83,7 @@ fn options(out: &mut String, config: &TrainConfig) {
 }
 
 /// Every option with its dotted name, sorted by name.
-fn flatten(config: &TrainConfig) -> Vec<(String, String)> {
+pub(crate) fn flatten(config: &TrainConfig) -> Vec<(String, String)> {
     // By way of text, which spells an f32 as it was typed (0.2), where serde_json's own values widen it.
     let value = serde_json::to_string(config)
         .and_then(|text| serde_json::from_str::<Value>(&text))

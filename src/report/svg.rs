@@ -1,10 +1,12 @@
-//! Charts as hand-made SVG: lines over an axis of time or iterations, and horizontal bars.
+//! Charts as hand-made SVG: lines over an axis of time or iterations, with bands around them where there are several samples.
 //!
 //! A chart is drawn in a view box 380 wide, which is about a phone's column in CSS pixels, so that its 12-unit text is
 //! readable at 390 px and larger on wider pages. Colours are CSS variables of the page (`--s0` …). Numbers that are not
 //! finite are skipped.
 
+pub use super::bars::{Bar, bar_chart};
 use super::html::escape;
+pub use super::ticks::{Ticks, ticks};
 use std::fmt::Write;
 
 pub(super) const WIDTH: f64 = 380.0;
@@ -51,72 +53,6 @@ pub struct Series<'a> {
     pub name: &'a str,
     /// Points (x, y) in drawing order.
     pub points: Vec<(f64, f64)>,
-}
-
-/// One bar of a bar chart.
-#[derive(Debug, Clone)]
-pub struct Bar {
-    /// Name at its left.
-    pub name: String,
-    /// Length.
-    pub value: f64,
-    /// Text at its right.
-    pub text: String,
-}
-
-/// A range of numbers with round ticks in it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Ticks {
-    /// Lower end.
-    pub low: f64,
-    /// Upper end, above `low`.
-    pub high: f64,
-    /// Distance of the ticks: 1, 2 or 5 times a power of ten.
-    pub step: f64,
-    /// The ticks, within [`low`, `high`].
-    pub at: Vec<f64>,
-}
-
-/// Round ticks, about `target` of them, for data in [`low`, `high`]. With `widen` the range is extended to whole ticks.
-/// A range without width is given one. `None` where the ends are not finite or no step can tell them apart.
-#[must_use]
-pub fn ticks(low: f64, high: f64, target: u32, widen: bool) -> Option<Ticks> {
-    let (mut low, mut high) = (low.min(high), high.max(low));
-    let size = low.abs().max(high.abs());
-    if high - low <= size * 1e-9 {
-        let pad = if size > 0.0 { size * 0.05 } else { 0.5 };
-        (low, high) = if low == 0.0 {
-            (0.0, 1.0)
-        } else {
-            (low - pad, high + pad)
-        };
-    }
-    let rough = (high - low) / f64::from(target.max(1));
-    let power = 10f64.powf(rough.log10().floor());
-    let step = power
-        * match rough / power {
-            r if r <= 1.0 => 1.0,
-            r if r <= 2.0 => 2.0,
-            r if r <= 5.0 => 5.0,
-            _ => 10.0,
-        };
-    if !(step.is_finite() && step > 0.0 && low.is_finite() && high.is_finite()) {
-        return None;
-    }
-    if widen {
-        // The slack keeps an end that rounding pushed past a tick from opening another step.
-        low = (low / step + 1e-9).floor() * step;
-        high = (high / step - 1e-9).ceil() * step;
-    }
-    let first = (low / step - 1e-9).ceil();
-    let count = ((high / step + 1e-9).floor() - first).clamp(0.0, 50.0) as u32;
-    let at = (0..=count).map(|i| (first + f64::from(i)) * step).collect();
-    Some(Ticks {
-        low,
-        high,
-        step,
-        at,
-    })
 }
 
 /// A number with at most `decimals` places, thousands as k, M or G from 10,000 on (judged by `largest`).
@@ -204,15 +140,68 @@ impl<'a> Laid<'a> {
     }
 }
 
+/// A line with the range of the samples that it is the median of, and single points.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Banded {
+    /// Name in the legend.
+    pub name: String,
+    /// Points (x, y) in drawing order.
+    pub line: Vec<(f64, f64)>,
+    /// Ranges (x, low, high), x rising; may be empty.
+    pub band: Vec<(f64, f64, f64)>,
+    /// The samples, as thin lines that end in a mark; without any, the points of a short line are marked.
+    pub samples: Vec<Vec<(f64, f64)>>,
+    /// Value in the legend; none for the last of the line.
+    pub value: Option<f64>,
+}
+
+impl Banded {
+    /// Without what is not finite.
+    fn finite(&self) -> Self {
+        let clean = |line: &Vec<(f64, f64)>| -> Vec<(f64, f64)> {
+            let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
+            line.iter().filter(good).copied().collect()
+        };
+        let whole = |p: &&(f64, f64, f64)| p.0.is_finite() && p.1.is_finite() && p.2.is_finite();
+        Self {
+            name: self.name.clone(),
+            line: clean(&self.line),
+            band: self.band.iter().filter(whole).copied().collect(),
+            samples: self.samples.iter().map(clean).collect(),
+            value: self.value,
+        }
+    }
+
+    /// Every point of it.
+    fn points(&self) -> impl Iterator<Item = (f64, f64)> {
+        let edges = |b: &(f64, f64, f64)| [(b.0, b.1), (b.0, b.2)];
+        let ends = self.band.iter().flat_map(edges);
+        let lone = self
+            .line
+            .iter()
+            .chain(self.samples.iter().flatten())
+            .copied();
+        lone.chain(ends)
+    }
+}
+
 /// A figure with a line for every series; `no data` where there is no finite point.
 #[must_use]
 pub fn line_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Series<'_>]) -> String {
-    let finite = |s: &Series<'_>| -> Vec<(f64, f64)> {
-        let good = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
-        s.points.iter().filter(good).copied().collect()
+    let plain = |s: &Series<'_>| Banded {
+        name: s.name.to_owned(),
+        line: s.points.clone(),
+        ..Banded::default()
     };
-    let lines: Vec<_> = series.iter().map(finite).collect();
-    let all = || lines.iter().flatten();
+    let all: Vec<Banded> = series.iter().map(plain).collect();
+    band_chart(title, x, y, &all)
+}
+
+/// [`line_chart`] with bands and marks.
+#[must_use]
+pub fn band_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Banded]) -> String {
+    let series: Vec<Banded> = series.iter().map(Banded::finite).collect();
+    let all = || series.iter().flat_map(Banded::points);
     let laid_x = Laid::new(x, all().map(|p| p.0), true);
     let laid_y = Laid::new(y, all().map(|p| p.1), false);
     let mut out = format!("<figure class=chart><figcaption>{}", escape(title));
@@ -221,13 +210,13 @@ pub fn line_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Series<'_>]
         return out;
     };
     out.push_str("<div>");
-    for (index, (line, series)) in lines.iter().zip(series).enumerate() {
-        let last = line.last().map(|p| laid_y.value_label(p.1));
-        let last = last.unwrap_or_else(|| "no data".to_owned());
-        let name = escape(series.name);
-        let key = match series.name {
+    for (index, series) in series.iter().enumerate() {
+        let last = series.value.or(series.line.last().map(|p| p.1));
+        let last = last.map_or_else(|| "no data".to_owned(), |v| laid_y.value_label(v));
+        let name = escape(&series.name);
+        let key = match name.as_str() {
             "" => String::new(),
-            _ => format!("<i class=k{}></i>{name} ", index % COLORS),
+            _ => format!("<i class=\"{}\"></i>{name} ", color_class('k', index)),
         };
         let _ = write!(out, "<span>{key}<b>{last}</b></span>");
     }
@@ -237,11 +226,34 @@ pub fn line_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Series<'_>]
         escape(title)
     );
     grid(&mut out, &laid_x, &laid_y);
-    for (index, line) in lines.iter().enumerate() {
-        draw(&mut out, index % COLORS, line, &laid_x, &laid_y);
+    for (index, series) in series.iter().enumerate() {
+        draw_band(&mut out, index, &series.band, &laid_x, &laid_y);
+        for sample in &series.samples {
+            let class = format!("{} thin", color_class('s', index));
+            draw(&mut out, &class, sample, &laid_x, &laid_y);
+        }
+    }
+    for (index, series) in series.iter().enumerate() {
+        let class = color_class('s', index);
+        draw(&mut out, &class, &series.line, &laid_x, &laid_y);
+        let ends: Vec<_> = series
+            .samples
+            .iter()
+            .filter_map(|s| s.last())
+            .copied()
+            .collect();
+        let own = ends.is_empty() && series.line.len() <= MARKED;
+        let marks = if own { &series.line } else { &ends };
+        draw_marks(&mut out, index, marks, &laid_x, &laid_y);
     }
     out.push_str("</svg></figure>\n");
     out
+}
+
+/// CSS class of a series: its colour, and dashes from the second round of colours on.
+fn color_class(kind: char, index: usize) -> String {
+    let dashed = if index >= COLORS { " dashed" } else { "" };
+    format!("{kind}{}{dashed}", index % COLORS)
 }
 
 pub(super) fn pixel_x(share: f64) -> f64 {
@@ -291,22 +303,46 @@ fn grid(out: &mut String, x: &Laid<'_>, y: &Laid<'_>) {
     );
 }
 
-fn draw(out: &mut String, color: usize, line: &[(f64, f64)], x: &Laid<'_>, y: &Laid<'_>) {
+fn draw_band(out: &mut String, index: usize, band: &[(f64, f64, f64)], x: &Laid<'_>, y: &Laid<'_>) {
+    if band.is_empty() {
+        return;
+    }
+    let upper = band.iter().map(|b| (b.0, b.2));
+    let lower = band.iter().rev().map(|b| (b.0, b.1));
+    let corners: Vec<String> = upper
+        .chain(lower)
+        .map(|(px, py)| {
+            let (at_x, at_y) = (pixel_x(x.place(px)), pixel_y(y.place(py)));
+            format!("{},{}", short(at_x), short(at_y))
+        })
+        .collect();
+    let color = index % COLORS;
+    let _ = write!(
+        out,
+        "<polygon class=\"band s{color}\" points=\"{}\"/>",
+        corners.join(" ")
+    );
+}
+
+fn draw(out: &mut String, class: &str, line: &[(f64, f64)], x: &Laid<'_>, y: &Laid<'_>) {
     let mut points = String::new();
     for (px, py) in thin(line) {
         let (at_x, at_y) = (pixel_x(x.place(px)), pixel_y(y.place(py)));
         let _ = write!(points, "{},{} ", short(at_x), short(at_y));
     }
-    let points = points.trim_end();
     let _ = write!(
         out,
-        "<polyline class=\"line s{color}\" points=\"{points}\"/>"
+        "<polyline class=\"line {class}\" points=\"{}\"/>",
+        points.trim_end()
     );
-    if line.len() > MARKED {
+}
+
+fn draw_marks(out: &mut String, index: usize, marks: &[(f64, f64)], x: &Laid<'_>, y: &Laid<'_>) {
+    if marks.is_empty() {
         return;
     }
-    let _ = write!(out, "<g class=\"mark m{color}\">");
-    for &(px, py) in line {
+    let _ = write!(out, "<g class=\"mark m{}\">", index % COLORS);
+    for &(px, py) in marks {
         let (at_x, at_y) = (short(pixel_x(x.place(px))), short(pixel_y(y.place(py))));
         let (tip_x, tip_y) = (x.value_label(px), y.value_label(py));
         let _ = write!(
@@ -344,57 +380,4 @@ fn thin(line: &[(f64, f64)]) -> Vec<(f64, f64)> {
         kept.push(*last);
     }
     kept
-}
-
-/// A figure with one horizontal bar per entry, longest full width; `no data` where there is none.
-#[must_use]
-pub fn bar_chart(title: &str, bars: &[Bar]) -> String {
-    const ROW: f64 = 24.0;
-    const NAMES: f64 = 104.0;
-    const TEXTS: f64 = 120.0;
-    let title = escape(title);
-    let mut out = format!("<figure class=\"chart bars\"><figcaption>{title}</figcaption>");
-    let good: Vec<&Bar> = bars
-        .iter()
-        .filter(|b| b.value.is_finite() && b.value >= 0.0)
-        .collect();
-    let longest = good.iter().fold(0.0f64, |l, b| l.max(b.value));
-    if good.is_empty() {
-        out.push_str("<p class=none>no data</p></figure>\n");
-        return out;
-    }
-    let height = good.len() as f64 * ROW + 4.0;
-    let _ = write!(
-        out,
-        "<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{title}\">"
-    );
-    for (row, bar) in good.iter().enumerate() {
-        let y = row as f64 * ROW + 4.0;
-        let share = if longest > 0.0 {
-            bar.value / longest
-        } else {
-            0.0
-        };
-        let width = short((share * (WIDTH - NAMES - TEXTS)).max(1.0));
-        // 12-unit text is about 6.2 units a character: what does not fit is cut, and whole in the tooltip.
-        let name: String = match bar.name.chars().count() {
-            0..=16 => bar.name.clone(),
-            _ => bar.name.chars().take(15).chain(['…']).collect(),
-        };
-        let _ = write!(
-            out,
-            "<g><title>{}</title><text x=\"{}\" y=\"{}\" text-anchor=\"end\">{}</text>\
-             <rect class=\"bar\" x=\"{NAMES}\" y=\"{y}\" width=\"{width}\" height=\"16\" rx=\"2\"/>\
-             <text x=\"{}\" y=\"{}\" class=\"value\">{}</text></g>",
-            escape(&bar.name),
-            NAMES - 8.0,
-            y + 12.5,
-            escape(&name),
-            short(NAMES + width + 6.0),
-            y + 12.5,
-            escape(&bar.text)
-        );
-    }
-    out.push_str("</svg></figure>\n");
-    out
 }

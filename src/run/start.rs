@@ -105,6 +105,7 @@ fn record(dataset: &Dataset, config: &TrainConfig, device: &Device) -> RunRecord
             test_views: dataset.test.len(),
             width: largest(|c| c.width),
             height: largest(|c| c.height),
+            fingerprint: Some(dataset.fingerprint()),
         },
         DeviceRecord {
             name: info.name.clone(),

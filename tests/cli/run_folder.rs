@@ -42,7 +42,9 @@ fn the_run_folder_keeps_the_contract() {
     assert_eq!(printed["dataset"]["train_views"], 35);
     assert_eq!(printed["dataset"]["test_views"], 5);
     assert_eq!(printed["dataset"]["width"], 64);
-    assert_eq!(printed["final"]["per_view"].as_array().unwrap().len(), 5);
+    let views = printed["final"]["per_view"].as_array().unwrap();
+    assert_eq!(views.len(), 5);
+    assert!(views.iter().all(|v| v["flip"].as_f64() > Some(0.0)));
     assert!(!printed["plan"]["left_out"].as_array().unwrap().is_empty());
     assert!(printed["density"]["proposed"].as_u64() > Some(0));
     let table = fs::read_to_string(run.join("metrics.csv")).unwrap();
@@ -114,7 +116,7 @@ fn no_more_gaussians_than_allowed() {
 
 fn evaluated_alike(run: &Path, record: &Value) {
     let scores = json(&done(&["eval", text(run), &room(), "--json"]));
-    for key in ["psnr", "ssim"] {
+    for key in ["psnr", "ssim", "flip"] {
         let (a, b) = (&scores[key], &record["final"][key]);
         let difference = (a.as_f64().unwrap() - b.as_f64().unwrap()).abs();
         // The scene went through the dataset's frame and back: f32 rounding of positions and scales.

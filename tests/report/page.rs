@@ -96,6 +96,7 @@ fn page_shows_the_run() {
     let shown = [
         "27.31",
         "0.8712",
+        "0.0912",
         "412\u{202f}345",
         "23 min 53 s",
         "<dd>45 <small>min</small> 15 <small>s</small></dd>",

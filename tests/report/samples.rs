@@ -71,6 +71,7 @@ pub fn record() -> RunRecord {
             test_views: 13,
             width: 640,
             height: 478,
+            fingerprint: Some("0123456789abcdef".into()),
         },
         DeviceRecord {
             name: "cpu-znver3-AMD EPYC 7B13".into(),
@@ -97,16 +98,19 @@ pub fn record() -> RunRecord {
     record.final_scores = Some(FinalRecord {
         psnr: 27.314_159,
         ssim: 0.871_23,
+        flip: Some(0.0912),
         per_view: vec![
             ViewScore {
                 view: "IMG_0008.jpg".into(),
                 psnr: 26.9,
                 ssim: 0.86,
+                flip: Some(0.0951),
             },
             ViewScore {
                 view: "IMG_0016.jpg".into(),
                 psnr: 27.7,
                 ssim: 0.88,
+                flip: Some(0.0873),
             },
         ],
     });

@@ -1,0 +1,261 @@
+//! Runs an experiment within its budget.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::file::Experiment;
+use super::plan::{Planned, State, blocks, folder, state};
+use super::summary;
+use crate::config::TrainConfig;
+use crate::error::{Error, Result};
+use crate::run::abandon_folder;
+
+/// The experiment's own text in its output folder, by which the folder is known.
+const MARK: &str = "experiment.toml";
+/// What a run of a given time budget takes beside it: start, evaluations, report.
+const BESIDE: f64 = 1.2;
+
+/// A run to train.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    /// Dataset.
+    pub dataset: PathBuf,
+    /// Run folder.
+    pub dir: PathBuf,
+    /// Configuration, as a file for `--config`.
+    pub config: PathBuf,
+    /// Whether it goes on from its checkpoint.
+    pub resume: bool,
+}
+
+/// What trains, and what tells the time.
+pub trait Launch {
+    /// Trains to the end.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] where the user stopped it, or whatever failed.
+    fn train(&mut self, job: &Job) -> Result<()>;
+
+    /// Seconds since some moment before.
+    fn seconds(&self) -> f64;
+}
+
+/// How far an experiment came.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Outcome {
+    /// Runs that are there, earlier ones included.
+    pub done: usize,
+    /// Runs that failed, and why.
+    pub failed: Vec<(String, String)>,
+    /// Runs that the budget left for another time.
+    pub left: usize,
+}
+
+struct Drive<'a> {
+    experiment: &'a Experiment,
+    launch: &'a mut dyn Launch,
+    stop: &'a AtomicBool,
+    note: &'a mut dyn FnMut(&str),
+    began: f64,
+    /// Runs of this session, and seconds that they took.
+    taken: (usize, f64),
+    outcome: Outcome,
+    runs: usize,
+}
+
+/// Makes the output folder; refuses one that holds something else.
+fn claim(e: &Experiment) -> Result<()> {
+    let dir = &e.output;
+    let empty = std::fs::read_dir(dir).map_or(!dir.exists(), |mut d| d.next().is_none());
+    let mark = dir.join(MARK);
+    if !empty && !mark.is_file() {
+        return Err(Error::input(
+            dir,
+            "holds something that is no experiment; nothing is overwritten",
+            "choose another folder with -o",
+        ));
+    }
+    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
+    crate::atomic::write_bytes(&mark, e.text.as_bytes())
+}
+
+/// Runs what is missing, as far as the budget goes, and writes the comparisons after every seed of a scene.
+///
+/// A run that fails is named in the outcome, and the others go on; so does nothing that needs its number of Gaussians.
+///
+/// # Errors
+/// [`Error::Interrupted`]; scenes that are not there; an output folder, or a run in it, that is something else; files that
+/// cannot be written.
+pub fn run(
+    experiment: &Experiment,
+    launch: &mut dyn Launch,
+    stop: &AtomicBool,
+    note: &mut dyn FnMut(&str),
+) -> Result<Outcome> {
+    experiment.check_scenes()?;
+    claim(experiment)?;
+    let all = blocks(experiment);
+    let mut drive = Drive {
+        experiment,
+        began: launch.seconds(),
+        launch,
+        stop,
+        note,
+        taken: (0, 0.0),
+        outcome: Outcome::default(),
+        runs: all.iter().map(Vec::len).sum(),
+    };
+    for (place, block) in all.iter().enumerate() {
+        let missing = drive.missing(block)?;
+        if missing > 0 && !drive.fits(block, missing)? {
+            let left = all[place..].iter().map(|b| drive.missing(b));
+            drive.outcome.left = left.sum::<Result<usize>>()?;
+            drive.outcome.done += all[place..].iter().map(Vec::len).sum::<usize>();
+            drive.outcome.done -= drive.outcome.left;
+            break;
+        }
+        let done = drive.block(block);
+        // Whatever ended the block, what there is can be compared.
+        summary::write(experiment)?;
+        done?;
+    }
+    summary::write(experiment)?;
+    Ok(drive.outcome)
+}
+
+impl Drive<'_> {
+    /// Runs of a block that are not done.
+    fn missing(&self, block: &[Planned]) -> Result<usize> {
+        let mut missing = 0;
+        for run in block {
+            missing += usize::from(!matches!(state(&run.dir, None)?, State::Done(_)));
+        }
+        Ok(missing)
+    }
+
+    /// Whether so many runs of a block can be expected to end within the budget.
+    fn fits(&self, block: &[Planned], missing: usize) -> Result<bool> {
+        let Some(budget) = self.experiment.budget else {
+            return Ok(true);
+        };
+        let mut longest: f64 = 0.0;
+        for run in block {
+            let limit = self.config(run)?.time_budget.unwrap_or(0.0);
+            longest = longest.max(BESIDE * limit);
+        }
+        // What runs took so far tells more than what they may take.
+        let (runs, seconds) = self.taken;
+        if runs > 0 {
+            longest = seconds / runs as f64;
+        }
+        let used = self.launch.seconds() - self.began;
+        Ok(used < budget && used + missing as f64 * longest <= budget)
+    }
+
+    fn config(&self, run: &Planned) -> Result<TrainConfig> {
+        let e = self.experiment;
+        e.config(&e.scenes[run.scene], &e.settings[run.setting], run.seed)
+    }
+
+    /// The configuration of a run, with the cap of the run that gives it; none if there is no such run.
+    fn capped(&self, run: &Planned) -> Result<Option<TrainConfig>> {
+        let mut config = self.config(run)?;
+        let from = self.experiment.cap_from.filter(|_| run.capped);
+        let Some(from) = from else {
+            return Ok(Some(config));
+        };
+        let dir = folder(self.experiment, run.scene, from, run.seed);
+        let State::Done(record) = state(&dir, None)? else {
+            return Ok(None);
+        };
+        config.max_gaussians = Some(record.gaussians as usize);
+        Ok(Some(config))
+    }
+
+    fn block(&mut self, block: &[Planned]) -> Result<()> {
+        for run in block {
+            if self.stop.load(Ordering::Relaxed) {
+                return Err(Error::Interrupted);
+            }
+            let name = run.dir.display().to_string();
+            let failed = match self.capped(run)? {
+                None => Some("its number of Gaussians is that of a run that failed".to_owned()),
+                Some(config) => match self.one(run, &config) {
+                    Ok(()) => None,
+                    Err(Error::Interrupted) => return Err(Error::Interrupted),
+                    Err(error) => Some(error.to_string()),
+                },
+            };
+            match failed {
+                None => self.outcome.done += 1,
+                Some(why) => {
+                    (self.note)(&format!("{name}: failed: {why}"));
+                    self.outcome.failed.push((name, why));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Brings one run to its end.
+    fn one(&mut self, run: &Planned, config: &TrainConfig) -> Result<()> {
+        let found = state(&run.dir, Some(config))?;
+        if matches!(found, State::Done(_)) {
+            return Ok(());
+        }
+        if found == State::Broken {
+            abandon_folder(&run.dir);
+            if run.dir.exists() {
+                return Err(Error::input(
+                    &run.dir,
+                    "holds part of a run and other files",
+                    "move it away",
+                ));
+            }
+        }
+        let job = Job {
+            dataset: self.experiment.scenes[run.scene].path.clone(),
+            dir: run.dir.clone(),
+            config: write_config(&run.dir, config)?,
+            resume: found == State::Begun,
+        };
+        let count = self.outcome.done + self.outcome.failed.len() + 1;
+        let verb = if job.resume { "goes on" } else { "starts" };
+        let name = run.dir.display();
+        (self.note)(&format!("[{count}/{}] {name} {verb}", self.runs));
+        let before = self.launch.seconds();
+        self.launch.train(&job)?;
+        self.taken.0 += 1;
+        self.taken.1 += self.launch.seconds() - before;
+        match state(&run.dir, Some(config))? {
+            State::Done(record) => {
+                let psnr = record.final_scores.as_ref().map_or(f64::NAN, |f| f.psnr);
+                (self.note)(&format!(
+                    "    {psnr:.2} dB, {} Gaussians, {:.0} s ({:.0} CPU s)",
+                    record.gaussians, record.train_seconds, record.cpu_seconds
+                ));
+                Ok(())
+            }
+            _ => Err(Error::input(
+                &run.dir,
+                "training ended, but the run is not complete",
+                "run `mhsplat train` on it by hand to see why",
+            )),
+        }
+    }
+}
+
+/// Writes `config-seed-N.json` beside the run folder: `seed-*` are runs and nothing else.
+fn write_config(dir: &Path, config: &TrainConfig) -> Result<PathBuf> {
+    let run = dir.file_name().unwrap_or_default().to_string_lossy();
+    let file = dir.with_file_name(format!("config-{run}.json"));
+    if let Some(parent) = file.parent() {
+        std::fs::create_dir_all(parent).map_err(|e| Error::io(parent, e))?;
+    }
+    let text = serde_json::to_string_pretty(config).map_err(|e| Error::Numerics {
+        stage: file.display().to_string(),
+        what: e.to_string(),
+    })?;
+    crate::atomic::write_bytes(&file, (text + "\n").as_bytes())?;
+    Ok(file)
+}

@@ -1,0 +1,339 @@
+//! Comparing runs: figures, groups, refusals.
+
+mod cli;
+mod curve;
+pub mod made;
+
+use made::{Made, compared, run};
+use mhsplat::compare::{Clock, Options, Source, compare, finished};
+use mhsplat::error::Error;
+
+fn message(error: &Error) -> String {
+    error.to_string()
+}
+
+/// Folders of `made`, compared.
+fn fails(made: &[Made], options: &Options) -> String {
+    message(&compared(made, options).unwrap_err())
+}
+
+#[test]
+fn seeds_are_samples_of_one_group_and_everything_else_sets_apart() {
+    let labels = |made: &[Made]| -> Vec<(String, usize)> {
+        let c = compared(made, &Options::default()).unwrap();
+        c.groups
+            .iter()
+            .map(|g| (g.label.clone(), g.runs.len()))
+            .collect()
+    };
+    let seeds = |f: &dyn Fn(Made) -> Made| [0, 1, 2].map(|s| f(run("r", s))).to_vec();
+    let two = [seeds(&|m| m), seeds(&|m| m.sampler_none())].concat();
+    assert_eq!(labels(&two), [("mh".into(), 3), ("none".into(), 3)]);
+    let option = [seeds(&|m| m), seeds(&|m| m.iterations(500))].concat();
+    assert_eq!(
+        labels(&option),
+        [
+            ("mh, iterations 1000".into(), 3),
+            ("mh, iterations 500".into(), 3)
+        ]
+    );
+    // Only what tells groups of one sampler apart is in their names, and the cap only if nothing else does.
+    let capped = |m: Made| m.with(|r| r.config.max_gaussians = Some(900));
+    let three = [
+        run("a", 0),
+        run("b", 0).sampler_none(),
+        capped(run("c", 0).iterations(500)),
+    ];
+    let names: Vec<String> = labels(&three).into_iter().map(|l| l.0).collect();
+    assert_eq!(names, ["mh, iterations 1000", "none", "mh, iterations 500"]);
+    let caps = labels(&[run("a", 0), capped(run("b", 0))]);
+    assert_eq!(caps[1].0, "mh, max-gaussians 900");
+    // How often a run was evaluated changes nothing in it.
+    let beside = [
+        run("a", 0),
+        run("b", 1).with(|r| r.config.eval_every = Some(7)),
+    ];
+    assert_eq!(labels(&beside), [("mh".into(), 2)]);
+    let device = [
+        run("a", 0),
+        run("b", 0).with(|r| r.device.name = "other".into()),
+    ];
+    assert_eq!(labels(&device).len(), 2);
+    let named = [
+        run("a", 0).named("x"),
+        run("b", 0).sampler_none().named("x"),
+    ];
+    let c = compared(&named, &Options::default()).unwrap();
+    assert_eq!(c.groups[0].label, "x");
+    let mixed = "x: its runs differ in more than the seed: sampler";
+    assert!(c.warnings.iter().any(|w| w == mixed), "{:?}", c.warnings);
+}
+
+#[test]
+fn a_cap_that_changes_with_the_seed_is_one_setting() {
+    let cap = |seed, cap| run("r", seed).with(|r| r.config.max_gaussians = Some(cap));
+    let groups = |made: &[Made]| compared(made, &Options::default()).unwrap().groups.len();
+    assert_eq!(groups(&[cap(0, 1000), cap(1, 1100), cap(2, 980)]), 1);
+    assert_eq!(
+        groups(&[cap(0, 1000), cap(0, 1100)]),
+        2,
+        "one seed, two caps"
+    );
+    assert_eq!(
+        groups(&[cap(0, 1000), cap(1, 5000)]),
+        2,
+        "caps of another size"
+    );
+    assert_eq!(groups(&[cap(0, 1000), run("r", 1)]), 2, "capped or not");
+}
+
+#[test]
+fn ratios_need_three_seeds_and_runs_that_arrive() {
+    // `slow` takes twice the time of the first group to the same PSNR; `low` ends below the last threshold.
+    let fast = |seed| run("fast", seed).named("fast");
+    let slow = |seed| run("slow", seed).slower(2.0).named("slow");
+    let low = |seed| run("low", seed).below(3.0).named("low");
+    let options = Options {
+        thresholds: vec![20.0, 24.0],
+        ..Options::default()
+    };
+    let relative = |made: &[Made]| compared(made, &options).unwrap().relative;
+    let three = [0, 1, 2].map(|s| [fast(s), slow(s), low(s)]).concat();
+    let found = relative(&three);
+    assert_eq!(found[0].label, "slow");
+    for time in &found[0].to_psnr {
+        assert!((time.ratio.unwrap().median - 2.0).abs() < 1e-9, "{time:?}");
+    }
+    assert!((found[0].mean.unwrap().median - 2.0).abs() < 1e-9);
+    assert_eq!(found[0].mean_of, 2);
+    assert_eq!(found[1].to_psnr[1].ratio, None);
+    assert_eq!(found[1].to_psnr[1].why.as_deref(), Some("not reached"));
+    assert_eq!(found[1].mean_of, 1, "the mean is of what is reached");
+
+    let refused = |made: &[Made], why: &str| {
+        let found = relative(made);
+        assert_eq!(found[0].to_psnr[0].ratio, None);
+        assert_eq!(found[0].to_psnr[0].why.as_deref(), Some(why));
+        assert_eq!(found[0].mean, None);
+    };
+    refused(&[fast(0), slow(0)], "from one sample");
+    refused(&[fast(0), fast(1), slow(0), slow(1)], "from 2 samples");
+    // Three runs of one seed tell the noise of the clock, not that of the method.
+    let again = [0, 0, 0].map(|s| [fast(s), slow(s)]).concat();
+    refused(&again, "from one sample");
+}
+
+#[test]
+fn unequal_numbers_of_gaussians_are_named() {
+    let more = |extra: u64| {
+        let mut other = run("b", 0).named("other");
+        other.rows[19].gaussians += extra;
+        let c = compared(&[run("a", 0), other], &Options::default()).unwrap();
+        let text = mhsplat::compare::markdown(&c);
+        (c.warnings, text.contains("are equal to 2 %"))
+    };
+    let (warnings, equal) = more(20);
+    assert!(warnings.is_empty() && equal, "{warnings:?}");
+    let (warnings, equal) = more(200);
+    let named = "not at equal numbers of Gaussians: 1200 (mh) to 1400 (other)";
+    assert!(warnings[0].starts_with(named) && !equal, "{warnings:?}");
+}
+
+#[test]
+fn runs_that_lose_what_they_reached_are_named() {
+    let ends_lower = |by: f64| {
+        let mut run = run("a", 0);
+        run.rows[19].psnr = run.rows[18].psnr.map(|p| p - by);
+        compared(&[run], &Options::default()).unwrap().warnings
+    };
+    assert!(ends_lower(0.4).is_empty());
+    let named = "mh: 1 of 1 runs end up to 2.0 dB below their best";
+    assert!(
+        ends_lower(2.0)[0].starts_with(named),
+        "{:?}",
+        ends_lower(2.0)
+    );
+}
+
+#[test]
+fn some_runs_arriving_is_not_all() {
+    let made = [run("a", 0), run("b", 1), run("c", 2).below(3.0)];
+    let options = Options {
+        thresholds: vec![10.0, 24.0, 99.0],
+        clock: Some(Clock::Iterations),
+        ..Options::default()
+    };
+    let c = compared(&made, &options).unwrap();
+    let text = mhsplat::compare::markdown(&c);
+    assert!(text.contains("| 2 of 3: "), "{text}");
+    assert!(text.contains("| not reached |"), "{text}");
+    assert!(text.contains("| ≤ 50"), "at the first evaluation: {text}");
+    let reach = c.groups[0].reach(1, Clock::Iterations).unwrap();
+    assert_eq!((reach.reached(), reach.spread), (2, None));
+}
+
+#[test]
+fn what_is_not_comparable_is_refused_by_name() {
+    type Change = fn(&mut mhsplat::RunRecord);
+    let cases: [(Change, &str); 5] = [
+        (
+            |r| r.dataset.width = 320,
+            "another resolution, 320 × 72 instead of 96 × 72",
+        ),
+        (|r| r.dataset.test_views = 4, "another split"),
+        (
+            |r| r.final_scores.as_mut().unwrap().per_view[0].view = "other".into(),
+            "other held-out views",
+        ),
+        (
+            |r| r.dataset.fingerprint = Some("f".into()),
+            "another dataset",
+        ),
+        (
+            |r| (r.dataset.path, r.dataset.fingerprint) = ("x/other".into(), None),
+            "another dataset",
+        ),
+    ];
+    for (change, word) in cases {
+        let made = [run("a", 0), run("b", 1).with(change)];
+        let refusal = fails(&made, &Options::default());
+        assert!(
+            refusal.contains(word) && refusal.contains("--allow-different"),
+            "{refusal}"
+        );
+        let allowed = Options {
+            allow_different: true,
+            ..Options::default()
+        };
+        let c = compared(&made, &allowed).unwrap();
+        assert!(
+            c.warnings.iter().any(|w| w.contains(word)),
+            "{:?}",
+            c.warnings
+        );
+        assert!(mhsplat::compare::page(&c).contains("not comparable: "));
+    }
+    // A dataset that was moved is the same one.
+    let moved = [
+        run("a", 0),
+        run("b", 1).with(|r| r.dataset.path = "/elsewhere/room".into()),
+    ];
+    assert!(
+        compared(&moved, &Options::default())
+            .unwrap()
+            .warnings
+            .is_empty()
+    );
+    let white = |r: &mut mhsplat::RunRecord| {
+        r.config.background = mhsplat::config::Background::White;
+    };
+    let c = compared(&[run("a", 0), run("b", 1).with(white)], &Options::default()).unwrap();
+    assert!(
+        c.warnings[0].contains("another background"),
+        "{:?}",
+        c.warnings
+    );
+}
+
+#[test]
+fn unfinished_runs_count_with_a_warning() {
+    let cut = run("cut", 1).with(|r| r.iterations = 600).rows(12);
+    let c = compared(&[run("a", 0), cut], &Options::default()).unwrap();
+    let unfinished =
+        |w: &String| w.contains("unfinished, 600 of 1000 iterations") && w.contains("after 600");
+    assert!(c.warnings.iter().any(unfinished), "{:?}", c.warnings);
+    let run_of_it = &c.groups[0].runs[1];
+    assert!(!run_of_it.finished && run_of_it.flip.is_none() && run_of_it.iterations == 600);
+    assert!(
+        c.groups[0].flip.is_none(),
+        "no FLIP of a group without that of every run"
+    );
+    // A time budget ends a run as well as its iterations do.
+    let mut record = run("a", 0).record;
+    record.iterations = 600;
+    assert!(!finished(&record));
+    record.config.time_budget = Some(record.train_seconds);
+    assert!(finished(&record));
+}
+
+#[test]
+fn runs_that_cannot_be_read_say_what_is_wrong() {
+    let dir = tempfile::tempdir().unwrap();
+    run("good", 0).write(dir.path());
+    let refused = |name: &str, words: &[&str]| {
+        let sources = ["good", name].map(|n| Source::parse(dir.path().join(n).to_str().unwrap()));
+        let text = message(&compare(&sources, &Options::default()).unwrap_err());
+        for word in words {
+            assert!(text.contains(word), "{word}: {text}");
+        }
+    };
+    refused("nowhere", &["nowhere: no such folder"]);
+    std::fs::create_dir(dir.path().join("empty")).unwrap();
+    refused("empty", &["empty: holds no run.json", "mhsplat train"]);
+    let bad = run("bad", 1).write(dir.path());
+    std::fs::remove_file(bad.join("metrics.csv")).unwrap();
+    refused("bad", &["bad: holds no metrics.csv"]);
+    std::fs::write(bad.join("metrics.csv"), "iteration,psnr\n1,2\n").unwrap();
+    refused("bad", &["metrics.csv", "header"]);
+    let good = std::fs::read_to_string(dir.path().join("good/metrics.csv")).unwrap();
+    std::fs::write(bad.join("metrics.csv"), good.replacen("1.", "x.", 1)).unwrap();
+    refused("bad", &["metrics.csv: line "]);
+    std::fs::write(bad.join("metrics.csv"), good).unwrap();
+    std::fs::write(bad.join("run.json"), "{\"version\":").unwrap();
+    refused("bad", &["run.json", "not a run record"]);
+    // Not evaluated yet: left out with a word; nothing but such runs: refused.
+    let young = run("young", 1).rows(0);
+    let c = compared(&[run("a", 0), young.clone()], &Options::default()).unwrap();
+    assert!(
+        c.warnings.iter().any(|w| w.contains("not evaluated yet")),
+        "{:?}",
+        c.warnings
+    );
+    assert!(fails(&[young], &Options::default()).contains("no run with an evaluation"));
+}
+
+#[test]
+fn without_cpu_seconds_training_seconds_are_the_clock() {
+    let without = run("b", 1).slower(0.0);
+    let c = compared(&[run("a", 0), without.clone()], &Options::default()).unwrap();
+    assert_eq!(c.clock, Clock::Train);
+    assert!(c.warnings.iter().any(|w| w.contains("no CPU seconds")));
+    let asked = Options {
+        clock: Some(Clock::Cpu),
+        ..Options::default()
+    };
+    assert!(fails(&[run("a", 0), without], &asked).contains("--clock"));
+    assert_eq!(
+        compared(&[run("a", 0)], &Options::default()).unwrap().clock,
+        Clock::Cpu
+    );
+}
+
+#[test]
+fn default_thresholds_lie_where_runs_can_be_told_apart() {
+    let c = compared(&[run("a", 0), run("b", 1).below(2.0)], &Options::default()).unwrap();
+    assert!((3..=12).contains(&c.thresholds.len()), "{:?}", c.thresholds);
+    let best = c.groups[0].psnr.unwrap().max;
+    assert!(
+        c.thresholds.iter().all(|t| *t <= best && *t > 12.0),
+        "{:?}",
+        c.thresholds
+    );
+    for reach in c
+        .groups
+        .iter()
+        .flat_map(|g| g.to_psnr.iter().flat_map(|t| &t.reach))
+    {
+        assert!(!reach.at_most(), "a threshold below the first evaluation");
+    }
+    let nan = Options {
+        thresholds: vec![f64::NAN],
+        ..Options::default()
+    };
+    assert!(fails(&[run("a", 0)], &nan).contains("--threshold"));
+    let nobody = Options {
+        reference: Some("adc".into()),
+        ..Options::default()
+    };
+    assert!(fails(&[run("a", 0)], &nobody).contains("there are: mh"));
+}
