@@ -26,7 +26,8 @@ static inline maskV pixel_bounds(realV mean, realV half_extent, int size, realV 
 
 #if CULL_CHUNKS
 // Off for what project() is sure to cull, by its centre and its largest scale alone: behind the near plane, or beyond the
-// image by more than the widest ellipse that any opacity gives it. Neighbours in Morton order are off together. NaN is on.
+// image by more than the widest ellipse that any opacity gives it. Neighbours in Morton order are off together. What this
+// lets through although it is broken, shape_of() finds.
 static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV ls[3]) {
   realV t[3];
   to_camera(cam, x, t);

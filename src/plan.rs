@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::config::{Init, Sampler, TrainConfig, WorkConfig};
-use crate::dataset::Dataset;
+use crate::config::{Init, Sampler, TrainConfig};
+use crate::dataset::{Dataset, View};
+use crate::schedule::Schedule;
 
 /// One decision.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,7 +55,7 @@ impl Plan {
             ),
             "SH degree 0 asked for",
         );
-        plan.decide_work(&config.work);
+        plan.decide_work(dataset, config);
         plan.sampler(config);
         plan.decide(
             !dataset.test.is_empty(),
@@ -77,15 +78,26 @@ impl Plan {
     }
 
     /// What saves work: switched on is kept.
-    fn decide_work(&mut self, work: &WorkConfig) {
+    fn decide_work(&mut self, dataset: &Dataset, config: &TrainConfig) {
+        let work = &config.work;
+        let schedule = Schedule::new(config);
+        let first = |v: &View| {
+            let size = [v.camera.width as usize, v.camera.height as usize];
+            schedule.shrink_factor(0, size)
+        };
+        let factor = dataset.train.iter().map(first).max().unwrap_or(1);
+        let coarse = match (work.resolution_levels, config.time_budget) {
+            (0, _) => "work.resolution-levels is 0",
+            (_, Some(_)) => "a time budget may end the run before it comes to full photos",
+            _ => "the photos are too small to be halved",
+        };
         self.decide(
-            work.resolution_levels > 0,
+            factor > 1,
             "coarse photos first",
             &format!(
-                "{} halvings, {} iterations of 30000 at each size: every error is reached sooner",
-                work.resolution_levels, work.resolution_interval
+                "1/{factor} of their size at first; measured on five scenes: most errors are reached 1.1 to 1.8 times sooner"
             ),
-            "work.resolution-levels is 0",
+            coarse,
         );
         self.decide(
             work.morton_order,

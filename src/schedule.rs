@@ -49,12 +49,16 @@ impl Schedule {
 
     /// By how much the photos of `size` pixels are shrunk at an iteration: a power of two, 1 for not at all. Every smaller
     /// size is used for `work.resolution_interval` (scaled) iterations, the smallest first; both sides keep at least 64
-    /// pixels.
+    /// pixels. A run with a time budget has full photos throughout: it may end before the schedule comes to them.
     #[must_use]
     pub fn shrink_factor(&self, iteration: u32, size: [usize; 2]) -> usize {
         let work = &self.config.work;
         let interval = self.scaled(work.resolution_interval).max(1);
-        let level = work.resolution_levels.saturating_sub(iteration / interval);
+        let levels = match self.config.time_budget {
+            None => work.resolution_levels,
+            Some(_) => 0,
+        };
+        let level = levels.saturating_sub(iteration / interval);
         let most = size[0].min(size[1]) / LEAST_SIDE;
         (1 << level).min(1 << most.max(1).ilog2())
     }

@@ -22,7 +22,7 @@ const COMMON: (usize, u32) = (100_000, 800);
 pub fn page(outcomes: &[Outcome]) -> String {
     let records = done(outcomes);
     let mut body = format!(
-        "<h1>Bench</h1><p class=sub>mhsplat {} · every figure is a median of several samples with their range</p>\n",
+        "<h1>Bench</h1><p class=sub>mhsplat {} · figures are medians of several samples; the tables give their range</p>\n",
         env!("CARGO_PKG_VERSION")
     );
     if let Some(side_by_side) = comparison(&records) {

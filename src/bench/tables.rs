@@ -122,7 +122,8 @@ pub(super) fn stages(case: &Case) -> Table {
             maybe([s.share_of_peak, s.share_min, s.share_max], 100.0),
         ]
     };
-    let note = "Device time per iteration, median (min–max). Share of the measured peak: FLOP of the lanes over the multiply-adds, \
+    let note = "Device time per iteration, median (min–max). CPU ms and core-s are device time times the cores busy over the whole \
+         iteration, so they are too low by what other stages leave idle (see above). Share of the measured peak: FLOP of the lanes over the multiply-adds, \
          bytes over the copy; above 100 % where data stay in a cache.";
     table(
         &case_title(case),

@@ -4,6 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
+/// Iterations of the run that intervals are written for.
+const PAPER_ITERATIONS: u64 = 30_000;
+
 /// Most halvings of the photos.
 const MOST_LEVELS: u32 = 4;
 
@@ -40,6 +43,16 @@ impl WorkConfig {
             return Err(Error::config(
                 "work.resolution-levels",
                 format!("{levels}; 0 to {MOST_LEVELS} expected"),
+            ));
+        }
+        let coarse = u64::from(levels) * u64::from(self.resolution_interval);
+        if levels > 0 && !(1..PAPER_ITERATIONS).contains(&coarse) {
+            return Err(Error::config(
+                "work.resolution-interval",
+                format!(
+                    "{} iterations at each of {levels} sizes; at least 1, and less than {PAPER_ITERATIONS} in all expected",
+                    self.resolution_interval
+                ),
             ));
         }
         Ok(())

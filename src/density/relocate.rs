@@ -157,7 +157,9 @@ fn is_alive(scene: &SceneState<'_>, row: usize, threshold: f64) -> bool {
 }
 
 /// Lets births share opacity and scale with their sources: a source with m births becomes 1 + m equal parts, itself being
-/// one. Changes the births in place and answers the edits of the sources, rising.
+/// one. Changes the births in place and answers the edits of the sources, rising. There is no floor as in relocation: births
+/// are few beside their sources, and a floor halved their number where fog has to go first (22.6 against 25.2 dB on one object
+/// after 600 iterations).
 pub fn share(births: &mut [Edit], scene: &SceneState<'_>) -> Vec<Edit> {
     let mut families: BTreeMap<u32, (u32, Edit)> = BTreeMap::new();
     for birth in births.iter() {

@@ -85,7 +85,10 @@ fn spell(log10: f64) -> String {
         l if l > 3.99 => format!("{}k", (value * 1e-3).round()),
         l if l > -0.01 => format!("{}", value.round()),
         l if l > -3.01 => format!("{:.*}", (-l).ceil() as usize, value),
-        l => format!("1e−{}", -l.round()),
+        l => {
+            let power = (l + 0.01).floor();
+            format!("{}e−{}", (value / 10f64.powf(power)).round(), -power)
+        }
     }
 }
 

@@ -82,13 +82,16 @@ impl Trainer {
         self.renderer.frame.set_pairs(&self.device, pairs)
     }
 
-    /// Device time per stage so far, and under `density` the host's time in density steps (which the device's `edit` is
-    /// part of).
+    /// Device time per stage so far, and under `density` the host's time in density steps, transfers included and without
+    /// the device's `edit`.
     #[must_use]
     pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
         let mut times = self.device.times();
         if self.density_time.calls > 0 {
-            times.push(("density", self.density_time));
+            let edit = times.iter().find(|(name, _)| *name == "edit");
+            let mut host = self.density_time;
+            host.seconds = (host.seconds - edit.map_or(0.0, |(_, t)| t.seconds)).max(0.0);
+            times.push(("density", host));
         }
         times
     }

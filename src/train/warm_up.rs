@@ -6,6 +6,7 @@ use crate::error::Result;
 use crate::gpu::tuning::status;
 use crate::gpu::{Array, Defines, Device, EditRow, Kernels};
 use crate::stage::edit::EditArgs;
+use crate::stage::loss::size_of_image;
 use crate::stage::project_grad::ProjectGrad;
 
 /// One build of the stage for every SH degree that training passes through.
@@ -42,6 +43,13 @@ impl Trainer {
             self.add_cues(&camera, &pair, true)?;
         }
         self.warm_up_edits()?;
+        if !self.small.is_empty() {
+            let photo = self.views.photo(0, &[])?;
+            let size = size_of_image(&self.views.cameras[0]);
+            if size.iter().all(|s| *s > 1) {
+                self.shrink.run(&photo, size, 2, &self.small)?;
+            }
+        }
         self.scene.count = count;
         for moment in [&self.moment1, &self.moment2] {
             moment.clear()?;
