@@ -227,19 +227,11 @@ fn a_source_that_shares_adds_its_own_gradient() {
 /// A short run on the bundled scene.
 fn short_run(dir: &std::path::Path) -> PathBuf {
     let run = dir.join("run");
-    let size = ["--max-size", "64", "--iterations", "120"];
-    let args = [
-        &[
-            "train",
-            &room(),
-            "-o",
-            text(&run),
-            "--max-gaussians",
-            "3000",
-        ][..],
-        &size,
-    ];
-    done(&args.concat());
+    let room = room();
+    let folder = ["train", &room, "-o", text(&run)];
+    let small = ["--max-size", "64", "--iterations", "120"];
+    let few = ["--max-gaussians", "3000"];
+    done(&[&folder[..], &small, &few].concat());
     run
 }
 
