@@ -148,8 +148,8 @@ fn scatter(report: &Report, form: usize, name: &str, of: &dyn Fn(usize) -> f64) 
         .into_iter()
         .zip(super::rank::ranks(&y));
     let series = Banded {
+        name: format!("{n} candidates"),
         samples: ranks.map(|p| vec![p]).collect(),
-        value: Some(n as f64),
         ..Banded::default()
     };
     let axis = |label| Axis {
@@ -224,9 +224,9 @@ pub fn page(report: &Report) -> String {
         write_html(&mut body, &correlations(form, false), "h3");
     }
     let views: Vec<String> = report.views.iter().map(|v| escape(v)).collect();
-    let _ = write!(
+    let _ = writeln!(
         body,
-        "</details><p class=note>Run {}. Views: {}.</p>\n",
+        "</details><p class=note>Run {}. Views: {}.</p>",
         escape(&report.run),
         views.join(", ")
     );
