@@ -24,6 +24,7 @@
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
 //! | compare | [`mod@compare`] | several runs: error against run time, time to equal error |
+//! | surrogate | [`surrogate`] | how well the importance, and probes, order what births truly do to the loss |
 //! | experiment | [`experiment`] | a matrix of runs within a time budget, and its comparison |
 //! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |
 //!
@@ -78,6 +79,7 @@ pub mod run;
 pub mod schedule;
 #[doc(hidden)]
 pub mod stage;
+pub mod surrogate;
 pub mod train;
 pub mod tune;
 pub mod verify;

@@ -50,6 +50,8 @@ pub enum Purpose {
     Growth = 14,
     /// Positions of the two that a Gaussian is split into.
     Split = 15,
+    /// Candidates, views and resamples of the check of the surrogate.
+    Surrogate = 32,
 }
 
 impl Purpose {

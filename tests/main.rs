@@ -24,5 +24,6 @@ mod reference;
 mod report;
 mod samplers;
 mod stage;
+mod surrogate;
 mod synth;
 mod tune;

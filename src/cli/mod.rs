@@ -8,7 +8,7 @@ mod experiment;
 mod output;
 mod render;
 mod scene;
-
+mod surrogate;
 mod synth;
 mod train;
 mod verify;
@@ -47,6 +47,8 @@ enum Command {
     Compare(compare::CompareArgs),
     /// Scenes, settings and seeds from a file: trains what is missing and compares.
     Experiment(experiment::ExperimentArgs),
+    /// What births truly do to the loss of a run, and how well the sampler's importance foretells it.
+    Surrogate(surrogate::SurrogateArgs),
     /// List every OpenCL platform and device.
     Devices,
     /// Make a seeded scene with known truth.
@@ -104,6 +106,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Command::Render(args) => render::run(&args, &common),
         Command::Compare(args) => compare::run(&args, &common),
         Command::Experiment(args) => experiment::run(&args, &common),
+        Command::Surrogate(args) => surrogate::run(&args, &common),
         Command::Devices => devices::run(&common),
         Command::Synth(args) => synth::run(&args, &common),
         Command::Bench(args) => bench::run(&args, &common),

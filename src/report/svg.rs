@@ -151,7 +151,7 @@ pub struct Banded {
     pub band: Vec<(f64, f64, f64)>,
     /// The samples, as thin lines that end in a mark; without any, the points of a short line are marked.
     pub samples: Vec<Vec<(f64, f64)>>,
-    /// Value in the legend; none for the last of the line.
+    /// Value in the legend; none for the last of the line, and for nothing where there are samples without a line.
     pub value: Option<f64>,
 }
 
@@ -212,7 +212,12 @@ pub fn band_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Banded]) ->
     out.push_str("<div>");
     for (index, series) in series.iter().enumerate() {
         let last = series.value.or(series.line.last().map(|p| p.1));
-        let last = last.map_or_else(|| "no data".to_owned(), |v| laid_y.value_label(v));
+        let last = match last {
+            Some(v) => laid_y.value_label(v),
+            // Points alone have no last value.
+            None if !series.samples.is_empty() => String::new(),
+            None => "no data".to_owned(),
+        };
         let name = escape(&series.name);
         let key = match name.as_str() {
             "" => String::new(),

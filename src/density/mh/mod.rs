@@ -299,6 +299,6 @@ fn shrinking(count: usize, eta: f64) -> usize {
 }
 
 /// Linear between the values at η = 0 and η = 1.
-fn lerp([start, end]: [f64; 2], eta: f64) -> f64 {
+pub(crate) fn lerp([start, end]: [f64; 2], eta: f64) -> f64 {
     start + (end - start) * eta
 }

@@ -1,0 +1,289 @@
+//! The check of the surrogate: rank statistics by hand, probes against differences of the loss, and the command.
+
+use std::fs;
+use std::path::PathBuf;
+
+use mhsplat::buffers::ViewSet;
+use mhsplat::config::TrainConfig;
+use mhsplat::gpu::Device;
+use mhsplat::model::Plane;
+use mhsplat::photos::Photos;
+use mhsplat::render::{Quantity, RenderOptions};
+use mhsplat::rng::{Philox, Purpose};
+use mhsplat::run::initial_splats;
+use mhsplat::surrogate::rank::{estimate, kendall, quantile, ranks, spearman};
+use mhsplat::surrogate::{Base, Birth, Instrument, Setting, Shape};
+use mhsplat::{Splats, Trainer};
+
+use crate::cli::{done, mhsplat, room, stderr, text};
+use crate::determinism;
+
+fn close(a: Option<f64>, b: f64) -> bool {
+    a.is_some_and(|a| (a - b).abs() < 1e-12)
+}
+
+#[test]
+fn rank_correlations_by_hand_with_ties() {
+    let (x, y) = ([1.0, 2.0, 2.0, 3.0, 4.0], [1.0, 3.0, 2.0, 2.0, 5.0]);
+    assert_eq!(ranks(&x), [1.0, 2.5, 2.5, 4.0, 5.0]);
+    assert_eq!(ranks(&y), [1.0, 4.0, 2.5, 2.5, 5.0]);
+    // Deviations of the ranks: Σxy = 7.25, Σxx = Σyy = 9.5.
+    assert!(close(spearman(&x, &y), 7.25 / 9.5));
+    // Of 10 pairs 7 agree, 1 disagrees, 1 is tied in x, 1 in y.
+    assert!(close(kendall(&x, &y), 6.0 / 9.0));
+    let back = y.map(|v| -v);
+    assert!(close(kendall(&x, &back), -6.0 / 9.0));
+    // Another order is another figure: the comparison can fail.
+    let other = [3.0, 1.0, 2.0, 2.0, 5.0];
+    assert!(!close(spearman(&x, &other), 7.25 / 9.5));
+    assert!(!close(kendall(&x, &other), 6.0 / 9.0));
+}
+
+#[test]
+fn rank_correlations_without_an_answer_have_none() {
+    for f in [spearman, kendall] {
+        assert_eq!(f(&[], &[]), None);
+        assert_eq!(f(&[1.0], &[2.0]), None);
+        assert_eq!(f(&[1.0, 1.0, 1.0], &[1.0, 2.0, 3.0]), None);
+        assert_eq!(f(&[1.0, 2.0], &[1.0]), None);
+        assert_eq!(f(&[1.0, 2.0], &[0.0, -0.0]), None);
+    }
+    assert_eq!(quantile(&[], 0.5), None);
+    assert_eq!(quantile(&[1.0, 2.0, 4.0], 0.75), Some(3.0));
+}
+
+/// τ_b from its definition, pair by pair.
+fn kendall_by_pairs(x: &[f64], y: &[f64]) -> f64 {
+    let (mut score, mut in_x, mut in_y) = (0.0, 0.0, 0.0);
+    let sign = |a: f64, b: f64| f64::from(i8::from(a > b) - i8::from(a < b));
+    for i in 0..x.len() {
+        for j in 0..i {
+            let (dx, dy) = (sign(x[i], x[j]), sign(y[i], y[j]));
+            score += dx * dy;
+            in_x += dx * dx;
+            in_y += dy * dy;
+        }
+    }
+    score / (in_x * in_y).sqrt()
+}
+
+#[test]
+fn kendall_counts_as_its_definition_does() {
+    let values = |stream: u32, levels: f64| -> Vec<f64> {
+        let stream = Purpose::Synthetic.stream(stream);
+        let draw = |i: u64| (levels * Philox::uniform(5, stream, i)[0]).floor();
+        (0..97).map(draw).collect()
+    };
+    for levels in [3.0, 20.0, 1e6] {
+        let (x, y) = (values(40, levels), values(41, levels));
+        let mixed: Vec<f64> = x.iter().zip(&y).map(|(a, b)| a + 0.5 * b).collect();
+        assert!(close(kendall(&x, &y), kendall_by_pairs(&x, &y)));
+        assert!(close(kendall(&x, &mixed), kendall_by_pairs(&x, &mixed)));
+    }
+}
+
+#[test]
+fn an_interval_holds_its_value_and_repeats() {
+    let stream = Purpose::Synthetic.stream(42);
+    let draw = |i: u64| Philox::normal(3, stream, i);
+    let (x, y): (Vec<f64>, Vec<f64>) = (0..200).map(draw).map(|v| (v[0], v[0] + v[1])).unzip();
+    let e = estimate(spearman, &x, &y, 1, 2).unwrap();
+    assert!(e.low < e.value && e.value < e.high);
+    // ρ of two such normals is 0.69; the interval of 200 pairs is about 0.16 wide.
+    assert!((0.55..0.8).contains(&e.value));
+    assert!((0.08..0.25).contains(&(e.high - e.low)));
+    assert_eq!(estimate(spearman, &x, &y, 1, 2), Some(e));
+    assert_ne!(estimate(spearman, &x, &y, 2, 2), Some(e));
+}
+
+/// A room half-way learned, and an instrument over three of its views with a cut so low that the loss is smooth.
+fn instrument() -> (Instrument<f64>, Base, Splats) {
+    let data = determinism::room(64);
+    let config = TrainConfig {
+        iterations: 300,
+        max_size: 64,
+        ..TrainConfig::default()
+    };
+    let device = Device::open(None).unwrap();
+    let first = initial_splats(&data, &config).unwrap();
+    let mut trainer = Trainer::new(&device, &data, &config, &first).unwrap();
+    while trainer.iteration() < config.iterations {
+        trainer.step().unwrap();
+    }
+    let splats = trainer.state().unwrap().splats;
+    let photos = Photos::new(&device, data.image_budget);
+    let views = ViewSet::<f64>::new(&photos, data.train.iter().take(3).cloned()).unwrap();
+    let setting = Setting {
+        render: RenderOptions {
+            sh_degree: 1,
+            background: [0.1, 0.2, 0.3],
+            quantity: Quantity::Color,
+        },
+        lambda_ssim: 0.2,
+        alpha_min: 1e-9,
+        probe: 1e-6,
+    };
+    let mut instrument = Instrument::new(&device, views, splats.clone(), setting, 100).unwrap();
+    let base = instrument.base().unwrap();
+    (instrument, base, splats)
+}
+
+fn own(splats: &Splats, source: u32) -> Shape {
+    Shape {
+        log_scale: splats.gather(Plane::LOG_SCALE, source as usize),
+        opacity_logit: splats.planes()[Plane::OPACITY][source as usize],
+    }
+}
+
+/// Largest difference over the largest value, and the median of the relative differences.
+fn differences(got: &[f64], want: &[f64]) -> [f64; 2] {
+    let most = want.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let gaps: Vec<f64> = got.iter().zip(want).map(|(a, b)| (a - b).abs()).collect();
+    let mut relative: Vec<f64> = gaps.iter().zip(want).map(|(g, w)| g / w.abs()).collect();
+    relative.sort_by(f64::total_cmp);
+    let largest = gaps.iter().fold(0.0f64, |m, g| m.max(*g)) / most;
+    [largest, quantile(&relative, 0.5).unwrap()]
+}
+
+/// Share of its opacity at which a birth is taken to be small. What is left of second order is about as large.
+const SMALL: f64 = 1e-4;
+
+#[test]
+fn a_probe_is_the_derivative_of_the_true_change() {
+    let (mut instrument, base, splats) = instrument();
+    let stride = splats.len() as u32 / 24;
+    let births: Vec<Birth> = (0..24)
+        .map(|k| {
+            let source = k * stride;
+            let at: [f32; 3] = splats.gather(Plane::POSITION, source as usize);
+            Birth {
+                source,
+                position: at.map(|v| v + 0.01),
+                shape: own(&splats, source),
+                shared: false,
+            }
+        })
+        .collect();
+    let probed = instrument.probe(&base, &births).unwrap();
+    let all = [true; 3];
+    let (mut slopes, mut foretold) = (Vec::new(), Vec::new());
+    for (birth, probe) in births.iter().zip(&probed) {
+        if !probe.touched.contains(&true) {
+            assert_eq!(instrument.change(&base, birth, &all).unwrap(), 0.0);
+            continue;
+        }
+        let mut small = *birth;
+        let logit = f64::from(birth.shape.opacity_logit);
+        let o = SMALL / (1.0 + (-logit).exp());
+        small.shape.opacity_logit = (o / (1.0 - o)).ln() as f32;
+        slopes.push(instrument.change(&base, &small, &all).unwrap() / SMALL);
+        foretold.push(probe.change);
+    }
+    assert!(slopes.len() > 10, "{} births are seen", slopes.len());
+    let [largest, median] = differences(&foretold, &slopes);
+    println!("probe against differences: {largest:.1e} of the largest, median {median:.1e}");
+    assert!(largest < 5e-3 && median < 2e-3, "{foretold:?} {slopes:?}");
+    // Another birth's probe is no match.
+    foretold.rotate_left(1);
+    assert!(differences(&foretold, &slopes)[0] > 0.1);
+}
+
+#[test]
+fn a_source_that_shares_adds_its_own_gradient() {
+    let (mut instrument, base, splats) = instrument();
+    let stride = splats.len() as u32 / 12;
+    let births: Vec<Birth> = (0..12)
+        .map(|k| {
+            let shape = own(&splats, k * stride);
+            Birth {
+                source: k * stride,
+                // Behind everything and out of sight: only the source changes.
+                position: [1e4; 3],
+                shape: Shape {
+                    log_scale: shape.log_scale.map(|s| s - 2e-4),
+                    opacity_logit: shape.opacity_logit - 1e-3,
+                },
+                shared: true,
+            }
+        })
+        .collect();
+    let probed = instrument.probe(&base, &births).unwrap();
+    let foretold: Vec<f64> = probed.iter().map(|p| p.change).collect();
+    let measure = |b: &Birth| instrument.change(&base, b, &[false; 3]).unwrap();
+    let changes: Vec<f64> = births.iter().map(measure).collect();
+    let (seen, want): (Vec<f64>, Vec<f64>) = foretold
+        .iter()
+        .zip(&changes)
+        .filter(|(_, c)| **c != 0.0)
+        .unzip();
+    assert!(want.len() > 5);
+    let [largest, median] = differences(&seen, &want);
+    println!("source against differences: {largest:.1e} of the largest, median {median:.1e}");
+    assert!(largest < 2e-2 && median < 1e-2, "{seen:?} {want:?}");
+    // The scene is as it was.
+    assert_eq!(instrument.base().unwrap().losses, base.losses);
+}
+
+/// A short run on the bundled scene.
+fn short_run(dir: &std::path::Path) -> PathBuf {
+    let run = dir.join("run");
+    let room = room();
+    let folder = ["train", &room, "-o", text(&run)];
+    let small = ["--max-size", "64", "--iterations", "120"];
+    let few = ["--max-gaussians", "3000"];
+    done(&[&folder[..], &small, &few].concat());
+    run
+}
+
+#[test]
+fn the_command_writes_a_page_and_json() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = short_run(dir.path());
+    let few = ["--candidates", "24", "--views", "2", "--seed", "3"];
+    let all = [&["surrogate", text(&run)][..], &few].concat();
+    let tables = done(&all);
+    for word in ["## Birth copy", "## Birth split", "| probe |", "τ_b"] {
+        assert!(tables.contains(word), "{word}: {tables}");
+    }
+    let folder = run.join("surrogate");
+    let html = fs::read_to_string(folder.join("surrogate.html")).unwrap();
+    for word in ["<svg", "gain by tenths of I", "class=\"band s1\""] {
+        assert!(html.contains(word), "{word}");
+    }
+    assert!(!html.contains("http://") && !html.contains("<script"));
+    let saved = fs::read_to_string(folder.join("surrogate.json")).unwrap();
+    let first: serde_json::Value = serde_json::from_str(&saved).unwrap();
+    let rows = first["candidates"].as_array().unwrap().len();
+    assert_eq!(rows + first["unseen"].as_u64().unwrap() as usize, 24);
+    assert_eq!(first["views"].as_array().unwrap().len(), 2);
+    assert!(first["forms"][1]["correlations"][5]["spearman"]["value"].is_f64());
+    assert!(first["candidates"][0]["gain"][0].is_f64());
+    // Over its own pages again, to the same figures; on stdout the same document.
+    let again: serde_json::Value =
+        serde_json::from_str(&done(&[&all[..], &["--json"]].concat())).unwrap();
+    assert_eq!(again, first);
+    fs::write(folder.join("surrogate.html"), "mine").unwrap();
+    assert_eq!(mhsplat(&all).status.code(), Some(2));
+}
+
+#[test]
+fn what_cannot_be_checked_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let refused = |args: &[&str], why: &str| {
+        let output = mhsplat(&[&["surrogate"][..], args].concat());
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        assert!(stderr(&output).contains(why), "{}", stderr(&output));
+    };
+    refused(&[text(&dir.path().join("nowhere"))], "holds no run.json");
+    let run = short_run(dir.path());
+    refused(&[text(&run), "--views", "0"], "--views");
+    refused(&[text(&run), "--candidates", "0"], "--candidates");
+    refused(&[text(&run), text(&dir.path().join("nowhere"))], "nowhere");
+    let other = crate::cli::scratch_dataset(
+        dir.path(),
+        mhsplat::dataset::synthetic::SynthLayout::Transforms,
+    );
+    refused(&[text(&run), text(&other)], "was trained on");
+    fs::remove_dir_all(run.join("checkpoint")).unwrap();
+    refused(&[text(&run)], "no checkpoint");
+}
