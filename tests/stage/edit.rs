@@ -27,6 +27,7 @@ fn a_copy_takes_everything_but_what_is_replaced() {
         position: [1.0, 2.0, 3.0],
         log_scale: [-1.0; 3],
         opacity_logit: 0.25,
+        color: None,
     };
     case.edits = vec![row];
     let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
