@@ -222,21 +222,7 @@ impl MhConfig {
             "target-acceptance",
             "two shares between 0 and 1, or [0, 0] for none, expected",
         )?;
-        let [near, far] = self.pixel_far;
-        check(
-            self.pixel_views > 0
-                && above_zero(&self.pixel_scale)
-                && near > 0.0
-                && far >= near
-                && far.is_finite(),
-            "pixel-views, mh.pixel-scale, mh.pixel-far",
-            "values above 0, and a far depth that is not the nearer one, expected",
-        )?;
-        check(
-            self.pixel_opacity > self.dead_opacity && self.pixel_opacity < 1.0,
-            "pixel-opacity",
-            "more than dead-opacity and less than 1 expected",
-        )?;
+        self.validate_pixels()?;
         let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
         check(
             weights.iter().all(|w| w.is_finite()) && (0.0..1.0).contains(&self.dead_opacity),
@@ -244,6 +230,31 @@ impl MhConfig {
             "finite weights and a dead-opacity in [0, 1) expected",
         )?;
         self.times().validate("mh")
+    }
+
+    fn validate_pixels(&self) -> Result<()> {
+        if self.pixel_proposals == 0 {
+            return Ok(());
+        }
+        let [near, far] = self.pixel_far;
+        let depths = near > 0.0 && far >= near && far.is_finite();
+        if !(self.pixel_views > 0
+            && self.pixel_scale.is_finite()
+            && self.pixel_scale > 0.0
+            && depths)
+        {
+            return Err(Error::config(
+                "mh.pixel-views, mh.pixel-scale, mh.pixel-far",
+                "values above 0, and a far depth not below the near one, expected",
+            ));
+        }
+        if !(self.pixel_opacity > self.dead_opacity && self.pixel_opacity < 1.0) {
+            return Err(Error::config(
+                "mh.pixel-opacity",
+                "more than dead-opacity and less than 1 expected",
+            ));
+        }
+        Ok(())
     }
 
     /// Whether error maps are of use.
