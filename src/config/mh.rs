@@ -130,8 +130,9 @@ pub struct MhConfig {
     /// Distance from the nearest camera centre, local units, from which on the voxel edge grows: at distance d it is
     /// s·2^⌊log2(d / this)⌋. 0: the edge is s everywhere, as in Eq. 7.
     pub voxel_growth_from: f64,
-    /// Births proposed in image space per step at η = 0, at pixels drawn ∝ their L1 error; 0 leaves them out. They reach what
-    /// is too far from every Gaussian for a copy of one, and are not in the paper.
+    /// Births proposed in image space per step at η = 0, at pixels drawn ∝ e·(τ + s·(1−τ)) with L1 error e, remaining
+    /// transmittance τ and s = `pixel-surface`; 0 leaves them out. They reach what is too far from every Gaussian for a copy
+    /// of one, and are not in the paper.
     pub pixel_proposals: u32,
     /// Views whose pixels are drawn from: those that training takes next.
     pub pixel_views: u32,
@@ -139,8 +140,10 @@ pub struct MhConfig {
     pub pixel_scale: f64,
     /// Its opacity.
     pub pixel_opacity: f64,
-    /// Its depth where it is to lie beyond what is rendered, which it is with the pixel's remaining transmittance as
-    /// probability: log-uniform between these, local units, and no nearer than the rendered mean depth, which is taken else.
+    /// s: 1 draws pixels ∝ error alone, 0 only as far as something can be seen beyond what is rendered.
+    pub pixel_surface: f64,
+    /// Depth of a birth that lies beyond what is rendered, as it does with probability τ/(τ + s·(1−τ)): log-uniform between
+    /// these, local units, and no nearer than the rendered mean depth, which the others have.
     pub pixel_far: [f64; 2],
     /// A Gaussian is dead at or below this opacity.
     pub dead_opacity: f64,
@@ -173,6 +176,7 @@ impl Default for MhConfig {
             pixel_views: 4,
             pixel_scale: 2.0,
             pixel_opacity: 0.1,
+            pixel_surface: 1.0,
             pixel_far: [2.0, 20.0],
             dead_opacity: 0.005,
         }
@@ -247,6 +251,9 @@ impl MhConfig {
                 "mh.pixel-views, mh.pixel-scale, mh.pixel-far",
                 "values above 0, and a far depth not below the near one, expected",
             ));
+        }
+        if !(0.0..=1.0).contains(&self.pixel_surface) {
+            return Err(Error::config("mh.pixel-surface", "0 to 1 expected"));
         }
         if !(self.pixel_opacity > self.dead_opacity && self.pixel_opacity < 1.0) {
             return Err(Error::config(

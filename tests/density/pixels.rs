@@ -102,6 +102,30 @@ fn births_lie_behind_the_pixels_that_err() {
 }
 
 #[test]
+fn a_surface_of_zero_leaves_what_is_opaque_alone() {
+    let pictures = [picture()];
+    let at = StepContext {
+        pictures: &pictures,
+        ..context(700, 0.0, 1)
+    };
+    let share = |pixel_surface: f64| {
+        let outcome = step(
+            &MhConfig {
+                pixel_surface,
+                ..config()
+            },
+            &at,
+        );
+        let births: Vec<&Edit> = outcome.edits.iter().filter(|e| e.dst >= 500).collect();
+        assert!(births.len() > 30);
+        let left = births.iter().filter(|e| seen(e)[0] < 20.0).count();
+        left as f64 / births.len() as f64
+    };
+    assert_eq!(share(0.0), 0.0);
+    assert!(share(0.3) > 0.0 && share(0.3) < share(1.0));
+}
+
+#[test]
 fn they_are_the_same_on_any_number_of_threads_and_fade() {
     let pictures = [picture(), picture()];
     let at = |progress: f64| StepContext {

@@ -1,8 +1,8 @@
 //! Births in image space: where photos and renders differ, whether or not a Gaussian is near.
 //!
 //! A copy lands a few scales from its source, so that an empty region, the sky above all, is reached by chance alone, if at
-//! all. Here a pixel is drawn ∝ its error; with the pixel's remaining transmittance as probability the birth lies beyond what
-//! is rendered, else at its mean depth. Not in \[MH\]; acceptance is that of the other phases, with the pixel's error in
+//! all. Here a pixel is drawn ∝ its error; the birth lies beyond what is rendered with a probability that follows the
+//! pixel's remaining transmittance, else at the rendered mean depth. Not in \[MH\]; acceptance is that of the other phases, with the pixel's error in
 //! place of the importance.
 
 use super::{MhConfig, Proposal, StepContext, accept, shrinking, sparsity::VoxelCounts};
@@ -54,10 +54,22 @@ impl<'a> Pixels<'a> {
         Some((self.pictures.get(k)?, pixel - self.starts[k]))
     }
 
+    /// Weights of the draw: e·(τ + s·(1−τ)).
+    fn weights(&self, surface: f64) -> Vec<f64> {
+        let left = self.pictures.iter().flat_map(|p| &p.transmittance);
+        let seen = left.map(|t| reached(f64::from(*t), surface));
+        self.errors.iter().zip(seen).map(|(e, s)| e * s).collect()
+    }
+
     /// σ of the error's deviation from the mean, in standard deviations, as I is of a Gaussian.
     fn importance(&self, pixel: usize) -> f64 {
         sigmoid((self.errors[pixel] - self.mean) / self.deviation)
     }
+}
+
+/// Share of a pixel in which births may lie: beyond what is rendered, and of the rest the part `surface`.
+fn reached(left: f64, surface: f64) -> f64 {
+    left + surface * (1.0 - left)
 }
 
 /// Proposals at drawn pixels, each with its ratio against the counts as they are; `src` is the row whose rotation is copied,
@@ -72,7 +84,7 @@ pub(super) fn propose(
     let pixels = Pixels::new(context.pictures);
     let stream = |purpose: Purpose| purpose.stream(context.iteration);
     let (place, accept) = (stream(Purpose::PixelPlace), stream(Purpose::PixelAccept));
-    let drawn = Categorical::new(&pixels.errors);
+    let drawn = Categorical::new(&pixels.weights(config.pixel_surface));
     let drawn = drawn.draw_unique(wanted, context.seed, stream(Purpose::PixelDraw));
     let proposal = |pixel: usize| {
         let (picture, at) = pixels.find(pixel)?;
@@ -96,7 +108,8 @@ fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32)
     let [across, down, kind, far] = u;
     let depth = f64::from(*picture.depth.get(at)?);
     let rendered = if depth.is_finite() { depth } else { 0.0 };
-    let z = if kind < f64::from(*picture.transmittance.get(at)?) {
+    let left = f64::from(*picture.transmittance.get(at)?);
+    let z = if kind * reached(left, config.pixel_surface) < left {
         let [from, to] = config.pixel_far;
         (from * (to / from).powf(far)).max(rendered)
     } else {
