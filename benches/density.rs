@@ -55,6 +55,8 @@ fn density(c: &mut Criterion) {
         seed: 0,
         max_gaussians: None,
         opacity_resets: [0, 0],
+        cameras: &[],
+        pictures: &[],
     };
     let errors = Evidence::Errors(cues);
     let mut mh = MetropolisHastings::new(&MhConfig::default());

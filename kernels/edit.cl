@@ -1,7 +1,7 @@
 // edit: the set of Gaussians changes.
 
 // Writes the rows that density control decided on. Rotation and SH coefficients of row src are copied to dst;
-// position, log-scale and opacity are replaced; the moments of dst are zeroed. Launch: (edits, planes) work-items. The
+// position, log-scale, opacity and, if the row is coloured, the SH coefficients are replaced; the moments of dst are zeroed. Launch: (edits, planes) work-items. The
 // order of edits does not matter: no dst is named twice, and a row that is a src is a dst only of its own edit, which
 // writes none of the planes that others copy.
 
@@ -14,6 +14,7 @@ __kernel void edit(__global const Edit *edits, uint count, uint stride, // in [c
   if (plane < P_LOG_SCALE) params[at] = row.position[plane - P_POSITION];
   else if (plane < P_ROTATION) params[at] = row.log_scale[plane - P_LOG_SCALE];
   else if (plane == P_OPACITY) params[at] = row.opacity_logit;
+  else if (plane >= P_SH && row.colored) params[at] = plane < P_SH + 3 ? row.color[plane - P_SH] : R(0.0);
   else if (row.src != row.dst) params[at] = params[(size_t)plane * stride + row.src];
   moment1[at] = R(0.0);
   moment2[at] = R(0.0);

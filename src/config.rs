@@ -2,13 +2,15 @@
 //!
 //! \[MH\] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); \[3DGS\] = Kerbl et al. 2023; \[MCMC\] = Kheradmand et al. 2024.
 
+mod mh;
 mod samplers;
 mod values;
 mod work;
 
 use serde::{Deserialize, Serialize};
 
-pub use samplers::{Acceptance, AdcConfig, Birth, DensityTimes, McmcConfig, MhConfig, Sampler};
+pub use mh::{Acceptance, Birth, MhConfig, ViewSubset};
+pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
 pub use values::{Background, Init, parse_bytes, parse_duration};
 use values::{bytes_or_number, duration_or_number};
 pub use work::WorkConfig;

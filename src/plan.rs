@@ -116,12 +116,17 @@ impl Plan {
     fn sampler(&mut self, config: &TrainConfig) {
         let errors = "importance pass";
         match config.sampler {
-            Sampler::Mh => self.decide(
+            Sampler::Mh if config.mh.wants_errors() => self.decide(
                 true,
                 "importance pass and density control",
                 "Metropolis-Hastings sampler",
                 "",
             ),
+            Sampler::Mh => {
+                self.decide(true, "density control", "Metropolis-Hastings sampler", "");
+                let why = "mh.importance is off, or no cue of errors has a weight";
+                self.decide(false, errors, "", why);
+            }
             Sampler::Mcmc => {
                 let most = config.max_gaussians.unwrap_or(config.mcmc.cap);
                 let why = format!("MCMC sampler, at most {most} Gaussians");

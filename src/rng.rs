@@ -50,6 +50,12 @@ pub enum Purpose {
     Growth = 14,
     /// Positions of the two that a Gaussian is split into.
     Split = 15,
+    /// Pixels that births are proposed at.
+    PixelDraw = 16,
+    /// Place within the pixel and depth of those births.
+    PixelPlace = 17,
+    /// Acceptance of those births.
+    PixelAccept = 18,
     /// Candidates, views and resamples of the check of the surrogate.
     Surrogate = 32,
 }

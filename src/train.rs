@@ -2,6 +2,7 @@
 
 mod control;
 mod observe;
+mod pictures;
 mod sampler;
 mod state;
 mod warm_up;

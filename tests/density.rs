@@ -4,8 +4,10 @@ mod adc;
 mod chain;
 mod mcmc;
 mod parts;
+mod pixels;
 mod sharing;
 mod step;
+mod switches;
 mod voxels;
 
 use mhsplat::density::{Cues, Evidence, SceneState};

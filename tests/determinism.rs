@@ -283,3 +283,24 @@ fn making_a_trainer_changes_no_gaussian() {
         assert!(trainer.state().unwrap().splats == splats, "{sampler:?}");
     }
 }
+
+/// What density control may do beyond the paper: pictures are rendered between iterations, and nothing is kept of them.
+#[test]
+fn births_in_image_space_and_a_wanted_rate_repeat_and_resume() {
+    let data = room(64);
+    let mut config = sampled(Sampler::Mh);
+    config.mh.pixel_proposals = 500;
+    config.mh.target_acceptance = [0.5, 0.2];
+    config.mh.voxel_growth_from = 0.5;
+    let (trainer, whole) = trained(&data, &config, 120);
+    let s = *trainer.stats();
+    assert!(s.pixel[1] > 0 && s.pixel[1] < s.pixel[0], "{s:?}");
+    let (mut half, _) = trained(&data, &config, 48);
+    let state = half.state().unwrap();
+    let device = Device::open(None).unwrap();
+    let mut resumed = Trainer::new(&device, &data, &config, &state.splats).unwrap();
+    resumed.restore(&state).unwrap();
+    drive(&mut resumed, 120).unwrap();
+    assert!(whole == resumed.state().unwrap().splats);
+    assert_eq!(*resumed.stats(), s);
+}

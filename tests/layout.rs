@@ -14,8 +14,8 @@ fn probe<R: mhsplat::gpu::Real>() -> Vec<u32> {
     let [kernel] = Kernels::new(&device, defines)
         .build::<R, 1>("project", ["layout_probe"])
         .unwrap();
-    let out = Array::zeros(&device, "layout", 11).unwrap();
-    kernel.launch().array(&out, 11).run([1, 1], [1, 1]).unwrap();
+    let out = Array::zeros(&device, "layout", 12).unwrap();
+    kernel.launch().array(&out, 12).run([1, 1], [1, 1]).unwrap();
     out.to_vec().unwrap()
 }
 
@@ -33,6 +33,7 @@ macro_rules! layout {
             size_of::<EditRow>(),
             std::mem::offset_of!(EditRow, log_scale),
             std::mem::offset_of!(EditRow, opacity_logit),
+            std::mem::offset_of!(EditRow, color),
         ]
         .map(|v| v as u32)
         .to_vec()

@@ -21,129 +21,6 @@ pub enum Sampler {
     None,
 }
 
-/// Form of the acceptance ratio ρ; D = 1/(1 + λ_v·c) is the voxel prior's factor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Acceptance {
-    /// ρ = σ(I)·D (\[MH\] Eq. 20).
-    #[default]
-    Eq20,
-    /// ρ = I·D (\[MH\] Alg. 1).
-    Alg1,
-    /// ρ = σ(I − ½)·D (the released implementation).
-    Centred,
-}
-
-/// What a birth takes of its source's opacity and scale.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Birth {
-    /// The source keeps its own and the birth has the same (\[MH\] §4.3: other parameters are copied).
-    Copy,
-    /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
-    /// no opacity to the scene.
-    #[default]
-    Split,
-}
-
-/// Metropolis–Hastings density control (\[MH\] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
-pub struct MhConfig {
-    /// Form of ρ.
-    pub acceptance: Acceptance,
-    /// What a birth takes of its source.
-    pub birth: Birth,
-    /// λ_v of the voxel prior (Eq. 7).
-    pub lambda_voxel: f64,
-    /// Weight of the robust-normalised opacity in the importance (Eq. 13).
-    pub weight_opacity: f64,
-    /// Weight of 1 − SSIM.
-    pub weight_ssim: f64,
-    /// Weight of L1.
-    pub weight_l1: f64,
-    /// First iteration with density control.
-    pub from_iteration: u32,
-    /// Last iteration with density control; η runs from 0 to 1 over the span.
-    pub until_iteration: u32,
-    /// Iterations between two density steps; fewer in short runs, see `Schedule::density_interval`.
-    pub interval: u32,
-    /// Coarse proposals per step at η = 0.
-    pub coarse_proposals: u32,
-    /// Fine proposals per step at η = 0.
-    pub fine_proposals: u32,
-    /// Coarse proposal spread in units of the Gaussian's own scale, at η = 0 and η = 1.
-    pub coarse_spread: [f64; 2],
-    /// Fine proposal spread, likewise.
-    pub fine_spread: [f64; 2],
-    /// Voxel edge at η = 0 and η = 1, in local units (scene extent 1; the papers' scenes have 1–10 units).
-    pub voxel_edge: [f64; 2],
-    /// A Gaussian is dead at or below this opacity.
-    pub dead_opacity: f64,
-}
-
-impl Default for MhConfig {
-    fn default() -> Self {
-        Self {
-            acceptance: Acceptance::Eq20,
-            birth: Birth::Split,
-            lambda_voxel: 5.0,
-            weight_opacity: 0.8,
-            weight_ssim: 0.5,
-            weight_l1: 0.5,
-            from_iteration: 500,
-            until_iteration: 15_000,
-            interval: 100,
-            coarse_proposals: 4_500,
-            fine_proposals: 16_000,
-            coarse_spread: [10.0, 5.0],
-            fine_spread: [2.0, 1.0],
-            voxel_edge: [0.02, 0.005],
-            dead_opacity: 0.005,
-        }
-    }
-}
-
-impl MhConfig {
-    pub(super) fn validate(&self) -> Result<()> {
-        let positive = [self.voxel_edge[0], self.voxel_edge[1]]
-            .iter()
-            .all(|v| v.is_finite() && *v > 0.0);
-        let spreads = self.coarse_spread.iter().chain(&self.fine_spread);
-        if !positive || !spreads.into_iter().all(|v| v.is_finite() && *v >= 0.0) {
-            return Err(Error::config(
-                "mh",
-                "voxel edges > 0 and spreads >= 0 expected",
-            ));
-        }
-        if !(self.lambda_voxel.is_finite() && self.lambda_voxel >= 0.0) {
-            return Err(Error::config(
-                "mh.lambda-voxel",
-                "a finite value >= 0 expected",
-            ));
-        }
-        let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
-        if !(weights.iter().all(|w| w.is_finite()) && (0.0..1.0).contains(&self.dead_opacity)) {
-            return Err(Error::config(
-                "mh",
-                "finite weights and a dead-opacity in [0, 1) expected",
-            ));
-        }
-        self.times().validate("mh")
-    }
-
-    fn times(&self) -> DensityTimes {
-        DensityTimes {
-            from: self.from_iteration,
-            until: self.until_iteration,
-            interval: self.interval,
-            after_from: false,
-        }
-    }
-}
-
 /// MCMC density control (\[MCMC\] §3 and its released implementation). Iteration numbers are for a run of 30,000 iterations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
@@ -330,7 +207,7 @@ pub struct DensityTimes {
 }
 
 impl DensityTimes {
-    fn validate(&self, table: &str) -> Result<()> {
+    pub(super) fn validate(&self, table: &str) -> Result<()> {
         if self.from >= self.until || self.interval == 0 {
             return Err(Error::config(
                 table,

@@ -70,7 +70,7 @@ impl Adaptive {
     fn bear(
         &self,
         edits: &mut Vec<Edit>,
-        context: &StepContext,
+        context: &StepContext<'_>,
         scene: &SceneState<'_>,
         birth: &Birth,
         dst: u32,
@@ -83,6 +83,7 @@ impl Adaptive {
                 position: gather(&scene.positions, row)?,
                 log_scale: gather(&scene.log_scales, row)?,
                 opacity_logit: *scene.opacity_logits.get(row)?,
+                color: None,
             })
         };
         let Some(copy) = own() else {
@@ -147,7 +148,7 @@ impl DensityControl for Adaptive {
 
     fn step(
         &mut self,
-        context: &StepContext,
+        context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Evidence<'_>,
     ) -> Result<Outcome> {

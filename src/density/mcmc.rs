@@ -54,7 +54,7 @@ impl DensityControl for Mcmc {
 
     fn step(
         &mut self,
-        context: &StepContext,
+        context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Evidence<'_>,
     ) -> Result<Outcome> {
@@ -87,7 +87,7 @@ impl DensityControl for Mcmc {
 /// The edits of a relocation, and those of `births` more Gaussians: sources are drawn with replacement ∝ the opacity that
 /// relocation left, and one that was drawn m times is split into 1 + m, itself being one.
 fn grow(
-    context: &StepContext,
+    context: &StepContext<'_>,
     scene: &SceneState<'_>,
     relocation: Relocation,
     births: usize,
@@ -126,7 +126,7 @@ fn grow(
 
 /// Source rows of `births` draws, rising.
 fn draw_sources(
-    context: &StepContext,
+    context: &StepContext<'_>,
     scene: &SceneState<'_>,
     relocation: &Relocation,
     births: usize,
@@ -164,5 +164,6 @@ fn row_after(scene: &SceneState<'_>, relocation: &Relocation, row: u32) -> Optio
         position: gather(&scene.positions, i)?,
         log_scale: gather(&scene.log_scales, i)?,
         opacity_logit: *scene.opacity_logits.get(i)?,
+        color: None,
     })
 }

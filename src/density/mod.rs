@@ -6,12 +6,14 @@ pub mod draw;
 mod mcmc;
 pub mod mh;
 mod none;
+mod picture;
 mod relocate;
 pub mod relocation;
 
 pub use adc::Adaptive;
 pub use mcmc::Mcmc;
 pub use none::Fixed;
+pub use picture::Picture;
 
 use crate::config::{Sampler, TrainConfig};
 use crate::error::{Error, Result};
@@ -116,7 +118,7 @@ pub struct NoiseLaw {
 
 /// Where in the run a density step happens.
 #[derive(Debug, Clone, Copy)]
-pub struct StepContext {
+pub struct StepContext<'a> {
     /// Iteration of the run; with the seed it keys every random number of the step.
     pub iteration: u32,
     /// Progress η ∈ [0, 1] over the span of density control.
@@ -127,10 +129,14 @@ pub struct StepContext {
     pub max_gaussians: Option<usize>,
     /// Opacity resets that are due by now: before this step, and with it.
     pub opacity_resets: [u32; 2],
+    /// Centres of the training cameras, local units.
+    pub cameras: &'a [[f32; 3]],
+    /// As many views as [`DensityControl::pictures`] names, as they are rendered now.
+    pub pictures: &'a [Picture],
 }
 
-/// One Gaussian to be written: the row `src` is copied to `dst`, then position, log-scale and opacity are replaced, and
-/// both optimiser moments of `dst` are zeroed. `dst == src` changes the row in place; `dst ≥ N` appends.
+/// One Gaussian to be written: the row `src` is copied to `dst`, then position, log-scale, opacity and maybe the colour are
+/// replaced, and both optimiser moments of `dst` are zeroed. `dst == src` changes the row in place; `dst ≥ N` appends.
 ///
 /// Within one step no row is named twice as `dst`, and a row that another edit names as `src` is itself a `dst` only
 /// with `src == dst` (so the order of the edits does not matter).
@@ -146,6 +152,8 @@ pub struct Edit {
     pub log_scale: [f32; 3],
     /// New opacity logit.
     pub opacity_logit: f32,
+    /// New SH coefficients of band 0, the higher bands being zero; none: those of `src`.
+    pub color: Option<[f32; 3]>,
 }
 
 /// What happened in one step, or the sum over a run.
@@ -163,6 +171,9 @@ pub struct DensityStats {
     pub coarse: [u64; 2],
     /// Fine phase: proposed, accepted.
     pub fine: [u64; 2],
+    /// Births in image space (mh): proposed, accepted.
+    #[serde(default)]
+    pub pixel: [u64; 2],
     /// Occupied voxels at the end of the (last) step.
     pub occupied_voxels: u64,
     /// Mean of D(v′) over the proposals of the (last) step.
@@ -192,6 +203,7 @@ impl DensityStats {
         for k in 0..2 {
             self.coarse[k] += step.coarse[k];
             self.fine[k] += step.fine[k];
+            self.pixel[k] += step.pixel[k];
         }
         self.occupied_voxels = step.occupied_voxels;
         if step.proposed > 0 {
@@ -238,6 +250,11 @@ pub trait DensityControl: Send {
     /// What a step at this progress wants gathered, for a run of so many training views. The kind stays the same over a run.
     fn wanted(&self, views: usize, progress: f64) -> Wanted;
 
+    /// How many views a step at this progress wants rendered, with their photos.
+    fn pictures(&self, _progress: f64) -> usize {
+        0
+    }
+
     /// Noise on the positions after every optimiser step, if any.
     fn noise(&self) -> Option<NoiseLaw> {
         None
@@ -249,7 +266,7 @@ pub trait DensityControl: Send {
     /// Evidence that does not match the scene or the strategy, or a scene that cannot be sampled.
     fn step(
         &mut self,
-        context: &StepContext,
+        context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Evidence<'_>,
     ) -> Result<Outcome>;

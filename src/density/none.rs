@@ -14,7 +14,7 @@ impl DensityControl for Fixed {
 
     fn step(
         &mut self,
-        _context: &StepContext,
+        _context: &StepContext<'_>,
         scene: &SceneState<'_>,
         _evidence: &Evidence<'_>,
     ) -> Result<Outcome> {

@@ -36,7 +36,22 @@ impl Relocation {
     /// Alive is what has an opacity above `dead_opacity` and a finite position, log-scale and rotation; so a row that broke is
     /// relocated like a dead one. With nothing alive nothing can be moved, and there are no edits.
     #[must_use]
-    pub fn plan(context: &StepContext, scene: &SceneState<'_>, dead_opacity: f64) -> Self {
+    pub fn plan(context: &StepContext<'_>, scene: &SceneState<'_>, dead_opacity: f64) -> Self {
+        let (mut plan, dead_rows) = Self::survey(scene, dead_opacity);
+        if !(dead_rows.is_empty() || plan.alive_rows.is_empty()) {
+            plan.assign(context, scene, &dead_rows, dead_opacity.clamp(0.0, 1.0));
+        }
+        plan
+    }
+
+    /// Finds the alive rows as [`Relocation::plan`] does and moves none of the others.
+    #[must_use]
+    pub fn none(scene: &SceneState<'_>, dead_opacity: f64) -> Self {
+        Self::survey(scene, dead_opacity).0
+    }
+
+    /// Nothing moved, and the dead rows, rising.
+    fn survey(scene: &SceneState<'_>, dead_opacity: f64) -> (Self, Vec<u32>) {
         // The logit of the threshold: one logarithm instead of one exponential per row.
         let dead = dead_opacity.clamp(0.0, 1.0);
         let threshold = dead.ln() - (-dead).ln_1p();
@@ -55,22 +70,19 @@ impl Relocation {
             parts.concat()
         };
         let (alive_rows, dead_rows) = (rows(true), rows(false));
-        let mut plan = Self {
+        let plan = Self {
             alive,
             alive_rows,
             moved: 0,
             edits: Vec::new(),
             sources: 0,
         };
-        if !(dead_rows.is_empty() || plan.alive_rows.is_empty()) {
-            plan.assign(context, scene, &dead_rows, dead);
-        }
-        plan
+        (plan, dead_rows)
     }
 
     fn assign(
         &mut self,
-        context: &StepContext,
+        context: &StepContext<'_>,
         scene: &SceneState<'_>,
         dead_rows: &[u32],
         dead: f64,
@@ -113,6 +125,7 @@ impl Relocation {
                 position: gather(&scene.positions, source as usize)?,
                 log_scale: log_scale.map(|s| (f64::from(s) + part.log_scale_offset) as f32),
                 opacity_logit: part.opacity_logit as f32,
+                color: None,
             })
         };
         self.edits = groups.par_iter().filter_map(split_source).collect();

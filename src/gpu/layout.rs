@@ -151,6 +151,10 @@ pub struct EditRow {
     pub log_scale: [f32; 3],
     /// Opacity logit.
     pub opacity_logit: f32,
+    /// Whether `color` replaces the SH coefficients of `src`.
+    pub colored: u32,
+    /// SH coefficients of band 0.
+    pub color: [f32; 3],
 }
 
 // SAFETY: plain old data, any bit pattern is a value, no padding that is read.

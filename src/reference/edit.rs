@@ -16,6 +16,11 @@ pub fn edit(edits: &[Edit], params: &mut [Vec<f64>], moments: [&mut [Vec<f64>]; 
             params[Plane::LOG_SCALE + k][dst] = f64::from(e.log_scale[k]);
         }
         params[Plane::OPACITY][dst] = f64::from(e.opacity_logit);
+        if let Some(color) = e.color {
+            for (k, plane) in params[Plane::SH..].iter_mut().enumerate() {
+                plane[dst] = color.get(k).map_or(0.0, |c| f64::from(*c));
+            }
+        }
     }
     for planes in moments {
         for plane in planes.iter_mut() {

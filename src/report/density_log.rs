@@ -42,6 +42,8 @@ impl Row for DensityRow {
         "cloned",
         "split",
         "opacity_resets",
+        "pixel_proposed",
+        "pixel_accepted",
     ];
 
     fn iteration(&self) -> u32 {
@@ -67,6 +69,8 @@ impl Row for DensityRow {
             Cell::Count(s.cloned),
             Cell::Count(s.split),
             Cell::Count(s.opacity_resets),
+            Cell::Count(s.pixel[0]),
+            Cell::Count(s.pixel[1]),
         ]
     }
 
@@ -87,6 +91,7 @@ impl Row for DensityRow {
                 cloned: cells.count()?,
                 split: cells.count()?,
                 opacity_resets: cells.count()?,
+                pixel: [cells.count()?, cells.count()?],
             },
         })
     }

@@ -9,7 +9,7 @@ use crate::config::MhConfig;
 use crate::density::draw::{Categorical, birth_position};
 use crate::density::mh::accept::{ln_acceptance, voxel_prior};
 use crate::density::mh::lerp;
-use crate::density::mh::sparsity::VoxelCounts;
+use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::relocation::{sigmoid, split};
 use crate::density::{Cues, SceneState};
 use crate::model::{Plane, Splats};
@@ -110,7 +110,7 @@ impl Ground<'_> {
         let is_alive: BTreeSet<u32> = alive.iter().copied().collect();
         let edge = lerp(self.config.voxel_edge, self.progress);
         let keep = |i: usize| is_alive.contains(&(i as u32));
-        let counts = VoxelCounts::count_where(scene.positions, edge, keep);
+        let counts = VoxelCounts::count_where(scene.positions, Lattice::uniform(edge), keep);
         let groups = [
             (Draw::Proposal, Phase::Coarse),
             (Draw::Proposal, Phase::Fine),

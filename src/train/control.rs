@@ -113,12 +113,16 @@ impl Trainer {
             rotations: std::array::from_fn(|k| slice(Plane::ROTATION + k)),
             opacity_logits: slice(Plane::OPACITY),
         };
+        let cameras: Vec<[f32; 3]> = self.views.cameras.iter().map(|c| c.center).collect();
+        let pictures = self.pictures(progress)?;
         let context = StepContext {
             iteration: self.iteration,
             progress,
             seed: self.config.seed,
             max_gaussians: self.config.max_gaussians,
             opacity_resets: self.schedule.opacity_resets(self.iteration),
+            cameras: &cameras,
+            pictures: &pictures,
         };
         let rows = self.read_cues()?;
         let cue = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
@@ -172,6 +176,8 @@ impl Trainer {
                 position: e.position,
                 log_scale: e.log_scale,
                 opacity_logit: e.opacity_logit,
+                colored: u32::from(e.color.is_some()),
+                color: e.color.unwrap_or_default(),
             })
             .collect();
         let edits = Array::from_slice(&self.device, "edits", &rows)?;

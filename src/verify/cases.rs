@@ -81,6 +81,8 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         position: [0.25, -0.5, 0.75],
         log_scale: [-3.0, -2.0, -1.0],
         opacity_logit: 0.5,
+        // The appended row has a colour of its own.
+        color: (dst > last).then_some([0.5, -0.25, 1.5]),
     };
     Case {
         name: name.into(),

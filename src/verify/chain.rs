@@ -341,5 +341,7 @@ pub fn row_of(e: &DensityEdit) -> EditRow {
         position: e.position,
         log_scale: e.log_scale,
         opacity_logit: e.opacity_logit,
+        colored: u32::from(e.color.is_some()),
+        color: e.color.unwrap_or_default(),
     }
 }

@@ -2,6 +2,7 @@
 
 use super::total_variation;
 use mhsplat::config::Acceptance;
+use mhsplat::density::mh::accept::temperature_for;
 use mhsplat::density::mh::accept::{
     accepts, exact_ln_prior_ratio, exact_ln_prior_ratio_of_death, ln_acceptance, voxel_prior,
 };
@@ -114,20 +115,22 @@ fn the_prior_ratio_is_that_of_the_energy() {
     assert!((voxel_prior(5.0, 2) - 1.0 / 11.0).abs() < 1e-15);
 }
 
-/// The three forms of ρ as printed, not in logarithms.
+/// The forms of ρ as printed, not in logarithms.
 fn printed(form: Acceptance, i: f64, c: u32) -> f64 {
     let d = 1.0 / (1.0 + 5.0 * f64::from(c));
     let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
     match form {
         Acceptance::Eq20 => logistic(i) * d,
         Acceptance::Alg1 => i * d,
+        Acceptance::ExactPrior => (f64::from(1 + c) / f64::from(2 + c)).powi(5),
         _ => logistic(i - 0.5) * d,
     }
 }
 
 #[test]
 fn births_are_accepted_as_often_as_each_form_says() {
-    let forms = [Acceptance::Eq20, Acceptance::Alg1, Acceptance::Centred];
+    use Acceptance::{Alg1, Centred, Eq20, ExactPrior};
+    let forms = [Eq20, Alg1, Centred, ExactPrior];
     let n = 40_000u64;
     // Five standard errors of a frequency.
     let close = |seen: f64, p: f64| (seen - p).abs() < 5.0 * (p * (1.0 - p) / n as f64).sqrt();
@@ -147,7 +150,7 @@ fn births_are_accepted_as_often_as_each_form_says() {
                 !close(seen, printed(form, importance, c + 1)),
                 "{form:?}: another count passes"
             );
-            let other = forms[(f + 1) % 3];
+            let other = forms[(f + 1) % 4];
             let differs =
                 (printed(other, importance, c) - printed(form, importance, c)).abs() > 0.03;
             assert!(
@@ -167,4 +170,27 @@ fn nothing_is_accepted_by_mistake() {
         ln_acceptance(Acceptance::Alg1, 0.0, 5.0, 0),
         f64::NEG_INFINITY
     );
+}
+
+#[test]
+fn a_temperature_gives_the_wanted_rate() {
+    let draw = |k: u64| Philox::uniform(3, Purpose::Synthetic.stream(9), k);
+    let ln_rhos: Vec<f64> = (0..5000)
+        .map(|k| {
+            let [i, c, ..] = draw(k);
+            ln_acceptance(Acceptance::Eq20, i, 5.0, (4.0 * c) as u32)
+        })
+        .collect();
+    let mean = |t: f64| ln_rhos.iter().map(|l| (l / t).exp()).sum::<f64>() / 5000.0;
+    for wanted in [0.05, 0.2, 0.5, 0.9] {
+        let t = temperature_for(&ln_rhos, wanted);
+        assert!((mean(t) - wanted).abs() < 1e-8, "{wanted}: {t}");
+        assert!((mean(1.1 * t) - wanted).abs() > 1e-3);
+    }
+    assert!((temperature_for(&ln_rhos, mean(1.0)) - 1.0).abs() < 1e-8);
+    // What cannot be had gives the nearer end, and what is impossible stays so.
+    assert!(temperature_for(&[-1.0], 1.0 - 1e-9) > 9999.0);
+    assert!(temperature_for(&[0.0; 3], 0.3) < 2e-4);
+    let some = temperature_for(&[f64::NEG_INFINITY, -1.0, -1.0], 0.5);
+    assert!((2.0 / 3.0 * (-1.0 / some).exp() - 0.5).abs() < 1e-8);
 }

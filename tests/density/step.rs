@@ -9,21 +9,23 @@ use mhsplat::density::{
 };
 use std::collections::{HashMap, HashSet};
 
-pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext {
+pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext<'static> {
     StepContext {
         iteration,
         progress,
         seed,
         max_gaussians: None,
         opacity_resets: [0, 0],
+        cameras: &[],
+        pictures: &[],
     }
 }
 
-pub fn step(scene: &Scene, context: &StepContext) -> Outcome {
+pub fn step(scene: &Scene, context: &StepContext<'_>) -> Outcome {
     step_with(Birth::Split, scene, context)
 }
 
-pub fn step_with(birth: Birth, scene: &Scene, context: &StepContext) -> Outcome {
+pub fn step_with(birth: Birth, scene: &Scene, context: &StepContext<'_>) -> Outcome {
     let config = MhConfig {
         birth,
         ..MhConfig::default()

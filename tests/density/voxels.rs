@@ -1,7 +1,7 @@
 //! Voxel counts against brute force.
 
 use super::Scene;
-use mhsplat::density::mh::sparsity::VoxelCounts;
+use mhsplat::density::mh::sparsity::{Lattice, VoxelCounts};
 use std::collections::HashMap;
 
 /// Counts with a map of floored f64 coordinates.
@@ -74,6 +74,50 @@ fn voxel_counts_grow_and_ignore_what_is_not_finite() {
     assert_eq!(counts.occupied(), 10_001);
     assert!((0..10_000).all(|i| counts.get([f64::from(i), -0.75, 3.4]) == 2));
     assert_eq!(VoxelCounts::count([&[], &[], &[]], 1.0).occupied(), 0);
-    let some = VoxelCounts::count_where([&[0.1, 0.1], &[0.1; 2], &[0.1; 2]], 1.0, |i| i == 1);
+    let some = VoxelCounts::count_where(
+        [&[0.1, 0.1], &[0.1; 2], &[0.1; 2]],
+        Lattice::uniform(1.0),
+        |i| i == 1,
+    );
     assert_eq!(some.get([0.2; 3]), 1);
+}
+
+#[test]
+fn edges_grow_with_the_distance_from_the_nearest_camera() {
+    let centres = [[0.0f32; 3], [100.0, 0.0, 0.0]];
+    let lattice = Lattice::growing(0.5, 2.0, &centres);
+    let level = |x: f64| lattice.level([x, 0.0, 0.0]);
+    let levels = [0.0, 1.9, 3.99, 4.0, 7.99, 8.0, 16.0, 50.0, 84.1, 97.0].map(level);
+    assert_eq!(levels, [0, 0, 0, 1, 1, 2, 3, 4, 2, 0]);
+    assert_eq!(lattice.level([1e30; 3]), 30);
+    assert_eq!(Lattice::uniform(0.5).level([1e30; 3]), 0);
+    assert_eq!(Lattice::growing(0.5, 2.0, &[]).level([1e30; 3]), 0);
+    // The count of brute force over (level, lattice coordinates).
+    let scene = Scene::random(20_000, 5);
+    let scaled = scene
+        .positions
+        .each_ref()
+        .map(|p| -> Vec<f32> { p.iter().map(|v| v * 300.0).collect() });
+    let planes = scaled.each_ref().map(Vec::as_slice);
+    let key = |i: usize| {
+        let at = planes.map(|p| f64::from(p[i]));
+        let apart = |c: &[f32; 3]| {
+            let along = |k: usize| (at[k] - f64::from(c[k])).powi(2);
+            (0..3).map(along).sum::<f64>().sqrt()
+        };
+        let nearest = centres.iter().map(apart).fold(f64::MAX, f64::min);
+        let level = (nearest / 2.0).log2().floor().max(0.0);
+        let edge = 0.5 * level.exp2();
+        (level as i64, at.map(|x| (x / edge).floor() as i64))
+    };
+    let mut expected = HashMap::new();
+    for i in 0..20_000 {
+        *expected.entry(key(i)).or_insert(0u32) += 1;
+    }
+    let counts = VoxelCounts::count_where(planes, lattice, |_| true);
+    assert_eq!(counts.occupied(), expected.len());
+    let wrong =
+        (0..20_000).filter(|&i| counts.get(planes.map(|p| f64::from(p[i]))) != expected[&key(i)]);
+    assert_eq!(wrong.count(), 0);
+    assert!(expected.keys().any(|k| k.0 > 2) && expected.keys().any(|k| k.0 == 0));
 }

@@ -27,6 +27,7 @@ fn a_copy_takes_everything_but_what_is_replaced() {
         position: [1.0, 2.0, 3.0],
         log_scale: [-1.0; 3],
         opacity_logit: 0.25,
+        color: None,
     };
     case.edits = vec![row];
     let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
@@ -42,6 +43,28 @@ fn a_copy_takes_everything_but_what_is_replaced() {
             assert_eq!(out.edited[0][p][i], out.adam[0][p][i], "plane {p}, row {i}");
         }
         assert_eq!([out.edited[1][p][4], out.edited[2][p][4]], [0.0; 2]);
+    }
+}
+
+#[test]
+fn a_coloured_row_has_its_own_colour_and_no_higher_bands() {
+    let device = device();
+    let mut case = cases::mild("coloured", 6, [20, 20], 2, 36);
+    case.edits = vec![Edit {
+        src: 2,
+        dst: 4,
+        position: [1.0, 2.0, 3.0],
+        log_scale: [-1.0; 3],
+        opacity_logit: 0.25,
+        color: Some([0.5, -0.25, 1.5]),
+    }];
+    let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
+    let sh = out.edited[0][Plane::SH..].iter().map(|plane| plane[4]);
+    let mut want = vec![0.0; 27];
+    want[..3].copy_from_slice(&[0.5, -0.25, 1.5]);
+    assert_eq!(sh.collect::<Vec<f64>>(), want);
+    for p in Plane::ROTATION..Plane::OPACITY {
+        assert_eq!(out.edited[0][p][4], out.adam[0][p][2]);
     }
 }
 

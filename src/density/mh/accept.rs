@@ -3,7 +3,13 @@
 //! The posterior is π ∝ exp(−E) with E = L + λ_v Σ_v ln(1 + c(v)) (Eq. 7). Adding one Gaussian to a voxel that holds c
 //! multiplies the prior by ((1+c)/(2+c))^λ_v exactly: [`exact_ln_prior_ratio`]. The paper replaces that factor by
 //! D = 1/(1 + λ_v·c) and the loss change by the importance I of the source; three forms of the product are on record
-//! ([`Acceptance`]). The surrogates are what training uses; the exact ratio is what they can be measured against.
+//! ([`Acceptance`]). These surrogates are not Metropolis–Hastings ratios: neither the loss nor the density of the proposal
+//! nor that of the way back is in them, and there are no deaths. With [`exact_ln_prior_ratio`], its inverse for deaths and
+//! the true change of the loss the chain has the posterior of Eq. 7 (`tests/density/chain.rs`); as the form
+//! `exact-prior` of training, which has births alone and decides many at once on the same counts, it is exact in the
+//! prior's factor and no more.
+//!
+//! A temperature T turns ρ into ρ^{1/T}: the posterior's 1/T-th power for the exact form, a plain knob for the others.
 
 use crate::config::Acceptance;
 use crate::density::relocation::ln_sigmoid;
@@ -21,6 +27,7 @@ pub fn ln_acceptance(form: Acceptance, importance: f64, lambda: f64, count: u32)
         Acceptance::Eq20 => ln_sigmoid(importance),
         Acceptance::Alg1 => importance.ln(),
         Acceptance::Centred => ln_sigmoid(importance - 0.5),
+        Acceptance::ExactPrior => return exact_ln_prior_ratio(lambda, count),
     };
     ln_gain - (lambda * f64::from(count)).ln_1p()
 }
@@ -39,6 +46,33 @@ pub fn exact_ln_prior_ratio_of_death(lambda: f64, count: u32) -> f64 {
     count.checked_sub(1).map_or(f64::NEG_INFINITY, |before| {
         -exact_ln_prior_ratio(lambda, before)
     })
+}
+
+/// Temperatures that [`temperature_for`] answers.
+const TEMPERATURES: [f64; 2] = [1e-4, 1e4];
+/// Halvings of their logarithms' range: 18.4 / 2⁴⁰ is 2e-11.
+const HALVINGS: usize = 40;
+
+/// The T at which the mean of ρ^{1/T} over the proposals is `wanted`, by bisection in ln T between 1e-4 and 1e4; the nearer
+/// end where none is. A function of the proposals alone, so that nothing has to be kept between steps.
+#[must_use]
+pub fn temperature_for(ln_rhos: &[f64], wanted: f64) -> f64 {
+    let [mut low, mut high] = TEMPERATURES.map(f64::ln);
+    let reached = |ln_temperature: f64| {
+        let power = (-ln_temperature).exp();
+        let sum: f64 = ln_rhos.iter().map(|l| (l * power).min(0.0).exp()).sum();
+        // The mean rises with T, because no ρ is above 1.
+        sum >= wanted * ln_rhos.len() as f64
+    };
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (low + high);
+        if reached(middle) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    high.exp()
 }
 
 /// The Metropolis decision: accept if ln u < ln ρ, u uniform in [0, 1). A NaN ratio is never accepted.

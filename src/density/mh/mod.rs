@@ -5,21 +5,23 @@
 //! parallel; births of the coarse phase are counted before the fine phase begins.
 
 pub mod accept;
+mod births;
 pub mod importance;
+mod pixel;
 pub mod sparsity;
 
 use super::draw::{Categorical, birth_position, gather};
-use super::relocate::{self, Relocation};
+use super::relocate::Relocation;
 use super::{
-    Cues, DensityControl, DensityStats, Edit, Evidence, Outcome, SceneState, StepContext, Wanted,
-    check_lengths, numerics, unexpected,
+    Cues, DensityControl, Edit, Evidence, Outcome, SceneState, StepContext, Wanted, check_lengths,
+    numerics, unexpected,
 };
-use crate::config::{Birth, MhConfig};
-use crate::error::{Error, Result};
+use crate::config::{MhConfig, ViewSubset};
+use crate::error::Result;
 use crate::rng::{Philox, Purpose};
+use births::Births;
 use rayon::prelude::*;
-use rustc_hash::FxHashSet;
-use sparsity::VoxelCounts;
+use sparsity::{Lattice, VoxelCounts};
 
 /// Density control by Metropolis–Hastings births and relocation.
 #[derive(Debug, Clone)]
@@ -35,6 +37,24 @@ struct Phase {
     streams: [u64; 3],
 }
 
+/// How a birth was proposed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Pixel,
+    Coarse,
+    Fine,
+}
+
+/// A birth to be decided on.
+struct Proposal {
+    edit: Edit,
+    /// D(v′).
+    prior: f64,
+    ln_rho: f64,
+    /// Uniform in [0, 1).
+    u: f64,
+}
+
 /// A decided proposal.
 struct Decision {
     /// What would be written; `dst` is set once it is known who is born.
@@ -46,7 +66,7 @@ struct Decision {
 
 /// What both phases of a step read.
 struct Step<'a> {
-    context: &'a StepContext,
+    context: &'a StepContext<'a>,
     scene: &'a SceneState<'a>,
     relocation: &'a Relocation,
     /// Importance of each row.
@@ -62,7 +82,7 @@ impl MetropolisHastings {
         Self { config: *config }
     }
 
-    fn phases(&self, context: &StepContext) -> [Phase; 2] {
+    fn phases(&self, context: &StepContext<'_>) -> [Phase; 2] {
         let eta = context.progress;
         let c = &self.config;
         let phase = |proposals: u32, spread: [f64; 2], streams: [Purpose; 3]| Phase {
@@ -85,9 +105,27 @@ impl MetropolisHastings {
         ]
     }
 
-    /// Draws the proposals of a phase and decides each against the counts as they are. One that would land at a
+    /// Decides each proposal of a phase by ρ^{1/T}.
+    fn decide(&self, proposals: Vec<Proposal>, eta: f64) -> Vec<Decision> {
+        let c = &self.config;
+        let wanted = lerp(c.target_acceptance, eta);
+        let temperature = if wanted > 0.0 {
+            let ln_rhos: Vec<f64> = proposals.iter().map(|p| p.ln_rho).collect();
+            accept::temperature_for(&ln_rhos, wanted)
+        } else {
+            lerp(c.temperature, eta)
+        };
+        let decided = |p: Proposal| Decision {
+            edit: p.edit,
+            prior: p.prior,
+            accepted: accept::accepts(p.u, p.ln_rho / temperature),
+        };
+        proposals.into_iter().map(decided).collect()
+    }
+
+    /// Draws the proposals of a phase, each with its ratio against the counts as they are. One that would land at a
     /// non-finite position is not proposed.
-    fn decide(&self, step: &Step<'_>, phase: &Phase, counts: &VoxelCounts) -> Vec<Decision> {
+    fn propose(&self, step: &Step<'_>, phase: &Phase, counts: &VoxelCounts<'_>) -> Vec<Proposal> {
         let [draw, offset, accept] = phase.streams;
         let seed = step.context.seed;
         let lambda = self.config.lambda_voxel;
@@ -114,37 +152,30 @@ impl MetropolisHastings {
                     lambda,
                     count,
                 );
-                let u = Philox::uniform(seed, accept, u64::from(row))[0];
-                Some(Decision {
+                Some(Proposal {
                     edit: Edit {
                         src: row,
                         dst: row,
                         position,
                         log_scale,
                         opacity_logit,
+                        color: None,
                     },
                     prior: accept::voxel_prior(lambda, count),
-                    accepted: accept::accepts(u, ln_rho),
+                    ln_rho,
+                    u: Philox::uniform(seed, accept, u64::from(row))[0],
                 })
             })
             .collect()
     }
 
-    fn check(&self, context: &StepContext, scene: &SceneState<'_>, cues: &Cues<'_>) -> Result<()> {
-        let c = &self.config;
-        let edge = lerp(c.voxel_edge, context.progress.clamp(0.0, 1.0));
-        if !(edge > 0.0 && edge.is_finite()) {
-            return Err(Error::config(
-                "mh.voxel-edge",
-                format!("{edge}; a length above 0 expected"),
-            ));
-        }
-        if !(c.lambda_voxel >= 0.0 && c.lambda_voxel.is_finite()) {
-            return Err(Error::config(
-                "mh.lambda-voxel",
-                format!("{}; 0 or more expected", c.lambda_voxel),
-            ));
-        }
+    fn check(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        cues: &Cues<'_>,
+    ) -> Result<()> {
+        self.config.validate()?;
         if !context.progress.is_finite() {
             return Err(numerics(format!(
                 "progress is {}; 0 to 1 expected",
@@ -153,142 +184,99 @@ impl MetropolisHastings {
         }
         check_lengths(scene, [cues.ssim.len(), cues.l1.len(), cues.views.len()])
     }
+
+    /// I of every row (Eq. 13); ½ if it is switched off.
+    fn importance(&self, scene: &SceneState<'_>, cues: &Cues<'_>) -> Vec<f64> {
+        let c = &self.config;
+        if !c.importance {
+            return vec![0.5; scene.len()];
+        }
+        let weights = [c.weight_opacity, c.weight_ssim, c.weight_l1];
+        importance::importance(scene.opacity_logits, cues, weights).values
+    }
 }
 
 impl DensityControl for MetropolisHastings {
-    /// k = max(1, ⌊views·(1−η)⌋) (Eq. 10).
+    /// The view subset of Eq. 10, or nothing where no cue of errors has a weight.
     fn wanted(&self, views: usize, progress: f64) -> Wanted {
-        Wanted::Errors {
-            views: shrinking(views, progress),
+        if !self.config.wants_errors() {
+            return Wanted::Nothing;
+        }
+        let views = match self.config.view_subset {
+            ViewSubset::Shrinking => shrinking(views, progress),
+            ViewSubset::All => views,
+            ViewSubset::Fixed(k) => views.min(k as usize),
+        };
+        Wanted::Errors { views }
+    }
+
+    fn pictures(&self, _progress: f64) -> usize {
+        match self.config.pixel_proposals {
+            0 => 0,
+            _ => self.config.pixel_views as usize,
         }
     }
 
     fn step(
         &mut self,
-        context: &StepContext,
+        context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Evidence<'_>,
     ) -> Result<Outcome> {
-        let Evidence::Errors(cues) = evidence else {
-            return Err(unexpected());
+        // Without cues every Gaussian is one that no view saw.
+        let unseen = (vec![0.0; scene.len()], vec![0; scene.len()]);
+        let cues = match evidence {
+            Evidence::Errors(cues) => *cues,
+            Evidence::Nothing if !self.config.wants_errors() => Cues {
+                ssim: &unseen.0,
+                l1: &unseen.0,
+                views: &unseen.1,
+            },
+            _ => return Err(unexpected()),
         };
-        self.check(context, scene, cues)?;
+        self.check(context, scene, &cues)?;
         let context = &StepContext {
             progress: context.progress.clamp(0.0, 1.0),
             ..*context
         };
-        let c = &self.config;
-        let relocation = Relocation::plan(context, scene, c.dead_opacity);
+        let (c, eta) = (&self.config, context.progress);
+        let relocation = if c.relocation {
+            Relocation::plan(context, scene, c.dead_opacity)
+        } else {
+            Relocation::none(scene, c.dead_opacity)
+        };
         // The state proposals are made in is the one after relocation: moved rows count where they are now.
-        let edge = lerp(c.voxel_edge, context.progress);
-        let mut counts = VoxelCounts::count_where(scene.positions, edge, |i| relocation.alive[i]);
+        let edge = lerp(c.voxel_edge, eta);
+        let lattice = Lattice::growing(edge, c.voxel_growth_from, context.cameras);
+        let mut counts =
+            VoxelCounts::count_where(scene.positions, lattice, |i| relocation.alive[i]);
         for edit in relocation.moved_edits() {
             counts.add(edit.position.map(f64::from));
         }
-        let weights = [c.weight_opacity, c.weight_ssim, c.weight_l1];
-        let importance = importance::importance(scene.opacity_logits, cues, weights).values;
-        let alive: Vec<f64> = relocation
-            .alive_rows
-            .par_iter()
-            .map(|&r| importance[r as usize])
-            .collect();
+        let importance = self.importance(scene, &cues);
+        let alive = relocation.alive_rows.par_iter();
+        let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
         let step = Step {
             context,
             scene,
             relocation: &relocation,
             importance: &importance,
-            sources: Categorical::new(&alive),
+            sources: Categorical::new(&weights),
         };
         let mut births = Births::new(scene.len(), context.max_gaussians);
-        for (k, phase) in self.phases(context).iter().enumerate() {
-            let decisions = self.decide(&step, phase, &counts);
-            births.take(k, &decisions, &mut counts);
+        // Where room is short, voids come first.
+        if let (Some(&row), false) = (relocation.alive_rows.first(), context.pictures.is_empty()) {
+            let proposals = pixel::propose(c, context, row, &counts);
+            births.take(Kind::Pixel, &self.decide(proposals, eta), &mut counts);
+        }
+        for (kind, phase) in [Kind::Coarse, Kind::Fine]
+            .into_iter()
+            .zip(self.phases(context))
+        {
+            let proposals = self.propose(&step, &phase, &counts);
+            births.take(kind, &self.decide(proposals, eta), &mut counts);
         }
         Ok(births.finish(c.birth, scene, relocation, &counts))
-    }
-}
-
-/// The births of a step, in the order of decision.
-struct Births {
-    edits: Vec<Edit>,
-    len: usize,
-    limit: usize,
-    stats: DensityStats,
-    prior_sum: f64,
-}
-
-impl Births {
-    fn new(len: usize, max_gaussians: Option<usize>) -> Self {
-        Self {
-            edits: Vec::new(),
-            len,
-            // Rows are named by 32 bits.
-            limit: max_gaussians.unwrap_or(usize::MAX).min(u32::MAX as usize),
-            stats: DensityStats::default(),
-            prior_sum: 0.0,
-        }
-    }
-
-    /// Appends the accepted births of phase `k` (0 coarse, 1 fine) in row order of their sources, until the limit; the
-    /// rest is dropped and does not count as accepted.
-    fn take(&mut self, k: usize, decisions: &[Decision], counts: &mut VoxelCounts) {
-        let before = self.edits.len();
-        for decision in decisions {
-            self.prior_sum += decision.prior;
-            let free = u32::try_from(self.len)
-                .ok()
-                .filter(|_| self.len < self.limit);
-            if let (true, Some(dst)) = (decision.accepted, free) {
-                self.edits.push(Edit {
-                    dst,
-                    ..decision.edit
-                });
-                self.len += 1;
-                counts.add(decision.edit.position.map(f64::from));
-            }
-        }
-        let tally = [decisions.len() as u64, (self.edits.len() - before) as u64];
-        match k {
-            0 => self.stats.coarse = tally,
-            _ => self.stats.fine = tally,
-        }
-    }
-
-    fn finish(
-        mut self,
-        form: Birth,
-        scene: &SceneState<'_>,
-        relocation: Relocation,
-        counts: &VoxelCounts,
-    ) -> Outcome {
-        let stats = &mut self.stats;
-        stats.proposed = stats.coarse[0] + stats.fine[0];
-        stats.accepted = stats.coarse[1] + stats.fine[1];
-        stats.relocated = relocation.moved as u64;
-        stats.occupied_voxels = counts.occupied() as u64;
-        if stats.proposed > 0 {
-            stats.mean_prior = self.prior_sum / stats.proposed as f64;
-        }
-        if form == Birth::Split {
-            let sources = relocate::share(&mut self.edits, scene);
-            self.edits.extend(sources);
-        }
-        // What birth made of a source replaces what relocation had made of it.
-        let split: FxHashSet<u32> = self
-            .edits
-            .iter()
-            .filter(|e| e.src == e.dst)
-            .map(|e| e.dst)
-            .collect();
-        let mut edits = relocation.edits;
-        edits.retain(|e| !split.contains(&e.dst));
-        edits.append(&mut self.edits);
-        Outcome {
-            edits,
-            rows: self.len,
-            stats: self.stats,
-            ..Outcome::default()
-        }
     }
 }
 

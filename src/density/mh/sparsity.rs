@@ -12,31 +12,93 @@ const SHARDS: usize = 256;
 /// Points per task when keys are computed; a constant, so that the work does not depend on the number of threads.
 const CHUNK: usize = 16_384;
 
-/// Lattice coordinates ⌊x/s⌋ of a voxel.
-type Key = [i32; 3];
+/// Level of a voxel's edge and its lattice coordinates ⌊x/s⌋.
+type Key = [i32; 4];
+
+/// Edges are doubled this often at most.
+const MOST_LEVELS: i32 = 30;
+
+/// Which voxel a position is in: cubes whose edge is the same everywhere, or grows with the distance from the cameras.
+///
+/// At distance d from the nearest camera centre the edge is s·2^l with l = ⌊log2(d/d₀)⌋, 0 for d < 2·d₀: what two
+/// Gaussians must be apart to be told apart grows with their distance, and a lattice of one edge s gives the far background
+/// as many voxels per pixel as there are edges to a pixel's footprint. Powers of two keep counting a look-up by (l, ⌊x/s⌋).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lattice<'a> {
+    edge: f64,
+    /// 1/d₀², or 0 for one edge everywhere.
+    growth: f64,
+    centres: &'a [[f32; 3]],
+}
+
+impl<'a> Lattice<'a> {
+    /// One edge everywhere (\[MH\] Eq. 7), above 0, local units.
+    #[must_use]
+    pub fn uniform(edge: f64) -> Self {
+        Self::growing(edge, 0.0, &[])
+    }
+
+    /// The edge grows from distance `from` (d₀, local units) on; 0 or no camera centre means one edge everywhere.
+    #[must_use]
+    pub fn growing(edge: f64, from: f64, centres: &'a [[f32; 3]]) -> Self {
+        let grows = from > 0.0 && !centres.is_empty();
+        Self {
+            edge,
+            growth: if grows { 1.0 / (from * from) } else { 0.0 },
+            centres,
+        }
+    }
+
+    /// How often the edge is doubled at a position.
+    #[must_use]
+    pub fn level(&self, position: [f64; 3]) -> i32 {
+        if self.growth == 0.0 {
+            return 0;
+        }
+        let squared = |centre: &[f32; 3]| -> f64 {
+            let along = |k: usize| position[k] - f64::from(centre[k]);
+            (0..3).map(|k| along(k) * along(k)).sum()
+        };
+        let nearest = self.centres.iter().map(squared).fold(f64::MAX, f64::min);
+        // ⌊log2(d/d₀)⌋ is half of the exponent of (d/d₀)², rounded down: no logarithm, and exact.
+        let ratio = nearest * self.growth;
+        let exponent = ((ratio.to_bits() >> 52) & 0x7FF) as i32 - 1023;
+        exponent.div_euclid(2).clamp(0, MOST_LEVELS)
+    }
+
+    fn key(&self, position: [f64; 3]) -> Option<Key> {
+        let level = self.level(position);
+        let edge = self.edge * f64::from(1u32 << level);
+        let lattice = position.map(|x| x / edge);
+        // Casts saturate; NaN and ±∞ are turned away first.
+        let finite = lattice.iter().all(|v| v.is_finite());
+        let [x, y, z] = lattice.map(floor_to_i32);
+        finite.then_some([level, x, y, z])
+    }
+}
 
 /// Occupied voxels of a cubic lattice and their counts.
 #[derive(Debug, Clone)]
-pub struct VoxelCounts {
-    edge: f64,
+pub struct VoxelCounts<'a> {
+    lattice: Lattice<'a>,
     shards: Vec<Shard>,
 }
 
-impl VoxelCounts {
+impl<'a> VoxelCounts<'a> {
     /// Counts positions (x, y, z planes of equal length, local units) in voxels of edge `edge` (same unit, above 0).
     ///
     /// Lattice coordinates are ⌊x/edge⌋ in f64, saturated to 32 bits: beyond 2³¹ edges from the origin (10⁷ scene
     /// extents at the finest edge of the paper) voxels merge into the outermost one. Non-finite positions are in no voxel.
     #[must_use]
     pub fn count(positions: [&[f32]; 3], edge: f64) -> Self {
-        Self::count_where(positions, edge, |_| true)
+        Self::count_where(positions, Lattice::uniform(edge), |_| true)
     }
 
-    /// [`VoxelCounts::count`] over the rows that `keep` names.
+    /// [`VoxelCounts::count`] on any lattice, over the rows that `keep` names.
     #[must_use]
     pub fn count_where(
         positions: [&[f32]; 3],
-        edge: f64,
+        lattice: Lattice<'a>,
         keep: impl Fn(usize) -> bool + Sync,
     ) -> Self {
         let n = positions.iter().map(|p| p.len()).min().unwrap_or(0);
@@ -44,7 +106,7 @@ impl VoxelCounts {
             .into_par_iter()
             .map_init(Vec::new, |found, c| {
                 let range = c * CHUNK..n.min((c + 1) * CHUNK);
-                Chunk::new(positions, edge, range, &keep, found)
+                Chunk::new(positions, &lattice, range, &keep, found)
             })
             .collect();
         let shards = (0..SHARDS)
@@ -60,13 +122,13 @@ impl VoxelCounts {
                 shard
             })
             .collect();
-        Self { edge, shards }
+        Self { lattice, shards }
     }
 
     /// Number of centres in the voxel around a position; 0 at a non-finite one.
     #[must_use]
     pub fn get(&self, position: [f64; 3]) -> u32 {
-        key(position, self.edge).map_or(0, |key| {
+        self.lattice.key(position).map_or(0, |key| {
             let hash = hash(key);
             self.shards
                 .get(shard_of(hash))
@@ -76,7 +138,7 @@ impl VoxelCounts {
 
     /// Counts one more centre; a non-finite one is not counted.
     pub fn add(&mut self, position: [f64; 3]) {
-        if let Some(key) = key(position, self.edge) {
+        if let Some(key) = self.lattice.key(position) {
             let hash = hash(key);
             if let Some(shard) = self.shards.get_mut(shard_of(hash)) {
                 shard.add(key, hash);
@@ -91,15 +153,6 @@ impl VoxelCounts {
     }
 }
 
-fn key(position: [f64; 3], edge: f64) -> Option<Key> {
-    let lattice = position.map(|x| x / edge);
-    // Casts saturate; NaN and ±∞ are turned away first.
-    lattice
-        .iter()
-        .all(|v| v.is_finite())
-        .then(|| lattice.map(floor_to_i32))
-}
-
 /// ⌊v⌋ saturated to 32 bits. `f64::floor` is a library call on baseline x86-64, and there are three per Gaussian.
 fn floor_to_i32(v: f64) -> i32 {
     let truncated = v as i32;
@@ -112,7 +165,8 @@ fn hash(key: Key) -> u64 {
         let p = u128::from(a) * u128::from(b);
         (p as u64) ^ ((p >> 64) as u64)
     };
-    let [x, y, z] = key.map(|v| u64::from(v as u32));
+    let [level, x, y, z] = key.map(|v| u64::from(v as u32));
+    let z = z | (level << 32);
     let a = fold(
         (x | (y << 32)) ^ 0x9E37_79B9_7F4A_7C15,
         0xD6E8_FEB8_6659_FD93,
@@ -138,7 +192,7 @@ impl Chunk {
     /// `found` is scratch space, kept between chunks.
     fn new(
         positions: [&[f32]; 3],
-        edge: f64,
+        lattice: &Lattice<'_>,
         range: std::ops::Range<usize>,
         keep: &(impl Fn(usize) -> bool + Sync),
         found: &mut Vec<(u8, Key)>,
@@ -147,7 +201,7 @@ impl Chunk {
         let mut starts = [0; SHARDS + 1];
         for i in range {
             let at = positions.map(|p| f64::from(p[i]));
-            if let Some(key) = keep(i).then(|| key(at, edge)).flatten() {
+            if let Some(key) = keep(i).then(|| lattice.key(at)).flatten() {
                 let shard = shard_of(hash(key));
                 starts[shard + 1] += 1;
                 found.push((shard as u8, key));
@@ -157,7 +211,7 @@ impl Chunk {
             starts[s + 1] += starts[s];
         }
         let mut next = starts;
-        let mut keys = vec![[0; 3]; found.len()];
+        let mut keys = vec![[0; 4]; found.len()];
         for &(shard, key) in found.iter() {
             let slot = &mut next[usize::from(shard)];
             keys[*slot] = key;
@@ -182,7 +236,7 @@ impl Shard {
     /// Room for that many points if no two share a voxel.
     fn with_points(points: usize) -> Self {
         Self {
-            slots: vec![([0; 3], 0); points + points / 4 + 16],
+            slots: vec![([0; 4], 0); points + points / 4 + 16],
             occupied: 0,
         }
     }
@@ -219,7 +273,7 @@ impl Shard {
     }
 
     fn grow(&mut self) {
-        let larger = vec![([0; 3], 0); self.slots.len() * 2];
+        let larger = vec![([0; 4], 0); self.slots.len() * 2];
         let old = std::mem::replace(&mut self.slots, larger);
         for (key, count) in old.into_iter().filter(|(_, count)| *count != 0) {
             let i = self.find(key, hash(key));

@@ -1,0 +1,281 @@
+//! Settings of Metropolis–Hastings density control, each with its equation in \[MH\].
+
+use serde::{Deserialize, Serialize};
+
+use super::DensityTimes;
+use crate::error::{Error, Result};
+
+/// Form of the acceptance ratio ρ; D = 1/(1 + λ_v·c) is the voxel prior's factor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Acceptance {
+    /// ρ = σ(I)·D (\[MH\] Eq. 20).
+    #[default]
+    Eq20,
+    /// ρ = I·D (\[MH\] Alg. 1).
+    Alg1,
+    /// ρ = σ(I − ½)·D (the released implementation).
+    Centred,
+    /// ρ = exp(−λ_v·[ln(2+c) − ln(1+c)]): the ratio of the priors before and after the birth as Eq. 7 has it, neither
+    /// approximated nor weighted. I decides then which sources are drawn, and no more.
+    ExactPrior,
+}
+
+/// What a birth takes of its source's opacity and scale.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Birth {
+    /// The source keeps its own and the birth has the same (\[MH\] §4.3: other parameters are copied).
+    Copy,
+    /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
+    /// no opacity to the scene.
+    #[default]
+    Split,
+}
+
+/// How many views a step judges by (Eq. 10); written `"shrinking"`, `"all"` or a number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(try_from = "WordOrNumber", into = "WordOrNumber")]
+#[non_exhaustive]
+pub enum ViewSubset {
+    /// k = max(1, ⌊views·(1−η)⌋) (Eq. 10).
+    #[default]
+    Shrinking,
+    /// Every view.
+    All,
+    /// So many, or all if there are fewer.
+    Fixed(u32),
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum WordOrNumber {
+    Number(u32),
+    Word(String),
+}
+
+impl TryFrom<WordOrNumber> for ViewSubset {
+    type Error = Error;
+    fn try_from(value: WordOrNumber) -> Result<Self> {
+        match value {
+            WordOrNumber::Number(k) if k > 0 => Ok(Self::Fixed(k)),
+            WordOrNumber::Word(word) if word == "shrinking" => Ok(Self::Shrinking),
+            WordOrNumber::Word(word) if word == "all" => Ok(Self::All),
+            _ => Err(Error::config(
+                "mh.view-subset",
+                "\"shrinking\", \"all\" or a number of at least 1 expected",
+            )),
+        }
+    }
+}
+
+impl From<ViewSubset> for WordOrNumber {
+    fn from(value: ViewSubset) -> Self {
+        match value {
+            ViewSubset::Shrinking => Self::Word("shrinking".into()),
+            ViewSubset::All => Self::Word("all".into()),
+            ViewSubset::Fixed(k) => Self::Number(k),
+        }
+    }
+}
+
+/// Metropolis–Hastings density control (\[MH\] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations; of two
+/// values the first is for η = 0 and the second for η = 1, linear in between.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct MhConfig {
+    /// Form of ρ (Eq. 18–20, Alg. 1).
+    pub acceptance: Acceptance,
+    /// What a birth takes of its source (§4.3).
+    pub birth: Birth,
+    /// λ_v of the voxel prior (Eq. 7); 0 switches the prior off: every D and every exact ratio is 1.
+    pub lambda_voxel: f64,
+    /// Temperature T of the acceptance: a birth is accepted with probability ρ^{1/T}. 1 is the paper's; larger values accept
+    /// more.
+    pub temperature: [f64; 2],
+    /// Wanted share of accepted births. Each phase then takes the T at which the mean of ρ^{1/T} over its own proposals is
+    /// this, in place of `temperature`. 0: as `temperature` says.
+    pub target_acceptance: [f64; 2],
+    /// Whether sources are drawn by importance and I is in ρ (Eq. 12, 13). If not, sources are drawn uniformly, I = ½, and
+    /// no error map is made.
+    pub importance: bool,
+    /// Weight of the robust-normalised opacity in the importance (Eq. 13); 0 leaves the cue out.
+    pub weight_opacity: f64,
+    /// Weight of 1 − SSIM; 0 leaves the cue out.
+    pub weight_ssim: f64,
+    /// Weight of L1; 0 leaves the cue out.
+    pub weight_l1: f64,
+    /// Views that the error maps are of (Eq. 10), as far as there were renders since the last step.
+    pub view_subset: ViewSubset,
+    /// Whether dead Gaussians take the place of alive ones (Eq. 17). If not, they stay where they are.
+    pub relocation: bool,
+    /// First iteration with density control.
+    pub from_iteration: u32,
+    /// Last iteration with density control; η runs from 0 to 1 over the span.
+    pub until_iteration: u32,
+    /// Iterations between two density steps; fewer in short runs, see `Schedule::density_interval`.
+    pub interval: u32,
+    /// Coarse proposals per step at η = 0 (Eq. 15); 0 leaves the phase out.
+    pub coarse_proposals: u32,
+    /// Fine proposals per step at η = 0 (Eq. 16); 0 leaves the phase out.
+    pub fine_proposals: u32,
+    /// Coarse proposal spread in units of the Gaussian's own scale.
+    pub coarse_spread: [f64; 2],
+    /// Fine proposal spread, likewise.
+    pub fine_spread: [f64; 2],
+    /// Voxel edge s of Eq. 7, in local units (scene extent 1; the papers' scenes have 1–10 units).
+    pub voxel_edge: [f64; 2],
+    /// Distance from the nearest camera centre, local units, from which on the voxel edge grows: at distance d it is
+    /// s·2^⌊log2(d / this)⌋. 0: the edge is s everywhere, as in Eq. 7.
+    pub voxel_growth_from: f64,
+    /// Births proposed in image space per step at η = 0, at pixels drawn ∝ e·(τ + s·(1−τ)) with L1 error e, remaining
+    /// transmittance τ and s = `pixel-surface`; 0 leaves them out. They reach what is too far from every Gaussian for a copy
+    /// of one, and are not in the paper.
+    pub pixel_proposals: u32,
+    /// Views whose pixels are drawn from: those that training takes next.
+    pub pixel_views: u32,
+    /// Standard deviation of such a birth, pixels.
+    pub pixel_scale: f64,
+    /// Its opacity.
+    pub pixel_opacity: f64,
+    /// s: 1 draws pixels ∝ error alone, 0 only as far as something can be seen beyond what is rendered.
+    pub pixel_surface: f64,
+    /// Depth of a birth that lies beyond what is rendered, as it does with probability τ/(τ + s·(1−τ)): log-uniform between
+    /// these, local units, and no nearer than the rendered mean depth, which the others have.
+    pub pixel_far: [f64; 2],
+    /// A Gaussian is dead at or below this opacity.
+    pub dead_opacity: f64,
+}
+
+impl Default for MhConfig {
+    fn default() -> Self {
+        Self {
+            acceptance: Acceptance::Eq20,
+            birth: Birth::Split,
+            lambda_voxel: 5.0,
+            temperature: [1.0, 1.0],
+            target_acceptance: [0.0, 0.0],
+            importance: true,
+            weight_opacity: 0.8,
+            weight_ssim: 0.5,
+            weight_l1: 0.5,
+            view_subset: ViewSubset::Shrinking,
+            relocation: true,
+            from_iteration: 500,
+            until_iteration: 15_000,
+            interval: 100,
+            coarse_proposals: 4_500,
+            fine_proposals: 16_000,
+            coarse_spread: [10.0, 5.0],
+            fine_spread: [2.0, 1.0],
+            voxel_edge: [0.02, 0.005],
+            voxel_growth_from: 0.0,
+            pixel_proposals: 0,
+            pixel_views: 4,
+            pixel_scale: 2.0,
+            pixel_opacity: 0.1,
+            pixel_surface: 1.0,
+            pixel_far: [2.0, 20.0],
+            dead_opacity: 0.005,
+        }
+    }
+}
+
+impl MhConfig {
+    /// Checks every value's domain.
+    ///
+    /// # Errors
+    /// The first option that is out of its domain.
+    pub fn validate(&self) -> Result<()> {
+        let above_zero = |v: &f64| v.is_finite() && *v > 0.0;
+        let not_below = |v: &f64| v.is_finite() && *v >= 0.0;
+        let check = |good: bool, option: &str, what: &str| {
+            if good {
+                Ok(())
+            } else {
+                Err(Error::config(format!("mh.{option}").as_str(), what))
+            }
+        };
+        let spreads = self.coarse_spread.iter().chain(&self.fine_spread);
+        check(
+            self.voxel_edge.iter().all(above_zero),
+            "voxel-edge",
+            "two lengths above 0 expected",
+        )?;
+        check(
+            spreads.into_iter().all(not_below),
+            "coarse-spread, mh.fine-spread",
+            "0 or more expected",
+        )?;
+        for (value, option) in [
+            (self.lambda_voxel, "lambda-voxel"),
+            (self.voxel_growth_from, "voxel-growth-from"),
+        ] {
+            check(not_below(&value), option, "a finite value >= 0 expected")?;
+        }
+        check(
+            self.temperature.iter().all(above_zero),
+            "temperature",
+            "two values above 0 expected",
+        )?;
+        let [from, to] = self.target_acceptance;
+        check(
+            [from, to].iter().all(|r| *r > 0.0 && *r < 1.0) || [from, to] == [0.0, 0.0],
+            "target-acceptance",
+            "two shares between 0 and 1, or [0, 0] for none, expected",
+        )?;
+        self.validate_pixels()?;
+        let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
+        check(
+            weights.iter().all(|w| w.is_finite()) && (0.0..1.0).contains(&self.dead_opacity),
+            "weight-*, mh.dead-opacity",
+            "finite weights and a dead-opacity in [0, 1) expected",
+        )?;
+        self.times().validate("mh")
+    }
+
+    fn validate_pixels(&self) -> Result<()> {
+        if self.pixel_proposals == 0 {
+            return Ok(());
+        }
+        let [near, far] = self.pixel_far;
+        let depths = near > 0.0 && far >= near && far.is_finite();
+        if !(self.pixel_views > 0
+            && self.pixel_scale.is_finite()
+            && self.pixel_scale > 0.0
+            && depths)
+        {
+            return Err(Error::config(
+                "mh.pixel-views, mh.pixel-scale, mh.pixel-far",
+                "values above 0, and a far depth not below the near one, expected",
+            ));
+        }
+        if !(0.0..=1.0).contains(&self.pixel_surface) {
+            return Err(Error::config("mh.pixel-surface", "0 to 1 expected"));
+        }
+        if !(self.pixel_opacity > self.dead_opacity && self.pixel_opacity < 1.0) {
+            return Err(Error::config(
+                "mh.pixel-opacity",
+                "more than dead-opacity and less than 1 expected",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Whether error maps are of use.
+    #[must_use]
+    pub fn wants_errors(&self) -> bool {
+        self.importance && (self.weight_ssim != 0.0 || self.weight_l1 != 0.0)
+    }
+
+    pub(super) fn times(&self) -> DensityTimes {
+        DensityTimes {
+            from: self.from_iteration,
+            until: self.until_iteration,
+            interval: self.interval,
+            after_from: false,
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! Births in image space: where photos and renders differ, whether or not a Gaussian is near.
+//!
+//! A copy lands a few scales from its source, so that an empty region, the sky above all, is reached by chance alone, if at
+//! all. Here a pixel is drawn ∝ its error; the birth lies beyond what is rendered with a probability that follows the
+//! pixel's remaining transmittance, else at the rendered mean depth. Not in \[MH\]; acceptance is that of the other phases, with the pixel's error in
+//! place of the importance.
+
+use super::{MhConfig, Proposal, StepContext, accept, shrinking, sparsity::VoxelCounts};
+use crate::density::draw::Categorical;
+use crate::density::relocation::sigmoid;
+use crate::density::{Edit, Picture};
+use crate::rng::{Philox, Purpose};
+
+/// First SH basis function, 1/(2√π): a colour c is stored as (c − ½) over this.
+const SH_0: f64 = 0.282_094_791_773_878_14;
+
+/// Pixels of all pictures, one after the other.
+struct Pixels<'a> {
+    pictures: &'a [Picture],
+    /// First pixel of each picture.
+    starts: Vec<usize>,
+    mean: f64,
+    deviation: f64,
+    errors: Vec<f64>,
+}
+
+impl<'a> Pixels<'a> {
+    fn new(pictures: &'a [Picture]) -> Self {
+        let mut errors: Vec<f64> = Vec::new();
+        let mut starts = Vec::new();
+        for picture in pictures {
+            starts.push(errors.len());
+            errors.extend(picture.error.iter().map(|e| f64::from(*e)));
+        }
+        // One order of summation, whatever the number of threads.
+        let n = errors.len().max(1) as f64;
+        let mean = errors.iter().sum::<f64>() / n;
+        let variance = errors.iter().map(|e| (e - mean) * (e - mean)).sum::<f64>() / n;
+        Self {
+            pictures,
+            starts,
+            mean,
+            deviation: variance.sqrt() + 1e-6,
+            errors,
+        }
+    }
+
+    /// The picture that a pixel is of, and its number there.
+    fn find(&self, pixel: usize) -> Option<(&'a Picture, usize)> {
+        let k = self
+            .starts
+            .partition_point(|s| *s <= pixel)
+            .checked_sub(1)?;
+        Some((self.pictures.get(k)?, pixel - self.starts[k]))
+    }
+
+    /// Weights of the draw: e·(τ + s·(1−τ)).
+    fn weights(&self, surface: f64) -> Vec<f64> {
+        let left = self.pictures.iter().flat_map(|p| &p.transmittance);
+        let seen = left.map(|t| reached(f64::from(*t), surface));
+        self.errors.iter().zip(seen).map(|(e, s)| e * s).collect()
+    }
+
+    /// σ of the error's deviation from the mean, in standard deviations, as I is of a Gaussian.
+    fn importance(&self, pixel: usize) -> f64 {
+        sigmoid((self.errors[pixel] - self.mean) / self.deviation)
+    }
+}
+
+/// Share of a pixel in which births may lie: beyond what is rendered, and of the rest the part `surface`.
+fn reached(left: f64, surface: f64) -> f64 {
+    left + surface * (1.0 - left)
+}
+
+/// Proposals at drawn pixels, each with its ratio against the counts as they are; `src` is the row whose rotation is copied,
+/// which does not matter, because a birth is round.
+pub(super) fn propose(
+    config: &MhConfig,
+    context: &StepContext<'_>,
+    src: u32,
+    counts: &VoxelCounts<'_>,
+) -> Vec<Proposal> {
+    let wanted = shrinking(config.pixel_proposals as usize, context.progress);
+    let pixels = Pixels::new(context.pictures);
+    let stream = |purpose: Purpose| purpose.stream(context.iteration);
+    let (place, accept) = (stream(Purpose::PixelPlace), stream(Purpose::PixelAccept));
+    let drawn = Categorical::new(&pixels.weights(config.pixel_surface));
+    let drawn = drawn.draw_unique(wanted, context.seed, stream(Purpose::PixelDraw));
+    let proposal = |pixel: usize| {
+        let (picture, at) = pixels.find(pixel)?;
+        let u = Philox::uniform(context.seed, place, pixel as u64);
+        let edit = birth(config, picture, at, u, src)?;
+        let count = counts.get(edit.position.map(f64::from));
+        let importance = pixels.importance(pixel);
+        let lambda = config.lambda_voxel;
+        Some(Proposal {
+            edit,
+            prior: accept::voxel_prior(lambda, count),
+            ln_rho: accept::ln_acceptance(config.acceptance, importance, lambda, count),
+            u: Philox::uniform(context.seed, accept, pixel as u64)[0],
+        })
+    };
+    drawn.into_iter().filter_map(proposal).collect()
+}
+
+/// The birth at pixel `at` of a picture; none where its place or size is not finite.
+fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32) -> Option<Edit> {
+    let [across, down, kind, far] = u;
+    let depth = f64::from(*picture.depth.get(at)?);
+    let rendered = if depth.is_finite() { depth } else { 0.0 };
+    let left = f64::from(*picture.transmittance.get(at)?);
+    let z = if kind * reached(left, config.pixel_surface) < left {
+        let [from, to] = config.pixel_far;
+        (from * (to / from).powf(far)).max(rendered)
+    } else {
+        rendered
+    };
+    let pixel = [at % picture.width, at / picture.width].map(|v| v as f64);
+    let position = picture.point([pixel[0] + across, pixel[1] + down], z);
+    let log_scale = (config.pixel_scale * picture.footprint(z)).ln();
+    let good = z > 0.0 && log_scale.is_finite() && position.iter().all(|v| v.is_finite());
+    let opacity = config.pixel_opacity;
+    let color = [0, 1, 2].map(|c| (f64::from(picture.photo[c][at]) - 0.5) / SH_0);
+    good.then_some(Edit {
+        src,
+        dst: src,
+        position: position.map(|v| v as f32),
+        log_scale: [log_scale as f32; 3],
+        opacity_logit: (opacity / (1.0 - opacity)).ln() as f32,
+        color: Some(color.map(|v| v as f32)),
+    })
+}

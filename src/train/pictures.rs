@@ -1,0 +1,92 @@
+//! Views rendered for density control beside those of training.
+
+use super::Trainer;
+use crate::density::Picture;
+use crate::error::Result;
+use crate::gpu::Array;
+use crate::render::{Quantity, RenderOptions};
+use crate::stage::loss::size_of_image;
+
+impl Trainer {
+    /// The views that training takes next, as many as density control wants, at the size that they have now. Colour and
+    /// depth are rendered: two forward passes a view.
+    pub(super) fn pictures(&mut self, progress: f64) -> Result<Vec<Picture>> {
+        let count = self.density.pictures(progress).min(self.views.len());
+        if count == 0 {
+            return Ok(Vec::new());
+        }
+        let views = self
+            .schedule
+            .upcoming(self.iteration, count, self.views.len());
+        views.into_iter().map(|view| self.picture(view)).collect()
+    }
+
+    fn picture(&mut self, view: usize) -> Result<Picture> {
+        let photo = self.views.photo(view, &[])?;
+        let full = self.views.cameras[view];
+        let factor = self
+            .schedule
+            .shrink_factor(self.iteration, size_of_image(&full));
+        let camera = full.shrunk(factor);
+        let options = self.options(self.iteration, self.schedule.sh_degree(self.iteration));
+        self.renderer.render(&self.scene, &camera, &options)?;
+        let seen = self.renderer.read_image(&camera)?;
+        let by_depth = RenderOptions {
+            quantity: Quantity::Depth,
+            background: [0.0; 3],
+            ..options
+        };
+        self.renderer.render(&self.scene, &camera, &by_depth)?;
+        let mut depth = self.renderer.read_image(&camera)?.rgb;
+        let pixels = seen.width * seen.height;
+        depth.truncate(pixels);
+        for (z, left) in depth.iter_mut().zip(&seen.transmittance) {
+            // Weighted by opacity so far; 0/0 where nothing is.
+            *z /= 1.0 - left;
+        }
+        let photo = if factor > 1 {
+            self.shrink
+                .run(&photo, size_of_image(&full), factor, &self.small)?;
+            self.photo_planes(&self.small, pixels, options.background)?
+        } else {
+            self.photo_planes(&photo, pixels, options.background)?
+        };
+        let error = |i: usize| -> f32 {
+            let apart = |c: usize| (seen.rgb[c * pixels + i] - photo[c][i]).abs();
+            (0..3).map(apart).sum::<f32>() / 3.0
+        };
+        Ok(Picture {
+            width: seen.width,
+            intrinsics: camera.intrinsics,
+            rotation: camera.w,
+            center: camera.center,
+            error: (0..pixels).map(error).collect(),
+            photo,
+            depth,
+            transmittance: seen.transmittance,
+        })
+    }
+
+    /// Red, green and blue of a photo on the device; a transparent one lies over the background.
+    fn photo_planes(
+        &self,
+        photo: &Array<u8>,
+        pixels: usize,
+        background: [f32; 3],
+    ) -> Result<[Vec<f32>; 3]> {
+        let planes = if self.views.has_alpha { 4 } else { 3 };
+        let bytes = photo.read(0, planes * pixels)?;
+        let value = |plane: usize, i: usize| f32::from(bytes[plane * pixels + i]) / 255.0;
+        let behind = |i: usize| {
+            if self.views.has_alpha {
+                1.0 - value(3, i)
+            } else {
+                0.0
+            }
+        };
+        Ok(std::array::from_fn(|c| {
+            let pixel = |i: usize| value(c, i) + behind(i) * background[c];
+            (0..pixels).map(pixel).collect()
+        }))
+    }
+}

@@ -1,0 +1,183 @@
+//! Births in image space.
+
+use super::step::{breaches, context};
+use super::{Scene, on_threads};
+use mhsplat::config::MhConfig;
+use mhsplat::density::mh::MetropolisHastings;
+use mhsplat::density::{DensityControl, Edit, Outcome, Picture, StepContext};
+
+const SIZE: [usize; 2] = [40, 30];
+
+/// Looks along +x from (1, 2, 3). The left half is opaque at depth 5, the right half is empty; errors are in the rows from
+/// 10 to 19, three times as large in the right half.
+fn picture() -> Picture {
+    let pixels = SIZE[0] * SIZE[1];
+    let right = |i: usize| i % SIZE[0] >= SIZE[0] / 2;
+    let make = |f: &dyn Fn(usize) -> f32| (0..pixels).map(f).collect::<Vec<f32>>();
+    Picture {
+        width: SIZE[0],
+        intrinsics: [50.0, 50.0, 20.0, 15.0],
+        // Rows: camera x is −z of the scene, y is y, z is x.
+        rotation: [0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0],
+        center: [1.0, 2.0, 3.0],
+        photo: [0.25f32, 0.5, 0.75].map(|c| make(&|i| if right(i) { c } else { 0.0 })),
+        error: make(&|i| {
+            let row = i / SIZE[0];
+            let inside = (10..20).contains(&row);
+            if inside {
+                [0.1, 0.3][usize::from(right(i))]
+            } else {
+                0.0
+            }
+        }),
+        depth: make(&|i| if right(i) { f32::NAN } else { 5.0 }),
+        transmittance: make(&|i| if right(i) { 1.0 } else { 0.0 }),
+    }
+}
+
+fn config() -> MhConfig {
+    MhConfig {
+        pixel_proposals: 300,
+        coarse_proposals: 0,
+        fine_proposals: 0,
+        ..MhConfig::default()
+    }
+}
+
+fn step(config: &MhConfig, at: &StepContext<'_>) -> Outcome {
+    let scene = Scene::random(500, 3);
+    let outcome = MetropolisHastings::new(config)
+        .step(at, &scene.state(), &scene.errors())
+        .unwrap();
+    assert_eq!(breaches(500, &outcome), Vec::<String>::new());
+    outcome
+}
+
+/// Pixel coordinates and depth of a birth.
+fn seen(e: &Edit) -> [f64; 3] {
+    let [x, y, z] = e.position.map(f64::from);
+    let depth = x - 1.0;
+    [
+        20.0 - 50.0 * (z - 3.0) / depth,
+        15.0 + 50.0 * (y - 2.0) / depth,
+        depth,
+    ]
+}
+
+#[test]
+fn births_lie_behind_the_pixels_that_err() {
+    let pictures = [picture()];
+    let at = StepContext {
+        pictures: &pictures,
+        ..context(700, 0.0, 1)
+    };
+    let config = config();
+    let outcome = step(&config, &at);
+    let stats = outcome.stats;
+    assert_eq!(stats.proposed, stats.pixel[0]);
+    assert_eq!(stats.accepted, stats.pixel[1]);
+    assert!(stats.pixel[1] > 50 && stats.pixel[1] < stats.pixel[0]);
+    let births: Vec<&Edit> = outcome.edits.iter().filter(|e| e.dst >= 500).collect();
+    assert_eq!(births.len() as u64, stats.accepted);
+    let mut right = 0;
+    for e in &births {
+        let [u, v, depth] = seen(e);
+        assert!((10.0..20.0).contains(&v) && (0.0..40.0).contains(&u));
+        let color = e.color.unwrap();
+        if u >= 20.0 {
+            right += 1;
+            assert!((2.0..=20.0).contains(&depth), "{depth}");
+            assert!(color[0] < 0.0 && color[1] == 0.0 && color[2] > 0.0);
+        } else {
+            assert!((depth - 5.0).abs() < 1e-4, "{depth}");
+        }
+        // Two pixels wide at its depth.
+        let scale = f64::from(e.log_scale[0]).exp();
+        assert!((scale / (2.0 * depth / 50.0) - 1.0).abs() < 1e-4);
+        assert!((e.opacity_logit + 9f32.ln()).abs() < 1e-5);
+    }
+    // Three times the error; drawn without repetition, and accepted a little more often.
+    let share = right as f64 / births.len() as f64;
+    assert!((0.6..0.9).contains(&share), "{share}");
+}
+
+#[test]
+fn a_surface_of_zero_leaves_what_is_opaque_alone() {
+    let pictures = [picture()];
+    let at = StepContext {
+        pictures: &pictures,
+        ..context(700, 0.0, 1)
+    };
+    let share = |pixel_surface: f64| {
+        let outcome = step(
+            &MhConfig {
+                pixel_surface,
+                ..config()
+            },
+            &at,
+        );
+        let births: Vec<&Edit> = outcome.edits.iter().filter(|e| e.dst >= 500).collect();
+        assert!(births.len() > 30);
+        let left = births.iter().filter(|e| seen(e)[0] < 20.0).count();
+        left as f64 / births.len() as f64
+    };
+    assert_eq!(share(0.0), 0.0);
+    assert!(share(0.3) > 0.0 && share(0.3) < share(1.0));
+}
+
+#[test]
+fn they_are_the_same_on_any_number_of_threads_and_fade() {
+    let pictures = [picture(), picture()];
+    let at = |progress: f64| StepContext {
+        pictures: &pictures,
+        ..context(700, progress, 1)
+    };
+    let config = config();
+    let run = || step(&config, &at(0.0)).edits;
+    assert!(on_threads(1, run) == on_threads(2, run));
+    let late = step(&config, &at(0.9)).stats.pixel;
+    assert!(late[0] > 0 && late[0] <= 30, "{late:?}");
+}
+
+#[test]
+fn without_proposals_no_view_is_rendered() {
+    let wanted = |pixel_proposals: u32| {
+        MetropolisHastings::new(&MhConfig {
+            pixel_proposals,
+            ..MhConfig::default()
+        })
+        .pictures(0.3)
+    };
+    assert_eq!((wanted(0), wanted(10)), (0, 4));
+    let none = step(&config(), &context(700, 0.0, 1));
+    assert_eq!(none.stats.pixel, [0, 0]);
+}
+
+#[test]
+fn the_upper_bound_holds_and_what_broke_is_left_out() {
+    let mut broken = picture();
+    for plane in [&mut broken.depth, &mut broken.transmittance] {
+        plane.fill(f32::NAN);
+    }
+    let pictures = [broken];
+    let at = StepContext {
+        pictures: &pictures,
+        ..context(700, 0.0, 1)
+    };
+    assert_eq!(step(&config(), &at).stats.pixel, [0, 0]);
+    let pictures = [picture()];
+    let at = StepContext {
+        pictures: &pictures,
+        max_gaussians: Some(510),
+        ..context(700, 0.0, 1)
+    };
+    let bounded = step(
+        &MhConfig {
+            pixel_proposals: 300,
+            ..MhConfig::default()
+        },
+        &at,
+    );
+    assert_eq!(bounded.rows, 510);
+    assert_eq!(bounded.stats.pixel[1], 10, "voids come first");
+}

@@ -1,0 +1,244 @@
+//! The switches of Metropolis–Hastings density control, one by one.
+
+use super::step::{breaches, context, dying};
+use super::{Scene, on_threads};
+use mhsplat::config::{Acceptance, MhConfig, ViewSubset};
+use mhsplat::density::mh::MetropolisHastings;
+use mhsplat::density::{DensityControl, Evidence, Outcome, StepContext, Wanted};
+
+const N: usize = 20_000;
+
+fn with(config: &MhConfig, scene: &Scene) -> Outcome {
+    at(config, scene, &context(700, 0.1, 1))
+}
+
+fn at(config: &MhConfig, scene: &Scene, context: &StepContext<'_>) -> Outcome {
+    let outcome = MetropolisHastings::new(config)
+        .step(context, &scene.state(), &scene.errors())
+        .unwrap();
+    assert_eq!(breaches(scene.logits.len(), &outcome), Vec::<String>::new());
+    outcome
+}
+
+/// Accepted over proposed.
+fn rate(outcome: &Outcome) -> f64 {
+    outcome.stats.accepted as f64 / outcome.stats.proposed as f64
+}
+
+#[test]
+fn without_the_prior_voxels_do_not_matter() {
+    let mut scene = Scene::random(N, 8);
+    for plane in &mut scene.positions {
+        plane.iter_mut().for_each(|x| *x *= 1e-3);
+    }
+    for plane in &mut scene.log_scales {
+        plane.fill(-12.0);
+    }
+    let on = with(&MhConfig::default(), &scene);
+    for acceptance in [Acceptance::Eq20, Acceptance::ExactPrior] {
+        let off = MhConfig {
+            lambda_voxel: 0.0,
+            acceptance,
+            ..MhConfig::default()
+        };
+        let off = with(&off, &scene);
+        assert_eq!(off.stats.mean_prior, 1.0);
+        assert!(rate(&off) > 0.5 && rate(&on) < 0.2);
+    }
+}
+
+#[test]
+fn the_exact_form_accepts_by_counts_alone() {
+    let exact = MhConfig {
+        acceptance: Acceptance::ExactPrior,
+        ..MhConfig::default()
+    };
+    let mut scene = Scene::random(N, 8);
+    // Far apart: every voxel that a birth may reach is empty.
+    for plane in &mut scene.positions {
+        plane.iter_mut().for_each(|x| *x *= 1e5);
+    }
+    let outcome = with(&exact, &scene);
+    let fine = outcome.stats.fine;
+    // Fine births stay in the voxel of their source or next to it: (1/2)^5 or (2/3)^5.
+    let share = fine[1] as f64 / fine[0] as f64;
+    assert!(share > 0.03 && share < 0.14, "{share}");
+}
+
+#[test]
+fn without_importance_sources_are_uniform_and_nothing_is_watched() {
+    let off = MhConfig {
+        importance: false,
+        ..MhConfig::default()
+    };
+    let mh = MetropolisHastings::new(&off);
+    assert_eq!(mh.wanted(10, 0.0), Wanted::Nothing);
+    let mut scene = Scene::random(N, 4);
+    for (i, l) in scene.logits.iter_mut().enumerate() {
+        *l = [-3.0, 3.0][i % 2];
+    }
+    let share = |config: &MhConfig, evidence: &Evidence<'_>| {
+        let outcome = MetropolisHastings::new(config)
+            .step(&context(700, 0.5, 1), &scene.state(), evidence)
+            .unwrap();
+        let sources: Vec<u32> = outcome
+            .edits
+            .iter()
+            .filter(|e| e.dst as usize >= N)
+            .map(|e| e.src % 2)
+            .collect();
+        sources.iter().sum::<u32>() as f64 / sources.len() as f64
+    };
+    // Some thousand births: five standard errors are 0.05.
+    let uniform = share(&off, &Evidence::Nothing);
+    assert!((uniform - 0.5).abs() < 0.05, "{uniform}");
+    assert!(share(&MhConfig::default(), &scene.errors()) > 0.55);
+    // The opacity alone needs no error maps; with an error's weight they are not to be missing.
+    let opacity = MhConfig {
+        weight_ssim: 0.0,
+        weight_l1: 0.0,
+        ..MhConfig::default()
+    };
+    assert!(share(&opacity, &Evidence::Nothing) > 0.55);
+    assert!(
+        MetropolisHastings::new(&MhConfig::default())
+            .step(&context(700, 0.5, 1), &scene.state(), &Evidence::Nothing)
+            .is_err()
+    );
+}
+
+#[test]
+fn without_relocation_the_dead_stay() {
+    let off = MhConfig {
+        relocation: false,
+        ..MhConfig::default()
+    };
+    let scene = dying(7000);
+    let outcome = with(&off, &scene);
+    assert_eq!(outcome.stats.relocated, 0);
+    assert!(outcome.stats.accepted > 100);
+    for e in &outcome.edits {
+        assert!(!e.src.is_multiple_of(7), "a dead row gave birth");
+        assert!(e.dst as usize >= 7000 || e.src == e.dst);
+    }
+    assert!(with(&MhConfig::default(), &scene).stats.relocated > 0);
+}
+
+#[test]
+fn phases_can_be_left_out() {
+    let scene = Scene::random(N, 8);
+    let of = |coarse_proposals: u32, fine_proposals: u32| {
+        let config = MhConfig {
+            coarse_proposals,
+            fine_proposals,
+            ..MhConfig::default()
+        };
+        let s = with(&config, &scene).stats;
+        [s.coarse[0] > 0, s.fine[0] > 0]
+    };
+    assert_eq!(of(100, 0), [true, false]);
+    assert_eq!(of(0, 100), [false, true]);
+    assert_eq!(of(0, 0), [false, false]);
+}
+
+#[test]
+fn the_view_subset_is_the_one_asked_for() {
+    let wanted = |view_subset: ViewSubset, eta: f64| {
+        let config = MhConfig {
+            view_subset,
+            ..MhConfig::default()
+        };
+        match MetropolisHastings::new(&config).wanted(10, eta) {
+            Wanted::Errors { views } => views,
+            _ => 0,
+        }
+    };
+    for (eta, shrinking) in [(0.0, 10), (0.5, 5), (1.0, 1)] {
+        assert_eq!(wanted(ViewSubset::Shrinking, eta), shrinking);
+        assert_eq!(wanted(ViewSubset::All, eta), 10);
+        assert_eq!(wanted(ViewSubset::Fixed(4), eta), 4);
+        assert_eq!(wanted(ViewSubset::Fixed(40), eta), 10);
+    }
+    let read = |text: &str| toml::from_str::<MhConfig>(&format!("view-subset = {text}"));
+    for (text, subset) in [
+        ("\"shrinking\"", ViewSubset::Shrinking),
+        ("\"all\"", ViewSubset::All),
+        ("7", ViewSubset::Fixed(7)),
+    ] {
+        let config = read(text).unwrap();
+        assert_eq!(config.view_subset, subset);
+        let again: MhConfig = toml::from_str(&toml::to_string(&config).unwrap()).unwrap();
+        assert_eq!(again, config);
+    }
+    for bad in ["0", "-1", "\"some\"", "1.5"] {
+        assert!(read(bad).is_err(), "{bad}");
+    }
+}
+
+#[test]
+fn the_target_rate_is_kept_and_temperature_raises_it() {
+    let scene = Scene::random(N, 8);
+    for (target, wanted) in [([0.2, 0.2], 0.2), ([0.8, 0.3], 0.55)] {
+        let config = MhConfig {
+            target_acceptance: target,
+            ..MhConfig::default()
+        };
+        let outcome = at(&config, &scene, &context(700, 0.5, 1));
+        // Some thousand proposals: five standard errors.
+        assert!((rate(&outcome) - wanted).abs() < 0.03, "{}", rate(&outcome));
+    }
+    let cold = with(&MhConfig::default(), &scene);
+    let warm = MhConfig {
+        temperature: [3.0, 1.0],
+        ..MhConfig::default()
+    };
+    assert!(rate(&with(&warm, &scene)) > 1.3 * rate(&cold));
+}
+
+#[test]
+fn voxels_far_from_the_cameras_take_fewer() {
+    let scene = Scene::random(N, 8);
+    let cameras = [[100.0, 0.0, 0.0], [0.0, 40.0, 0.0]];
+    let far = StepContext {
+        cameras: &cameras,
+        ..context(700, 0.1, 1)
+    };
+    let growing = MhConfig {
+        voxel_growth_from: 5.0,
+        ..MhConfig::default()
+    };
+    let plain = with(&MhConfig::default(), &scene).stats;
+    let grown = at(&growing, &scene, &far).stats;
+    // 40 of 5 units: edges are eight times as long.
+    assert!(grown.occupied_voxels * 4 < plain.occupied_voxels);
+    assert!(grown.mean_prior < plain.mean_prior);
+    let near = at(&growing, &scene, &context(700, 0.1, 1)).stats;
+    assert_eq!(near, plain, "no camera, no growth");
+    let run = || at(&growing, &scene, &far).edits;
+    assert!(on_threads(1, run) == on_threads(3, run));
+}
+
+#[test]
+fn values_out_of_their_domain_are_refused_by_name() {
+    type Change = fn(&mut MhConfig);
+    let cases: [(&str, Change); 9] = [
+        ("temperature", |c| c.temperature = [0.0, 1.0]),
+        ("target-acceptance", |c| c.target_acceptance = [0.5, 0.0]),
+        ("target-acceptance", |c| c.target_acceptance = [0.5, 1.0]),
+        ("voxel-growth-from", |c| c.voxel_growth_from = f64::NAN),
+        ("pixel-views", |c| c.pixel_views = 0),
+        ("pixel-far", |c| c.pixel_far = [3.0, 2.0]),
+        ("pixel-surface", |c| c.pixel_surface = 1.1),
+        ("pixel-opacity", |c| c.pixel_opacity = 1.0),
+        ("lambda-voxel", |c| c.lambda_voxel = -1.0),
+    ];
+    for (name, change) in cases {
+        let mut config = MhConfig {
+            pixel_proposals: 1,
+            ..MhConfig::default()
+        };
+        change(&mut config);
+        let said = config.validate().unwrap_err().to_string();
+        assert!(said.contains(name), "{said}");
+    }
+}
