@@ -258,6 +258,11 @@ fn the_command_writes_a_page_and_json() {
     assert_eq!(first["views"].as_array().unwrap().len(), 2);
     assert!(first["forms"][1]["correlations"][5]["spearman"]["value"].is_f64());
     assert!(first["candidates"][0]["gain"][0].is_f64());
+    // The shares are those of the candidates in the file.
+    let seen = first["candidates"].as_array().unwrap();
+    let good = seen.iter().filter(|c| c["gain"][1].as_f64() > Some(0.0));
+    let share = good.count() as f64 / rows as f64;
+    assert!(close(first["forms"][1]["lowering"].as_f64(), share));
     // Over its own pages again, to the same figures; on stdout the same document.
     let again: serde_json::Value =
         serde_json::from_str(&done(&[&all[..], &["--json"]].concat())).unwrap();

@@ -212,12 +212,9 @@ pub fn band_chart(title: &str, x: &Axis<'_>, y: &Axis<'_>, series: &[Banded]) ->
     out.push_str("<div>");
     for (index, series) in series.iter().enumerate() {
         let last = series.value.or(series.line.last().map(|p| p.1));
-        let last = match last {
-            Some(v) => laid_y.value_label(v),
-            // Points alone have no last value.
-            None if !series.samples.is_empty() => String::new(),
-            None => "no data".to_owned(),
-        };
+        // Points alone have no last value.
+        let without = ["", "no data"][usize::from(series.samples.is_empty())];
+        let last = last.map_or_else(|| without.to_owned(), |v| laid_y.value_label(v));
         let name = escape(&series.name);
         let key = match name.as_str() {
             "" => String::new(),

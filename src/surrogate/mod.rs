@@ -174,6 +174,20 @@ struct Subject<'a> {
 }
 
 impl Subject<'_> {
+    /// The renders and the loss of training at the checkpoint.
+    fn setting(&self, schedule: &Schedule, probe: f64) -> Setting {
+        Setting {
+            render: RenderOptions {
+                sh_degree: schedule.sh_degree(self.saved.state.iteration),
+                background: schedule.fixed_background(),
+                quantity: Quantity::Color,
+            },
+            lambda_ssim: f64::from(self.saved.config.loss.lambda_ssim),
+            alpha_min: ALPHA_MIN,
+            probe,
+        }
+    }
+
     fn check<R: Real>(
         self,
         device: &Device,
@@ -182,16 +196,7 @@ impl Subject<'_> {
     ) -> Result<Report> {
         let (config, done) = (&self.saved.config, self.saved.state.iteration);
         let schedule = Schedule::new(config);
-        let setting = Setting {
-            render: RenderOptions {
-                sh_degree: schedule.sh_degree(done),
-                background: schedule.fixed_background(),
-                quantity: Quantity::Color,
-            },
-            lambda_ssim: f64::from(config.loss.lambda_ssim),
-            alpha_min: ALPHA_MIN,
-            probe,
-        };
+        let setting = self.setting(&schedule, probe);
         let chosen = choose_views(self.dataset.train.len(), self.options);
         let photos = Photos::new(device, self.dataset.image_budget);
         let train = &self.dataset.train;

@@ -86,6 +86,8 @@ pub struct FormOutcome {
     pub lowering: f64,
     /// The same of those drawn as proposals.
     pub lowering_proposals: f64,
+    /// The same of those whose probe foretells a gain, and of those whose probe does not; none where there are none.
+    pub lowering_by_probe: [Option<f64>; 2],
     /// Mean gain.
     pub mean_gain: f64,
     /// Quartiles of the gain.
@@ -100,11 +102,33 @@ pub struct FormOutcome {
 
 pub(super) fn of_form(form: usize, all: &[Judged], seed: u64) -> FormOutcome {
     let gains: Vec<f64> = all.iter().map(|j| j.gain[form]).collect();
-    let share = |keep: fn(&Candidate) -> bool| {
-        let kept = || all.iter().filter(|j| keep(&j.candidate));
+    let share = |keep: &dyn Fn(&Judged) -> bool| {
+        let kept = || all.iter().filter(|j| keep(j));
         let good = kept().filter(|j| j.gain[form] > 0.0).count();
-        good as f64 / kept().count().max(1) as f64
+        (kept().count() > 0).then(|| good as f64 / kept().count() as f64)
     };
+    let along = |of: &dyn Fn(&Judged) -> f64| {
+        let x: Vec<f64> = all.iter().map(of).collect();
+        bins(&x, &gains, BINS)
+    };
+    FormOutcome {
+        birth: ["copy", "split"][form.min(1)],
+        lowering: share(&|_| true).unwrap_or(0.0),
+        lowering_proposals: share(&|j| j.candidate.draw == Draw::Proposal).unwrap_or(0.0),
+        lowering_by_probe: [
+            share(&|j| j.probe[form] > 0.0),
+            share(&|j| j.probe[form] <= 0.0),
+        ],
+        mean_gain: gains.iter().sum::<f64>() / gains.len().max(1) as f64,
+        quartiles: quartiles(&gains),
+        correlations: correlations(form, all, seed),
+        by_importance: along(&|j| j.candidate.importance),
+        by_probe: along(&|j| j.probe[form]),
+    }
+}
+
+/// Every predictor over every subset.
+fn correlations(form: usize, all: &[Judged], seed: u64) -> Vec<Correlation> {
     let mut correlations = Vec::new();
     for (s, (subset, keep)) in SUBSETS.into_iter().enumerate() {
         for (p, (predictor, value)) in PREDICTORS.into_iter().enumerate() {
@@ -122,20 +146,7 @@ pub(super) fn of_form(form: usize, all: &[Judged], seed: u64) -> FormOutcome {
             });
         }
     }
-    let along = |of: &dyn Fn(&Judged) -> f64| {
-        let x: Vec<f64> = all.iter().map(of).collect();
-        bins(&x, &gains, BINS)
-    };
-    FormOutcome {
-        birth: ["copy", "split"][form.min(1)],
-        lowering: share(|_| true),
-        lowering_proposals: share(|c| c.draw == Draw::Proposal),
-        mean_gain: gains.iter().sum::<f64>() / gains.len().max(1) as f64,
-        quartiles: quartiles(&gains),
-        correlations,
-        by_importance: along(&|j| j.candidate.importance),
-        by_probe: along(&|j| j.probe[form]),
-    }
+    correlations
 }
 
 impl FormOutcome {

@@ -81,6 +81,10 @@ fn correlations(form: &FormOutcome, all: bool) -> Table {
     });
     let [q1, q2, q3] = form.quartiles.unwrap_or([f64::NAN; 3]).map(gain);
     let columns = ["predictor", "candidates", "ρ_S", "τ_b", "best tenth, 10⁻⁶"];
+    let percent = |share: f64| fixed(100.0 * share, 0);
+    let [good, bad] = form
+        .lowering_by_probe
+        .map(|share| share.map_or_else(|| "–".into(), percent));
     Table {
         title: match all {
             true => format!("Birth {}", form.birth),
@@ -88,10 +92,10 @@ fn correlations(form: &FormOutcome, all: bool) -> Table {
         },
         note: match all {
             true => format!(
-                "{} % of the candidates lower the loss ({} % of those drawn as proposals). Gain in millionths: mean {}, quartiles \
-                 {q1}, {q2}, {q3}.",
-                fixed(100.0 * form.lowering, 0),
-                fixed(100.0 * form.lowering_proposals, 0),
+                "{} % of the candidates lower the loss ({} % of those drawn as proposals): {good} % of those whose probe \
+                 foretells a gain, {bad} % of the others. Gain in millionths: mean {}, quartiles {q1}, {q2}, {q3}.",
+                percent(form.lowering),
+                percent(form.lowering_proposals),
                 gain(form.mean_gain),
             ),
             false => String::new(),
