@@ -185,6 +185,23 @@ impl MetropolisHastings {
         check_lengths(scene, [cues.ssim.len(), cues.l1.len(), cues.views.len()])
     }
 
+    /// Voxel counts of the state that proposals are made in, the one after relocation: moved rows count where they are now.
+    fn counts<'a>(
+        &self,
+        context: &StepContext<'a>,
+        scene: &SceneState<'_>,
+        relocation: &Relocation,
+    ) -> VoxelCounts<'a> {
+        let edge = lerp(self.config.voxel_edge, context.progress);
+        let lattice = Lattice::growing(edge, self.config.voxel_growth_from, context.cameras);
+        let mut counts =
+            VoxelCounts::count_where(scene.positions, lattice, |i| relocation.alive[i]);
+        for edit in relocation.moved_edits() {
+            counts.add(edit.position.map(f64::from));
+        }
+        counts
+    }
+
     /// I of every row (Eq. 13); ½ if it is switched off.
     fn importance(&self, scene: &SceneState<'_>, cues: &Cues<'_>) -> Vec<f64> {
         let c = &self.config;
@@ -245,14 +262,7 @@ impl DensityControl for MetropolisHastings {
         } else {
             Relocation::none(scene, c.dead_opacity)
         };
-        // The state proposals are made in is the one after relocation: moved rows count where they are now.
-        let edge = lerp(c.voxel_edge, eta);
-        let lattice = Lattice::growing(edge, c.voxel_growth_from, context.cameras);
-        let mut counts =
-            VoxelCounts::count_where(scene.positions, lattice, |i| relocation.alive[i]);
-        for edit in relocation.moved_edits() {
-            counts.add(edit.position.map(f64::from));
-        }
+        let mut counts = self.counts(context, scene, &relocation);
         let importance = self.importance(scene, &cues);
         let alive = relocation.alive_rows.par_iter();
         let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
