@@ -203,7 +203,7 @@ fn tables_reject_what_is_not_theirs() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.csv");
     let header = DensityRow::COLUMNS.join(",");
-    let good = "100,1.5,9,3,2,0,0,1,1,2,1,4,0.5,0,0,0";
+    let good = "100,1.5,9,3,2,0,0,1,1,2,1,4,0.5,0,0,0,0,0";
     let put = |line: &str| {
         std::fs::write(&path, format!("{header}\n{good}\n{line}\n")).unwrap();
         read_density(&path)
@@ -211,9 +211,9 @@ fn tables_reject_what_is_not_theirs() {
     assert_eq!(put("").unwrap().len(), 1);
     for line in [
         "100",
-        "x,1,9,3,2,0,0,1,1,2,1,4,0.5,0,0,0",
-        "1,NaN,9,3,2,0,0,1,1,2,1,4,0.5,0,0,0",
-        "1,2,-9,3,2,0,0,1,1,2,1,4,0.5,0,0,0",
+        "x,1,9,3,2,0,0,1,1,2,1,4,0.5,0,0,0,0,0",
+        "1,NaN,9,3,2,0,0,1,1,2,1,4,0.5,0,0,0,0,0",
+        "1,2,-9,3,2,0,0,1,1,2,1,4,0.5,0,0,0,0,0",
         &format!("{good},7"),
     ] {
         let found = put(line);
