@@ -116,7 +116,10 @@ impl Schedule {
     #[must_use]
     pub fn density_due(&self, done: u32) -> Option<f64> {
         let [from, until] = self.density_span();
-        if done < from || done >= until || !done.is_multiple_of(self.density_interval()) {
+        if done < from
+            || done >= until.min(self.config.iterations)
+            || !done.is_multiple_of(self.density_interval())
+        {
             return None;
         }
         Some(f64::from(done - from) / f64::from((until - from).max(1)))
@@ -132,12 +135,22 @@ impl Schedule {
         self.density_due(due).map(|progress| (due, progress))
     }
 
-    /// Opacity resets (adc) before the density step at `done`, and with it.
+    /// Opacity resets (adc) that come at intervals, before the density step at `done`.
     #[must_use]
-    pub fn opacity_resets(&self, done: u32) -> [u32; 2] {
+    pub fn opacity_resets(&self, done: u32) -> u32 {
         let every = self.scaled(self.config.adc.reset_interval).max(1);
-        let before = done.saturating_sub(self.density_interval());
-        [before / every, done / every]
+        done.saturating_sub(self.density_interval()) / every
+    }
+
+    /// Whether opacity is reset (adc) with the density step at `done`: as it is due by the interval, and before a white
+    /// background at the first step, too (released code: at `densify_from_iter`).
+    #[must_use]
+    pub fn resets_opacity(&self, done: u32) -> bool {
+        let every = self.scaled(self.config.adc.reset_interval).max(1);
+        let [from, _] = self.density_span();
+        let first = done < from + self.density_interval();
+        done / every > self.opacity_resets(done)
+            || (first && self.config.background == Background::White)
     }
 
     /// Iterations between two evaluations, 0 for none before the end.

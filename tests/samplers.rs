@@ -2,7 +2,7 @@
 
 use crate::determinism::room;
 use mhsplat::TrainConfig;
-use mhsplat::config::{AdcConfig, McmcConfig, OptimizerConfig, Sampler};
+use mhsplat::config::{AdcConfig, Background, McmcConfig, OptimizerConfig, Sampler};
 use mhsplat::gpu::Device;
 use mhsplat::model::{Plane, Splats};
 use mhsplat::run::initial_splats;
@@ -179,12 +179,16 @@ fn all_dead_scenes_are_survived() {
     }
 }
 
-fn schedule(sampler: Sampler, iterations: u32) -> Schedule {
-    Schedule::new(&TrainConfig {
+fn schedule_config(sampler: Sampler, iterations: u32) -> TrainConfig {
+    TrainConfig {
         sampler,
         iterations,
         ..TrainConfig::default()
-    })
+    }
+}
+
+fn schedule(sampler: Sampler, iterations: u32) -> Schedule {
+    Schedule::new(&schedule_config(sampler, iterations))
 }
 
 #[test]
@@ -214,10 +218,7 @@ fn each_sampler_has_its_own_times_and_they_scale() {
 fn opacity_is_reset_every_3000_of_30000() {
     let resets = |iterations: u32| -> Vec<u32> {
         let s = schedule(Sampler::Adc, iterations);
-        let due = |i: &u32| {
-            let [before, by_now] = s.opacity_resets(*i);
-            s.density_due(*i).is_some() && by_now > before
-        };
+        let due = |i: &u32| s.density_due(*i).is_some() && s.resets_opacity(*i);
         (0..iterations).filter(due).collect()
     };
     assert_eq!(resets(30_000), [3000, 6000, 9000, 12_000]);
@@ -227,6 +228,31 @@ fn opacity_is_reset_every_3000_of_30000() {
         let from = 300 * (k as u32 + 1);
         assert!((from..from + 100).contains(at), "{short:?}");
     }
+}
+
+#[test]
+fn before_white_opacity_is_reset_at_the_first_step_too() {
+    let first = |background| {
+        let s = Schedule::new(&TrainConfig {
+            background,
+            ..schedule_config(Sampler::Adc, 30_000)
+        });
+        assert!(s.density_due(600).is_some() && s.density_due(700).is_some());
+        // It does not count among those that come at intervals.
+        assert_eq!(s.opacity_resets(700), 0);
+        [s.resets_opacity(600), s.resets_opacity(700)]
+    };
+    assert_eq!(first(Background::White), [true, false]);
+    assert_eq!(first(Background::Black), [false, false]);
+}
+
+#[test]
+fn no_step_comes_after_the_last_iteration() {
+    let mut config = schedule_config(Sampler::Mh, 3000);
+    config.mh.until_iteration = 60_000;
+    let s = Schedule::new(&config);
+    assert!((0..3000).any(|i| s.density_due(i).is_some()));
+    assert!((3000..6000).all(|i| s.density_due(i).is_none()));
 }
 
 #[test]

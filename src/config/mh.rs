@@ -131,8 +131,9 @@ pub struct MhConfig {
     /// s·2^⌊log2(d / this)⌋. 0: the edge is s everywhere, as in Eq. 7.
     pub voxel_growth_from: f64,
     /// Births proposed in image space per step at η = 0, at pixels drawn ∝ e·(τ + s·(1−τ)) with L1 error e, remaining
-    /// transmittance τ and s = `pixel-surface`; 0 leaves them out. They reach what is too far from every Gaussian for a copy
-    /// of one, and are not in the paper.
+    /// transmittance τ and s = `pixel-surface`, times the share Σ e·(τ + s·(1−τ)) / Σ e of the error that lies there: a
+    /// scene without voids has none. 0 leaves them out. They reach what is too far from every Gaussian for a copy of one,
+    /// and are not in the paper.
     pub pixel_proposals: u32,
     /// Views whose pixels are drawn from: those that training takes next.
     pub pixel_views: u32,

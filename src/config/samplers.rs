@@ -177,8 +177,11 @@ impl AdcConfig {
                 "prune-opacity in [0, 1) and reset-opacity between 0 and 1 expected",
             ));
         }
-        if self.reset_interval == 0 {
-            return Err(Error::config("adc.reset-interval", "at least 1 expected"));
+        if self.reset_interval == 0 || self.reset_interval < self.from_iteration {
+            return Err(Error::config(
+                "adc.reset-interval",
+                "at least 1, and no less than adc.from-iteration, expected",
+            ));
         }
         self.times().validate("adc")
     }

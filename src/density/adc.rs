@@ -36,20 +36,22 @@ impl Adaptive {
         Self { config: *config }
     }
 
+    /// Largest scale of a row; a NaN counts as the smallest.
+    fn size(scene: &SceneState<'_>, row: usize) -> f64 {
+        let scales = scene.log_scales.map(|plane| plane[row]);
+        f64::from(scales.into_iter().fold(f32::MIN, f32::max)).exp()
+    }
+
     /// What is to become of a row on which training pulled so hard. Pruning comes after cloning and splitting and sees what
     /// they leave: so what is too transparent has no copies, and what is too large may stay as two smaller ones.
     fn fate(&self, scene: &SceneState<'_>, row: usize, pull: f64, bounded_size: bool) -> Fate {
         let c = &self.config;
-        let Some(log_scale) = gather(&scene.log_scales, row) else {
-            return Fate::Stays;
-        };
         // Says what is good, so that what broke goes.
         let opacity = sigmoid(f64::from(scene.opacity_logits[row]));
         if !(opacity >= c.prune_opacity && is_finite(scene, row)) {
             return Fate::Goes;
         }
-        let largest = log_scale.into_iter().fold(f32::MIN, f32::max);
-        let size = f64::from(largest).exp();
+        let size = Self::size(scene, row);
         let fate = match (pull > c.grad_threshold, size <= c.clone_scale) {
             (false, _) => Fate::Stays,
             (true, true) => Fate::Clones,
@@ -131,14 +133,15 @@ fn pull(gradient: &ScreenGradient<'_>, row: usize) -> f64 {
     }
 }
 
-/// The births there is room for, by row: where not all fit, those with the largest gradient, ties by row.
-fn bounded(mut births: Vec<Birth>, room: usize) -> Vec<Birth> {
-    if births.len() > room {
-        births.sort_by(|a, b| b.pull.total_cmp(&a.pull).then(a.row.cmp(&b.row)));
-        births.truncate(room);
-        births.sort_by_key(|b| b.row);
+/// Splits off the births that there is no room for: of all, those with the largest gradient stay, ties by row. Both by row.
+fn bounded(births: &mut Vec<Birth>, room: usize) -> Vec<Birth> {
+    if births.len() <= room {
+        return Vec::new();
     }
-    births
+    births.sort_by(|a, b| b.pull.total_cmp(&a.pull).then(a.row.cmp(&b.row)));
+    let rest = births.split_off(room);
+    births.sort_by_key(|b| b.row);
+    rest
 }
 
 impl DensityControl for Adaptive {
@@ -157,12 +160,12 @@ impl DensityControl for Adaptive {
         };
         check_lengths(scene, [gradient.norms.len(), gradient.views.len()])?;
         let n = scene.len();
-        let [resets_before, resets] = context.opacity_resets;
+        let bounded_size = context.opacity_resets > 0;
         let fates: Vec<(Fate, f64)> = (0..n)
             .into_par_iter()
             .map(|row| {
                 let pull = pull(gradient, row);
-                (self.fate(scene, row, pull, resets_before > 0), pull)
+                (self.fate(scene, row, pull, bounded_size), pull)
             })
             .collect();
         let (mut births, mut removed) = (Vec::new(), Vec::new());
@@ -180,14 +183,23 @@ impl DensityControl for Adaptive {
         // Rows are named by 32 bits.
         let most = context.max_gaussians.unwrap_or(usize::MAX);
         let room = most.saturating_sub(n - removed.len());
+        let proposed = births.len() as u64;
+        let rest = bounded(&mut births, room.min(u32::MAX as usize - n));
+        if bounded_size {
+            // Whole, what was to be split is too large to stay.
+            let too_large =
+                |b: &&Birth| Self::size(scene, b.row as usize) > self.config.prune_scale;
+            removed.extend(rest.iter().filter(too_large).map(|b| b.row));
+            removed.sort_unstable();
+        }
         let mut stats = DensityStats {
-            proposed: births.len() as u64,
+            proposed,
             pruned: removed.len() as u64,
-            opacity_resets: u64::from(resets > resets_before),
+            opacity_resets: u64::from(context.resets_opacity),
             ..DensityStats::default()
         };
         let (mut edits, mut dst) = (Vec::new(), n as u32);
-        for birth in &bounded(births, room.min(u32::MAX as usize - n)) {
+        for birth in &births {
             if self.bear(&mut edits, context, scene, birth, dst) {
                 dst += 1;
                 stats.cloned += u64::from(birth.fate == Fate::Clones);
@@ -199,7 +211,9 @@ impl DensityControl for Adaptive {
         Ok(Outcome {
             edits,
             rows: dst as usize,
-            logit_limit: (resets > resets_before).then(|| (limit / (1.0 - limit)).ln() as f32),
+            logit_limit: context
+                .resets_opacity
+                .then(|| (limit / (1.0 - limit)).ln() as f32),
             removed,
             stats,
         })

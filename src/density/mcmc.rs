@@ -2,7 +2,7 @@
 //! §3): noise on the positions after every optimiser step explores; a step of density control relocates the dead (§3.2)
 //! and grows the set by a fixed rate until the cap, both by splitting Gaussians that are drawn ∝ opacity (Eq. 9).
 
-use super::draw::{Categorical, gather};
+use super::draw::{Categorical, gather, is_finite};
 use super::relocate::Relocation;
 use super::relocation::{sigmoid, split};
 use super::{
@@ -138,7 +138,16 @@ fn draw_sources(
     for edit in &relocation.edits {
         logits[edit.dst as usize] = edit.opacity_logit;
     }
-    let weights: Vec<f64> = logits.par_iter().map(|l| sigmoid(f64::from(*l))).collect();
+    // What broke and found no place has nothing to copy.
+    let weight = |(row, logit): (usize, &f32)| {
+        let whole = is_finite(scene, row) || relocation.edit(row as u32).is_some();
+        if whole {
+            sigmoid(f64::from(*logit))
+        } else {
+            0.0
+        }
+    };
+    let weights: Vec<f64> = logits.par_iter().enumerate().map(weight).collect();
     let categorical = Categorical::new(&weights);
     let stream = Purpose::Growth.stream(context.iteration);
     let mut rows: Vec<u32> = (0..births as u64)

@@ -127,8 +127,10 @@ pub struct StepContext<'a> {
     pub seed: u64,
     /// Upper bound of the number of Gaussians.
     pub max_gaussians: Option<usize>,
-    /// Opacity resets that are due by now: before this step, and with it.
-    pub opacity_resets: [u32; 2],
+    /// Opacity resets of those that come at intervals, before this step.
+    pub opacity_resets: u32,
+    /// Whether a reset comes with this step.
+    pub resets_opacity: bool,
     /// Centres of the training cameras, local units.
     pub cameras: &'a [[f32; 3]],
     /// As many views as [`DensityControl::pictures`] names, as they are rendered now.

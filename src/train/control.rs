@@ -121,6 +121,7 @@ impl Trainer {
             seed: self.config.seed,
             max_gaussians: self.config.max_gaussians,
             opacity_resets: self.schedule.opacity_resets(self.iteration),
+            resets_opacity: self.schedule.resets_opacity(self.iteration),
             cameras: &cameras,
             pictures: &pictures,
         };

@@ -44,8 +44,10 @@ fn step_on(toy: &(Scene, Vec<f32>, Vec<u32>), context: &StepContext) -> Outcome 
 
 /// A step with so many resets due before and by it, and this bound.
 fn step(opacity_resets: [u32; 2], max_gaussians: Option<usize>) -> Outcome {
+    let [before, by_now] = opacity_resets;
     let context = StepContext {
-        opacity_resets,
+        opacity_resets: before,
+        resets_opacity: by_now > before,
         max_gaussians,
         ..context(600, 0.0, 3)
     };
@@ -156,6 +158,12 @@ fn the_bound_takes_the_largest_gradients_first() {
     assert_eq!(within(11), (11, vec![5, 6]));
     assert_eq!(within(10), (10, vec![5]));
     assert_eq!(within(9), (9, vec![]));
+    // After the first reset three go, and 5, which is too large, goes too if it is not split. What its going leaves free is
+    // not given away in the same step.
+    let after = step([1, 1], Some(7));
+    assert_eq!((after.removed, after.stats.split), (vec![3, 4, 5, 6], 0));
+    let after = step([1, 1], Some(8));
+    assert_eq!((after.removed, after.stats.split), (vec![3, 4, 6], 1));
     assert_eq!(within(1), (9, vec![]), "the bound removes nothing");
 }
 

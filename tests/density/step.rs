@@ -15,7 +15,8 @@ pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext<'static>
         progress,
         seed,
         max_gaussians: None,
-        opacity_resets: [0, 0],
+        opacity_resets: 0,
+        resets_opacity: false,
         cameras: &[],
         pictures: &[],
     }
@@ -202,12 +203,37 @@ fn the_upper_bound_holds() {
         assert_eq!(outcome.rows, limit.min(free.rows).max(3000));
         assert_eq!(outcome.stats.accepted as usize, outcome.rows - 3000);
         assert_eq!(breaches(3000, &outcome), Vec::<String>::new());
-        assert_eq!(
-            outcome.edits[..],
-            free.edits[..outcome.edits.len()],
-            "the first births stay"
-        );
     }
+}
+
+#[test]
+fn room_for_some_births_is_drawn_among_all_of_them() {
+    let scene = Scene::random(20_000, 21);
+    let free = step_with(Birth::Copy, &scene, &context(700, 0.1, 1));
+    let coarse = free.stats.coarse[1] as usize;
+    let source = |outcome: &Outcome| -> Vec<f64> {
+        let births = &outcome.edits[outcome.edits.len() - (outcome.rows - 20_000)..];
+        births.iter().map(|e| f64::from(e.src)).collect()
+    };
+    let all = source(&free)[..coarse].to_vec();
+    let bounded = StepContext {
+        max_gaussians: Some(20_000 + coarse / 4),
+        ..context(700, 0.1, 1)
+    };
+    let some = source(&step_with(Birth::Copy, &scene, &bounded));
+    assert_eq!(some.len(), coarse / 4);
+    let mean = |rows: &[f64]| rows.iter().sum::<f64>() / rows.len() as f64;
+    // Rows are spread evenly, with a standard deviation of 20,000/√12.
+    let deviation = 20_000.0 / (12.0 * some.len() as f64).sqrt();
+    assert!(
+        (mean(&some) - mean(&all)).abs() < 4.0 * deviation,
+        "{} against {}: the first rows come first",
+        mean(&some),
+        mean(&all)
+    );
+    assert!(some.iter().all(|row| all.contains(row)));
+    // The first ones would fail this.
+    assert!((mean(&all[..coarse / 4]) - mean(&all)).abs() > 4.0 * deviation);
 }
 
 #[test]

@@ -32,39 +32,44 @@ impl Births {
         }
     }
 
-    /// Appends the accepted births of a kind in the order of decision, until the limit; the
-    /// rest is dropped and does not count as accepted.
+    /// Whether there is no room for any more.
+    pub(super) fn full(&self) -> bool {
+        self.len >= self.limit
+    }
+
+    /// Appends the accepted births of a kind. Where there is no room for all, as many as there is room for, by lot: in the
+    /// order of rows they would be those of one corner of the scene. The rest does not count as accepted.
     pub(super) fn take(
         &mut self,
         kind: Kind,
         decisions: &[Decision],
         counts: &mut VoxelCounts<'_>,
     ) {
-        let before = self.len;
-        for decision in decisions {
-            self.prior_sum += decision.prior;
-            let free = u32::try_from(self.len)
-                .ok()
-                .filter(|_| self.len < self.limit);
-            if let (true, Some(dst)) = (decision.accepted, free) {
-                let births = match kind {
-                    Kind::Pixel => &mut self.fresh,
-                    Kind::Coarse | Kind::Fine => &mut self.edits,
-                };
-                births.push(Edit {
-                    dst,
-                    ..decision.edit
-                });
-                self.len += 1;
-                counts.add(decision.edit.position.map(f64::from));
-            }
+        self.prior_sum += decisions.iter().map(|d| d.prior).sum::<f64>();
+        let accepted = decisions.iter().enumerate().filter(|(_, d)| d.accepted);
+        let mut born: Vec<(usize, &Decision)> = accepted.collect();
+        let room = self.limit.saturating_sub(self.len);
+        if born.len() > room {
+            born.sort_by(|a, b| a.1.lot.total_cmp(&b.1.lot));
+            born.truncate(room);
+            born.sort_by_key(|(at, _)| *at);
         }
-        let tally = [decisions.len() as u64, (self.len - before) as u64];
-        match kind {
-            Kind::Pixel => self.stats.pixel = tally,
-            Kind::Coarse => self.stats.coarse = tally,
-            Kind::Fine => self.stats.fine = tally,
+        let tally = [decisions.len() as u64, born.len() as u64];
+        let (births, counter) = match kind {
+            Kind::Pixel => (&mut self.fresh, &mut self.stats.pixel),
+            Kind::Coarse => (&mut self.edits, &mut self.stats.coarse),
+            Kind::Fine => (&mut self.edits, &mut self.stats.fine),
+        };
+        *counter = tally;
+        // The limit is a number of 32 bits.
+        for (dst, (_, decision)) in (self.len as u32..).zip(born) {
+            births.push(Edit {
+                dst,
+                ..decision.edit
+            });
+            counts.add(decision.edit.position.map(f64::from));
         }
+        self.len += tally[1] as usize;
     }
 
     pub(super) fn finish(

@@ -62,6 +62,8 @@ struct Decision {
     /// D(v′).
     prior: f64,
     accepted: bool,
+    /// ln(u/ρ^{1/T}): of accepted ones uniform noise, by which those are drawn that there is room for.
+    lot: f64,
 }
 
 /// What both phases of a step read.
@@ -115,10 +117,14 @@ impl MetropolisHastings {
         } else {
             lerp(c.temperature, eta)
         };
-        let decided = |p: Proposal| Decision {
-            edit: p.edit,
-            prior: p.prior,
-            accepted: accept::accepts(p.u, p.ln_rho / temperature),
+        let decided = |p: Proposal| {
+            let ln_rho = p.ln_rho / temperature;
+            Decision {
+                edit: p.edit,
+                prior: p.prior,
+                accepted: accept::accepts(p.u, ln_rho),
+                lot: p.u.ln() - ln_rho,
+            }
         };
         proposals.into_iter().map(decided).collect()
     }
@@ -275,7 +281,8 @@ impl DensityControl for MetropolisHastings {
         };
         let mut births = Births::new(scene.len(), context.max_gaussians);
         // Where room is short, voids come first.
-        if let (Some(&row), false) = (relocation.alive_rows.first(), context.pictures.is_empty()) {
+        let pictured = !(context.pictures.is_empty() || births.full());
+        if let (Some(&row), true) = (relocation.alive_rows.first(), pictured) {
             let proposals = pixel::propose(c, context, row, &counts);
             births.take(Kind::Pixel, &self.decide(proposals, eta), &mut counts);
         }
@@ -283,6 +290,9 @@ impl DensityControl for MetropolisHastings {
             .into_iter()
             .zip(self.phases(context))
         {
+            if births.full() {
+                break;
+            }
             let proposals = self.propose(&step, &phase, &counts);
             births.take(kind, &self.decide(proposals, eta), &mut counts);
         }

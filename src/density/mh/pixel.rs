@@ -61,6 +61,16 @@ impl<'a> Pixels<'a> {
         self.errors.iter().zip(seen).map(|(e, s)| e * s).collect()
     }
 
+    /// Share of all error that the weights leave, Σ e·(τ + s·(1−τ)) / Σ e; 0 where there is no error.
+    fn share(&self, weights: &[f64]) -> f64 {
+        let all = self.mean * self.errors.len() as f64;
+        if all > 0.0 {
+            (weights.iter().sum::<f64>() / all).clamp(0.0, 1.0)
+        } else {
+            0.0
+        }
+    }
+
     /// σ of the error's deviation from the mean, in standard deviations, as I is of a Gaussian.
     fn importance(&self, pixel: usize) -> f64 {
         sigmoid((self.errors[pixel] - self.mean) / self.deviation)
@@ -80,12 +90,14 @@ pub(super) fn propose(
     src: u32,
     counts: &VoxelCounts<'_>,
 ) -> Vec<Proposal> {
-    let wanted = shrinking(config.pixel_proposals as usize, context.progress);
     let pixels = Pixels::new(context.pictures);
+    let weights = pixels.weights(config.pixel_surface);
+    let all = shrinking(config.pixel_proposals as usize, context.progress);
+    let wanted = (all as f64 * pixels.share(&weights)).round() as usize;
     let stream = |purpose: Purpose| purpose.stream(context.iteration);
     let (place, accept) = (stream(Purpose::PixelPlace), stream(Purpose::PixelAccept));
-    let drawn = Categorical::new(&pixels.weights(config.pixel_surface));
-    let drawn = drawn.draw_unique(wanted, context.seed, stream(Purpose::PixelDraw));
+    let drawn =
+        Categorical::new(&weights).draw_unique(wanted, context.seed, stream(Purpose::PixelDraw));
     let proposal = |pixel: usize| {
         let (picture, at) = pixels.find(pixel)?;
         let u = Philox::uniform(context.seed, place, pixel as u64);
