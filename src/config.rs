@@ -58,7 +58,7 @@ pub struct OptimizerConfig {
     pub lr_sh0: f32,
     /// Higher SH bands.
     pub lr_sh: f32,
-    /// Opacity logit, for every sampler but mcmc, which has its own (`McmcConfig::lr_opacity`).
+    /// Opacity logit, for every sampler (\[3DGS\] as published, \[MCMC\]; \[MH\] and later versions of \[3DGS\]: 0.025).
     pub lr_opacity: f32,
     /// Log-scale.
     pub lr_scale: f32,
@@ -80,7 +80,7 @@ impl Default for OptimizerConfig {
             lr_position_final: 1.6e-6,
             lr_sh0: 2.5e-3,
             lr_sh: 1.25e-4,
-            lr_opacity: 0.025,
+            lr_opacity: 0.05,
             lr_scale: 5e-3,
             lr_rotation: 1e-3,
             lr_scales_with_run: true,

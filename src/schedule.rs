@@ -72,25 +72,33 @@ impl Schedule {
     #[must_use]
     pub fn rates(&self, iteration: u32) -> LearningRates {
         let o = &self.config.optimizer;
-        let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
-        let (from, to) = (f64::from(o.lr_position), f64::from(o.lr_position_final));
         let boost = if o.lr_scales_with_run {
             (1.0 / self.scale).sqrt().clamp(1.0, MOST_BOOST)
         } else {
             1.0
         };
         LearningRates {
-            position: boost.powf(1.5)
-                * if from > 0.0 && to > 0.0 {
-                    (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
-                } else {
-                    from
-                },
+            position: boost.powf(1.5) * self.position_rate(iteration),
             scale: boost.sqrt() * f64::from(o.lr_scale),
             rotation: boost.sqrt() * f64::from(o.lr_rotation),
-            opacity: boost.sqrt() * f64::from(self.config.lr_opacity()),
+            opacity: boost.sqrt() * f64::from(o.lr_opacity),
             sh0: boost.sqrt() * f64::from(o.lr_sh0),
             sh: boost * f64::from(o.lr_sh),
+        }
+    }
+
+    /// Learning rate of the positions without what short runs add to it: log-linear over the run. The noise on positions is
+    /// in proportion to this one: n·lr² is its variance after n iterations, and with the rate of [`Schedule::rates`] that of a
+    /// short run would be more than a long one's, which costs (measured: see the README on short runs).
+    #[must_use]
+    pub fn position_rate(&self, iteration: u32) -> f64 {
+        let o = &self.config.optimizer;
+        let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
+        let (from, to) = (f64::from(o.lr_position), f64::from(o.lr_position_final));
+        if from > 0.0 && to > 0.0 {
+            (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
+        } else {
+            from
         }
     }
 

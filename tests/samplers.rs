@@ -101,7 +101,6 @@ fn noise_moves_positions_alone_and_only_under_mcmc() {
         mcmc: McmcConfig {
             growth: 1.0,
             dead_opacity: 0.0,
-            lr_opacity: 0.0,
             noise_opacity: 0.5,
             ..McmcConfig::default()
         },
@@ -256,19 +255,26 @@ fn no_step_comes_after_the_last_iteration() {
 }
 
 #[test]
-fn the_opacity_rate_is_the_samplers_and_no_other_is() {
-    let rates = |sampler| schedule(sampler, 30_000).rates(100);
-    let [mh, mcmc, adc, none] =
-        [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None].map(rates);
-    assert_eq!((mh, mh), (adc, none));
-    assert!((mcmc.opacity - 0.05).abs() < 1e-8 && (mh.opacity - 0.025).abs() < 1e-8);
-    assert_eq!(
-        mhsplat::stage::adam::LearningRates {
-            opacity: mh.opacity,
-            ..mcmc
-        },
-        mh
-    );
+fn rates_are_the_same_for_every_sampler() {
+    let rates = |sampler| schedule(sampler, 3000).rates(100);
+    let mh = rates(Sampler::Mh);
+    for other in [Sampler::Mcmc, Sampler::Adc, Sampler::None] {
+        assert_eq!(rates(other), mh);
+    }
+}
+
+#[test]
+fn noise_follows_the_rate_of_a_long_run() {
+    let [long, short] = [30_000, 3000].map(|n| schedule(Sampler::Mcmc, n));
+    for tenth in 0..10 {
+        let [a, b] = [
+            long.position_rate(3000 * tenth),
+            short.position_rate(300 * tenth),
+        ];
+        assert!((a / b - 1.0).abs() < 1e-12);
+    }
+    assert!((long.position_rate(0) - long.rates(0).position).abs() < 1e-18);
+    assert!(short.rates(0).position > 5.0 * short.position_rate(0));
 }
 
 #[test]

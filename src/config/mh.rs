@@ -31,8 +31,11 @@ pub enum Birth {
     Copy,
     /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
     /// no opacity to the scene.
-    #[default]
     Split,
+    /// The source keeps its own; the birth has its scale, and its opacity or `birth-opacity`, whichever is less. A birth lands
+    /// up to several scales from its source, where it mostly spoils the picture at first: a faint one spoils little.
+    #[default]
+    Faint,
 }
 
 /// How many views a step judges by (Eq. 10); written `"shrinking"`, `"all"` or a number.
@@ -90,6 +93,8 @@ pub struct MhConfig {
     pub acceptance: Acceptance,
     /// What a birth takes of its source (§4.3).
     pub birth: Birth,
+    /// Most opacity of a faint birth.
+    pub birth_opacity: f64,
     /// λ_v of the voxel prior (Eq. 7); 0 switches the prior off: every D and every exact ratio is 1.
     pub lambda_voxel: f64,
     /// Temperature T of the acceptance: a birth is accepted with probability ρ^{1/T}. 1 is the paper's; larger values accept
@@ -146,6 +151,9 @@ pub struct MhConfig {
     /// Depth of a birth that lies beyond what is rendered, as it does with probability τ/(τ + s·(1−τ)): log-uniform between
     /// these, local units, and no nearer than the rendered mean depth, which the others have.
     pub pixel_far: [f64; 2],
+    /// Noise on the positions between the steps, per unit of the position's learning rate, as `mcmc.noise-rate` has it with
+    /// \[MCMC\]'s gate; 0 for none, as in \[MH\].
+    pub noise_rate: f64,
     /// A Gaussian is dead at or below this opacity.
     pub dead_opacity: f64,
 }
@@ -154,10 +162,11 @@ impl Default for MhConfig {
     fn default() -> Self {
         Self {
             acceptance: Acceptance::Eq20,
-            birth: Birth::Split,
+            birth: Birth::Faint,
+            birth_opacity: 0.1,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
-            target_acceptance: [0.0, 0.0],
+            target_acceptance: [0.01, 0.6],
             importance: true,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -165,20 +174,21 @@ impl Default for MhConfig {
             view_subset: ViewSubset::Shrinking,
             relocation: true,
             from_iteration: 500,
-            until_iteration: 15_000,
+            until_iteration: 20_000,
             interval: 100,
-            coarse_proposals: 4_500,
-            fine_proposals: 16_000,
+            coarse_proposals: 2_000,
+            fine_proposals: 8_000,
             coarse_spread: [10.0, 5.0],
             fine_spread: [2.0, 1.0],
             voxel_edge: [0.02, 0.005],
             voxel_growth_from: 0.0,
-            pixel_proposals: 0,
-            pixel_views: 4,
+            pixel_proposals: 5_000,
+            pixel_views: 2,
             pixel_scale: 2.0,
             pixel_opacity: 0.1,
             pixel_surface: 1.0,
             pixel_far: [2.0, 20.0],
+            noise_rate: 0.0,
             dead_opacity: 0.005,
         }
     }
@@ -213,6 +223,7 @@ impl MhConfig {
         for (value, option) in [
             (self.lambda_voxel, "lambda-voxel"),
             (self.voxel_growth_from, "voxel-growth-from"),
+            (self.noise_rate, "noise-rate"),
         ] {
             check(not_below(&value), option, "a finite value >= 0 expected")?;
         }

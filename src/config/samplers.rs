@@ -44,8 +44,6 @@ pub struct McmcConfig {
     pub growth: f64,
     /// Most Gaussians where `max-gaussians` does not say. The released code demands a cap; gsplat's default is this.
     pub cap: usize,
-    /// Learning rate of the opacity logit (\[MCMC\], released code: twice that of the others).
-    pub lr_opacity: f32,
     /// Density steps come after this iteration (released code, `densify_from_iter`).
     pub from_iteration: u32,
     /// And before this one (`densify_until_iter`); the noise goes on to the end.
@@ -64,7 +62,6 @@ impl Default for McmcConfig {
             dead_opacity: 0.005,
             growth: 1.05,
             cap: 1_000_000,
-            lr_opacity: 0.05,
             from_iteration: 500,
             until_iteration: 25_000,
             interval: 100,
@@ -93,9 +90,6 @@ impl McmcConfig {
                 "mcmc",
                 "growth from 1 to 2 and a cap of at least 1 expected",
             ));
-        }
-        if !(self.lr_opacity.is_finite() && self.lr_opacity >= 0.0) {
-            return Err(Error::config("mcmc.lr-opacity", "0 or more expected"));
         }
         self.times().validate("mcmc")
     }
@@ -230,15 +224,6 @@ impl TrainConfig {
             Sampler::Mcmc => Some(self.mcmc.times()),
             Sampler::Adc => Some(self.adc.times()),
             Sampler::None => None,
-        }
-    }
-
-    /// Learning rate of the opacity logit under the chosen sampler.
-    #[must_use]
-    pub fn lr_opacity(&self) -> f32 {
-        match self.sampler {
-            Sampler::Mcmc => self.mcmc.lr_opacity,
-            _ => self.optimizer.lr_opacity,
         }
     }
 }

@@ -73,7 +73,7 @@ impl Trainer {
                 count: scene.count,
                 seed: self.config.seed,
                 stream: Purpose::Noise.stream(iteration),
-                rate: law.rate * self.schedule.rates(iteration).position,
+                rate: law.rate * self.schedule.position_rate(iteration),
                 steepness: law.steepness,
                 opacity: law.opacity,
                 status: &frame.status,

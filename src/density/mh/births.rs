@@ -74,7 +74,7 @@ impl Births {
 
     pub(super) fn finish(
         mut self,
-        form: Birth,
+        (form, most_opacity): (Birth, f64),
         scene: &SceneState<'_>,
         relocation: Relocation,
         counts: &VoxelCounts<'_>,
@@ -87,9 +87,18 @@ impl Births {
         if stats.proposed > 0 {
             stats.mean_prior = self.prior_sum / stats.proposed as f64;
         }
-        if form == Birth::Split {
-            let sources = relocate::share(&mut self.edits, scene);
-            self.edits.extend(sources);
+        match form {
+            Birth::Copy => (),
+            Birth::Split => {
+                let sources = relocate::share(&mut self.edits, scene);
+                self.edits.extend(sources);
+            }
+            Birth::Faint => {
+                let most = (most_opacity / (1.0 - most_opacity)).ln() as f32;
+                for birth in &mut self.edits {
+                    birth.opacity_logit = birth.opacity_logit.min(most);
+                }
+            }
         }
         // What birth made of a source replaces what relocation had made of it.
         let split: FxHashSet<u32> = self

@@ -13,8 +13,8 @@ pub mod sparsity;
 use super::draw::{Categorical, birth_position, gather};
 use super::relocate::Relocation;
 use super::{
-    Cues, DensityControl, Edit, Evidence, Outcome, SceneState, StepContext, Wanted, check_lengths,
-    numerics, unexpected,
+    Cues, DensityControl, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext, Wanted,
+    check_lengths, numerics, unexpected,
 };
 use crate::config::{MhConfig, ViewSubset};
 use crate::error::Result;
@@ -22,6 +22,9 @@ use crate::rng::{Philox, Purpose};
 use births::Births;
 use rayon::prelude::*;
 use sparsity::{Lattice, VoxelCounts};
+
+/// k of the noise's gate (\[MCMC\] Eq. 8).
+const NOISE_STEEPNESS: f64 = 100.0;
 
 /// Density control by Metropolis–Hastings births and relocation.
 #[derive(Debug, Clone)]
@@ -233,6 +236,14 @@ impl DensityControl for MetropolisHastings {
         Wanted::Errors { views }
     }
 
+    fn noise(&self) -> Option<NoiseLaw> {
+        (self.config.noise_rate > 0.0).then(|| NoiseLaw {
+            rate: self.config.noise_rate,
+            steepness: NOISE_STEEPNESS,
+            opacity: self.config.dead_opacity,
+        })
+    }
+
     fn pictures(&self, _progress: f64) -> usize {
         match self.config.pixel_proposals {
             0 => 0,
@@ -296,7 +307,7 @@ impl DensityControl for MetropolisHastings {
             let proposals = self.propose(&step, &phase, &counts);
             births.take(kind, &self.decide(proposals, eta), &mut counts);
         }
-        Ok(births.finish(c.birth, scene, relocation, &counts))
+        Ok(births.finish((c.birth, c.birth_opacity), scene, relocation, &counts))
     }
 }
 
