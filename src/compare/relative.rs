@@ -158,17 +158,29 @@ pub struct Bounded {
 }
 
 impl Bounded {
-    /// Of those that tell anything; none without any.
+    /// Of positive figures; one whose bound is not known may be either. None without any.
     #[must_use]
     pub fn of(limits: &[Limit]) -> Option<Self> {
-        let good: Vec<&Limit> = limits.iter().filter(|l| l.tells()).collect();
-        let count = |bound| good.iter().filter(|l| l.bound == bound).count();
-        let logs: f64 = good.iter().map(|l| l.value.ln()).sum();
+        let one = |l: &Limit| Self {
+            ratio: l.value,
+            of: 1,
+            at_least: usize::from(matches!(l.bound, Bound::AtLeast | Bound::Unknown)),
+            at_most: usize::from(matches!(l.bound, Bound::AtMost | Bound::Unknown)),
+        };
+        Self::mean(&limits.iter().map(one).collect::<Vec<_>>())
+    }
+
+    /// Mean of means, each counting as one.
+    #[must_use]
+    pub fn mean(all: &[Self]) -> Option<Self> {
+        let good = all.iter().filter(|b| b.ratio.is_finite() && b.ratio > 0.0);
+        let good: Vec<&Self> = good.collect();
+        let logs: f64 = good.iter().map(|b| b.ratio.ln()).sum();
         (!good.is_empty()).then(|| Self {
             ratio: (logs / good.len() as f64).exp(),
             of: good.len(),
-            at_least: count(Bound::AtLeast),
-            at_most: count(Bound::AtMost),
+            at_least: good.iter().filter(|b| b.at_least > 0).count(),
+            at_most: good.iter().filter(|b| b.at_most > 0).count(),
         })
     }
 

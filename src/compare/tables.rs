@@ -70,7 +70,7 @@ pub fn bounded(b: &Bounded) -> String {
     let figure = limit(&b.limit());
     match (b.at_least, b.at_most) {
         (low, high) if low > 0 && high > 0 => {
-            format!("{figure}, no bound: {low} ≥, {high} ≤")
+            format!("{figure}, of {}, no bound: {low} ≥, {high} ≤", b.of)
         }
         _ => format!("{figure}, of {}", b.of),
     }

@@ -24,7 +24,8 @@ const RULE: &str = "Thresholds: every whole dB above the highest first evaluatio
 /// # Errors
 /// The first such value.
 pub fn check(values: &[f64]) -> Result<()> {
-    match values.iter().find(|v| !(v.abs() <= LIMIT)) {
+    let within = |v: &f64| v.abs() <= LIMIT;
+    match values.iter().find(|v| !within(v)) {
         None => Ok(()),
         Some(bad) => Err(Error::config(
             "--threshold",

@@ -102,7 +102,7 @@ impl Overview {
         }
         last[3] = a.counts.text(reference, other);
         if let Some(mean) = &a.bounded {
-            last[4] = format!("{} scenes", compare::bounded(mean));
+            last[4] = compare::bounded(mean);
         }
         last[11] = scenes_text(a.no_later);
         last[12] = scenes_text(a.final_holds);
@@ -191,8 +191,7 @@ fn against(reference: &str, other: &str, scenes: &[SceneSummary]) -> Against {
     let scenes: Vec<SceneAgainst> = scenes.iter().map(one).collect();
     let figures = || scenes.iter().filter_map(|s| s.figures.as_ref());
     let means: Vec<Spread> = figures().filter_map(|p| p.mean).collect();
-    let limits = figures().filter_map(|p| Some(p.bounded?.limit()));
-    let limits: Vec<compare::Limit> = limits.collect();
+    let bounded: Vec<Bounded> = figures().filter_map(|p| p.bounded).collect();
     let mut counts = Counts::default();
     figures().for_each(|p| counts.join(&p.counts));
     Against {
@@ -200,7 +199,7 @@ fn against(reference: &str, other: &str, scenes: &[SceneSummary]) -> Against {
         mean: geometric_mean(&means),
         mean_of: means.len(),
         counts,
-        bounded: Bounded::of(&limits),
+        bounded: Bounded::mean(&bounded),
         no_later: Verdict::count(figures().map(|p| p.no_later.all())),
         final_holds: Verdict::count(figures().map(|p| p.final_holds)),
         scenes,

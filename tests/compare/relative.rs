@@ -1,7 +1,7 @@
 //! Thresholds, bounds of what is not reached, and what sets groups apart.
 
 use mhsplat::compare::thresholds::between;
-use mhsplat::compare::{Bound, Clock, Comparison, Options};
+use mhsplat::compare::{Bound, Bounded, Clock, Comparison, Limit, Options, bounded};
 
 use super::made::{Made, compared, run};
 
@@ -212,4 +212,22 @@ fn other_machines_and_other_spacing_of_evaluations_are_named() {
         ]
     );
     assert!(warnings(run("b", 0).slower(2.0), Clock::Iterations).is_empty());
+}
+
+#[test]
+fn a_mean_of_bounds_of_both_sides_is_none() {
+    let limit = |value, bound| Limit { value, bound };
+    let (exact, low) = (limit(2.0, Bound::Exact), limit(0.5, Bound::AtLeast));
+    let (high, either) = (limit(1.0, Bound::AtMost), limit(1.0, Bound::Unknown));
+    let text = |all: &[Limit]| bounded(&Bounded::of(all).unwrap());
+    assert_eq!(text(&[exact, exact]), "2.00, of 2");
+    assert_eq!(text(&[exact, low]), "≥ 1.00, of 2");
+    assert_eq!(text(&[exact, high]), "≤ 1.41, of 2");
+    assert_eq!(text(&[low, high]), "≈ 0.71, of 2, no bound: 1 ≥, 1 ≤");
+    assert_eq!(text(&[exact, either]), "≈ 1.41, of 2, no bound: 1 ≥, 1 ≤");
+    assert!(Bounded::of(&[]).is_none());
+    // Over scenes: none of them is left out for having no bound.
+    let scenes = [[exact, low], [low, high]].map(|l| Bounded::of(&l).unwrap());
+    let mean = Bounded::mean(&scenes).unwrap();
+    assert_eq!((mean.of, mean.at_least, mean.at_most), (2, 2, 1));
 }
