@@ -3,6 +3,8 @@
 mod cli;
 mod curve;
 pub mod made;
+mod paired;
+mod relative;
 
 use made::{Made, compared, run};
 use mhsplat::compare::{Clock, Options, Source, compare, finished};
@@ -326,11 +328,13 @@ fn default_thresholds_lie_where_runs_can_be_told_apart() {
     {
         assert!(!reach.at_most(), "a threshold below the first evaluation");
     }
-    let nan = Options {
-        thresholds: vec![f64::NAN],
-        ..Options::default()
-    };
-    assert!(fails(&[run("a", 0)], &nan).contains("--threshold"));
+    for bad in [f64::NAN, f64::INFINITY, 200.5, -1e300] {
+        let options = Options {
+            thresholds: vec![20.0, bad],
+            ..Options::default()
+        };
+        assert!(fails(&[run("a", 0)], &options).contains("--threshold"));
+    }
     let nobody = Options {
         reference: Some("adc".into()),
         ..Options::default()

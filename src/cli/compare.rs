@@ -32,6 +32,12 @@ impl From<ClockFlag> for Clock {
     }
 }
 
+fn decibels(text: &str) -> std::result::Result<f64, String> {
+    let value = output::finite(text)?;
+    compare::thresholds::check(&[value]).map_err(|e| e.to_string())?;
+    Ok(value)
+}
+
 /// Arguments.
 #[derive(clap::Args)]
 pub struct CompareArgs {
@@ -44,8 +50,8 @@ pub struct CompareArgs {
     /// Clock of the tables; the page has the others, too [default: cpu where all runs have it]
     #[arg(long, value_enum)]
     clock: Option<ClockFlag>,
-    /// PSNR to time the runs to, dB; may be repeated [default: round values within the range of the runs]
-    #[arg(long, value_name = "DB", value_parser = output::finite, value_delimiter = ',', allow_negative_numbers = true)]
+    /// PSNR to time the runs to, dB, within ±200; may be repeated [default: every whole dB from the first evaluation to the best]
+    #[arg(long, value_name = "DB", value_parser = decibels, value_delimiter = ',', allow_negative_numbers = true)]
     threshold: Vec<f64>,
     /// Group that ratios are taken against [default: that of the first run]
     #[arg(long, value_name = "NAME")]

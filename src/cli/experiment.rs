@@ -1,6 +1,5 @@
 //! `mhsplat experiment`.
 
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::Arc;
@@ -9,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use mhsplat::config::parse_duration;
 use mhsplat::error::{Error, Result};
-use mhsplat::experiment::{self, Experiment, Job, Launch, State};
+use mhsplat::experiment::{self, Experiment, Job, Launch};
 
 use super::{Common, Outcome, output};
 
@@ -42,7 +41,7 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
         experiment.budget = Some(parse_duration(time)?);
     }
     if args.dry_run {
-        return list(&experiment);
+        return list(&experiment, common.json);
     }
     let stop = super::train::stop_flag()?;
     let mut processes = Processes {
@@ -74,6 +73,9 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
             ended.left
         ));
     }
+    for (run, why) in &ended.failed {
+        output::note(&format!("failed: {run}: {why}"));
+    }
     match ended.failed.first() {
         None => Ok(Outcome::Done),
         Some((run, why)) => Err(Error::input(
@@ -84,16 +86,31 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     }
 }
 
-fn list(experiment: &Experiment) -> Result<Outcome> {
+/// A run of the matrix, and what is there of it.
+#[derive(serde::Serialize)]
+struct Listed {
+    run: String,
+    state: &'static str,
+    why: String,
+}
+
+fn list(experiment: &Experiment, json: bool) -> Result<Outcome> {
     experiment.check_scenes()?;
+    let mut all = Vec::new();
     for run in experiment::blocks(experiment).iter().flatten() {
-        let what = match experiment::state(&run.dir, None)? {
-            State::New => "new",
-            State::Begun => "goes on from its checkpoint",
-            State::Broken => "starts again",
-            State::Done(_) => "done",
-        };
-        output::line(&format!("{}: {what}", run.dir.display()));
+        let found = experiment::look(experiment, run)?;
+        all.push(Listed {
+            run: run.dir.display().to_string(),
+            state: found.word(),
+            why: found.why().to_owned(),
+        });
+    }
+    if json {
+        output::json(&all)?;
+    } else {
+        for l in &all {
+            output::line(&format!("{}: {}: {}", l.run, l.state, l.why));
+        }
     }
     Ok(Outcome::Done)
 }
@@ -152,14 +169,10 @@ impl Launch for Processes {
     fn train(&mut self, job: &Job) -> Result<()> {
         let spawned = self.command(job)?.spawn();
         let mut child = spawned.map_err(|e| Error::io("mhsplat train", e))?;
-        let lines = child.stderr.take().map(|stderr| {
-            std::thread::spawn(move || {
-                let lines = BufReader::new(stderr)
-                    .lines()
-                    .map_while(std::io::Result::ok);
-                lines.filter(|l| l.starts_with("error: ")).last()
-            })
-        });
+        let lines = child
+            .stderr
+            .take()
+            .map(|stderr| std::thread::spawn(move || experiment::last_error(stderr)));
         let status = self.wait(&mut child)?;
         let said = lines.and_then(|l| l.join().ok()).flatten();
         match status.code() {

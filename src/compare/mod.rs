@@ -1,8 +1,8 @@
 //! Error against run time of several runs, and what may be said of the difference.
 //!
 //! Runs that differ in nothing but the seed are samples of one group. Times are interpolated between evaluations; a PSNR that
-//! a run never has is "not reached", never a number. Of two groups a ratio is given only where both have runs of
-//! [`RATIO_SAMPLES`](crate::report::spread::RATIO_SAMPLES) seeds. Runs over other views or at another resolution are refused.
+//! a run never has is "not reached", never a number: it counts as a bound beside the mean of the others. Of two groups a ratio
+//! is given only where both have runs of [`RATIO_SAMPLES`](crate::report::spread::RATIO_SAMPLES) seeds. Runs over other views or at another resolution are refused.
 //!
 //! | file | what |
 //! |---|---|
@@ -10,7 +10,11 @@
 //! | `check.rs` | whether they may be compared |
 //! | `group.rs` | which of them are samples of one thing |
 //! | `curve.rs` | first crossings, bands |
-//! | `outcome.rs` | figures of a group, ratios of two |
+//! | `thresholds.rs` | PSNR values that runs are timed to |
+//! | `outcome.rs` | figures of a group |
+//! | `relative.rs` | ratios of two, bounds, means |
+//! | `paired.rs` | the same seed by seed, and what may be said of it |
+//! | `remarks.rs` | what the reader has to know, and what differs |
 //! | `tables.rs`, `page.rs` | Markdown and HTML |
 //!
 //! Tests: compare.
@@ -21,30 +25,33 @@ mod group;
 mod load;
 mod outcome;
 mod page;
+mod paired;
+mod relative;
+mod remarks;
 mod tables;
+pub mod thresholds;
 
 pub use check::ALLOW;
 pub use group::{Group, group};
 pub use load::{Clock, Loaded, Source, finished};
-pub use outcome::geometric_mean;
-pub use outcome::{
-    Difference, GroupOutcome, Reach, Relative, RelativeTime, RunOutcome, Share, Target,
-};
+pub use outcome::{GroupOutcome, Reach, RunOutcome, Share, Target};
 pub use page::{GENERATOR, check_page, page, warnings, write_page};
-pub use tables::{finals, markdown, relative, tables, times};
+pub use paired::{FINAL_BELOW, Paired, PairedTime, SeedRatio, Verdict, few, paired};
+pub use relative::{Bound, Bounded, Counts, Limit, Relative, RelativeTime};
+pub use remarks::Difference;
+pub use tables::{bounded, decibels, finals, limit, markdown, relative, tables, times};
 
 use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::report::DatasetRecord;
-use crate::report::svg::ticks;
 
 /// How runs are compared.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Options {
     /// What times are told by; none for CPU seconds where all runs have them, else training seconds.
     pub clock: Option<Clock>,
-    /// PSNR values that runs are timed to, dB; none for round ones within the range of the runs.
+    /// PSNR values that runs are timed to, dB; none for the rule in `thresholds.rs`.
     pub thresholds: Vec<f64>,
     /// Label of the group that ratios are taken against; none for the first.
     pub reference: Option<String>,
@@ -65,6 +72,8 @@ pub struct Comparison {
     pub clock: Clock,
     /// PSNR values that runs are timed to, dB.
     pub thresholds: Vec<f64>,
+    /// How they were chosen.
+    pub threshold_rule: &'static str,
     /// Label of the group that ratios are taken against.
     pub reference: String,
     /// The groups, in the order of their first runs.
@@ -79,6 +88,13 @@ pub struct Comparison {
 }
 
 impl Comparison {
+    /// Place of the group that ratios are taken against.
+    #[must_use]
+    pub fn reference_place(&self) -> usize {
+        let own = |g: &GroupOutcome| g.label == self.reference;
+        self.groups.iter().position(own).unwrap_or(0)
+    }
+
     /// Names of the devices that the runs were trained on.
     #[must_use]
     pub fn device(&self) -> String {
@@ -116,21 +132,24 @@ pub fn compare(sources: &[Source], options: &Options) -> Result<Comparison> {
                 )
             })?,
     };
-    let thresholds = thresholds(&runs, &groups, &options.thresholds)?;
+    let (thresholds, rule) = thresholds::choose(&runs, &groups, reference, &options.thresholds)?;
     let outcomes: Vec<GroupOutcome> = groups
         .iter()
         .map(|g| outcome::of_group(g, &runs, &thresholds))
         .collect();
-    warnings.extend(outcome::remarks(&groups, &runs, &outcomes));
+    warnings.extend(remarks::remarks(
+        &groups, &runs, &outcomes, reference, clock,
+    ));
     Ok(Comparison {
         version: env!("CARGO_PKG_VERSION"),
         dataset: runs[0].record.dataset.clone(),
         warnings,
         clock,
         reference: groups[reference].label.clone(),
-        relative: outcome::relative(&outcomes, reference, clock),
-        differences: outcome::differences(&groups, &runs),
+        relative: relative::relative(&outcomes, reference, clock),
+        differences: remarks::differences(&groups, &runs),
         thresholds,
+        threshold_rule: rule,
         groups: outcomes,
         runs,
     })
@@ -159,38 +178,4 @@ fn choose_clock(
         }
         (asked, _) => Ok(asked.unwrap_or_default()),
     }
-}
-
-/// Thresholds as asked for, or about six round ones: above what every run has at its first evaluation, and not above what the
-/// best run ends with.
-fn thresholds(runs: &[Loaded], groups: &[Group], asked: &[f64]) -> Result<Vec<f64>> {
-    if let Some(bad) = asked.iter().find(|v| !v.is_finite()) {
-        return Err(Error::config(
-            "--threshold",
-            format!("{bad}; finite numbers expected"),
-        ));
-    }
-    let mut all = asked.to_vec();
-    if all.is_empty() {
-        let curves: Vec<_> = runs.iter().map(|r| r.psnr(Clock::Iterations)).collect();
-        let firsts = curves.iter().filter_map(|c| Some(c.points().first()?.1));
-        let low = firsts.fold(f64::NEG_INFINITY, f64::max);
-        let lasts = curves.iter().filter_map(curve::Curve::last);
-        let best = lasts.fold(f64::NEG_INFINITY, f64::max);
-        // Differences are at the upper end: from half-way up, or from the worst group's end if that is lower.
-        let worst = groups.iter().map(|g| {
-            let ends = g.runs.iter().filter_map(|r| curves[*r].last());
-            ends.fold(f64::NEG_INFINITY, f64::max)
-        });
-        let half = f64::midpoint(low, best);
-        let from = worst.fold(half, f64::min).max(low);
-        let round = ticks(from, best, 6, false).map_or_else(Vec::new, |t| t.at);
-        all = round
-            .into_iter()
-            .filter(|v| *v > low && *v <= best)
-            .collect();
-    }
-    all.sort_by(f64::total_cmp);
-    all.dedup();
-    Ok(all)
 }

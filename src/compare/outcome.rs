@@ -1,20 +1,16 @@
-//! Figures of a group, and ratios of two.
+//! Figures of a group.
 
 use std::collections::BTreeSet;
 
 use serde::Serialize;
 
 use super::curve::Crossing;
-use super::group::{Facts, Group, facts};
+use super::group::Group;
 use super::load::{Clock, Loaded};
-use crate::report::spread::{RATIO_SAMPLES, Ratio, Spread, ratio};
+use crate::report::spread::Spread;
 
 /// Shares of its own final PSNR that a run is timed to.
 pub const SHARES: [f64; 2] = [0.95, 0.98];
-/// A run that ends so much below its best PSNR, dB, has lost what it had reached.
-const FALL: f64 = 0.5;
-/// Numbers of Gaussians within this share of each other are equal.
-pub const EQUAL: f64 = 0.02;
 
 /// One run.
 #[derive(Debug, Clone, Serialize)]
@@ -43,6 +39,19 @@ pub struct RunOutcome {
     pub wall_seconds: f64,
 }
 
+impl RunOutcome {
+    /// What a clock shows at the last evaluation.
+    #[must_use]
+    pub fn last(&self, clock: Clock) -> f64 {
+        match clock {
+            Clock::Cpu => self.cpu_seconds,
+            Clock::Train => self.train_seconds,
+            Clock::Wall => self.wall_seconds,
+            Clock::Iterations => f64::from(self.iterations),
+        }
+    }
+}
+
 /// When the runs of a group first had a PSNR, by one clock.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reach {
@@ -55,7 +64,7 @@ pub struct Reach {
 }
 
 impl Reach {
-    fn new(clock: Clock, runs: Vec<Option<Crossing>>) -> Self {
+    pub(super) fn new(clock: Clock, runs: Vec<Option<Crossing>>) -> Self {
         let all: Option<Vec<f64>> = runs.iter().map(|r| r.map(|c| c.at)).collect();
         Self {
             clock,
@@ -133,39 +142,6 @@ impl GroupOutcome {
     }
 }
 
-/// Time of one group over that of the reference, to one PSNR.
-#[derive(Debug, Clone, Serialize)]
-pub struct RelativeTime {
-    /// dB.
-    pub psnr: f64,
-    /// Above 1 where the group is later than the reference.
-    pub ratio: Option<Ratio>,
-    /// Why there is none.
-    pub why: Option<String>,
-}
-
-/// Times of one group over those of the reference.
-#[derive(Debug, Clone, Serialize)]
-pub struct Relative {
-    /// The group.
-    pub label: String,
-    /// One per threshold.
-    pub to_psnr: Vec<RelativeTime>,
-    /// Geometric mean of those that there are.
-    pub mean: Option<Ratio>,
-    /// Of how many.
-    pub mean_of: usize,
-}
-
-/// An option, device or version that is not the same everywhere.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Difference {
-    /// Its name.
-    pub what: String,
-    /// By group; several values where the runs of a group differ.
-    pub values: Vec<String>,
-}
-
 fn of_run(run: &Loaded) -> RunOutcome {
     let last = run.rows.last().copied().unwrap_or_default();
     let scores = run.record.final_scores.as_ref();
@@ -226,165 +202,4 @@ pub fn of_group(group: &Group, runs: &[Loaded], thresholds: &[f64]) -> GroupOutc
         to_share: SHARES.map(share).to_vec(),
         runs: own,
     }
-}
-
-/// A ratio, or why there is none.
-fn ratio_of(
-    a: &GroupOutcome,
-    b: &GroupOutcome,
-    place: usize,
-    clock: Clock,
-) -> Result<Ratio, String> {
-    let missing = || "not told by this clock".to_owned();
-    let x = a.reach(place, clock).ok_or_else(missing)?;
-    let y = b.reach(place, clock).ok_or_else(missing)?;
-    let part = |r: &Reach| match r.reached() {
-        0 => "not reached".to_owned(),
-        k => format!("{k} of {} runs", r.runs.len()),
-    };
-    let (Some(p), Some(q)) = (&x.spread, &y.spread) else {
-        return Err(match (x.spread, y.spread) {
-            (None, None) => "–".into(),
-            (None, _) => part(x),
-            _ => format!("{}: {}", b.label, part(y)),
-        });
-    };
-    if x.at_most() || y.at_most() {
-        return Err("before the first evaluation".into());
-    }
-    if a.seeds.min(b.seeds) < RATIO_SAMPLES {
-        return Err(match a.seeds.min(b.seeds) {
-            1 => "from one sample".into(),
-            n => format!("from {n} samples"),
-        });
-    }
-    ratio(p, q).ok_or_else(|| "no ratio".into())
-}
-
-/// Times of all other groups over those of the reference.
-pub fn relative(groups: &[GroupOutcome], reference: usize, clock: Clock) -> Vec<Relative> {
-    let base = &groups[reference];
-    let others = groups.iter().enumerate().filter(|(i, _)| *i != reference);
-    others
-        .map(|(_, group)| {
-            let times = group.to_psnr.iter().enumerate().map(|(place, target)| {
-                let ratio = ratio_of(group, base, place, clock);
-                RelativeTime {
-                    psnr: target.psnr,
-                    ratio: ratio.as_ref().ok().copied(),
-                    why: ratio.err(),
-                }
-            });
-            let to_psnr: Vec<RelativeTime> = times.collect();
-            let good: Vec<Ratio> = to_psnr.iter().filter_map(|t| t.ratio).collect();
-            Relative {
-                label: group.label.clone(),
-                mean: geometric_mean(&good),
-                mean_of: good.len(),
-                to_psnr,
-            }
-        })
-        .collect()
-}
-
-/// Geometric mean of medians and of the ends of their intervals.
-#[must_use]
-pub fn geometric_mean(ratios: &[Ratio]) -> Option<Ratio> {
-    let mean = |pick: fn(&Ratio) -> f64| {
-        let logs = ratios.iter().map(|r| pick(r).ln());
-        (logs.sum::<f64>() / ratios.len() as f64).exp()
-    };
-    (!ratios.is_empty()).then(|| Ratio {
-        median: mean(|r| r.median),
-        low: mean(|r| r.low),
-        high: mean(|r| r.high),
-    })
-}
-
-/// Different values of a fact among runs, in their order.
-fn values<'a>(name: &str, members: impl Iterator<Item = &'a Facts>) -> Vec<&'a str> {
-    let mut all = Vec::new();
-    for facts in members {
-        let found = facts.iter().find(|f| f.0 == name);
-        let value = found.map_or("", |f| f.1.as_str());
-        if !all.contains(&value) {
-            all.push(value);
-        }
-    }
-    all
-}
-
-/// What differs between groups or within one.
-pub fn differences(groups: &[Group], runs: &[Loaded]) -> Vec<Difference> {
-    let mut all: Vec<Facts> = runs.iter().map(facts).collect();
-    for (facts, run) in all.iter_mut().zip(runs) {
-        facts.insert(0, ("dataset".into(), run.record.dataset.path.clone()));
-        facts.insert(1, ("seed".into(), run.record.seed.to_string()));
-    }
-    let names: Vec<&str> = all[0].iter().map(|f| f.0.as_str()).collect();
-    let shown = |name: &&str| *name == "seed" || values(name, all.iter()).len() > 1;
-    let row = |name: &str| {
-        let of = |g: &Group| values(name, g.runs.iter().map(|r| &all[*r])).join("; ");
-        Difference {
-            what: name.to_owned(),
-            values: groups.iter().map(of).collect(),
-        }
-    };
-    names.into_iter().filter(shown).map(row).collect()
-}
-
-/// What the reader has to know of the groups: settings mixed under one name, and unequal numbers of Gaussians.
-pub fn remarks(groups: &[Group], runs: &[Loaded], outcomes: &[GroupOutcome]) -> Vec<String> {
-    let mut out = Vec::new();
-    for group in groups {
-        let all: Vec<Facts> = group.runs.iter().map(|r| facts(&runs[*r])).collect();
-        let names = all[0].iter().map(|f| f.0.as_str());
-        let mixed = names.filter(|n| *n != "max-gaussians" && values(n, all.iter()).len() > 1);
-        let mixed: Vec<&str> = mixed.collect();
-        if !mixed.is_empty() {
-            out.push(format!(
-                "{}: its runs differ in more than the seed: {}",
-                group.label,
-                mixed.join(", ")
-            ));
-        }
-    }
-    out.extend(groups.iter().filter_map(|g| fallen(g, runs)));
-    if let Some([least, most]) = unequal(outcomes) {
-        out.push(format!(
-            "not at equal numbers of Gaussians: {} ({}) to {} ({}); --max-gaussians makes them equal",
-            least.0, least.1, most.0, most.1
-        ));
-    }
-    out
-}
-
-/// The groups with the fewest and the most Gaussians, where those are not equal.
-pub fn unequal(outcomes: &[GroupOutcome]) -> Option<[(f64, &str); 2]> {
-    let counts = outcomes
-        .iter()
-        .filter_map(|g| Some((g.gaussians?.median, g.label.as_str())));
-    let counts: Vec<_> = counts.collect();
-    let least = *counts.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let most = *counts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
-    (most.0 > least.0 * (1.0 + EQUAL)).then_some([least, most])
-}
-
-/// What to know of a group whose runs end below what they had reached.
-fn fallen(group: &Group, runs: &[Loaded]) -> Option<String> {
-    let falls = group.runs.iter().map(|r| {
-        let curve = runs[*r].psnr(Clock::Iterations);
-        let best = curve.points().iter().map(|p| p.1).fold(0.0, f64::max);
-        best - curve.last().unwrap_or(best)
-    });
-    let deep: Vec<f64> = falls.filter(|f| *f > FALL).collect();
-    let most = deep.iter().copied().fold(0.0, f64::max);
-    (!deep.is_empty()).then(|| {
-        format!(
-            "{}: {} of {} runs end up to {most:.1} dB below their best; a PSNR that they reached first may be lost again",
-            group.label,
-            deep.len(),
-            group.runs.len()
-        )
-    })
 }

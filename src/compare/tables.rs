@@ -1,7 +1,8 @@
 //! The figures as tables of text.
 
 use super::outcome::{self, GroupOutcome, Reach};
-use super::{Clock, Comparison};
+use super::relative::{Bounded, Limit};
+use super::{Clock, Comparison, remarks};
 use crate::report::figures::{Table, digits, write_markdown};
 use crate::report::html::fixed;
 use crate::report::spread::{Ratio, Spread};
@@ -57,8 +58,27 @@ fn reach(r: &Reach) -> String {
     }
 }
 
+/// `≥ 1.42`.
+#[must_use]
+pub fn limit(l: &Limit) -> String {
+    format!("{}{}", l.bound.sign(), fixed(l.value, 2))
+}
+
+/// A mean of bounds: what is a bound of both sides is none.
+#[must_use]
+pub fn bounded(b: &Bounded) -> String {
+    let figure = limit(&b.limit());
+    match (b.at_least, b.at_most) {
+        (low, high) if low > 0 && high > 0 => {
+            format!("{figure}, of {}, no bound: {low} ≥, {high} ≤", b.of)
+        }
+        _ => format!("{figure}, of {}", b.of),
+    }
+}
+
 /// A PSNR as a heading.
-fn decibels(psnr: f64) -> String {
+#[must_use]
+pub fn decibels(psnr: f64) -> String {
     let text = format!("{psnr:.2}");
     format!("{} dB", text.trim_end_matches('0').trim_end_matches('.'))
 }
@@ -100,9 +120,9 @@ pub fn finals(c: &Comparison) -> Table {
         title: "At the end".into(),
         note: format!(
             "Median (min–max) over the runs of a group; means over the held-out views; {}.",
-            match outcome::unequal(&c.groups) {
-                None => "numbers of Gaussians are equal to 2 %",
-                Some(_) => "numbers of Gaussians are not equal",
+            match remarks::unequal(&c.groups, c.reference_place()).is_empty() {
+                true => "numbers of Gaussians are equal to 2 %",
+                false => "numbers of Gaussians are not equal",
             }
         ),
         columns: strings([
@@ -130,9 +150,11 @@ pub fn times(c: &Comparison, clock: Clock) -> Table {
     };
     Table {
         title: format!("Time to equal PSNR, {}", clock.name()),
-        note: "The first time at which the mean PSNR of the held-out views is that or more, interpolated between \
-               evaluations: median (min–max) where all runs reach it, else how many of them and when."
-            .into(),
+        note: format!(
+            "The first time at which the mean PSNR of the held-out views is that or more, interpolated between \
+             evaluations: median (min–max) where all runs reach it, else how many of them and when. {}",
+            c.threshold_rule
+        ),
         columns,
         rows: c.groups.iter().map(row).collect(),
     }
@@ -141,18 +163,29 @@ pub fn times(c: &Comparison, clock: Clock) -> Table {
 /// Times over those of the reference.
 #[must_use]
 pub fn relative(c: &Comparison) -> Table {
-    let mut columns = strings(["group", "geometric mean"]);
+    let mut columns = strings([
+        "group",
+        "geometric mean",
+        "values reached by",
+        "bounded mean",
+    ]);
     columns.extend(c.thresholds.iter().map(|t| decibels(*t)));
     let rows = c.relative.iter().map(|r| {
         let cell = |t: &super::RelativeTime| match (&t.ratio, &t.why) {
             (Some(found), _) => ratio(found),
-            (None, why) => why.clone().unwrap_or_default(),
+            (None, why) => {
+                let why = why.clone().unwrap_or_default();
+                t.limit
+                    .map_or(why.clone(), |l| format!("{}: {why}", limit(&l)))
+            }
         };
         let mean = r.mean.as_ref().map_or_else(
             || "–".into(),
             |m| format!("{}, {} of {}", ratio(m), r.mean_of, r.to_psnr.len()),
         );
-        let mut row = vec![r.label.clone(), mean];
+        let bounded = r.bounded.as_ref().map_or_else(|| "–".into(), bounded);
+        let counts = r.counts.text(&c.reference, &r.label);
+        let mut row = vec![r.label.clone(), mean, counts, bounded];
         row.extend(r.to_psnr.iter().map(cell));
         row
     });
@@ -160,8 +193,10 @@ pub fn relative(c: &Comparison) -> Table {
         title: format!("Time over that of {}, {}", c.reference, c.clock.name()),
         note: format!(
             "Above 1: later than {}. Ratio of the medians (range that the samples allow); only of runs of three seeds and \
-             more on both sides, and where all of them reach it: the mean is of those, and knows nothing of the others.",
-            c.reference
+             more on both sides, of the seeds that both have where these are so many, and where all of them reach it: the \
+             mean is of those alone. In the bounded mean a run that has not reached a value counts with the last reading of \
+             its clock: ≥ where the group has not, ≤ where {} has not; values that neither reaches are left out of it.",
+            c.reference, c.reference
         ),
         columns,
         rows: rows.collect(),

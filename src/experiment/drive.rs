@@ -1,10 +1,11 @@
 //! Runs an experiment within its budget.
 
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::file::Experiment;
-use super::plan::{Planned, State, blocks, folder, state};
+use super::plan::{Found, Planned, State, blocks, expected, look, state};
 use super::summary;
 use crate::config::TrainConfig;
 use crate::error::{Error, Result};
@@ -76,10 +77,23 @@ fn claim(e: &Experiment) -> Result<()> {
         ));
     }
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
-    crate::atomic::write_bytes(&mark, e.text.as_bytes())
+    match mark.is_file() {
+        false => crate::atomic::write_bytes(&mark, e.text.as_bytes()),
+        true => Ok(()),
+    }
 }
 
-/// Runs what is missing, as far as the budget goes, and writes the comparisons after every seed of a scene.
+/// Puts the experiment's present text into its folder, unless a run is there that it does not fit: that one is told by the old.
+fn renew_mark(e: &Experiment) -> Result<()> {
+    for run in blocks(e).iter().flatten() {
+        if matches!(look(e, run)?, Found::Refused(_)) {
+            return Ok(());
+        }
+    }
+    crate::atomic::write_bytes(&e.output.join(MARK), e.text.as_bytes())
+}
+
+/// Runs what is missing, as far as the budget goes, and writes the comparisons after every scene of a seed.
 ///
 /// A run that fails is named in the outcome, and the others go on; so does nothing that needs its number of Gaussians.
 ///
@@ -94,6 +108,7 @@ pub fn run(
 ) -> Result<Outcome> {
     experiment.check_scenes()?;
     claim(experiment)?;
+    renew_mark(experiment)?;
     let all = blocks(experiment);
     let mut drive = Drive {
         experiment,
@@ -106,12 +121,13 @@ pub fn run(
         runs: all.iter().map(Vec::len).sum(),
     };
     for (place, block) in all.iter().enumerate() {
-        let missing = drive.missing(block)?;
+        let [_, missing] = drive.counts(block)?;
         if missing > 0 && !drive.fits(block, missing)? {
-            let left = all[place..].iter().map(|b| drive.missing(b));
-            drive.outcome.left = left.sum::<Result<usize>>()?;
-            drive.outcome.done += all[place..].iter().map(Vec::len).sum::<usize>();
-            drive.outcome.done -= drive.outcome.left;
+            for block in &all[place..] {
+                let [done, left] = drive.counts(block)?;
+                drive.outcome.done += done;
+                drive.outcome.left += left;
+            }
             break;
         }
         let done = drive.block(block);
@@ -124,13 +140,17 @@ pub fn run(
 }
 
 impl Drive<'_> {
-    /// Runs of a block that are not done.
-    fn missing(&self, block: &[Planned]) -> Result<usize> {
-        let mut missing = 0;
+    /// Runs of a block that are done, and those that are to be trained.
+    fn counts(&self, block: &[Planned]) -> Result<[usize; 2]> {
+        let mut counts = [0, 0];
         for run in block {
-            missing += usize::from(!matches!(state(&run.dir, None)?, State::Done(_)));
+            match look(self.experiment, run)? {
+                Found::Its(State::Done(_)) => counts[0] += 1,
+                Found::Its(_) => counts[1] += 1,
+                Found::Refused(_) => (),
+            }
         }
-        Ok(missing)
+        Ok(counts)
     }
 
     /// Whether so many runs of a block can be expected to end within the budget.
@@ -157,29 +177,17 @@ impl Drive<'_> {
         e.config(&e.scenes[run.scene], &e.settings[run.setting], run.seed)
     }
 
-    /// The configuration of a run, with the cap of the run that gives it; none if there is no such run.
-    fn capped(&self, run: &Planned) -> Result<Option<TrainConfig>> {
-        let mut config = self.config(run)?;
-        let from = self.experiment.cap_from.filter(|_| run.capped);
-        let Some(from) = from else {
-            return Ok(Some(config));
-        };
-        let dir = folder(self.experiment, run.scene, from, run.seed);
-        let State::Done(record) = state(&dir, None)? else {
-            return Ok(None);
-        };
-        config.max_gaussians = Some(record.gaussians as usize);
-        Ok(Some(config))
-    }
-
     fn block(&mut self, block: &[Planned]) -> Result<()> {
         for run in block {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(Error::Interrupted);
             }
             let name = run.dir.display().to_string();
-            let failed = match self.capped(run)? {
-                None => Some("its number of Gaussians is that of a run that failed".to_owned()),
+            let failed = match expected(self.experiment, run)? {
+                None => Some(
+                    "its number of Gaussians is that of a run that failed or is of other options"
+                        .to_owned(),
+                ),
                 Some(config) => match self.one(run, &config) {
                     Ok(()) => None,
                     Err(Error::Interrupted) => return Err(Error::Interrupted),
@@ -258,4 +266,14 @@ fn write_config(dir: &Path, config: &TrainConfig) -> Result<PathBuf> {
     })?;
     crate::atomic::write_bytes(&file, (text + "\n").as_bytes())?;
     Ok(file)
+}
+
+/// The last line that tells an error in what a process said, whatever bytes its lines are of: drivers write there, too.
+pub fn last_error(stderr: impl Read) -> Option<String> {
+    let lines = BufReader::new(stderr).split(b'\n');
+    let errors = lines
+        .map_while(std::io::Result::ok)
+        .filter(|l| l.starts_with(b"error: "));
+    let last = errors.last()?;
+    Some(String::from_utf8_lossy(&last).trim_end().to_owned())
 }

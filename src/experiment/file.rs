@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::{Table, Value};
 
+use crate::compare::thresholds;
 use crate::config::{TrainConfig, parse_duration};
 use crate::error::{Error, Result};
 
@@ -15,7 +16,7 @@ pub struct Scene {
     pub name: String,
     /// Dataset.
     pub path: PathBuf,
-    /// PSNR values that runs are timed to, dB; empty for round ones.
+    /// PSNR values that runs are timed to, dB; empty for those of the rule in `compare/thresholds.rs`.
     pub thresholds: Vec<f64>,
     options: Table,
 }
@@ -37,7 +38,7 @@ pub struct Experiment {
     pub text: String,
     /// Folder of all runs.
     pub output: PathBuf,
-    /// Seconds after which no further seed of a scene is begun.
+    /// Seconds after which no further scene of a seed is begun.
     pub budget: Option<f64>,
     /// Seeds.
     pub seeds: Vec<u64>,
@@ -198,12 +199,13 @@ fn scene(mut table: Table, base: &Path) -> Parsed<Scene> {
     let last = Path::new(&path).file_name().unwrap_or_default();
     let name = take_text(&mut table, "name")?;
     let name = folder(name.unwrap_or_else(|| last.to_string_lossy().into_owned()))?;
-    let thresholds = match table.remove("thresholds") {
+    let thresholds: Vec<f64> = match table.remove("thresholds") {
         None => Vec::new(),
         Some(list) => list
             .try_into()
             .map_err(|e| format!("thresholds of {name}: {e}"))?,
     };
+    thresholds::check(&thresholds).map_err(|e| format!("thresholds of {name}: {e}"))?;
     Ok(Scene {
         path: base.join(path),
         name,

@@ -7,6 +7,7 @@ use crate::compare::finished;
 use crate::config::TrainConfig;
 use crate::error::{Error, Result};
 use crate::export::checkpoint;
+use crate::report::metrics::METRICS_FILE;
 use crate::report::settings::flatten;
 use crate::report::{RECORD_FILE, RunRecord};
 
@@ -47,7 +48,7 @@ pub(super) fn folder(e: &Experiment, scene: usize, setting: usize, seed: u64) ->
         .join(format!("seed-{seed}"))
 }
 
-/// All runs: scene by scene, seed by seed; of a seed, the setting that gives the cap first, then the others in their order.
+/// All runs: seed by seed, scene by scene; of both, the setting that gives the cap first, then the others in their order.
 #[must_use]
 pub fn blocks(e: &Experiment) -> Vec<Vec<Planned>> {
     let first = e.cap_from.into_iter();
@@ -63,10 +64,12 @@ pub fn blocks(e: &Experiment) -> Vec<Vec<Planned>> {
         };
         settings.iter().map(run).collect()
     };
-    (0..e.scenes.len())
-        .flat_map(|scene| e.seeds.iter().map(move |seed| (scene, *seed)))
-        .map(|(scene, seed)| block(scene, seed))
-        .collect()
+    let scenes = 0..e.scenes.len();
+    let all = e
+        .seeds
+        .iter()
+        .flat_map(|seed| scenes.clone().map(move |s| (s, *seed)));
+    all.map(|(scene, seed)| block(scene, seed)).collect()
 }
 
 /// Options in which two configurations differ, `name: a instead of b`.
@@ -102,13 +105,92 @@ pub fn state(dir: &Path, config: Option<&TrainConfig>) -> Result<State> {
     if !other.is_empty() {
         return Err(Error::input(
             dir,
-            format!("was run with other options ({})", other.join("; ")),
+            format!("other options ({})", other.join("; ")),
             "move it away, or choose another output with -o",
         ));
     }
+    // Record and metrics are all that a comparison needs: whoever deletes what else a run leaves does not want it again. A run
+    // that its time budget ends is not known to be over before the scene is written.
+    let over = record.iterations >= record.config.iterations;
+    if over && !dir.join(METRICS_FILE).is_file() {
+        return Err(Error::input(
+            dir,
+            format!("holds a finished run without {METRICS_FILE}"),
+            "move it away",
+        ));
+    }
     Ok(match (finished(&record), saved) {
-        (true, _) if dir.join("scene.ply").exists() => State::Done(Box::new(record)),
+        (true, _) if over || dir.join("scene.ply").exists() => State::Done(Box::new(record)),
         (_, true) => State::Begun,
         (_, false) => State::Broken,
+    })
+}
+
+/// What is there of a run of an experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Found {
+    /// This, and by the options that the experiment gives it.
+    Its(State),
+    /// Something that is neither counted nor touched, and why.
+    Refused(String),
+}
+
+impl Found {
+    /// In a word.
+    #[must_use]
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Its(State::New) => "new",
+            Self::Its(State::Begun) => "begun",
+            Self::Its(State::Broken) => "broken",
+            Self::Its(State::Done(_)) => "done",
+            Self::Refused(_) => "refused",
+        }
+    }
+
+    /// What becomes of it, or why nothing does.
+    #[must_use]
+    pub fn why(&self) -> &str {
+        match self {
+            Self::Its(State::New) => "nothing is there",
+            Self::Its(State::Begun) => "goes on from its checkpoint",
+            Self::Its(State::Broken) => "starts again",
+            Self::Its(State::Done(_)) => "complete",
+            Self::Refused(why) => why,
+        }
+    }
+}
+
+/// The configuration that a run has to have, with the cap of the run that gives it; none while that one is not done.
+///
+/// # Errors
+/// Options that make no sense.
+pub fn expected(e: &Experiment, run: &Planned) -> Result<Option<TrainConfig>> {
+    let of = |setting: usize| e.config(&e.scenes[run.scene], &e.settings[setting], run.seed);
+    let mut config = of(run.setting)?;
+    let Some(from) = e.cap_from.filter(|_| run.capped) else {
+        return Ok(Some(config));
+    };
+    let dir = folder(e, run.scene, from, run.seed);
+    let Ok(State::Done(record)) = state(&dir, Some(&of(from)?)) else {
+        return Ok(None);
+    };
+    config.max_gaussians = Some(record.gaussians as usize);
+    Ok(Some(config))
+}
+
+/// What is there of a run, held against the options that it has to have.
+///
+/// # Errors
+/// Options that make no sense.
+pub fn look(e: &Experiment, run: &Planned) -> Result<Found> {
+    Ok(match expected(e, run)? {
+        Some(config) => match state(&run.dir, Some(&config)) {
+            Ok(state) => Found::Its(state),
+            Err(Error::Input { what, fix, .. }) => Found::Refused(format!("{what}; {fix}")),
+            Err(error) => Found::Refused(error.to_string()),
+        },
+        None if !run.dir.exists() => Found::Its(State::New),
+        None => Found::Refused("the run that gives its number of Gaussians is not there".into()),
     })
 }

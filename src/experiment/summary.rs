@@ -5,12 +5,12 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use super::file::Experiment;
-use super::plan::{State, folder, state};
-use crate::compare::{self, Comparison, Options, Source};
+use super::overview::{self, Overview};
+use super::plan::{Found, State, blocks, look};
+use crate::compare::{self, Comparison, Options, Paired, Source};
 use crate::error::{Error, Result};
 use crate::report::figures::{Table, write_html, write_markdown};
-use crate::report::html::{self, escape, fixed};
-use crate::report::spread::Ratio;
+use crate::report::html::{self, escape};
 
 /// Name of a scene's page in its folder.
 const PAGE: &str = "compare.html";
@@ -22,8 +22,24 @@ pub struct SceneSummary {
     pub name: String,
     /// Runs that are missing.
     pub missing: usize,
+    /// Runs that are not counted, and why: those of other options, say.
+    pub refused: Vec<String>,
+    /// Why its runs cannot be compared.
+    pub problem: Option<String>,
     /// Its runs side by side; none without any.
     pub comparison: Option<Comparison>,
+    /// The other settings against the first, seed by seed: told by the overview.
+    #[serde(skip)]
+    pub(super) paired: Vec<Paired>,
+}
+
+impl SceneSummary {
+    /// One setting against the reference.
+    pub(super) fn against(&self, reference: &str, other: &str) -> Option<&Paired> {
+        let c = self.comparison.as_ref()?;
+        let own = self.paired.iter().find(|p| p.label == other);
+        own.filter(|_| c.reference == reference)
+    }
 }
 
 /// All scenes.
@@ -33,88 +49,96 @@ pub struct Summary {
     pub experiment: String,
     /// Version of this package.
     pub version: &'static str,
+    /// The first setting against the others; none without others.
+    pub overview: Option<Overview>,
     /// The scenes.
     pub scenes: Vec<SceneSummary>,
 }
 
-/// Runs to compare: of the seeds that all settings have, if there is one; else all that there are.
-fn sources(e: &Experiment, scene: usize) -> Result<(Vec<Source>, usize, usize)> {
-    let mut done = Vec::new();
-    for setting in 0..e.settings.len() {
-        for seed in &e.seeds {
-            let dir = folder(e, scene, setting, *seed);
-            if matches!(state(&dir, None)?, State::Done(_)) {
-                done.push((setting, *seed, dir));
+/// Runs of a scene that are done, and those that are not counted.
+fn sources(e: &Experiment, scene: usize) -> Result<(Vec<Source>, Vec<String>)> {
+    let (mut done, mut refused) = (Vec::new(), Vec::new());
+    for run in blocks(e).iter().flatten().filter(|r| r.scene == scene) {
+        let setting = &e.settings[run.setting].name;
+        match look(e, run)? {
+            Found::Its(State::Done(_)) => done.push((
+                run.setting,
+                Source {
+                    group: Some(setting.clone()),
+                    path: run.dir.clone(),
+                },
+            )),
+            Found::Its(_) => (),
+            Found::Refused(why) => {
+                refused.push(format!("{setting}, seed {}: refused: {why}", run.seed));
             }
         }
     }
-    let all = e.settings.len() * e.seeds.len();
-    let missing = all - done.len();
-    let whole = |seed: u64| done.iter().filter(|d| d.1 == seed).count() == e.settings.len();
-    let some = e.seeds.iter().any(|s| whole(*s));
-    let kept = done.iter().filter(|d| !some || whole(d.1));
-    let sources: Vec<Source> = kept
-        .map(|(setting, _, dir)| Source {
-            group: Some(e.settings[*setting].name.clone()),
-            path: dir.clone(),
-        })
-        .collect();
-    let aside = done.len() - sources.len();
-    Ok((sources, missing, aside))
+    // Settings in the order of the file, whichever was trained first.
+    done.sort_by_key(|(setting, _)| *setting);
+    Ok((done.into_iter().map(|d| d.1).collect(), refused))
 }
 
-fn of_scene(e: &Experiment, place: usize) -> Result<SceneSummary> {
+fn of_scene(e: &Experiment, place: usize) -> SceneSummary {
     let scene = &e.scenes[place];
-    let (sources, missing, aside) = sources(e, place)?;
+    let mut summary = SceneSummary {
+        name: scene.name.clone(),
+        missing: e.settings.len() * e.seeds.len(),
+        refused: Vec::new(),
+        problem: None,
+        comparison: None,
+        paired: Vec::new(),
+    };
     let options = Options {
         thresholds: scene.thresholds.clone(),
         ..Options::default()
     };
-    let mut comparison = match sources.is_empty() {
-        true => None,
-        false => Some(compare::compare(&sources, &options)?),
-    };
-    if let Some(c) = &mut comparison {
-        if missing > 0 {
-            c.warnings
-                .insert(0, format!("{missing} runs of this scene are missing"));
+    let compared = sources(e, place).and_then(|(sources, refused)| {
+        summary.missing -= sources.len();
+        summary.refused = refused;
+        match sources.is_empty() {
+            true => Ok(None),
+            false => compare::compare(&sources, &options).map(Some),
         }
-        if aside > 0 {
-            c.warnings.insert(
-                0,
-                format!("{aside} runs of seeds that not all settings have are left out"),
-            );
-        }
+    });
+    match compared {
+        Ok(found) => summary.comparison = found,
+        Err(error) => summary.problem = Some(format!("not compared: {error}")),
     }
-    Ok(SceneSummary {
-        name: scene.name.clone(),
-        missing,
-        comparison,
-    })
+    if let Some(c) = &mut summary.comparison {
+        let first = summary.refused.iter().cloned();
+        c.warnings.splice(0..0, first);
+        if summary.missing > 0 {
+            let text = format!("{} runs of this scene are missing", summary.missing);
+            c.warnings.insert(0, text);
+        }
+        summary.paired = compare::paired(c);
+    }
+    summary
 }
 
-/// Writes `SCENE/compare.html`, and `summary.html`, `summary.md` and `summary.json`, from the runs that are there.
+/// Writes `SCENE/compare.html`, and `summary.html`, `summary.md` and `summary.json`, from the runs that are there. A scene that
+/// cannot be compared says why, and the others go on.
 ///
 /// # Errors
-/// Runs that cannot be read or compared, or files that cannot be written.
+/// Files that cannot be written.
 pub fn write(e: &Experiment) -> Result<Summary> {
-    let scenes = (0..e.scenes.len()).map(|s| of_scene(e, s));
-    let summary = Summary {
-        experiment: e
-            .file
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned(),
-        version: env!("CARGO_PKG_VERSION"),
-        scenes: scenes.collect::<Result<_>>()?,
-    };
-    for scene in &summary.scenes {
+    let mut scenes: Vec<SceneSummary> = (0..e.scenes.len()).map(|s| of_scene(e, s)).collect();
+    for scene in &mut scenes {
         if let Some(c) = &scene.comparison {
             let file = e.output.join(&scene.name).join(PAGE);
-            compare::write_page(&file, &compare::page(c))?;
+            if let Err(error) = compare::write_page(&file, &compare::page(c)) {
+                scene.problem = Some(error.to_string());
+            }
         }
     }
+    let file = e.file.file_name().unwrap_or_default();
+    let summary = Summary {
+        experiment: file.to_string_lossy().into_owned(),
+        version: env!("CARGO_PKG_VERSION"),
+        overview: Overview::of(e, &scenes),
+        scenes,
+    };
     let json = serde_json::to_string_pretty(&summary).map_err(|e| Error::Numerics {
         stage: "summary.json".into(),
         what: e.to_string(),
@@ -130,108 +154,63 @@ pub fn write(e: &Experiment) -> Result<Summary> {
     Ok(summary)
 }
 
-/// `1.21 (1.10–1.30)`.
-fn ratio(r: &Ratio) -> String {
-    let [median, low, high] = [r.median, r.low, r.high].map(|v| fixed(v, 2));
-    format!("{median} ({low}–{high})")
+/// Size, views and device of a scene.
+fn about(c: &Comparison) -> String {
+    let d = &c.dataset;
+    format!(
+        "{} × {} px, {} training and {} held-out views, {}; times by {}.",
+        d.width,
+        d.height,
+        d.train_views,
+        d.test_views,
+        c.device(),
+        c.clock.name()
+    )
+}
+
+impl SceneSummary {
+    /// What every setting ends with, when it reaches each PSNR, and that over the time of the first.
+    fn tables(&self, c: &Comparison) -> Vec<Table> {
+        let mut finals = compare::finals(c);
+        "setting".clone_into(&mut finals.columns[0]);
+        finals.title.clone_from(&self.name);
+        finals.note = format!("{} {}", about(c), finals.note);
+        let mut all = vec![finals];
+        if !c.thresholds.is_empty() {
+            all.push(compare::times(c, c.clock));
+            all.push(overview::ratios(self, c));
+        }
+        all.retain(|t| !t.rows.is_empty());
+        all
+    }
+
+    /// What the reader has to know of it.
+    fn remarks(&self) -> Vec<String> {
+        let mut all: Vec<String> = self.problem.iter().cloned().collect();
+        match &self.comparison {
+            Some(c) => all.extend(c.warnings.iter().cloned()),
+            None => all.extend(self.refused.iter().cloned()),
+        }
+        all
+    }
+
+    /// Whether there is anything to tell but that runs are missing.
+    fn told(&self) -> bool {
+        self.comparison.is_some() || !self.remarks().is_empty()
+    }
 }
 
 impl Summary {
-    fn compared(&self) -> impl Iterator<Item = (&SceneSummary, &Comparison)> {
-        self.scenes
-            .iter()
-            .filter_map(|s| Some((s, s.comparison.as_ref()?)))
-    }
-
-    /// The scene as one table: what every setting ends with, and when it reaches each PSNR.
-    fn table(scene: &SceneSummary, c: &Comparison) -> Table {
-        let mut table = compare::finals(c);
-        let times = compare::times(c, c.clock);
-        let heads = times.columns.iter().skip(1).map(|t| format!("to {t}"));
-        table.columns[0] = "setting".into();
-        table.columns.extend(heads);
-        for (row, more) in table.rows.iter_mut().zip(times.rows) {
-            row.extend(more.into_iter().skip(1));
-        }
-        let d = &c.dataset;
-        table.title.clone_from(&scene.name);
-        table.note = format!(
-            "{} × {} px, {} training and {} held-out views, {}. Median (min–max) over the runs; columns \"to\" are {} to that \
-             PSNR.",
-            d.width,
-            d.height,
-            d.train_views,
-            d.test_views,
-            c.device(),
-            c.clock.name()
-        );
-        table
-    }
-
-    /// Scene by scene, the other settings against the first: how much later, and how much better in the end.
-    fn overview(&self) -> Option<Table> {
-        let (_, first) = self.compared().next()?;
-        let reference = first.reference.clone();
-        let mut others: Vec<String> = Vec::new();
-        for (_, c) in self.compared() {
-            let new = c.relative.iter().map(|r| r.label.clone());
-            others.extend(new.filter(|l| *l != reference).collect::<Vec<_>>());
-        }
-        others.sort();
-        others.dedup();
-        let mut columns = vec!["scene".to_owned()];
-        for other in &others {
-            columns.push(format!("{other}: time"));
-            columns.push(format!("{other}: PSNR, dB"));
-        }
-        let mut rows: Vec<Vec<String>> = Vec::new();
-        let mut means: Vec<Vec<Ratio>> = vec![Vec::new(); others.len()];
-        for (scene, c) in self.compared().filter(|(_, c)| c.reference == reference) {
-            let mut row = vec![scene.name.clone()];
-            for (other, means) in others.iter().zip(&mut means) {
-                let found = c.relative.iter().find(|r| r.label == *other);
-                let mean = found.and_then(|r| Some((r.mean.as_ref()?, r)));
-                row.push(mean.map_or_else(
-                    || "–".into(),
-                    |(m, r)| format!("{}, {} of {}", ratio(m), r.mean_of, r.to_psnr.len()),
-                ));
-                means.extend(mean.map(|(m, _)| *m));
-                let end = |label: &str| {
-                    let group = c.groups.iter().find(|g| g.label == label);
-                    group.and_then(|g| Some(g.psnr?.median))
-                };
-                let gain = end(other).zip(end(&reference)).map(|(a, b)| a - b);
-                row.push(fixed(gain.unwrap_or(f64::NAN), 2));
-            }
-            rows.push(row);
-        }
-        let mut last = vec!["geometric mean".to_owned()];
-        for means in &means {
-            let mean = compare::geometric_mean(means);
-            let of = means.len();
-            last.push(mean.as_ref().map_or_else(
-                || "–".into(),
-                |m| format!("{}, {of} of {} scenes", ratio(m), self.scenes.len()),
-            ));
-            last.push(String::new());
-        }
-        rows.push(last);
-        (!others.is_empty()).then(|| Table {
-            title: format!("Against {reference}"),
-            note: format!(
-                "Time to equal PSNR over that of {reference}, geometric mean over the values that both reach in all runs (how \
-                 many of them), only of three seeds and more: above 1, {reference} is sooner. Final PSNR less that of \
-                 {reference}, medians."
-            ),
-            columns,
-            rows,
-        })
-    }
-
     fn missing(&self) -> Vec<String> {
         let some = self.scenes.iter().filter(|s| s.missing > 0);
         some.map(|s| format!("{}: {} runs are missing", s.name, s.missing))
             .collect()
+    }
+
+    fn overview_tables(&self) -> Vec<Table> {
+        let compared = self.scenes.iter().any(|s| s.comparison.is_some());
+        let overview = self.overview.as_ref().filter(|_| compared);
+        overview.map_or_else(Vec::new, Overview::tables)
     }
 
     /// As Markdown.
@@ -241,11 +220,22 @@ impl Summary {
         for line in self.missing() {
             let _ = write!(out, "\n> {line}\n");
         }
-        for (scene, c) in self.compared() {
-            write_markdown(&mut out, &Self::table(scene, c), "##");
-        }
-        if let Some(table) = self.overview() {
+        for table in self.overview_tables() {
             write_markdown(&mut out, &table, "##");
+        }
+        for scene in self.scenes.iter().filter(|s| s.told()) {
+            let tables = scene.comparison.as_ref().map(|c| scene.tables(c));
+            let mut tables = tables.unwrap_or_default().into_iter();
+            match tables.next() {
+                Some(finals) => write_markdown(&mut out, &finals, "##"),
+                None => {
+                    let _ = write!(out, "\n## {}\n", scene.name);
+                }
+            }
+            for line in scene.remarks() {
+                let _ = write!(out, "\n> {}\n", line.replace('\n', " "));
+            }
+            tables.for_each(|table| write_markdown(&mut out, &table, "###"));
         }
         out
     }
@@ -261,26 +251,34 @@ impl Summary {
             self.version
         );
         compare::warnings(&mut body, &self.missing());
-        if let Some(table) = self.overview() {
+        for table in self.overview_tables() {
             write_html(&mut body, &table, "h2");
         }
-        for (scene, c) in self.compared() {
-            let whole = Self::table(scene, c);
-            let finals = Table {
-                title: scene.name.clone(),
-                note: whole.note,
-                ..compare::finals(c)
-            };
-            write_html(&mut body, &finals, "h2");
-            if !c.thresholds.is_empty() {
-                write_html(&mut body, &compare::times(c, c.clock), "h3");
+        for scene in self.scenes.iter().filter(|s| s.told()) {
+            scene.html(&mut body);
+        }
+        html::page(&format!("{} · mhsplat", self.experiment), &body)
+    }
+}
+
+impl SceneSummary {
+    fn html(&self, body: &mut String) {
+        let name = escape(&self.name);
+        let tables = self.comparison.as_ref().map(|c| self.tables(c));
+        let mut tables = tables.unwrap_or_default().into_iter();
+        match tables.next() {
+            Some(finals) => write_html(body, &finals, "h2"),
+            None => {
+                let _ = write!(body, "<h2>{name}</h2>");
             }
-            let name = escape(&scene.name);
+        }
+        compare::warnings(body, &self.remarks());
+        tables.for_each(|table| write_html(body, &table, "h3"));
+        if self.comparison.is_some() {
             let _ = writeln!(
                 body,
                 "<p><a href=\"{name}/{PAGE}\">{name}: curves and every run</a></p>"
             );
         }
-        html::page(&format!("{} · mhsplat", self.experiment), &body)
     }
 }

@@ -73,6 +73,11 @@ fn a_page_tables_and_json() {
     );
     assert!(v["relative"][0]["to_psnr"][0]["ratio"]["median"].is_f64());
     assert!(v["groups"][0]["flip"]["median"].is_f64());
+    assert_eq!(v["threshold_rule"], "Thresholds as given.");
+    let json = done(&[&["compare", "--json"], paths.as_slice()].concat());
+    let v: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let own: Vec<f64> = (15..=25).map(f64::from).collect();
+    assert_eq!(v["thresholds"], serde_json::json!(own));
 }
 
 #[test]
@@ -94,6 +99,8 @@ fn refusals_exit_with_2_and_write_nothing() {
         &["compare"][..],
         &["compare", "nowhere"],
         &["compare", text(&a), "--threshold", "nan"],
+        &["compare", text(&a), "--threshold", "1e308"],
+        &["compare", text(&a), "--threshold=-201"],
     ] {
         assert_eq!(mhsplat(bad).status.code(), Some(2), "{bad:?}");
     }

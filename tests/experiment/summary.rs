@@ -1,0 +1,237 @@
+//! What an experiment writes: scenes side by side, warnings, problems.
+
+use std::fs;
+
+use serde_json::Value;
+
+use super::{Fake, TWO, drive, experiment};
+use crate::compare::made::Made;
+
+/// The setting `mh` first, without caps.
+fn plain(seeds: &str) -> String {
+    format!(
+        "seeds = {seeds}\n[train]\niterations = 1000\n[[setting]]\nname = \"mh\"\n\
+         [[setting]]\nname = \"none\"\nsampler = \"none\"\n[[scene]]\npath = \"a\"\n[[scene]]\npath = \"b\"\n"
+    )
+}
+
+struct Written {
+    json: Value,
+    markdown: String,
+    page: String,
+}
+
+/// Runs `file` with runs as `change` makes them.
+fn written(file: &str, mut fake: Fake) -> Written {
+    let dir = tempfile::tempdir().unwrap();
+    let e = experiment(dir.path(), file).unwrap();
+    drive(&e, &mut fake).unwrap();
+    let read = |name: &str| fs::read_to_string(e.output.join(name)).unwrap();
+    Written {
+        json: serde_json::from_str(&read("summary.json")).unwrap(),
+        markdown: read("summary.md"),
+        page: read("summary.html"),
+    }
+}
+
+fn changed(change: fn(&str, Made) -> Made) -> Fake {
+    Fake {
+        change: Some(change),
+        ..Fake::default()
+    }
+}
+
+/// `none` takes 1.5 times as long in scene a, ends 1 dB lower in b.
+fn slower_or_lower(name: &str, run: Made) -> Made {
+    match name {
+        n if n.starts_with("a/none") => run.slower(1.5),
+        n if n.starts_with("b/none") => run.below(1.0),
+        _ => run,
+    }
+}
+
+fn near(v: &Value, wanted: f64) {
+    let found = v.as_f64().unwrap_or(f64::NAN);
+    assert!((found - wanted).abs() < 1e-6, "{found} instead of {wanted}");
+}
+
+#[test]
+fn the_overview_holds_every_scene_against_the_first_setting() {
+    let w = written(&plain("[0, 1, 2]"), changed(slower_or_lower));
+    let o = &w.json["overview"];
+    assert_eq!(
+        (&o["reference"], &o["against"][0]["setting"]),
+        (&"mh".into(), &"none".into())
+    );
+    let [a, b] = [0, 1].map(|k| &o["against"][0]["scenes"][k]["figures"]);
+    for key in ["median", "min", "max"] {
+        near(&a["mean"][key], 1.5);
+    }
+    assert_eq!(a["counts"]["both"], 11);
+    assert_eq!(a["no_later"]["holds"], 11);
+    near(&a["psnr"]["median"], 0.0);
+    near(&b["psnr"]["median"], 1.0);
+    assert_eq!(
+        (&a["final_holds"], &b["final_holds"]),
+        (&true.into(), &true.into())
+    );
+    // 25 dB is beyond what `none` reaches in b: named, and a bound.
+    assert_eq!(
+        (&b["counts"]["both"], &b["counts"]["only_reference"]),
+        (&10.into(), &1.into())
+    );
+    assert_eq!(b["bounded"]["at_least"], 1);
+    assert_eq!(b["to_psnr"][10]["bound"], "at-least");
+    assert_eq!(b["to_psnr"].as_array().unwrap().len(), 11);
+    let mean = |k: usize| {
+        o["against"][0]["scenes"][k]["figures"]["mean"]["median"]
+            .as_f64()
+            .unwrap()
+    };
+    near(
+        &o["against"][0]["mean"]["median"],
+        (mean(0) * mean(1)).sqrt(),
+    );
+    assert_eq!(w.json["scenes"][0]["comparison"]["thresholds"][0], 15.0);
+    for text in [
+        "## mh against none",
+        "| a | 3 seeds | 1.50 (1.50–1.50) | both 11, only mh 0, only none 0, neither 0 |",
+        "both 10, only mh 1, only none 0, neither 0",
+        "| yes, 11 of 11 | yes |",
+        "| geometric mean | 3 seeds | ",
+        "2 of 2 scenes",
+        "| yes, 2 of 2 scenes | yes, 2 of 2 scenes |",
+        "### Time over that of mh, CPU seconds",
+    ] {
+        assert!(w.markdown.contains(text), "{text}: {}", w.markdown);
+    }
+    assert!(w.page.contains("mh against none") && w.page.contains("only mh 1"));
+}
+
+#[test]
+fn one_seed_is_told_as_one_and_without_a_spread() {
+    let w = written(&plain("[0]"), changed(slower_or_lower));
+    assert!(
+        w.markdown.contains("| a | 1 seed | 1.50 | both 11"),
+        "{}",
+        w.markdown
+    );
+    assert!(
+        w.markdown.contains("| geometric mean | 1 seed | "),
+        "{}",
+        w.markdown
+    );
+    let c = &w.json["scenes"][0]["comparison"]["relative"][0];
+    assert!(
+        c["mean"].is_null(),
+        "the page of the scene refuses a ratio of one sample"
+    );
+}
+
+#[test]
+fn losses_are_told_as_such() {
+    let w = written(
+        &plain("[0, 1]"),
+        changed(|name, run| match name.contains("/mh/") {
+            true => run.slower(2.0).below(0.2),
+            false => run,
+        }),
+    );
+    let row = w
+        .markdown
+        .lines()
+        .find(|l| l.starts_with("| a | 2 seeds"))
+        .unwrap();
+    assert!(
+        row.contains("| no, 0 of 11 | no |") && row.contains("| −0.20 |"),
+        "{row}"
+    );
+    assert!(
+        w.markdown
+            .contains("| no, 0 of 2 scenes | no, 0 of 2 scenes |")
+    );
+}
+
+#[test]
+fn warnings_of_a_scene_are_beside_its_tables() {
+    let w = written(
+        &plain("[0]"),
+        changed(|name, mut run| {
+            if name.starts_with("b/none") {
+                run.rows[19].gaussians += 400;
+                run = run.with(|r| r.device.name = "elsewhere".into());
+            }
+            run
+        }),
+    );
+    let part = w.markdown.split("\n## b\n").nth(1).unwrap();
+    for text in [
+        "\n> not at equal numbers of Gaussians: 1200 (mh) to 1600 (none)",
+        "\n> none: device elsewhere",
+    ] {
+        assert!(
+            part.contains(text) && w.markdown.matches(text).count() == 1,
+            "{text}: {part}"
+        );
+    }
+    assert!(w.page.contains("<li>not at equal numbers of Gaussians"));
+}
+
+#[test]
+fn a_scene_that_cannot_be_compared_stops_no_other() {
+    let w = written(
+        &plain("[0]"),
+        changed(|name, run| match name {
+            "a/none/seed-0" => run.with(|r| r.dataset.width = 48),
+            _ => run,
+        }),
+    );
+    let scenes = &w.json["scenes"];
+    assert!(scenes[0]["comparison"].is_null());
+    let problem = scenes[0]["problem"].as_str().unwrap();
+    assert!(problem.contains("another resolution"), "{problem}");
+    assert!(scenes[1]["problem"].is_null() && scenes[1]["comparison"].is_object());
+    assert!(
+        w.markdown.contains("## a\n\n> not compared: "),
+        "{}",
+        w.markdown
+    );
+    assert!(
+        w.markdown.contains("| a | no seed of both |") && w.markdown.contains("| b | 1 seed |")
+    );
+    assert!(w.page.contains("<li>not compared: "));
+}
+
+#[test]
+fn a_failed_run_takes_no_seed_from_the_others() {
+    let fake = Fake {
+        fail: Some("a/none/seed-1"),
+        ..Fake::default()
+    };
+    let three = plain("[0, 1, 2]") + "[[setting]]\nname = \"adc\"\nsampler = \"adc\"\n";
+    let w = written(&three, fake);
+    let part = w.markdown.split("\n## a\n").nth(1).unwrap();
+    for text in [
+        "| mh | 3 |",
+        "| none | 2 |",
+        "| adc | 3 |",
+        "> none: seeds 0, 2, but 0, 1, 2 of mh",
+    ] {
+        assert!(part.contains(text), "{text}: {part}");
+    }
+    let figures = |k: usize| &w.json["overview"]["against"][k]["scenes"][0]["figures"];
+    assert_eq!(figures(0)["seeds"], serde_json::json!([0, 2]));
+    assert_eq!(figures(1)["seeds"], serde_json::json!([0, 1, 2]));
+    near(&figures(0)["mean"]["median"], 1.0);
+}
+
+#[test]
+fn thresholds_of_a_scene_win_over_the_rule() {
+    let file = TWO.replace("path = \"b\"", "path = \"b\"\nthresholds = [20, 22.5]");
+    let w = written(&file, Fake::default());
+    let of = |k: usize| &w.json["scenes"][k]["comparison"]["thresholds"];
+    assert_eq!(of(1), &serde_json::json!([20.0, 22.5]));
+    assert_eq!(of(0).as_array().unwrap().len(), 11);
+    let part = w.markdown.split("\n## b\n").nth(1).unwrap();
+    assert!(part.contains("22.5 dB") && part.contains("Thresholds as given."));
+}
