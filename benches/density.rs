@@ -54,7 +54,8 @@ fn density(c: &mut Criterion) {
         progress: 0.0,
         seed: 0,
         max_gaussians: None,
-        opacity_resets: [0, 0],
+        opacity_resets: 0,
+        resets_opacity: false,
         cameras: &[],
         pictures: &[],
     };

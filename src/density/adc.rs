@@ -67,6 +67,31 @@ impl Adaptive {
         fate
     }
 
+    /// What is to be cloned or split, and what is to go, by row.
+    fn judge(
+        &self,
+        scene: &SceneState<'_>,
+        gradient: &ScreenGradient<'_>,
+        bounded_size: bool,
+    ) -> (Vec<Birth>, Vec<u32>) {
+        let fates: Vec<(Fate, f64)> = (0..scene.len())
+            .into_par_iter()
+            .map(|row| {
+                let pull = pull(gradient, row);
+                (self.fate(scene, row, pull, bounded_size), pull)
+            })
+            .collect();
+        let (mut births, mut removed) = (Vec::new(), Vec::new());
+        for (row, (fate, pull)) in (0u32..).zip(fates) {
+            match fate {
+                Fate::Stays => (),
+                Fate::Goes => removed.push(row),
+                Fate::Clones | Fate::Splits => births.push(Birth { row, fate, pull }),
+            }
+        }
+        (births, removed)
+    }
+
     /// Writes a clone, or the two that a Gaussian is split into; the new row is `dst`. False if the new positions would not be
     /// finite.
     fn bear(
@@ -161,25 +186,7 @@ impl DensityControl for Adaptive {
         check_lengths(scene, [gradient.norms.len(), gradient.views.len()])?;
         let n = scene.len();
         let bounded_size = context.opacity_resets > 0;
-        let fates: Vec<(Fate, f64)> = (0..n)
-            .into_par_iter()
-            .map(|row| {
-                let pull = pull(gradient, row);
-                (self.fate(scene, row, pull, bounded_size), pull)
-            })
-            .collect();
-        let (mut births, mut removed) = (Vec::new(), Vec::new());
-        for (row, (fate, pull)) in (0u32..).zip(fates) {
-            match fate {
-                Fate::Stays => (),
-                Fate::Goes => removed.push(row),
-                Fate::Clones | Fate::Splits => births.push(Birth { row, fate, pull }),
-            }
-        }
-        if removed.len() == n {
-            // An empty scene cannot be trained.
-            removed.clear();
-        }
+        let (mut births, mut removed) = self.judge(scene, gradient, bounded_size);
         // Rows are named by 32 bits.
         let most = context.max_gaussians.unwrap_or(usize::MAX);
         let room = most.saturating_sub(n - removed.len());
@@ -191,6 +198,10 @@ impl DensityControl for Adaptive {
                 |b: &&Birth| Self::size(scene, b.row as usize) > self.config.prune_scale;
             removed.extend(rest.iter().filter(too_large).map(|b| b.row));
             removed.sort_unstable();
+        }
+        if removed.len() == n {
+            // An empty scene cannot be trained.
+            removed.clear();
         }
         let mut stats = DensityStats {
             proposed,
