@@ -195,6 +195,20 @@ impl Default for MhConfig {
 }
 
 impl MhConfig {
+    /// The paper's own numbers (\[MH\] §4, Alg. 1), where the defaults are others.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            birth: Birth::Copy,
+            target_acceptance: [0.0, 0.0],
+            until_iteration: 15_000,
+            coarse_proposals: 4_500,
+            fine_proposals: 16_000,
+            pixel_proposals: 0,
+            ..Self::default()
+        }
+    }
+
     /// Checks every value's domain.
     ///
     /// # Errors

@@ -109,3 +109,31 @@ fn births_share_the_opacity_of_their_source() {
         }
     }
 }
+
+#[test]
+fn a_faint_birth_leaves_its_source_and_is_no_more_opaque_than_said() {
+    let scene = dying(7000);
+    let at = context(700, 0.1, 1);
+    let [copied, faint] = [Birth::Copy, Birth::Faint].map(|form| step_with(form, &scene, &at));
+    assert_eq!(breaches(7000, &faint), Vec::<String>::new());
+    assert_eq!(copied.stats, faint.stats);
+    let most = (0.1f64 / 0.9).ln() as f32;
+    let mut limited = 0;
+    for (a, b) in copied.edits.iter().zip(&faint.edits) {
+        let born = a.dst as usize >= 7000;
+        limited += usize::from(born && a.opacity_logit > most);
+        let opacity_logit = if born {
+            a.opacity_logit.min(most)
+        } else {
+            a.opacity_logit
+        };
+        assert_eq!(
+            *b,
+            Edit {
+                opacity_logit,
+                ..*a
+            }
+        );
+    }
+    assert!(limited > 100 && copied.edits.len() == faint.edits.len());
+}

@@ -29,7 +29,7 @@ pub fn step(scene: &Scene, context: &StepContext<'_>) -> Outcome {
 pub fn step_with(birth: Birth, scene: &Scene, context: &StepContext<'_>) -> Outcome {
     let config = MhConfig {
         birth,
-        ..MhConfig::default()
+        ..MhConfig::paper()
     };
     MetropolisHastings::new(&config)
         .step(context, &scene.state(), &scene.errors())
@@ -279,7 +279,7 @@ fn proposals_fade_with_progress() {
 
 #[test]
 fn fewer_views_are_wanted_as_the_run_goes_on() {
-    let mh = MetropolisHastings::new(&MhConfig::default());
+    let mh = MetropolisHastings::new(&MhConfig::paper());
     let wanted = [0.0, 0.5, 0.6, 1.0].map(|eta| mh.wanted(10, eta));
     assert_eq!(wanted, [10, 5, 4, 1].map(|views| Wanted::Errors { views }));
     assert_eq!(mh.wanted(0, 0.5), Wanted::Errors { views: 0 });
@@ -288,7 +288,7 @@ fn fewer_views_are_wanted_as_the_run_goes_on() {
 #[test]
 fn bad_input_is_an_error_that_names_it() {
     let scene = Scene::random(10, 1);
-    let mut mh = MetropolisHastings::new(&MhConfig::default());
+    let mut mh = MetropolisHastings::new(&MhConfig::paper());
     let short = Evidence::Errors(Cues {
         l1: &scene.l1[..9],
         ..scene.cues()
@@ -304,7 +304,7 @@ fn bad_input_is_an_error_that_names_it() {
     );
     let bad = MhConfig {
         voxel_edge: [0.0, 0.0],
-        ..MhConfig::default()
+        ..MhConfig::paper()
     };
     let said = MetropolisHastings::new(&bad)
         .step(&context(1, 0.0, 0), &scene.state(), &scene.errors())

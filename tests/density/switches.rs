@@ -34,12 +34,12 @@ fn without_the_prior_voxels_do_not_matter() {
     for plane in &mut scene.log_scales {
         plane.fill(-12.0);
     }
-    let on = with(&MhConfig::default(), &scene);
+    let on = with(&MhConfig::paper(), &scene);
     for acceptance in [Acceptance::Eq20, Acceptance::ExactPrior] {
         let off = MhConfig {
             lambda_voxel: 0.0,
             acceptance,
-            ..MhConfig::default()
+            ..MhConfig::paper()
         };
         let off = with(&off, &scene);
         assert_eq!(off.stats.mean_prior, 1.0);
@@ -51,7 +51,7 @@ fn without_the_prior_voxels_do_not_matter() {
 fn the_exact_form_accepts_by_counts_alone() {
     let exact = MhConfig {
         acceptance: Acceptance::ExactPrior,
-        ..MhConfig::default()
+        ..MhConfig::paper()
     };
     let mut scene = Scene::random(N, 8);
     // Far apart: every voxel that a birth may reach is empty.
@@ -69,7 +69,7 @@ fn the_exact_form_accepts_by_counts_alone() {
 fn without_importance_sources_are_uniform_and_nothing_is_watched() {
     let off = MhConfig {
         importance: false,
-        ..MhConfig::default()
+        ..MhConfig::paper()
     };
     let mh = MetropolisHastings::new(&off);
     assert_eq!(mh.wanted(10, 0.0), Wanted::Nothing);
@@ -92,16 +92,16 @@ fn without_importance_sources_are_uniform_and_nothing_is_watched() {
     // Some thousand births: five standard errors are 0.05.
     let uniform = share(&off, &Evidence::Nothing);
     assert!((uniform - 0.5).abs() < 0.05, "{uniform}");
-    assert!(share(&MhConfig::default(), &scene.errors()) > 0.55);
+    assert!(share(&MhConfig::paper(), &scene.errors()) > 0.55);
     // The opacity alone needs no error maps; with an error's weight they are not to be missing.
     let opacity = MhConfig {
         weight_ssim: 0.0,
         weight_l1: 0.0,
-        ..MhConfig::default()
+        ..MhConfig::paper()
     };
     assert!(share(&opacity, &Evidence::Nothing) > 0.55);
     assert!(
-        MetropolisHastings::new(&MhConfig::default())
+        MetropolisHastings::new(&MhConfig::paper())
             .step(&context(700, 0.5, 1), &scene.state(), &Evidence::Nothing)
             .is_err()
     );
@@ -111,7 +111,7 @@ fn without_importance_sources_are_uniform_and_nothing_is_watched() {
 fn without_relocation_the_dead_stay() {
     let off = MhConfig {
         relocation: false,
-        ..MhConfig::default()
+        ..MhConfig::paper()
     };
     let scene = dying(7000);
     let outcome = with(&off, &scene);
@@ -121,7 +121,7 @@ fn without_relocation_the_dead_stay() {
         assert!(!e.src.is_multiple_of(7), "a dead row gave birth");
         assert!(e.dst as usize >= 7000 || e.src == e.dst);
     }
-    assert!(with(&MhConfig::default(), &scene).stats.relocated > 0);
+    assert!(with(&MhConfig::paper(), &scene).stats.relocated > 0);
 }
 
 #[test]
@@ -131,7 +131,7 @@ fn phases_can_be_left_out() {
         let config = MhConfig {
             coarse_proposals,
             fine_proposals,
-            ..MhConfig::default()
+            ..MhConfig::paper()
         };
         let s = with(&config, &scene).stats;
         [s.coarse[0] > 0, s.fine[0] > 0]
@@ -146,7 +146,7 @@ fn the_view_subset_is_the_one_asked_for() {
     let wanted = |view_subset: ViewSubset, eta: f64| {
         let config = MhConfig {
             view_subset,
-            ..MhConfig::default()
+            ..MhConfig::paper()
         };
         match MetropolisHastings::new(&config).wanted(10, eta) {
             Wanted::Errors { views } => views,
@@ -181,16 +181,16 @@ fn the_target_rate_is_kept_and_temperature_raises_it() {
     for (target, wanted) in [([0.2, 0.2], 0.2), ([0.8, 0.3], 0.55)] {
         let config = MhConfig {
             target_acceptance: target,
-            ..MhConfig::default()
+            ..MhConfig::paper()
         };
         let outcome = at(&config, &scene, &context(700, 0.5, 1));
         // Some thousand proposals: five standard errors.
         assert!((rate(&outcome) - wanted).abs() < 0.03, "{}", rate(&outcome));
     }
-    let cold = with(&MhConfig::default(), &scene);
+    let cold = with(&MhConfig::paper(), &scene);
     let warm = MhConfig {
         temperature: [3.0, 1.0],
-        ..MhConfig::default()
+        ..MhConfig::paper()
     };
     assert!(rate(&with(&warm, &scene)) > 1.3 * rate(&cold));
 }
@@ -205,9 +205,9 @@ fn voxels_far_from_the_cameras_take_fewer() {
     };
     let growing = MhConfig {
         voxel_growth_from: 5.0,
-        ..MhConfig::default()
+        ..MhConfig::paper()
     };
-    let plain = with(&MhConfig::default(), &scene).stats;
+    let plain = with(&MhConfig::paper(), &scene).stats;
     let grown = at(&growing, &scene, &far).stats;
     // 40 of 5 units: edges are eight times as long.
     assert!(grown.occupied_voxels * 4 < plain.occupied_voxels);
@@ -235,7 +235,7 @@ fn values_out_of_their_domain_are_refused_by_name() {
     for (name, change) in cases {
         let mut config = MhConfig {
             pixel_proposals: 1,
-            ..MhConfig::default()
+            ..MhConfig::paper()
         };
         change(&mut config);
         let said = config.validate().unwrap_err().to_string();
