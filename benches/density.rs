@@ -57,6 +57,7 @@ fn density(c: &mut Criterion) {
         opacity_resets: [0, 0],
         cameras: &[],
         pictures: &[],
+        changes: &[],
     };
     let errors = Evidence::Errors(cues);
     let mut mh = MetropolisHastings::new(&MhConfig::default());

@@ -70,6 +70,7 @@ pub mod model;
 #[doc(hidden)]
 pub mod photos;
 pub mod plan;
+mod probe;
 pub mod reference;
 pub mod render;
 pub mod report;

@@ -18,6 +18,7 @@ pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext<'static>
         opacity_resets: [0, 0],
         cameras: &[],
         pictures: &[],
+        changes: &[],
     }
 }
 

@@ -1,0 +1,143 @@
+//! Births tried before they are decided on: what each would do to the loss, to first order (see [`crate::probe`]).
+
+use std::time::Instant;
+
+use super::Trainer;
+use super::control::row;
+use crate::buffers::{Scene, restride};
+use crate::density::{DensityControl, Edit, Trial};
+use crate::error::Result;
+use crate::gpu::{Array, Defines, Device, EditRow};
+use crate::probe::{EPSILON_SINGLE, Pass, ROUND, change, scaled_logit};
+use crate::stage::edit::EditArgs;
+use crate::stage::loss::size_of_image;
+
+/// What renders probes, if this density control tries births.
+pub(super) fn pass(
+    device: &Device,
+    defines: Defines,
+    sh_degree: u32,
+    density: &dyn DensityControl,
+) -> Result<Option<Pass<f32>>> {
+    (density.trial_views() > 0)
+        .then(|| {
+            let alpha_min = defines.alpha_min * EPSILON_SINGLE;
+            Pass::new(device, defines, sh_degree, alpha_min)
+        })
+        .transpose()
+}
+
+impl Trainer {
+    /// First-order change of the loss by each birth, mean over the views that training takes next, at the size that they
+    /// have now; NaN where none of them sees it. The scene is taken as it is, before the step's relocations.
+    pub(super) fn probe(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
+        let Some(mut pass) = self.probes.take().filter(|_| !trials.is_empty()) else {
+            return Ok(Vec::new());
+        };
+        let began = Instant::now();
+        self.device.finish()?;
+        self.device.collect_times(usize::MAX)?;
+        let changes = self.probe_with(&mut pass, trials);
+        self.probes = Some(pass);
+        // Counted as `probe`, not as the stages that a probe passes.
+        self.device.forget_launches();
+        self.probe_time.seconds += began.elapsed().as_secs_f64();
+        self.probe_time.calls += 1;
+        changes
+    }
+
+    fn probe_with(&mut self, pass: &mut Pass<f32>, trials: &[Trial]) -> Result<Vec<f64>> {
+        let scene = self.with_probes(trials)?;
+        let n = self.scene.count;
+        let shared = trials.iter().any(|t| t.source_change.is_some());
+        let first = if shared { 0 } else { n / ROUND * ROUND };
+        let count = self.density.trial_views().min(self.views.len());
+        let views = self
+            .schedule
+            .upcoming(self.iteration, count, self.views.len());
+        let mut changes = vec![f64::NAN; trials.len()];
+        for view in &views {
+            let gradients = self.probe_view(pass, &scene, *view, first)?;
+            let touched = pass.touched(n, scene.count)?;
+            for (k, (sum, trial)) in changes.iter_mut().zip(trials).enumerate() {
+                let logit = f64::from(trial.birth.opacity_logit);
+                let mut here = change(gradients[0][n - first + k], logit, EPSILON_SINGLE);
+                if let Some(source) = trial.source_change {
+                    let at = trial.birth.src as usize;
+                    here += (0..4).map(|g| source[g] * gradients[g][at]).sum::<f64>();
+                }
+                if touched[k] || here != 0.0 {
+                    *sum = here + if sum.is_nan() { 0.0 } else { *sum };
+                }
+            }
+        }
+        Ok(changes.iter().map(|c| c / views.len() as f64).collect())
+    }
+
+    /// A copy of the scene with a probe of every birth after its rows: training's own arrays are left alone.
+    fn with_probes(&self, trials: &[Trial]) -> Result<Scene> {
+        let n = self.scene.count;
+        let (planes, from) = (self.scene.planes(), self.scene.stride);
+        let stride = Scene::<f32>::grown_stride(n + trials.len()).max(from);
+        let scene = Scene {
+            params: restride(&self.device, &self.scene.params, planes, from, stride)?,
+            stride,
+            count: n + trials.len(),
+            sh_degree: self.scene.sh_degree,
+        };
+        let faint = |(k, t): (usize, &Trial)| {
+            let logit = f64::from(t.birth.opacity_logit);
+            row(&Edit {
+                dst: (n + k) as u32,
+                opacity_logit: scaled_logit(logit, EPSILON_SINGLE) as f32,
+                ..t.birth
+            })
+        };
+        let rows: Vec<EditRow> = trials.iter().enumerate().map(faint).collect();
+        // The stage clears moments, which probes do not have.
+        let moments = Array::zeros(&self.device, "no moments", planes * stride)?;
+        self.edit.run(&EditArgs {
+            edits: &Array::from_slice(&self.device, "probes", &rows)?,
+            stride,
+            planes,
+            params: &scene.params,
+            moment1: &moments,
+            moment2: &moments,
+        })?;
+        Ok(scene)
+    }
+
+    /// Derivatives by opacity logit and log-scales of the rows from `first` on, in one view: the loss's gradient is that of the
+    /// ordinary render.
+    fn probe_view(
+        &mut self,
+        pass: &mut Pass<f32>,
+        scene: &Scene,
+        view: usize,
+        first: usize,
+    ) -> Result<[Vec<f64>; 4]> {
+        let photo = self.views.photo(view, &[])?;
+        let full = self.views.cameras[view];
+        let factor = self
+            .schedule
+            .shrink_factor(self.iteration, size_of_image(&full));
+        let camera = full.shrunk(factor);
+        let degree = self.schedule.sh_degree(self.iteration);
+        let options = self.options(self.iteration, degree);
+        self.renderer.render(&self.scene, &camera, &options)?;
+        let photo = if factor > 1 {
+            self.shrink
+                .run(&photo, size_of_image(&full), factor, &self.small)?;
+            &self.small
+        } else {
+            &*photo
+        };
+        let pair = self.pair(&camera, photo, options.background);
+        let lambda = f64::from(self.config.loss.lambda_ssim);
+        self.loss
+            .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
+        pass.render(scene, &camera, &options)?;
+        let project_grad = &self.project_grad[degree as usize];
+        pass.gradients(scene, &camera, &self.dimage, project_grad, first)
+    }
+}
