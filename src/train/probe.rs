@@ -46,6 +46,16 @@ impl Trainer {
         changes
     }
 
+    /// Runs every kernel of a probe once on no Gaussians, if there are probes.
+    pub(super) fn warm_up_probes(&mut self, degree: u32) -> Result<()> {
+        if let Some(mut pass) = self.probes.take() {
+            let scene = self.with_probes(&[])?;
+            self.probe_view(&mut pass, &scene, [0, degree as usize], 0)?;
+            self.probes = Some(pass);
+        }
+        Ok(())
+    }
+
     fn probe_with(&mut self, pass: &mut Pass<f32>, trials: &[Trial]) -> Result<Vec<f64>> {
         let scene = self.with_probes(trials)?;
         let n = self.scene.count;
@@ -55,9 +65,10 @@ impl Trainer {
         let views = self
             .schedule
             .upcoming(self.iteration, count, self.views.len());
+        let degree = self.schedule.sh_degree(self.iteration) as usize;
         let mut changes = vec![f64::NAN; trials.len()];
         for view in &views {
-            let gradients = self.probe_view(pass, &scene, *view, first)?;
+            let gradients = self.probe_view(pass, &scene, [*view, degree], first)?;
             let touched = pass.touched(n, scene.count)?;
             for (k, (sum, trial)) in changes.iter_mut().zip(trials).enumerate() {
                 let logit = f64::from(trial.birth.opacity_logit);
@@ -113,7 +124,7 @@ impl Trainer {
         &mut self,
         pass: &mut Pass<f32>,
         scene: &Scene,
-        view: usize,
+        [view, degree]: [usize; 2],
         first: usize,
     ) -> Result<[Vec<f64>; 4]> {
         let photo = self.views.photo(view, &[])?;
@@ -122,8 +133,7 @@ impl Trainer {
             .schedule
             .shrink_factor(self.iteration, size_of_image(&full));
         let camera = full.shrunk(factor);
-        let degree = self.schedule.sh_degree(self.iteration);
-        let options = self.options(self.iteration, degree);
+        let options = self.options(self.iteration, degree as u32);
         self.renderer.render(&self.scene, &camera, &options)?;
         let photo = if factor > 1 {
             self.shrink
@@ -137,7 +147,7 @@ impl Trainer {
         self.loss
             .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
         pass.render(scene, &camera, &options)?;
-        let project_grad = &self.project_grad[degree as usize];
+        let project_grad = &self.project_grad[degree];
         pass.gradients(scene, &camera, &self.dimage, project_grad, first)
     }
 }
