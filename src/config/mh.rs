@@ -44,7 +44,7 @@ pub enum Surrogate {
     #[default]
     Importance,
     /// Its first-order change ΔL of the loss over a few views, computed for all proposals of a step at once; not in \[MH\].
-    /// σ(I) of Eq. 20 becomes min(1, exp(−ΔL/s)) with s the mean |ΔL| over the step's proposals. Which sources are drawn is
+    /// σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Which sources are drawn is
     /// still up to I.
     Probe,
 }

@@ -30,7 +30,11 @@ pub(super) fn pass(
 impl Trainer {
     /// First-order change of the loss by each birth, mean over the views that training takes next, at the size that they
     /// have now; NaN where none of them sees it. The scene is taken as it is, before the step's relocations.
-    pub(super) fn probe(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    #[doc(hidden)]
+    pub fn probe(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
         let Some(mut pass) = self.probes.take().filter(|_| !trials.is_empty()) else {
             return Ok(Vec::new());
         };

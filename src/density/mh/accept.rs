@@ -47,18 +47,20 @@ pub fn ln_ratio(form: Acceptance, ln_gain: f64, lambda: f64, count: u32) -> f64 
     }
 }
 
-/// The gain's part of ln ρ from first-order changes ΔL of the loss, one per proposal of a step: min(0, −ΔL/s), s the mean
-/// |ΔL|, so that temperatures mean the same at any size of the loss; 0 where s is. Of a proposal that no view saw (NaN)
-/// nothing is known, and it gets the mean of the others, as I has a cue at its mean where no view sees its source.
+/// The gain's part of ln ρ from first-order changes ΔL of the loss, one per proposal of a step: ln σ(−ΔL/s), Barker's rule
+/// (Barker 1965) at a temperature of s, the mean |ΔL|, so that `temperature` means the same at any size of the loss; z = 0
+/// where s is 0. Metropolis's min(0, −ΔL/s) makes half of the proposals certain, whatever the temperature, so that no share
+/// below theirs can be asked for. Of a proposal that no view saw (NaN) nothing is known, and it gets the mean of the others,
+/// as I has a cue at its mean where no view sees its source.
 #[must_use]
 pub fn ln_gains(changes: &[f64]) -> Vec<f64> {
     let known = || changes.iter().filter(|c| c.is_finite());
     let count = known().count().max(1) as f64;
     let scale = known().map(|c| c.abs()).sum::<f64>() / count;
     if !(scale > 0.0 && scale.is_finite()) {
-        return vec![0.0; changes.len()];
+        return vec![ln_sigmoid(0.0); changes.len()];
     }
-    let gain = |change: &f64| (-change / scale).min(0.0);
+    let gain = |change: &f64| ln_sigmoid(-change / scale);
     let mean = known().map(gain).sum::<f64>() / count;
     let of = |c: &f64| if c.is_finite() { gain(c) } else { mean };
     changes.iter().map(of).collect()
