@@ -51,6 +51,16 @@ fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result
     Array::zeros(device, "small", planes * pixels)
 }
 
+fn check_start(splats: &Splats) -> Result<()> {
+    if splats.is_empty() {
+        return Err(Error::Numerics {
+            stage: "train".into(),
+            what: "no Gaussian to start from".into(),
+        });
+    }
+    Ok(())
+}
+
 struct InFlight {
     iteration: u32,
     counters: PendingRead<u32>,
@@ -125,12 +135,7 @@ impl Trainer {
     pub fn with_views(views: ViewSet, config: &TrainConfig, splats: &Splats) -> Result<Self> {
         let device = &views.photos().device().clone();
         config.validate()?;
-        if splats.is_empty() {
-            return Err(Error::Numerics {
-                stage: "train".into(),
-                what: "no Gaussian to start from".into(),
-            });
-        }
+        check_start(splats)?;
         let (tuning, degree) = (device.tuning(), config.sh_degree);
         let defines = Defines {
             has_alpha: views.has_alpha,
