@@ -64,6 +64,37 @@ impl<R: Real> Pass<R> {
         self.renderer.render(scene, camera, options)
     }
 
+    /// What goes back through the view rendered last.
+    pub(crate) fn backward<'a>(&'a self, project_grad: &'a ProjectGrad) -> Backward<'a, R> {
+        Backward {
+            device: &self.device,
+            renderer: &self.renderer,
+            splat_grad: &self.splat_grad,
+            project_grad,
+        }
+    }
+
+    /// Whether the view rendered last has any pair of each row from `first` to `count`.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub(crate) fn touched(&self, first: usize, count: usize) -> Result<Vec<bool>> {
+        let pairs = &self.renderer.frame.pair_counts;
+        let pairs = pairs.read(first, count - first)?;
+        Ok(pairs.into_iter().map(|n| n > 0).collect())
+    }
+}
+
+/// The backward stages after a render.
+#[derive(Debug)]
+pub(crate) struct Backward<'a, R: Real> {
+    pub(crate) device: &'a Device,
+    pub(crate) renderer: &'a Renderer<R>,
+    pub(crate) splat_grad: &'a SplatGrad,
+    pub(crate) project_grad: &'a ProjectGrad,
+}
+
+impl<R: Real> Backward<'_, R> {
     /// Derivatives of the loss by opacity logit and the three log-scales of the rows of the scene rendered last from `first`
     /// (a multiple of 16) on.
     ///
@@ -74,7 +105,6 @@ impl<R: Real> Pass<R> {
         scene: &Scene<R>,
         camera: &CameraArg<R>,
         dimage: &Array<R>,
-        project_grad: &ProjectGrad,
         first: usize,
     ) -> Result<[Vec<f64>; 4]> {
         let frame = &self.renderer.frame;
@@ -82,8 +112,8 @@ impl<R: Real> Pass<R> {
             .run(&self.renderer.lists(camera), dimage, &frame.sums)?;
         let count = scene.count;
         let rows = (count - first).next_multiple_of(ROUND);
-        let grads = Array::zeros(&self.device, "grads", scene.planes() * rows)?;
-        project_grad.run(&ProjectGradArgs {
+        let grads = Array::zeros(self.device, "grads", scene.planes() * rows)?;
+        self.project_grad.run(&ProjectGradArgs {
             params: &scene.params,
             stride: scene.stride,
             count,
@@ -109,16 +139,6 @@ impl<R: Real> Pass<R> {
             plane(scale + 1)?,
             plane(scale + 2)?,
         ])
-    }
-
-    /// Whether the view rendered last has any pair of each row from `first` to `count`.
-    ///
-    /// # Errors
-    /// The driver's.
-    pub(crate) fn touched(&self, first: usize, count: usize) -> Result<Vec<bool>> {
-        let pairs = &self.renderer.frame.pair_counts;
-        let pairs = pairs.read(first, count - first)?;
-        Ok(pairs.into_iter().map(|n| n > 0).collect())
     }
 }
 

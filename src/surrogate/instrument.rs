@@ -189,13 +189,9 @@ impl<R: Real> Instrument<R> {
         view: usize,
         first: usize,
     ) -> Result<[Vec<f64>; 4]> {
-        self.passes[lifted].gradients(
-            &self.scene,
-            &self.views.cameras[view],
-            &self.dimage,
-            &self.project_grad,
-            first,
-        )
+        let backward = self.passes[lifted].backward(&self.project_grad);
+        let camera = &self.views.cameras[view];
+        backward.gradients(&self.scene, camera, &self.dimage, first)
     }
 
     /// Whether the view rendered last has any pair of the rows.

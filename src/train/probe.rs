@@ -8,7 +8,7 @@ use crate::buffers::{Scene, restride};
 use crate::density::{DensityControl, Edit, Trial};
 use crate::error::Result;
 use crate::gpu::{Array, Defines, Device, EditRow};
-use crate::probe::{EPSILON_SINGLE, Pass, ROUND, change, scaled_logit};
+use crate::probe::{Backward, EPSILON_SINGLE, Pass, ROUND, change, scaled_logit};
 use crate::stage::edit::EditArgs;
 use crate::stage::loss::size_of_image;
 
@@ -54,7 +54,7 @@ impl Trainer {
     pub(super) fn warm_up_probes(&mut self, degree: u32) -> Result<()> {
         if let Some(mut pass) = self.probes.take() {
             let scene = self.with_probes(&[])?;
-            self.probe_view(&mut pass, &scene, [0, degree as usize], 0)?;
+            self.probe_view(&mut pass, &scene, [0, degree as usize], true)?;
             self.probes = Some(pass);
         }
         Ok(())
@@ -64,7 +64,7 @@ impl Trainer {
         let scene = self.with_probes(trials)?;
         let n = self.scene.count;
         let shared = trials.iter().any(|t| t.source_change.is_some());
-        let first = if shared { 0 } else { n / ROUND * ROUND };
+        let first = n / ROUND * ROUND;
         let count = self.density.trial_views().min(self.views.len());
         let views = self
             .schedule
@@ -72,14 +72,14 @@ impl Trainer {
         let degree = self.schedule.sh_degree(self.iteration) as usize;
         let mut changes = vec![f64::NAN; trials.len()];
         for view in &views {
-            let gradients = self.probe_view(pass, &scene, [*view, degree], first)?;
+            let [probes, sources] = self.probe_view(pass, &scene, [*view, degree], shared)?;
             let touched = pass.touched(n, scene.count)?;
             for (k, (sum, trial)) in changes.iter_mut().zip(trials).enumerate() {
                 let logit = f64::from(trial.birth.opacity_logit);
-                let mut here = change(gradients[0][n - first + k], logit, EPSILON_SINGLE);
+                let mut here = change(probes[0][n - first + k], logit, EPSILON_SINGLE);
                 if let Some(source) = trial.source_change {
                     let at = trial.birth.src as usize;
-                    here += (0..4).map(|g| source[g] * gradients[g][at]).sum::<f64>();
+                    here += (0..4).map(|g| source[g] * sources[g][at]).sum::<f64>();
                 }
                 if touched[k] || here != 0.0 {
                     *sum = here + if sum.is_nan() { 0.0 } else { *sum };
@@ -122,15 +122,15 @@ impl Trainer {
         Ok(scene)
     }
 
-    /// Derivatives by opacity logit and log-scales of the rows from `first` on, in one view: the loss's gradient is that of the
-    /// ordinary render.
+    /// Derivatives by opacity logit and log-scales in one view: of the rows from the last whole 16 of the scene on, with the
+    /// probes' cut, and of the scene's own, if `shared`, with the ordinary one. dL/dC is that of the ordinary render.
     fn probe_view(
         &mut self,
         pass: &mut Pass<f32>,
         scene: &Scene,
         [view, degree]: [usize; 2],
-        first: usize,
-    ) -> Result<[Vec<f64>; 4]> {
+        shared: bool,
+    ) -> Result<[[Vec<f64>; 4]; 2]> {
         let photo = self.views.photo(view, &[])?;
         let full = self.views.cameras[view];
         let factor = self
@@ -150,8 +150,23 @@ impl Trainer {
         let lambda = f64::from(self.config.loss.lambda_ssim);
         self.loss
             .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
+        let (project_grad, dimage) = (&self.project_grad[degree], &self.dimage);
+        let sources = if shared {
+            let backward = Backward {
+                device: &self.device,
+                renderer: &self.renderer,
+                splat_grad: &self.splat_grad,
+                project_grad,
+            };
+            backward.gradients(&self.scene, &camera, dimage, 0)?
+        } else {
+            Default::default()
+        };
         pass.render(scene, &camera, &options)?;
-        let project_grad = &self.project_grad[degree];
-        pass.gradients(scene, &camera, &self.dimage, project_grad, first)
+        let first = self.scene.count / ROUND * ROUND;
+        let probes = pass
+            .backward(project_grad)
+            .gradients(scene, &camera, dimage, first)?;
+        Ok([probes, sources])
     }
 }
