@@ -58,6 +58,7 @@ fn density(c: &mut Criterion) {
         resets_opacity: false,
         cameras: &[],
         pictures: &[],
+        changes: &[],
     };
     let errors = Evidence::Errors(cues);
     let mut mh = MetropolisHastings::new(&MhConfig::default());

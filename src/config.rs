@@ -9,7 +9,7 @@ mod work;
 
 use serde::{Deserialize, Serialize};
 
-pub use mh::{Acceptance, Birth, MhConfig, ViewSubset};
+pub use mh::{Acceptance, Birth, MhConfig, Surrogate, ViewSubset};
 pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
 pub use values::{Background, Init, parse_bytes, parse_duration};
 use values::{bytes_or_number, duration_or_number};

@@ -20,6 +20,7 @@
 //! | noise | `kernels/noise.cl` | a random step of every position (sampler mcmc) |
 //! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error cues (sampler mh) or gradients on the screen (adc) of each Gaussian |
 //! | density control | [`density`] | which Gaussians are born, moved or removed, on the host |
+//! | probes | `probe.rs`, `train/probe.rs` | what proposed births would do to the loss, if density control asks |
 //! | edit | `kernels/edit.cl` | rows written by density control |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
@@ -70,6 +71,7 @@ pub mod model;
 #[doc(hidden)]
 pub mod photos;
 pub mod plan;
+mod probe;
 pub mod reference;
 pub mod render;
 pub mod report;

@@ -114,6 +114,13 @@ impl Plan {
     }
 
     fn sampler(&mut self, config: &TrainConfig) {
+        if config.sampler == Sampler::Mh && config.mh.probed_views() > 0 {
+            let why = format!(
+                "births are judged by probes in {} views",
+                config.mh.probe_views
+            );
+            self.decide(true, "probes", &why, "");
+        }
         let errors = "importance pass";
         match config.sampler {
             Sampler::Mh if config.mh.wants_errors() => self.decide(

@@ -3,6 +3,7 @@
 mod control;
 mod observe;
 mod pictures;
+mod probe;
 mod sampler;
 mod state;
 mod warm_up;
@@ -23,6 +24,7 @@ use crate::gpu::tuning::status;
 use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, PendingRead, StageTime};
 use crate::model::{Plane, Splats};
 use crate::photos::{AHEAD, Photos};
+use crate::probe::Pass;
 use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::schedule::Schedule;
 use crate::stage::adam::{Adam, AdamArgs};
@@ -47,6 +49,16 @@ fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result
     };
     let planes = if views.has_alpha { 4 } else { 3 };
     Array::zeros(device, "small", planes * pixels)
+}
+
+fn check_start(splats: &Splats) -> Result<()> {
+    if splats.is_empty() {
+        return Err(Error::Numerics {
+            stage: "train".into(),
+            what: "no Gaussian to start from".into(),
+        });
+    }
+    Ok(())
 }
 
 struct InFlight {
@@ -81,10 +93,14 @@ pub struct Trainer {
     losses: Array<f32>,
     cues: Array<f32>,
     density: Box<dyn DensityControl>,
+    /// Renders probes; none where density control tries no birth.
+    probes: Option<Pass<f32>>,
     sampler: SamplerStages,
     stats: DensityStats,
     /// Time that density steps took on the host, their transfers and edits included.
     density_time: StageTime,
+    /// Of that, what probes took.
+    probe_time: StageTime,
     in_flight: VecDeque<InFlight>,
     iteration: u32,
     /// Iterations done when density control last acted: repeating an iteration must not repeat that.
@@ -119,12 +135,7 @@ impl Trainer {
     pub fn with_views(views: ViewSet, config: &TrainConfig, splats: &Splats) -> Result<Self> {
         let device = &views.photos().device().clone();
         config.validate()?;
-        if splats.is_empty() {
-            return Err(Error::Numerics {
-                stage: "train".into(),
-                what: "no Gaussian to start from".into(),
-            });
-        }
+        check_start(splats)?;
         let (tuning, degree) = (device.tuning(), config.sh_degree);
         let defines = Defines {
             has_alpha: views.has_alpha,
@@ -158,10 +169,12 @@ impl Trainer {
             partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
             losses: Array::zeros(device, "losses", 2 * LOSS_RING)?,
             cues: sampler.cues(device, scene.stride)?,
+            probes: probe::pass(device, defines, degree, density.as_ref())?,
             density,
             sampler,
             stats: DensityStats::default(),
             density_time: StageTime::default(),
+            probe_time: StageTime::default(),
             in_flight: VecDeque::new(),
             iteration: 0,
             last_density: None,

@@ -5,6 +5,7 @@ mod chain;
 mod mcmc;
 mod parts;
 mod pixels;
+mod probes;
 mod sharing;
 mod step;
 mod switches;

@@ -40,7 +40,7 @@ fn config(iterations: u32) -> TrainConfig {
     }
 }
 
-fn saved(trainer: &mut Trainer, config: &TrainConfig, data: &Dataset) -> Checkpoint {
+pub fn saved(trainer: &mut Trainer, config: &TrainConfig, data: &Dataset) -> Checkpoint {
     Checkpoint {
         state: trainer.state().unwrap(),
         config: config.clone(),
@@ -51,7 +51,7 @@ fn saved(trainer: &mut Trainer, config: &TrainConfig, data: &Dataset) -> Checkpo
     }
 }
 
-fn drive(trainer: &mut Trainer, until: u32) -> Result<()> {
+pub fn drive(trainer: &mut Trainer, until: u32) -> Result<()> {
     while trainer.iteration() < until {
         trainer.step()?;
         trainer.density_step()?;
@@ -59,7 +59,7 @@ fn drive(trainer: &mut Trainer, until: u32) -> Result<()> {
     trainer.settle()
 }
 
-fn trained(dataset: &Dataset, config: &TrainConfig, until: u32) -> (Trainer, Splats) {
+pub fn trained(dataset: &Dataset, config: &TrainConfig, until: u32) -> (Trainer, Splats) {
     let device = Device::open(None).unwrap();
     let splats = initial_splats(dataset, config).unwrap();
     let mut trainer = Trainer::new(&device, dataset, config, &splats).unwrap();

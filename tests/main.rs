@@ -20,6 +20,7 @@ mod gradient;
 mod layout;
 mod learning;
 mod photos;
+mod probes;
 mod reference;
 mod report;
 mod samplers;

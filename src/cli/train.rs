@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
-use mhsplat::config::{Sampler, TrainConfig, parse_bytes, parse_duration};
+use mhsplat::config::{Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration};
 use mhsplat::dataset::{self, LoadOptions};
 use mhsplat::error::{Error, Result};
 use mhsplat::export::checkpoint;
@@ -28,6 +28,14 @@ enum SamplerFlag {
     None,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum SurrogateFlag {
+    /// The importance of its source.
+    Importance,
+    /// Its first-order change of the loss, computed over a few views.
+    Probe,
+}
+
 /// Arguments; every one also has its place in a --config file, and wins over it.
 #[derive(clap::Args)]
 pub struct TrainArgs {
@@ -39,6 +47,9 @@ pub struct TrainArgs {
     /// Density control [default: mh]
     #[arg(long, value_enum)]
     sampler: Option<SamplerFlag>,
+    /// What a birth of the mh sampler is judged by [default: importance]
+    #[arg(long, value_enum)]
+    surrogate: Option<SurrogateFlag>,
     /// Iterations; every schedule scales with it [default: 30000]
     #[arg(long, value_name = "N")]
     iterations: Option<u32>,
@@ -74,8 +85,8 @@ pub struct TrainArgs {
     checkpoint_every: Option<u32>,
     /// Continue the run in this folder from its checkpoint, as it was configured.
     #[arg(long, value_name = "RUN", conflicts_with_all = [
-        "output", "config", "sampler", "iterations", "max_size", "max_gaussians", "sh_degree", "seed", "test_every", "init",
-        "background",
+        "output", "config", "sampler", "surrogate", "iterations", "max_size", "max_gaussians", "sh_degree", "seed",
+        "test_every", "init", "background",
     ])]
     resume: Option<PathBuf>,
     /// points, random or FILE.ply [default: points]
@@ -211,6 +222,12 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
             SamplerFlag::Mcmc => Sampler::Mcmc,
             SamplerFlag::Adc => Sampler::Adc,
             SamplerFlag::None => Sampler::None,
+        };
+    }
+    if let Some(s) = args.surrogate {
+        c.mh.surrogate = match s {
+            SurrogateFlag::Importance => Surrogate::Importance,
+            SurrogateFlag::Probe => Surrogate::Probe,
         };
     }
     if let Some(t) = &args.time_budget {

@@ -38,6 +38,20 @@ pub enum Birth {
     Faint,
 }
 
+/// What stands for the loss change of a birth in ρ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Surrogate {
+    /// The importance I of its source (\[MH\] Eq. 18–20).
+    #[default]
+    Importance,
+    /// Its first-order change ΔL of the loss over a few views, computed for all proposals of a step at once; not in \[MH\].
+    /// σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Which sources are drawn is
+    /// still up to I.
+    Probe,
+}
+
 /// How many views a step judges by (Eq. 10); written `"shrinking"`, `"all"` or a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(try_from = "WordOrNumber", into = "WordOrNumber")]
@@ -91,6 +105,10 @@ impl From<ViewSubset> for WordOrNumber {
 pub struct MhConfig {
     /// Form of ρ (Eq. 18–20, Alg. 1).
     pub acceptance: Acceptance,
+    /// What stands for a birth's loss change in ρ.
+    pub surrogate: Surrogate,
+    /// Views that probes are rendered in, those that training takes next (`surrogate = "probe"` alone); all if there are fewer.
+    pub probe_views: u32,
     /// What a birth takes of its source (§4.3).
     pub birth: Birth,
     /// Most opacity of a faint birth.
@@ -162,6 +180,8 @@ impl Default for MhConfig {
     fn default() -> Self {
         Self {
             acceptance: Acceptance::Eq20,
+            surrogate: Surrogate::Importance,
+            probe_views: 4,
             birth: Birth::Faint,
             birth_opacity: 0.1,
             lambda_voxel: 5.0,
@@ -252,7 +272,14 @@ impl MhConfig {
             "target-acceptance",
             "two shares between 0 and 1, or [0, 0] for none, expected",
         )?;
+        let opacity = self.birth_opacity;
+        check(
+            opacity > self.dead_opacity && opacity < 1.0,
+            "birth-opacity",
+            "more than dead-opacity and less than 1 expected",
+        )?;
         self.validate_pixels()?;
+        self.validate_probes()?;
         let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
         check(
             weights.iter().all(|w| w.is_finite()) && (0.0..1.0).contains(&self.dead_opacity),
@@ -288,6 +315,32 @@ impl MhConfig {
             ));
         }
         Ok(())
+    }
+
+    fn validate_probes(&self) -> Result<()> {
+        if self.surrogate == Surrogate::Importance {
+            return Ok(());
+        }
+        if self.probe_views == 0 {
+            return Err(Error::config("mh.probe-views", "0; at least 1 expected"));
+        }
+        // The other forms weigh I in other ways, and there is no I in ρ.
+        if matches!(self.acceptance, Acceptance::Alg1 | Acceptance::Centred) {
+            return Err(Error::config(
+                "mh.surrogate",
+                "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is probed)",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Views that the births of a step are probed in; 0 where ρ has no use for it.
+    #[must_use]
+    pub fn probed_views(&self) -> usize {
+        match (self.surrogate, self.acceptance) {
+            (Surrogate::Importance, _) | (_, Acceptance::ExactPrior) => 0,
+            (Surrogate::Probe, _) => self.probe_views as usize,
+        }
     }
 
     /// Whether error maps are of use.

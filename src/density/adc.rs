@@ -4,7 +4,7 @@
 //! back.
 
 use super::draw::{birth_position, gather, is_finite};
-use super::relocation::sigmoid;
+use super::relocation::{logit, sigmoid};
 use super::{
     DensityControl, DensityStats, Edit, Evidence, Outcome, SceneState, ScreenGradient, StepContext,
     Wanted, check_lengths, unexpected,
@@ -222,9 +222,7 @@ impl DensityControl for Adaptive {
         Ok(Outcome {
             edits,
             rows: dst as usize,
-            logit_limit: context
-                .resets_opacity
-                .then(|| (limit / (1.0 - limit)).ln() as f32),
+            logit_limit: context.resets_opacity.then(|| logit(limit) as f32),
             removed,
             stats,
         })

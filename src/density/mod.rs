@@ -135,6 +135,9 @@ pub struct StepContext<'a> {
     pub cameras: &'a [[f32; 3]],
     /// As many views as [`DensityControl::pictures`] names, as they are rendered now.
     pub pictures: &'a [Picture],
+    /// First-order changes of the loss by the births that [`DensityControl::trials`] names, in their order; NaN where no view
+    /// sees a birth.
+    pub changes: &'a [f64],
 }
 
 /// One Gaussian to be written: the row `src` is copied to `dst`, then position, log-scale, opacity and maybe the colour are
@@ -156,6 +159,15 @@ pub struct Edit {
     pub opacity_logit: f32,
     /// New SH coefficients of band 0, the higher bands being zero; none: those of `src`.
     pub color: Option<[f32; 3]>,
+}
+
+/// A birth whose effect on the loss a step asks for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trial {
+    /// What would be written; `dst` is of no meaning.
+    pub birth: Edit,
+    /// By how much the source's opacity logit and its three log-scales change, if birth and source share.
+    pub source_change: Option<[f64; 4]>,
 }
 
 /// What happened in one step, or the sum over a run.
@@ -255,6 +267,24 @@ pub trait DensityControl: Send {
     /// How many views a step at this progress wants rendered, with their photos.
     fn pictures(&self, _progress: f64) -> usize {
         0
+    }
+
+    /// How many views a step's births are tried in; 0 if it never asks.
+    fn trial_views(&self) -> usize {
+        0
+    }
+
+    /// The births whose effect on the loss the step with these arguments needs to know, as [`StepContext::changes`].
+    ///
+    /// # Errors
+    /// As [`DensityControl::step`].
+    fn trials(
+        &self,
+        _context: &StepContext<'_>,
+        _scene: &SceneState<'_>,
+        _evidence: &Evidence<'_>,
+    ) -> Result<Vec<Trial>> {
+        Ok(Vec::new())
     }
 
     /// Noise on the positions after every optimiser step, if any.

@@ -1,7 +1,7 @@
 //! Dead Gaussians take over alive ones (\[MH\] Eq. 17, \[MCMC\] Eq. 9).
 
 use super::draw::{Categorical, gather, is_finite};
-use crate::density::relocation::{most_copies, sigmoid, split};
+use crate::density::relocation::{logit, most_copies, sigmoid, split};
 use crate::density::{Edit, SceneState, StepContext};
 use crate::rng::{Philox, Purpose};
 use rayon::prelude::*;
@@ -53,8 +53,7 @@ impl Relocation {
     /// Nothing moved, and the dead rows, rising.
     fn survey(scene: &SceneState<'_>, dead_opacity: f64) -> (Self, Vec<u32>) {
         // The logit of the threshold: one logarithm instead of one exponential per row.
-        let dead = dead_opacity.clamp(0.0, 1.0);
-        let threshold = dead.ln() - (-dead).ln_1p();
+        let threshold = logit(dead_opacity.clamp(0.0, 1.0));
         let alive: Vec<bool> = (0..scene.len())
             .into_par_iter()
             .map(|i| is_alive(scene, i, threshold))

@@ -35,6 +35,12 @@ pub fn softplus(x: f64) -> f64 {
     x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 
+/// ln(o/(1−o)) of an opacity between 0 and 1.
+#[must_use]
+pub fn logit(opacity: f64) -> f64 {
+    opacity.ln() - (-opacity).ln_1p()
+}
+
 /// The logistic function 1/(1 + e⁻ˣ), without overflow.
 #[must_use]
 pub fn sigmoid(x: f64) -> f64 {

@@ -255,6 +255,15 @@ impl Device {
         Ok(())
     }
 
+    /// Leaves launches so far whose device time has not been read out of all stages: who made them counts them otherwise.
+    pub fn forget_launches(&self) {
+        self.inner
+            .pending
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clear();
+    }
+
     /// Device time per stage since the device was opened (or [`Device::reset_times`]).
     #[must_use]
     pub fn times(&self) -> Vec<(&'static str, StageTime)> {

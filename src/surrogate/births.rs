@@ -1,11 +1,11 @@
 //! Births on the device: their true loss change by rendering again, and what a probe foretells.
 
 use super::candidates::{Candidate, Shape};
-use super::instrument::{Base, Instrument, ROUND};
-use crate::density::relocation::sigmoid;
+use super::instrument::{Base, Instrument};
 use crate::error::Result;
 use crate::gpu::Real;
 use crate::model::Plane;
+use crate::probe::{ROUND, change, scaled_logit};
 
 /// A birth as it is to be measured.
 #[derive(Debug, Clone, Copy)]
@@ -86,20 +86,16 @@ impl<R: Real> Instrument<R> {
         self.insert(n, births, epsilon)?;
         let mut probed = vec![Probed::default(); births.len()];
         let (first, count) = (n / ROUND * ROUND, n + births.len());
-        let logits: Vec<f64> = births
-            .iter()
-            .map(|b| scaled_logit(f64::from(b.shape.opacity_logit), epsilon))
-            .collect();
         for view in 0..self.view_count() {
             self.render(0, view, n)?;
             self.image_gradient(view)?;
             self.render(1, view, count)?;
-            let [slopes, ..] = self.gradients(1, view, first, count)?;
+            let [slopes, ..] = self.gradients(1, view, first)?;
             let touched = self.touched(1, n, count)?;
-            for (k, p) in probed.iter_mut().enumerate() {
-                // dL/dlogit = (1 − o)·o·dL/do at o = ε·o_c; the change by o_c is o_c·dL/do.
-                let keeps = sigmoid(-logits[k]);
-                p.change += slopes[n - first + k] / (keeps * epsilon * self.view_count() as f64);
+            for (k, (p, b)) in probed.iter_mut().zip(births).enumerate() {
+                let logit = f64::from(b.shape.opacity_logit);
+                let change = change(slopes[n - first + k], logit, epsilon);
+                p.change += change / self.view_count() as f64;
                 p.touched.push(touched[k]);
             }
         }
@@ -157,13 +153,4 @@ impl<R: Real> Instrument<R> {
         }
         Ok(sum / self.view_count() as f64)
     }
-}
-
-/// The logit of `factor` times the opacity of a logit.
-fn scaled_logit(logit: f64, factor: f64) -> f64 {
-    if factor == 1.0 {
-        return logit;
-    }
-    let o = factor * sigmoid(logit);
-    o.ln() - (-o).ln_1p()
 }

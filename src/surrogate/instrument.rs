@@ -9,15 +9,12 @@ use crate::density::Cues;
 use crate::error::Result;
 use crate::gpu::tuning::TILE;
 use crate::gpu::{Array, Defines, Device, Kernels, Real};
-use crate::model::{Plane, Splats};
-use crate::render::{RenderOptions, Renderer};
+use crate::model::Splats;
+use crate::probe::{Pass, ROUND};
+use crate::render::RenderOptions;
 use crate::stage::importance::{Importance, ImportanceArgs};
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
-use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
-use crate::stage::splat_grad::SplatGrad;
-
-/// Rows of gradients start at multiples of this.
-pub(super) const ROUND: usize = 16;
+use crate::stage::project_grad::ProjectGrad;
 
 /// How an instrument is set up.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -80,8 +77,7 @@ pub struct Instrument<R: Real> {
     pub(super) splats: Splats,
     pub(super) scene: Scene<R>,
     /// With the ordinary cut, and with the probes'.
-    renderers: [Renderer<R>; 2],
-    splat_grads: [SplatGrad; 2],
+    passes: [Pass<R>; 2],
     project_grad: ProjectGrad,
     loss: Loss,
     importance: Importance,
@@ -109,23 +105,15 @@ impl<R: Real> Instrument<R> {
             has_alpha: views.has_alpha,
             ..Defines::new(device.tuning())
         };
-        let lifted = Defines {
-            alpha_min: setting.alpha_min * setting.probe,
-            ..defines
-        };
         let kernels = Kernels::new(device, defines);
         let loss = Loss::new::<R>(&kernels)?;
         let [w, h] = views.largest;
         let plane = w.next_multiple_of(TILE as usize) * h.next_multiple_of(TILE as usize);
         Ok(Self {
             scene: Scene::upload(device, &splats, splats.len() + births.max(1) + 2 * ROUND)?,
-            renderers: [
-                Renderer::new(device, defines, degree, true)?,
-                Renderer::new(device, lifted, degree, true)?,
-            ],
-            splat_grads: [
-                SplatGrad::new::<R>(&kernels)?,
-                SplatGrad::new::<R>(&Kernels::new(device, lifted))?,
+            passes: [
+                Pass::new(device, defines, degree, setting.alpha_min)?,
+                Pass::new(device, defines, degree, setting.alpha_min * setting.probe)?,
             ],
             project_grad: ProjectGrad::new::<R>(&kernels)?,
             importance: Importance::new::<R>(&kernels)?,
@@ -145,11 +133,11 @@ impl<R: Real> Instrument<R> {
         self.views.len()
     }
 
-    /// Renders a view with one of the renderers.
+    /// Renders a view with one of the passes.
     pub(super) fn render(&mut self, lifted: usize, view: usize, count: usize) -> Result<()> {
         self.scene.count = count;
         let camera = &self.views.cameras[view];
-        self.renderers[lifted].render(&self.scene, camera, &self.setting.render)
+        self.passes[lifted].render(&self.scene, camera, &self.setting.render)
     }
 
     /// Calls `then` with the render made last with the ordinary cut, and the view's photo.
@@ -160,7 +148,7 @@ impl<R: Real> Instrument<R> {
     ) -> Result<T> {
         let photo = self.views.photo(view, &[])?;
         then(&ImagePair {
-            image: &self.renderers[0].frame.image,
+            image: &self.passes[0].renderer.frame.image,
             photo: &photo,
             background: self.setting.render.background,
             size: size_of_image(&self.views.cameras[view]),
@@ -193,53 +181,22 @@ impl<R: Real> Instrument<R> {
         })
     }
 
-    /// Gradients of the rows from `first` (a multiple of 16) to `count` from the render made last by one of the renderers:
-    /// opacity logit and log-scales.
+    /// Gradients of the rows from `first` (a multiple of 16) on from the render made last by one of the passes: opacity logit
+    /// and log-scales.
     pub(super) fn gradients(
         &self,
         lifted: usize,
         view: usize,
         first: usize,
-        count: usize,
     ) -> Result<[Vec<f64>; 4]> {
-        let (camera, renderer) = (&self.views.cameras[view], &self.renderers[lifted]);
-        let frame = &renderer.frame;
-        self.splat_grads[lifted].run(&renderer.lists(camera), &self.dimage, &frame.sums)?;
-        let rows = (count - first).next_multiple_of(ROUND);
-        let grads = Array::zeros(&self.device, "grads", self.scene.planes() * rows)?;
-        self.project_grad.run(&ProjectGradArgs {
-            params: &self.scene.params,
-            stride: self.scene.stride,
-            count,
-            camera,
-            pair_start: &frame.pair_start,
-            pair_counts: &frame.pair_counts,
-            status: &frame.status,
-            sums: &frame.sums,
-            lambda_opacity: 0.0,
-            lambda_scale: 0.0,
-            block: first..count,
-            grad_stride: rows,
-            grads: &grads,
-        })?;
-        let plane = |p: usize| -> Result<Vec<f64>> {
-            let values = grads.read(p * rows, count - first)?;
-            Ok(values.into_iter().map(Into::into).collect())
-        };
-        let scale = Plane::LOG_SCALE;
-        Ok([
-            plane(Plane::OPACITY)?,
-            plane(scale)?,
-            plane(scale + 1)?,
-            plane(scale + 2)?,
-        ])
+        let backward = self.passes[lifted].backward(&self.project_grad);
+        let camera = &self.views.cameras[view];
+        backward.gradients(&self.scene, camera, &self.dimage, first)
     }
 
     /// Whether the view rendered last has any pair of the rows.
     pub(super) fn touched(&self, lifted: usize, first: usize, count: usize) -> Result<Vec<bool>> {
-        let frame = &self.renderers[lifted].frame;
-        let pairs = frame.pair_counts.read(first, count - first)?;
-        Ok(pairs.into_iter().map(|n| n > 0).collect())
+        self.passes[lifted].touched(first, count)
     }
 
     /// Losses, cues and gradients of the scene as it is.
@@ -269,11 +226,11 @@ impl<R: Real> Instrument<R> {
                 camera: &self.views.cameras[view],
                 maps: &self.maps,
                 first_view: view == 0,
-                status: &self.renderers[0].frame.status,
+                status: &self.passes[0].renderer.frame.status,
                 cues: &cues,
             })?;
             self.image_gradient(view)?;
-            let gradients = self.gradients(0, view, 0, n)?;
+            let gradients = self.gradients(0, view, 0)?;
             for (sums, more) in base.gradients.iter_mut().zip(gradients) {
                 sums.iter_mut().zip(more).for_each(|(s, g)| *s += g / k);
             }

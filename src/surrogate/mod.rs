@@ -42,15 +42,11 @@ use crate::export::checkpoint::{self, Checkpoint};
 use crate::gpu::tuning::ALPHA_MIN;
 use crate::gpu::{Device, Real};
 use crate::photos::Photos;
+use crate::probe::{EPSILON_DOUBLE, EPSILON_SINGLE};
 use crate::render::{Quantity, RenderOptions};
 use crate::rng::{Philox, Purpose};
 use crate::schedule::Schedule;
 use candidates::Ground;
-
-/// ε in double precision: thousands of probes on one ray take less than a hundredth of its light.
-const PROBE_DOUBLE: f64 = 1e-6;
-/// ε in single precision, where a smaller one would vanish beside the transmittance.
-const PROBE_SINGLE: f64 = 1e-4;
 
 /// Streams of the check's random numbers.
 pub(crate) mod stream {
@@ -160,9 +156,9 @@ pub fn check(
         options,
     };
     if device.info().fp64 {
-        subject.check::<f64>(device, PROBE_DOUBLE, progress)
+        subject.check::<f64>(device, EPSILON_DOUBLE, progress)
     } else {
-        subject.check::<f32>(device, PROBE_SINGLE, progress)
+        subject.check::<f32>(device, EPSILON_SINGLE, progress)
     }
 }
 

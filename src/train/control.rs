@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::Trainer;
 use crate::buffers::{Scene, restride};
 use crate::density::{
-    Cues, DensityStats, Evidence, Outcome, SceneState, ScreenGradient, StepContext, Wanted,
+    Cues, DensityStats, Edit, Evidence, Outcome, SceneState, ScreenGradient, StepContext, Wanted,
 };
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg, EditRow};
@@ -25,6 +25,19 @@ pub struct DensityEvent {
     pub gaussians: usize,
     /// This step's statistics.
     pub stats: DensityStats,
+}
+
+/// An edit as the device takes it.
+pub(super) fn row(e: &Edit) -> EditRow {
+    EditRow {
+        src: e.src,
+        dst: e.dst,
+        position: e.position,
+        log_scale: e.log_scale,
+        opacity_logit: e.opacity_logit,
+        colored: u32::from(e.color.is_some()),
+        color: e.color.unwrap_or_default(),
+    }
 }
 
 impl Trainer {
@@ -115,7 +128,7 @@ impl Trainer {
         };
         let cameras: Vec<[f32; 3]> = self.views.cameras.iter().map(|c| c.center).collect();
         let pictures = self.pictures(progress)?;
-        let context = StepContext {
+        let mut context = StepContext {
             iteration: self.iteration,
             progress,
             seed: self.config.seed,
@@ -124,6 +137,7 @@ impl Trainer {
             resets_opacity: self.schedule.resets_opacity(self.iteration),
             cameras: &cameras,
             pictures: &pictures,
+            changes: &[],
         };
         let rows = self.read_cues()?;
         let cue = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
@@ -145,6 +159,9 @@ impl Trainer {
                 views: &views,
             }),
         };
+        let trials = self.density.trials(&context, &state, &evidence)?;
+        let changes = self.probe(&trials)?;
+        context.changes = &changes;
         self.density.step(&context, &state, &evidence)
     }
 
@@ -168,19 +185,7 @@ impl Trainer {
         } else {
             self.cues.clear()?;
         }
-        let rows: Vec<EditRow> = outcome
-            .edits
-            .iter()
-            .map(|e| EditRow {
-                src: e.src,
-                dst: e.dst,
-                position: e.position,
-                log_scale: e.log_scale,
-                opacity_logit: e.opacity_logit,
-                colored: u32::from(e.color.is_some()),
-                color: e.color.unwrap_or_default(),
-            })
-            .collect();
+        let rows: Vec<EditRow> = outcome.edits.iter().map(row).collect();
         let edits = Array::from_slice(&self.device, "edits", &rows)?;
         self.edit.run(&self.edit_args(&edits))?;
         self.scene.count = outcome.rows;

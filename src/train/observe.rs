@@ -83,7 +83,7 @@ impl Trainer {
     }
 
     /// Device time per stage so far, and under `density` the host's time in density steps, transfers included and without
-    /// the device's `edit`.
+    /// the device's `edit` and the probes, whose time on host and device is under `probe`.
     #[must_use]
     pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
         let mut times = self.device.times();
@@ -91,6 +91,10 @@ impl Trainer {
             let edit = times.iter().find(|(name, _)| *name == "edit");
             let mut host = self.density_time;
             host.seconds = (host.seconds - edit.map_or(0.0, |(_, t)| t.seconds)).max(0.0);
+            if self.probe_time.calls > 0 {
+                host.seconds = (host.seconds - self.probe_time.seconds).max(0.0);
+                times.push(("probe", self.probe_time));
+            }
             times.push(("density", host));
         }
         times

@@ -35,6 +35,7 @@ impl Trainer {
         for degree in 0..=self.config.sh_degree {
             self.fit_views()?;
             self.enqueue_step(0, degree)?;
+            self.warm_up_probes(degree)?;
         }
         if let Wanted::Errors { .. } = self.density.wanted(1, 0.0) {
             let photo = self.views.photo(0, &[])?;

@@ -19,6 +19,7 @@ pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext<'static>
         resets_opacity: false,
         cameras: &[],
         pictures: &[],
+        changes: &[],
     }
 }
 

@@ -9,6 +9,9 @@
 //! `exact-prior` of training, which has births alone and decides many at once on the same counts, it is exact in the
 //! prior's factor and no more.
 //!
+//! Where births are probed, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a
+//! faint birth, over a few views, and of each birth alone.
+//!
 //! A temperature T turns ρ into ρ^{1/T}: the posterior's 1/T-th power for the exact form, a plain knob for the others.
 
 use crate::config::Acceptance;
@@ -23,13 +26,47 @@ pub fn voxel_prior(lambda: f64, count: u32) -> f64 {
 /// ln ρ of a birth whose source has importance I ∈ [0, 1], in the chosen form; −∞ where ρ is 0.
 #[must_use]
 pub fn ln_acceptance(form: Acceptance, importance: f64, lambda: f64, count: u32) -> f64 {
-    let ln_gain = match form {
+    ln_ratio(form, ln_gain(form, importance), lambda, count)
+}
+
+/// The part of ln ρ that stands for the change of the loss, from the importance I ∈ [0, 1] of the source: at most 0, −∞
+/// where it is nothing; 0 in the form without one.
+#[must_use]
+pub fn ln_gain(form: Acceptance, importance: f64) -> f64 {
+    match form {
         Acceptance::Eq20 => ln_sigmoid(importance),
         Acceptance::Alg1 => importance.ln(),
         Acceptance::Centred => ln_sigmoid(importance - 0.5),
-        Acceptance::ExactPrior => return exact_ln_prior_ratio(lambda, count),
-    };
-    ln_gain - (lambda * f64::from(count)).ln_1p()
+        Acceptance::ExactPrior => 0.0,
+    }
+}
+
+/// ln ρ from the gain's part and the c Gaussians in the voxel of birth.
+#[must_use]
+pub fn ln_ratio(form: Acceptance, ln_gain: f64, lambda: f64, count: u32) -> f64 {
+    match form {
+        Acceptance::ExactPrior => exact_ln_prior_ratio(lambda, count),
+        _ => ln_gain - (lambda * f64::from(count)).ln_1p(),
+    }
+}
+
+/// The gain's part of ln ρ from first-order changes ΔL of the loss, one per proposal of a step: ln σ(−ΔL/s), Barker's rule
+/// (Barker 1965) at a temperature of s, the mean |ΔL|, so that `temperature` means the same at any size of the loss; z = 0
+/// where s is 0. Metropolis's min(0, −ΔL/s) makes half of the proposals certain, whatever the temperature, so that no share
+/// below theirs can be asked for. Of a proposal that no view saw (NaN) nothing is known, and it gets the mean of the others,
+/// as I has a cue at its mean where no view sees its source.
+#[must_use]
+pub fn ln_gains(changes: &[f64]) -> Vec<f64> {
+    let known = || changes.iter().filter(|c| c.is_finite());
+    let count = known().count().max(1) as f64;
+    let scale = known().map(|c| c.abs()).sum::<f64>() / count;
+    if !(scale > 0.0 && scale.is_finite()) {
+        return vec![ln_sigmoid(0.0); changes.len()];
+    }
+    let gain = |change: &f64| ln_sigmoid(-change / scale);
+    let mean = known().map(gain).sum::<f64>() / count;
+    let of = |c: &f64| if c.is_finite() { gain(c) } else { mean };
+    changes.iter().map(of).collect()
 }
 
 /// ln of the exact prior ratio of a birth into a voxel that holds c Gaussians: λ_v·[ln(1+c) − ln(2+c)], from Eq. 7.

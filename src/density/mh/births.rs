@@ -32,11 +32,6 @@ impl Births {
         }
     }
 
-    /// Whether there is no room for any more.
-    pub(super) fn full(&self) -> bool {
-        self.len >= self.limit
-    }
-
     /// Appends the accepted births of a kind. Where there is no room for all, as many as there is room for, by lot: in the
     /// order of rows they would be those of one corner of the scene. The rest does not count as accepted.
     pub(super) fn take(
@@ -74,7 +69,7 @@ impl Births {
 
     pub(super) fn finish(
         mut self,
-        (form, most_opacity): (Birth, f64),
+        form: Birth,
         scene: &SceneState<'_>,
         relocation: Relocation,
         counts: &VoxelCounts<'_>,
@@ -87,18 +82,9 @@ impl Births {
         if stats.proposed > 0 {
             stats.mean_prior = self.prior_sum / stats.proposed as f64;
         }
-        match form {
-            Birth::Copy => (),
-            Birth::Split => {
-                let sources = relocate::share(&mut self.edits, scene);
-                self.edits.extend(sources);
-            }
-            Birth::Faint => {
-                let most = (most_opacity / (1.0 - most_opacity)).ln() as f32;
-                for birth in &mut self.edits {
-                    birth.opacity_logit = birth.opacity_logit.min(most);
-                }
-            }
+        if form == Birth::Split {
+            let sources = relocate::share(&mut self.edits, scene);
+            self.edits.extend(sources);
         }
         // What birth made of a source replaces what relocation had made of it.
         let split: FxHashSet<u32> = self

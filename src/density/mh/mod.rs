@@ -1,8 +1,9 @@
 //! Metropolis–Hastings density control (\[MH\] = Kim, Jung, Park, NeurIPS 2025, §4 and Alg. 1).
 //!
-//! One step: dead Gaussians are relocated (Eq. 17), voxels are counted, then births are proposed and decided twice, far
-//! from their sources and near (Eq. 14–16, 20). Within a phase every proposal sees the same counts, which keeps it
-//! parallel; births of the coarse phase are counted before the fine phase begins.
+//! One step: dead Gaussians are relocated (Eq. 17), births are proposed far from their sources and near (Eq. 14–16), voxels
+//! are counted, and the births are decided on (Eq. 20). Within a phase every proposal sees the same counts, which keeps it
+//! parallel; births of the coarse phase are counted before the fine phase is decided. What is proposed does not depend on
+//! what is accepted, so that the births of all phases can be probed together before.
 
 pub mod accept;
 mod births;
@@ -13,10 +14,10 @@ pub mod sparsity;
 use super::draw::{Categorical, birth_position, gather};
 use super::relocate::Relocation;
 use super::{
-    Cues, DensityControl, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext, Wanted,
-    check_lengths, numerics, unexpected,
+    Cues, DensityControl, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext, Trial,
+    Wanted, check_lengths, numerics, relocation, unexpected,
 };
-use crate::config::{MhConfig, ViewSubset};
+use crate::config::{Birth, MhConfig, ViewSubset};
 use crate::error::Result;
 use crate::rng::{Philox, Purpose};
 use births::Births;
@@ -51,9 +52,8 @@ enum Kind {
 /// A birth to be decided on.
 struct Proposal {
     edit: Edit,
-    /// D(v′).
-    prior: f64,
-    ln_rho: f64,
+    /// The part of ln ρ that stands for the change of the loss.
+    ln_gain: f64,
     /// Uniform in [0, 1).
     u: f64,
 }
@@ -69,7 +69,14 @@ struct Decision {
     lot: f64,
 }
 
-/// What both phases of a step read.
+/// What a step knows before it decides: a function of its arguments, so that what is tried is what is decided on.
+struct Draft {
+    relocation: Relocation,
+    /// In image space, coarse, fine: the order of decision. Where room is short, voids come first.
+    proposals: [(Kind, Vec<Proposal>); 3],
+}
+
+/// What the phases of a step read.
 struct Step<'a> {
     context: &'a StepContext<'a>,
     scene: &'a SceneState<'a>,
@@ -110,34 +117,43 @@ impl MetropolisHastings {
         ]
     }
 
-    /// Decides each proposal of a phase by ρ^{1/T}.
-    fn decide(&self, proposals: Vec<Proposal>, eta: f64) -> Vec<Decision> {
+    /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are.
+    fn decide(&self, proposals: &[Proposal], counts: &VoxelCounts<'_>, eta: f64) -> Vec<Decision> {
         let c = &self.config;
+        let count = |p: &Proposal| counts.get(p.edit.position.map(f64::from));
+        let counts: Vec<u32> = proposals.par_iter().map(count).collect();
+        let ln_rhos: Vec<f64> = proposals
+            .iter()
+            .zip(&counts)
+            .map(|(p, n)| accept::ln_ratio(c.acceptance, p.ln_gain, c.lambda_voxel, *n))
+            .collect();
         let wanted = lerp(c.target_acceptance, eta);
         let temperature = if wanted > 0.0 {
-            let ln_rhos: Vec<f64> = proposals.iter().map(|p| p.ln_rho).collect();
             accept::temperature_for(&ln_rhos, wanted)
         } else {
             lerp(c.temperature, eta)
         };
-        let decided = |p: Proposal| {
-            let ln_rho = p.ln_rho / temperature;
+        let decision = |((p, n), ln_rho): ((&Proposal, &u32), &f64)| {
+            let ln_rho = ln_rho / temperature;
             Decision {
                 edit: p.edit,
-                prior: p.prior,
+                prior: accept::voxel_prior(c.lambda_voxel, *n),
                 accepted: accept::accepts(p.u, ln_rho),
                 lot: p.u.ln() - ln_rho,
             }
         };
-        proposals.into_iter().map(decided).collect()
+        let pairs = proposals.iter().zip(&counts).zip(&ln_rhos);
+        pairs.map(decision).collect()
     }
 
-    /// Draws the proposals of a phase, each with its ratio against the counts as they are. One that would land at a
-    /// non-finite position is not proposed.
-    fn propose(&self, step: &Step<'_>, phase: &Phase, counts: &VoxelCounts<'_>) -> Vec<Proposal> {
+    /// Draws the proposals of a phase. One that would land at a non-finite position is not proposed.
+    fn propose(&self, step: &Step<'_>, phase: &Phase) -> Vec<Proposal> {
         let [draw, offset, accept] = phase.streams;
         let seed = step.context.seed;
-        let lambda = self.config.lambda_voxel;
+        let most = match self.config.birth {
+            Birth::Faint => relocation::logit(self.config.birth_opacity) as f32,
+            Birth::Copy | Birth::Split => f32::INFINITY,
+        };
         step.sources
             .draw_unique(phase.proposals, seed, draw)
             .into_par_iter()
@@ -154,24 +170,17 @@ impl MetropolisHastings {
                 };
                 let [x, y, z, _] = Philox::normal(seed, offset, u64::from(row));
                 let position = birth_position(step.scene, i, log_scale, phase.spread, [x, y, z])?;
-                let count = counts.get(position.map(f64::from));
-                let ln_rho = accept::ln_acceptance(
-                    self.config.acceptance,
-                    *step.importance.get(i)?,
-                    lambda,
-                    count,
-                );
+                let importance = *step.importance.get(i)?;
                 Some(Proposal {
                     edit: Edit {
                         src: row,
                         dst: row,
                         position,
                         log_scale,
-                        opacity_logit,
+                        opacity_logit: opacity_logit.min(most),
                         color: None,
                     },
-                    prior: accept::voxel_prior(lambda, count),
-                    ln_rho,
+                    ln_gain: accept::ln_gain(self.config.acceptance, importance),
                     u: Philox::uniform(seed, accept, u64::from(row))[0],
                 })
             })
@@ -198,10 +207,11 @@ impl MetropolisHastings {
     fn counts<'a>(
         &self,
         context: &StepContext<'a>,
+        eta: f64,
         scene: &SceneState<'_>,
         relocation: &Relocation,
     ) -> VoxelCounts<'a> {
-        let edge = lerp(self.config.voxel_edge, context.progress);
+        let edge = lerp(self.config.voxel_edge, eta);
         let lattice = Lattice::growing(edge, self.config.voxel_growth_from, context.cameras);
         let mut counts =
             VoxelCounts::count_where(scene.positions, lattice, |i| relocation.alive[i]);
@@ -209,6 +219,65 @@ impl MetropolisHastings {
             counts.add(edit.position.map(f64::from));
         }
         counts
+    }
+
+    /// Relocation and proposals of a step.
+    fn draft(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        evidence: &Evidence<'_>,
+    ) -> Result<Draft> {
+        // Without cues every Gaussian is one that no view saw.
+        let unseen = (vec![0.0; scene.len()], vec![0; scene.len()]);
+        let cues = match evidence {
+            Evidence::Errors(cues) => *cues,
+            Evidence::Nothing if !self.config.wants_errors() => Cues {
+                ssim: &unseen.0,
+                l1: &unseen.0,
+                views: &unseen.1,
+            },
+            _ => return Err(unexpected()),
+        };
+        self.check(context, scene, &cues)?;
+        let context = &StepContext {
+            progress: context.progress.clamp(0.0, 1.0),
+            ..*context
+        };
+        let c = &self.config;
+        let relocation = if c.relocation {
+            Relocation::plan(context, scene, c.dead_opacity)
+        } else {
+            Relocation::none(scene, c.dead_opacity)
+        };
+        let importance = self.importance(scene, &cues);
+        let alive = relocation.alive_rows.par_iter();
+        let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
+        let step = Step {
+            context,
+            scene,
+            relocation: &relocation,
+            importance: &importance,
+            sources: Categorical::new(&weights),
+        };
+        let room = context.max_gaussians.is_none_or(|most| scene.len() < most);
+        let kinds = [Kind::Pixel, Kind::Coarse, Kind::Fine];
+        let mut proposals = kinds.map(|kind| (kind, Vec::new()));
+        if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
+            let [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
+            let pixels = if context.pictures.is_empty() {
+                Vec::new()
+            } else {
+                pixel::propose(c, context, row)
+            };
+            for ((_, all), drawn) in proposals.iter_mut().zip([pixels, coarse, fine]) {
+                *all = drawn;
+            }
+        }
+        Ok(Draft {
+            proposals,
+            relocation,
+        })
     }
 
     /// I of every row (Eq. 13); ½ if it is switched off.
@@ -251,63 +320,86 @@ impl DensityControl for MetropolisHastings {
         }
     }
 
+    fn trial_views(&self) -> usize {
+        self.config.probed_views()
+    }
+
+    fn trials(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        evidence: &Evidence<'_>,
+    ) -> Result<Vec<Trial>> {
+        if self.trial_views() == 0 {
+            return Ok(Vec::new());
+        }
+        let draft = self.draft(context, scene, evidence)?;
+        let trial = |(kind, proposals): &(Kind, Vec<Proposal>)| -> Vec<Trial> {
+            let shares = *kind != Kind::Pixel && self.config.birth == Birth::Split;
+            proposals.iter().map(|p| p.trial(shares)).collect()
+        };
+        Ok(draft.proposals.iter().flat_map(trial).collect())
+    }
+
     fn step(
         &mut self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Evidence<'_>,
     ) -> Result<Outcome> {
-        // Without cues every Gaussian is one that no view saw.
-        let unseen = (vec![0.0; scene.len()], vec![0; scene.len()]);
-        let cues = match evidence {
-            Evidence::Errors(cues) => *cues,
-            Evidence::Nothing if !self.config.wants_errors() => Cues {
-                ssim: &unseen.0,
-                l1: &unseen.0,
-                views: &unseen.1,
-            },
-            _ => return Err(unexpected()),
-        };
-        self.check(context, scene, &cues)?;
-        let context = &StepContext {
-            progress: context.progress.clamp(0.0, 1.0),
-            ..*context
-        };
-        let (c, eta) = (&self.config, context.progress);
-        let relocation = if c.relocation {
-            Relocation::plan(context, scene, c.dead_opacity)
-        } else {
-            Relocation::none(scene, c.dead_opacity)
-        };
-        let mut counts = self.counts(context, scene, &relocation);
-        let importance = self.importance(scene, &cues);
-        let alive = relocation.alive_rows.par_iter();
-        let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
-        let step = Step {
-            context,
-            scene,
-            relocation: &relocation,
-            importance: &importance,
-            sources: Categorical::new(&weights),
-        };
+        let mut draft = self.draft(context, scene, evidence)?;
+        if self.trial_views() > 0 {
+            draft.weigh(context.changes)?;
+        }
+        let (c, eta) = (&self.config, context.progress.clamp(0.0, 1.0));
+        let mut counts = self.counts(context, eta, scene, &draft.relocation);
         let mut births = Births::new(scene.len(), context.max_gaussians);
-        // Where room is short, voids come first.
-        let pictured = !(context.pictures.is_empty() || births.full());
-        if let (Some(&row), true) = (relocation.alive_rows.first(), pictured) {
-            let proposals = pixel::propose(c, context, row, &counts);
-            births.take(Kind::Pixel, &self.decide(proposals, eta), &mut counts);
+        for (kind, proposals) in &draft.proposals {
+            let decisions = self.decide(proposals, &counts, eta);
+            births.take(*kind, &decisions, &mut counts);
         }
-        for (kind, phase) in [Kind::Coarse, Kind::Fine]
-            .into_iter()
-            .zip(self.phases(context))
-        {
-            if births.full() {
-                break;
-            }
-            let proposals = self.propose(&step, &phase, &counts);
-            births.take(kind, &self.decide(proposals, eta), &mut counts);
+        Ok(births.finish(c.birth, scene, draft.relocation, &counts))
+    }
+}
+
+impl Proposal {
+    /// The birth as it would be if it were its source's only one in the step.
+    fn trial(&self, shares: bool) -> Trial {
+        let mut birth = self.edit;
+        if !shares {
+            return Trial {
+                birth,
+                source_change: None,
+            };
         }
-        Ok(births.finish((c.birth, c.birth_opacity), scene, relocation, &counts))
+        let own = f64::from(birth.opacity_logit);
+        let part = relocation::split(own, 2);
+        let widened = part.log_scale_offset;
+        birth.log_scale = birth.log_scale.map(|s| (f64::from(s) + widened) as f32);
+        birth.opacity_logit = part.opacity_logit as f32;
+        Trial {
+            birth,
+            source_change: Some([part.opacity_logit - own, widened, widened, widened]),
+        }
+    }
+}
+
+impl Draft {
+    /// Puts computed changes of the loss, one per proposal, in the place of the importance.
+    fn weigh(&mut self, changes: &[f64]) -> Result<()> {
+        let proposals = self.proposals.iter_mut().flat_map(|(_, all)| all);
+        let mut proposals: Vec<&mut Proposal> = proposals.collect();
+        if proposals.len() != changes.len() {
+            return Err(numerics(format!(
+                "{} changes of the loss; {} expected",
+                changes.len(),
+                proposals.len()
+            )));
+        }
+        for (proposal, gain) in proposals.iter_mut().zip(accept::ln_gains(changes)) {
+            proposal.ln_gain = gain;
+        }
+        Ok(())
     }
 }
 

@@ -5,9 +5,9 @@
 //! pixel's remaining transmittance, else at the rendered mean depth. Not in \[MH\]; acceptance is that of the other phases, with the pixel's error in
 //! place of the importance.
 
-use super::{MhConfig, Proposal, StepContext, accept, shrinking, sparsity::VoxelCounts};
+use super::{MhConfig, Proposal, StepContext, accept, shrinking};
 use crate::density::draw::Categorical;
-use crate::density::relocation::sigmoid;
+use crate::density::relocation::{logit, sigmoid};
 use crate::density::{Edit, Picture};
 use crate::rng::{Philox, Purpose};
 
@@ -82,14 +82,8 @@ fn reached(left: f64, surface: f64) -> f64 {
     left + surface * (1.0 - left)
 }
 
-/// Proposals at drawn pixels, each with its ratio against the counts as they are; `src` is the row whose rotation is copied,
-/// which does not matter, because a birth is round.
-pub(super) fn propose(
-    config: &MhConfig,
-    context: &StepContext<'_>,
-    src: u32,
-    counts: &VoxelCounts<'_>,
-) -> Vec<Proposal> {
+/// Proposals at drawn pixels; `src` is the row whose rotation is copied, which does not matter, because a birth is round.
+pub(super) fn propose(config: &MhConfig, context: &StepContext<'_>, src: u32) -> Vec<Proposal> {
     let pixels = Pixels::new(context.pictures);
     let weights = pixels.weights(config.pixel_surface);
     let all = shrinking(config.pixel_proposals as usize, context.progress);
@@ -101,14 +95,9 @@ pub(super) fn propose(
     let proposal = |pixel: usize| {
         let (picture, at) = pixels.find(pixel)?;
         let u = Philox::uniform(context.seed, place, pixel as u64);
-        let edit = birth(config, picture, at, u, src)?;
-        let count = counts.get(edit.position.map(f64::from));
-        let importance = pixels.importance(pixel);
-        let lambda = config.lambda_voxel;
         Some(Proposal {
-            edit,
-            prior: accept::voxel_prior(lambda, count),
-            ln_rho: accept::ln_acceptance(config.acceptance, importance, lambda, count),
+            edit: birth(config, picture, at, u, src)?,
+            ln_gain: accept::ln_gain(config.acceptance, pixels.importance(pixel)),
             u: Philox::uniform(context.seed, accept, pixel as u64)[0],
         })
     };
@@ -138,7 +127,7 @@ fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32)
         dst: src,
         position: position.map(|v| v as f32),
         log_scale: [log_scale as f32; 3],
-        opacity_logit: (opacity / (1.0 - opacity)).ln() as f32,
+        opacity_logit: logit(opacity) as f32,
         color: Some(color.map(|v| v as f32)),
     })
 }

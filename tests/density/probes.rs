@@ -1,0 +1,153 @@
+//! Births judged by computed changes of the loss.
+
+use super::step::{breaches, context};
+use super::{Scene, on_threads};
+use mhsplat::config::{Acceptance, Birth, MhConfig, Surrogate};
+use mhsplat::density::mh::MetropolisHastings;
+use mhsplat::density::mh::accept::{ln_gains, ln_ratio};
+use mhsplat::density::relocation::split;
+use mhsplat::density::{DensityControl, Outcome, StepContext, Trial};
+use std::collections::HashSet;
+
+const N: usize = 5000;
+
+fn config() -> MhConfig {
+    MhConfig {
+        surrogate: Surrogate::Probe,
+        lambda_voxel: 0.0,
+        ..MhConfig::default()
+    }
+}
+
+fn trials(config: &MhConfig, scene: &Scene) -> Vec<Trial> {
+    MetropolisHastings::new(config)
+        .trials(&context(700, 0.1, 1), &scene.state(), &scene.errors())
+        .unwrap()
+}
+
+fn step(config: &MhConfig, scene: &Scene, changes: &[f64]) -> mhsplat::Result<Outcome> {
+    let at = StepContext {
+        changes,
+        ..context(700, 0.1, 1)
+    };
+    MetropolisHastings::new(config).step(&at, &scene.state(), &scene.errors())
+}
+
+#[test]
+fn gains_by_hand() {
+    // Mean |ΔL| of the four that are known: 1.5; the fifth gets the mean of their gains.
+    let got = ln_gains(&[-2.0, 1.0, f64::NAN, 3.0, 0.0]);
+    let gain = |z: f64| -(-z).exp().ln_1p();
+    let known = [4.0 / 3.0, -2.0 / 3.0, -2.0, 0.0].map(gain);
+    let mean = known.iter().sum::<f64>() / 4.0;
+    let want = [known[0], known[1], mean, known[2], known[3]];
+    let gap = |(a, b): (&f64, &f64)| (a - b).abs();
+    assert!(got.iter().zip(&want).map(gap).all(|g| g < 1e-14), "{got:?}");
+    let even = -std::f64::consts::LN_2;
+    assert_eq!(ln_gains(&[0.0, f64::NAN, 0.0]), [even; 3]);
+    assert_eq!(ln_gains(&[f64::NAN]), [even]);
+    assert_eq!(ln_gains(&[]), [0.0; 0]);
+    // Any size of the loss is the same.
+    assert_eq!(ln_gains(&[-2e-9, 1e-9]), ln_gains(&[-2.0, 1.0]));
+    let ln_rho = ln_ratio(Acceptance::Eq20, -2.0, 5.0, 3);
+    assert!((ln_rho - (-2.0 - 16f64.ln())).abs() < 1e-15);
+    assert_eq!(
+        ln_ratio(Acceptance::ExactPrior, -2.0, 5.0, 3),
+        ln_ratio(Acceptance::ExactPrior, 0.0, 5.0, 3)
+    );
+}
+
+#[test]
+fn what_a_probe_foretells_decides() {
+    let scene = Scene::random(N, 8);
+    let config = config();
+    let tried = trials(&config, &scene);
+    // Every other one spoils the loss, by as much as the others lower it: ρ is σ(−1) and σ(1) without a voxel prior.
+    let spoils = |k: usize| k.is_multiple_of(2);
+    let change = |k: usize| if spoils(k) { 1e-7 } else { -1e-7 };
+    let changes: Vec<f64> = (0..tried.len()).map(change).collect();
+    let outcome = step(&config, &scene, &changes).unwrap();
+    assert_eq!(breaches(N, &outcome), Vec::<String>::new());
+    let births = outcome.edits.iter().filter(|e| e.dst as usize >= N);
+    let born: HashSet<[u32; 3]> = births.map(|e| e.position.map(f32::to_bits)).collect();
+    for (bad, rho) in [(true, 0.2689), (false, 0.7311)] {
+        let all = (0..tried.len()).filter(|k| spoils(*k) == bad);
+        let all: Vec<[f32; 3]> = all.map(|k| tried[k].birth.position).collect();
+        let in_it = |p: &&[f32; 3]| born.contains(&p.map(f32::to_bits));
+        let rate = all.iter().filter(in_it).count() as f64 / all.len() as f64;
+        // Some thousand proposals: five standard errors.
+        assert!((rate - rho).abs() < 0.04, "{rate}");
+    }
+    let run = || step(&config, &scene, &changes).unwrap().edits;
+    assert!(on_threads(1, run) == on_threads(3, run));
+    // A wanted rate is kept here, too.
+    let wanted = MhConfig {
+        target_acceptance: [0.3, 0.3],
+        ..config
+    };
+    let mixed: Vec<f64> = (0..tried.len()).map(|k| (k % 7) as f64).collect();
+    let s = step(&wanted, &scene, &mixed).unwrap().stats;
+    let rate = s.accepted as f64 / s.proposed as f64;
+    assert!((rate - 0.3).abs() < 0.03, "{rate}");
+}
+
+#[test]
+fn a_birth_is_tried_in_the_shape_it_would_have() {
+    let scene = Scene::random(N, 8);
+    let shared = trials(&config(), &scene);
+    let copied = MhConfig {
+        birth: Birth::Copy,
+        ..config()
+    };
+    let copied = trials(&copied, &scene);
+    assert_eq!(shared.len(), copied.len());
+    for (s, c) in shared.iter().zip(&copied) {
+        assert_eq!(c.source_change, None);
+        assert_eq!(
+            (s.birth.src, s.birth.position),
+            (c.birth.src, c.birth.position)
+        );
+        let own = scene.logits[s.birth.src as usize];
+        assert_eq!(c.birth.opacity_logit, own);
+        let part = split(f64::from(own), 2);
+        assert_eq!(s.birth.opacity_logit, part.opacity_logit as f32);
+        let [logit, x, y, z] = s.source_change.unwrap();
+        assert_eq!(logit, part.opacity_logit - f64::from(own));
+        assert_eq!([x, y, z], [part.log_scale_offset; 3]);
+    }
+}
+
+#[test]
+fn nothing_is_tried_where_nothing_is_judged_by_it() {
+    let scene = Scene::random(N, 8);
+    let exact = MhConfig {
+        acceptance: Acceptance::ExactPrior,
+        ..config()
+    };
+    for config in [MhConfig::default(), exact] {
+        assert_eq!(MetropolisHastings::new(&config).trial_views(), 0);
+        assert!(trials(&config, &scene).is_empty());
+        assert!(step(&config, &scene, &[]).is_ok());
+    }
+    let said = step(&config(), &scene, &[0.0]).unwrap_err().to_string();
+    assert!(said.contains("1 changes of the loss"), "{said}");
+}
+
+#[test]
+fn settings_that_make_no_sense_are_refused() {
+    let refused = |change: &dyn Fn(&mut MhConfig), name: &str| {
+        let mut config = config();
+        change(&mut config);
+        let said = config.validate().unwrap_err().to_string();
+        assert!(said.contains(name), "{said}");
+        // Without probes it does not matter, or is fine.
+        config.surrogate = Surrogate::Importance;
+        assert!(config.validate().is_ok());
+    };
+    refused(&|c| c.probe_views = 0, "mh.probe-views");
+    refused(&|c| c.acceptance = Acceptance::Alg1, "mh.surrogate");
+    refused(&|c| c.acceptance = Acceptance::Centred, "mh.surrogate");
+    let read = |text: &str| toml::from_str::<MhConfig>(&format!("surrogate = {text}"));
+    assert_eq!(read("\"probe\"").unwrap().surrogate, Surrogate::Probe);
+    assert!(read("\"guess\"").is_err() && read("1").is_err());
+}

@@ -1,0 +1,161 @@
+//! Probes in training: what they foretell, and that they repeat.
+
+use mhsplat::TrainConfig;
+use mhsplat::buffers::ViewSet;
+use mhsplat::config::Surrogate;
+use mhsplat::density::relocation::split;
+use mhsplat::density::{Edit, Trial};
+use mhsplat::export::checkpoint;
+use mhsplat::gpu::Device;
+use mhsplat::gpu::tuning::ALPHA_MIN;
+use mhsplat::model::{Plane, Splats};
+use mhsplat::photos::Photos;
+use mhsplat::render::{Quantity, RenderOptions};
+use mhsplat::surrogate::{Birth, Instrument, Setting, Shape};
+use mhsplat::train::Trainer;
+
+use crate::determinism::{drive, room, trained};
+
+fn config() -> TrainConfig {
+    let mut config = TrainConfig {
+        iterations: 120,
+        max_size: 64,
+        sh_degree: 2,
+        seed: 5,
+        ..TrainConfig::default()
+    };
+    config.mh.surrogate = Surrogate::Probe;
+    config
+}
+
+/// Copies of rows spread over the scene, beside their sources; every other one shares.
+fn trials(splats: &Splats) -> Vec<Trial> {
+    let stride = splats.len() as u32 / 80;
+    let trial = |k: u32| {
+        let src = k * stride;
+        let at = |plane| splats.gather::<3>(plane, src as usize);
+        let own = splats.planes()[Plane::OPACITY][src as usize];
+        let part = split(f64::from(own), 2);
+        let (offset, logit) = (part.log_scale_offset, part.opacity_logit);
+        let shares = k % 2 == 1;
+        let wider = |s: f32| (f64::from(s) + offset) as f32;
+        Trial {
+            birth: Edit {
+                src,
+                dst: src,
+                position: at(Plane::POSITION).map(|x| x + 0.01),
+                log_scale: at(Plane::LOG_SCALE).map(|s| if shares { wider(s) } else { s }),
+                opacity_logit: if shares { logit as f32 } else { own },
+                color: None,
+            },
+            source_change: shares.then(|| [logit - f64::from(own), offset, offset, offset]),
+        }
+    };
+    (0..80).map(trial).collect()
+}
+
+/// What the instrument of the surrogate's check, which is itself held against differences of the loss, says of them in double
+/// precision over the views that training takes next.
+fn foretold(trainer: &Trainer, splats: &Splats, trials: &[Trial]) -> Vec<f64> {
+    let data = room(64);
+    let device = Device::open(None).unwrap();
+    let (schedule, done) = (trainer.schedule(), trainer.iteration());
+    let next = schedule.upcoming(done, 4, data.train.len());
+    let photos = Photos::new(&device, data.image_budget);
+    let chosen = next.iter().map(|v| data.train[*v].clone());
+    let views = ViewSet::<f64>::new(&photos, chosen).unwrap();
+    let setting = Setting {
+        render: RenderOptions {
+            sh_degree: schedule.sh_degree(done),
+            background: [0.0; 3],
+            quantity: Quantity::Color,
+        },
+        lambda_ssim: 0.2,
+        alpha_min: ALPHA_MIN,
+        probe: 1e-6,
+    };
+    let mut instrument =
+        Instrument::new(&device, views, splats.clone(), setting, trials.len()).unwrap();
+    let base = instrument.base().unwrap();
+    let birth = |t: &Trial| Birth {
+        source: t.birth.src,
+        position: t.birth.position,
+        shape: Shape {
+            log_scale: t.birth.log_scale,
+            opacity_logit: t.birth.opacity_logit,
+        },
+        shared: t.source_change.is_some(),
+    };
+    let births: Vec<Birth> = trials.iter().map(birth).collect();
+    let probed = instrument.probe(&base, &births).unwrap();
+    probed.iter().map(|p| p.change).collect()
+}
+
+#[test]
+fn training_foretells_what_the_instrument_does() {
+    let (data, config) = (room(64), config());
+    let (mut trainer, splats) = trained(&data, &config, 60);
+    let trials = trials(&splats);
+    let got = trainer.probe(&trials).unwrap();
+    let want = foretold(&trainer, &splats, &trials);
+    let most = want.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    for shares in [false, true] {
+        let of = |t: &Trial| t.source_change.is_some() == shares;
+        let all = trials.iter().zip(got.iter().zip(&want));
+        let pairs: Vec<(f64, f64)> = all
+            .filter(|(t, _)| of(t))
+            .map(|(_, (g, w))| (*g, *w))
+            .collect();
+        let unseen = |p: &&(f64, f64)| p.0.is_nan();
+        assert!(pairs.iter().filter(unseen).all(|p| p.1 == 0.0));
+        let seen: Vec<_> = pairs.iter().filter(|p| !p.0.is_nan()).collect();
+        assert!(seen.len() > 20, "{} are seen", seen.len());
+        let gap = seen.iter().map(|p| (p.0 - p.1).abs()).fold(0.0, f64::max) / most;
+        println!("shares: {shares}; largest difference {gap:.1e} of the largest");
+        assert!(gap < 2e-2, "{seen:?}");
+    }
+    // The others' figures are no match.
+    let apart = |k: usize| (got[(k + 1) % 80] - want[k]).abs();
+    assert!((0..80).map(apart).fold(0.0, f64::max) > 0.1 * most);
+    // Asking changes nothing.
+    assert!(trainer.state().unwrap().splats == splats);
+    assert_eq!(trainer.probe(&[]).unwrap(), [0.0; 0]);
+}
+
+#[test]
+fn runs_with_probes_repeat_and_resume() {
+    let (data, config) = (room(64), config());
+    let (trainer, whole) = trained(&data, &config, 120);
+    let s = *trainer.stats();
+    assert!(s.accepted > 0 && s.accepted < s.proposed, "{s:?}");
+    assert!(whole == trained(&data, &config, 120).1);
+    let mut by_importance = config.clone();
+    by_importance.mh.surrogate = Surrogate::Importance;
+    assert!(whole != trained(&data, &by_importance, 120).1);
+    let times = trainer.stage_times();
+    let probe = times.iter().find(|(name, _)| *name == "probe").unwrap().1;
+    assert!(probe.calls > 0 && probe.seconds > 0.0);
+
+    let (mut half, _) = trained(&data, &config, 48);
+    let folder = tempfile::tempdir().unwrap();
+    let saved = crate::determinism::saved(&mut half, &config, &data);
+    checkpoint::write(folder.path(), &saved).unwrap();
+    let saved = checkpoint::read(folder.path()).unwrap();
+    assert_eq!(saved.config, config);
+    let device = Device::open(None).unwrap();
+    let mut resumed = Trainer::new(&device, &data, &config, &saved.state.splats).unwrap();
+    resumed.restore(&saved.state).unwrap();
+    drive(&mut resumed, 120).unwrap();
+    assert!(whole == resumed.state().unwrap().splats);
+
+    // Pairs that do not fit are repeated in the pass of probes as elsewhere.
+    let splats = mhsplat::run::initial_splats(&data, &config).unwrap();
+    let mut tight = Trainer::new(&device, &data, &config, &splats).unwrap();
+    while tight.iteration() < 120 {
+        tight.shrink_pairs(1024).unwrap();
+        let next = tight.iteration() + 20;
+        drive(&mut tight, next).unwrap();
+    }
+    assert!(tight.overflows() > 0);
+    assert!(whole == tight.state().unwrap().splats);
+}
