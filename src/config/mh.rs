@@ -170,7 +170,7 @@ pub struct MhConfig {
     /// these, local units, and no nearer than the rendered mean depth, which the others have.
     pub pixel_far: [f64; 2],
     /// Noise on the positions between the steps, per unit of the position's learning rate, as `mcmc.noise-rate` has it with
-    /// \[MCMC\]'s gate; 0 for none, as in \[MH\].
+    /// \[MCMC\]'s gate; 0 for none, as in \[MH\]. It moves what is faint, and so clears the fog of a random start.
     pub noise_rate: f64,
     /// A Gaussian is dead at or below this opacity.
     pub dead_opacity: f64,
@@ -208,7 +208,7 @@ impl Default for MhConfig {
             pixel_opacity: 0.1,
             pixel_surface: 1.0,
             pixel_far: [2.0, 20.0],
-            noise_rate: 0.0,
+            noise_rate: 5e5,
             dead_opacity: 0.005,
         }
     }
@@ -225,6 +225,7 @@ impl MhConfig {
             coarse_proposals: 4_500,
             fine_proposals: 16_000,
             pixel_proposals: 0,
+            noise_rate: 0.0,
             ..Self::default()
         }
     }
