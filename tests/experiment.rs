@@ -349,4 +349,9 @@ fn the_bundled_files_are_read() {
     assert_eq!(scenes.len(), 7);
     let relative = |s: &toml::Value| Path::new(s["path"].as_str().unwrap()).is_relative();
     assert!(scenes.iter().all(relative), "--data says where they are");
+    let data = tempfile::tempdir().unwrap();
+    let e = Experiment::read(&folder.join("ablations.toml"), Some(data.path())).unwrap();
+    for setting in &e.settings {
+        e.config(&e.scenes[0], setting, 0).unwrap().validate().unwrap();
+    }
 }

@@ -242,3 +242,15 @@ fn values_out_of_their_domain_are_refused_by_name() {
         assert!(said.contains(name), "{said}");
     }
 }
+
+#[test]
+fn the_readme_has_the_papers_numbers() {
+    let readme = include_str!("../../README.md");
+    let (_, after) = readme.split_once("The paper's own numbers, as a file").unwrap();
+    let lines = after.lines().skip(2);
+    let file: Vec<&str> = lines.map_while(|l| l.strip_prefix("    ")).collect();
+    let config: mhsplat::TrainConfig = toml::from_str(&file.join("\n")).unwrap();
+    assert_eq!(config.mh, MhConfig::paper());
+    assert_ne!(config.mh, MhConfig::default());
+    config.validate().unwrap();
+}
