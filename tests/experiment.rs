@@ -352,6 +352,9 @@ fn the_bundled_files_are_read() {
     let data = tempfile::tempdir().unwrap();
     let e = Experiment::read(&folder.join("ablations.toml"), Some(data.path())).unwrap();
     for setting in &e.settings {
-        e.config(&e.scenes[0], setting, 0).unwrap().validate().unwrap();
+        e.config(&e.scenes[0], setting, 0)
+            .unwrap()
+            .validate()
+            .unwrap();
     }
 }

@@ -2,6 +2,7 @@
 
 use super::candidates::{Candidate, Shape};
 use super::instrument::{Base, Instrument};
+use super::outcome::FORMS;
 use crate::error::Result;
 use crate::gpu::Real;
 use crate::model::Plane;
@@ -21,9 +22,9 @@ pub struct Birth {
 }
 
 impl Candidate {
-    /// The two forms: copied, and split.
-    pub(super) fn births(&self) -> [Birth; 2] {
-        [(self.copy, false), (self.split, true)].map(|(shape, shared)| Birth {
+    /// In each form.
+    pub(super) fn births(&self) -> [Birth; FORMS.len()] {
+        [(self.copy, false), (self.split, true), (self.faint, false)].map(|(shape, shared)| Birth {
             source: self.source,
             position: self.position,
             shape,

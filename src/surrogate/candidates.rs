@@ -10,7 +10,7 @@ use crate::density::draw::{Categorical, birth_position};
 use crate::density::mh::accept::{ln_acceptance, voxel_prior};
 use crate::density::mh::lerp;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
-use crate::density::relocation::{sigmoid, split};
+use crate::density::relocation::{logit, sigmoid, split};
 use crate::density::{Cues, SceneState};
 use crate::model::{Plane, Splats};
 use crate::rng::Philox;
@@ -60,9 +60,9 @@ pub struct Candidate {
     pub position: [f32; 3],
     /// I of the source.
     pub importance: f64,
-    /// D(v′) of the voxel of birth.
+    /// D(v′) of the voxel of birth, all voxels being of one size.
     pub prior: f64,
-    /// ρ in the run's form.
+    /// ρ in the run's form at T = 1.
     pub acceptance: f64,
     /// Opacity of the source.
     pub opacity: f64,
@@ -74,6 +74,8 @@ pub struct Candidate {
     pub(super) copy: Shape,
     #[serde(skip)]
     pub(super) split: Shape,
+    #[serde(skip)]
+    pub(super) faint: Shape,
 }
 
 /// What drawing reads.
@@ -216,6 +218,10 @@ impl Ground<'_> {
                     .log_scale
                     .map(|s| (f64::from(s) + part.log_scale_offset) as f32),
                 opacity_logit: part.opacity_logit as f32,
+            },
+            faint: Shape {
+                opacity_logit: own.opacity_logit.min(logit(c.birth_opacity) as f32),
+                ..own
             },
         })
     }

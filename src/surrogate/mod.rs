@@ -27,7 +27,7 @@ pub mod rank;
 pub use births::{Birth, Probed};
 pub use candidates::{Candidate, Draw, Phase, Shape};
 pub use instrument::{Base, CueRows, Instrument, Setting};
-pub use outcome::{Calibration, Correlation, FormOutcome, Judged};
+pub use outcome::{Calibration, Correlation, FORMS, FormOutcome, Judged};
 pub use page::{markdown, page};
 
 use std::path::Path;
@@ -112,8 +112,8 @@ pub struct Report {
     pub loss: f64,
     /// Candidates that no view sees in any pixel; they are left out of everything below.
     pub unseen: usize,
-    /// Copied births, then split ones.
-    pub forms: [FormOutcome; 2],
+    /// In the order of [`FORMS`].
+    pub forms: [FormOutcome; FORMS.len()],
     /// The candidates.
     pub candidates: Vec<Judged>,
 }
@@ -232,7 +232,7 @@ impl Subject<'_> {
             bits: if R::IS_DOUBLE { 64 } else { 32 },
             loss: base.losses.iter().sum::<f64>() / base.losses.len() as f64,
             unseen: all - seen.len(),
-            forms: [0, 1].map(|form| outcome::of_form(form, &seen, self.options.seed)),
+            forms: std::array::from_fn(|form| outcome::of_form(form, &seen, self.options.seed)),
             candidates: seen,
         })
     }
@@ -272,7 +272,7 @@ fn choose_views(count: usize, options: &Options) -> Vec<usize> {
     order
 }
 
-/// Probes all candidates together and measures each in both forms.
+/// Probes all candidates together and measures each in every form.
 fn judge<R: Real>(
     instrument: &mut Instrument<R>,
     base: &Base,
@@ -289,15 +289,16 @@ fn judge<R: Real>(
         ]);
         progress(k + 1, births.len());
     }
-    let views = |k: usize| probed[2 * k].touched.iter().filter(|t| **t).count();
+    const N: usize = FORMS.len();
+    let views = |k: usize| probed[N * k].touched.iter().filter(|t| **t).count();
     Ok(drawn
         .iter()
         .enumerate()
         .map(|(k, candidate)| Judged {
             candidate: *candidate,
             views: views(k),
-            gain: [gains[2 * k][0], gains[2 * k + 1][0]],
-            probe: [gains[2 * k][1], gains[2 * k + 1][1]],
+            gain: std::array::from_fn(|form| gains[N * k + form][0]),
+            probe: std::array::from_fn(|form| gains[N * k + form][1]),
         })
         .collect())
 }

@@ -6,10 +6,12 @@ use super::candidates::{Candidate, Draw, Phase};
 use super::rank::{Estimate, estimate, kendall, quantile, spearman};
 use super::stream;
 
+/// The forms of a birth, by their names in the configuration.
+pub const FORMS: [&str; 3] = ["copy", "split", "faint"];
 /// Bins of a calibration curve.
 const BINS: usize = 10;
 
-/// A candidate with what became of it. Pairs are copied and split.
+/// A candidate with what became of it in each of [`FORMS`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Judged {
     /// The candidate.
@@ -18,9 +20,9 @@ pub struct Judged {
     /// Views in which it has any pixel.
     pub views: usize,
     /// −ΔL.
-    pub gain: [f64; 2],
+    pub gain: [f64; FORMS.len()],
     /// −ΔL as the probe foretells it, to first order.
-    pub probe: [f64; 2],
+    pub probe: [f64; FORMS.len()],
 }
 
 /// What is set beside the true gain: name, and value of a candidate in a form.
@@ -80,7 +82,7 @@ pub struct Calibration {
 /// Everything about one form of birth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FormOutcome {
-    /// `copy` or `split`.
+    /// One of [`FORMS`].
     pub birth: &'static str,
     /// Share of the candidates that lower the loss.
     pub lowering: f64,
@@ -112,7 +114,7 @@ pub(super) fn of_form(form: usize, all: &[Judged], seed: u64) -> FormOutcome {
         bins(&x, &gains, BINS)
     };
     FormOutcome {
-        birth: ["copy", "split"][form.min(1)],
+        birth: FORMS[form],
         lowering: share(&|_| true).unwrap_or(0.0),
         lowering_proposals: share(&|j| j.candidate.draw == Draw::Proposal).unwrap_or(0.0),
         lowering_by_probe: [

@@ -246,7 +246,9 @@ fn values_out_of_their_domain_are_refused_by_name() {
 #[test]
 fn the_readme_has_the_papers_numbers() {
     let readme = include_str!("../../README.md");
-    let (_, after) = readme.split_once("The paper's own numbers, as a file").unwrap();
+    let (_, after) = readme
+        .split_once("The paper's own numbers, as a file")
+        .unwrap();
     let lines = after.lines().skip(2);
     let file: Vec<&str> = lines.map_while(|l| l.strip_prefix("    ")).collect();
     let config: mhsplat::TrainConfig = toml::from_str(&file.join("\n")).unwrap();
