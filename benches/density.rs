@@ -49,17 +49,7 @@ fn density(c: &mut Criterion) {
     group.bench_function("importance 1M", |b| {
         b.iter(|| importance(black_box(&logits), &cues, [0.8, 0.5, 0.5]));
     });
-    let context = StepContext {
-        iteration: 500,
-        progress: 0.0,
-        seed: 0,
-        max_gaussians: None,
-        opacity_resets: 0,
-        resets_opacity: false,
-        cameras: &[],
-        pictures: &[],
-        changes: &[],
-    };
+    let context = StepContext::at(500, 0.0, 0);
     let errors = Evidence::Errors(cues);
     let mut mh = MetropolisHastings::new(&MhConfig::default());
     // The difference of the two is what proposing and deciding costs.

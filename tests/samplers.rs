@@ -2,7 +2,9 @@
 
 use crate::determinism::room;
 use mhsplat::TrainConfig;
-use mhsplat::config::{AdcConfig, Background, McmcConfig, OptimizerConfig, Sampler};
+use mhsplat::config::{
+    AdcConfig, Background, Birth, McmcConfig, MhConfig, OptimizerConfig, Sampler,
+};
 use mhsplat::gpu::Device;
 use mhsplat::model::{Plane, Splats};
 use mhsplat::run::initial_splats;
@@ -95,7 +97,7 @@ fn a_reset_lowers_every_opacity() {
 }
 
 #[test]
-fn noise_moves_positions_alone_and_only_under_mcmc() {
+fn noise_moves_positions_alone_and_only_where_asked_for() {
     let config = TrainConfig {
         // Nothing is relocated, and nothing born.
         mcmc: McmcConfig {
@@ -120,9 +122,24 @@ fn noise_moves_positions_alone_and_only_under_mcmc() {
     let (_, moved) = train(&moving, &splats);
     let fixed = TrainConfig {
         sampler: Sampler::None,
-        ..moving
+        ..moving.clone()
     };
     assert!(train(&fixed, &splats).1 != moved);
+    let mh = |noise_rate: f64| TrainConfig {
+        sampler: Sampler::Mh,
+        mh: MhConfig {
+            noise_rate,
+            birth: Birth::Copy,
+            target_acceptance: [0.0, 0.0],
+            dead_opacity: 0.0,
+            coarse_proposals: 0,
+            fine_proposals: 0,
+            pixel_proposals: 0,
+            ..MhConfig::default()
+        },
+        ..moving.clone()
+    };
+    assert!(train(&mh(5e5), &splats).1 != train(&mh(0.0), &splats).1);
     let sorted = |s: &Splats, p: usize| {
         let mut bits: Vec<u32> = s.planes()[p].iter().map(|v| v.to_bits()).collect();
         bits.sort_unstable();

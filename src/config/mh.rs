@@ -194,7 +194,7 @@ impl Default for MhConfig {
             view_subset: ViewSubset::Shrinking,
             relocation: true,
             from_iteration: 500,
-            until_iteration: 20_000,
+            until_iteration: 25_000,
             interval: 100,
             coarse_proposals: 2_000,
             fine_proposals: 8_000,

@@ -140,6 +140,24 @@ pub struct StepContext<'a> {
     pub changes: &'a [f64],
 }
 
+impl StepContext<'_> {
+    /// A step after so many iterations at progress η, without a bound, resets, cameras, pictures or changes.
+    #[must_use]
+    pub fn at(iteration: u32, progress: f64, seed: u64) -> Self {
+        Self {
+            iteration,
+            progress,
+            seed,
+            max_gaussians: None,
+            opacity_resets: 0,
+            resets_opacity: false,
+            cameras: &[],
+            pictures: &[],
+            changes: &[],
+        }
+    }
+}
+
 /// One Gaussian to be written: the row `src` is copied to `dst`, then position, log-scale, opacity and maybe the colour are
 /// replaced, and both optimiser moments of `dst` are zeroed. `dst == src` changes the row in place; `dst ≥ N` appends.
 ///

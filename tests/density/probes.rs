@@ -15,7 +15,7 @@ fn config() -> MhConfig {
     MhConfig {
         surrogate: Surrogate::Probe,
         lambda_voxel: 0.0,
-        ..MhConfig::default()
+        ..MhConfig::paper()
     }
 }
 
@@ -94,15 +94,16 @@ fn what_a_probe_foretells_decides() {
 #[test]
 fn a_birth_is_tried_in_the_shape_it_would_have() {
     let scene = Scene::random(N, 8);
-    let shared = trials(&config(), &scene);
-    let copied = MhConfig {
-        birth: Birth::Copy,
-        ..config()
-    };
-    let copied = trials(&copied, &scene);
-    assert_eq!(shared.len(), copied.len());
-    for (s, c) in shared.iter().zip(&copied) {
-        assert_eq!(c.source_change, None);
+    let [copied, shared, faint] = [Birth::Copy, Birth::Split, Birth::Faint].map(|birth| {
+        let config = MhConfig { birth, ..config() };
+        trials(&config, &scene)
+    });
+    assert!(shared.len() == copied.len() && shared.len() == faint.len());
+    let most = (0.1f64 / 0.9).ln() as f32;
+    for ((s, c), f) in shared.iter().zip(&copied).zip(&faint) {
+        assert_eq!((c.source_change, f.source_change), (None, None));
+        assert_eq!(f.birth.log_scale, c.birth.log_scale);
+        assert_eq!(f.birth.opacity_logit, c.birth.opacity_logit.min(most));
         assert_eq!(
             (s.birth.src, s.birth.position),
             (c.birth.src, c.birth.position)

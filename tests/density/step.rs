@@ -10,17 +10,7 @@ use mhsplat::density::{
 use std::collections::{HashMap, HashSet};
 
 pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext<'static> {
-    StepContext {
-        iteration,
-        progress,
-        seed,
-        max_gaussians: None,
-        opacity_resets: 0,
-        resets_opacity: false,
-        cameras: &[],
-        pictures: &[],
-        changes: &[],
-    }
+    StepContext::at(iteration, progress, seed)
 }
 
 pub fn step(scene: &Scene, context: &StepContext<'_>) -> Outcome {
@@ -334,7 +324,12 @@ fn a_configuration_names_its_strategy() {
         let made = make(&config);
         (made.wanted(4, 0.0), made.noise().is_some())
     };
-    assert_eq!(of(Sampler::Mh), (Wanted::Errors { views: 4 }, false));
+    assert_eq!(of(Sampler::Mh), (Wanted::Errors { views: 4 }, true));
+    let paper = TrainConfig {
+        mh: MhConfig::paper(),
+        ..TrainConfig::default()
+    };
+    assert!(make(&paper).noise().is_none());
     assert_eq!(of(Sampler::Mcmc), (Wanted::Nothing, true));
     assert_eq!(of(Sampler::Adc), (Wanted::ScreenGradient, false));
     assert_eq!(of(Sampler::None), (Wanted::Nothing, false));

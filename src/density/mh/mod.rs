@@ -9,6 +9,7 @@ pub mod accept;
 mod births;
 pub mod importance;
 mod pixel;
+mod proposal;
 pub mod sparsity;
 
 use super::draw::{Categorical, birth_position, gather};
@@ -21,6 +22,7 @@ use crate::config::{Birth, MhConfig, ViewSubset};
 use crate::error::Result;
 use crate::rng::{Philox, Purpose};
 use births::Births;
+use proposal::{Decision, Draft, Kind, Proposal};
 use rayon::prelude::*;
 use sparsity::{Lattice, VoxelCounts};
 
@@ -39,41 +41,6 @@ struct Phase {
     spread: f64,
     /// Streams of source, offset and acceptance.
     streams: [u64; 3],
-}
-
-/// How a birth was proposed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Pixel,
-    Coarse,
-    Fine,
-}
-
-/// A birth to be decided on.
-struct Proposal {
-    edit: Edit,
-    /// The part of ln ρ that stands for the change of the loss.
-    ln_gain: f64,
-    /// Uniform in [0, 1).
-    u: f64,
-}
-
-/// A decided proposal.
-struct Decision {
-    /// What would be written; `dst` is set once it is known who is born.
-    edit: Edit,
-    /// D(v′).
-    prior: f64,
-    accepted: bool,
-    /// ln(u/ρ^{1/T}): of accepted ones uniform noise, by which those are drawn that there is room for.
-    lot: f64,
-}
-
-/// What a step knows before it decides: a function of its arguments, so that what is tried is what is decided on.
-struct Draft {
-    relocation: Relocation,
-    /// In image space, coarse, fine: the order of decision. Where room is short, voids come first.
-    proposals: [(Kind, Vec<Proposal>); 3],
 }
 
 /// What the phases of a step read.
@@ -359,47 +326,6 @@ impl DensityControl for MetropolisHastings {
             births.take(*kind, &decisions, &mut counts);
         }
         Ok(births.finish(c.birth, scene, draft.relocation, &counts))
-    }
-}
-
-impl Proposal {
-    /// The birth as it would be if it were its source's only one in the step.
-    fn trial(&self, shares: bool) -> Trial {
-        let mut birth = self.edit;
-        if !shares {
-            return Trial {
-                birth,
-                source_change: None,
-            };
-        }
-        let own = f64::from(birth.opacity_logit);
-        let part = relocation::split(own, 2);
-        let widened = part.log_scale_offset;
-        birth.log_scale = birth.log_scale.map(|s| (f64::from(s) + widened) as f32);
-        birth.opacity_logit = part.opacity_logit as f32;
-        Trial {
-            birth,
-            source_change: Some([part.opacity_logit - own, widened, widened, widened]),
-        }
-    }
-}
-
-impl Draft {
-    /// Puts computed changes of the loss, one per proposal, in the place of the importance.
-    fn weigh(&mut self, changes: &[f64]) -> Result<()> {
-        let proposals = self.proposals.iter_mut().flat_map(|(_, all)| all);
-        let mut proposals: Vec<&mut Proposal> = proposals.collect();
-        if proposals.len() != changes.len() {
-            return Err(numerics(format!(
-                "{} changes of the loss; {} expected",
-                changes.len(),
-                proposals.len()
-            )));
-        }
-        for (proposal, gain) in proposals.iter_mut().zip(accept::ln_gains(changes)) {
-            proposal.ln_gain = gain;
-        }
-        Ok(())
     }
 }
 
