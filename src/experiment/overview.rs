@@ -76,16 +76,15 @@ impl Overview {
             "scene".to_owned(),
             "seeds".into(),
             format!("time of {other} / {reference}"),
-            "values reached by".into(),
-            "bounded mean".into(),
             "worst".into(),
+            "no later".into(),
             "Δ PSNR, dB".into(),
+            format!("≥ −{FINAL_BELOW} dB"),
             "Δ SSIM".into(),
             "Δ FLIP".into(),
-            format!("Gaussians, {reference}"),
-            format!("Gaussians, {other}"),
-            "no later at every threshold".into(),
-            format!("final ≥ −{FINAL_BELOW} dB"),
+            "Gaussians".into(),
+            "bounded mean".into(),
+            "values reached by".into(),
         ];
         let mut rows: Vec<Vec<String>> =
             a.scenes.iter().map(|s| row(reference, other, s)).collect();
@@ -100,12 +99,12 @@ impl Overview {
                 a.scenes.len()
             );
         }
-        last[3] = a.counts.text(reference, other);
+        last[4] = scenes_text(a.no_later);
+        last[6] = scenes_text(a.final_holds);
         if let Some(mean) = &a.bounded {
-            last[4] = compare::bounded(mean);
+            last[10] = compare::bounded(mean);
         }
-        last[11] = scenes_text(a.no_later);
-        last[12] = scenes_text(a.final_holds);
+        last[11] = a.counts.text(reference, other);
         rows.push(last);
         Table {
             title: format!("{reference} against {other}"),
@@ -143,7 +142,7 @@ fn scenes_text(v: Verdict) -> String {
 
 fn row(reference: &str, other: &str, s: &SceneAgainst) -> Vec<String> {
     let Some(p) = &s.figures else {
-        let mut row = vec!["–".to_owned(); 13];
+        let mut row = vec!["–".to_owned(); 12];
         row[0].clone_from(&s.scene);
         "no seed of both".clone_into(&mut row[1]);
         return row;
@@ -156,7 +155,6 @@ fn row(reference: &str, other: &str, s: &SceneAgainst) -> Vec<String> {
         };
         s.as_ref().map_or_else(none, |s| few(s, signed))
     };
-    let count = |s: Option<&Spread>| s.map_or_else(none, |s| few(s, |v| fixed(v, 0)));
     let worst = p.worst.map(|(psnr, limit)| {
         let at = compare::decibels(psnr);
         format!("{} at {at}", compare::limit(&limit))
@@ -165,20 +163,22 @@ fn row(reference: &str, other: &str, s: &SceneAgainst) -> Vec<String> {
         s.scene.clone(),
         seeds(p.seeds.len()),
         p.mean.as_ref().map_or_else(none, |m| few(m, times)),
-        p.counts.text(reference, other),
-        p.bounded.as_ref().map_or_else(none, compare::bounded),
         worst.unwrap_or_else(none),
-        change(&p.psnr, 2),
-        change(&p.ssim, 4),
-        change(&p.flip, 4),
-        count(p.gaussians.as_ref().map(|g| &g.0)),
-        count(p.gaussians.as_ref().map(|g| &g.1)),
         p.no_later.text(),
+        change(&p.psnr, 2),
         match p.final_holds {
             None => none(),
             Some(true) => "yes".into(),
             Some(false) => "no".into(),
         },
+        change(&p.ssim, 4),
+        change(&p.flip, 4),
+        p.gaussians.as_ref().map_or_else(none, |(own, others)| {
+            let count = |s: &Spread| few(s, |v| fixed(v, 0));
+            format!("{} against {}", count(own), count(others))
+        }),
+        p.bounded.as_ref().map_or_else(none, compare::bounded),
+        p.counts.text(reference, other),
     ]
 }
 
