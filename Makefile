@@ -11,7 +11,7 @@ install:
 demo: install
 	cargo build --release --locked
 	@if [ -e $(DEMO)/report.html ]; then echo "$(DEMO) is there already: open $(DEMO)/report.html, or choose another with DEMO=name"; \
-	else target/release/mhsplat train data/room-tiny -o $(DEMO) --iterations 1000; fi
+	else target/release/mhsplat train data/room-tiny -o $(DEMO) --iterations 2500; fi
 
 test: install
 	cargo test --release --locked

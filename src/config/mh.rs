@@ -136,6 +136,9 @@ pub struct MhConfig {
     pub relocation: bool,
     /// First iteration with density control.
     pub from_iteration: u32,
+    /// First iteration with births: a step before it relocates and no more, and costs no error map and no proposal. Gaussians
+    /// born while the photos are coarse and what there is still moves into place cost time in every later iteration.
+    pub births_from_iteration: u32,
     /// Last iteration with density control; η runs from 0 to 1 over the span.
     pub until_iteration: u32,
     /// Iterations between two density steps; fewer in short runs, see `Schedule::density_interval`.
@@ -186,7 +189,7 @@ impl Default for MhConfig {
             birth_opacity: 0.1,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
-            target_acceptance: [0.01, 0.6],
+            target_acceptance: [0.01, 0.5],
             importance: true,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -194,6 +197,7 @@ impl Default for MhConfig {
             view_subset: ViewSubset::Shrinking,
             relocation: true,
             from_iteration: 500,
+            births_from_iteration: 3_500,
             until_iteration: 25_000,
             interval: 100,
             coarse_proposals: 2_000,
@@ -221,6 +225,7 @@ impl MhConfig {
         Self {
             birth: Birth::Copy,
             target_acceptance: [0.0, 0.0],
+            births_from_iteration: 500,
             until_iteration: 15_000,
             coarse_proposals: 4_500,
             fine_proposals: 16_000,
@@ -278,6 +283,11 @@ impl MhConfig {
             opacity > self.dead_opacity && opacity < 1.0,
             "birth-opacity",
             "more than dead-opacity and less than 1 expected",
+        )?;
+        check(
+            self.births_from_iteration <= self.until_iteration,
+            "births-from-iteration",
+            "no more than mh.until-iteration expected",
         )?;
         self.validate_pixels()?;
         self.validate_probes()?;
@@ -342,6 +352,14 @@ impl MhConfig {
             (Surrogate::Importance, _) | (_, Acceptance::ExactPrior) => 0,
             (Surrogate::Probe, _) => self.probe_views as usize,
         }
+    }
+
+    /// Whether a step at progress η has births.
+    #[must_use]
+    pub fn bears(&self, progress: f64) -> bool {
+        let span = f64::from(self.until_iteration) - f64::from(self.from_iteration);
+        let start = f64::from(self.births_from_iteration) - f64::from(self.from_iteration);
+        progress * span >= start
     }
 
     /// Whether error maps are of use.

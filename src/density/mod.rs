@@ -279,7 +279,7 @@ impl Outcome {
 /// A strategy of density control. It decides from what a step gives it and keeps nothing between steps, so that a
 /// checkpoint needs nothing of it.
 pub trait DensityControl: Send {
-    /// What a step at this progress wants gathered, for a run of so many training views. The kind stays the same over a run.
+    /// What a step at this progress wants gathered, for a run of so many training views: nothing, or what a step at η = 1 does.
     fn wanted(&self, views: usize, progress: f64) -> Wanted;
 
     /// How many views a step at this progress wants rendered, with their photos.

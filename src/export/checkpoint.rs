@@ -167,7 +167,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     {
         return Err("moments and parameters differ in length".into());
     }
-    let cues = match density::make(&header.config).wanted(1, 0.0).rows() {
+    let cues = match density::make(&header.config).wanted(1, 1.0).rows() {
         0 => Vec::new(),
         rows => planes(&tensors, "cues", rows)?,
     };

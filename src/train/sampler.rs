@@ -20,7 +20,7 @@ pub(super) struct SamplerStages {
 
 impl SamplerStages {
     pub(super) fn new(kernels: &Kernels, density: &dyn DensityControl) -> Result<Self> {
-        let wanted = density.wanted(1, 0.0);
+        let wanted = density.wanted(1, 1.0);
         let noise = density.noise();
         Ok(Self {
             noise: noise

@@ -37,7 +37,7 @@ impl Trainer {
             self.enqueue_step(0, degree)?;
             self.warm_up_probes(degree)?;
         }
-        if let Wanted::Errors { .. } = self.density.wanted(1, 0.0) {
+        if let Wanted::Errors { .. } = self.density.wanted(1, 1.0) {
             let photo = self.views.photo(0, &[])?;
             let camera = self.views.cameras[0];
             let pair = self.pair(&camera, &photo, self.schedule.fixed_background());

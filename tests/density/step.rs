@@ -324,12 +324,13 @@ fn a_configuration_names_its_strategy() {
         let made = make(&config);
         (made.wanted(4, 0.0), made.noise().is_some())
     };
-    assert_eq!(of(Sampler::Mh), (Wanted::Errors { views: 4 }, true));
+    assert_eq!(of(Sampler::Mh), (Wanted::Nothing, true));
     let paper = TrainConfig {
         mh: MhConfig::paper(),
         ..TrainConfig::default()
     };
     assert!(make(&paper).noise().is_none());
+    assert_eq!(make(&paper).wanted(4, 0.0), Wanted::Errors { views: 4 });
     assert_eq!(of(Sampler::Mcmc), (Wanted::Nothing, true));
     assert_eq!(of(Sampler::Adc), (Wanted::ScreenGradient, false));
     assert_eq!(of(Sampler::None), (Wanted::Nothing, false));

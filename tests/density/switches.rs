@@ -244,6 +244,34 @@ fn values_out_of_their_domain_are_refused_by_name() {
 }
 
 #[test]
+fn before_births_begin_a_step_relocates_and_no_more() {
+    let config = MhConfig {
+        from_iteration: 500,
+        births_from_iteration: 1500,
+        until_iteration: 2500,
+        pixel_proposals: 100,
+        ..MhConfig::paper()
+    };
+    let mh = MetropolisHastings::new(&config);
+    for (progress, bears) in [(0.0, false), (0.49, false), (0.5, true), (1.0, true)] {
+        assert_eq!(config.bears(progress), bears);
+        assert_eq!(mh.wanted(8, progress) != Wanted::Nothing, bears);
+        assert_eq!(mh.pictures(progress) > 0, bears);
+    }
+    let scene = dying(7000);
+    let step = |evidence: &Evidence<'_>, progress: f64| {
+        let mut mh = MetropolisHastings::new(&config);
+        mh.step(&context(700, progress, 1), &scene.state(), evidence)
+    };
+    let early = step(&Evidence::Nothing, 0.2).unwrap();
+    assert_eq!((early.rows, early.stats.proposed), (7000, 0));
+    assert!(early.stats.relocated > 0);
+    assert!(step(&Evidence::Nothing, 0.6).is_err());
+    let late = step(&scene.errors(), 0.6).unwrap();
+    assert!(late.rows > 7000 && late.stats.relocated == early.stats.relocated);
+}
+
+#[test]
 fn the_readme_has_the_papers_numbers() {
     let readme = include_str!("../../README.md");
     let (_, after) = readme

@@ -199,7 +199,7 @@ impl MetropolisHastings {
         let unseen = (vec![0.0; scene.len()], vec![0; scene.len()]);
         let cues = match evidence {
             Evidence::Errors(cues) => *cues,
-            Evidence::Nothing if !self.config.wants_errors() => Cues {
+            Evidence::Nothing if !self.wants_errors(context.progress) => Cues {
                 ssim: &unseen.0,
                 l1: &unseen.0,
                 views: &unseen.1,
@@ -227,7 +227,8 @@ impl MetropolisHastings {
             importance: &importance,
             sources: Categorical::new(&weights),
         };
-        let room = context.max_gaussians.is_none_or(|most| scene.len() < most);
+        let room = c.bears(context.progress)
+            && context.max_gaussians.is_none_or(|most| scene.len() < most);
         let kinds = [Kind::Pixel, Kind::Coarse, Kind::Fine];
         let mut proposals = kinds.map(|kind| (kind, Vec::new()));
         if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
@@ -247,6 +248,11 @@ impl MetropolisHastings {
         })
     }
 
+    /// Whether a step at progress η reads error maps.
+    fn wants_errors(&self, progress: f64) -> bool {
+        self.config.wants_errors() && self.config.bears(progress)
+    }
+
     /// I of every row (Eq. 13); ½ if it is switched off.
     fn importance(&self, scene: &SceneState<'_>, cues: &Cues<'_>) -> Vec<f64> {
         let c = &self.config;
@@ -261,7 +267,7 @@ impl MetropolisHastings {
 impl DensityControl for MetropolisHastings {
     /// The view subset of Eq. 10, or nothing where no cue of errors has a weight.
     fn wanted(&self, views: usize, progress: f64) -> Wanted {
-        if !self.config.wants_errors() {
+        if !self.wants_errors(progress) {
             return Wanted::Nothing;
         }
         let views = match self.config.view_subset {
@@ -280,10 +286,11 @@ impl DensityControl for MetropolisHastings {
         })
     }
 
-    fn pictures(&self, _progress: f64) -> usize {
-        match self.config.pixel_proposals {
-            0 => 0,
-            _ => self.config.pixel_views as usize,
+    fn pictures(&self, progress: f64) -> usize {
+        if self.config.pixel_proposals > 0 && self.config.bears(progress) {
+            self.config.pixel_views as usize
+        } else {
+            0
         }
     }
 
