@@ -215,7 +215,7 @@ fn each_sampler_has_its_own_times_and_they_scale() {
         (0..iterations).filter(due).collect()
     };
     for (sampler, first, last, steps) in [
-        (Sampler::Mh, 500, 14_900, 145),
+        (Sampler::Mh, 500, 24_900, 245),
         (Sampler::Mcmc, 600, 24_900, 244),
         (Sampler::Adc, 600, 14_900, 144),
     ] {
@@ -308,12 +308,15 @@ fn options_of_the_samplers_are_read_and_checked() {
         ("[mcmc]\ngrowth = 0.5", "growth"),
         ("[mcmc]\ndead-opacity = 1.0", "dead-opacity"),
         ("[mcmc]\ncap = 0", "cap"),
-        ("[mcmc]\nlr-opacity = nan", "lr-opacity"),
         ("[mcmc]\nuntil-iteration = 500", "until-iteration"),
         ("[adc]\ngrad-threshold = nan", "grad-threshold"),
         ("[adc]\nsplit-shrink = 0.5", "split-shrink"),
         ("[adc]\nreset-opacity = 0.0", "reset-opacity"),
         ("[adc]\nreset-interval = 0", "reset-interval"),
+        ("[adc]\nreset-interval = 400", "reset-interval"),
+        ("[mh]\nbirths-from-iteration = 26000", "births-from"),
+        ("[mh]\nbirth-opacity = 0.004", "birth-opacity"),
+        ("[mh]\nnoise-rate = -1.0", "noise-rate"),
         ("[adc]\ninterval = 0", "interval"),
     ] {
         let config: TrainConfig = toml::from_str(bad).unwrap();

@@ -345,7 +345,7 @@ fn a_configuration_names_its_strategy() {
             Sampler::Mh => Evidence::Nothing,
             _ => scene.errors(),
         };
-        let result = make(&config).step(&context(600, 0.0, 0), &scene.state(), &evidence);
+        let result = make(&config).step(&context(600, 0.5, 0), &scene.state(), &evidence);
         assert!(result.unwrap_err().to_string().contains("another kind"));
     }
 }
