@@ -51,12 +51,12 @@ fn density(c: &mut Criterion) {
     });
     let context = StepContext::at(500, 0.0, 0);
     let errors = Evidence::Errors(cues);
-    let mut mh = MetropolisHastings::new(&MhConfig::default());
+    let mut mh = MetropolisHastings::new(&MhConfig::paper());
     // The difference of the two is what proposing and deciding costs.
     let mut still = MetropolisHastings::new(&MhConfig {
         coarse_proposals: 0,
         fine_proposals: 0,
-        ..MhConfig::default()
+        ..MhConfig::paper()
     });
     group.bench_function("whole step 1M, no draws", |b| {
         b.iter(|| {

@@ -121,6 +121,22 @@ impl Plan {
             );
             self.decide(true, "probes", &why, "");
         }
+        if config.sampler == Sampler::Mh {
+            let mh = &config.mh;
+            let why = "mh.noise-rate moves what is faint";
+            self.decide(
+                mh.noise_rate > 0.0,
+                "noise on positions",
+                why,
+                "mh.noise-rate is 0",
+            );
+            self.decide(
+                mh.pixel_proposals > 0,
+                "births in image space",
+                &format!("{} views are rendered for each step", mh.pixel_views),
+                "mh.pixel-proposals is 0",
+            );
+        }
         let errors = "importance pass";
         match config.sampler {
             Sampler::Mh if config.mh.wants_errors() => self.decide(

@@ -120,6 +120,13 @@ fn training_foretells_what_the_instrument_does() {
     // Asking changes nothing.
     assert!(trainer.state().unwrap().splats == splats);
     assert_eq!(trainer.probe(&[]).unwrap(), [0.0; 0]);
+    let again = trainer.probe(&trials).unwrap();
+    let bits = |all: &[f64]| all.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert_eq!(
+        bits(&again),
+        bits(&got),
+        "nor does a step that proposes nothing"
+    );
 }
 
 #[test]

@@ -216,7 +216,7 @@ fn to_psnr(
     let bound = Limit::median(&ratios).map_or(Bound::Unknown, |l| l.bound);
     let time = PairedTime {
         psnr: group.to_psnr.get(place)?.psnr,
-        spread: Spread::of(&values),
+        spread: of_ratios(&values),
         bound,
         no_later: median_holds(&seeds),
         seeds,
@@ -248,7 +248,10 @@ fn median_holds(seeds: &[SeedRatio]) -> Option<bool> {
         let far = if holds { 1e9 } else { 1e-9 };
         Some(exact.map_or(far, |r| r.value))
     });
-    Some(Spread::of(&known.collect::<Vec<_>>())?.median >= 1.0)
+    let mut known: Vec<f64> = known.collect();
+    known.sort_by(f64::total_cmp);
+    // Of an even number the lower of the middle two: the reference has to hold in more than half of the seeds.
+    Some(*known.get(known.len().checked_sub(1)? / 2)? >= 1.0)
 }
 
 /// Geometric means over thresholds that all of so many seeds reach, by seed.
@@ -259,7 +262,20 @@ fn means(whole: &[&PairedTime], seeds: usize) -> Option<Spread> {
         Some(Bounded::of(&limits)?.ratio)
     };
     let all: Option<Vec<f64>> = (0..seeds).map(of_seed).collect();
-    Spread::of(&all?)
+    of_ratios(&all?)
+}
+
+/// Median and range of ratios. Between the middle two of an even number lies their geometric mean: which side is below the
+/// line must not matter.
+fn of_ratios(values: &[f64]) -> Option<Spread> {
+    let logs: Vec<f64> = values.iter().map(|v| v.ln()).collect();
+    let s = Spread::of(&logs)?;
+    Some(Spread {
+        median: s.median.exp(),
+        min: s.min.exp(),
+        max: s.max.exp(),
+        ..s
+    })
 }
 
 /// The lowest ratio; at most that where any is a bound from above.
@@ -270,7 +286,8 @@ fn worst(times: &[PairedTime]) -> Option<(f64, Limit)> {
         .iter()
         .min_by(|a, b| a.1.value.total_cmp(&b.1.value))
         .copied();
-    let open = all.iter().any(|(_, l)| l.bound == Bound::AtMost);
+    let open = |l: &Limit| matches!(l.bound, Bound::AtMost | Bound::Unknown);
+    let open = all.iter().any(|(_, l)| open(l));
     low.map(|(psnr, limit)| {
         let bound = if open { Bound::AtMost } else { limit.bound };
         (psnr, Limit { bound, ..limit })

@@ -116,7 +116,7 @@ pub struct MhConfig {
     /// λ_v of the voxel prior (Eq. 7); 0 switches the prior off: every D and every exact ratio is 1.
     pub lambda_voxel: f64,
     /// Temperature T of the acceptance: a birth is accepted with probability ρ^{1/T}. 1 is the paper's; larger values accept
-    /// more.
+    /// more. Of no effect where `target_acceptance` is set.
     pub temperature: [f64; 2],
     /// Wanted share of accepted births. Each phase then takes the T at which the mean of ρ^{1/T} over its own proposals is
     /// this, in place of `temperature`. 0: as `temperature` says.
@@ -157,9 +157,9 @@ pub struct MhConfig {
     /// s·2^⌊log2(d / this)⌋. 0: the edge is s everywhere, as in Eq. 7.
     pub voxel_growth_from: f64,
     /// Births proposed in image space per step at η = 0, at pixels drawn ∝ e·(τ + s·(1−τ)) with L1 error e, remaining
-    /// transmittance τ and s = `pixel-surface`, times the share Σ e·(τ + s·(1−τ)) / Σ e of the error that lies there: a
-    /// scene without voids has none. 0 leaves them out. They reach what is too far from every Gaussian for a copy of one,
-    /// and are not in the paper.
+    /// transmittance τ and s = `pixel-surface`, times the share Σ e·(τ + s·(1−τ)) / Σ e of the error that is drawn from: all
+    /// of it at s = 1, none at s = 0 in a scene without voids. 0 leaves them out. They reach what is too far from every
+    /// Gaussian for a copy of one, and are not in the paper.
     pub pixel_proposals: u32,
     /// Views whose pixels are drawn from: those that training takes next.
     pub pixel_views: u32,
@@ -359,7 +359,8 @@ impl MhConfig {
     pub fn bears(&self, progress: f64) -> bool {
         let span = f64::from(self.until_iteration) - f64::from(self.from_iteration);
         let start = f64::from(self.births_from_iteration) - f64::from(self.from_iteration);
-        progress * span >= start
+        // η is a quotient: a step at the start may come out a little below it.
+        progress * span + 1e-6 >= start
     }
 
     /// Whether error maps are of use.

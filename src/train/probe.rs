@@ -35,7 +35,10 @@ impl Trainer {
     /// More than the device can allocate, or the driver's.
     #[doc(hidden)]
     pub fn probe(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
-        let Some(mut pass) = self.probes.take().filter(|_| !trials.is_empty()) else {
+        if trials.is_empty() {
+            return Ok(Vec::new());
+        }
+        let Some(mut pass) = self.probes.take() else {
             return Ok(Vec::new());
         };
         let began = Instant::now();

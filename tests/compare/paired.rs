@@ -57,6 +57,22 @@ fn ratios_and_differences_are_of_each_seed() {
 }
 
 #[test]
+fn of_two_seeds_that_disagree_neither_side_is_favoured() {
+    let other = |seed: u64| run("other", seed).slower([0.6, 1.5][seed as usize]);
+    let made = [0, 1].map(|s| [fast(s), other(s).named("other")]).concat();
+    let of = |reference: &str| pairs(&made, reference).remove(0);
+    let (one, two) = (of("fast"), of("other"));
+    assert_eq!([one.no_later.holds, two.no_later.holds], [0, 0]);
+    let ratio = |p: &Paired| p.to_psnr[0].spread.unwrap().median;
+    assert!((ratio(&one) * ratio(&two) - 1.0).abs() < 1e-9);
+    assert!(
+        (ratio(&one) - 0.9f64.sqrt()).abs() < 1e-2,
+        "{}",
+        ratio(&one)
+    );
+}
+
+#[test]
 fn only_seeds_of_both_count() {
     let found = pairs(&[fast(0), fast(1), slow(1), slow(2)], "fast");
     assert_eq!(found[0].seeds, [1]);

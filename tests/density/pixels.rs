@@ -186,5 +186,5 @@ fn the_upper_bound_holds_and_what_broke_is_left_out() {
         &at,
     );
     assert_eq!(bounded.rows, 510);
-    assert_eq!(bounded.stats.pixel[1], 10, "voids come first");
+    assert_eq!(bounded.stats.pixel[1], 10, "they come first");
 }

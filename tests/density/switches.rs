@@ -258,6 +258,16 @@ fn before_births_begin_a_step_relocates_and_no_more() {
         assert_eq!(mh.wanted(8, progress) != Wanted::Nothing, bears);
         assert_eq!(mh.pictures(progress) > 0, bears);
     }
+    // Whatever the first iteration, births begin with the step there and not the one after.
+    for first in (500..=25_000).step_by(100) {
+        let config = MhConfig {
+            births_from_iteration: first,
+            ..MhConfig::default()
+        };
+        let eta = |done: u32| f64::from(done - 500) / 24_500.0;
+        assert!(config.bears(eta(first)), "{first}");
+        assert!(first == 500 || !config.bears(eta(first - 100)), "{first}");
+    }
     let scene = dying(7000);
     let step = |evidence: &Evidence<'_>, progress: f64| {
         let mut mh = MetropolisHastings::new(&config);
