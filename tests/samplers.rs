@@ -317,6 +317,7 @@ fn options_of_the_samplers_are_read_and_checked() {
         ("[mh]\nbirths-from-iteration = 26000", "births-from"),
         ("[mh]\nbirth-opacity = 0.004", "birth-opacity"),
         ("[mh]\nnoise-rate = -1.0", "noise-rate"),
+        ("[mh]\npixel-near = nan", "pixel-near"),
         ("[adc]\ninterval = 0", "interval"),
     ] {
         let config: TrainConfig = toml::from_str(bad).unwrap();

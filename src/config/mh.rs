@@ -172,6 +172,9 @@ pub struct MhConfig {
     /// Depth of a birth that lies beyond what is rendered, as it does with probability τ/(τ + s·(1−τ)): log-uniform between
     /// these, local units, and no nearer than the rendered mean depth, which the others have.
     pub pixel_far: [f64; 2],
+    /// Least depth of such a birth, local units: one close to a camera is seen by that camera alone, and hides what others
+    /// see.
+    pub pixel_near: f64,
     /// Noise on the positions between the steps, per unit of the position's learning rate, as `mcmc.noise-rate` has it with
     /// \[MCMC\]'s gate; 0 for none, as in \[MH\]. It moves what is faint, and so clears the fog of a random start.
     pub noise_rate: f64,
@@ -212,6 +215,7 @@ impl Default for MhConfig {
             pixel_opacity: 0.1,
             pixel_surface: 1.0,
             pixel_far: [2.0, 20.0],
+            pixel_near: 0.3,
             noise_rate: 5e5,
             dead_opacity: 0.005,
         }
@@ -315,6 +319,9 @@ impl MhConfig {
                 "mh.pixel-views, mh.pixel-scale, mh.pixel-far",
                 "values above 0, and a far depth not below the near one, expected",
             ));
+        }
+        if !(self.pixel_near.is_finite() && self.pixel_near >= 0.0) {
+            return Err(Error::config("mh.pixel-near", "0 or more expected"));
         }
         if !(0.0..=1.0).contains(&self.pixel_surface) {
             return Err(Error::config("mh.pixel-surface", "0 to 1 expected"));

@@ -102,6 +102,28 @@ fn births_lie_behind_the_pixels_that_err() {
 }
 
 #[test]
+fn nothing_is_born_close_to_a_camera() {
+    let pictures = [picture()];
+    let at = StepContext {
+        pictures: &pictures,
+        ..context(700, 0.0, 1)
+    };
+    let depths = |pixel_near: f64| -> Vec<f64> {
+        let config = MhConfig {
+            pixel_near,
+            ..config()
+        };
+        let outcome = step(&config, &at);
+        let births = outcome.edits.iter().filter(|e| e.dst >= 500);
+        births.map(|e| seen(e)[2]).collect()
+    };
+    let (all, far) = (depths(0.0), depths(6.0));
+    assert!(all.iter().any(|z| *z < 6.0) && !far.is_empty());
+    assert!(far.iter().all(|z| *z > 6.0 - 1e-4));
+    assert_eq!(all.iter().filter(|z| **z >= 6.0).count(), far.len());
+}
+
+#[test]
 fn a_surface_of_zero_leaves_what_is_opaque_alone() {
     let pictures = [picture()];
     let at = StepContext {

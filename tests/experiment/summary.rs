@@ -147,7 +147,7 @@ fn losses_are_told_as_such() {
     assert!(row.contains("| no, 0 of 11 | −0.20 | no |"), "{row}");
     assert!(
         w.markdown
-            .contains("| no, 0 of 2 scenes | no, 0 of 2 scenes |")
+            .contains("| no, 0 of 2 scenes | – | no, 0 of 2 scenes |")
     );
 }
 

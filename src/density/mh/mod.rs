@@ -279,7 +279,7 @@ impl DensityControl for MetropolisHastings {
     }
 
     fn noise(&self) -> Option<NoiseLaw> {
-        (self.config.noise_rate > 0.0).then(|| NoiseLaw {
+        (self.config.noise_rate > 0.0).then_some(NoiseLaw {
             rate: self.config.noise_rate,
             steepness: NOISE_STEEPNESS,
             opacity: self.config.dead_opacity,

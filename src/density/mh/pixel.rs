@@ -119,7 +119,8 @@ fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32)
     let pixel = [at % picture.width, at / picture.width].map(|v| v as f64);
     let position = picture.point([pixel[0] + across, pixel[1] + down], z);
     let log_scale = (config.pixel_scale * picture.footprint(z)).ln();
-    let good = z > 0.0 && log_scale.is_finite() && position.iter().all(|v| v.is_finite());
+    let placed = z > 0.0 && z >= config.pixel_near;
+    let good = placed && log_scale.is_finite() && position.iter().all(|v| v.is_finite());
     let opacity = config.pixel_opacity;
     let color = [0, 1, 2].map(|c| (f64::from(picture.photo[c][at]) - 0.5) / SH_0);
     good.then_some(Edit {
