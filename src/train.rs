@@ -231,19 +231,11 @@ impl Trainer {
             .upcoming(iteration, 1 + AHEAD, self.views.len());
         let view = order[0];
         let photo = self.views.photo(view, &order[1..])?;
-        let full = self.views.cameras[view];
-        let factor = self.schedule.shrink_factor(iteration, size_of_image(&full));
-        let camera = full.shrunk(factor);
+        let (camera, factor) = self.camera_at(iteration, view);
         let options = self.options(iteration, degree);
         self.renderer.enqueue(&self.scene, &camera, &options)?;
 
-        let photo = if factor > 1 {
-            self.shrink
-                .run(&photo, size_of_image(&full), factor, &self.small)?;
-            &self.small
-        } else {
-            &*photo
-        };
+        let photo = self.shrunk(&photo, view, factor)?;
         let pair = self.pair(&camera, photo, options.background);
         let lambda = f64::from(self.config.loss.lambda_ssim);
         self.loss

@@ -3,7 +3,7 @@
 use super::Trainer;
 use crate::density::Picture;
 use crate::error::Result;
-use crate::gpu::Array;
+use crate::gpu::{Array, CameraArg};
 use crate::render::{Quantity, RenderOptions};
 use crate::stage::loss::size_of_image;
 
@@ -21,13 +21,31 @@ impl Trainer {
         views.into_iter().map(|view| self.picture(view)).collect()
     }
 
+    /// A view's camera at the size that photos have at an iteration, and by how much that is smaller.
+    pub(super) fn camera_at(&self, iteration: u32, view: usize) -> (CameraArg<f32>, usize) {
+        let full = self.views.cameras[view];
+        let factor = self.schedule.shrink_factor(iteration, size_of_image(&full));
+        (full.shrunk(factor), factor)
+    }
+
+    /// A view's photo so much smaller; itself at 1.
+    pub(super) fn shrunk<'a>(
+        &'a self,
+        photo: &'a Array<u8>,
+        view: usize,
+        factor: usize,
+    ) -> Result<&'a Array<u8>> {
+        if factor == 1 {
+            return Ok(photo);
+        }
+        let size = size_of_image(&self.views.cameras[view]);
+        self.shrink.run(photo, size, factor, &self.small)?;
+        Ok(&self.small)
+    }
+
     fn picture(&mut self, view: usize) -> Result<Picture> {
         let photo = self.views.photo(view, &[])?;
-        let full = self.views.cameras[view];
-        let factor = self
-            .schedule
-            .shrink_factor(self.iteration, size_of_image(&full));
-        let camera = full.shrunk(factor);
+        let (camera, factor) = self.camera_at(self.iteration, view);
         let options = self.options(self.iteration, self.schedule.sh_degree(self.iteration));
         self.renderer.render(&self.scene, &camera, &options)?;
         let seen = self.renderer.read_image(&camera)?;
@@ -44,13 +62,8 @@ impl Trainer {
             // Weighted by opacity so far; 0/0 where nothing is.
             *z /= 1.0 - left;
         }
-        let photo = if factor > 1 {
-            self.shrink
-                .run(&photo, size_of_image(&full), factor, &self.small)?;
-            self.photo_planes(&self.small, pixels, options.background)?
-        } else {
-            self.photo_planes(&photo, pixels, options.background)?
-        };
+        let photo = self.shrunk(&photo, view, factor)?;
+        let photo = self.photo_planes(photo, pixels, options.background)?;
         let error = |i: usize| -> f32 {
             let apart = |c: usize| (seen.rgb[c * pixels + i] - photo[c][i]).abs();
             (0..3).map(apart).sum::<f32>() / 3.0

@@ -10,7 +10,6 @@ use crate::error::Result;
 use crate::gpu::{Array, Defines, Device, EditRow};
 use crate::probe::{Backward, EPSILON_SINGLE, Pass, ROUND, change, scaled_logit};
 use crate::stage::edit::EditArgs;
-use crate::stage::loss::size_of_image;
 
 /// What renders probes, if this density control tries births.
 pub(super) fn pass(
@@ -135,20 +134,10 @@ impl Trainer {
         shared: bool,
     ) -> Result<[[Vec<f64>; 4]; 2]> {
         let photo = self.views.photo(view, &[])?;
-        let full = self.views.cameras[view];
-        let factor = self
-            .schedule
-            .shrink_factor(self.iteration, size_of_image(&full));
-        let camera = full.shrunk(factor);
+        let (camera, factor) = self.camera_at(self.iteration, view);
         let options = self.options(self.iteration, degree as u32);
         self.renderer.render(&self.scene, &camera, &options)?;
-        let photo = if factor > 1 {
-            self.shrink
-                .run(&photo, size_of_image(&full), factor, &self.small)?;
-            &self.small
-        } else {
-            &*photo
-        };
+        let photo = self.shrunk(&photo, view, factor)?;
         let pair = self.pair(&camera, photo, options.background);
         let lambda = f64::from(self.config.loss.lambda_ssim);
         self.loss
