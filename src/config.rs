@@ -2,6 +2,7 @@
 //!
 //! \[MH\] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); \[3DGS\] = Kerbl et al. 2023; \[MCMC\] = Kheradmand et al. 2024.
 
+mod choices;
 mod mh;
 mod samplers;
 mod values;
@@ -9,7 +10,8 @@ mod work;
 
 use serde::{Deserialize, Serialize};
 
-pub use mh::{Acceptance, Birth, MhConfig, Surrogate, ViewSubset};
+pub use choices::{Acceptance, Birth, Surrogate, ViewSubset};
+pub use mh::MhConfig;
 pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
 pub use values::{Background, Init, parse_bytes, parse_duration};
 use values::{bytes_or_number, duration_or_number};
@@ -66,6 +68,12 @@ pub struct OptimizerConfig {
     pub lr_rotation: f32,
     /// Whether runs shorter than the papers' 30,000 iterations take larger steps (see `Schedule::rates`).
     pub lr_scales_with_run: bool,
+    /// Factor on the rates of all but the positions at the end of a run; 1 for none, as in the papers. It is reached
+    /// log-linearly from `lr_settle_from` on: steps as large as in the middle of a run leave a picture that flickers from one
+    /// iteration to the next.
+    pub lr_settle: f32,
+    /// Iteration from which rates settle, of 30,000.
+    pub lr_settle_from: u32,
     /// Iterations between two SH bands, for 30,000 iterations (scales with the run).
     pub sh_interval: u32,
 }
@@ -84,6 +92,8 @@ impl Default for OptimizerConfig {
             lr_scale: 5e-3,
             lr_rotation: 1e-3,
             lr_scales_with_run: true,
+            lr_settle: 0.1,
+            lr_settle_from: 25_000,
             sh_interval: 1000,
         }
     }
@@ -166,6 +176,15 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
+    /// With what is left to the scene settled, for a dataset with so many sparse points.
+    #[must_use]
+    pub fn settled(&self, points: usize) -> Self {
+        Self {
+            mh: self.mh.settled(self.init.is_random(points)),
+            ..self.clone()
+        }
+    }
+
     /// Checks every value's domain.
     ///
     /// # Errors
@@ -228,6 +247,12 @@ impl OptimizerConfig {
             return Err(Error::config(
                 "optimizer",
                 "a learning rate that is negative or not finite",
+            ));
+        }
+        if !(o.lr_settle > 0.0 && o.lr_settle <= 1.0) {
+            return Err(Error::config(
+                "optimizer.lr-settle",
+                "more than 0 and no more than 1 expected",
             ));
         }
         if !((0.0..1.0).contains(&o.beta1) && (0.0..1.0).contains(&o.beta2) && o.epsilon > 0.0) {

@@ -18,7 +18,7 @@ pub const TILE_SLACK: f64 = 1e-3;
 /// Log-scales are clamped to this range, in which the covariance stays finite in f32.
 pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
 /// Near plane in units of the scene extent.
-pub const NEAR: f64 = 0.01;
+pub const NEAR: f64 = 0.04;
 /// Sums that splat_grad writes per pair.
 pub const SUMS: usize = 9;
 /// Records that the splat kernels copy next to the processor at a time (measured: 32 on CPUs).

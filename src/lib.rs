@@ -55,6 +55,8 @@ pub mod atomic;
 pub mod bench;
 #[doc(hidden)]
 pub mod buffers;
+#[doc(hidden)]
+pub mod cache;
 pub mod compare;
 pub mod config;
 #[doc(hidden)]

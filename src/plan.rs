@@ -2,9 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::config::{Init, Sampler, TrainConfig};
+use crate::config::{Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Dataset, View};
 use crate::schedule::Schedule;
+
+/// The item of a start from the dataset's points.
+const FROM_POINTS: &str = "initial Gaussians from sparse points";
 
 /// One decision.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,11 +66,11 @@ impl Plan {
             &format!("{} views are held out", dataset.test.len()),
             "no view is held out",
         );
-        let points = config.init == Init::Points && !dataset.points.positions.is_empty();
+        let points = dataset.points.positions.len();
         plan.decide(
-            points,
-            "initial Gaussians from sparse points",
-            &format!("{} points", dataset.points.positions.len()),
+            config.init == Init::Points && points > 0,
+            FROM_POINTS,
+            &format!("{points} points"),
             if config.init == Init::Points {
                 "the dataset has no points; random initialisation"
             } else {
@@ -75,6 +78,12 @@ impl Plan {
             },
         );
         plan
+    }
+
+    /// Whether the first Gaussians are the dataset's points.
+    #[must_use]
+    pub fn starts_from_points(&self) -> bool {
+        self.kept.iter().any(|item| item.what == FROM_POINTS)
     }
 
     /// What saves work: switched on is kept.
@@ -114,42 +123,9 @@ impl Plan {
     }
 
     fn sampler(&mut self, config: &TrainConfig) {
-        if config.sampler == Sampler::Mh && config.mh.probed_views() > 0 {
-            let why = format!(
-                "births are judged by probes in {} views",
-                config.mh.probe_views
-            );
-            self.decide(true, "probes", &why, "");
-        }
-        if config.sampler == Sampler::Mh {
-            let mh = &config.mh;
-            let why = "mh.noise-rate moves what is faint";
-            self.decide(
-                mh.noise_rate > 0.0,
-                "noise on positions",
-                why,
-                "mh.noise-rate is 0",
-            );
-            self.decide(
-                mh.pixel_proposals > 0,
-                "births in image space",
-                &format!("{} views are rendered for each step", mh.pixel_views),
-                "mh.pixel-proposals is 0",
-            );
-        }
         let errors = "importance pass";
         match config.sampler {
-            Sampler::Mh if config.mh.wants_errors() => self.decide(
-                true,
-                "importance pass and density control",
-                "Metropolis-Hastings sampler",
-                "",
-            ),
-            Sampler::Mh => {
-                self.decide(true, "density control", "Metropolis-Hastings sampler", "");
-                let why = "mh.importance is off, or no cue of errors has a weight";
-                self.decide(false, errors, "", why);
-            }
+            Sampler::Mh => self.metropolis_hastings(&config.mh, errors),
             Sampler::Mcmc => {
                 let most = config.max_gaussians.unwrap_or(config.mcmc.cap);
                 let why = format!("MCMC sampler, at most {most} Gaussians");
@@ -169,6 +145,36 @@ impl Plan {
                 "a fixed set of Gaussians asked for",
             ),
         }
+    }
+
+    fn metropolis_hastings(&mut self, mh: &MhConfig, errors: &str) {
+        let sampler = "Metropolis-Hastings sampler";
+        if mh.wants_errors() {
+            self.decide(true, "importance pass and density control", sampler, "");
+        } else {
+            self.decide(true, "density control", sampler, "");
+            let why = "mh.importance is off, or no cue of errors has a weight";
+            self.decide(false, errors, "", why);
+        }
+        if mh.probed_views() > 0 {
+            let why = format!("births are judged by probes in {} views", mh.probe_views);
+            self.decide(true, "probes", &why, "");
+        }
+        let why = "mh.noise-rate moves what is faint";
+        let why_not = "mh.noise-rate is 0";
+        self.decide(mh.noise_rate > 0.0, "noise on positions", why, why_not);
+        let why = format!(
+            "{} views are rendered for each step; of pixels that show a surface {:.0} %",
+            mh.pixel_views,
+            100.0 * mh.surface()
+        );
+        let why_not = "mh.pixel-proposals is 0";
+        self.decide(
+            mh.pixel_proposals > 0,
+            "births in image space",
+            &why,
+            why_not,
+        );
     }
 
     fn decide(&mut self, keep: bool, what: &str, why: &str, why_not: &str) {

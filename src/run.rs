@@ -3,7 +3,7 @@
 mod gallery;
 mod start;
 
-pub use start::{abandon_folder, claim_folder, initial_splats};
+pub use start::{abandon_folder, claim_folder, initial_splats, saved_config};
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -54,6 +54,8 @@ pub struct Run {
     /// Seconds per stage of the sessions before this one.
     stages: Vec<StageRecord>,
     psnr: Option<f64>,
+    /// Whether a checkpoint was written after something failed.
+    rescued: bool,
     /// Iterations after which evaluation, export and checkpoint were looked after: repeating an iteration whose pairs did
     /// not fit must not repeat those.
     handled: u32,
@@ -84,10 +86,11 @@ impl Run {
     pub fn start(
         dir: &Path,
         dataset: Dataset,
-        config: TrainConfig,
+        mut config: TrainConfig,
         device: &Device,
         clock: Clock,
     ) -> Result<Self> {
+        config = config.settled(dataset.points.positions.len());
         let splats = initial_splats(&dataset, &config)?;
         let prepared = Prepared::new(dataset, &config, device, &splats)?;
         let start = Start {
@@ -99,17 +102,25 @@ impl Run {
         Self::assemble(dir, config, prepared, start)
     }
 
-    /// Continues the run in `dir` from its checkpoint. `config` is the checkpoint's, but for what may change on the way:
+    /// Continues the run in `dir` from its checkpoint, or begins it again where it was killed before the first one. `config` is
+    /// that of [`saved_config`], but for what may change on the way:
     /// the budgets for time and photos, and how often to evaluate, export and save.
     ///
     /// # Errors
-    /// No usable checkpoint, another dataset, a time budget that is used up, or as [`Trainer::new`].
+    /// A damaged checkpoint, none in a folder of a run that came to its end, another dataset, a time budget that is used up, or as [`Trainer::new`].
     pub fn resume(
         dir: &Path,
         dataset: Dataset,
         config: TrainConfig,
         device: &Device,
+        clock: Clock,
     ) -> Result<Self> {
+        crate::atomic::sweep(dir);
+        crate::atomic::sweep(&dir.join("checkpoint"));
+        if !start::has_checkpoint(dir)? {
+            start::check_unfinished(dir, &dataset)?;
+            return Self::start(dir, dataset, config, device, clock);
+        }
         let saved = checkpoint::read(dir)?;
         if saved.dataset != dataset.fingerprint() {
             return Err(Error::input(
@@ -164,6 +175,7 @@ impl Run {
             density: start.density,
             stages: start.stages,
             psnr: None,
+            rescued: false,
         };
         run.write_record()?;
         Ok(run)
@@ -172,13 +184,34 @@ impl Run {
     /// Trains until the iterations or the time are used up, or `stop` is set; leaves the run folder complete.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] when stopped (a checkpoint was written), or whatever failed.
+    /// [`Error::Interrupted`] when stopped (a checkpoint was written), or whatever failed. Where that can be told of the files
+    /// and not of the device, say a photo that is no longer there, a checkpoint of the last good state is written first, and
+    /// `rescued` says so.
     pub fn drive(
         &mut self,
         stop: &AtomicBool,
-        mut progress: impl FnMut(&Progress),
+        progress: impl FnMut(&Progress),
     ) -> Result<&RunRecord> {
+        let ended = self.train(stop, progress);
+        if matches!(ended, Err(Error::Io { .. } | Error::Input { .. })) {
+            // The record stays as it was: not that of a run that came to its end.
+            self.rescued = self.trainer.settle().is_ok() && self.checkpoint().is_ok();
+        }
+        ended.map(|()| &self.record)
+    }
+
+    /// The iterations that a checkpoint written after something failed has; none if there is no such checkpoint.
+    #[must_use]
+    pub fn rescued(&self) -> Option<u32> {
+        self.rescued.then(|| self.trainer.iteration())
+    }
+
+    fn train(&mut self, stop: &AtomicBool, mut progress: impl FnMut(&Progress)) -> Result<()> {
         let due = |every: u32, done: u32| every > 0 && done.is_multiple_of(every);
+        // After something failed, a density step may be still to be done.
+        if self.trainer.iteration() > 0 {
+            self.density_step()?;
+        }
         while self.trainer.iteration() < self.config.iterations
             && (self.trainer.iteration() == 0 || !self.out_of_time())
         {
@@ -187,14 +220,7 @@ impl Run {
                 return Err(Error::Interrupted);
             }
             self.trainer.step()?;
-            if let Some(event) = self.trainer.density_step()? {
-                self.density.write(&DensityRow {
-                    iteration: event.iteration,
-                    train_seconds: self.clock.train_seconds(),
-                    gaussians: event.gaussians as u64,
-                    stats: event.stats,
-                })?;
-            }
+            self.density_step()?;
             let done = self.trainer.iteration();
             if done < self.config.iterations && done > self.handled {
                 self.handled = done;
@@ -220,8 +246,19 @@ impl Run {
         self.evaluate(true)?;
         self.export()?;
         self.checkpoint()?;
-        self.report()?;
-        Ok(&self.record)
+        self.report()
+    }
+
+    fn density_step(&mut self) -> Result<()> {
+        let Some(event) = self.trainer.density_step()? else {
+            return Ok(());
+        };
+        self.density.write(&DensityRow {
+            iteration: event.iteration,
+            train_seconds: self.clock.train_seconds(),
+            gaussians: event.gaussians as u64,
+            stats: event.stats,
+        })
     }
 
     fn out_of_time(&self) -> bool {

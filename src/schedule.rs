@@ -68,7 +68,8 @@ impl Schedule {
     /// Adam moves a parameter by about its rate per iteration, whatever the gradient, so that a short run cannot reach what
     /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for
     /// positions, which have the longest way to go, f times for the higher SH bands and √f times for the rest (measured on
-    /// one indoor scene at 1,500 and 3,000 iterations). From 30,000 iterations on the rates are the papers'.
+    /// one indoor scene at 1,500 and 3,000 iterations). From 30,000 iterations on the rates are the papers'. Towards the end all
+    /// but the position's settle (`lr-settle`).
     #[must_use]
     pub fn rates(&self, iteration: u32) -> LearningRates {
         let o = &self.config.optimizer;
@@ -77,14 +78,25 @@ impl Schedule {
         } else {
             1.0
         };
+        let settle = self.settle(iteration);
+        let slow = settle * boost.sqrt();
         LearningRates {
             position: boost.powf(1.5) * self.position_rate(iteration),
-            scale: boost.sqrt() * f64::from(o.lr_scale),
-            rotation: boost.sqrt() * f64::from(o.lr_rotation),
-            opacity: boost.sqrt() * f64::from(o.lr_opacity),
-            sh0: boost.sqrt() * f64::from(o.lr_sh0),
-            sh: boost * f64::from(o.lr_sh),
+            scale: slow * f64::from(o.lr_scale),
+            rotation: slow * f64::from(o.lr_rotation),
+            opacity: slow * f64::from(o.lr_opacity),
+            sh0: slow * f64::from(o.lr_sh0),
+            sh: settle * boost * f64::from(o.lr_sh),
         }
+    }
+
+    /// Factor by which the rates settle towards the end: 1, then log-linear down to `lr-settle`.
+    fn settle(&self, iteration: u32) -> f64 {
+        let o = &self.config.optimizer;
+        let paper = f64::from(iteration) / self.scale;
+        let from = f64::from(o.lr_settle_from);
+        let share = (paper - from) / (PAPER_ITERATIONS - from).max(1.0);
+        f64::from(o.lr_settle).powf(share.clamp(0.0, 1.0))
     }
 
     /// Learning rate of the positions without what short runs add to it: log-linear over the run. The noise on positions is

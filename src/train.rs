@@ -124,7 +124,8 @@ impl Trainer {
     ) -> Result<Self> {
         let photos = Photos::new(device, dataset.image_budget);
         let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
-        Self::with_views(views, config, splats)
+        let config = config.settled(dataset.points.positions.len());
+        Self::with_views(views, &config, splats)
     }
 
     /// As [`Trainer::new`], with training views whose photos may share their budget with others.

@@ -8,18 +8,17 @@
 //! `MHSPLAT_TUNING` overrules: `default` is the class default, `measure` measures again, and
 //! `vector-width=8,block-width=4` changes single values of the default.
 
-use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 
-use rustc_hash::FxHasher;
 use serde::{Deserialize, Serialize};
 
 use crate::bench::scene;
 use crate::bench::spread::Spread;
+use crate::cache;
 use crate::constants::ALPHA_MIN;
 use crate::error::{Error, Result};
 use crate::gpu::tuning::Tuning;
-use crate::gpu::{Device, DeviceInfo, sources_hash};
+use crate::gpu::{Device, DeviceInfo};
 use crate::verify::chain;
 
 /// Name of the variable that overrules.
@@ -64,8 +63,8 @@ pub fn tuned(device: Device, note: &mut dyn FnMut(&str)) -> Result<Device> {
     let Some(kept) = measure(&device) else {
         return Ok(device);
     };
-    if let Some(file) = file(device.info()) {
-        keep(&file, &kept);
+    if let (Some(file), Ok(text)) = (file(device.info()), serde_json::to_vec_pretty(&kept)) {
+        cache::keep(&file, &text);
     }
     Ok(device.with_tuning(kept.tuning))
 }
@@ -113,15 +112,7 @@ fn given(asked: &str, info: &DeviceInfo) -> Result<Tuning> {
 
 /// The file of a device; none where the system has no place for it.
 fn file(info: &DeviceInfo) -> Option<PathBuf> {
-    let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty());
-    let cache = set("XDG_CACHE_HOME").map_or_else(
-        || set("HOME").map(|home| PathBuf::from(home).join(".cache")),
-        |v| Some(PathBuf::from(v)),
-    )?;
-    let mut hasher = FxHasher::default();
-    (&info.platform, &info.name, &info.driver, sources_hash()).hash(&mut hasher);
-    candidates(info).hash(&mut hasher);
-    Some(cache.join(format!("mhsplat/tuning-{:016x}.json", hasher.finish())))
+    cache::file("tuning", info, candidates(info))
 }
 
 /// What a file holds, if that fits the device.
@@ -130,14 +121,6 @@ fn file(info: &DeviceInfo) -> Option<PathBuf> {
 pub fn read(file: &Path, info: &DeviceInfo) -> Option<Tuning> {
     let kept: Kept = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
     kept.tuning.fault(info).is_none().then_some(kept.tuning)
-}
-
-/// A file that cannot be written is no loss: the next run measures again.
-fn keep(file: &Path, kept: &Kept) {
-    if let (Some(folder), Ok(text)) = (file.parent(), serde_json::to_vec_pretty(kept)) {
-        let _ = std::fs::create_dir_all(folder);
-        let _ = crate::atomic::write_bytes(file, &text);
-    }
 }
 
 /// The class default and what may suit the device better.

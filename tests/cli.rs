@@ -13,6 +13,7 @@ pub fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_mhsplat"));
     // Nothing is measured for a test, or kept outside of its folders.
     command.env("MHSPLAT_TUNING", "default");
+    command.env("XDG_CACHE_HOME", env!("CARGO_TARGET_TMPDIR"));
     command.env_remove("MHSPLAT_DEVICE");
     command
 }
@@ -108,6 +109,15 @@ fn verify_passes_here_and_speaks_json() {
     for key in keys {
         assert!(!v["cases"][0][key].is_null(), "{key}");
     }
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("verify");
+    let text = done(&["verify", "-o", out.to_str().unwrap()]);
+    assert!(text.contains("0 failed"), "{text}");
+    for file in ["verify.html", "verify.json", "verify.md"] {
+        assert!(out.join(file).is_file(), "{file}");
+    }
+    let again = mhsplat(&["verify", "-o", out.to_str().unwrap()]);
+    assert_eq!(again.status.code(), Some(2), "nothing is overwritten");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Tests: dataset readers, split, frame, photos, initialisation.
 
 mod colmap;
+mod frames;
 mod init;
 mod morton;
 mod photo;

@@ -2,6 +2,7 @@
 
 mod adc;
 mod chain;
+mod deaths;
 mod mcmc;
 mod parts;
 mod pixels;

@@ -148,4 +148,13 @@ fn the_comparator_refuses_what_it_must() {
         compare(&[1.5, -2.5, 3.0, 0.5], &want, one_flip).is_err(),
         "two flips"
     );
+    // Noise where in truth there is nothing, beside terms of 1.
+    let floored = Tolerance { floor: 1.0, ..t };
+    let (nothing, noise) = ([1e-9, 0.0, -2e-9], [3e-5, -4e-5, 0.0]);
+    assert!(compare(&noise, &nothing, t).is_err());
+    assert!(compare(&noise, &nothing, floored).is_ok());
+    assert!(compare(&[0.0; 3], &nothing, floored).is_ok());
+    let wrong = [3e-5, -4e-3, 0.0];
+    assert!(compare(&wrong, &nothing, floored).is_err(), "the floor");
+    assert!(compare(&[0.0; 4], &want, floored).is_err(), "still zero");
 }

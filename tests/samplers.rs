@@ -215,7 +215,7 @@ fn each_sampler_has_its_own_times_and_they_scale() {
         (0..iterations).filter(due).collect()
     };
     for (sampler, first, last, steps) in [
-        (Sampler::Mh, 500, 24_900, 245),
+        (Sampler::Mh, 500, 19_900, 195),
         (Sampler::Mcmc, 600, 24_900, 244),
         (Sampler::Adc, 600, 14_900, 144),
     ] {
@@ -277,6 +277,30 @@ fn rates_are_the_same_for_every_sampler() {
     let mh = rates(Sampler::Mh);
     for other in [Sampler::Mcmc, Sampler::Adc, Sampler::None] {
         assert_eq!(rates(other), mh);
+    }
+}
+
+#[test]
+fn rates_settle_at_the_end() {
+    let s = schedule(Sampler::None, 3000);
+    let [first, still, half, last] = [0, 2500, 2750, 3000].map(|i| s.rates(i));
+    assert_eq!((first.opacity, first.sh), (still.opacity, still.sh));
+    for (a, b, c) in [
+        (first.scale, half.scale, last.scale),
+        (first.rotation, half.rotation, last.rotation),
+        (first.opacity, half.opacity, last.opacity),
+        (first.sh0, half.sh0, last.sh0),
+        (first.sh, half.sh, last.sh),
+    ] {
+        assert!((c / a - 0.1).abs() < 1e-6 && (b * b / (a * c) - 1.0).abs() < 1e-6);
+    }
+    let mut config = schedule_config(Sampler::None, 3000);
+    config.optimizer.lr_settle = 1.0;
+    assert_eq!(Schedule::new(&config).rates(3000).scale, first.scale);
+    for bad in [0.0, 1.5, f32::NAN] {
+        config.optimizer.lr_settle = bad;
+        let said = config.validate().unwrap_err().to_string();
+        assert!(said.contains("lr-settle"), "{said}");
     }
 }
 

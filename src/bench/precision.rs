@@ -12,7 +12,7 @@ use crate::gpu::{Device, Real};
 use crate::reference::chain::Passage;
 use crate::reference::compare::measure as error;
 use crate::verify::chain::{self, Case, Outputs};
-use crate::verify::check::{Quantity, device_quantities, reference_quantities};
+use crate::verify::quantities::{Quantity, device_quantities, reference_quantities};
 use crate::verify::twin;
 
 /// Stages and the quantities of them that are compared. Stages that run more than once in a passage are left out.
@@ -178,7 +178,7 @@ fn row(
         found.map(|q| q.values.clone()).unwrap_or_default()
     };
     let (got, want) = (of(&got), of(want));
-    let report = error(&got, &want, f64::INFINITY);
+    let report = error(&got, &want, f64::INFINITY, 0.0);
     if report.non_finite > 0 || got.len() != want.len() || got.is_empty() {
         let (n, wanted, bad) = (got.len(), want.len(), report.non_finite);
         return Err(Error::Numerics {

@@ -147,5 +147,6 @@ pub fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
             sh: 0.0,
         },
         edits: Vec::new(),
+        spoilt: Vec::new(),
     }
 }

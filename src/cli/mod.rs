@@ -17,6 +17,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use mhsplat::error::{Error, Result};
+use mhsplat::verify::selftest::self_test;
 use mhsplat::{Device, tune};
 
 /// Posed photos to a 3D Gaussian scene, on any OpenCL device.
@@ -86,9 +87,16 @@ impl Outcome {
     }
 }
 
-/// Opens a device with the tuning that suits it.
+/// Opens a device with the tuning that suits it, for measuring it.
 fn open_device(selector: Option<&str>) -> Result<Device> {
     tune::tuned(Device::open(selector)?, &mut output::note)
+}
+
+/// Opens a device that computes right results.
+fn open_tested(selector: Option<&str>) -> Result<Device> {
+    let device = open_device(selector)?;
+    self_test(&device)?;
+    Ok(device)
 }
 
 fn dispatch(cli: Cli) -> Result<Outcome> {

@@ -61,7 +61,7 @@ pub fn dataset(
 /// Uploads a scene in a local frame.
 pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
     let splats = ply::read(ply, frame)?;
-    let device = super::open_device(device)?;
+    let device = super::open_tested(device)?;
     let renderer = Renderer::for_display(&device, splats.sh_degree())?;
     let scene = Scene::upload(&device, &splats, 0)?;
     Ok(Loaded {

@@ -62,7 +62,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
         None => PathBuf::from(&record.dataset.path),
     };
     let dataset = scene::dataset(&path, Some(&record), None, None)?;
-    let device = super::open_device(common.device.as_deref())?;
+    let device = super::open_tested(common.device.as_deref())?;
     let options = Options {
         candidates: args.candidates as usize,
         views: args.views as usize,

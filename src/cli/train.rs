@@ -9,10 +9,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use mhsplat::config::{Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration};
 use mhsplat::dataset::{self, LoadOptions};
 use mhsplat::error::{Error, Result};
-use mhsplat::export::checkpoint;
 use mhsplat::gpu::Device;
 use mhsplat::report::{Clock, RunRecord};
-use mhsplat::run::{Progress, Run, abandon_folder, claim_folder};
+use mhsplat::run::{Progress, Run, abandon_folder, claim_folder, saved_config};
 
 use super::{Common, Outcome, output};
 
@@ -123,7 +122,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
             stop.store(true, Ordering::Relaxed);
         });
     }
-    let device = super::open_device(common.device.as_deref())?;
+    let device = super::open_tested(common.device.as_deref())?;
     if args.resume.is_none() {
         claim_folder(&dir)?;
     }
@@ -145,22 +144,32 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let bar = progress_bar();
     let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());
     bar.finish();
-    if matches!(driven, Err(Error::Interrupted)) {
-        output::note(&format!(
-            "stopped after {} iterations; continue with: mhsplat train {} --resume {}",
-            run.record().iterations,
-            args.dataset.display(),
-            dir.display()
-        ));
-        if common.json {
-            output::json(run.record())?;
-        }
+    let stopped = matches!(driven, Err(Error::Interrupted));
+    let saved = run.rescued().or(stopped.then(|| run.record().iterations));
+    if let Some(done) = saved {
+        note_resume(done, &args.dataset, &dir, stopped);
+    }
+    if stopped && common.json {
+        output::json(run.record())?;
     }
     driven?;
     let record = run.record();
     finish(record, &dir, common)?;
     let psnr = record.final_scores.as_ref().map(|f| f.psnr);
     Ok(Outcome::of(args.require_psnr, psnr))
+}
+
+/// How a run that ended early goes on.
+fn note_resume(done: u32, dataset: &Path, dir: &Path, stopped: bool) {
+    let what = if stopped {
+        format!("stopped after {done} iterations; continue with")
+    } else {
+        format!(
+            "the state after {done} iterations is saved; when the cause is mended, continue with"
+        )
+    };
+    let (dataset, dir) = (dataset.display(), dir.display());
+    output::note(&format!("{what}: mhsplat train {dataset} --resume {dir}"));
 }
 
 fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -> Result<Run> {
@@ -179,7 +188,7 @@ fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -
         data.points.positions.len()
     ));
     if args.resume.is_some() {
-        Run::resume(dir, data, config, device)
+        Run::resume(dir, data, config, device, clock)
     } else {
         Run::start(dir, data, config, device, clock)
     }
@@ -200,7 +209,7 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>> {
 
 fn config(args: &TrainArgs) -> Result<TrainConfig> {
     let mut c = match (&args.resume, &args.config) {
-        (Some(run), _) => checkpoint::read(run)?.config,
+        (Some(run), _) => saved_config(run)?,
         (None, Some(file)) => read_config(file)?,
         (None, None) => TrainConfig::default(),
     };

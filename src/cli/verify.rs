@@ -1,8 +1,13 @@
 //! `mhsplat verify`.
 
+use std::path::PathBuf;
+
 use clap::ValueEnum;
+use mhsplat::bench::check_folder;
 use mhsplat::error::{Error, Result};
 use mhsplat::gpu::Device;
+use mhsplat::verify::page::{json, markdown, write_folder};
+use mhsplat::verify::stress::stress;
 use mhsplat::verify::{Verification, quick};
 
 use super::{Common, Outcome, output};
@@ -12,6 +17,8 @@ use super::{Common, Outcome, output};
 enum Suite {
     /// A few small scenes.
     Quick,
+    /// Stiff and extreme cases: the error against the stiffness.
+    Stress,
 }
 
 /// Arguments.
@@ -20,11 +27,20 @@ pub struct VerifyArgs {
     /// Which cases.
     #[arg(long, value_enum, default_value = "quick")]
     suite: Suite,
+    /// Folder for verify.html, verify.json and verify.md; must be empty or not exist.
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
 }
 
 /// Checks one device, or all of them with --device all.
 pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
-    let Suite::Quick = args.suite;
+    if let Some(dir) = &args.output {
+        check_folder(dir)?;
+    }
+    let suite = match args.suite {
+        Suite::Quick => quick,
+        Suite::Stress => stress,
+    };
     let selectors: Vec<Option<String>> = match common.device.as_deref() {
         Some("all") => Device::list()?
             .iter()
@@ -34,15 +50,15 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     };
     let results = selectors
         .iter()
-        .map(|s| quick(&super::open_device(s.as_deref())?))
+        .map(|s| suite(&super::open_device(s.as_deref())?))
         .collect::<Result<Vec<Verification>>>()?;
+    if let Some(dir) = &args.output {
+        write_folder(dir, &results)?;
+    }
     if common.json {
-        match results.as_slice() {
-            [one] => output::json(one)?,
-            all => output::json(&all)?,
-        }
+        output::line(&json(&results)?);
     } else {
-        results.iter().for_each(print);
+        output::line(&markdown(&results));
     }
     if results.is_empty() {
         return Err(Error::device(
@@ -57,27 +73,4 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     } else {
         Outcome::Missed
     })
-}
-
-fn print(v: &Verification) {
-    output::line(&format!("{}: suite {}", v.device, v.suite));
-    output::line(&format!(
-        "{:8} {:28} {:13} {:42} {:>9} {:>9} {:>8} {:>6}",
-        "family", "case", "stage", "quantity", "max", "median", "bound", "flips"
-    ));
-    for r in &v.cases {
-        output::line(&format!(
-            "{:8} {:28} {:13} {:42} {:9.1e} {:9.1e} {:8.0e} {:6} {}",
-            r.family,
-            r.case,
-            r.stage,
-            r.quantity,
-            r.max_rel_error,
-            r.median_rel_error,
-            r.bound,
-            r.flips,
-            if r.pass { "" } else { "FAILED" }
-        ));
-    }
-    output::line(&format!("{} passed, {} failed", v.passed, v.failed));
 }

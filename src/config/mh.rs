@@ -2,101 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::DensityTimes;
+use super::{Acceptance, Birth, DensityTimes, Surrogate, ViewSubset};
 use crate::error::{Error, Result};
 
-/// Form of the acceptance ratio ρ; D = 1/(1 + λ_v·c) is the voxel prior's factor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Acceptance {
-    /// ρ = σ(I)·D (\[MH\] Eq. 20).
-    #[default]
-    Eq20,
-    /// ρ = I·D (\[MH\] Alg. 1).
-    Alg1,
-    /// ρ = σ(I − ½)·D (the released implementation).
-    Centred,
-    /// ρ = exp(−λ_v·[ln(2+c) − ln(1+c)]): the ratio of the priors before and after the birth as Eq. 7 has it, neither
-    /// approximated nor weighted. I decides then which sources are drawn, and no more.
-    ExactPrior,
-}
-
-/// What a birth takes of its source's opacity and scale.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Birth {
-    /// The source keeps its own and the birth has the same (\[MH\] §4.3: other parameters are copied).
-    Copy,
-    /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
-    /// no opacity to the scene.
-    Split,
-    /// The source keeps its own; the birth has its scale, and its opacity or `birth-opacity`, whichever is less. A birth lands
-    /// up to several scales from its source, where it mostly spoils the picture at first: a faint one spoils little.
-    #[default]
-    Faint,
-}
-
-/// What stands for the loss change of a birth in ρ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Surrogate {
-    /// The importance I of its source (\[MH\] Eq. 18–20).
-    #[default]
-    Importance,
-    /// Its first-order change ΔL of the loss over a few views, computed for all proposals of a step at once; not in \[MH\].
-    /// σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Which sources are drawn is
-    /// still up to I.
-    Probe,
-}
-
-/// How many views a step judges by (Eq. 10); written `"shrinking"`, `"all"` or a number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(try_from = "WordOrNumber", into = "WordOrNumber")]
-#[non_exhaustive]
-pub enum ViewSubset {
-    /// k = max(1, ⌊views·(1−η)⌋) (Eq. 10).
-    #[default]
-    Shrinking,
-    /// Every view.
-    All,
-    /// So many, or all if there are fewer.
-    Fixed(u32),
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(untagged)]
-enum WordOrNumber {
-    Number(u32),
-    Word(String),
-}
-
-impl TryFrom<WordOrNumber> for ViewSubset {
-    type Error = Error;
-    fn try_from(value: WordOrNumber) -> Result<Self> {
-        match value {
-            WordOrNumber::Number(k) if k > 0 => Ok(Self::Fixed(k)),
-            WordOrNumber::Word(word) if word == "shrinking" => Ok(Self::Shrinking),
-            WordOrNumber::Word(word) if word == "all" => Ok(Self::All),
-            _ => Err(Error::config(
-                "mh.view-subset",
-                "\"shrinking\", \"all\" or a number of at least 1 expected",
-            )),
-        }
-    }
-}
-
-impl From<ViewSubset> for WordOrNumber {
-    fn from(value: ViewSubset) -> Self {
-        match value {
-            ViewSubset::Shrinking => Self::Word("shrinking".into()),
-            ViewSubset::All => Self::Word("all".into()),
-            ViewSubset::Fixed(k) => Self::Number(k),
-        }
-    }
-}
+/// `pixel-surface` where the first Gaussians lie on the surfaces already.
+const SURFACE: f64 = 0.2;
 
 /// Metropolis–Hastings density control (\[MH\] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations; of two
 /// values the first is for η = 0 and the second for η = 1, linear in between.
@@ -132,11 +42,15 @@ pub struct MhConfig {
     pub weight_l1: f64,
     /// Views that the error maps are of (Eq. 10), as far as there were renders since the last step.
     pub view_subset: ViewSubset,
-    /// Whether dead Gaussians take the place of alive ones (Eq. 17). If not, they stay where they are.
+    /// Whether dead Gaussians take the place of alive ones (Eq. 17). If not, they stay where they are, once
+    /// deaths are over.
     pub relocation: bool,
     /// First iteration with density control.
     pub from_iteration: u32,
-    /// First iteration with births: a step before it relocates and no more, and costs no error map and no proposal. Gaussians
+    /// Until this iteration dead Gaussians are removed, from it on relocated: what is not seen costs nothing to take away
+    /// (ΔL ≈ 0, and the prior gains), and a fog that is relocated stays as many. 0: never, as in \[MH\].
+    pub deaths_until_iteration: u32,
+    /// First iteration with births: a step before it bears nothing, and costs no error map and no proposal. Gaussians
     /// born while the photos are coarse and what there is still moves into place cost time in every later iteration.
     pub births_from_iteration: u32,
     /// Last iteration with density control; η runs from 0 to 1 over the span.
@@ -167,8 +81,9 @@ pub struct MhConfig {
     pub pixel_scale: f64,
     /// Its opacity.
     pub pixel_opacity: f64,
-    /// s: 1 draws pixels ∝ error alone, 0 only as far as something can be seen beyond what is rendered.
-    pub pixel_surface: f64,
+    /// s: 1 draws pixels ∝ error alone, 0 only as far as something can be seen beyond what is rendered. None: 1 after a random
+    /// start, 0.2 where the first Gaussians lie on the surfaces already.
+    pub pixel_surface: Option<f64>,
     /// Depth of a birth that lies beyond what is rendered, as it does with probability τ/(τ + s·(1−τ)): log-uniform between
     /// these, local units, and no nearer than the rendered mean depth, which the others have.
     pub pixel_far: [f64; 2],
@@ -192,7 +107,7 @@ impl Default for MhConfig {
             birth_opacity: 0.1,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
-            target_acceptance: [0.01, 0.5],
+            target_acceptance: [0.04, 0.5],
             importance: true,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -200,8 +115,9 @@ impl Default for MhConfig {
             view_subset: ViewSubset::Shrinking,
             relocation: true,
             from_iteration: 500,
-            births_from_iteration: 3_500,
-            until_iteration: 25_000,
+            deaths_until_iteration: 2_000,
+            births_from_iteration: 2_500,
+            until_iteration: 20_000,
             interval: 100,
             coarse_proposals: 2_000,
             fine_proposals: 8_000,
@@ -213,7 +129,7 @@ impl Default for MhConfig {
             pixel_views: 2,
             pixel_scale: 2.0,
             pixel_opacity: 0.1,
-            pixel_surface: 1.0,
+            pixel_surface: None,
             pixel_far: [2.0, 20.0],
             pixel_near: 0.3,
             noise_rate: 5e5,
@@ -229,6 +145,7 @@ impl MhConfig {
         Self {
             birth: Birth::Copy,
             target_acceptance: [0.0, 0.0],
+            deaths_until_iteration: 0,
             births_from_iteration: 500,
             until_iteration: 15_000,
             coarse_proposals: 4_500,
@@ -323,7 +240,7 @@ impl MhConfig {
         if !(self.pixel_near.is_finite() && self.pixel_near >= 0.0) {
             return Err(Error::config("mh.pixel-near", "0 or more expected"));
         }
-        if !(0.0..=1.0).contains(&self.pixel_surface) {
+        if !(0.0..=1.0).contains(&self.surface()) {
             return Err(Error::config("mh.pixel-surface", "0 to 1 expected"));
         }
         if !(self.pixel_opacity > self.dead_opacity && self.pixel_opacity < 1.0) {
@@ -352,6 +269,22 @@ impl MhConfig {
         Ok(())
     }
 
+    /// With what is left to the scene settled.
+    #[must_use]
+    pub fn settled(self, random_start: bool) -> Self {
+        let surface = if random_start { 1.0 } else { SURFACE };
+        Self {
+            pixel_surface: self.pixel_surface.or(Some(surface)),
+            ..self
+        }
+    }
+
+    /// s of births in image space.
+    #[must_use]
+    pub fn surface(&self) -> f64 {
+        self.pixel_surface.unwrap_or(SURFACE)
+    }
+
     /// Views that the births of a step are probed in; 0 where ρ has no use for it.
     #[must_use]
     pub fn probed_views(&self) -> usize {
@@ -364,8 +297,18 @@ impl MhConfig {
     /// Whether a step at progress η has births.
     #[must_use]
     pub fn bears(&self, progress: f64) -> bool {
+        self.passed(self.births_from_iteration, progress)
+    }
+
+    /// Whether a step at progress η removes what is dead.
+    #[must_use]
+    pub fn buries(&self, progress: f64) -> bool {
+        !self.passed(self.deaths_until_iteration, progress)
+    }
+
+    fn passed(&self, iteration: u32, progress: f64) -> bool {
         let span = f64::from(self.until_iteration) - f64::from(self.from_iteration);
-        let start = f64::from(self.births_from_iteration) - f64::from(self.from_iteration);
+        let start = f64::from(iteration) - f64::from(self.from_iteration);
         // η is a quotient: a step at the start may come out a little below it.
         progress * span + 1e-6 >= start
     }

@@ -18,6 +18,31 @@ impl Frame {
         scale: 1.0,
     };
 
+    /// The frame whose origin is the mean camera centre and whose unit is 1.1 × the largest distance from it (3DGS).
+    ///
+    /// Cameras that share one centre say nothing about scale: then the median distance of the points serves, or 1 without
+    /// points. "One centre" means within 1e-9 of the coordinates' size, about what f64 poses at UTM offsets resolve. Neither
+    /// number need be finite for centres that are not.
+    #[must_use]
+    pub fn fit(centers: &[DVec3], points: &[DVec3]) -> Self {
+        let center = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
+        let largest = centers
+            .iter()
+            .map(|c| c.distance(center))
+            .fold(0.0, f64::max);
+        let scale = if largest > 1e-9 * (center.length() + 1e-9) {
+            1.1 * largest
+        } else {
+            let mut distances: Vec<f64> = points.iter().map(|p| p.distance(center)).collect();
+            distances.sort_by(f64::total_cmp);
+            match distances.get(distances.len() / 2) {
+                Some(&median) if median > 0.0 => median,
+                _ => 1.0,
+            }
+        };
+        Self { center, scale }
+    }
+
     /// A point of the dataset's frame in local units.
     #[must_use]
     pub fn to_local(&self, p: DVec3) -> DVec3 {

@@ -158,28 +158,12 @@ fn check_files(path: &Path, train: &[RawView], test: &[RawView]) -> Result<()> {
     }
 }
 
-/// The frame whose origin is the mean camera centre and whose unit is 1.1 × the largest distance from it (3DGS).
-///
-/// Cameras that share one centre say nothing about scale: then the median distance of the points serves, or 1 without
-/// points. "One centre" means within 1e-9 of the coordinates' size, about what f64 poses at UTM offsets resolve.
+/// [`Frame::fit`], refused where it is no frame.
 fn local_frame(path: &Path, centers: &[DVec3], points: &[DVec3]) -> Result<Frame> {
-    let center = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
-    let largest = centers
-        .iter()
-        .map(|c| c.distance(center))
-        .fold(0.0, f64::max);
-    let scale = if largest > 1e-9 * (center.length() + 1e-9) {
-        1.1 * largest
-    } else {
-        let mut distances: Vec<f64> = points.iter().map(|p| p.distance(center)).collect();
-        distances.sort_by(f64::total_cmp);
-        match distances.get(distances.len() / 2) {
-            Some(&median) if median > 0.0 => median,
-            _ => 1.0,
-        }
-    };
+    let frame = Frame::fit(centers, points);
+    let Frame { center, scale } = frame;
     if center.is_finite() && scale.is_normal() {
-        return Ok(Frame { center, scale });
+        return Ok(frame);
     }
     Err(Error::input(
         path,

@@ -50,6 +50,17 @@ impl Relocation {
         Self::survey(scene, dead_opacity).0
     }
 
+    /// The rows that were not alive, rising; none if nothing was alive.
+    #[must_use]
+    pub fn dead_rows(&self) -> Vec<u32> {
+        if self.alive_rows.is_empty() {
+            return Vec::new();
+        }
+        let rows = (0u32..).zip(&self.alive);
+        rows.filter_map(|(i, alive)| (!alive).then_some(i))
+            .collect()
+    }
+
     /// Nothing moved, and the dead rows, rising.
     fn survey(scene: &SceneState<'_>, dead_opacity: f64) -> (Self, Vec<u32>) {
         // The logit of the threshold: one logarithm instead of one exponential per row.

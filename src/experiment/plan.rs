@@ -72,9 +72,13 @@ pub fn blocks(e: &Experiment) -> Vec<Vec<Planned>> {
     all.map(|(scene, seed)| block(scene, seed)).collect()
 }
 
-/// Options in which two configurations differ, `name: a instead of b`.
-fn differences(found: &TrainConfig, wanted: &TrainConfig) -> Vec<String> {
-    let pairs = flatten(found).into_iter().zip(flatten(wanted));
+/// Options in which the configuration of a run differs from the wanted one, `name: a instead of b`.
+fn differences(record: &RunRecord, wanted: &TrainConfig) -> Vec<String> {
+    // What is left to the scene is settled by it.
+    let points = usize::from(record.plan.starts_from_points());
+    let pairs = flatten(&record.config.settled(points))
+        .into_iter()
+        .zip(flatten(&wanted.settled(points)));
     pairs
         .filter(|(a, b)| a != b)
         .map(|(a, b)| format!("{}: {} instead of {}", a.0, a.1, b.1))
@@ -101,7 +105,7 @@ pub fn state(dir: &Path, config: Option<&TrainConfig>) -> Result<State> {
         return Ok(State::Broken);
     }
     let record = RunRecord::read(dir)?;
-    let other = config.map_or_else(Vec::new, |c| differences(&record.config, c));
+    let other = config.map_or_else(Vec::new, |c| differences(&record, c));
     if !other.is_empty() {
         return Err(Error::input(
             dir,

@@ -2,8 +2,8 @@
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
 //! order of [`crate::model::Plane`]), `cues` \[rows, N\] (where the sampler has any) and `losses` \[2 · ring\] and, as metadata, format version,
-//! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning. It is written beside the old one and
-//! renamed over it.
+//! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning, with a checksum of all that. It is
+//! written beside the old one and renamed over it.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -19,12 +19,22 @@ use crate::model::{Plane, Splats};
 use crate::report::{Reading, StageRecord};
 use crate::train::TrainerState;
 
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
+
+/// Tensors in the order of the checksum.
+const NAMES: [&str; 5] = ["params", "moment1", "moment2", "losses", "cues"];
+
+/// What every version's header begins with.
+#[derive(Deserialize)]
+struct Version {
+    version: u32,
+}
 
 #[derive(Serialize, Deserialize)]
 struct Header {
     version: u32,
     iteration: u32,
+    density_due: bool,
     sh_degree: u32,
     config: TrainConfig,
     clock: [f64; 3],
@@ -81,6 +91,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
     let header = Header {
         version: VERSION,
         iteration: state.iteration,
+        density_due: state.density_due,
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
@@ -107,6 +118,8 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         let shape = vec![state.cues.len(), state.splats.len()];
         tensors.push(("cues", shape, planes(&state.cues)));
     }
+    let parts = tensors.iter().map(|(_, _, data)| data.as_slice());
+    let sum = checksum(&header, parts);
     let views = tensors
         .iter()
         .map(|(name, shape, data)| {
@@ -114,9 +127,17 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
             view.map(|t| (*name, t)).map_err(encoding)
         })
         .collect::<Result<Vec<_>>>()?;
-    let metadata = HashMap::from([("mhsplat".to_owned(), header)]);
+    let metadata = HashMap::from([("mhsplat".to_owned(), header), ("crc32".to_owned(), sum)]);
     let data = safetensors::serialize(views, Some(metadata)).map_err(encoding)?;
     crate::atomic::write_bytes(&file, &data)
+}
+
+/// CRC-32 of the header and the tensors, eight hexadecimal digits.
+fn checksum<'a>(header: &str, tensors: impl Iterator<Item = &'a [u8]>) -> String {
+    let mut sum = crc32fast::Hasher::new();
+    sum.update(header.as_bytes());
+    tensors.for_each(|t| sum.update(t));
+    format!("{:08x}", sum.finalize())
 }
 
 /// Reads the checkpoint of a run folder.
@@ -145,16 +166,18 @@ pub fn read(run_dir: &Path) -> Result<Checkpoint> {
 fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     let text = |e: &dyn std::fmt::Display| e.to_string();
     let (_, metadata) = SafeTensors::read_metadata(data).map_err(|e| text(&e))?;
-    let header = metadata
-        .metadata()
-        .as_ref()
-        .and_then(|m| m.get("mhsplat"))
-        .ok_or("it was not written by mhsplat")?;
-    let header: Header = serde_json::from_str(header).map_err(|e| text(&e))?;
-    if header.version != VERSION {
-        return Err(format!("version {}; {VERSION} expected", header.version));
+    let entry = |name: &str| metadata.metadata().as_ref().and_then(|m| m.get(name));
+    let written = entry("mhsplat").ok_or("it was not written by mhsplat")?;
+    let version: Version = serde_json::from_str(written).map_err(|e| text(&e))?;
+    if version.version != VERSION {
+        return Err(format!("version {}; {VERSION} expected", version.version));
     }
     let tensors = SafeTensors::deserialize(data).map_err(|e| text(&e))?;
+    let parts = NAMES.iter().filter_map(|n| tensors.tensor(n).ok());
+    if entry("crc32") != Some(&checksum(written, parts.map(|t| t.data()))) {
+        return Err("its checksum is wrong".into());
+    }
+    let header: Header = serde_json::from_str(written).map_err(|e| text(&e))?;
     let expected = Plane::count(header.sh_degree.min(3));
     let params = planes(&tensors, "params", expected)?;
     let splats = Splats::new(header.sh_degree, params).map_err(|e| text(&e))?;
@@ -179,6 +202,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     Ok(Checkpoint {
         state: TrainerState {
             iteration: header.iteration,
+            density_due: header.density_due,
             splats,
             moment1,
             moment2,

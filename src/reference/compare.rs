@@ -12,6 +12,8 @@ pub struct Tolerance {
     pub cosine: f64,
     /// Elements that may miss the element bound (a decision at a discontinuity fell the other way).
     pub flips: usize,
+    /// Errors are relative to no less than this: what an array's values are made of, where in truth they cancel to nothing.
+    pub floor: f64,
 }
 
 impl Tolerance {
@@ -23,6 +25,7 @@ impl Tolerance {
             l2: bound,
             cosine: bound * bound + 1e-14,
             flips: 0,
+            floor: 0.0,
         }
     }
 
@@ -43,6 +46,8 @@ impl Tolerance {
 pub struct Report {
     /// Largest element error that is no flip.
     pub max: f64,
+    /// Largest element error.
+    pub largest: f64,
     /// Median element error.
     pub median: f64,
     /// Relative L2 error.
@@ -61,7 +66,7 @@ pub struct Report {
 /// A sentence that says which bound is missed: lengths, values that are not finite, an element, the norm, the angle, or a
 /// result that is zero where something was wanted.
 pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report, String> {
-    let report = measure(got, want, tolerance.element);
+    let report = measure(got, want, tolerance.element, tolerance.floor);
     if got.len() != want.len() {
         return Err(format!("{} values; {} expected", got.len(), want.len()));
     }
@@ -74,7 +79,8 @@ pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report
             report.flips, tolerance.element, tolerance.flips
         ));
     }
-    if want.iter().any(|v| *v != 0.0) && got.iter().all(|v| *v == 0.0) {
+    let counts = |v: &f64| v.abs() > tolerance.element * tolerance.floor;
+    if want.iter().any(counts) && got.iter().all(|v| *v == 0.0) {
         return Err("silently zero".into());
     }
     if report.l2 > tolerance.l2 {
@@ -92,26 +98,21 @@ pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report
     Ok(report)
 }
 
-/// The numbers of a comparison without a verdict; `element` says what counts as a flip.
+/// The numbers of a comparison without a verdict; `element` says what counts as a flip, `floor` what errors are relative to at
+/// least.
 #[must_use]
-pub fn measure(got: &[f64], want: &[f64], element: f64) -> Report {
+pub fn measure(got: &[f64], want: &[f64], element: f64, floor: f64) -> Report {
     let non_finite = got.iter().chain(want).filter(|v| !v.is_finite()).count();
-    let largest = want.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let largest = want.iter().fold(floor, |m, v| m.max(v.abs()));
     let scale = if largest > 0.0 { largest } else { 1.0 };
-    let mut errors: Vec<f64> = got
-        .iter()
-        .zip(want)
-        .map(|(a, b)| (a - b).abs() / scale)
-        .collect();
+    let pairs = || got.iter().zip(want).map(|(g, w)| (g / scale, w / scale));
+    let mut errors: Vec<f64> = pairs().map(|(g, w)| (g - w).abs()).collect();
     errors.sort_by(f64::total_cmp);
-    let norm = |v: &[f64]| v.iter().map(|x| (x / scale).powi(2)).sum::<f64>().sqrt();
-    let (a, b) = (norm(got), norm(want));
-    let dot: f64 = got
-        .iter()
-        .zip(want)
-        .map(|(x, y)| x / scale * (y / scale))
-        .sum();
+    let a = pairs().map(|(g, _)| g * g).sum::<f64>().sqrt();
+    let b = pairs().map(|(_, w)| w * w).sum::<f64>().sqrt();
     let l2 = errors.iter().map(|e| e * e).sum::<f64>().sqrt();
+    // Half of the squared distance of the unit vectors: 1 − their product would lose every small angle.
+    let apart = pairs().map(|(g, w)| (g / a - w / b).powi(2)).sum::<f64>();
     Report {
         max: errors
             .iter()
@@ -119,10 +120,12 @@ pub fn measure(got: &[f64], want: &[f64], element: f64) -> Report {
             .find(|e| **e <= element)
             .copied()
             .unwrap_or(0.0),
+        largest: errors.last().copied().unwrap_or(0.0),
         median: errors.get(errors.len() / 2).copied().unwrap_or(0.0),
-        l2: if b > 0.0 { l2 / b } else { l2 },
-        cosine: if a > 0.0 && b > 0.0 {
-            (1.0 - dot / (a * b)).max(0.0)
+        l2: l2 / if b > 0.0 { b.max(floor / scale) } else { 1.0 },
+        // What is below the floor has no direction.
+        cosine: if a > 0.0 && b > floor / scale {
+            0.5 * apart
         } else {
             0.0
         },

@@ -52,7 +52,9 @@ pub struct Shape64 {
 #[must_use]
 pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
     let t = camera.apply(scene.position(i));
-    let good = t[2] > camera.near && t.iter().all(|v| v.abs() < 1e30);
+    let log_scales = scene.gather::<3>(Plane::LOG_SCALE, i);
+    let bounded = |v: &f64| v.abs() < 1e30;
+    let good = t[2] > camera.near && t.iter().chain(&log_scales).all(bounded);
     if !good {
         return None;
     }
@@ -67,9 +69,7 @@ pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
         [0.0, f[1], -f[1] * ratio[1].0],
     ];
     let jw = product(&j, &camera.w);
-    let s = scene
-        .gather::<3>(Plane::LOG_SCALE, i)
-        .map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp());
+    let s = log_scales.map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp());
     let (q, _) = unit_quaternion(scene.gather(Plane::ROTATION, i));
     let rot = rotation(q);
     let rs: [[f64; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|k| rot[r][k] * s[k]));

@@ -8,12 +8,12 @@ use crate::config::{Init, TrainConfig};
 use crate::dataset::{Camera, Dataset};
 use crate::error::{Error, Result};
 use crate::evaluate::Evaluator;
-use crate::export::ply;
+use crate::export::{checkpoint, ply};
 use crate::gpu::{Defines, Device};
 use crate::model::{Splats, init};
 use crate::photos::Photos;
 use crate::plan::Plan;
-use crate::report::{DatasetRecord, DeviceRecord, RunRecord};
+use crate::report::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
 use crate::train::Trainer;
 
 /// Gaussians of a random initialisation.
@@ -39,13 +39,13 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
             }
             splats.with_sh_degree(config.sh_degree)
         }
-        Init::Points if !dataset.points.positions.is_empty() => {
-            let points = init::subset(&dataset.points, most, config.seed);
-            init::from_points(&points, config.sh_degree)
-        }
-        Init::Points | Init::Random => {
+        start if start.is_random(dataset.points.positions.len()) => {
             let count = RANDOM_GAUSSIANS.min(most);
             init::random(dataset, count, config.sh_degree, config.seed)
+        }
+        _ => {
+            let points = init::subset(&dataset.points, most, config.seed);
+            init::from_points(&points, config.sh_degree)
         }
     }?;
     Ok(if config.work.morton_order {
@@ -53,6 +53,51 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
     } else {
         splats
     })
+}
+
+/// The configuration of the run in a folder: its checkpoint's, or its record's where it was killed before the first checkpoint.
+///
+/// # Errors
+/// A folder without either, or a damaged one.
+pub fn saved_config(dir: &Path) -> Result<TrainConfig> {
+    if !has_checkpoint(dir)? && dir.join(RECORD_FILE).is_file() {
+        return Ok(RunRecord::read(dir)?.config);
+    }
+    Ok(checkpoint::read(dir)?.config)
+}
+
+/// Whether a run folder holds a checkpoint.
+///
+/// # Errors
+/// A folder that cannot be looked into: that is not the same as no checkpoint.
+pub(super) fn has_checkpoint(dir: &Path) -> Result<bool> {
+    let file = checkpoint::path(dir);
+    file.try_exists().map_err(|e| Error::io(file, e))
+}
+
+/// Refuses to begin a run anew in its folder unless it was killed before its first checkpoint.
+///
+/// # Errors
+/// A scene in the folder, or a record of another dataset.
+pub(super) fn check_unfinished(dir: &Path, dataset: &Dataset) -> Result<()> {
+    let record = RunRecord::read(dir)?;
+    let fix = "start anew with -o NEW_FOLDER";
+    if dir.join("scene.ply").exists() {
+        let what = "holds a scene and no checkpoint to go on from; nothing is overwritten";
+        return Err(Error::input(dir, what, fix));
+    }
+    if record.dataset.fingerprint.as_deref() != Some(&dataset.fingerprint()) {
+        let what = format!(
+            "its views are not those that {} was begun with",
+            dir.display()
+        );
+        return Err(Error::input(
+            &dataset.path,
+            what,
+            "give the dataset of that run",
+        ));
+    }
+    Ok(())
 }
 
 impl Prepared {
@@ -142,6 +187,11 @@ pub fn claim_folder(dir: &Path) -> Result<()> {
 /// Removes a folder that [`claim_folder`] made for a run that could not begin: what such a run writes first, and nothing
 /// that anyone else may have put there.
 pub fn abandon_folder(dir: &Path) {
+    let saved = dir.join("checkpoint");
+    for folder in [dir, &saved] {
+        crate::atomic::sweep(folder);
+    }
+    let _ = std::fs::remove_dir(saved);
     for name in ["run.json", "metrics.csv", "density.csv"] {
         let _ = std::fs::remove_file(dir.join(name));
     }

@@ -98,9 +98,9 @@ impl Trainer {
         let Some(progress) = due.filter(|_| self.last_density != Some(self.iteration)) else {
             return Ok(None);
         };
-        self.last_density = Some(self.iteration);
         let began = Instant::now();
         let outcome = self.decide(progress)?;
+        self.last_density = Some(self.iteration);
         self.apply(&outcome)?;
         self.device.finish()?;
         self.density_time.seconds += began.elapsed().as_secs_f64();

@@ -12,6 +12,8 @@ use crate::model::Splats;
 pub struct TrainerState {
     /// Iterations done.
     pub iteration: u32,
+    /// Whether the density step that falls on this iteration, if one does, is still to be done.
+    pub density_due: bool,
     /// Parameters.
     pub splats: Splats,
     /// First moments, planes as in [`Splats`].
@@ -42,6 +44,8 @@ impl Trainer {
         };
         Ok(TrainerState {
             iteration: self.iteration,
+            density_due: self.last_density != Some(self.iteration)
+                && self.schedule.density_due(self.iteration).is_some(),
             splats: self.scene.download()?,
             moment1: read(&self.moment1)?,
             moment2: read(&self.moment2)?,
@@ -80,8 +84,7 @@ impl Trainer {
         }
         self.stats = state.stats;
         self.iteration = state.iteration;
-        // A checkpoint is written after density control, where both fall on one iteration.
-        self.last_density = Some(state.iteration);
+        self.last_density = (!state.density_due).then_some(state.iteration);
         if state.losses.len() != self.losses.len() {
             return Err(Error::Numerics {
                 stage: "checkpoint".into(),

@@ -111,6 +111,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         } else {
             vec![edit(0, 0)]
         },
+        spoilt: Vec::new(),
     }
 }
 

@@ -42,6 +42,8 @@ pub struct Case {
     pub rates: LearningRates,
     /// Rows written after the step.
     pub edits: Vec<DensityEdit>,
+    /// Gaussians whose own numbers are not compared, because their parameters are none. What they do to others is.
+    pub spoilt: Vec<usize>,
 }
 
 /// Adam's constants in every case: β₁, β₂, ε.

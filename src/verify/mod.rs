@@ -6,8 +6,12 @@
 pub mod cases;
 pub mod chain;
 pub mod check;
+pub mod page;
+pub mod quantities;
 mod readback;
 pub mod sampler;
+pub mod selftest;
+pub mod stress;
 pub mod twin;
 
 use serde::Serialize;
@@ -16,7 +20,8 @@ use crate::error::Result;
 use crate::gpu::Device;
 use crate::gpu::tuning::Tuning;
 use chain::Case;
-use check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check, device_quantities, reference_quantities};
+use check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check};
+use quantities::{device_quantities, reference_quantities};
 
 /// Outcome of a suite on one device.
 #[derive(Debug, Clone, Serialize)]
@@ -25,6 +30,8 @@ pub struct Verification {
     pub device: String,
     /// Suite.
     pub suite: &'static str,
+    /// What the families of the cases are about (suite "stress").
+    pub families: Vec<stress::FamilyNote>,
     /// One row per case, stage and quantity.
     pub cases: Vec<Row>,
     /// Rows within their bounds.
@@ -42,14 +49,21 @@ pub fn quick(device: &Device) -> Result<Verification> {
     for (family, case, bound) in quick_cases() {
         rows.extend(verify_case(device, family, &case, bound)?);
     }
-    let failed = rows.iter().filter(|r| !r.pass).count();
-    Ok(Verification {
-        device: device.info().name.clone(),
-        suite: "quick",
-        passed: rows.len() - failed,
-        failed,
-        cases: rows,
-    })
+    Ok(Verification::of(device, "quick", rows))
+}
+
+impl Verification {
+    fn of(device: &Device, suite: &'static str, cases: Vec<Row>) -> Self {
+        let failed = cases.iter().filter(|r| !r.pass).count();
+        Self {
+            device: device.info().name.clone(),
+            suite,
+            passed: cases.len() - failed,
+            failed,
+            families: Vec::new(),
+            cases,
+        }
+    }
 }
 
 fn quick_cases() -> Vec<(&'static str, Case, f64)> {

@@ -228,7 +228,7 @@ fn values_out_of_their_domain_are_refused_by_name() {
         ("voxel-growth-from", |c| c.voxel_growth_from = f64::NAN),
         ("pixel-views", |c| c.pixel_views = 0),
         ("pixel-far", |c| c.pixel_far = [3.0, 2.0]),
-        ("pixel-surface", |c| c.pixel_surface = 1.1),
+        ("pixel-surface", |c| c.pixel_surface = Some(1.1)),
         ("pixel-opacity", |c| c.pixel_opacity = 1.0),
         ("lambda-voxel", |c| c.lambda_voxel = -1.0),
     ];
@@ -259,12 +259,12 @@ fn before_births_begin_a_step_relocates_and_no_more() {
         assert_eq!(mh.pictures(progress) > 0, bears);
     }
     // Whatever the first iteration, births begin with the step there and not the one after.
-    for first in (500..=25_000).step_by(100) {
+    for first in (500..=20_000).step_by(100) {
         let config = MhConfig {
             births_from_iteration: first,
             ..MhConfig::default()
         };
-        let eta = |done: u32| f64::from(done - 500) / 24_500.0;
+        let eta = |done: u32| f64::from(done - 500) / 19_500.0;
         assert!(config.bears(eta(first)), "{first}");
         assert!(first == 500 || !config.bears(eta(first - 100)), "{first}");
     }

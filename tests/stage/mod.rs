@@ -22,9 +22,8 @@ use std::sync::LazyLock;
 use mhsplat::gpu::tuning::Tuning;
 use mhsplat::gpu::{Defines, Device, Kernels};
 use mhsplat::verify::chain::{self, Case, Outputs};
-use mhsplat::verify::check::{
-    EXACT, Row, SINGLE, SINGLE_NEEDLES, check, device_quantities, reference_quantities,
-};
+use mhsplat::verify::check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check};
+use mhsplat::verify::quantities::{device_quantities, reference_quantities};
 use mhsplat::verify::{cases, twin, verify_case};
 
 fn device() -> Device {

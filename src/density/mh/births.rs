@@ -15,18 +15,22 @@ pub(super) struct Births {
     fresh: Vec<Edit>,
     len: usize,
     limit: usize,
+    /// Rows that go, which are still among `len`.
+    removed: Vec<u32>,
     stats: DensityStats,
     prior_sum: f64,
 }
 
 impl Births {
-    pub(super) fn new(len: usize, max_gaussians: Option<usize>) -> Self {
+    pub(super) fn new(len: usize, max_gaussians: Option<usize>, removed: Vec<u32>) -> Self {
+        let most = max_gaussians.map_or(usize::MAX, |most| most.saturating_add(removed.len()));
         Self {
             edits: Vec::new(),
             fresh: Vec::new(),
             len,
             // Rows are named by 32 bits.
-            limit: max_gaussians.unwrap_or(usize::MAX).min(u32::MAX as usize),
+            limit: most.min(u32::MAX as usize),
+            removed,
             stats: DensityStats::default(),
             prior_sum: 0.0,
         }
@@ -78,6 +82,7 @@ impl Births {
         let sum = |k: usize| stats.coarse[k] + stats.fine[k] + stats.pixel[k];
         (stats.proposed, stats.accepted) = (sum(0), sum(1));
         stats.relocated = relocation.moved as u64;
+        stats.pruned = self.removed.len() as u64;
         stats.occupied_voxels = counts.occupied() as u64;
         if stats.proposed > 0 {
             stats.mean_prior = self.prior_sum / stats.proposed as f64;
@@ -100,6 +105,7 @@ impl Births {
         Outcome {
             edits,
             rows: self.len,
+            removed: self.removed,
             stats: self.stats,
             ..Outcome::default()
         }

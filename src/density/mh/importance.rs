@@ -72,9 +72,14 @@ struct Scale {
 impl Scale {
     /// Of the finite values of each column.
     fn of(rows: &[[f64; 3]]) -> [Self; 3] {
-        let (sums, counts) = ordered_sums(rows, |_, v| v);
+        // Relative to a value of the column: the mean of equal values is that value to the last bit.
+        let origins: [f64; 3] = std::array::from_fn(|k| {
+            let mut column = rows.iter().map(|row| row[k]);
+            column.find(|v| v.is_finite()).unwrap_or(0.0)
+        });
+        let (sums, counts) = ordered_sums(rows, |k, v| v - origins[k]);
         let counts = counts.map(|c| c.max(1) as f64);
-        let means: [f64; 3] = std::array::from_fn(|k| sums[k] / counts[k]);
+        let means: [f64; 3] = std::array::from_fn(|k| origins[k] + sums[k] / counts[k]);
         // Around the mean in a second pass: E[v²] − E[v]² goes negative on a constant cue.
         let (squares, _) = ordered_sums(rows, |k, v| (v - means[k]) * (v - means[k]));
         std::array::from_fn(|k| Self {

@@ -1,6 +1,6 @@
 //! Metropolis–Hastings density control (\[MH\] = Kim, Jung, Park, NeurIPS 2025, §4 and Alg. 1).
 //!
-//! One step: dead Gaussians are relocated (Eq. 17), births are proposed far from their sources and near (Eq. 14–16), voxels
+//! One step: dead Gaussians are removed or relocated (Eq. 17), births are proposed far from their sources and near (Eq. 14–16), voxels
 //! are counted, and the births are decided on (Eq. 20). Within a phase every proposal sees the same counts, which keeps it
 //! parallel; births of the coarse phase are counted before the fine phase is decided. What is proposed does not depend on
 //! what is accepted, so that the births of all phases can be probed together before.
@@ -188,7 +188,27 @@ impl MetropolisHastings {
         counts
     }
 
-    /// Relocation and proposals of a step.
+    /// Relocation, and the rows that go instead.
+    fn fate_of_the_dead(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+    ) -> (Relocation, Vec<u32>) {
+        let c = &self.config;
+        if c.buries(context.progress) {
+            let relocation = Relocation::none(scene, c.dead_opacity);
+            let removed = relocation.dead_rows();
+            return (relocation, removed);
+        }
+        let relocation = if c.relocation {
+            Relocation::plan(context, scene, c.dead_opacity)
+        } else {
+            Relocation::none(scene, c.dead_opacity)
+        };
+        (relocation, Vec::new())
+    }
+
+    /// Deaths, relocation and proposals of a step.
     fn draft(
         &self,
         context: &StepContext<'_>,
@@ -212,11 +232,7 @@ impl MetropolisHastings {
             ..*context
         };
         let c = &self.config;
-        let relocation = if c.relocation {
-            Relocation::plan(context, scene, c.dead_opacity)
-        } else {
-            Relocation::none(scene, c.dead_opacity)
-        };
+        let (relocation, removed) = self.fate_of_the_dead(context, scene);
         let importance = self.importance(scene, &cues);
         let alive = relocation.alive_rows.par_iter();
         let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
@@ -228,7 +244,9 @@ impl MetropolisHastings {
             sources: Categorical::new(&weights),
         };
         let room = c.bears(context.progress)
-            && context.max_gaussians.is_none_or(|most| scene.len() < most);
+            && context
+                .max_gaussians
+                .is_none_or(|most| scene.len() - removed.len() < most);
         let kinds = [Kind::Pixel, Kind::Coarse, Kind::Fine];
         let mut proposals = kinds.map(|kind| (kind, Vec::new()));
         if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
@@ -245,6 +263,7 @@ impl MetropolisHastings {
         Ok(Draft {
             proposals,
             relocation,
+            removed,
         })
     }
 
@@ -327,7 +346,7 @@ impl DensityControl for MetropolisHastings {
         }
         let (c, eta) = (&self.config, context.progress.clamp(0.0, 1.0));
         let mut counts = self.counts(context, eta, scene, &draft.relocation);
-        let mut births = Births::new(scene.len(), context.max_gaussians);
+        let mut births = Births::new(scene.len(), context.max_gaussians, draft.removed);
         for (kind, proposals) in &draft.proposals {
             let decisions = self.decide(proposals, &counts, eta);
             births.take(*kind, &decisions, &mut counts);

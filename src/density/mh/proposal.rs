@@ -36,6 +36,8 @@ pub(super) struct Decision {
 /// What a step knows before it decides: a function of its arguments, so that what is tried is what is decided on.
 pub(super) struct Draft {
     pub(super) relocation: Relocation,
+    /// The dead, if this step removes them.
+    pub(super) removed: Vec<u32>,
     /// In image space, coarse, fine: the order of decision. Where room is short, what errs comes first, wherever it is.
     pub(super) proposals: [(Kind, Vec<Proposal>); 3],
 }

@@ -1,0 +1,83 @@
+//! Datasets far from their origin and in extreme units train as the recentred one does.
+
+use std::fs;
+use std::path::Path;
+
+use glam::{DMat3, DQuat, DVec3};
+use mhsplat::TrainConfig;
+use mhsplat::dataset::colmap::{ColmapModel, read_bin, write_bin};
+use mhsplat::dataset::{LoadOptions, load};
+use mhsplat::gpu::Device;
+use mhsplat::run::initial_splats;
+use mhsplat::train::Trainer;
+
+/// The bundled scene, every position x as scale·x + offset.
+fn moved(dir: &Path, scale: f64, offset: DVec3) {
+    let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
+    let mut model: ColmapModel = read_bin(&room.join("sparse/0")).unwrap();
+    for image in &mut model.images {
+        let [w, x, y, z] = image.rotation;
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        let center = -(rotation.transpose() * DVec3::from_array(image.translation));
+        image.translation = (-(rotation * (scale * center + offset))).to_array();
+    }
+    for point in &mut model.points {
+        point.position = (scale * DVec3::from_array(point.position) + offset).to_array();
+    }
+    fs::create_dir_all(dir.join("sparse/0")).unwrap();
+    write_bin(&dir.join("sparse/0"), &model).unwrap();
+    fs::create_dir_all(dir.join("images")).unwrap();
+    for entry in fs::read_dir(room.join("images")).unwrap() {
+        let entry = entry.unwrap();
+        fs::copy(entry.path(), dir.join("images").join(entry.file_name())).unwrap();
+    }
+}
+
+/// Local positions of the points, and the loss after a short training.
+fn trained(scale: f64, offset: DVec3) -> (Vec<f32>, f64) {
+    let dir = tempfile::tempdir().unwrap();
+    moved(dir.path(), scale, offset);
+    let options = LoadOptions {
+        max_size: 64,
+        ..LoadOptions::default()
+    };
+    let data = load(dir.path(), &options).unwrap();
+    let config = TrainConfig {
+        iterations: 120,
+        max_size: 64,
+        ..TrainConfig::default()
+    };
+    let device = Device::open(None).unwrap();
+    let splats = initial_splats(&data, &config).unwrap();
+    let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+    while trainer.iteration() < config.iterations {
+        trainer.step().unwrap();
+        trainer.density_step().unwrap();
+    }
+    let loss = trainer.recent_loss().unwrap().unwrap();
+    (data.points.positions.concat(), loss)
+}
+
+#[test]
+fn far_from_the_origin_and_in_any_unit_training_is_the_same() {
+    let (points, loss) = trained(1.0, DVec3::ZERO);
+    let there = DVec3::new(1.0, -0.7, 0.4);
+    for (scale, offset) in [
+        (1.0, 1e3 * there),
+        (1.0, 1e5 * there),
+        (1.0, 1e7 * there),
+        (1e-6, DVec3::ZERO),
+        (1e6, DVec3::ZERO),
+        (1e3, 1e9 * there),
+    ] {
+        let (local, ended) = trained(scale, offset);
+        let apart = points.iter().zip(&local).map(|(a, b)| (a - b).abs());
+        let apart = apart.fold(0.0f32, f32::max);
+        println!(
+            "scale {scale:e}, offset {offset}: points apart {apart:e}, loss {ended} against {loss}"
+        );
+        assert!(apart < 2e-6, "scale {scale:e}, offset {offset}: {apart:e}");
+        // Last bits differ, and a short training lets them grow.
+        assert!((ended / loss - 1.0).abs() < 0.03, "{ended} against {loss}");
+    }
+}

@@ -1,0 +1,83 @@
+//! Deaths: until when the dead go instead of being relocated.
+
+use super::Scene;
+use super::step::{breaches, context, dying};
+use mhsplat::config::MhConfig;
+use mhsplat::density::mh::MetropolisHastings;
+use mhsplat::density::{DensityControl, Outcome, StepContext};
+
+const N: usize = 7000;
+const DEAD: usize = 1000;
+
+fn config() -> MhConfig {
+    MhConfig {
+        from_iteration: 500,
+        deaths_until_iteration: 1500,
+        until_iteration: 2500,
+        ..MhConfig::paper()
+    }
+}
+
+fn step(scene: &Scene, context: &StepContext<'_>) -> Outcome {
+    let mut mh = MetropolisHastings::new(&config());
+    let outcome = mh.step(context, &scene.state(), &scene.errors()).unwrap();
+    assert_eq!(breaches(scene.logits.len(), &outcome), Vec::<String>::new());
+    outcome
+}
+
+#[test]
+fn the_dead_go_first_and_are_relocated_later() {
+    let scene = dying(N);
+    for (progress, goes) in [(0.0, true), (0.49, true), (0.5, false), (1.0, false)] {
+        let outcome = step(&scene, &context(700, progress, 1));
+        let dead: Vec<u32> = (0..N as u32).step_by(7).collect();
+        let (removed, relocated) = if goes { (dead, 0) } else { (vec![], DEAD) };
+        assert_eq!(outcome.removed, removed, "{progress}");
+        assert_eq!(outcome.stats.pruned as usize, removed.len());
+        assert_eq!(outcome.stats.relocated as usize, relocated);
+        let born = outcome.stats.accepted as usize;
+        assert!(born > 0);
+        assert_eq!(outcome.gaussians(), N + born - removed.len());
+        let from_the_dead = |e: &mhsplat::density::Edit| removed.contains(&e.src);
+        assert!(!outcome.edits.iter().any(from_the_dead));
+    }
+}
+
+#[test]
+fn a_bound_has_room_for_as_many_as_go() {
+    let scene = dying(N);
+    for (most, born) in [(N - DEAD, 0), (N - DEAD + 10, 10), (N, DEAD)] {
+        let bounded = StepContext {
+            max_gaussians: Some(most),
+            ..context(700, 0.1, 1)
+        };
+        let outcome = step(&scene, &bounded);
+        assert_eq!(outcome.stats.accepted as usize, born);
+        assert_eq!(outcome.gaussians(), most);
+    }
+}
+
+#[test]
+fn the_last_ones_stay() {
+    let mut scene = Scene::random(100, 3);
+    scene.logits.fill(-6.0);
+    let outcome = step(&scene, &context(700, 0.1, 1));
+    assert_eq!((outcome.gaussians(), outcome.removed.len()), (100, 0));
+}
+
+#[test]
+fn surfaces_are_left_alone_where_points_are() {
+    use mhsplat::config::Init;
+    let left_open = MhConfig::default();
+    assert_eq!(left_open.pixel_surface, None);
+    assert_eq!(left_open.settled(true).surface(), 1.0);
+    assert_eq!(left_open.settled(false).surface(), 0.2);
+    let asked = MhConfig {
+        pixel_surface: Some(0.5),
+        ..left_open
+    };
+    assert_eq!(asked.settled(true).surface(), 0.5);
+    let file = Init::File("scene.ply".into());
+    let random = [Init::Points, Init::Random, file].map(|init| [0, 9].map(|n| init.is_random(n)));
+    assert_eq!(random, [[true, false], [true, true], [false, false]]);
+}

@@ -1,0 +1,210 @@
+//! Killed, stopped or robbed of its photos: a run goes on as if nothing had happened.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use mhsplat::export::checkpoint;
+use mhsplat::rng::Philox;
+
+/// Kills; more with MHSPLAT_KILLS.
+const KILLS: u64 = 6;
+const ITERATIONS: &str = "160";
+
+fn room() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny")
+}
+
+fn train(data: &Path, run: &Path, resume: bool) -> Command {
+    long(data, run, resume, ITERATIONS)
+}
+
+fn long(data: &Path, run: &Path, resume: bool, iterations: &str) -> Command {
+    let mut command = crate::cli::program();
+    let target = if resume { "--resume" } else { "--output" };
+    command.arg("train").arg(data).arg(target).arg(run);
+    if !resume {
+        // Deaths, births and relocations all within so short a run.
+        let settings = run.with_extension("toml");
+        fs::write(&settings, "[mh]\ndeaths-until-iteration = 15000\n").unwrap();
+        command.arg("--config").arg(settings);
+        command.args(["--iterations", iterations, "--max-size", "64"]);
+        command.args(["--checkpoint-every", "20", "--eval-every", "50"]);
+    }
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+fn finished(mut child: Child, within: Duration) -> bool {
+    let began = Instant::now();
+    while began.elapsed() < within {
+        if child.try_wait().unwrap().is_some() {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    // SIGKILL: nothing of the program runs any more.
+    child.kill().unwrap();
+    child.wait().unwrap();
+    false
+}
+
+fn started(run: &Path) -> bool {
+    checkpoint::path(run).exists() || run.join("run.json").exists()
+}
+
+#[test]
+fn killed_at_any_moment_it_ends_with_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let whole = dir.path().join("whole");
+    let began = Instant::now();
+    assert!(train(&room(), &whole, false).status().unwrap().success());
+    let lasts = began.elapsed();
+    let table = mhsplat::report::read_density(whole.join("density.csv")).unwrap();
+    let sum = |of: &dyn Fn(&mhsplat::density::DensityStats) -> u64| -> u64 {
+        table.iter().map(|row| of(&row.stats)).sum()
+    };
+    assert!(sum(&|s| s.pruned) > 0 && sum(&|s| s.accepted) > 0);
+    let kills = std::env::var("MHSPLAT_KILLS").map_or(KILLS, |n| n.parse().unwrap());
+    let (mut at_work, mut again) = (0, 0);
+    for k in 0..kills {
+        let run = dir.path().join(format!("run-{k}"));
+        let mut attempts = 0;
+        loop {
+            // Any moment from the first to after the last.
+            let share = Philox::uniform(9, k, attempts)[0];
+            let child = train(&room(), &run, started(&run)).spawn().unwrap();
+            attempts += 1;
+            let within = if attempts > 2 { 100.0 } else { 1.1 * share };
+            if finished(child, lasts.mul_f64(within)) {
+                break;
+            }
+            at_work += 1;
+            if !started(&run) {
+                // Nothing was begun: nothing is there to go on with, and the folder is free.
+                let _ = fs::remove_dir_all(&run);
+                again += 1;
+            }
+        }
+        for file in ["scene.ply", "density.csv"] {
+            let [a, b] = [&whole, &run].map(|r| fs::read(r.join(file)).unwrap());
+            let columns = |bytes: &[u8]| without_seconds(bytes);
+            let same = if file == "scene.ply" {
+                a == b
+            } else {
+                columns(&a) == columns(&b)
+            };
+            assert!(same, "kill {k}: {file} differs");
+        }
+        let left = fs::read_dir(run.join("checkpoint")).unwrap().count();
+        assert_eq!(left, 1, "half-written files are swept away");
+    }
+    println!(
+        "{kills} runs, {at_work} kills, {again} of them before anything was begun: all ended alike"
+    );
+    assert!(at_work > 0);
+}
+
+/// A table without its clocks.
+fn without_seconds(bytes: &[u8]) -> Vec<String> {
+    let text = String::from_utf8_lossy(bytes);
+    let cells = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        [&cells[..1], &cells[2..]].concat().join(",")
+    };
+    text.lines().map(cells).collect()
+}
+
+#[test]
+fn a_damaged_checkpoint_is_refused_by_its_checksum() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    assert!(train(&room(), &run, false).status().unwrap().success());
+    let file = checkpoint::path(&run);
+    let good = fs::read(&file).unwrap();
+    checkpoint::read(&run).unwrap();
+    // The last byte is a tensor's, one in the header the configuration's.
+    let header = good.windows(10).position(|w| w == b"iterations").unwrap();
+    for (at, what) in [(good.len() - 1, "a tensor"), (header + 1, "the header")] {
+        let mut bad = good.clone();
+        bad[at] ^= 1;
+        fs::write(&file, &bad).unwrap();
+        let said = checkpoint::read(&run).unwrap_err().to_string();
+        assert!(said.contains("damaged checkpoint"), "{what}: {said}");
+        let status = train(&room(), &run, true).status().unwrap();
+        assert_eq!(status.code(), Some(2), "{what}");
+    }
+    fs::write(&file, &good[..good.len() / 2]).unwrap();
+    assert!(checkpoint::read(&run).is_err());
+}
+
+#[test]
+fn a_photo_that_vanishes_leaves_the_last_good_state() {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, run) = (dir.path().join("data"), dir.path().join("run"));
+    copy(&room(), &data);
+    let gone = dir.path().join("gone");
+    let mut command = long(&data, &run, false, "1500");
+    // So little room for photos that they are read again and again.
+    let child = command.args(["--image-budget", "60k"]);
+    let child = child.stderr(Stdio::piped()).spawn().unwrap();
+    let began = Instant::now();
+    while !checkpoint::path(&run).exists() {
+        assert!(began.elapsed() < Duration::from_secs(120), "no checkpoint");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    fs::rename(data.join("images"), &gone).unwrap();
+    let ended = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(2), "{said}");
+    assert!(
+        said.contains("images") && said.contains("is saved"),
+        "{said}"
+    );
+    let saved = checkpoint::read(&run).unwrap().state.iteration;
+    fs::rename(&gone, data.join("images")).unwrap();
+    assert!(train(&data, &run, true).status().unwrap().success());
+    assert!(saved < 1500 && checkpoint::read(&run).unwrap().state.iteration == 1500);
+    // As if nothing had happened.
+    let whole = dir.path().join("whole");
+    let mut straight = long(&data, &whole, false, "1500");
+    assert!(
+        straight
+            .args(["--image-budget", "60k"])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let [a, b] = [&whole, &run].map(|r| fs::read(r.join("scene.ply")).unwrap());
+    assert!(a == b);
+}
+
+#[test]
+fn a_finished_run_without_its_checkpoint_is_not_begun_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    assert!(train(&room(), &run, false).status().unwrap().success());
+    fs::remove_dir_all(run.join("checkpoint")).unwrap();
+    let before: Vec<Vec<u8>> = ["run.json", "metrics.csv", "scene.ply"]
+        .map(|f| fs::read(run.join(f)).unwrap())
+        .to_vec();
+    assert_eq!(train(&room(), &run, true).status().unwrap().code(), Some(2));
+    let after: Vec<Vec<u8>> = ["run.json", "metrics.csv", "scene.ply"]
+        .map(|f| fs::read(run.join(f)).unwrap())
+        .to_vec();
+    assert!(before == after, "nothing is overwritten");
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let target = to.join(entry.file_name());
+        if entry.file_type().unwrap().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
