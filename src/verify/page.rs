@@ -46,12 +46,12 @@ pub fn table(v: &Verification) -> Table {
             format!("{failed}"),
             format!("{}", of.iter().map(|r| r.non_finite).sum::<usize>()),
             number(single),
-            single.map_or(String::new(), |r| {
-                format!("{}: {} {}", r.case, r.stage, r.quantity)
-            }),
             format!("{:.0e}", note.bound),
             number(double),
             format!("{}", of.iter().map(|r| r.flips).sum::<usize>()),
+            single.map_or(String::new(), |r| {
+                format!("{}: {} {}", r.case, r.stage, r.quantity)
+            }),
         ]
     };
     let columns = [
@@ -60,10 +60,10 @@ pub fn table(v: &Verification) -> Table {
         "failed",
         "not finite",
         "worst in f32",
-        "where",
         "bound",
         "worst in f64",
         "flips",
+        "worst in f32 is of",
     ];
     Table {
         title: "Worst of each family".into(),

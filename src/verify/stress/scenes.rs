@@ -15,7 +15,7 @@ pub(super) const WELL: f64 = 1e-5;
 /// With the small differences that positions and scales of several sizes beside each other leave.
 pub(super) const MIXED: f64 = 1e-4;
 /// Where terms cancel, so that what is left is rounding of something larger.
-pub(super) const CANCELLED: f64 = 1e-3;
+const CANCELLED: f64 = 1e-3;
 
 pub(super) fn uniform(seed: u64, i: usize) -> [f64; 4] {
     Philox::uniform(seed, Purpose::Synthetic.stream(1), i as u64)
@@ -81,7 +81,7 @@ fn opacities() -> Family {
     let why = "saturates: alpha is held at 0.99 in every precision";
     family(
         "opacity",
-        "|logit|",
+        "size of the logit",
         WELL,
         why,
         [1.0, 5.0, 20.0, 50.0, 100.0].map(case),

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 
 use super::Family;
-use super::scenes::{CANCELLED, MIXED, each, family, position, powers, uniform};
+use super::scenes::{MIXED, each, family, position, powers, uniform};
 use crate::model::{Plane, Splats};
 use crate::verify::chain::Case;
 
@@ -75,7 +75,7 @@ pub(super) fn end_on() -> Family {
     family(
         "end-on",
         "long over short axis",
-        CANCELLED,
+        MIXED,
         why,
         powers(1..=6, 1).map(case),
     )
