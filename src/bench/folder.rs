@@ -5,7 +5,8 @@ use std::path::Path;
 
 use super::record::{BenchRecord, Outcome, Stage};
 use super::{markdown, page};
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::report::folder::{one_or_all, write_files};
 
 /// Columns of `bench.csv`: a row per stage of a case, per whole iteration, and per variant of a stage. Cells that do not
 /// apply are empty.
@@ -29,58 +30,26 @@ pub const COLUMNS: [&str; 17] = [
     "max_rel_error",
 ];
 
-/// Refuses a folder that holds anything, or a path that is no folder.
-///
-/// # Errors
-/// As said.
-pub fn check_folder(dir: &Path) -> Result<()> {
-    let fix = "choose another with -o";
-    match std::fs::read_dir(dir) {
-        Ok(mut entries) => match entries.next() {
-            None => Ok(()),
-            Some(_) => Err(Error::input(
-                dir,
-                "is not empty; nothing is overwritten",
-                fix,
-            )),
-        },
-        Err(_) if dir.exists() => Err(Error::input(dir, "is no folder that can be read", fix)),
-        Err(_) => Ok(()),
-    }
-}
-
 /// The document of `bench --json`: of one device itself, of several an array.
 ///
 /// # Errors
 /// None that a user can cause: what is measured can be written.
 pub fn json(outcomes: &[Outcome]) -> Result<String> {
-    let text = match outcomes {
-        [one] => serde_json::to_string_pretty(one),
-        all => serde_json::to_string_pretty(all),
-    };
-    text.map_err(|e| Error::Numerics {
-        stage: "bench.json".into(),
-        what: e.to_string(),
-    })
+    one_or_all("bench.json", outcomes)
 }
 
 /// Writes `bench.json`, `bench.csv`, `bench.md` and `bench.html`.
 ///
 /// # Errors
-/// A folder that [`check_folder`] refuses or that cannot be written.
+/// A folder that is not empty or cannot be written.
 pub fn write_folder(dir: &Path, outcomes: &[Outcome]) -> Result<()> {
-    check_folder(dir)?;
-    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
     let files = [
         ("bench.json", json(outcomes)? + "\n"),
         ("bench.csv", csv(outcomes)),
         ("bench.md", markdown(outcomes)),
         ("bench.html", page(outcomes)),
     ];
-    for (name, text) in files {
-        crate::atomic::write_bytes(&dir.join(name), text.as_bytes())?;
-    }
-    Ok(())
+    write_files(dir, &files)
 }
 
 /// A cell of text, quoted as RFC 4180 has it.

@@ -21,7 +21,7 @@ mod tables;
 pub mod work;
 
 pub use crate::report::spread;
-pub use folder::{check_folder, csv, json, write_folder};
+pub use folder::{csv, json, write_folder};
 pub use growth::growth;
 pub use page::page;
 pub use record::{BenchRecord, Outcome};

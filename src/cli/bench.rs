@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use mhsplat::bench::{self, Options, Outcome as Measured};
 use mhsplat::error::{Error, Result};
 use mhsplat::gpu::Device;
+use mhsplat::report::folder::check_folder;
 
 use super::{Common, Outcome, output};
 
@@ -36,7 +37,7 @@ fn brief_case(text: &str) -> std::result::Result<(usize, u32), String> {
 /// Measures one device, or all of them with --device all.
 pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
     if let Some(dir) = &args.output {
-        bench::check_folder(dir)?;
+        check_folder(dir)?;
     }
     let options = Options {
         scene: args.scene.clone(),

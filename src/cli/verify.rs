@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use mhsplat::bench::check_folder;
 use mhsplat::error::{Error, Result};
 use mhsplat::gpu::Device;
+use mhsplat::report::folder::check_folder;
 use mhsplat::verify::page::{json, markdown, write_folder};
 use mhsplat::verify::stress::stress;
 use mhsplat::verify::{Verification, quick};

@@ -15,6 +15,7 @@ mod bars;
 pub mod clock;
 pub mod density_log;
 pub mod figures;
+pub mod folder;
 pub mod gallery;
 pub mod html;
 pub mod loglog;

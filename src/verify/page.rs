@@ -6,8 +6,9 @@ use std::path::Path;
 use super::Verification;
 use super::check::Row;
 use super::stress::FamilyNote;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::report::figures::{Table, write_html, write_markdown};
+use crate::report::folder::{one_or_all, write_files};
 use crate::report::html::{self, escape};
 use crate::report::loglog::{LogPoint, LogSeries, log_log_chart};
 
@@ -267,29 +268,18 @@ fn device(v: &Verification) -> String {
 /// # Errors
 /// None that a user can cause: what is found can be written.
 pub fn json(all: &[Verification]) -> Result<String> {
-    let text = match all {
-        [one] => serde_json::to_string_pretty(one),
-        all => serde_json::to_string_pretty(all),
-    };
-    text.map_err(|e| Error::Numerics {
-        stage: "verify.json".into(),
-        what: e.to_string(),
-    })
+    one_or_all("verify.json", all)
 }
 
 /// Writes `verify.html`, `verify.json` and `verify.md`.
 ///
 /// # Errors
-/// A folder that cannot be written.
+/// A folder that is not empty or cannot be written.
 pub fn write_folder(dir: &Path, all: &[Verification]) -> Result<()> {
-    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
     let files = [
         ("verify.html", page(all)),
         ("verify.json", json(all)? + "\n"),
         ("verify.md", markdown(all)),
     ];
-    for (name, text) in files {
-        crate::atomic::write_bytes(&dir.join(name), text.as_bytes())?;
-    }
-    Ok(())
+    write_files(dir, &files)
 }
