@@ -176,15 +176,6 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// With what is left to the scene settled, for a dataset with so many sparse points.
-    #[must_use]
-    pub fn settled(&self, points: usize) -> Self {
-        Self {
-            mh: self.mh.settled(self.init.is_random(points)),
-            ..self.clone()
-        }
-    }
-
     /// Checks every value's domain.
     ///
     /// # Errors

@@ -6,9 +6,6 @@ use crate::config::{Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Dataset, View};
 use crate::schedule::Schedule;
 
-/// The item of a start from the dataset's points.
-const FROM_POINTS: &str = "initial Gaussians from sparse points";
-
 /// One decision.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Item {
@@ -69,7 +66,7 @@ impl Plan {
         let points = dataset.points.positions.len();
         plan.decide(
             config.init == Init::Points && points > 0,
-            FROM_POINTS,
+            "initial Gaussians from sparse points",
             &format!("{points} points"),
             if config.init == Init::Points {
                 "the dataset has no points; random initialisation"
@@ -78,12 +75,6 @@ impl Plan {
             },
         );
         plan
-    }
-
-    /// Whether the first Gaussians are the dataset's points.
-    #[must_use]
-    pub fn starts_from_points(&self) -> bool {
-        self.kept.iter().any(|item| item.what == FROM_POINTS)
     }
 
     /// What saves work: switched on is kept.
@@ -166,7 +157,7 @@ impl Plan {
         let why = format!(
             "{} views are rendered for each step; of pixels that show a surface {:.0} %",
             mh.pixel_views,
-            100.0 * mh.surface()
+            100.0 * mh.pixel_surface
         );
         let why_not = "mh.pixel-proposals is 0";
         self.decide(

@@ -15,7 +15,6 @@ use crate::evaluate::{Evaluator, mean, mean_flip};
 use crate::export::checkpoint::Checkpoint;
 use crate::export::{checkpoint, ply};
 use crate::gpu::Device;
-use crate::plan::Plan;
 use crate::report::{
     Clock, DensityRow, DensityWriter, FinalRecord, MetricsRow, MetricsWriter, RunRecord,
     StageRecord, clock, read_density, read_rows, write_report,
@@ -54,8 +53,8 @@ pub struct Run {
     /// Seconds per stage of the sessions before this one.
     stages: Vec<StageRecord>,
     psnr: Option<f64>,
-    /// Whether a checkpoint was written after something failed.
-    rescued: bool,
+    /// Iterations of the checkpoint in the folder.
+    saved: Option<u32>,
     /// Iterations after which evaluation, export and checkpoint were looked after: repeating an iteration whose pairs did
     /// not fit must not repeat those.
     handled: u32,
@@ -76,6 +75,7 @@ struct Start {
     metrics: MetricsWriter,
     density: DensityWriter,
     stages: Vec<StageRecord>,
+    saved: Option<u32>,
 }
 
 impl Run {
@@ -86,18 +86,20 @@ impl Run {
     pub fn start(
         dir: &Path,
         dataset: Dataset,
-        mut config: TrainConfig,
+        config: TrainConfig,
         device: &Device,
         clock: Clock,
     ) -> Result<Self> {
-        config = config.settled(dataset.points.positions.len());
         let splats = initial_splats(&dataset, &config)?;
         let prepared = Prepared::new(dataset, &config, device, &splats)?;
+        // The record first: a folder with one can be gone on with.
+        prepared.record.write(dir)?;
         let start = Start {
             clock,
             metrics: MetricsWriter::create(dir.join("metrics.csv"))?,
             density: DensityWriter::create(dir.join("density.csv"))?,
             stages: Vec::new(),
+            saved: None,
         };
         Self::assemble(dir, config, prepared, start)
     }
@@ -156,6 +158,7 @@ impl Run {
             metrics: MetricsWriter::append(dir.join("metrics.csv"), state.iteration)?,
             density: DensityWriter::append(dir.join("density.csv"), state.iteration)?,
             stages: saved.stages,
+            saved: Some(state.iteration),
         };
         Self::assemble(dir, config, prepared, start)
     }
@@ -167,6 +170,7 @@ impl Run {
             fingerprint: prepared.fingerprint,
             config,
             handled: prepared.trainer.iteration(),
+            saved: start.saved,
             trainer: prepared.trainer,
             evaluator: prepared.evaluator,
             record: prepared.record,
@@ -175,7 +179,6 @@ impl Run {
             density: start.density,
             stages: start.stages,
             psnr: None,
-            rescued: false,
         };
         run.write_record()?;
         Ok(run)
@@ -185,8 +188,8 @@ impl Run {
     ///
     /// # Errors
     /// [`Error::Interrupted`] when stopped (a checkpoint was written), or whatever failed. Where that can be told of the files
-    /// and not of the device, say a photo that is no longer there, a checkpoint of the last good state is written first, and
-    /// `rescued` says so.
+    /// and not of the device, say a photo that is no longer there, a checkpoint of the last good state is written first;
+    /// [`Run::saved`] says which there is.
     pub fn drive(
         &mut self,
         stop: &AtomicBool,
@@ -195,15 +198,15 @@ impl Run {
         let ended = self.train(stop, progress);
         if matches!(ended, Err(Error::Io { .. } | Error::Input { .. })) {
             // The record stays as it was: not that of a run that came to its end.
-            self.rescued = self.trainer.settle().is_ok() && self.checkpoint().is_ok();
+            let _ = self.trainer.settle().and_then(|()| self.checkpoint());
         }
         ended.map(|()| &self.record)
     }
 
-    /// The iterations that a checkpoint written after something failed has; none if there is no such checkpoint.
+    /// The iterations that the folder's checkpoint has; none if there is no checkpoint yet.
     #[must_use]
-    pub fn rescued(&self) -> Option<u32> {
-        self.rescued.then(|| self.trainer.iteration())
+    pub fn saved(&self) -> Option<u32> {
+        self.saved
     }
 
     fn train(&mut self, stop: &AtomicBool, mut progress: impl FnMut(&Progress)) -> Result<()> {
@@ -227,11 +230,12 @@ impl Run {
                 if due(self.trainer.schedule().eval_every(), done) {
                     self.evaluate(false)?;
                 }
-                if due(self.config.export_every, done) {
-                    self.export()?;
-                }
+                // First what a run goes on from, then what it is not begun again over.
                 if due(self.config.checkpoint_every, done) {
                     self.checkpoint()?;
+                }
+                if due(self.config.export_every, done) {
+                    self.export()?;
                 }
             }
             progress(&Progress {
@@ -244,8 +248,8 @@ impl Run {
         }
         self.trainer.settle()?;
         self.evaluate(true)?;
-        self.export()?;
         self.checkpoint()?;
+        self.export()?;
         self.report()
     }
 
@@ -271,12 +275,6 @@ impl Run {
     #[must_use]
     pub fn record(&self) -> &RunRecord {
         &self.record
-    }
-
-    /// What was planned, for the terminal.
-    #[must_use]
-    pub fn plan(&self) -> &Plan {
-        &self.record.plan
     }
 
     fn interrupt(&mut self) -> Result<()> {
@@ -381,6 +379,7 @@ impl Run {
             stages: self.stage_times(),
         };
         checkpoint::write(&self.dir, &saved)?;
+        self.saved = Some(saved.state.iteration);
         self.clock.resume();
         Ok(())
     }

@@ -124,8 +124,7 @@ impl Trainer {
     ) -> Result<Self> {
         let photos = Photos::new(device, dataset.image_budget);
         let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
-        let config = config.settled(dataset.points.positions.len());
-        Self::with_views(views, &config, splats)
+        Self::with_views(views, config, splats)
     }
 
     /// As [`Trainer::new`], with training views whose photos may share their budget with others.

@@ -15,6 +15,8 @@ mod determinism;
 mod experiment;
 mod export;
 mod extreme;
+#[cfg(target_os = "linux")]
+mod faults;
 mod flip;
 mod fuzz;
 mod gradient;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use mhsplat::export::checkpoint;
 use mhsplat::rng::Philox;
@@ -36,12 +36,20 @@ fn long(data: &Path, run: &Path, resume: bool, iterations: &str) -> Command {
     command
 }
 
-fn finished(mut child: Child, within: Duration) -> bool {
-    let began = Instant::now();
-    while began.elapsed() < within {
-        if child.try_wait().unwrap().is_some() {
+/// Whether a child comes to its end within a time from the moment on when it is at work, which `begun` tells; if not, it is
+/// killed.
+fn finished(mut child: Child, begun: impl Fn() -> bool, within: Duration) -> bool {
+    let spawned = Instant::now();
+    let mut began = None;
+    while began.is_none_or(|at: Instant| at.elapsed() < within) {
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success(), "{status}");
             return true;
         }
+        if began.is_none() && begun() {
+            began = Some(Instant::now());
+        }
+        assert!(spawned.elapsed() < Duration::from_secs(600), "it hangs");
         std::thread::sleep(Duration::from_millis(1));
     }
     // SIGKILL: nothing of the program runs any more.
@@ -50,17 +58,18 @@ fn finished(mut child: Child, within: Duration) -> bool {
     false
 }
 
-fn started(run: &Path) -> bool {
-    checkpoint::path(run).exists() || run.join("run.json").exists()
+/// When a run's record was written last: a session writes one when it begins its work.
+fn recorded(run: &Path) -> Option<SystemTime> {
+    fs::metadata(run.join("run.json")).ok()?.modified().ok()
 }
 
 #[test]
 fn killed_at_any_moment_it_ends_with_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let whole = dir.path().join("whole");
-    let began = Instant::now();
     assert!(train(&room(), &whole, false).status().unwrap().success());
-    let lasts = began.elapsed();
+    let record = mhsplat::RunRecord::read(&whole).unwrap();
+    let lasts = Duration::from_secs_f64(record.wall_seconds);
     let table = mhsplat::report::read_density(whole.join("density.csv")).unwrap();
     let sum = |of: &dyn Fn(&mhsplat::density::DensityStats) -> u64| -> u64 {
         table.iter().map(|row| of(&row.stats)).sum()
@@ -72,20 +81,17 @@ fn killed_at_any_moment_it_ends_with_the_same_bytes() {
         let run = dir.path().join(format!("run-{k}"));
         let mut attempts = 0;
         loop {
-            // Any moment from the first to after the last.
+            // Any moment from the first record of a session to after the last.
             let share = Philox::uniform(9, k, attempts)[0];
-            let child = train(&room(), &run, started(&run)).spawn().unwrap();
+            let before = recorded(&run);
+            let child = train(&room(), &run, before.is_some()).spawn().unwrap();
             attempts += 1;
-            let within = if attempts > 2 { 100.0 } else { 1.1 * share };
-            if finished(child, lasts.mul_f64(within)) {
+            let within = if attempts > 2 { 1000.0 } else { 1.1 * share };
+            if finished(child, || recorded(&run) != before, lasts.mul_f64(within)) {
                 break;
             }
             at_work += 1;
-            if !started(&run) {
-                // Nothing was begun: nothing is there to go on with, and the folder is free.
-                let _ = fs::remove_dir_all(&run);
-                again += 1;
-            }
+            again += u64::from(!checkpoint::path(&run).exists());
         }
         for file in ["scene.ply", "density.csv"] {
             let [a, b] = [&whole, &run].map(|r| fs::read(r.join(file)).unwrap());
@@ -101,7 +107,7 @@ fn killed_at_any_moment_it_ends_with_the_same_bytes() {
         assert_eq!(left, 1, "half-written files are swept away");
     }
     println!(
-        "{kills} runs, {at_work} kills, {again} of them before anything was begun: all ended alike"
+        "{kills} runs, {at_work} kills, {again} of them before the first checkpoint: all ended alike"
     );
     assert!(at_work > 0);
 }

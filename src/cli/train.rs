@@ -140,14 +140,13 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         device.info().name,
         device.info().platform
     ));
-    output::note(&run.plan().summary());
+    output::note(&run.record().plan.summary());
     let bar = progress_bar();
     let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());
     bar.finish();
     let stopped = matches!(driven, Err(Error::Interrupted));
-    let saved = run.rescued().or(stopped.then(|| run.record().iterations));
-    if let Some(done) = saved {
-        note_resume(done, &args.dataset, &dir, stopped);
+    if driven.is_err() {
+        note_resume(run.saved(), &args.dataset, &dir, stopped);
     }
     if stopped && common.json {
         output::json(run.record())?;
@@ -160,13 +159,17 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
 }
 
 /// How a run that ended early goes on.
-fn note_resume(done: u32, dataset: &Path, dir: &Path, stopped: bool) {
-    let what = if stopped {
-        format!("stopped after {done} iterations; continue with")
-    } else {
-        format!(
+fn note_resume(saved: Option<u32>, dataset: &Path, dir: &Path, stopped: bool) {
+    let what = match saved {
+        Some(done) if stopped => format!("stopped after {done} iterations; continue with"),
+        Some(done) => format!(
             "the state after {done} iterations is saved; when the cause is mended, continue with"
-        )
+        ),
+        None if dir.join("scene.ply").exists() => {
+            output::note("no state is saved to go on from; begin anew with -o NEW_FOLDER");
+            return;
+        }
+        None => "nothing is saved yet; when the cause is mended, begin again with".into(),
     };
     let (dataset, dir) = (dataset.display(), dir.display());
     output::note(&format!("{what}: mhsplat train {dataset} --resume {dir}"));

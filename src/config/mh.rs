@@ -5,9 +5,6 @@ use serde::{Deserialize, Serialize};
 use super::{Acceptance, Birth, DensityTimes, Surrogate, ViewSubset};
 use crate::error::{Error, Result};
 
-/// `pixel-surface` where the first Gaussians lie on the surfaces already.
-const SURFACE: f64 = 0.2;
-
 /// Metropolis–Hastings density control (\[MH\] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations; of two
 /// values the first is for η = 0 and the second for η = 1, linear in between.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -81,9 +78,8 @@ pub struct MhConfig {
     pub pixel_scale: f64,
     /// Its opacity.
     pub pixel_opacity: f64,
-    /// s: 1 draws pixels ∝ error alone, 0 only as far as something can be seen beyond what is rendered. None: 1 after a random
-    /// start, 0.2 where the first Gaussians lie on the surfaces already.
-    pub pixel_surface: Option<f64>,
+    /// s: 1 draws pixels ∝ error alone, 0 only as far as something can be seen beyond what is rendered.
+    pub pixel_surface: f64,
     /// Depth of a birth that lies beyond what is rendered, as it does with probability τ/(τ + s·(1−τ)): log-uniform between
     /// these, local units, and no nearer than the rendered mean depth, which the others have.
     pub pixel_far: [f64; 2],
@@ -115,7 +111,7 @@ impl Default for MhConfig {
             view_subset: ViewSubset::Shrinking,
             relocation: true,
             from_iteration: 500,
-            deaths_until_iteration: 2_000,
+            deaths_until_iteration: 6_000,
             births_from_iteration: 2_500,
             until_iteration: 20_000,
             interval: 100,
@@ -129,7 +125,7 @@ impl Default for MhConfig {
             pixel_views: 2,
             pixel_scale: 2.0,
             pixel_opacity: 0.1,
-            pixel_surface: None,
+            pixel_surface: 1.0,
             pixel_far: [2.0, 20.0],
             pixel_near: 0.3,
             noise_rate: 5e5,
@@ -240,7 +236,7 @@ impl MhConfig {
         if !(self.pixel_near.is_finite() && self.pixel_near >= 0.0) {
             return Err(Error::config("mh.pixel-near", "0 or more expected"));
         }
-        if !(0.0..=1.0).contains(&self.surface()) {
+        if !(0.0..=1.0).contains(&self.pixel_surface) {
             return Err(Error::config("mh.pixel-surface", "0 to 1 expected"));
         }
         if !(self.pixel_opacity > self.dead_opacity && self.pixel_opacity < 1.0) {
@@ -267,22 +263,6 @@ impl MhConfig {
             ));
         }
         Ok(())
-    }
-
-    /// With what is left to the scene settled.
-    #[must_use]
-    pub fn settled(self, random_start: bool) -> Self {
-        let surface = if random_start { 1.0 } else { SURFACE };
-        Self {
-            pixel_surface: self.pixel_surface.or(Some(surface)),
-            ..self
-        }
-    }
-
-    /// s of births in image space.
-    #[must_use]
-    pub fn surface(&self) -> f64 {
-        self.pixel_surface.unwrap_or(SURFACE)
     }
 
     /// Views that the births of a step are probed in; 0 where ρ has no use for it.

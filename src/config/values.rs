@@ -18,18 +18,6 @@ pub enum Init {
     File(std::path::PathBuf),
 }
 
-impl Init {
-    /// Whether the first Gaussians lie anywhere, for a dataset with so many points.
-    #[must_use]
-    pub fn is_random(&self, points: usize) -> bool {
-        match self {
-            Self::Points => points == 0,
-            Self::Random => true,
-            Self::File(_) => false,
-        }
-    }
-}
-
 impl std::str::FromStr for Init {
     type Err = Error;
     fn from_str(s: &str) -> Result<Self> {

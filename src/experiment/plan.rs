@@ -74,11 +74,7 @@ pub fn blocks(e: &Experiment) -> Vec<Vec<Planned>> {
 
 /// Options in which the configuration of a run differs from the wanted one, `name: a instead of b`.
 fn differences(record: &RunRecord, wanted: &TrainConfig) -> Vec<String> {
-    // What is left to the scene is settled by it.
-    let points = usize::from(record.plan.starts_from_points());
-    let pairs = flatten(&record.config.settled(points))
-        .into_iter()
-        .zip(flatten(&wanted.settled(points)));
+    let pairs = flatten(&record.config).into_iter().zip(flatten(wanted));
     pairs
         .filter(|(a, b)| a != b)
         .map(|(a, b)| format!("{}: {} instead of {}", a.0, a.1, b.1))

@@ -7,11 +7,8 @@ use std::sync::atomic::Ordering;
 use ocl::core::{self, Event, MEM_COPY_HOST_PTR, MEM_READ_WRITE, Mem};
 
 use super::device::{Device, Inner};
-use super::{Element, device_error};
+use super::{Element, LOST, LOWER, device_error};
 use crate::error::{Error, Result};
-
-const LOWER: &str =
-    "lower --max-gaussians, --max-size or --image-budget, or select a device with more memory";
 
 /// A device buffer of `len` values of `T`.
 #[derive(Debug)]
@@ -26,6 +23,7 @@ pub struct Array<T> {
 /// A read that is under way; [`PendingRead::wait`] blocks until it is done.
 #[derive(Debug)]
 pub struct PendingRead<T> {
+    name: &'static str,
     data: Vec<T>,
     event: Event,
 }
@@ -44,15 +42,18 @@ impl<T: Element> PendingRead<T> {
     /// The driver's.
     pub fn wait(mut self) -> Result<Vec<T>> {
         core::wait_for_event(&self.event)
-            .map_err(|e| device_error("read", &e, "the device may be lost; start again"))?;
+            .map_err(|e| device_error(&format!("read {}", self.name), &e, LOST))?;
         Ok(std::mem::take(&mut self.data))
     }
 }
 
 impl<T> Drop for PendingRead<T> {
     fn drop(&mut self) {
-        // The device writes into `data` until the event completes; an error here leaves nothing to wait for.
-        let _ = core::wait_for_event(&self.event);
+        // The device writes into `data` until the event completes. Where that cannot be waited for, nobody knows when, and
+        // the memory is left to it.
+        if core::wait_for_event(&self.event).is_err() {
+            std::mem::forget(std::mem::take(&mut self.data));
+        }
     }
 }
 
@@ -135,6 +136,10 @@ impl<T: Element> Array<T> {
         ))
     }
 
+    fn failed(&self, what: &str, error: &core::Error) -> Error {
+        device_error(&format!("{what} {}", self.name), error, LOST)
+    }
+
     /// Sets every byte to zero. Does not wait.
     ///
     /// # Errors
@@ -151,7 +156,7 @@ impl<T: Element> Array<T> {
             None::<&mut Event>,
             None,
         )
-        .map_err(|e| device_error(self.name, &e, LOWER))
+        .map_err(|e| self.failed("clear", &e))
     }
 
     /// Writes `data` from `offset` on and waits until it may be reused.
@@ -175,7 +180,7 @@ impl<T: Element> Array<T> {
                 None::<&mut Event>,
             )
         }
-        .map_err(|e| device_error(self.name, &e, LOWER))
+        .map_err(|e| self.failed("write", &e))
     }
 
     /// Reads `len` values from `offset` on, after everything enqueued so far.
@@ -203,7 +208,7 @@ impl<T: Element> Array<T> {
         // One more than asked for nothing keeps the slice non-empty: drivers refuse a read of no bytes.
         let mut data = vec![T::default(); len.max(1)];
         let mut event = Event::null();
-        // SAFETY: `data`'s heap block is owned by the PendingRead, which waits for the event before freeing it.
+        // SAFETY: `data`'s heap block is owned by the PendingRead, which waits for the event before freeing it, or never frees it.
         unsafe {
             core::enqueue_read_buffer(
                 &self.device.queue,
@@ -215,10 +220,14 @@ impl<T: Element> Array<T> {
                 Some(&mut event),
             )
         }
-        .map_err(|e| device_error(self.name, &e, LOWER))?;
-        let mut pending = PendingRead { data, event };
+        .map_err(|e| self.failed("read", &e))?;
+        let mut pending = PendingRead {
+            name: self.name,
+            data,
+            event,
+        };
         if len == 0 {
-            core::wait_for_event(&pending.event).map_err(|e| device_error(self.name, &e, LOWER))?;
+            core::wait_for_event(&pending.event).map_err(|e| self.failed("read", &e))?;
             pending.data.clear();
         }
         Ok(pending)
@@ -244,6 +253,6 @@ impl<T: Element> Array<T> {
             None::<&Event>,
             None::<&mut Event>,
         )
-        .map_err(|e| device_error(self.name, &e, LOWER))
+        .map_err(|e| self.failed("copy to", &e))
     }
 }

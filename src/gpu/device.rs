@@ -10,9 +10,9 @@ use ocl::core::{
 };
 use serde::Serialize;
 
-use super::device_error;
 use super::launch::{Pending, StageTime};
 use super::tuning::Tuning;
+use super::{LOST, device_error};
 use crate::error::{Error, Result};
 
 /// Kind of a device, as OpenCL classes it.
@@ -175,8 +175,7 @@ impl Device {
     /// # Errors
     /// The driver's.
     pub fn flush(&self) -> Result<()> {
-        core::flush(&self.inner.queue)
-            .map_err(|e| device_error("flush", &e, "the device may be lost; start again"))
+        core::flush(&self.inner.queue).map_err(|e| device_error("flush", &e, LOST))
     }
 
     /// Waits until everything enqueued is done.
@@ -184,8 +183,7 @@ impl Device {
     /// # Errors
     /// The driver's.
     pub fn finish(&self) -> Result<()> {
-        core::finish(&self.inner.queue)
-            .map_err(|e| device_error("finish", &e, "the device may be lost; start again"))
+        core::finish(&self.inner.queue).map_err(|e| device_error("finish", &e, LOST))
     }
 }
 

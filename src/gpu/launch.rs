@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ocl::core::{self, ArgVal, Event, KernelArgInfo, KernelInfo, KernelInfoResult, ProfilingInfo};
 
 use super::device::{Device, Inner};
-use super::{Array, Element, device_error};
+use super::{Array, Element, LOST, device_error};
 use crate::error::{Error, Result};
 
 /// Device time of one stage.
@@ -186,13 +186,7 @@ impl Launch<'_> {
                 Some(&mut event),
             )
         }
-        .map_err(|e| {
-            device_error(
-                self.owner.name,
-                &e,
-                "lower --max-size, or select another device",
-            )
-        })?;
+        .map_err(|e| device_error(self.owner.name, &e, LOST))?;
         let mut pending = self
             .owner
             .device
@@ -239,8 +233,7 @@ impl Device {
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         for p in drained {
-            core::wait_for_event(&p.event)
-                .map_err(|e| device_error(p.stage, &e, "the device may be lost; start again"))?;
+            core::wait_for_event(&p.event).map_err(|e| device_error(p.stage, &e, LOST))?;
             let ask = |info| {
                 core::get_event_profiling_info(&p.event, info)
                     .ok()

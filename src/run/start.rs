@@ -17,7 +17,7 @@ use crate::report::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
 use crate::train::Trainer;
 
 /// Gaussians of a random initialisation.
-const RANDOM_GAUSSIANS: usize = 30_000;
+const RANDOM_GAUSSIANS: usize = 20_000;
 
 /// The first Gaussians that a configuration asks for.
 ///
@@ -39,7 +39,7 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
             }
             splats.with_sh_degree(config.sh_degree)
         }
-        start if start.is_random(dataset.points.positions.len()) => {
+        start if *start == Init::Random || dataset.points.positions.is_empty() => {
             let count = RANDOM_GAUSSIANS.min(most);
             init::random(dataset, count, config.sh_degree, config.seed)
         }

@@ -64,20 +64,3 @@ fn the_last_ones_stay() {
     let outcome = step(&scene, &context(700, 0.1, 1));
     assert_eq!((outcome.gaussians(), outcome.removed.len()), (100, 0));
 }
-
-#[test]
-fn surfaces_are_left_alone_where_points_are() {
-    use mhsplat::config::Init;
-    let left_open = MhConfig::default();
-    assert_eq!(left_open.pixel_surface, None);
-    assert_eq!(left_open.settled(true).surface(), 1.0);
-    assert_eq!(left_open.settled(false).surface(), 0.2);
-    let asked = MhConfig {
-        pixel_surface: Some(0.5),
-        ..left_open
-    };
-    assert_eq!(asked.settled(true).surface(), 0.5);
-    let file = Init::File("scene.ply".into());
-    let random = [Init::Points, Init::Random, file].map(|init| [0, 9].map(|n| init.is_random(n)));
-    assert_eq!(random, [[true, false], [true, true], [false, false]]);
-}

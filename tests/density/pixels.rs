@@ -40,7 +40,7 @@ fn config() -> MhConfig {
         pixel_proposals: 300,
         coarse_proposals: 0,
         fine_proposals: 0,
-        pixel_surface: Some(1.0),
+        pixel_surface: 1.0,
         ..MhConfig::paper()
     }
 }
@@ -134,7 +134,7 @@ fn a_surface_of_zero_leaves_what_is_opaque_alone() {
     let outcome = |pixel_surface: f64| {
         step(
             &MhConfig {
-                pixel_surface: Some(pixel_surface),
+                pixel_surface,
                 ..config()
             },
             &at,

@@ -228,7 +228,7 @@ fn values_out_of_their_domain_are_refused_by_name() {
         ("voxel-growth-from", |c| c.voxel_growth_from = f64::NAN),
         ("pixel-views", |c| c.pixel_views = 0),
         ("pixel-far", |c| c.pixel_far = [3.0, 2.0]),
-        ("pixel-surface", |c| c.pixel_surface = Some(1.1)),
+        ("pixel-surface", |c| c.pixel_surface = 1.1),
         ("pixel-opacity", |c| c.pixel_opacity = 1.0),
         ("lambda-voxel", |c| c.lambda_voxel = -1.0),
     ];

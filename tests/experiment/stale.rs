@@ -113,25 +113,3 @@ fn record_and_metrics_are_all_that_a_finished_run_needs() {
         "{outcome:?}"
     );
 }
-
-#[test]
-fn what_a_run_settles_by_its_scene_is_no_other_option() {
-    let dir = tempfile::tempdir().unwrap();
-    let e = experiment(dir.path(), TWO).unwrap();
-    drive(&e, &mut Fake::default()).unwrap();
-    let mut settled = record(&e, "a/mh/seed-0");
-    let random = !settled.plan.starts_from_points();
-    for (start, fits) in [(random, true), (!random, false)] {
-        settled.config.mh.pixel_surface = None;
-        settled.config.mh = settled.config.mh.settled(start);
-        settled.write(e.output.join("a/mh/seed-0")).unwrap();
-        assert_eq!(states(&e)[0] == "done: complete", fits);
-    }
-    // Asked for, it is an option like any other.
-    let asked = TWO.replace(
-        "name = \"mh\"\n",
-        "name = \"mh\"\nmh = { pixel-surface = 0.5 }\n",
-    );
-    let e = experiment(dir.path(), &asked).unwrap();
-    assert!(states(&e)[0].contains("pixel-surface"), "{:?}", states(&e));
-}

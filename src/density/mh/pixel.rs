@@ -85,7 +85,7 @@ fn reached(left: f64, surface: f64) -> f64 {
 /// Proposals at drawn pixels; `src` is the row whose rotation is copied, which does not matter, because a birth is round.
 pub(super) fn propose(config: &MhConfig, context: &StepContext<'_>, src: u32) -> Vec<Proposal> {
     let pixels = Pixels::new(context.pictures);
-    let weights = pixels.weights(config.surface());
+    let weights = pixels.weights(config.pixel_surface);
     let all = shrinking(config.pixel_proposals as usize, context.progress);
     let wanted = (all as f64 * pixels.share(&weights)).round() as usize;
     let stream = |purpose: Purpose| purpose.stream(context.iteration);
@@ -110,7 +110,7 @@ fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32)
     let depth = f64::from(*picture.depth.get(at)?);
     let rendered = if depth.is_finite() { depth } else { 0.0 };
     let left = f64::from(*picture.transmittance.get(at)?);
-    let z = if kind * reached(left, config.surface()) < left {
+    let z = if kind * reached(left, config.pixel_surface) < left {
         let [from, to] = config.pixel_far;
         (from * (to / from).powf(far)).max(rendered)
     } else {

@@ -1,0 +1,253 @@
+//! The readers of untrusted files, fed from memory: what the tests mutate, and what a fuzzer is let loose on.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use mhsplat::dataset::colmap::{read_bin, read_txt, write_txt};
+use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
+use mhsplat::dataset::{Frame, LoadOptions, load, point_cloud};
+use mhsplat::experiment::Experiment;
+use mhsplat::export::{checkpoint, ply};
+use mhsplat::report::metrics::METRICS_FILE;
+use mhsplat::report::{Clock, RECORD_FILE, read_rows};
+use mhsplat::run::Run;
+use mhsplat::{Device, RunRecord, TrainConfig};
+use tempfile::TempDir;
+
+/// Whether a reader takes what is fed to it.
+type Read = Box<dyn FnMut(&[u8]) -> bool + Send>;
+
+/// A reader and files that it takes.
+pub struct Reader {
+    pub seeds: Vec<Vec<u8>>,
+    pub read: Read,
+}
+
+// All readers, by what they read.
+pub const COLMAP: [&str; 6] = [
+    "cameras_bin",
+    "images_bin",
+    "points3d_bin",
+    "cameras_txt",
+    "images_txt",
+    "points3d_txt",
+];
+pub const PHOTOS: [&str; 3] = ["transforms", "png", "jpeg"];
+pub const CLOUDS: [&str; 2] = ["points_ply", "scene_ply"];
+pub const SETTINGS: [&str; 3] = ["config_toml", "config_json", "experiment_toml"];
+pub const RUNS: [&str; 4] = ["checkpoint", "signed_checkpoint", "run_json", "metrics_csv"];
+
+/// The reader of a name.
+pub fn reader(name: &str) -> Reader {
+    match name {
+        n if COLMAP.contains(&n) => colmap(n),
+        n if PHOTOS.contains(&n) => photos(n),
+        n if CLOUDS.contains(&n) => cloud(n),
+        n if SETTINGS.contains(&n) => settings(n),
+        n if RUNS.contains(&n) => run(n),
+        other => panic!("no reader is named {other}"),
+    }
+}
+
+/// A reader of a file in a folder, which is kept as long as the reader.
+fn of_file(dir: TempDir, file: PathBuf, read: impl Fn(&Path) -> bool + Send + 'static) -> Reader {
+    Reader {
+        seeds: vec![fs::read(&file).unwrap()],
+        read: Box::new(move |bytes| {
+            fs::write(&file, bytes).unwrap();
+            read(dir.path())
+        }),
+    }
+}
+
+/// A tiny dataset in a layout.
+fn dataset(layout: SynthLayout) -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let options = SynthOptions {
+        layout,
+        views: 3,
+        width: 24,
+        height: 16,
+        points: 20,
+        samples: 1,
+        ..SynthOptions::default()
+    };
+    generate("room", dir.path(), &options).unwrap();
+    dir
+}
+
+fn colmap(name: &str) -> Reader {
+    let dir = dataset(SynthLayout::Colmap);
+    let (stem, form) = name.split_once('_').unwrap();
+    let stem = stem.replace("3d", "3D");
+    let model = dir.path().join("sparse/0");
+    if form == "bin" {
+        let file = model.join(format!("{stem}.bin"));
+        return of_file(dir, file, move |_| read_bin(&model).is_ok());
+    }
+    let text = dir.path().join("text");
+    fs::create_dir(&text).unwrap();
+    write_txt(&text, &read_bin(&model).unwrap()).unwrap();
+    let file = text.join(format!("{stem}.txt"));
+    of_file(dir, file, move |_| read_txt(&text).is_ok())
+}
+
+fn photos(name: &str) -> Reader {
+    let dir = dataset(SynthLayout::Transforms);
+    let reads = |dir: &Path| load(dir, &LoadOptions::default()).is_ok();
+    if name == "transforms" {
+        let file = dir.path().join("transforms_train.json");
+        return of_file(dir, file, reads);
+    }
+    let data = load(dir.path(), &LoadOptions::default()).unwrap();
+    let stem = &data.train[0].name;
+    let candidates = [
+        dir.path().join(stem),
+        dir.path().join(format!("{stem}.png")),
+    ];
+    let file = candidates.into_iter().find(|p| p.is_file()).unwrap();
+    if name == "jpeg" {
+        // The reader goes by content, not by the name.
+        let pixels = image::open(&file).unwrap().into_rgb8();
+        pixels
+            .save_with_format(&file, image::ImageFormat::Jpeg)
+            .unwrap();
+    }
+    of_file(dir, file, reads)
+}
+
+fn cloud(name: &str) -> Reader {
+    let source = dataset(SynthLayout::Colmap);
+    let mut data = load(source.path(), &LoadOptions::default()).unwrap();
+    data.points.positions.truncate(9);
+    data.points.colors.truncate(9);
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("points.ply");
+    if name == "scene_ply" {
+        let splats = mhsplat::model::init::from_points(&data.points, 1).unwrap();
+        ply::write(&file, &splats, &Frame::IDENTITY).unwrap();
+        let path = file.clone();
+        return of_file(dir, file, move |_| {
+            ply::read(&path, &Frame::IDENTITY).is_ok()
+        });
+    }
+    point_cloud::write(&file, &data.points, &Frame::IDENTITY).unwrap();
+    let path = file.clone();
+    let mut reader = of_file(dir, file, move |_| {
+        point_cloud::read(&path, &Frame::IDENTITY).is_ok()
+    });
+    let ascii = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 1 2\n3 4 5\n";
+    reader.seeds.push(ascii.into());
+    reader
+}
+
+fn settings(name: &str) -> Reader {
+    let config = TrainConfig {
+        time_budget: Some(60.0),
+        ..TrainConfig::default()
+    };
+    let dir = tempfile::tempdir().unwrap();
+    match name {
+        "config_toml" => Reader {
+            seeds: vec![
+                toml::to_string(&config).unwrap().into_bytes(),
+                b"iterations = 9\ntime-budget = \"10m\"\nimage-budget = \"2G\"\n[mh]\nview-subset = 7\n"
+                    .to_vec(),
+            ],
+            read: Box::new(|bytes| {
+                let text = String::from_utf8_lossy(bytes);
+                toml::from_str::<TrainConfig>(&text).is_ok_and(|c| c.validate().is_ok())
+            }),
+        },
+        "config_json" => Reader {
+            seeds: vec![serde_json::to_vec(&config).unwrap()],
+            read: Box::new(|bytes| {
+                serde_json::from_slice::<TrainConfig>(bytes).is_ok_and(|c| c.validate().is_ok())
+            }),
+        },
+        "experiment_toml" => {
+            let file = dir.path().join("experiment.toml");
+            let text = "output = \"out\"\nbudget = \"3h\"\nseeds = [0, 1]\ncap-from = \"mh\"\n[train]\niterations = 30\n\
+                        [[setting]]\nname = \"mh\"\n[[setting]]\nname = \"mcmc\"\nsampler = \"mcmc\"\nmcmc.growth = 1.15\n\
+                        [[scene]]\npath = \"a\"\nthresholds = [24, 25]\nbackground = \"white\"\n";
+            fs::write(&file, text).unwrap();
+            let path = file.clone();
+            of_file(dir, file, move |_| Experiment::read(&path, None).is_ok())
+        }
+        other => panic!("{other}"),
+    }
+}
+
+/// Three iterations of a tiny dataset, with a checkpoint.
+fn trained() -> (TempDir, PathBuf) {
+    let data = dataset(SynthLayout::Colmap);
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    fs::create_dir(&run).unwrap();
+    let config = TrainConfig {
+        iterations: 3,
+        max_gaussians: Some(20),
+        sh_degree: 0,
+        ..TrainConfig::default()
+    };
+    let device = Device::open(None).unwrap();
+    let data = load(data.path(), &LoadOptions::default()).unwrap();
+    let mut started = Run::start(&run, data, config, &device, Clock::start()).unwrap();
+    started.drive(&AtomicBool::new(false), |_| {}).unwrap();
+    (dir, run)
+}
+
+fn run(name: &str) -> Reader {
+    let (dir, run) = trained();
+    let saved = checkpoint::path(&run);
+    match name {
+        "checkpoint" => of_file(dir, saved, move |_| checkpoint::read(&run).is_ok()),
+        "run_json" => of_file(dir, run.join(RECORD_FILE), move |_| {
+            RunRecord::read(&run).is_ok()
+        }),
+        "metrics_csv" => {
+            let file = run.join(METRICS_FILE);
+            of_file(dir, file.clone(), move |_| read_rows(&file).is_ok())
+        }
+        // The same with a checksum that fits: whoever means harm can compute one.
+        "signed_checkpoint" => {
+            let mut plain = of_file(dir, saved, move |_| checkpoint::read(&run).is_ok());
+            Reader {
+                seeds: plain.seeds,
+                read: Box::new(move |bytes| (plain.read)(&signed(bytes))),
+            }
+        }
+        other => panic!("{other}"),
+    }
+}
+
+/// A checkpoint's bytes with the checksum of what they hold, as far as that can be told.
+fn signed(bytes: &[u8]) -> Vec<u8> {
+    let sum = || -> Option<(String, String)> {
+        let (_, metadata) = safetensors::SafeTensors::read_metadata(bytes).ok()?;
+        let entries = metadata.metadata().as_ref()?;
+        let tensors = safetensors::SafeTensors::deserialize(bytes).ok()?;
+        let mut sum = crc32fast::Hasher::new();
+        sum.update(entries.get("mhsplat")?.as_bytes());
+        for name in ["params", "moment1", "moment2", "losses", "cues"] {
+            if let Ok(tensor) = tensors.tensor(name) {
+                sum.update(tensor.data());
+            }
+        }
+        Some((
+            entries.get("crc32")?.clone(),
+            format!("{:08x}", sum.finalize()),
+        ))
+    };
+    let Some((old, new)) = sum() else {
+        return bytes.to_vec();
+    };
+    let mut out = bytes.to_vec();
+    if old.len() == new.len()
+        && let Some(at) = out.windows(old.len()).position(|w| w == old.as_bytes())
+    {
+        out[at..at + new.len()].copy_from_slice(new.as_bytes());
+    }
+    out
+}
