@@ -35,6 +35,12 @@ impl Plan {
             "photos have transparent pixels",
             "no photo has an alpha channel",
         );
+        plan.decide(
+            dataset.undistorted > 0,
+            "undistortion",
+            &format!("{} photos are of lenses that need it", dataset.undistorted),
+            "every camera is a pinhole",
+        );
         let mebibytes = |bytes: u64| format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20));
         let photos = mebibytes(dataset.photo_bytes());
         plan.decide(

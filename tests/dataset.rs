@@ -3,6 +3,7 @@
 mod colmap;
 mod frames;
 mod init;
+mod lens;
 mod morton;
 mod photo;
 mod real;

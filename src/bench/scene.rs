@@ -95,6 +95,9 @@ pub fn dataset(cameras: &[Camera]) -> Dataset {
         test: Vec::new(),
         points: Points::default(),
         frame: Frame::IDENTITY,
+        undistorted: 0,
+        missing: Vec::new(),
+        astray: Vec::new(),
         image_budget: u64::MAX,
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use image::{ImageDecoder, ImageReader};
 
-use super::Photo;
+use super::{Photo, Undistortion};
 use crate::error::{Error, Result};
 
 /// How image files are decoded is left to the `image` crate; EXIF orientation is ignored, as COLMAP and the NeRF tools
@@ -57,25 +57,43 @@ pub(crate) fn header(file: &Path) -> Result<Header> {
     })
 }
 
-/// Decodes a photo and shrinks it to a longest side of at most `max_size` pixels; 4 channels only where some pixel is not
-/// opaque.
+/// Decodes a photo, takes the lens's distortion out and shrinks it to a longest side of at most `max_size` pixels; 4 channels
+/// only where some pixel is not opaque.
 ///
 /// # Errors
-/// A file that cannot be opened or is no image.
-pub(crate) fn decode(file: &Path, max_size: u32) -> Result<Photo> {
+/// A file that cannot be opened, is no image, or has another size than its lens is known for.
+pub(crate) fn decode(
+    file: &Path,
+    max_size: u32,
+    undistortion: Option<&Undistortion>,
+) -> Result<Photo> {
     let image = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
-    let (width, height) = (image.width(), image.height());
-    let (channels, bytes) = if image.color().has_alpha() {
-        let rgba = image.into_rgba8().into_raw();
-        if rgba.chunks_exact(4).all(|p| p[3] == 255) {
-            let rgb = rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]);
-            (3, rgb.collect())
-        } else {
-            (4, rgba)
-        }
+    let (mut width, mut height) = (image.width(), image.height());
+    let has_alpha = image.color().has_alpha();
+    let mut bytes = if has_alpha {
+        image.into_rgba8().into_raw()
     } else {
-        (3, image.into_rgb8().into_raw())
+        image.into_rgb8().into_raw()
     };
+    if let Some(undistortion) = undistortion {
+        if (width, height) != undistortion.source_size() {
+            return Err(Error::input(
+                file,
+                format!(
+                    "{width}×{height} pixels; another size was there when the dataset was read"
+                ),
+                "leave the photos as they are during a run, and start again",
+            ));
+        }
+        bytes = undistortion.apply(&bytes, if has_alpha { 4 } else { 3 });
+        (width, height) = (undistortion.target.width, undistortion.target.height);
+    }
+    let opaque = |rgba: &[u8]| rgba.chunks_exact(4).all(|p| p[3] == 255);
+    let channels = if has_alpha && !opaque(&bytes) { 4 } else { 3 };
+    if has_alpha && channels == 3 {
+        let rgb = bytes.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]);
+        bytes = rgb.collect();
+    }
     let (w, h) = fitted(width, height, max_size);
     if (w, h) == (width, height) {
         Photo::from_interleaved(width, height, channels, &bytes)

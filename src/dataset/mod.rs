@@ -4,6 +4,7 @@ pub mod camera;
 pub mod colmap;
 mod decode;
 pub mod frame;
+pub mod lens;
 pub mod photo;
 pub(crate) mod ply;
 #[doc(hidden)]
@@ -17,6 +18,7 @@ pub use camera::Camera;
 #[doc(hidden)]
 pub use decode::shrink;
 pub use frame::Frame;
+pub use lens::{Lens, Undistortion};
 pub use photo::Photo;
 pub use source::{PhotoFile, PhotoSource};
 
@@ -81,6 +83,12 @@ pub struct Dataset {
     pub points: Points,
     /// Where the local frame lies in the dataset's own frame.
     pub frame: Frame,
+    /// Views whose lens moved the photo's pixels, so that it is undistorted when it is read.
+    pub undistorted: usize,
+    /// Names of views that were left out because their images are missing, sorted.
+    pub missing: Vec<String>,
+    /// Names of views that were left out because their cameras are far from all others, at least 20 times as far as 9 of 10 are.
+    pub astray: Vec<String>,
     /// Bytes that photos left in their files may take on the device at one time; those in memory are uploaded whatever it is.
     pub image_budget: u64,
 }
@@ -166,8 +174,8 @@ impl Default for LoadOptions {
 /// rounded to f32, so that far-off frames (UTM) lose nothing.
 ///
 /// # Errors
-/// [`Error::Input`] for a folder of neither layout, anything unreadable, missing, non-finite or inconsistent in it, lens
-/// distortion, and a split that leaves no training view; [`Error::Config`] for `max_size` 0 and for an `image_budget` that is
+/// [`Error::Input`] for a folder of neither layout, anything unreadable, missing, non-finite or inconsistent in it, a lens of
+/// an unknown model or one that cannot be inverted, and a split that leaves no training view; [`Error::Config`] for `max_size` 0 and for an `image_budget` that is
 /// too small for one photo; [`Error::Io`].
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     if options.max_size == 0 {

@@ -1,6 +1,6 @@
 //! From what the readers found to a [`Dataset`]: split, local frame, photos.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::{Component, Path, PathBuf};
 
 use glam::DVec3;
@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::decode::header;
 use super::source::{PhotoFile, automatic_budget, read};
-use super::{Camera, Dataset, Frame, Layout, LoadOptions, Points, View};
+use super::{Camera, Dataset, Frame, Layout, Lens, LoadOptions, Points, Undistortion, View};
 use crate::error::{Error, Result};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
@@ -19,6 +19,8 @@ pub(super) struct RawView {
     pub file: PathBuf,
     /// Camera in the dataset's frame.
     pub camera: Camera,
+    /// What its lens does to the photo.
+    pub lens: Lens,
 }
 
 /// A dataset as read, in its own frame.
@@ -29,6 +31,8 @@ pub(super) struct RawScene {
     pub train: Vec<RawView>,
     /// Held-out views, where the dataset names them itself.
     pub test: Option<Vec<RawView>>,
+    /// Names of views whose images are missing; they are in neither list.
+    pub missing: Vec<String>,
     /// Sparse points, dataset units.
     pub positions: Vec<DVec3>,
     /// RGB colours, one per position.
@@ -54,14 +58,49 @@ pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf> {
     ))
 }
 
+/// A camera is astray from so many times the distance of the farthest but a tenth on: a scene has no two scales so far apart,
+/// but a pose that went wrong is anywhere.
+const ASTRAY: f64 = 20.0;
+
+/// Extensions of the image formats that are read.
+const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
+
+/// The image file that a dataset names: as it is, with an extension added, or with another one; none if there is none.
+///
+/// # Errors
+/// As [`inside`].
+pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
+    let exact = inside(folder, name)?;
+    if exact.is_file() {
+        return Ok(Some(exact));
+    }
+    let longer = EXTENSIONS.iter().map(|extension| {
+        let mut longer = exact.clone().into_os_string();
+        longer.push(".");
+        longer.push(extension);
+        PathBuf::from(longer)
+    });
+    // What is no image's extension is part of the name.
+    let ends = exact.extension().and_then(|e| e.to_str());
+    let swaps = ends.is_some_and(|e| EXTENSIONS.contains(&e));
+    let other = EXTENSIONS
+        .iter()
+        .filter(|_| swaps)
+        .map(|e| exact.with_extension(e));
+    Ok(longer.chain(other).find(|candidate| candidate.is_file()))
+}
+
 /// Splits, normalises and reads the photos.
 ///
 /// # Errors
-/// Missing photos, a name given twice, an empty training set, an unreadable photo or one of another shape than its camera,
+/// No photo there, a name given twice, an empty training set, an unreadable photo or one of another shape than its camera,
 /// a photo larger than the budget, poses or points that leave the range of numbers.
 pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> Result<Dataset> {
-    let (train, test) = split(path, scene.train, scene.test, options.test_every)?;
-    check_files(path, &train, &test)?;
+    let mut missing = scene.missing;
+    missing.sort();
+    refuse_if_none(path, &scene.train, &missing)?;
+    let (train, test) = split(path, scene.train, scene.test, &missing, options.test_every)?;
+    let (train, test, astray) = together(train, test);
     let centers: Vec<DVec3> = train
         .iter()
         .chain(&test)
@@ -76,6 +115,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         .par_iter()
         .map(|v| place(v, &frame, options.max_size))
         .collect::<Result<_>>()?;
+    let undistorted = raw.iter().filter(|v| v.lens != Lens::Pinhole).count();
     let photos = read(files, budget)?;
     let mut views = raw
         .into_iter()
@@ -93,15 +133,20 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         test: views.collect(),
         points,
         frame,
+        undistorted,
+        missing,
+        astray,
         image_budget: budget,
     })
 }
 
-/// Sorts by name; without a held-out list, every `test_every`-th image is held out, beginning with the first.
+/// Sorts by name; without a held-out list, every `test_every`-th image is held out, beginning with the first. Missing ones
+/// count, so that the others stay on their sides.
 fn split(
     path: &Path,
     mut train: Vec<RawView>,
     test: Option<Vec<RawView>>,
+    missing: &[String],
     test_every: u32,
 ) -> Result<(Vec<RawView>, Vec<RawView>)> {
     train.sort_by(|a, b| a.name.cmp(&b.name));
@@ -113,9 +158,10 @@ fn split(
         None if test_every == 0 => (train, Vec::new()),
         None => {
             let mut index = 0;
-            train.into_iter().partition(|_| {
+            train.into_iter().partition(|view| {
+                let before = missing.partition_point(|m| *m < view.name);
                 index += 1;
-                (index - 1) % test_every != 0
+                (index - 1 + before) % test_every as usize != 0
             })
         }
     };
@@ -129,6 +175,14 @@ fn split(
         let fix = "remove one of the entries (a view cannot be both trained on and held out)";
         return Err(Error::input(path, what, fix));
     }
+    let mut files = HashMap::new();
+    for view in train.iter().chain(&test) {
+        if let Some(other) = files.insert(&view.file, &view.name) {
+            let what = format!("the image of two views, {other} and {}", view.name);
+            let fix = "remove one of the entries";
+            return Err(Error::input(&view.file, what, fix));
+        }
+    }
     if train.is_empty() {
         let what = format!(
             "{} views are held out and none is left to train on",
@@ -140,21 +194,49 @@ fn split(
     Ok((train, test))
 }
 
-fn check_files(path: &Path, train: &[RawView], test: &[RawView]) -> Result<()> {
-    let all = || train.iter().chain(test);
-    let missing: Vec<&RawView> = all().filter(|v| !v.file.is_file()).collect();
+/// Leaves out views whose cameras are far from all others, by name: one wrong pose would make everything else a speck, and
+/// what it sees is not there. They are a twentieth of the views at most, or nobody is left out.
+fn together(train: Vec<RawView>, test: Vec<RawView>) -> (Vec<RawView>, Vec<RawView>, Vec<String>) {
+    let centers: Vec<DVec3> = train
+        .iter()
+        .chain(&test)
+        .map(|v| v.camera.center())
+        .collect();
+    let quantile = |mut values: Vec<f64>, q: f64| {
+        values.sort_by(f64::total_cmp);
+        let last = values.len().saturating_sub(1);
+        values[(q * last as f64).floor() as usize]
+    };
+    let axis = |k: usize| quantile(centers.iter().map(|c| c[k]).collect(), 0.5);
+    let middle = DVec3::new(axis(0), axis(1), axis(2));
+    let distance = |v: &RawView| v.camera.center().distance(middle);
+    let usual = quantile(centers.iter().map(|c| c.distance(middle)).collect(), 0.9);
+    let far = |v: &RawView| usual > 0.0 && distance(v) > ASTRAY * usual;
+    let astray: Vec<String> = train
+        .iter()
+        .chain(&test)
+        .filter(|v| far(v))
+        .map(|v| v.name.clone())
+        .collect();
+    if 20 * astray.len() > centers.len() {
+        return (train, test, Vec::new());
+    }
+    let near = |views: Vec<RawView>| views.into_iter().filter(|v| !far(v)).collect();
+    (near(train), near(test), astray)
+}
+
+/// Some photos may be missing, but not all.
+fn refuse_if_none(path: &Path, train: &[RawView], missing: &[String]) -> Result<()> {
     match missing.first() {
-        None => Ok(()),
-        Some(first) => Err(Error::input(
+        Some(first) if train.is_empty() => Err(Error::input(
             path,
             format!(
-                "{} of {} image files are missing, the first is {}",
-                missing.len(),
-                all().count(),
-                first.file.display()
+                "none of the image files to train on is there; {} are missing, the first is {first} (as it is, or with .png, .jpg, .jpeg or .webp)",
+                missing.len()
             ),
-            "copy the images to their places or remove their entries",
+            "copy the images to their places",
         )),
+        _ => Ok(()),
     }
 }
 
@@ -192,7 +274,7 @@ fn local_points(
     Ok(Points { positions, colors })
 }
 
-/// Moves the camera to the local frame and to the resolution that the photo will have.
+/// Moves the camera to the local frame, to a pinhole and to the resolution that the photo will have.
 fn place(view: &RawView, frame: &Frame, max_size: u32) -> Result<(Camera, PhotoFile)> {
     let header = header(&view.file)?;
     let original = (header.width, header.height);
@@ -211,9 +293,21 @@ fn place(view: &RawView, frame: &Frame, max_size: u32) -> Result<(Camera, PhotoF
             "use the photos that the camera parameters were computed for",
         ));
     }
-    let file = PhotoFile::new(view.file.clone(), header, max_size);
+    let undistortion = match view.lens {
+        Lens::Pinhole => None,
+        lens => Some(
+            Undistortion::new(lens, &camera.scaled_to(header.width, header.height)).ok_or_else(
+                || {
+                    let what = format!("its lens ({lens:?}) leaves no pinhole image of the photo");
+                    Error::input(&view.file, what, "check the camera's distortion parameters")
+                },
+            )?,
+        ),
+    };
+    let pinhole = undistortion.map_or(*camera, |u| u.target);
+    let file = PhotoFile::new(view.file.clone(), header, max_size, undistortion);
     let (width, height) = file.size();
-    let mut camera = camera.scaled_to(width, height);
+    let mut camera = pinhole.scaled_to(width, height);
     camera.translation = -(camera.rotation * frame.to_local(view.camera.center()));
     Ok((camera, file))
 }

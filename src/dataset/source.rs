@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::Photo;
 use super::decode::{Header, decode, fitted};
+use super::{Photo, Undistortion};
 use crate::error::{Error, Result};
 
 /// Photos may take this many bytes where the system does not say how much memory there is.
@@ -26,6 +26,7 @@ pub enum PhotoSource {
 pub struct PhotoFile {
     path: PathBuf,
     max_size: u32,
+    undistortion: Option<Box<Undistortion>>,
     width: u32,
     height: u32,
     /// 3, or 4 where the photo may have an alpha plane: at first what the header says, then what all photos have.
@@ -70,11 +71,20 @@ impl PhotoSource {
 }
 
 impl PhotoFile {
-    pub(super) fn new(path: PathBuf, header: Header, max_size: u32) -> Self {
-        let (width, height) = fitted(header.width, header.height, max_size);
+    pub(super) fn new(
+        path: PathBuf,
+        header: Header,
+        max_size: u32,
+        undistortion: Option<Undistortion>,
+    ) -> Self {
+        let (width, height) = undistortion.map_or((header.width, header.height), |u| {
+            (u.target.width, u.target.height)
+        });
+        let (width, height) = fitted(width, height, max_size);
         Self {
             path,
             max_size,
+            undistortion: undistortion.map(Box::new),
             width,
             height,
             channels: if header.has_alpha { 4 } else { 3 },
@@ -92,7 +102,7 @@ impl PhotoFile {
 
     /// The photo as decoded, 4 channels only where some pixel is not opaque.
     fn decoded(&self) -> Result<Photo> {
-        let photo = decode(&self.path, self.max_size)?;
+        let photo = decode(&self.path, self.max_size, self.undistortion.as_deref())?;
         if (photo.width, photo.height) == self.size() && photo.channels <= self.channels {
             return Ok(photo);
         }

@@ -10,15 +10,19 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::raw::{RawScene, RawView, inside};
-use super::{Camera, Layout, decode, ply};
+use super::raw::{RawScene, RawView, inside, locate};
+use super::{Camera, Layout, Lens, decode, ply};
 use crate::error::{Error, Result};
 
 /// Remedy for a value that cannot be used.
 const CORRECT: &str = "correct the file";
 
-/// Coefficients that mean lens distortion wherever they are not zero.
-const DISTORTION: [&str; 11] = [
+/// Coefficients of a fisheye lens, in order.
+const FISHEYE: [&str; 4] = ["k1", "k2", "k3", "k4"];
+/// Those of a perspective lens; the last three in `FULL_OPENCV` alone.
+const PERSPECTIVE: [&str; 8] = ["k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6"];
+/// All that a file may have.
+const COEFFICIENTS: [&str; 11] = [
     "k1",
     "k2",
     "k3",
@@ -37,7 +41,7 @@ struct File {
     frames: Vec<Frame>,
     ply_file_path: Option<String>,
     #[serde(flatten)]
-    lens: Lens,
+    lens: Intrinsics,
 }
 
 #[derive(Deserialize)]
@@ -45,12 +49,12 @@ struct Frame {
     file_path: String,
     transform_matrix: Vec<Vec<f64>>,
     #[serde(flatten)]
-    lens: Lens,
+    lens: Intrinsics,
 }
 
 /// Intrinsics; a frame's own win over the file's.
 #[derive(Deserialize)]
-struct Lens {
+struct Intrinsics {
     camera_angle_x: Option<f64>,
     camera_angle_y: Option<f64>,
     fl_x: Option<f64>,
@@ -75,13 +79,14 @@ pub(super) fn find(root: &Path) -> Option<PathBuf> {
 /// Reads `file`; next to a `transforms_train.json`, a `transforms_test.json` gives the held-out views.
 ///
 /// # Errors
-/// Unreadable JSON, lens distortion, poses that are no rotation, images that cannot be found, paths that leave `root`.
+/// Unreadable JSON, an unknown camera model, poses that are no rotation, paths that leave `root`.
 pub(super) fn load(root: &Path, file: &Path) -> Result<RawScene> {
-    let (train, points) = read(root, file)?;
+    let mut missing = Vec::new();
+    let (train, points) = read(root, file, &mut missing)?;
     let held_out = root.join("transforms_test.json");
     let named_split = file.ends_with("transforms_train.json") && held_out.is_file();
     let test = if named_split {
-        Some(read(root, &held_out)?.0)
+        Some(read(root, &held_out, &mut missing)?.0)
     } else {
         None
     };
@@ -93,13 +98,18 @@ pub(super) fn load(root: &Path, file: &Path) -> Result<RawScene> {
         layout: Layout::Transforms,
         train,
         test,
+        missing,
         positions,
         colors,
     })
 }
 
-/// The views of one file, and its `ply_file_path`.
-fn read(root: &Path, file: &Path) -> Result<(Vec<RawView>, Option<String>)> {
+/// The views of one file, and its `ply_file_path`; names of images that are not there are added to `missing`.
+fn read(
+    root: &Path,
+    file: &Path,
+    missing: &mut Vec<String>,
+) -> Result<(Vec<RawView>, Option<String>)> {
     let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
     let parsed: File = serde_json::from_slice(&text).map_err(|e| {
         let fix = "a list `frames` with `file_path` and a 4×4 `transform_matrix` each is expected";
@@ -112,53 +122,21 @@ fn read(root: &Path, file: &Path) -> Result<(Vec<RawView>, Option<String>)> {
             "list one frame per photo, with `file_path` and `transform_matrix`",
         ));
     }
-    let mut found = Vec::with_capacity(parsed.frames.len());
-    let mut missing = Vec::new();
+    let mut views = Vec::with_capacity(parsed.frames.len());
     for frame in &parsed.frames {
-        match locate(root, &frame.file_path)? {
-            Some(image) => found.push(image),
-            None => missing.push(frame.file_path.as_str()),
-        }
-    }
-    if let Some(first) = missing.first() {
-        return Err(Error::input(
-            file,
-            format!(
-                "{} of {} image files are missing, the first is {first} (as it is, or with .png, .jpg, .jpeg or .webp)",
-                missing.len(),
-                parsed.frames.len()
-            ),
-            "copy the images to their places or remove their entries",
-        ));
-    }
-    let mut views = Vec::with_capacity(found.len());
-    for (frame, image) in parsed.frames.iter().zip(found) {
         let at = Place { file, frame };
-        at.refuse_distortion(&parsed.lens)?;
-        at.refuse_distortion(&frame.lens)?;
+        let Some(image) = locate(root, &frame.file_path)? else {
+            missing.push(normal_name(&frame.file_path));
+            continue;
+        };
         views.push(RawView {
             name: normal_name(&frame.file_path),
             camera: at.camera(&parsed.lens, &image)?,
+            lens: at.lens(&parsed.lens)?,
             file: image,
         });
     }
     Ok((views, parsed.ply_file_path))
-}
-
-/// The image a frame names, with or without its extension; `None` if there is none.
-fn locate(root: &Path, name: &str) -> Result<Option<PathBuf>> {
-    let exact = inside(root, name)?;
-    if exact.is_file() {
-        return Ok(Some(exact));
-    }
-    let extensions = [".png", ".jpg", ".jpeg", ".webp"].iter();
-    Ok(extensions
-        .map(|extension| {
-            let mut longer = exact.clone().into_os_string();
-            longer.push(extension);
-            PathBuf::from(longer)
-        })
-        .find(|candidate| candidate.is_file()))
 }
 
 fn normal_name(name: &str) -> String {
@@ -177,33 +155,66 @@ impl Place<'_> {
         Error::input(self.file, what, fix)
     }
 
-    fn refuse_distortion(&self, lens: &Lens) -> Result<()> {
-        let is_zero = |v: &Value| match v {
-            Value::Number(n) => n.as_f64() == Some(0.0),
-            Value::Null | Value::Bool(false) => true,
-            _ => false,
+    /// Distortion from the frame, then the file; zero where neither says.
+    fn lens(&self, file: &Intrinsics) -> Result<Lens> {
+        let own = &self.frame.lens;
+        let own_or_file = |key: &str| {
+            let all = [own, file].into_iter().filter_map(|i| i.other.get(key));
+            all.into_iter().find(|v| !v.is_null())
+        };
+        let value = |key: &str| -> Result<f64> {
+            match own_or_file(key) {
+                None | Some(Value::Bool(false)) => Ok(0.0),
+                Some(Value::Bool(true)) => Ok(1.0),
+                Some(v) => v
+                    .as_f64()
+                    .filter(|k| k.is_finite())
+                    .ok_or_else(|| self.bad(&format!("{key} = {v}; a number expected"), CORRECT)),
+            }
         };
         let fix = "undistort the photos first (colmap image_undistorter, for example)";
-        for key in DISTORTION {
-            if let Some(value) = lens.other.get(key).filter(|v| !is_zero(v)) {
-                let what = format!("{key} = {value}; lens distortion is not supported yet");
+        let model = own.camera_model.as_deref().or(file.camera_model.as_deref());
+        let used: &[&str] = match model {
+            Some("OPENCV_FISHEYE" | "FISHEYE") => &FISHEYE,
+            None | Some("OPENCV") if value("is_fisheye")? != 0.0 => &FISHEYE,
+            None | Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "SIMPLE_RADIAL" | "RADIAL") => {
+                &PERSPECTIVE[..5]
+            }
+            Some("FULL_OPENCV") => &PERSPECTIVE,
+            Some(other) => {
+                let what = format!("the camera model {other} is not read");
+                return Err(self.bad(&what, fix));
+            }
+        };
+        let fisheye = used == FISHEYE;
+        for key in COEFFICIENTS {
+            let v = value(key)?;
+            let right = used.contains(&key) || (fisheye && key == "is_fisheye");
+            if v != 0.0 && !right {
+                let what = format!("{key} = {v} has no place in this camera model");
                 return Err(self.bad(&what, fix));
             }
         }
-        match lens.camera_model.as_deref() {
-            // OPENCV without coefficients is a pinhole.
-            None | Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "SIMPLE_RADIAL" | "RADIAL") => {
-                Ok(())
+        let k = used
+            .iter()
+            .map(|n| value(n))
+            .collect::<Result<Vec<f64>>>()?;
+        let at = |i: usize| k.get(i).copied().unwrap_or(0.0);
+        let lens = if fisheye {
+            Lens::Fisheye {
+                radial: std::array::from_fn(at),
             }
-            Some(other) => {
-                let what = format!("the camera model {other} is not supported; PINHOLE expected");
-                Err(self.bad(&what, fix))
+        } else {
+            Lens::Perspective {
+                radial: [at(0), at(1), at(2), at(5), at(6), at(7)],
+                tangential: [at(3), at(4)],
             }
-        }
+        };
+        Ok(lens.simplified())
     }
 
     /// Intrinsics from the frame, then the file, then defaults: the image's size, its centre, fy = fx.
-    fn camera(&self, file: &Lens, image: &Path) -> Result<Camera> {
+    fn camera(&self, file: &Intrinsics, image: &Path) -> Result<Camera> {
         let own = &self.frame.lens;
         let (width, height) = match (own.w.or(file.w), own.h.or(file.h)) {
             (Some(w), Some(h)) => (self.pixels("w", w)?, self.pixels("h", h)?),
@@ -215,8 +226,8 @@ impl Place<'_> {
         let (w, h) = (f64::from(width), f64::from(height));
         let from_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());
         // A frame's field of view wins over the file's focal length, hence frame by frame.
-        let focal_x = |l: &Lens| l.fl_x.or(l.camera_angle_x.map(|a| from_angle(w, a)));
-        let focal_y = |l: &Lens| l.fl_y.or(l.camera_angle_y.map(|a| from_angle(h, a)));
+        let focal_x = |l: &Intrinsics| l.fl_x.or(l.camera_angle_x.map(|a| from_angle(w, a)));
+        let focal_y = |l: &Intrinsics| l.fl_y.or(l.camera_angle_y.map(|a| from_angle(h, a)));
         let Some(fx) = focal_x(own).or_else(|| focal_x(file)) else {
             return Err(self.bad(
                 "neither fl_x nor camera_angle_x is given",

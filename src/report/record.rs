@@ -23,6 +23,12 @@ pub struct DatasetRecord {
     pub train_views: usize,
     /// Views held out.
     pub test_views: usize,
+    /// Images that the dataset names and that are not there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<String>,
+    /// Images that were left out because their cameras are far from all others.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub astray: Vec<String>,
     /// Largest width of a photo as trained on, in pixels.
     pub width: u32,
     /// Largest height of a photo as trained on, in pixels.

@@ -148,6 +148,8 @@ fn record(dataset: &Dataset, config: &TrainConfig, device: &Device) -> RunRecord
             layout: dataset.layout.to_string(),
             train_views: dataset.train.len(),
             test_views: dataset.test.len(),
+            missing: dataset.missing.clone(),
+            astray: dataset.astray.clone(),
             width: largest(|c| c.width),
             height: largest(|c| c.height),
             fingerprint: Some(dataset.fingerprint()),

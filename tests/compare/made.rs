@@ -48,6 +48,8 @@ pub fn run(name: &str, seed: u64) -> Made {
         test_views: 5,
         width: 96,
         height: 72,
+        missing: Vec::new(),
+        astray: Vec::new(),
         fingerprint: Some("0123456789abcdef".into()),
     };
     let mut record = RunRecord::new(config, dataset, DeviceRecord::default(), Plan::default());

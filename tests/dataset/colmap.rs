@@ -79,7 +79,7 @@ fn absurd_counts_are_refused_before_allocating() {
 }
 
 #[test]
-fn distorted_models_are_refused_by_name() {
+fn models_that_are_not_read_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     write_bin(dir.path(), &model()).unwrap();
     write_txt(dir.path(), &model()).unwrap();
@@ -88,12 +88,7 @@ fn distorted_models_are_refused_by_name() {
         dir.path().join("cameras.txt"),
     );
     let whole = fs::read(&bin).unwrap();
-    for (id, name) in [
-        (2, "SIMPLE_RADIAL"),
-        (4, "OPENCV"),
-        (5, "OPENCV_FISHEYE"),
-        (13, "DIVISION"),
-    ] {
+    for (id, name) in [(7, "FOV"), (10, "THIN_PRISM_FISHEYE"), (13, "DIVISION")] {
         let mut bytes = whole.clone();
         bytes[12..16].copy_from_slice(&i32::to_le_bytes(id));
         fs::write(&bin, bytes).unwrap();
@@ -182,11 +177,38 @@ fn image_names_cannot_leave_the_dataset() {
 }
 
 #[test]
-fn missing_photos_are_counted() {
+fn missing_photos_are_named_and_left_out() {
     let dir = colmap_scene(5, DVec3::ZERO, false);
-    fs::remove_file(dir.path().join("images/v 01.png")).unwrap();
     fs::remove_file(dir.path().join("images/v 03.png")).unwrap();
-    assert_refused(load_every(dir.path(), 0), &["2 of 5", "v 01.png"]);
+    fs::remove_file(dir.path().join("images/v 01.png")).unwrap();
+    let d = load_every(dir.path(), 0).unwrap();
+    assert_eq!(
+        (d.train.len(), d.missing),
+        (3, vec!["v 01.png".to_owned(), "v 03.png".into()])
+    );
+    // The model of the photos as they were before somebody saved them in another format.
+    let other = dir.path().join("images/v 03.PNG");
+    fs::rename(
+        dir.path().join("images/v 02.png"),
+        dir.path().join("images/v 02.webp"),
+    )
+    .unwrap();
+    fs::copy(dir.path().join("images/v 00.png"), &other).unwrap();
+    let d = load_every(dir.path(), 0).unwrap();
+    assert_eq!((d.train.len(), d.missing), (4, vec!["v 01.png".to_owned()]));
+    fs::rename(
+        dir.path().join("images/v 02.webp"),
+        dir.path().join("images/v 02.png"),
+    )
+    .unwrap();
+    fs::remove_file(other).unwrap();
+    for k in [0, 2, 4] {
+        fs::remove_file(dir.path().join(format!("images/v 0{k}.png"))).unwrap();
+    }
+    assert_refused(
+        load_every(dir.path(), 0),
+        &["none", "5 are missing", "v 00.png"],
+    );
     fs::remove_dir_all(dir.path().join("images")).unwrap();
     assert_refused(load_every(dir.path(), 0), &["images", "no such folder"]);
 }

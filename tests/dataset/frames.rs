@@ -81,3 +81,44 @@ fn far_from_the_origin_and_in_any_unit_training_is_the_same() {
         assert!((ended / loss - 1.0).abs() < 0.03, "{ended} against {loss}");
     }
 }
+
+/// The names left out, and the extent, of a ring of 40 cameras of which some are moved.
+fn ring_with(moved: impl Fn(usize) -> Option<DVec3>) -> (Vec<String>, f64) {
+    let dir = tempfile::tempdir().unwrap();
+    let mut views = super::ring(40, DVec3::splat(7.0));
+    for (k, (name, camera)) in views.iter_mut().enumerate() {
+        *name = format!("v {k:02}.png");
+        if let Some(center) = moved(k) {
+            camera.translation = -(camera.rotation * center);
+        }
+    }
+    write_bin(
+        &dir.path().join("sparse/0"),
+        &ColmapModel::from_views(&views, Vec::new()),
+    )
+    .unwrap();
+    super::write_images(&dir.path().join("images"), &views);
+    let data = load(dir.path(), &LoadOptions::default()).unwrap();
+    (data.astray, data.frame.scale)
+}
+
+#[test]
+fn cameras_astray_are_left_out_by_name() {
+    let (astray, whole) = ring_with(|_| None);
+    assert!(astray.is_empty());
+    let (astray, scale) = ring_with(|k| [3, 8].contains(&k).then(|| DVec3::new(5e3, -2e4, 1e3)));
+    assert_eq!(astray, ["v 03.png", "v 08.png"]);
+    assert!((scale / whole - 1.0).abs() < 0.1, "{scale} {whole}");
+    // Three of forty are part of the scene, and so is a wide ring about a close one.
+    let (astray, scale) = ring_with(|k| (k < 3).then(|| DVec3::new(5e3, -2e4, 1e3)));
+    assert!(astray.is_empty() && scale > 1e4);
+    let (astray, _) =
+        ring_with(|k| (k == 5).then(|| DVec3::splat(7.0) + DVec3::new(30.0, 0.0, 9.0)));
+    assert!(astray.is_empty());
+    // Two of three views from a tripod that shakes a little say nothing against the others.
+    let shaken = |k: usize| {
+        (!k.is_multiple_of(3)).then(|| DVec3::splat(7.0) + DVec3::splat(1e-3 * k as f64))
+    };
+    let (astray, scale) = ring_with(shaken);
+    assert!(astray.is_empty() && scale > 2.0, "{astray:?} {scale}");
+}

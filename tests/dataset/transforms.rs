@@ -136,12 +136,13 @@ fn points_come_with_ply_file_path() {
 #[test]
 fn what_cannot_be_used_is_refused() {
     type Change = fn(&mut Value);
-    let cases: [(Change, &[&str]); 12] = [
-        (|v| v["k1"] = json!(0.05), &["k1", "undistort"]),
-        (|v| v["frames"][1]["p2"] = json!(1e-4), &["p2", "undistort"]),
+    let cases: [(Change, &[&str]); 13] = [
+        (|v| v["k4"] = json!(0.05), &["k4", "undistort"]),
+        (|v| v["frames"][1]["p4"] = json!(1e-4), &["p4", "undistort"]),
+        (|v| v["k1"] = json!("much"), &["k1", "number"]),
         (
-            |v| v["camera_model"] = json!("OPENCV_FISHEYE"),
-            &["OPENCV_FISHEYE"],
+            |v| v["camera_model"] = json!("EQUIRECTANGULAR"),
+            &["EQUIRECTANGULAR"],
         ),
         (|v| v["frames"][0]["fl_x"] = json!(-3.0), &["focal"]),
         (|v| v["frames"][0]["w"] = json!(16.5), &["w = 16.5"]),
@@ -165,8 +166,11 @@ fn what_cannot_be_used_is_refused() {
             &["not below"],
         ),
         (
-            |v| v["frames"][0]["file_path"] = json!("b.png"),
-            &["1 of 2", "b.png"],
+            |v| {
+                v["frames"][0]["file_path"] = json!("b.png");
+                v["frames"][1]["file_path"] = json!("c.png");
+            },
+            &["none", "2 are missing", "b.png"],
         ),
         (|v| v["frames"] = json!([]), &["transforms.json", "no view"]),
         (|v| v["frames"] = json!(3), &["frames"]),

@@ -71,6 +71,8 @@ pub fn record() -> RunRecord {
             test_views: 13,
             width: 640,
             height: 478,
+            missing: Vec::new(),
+            astray: Vec::new(),
             fingerprint: Some("0123456789abcdef".into()),
         },
         DeviceRecord {

@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 /// Reads `cameras.bin`, `images.bin` and, if there is one, `points3D.bin` in `dir`.
 ///
 /// # Errors
-/// A missing, truncated or overlong file; a camera model with lens distortion; a number that is not finite; no image.
+/// A missing, truncated or overlong file; a camera model that is not read; a number that is not finite; no image.
 pub fn read_bin(dir: &Path) -> Result<ColmapModel> {
     let file = |stem: &str| dir.join(format!("{stem}.bin"));
     let mut cursor = Cursor::open(file("cameras"))?;

@@ -15,14 +15,14 @@ use glam::{DMat3, DQuat, DVec3};
 pub use bin::{read_bin, write_bin};
 pub use txt::{read_txt, write_txt};
 
-use super::raw::{RawScene, RawView, inside};
-use super::{Camera, Layout};
+use super::raw::{RawScene, RawView, locate};
+use super::{Camera, Layout, Lens};
 use crate::error::{Error, Result};
 
 /// Remedy for anything wrong inside of a model file.
 const REBUILD: &str = "export the COLMAP model again";
 
-/// A pinhole camera of a COLMAP model (`PINHOLE`; a `SIMPLE_PINHOLE` has `fx == fy`).
+/// A camera of a COLMAP model (a `SIMPLE_PINHOLE` has `fx == fy`).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ColmapCamera {
     /// Identifier, unique within the model.
@@ -33,6 +33,8 @@ pub struct ColmapCamera {
     pub height: u32,
     /// Focal lengths and principal point fx, fy, cx, cy, pixels; pixel centres at +0.5.
     pub params: [f64; 4],
+    /// Distortion; a model is written without it.
+    pub lens: Lens,
 }
 
 /// A registered image of a COLMAP model.
@@ -89,6 +91,7 @@ impl ColmapModel {
                 width: camera.width,
                 height: camera.height,
                 params: [camera.fx, camera.fy, camera.cx, camera.cy],
+                lens: Lens::Pinhole,
             };
             let same = |c: &&ColmapCamera| ColmapCamera { id: c.id, ..wanted } == **c;
             let camera_id = if let Some(c) = model.cameras.iter().find(same) {
@@ -116,13 +119,13 @@ impl ColmapModel {
         let mut ids = HashSet::new();
         for c in &self.cameras {
             let [fx, fy, cx, cy] = c.params;
-            let good = fx > 0.0 && fy > 0.0 && c.params.iter().all(|v| v.is_finite());
-            if !good || c.width == 0 || c.height == 0 {
+            let finite = c.lens.is_finite() && c.params.iter().all(|v| v.is_finite());
+            if !(finite && fx > 0.0 && fy > 0.0 && c.width > 0 && c.height > 0) {
                 return bad(
                     "cameras",
                     format!(
-                        "camera {} is {}×{} with fx {fx}, fy {fy}, cx {cx}, cy {cy}; positive sizes and focal lengths expected",
-                        c.id, c.width, c.height
+                        "camera {} is {}×{} with fx {fx}, fy {fy}, cx {cx}, cy {cy}, {:?}; positive sizes and focal lengths expected",
+                        c.id, c.width, c.height, c.lens
                     ),
                 );
             }
@@ -203,20 +206,25 @@ pub(in crate::dataset) fn load(root: &Path, dir: &Path, layout: Layout) -> Resul
         return Err(Error::input(
             &folder,
             "no such folder; the photos of a COLMAP dataset are expected there",
-            "copy or link the (undistorted) photos to it",
+            "copy or link the photos to it",
         ));
     }
     let cameras: HashMap<u32, &ColmapCamera> = model.cameras.iter().map(|c| (c.id, c)).collect();
     let mut train = Vec::with_capacity(model.images.len());
+    let mut missing = Vec::new();
     for image in &model.images {
         let Some(c) = cameras.get(&image.camera_id) else {
             continue; // validate() refused unknown cameras
         };
         let [w, x, y, z] = image.rotation;
         let [fx, fy, cx, cy] = c.params;
+        let Some(file) = locate(&folder, &image.name)? else {
+            missing.push(image.name.clone());
+            continue;
+        };
         train.push(RawView {
             name: image.name.clone(),
-            file: inside(&folder, &image.name)?,
+            file,
             camera: Camera {
                 rotation: DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()),
                 translation: DVec3::from_array(image.translation),
@@ -227,12 +235,14 @@ pub(in crate::dataset) fn load(root: &Path, dir: &Path, layout: Layout) -> Resul
                 width: c.width,
                 height: c.height,
             },
+            lens: c.lens,
         });
     }
     Ok(RawScene {
         layout,
         train,
         test: None,
+        missing,
         positions: model.points.iter().map(|p| p.position.into()).collect(),
         colors: model.points.iter().map(|p| p.color).collect(),
     })

@@ -1,8 +1,8 @@
-//! COLMAP's camera models: the two pinhole ones are read, the others refused by name.
+//! COLMAP's camera models: those that are read, the others refused by name.
 
 use std::path::Path;
 
-use super::ColmapCamera;
+use super::{ColmapCamera, Lens};
 use crate::error::{Error, Result};
 
 /// Names in the order of COLMAP's identifiers (`src/colmap/sensor/models.h`).
@@ -33,22 +33,43 @@ pub(super) enum Model {
     SimplePinhole,
     /// fx, fy, cx, cy.
     Pinhole,
+    /// f, cx, cy, k1.
+    SimpleRadial,
+    /// f, cx, cy, k1, k2.
+    Radial,
+    /// fx, fy, cx, cy, k1, k2, p1, p2.
+    OpenCv,
+    /// fx, fy, cx, cy, k1, k2, k3, k4.
+    OpenCvFisheye,
+    /// fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6.
+    FullOpenCv,
+    /// f, cx, cy, k1.
+    SimpleRadialFisheye,
+    /// f, cx, cy, k1, k2.
+    RadialFisheye,
 }
 
 impl Model {
     /// # Errors
-    /// Every model but the pinhole ones.
+    /// A model that is not read.
     pub(super) fn from_name(file: &Path, camera: u32, name: &str) -> Result<Self> {
         match name {
             "SIMPLE_PINHOLE" => Ok(Self::SimplePinhole),
             "PINHOLE" => Ok(Self::Pinhole),
+            "SIMPLE_RADIAL" => Ok(Self::SimpleRadial),
+            "RADIAL" => Ok(Self::Radial),
+            "OPENCV" => Ok(Self::OpenCv),
+            "OPENCV_FISHEYE" => Ok(Self::OpenCvFisheye),
+            "FULL_OPENCV" => Ok(Self::FullOpenCv),
+            "SIMPLE_RADIAL_FISHEYE" => Ok(Self::SimpleRadialFisheye),
+            "RADIAL_FISHEYE" => Ok(Self::RadialFisheye),
             known if NAMES.contains(&known) => Err(refused(file, camera, known)),
             other => Err(refused(file, camera, &format!("'{other}' (unknown)"))),
         }
     }
 
     /// # Errors
-    /// Every model but the pinhole ones.
+    /// A model that is not read.
     pub(super) fn from_id(file: &Path, camera: u32, id: i32) -> Result<Self> {
         match usize::try_from(id).ok().and_then(|i| NAMES.get(i)) {
             Some(name) => Self::from_name(file, camera, name),
@@ -60,8 +81,52 @@ impl Model {
     pub(super) const fn count(self) -> usize {
         match self {
             Self::SimplePinhole => 3,
-            Self::Pinhole => 4,
+            Self::Pinhole | Self::SimpleRadial | Self::SimpleRadialFisheye => 4,
+            Self::Radial | Self::RadialFisheye => 5,
+            Self::OpenCv | Self::OpenCvFisheye => 8,
+            Self::FullOpenCv => 12,
         }
+    }
+
+    /// fx, fy, cx, cy and the lens; none for another number of parameters.
+    fn split(self, params: &[f64]) -> Option<([f64; 4], Lens)> {
+        let perspective = |radial: &[f64], tangential: [f64; 2]| {
+            let mut k = [0.0; 6];
+            k[..radial.len()].copy_from_slice(radial);
+            Lens::Perspective {
+                radial: k,
+                tangential,
+            }
+        };
+        let fisheye = |radial: &[f64]| {
+            let mut k = [0.0; 4];
+            k[..radial.len()].copy_from_slice(radial);
+            Lens::Fisheye { radial: k }
+        };
+        let (pinhole, lens) = match (self, params) {
+            (Self::SimplePinhole, &[f, cx, cy]) => ([f, f, cx, cy], Lens::Pinhole),
+            (Self::Pinhole, &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], Lens::Pinhole),
+            (Self::SimpleRadial, &[f, cx, cy, k1]) => {
+                ([f, f, cx, cy], perspective(&[k1], [0.0; 2]))
+            }
+            (Self::Radial, &[f, cx, cy, k1, k2]) => {
+                ([f, f, cx, cy], perspective(&[k1, k2], [0.0; 2]))
+            }
+            (Self::OpenCv, &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
+                ([fx, fy, cx, cy], perspective(&[k1, k2], [p1, p2]))
+            }
+            (Self::FullOpenCv, &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => (
+                [fx, fy, cx, cy],
+                perspective(&[k1, k2, k3, k4, k5, k6], [p1, p2]),
+            ),
+            (Self::OpenCvFisheye, &[fx, fy, cx, cy, ref k @ ..]) if k.len() == 4 => {
+                ([fx, fy, cx, cy], fisheye(k))
+            }
+            (Self::SimpleRadialFisheye, &[f, cx, cy, k1]) => ([f, f, cx, cy], fisheye(&[k1])),
+            (Self::RadialFisheye, &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], fisheye(&[k1, k2])),
+            _ => return None,
+        };
+        Some((pinhole, lens.simplified()))
     }
 
     /// A camera from as many parameters as [`Model::count`] says.
@@ -75,17 +140,13 @@ impl Model {
         (width, height): (u64, u64),
         params: &[f64],
     ) -> Result<ColmapCamera> {
-        let params = match (self, params) {
-            (Self::SimplePinhole, &[f, cx, cy]) => [f, f, cx, cy],
-            (Self::Pinhole, &[fx, fy, cx, cy]) => [fx, fy, cx, cy],
-            _ => {
-                let what = format!(
-                    "camera {id} has {} parameters; {} expected",
-                    params.len(),
-                    self.count()
-                );
-                return Err(Error::input(file, what, super::REBUILD));
-            }
+        let Some((params, lens)) = self.split(params) else {
+            let what = format!(
+                "camera {id} ({self:?}) has {} parameters; {} expected",
+                params.len(),
+                self.count()
+            );
+            return Err(Error::input(file, what, super::REBUILD));
         };
         match (u32::try_from(width), u32::try_from(height)) {
             (Ok(width), Ok(height)) => Ok(ColmapCamera {
@@ -93,6 +154,7 @@ impl Model {
                 width,
                 height,
                 params,
+                lens,
             }),
             _ => Err(Error::input(
                 file,
@@ -106,7 +168,7 @@ impl Model {
 fn refused(file: &Path, camera: u32, model: &str) -> Error {
     Error::input(
         file,
-        format!("camera {camera} has the model {model}; PINHOLE or SIMPLE_PINHOLE expected"),
+        format!("camera {camera} has the model {model}, which is not read"),
         "undistort first: colmap image_undistorter --image_path <photos> --input_path <this folder> --output_path <new dataset>",
     )
 }

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 /// Reads `cameras.txt`, `images.txt` and, if there is one, `points3D.txt` in `dir`.
 ///
 /// # Errors
-/// A missing file; a line that cannot be read; a camera model with lens distortion; a number that is not finite; no image.
+/// A missing file; a line that cannot be read; a camera model that is not read; a number that is not finite; no image.
 pub fn read_txt(dir: &Path) -> Result<ColmapModel> {
     let file = |stem: &str| dir.join(format!("{stem}.txt"));
     let cameras = Text::open(file("cameras"))?.records(false, camera)?;
