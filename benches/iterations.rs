@@ -50,11 +50,11 @@ fn measure(trainer: &mut Trainer, iterations: u32) -> Vec<(f64, u32, &'static st
         let start = Instant::now();
         trainer.step().unwrap();
         let seconds = start.elapsed().as_secs_f64();
-        let sh =
-            trainer.schedule().sh_degree(at) != trainer.schedule().sh_degree(at.saturating_sub(1));
+        let every = trainer.schedule().sh_interval();
+        let sh = at > 0 && at.is_multiple_of(every);
         let what = match (trainer.overflows() > overflows, sh) {
             (true, _) => "pairs overflowed",
-            (_, true) => "SH degree changed",
+            (_, true) => "SH bands looked after",
             _ => "",
         };
         // The queue holds two iterations: the first returns after a density step say nothing of their own.

@@ -110,6 +110,8 @@ pub struct TrainConfig {
     /// Stop after this many seconds of training.
     #[serde(deserialize_with = "duration_or_number")]
     pub time_budget: Option<f64>,
+    /// Stop when so many evaluations in a row found the training loss no lower than before them by 0.1 % (none: never).
+    pub patience: Option<u32>,
     /// Longest image side in pixels; larger photos are area-filtered down.
     pub max_size: u32,
     /// Bytes that the decoded photos may take; what does not fit is decoded on demand, which changes no result (none: half of
@@ -154,6 +156,7 @@ impl Default for TrainConfig {
             sampler: Sampler::Mh,
             iterations: 30_000,
             time_budget: None,
+            patience: None,
             max_size: 1600,
             image_budget: None,
             max_gaussians: None,
@@ -207,6 +210,10 @@ impl TrainConfig {
             && !(t.is_finite() && t > 0.0)
         {
             return fail("--time-budget", format!("{t} s; a positive time expected"));
+        }
+        if self.patience.is_some() && (self.patience == Some(0) || self.eval_every == Some(0)) {
+            let what = "at least 1 evaluation, and some during the run (--eval-every), expected";
+            return fail("--patience", what.into());
         }
         if let Background::Color(c) = self.background
             && !c.iter().all(|v| (0.0..=1.0).contains(v))

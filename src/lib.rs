@@ -18,6 +18,7 @@
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
 //! | adam | `kernels/adam.cl` | one step of all parameters |
 //! | noise | `kernels/noise.cl` | a random step of every position (samplers mcmc, mh) |
+//! | weight | `kernels/weight.cl` | what the views show of each Gaussian, for what is removed at the end |
 //! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error cues (sampler mh) or gradients on the screen (adc) of each Gaussian |
 //! | density control | [`density`] | which Gaussians are born, moved or removed, on the host |
 //! | probes | `probe.rs`, `train/probe.rs` | what proposed births would do to the loss, if density control asks |

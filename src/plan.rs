@@ -5,6 +5,11 @@ use serde::{Deserialize, Serialize};
 use crate::config::{Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Dataset, View};
 use crate::schedule::Schedule;
+use crate::train::{BAND_WORTH, Findings};
+
+/// Items that training decides.
+const COLOUR: &str = "view-dependent colour";
+const UNSEEN: &str = "Gaussians that no training view shows";
 
 /// One decision.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,11 +59,15 @@ impl Plan {
         );
         plan.decide(
             config.sh_degree > 0,
-            "view-dependent colour",
-            &format!(
-                "SH degree {} asked for, one band at a time",
-                config.sh_degree
-            ),
+            COLOUR,
+            &if config.work.sh_by_need {
+                format!(
+                    "up to SH degree {}; a band stays while it is worth {BAND_WORTH} dB of views set aside",
+                    config.sh_degree
+                )
+            } else {
+                format!("SH degree {}, one band after the other", config.sh_degree)
+            },
             "SH degree 0 asked for",
         );
         plan.decide_work(dataset, config);
@@ -81,6 +90,54 @@ impl Plan {
             },
         );
         plan
+    }
+
+    /// The plan with what training has found out.
+    #[must_use]
+    pub fn observed(&self, config: &TrainConfig, findings: &Findings) -> Self {
+        let mut plan = self.clone();
+        if let Some(last) = findings.bands.trials.last() {
+            let gain = format!("{:+.3} dB at iteration {}", last.gain, last.iteration);
+            if last.kept {
+                let why = format!("the band of SH degree {} is worth {gain}", last.degree);
+                plan.decide(true, COLOUR, &why, "");
+            } else if last.degree == 1 {
+                let why = format!("the first band of SH is worth {gain}, less than {BAND_WORTH}");
+                plan.decide(false, COLOUR, "", &why);
+            } else {
+                let why = format!(
+                    "up to SH degree {}; the next band is worth {gain}, less than {BAND_WORTH}",
+                    last.degree - 1
+                );
+                plan.decide(true, COLOUR, &why, "");
+            }
+        }
+        if findings.finished.is_some() && config.work.remove_unseen {
+            let why = format!(
+                "{} removed at the end; the training views stay as they are to the bit",
+                findings.removed
+            );
+            plan.decide(false, UNSEEN, "", &why);
+        }
+        plan
+    }
+
+    /// What this plan says otherwise than an earlier one; none if it is the same.
+    #[must_use]
+    pub fn since(&self, earlier: &Self) -> Option<String> {
+        let new = |items: &[Item], old: &[Item]| -> Vec<String> {
+            let fresh = items.iter().filter(|i| !old.contains(i));
+            fresh.map(|i| format!("{}: {}", i.what, i.why)).collect()
+        };
+        let kept = new(&self.kept, &earlier.kept);
+        let out = new(&self.left_out, &earlier.left_out);
+        let line = |label: &str, items: &[String]| {
+            let some = !items.is_empty();
+            some.then(|| format!("{label}: {}", items.join("; ")))
+        };
+        let lines = [line("kept", &kept), line("left out", &out)];
+        let lines: Vec<String> = lines.into_iter().flatten().collect();
+        (!lines.is_empty()).then(|| format!("found in training: {}", lines.join("; ")))
     }
 
     /// What saves work: switched on is kept.
@@ -117,6 +174,10 @@ impl Plan {
             "what a view cannot see costs it next to nothing",
             "work.cull-chunks is off",
         );
+        if !work.remove_unseen {
+            let what = "removal of Gaussians that no training view shows";
+            self.decide(false, what, "", "work.remove-unseen is off");
+        }
     }
 
     fn sampler(&mut self, config: &TrainConfig) {
@@ -174,7 +235,11 @@ impl Plan {
         );
     }
 
+    /// Puts an item on one of the lists; what was said of it before goes.
     fn decide(&mut self, keep: bool, what: &str, why: &str, why_not: &str) {
+        for list in [&mut self.kept, &mut self.left_out] {
+            list.retain(|item| item.what != what);
+        }
         let (list, why) = if keep {
             (&mut self.kept, why)
         } else {

@@ -1,6 +1,8 @@
 //! One training run with its run folder: evaluations, exports, checkpoints, records and the report.
 
+mod files;
 mod gallery;
+mod patience;
 mod start;
 
 pub use start::{abandon_folder, claim_folder, initial_splats, saved_config};
@@ -12,12 +14,12 @@ use crate::config::TrainConfig;
 use crate::dataset::{Dataset, Frame};
 use crate::error::{Error, Result};
 use crate::evaluate::{Evaluator, mean, mean_flip};
-use crate::export::checkpoint::Checkpoint;
-use crate::export::{checkpoint, ply};
+use crate::export::checkpoint;
 use crate::gpu::Device;
+use crate::plan::Plan;
 use crate::report::{
     Clock, DensityRow, DensityWriter, FinalRecord, MetricsRow, MetricsWriter, RunRecord,
-    StageRecord, clock, read_density, read_rows, write_report,
+    StageRecord, read_rows,
 };
 use crate::train::Trainer;
 
@@ -47,6 +49,10 @@ pub struct Run {
     trainer: Trainer,
     evaluator: Option<Evaluator>,
     record: RunRecord,
+    /// What was decided before training.
+    plan: Plan,
+    /// Training losses at the evaluations, as far as they are numbers.
+    losses: Vec<f64>,
     clock: Clock,
     metrics: MetricsWriter,
     density: DensityWriter,
@@ -71,6 +77,7 @@ struct Prepared {
 
 /// What a new run and a resumed one have different.
 struct Start {
+    losses: Vec<f64>,
     clock: Clock,
     metrics: MetricsWriter,
     density: DensityWriter,
@@ -95,6 +102,7 @@ impl Run {
         // The record first: a folder with one can be gone on with.
         prepared.record.write(dir)?;
         let start = Start {
+            losses: Vec::new(),
             clock,
             metrics: MetricsWriter::create(dir.join("metrics.csv"))?,
             density: DensityWriter::create(dir.join("density.csv"))?,
@@ -109,7 +117,7 @@ impl Run {
     /// the budgets for time and photos, and how often to evaluate, export and save.
     ///
     /// # Errors
-    /// A damaged checkpoint, none in a folder of a run that came to its end, another dataset, a time budget that is used up, or as [`Trainer::new`].
+    /// A damaged checkpoint, none in a folder of a run that came to its end, another dataset, a time budget or a patience that is used up, or as [`Trainer::new`].
     pub fn resume(
         dir: &Path,
         dataset: Dataset,
@@ -153,7 +161,15 @@ impl Run {
         let state = &saved.state;
         let mut prepared = Prepared::new(dataset, &config, &device, &state.splats)?;
         prepared.trainer.restore(state)?;
+        let before = read_rows(dir.join("metrics.csv"))?;
+        let losses = before
+            .iter()
+            .filter(|row| row.iteration <= state.iteration)
+            .filter_map(|row| row.loss)
+            .collect();
+        patience::check(&config, &losses)?;
         let start = Start {
+            losses,
             clock: Clock::resume_from(saved.clock),
             metrics: MetricsWriter::append(dir.join("metrics.csv"), state.iteration)?,
             density: DensityWriter::append(dir.join("density.csv"), state.iteration)?,
@@ -173,7 +189,9 @@ impl Run {
             saved: start.saved,
             trainer: prepared.trainer,
             evaluator: prepared.evaluator,
+            plan: prepared.record.plan.clone(),
             record: prepared.record,
+            losses: start.losses,
             clock: start.clock,
             metrics: start.metrics,
             density: start.density,
@@ -216,7 +234,7 @@ impl Run {
             self.density_step()?;
         }
         while self.trainer.iteration() < self.config.iterations
-            && (self.trainer.iteration() == 0 || !self.out_of_time())
+            && (self.trainer.iteration() == 0 || !(self.out_of_time() || self.stalled()))
         {
             if stop.load(Ordering::Relaxed) {
                 self.interrupt()?;
@@ -246,7 +264,10 @@ impl Run {
                 train_seconds: self.clock.train_seconds(),
             });
         }
-        self.trainer.settle()?;
+        if self.trainer.iteration() < self.config.iterations && self.stalled() {
+            self.record.stalled = self.config.patience;
+        }
+        self.trainer.finish()?;
         self.evaluate(true)?;
         self.checkpoint()?;
         self.export()?;
@@ -288,11 +309,12 @@ impl Run {
     fn evaluate(&mut self, last: bool) -> Result<()> {
         self.trainer.settle()?;
         self.clock.pause();
-        let loss = self.trainer.recent_loss()?;
+        let loss = self.trainer.recent_loss()?.filter(|l| l.is_finite());
+        self.losses.extend(loss);
         let done = self.trainer.iteration();
-        let degree = self.trainer.schedule().sh_degree(done);
         let background = self.trainer.schedule().fixed_background();
         let (scene, renderer) = self.trainer.scene_and_renderer();
+        let degree = scene.sh_degree;
         let scores = match &self.evaluator {
             Some(e) if last => e.score_all_with_flip(scene, renderer, degree, background)?,
             Some(e) => e.score_all(scene, renderer, degree, background)?,
@@ -315,7 +337,7 @@ impl Run {
             train_seconds: now.train_seconds,
             wall_seconds: now.wall_seconds,
             cpu_seconds: now.cpu_seconds,
-            loss: loss.filter(|l| l.is_finite()),
+            loss,
             psnr: self.psnr,
             ssim: means.map(|(_, s)| s),
             gaussians: self.trainer.gaussians() as u64,
@@ -326,70 +348,6 @@ impl Run {
             non_finite: self.trainer.non_finite(),
         })?;
         self.write_record()?;
-        self.clock.resume();
-        Ok(())
-    }
-
-    fn write_record(&mut self) -> Result<()> {
-        let now = self.clock.reading();
-        let stages = self.stage_times();
-        let r = &mut self.record;
-        r.iterations = self.trainer.iteration();
-        r.gaussians = self.trainer.gaussians() as u64;
-        r.train_seconds = now.train_seconds;
-        r.wall_seconds = now.wall_seconds;
-        r.cpu_seconds = now.cpu_seconds;
-        r.peak_rss_bytes = clock::peak_rss_bytes();
-        r.density = *self.trainer.stats();
-        r.photos = self.trainer.photo_stats();
-        r.stages = stages;
-        r.write(&self.dir)
-    }
-
-    /// Seconds per stage over all sessions of the run.
-    fn stage_times(&self) -> Vec<StageRecord> {
-        let now = self.trainer.stage_times().into_iter();
-        now.map(|(name, t)| {
-            let before = self.stages.iter().find(|s| s.name == name);
-            StageRecord {
-                name: name.into(),
-                seconds: t.seconds + before.map_or(0.0, |s| s.seconds),
-                calls: t.calls + before.map_or(0, |s| s.calls),
-            }
-        })
-        .collect()
-    }
-
-    fn export(&mut self) -> Result<()> {
-        self.clock.pause();
-        let splats = self.trainer.state()?.splats;
-        ply::write(&self.dir.join("scene.ply"), &splats, &self.frame)?;
-        self.clock.resume();
-        Ok(())
-    }
-
-    fn checkpoint(&mut self) -> Result<()> {
-        self.clock.pause();
-        let saved = Checkpoint {
-            state: self.trainer.state()?,
-            config: self.config.clone(),
-            clock: self.clock.reading(),
-            dataset: self.fingerprint.clone(),
-            tuning: self.trainer.tuning(),
-            stages: self.stage_times(),
-        };
-        checkpoint::write(&self.dir, &saved)?;
-        self.saved = Some(saved.state.iteration);
-        self.clock.resume();
-        Ok(())
-    }
-
-    fn report(&mut self) -> Result<()> {
-        self.clock.pause();
-        let gallery = self.gallery()?;
-        let rows = read_rows(self.dir.join("metrics.csv"))?;
-        let density = read_density(self.dir.join("density.csv"))?;
-        write_report(&self.dir, &self.record, &rows, &density, &gallery)?;
         self.clock.resume();
         Ok(())
     }

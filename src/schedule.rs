@@ -40,11 +40,10 @@ impl Schedule {
         (f64::from(iteration) * self.scale).round() as u32
     }
 
-    /// SH degree in use: one more band every `sh_interval` (scaled) iterations.
+    /// Iterations between two bands of spherical harmonics.
     #[must_use]
-    pub fn sh_degree(&self, iteration: u32) -> u32 {
-        let interval = self.scaled(self.config.optimizer.sh_interval).max(1);
-        self.config.sh_degree.min(iteration / interval)
+    pub fn sh_interval(&self) -> u32 {
+        self.scaled(self.config.optimizer.sh_interval).max(1)
     }
 
     /// By how much the photos of `size` pixels are shrunk at an iteration: a power of two, 1 for not at all. Every smaller

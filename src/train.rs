@@ -1,6 +1,8 @@
 //! [`Trainer`]: one iteration after the other, as the paper's loop.
 
+mod bands;
 mod control;
+mod finish;
 mod observe;
 mod pictures;
 mod probe;
@@ -8,11 +10,14 @@ mod sampler;
 mod state;
 mod warm_up;
 
+pub use bands::{BAND_WORTH, BandTrial, Bands};
 pub use control::DensityEvent;
+pub use finish::Findings;
 pub use state::TrainerState;
 
 use std::collections::VecDeque;
 
+use finish::Judge;
 use sampler::SamplerStages;
 
 use crate::buffers::{Scene, ViewSet};
@@ -88,6 +93,8 @@ pub struct Trainer {
     maps: Array<f32>,
     /// A photo at a fraction of its size.
     small: Array<u8>,
+    judge: Judge,
+    findings: Findings,
     dimage: Array<f32>,
     partial: Array<f32>,
     losses: Array<f32>,
@@ -150,10 +157,11 @@ impl Trainer {
         let [w, h] = views.largest;
         let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
         let state = |name| Array::zeros(device, name, scene.planes() * scene.stride);
+        let planes = Plane::count(degree);
         let mut trainer = Self {
             schedule: Schedule::new(config),
             device: device.clone(),
-            grads: Array::zeros(device, "grads", scene.planes() * tuning.update_block)?,
+            grads: Array::zeros(device, "grads", planes * tuning.update_block)?,
             moment1: state("moment1")?,
             moment2: state("moment2")?,
             renderer: Renderer::new(device, defines, degree, true)?,
@@ -163,6 +171,8 @@ impl Trainer {
             importance: Importance::new::<f32>(&kernels)?,
             edit: Edit::new::<f32>(&kernels)?,
             shrink: Shrink::new::<f32>(&kernels)?,
+            judge: Judge::new(&kernels, h)?,
+            findings: Findings::default(),
             small: small_photo(device, &views, config)?,
             maps: Array::zeros(device, "maps", 3 * plane)?,
             dimage: Array::zeros(device, "dimage", 3 * plane)?,
@@ -229,6 +239,10 @@ impl Trainer {
         let order = self
             .schedule
             .upcoming(iteration, 1 + AHEAD, self.views.len());
+        let order: Vec<usize> = order
+            .into_iter()
+            .map(|v| self.findings.bands.instead(v, self.views.len()))
+            .collect();
         let view = order[0];
         let photo = self.views.photo(view, &order[1..])?;
         let (camera, factor) = self.camera_at(iteration, view);
@@ -259,7 +273,7 @@ impl Trainer {
     /// still in cache.
     fn update(&self, iteration: u32, degree: u32, camera: &CameraArg<f32>) -> Result<()> {
         let (frame, count) = (&self.renderer.frame, self.scene.count);
-        let grad_stride = self.grads.len() / self.scene.planes();
+        let grad_stride = self.device.tuning().update_block;
         let o = &self.config.optimizer;
         // Once for no Gaussians, too: warming up builds the kernels so.
         for first in (0..count.max(1)).step_by(grad_stride) {
@@ -305,8 +319,8 @@ impl Trainer {
     /// # Errors
     /// More than the device can allocate, or the driver's.
     pub fn step(&mut self) -> Result<()> {
-        let degree = self.schedule.sh_degree(self.iteration);
-        self.enqueue_step(self.iteration, degree)?;
+        self.look_after_bands()?;
+        self.enqueue_step(self.iteration, self.scene.sh_degree)?;
         self.in_flight.push_back(InFlight {
             iteration: self.iteration,
             counters: self.renderer.frame.status.read_later(0, status::SLOTS)?,

@@ -6,6 +6,7 @@
     clippy::print_stdout
 )]
 
+mod bands;
 mod bench;
 mod cli;
 mod compare;
@@ -23,6 +24,7 @@ mod gradient;
 mod layout;
 mod learning;
 mod photos;
+mod plan;
 mod probes;
 mod recovery;
 mod reference;

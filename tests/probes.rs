@@ -66,7 +66,7 @@ fn foretold(trainer: &Trainer, splats: &Splats, trials: &[Trial]) -> Vec<f64> {
     let views = ViewSet::<f64>::new(&photos, chosen).unwrap();
     let setting = Setting {
         render: RenderOptions {
-            sh_degree: schedule.sh_degree(done),
+            sh_degree: splats.sh_degree(),
             background: [0.0; 3],
             quantity: Quantity::Color,
         },

@@ -55,6 +55,9 @@ pub struct TrainArgs {
     /// Stop after this much training (90s, 10m, 1h30m).
     #[arg(long, value_name = "TIME")]
     time_budget: Option<String>,
+    /// Stop when N evaluations in a row found the training loss no lower [default: never]
+    #[arg(long, value_name = "N")]
+    patience: Option<u32>,
     /// Longest image side, pixels [default: 1600]
     #[arg(long, value_name = "PX")]
     max_size: Option<u32>,
@@ -141,6 +144,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         device.info().platform
     ));
     output::note(&run.record().plan.summary());
+    let planned = run.record().plan.clone();
     let bar = progress_bar();
     let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());
     bar.finish();
@@ -153,6 +157,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     }
     driven?;
     let record = run.record();
+    if let Some(found) = record.plan.since(&planned) {
+        output::note(&found);
+    }
     finish(record, &dir, common)?;
     let psnr = record.final_scores.as_ref().map(|f| f.psnr);
     Ok(Outcome::of(args.require_psnr, psnr))
@@ -265,6 +272,7 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
     if let Some(b) = &args.image_budget {
         c.image_budget = Some(parse_bytes(b)?);
     }
+    c.patience = args.patience.or(c.patience);
     c.max_gaussians = args.max_gaussians.or(c.max_gaussians);
     c.eval_every = args.eval_every.or(c.eval_every);
     if let Some(init) = &args.init {
@@ -320,8 +328,14 @@ fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
         return output::json(record);
     }
     if record.iterations < record.config.iterations {
+        let why = record.stalled.map_or_else(
+            || "the time budget ended the run".to_owned(),
+            |n| {
+                format!("the training loss had not fallen for {n} evaluations, which ended the run")
+            },
+        );
         output::note(&format!(
-            "the time budget ended the run after {} of {} iterations, before its schedules did",
+            "{why} after {} of {} iterations, before its schedules did",
             record.iterations, record.config.iterations
         ));
     }

@@ -23,7 +23,7 @@ pub struct RunOutcome {
     pub finished: bool,
     /// Iterations of the last evaluation.
     pub iterations: u32,
-    /// Gaussians at the last evaluation.
+    /// Gaussians at the last evaluation, with those that were removed before it because no training view shows them.
     pub gaussians: u64,
     /// Mean PSNR of the last evaluation, dB.
     pub psnr: f64,
@@ -150,7 +150,7 @@ fn of_run(run: &Loaded) -> RunOutcome {
         seed: run.record.seed,
         finished: run.finished(),
         iterations: last.iteration,
-        gaussians: last.gaussians,
+        gaussians: last.gaussians + run.record.removed,
         psnr: last.psnr.unwrap_or_default(),
         ssim: last.ssim,
         flip: scores.filter(|_| run.finished()).and_then(|f| f.flip),

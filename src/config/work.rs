@@ -23,6 +23,11 @@ pub struct WorkConfig {
     pub morton_order: bool,
     /// Leave neighbours that a view cannot see alone together. Changes no result.
     pub cull_chunks: bool,
+    /// A band of spherical harmonics stays only while it is worth 0.02 dB of the training views, and is dropped at the end
+    /// where it is not; off: one more band at every interval, as in the papers.
+    pub sh_by_need: bool,
+    /// At the end, Gaussians that no training view would miss are removed.
+    pub remove_unseen: bool,
 }
 
 impl Default for WorkConfig {
@@ -32,6 +37,8 @@ impl Default for WorkConfig {
             resolution_interval: 1500,
             morton_order: true,
             cull_chunks: true,
+            sh_by_need: true,
+            remove_unseen: true,
         }
     }
 }

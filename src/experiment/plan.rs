@@ -175,7 +175,7 @@ pub fn expected(e: &Experiment, run: &Planned) -> Result<Option<TrainConfig>> {
     let Ok(State::Done(record)) = state(&dir, Some(&of(from)?)) else {
         return Ok(None);
     };
-    config.max_gaussians = Some(record.gaussians as usize);
+    config.max_gaussians = Some((record.gaussians + record.removed) as usize);
     Ok(Some(config))
 }
 

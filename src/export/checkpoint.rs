@@ -17,9 +17,9 @@ use crate::error::{Error, Result};
 use crate::gpu::tuning::Tuning;
 use crate::model::{Plane, Splats};
 use crate::report::{Reading, StageRecord};
-use crate::train::TrainerState;
+use crate::train::{Findings, TrainerState};
 
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 /// Tensors in the order of the checksum.
 const NAMES: [&str; 5] = ["params", "moment1", "moment2", "losses", "cues"];
@@ -40,6 +40,7 @@ struct Header {
     clock: [f64; 3],
     stats: DensityStats,
     non_finite: u64,
+    findings: Findings,
     dataset: String,
     tuning: Tuning,
     stages: Vec<StageRecord>,
@@ -97,6 +98,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
         stats: state.stats,
         non_finite: state.non_finite,
+        findings: state.findings.clone(),
         dataset: checkpoint.dataset.clone(),
         tuning: checkpoint.tuning,
         stages: checkpoint.stages.clone(),
@@ -209,6 +211,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             cues,
             stats: header.stats,
             non_finite: header.non_finite,
+            findings: header.findings,
             losses,
         },
         config: header.config,

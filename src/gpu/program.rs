@@ -35,6 +35,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("importance", include_str!("../../kernels/importance.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
+    ("weight", include_str!("../../kernels/weight.cl")),
     ("edit", include_str!("../../kernels/edit.cl")),
     ("peak", include_str!("../../kernels/peak.cl")),
 ];

@@ -5,6 +5,7 @@ pub mod init;
 pub mod knn;
 pub mod morton;
 mod orbit;
+pub mod refit;
 mod splats;
 
 pub use orbit::orbit;

@@ -23,6 +23,7 @@ pub mod shrink;
 pub mod sort;
 pub mod splat;
 pub mod splat_grad;
+pub mod weight;
 
 pub use crate::constants::{ALPHA_MAX, BLUR, COLOR_MAX, LOG_SCALE, T_MIN};
 use crate::dataset::Camera;

@@ -108,12 +108,18 @@ pub struct RunRecord {
     pub dataset: DatasetRecord,
     /// The device.
     pub device: DeviceRecord,
+    /// Evaluations without a lower training loss that ended the run; absent where it ended otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stalled: Option<u32>,
     /// What was kept and left out.
     pub plan: Plan,
     /// Iterations done.
     pub iterations: u32,
     /// Number of Gaussians.
     pub gaussians: u64,
+    /// Gaussians that were removed at the end, because no training view shows them; not among `gaussians`.
+    #[serde(default)]
+    pub removed: u64,
     /// Seconds of training, evaluation and export left out.
     pub train_seconds: f64,
     /// Seconds since the start.
@@ -154,9 +160,11 @@ impl RunRecord {
             config,
             dataset,
             device,
+            stalled: None,
             plan,
             iterations: 0,
             gaussians: 0,
+            removed: 0,
             train_seconds: 0.0,
             wall_seconds: 0.0,
             cpu_seconds: 0.0,

@@ -153,7 +153,7 @@ fn command(record: &RunRecord, run_dir: &Path) -> String {
 }
 
 /// The flags that take a whole number.
-fn numbers(config: &TrainConfig) -> [(&'static str, u64); 8] {
+fn numbers(config: &TrainConfig) -> [(&'static str, u64); 9] {
     [
         ("iterations", config.iterations.into()),
         ("max-size", config.max_size.into()),
@@ -161,6 +161,7 @@ fn numbers(config: &TrainConfig) -> [(&'static str, u64); 8] {
         ("seed", config.seed),
         // None is the default, which is never printed.
         ("eval-every", config.eval_every.map_or(u64::MAX, u64::from)),
+        ("patience", config.patience.map_or(u64::MAX, u64::from)),
         ("test-every", config.test_every.into()),
         ("export-every", config.export_every.into()),
         ("checkpoint-every", config.checkpoint_every.into()),

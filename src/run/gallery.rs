@@ -12,9 +12,9 @@ impl Run {
         let Some(evaluator) = &self.evaluator else {
             return Ok(Vec::new());
         };
-        let degree = self.trainer.schedule().sh_degree(self.trainer.iteration());
         let background = self.trainer.schedule().fixed_background();
         let (scene, renderer) = self.trainer.scene_and_renderer();
+        let degree = scene.sh_degree;
         let n = evaluator.views().len();
         let shown = n.min(GALLERY_VIEWS);
         let views: Vec<usize> = (0..shown).map(|k| k * n / shown).collect();

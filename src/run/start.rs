@@ -21,10 +21,11 @@ const RANDOM_GAUSSIANS: usize = 20_000;
 
 /// The first Gaussians that a configuration asks for.
 ///
+/// Without bands of spherical harmonics, but for those of a PLY file: training adds them.
 /// Never more than `max_gaussians`: of too many points a random part is taken, keyed by the seed.
 ///
 /// # Errors
-/// A PLY file that cannot be read, has another SH degree than can be used, or holds too many Gaussians.
+/// A PLY file that cannot be read, or holds too many Gaussians.
 pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats> {
     let most = config.max_gaussians.unwrap_or(usize::MAX);
     let splats = match &config.init {
@@ -37,15 +38,16 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
                     "raise --max-gaussians",
                 ));
             }
-            splats.with_sh_degree(config.sh_degree)
+            let degree = splats.sh_degree().min(config.sh_degree);
+            splats.with_sh_degree(degree)
         }
         start if *start == Init::Random || dataset.points.positions.is_empty() => {
             let count = RANDOM_GAUSSIANS.min(most);
-            init::random(dataset, count, config.sh_degree, config.seed)
+            init::random(dataset, count, 0, config.seed)
         }
         _ => {
             let points = init::subset(&dataset.points, most, config.seed);
-            init::from_points(&points, config.sh_degree)
+            init::from_points(&points, 0)
         }
     }?;
     Ok(if config.work.morton_order {

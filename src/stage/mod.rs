@@ -17,3 +17,4 @@ pub mod shrink;
 pub mod sort;
 pub mod splat;
 pub mod splat_grad;
+pub mod weight;

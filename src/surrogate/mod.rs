@@ -174,7 +174,7 @@ impl Subject<'_> {
     fn setting(&self, schedule: &Schedule, probe: f64) -> Setting {
         Setting {
             render: RenderOptions {
-                sh_degree: schedule.sh_degree(self.saved.state.iteration),
+                sh_degree: self.saved.state.splats.sh_degree(),
                 background: schedule.fixed_background(),
                 quantity: Quantity::Color,
             },

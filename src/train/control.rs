@@ -216,12 +216,9 @@ impl Trainer {
         }
         self.scene.count = order.len();
         let order = Array::from_slice(&self.device, "order", &order)?;
-        let shape = [self.scene.planes(), self.scene.stride];
-        for array in [&mut self.scene.params, &mut self.moment1, &mut self.moment2] {
-            let to = Array::zeros(&self.device, array.name(), shape[0] * shape[1])?;
-            self.edit.reorder(&order, shape, array, &to)?;
-            *array = to;
-        }
+        self.scene.params = self.reordered(&order, &self.scene.params)?;
+        self.moment1 = self.reordered(&order, &self.moment1)?;
+        self.moment2 = self.reordered(&order, &self.moment2)?;
         Ok(())
     }
 

@@ -46,7 +46,7 @@ impl Trainer {
     fn picture(&mut self, view: usize) -> Result<Picture> {
         let photo = self.views.photo(view, &[])?;
         let (camera, factor) = self.camera_at(self.iteration, view);
-        let options = self.options(self.iteration, self.schedule.sh_degree(self.iteration));
+        let options = self.options(self.iteration, self.scene.sh_degree);
         self.renderer.render(&self.scene, &camera, &options)?;
         let seen = self.renderer.read_image(&camera)?;
         let by_depth = RenderOptions {

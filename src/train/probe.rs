@@ -71,7 +71,7 @@ impl Trainer {
         let views = self
             .schedule
             .upcoming(self.iteration, count, self.views.len());
-        let degree = self.schedule.sh_degree(self.iteration) as usize;
+        let degree = self.scene.sh_degree as usize;
         let mut changes = vec![f64::NAN; trials.len()];
         for view in &views {
             let [probes, sources] = self.probe_view(pass, &scene, [*view, degree], shared)?;

@@ -1,6 +1,6 @@
 //! What a checkpoint holds of the trainer.
 
-use super::Trainer;
+use super::{Findings, Trainer};
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
 use crate::gpu::Array;
@@ -26,6 +26,8 @@ pub struct TrainerState {
     pub stats: DensityStats,
     /// Non-finite gradient values so far.
     pub non_finite: u64,
+    /// What training has found out.
+    pub findings: Findings,
     /// Ring of the last losses on the device: L1 and SSIM of each iteration.
     pub losses: Vec<f32>,
 }
@@ -52,6 +54,7 @@ impl Trainer {
             cues: self.read_cues()?,
             stats: self.stats,
             non_finite: self.non_finite,
+            findings: self.findings.clone(),
             losses: self.losses.to_vec()?,
         })
     }
@@ -83,6 +86,7 @@ impl Trainer {
             self.cues.write(k * self.scene.stride, row)?;
         }
         self.stats = state.stats;
+        self.findings = state.findings.clone();
         self.iteration = state.iteration;
         self.last_density = (!state.density_due).then_some(state.iteration);
         if state.losses.len() != self.losses.len() {

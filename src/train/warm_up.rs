@@ -1,10 +1,12 @@
 //! What happens before the first iteration: every kernel is built and run once.
 
 use super::Trainer;
+use crate::buffers::Scene;
 use crate::density::Wanted;
 use crate::error::Result;
 use crate::gpu::tuning::status;
 use crate::gpu::{Array, Defines, Device, EditRow, Kernels};
+use crate::model::Splats;
 use crate::stage::edit::EditArgs;
 use crate::stage::loss::size_of_image;
 use crate::stage::project_grad::ProjectGrad;
@@ -31,30 +33,25 @@ pub(super) fn project_grad_per_degree(
 impl Trainer {
     /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the pair arrays by rendering each view.
     pub(super) fn warm_up(&mut self) -> Result<()> {
-        let count = std::mem::take(&mut self.scene.count);
-        for degree in 0..=self.config.sh_degree {
-            self.fit_views()?;
+        let most = self.config.sh_degree;
+        let nothing = Scene::upload(&self.device, &Splats::zeros(most, 0), 0)?;
+        let state = |name| Array::zeros(&self.device, name, nothing.planes() * nothing.stride);
+        let moments = [state("moment1")?, state("moment2")?];
+        let scene = std::mem::replace(&mut self.scene, nothing);
+        let [first, second] = moments;
+        let kept = [
+            std::mem::replace(&mut self.moment1, first),
+            std::mem::replace(&mut self.moment2, second),
+        ];
+        self.fit_views()?;
+        for degree in 0..=most {
             self.enqueue_step(0, degree)?;
             self.warm_up_probes(degree)?;
         }
-        if let Wanted::Errors { .. } = self.density.wanted(1, 1.0) {
-            let photo = self.views.photo(0, &[])?;
-            let camera = self.views.cameras[0];
-            let pair = self.pair(&camera, &photo, self.schedule.fixed_background());
-            self.add_cues(&camera, &pair, true)?;
-        }
-        self.warm_up_edits()?;
-        if !self.small.is_empty() {
-            let photo = self.views.photo(0, &[])?;
-            let size = size_of_image(&self.views.cameras[0]);
-            if size.iter().all(|s| *s > 1) {
-                self.shrink.run(&photo, size, 2, &self.small)?;
-            }
-        }
-        self.scene.count = count;
-        for moment in [&self.moment1, &self.moment2] {
-            moment.clear()?;
-        }
+        self.warm_up_rest()?;
+        self.scene = scene;
+        [self.moment1, self.moment2] = kept;
+        self.fit_views()?;
         for v in 0..self.views.len() {
             let options = self.options(0, 0);
             self.renderer
@@ -66,6 +63,22 @@ impl Trainer {
         self.device.finish()?;
         self.device.collect_times(usize::MAX)?;
         self.device.reset_times();
+        Ok(())
+    }
+
+    /// Kernels that do not run in every iteration.
+    fn warm_up_rest(&mut self) -> Result<()> {
+        let photo = self.views.photo(0, &[])?;
+        let camera = self.views.cameras[0];
+        if let Wanted::Errors { .. } = self.density.wanted(1, 1.0) {
+            let pair = self.pair(&camera, &photo, self.schedule.fixed_background());
+            self.add_cues(&camera, &pair, true)?;
+        }
+        self.warm_up_edits()?;
+        let size = size_of_image(&camera);
+        if !self.small.is_empty() && size.iter().all(|s| *s > 1) {
+            self.shrink.run(&photo, size, 2, &self.small)?;
+        }
         Ok(())
     }
 

@@ -18,6 +18,7 @@ use crate::stage::noise::Noise;
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
 use crate::stage::screen_grad::ScreenGrad;
 use crate::stage::splat_grad::SplatGrad;
+use crate::stage::weight::Weight;
 
 /// Inputs of a passage through all stages.
 #[derive(Debug, Clone)]
@@ -82,6 +83,8 @@ pub struct Outputs {
     pub screen_grad: [Vec<f64>; 2],
     /// importance: sums of 1 − SSIM and L1, views (twice the same view).
     pub cues: [Vec<f64>; 3],
+    /// weight: what the view shows of each Gaussian, pixels.
+    pub weights: Vec<f64>,
     /// metrics: squared error over the image.
     pub squared_error: f64,
     /// edit: parameters and moments afterwards.
@@ -92,11 +95,12 @@ pub struct Outputs {
 
 pub(super) struct Stages {
     loss: Loss,
-    splat_grad: SplatGrad,
+    pub(super) splat_grad: SplatGrad,
     project_grad: ProjectGrad,
     adam: Adam,
     pub(super) noise: Noise,
     pub(super) screen_grad: ScreenGrad,
+    pub(super) weight: Weight,
     importance: Importance,
     metrics: Metrics,
     edit: Edit,
@@ -111,6 +115,7 @@ impl Stages {
             adam: Adam::new::<R>(kernels)?,
             noise: Noise::new::<R>(kernels)?,
             screen_grad: ScreenGrad::new::<R>(kernels)?,
+            weight: Weight::new::<R>(kernels)?,
             importance: Importance::new::<R>(kernels)?,
             metrics: Metrics::new::<R>(kernels)?,
             edit: Edit::new::<R>(kernels)?,
@@ -161,6 +166,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
     run.loss_and_gradient(&mut out)?;
     run.gradient_and_update(&mut out)?;
     run.sampler_stages(&mut out)?;
+    run.weights(&mut out)?;
     run.importance_and_metrics(&mut out)?;
     device.collect_times(usize::MAX)?;
     out.seconds = device

@@ -83,7 +83,9 @@ fn sound(q: &Quantity, n: usize, spoilt: &[usize]) -> Vec<f64> {
         // One Gaussian after the other.
         "project" | "splat_grad" => Some(at / per.max(1)),
         // Plane by plane.
-        "project_grad" | "adam" | "noise" | "screen_grad" | "importance" | "edit" => Some(at % n),
+        "project_grad" | "adam" | "noise" | "screen_grad" | "weight" | "importance" | "edit" => {
+            Some(at % n)
+        }
         _ => None,
     };
     let kept = |at: &usize| !owner(*at).is_some_and(|i| spoilt.contains(&i));

@@ -15,6 +15,7 @@ use crate::reference::noise::noise;
 use crate::reference::project::Record64;
 use crate::reference::project_grad::project_grad;
 use crate::reference::screen_grad::screen_grad;
+use crate::reference::weight::weights;
 use crate::reference::{Camera64, LOG_SCALE, Scene64, unit_quaternion};
 
 /// A named array of numbers.
@@ -133,6 +134,7 @@ pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
         quantity("noise", "displacement", flat(&out.noise)),
         quantity("screen_grad", "norms", out.screen_grad[0].clone()),
         quantity("screen_grad", "iterations", out.screen_grad[1].clone()),
+        quantity("weight", "weights", out.weights.clone()),
         quantity(
             "importance",
             "cues",
@@ -162,6 +164,7 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     let maps = [&device.error_maps[..pixels], &device.error_maps[pixels..]];
     let cues = cues_of(&scene, &camera, maps);
     let [norms, iterations] = pulls(&scene, &camera, device);
+    let shown = weights(&p.records, &p.tiles, &camera, case.alpha_min);
     let g = &p.grads.planes;
     let error = squared_error(&p.image, &photo);
     let edited = [flat(&rows), flat(&first), flat(&second)].concat();
@@ -201,6 +204,7 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
         quantity("noise", "displacement", displacements(&scene)),
         quantity("screen_grad", "norms", norms),
         quantity("screen_grad", "iterations", iterations),
+        quantity("weight", "weights", shown),
         quantity("importance", "cues", cues),
         quantity("metrics", "squared error", vec![error]),
         quantity("edit", "rows", edited),

@@ -6,8 +6,10 @@ use crate::density::NoiseLaw;
 use crate::error::Result;
 use crate::gpu::{Array, Real};
 use crate::model::Plane;
+use crate::stage::loss::size_of_image;
 use crate::stage::noise::NoiseArgs;
 use crate::stage::screen_grad::ScreenGradArgs;
+use crate::stage::weight::{WeightArgs, red_image};
 
 /// The noise of every case: gentle enough a gate that all Gaussians take part, and as long as the scene is large.
 pub const NOISE: NoiseLaw = NoiseLaw {
@@ -62,6 +64,25 @@ impl<R: Real> Run<'_, R> {
         }
         let row = |k: usize| Ok(widen(cues.read(k * stride, count)?));
         out.screen_grad = [row(0)?, row(1)?];
+        Ok(())
+    }
+
+    /// What the view shows of each Gaussian; the sums of splat_grad are others afterwards.
+    pub(super) fn weights(&mut self, out: &mut Outputs) -> Result<()> {
+        let (s, f, count) = (&self.stages, &self.renderer.frame, self.scene.count);
+        let red = red_image::<R>(size_of_image(&self.camera));
+        let red = Array::from_slice(self.device, "dimage", &red)?;
+        s.splat_grad
+            .run(&self.renderer.lists(&self.camera), &red, &f.sums)?;
+        let most = Array::zeros(self.device, "weights", count)?;
+        s.weight.run(&WeightArgs {
+            count,
+            pair_start: &f.pair_start,
+            pair_counts: &f.pair_counts,
+            sums: &f.sums,
+            most: &most,
+        })?;
+        out.weights = widen(most.read(0, count)?);
         Ok(())
     }
 }

@@ -16,6 +16,7 @@ mod shrink;
 mod sort;
 mod splat;
 mod splat_grad;
+mod weight;
 
 use std::sync::LazyLock;
 

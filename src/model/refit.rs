@@ -1,0 +1,130 @@
+//! Fewer bands of spherical harmonics for the same colours.
+
+use rayon::prelude::*;
+
+use super::{Plane, Splats, sh_coefficients};
+use crate::error::Result;
+use crate::reference::sh;
+
+/// Added to the normal matrix's diagonal, per direction: what few directions do not determine stays as it is.
+const RIDGE: f64 = 1e-6;
+
+/// Coefficients of degree 2, the highest that anything is refitted to.
+const MOST: usize = sh_coefficients(2);
+
+/// A camera as far as it matters from where it sees what.
+#[derive(Debug, Clone, Copy)]
+pub struct Sight {
+    /// Rotation scene → camera, rows.
+    pub rotation: [[f64; 3]; 3],
+    /// Centre, local units.
+    pub center: [f64; 3],
+    /// fx, fy, cx, cy in pixels.
+    pub intrinsics: [f64; 4],
+    /// Width and height, pixels.
+    pub size: [f64; 2],
+}
+
+impl Sight {
+    /// Direction in which this camera sees a position; none if it is behind it or beyond its image.
+    fn direction(&self, x: [f64; 3]) -> Option<[f64; 3]> {
+        let d: [f64; 3] = std::array::from_fn(|k| x[k] - self.center[k]);
+        let dot = |r: [f64; 3]| r[0] * d[0] + r[1] * d[1] + r[2] * d[2];
+        let t = self.rotation.map(dot);
+        let [fx, fy, cx, cy] = self.intrinsics;
+        let (u, v) = (fx * t[0] / t[2] + cx, fy * t[1] / t[2] + cy);
+        let inside = (0.0..self.size[0]).contains(&u) && (0.0..self.size[1]).contains(&v);
+        let norm = d.iter().map(|c| c * c).sum::<f64>().sqrt();
+        (t[2] > 0.0 && inside && norm > 0.0).then(|| d.map(|c| c / norm))
+    }
+}
+
+/// The same Gaussians with the bands of a lower degree, which take over what they can of the colours that the higher ones gave
+/// in the directions from which the cameras see them (least squares over the cameras). A Gaussian that no camera sees keeps
+/// its lower bands as they are.
+///
+/// # Errors
+/// As [`Splats::with_sh_degree`].
+pub fn with_fewer_bands(splats: &Splats, degree: u32, sights: &[Sight]) -> Result<Splats> {
+    let low = sh_coefficients(degree).min(MOST);
+    let high = sh_coefficients(splats.sh_degree());
+    let changes: Vec<[[f64; 3]; MOST]> = (0..splats.len())
+        .into_par_iter()
+        .map(|i| change(splats, i, [low, high], sights))
+        .collect();
+    let mut fewer = splats.clone().with_sh_degree(degree)?;
+    for k in 0..low {
+        for c in 0..3 {
+            let plane = fewer.plane_mut(Plane::SH + 3 * k + c);
+            for (v, change) in plane.iter_mut().zip(&changes) {
+                let new = (f64::from(*v) + change[k][c]) as f32;
+                if new.is_finite() {
+                    *v = new;
+                }
+            }
+        }
+    }
+    Ok(fewer)
+}
+
+/// What the lower coefficients of Gaussian `i` take over.
+fn change(
+    splats: &Splats,
+    i: usize,
+    [low, high]: [usize; 2],
+    sights: &[Sight],
+) -> [[f64; 3]; MOST] {
+    let x = splats.gather::<3>(Plane::POSITION, i).map(f64::from);
+    let mut normal = [[0.0; MOST]; MOST];
+    let mut right = [[0.0; 3]; MOST];
+    let mut seen = 0;
+    for direction in sights.iter().filter_map(|s| s.direction(x)) {
+        let basis = sh::basis(direction);
+        let mut color = [0.0; 3];
+        for k in low..high {
+            let coefficient = splats.gather::<3>(Plane::SH + 3 * k, i);
+            for (sum, c) in color.iter_mut().zip(coefficient) {
+                *sum += basis[k] * f64::from(c);
+            }
+        }
+        for (a, row) in normal.iter_mut().enumerate().take(low) {
+            for (b, sum) in row.iter_mut().enumerate().take(low) {
+                *sum += basis[a] * basis[b];
+            }
+            for (sum, c) in right[a].iter_mut().zip(color) {
+                *sum += basis[a] * c;
+            }
+        }
+        seen += 1;
+    }
+    if seen == 0 {
+        return right;
+    }
+    for (k, row) in normal.iter_mut().enumerate() {
+        row[k] += RIDGE * f64::from(seen);
+    }
+    solve(normal, right, low)
+}
+
+/// Solves a symmetric positive definite system of the first `n` rows by elimination.
+fn solve(mut a: [[f64; MOST]; MOST], mut b: [[f64; 3]; MOST], n: usize) -> [[f64; 3]; MOST] {
+    for k in 0..n {
+        for row in k + 1..n {
+            let factor = a[row][k] / a[k][k];
+            for column in k..n {
+                a[row][column] -= factor * a[k][column];
+            }
+            for c in 0..3 {
+                b[row][c] -= factor * b[k][c];
+            }
+        }
+    }
+    for k in (0..n).rev() {
+        for c in 0..3 {
+            let rest: f64 = (k + 1..n).map(|j| a[k][j] * b[j][c]).sum();
+            b[k][c] = (b[k][c] - rest) / a[k][k];
+        }
+    }
+    b[n..].fill([0.0; 3]);
+    b
+}

@@ -1,0 +1,76 @@
+//! What a run writes into its folder.
+
+use super::Run;
+use crate::error::Result;
+use crate::export::checkpoint::Checkpoint;
+use crate::export::{checkpoint, ply};
+use crate::report::{StageRecord, clock, read_density, read_rows, write_report};
+
+impl Run {
+    pub(super) fn write_record(&mut self) -> Result<()> {
+        let now = self.clock.reading();
+        let stages = self.stage_times();
+        let plan = self.plan.observed(&self.config, self.trainer.findings());
+        let r = &mut self.record;
+        r.plan = plan;
+        r.iterations = self.trainer.iteration();
+        r.gaussians = self.trainer.gaussians() as u64;
+        r.removed = self.trainer.findings().removed;
+        r.train_seconds = now.train_seconds;
+        r.wall_seconds = now.wall_seconds;
+        r.cpu_seconds = now.cpu_seconds;
+        r.peak_rss_bytes = clock::peak_rss_bytes();
+        r.density = *self.trainer.stats();
+        r.photos = self.trainer.photo_stats();
+        r.stages = stages;
+        r.write(&self.dir)
+    }
+
+    /// Seconds per stage over all sessions of the run.
+    fn stage_times(&self) -> Vec<StageRecord> {
+        let now = self.trainer.stage_times().into_iter();
+        now.map(|(name, t)| {
+            let before = self.stages.iter().find(|s| s.name == name);
+            StageRecord {
+                name: name.into(),
+                seconds: t.seconds + before.map_or(0.0, |s| s.seconds),
+                calls: t.calls + before.map_or(0, |s| s.calls),
+            }
+        })
+        .collect()
+    }
+
+    pub(super) fn export(&mut self) -> Result<()> {
+        self.clock.pause();
+        let splats = self.trainer.state()?.splats;
+        ply::write(&self.dir.join("scene.ply"), &splats, &self.frame)?;
+        self.clock.resume();
+        Ok(())
+    }
+
+    pub(super) fn checkpoint(&mut self) -> Result<()> {
+        self.clock.pause();
+        let saved = Checkpoint {
+            state: self.trainer.state()?,
+            config: self.config.clone(),
+            clock: self.clock.reading(),
+            dataset: self.fingerprint.clone(),
+            tuning: self.trainer.tuning(),
+            stages: self.stage_times(),
+        };
+        checkpoint::write(&self.dir, &saved)?;
+        self.saved = Some(saved.state.iteration);
+        self.clock.resume();
+        Ok(())
+    }
+
+    pub(super) fn report(&mut self) -> Result<()> {
+        self.clock.pause();
+        let gallery = self.gallery()?;
+        let rows = read_rows(self.dir.join("metrics.csv"))?;
+        let density = read_density(self.dir.join("density.csv"))?;
+        write_report(&self.dir, &self.record, &rows, &density, &gallery)?;
+        self.clock.resume();
+        Ok(())
+    }
+}

@@ -1,0 +1,57 @@
+//! The end of a run whose loss has stopped improving.
+
+use super::Run;
+use crate::config::TrainConfig;
+use crate::error::{Error, Result};
+
+/// Share of the loss by which it must fall to have improved.
+const IMPROVEMENT: f64 = 1e-3;
+
+/// Whether none of the last `patience` losses is lower than the best one before them.
+fn stalled(losses: &[f64], patience: Option<u32>) -> bool {
+    let Some(patience) = patience.map(|p| p as usize) else {
+        return false;
+    };
+    if losses.len() <= patience {
+        return false;
+    }
+    let best = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
+    let (before, last) = losses.split_at(losses.len() - patience);
+    best(last) > best(before) * (1.0 - IMPROVEMENT)
+}
+
+/// Refuses to go on with a run whose patience is used up.
+pub(super) fn check(config: &TrainConfig, losses: &Vec<f64>) -> Result<()> {
+    if stalled(losses, config.patience) {
+        let what = "the training loss has not fallen for so many evaluations already; give more";
+        return Err(Error::config("--patience", what));
+    }
+    Ok(())
+}
+
+impl Run {
+    /// Whether the training loss has stopped improving, by the patience of the configuration.
+    pub(super) fn stalled(&self) -> bool {
+        stalled(&self.losses, self.config.patience)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::stalled;
+
+    #[test]
+    fn a_loss_that_falls_is_waited_for() {
+        assert!(!stalled(&[3.0, 2.0, 1.0], None));
+        assert!(!stalled(&[3.0, 2.0, 1.0], Some(1)));
+        assert!(!stalled(&[3.0], Some(1)));
+        assert!(!stalled(&[1.0, 1.1, 0.9], Some(2)));
+    }
+
+    #[test]
+    fn a_loss_that_does_not_is_not() {
+        assert!(stalled(&[1.0, 1.0], Some(1)));
+        assert!(stalled(&[1.0, 0.9999, 1.2], Some(2)));
+        assert!(stalled(&[2.0, 1.0, 1.5, 1.2], Some(2)));
+    }
+}

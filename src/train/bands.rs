@@ -1,0 +1,200 @@
+//! Bands of spherical harmonics: one more when it is due, and only as long as the error says that it is worth having.
+
+use serde::{Deserialize, Serialize};
+
+use super::Trainer;
+use crate::buffers::Scene;
+use crate::error::Result;
+use crate::gpu::{Array, Device};
+use crate::model::Plane;
+use crate::model::refit::{Sight, with_fewer_bands};
+
+/// What a band must be worth: this much PSNR, dB.
+pub const BAND_WORTH: f64 = 0.02;
+
+/// While a band is on trial every n-th training view is set aside, to judge the band by: others learn it by heart.
+const SET_ASIDE_EVERY: usize = 8;
+
+/// Views on which a band is judged at most, and whose directions the bands below it are fitted to.
+const JUDGING_VIEWS: usize = 32;
+
+/// Intervals that pass after a band was found to be worth nothing, before it is tried again; twice as many every time.
+const FIRST_WAIT: u32 = 2;
+
+/// A band that was judged.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct BandTrial {
+    /// Iteration.
+    pub iteration: u32,
+    /// Degree of the band.
+    pub degree: u32,
+    /// PSNR with the band, minus that without it, the bands below taking over what they can, dB: of the views set aside, or,
+    /// at the end of a run, of the training views.
+    pub gain: f64,
+    /// Whether it was worth having.
+    pub kept: bool,
+}
+
+/// Where the trial of bands stands; the number of bands in use is the scene's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Bands {
+    /// Every judgement so far.
+    pub trials: Vec<BandTrial>,
+    /// Whether the highest band is still to be judged.
+    pub on_trial: bool,
+    /// Interval from which another band may be tried.
+    next: u32,
+    /// Intervals to wait after the next band that is worth nothing.
+    wait: u32,
+    /// Iteration at which the bands were looked after last: repeating an iteration must not repeat that.
+    handled: u32,
+}
+
+impl Default for Bands {
+    fn default() -> Self {
+        Self {
+            trials: Vec::new(),
+            on_trial: false,
+            next: 0,
+            wait: FIRST_WAIT,
+            handled: 0,
+        }
+    }
+}
+
+impl Bands {
+    /// Whether a view of `views` is set aside now.
+    fn sets_aside(&self, view: usize, views: usize) -> bool {
+        let turn = self.trials.len() % SET_ASIDE_EVERY;
+        self.on_trial && views >= SET_ASIDE_EVERY && view % SET_ASIDE_EVERY == turn
+    }
+
+    /// The view to train on in the place of one that is set aside; any other is itself.
+    pub(super) fn instead(&self, view: usize, views: usize) -> usize {
+        if self.sets_aside(view, views) {
+            (view + 1) % views
+        } else {
+            view
+        }
+    }
+}
+
+impl Trainer {
+    /// Adds a band where one is due before the next iteration, after the one before it was judged.
+    pub(super) fn look_after_bands(&mut self) -> Result<()> {
+        let (at, most) = (self.iteration, self.config.sh_degree);
+        let every = self.schedule.sh_interval();
+        let due = at > 0 && at.is_multiple_of(every);
+        if most == 0 || !due || self.findings.bands.handled == at {
+            return Ok(());
+        }
+        // Nothing before this iteration can be repeated any more.
+        self.settle()?;
+        let interval = at / every;
+        if self.findings.bands.on_trial {
+            let n = self.views.len();
+            let aside = |v: &usize| self.findings.bands.sets_aside(*v, n);
+            let judges: Vec<usize> = (0..n).filter(aside).collect();
+            let kept = self.judge_band(&spread(&judges))?;
+            let bands = &mut self.findings.bands;
+            bands.on_trial = false;
+            if !kept {
+                bands.next = interval + bands.wait;
+                bands.wait *= 2;
+            }
+        }
+        let by_need = self.config.work.sh_by_need && self.views.len() >= SET_ASIDE_EVERY;
+        if self.scene.sh_degree < most && interval >= self.findings.bands.next {
+            self.set_degree(self.scene.sh_degree + 1)?;
+            self.findings.bands.on_trial = by_need;
+        }
+        self.findings.bands.handled = at;
+        Ok(())
+    }
+
+    /// Takes bands away from the top as long as the training views lose less than [`BAND_WORTH`] each time.
+    pub(super) fn drop_bands(&mut self) -> Result<()> {
+        self.findings.bands.on_trial = false;
+        let all: Vec<usize> = (0..self.views.len()).collect();
+        while self.scene.sh_degree > 0 && !self.judge_band(&spread(&all))? {}
+        Ok(())
+    }
+
+    /// Drops the highest band if it is worth less than [`BAND_WORTH`] in some training views, at the size that they have now;
+    /// the bands below it then take over what they can. Whether it is kept.
+    fn judge_band(&mut self, views: &[usize]) -> Result<bool> {
+        let degree = self.scene.sh_degree;
+        let all: Vec<usize> = (0..self.views.len()).collect();
+        let sights: Vec<Sight> = spread(&all).into_iter().map(|v| self.sight(v)).collect();
+        let fewer = with_fewer_bands(&self.scene.download()?, degree - 1, &sights)?;
+        let fewer = Scene::upload(&self.device, &fewer, self.scene.stride)?;
+        let without = self.squared_error(&fewer, views)?;
+        let scene = std::mem::replace(&mut self.scene, fewer);
+        let with = self.squared_error(&scene, views)?;
+        // Where nothing is left to explain there is nothing to gain.
+        let gain = Some(10.0 * (without / with).log10())
+            .filter(|g| g.is_finite())
+            .unwrap_or(0.0);
+        let kept = gain >= BAND_WORTH;
+        self.findings.bands.trials.push(BandTrial {
+            iteration: self.iteration,
+            degree,
+            gain,
+            kept,
+        });
+        if kept {
+            self.scene = scene;
+        } else {
+            self.resize_moments(degree, degree - 1)?;
+        }
+        Ok(kept)
+    }
+
+    /// Where a training view looks from.
+    fn sight(&self, view: usize) -> Sight {
+        let camera = &self.views.cameras[view];
+        let w = camera.w.map(f64::from);
+        Sight {
+            rotation: [[w[0], w[1], w[2]], [w[3], w[4], w[5]], [w[6], w[7], w[8]]],
+            center: camera.center.map(f64::from),
+            intrinsics: camera.intrinsics.map(f64::from),
+            size: camera.size.map(f64::from),
+        }
+    }
+
+    /// Makes room for the planes of more bands, which are zero, as are their moments.
+    fn set_degree(&mut self, degree: u32) -> Result<()> {
+        let (from, stride) = (self.scene.sh_degree, self.scene.stride);
+        let params = resized(&self.device, &self.scene.params, [from, degree], stride)?;
+        self.scene.params = params;
+        self.scene.sh_degree = degree;
+        self.resize_moments(from, degree)
+    }
+
+    fn resize_moments(&mut self, from: u32, to: u32) -> Result<()> {
+        for moment in [&mut self.moment1, &mut self.moment2] {
+            *moment = resized(&self.device, moment, [from, to], self.scene.stride)?;
+        }
+        Ok(())
+    }
+}
+
+/// The planes of an array of the scene's shape for another SH degree: new ones are zero.
+fn resized(
+    device: &Device,
+    old: &Array<f32>,
+    degrees: [u32; 2],
+    stride: usize,
+) -> Result<Array<f32>> {
+    let [from, to] = degrees.map(Plane::count);
+    let new = Array::zeros(device, old.name(), to * stride)?;
+    new.copy_from(0, old, 0, from.min(to) * stride)?;
+    Ok(new)
+}
+
+/// At most [`JUDGING_VIEWS`] of some views, evenly.
+fn spread(views: &[usize]) -> Vec<usize> {
+    let n = views.len();
+    let count = n.min(JUDGING_VIEWS);
+    (0..count).map(|k| views[k * n / count]).collect()
+}

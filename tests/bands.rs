@@ -1,0 +1,226 @@
+//! Bands of spherical harmonics come and go by what they are worth, and what no view shows goes at the end.
+
+use crate::determinism::{drive, room};
+use mhsplat::config::{Sampler, TrainConfig};
+use mhsplat::dataset::{Dataset, Photo, PhotoSource};
+use mhsplat::gpu::Device;
+use mhsplat::model::refit::{Sight, with_fewer_bands};
+use mhsplat::model::{Plane, Splats};
+use mhsplat::reference::sh;
+use mhsplat::render::{RenderOptions, Renderer};
+use mhsplat::run::initial_splats;
+use mhsplat::train::Trainer;
+
+/// A fixed set, with the bands looked after every 40 iterations.
+fn config() -> TrainConfig {
+    let mut config = TrainConfig {
+        sampler: Sampler::None,
+        iterations: 240,
+        max_size: 64,
+        sh_degree: 2,
+        seed: 3,
+        ..TrainConfig::default()
+    };
+    config.optimizer.sh_interval = 5000;
+    config.work.resolution_levels = 0;
+    config
+}
+
+fn trainer(data: &Dataset, config: &TrainConfig, splats: &Splats) -> Trainer {
+    Trainer::new(&Device::open(None).unwrap(), data, config, splats).unwrap()
+}
+
+/// The room's cameras, with photos of its points whose colours depend on the view by a first band of this size.
+fn shining(size: f32) -> (Dataset, Splats) {
+    let mut data = room(64);
+    let mut splats = initial_splats(&data, &config()).unwrap();
+    splats.plane_mut(Plane::OPACITY).fill(2.0);
+    let plain = splats.clone();
+    let mut truth = splats.with_sh_degree(1).unwrap();
+    for p in Plane::SH + 3..Plane::count(1) {
+        for (i, v) in truth.plane_mut(p).iter_mut().enumerate() {
+            *v = size * ((i * 7 + p * 3) as f32).sin();
+        }
+    }
+    let device = Device::open(None).unwrap();
+    let mut renderer = Renderer::<f32>::for_display(&device, 1).unwrap();
+    let scene = mhsplat::buffers::Scene::upload(&device, &truth, 0).unwrap();
+    let options = RenderOptions {
+        sh_degree: 1,
+        ..RenderOptions::default()
+    };
+    for view in data.train.iter_mut().chain(&mut data.test) {
+        let image = renderer.image(&scene, &view.camera, &options).unwrap();
+        let [w, h] = [image.width as u32, image.height as u32];
+        view.photo = PhotoSource::Memory(
+            Photo::from_interleaved(w, h, 3, &image.rgb8())
+                .unwrap()
+                .into(),
+        );
+    }
+    (data, plain)
+}
+
+#[test]
+fn a_band_is_kept_where_colours_depend_on_the_view() {
+    let (data, plain) = shining(0.4);
+    let mut trained = trainer(&data, &config(), &plain);
+    drive(&mut trained, 240).unwrap();
+    trained.finish().unwrap();
+    let bands = trained.findings().bands.clone();
+    assert!(trained.scene_and_renderer().0.sh_degree >= 1, "{bands:?}");
+    assert!(
+        bands.trials[0].kept && bands.trials[0].gain > 0.1,
+        "{bands:?}"
+    );
+}
+
+#[test]
+fn no_band_is_kept_where_they_do_not() {
+    let (data, plain) = shining(0.0);
+    let config = config();
+    let mut trained = trainer(&data, &config, &plain);
+    drive(&mut trained, 240).unwrap();
+    let state = trained.state().unwrap();
+    let bands = &state.findings.bands;
+    // Tried at 40, judged at 80, not tried at 120, tried again at 160.
+    let judged: Vec<(u32, bool)> = bands.trials.iter().map(|t| (t.iteration, t.kept)).collect();
+    assert_eq!(judged, [(80, false), (200, false)], "{bands:?}");
+    assert_eq!(state.splats.sh_degree(), 0);
+    // Off, one band after the other comes and stays.
+    let mut all = config.clone();
+    all.work.sh_by_need = false;
+    let mut trained = trainer(&data, &all, &plain);
+    drive(&mut trained, 100).unwrap();
+    trained.finish().unwrap();
+    assert_eq!(trained.state().unwrap().splats.sh_degree(), 2);
+}
+
+#[test]
+fn a_run_goes_on_in_the_middle_of_a_trial_with_the_same_bits() {
+    let (data, plain) = shining(0.4);
+    let config = config();
+    let mut whole = trainer(&data, &config, &plain);
+    drive(&mut whole, 100).unwrap();
+    for at in [40, 60, 80] {
+        let mut part = trainer(&data, &config, &plain);
+        drive(&mut part, at).unwrap();
+        let state = part.state().unwrap();
+        let mut rest = trainer(&data, &config, &state.splats);
+        rest.restore(&state).unwrap();
+        drive(&mut rest, 100).unwrap();
+        let [a, b] = [&mut whole, &mut rest].map(|t| t.state().unwrap());
+        assert!(
+            a.splats == b.splats && a.findings == b.findings,
+            "from {at}"
+        );
+    }
+}
+
+/// A camera at `center` that looks along z, or back if that is below.
+fn sight(center: [f64; 3]) -> Sight {
+    let z = if center[2] > 0.0 { -1.0 } else { 1.0 };
+    Sight {
+        rotation: [[z, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, z]],
+        center,
+        intrinsics: [50.0, 50.0, 50.0, 50.0],
+        size: [100.0, 100.0],
+    }
+}
+
+/// One Gaussian at the origin, with coefficients of degree 3 in red.
+fn glint() -> Splats {
+    let mut splats = Splats::zeros(3, 1);
+    for k in 0..16 {
+        splats.plane_mut(Plane::SH + 3 * k)[0] = 0.3 * (k as f32 + 1.0).sin();
+    }
+    splats
+}
+
+/// Red, without the half that is added, of the Gaussian seen from `center`.
+fn red(splats: &Splats, center: [f64; 3]) -> f64 {
+    let norm = center.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let basis = sh::basis(center.map(|c| -c / norm));
+    let coefficients = mhsplat::model::sh_coefficients(splats.sh_degree());
+    let term = |k: usize| basis[k] * f64::from(splats.planes()[Plane::SH + 3 * k][0]);
+    (0..coefficients).map(term).sum()
+}
+
+#[test]
+fn lower_bands_take_over_what_they_can() {
+    let splats = glint();
+    let centers = [
+        [0.0, 0.0, -2.0],
+        [1.0, 0.5, -2.0],
+        [-0.5, 1.0, -2.0],
+        [0.3, -0.4, 2.0],
+    ];
+    let sights = centers.map(sight);
+    // Four directions, four coefficients: the same colours from there.
+    let fewer = with_fewer_bands(&splats, 1, &sights).unwrap();
+    for center in centers {
+        assert!((red(&fewer, center) - red(&splats, center)).abs() < 1e-3);
+    }
+    // One coefficient: their mean.
+    let flat = with_fewer_bands(&splats, 0, &sights).unwrap();
+    let mean = centers.iter().map(|c| red(&splats, *c)).sum::<f64>() / 4.0;
+    assert!((red(&flat, centers[0]) - mean).abs() < 1e-4);
+    // Cut off without that they are others.
+    let cut = splats.clone().with_sh_degree(0).unwrap();
+    assert!((red(&cut, centers[0]) - mean).abs() > 0.05);
+    // Seen by no camera: cut off.
+    let behind = [Sight {
+        center: [0.0, 0.0, 3.0],
+        ..sights[0]
+    }];
+    assert_eq!(with_fewer_bands(&splats, 0, &behind).unwrap(), cut);
+}
+
+#[test]
+fn what_no_training_view_shows_goes_at_the_end_and_nothing_else() {
+    let data = room(64);
+    let seen = initial_splats(&data, &config()).unwrap();
+    let n = seen.len();
+    let mut planes = seen.planes().to_vec();
+    // Three that are too faint to be seen.
+    for (k, place) in [[0.1, 0.0, 0.0], [0.0, -0.1, 0.0], [0.0, 0.0, 0.0]]
+        .iter()
+        .enumerate()
+    {
+        for (p, plane) in planes.iter_mut().enumerate() {
+            plane.push(match p {
+                0..3 => place[p],
+                3..6 => -6.0,
+                6 => 1.0,
+                10 => -8.0 - k as f32,
+                _ => 0.0,
+            });
+        }
+    }
+    let more = Splats::new(0, planes).unwrap();
+    let mut untrained = trainer(&data, &config(), &more);
+    let images = |t: &mut Trainer| {
+        let (scene, renderer) = t.scene_and_renderer();
+        let options = RenderOptions::default();
+        let image = |v: &mhsplat::dataset::View| renderer.image(scene, &v.camera, &options);
+        data.train
+            .iter()
+            .map(image)
+            .collect::<mhsplat::Result<Vec<_>>>()
+            .unwrap()
+    };
+    let before = images(&mut untrained);
+    untrained.finish().unwrap();
+    let removed = untrained.findings().removed as usize;
+    assert!(removed >= 3 && removed < n / 2, "{removed} of {n}");
+    assert_eq!(untrained.gaussians(), n + 3 - removed);
+    assert!(images(&mut untrained) == before);
+    // Once.
+    untrained.finish().unwrap();
+    assert_eq!(untrained.findings().removed as usize, removed);
+    let mut kept = config();
+    kept.work.remove_unseen = false;
+    let mut everything = trainer(&data, &kept, &more);
+    everything.finish().unwrap();
+    assert_eq!(everything.gaussians(), n + 3);
+}
