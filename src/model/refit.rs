@@ -81,10 +81,10 @@ fn change(
     for direction in sights.iter().filter_map(|s| s.direction(x)) {
         let basis = sh::basis(direction);
         let mut color = [0.0; 3];
-        for k in low..high {
+        for (k, value) in basis.iter().enumerate().take(high).skip(low) {
             let coefficient = splats.gather::<3>(Plane::SH + 3 * k, i);
             for (sum, c) in color.iter_mut().zip(coefficient) {
-                *sum += basis[k] * f64::from(c);
+                *sum += value * f64::from(c);
             }
         }
         for (a, row) in normal.iter_mut().enumerate().take(low) {
@@ -106,25 +106,26 @@ fn change(
     solve(normal, right, low)
 }
 
-/// Solves a symmetric positive definite system of the first `n` rows by elimination.
+/// Solves a symmetric positive definite system of the first `n` rows by elimination; the other rows of the answer are zero.
 fn solve(mut a: [[f64; MOST]; MOST], mut b: [[f64; 3]; MOST], n: usize) -> [[f64; 3]; MOST] {
     for k in 0..n {
+        let (pivot, right) = (a[k], b[k]);
         for row in k + 1..n {
-            let factor = a[row][k] / a[k][k];
-            for column in k..n {
-                a[row][column] -= factor * a[k][column];
-            }
-            for c in 0..3 {
-                b[row][c] -= factor * b[k][c];
-            }
+            let factor = a[row][k] / pivot[k];
+            let (left, other) = (&mut a[row], &mut b[row]);
+            left.iter_mut()
+                .zip(pivot)
+                .for_each(|(v, p)| *v -= factor * p);
+            other
+                .iter_mut()
+                .zip(right)
+                .for_each(|(v, p)| *v -= factor * p);
         }
     }
+    let mut out = [[0.0; 3]; MOST];
     for k in (0..n).rev() {
-        for c in 0..3 {
-            let rest: f64 = (k + 1..n).map(|j| a[k][j] * b[j][c]).sum();
-            b[k][c] = (b[k][c] - rest) / a[k][k];
-        }
+        let rest = |c: usize| -> f64 { (k + 1..n).map(|j| a[k][j] * out[j][c]).sum() };
+        out[k] = std::array::from_fn(|c| (b[k][c] - rest(c)) / a[k][k]);
     }
-    b[n..].fill([0.0; 3]);
-    b
+    out
 }

@@ -21,7 +21,7 @@ fn stalled(losses: &[f64], patience: Option<u32>) -> bool {
 }
 
 /// Refuses to go on with a run whose patience is used up.
-pub(super) fn check(config: &TrainConfig, losses: &Vec<f64>) -> Result<()> {
+pub(super) fn check(config: &TrainConfig, losses: &[f64]) -> Result<()> {
     if stalled(losses, config.patience) {
         let what = "the training loss has not fallen for so many evaluations already; give more";
         return Err(Error::config("--patience", what));
