@@ -162,7 +162,7 @@ impl Run {
         let mut prepared = Prepared::new(dataset, &config, &device, &state.splats)?;
         prepared.trainer.restore(state)?;
         let before = read_rows(dir.join("metrics.csv"))?;
-        let losses = before
+        let losses: Vec<f64> = before
             .iter()
             .filter(|row| row.iteration <= state.iteration)
             .filter_map(|row| row.loss)
