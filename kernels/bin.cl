@@ -35,8 +35,19 @@ static inline int is_masked(const Record *g) {
   return w <= MASKED && h <= MASKED && w * h <= MASKED;
 }
 
+// Photos with masks have tiles in which nothing counts; they get no pairs where `masked` says so.
+#if HAS_MASK
+#define LIVE_TILES __global const uint *live_tiles, int masked
+#define LIVE_ARGUMENTS live_tiles, masked
+#define IS_LIVE(tile) (!masked || live_tiles[tile])
+#else
+#define LIVE_TILES int unmasked
+#define LIVE_ARGUMENTS 0
+#define IS_LIVE(tile) 1
+#endif
+
 // Counts the tiles touched, remembers them in *mask if they fit, and writes them where `keys` is given.
-static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, __global uint *keys) {
+static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, LIVE_TILES, __global uint *keys) {
   const int tx0 = BOUND_LO(g->bx) / TILE, tx1 = BOUND_HI(g->bx) / TILE;
   const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
   const real slope = g->a * g->r / fma(g->a * g->r, g->r, g->c); // dy of the minimum along a vertical line, per dx
@@ -44,7 +55,7 @@ static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, __globa
   uint n = 0, bits = 0, at = 0;
   for (int ty = ty0; ty <= ty1; ty++)
     for (int tx = tx0; tx <= tx1; tx++, at++)
-      if (touches_tile(g, slope, reach, tx, ty)) {
+      if (IS_LIVE((uint)ty * tiles_x + (uint)tx) && touches_tile(g, slope, reach, tx, ty)) {
         if (keys) keys[n] = (uint)ty * tiles_x + (uint)tx;
         bits |= 1u << (at % MASKED);
         n++;
@@ -98,6 +109,9 @@ __kernel void bin_compact(__global const uint *keys, uint count, // in [count]
 // have nothing to do.
 __kernel void bin_count(__global const Record *records, __global const uint *visible, // in, in depth order
                         __global const uint *status, uint tiles_x,
+#if HAS_MASK
+                        LIVE_TILES, // in [tiles]
+#endif
                         __global uint *counts,  // out [visible] tiles touched
                         __global uint *cover,   // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
                         __global uint *pair_counts) { // out [count] the same counts by Gaussian
@@ -109,7 +123,7 @@ __kernel void bin_count(__global const Record *records, __global const uint *vis
   for (uint j = 0; j < n; j++) {
     const Record *g = &staged[j];
     uint mask;
-    counts[first + j] = pair_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, 0);
+    counts[first + j] = pair_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, LIVE_ARGUMENTS, 0);
     const uint tx0 = BOUND_LO(g->bx) / TILE, ty0 = BOUND_LO(g->by) / TILE, width = BOUND_HI(g->bx) / TILE - tx0 + 1;
     cover[2 * (first + j)] = mask;
     cover[2 * (first + j) + 1] = is_masked(g) ? tx0 | ty0 << 12 | width << 24 : 0;
@@ -121,6 +135,9 @@ __kernel void bin_count(__global const Record *records, __global const uint *vis
 // Emits nothing when the pairs did not fit.
 __kernel void bin_emit(__global const Record *records, __global const uint *visible,
                        __global const uint *status, uint tiles_x,
+#if HAS_MASK
+                       LIVE_TILES, // in [tiles]
+#endif
                        __global const uint *cover,      // in, as bin_count wrote it
                        __global const uint *offsets,    // in [visible] exclusive sums of counts
                        __global const uint *pair_start, // in [count] exclusive sums of pair_counts
@@ -139,7 +156,7 @@ __kernel void bin_emit(__global const Record *records, __global const uint *visi
     } else {
       const Record g = records[i];
       uint mask;
-      emitted = walk_tiles(&g, &mask, tiles_x, keys);
+      emitted = walk_tiles(&g, &mask, tiles_x, LIVE_ARGUMENTS, keys);
     }
     for (uint k = 0; k < emitted; k++) {
       slots[at + k] = slot + k;

@@ -44,22 +44,43 @@ typedef struct {
   real background;
 } Images;
 
-// VW rendered values of row y from column x on, shifted.
-static inline realV render_at(const Images *s, int x, int y) {
-  if (y < 0 || y >= s->height) return (realV)(-SHIFT);
-  return reals_at(s->image, 3 * s->plane, s->channel * s->plane + (long)y * s->stride, x, s->width) - SHIFT;
-}
-
 // v / 255 to the last bit without a division, so that a render that equals its photo has no gradient.
 static inline realV over_255(realV v) {
   const realV r = (realV)(R(1.0) / R(255.0)), q = v * r;
   return fma(fma((realV)(-R(255.0)), q, v), r, q);
 }
 
+#if HAS_MASK
+// How far pixels of row y from column x on count; 0 outside of the image.
+static inline realV mask_at(const Images *s, int x, int y) {
+  if (y < 0 || y >= s->height) return (realV)(R(0.0));
+  return over_255(bytes_at(s->photo, 4 * s->pixels, 3 * s->pixels + (long)y * s->width, x, s->width));
+}
+
+// Whether no pixel counts of those that the strip at (x0, y0) and the windows around it see.
+static inline int nothing_counts(const Images *s, int x0, int y0) {
+  realV most = (realV)(R(0.0));
+  for (int y = y0 - RADIUS; y < y0 + LOSS_ROWS + RADIUS; y++)
+    for (int j = 0; j < VECTORS; j++) most = max(most, mask_at(s, x0 + (j - HALO) * VW, y));
+  return !any_lane(most > (realV)(R(0.0)));
+}
+#endif
+
+// VW rendered values of row y from column x on, shifted; masked as the photo is.
+static inline realV render_at(const Images *s, int x, int y) {
+  if (y < 0 || y >= s->height) return (realV)(-SHIFT);
+  const realV v = reals_at(s->image, 3 * s->plane, s->channel * s->plane + (long)y * s->stride, x, s->width);
+#if HAS_MASK
+  return fma(mask_at(s, x, y), v, (realV)(-SHIFT));
+#else
+  return v - SHIFT;
+#endif
+}
+
 // The photo's counterpart: premultiplied colour plus (1 - alpha) of the background when there is an alpha plane.
 static inline realV photo_at(const Images *s, int x, int y) {
   if (y < 0 || y >= s->height) return (realV)(-SHIFT);
-  const long length = (3 + HAS_ALPHA) * s->pixels, row = (long)y * s->width;
+  const long length = (3 + (HAS_ALPHA || HAS_MASK)) * s->pixels, row = (long)y * s->width;
   realV v = over_255(bytes_at(s->photo, length, s->channel * s->pixels + row, x, s->width));
 #if HAS_ALPHA
   const realV a = over_255(bytes_at(s->photo, length, 3 * s->pixels + row, x, s->width));
@@ -137,6 +158,22 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
   if (x0 >= stride || y0 >= rows) return;
   const long plane = (long)stride * rows;
   const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  const size_t columns = (stride + STRIP - 1) / STRIP, strips = columns * ((rows + LOSS_ROWS - 1) / LOSS_ROWS);
+  const size_t strip = channel * strips + sy * columns + sx;
+#if HAS_MASK
+  if (nothing_counts(&s, x0, y0)) { // render and photo agree: SSIM 1, nothing else
+    real inside_count = R(0.0);
+    for (int y = y0; y < min(y0 + LOSS_ROWS, rows); y++)
+      for (int x = x0; x < min(x0 + STRIP, stride); x++) {
+        for (int m = 0; m < (write_error ? 2 : 3); m++)
+          if (!write_error || channel == 0) maps[m * plane + (long)y * stride + x] = R(0.0);
+        inside_count += x < width && y < height ? R(1.0) : R(0.0);
+      }
+    partial[2 * strip] = R(0.0);
+    partial[2 * strip + 1] = inside_count;
+    return;
+  }
+#endif
   realV moments[4][LOSS_ROWS][VECTORS], differences[LOSS_ROWS][VECTORS];
   for (int j = 0; j < VECTORS; j++) {
     const int x = x0 + (j - HALO) * VW;
@@ -181,8 +218,6 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
         vstore_real(choose(in, dxy, zero), 0, at + 2 * plane);
       }
     }
-  const size_t columns = (stride + STRIP - 1) / STRIP, strips = columns * ((rows + LOSS_ROWS - 1) / LOSS_ROWS);
-  const size_t strip = channel * strips + sy * columns + sx;
   partial[2 * strip] = lane_total(l1_sum);
   partial[2 * strip + 1] = lane_total(ssim_sum);
 }
@@ -199,6 +234,13 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
   const long plane = (long)stride * rows;
   const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
   dimage += channel * plane;
+#if HAS_MASK
+  if (nothing_counts(&s, x0, y0)) {
+    for (int y = y0; y < min(y0 + LOSS_ROWS, rows); y++)
+      for (int x = x0; x < min(x0 + STRIP, stride); x++) dimage[(long)y * stride + x] = R(0.0);
+    return;
+  }
+#endif
   realV windows[3][LOSS_ROWS][VECTORS];
   for (int m = 0; m < 3; m++)
     for (int j = 0; j < VECTORS; j++) {
@@ -220,7 +262,11 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
       const realV dssim = window_row(windows[0][g], j + HALO) +
                           fma((realV)(R(2.0)) * a, window_row(windows[1][g], j + HALO), b * window_row(windows[2][g], j + HALO));
       const realV sign = choose(a > b, one, zero) - choose(a < b, one, zero);
+#if HAS_MASK
+      const realV d = mask_at(&s, x, y) * fma((realV)(weight_l1), sign, -(realV)(weight_ssim)*dssim);
+#else
       const realV d = fma((realV)(weight_l1), sign, -(realV)(weight_ssim)*dssim);
+#endif
       vstore_real(choose(inside(x, y < height ? width : 0), d, zero), 0, dimage + (size_t)y * stride + x);
     }
 }

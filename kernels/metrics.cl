@@ -4,11 +4,14 @@
 __kernel void metrics(__global real *image,               // in/out [>= 3, rows, stride]
                       __global const uchar *photo,        // in [3 or 4, height, width]
                       real bg_red, real bg_green, real bg_blue, int width, int height, int stride, int rows,
-                      __global real *squared_error) { // out [height] sum over the row and the channels
+                      __global real *squared_error) { // out [2, height] sum over the row and the channels, pixels that count
   const int y = get_global_id(0);
   if (y >= height) return;
   const size_t plane = (size_t)stride * rows, pixels = (size_t)width * height;
   real sum = R(0.0);
+#if HAS_MASK
+  real counted = R(0.0);
+#endif
   for (int ch = 0; ch < 3; ch++) {
     const real background = ch == 0 ? bg_red : ch == 1 ? bg_green : bg_blue;
     for (int x = 0; x < width; x++) {
@@ -16,11 +19,22 @@ __kernel void metrics(__global real *image,               // in/out [>= 3, rows,
       const real c = clamp(image[at], R(0.0), R(1.0));
       image[at] = c;
       real p = (real)photo[ch * pixels + from] / R(255.0);
+#if HAS_MASK
+      const real m = (real)photo[3 * pixels + from] / R(255.0);
+      sum = fma(m * c - p, m * c - p, sum);
+      if (ch == 0) counted += m;
+#else
 #if HAS_ALPHA
       p += (R(1.0) - (real)photo[3 * pixels + from] / R(255.0)) * background;
 #endif
       sum = fma(c - p, c - p, sum);
+#endif
     }
   }
   squared_error[y] = sum;
+#if HAS_MASK
+  squared_error[height + y] = counted;
+#else
+  squared_error[height + y] = (real)width;
+#endif
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::dataset::{Photo, View};
+use crate::dataset::{Alpha, Photo, View};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::{NEAR, SUMS, TILE, Tuning, status};
 use crate::gpu::{Array, CameraArg, Device, Real, Record};
@@ -130,6 +130,8 @@ pub struct Frame<R: Real> {
     pub sums: Array<R>,
     /// First pair of each tile \[tiles + 1\].
     pub tile_start: Array<u32>,
+    /// Tiles of a masked photo that get pairs \[tiles\].
+    pub live: Array<u32>,
     /// Pairs used of each tile \[tiles\].
     pub tile_used: Array<u32>,
     /// Red, green, blue, transmittance \[4, rows, stride of the image\].
@@ -162,6 +164,7 @@ impl<R: Real> Frame<R> {
             pair_owner: ints("pair_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
             tile_start: ints("tile_start")?,
+            live: ints("live")?,
             tile_used: ints("tile_used")?,
             image: Array::zeros(device, "image", 0)?,
             status: Array::zeros(device, "status", status::SLOTS)?,
@@ -243,6 +246,7 @@ impl<R: Real> Frame<R> {
         }
         self.tile_start = Array::zeros(device, "tile_start", tiles + 1)?;
         self.image = Array::zeros(device, "image", 4 * tiles * (TILE * TILE) as usize)?;
+        self.live = Array::zeros(device, "live", tiles)?;
         self.tile_used = Array::zeros(device, "tile_used", tiles)?;
         Ok(())
     }
@@ -259,8 +263,8 @@ pub struct ViewSet<R: Real = f32> {
     photos: Photos,
     /// The photos' numbers there.
     numbers: Vec<usize>,
-    /// Whether the photos have an alpha plane.
-    pub has_alpha: bool,
+    /// What the photos' alpha plane says.
+    pub alpha: Alpha,
     /// Largest width and largest height, pixels.
     pub largest: [usize; 2],
     /// A camera with as many tiles as any view needs.
@@ -275,9 +279,11 @@ impl<R: Real> ViewSet<R> {
     /// As [`Photos::add`].
     pub fn new(photos: &Photos, views: impl IntoIterator<Item = View>) -> Result<Self> {
         let (mut names, mut cameras, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
-        let mut has_alpha = false;
+        let mut alpha = Alpha::None;
         for view in views {
-            has_alpha |= view.photo.channels() == 4;
+            if view.photo.alpha() != Alpha::None {
+                alpha = view.photo.alpha();
+            }
             names.push(view.name);
             cameras.push(CameraArg::<R>::new(&view.camera, NEAR));
             numbers.push(photos.add(view.photo)?);
@@ -288,7 +294,7 @@ impl<R: Real> ViewSet<R> {
         largest_camera.tiles = largest.map(|s| s.div_ceil(TILE as usize) as i32);
         Ok(Self {
             names,
-            has_alpha,
+            alpha,
             cameras,
             photos: photos.clone(),
             numbers,
@@ -317,7 +323,8 @@ impl<R: Real> ViewSet<R> {
         Ok(Photo {
             width,
             height,
-            channels: if self.has_alpha { 4 } else { 3 },
+            channels: self.alpha.planes() as u32,
+            mask: self.alpha == Alpha::Mask,
             data,
         })
     }

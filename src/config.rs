@@ -134,6 +134,8 @@ pub struct TrainConfig {
     pub checkpoint_every: u32,
     /// Where the first Gaussians come from.
     pub init: Init,
+    /// Whether the photos' alpha is a mask of what counts, not transparency.
+    pub alpha_is_mask: bool,
     /// What lies behind the scene.
     pub background: Background,
     /// Loss weights.
@@ -167,6 +169,7 @@ impl Default for TrainConfig {
             export_every: 0,
             checkpoint_every: 1000,
             init: Init::Points,
+            alpha_is_mask: false,
             background: Background::Black,
             loss: LossConfig::default(),
             optimizer: OptimizerConfig::default(),

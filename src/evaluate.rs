@@ -1,8 +1,10 @@
-//! PSNR, SSIM and ꟻLIP of rendered views against their photos (after clamping to [0, 1]; mean over RGB; no masks).
+//! PSNR, SSIM and ꟻLIP of rendered views against their photos (after clamping to [0, 1]; mean over RGB and, with
+//! masks, over the pixels that count).
 
 pub mod flip;
 
 use crate::buffers::{Scene, ViewSet};
+use crate::dataset::Alpha;
 use crate::error::Result;
 use crate::gpu::{Array, Defines, Device, Kernels};
 use crate::render::{Quantity, RenderOptions, Renderer};
@@ -34,7 +36,7 @@ impl Evaluator {
         let kernels = Kernels::new(
             device,
             Defines {
-                has_alpha: views.has_alpha,
+                alpha: views.alpha,
                 ..defines
             },
         );
@@ -46,7 +48,7 @@ impl Evaluator {
             maps: Array::zeros(device, "error maps", 2 * plane)?,
             partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
             sums: Array::zeros(device, "score", 2)?,
-            rows: Array::zeros(device, "squared_error", h)?,
+            rows: Array::zeros(device, "squared_error", 2 * h)?,
             loss,
             views,
         })
@@ -77,6 +79,7 @@ impl Evaluator {
             sh_degree,
             background,
             quantity: Quantity::Color,
+            live_only: false,
         };
         renderer.render(scene, camera, &options)?;
         let size = size_of_image(camera);
@@ -89,24 +92,42 @@ impl Evaluator {
         self.metrics.run(&pair, &self.rows)?;
         self.loss.errors(&pair, &self.maps, &self.partial)?;
         self.loss.sum(&pair, &self.partial, &self.sums, 0)?;
-        let squared: f64 = self.rows.read(0, size[1])?.into_iter().map(f64::from).sum();
+        let sum = |row: usize| -> Result<f64> {
+            let values = self.rows.read(row * size[1], size[1])?;
+            Ok(values.into_iter().map(f64::from).sum())
+        };
+        let (squared, counted) = (sum(0)?, sum(1)?.max(1.0));
         let ssim = f64::from(self.sums.to_vec()?[1]);
         Ok(ViewScore {
             view: self.views.names[view].clone(),
-            psnr: psnr(squared / (3 * size[0] * size[1]) as f64),
-            ssim,
+            psnr: psnr(squared / (3.0 * counted)),
+            // Where nothing counts SSIM is 1.
+            ssim: 1.0 - (1.0 - ssim) * (size[0] * size[1]) as f64 / counted,
             flip: None,
         })
     }
 
     /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
     fn flip(&self, view: usize, renderer: &Renderer, background: [f32; 3]) -> Result<f64> {
-        let image = renderer.read_image(&self.views.cameras[view])?;
-        let photo = self.views.read_photo(view)?.rgb_over(background);
+        let mut image = renderer.read_image(&self.views.cameras[view])?;
+        let photo = self.views.read_photo(view)?;
+        let pixels = image.width * image.height;
+        let mut share = 1.0;
+        if photo.alpha() == Alpha::Mask {
+            let mask = photo.data[3 * pixels..]
+                .iter()
+                .map(|m| f32::from(*m) / 255.0);
+            let mask: Vec<f32> = mask.collect();
+            for plane in image.rgb.chunks_exact_mut(pixels.max(1)) {
+                plane.iter_mut().zip(&mask).for_each(|(v, m)| *v *= m);
+            }
+            share = f64::from(mask.iter().sum::<f32>().max(1.0)) / pixels as f64;
+        }
+        let photo = photo.rgb_over(if share < 1.0 { [0.0; 3] } else { background });
         let channel = |c: usize| photo.iter().skip(c).step_by(3);
         let planes = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
         let planes: Vec<f32> = planes.collect();
-        flip::flip(&planes, &image.rgb, image.width, image.height)
+        Ok(flip::flip(&planes, &image.rgb, image.width, image.height)? / share)
     }
 
     /// Scores every view by PSNR and SSIM.

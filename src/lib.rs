@@ -18,6 +18,7 @@
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
 //! | adam | `kernels/adam.cl` | one step of all parameters |
 //! | noise | `kernels/noise.cl` | a random step of every position (samplers mcmc, mh) |
+//! | live | `kernels/live.cl` | tiles of a masked photo in which any pixel counts |
 //! | weight | `kernels/weight.cl` | what the views show of each Gaussian, for what is removed at the end |
 //! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error cues (sampler mh) or gradients on the screen (adc) of each Gaussian |
 //! | density control | [`density`] | which Gaussians are born, moved or removed, on the host |

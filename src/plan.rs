@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::config::{Init, MhConfig, Sampler, TrainConfig};
-use crate::dataset::{Dataset, View};
+use crate::dataset::{Alpha, Dataset, View};
 use crate::schedule::Schedule;
 use crate::train::{BAND_WORTH, Findings};
 
@@ -34,29 +34,7 @@ impl Plan {
     #[must_use]
     pub fn new(dataset: &Dataset, config: &TrainConfig) -> Self {
         let mut plan = Self::default();
-        plan.decide(
-            dataset.background_matters(),
-            "photo alpha over the background",
-            "photos have transparent pixels",
-            "no photo has an alpha channel",
-        );
-        plan.decide(
-            dataset.undistorted > 0,
-            "undistortion",
-            &format!("{} photos are of lenses that need it", dataset.undistorted),
-            "every camera is a pinhole",
-        );
-        let mebibytes = |bytes: u64| format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20));
-        let photos = mebibytes(dataset.photo_bytes());
-        plan.decide(
-            dataset.photos_on_demand(),
-            "photos decoded ahead of their use",
-            &format!(
-                "they take {photos}, and {} is their budget",
-                mebibytes(dataset.image_budget)
-            ),
-            &format!("all photos fit in memory ({photos})"),
-        );
+        plan.photos(dataset);
         plan.decide(
             config.sh_degree > 0,
             COLOUR,
@@ -90,6 +68,39 @@ impl Plan {
             },
         );
         plan
+    }
+
+    /// What the photos are like.
+    fn photos(&mut self, dataset: &Dataset) {
+        self.decide(
+            dataset.background_matters(),
+            "photo alpha over the background",
+            "photos have transparent pixels",
+            "no photo is transparent",
+        );
+        self.decide(
+            dataset.alpha() == Alpha::Mask,
+            "masks",
+            "render and photo are compared where masks are not black; tiles that are get no pairs",
+            "there is no mask",
+        );
+        self.decide(
+            dataset.undistorted > 0,
+            "undistortion",
+            &format!("{} photos are of lenses that need it", dataset.undistorted),
+            "every camera is a pinhole",
+        );
+        let mebibytes = |bytes: u64| format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20));
+        let photos = mebibytes(dataset.photo_bytes());
+        self.decide(
+            dataset.photos_on_demand(),
+            "photos decoded ahead of their use",
+            &format!(
+                "they take {photos}, and {} is their budget",
+                mebibytes(dataset.image_budget)
+            ),
+            &format!("all photos fit in memory ({photos})"),
+        );
     }
 
     /// The plan with what training has found out.

@@ -4,7 +4,7 @@ use crate::buffers::{Frame, Scene};
 use crate::dataset::Camera;
 use crate::error::{Error, Result};
 use crate::gpu::tuning::{NEAR, status};
-use crate::gpu::{CameraArg, Defines, Device, Kernels, Real};
+use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::stage::bin::{Bin, BinArgs, EmitArgs};
 use crate::stage::project::{Project, ProjectArgs};
 use crate::stage::scan::{Count, Scan, ScanArgs};
@@ -30,6 +30,8 @@ pub struct RenderOptions {
     pub background: [f32; 3],
     /// What is composited.
     pub quantity: Quantity,
+    /// Only tiles in which a pixel of the photo counts, as [`Renderer::live_tiles`] says; of effect for photos with masks.
+    pub live_only: bool,
 }
 
 /// A rendered image.
@@ -162,7 +164,7 @@ impl<R: Real> Renderer<R> {
             pair_counts: &f.pair_counts,
         })?;
         let by_depth = self.sort_visible(scene.count)?;
-        self.order_at = self.pair_up(scene.count, camera, by_depth)?;
+        self.order_at = self.pair_up(scene.count, camera, by_depth, options.live_only)?;
         let (f, [_, tiles]) = (&self.frame, tiles_of(camera));
         self.bin
             .ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)?;
@@ -190,7 +192,13 @@ impl<R: Real> Renderer<R> {
 
     /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile; answers which of the two arrays
     /// holds the order.
-    fn pair_up(&self, count: usize, camera: &CameraArg<R>, by_depth: usize) -> Result<usize> {
+    fn pair_up(
+        &self,
+        count: usize,
+        camera: &CameraArg<R>,
+        by_depth: usize,
+        live_only: bool,
+    ) -> Result<usize> {
         let f = &self.frame;
         let (status, visible) = (&f.status, &f.visible);
         let [tiles_x, tiles] = tiles_of(camera);
@@ -200,6 +208,7 @@ impl<R: Real> Renderer<R> {
             count,
             status,
             tiles_x: tiles_x as u32,
+            live: live_only.then_some(&f.live),
             counts: &f.counts,
             pair_counts: &f.pair_counts,
             cover: &f.cover,
@@ -235,6 +244,22 @@ impl<R: Real> Renderer<R> {
             n_slot: status::PAIRS,
             bits: usize::BITS - tiles.leading_zeros(),
         })
+    }
+
+    /// Which tiles get pairs where only those do in which a pixel of the photo counts \[tiles\]: written by the live stage.
+    #[must_use]
+    pub fn live_tiles(&self) -> &Array<u32> {
+        &self.frame.live
+    }
+
+    /// Pairs of each tile of the view rendered last.
+    ///
+    /// # Errors
+    /// The driver's.
+    #[doc(hidden)]
+    pub fn pairs_per_tile(&self, camera: &CameraArg<R>) -> Result<Vec<u32>> {
+        let start = self.frame.tile_start.read(0, camera.tile_count() + 1)?;
+        Ok(start.windows(2).map(|w| w[1] - w[0]).collect())
     }
 
     /// The sorted pairs of the view enqueued last.

@@ -35,6 +35,7 @@ use crate::schedule::Schedule;
 use crate::stage::adam::{Adam, AdamArgs};
 use crate::stage::edit::Edit;
 use crate::stage::importance::Importance;
+use crate::stage::live::Live;
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
 use crate::stage::shrink::Shrink;
@@ -52,7 +53,7 @@ fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result
     } else {
         0
     };
-    let planes = if views.has_alpha { 4 } else { 3 };
+    let planes = views.alpha.planes();
     Array::zeros(device, "small", planes * pixels)
 }
 
@@ -84,6 +85,8 @@ pub struct Trainer {
     moment2: Array<f32>,
     renderer: Renderer,
     shrink: Shrink,
+    /// Where photos have masks: tiles in which nothing counts get no pairs.
+    live: Option<Live>,
     loss: Loss,
     splat_grad: SplatGrad,
     project_grad: Vec<ProjectGrad>,
@@ -145,7 +148,7 @@ impl Trainer {
         check_start(splats)?;
         let (tuning, degree) = (device.tuning(), config.sh_degree);
         let defines = Defines {
-            has_alpha: views.has_alpha,
+            alpha: views.alpha,
             cull_chunks: config.work.cull_chunks,
             ..Defines::new(tuning)
         };
@@ -157,11 +160,10 @@ impl Trainer {
         let [w, h] = views.largest;
         let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
         let state = |name| Array::zeros(device, name, scene.planes() * scene.stride);
-        let planes = Plane::count(degree);
         let mut trainer = Self {
             schedule: Schedule::new(config),
             device: device.clone(),
-            grads: Array::zeros(device, "grads", planes * tuning.update_block)?,
+            grads: Array::zeros(device, "grads", Plane::count(degree) * tuning.update_block)?,
             moment1: state("moment1")?,
             moment2: state("moment2")?,
             renderer: Renderer::new(device, defines, degree, true)?,
@@ -170,6 +172,7 @@ impl Trainer {
             adam: Adam::new::<f32>(&kernels)?,
             importance: Importance::new::<f32>(&kernels)?,
             edit: Edit::new::<f32>(&kernels)?,
+            live: Live::if_masked::<f32>(&kernels)?,
             shrink: Shrink::new::<f32>(&kernels)?,
             judge: Judge::new(&kernels, h)?,
             findings: Findings::default(),
@@ -217,6 +220,7 @@ impl Trainer {
             sh_degree,
             background: self.schedule.background(iteration),
             quantity: Quantity::Color,
+            live_only: false,
         }
     }
 
@@ -247,9 +251,19 @@ impl Trainer {
         let photo = self.views.photo(view, &order[1..])?;
         let (camera, factor) = self.camera_at(iteration, view);
         let options = self.options(iteration, degree);
-        self.renderer.enqueue(&self.scene, &camera, &options)?;
+        self.shrink_photo(&photo, view, factor)?;
+        if let Some(live) = &self.live {
+            let photo = self.at_size(&photo, factor);
+            live.run(photo, &camera, self.renderer.live_tiles())?;
+        }
+        let live_only = self.live.is_some();
+        let render = RenderOptions {
+            live_only,
+            ..options
+        };
+        self.renderer.enqueue(&self.scene, &camera, &render)?;
 
-        let photo = self.shrunk(&photo, view, factor)?;
+        let photo = self.at_size(&photo, factor);
         let pair = self.pair(&camera, photo, options.background);
         let lambda = f64::from(self.config.loss.lambda_ssim);
         self.loss

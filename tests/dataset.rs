@@ -4,6 +4,7 @@ mod colmap;
 mod frames;
 mod init;
 mod lens;
+mod masks;
 mod morton;
 mod photo;
 mod real;

@@ -69,6 +69,7 @@ fn foretold(trainer: &Trainer, splats: &Splats, trials: &[Trial]) -> Vec<f64> {
             sh_degree: splats.sh_degree(),
             background: [0.0; 3],
             quantity: Quantity::Color,
+            live_only: false,
         },
         lambda_ssim: 0.2,
         alpha_min: ALPHA_MIN,

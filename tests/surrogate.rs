@@ -118,6 +118,7 @@ fn instrument() -> (Instrument<f64>, Base, Splats) {
             sh_degree: 1,
             background: [0.1, 0.2, 0.3],
             quantity: Quantity::Color,
+            live_only: false,
         },
         lambda_ssim: 0.2,
         alpha_min: 1e-9,

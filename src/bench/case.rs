@@ -125,6 +125,7 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
         sh_degree: subject.splats.sh_degree(),
         background: [0.0; 3],
         quantity: Quantity::Color,
+        live_only: false,
     };
     let views = &subject.dataset.train;
     let each = 1.0 / views.len() as f64;

@@ -76,6 +76,7 @@ pub fn photo(camera: &Camera) -> Photo {
         width: camera.width,
         height: camera.height,
         channels: 3,
+        mask: false,
         data: (0..pixels).map(|i| (i * 31 % 251) as u8).collect(),
     }
 }

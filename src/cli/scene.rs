@@ -54,6 +54,7 @@ pub fn dataset(
             .or(record.map(|r| r.config.test_every))
             .unwrap_or(defaults.test_every),
         image_budget: None,
+        alpha_is_mask: record.is_some_and(|r| r.config.alpha_is_mask),
     };
     dataset::load(path, &options)
 }

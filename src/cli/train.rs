@@ -88,12 +88,15 @@ pub struct TrainArgs {
     /// Continue the run in this folder from its checkpoint, as it was configured.
     #[arg(long, value_name = "RUN", conflicts_with_all = [
         "output", "config", "sampler", "surrogate", "iterations", "max_size", "max_gaussians", "sh_degree", "seed",
-        "test_every", "init", "background",
+        "test_every", "init", "background", "alpha_is_mask",
     ])]
     resume: Option<PathBuf>,
     /// points, random or FILE.ply [default: points]
     #[arg(long)]
     init: Option<String>,
+    /// Take the photos' alpha for a mask of what counts, not for transparency.
+    #[arg(long)]
+    alpha_is_mask: bool,
     /// black, white, random or R,G,B [default: black]
     #[arg(long)]
     background: Option<String>,
@@ -200,6 +203,7 @@ fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -
         max_size: config.max_size,
         test_every: config.test_every,
         image_budget: config.image_budget,
+        alpha_is_mask: config.alpha_is_mask,
     };
     let data = dataset::load(&args.dataset, &options)?;
     output::note(&format!(
@@ -272,6 +276,7 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
     if let Some(b) = &args.image_budget {
         c.image_budget = Some(parse_bytes(b)?);
     }
+    c.alpha_is_mask |= args.alpha_is_mask;
     c.patience = args.patience.or(c.patience);
     c.max_gaussians = args.max_gaussians.or(c.max_gaussians);
     c.eval_every = args.eval_every.or(c.eval_every);

@@ -1,6 +1,6 @@
 //! Image files → [`Photo`]s: decoding and the exact area filter.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use image::{ImageDecoder, ImageReader};
 
@@ -57,7 +57,19 @@ pub(crate) fn header(file: &Path) -> Result<Header> {
     })
 }
 
-/// Decodes a photo, takes the lens's distortion out and shrinks it to a longest side of at most `max_size` pixels; 4 channels
+/// Where a photo's mask comes from.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum Mask {
+    /// Nowhere: its alpha, if it has any, is transparency.
+    #[default]
+    None,
+    /// Its alpha.
+    Alpha,
+    /// A file, together with its alpha.
+    File(PathBuf),
+}
+
+/// Decodes a photo, applies its mask, takes the lens's distortion out and shrinks it to a longest side of at most `max_size` pixels; 4 channels
 /// only where some pixel is not opaque.
 ///
 /// # Errors
@@ -66,15 +78,19 @@ pub(crate) fn decode(
     file: &Path,
     max_size: u32,
     undistortion: Option<&Undistortion>,
+    mask: &Mask,
 ) -> Result<Photo> {
     let image = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
     let (mut width, mut height) = (image.width(), image.height());
-    let has_alpha = image.color().has_alpha();
+    let has_alpha = image.color().has_alpha() || matches!(mask, Mask::File(_));
     let mut bytes = if has_alpha {
         image.into_rgba8().into_raw()
     } else {
         image.into_rgb8().into_raw()
     };
+    if let Mask::File(mask) = mask {
+        apply_mask(mask, &mut bytes, [width, height])?;
+    }
     if let Some(undistortion) = undistortion {
         if (width, height) != undistortion.source_size() {
             return Err(Error::input(
@@ -95,11 +111,35 @@ pub(crate) fn decode(
         bytes = rgb.collect();
     }
     let (w, h) = fitted(width, height, max_size);
-    if (w, h) == (width, height) {
+    let photo = if (w, h) == (width, height) {
         Photo::from_interleaved(width, height, channels, &bytes)
     } else {
         shrink(width, height, channels, &bytes, w, h)
+    }?;
+    Ok(Photo {
+        mask: channels == 4 && *mask != Mask::None,
+        ..photo
+    })
+}
+
+/// Multiplies a mask file into the alpha of RGBA bytes: black is left out, white counts.
+fn apply_mask(file: &Path, rgba: &mut [u8], [width, height]: [u32; 2]) -> Result<()> {
+    let mask = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
+    if (mask.width(), mask.height()) != (width, height) {
+        return Err(Error::input(
+            file,
+            format!(
+                "{}×{} pixels; its photo has {width}×{height}",
+                mask.width(),
+                mask.height()
+            ),
+            "give a mask of the photo's size, or remove it",
+        ));
     }
+    for (pixel, m) in rgba.chunks_exact_mut(4).zip(mask.into_luma8().into_raw()) {
+        pixel[3] = ((u32::from(pixel[3]) * u32::from(m) + 127) / 255) as u8;
+    }
+    Ok(())
 }
 
 /// The largest size of the same shape whose longest side is at most `max_size` (never larger than the original).
@@ -163,6 +203,7 @@ pub fn shrink(
         }
     }
     Ok(Photo {
+        mask: false,
         width: to_width,
         height: to_height,
         channels,

@@ -19,7 +19,7 @@ pub use camera::Camera;
 pub use decode::shrink;
 pub use frame::Frame;
 pub use lens::{Lens, Undistortion};
-pub use photo::Photo;
+pub use photo::{Alpha, Photo};
 pub use source::{PhotoFile, PhotoSource};
 
 use std::path::{Path, PathBuf};
@@ -123,11 +123,18 @@ impl Dataset {
         format!("{hash:016x}")
     }
 
-    /// Whether the photos have alpha, so that what lies behind the scene matters. All photos have it, or none.
+    /// What the photos' alpha says: the same for all of them.
+    #[must_use]
+    pub fn alpha(&self) -> Alpha {
+        let mut views = self.train.iter().chain(&self.test);
+        let found = views.find_map(|v| Some(v.photo.alpha()).filter(|a| *a != Alpha::None));
+        found.unwrap_or_default()
+    }
+
+    /// Whether photos are transparent, so that what lies behind the scene matters.
     #[must_use]
     pub fn background_matters(&self) -> bool {
-        let mut views = self.train.iter().chain(&self.test);
-        views.any(|view| view.photo.channels() == 4)
+        self.alpha() == Alpha::Transparency
     }
 
     /// Bytes of all photos, decoded.
@@ -155,6 +162,8 @@ pub struct LoadOptions {
     /// Bytes that all photos together may take: more than that stays in the files and is decoded on demand. None: half of
     /// the memory that is available.
     pub image_budget: Option<u64>,
+    /// Whether the photos' alpha is a mask and not transparency. With mask files it is in any case.
+    pub alpha_is_mask: bool,
 }
 
 impl Default for LoadOptions {
@@ -163,6 +172,7 @@ impl Default for LoadOptions {
             max_size: 1600,
             test_every: 8,
             image_budget: None,
+            alpha_is_mask: false,
         }
     }
 }

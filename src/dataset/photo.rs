@@ -1,6 +1,29 @@
 //! 8-bit photos, planar.
 
+use serde::{Deserialize, Serialize};
+
 use crate::error::{Error, Result};
+
+/// What the alpha plane of photos says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Alpha {
+    /// Nothing: there is none.
+    #[default]
+    None,
+    /// How far the scene hides the background: a photo over b is `rgb + (1 − alpha)·b`.
+    Transparency,
+    /// Where the photo counts: render and photo are compared as far as it is 1.
+    Mask,
+}
+
+impl Alpha {
+    /// Planes of a photo: colour, and alpha if there is any.
+    #[must_use]
+    pub fn planes(self) -> usize {
+        if self == Self::None { 3 } else { 4 }
+    }
+}
 
 /// An 8-bit image, planar: `data[(c·height + y)·width + x]`. With 4 channels the colours are premultiplied by the alpha
 /// plane (channel 3), so that the photo over a background b is `rgb + (1 − alpha)·b`.
@@ -12,6 +35,8 @@ pub struct Photo {
     pub height: u32,
     /// 3 (RGB) or 4 (premultiplied RGBA).
     pub channels: u32,
+    /// Whether the alpha plane is a mask and not transparency.
+    pub mask: bool,
     /// Planes, `channels × height × width` bytes.
     pub data: Vec<u8>,
 }
@@ -51,8 +76,19 @@ impl Photo {
             width,
             height,
             channels,
+            mask: false,
             data,
         })
+    }
+
+    /// What the alpha plane says.
+    #[must_use]
+    pub fn alpha(&self) -> Alpha {
+        match (self.channels, self.mask) {
+            (4, true) => Alpha::Mask,
+            (4, false) => Alpha::Transparency,
+            _ => Alpha::None,
+        }
     }
 
     /// The photo over a background (RGB in [0, 1]): interleaved RGB8, `[height][width][3]`. A photo without alpha hides

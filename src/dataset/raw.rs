@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::decode::header;
+use super::decode::{Mask, header};
 use super::source::{PhotoFile, automatic_budget, read};
 use super::{Camera, Dataset, Frame, Layout, Lens, LoadOptions, Points, Undistortion, View};
 use crate::error::{Error, Result};
@@ -21,6 +21,8 @@ pub(super) struct RawView {
     pub camera: Camera,
     /// What its lens does to the photo.
     pub lens: Lens,
+    /// The file of its mask.
+    pub mask: Option<PathBuf>,
 }
 
 /// A dataset as read, in its own frame.
@@ -90,6 +92,25 @@ pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
     Ok(longer.chain(other).find(|candidate| candidate.is_file()))
 }
 
+/// The mask of an image: in the folder `masks`, under the image's name or file name, with `.png` added (COLMAP) or in the
+/// place of the extension.
+pub(super) fn find_mask(root: &Path, name: &str) -> Option<PathBuf> {
+    let folder = root.join("masks");
+    let whole = inside(&folder, name).ok()?;
+    let short = folder.join(whole.file_name()?);
+    let in_place = |path: &PathBuf| {
+        let mut added = path.clone().into_os_string();
+        added.push(".png");
+        [
+            PathBuf::from(added),
+            path.with_extension("png"),
+            path.clone(),
+        ]
+    };
+    let candidates = [whole, short];
+    candidates.iter().flat_map(in_place).find(|p| p.is_file())
+}
+
 /// Splits, normalises and reads the photos.
 ///
 /// # Errors
@@ -111,9 +132,10 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     let budget = options.image_budget.unwrap_or_else(automatic_budget);
     let first_held_out = train.len();
     let raw: Vec<RawView> = train.into_iter().chain(test).collect();
+    let masked = options.alpha_is_mask || raw.iter().any(|v| v.mask.is_some());
     let (cameras, files): (Vec<Camera>, Vec<PhotoFile>) = raw
         .par_iter()
-        .map(|v| place(v, &frame, options.max_size))
+        .map(|v| place(v, &frame, options.max_size, masked))
         .collect::<Result<_>>()?;
     let undistorted = raw.iter().filter(|v| v.lens != Lens::Pinhole).count();
     let photos = read(files, budget)?;
@@ -275,7 +297,12 @@ fn local_points(
 }
 
 /// Moves the camera to the local frame, to a pinhole and to the resolution that the photo will have.
-fn place(view: &RawView, frame: &Frame, max_size: u32) -> Result<(Camera, PhotoFile)> {
+fn place(
+    view: &RawView,
+    frame: &Frame,
+    max_size: u32,
+    masked: bool,
+) -> Result<(Camera, PhotoFile)> {
     let header = header(&view.file)?;
     let original = (header.width, header.height);
     let camera = &view.camera;
@@ -305,7 +332,12 @@ fn place(view: &RawView, frame: &Frame, max_size: u32) -> Result<(Camera, PhotoF
         ),
     };
     let pinhole = undistortion.map_or(*camera, |u| u.target);
-    let file = PhotoFile::new(view.file.clone(), header, max_size, undistortion);
+    let mask = match &view.mask {
+        Some(file) => Mask::File(file.clone()),
+        None if masked => Mask::Alpha,
+        None => Mask::None,
+    };
+    let file = PhotoFile::new(view.file.clone(), header, max_size, undistortion, mask);
     let (width, height) = file.size();
     let mut camera = pinhole.scaled_to(width, height);
     camera.translation = -(camera.rotation * frame.to_local(view.camera.center()));

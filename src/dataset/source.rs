@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::decode::{Header, decode, fitted};
-use super::{Photo, Undistortion};
+use super::decode::{Header, Mask, decode, fitted};
+use super::{Alpha, Photo, Undistortion};
 use crate::error::{Error, Result};
 
 /// Photos may take this many bytes where the system does not say how much memory there is.
@@ -27,6 +27,7 @@ pub struct PhotoFile {
     path: PathBuf,
     max_size: u32,
     undistortion: Option<Box<Undistortion>>,
+    mask: Mask,
     width: u32,
     height: u32,
     /// 3, or 4 where the photo may have an alpha plane: at first what the header says, then what all photos have.
@@ -60,6 +61,19 @@ impl PhotoSource {
         }
     }
 
+    /// What the alpha plane of the photo says.
+    #[must_use]
+    pub fn alpha(&self) -> Alpha {
+        match self {
+            Self::Memory(photo) => photo.alpha(),
+            Self::File(file) => match (file.channels, &file.mask) {
+                (4, Mask::None) => Alpha::Transparency,
+                (4, _) => Alpha::Mask,
+                _ => Alpha::None,
+            },
+        }
+    }
+
     /// Bytes of the decoded photo, `channels × height × width`.
     #[must_use]
     pub fn bytes(&self) -> u64 {
@@ -76,6 +90,7 @@ impl PhotoFile {
         header: Header,
         max_size: u32,
         undistortion: Option<Undistortion>,
+        mask: Mask,
     ) -> Self {
         let (width, height) = undistortion.map_or((header.width, header.height), |u| {
             (u.target.width, u.target.height)
@@ -85,9 +100,14 @@ impl PhotoFile {
             path,
             max_size,
             undistortion: undistortion.map(Box::new),
+            channels: if header.has_alpha || matches!(mask, Mask::File(_)) {
+                4
+            } else {
+                3
+            },
+            mask,
             width,
             height,
-            channels: if header.has_alpha { 4 } else { 3 },
         }
     }
 
@@ -102,7 +122,12 @@ impl PhotoFile {
 
     /// The photo as decoded, 4 channels only where some pixel is not opaque.
     fn decoded(&self) -> Result<Photo> {
-        let photo = decode(&self.path, self.max_size, self.undistortion.as_deref())?;
+        let photo = decode(
+            &self.path,
+            self.max_size,
+            self.undistortion.as_deref(),
+            &self.mask,
+        )?;
         if (photo.width, photo.height) == self.size() && photo.channels <= self.channels {
             return Ok(photo);
         }
@@ -124,6 +149,7 @@ impl PhotoFile {
         let mut photo = self.decoded()?;
         if self.channels == 4 {
             photo.add_alpha();
+            photo.mask = self.mask != Mask::None;
         }
         Ok(photo)
     }
@@ -181,6 +207,7 @@ pub(super) fn read(mut files: Vec<PhotoFile>, budget: u64) -> Result<Vec<PhotoSo
             Some(mut photo) => {
                 if alpha {
                     photo.add_alpha();
+                    photo.mask = file.mask != Mask::None;
                 }
                 photo.into()
             }

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::raw::{RawScene, RawView, inside, locate};
+use super::raw::{RawScene, RawView, find_mask, inside, locate};
 use super::{Camera, Layout, Lens, decode, ply};
 use crate::error::{Error, Result};
 
@@ -47,6 +47,7 @@ struct File {
 #[derive(Deserialize)]
 struct Frame {
     file_path: String,
+    mask_path: Option<String>,
     transform_matrix: Vec<Vec<f64>>,
     #[serde(flatten)]
     lens: Intrinsics,
@@ -133,6 +134,7 @@ fn read(
             name: normal_name(&frame.file_path),
             camera: at.camera(&parsed.lens, &image)?,
             lens: at.lens(&parsed.lens)?,
+            mask: at.mask(root)?,
             file: image,
         });
     }
@@ -153,6 +155,19 @@ impl Place<'_> {
     fn bad(&self, what: &str, fix: &str) -> Error {
         let what = format!("frame {}: {what}", self.frame.file_path);
         Error::input(self.file, what, fix)
+    }
+
+    /// The file that the frame names as its mask, or one in the folder `masks`.
+    fn mask(&self, root: &Path) -> Result<Option<PathBuf>> {
+        let Some(name) = &self.frame.mask_path else {
+            return Ok(find_mask(root, &self.frame.file_path));
+        };
+        let found = locate(root, name)?;
+        if found.is_none() {
+            let what = format!("its mask {name} is not there");
+            return Err(self.bad(&what, "copy the mask to its place, or remove mask_path"));
+        }
+        Ok(found)
     }
 
     /// Distortion from the frame, then the file; zero where neither says.

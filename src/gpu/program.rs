@@ -11,6 +11,7 @@ use super::device::Device;
 use super::launch::Kernel;
 use super::tuning::{self, Tuning, status};
 use super::{Real, device_error};
+use crate::dataset::Alpha;
 use crate::error::{Error, Result};
 use crate::model::Plane;
 
@@ -35,6 +36,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("importance", include_str!("../../kernels/importance.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
+    ("live", include_str!("../../kernels/live.cl")),
     ("weight", include_str!("../../kernels/weight.cl")),
     ("edit", include_str!("../../kernels/edit.cl")),
     ("peak", include_str!("../../kernels/peak.cl")),
@@ -57,8 +59,8 @@ pub struct Defines {
     pub alpha_min: f64,
     /// SH degree in use.
     pub sh_degree: u32,
-    /// Photos have an alpha plane.
-    pub has_alpha: bool,
+    /// What the photos' alpha plane says.
+    pub alpha: Alpha,
     /// Gaussians that cannot be seen are left alone by the VW, before most of the work is done.
     pub cull_chunks: bool,
     /// Build the layout probe.
@@ -73,7 +75,7 @@ impl Defines {
             tuning,
             alpha_min: tuning::ALPHA_MIN,
             sh_degree: 0,
-            has_alpha: false,
+            alpha: Alpha::None,
             cull_chunks: true,
             layout_probe: false,
         }
@@ -82,7 +84,13 @@ impl Defines {
     /// Planes of the photos that kernels built with these defines read: colour, and alpha if there is any.
     #[must_use]
     pub fn photo_planes(&self) -> usize {
-        3 + usize::from(self.has_alpha)
+        self.alpha.planes()
+    }
+
+    /// Whether the photos have masks.
+    #[must_use]
+    pub fn masked(&self) -> bool {
+        self.alpha == Alpha::Mask
     }
 
     fn prelude(&self, is_double: bool) -> String {
@@ -105,7 +113,8 @@ impl Defines {
         int("CHAINS", u64::from(tuning::PEAK_CHAINS));
         int("STRIP", u64::from(self.tuning.strip));
         int("SH_DEGREE", u64::from(self.sh_degree));
-        int("HAS_ALPHA", u64::from(self.has_alpha));
+        int("HAS_ALPHA", u64::from(self.alpha == Alpha::Transparency));
+        int("HAS_MASK", u64::from(self.masked()));
         int("P_POSITION", Plane::POSITION as u64);
         int("P_LOG_SCALE", Plane::LOG_SCALE as u64);
         int("P_ROTATION", Plane::ROTATION as u64);

@@ -81,10 +81,21 @@ pub fn run(
     camera: &Camera64,
     options: &Options,
     photo: &[f64],
+    mask: Option<&[f64]>,
     lambdas: [f64; 3],
 ) -> Passage {
+    let pixels = camera.pixels();
+    let counts = |at: usize| mask.map_or(1.0, |m| m[at % pixels]);
     let (records, tiles, image, transmittance) = render(scene, camera, options);
-    let loss = loss(&image, photo, camera.size.map(|s| s as usize), lambdas[0]);
+    let masked: Vec<f64> = image
+        .iter()
+        .enumerate()
+        .map(|(at, v)| v * counts(at))
+        .collect();
+    let mut loss = loss(&masked, photo, camera.size.map(|s| s as usize), lambdas[0]);
+    for (at, g) in loss.gradient.iter_mut().enumerate() {
+        *g *= counts(at);
+    }
     let sums = splat_grad(&records, &tiles, camera, options, &loss.gradient);
     let sums: Vec<Option<[f64; 9]>> = sums
         .into_iter()

@@ -10,6 +10,7 @@ pub mod chain;
 pub mod compare;
 pub mod edit;
 pub mod importance;
+pub mod live;
 pub mod loss;
 pub mod metrics;
 pub mod noise;

@@ -21,6 +21,7 @@ pub fn shrink(photo: &Photo, factor: u32) -> Photo {
         }
     }
     Photo {
+        mask: photo.mask,
         width,
         height,
         channels: photo.channels,

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::gpu::tuning::status::SLOTS;
-use crate::gpu::{Array, Kernel, Kernels, Real, Record};
+use crate::gpu::{Array, Kernel, Kernels, Launch, Real, Record};
 
 /// The bin stage.
 #[derive(Debug)]
@@ -17,6 +17,7 @@ pub struct Bin {
     batch_local: usize,
     local: usize,
     coarse_local: usize,
+    masked: bool,
 }
 
 /// Arguments of [`Bin::count`] and [`Bin::emit`].
@@ -32,6 +33,8 @@ pub struct BinArgs<'a, R: Real> {
     pub status: &'a Array<u32>,
     /// Tiles per row.
     pub tiles_x: u32,
+    /// Tiles that get pairs \[tiles\], 1 or 0; none: all of them. Of effect for photos with masks alone.
+    pub live: Option<&'a Array<u32>>,
     /// Tiles of each visible Gaussian \[visible\], written by [`Bin::count`].
     pub counts: &'a Array<u32>,
     /// The same counts by Gaussian \[count\], written by [`Bin::count`] where there are any.
@@ -83,6 +86,7 @@ impl Bin {
             batch_local: tuning.batch_local(),
             local: tuning.local,
             coarse_local: tuning.coarse_local(),
+            masked: kernels.defines().masked(),
         })
     }
 
@@ -123,17 +127,28 @@ impl Bin {
             .run([self.chunks, 1], [self.coarse_local, 1])
     }
 
+    /// The arguments that both walks over tiles begin with.
+    fn with_records<'k, R: Real>(&self, kernel: &'k Kernel, a: &BinArgs<'_, R>) -> Launch<'k> {
+        let launch = kernel
+            .launch()
+            .array(a.records, a.count)
+            .array(a.visible, a.count)
+            .array(a.status, SLOTS)
+            .value(a.tiles_x);
+        if self.masked {
+            let live = a.live.unwrap_or(a.status);
+            launch.array(live, 1).value(i32::from(a.live.is_some()))
+        } else {
+            launch
+        }
+    }
+
     /// Counts the tiles of each visible Gaussian.
     ///
     /// # Errors
     /// Arrays that are too short, or the driver's.
     pub fn count<R: Real>(&self, a: &BinArgs<'_, R>) -> Result<()> {
-        self.count
-            .launch()
-            .array(a.records, a.count)
-            .array(a.visible, a.count)
-            .array(a.status, SLOTS)
-            .value(a.tiles_x)
+        self.with_records(&self.count, a)
             .array(a.counts, a.count)
             .array(a.cover, 2 * a.count)
             .array(a.pair_counts, a.count)
@@ -145,12 +160,7 @@ impl Bin {
     /// # Errors
     /// Arrays that are too short, or the driver's.
     pub fn emit<R: Real>(&self, a: &BinArgs<'_, R>, out: &EmitArgs<'_>) -> Result<()> {
-        self.emit
-            .launch()
-            .array(a.records, a.count)
-            .array(a.visible, a.count)
-            .array(a.status, SLOTS)
-            .value(a.tiles_x)
+        self.with_records(&self.emit, a)
             .array(a.cover, 2 * a.count)
             .array(out.offsets, a.count)
             .array(out.pair_start, a.count)

@@ -26,7 +26,8 @@ impl Metrics {
         })
     }
 
-    /// Clamps the render in place and writes the squared error of each row (all channels) into `squared_error` \[height\].
+    /// Clamps the render in place and writes the squared error of each row (all channels) and the number of its pixels
+    /// that count into `squared_error` \[2, height\].
     ///
     /// # Errors
     /// Arrays that are too short, or the driver's.
@@ -43,7 +44,7 @@ impl Metrics {
             .value(h as i32)
             .value(stride as i32)
             .value(rows as i32)
-            .array(squared_error, h)
+            .array(squared_error, 2 * h)
             .run([h, 1], [self.local, 1])
     }
 }

@@ -5,6 +5,7 @@ pub mod adam;
 pub mod bin;
 pub mod edit;
 pub mod importance;
+pub mod live;
 pub mod loss;
 pub mod metrics;
 pub mod noise;

@@ -102,7 +102,7 @@ impl<R: Real> Instrument<R> {
         let defines = Defines {
             alpha_min: setting.alpha_min,
             sh_degree: degree,
-            has_alpha: views.has_alpha,
+            alpha: views.alpha,
             ..Defines::new(device.tuning())
         };
         let kernels = Kernels::new(device, defines);

@@ -1,6 +1,7 @@
 //! Views rendered for density control beside those of training.
 
 use super::Trainer;
+use crate::dataset::Alpha;
 use crate::density::Picture;
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg};
@@ -35,12 +36,22 @@ impl Trainer {
         view: usize,
         factor: usize,
     ) -> Result<&'a Array<u8>> {
-        if factor == 1 {
-            return Ok(photo);
-        }
+        self.shrink_photo(photo, view, factor)?;
+        Ok(self.at_size(photo, factor))
+    }
+
+    /// Makes the smaller photo, if there is to be one.
+    pub(super) fn shrink_photo(&self, photo: &Array<u8>, view: usize, factor: usize) -> Result<()> {
         let size = size_of_image(&self.views.cameras[view]);
-        self.shrink.run(photo, size, factor, &self.small)?;
-        Ok(&self.small)
+        if factor > 1 {
+            self.shrink.run(photo, size, factor, &self.small)?;
+        }
+        Ok(())
+    }
+
+    /// The photo, or what [`Trainer::shrink_photo`] made of it.
+    pub(super) fn at_size<'a>(&'a self, photo: &'a Array<u8>, factor: usize) -> &'a Array<u8> {
+        if factor == 1 { photo } else { &self.small }
     }
 
     fn picture(&mut self, view: usize) -> Result<Picture> {
@@ -63,10 +74,15 @@ impl Trainer {
             *z /= 1.0 - left;
         }
         let photo = self.shrunk(&photo, view, factor)?;
+        let mask = match self.views.alpha {
+            Alpha::Mask => photo.read(3 * pixels, pixels)?,
+            _ => Vec::new(),
+        };
+        let counts = |i: usize| mask.get(i).map_or(1.0, |m| f32::from(*m) / 255.0);
         let photo = self.photo_planes(photo, pixels, options.background)?;
         let error = |i: usize| -> f32 {
             let apart = |c: usize| (seen.rgb[c * pixels + i] - photo[c][i]).abs();
-            (0..3).map(apart).sum::<f32>() / 3.0
+            counts(i) * (0..3).map(apart).sum::<f32>() / 3.0
         };
         Ok(Picture {
             width: seen.width,
@@ -87,11 +103,11 @@ impl Trainer {
         pixels: usize,
         background: [f32; 3],
     ) -> Result<[Vec<f32>; 3]> {
-        let planes = if self.views.has_alpha { 4 } else { 3 };
+        let planes = self.views.alpha.planes();
         let bytes = photo.read(0, planes * pixels)?;
         let value = |plane: usize, i: usize| f32::from(bytes[plane * pixels + i]) / 255.0;
         let behind = |i: usize| {
-            if self.views.has_alpha {
+            if self.views.alpha == Alpha::Transparency {
                 1.0 - value(3, i)
             } else {
                 0.0

@@ -92,6 +92,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
             width: w,
             height: h,
             channels: 3,
+            mask: false,
             data,
         },
         background: [0.2, 0.5, 0.1],
@@ -149,6 +150,23 @@ impl Case {
         }
         photo.data.extend(alpha);
         photo.channels = 4;
+        self
+    }
+
+    /// The same with a mask: the photo's right half counts, its left does not, and between them it does in part.
+    #[must_use]
+    pub fn with_mask(mut self) -> Self {
+        let photo = &mut self.photo;
+        let (w, n) = (photo.width as usize, photo.data.len() / 3);
+        let slope = |i: usize| (i % w * 8).saturating_sub(4 * w).min(w) * 255 / w.max(1);
+        let mask: Vec<u8> = (0..n).map(|i| slope(i) as u8).collect();
+        for c in 0..3 {
+            for (v, m) in photo.data[c * n..].iter_mut().zip(&mask) {
+                *v = (u32::from(*v) * u32::from(*m) / 255) as u8;
+            }
+        }
+        photo.data.extend(mask);
+        (photo.channels, photo.mask) = (4, true);
         self
     }
 }

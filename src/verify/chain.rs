@@ -132,7 +132,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         tuning,
         alpha_min: case.alpha_min,
         sh_degree: case.sh_degree,
-        has_alpha: case.photo.channels == 4,
+        alpha: case.photo.alpha(),
         cull_chunks: true,
         layout_probe: false,
     };
@@ -145,6 +145,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         sh_degree: case.sh_degree,
         background: case.background,
         quantity: Quantity::Color,
+        live_only: false,
     };
     // The first pass may be repeated with more room for pairs; times are of one that is not.
     renderer.render(&scene, &camera, &options)?;
@@ -333,9 +334,9 @@ impl<R: Real> Run<'_, R> {
         }
         let row = |k: usize| Ok(widen(cues.read(k * stride, n)?));
         out.cues = [row(0)?, row(1)?, row(2)?];
-        let rows = Array::zeros(device, "squared_error", h)?;
+        let rows = Array::zeros(device, "squared_error", 2 * h)?;
         s.metrics.run(&pair, &rows)?;
-        out.squared_error = widen(rows.to_vec()?).iter().sum();
+        out.squared_error = widen(rows.read(0, h)?).iter().sum();
         Ok(())
     }
 }

@@ -88,6 +88,11 @@ fn quick_cases() -> Vec<(&'static str, Case, f64)> {
             cases::mild("60 Gaussians, 40x48, SH 2", 60, [40, 48], 2, 10).with_alpha(),
             SINGLE,
         ),
+        (
+            "mask",
+            cases::mild("60 Gaussians, 200x40, SH 1, mask", 60, [200, 40], 1, 12).with_mask(),
+            SINGLE,
+        ),
         ("needles", cases::needles(60, [64, 48], 11), SINGLE_NEEDLES),
     ]
 }

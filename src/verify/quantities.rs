@@ -166,7 +166,7 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     let [norms, iterations] = pulls(&scene, &camera, device);
     let shown = weights(&p.records, &p.tiles, &camera, case.alpha_min);
     let g = &p.grads.planes;
-    let error = squared_error(&p.image, &photo);
+    let error = squared_error(&p.image, &photo, twin::mask(case).as_deref());
     let edited = [flat(&rows), flat(&first), flat(&second)].concat();
     let record = |part| of_reference(&p.records, part);
     let gaussians = scene.len().max(1) as f64;

@@ -1,6 +1,7 @@
 //! A case through the f64 reference.
 
 use super::chain::Case;
+use crate::dataset::Alpha;
 use crate::gpu::tuning::NEAR;
 use crate::reference::chain::{Passage, run as reference};
 use crate::reference::{Camera64, Options, Scene64};
@@ -14,7 +15,7 @@ pub fn photo(case: &Case) -> Vec<f64> {
     (0..3 * n)
         .map(|at| {
             let (c, i) = (at / n, at % n);
-            let gap = if p.channels == 4 {
+            let gap = if p.alpha() == Alpha::Transparency {
                 1.0 - value(3, i)
             } else {
                 0.0
@@ -22,6 +23,15 @@ pub fn photo(case: &Case) -> Vec<f64> {
             value(c, i) + gap * f64::from(case.background[c])
         })
         .collect()
+}
+
+/// How far each pixel counts \[height, width\]; none without a mask.
+#[must_use]
+pub fn mask(case: &Case) -> Option<Vec<f64>> {
+    let p = &case.photo;
+    let n = (p.width * p.height) as usize;
+    let value = |m: &u8| f64::from(*m) / 255.0;
+    (p.alpha() == Alpha::Mask).then(|| p.data[3 * n..].iter().map(value).collect())
 }
 
 /// Camera, scene and options of a case.
@@ -43,5 +53,14 @@ pub fn inputs(case: &Case) -> (Scene64, Camera64, Options) {
 #[must_use]
 pub fn run(case: &Case) -> Passage {
     let (scene, camera, options) = inputs(case);
-    reference(&scene, &camera, &options, &photo(case), case.lambdas)
+    let mask = mask(case);
+    let photo = photo(case);
+    reference(
+        &scene,
+        &camera,
+        &options,
+        &photo,
+        mask.as_deref(),
+        case.lambdas,
+    )
 }

@@ -4,6 +4,7 @@ mod adam;
 mod bin;
 mod edit;
 mod importance;
+mod live;
 mod loss;
 mod metrics;
 mod noise;
@@ -41,6 +42,10 @@ fn scenes() -> Vec<(Case, f64)> {
         (cases::mild("SH 3", 200, [75, 50], 3, 21), SINGLE),
         (
             cases::mild("SH 2, alpha", 50, [33, 17], 2, 22).with_alpha(),
+            SINGLE,
+        ),
+        (
+            cases::mild("SH 1, mask", 90, [170, 40], 1, 26).with_mask(),
             SINGLE,
         ),
         (cases::mild("SH 1", 1, [1, 1], 1, 23), SINGLE),

@@ -12,6 +12,7 @@ fn photo(width: u32, height: u32, channels: u32) -> Photo {
         width,
         height,
         channels,
+        mask: false,
         data: (0..width * height * channels).map(byte).collect(),
     }
 }
@@ -19,7 +20,7 @@ fn photo(width: u32, height: u32, channels: u32) -> Photo {
 fn shrunk(photo: &Photo, factor: u32) -> Vec<u8> {
     let device = device();
     let defines = Defines {
-        has_alpha: photo.channels == 4,
+        alpha: photo.alpha(),
         ..Defines::new(device.tuning())
     };
     let stage = Shrink::new::<f32>(&Kernels::new(&device, defines)).unwrap();
@@ -48,6 +49,7 @@ fn what_does_not_fill_a_pixel_is_left_out() {
         width: 3,
         height: 2,
         channels: 3,
+        mask: false,
         data: [[10, 20, 255], [30, 41, 255]].concat().repeat(3),
     };
     assert_eq!(shrunk(&photo, 2), [25, 25, 25]); // (10 + 20 + 30 + 41) / 4 = 25.25

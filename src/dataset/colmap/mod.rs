@@ -15,7 +15,7 @@ use glam::{DMat3, DQuat, DVec3};
 pub use bin::{read_bin, write_bin};
 pub use txt::{read_txt, write_txt};
 
-use super::raw::{RawScene, RawView, locate};
+use super::raw::{RawScene, RawView, find_mask, locate};
 use super::{Camera, Layout, Lens};
 use crate::error::{Error, Result};
 
@@ -224,6 +224,7 @@ pub(in crate::dataset) fn load(root: &Path, dir: &Path, layout: Layout) -> Resul
         };
         train.push(RawView {
             name: image.name.clone(),
+            mask: find_mask(root, &image.name),
             file,
             camera: Camera {
                 rotation: DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()),

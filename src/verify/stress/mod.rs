@@ -148,6 +148,7 @@ fn forward(device: &Device, case: &Case) -> Result<(Vec<f32>, usize)> {
         sh_degree: case.sh_degree,
         background: case.background,
         quantity: Quantity::Color,
+        live_only: false,
     };
     renderer.render(&scene, &camera, &options)?;
     let pairs = renderer.frame.status.read(status::PAIRS as usize, 1)?[0];

@@ -1,0 +1,167 @@
+//! Masks: where they are found, what they do to photos, training and scores.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use image::{GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
+use mhsplat::config::{Sampler, TrainConfig};
+use mhsplat::dataset::{Alpha, Dataset, LoadOptions, load};
+use mhsplat::plan::Plan;
+use tempfile::TempDir;
+
+use super::{assert_refused, colmap_scene};
+use crate::determinism::trained;
+
+/// The bundled room with a box painted over the left of every photo, which masks leave out if `masked`.
+fn painted(dir: &Path, colour: [u8; 3], masked: bool) -> PathBuf {
+    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
+    for folder in ["images", "sparse/0", "masks"] {
+        fs::create_dir_all(dir.join(folder)).unwrap();
+    }
+    for entry in fs::read_dir(from.join("sparse/0")).unwrap() {
+        let file = entry.unwrap().path();
+        fs::copy(&file, dir.join("sparse/0").join(file.file_name().unwrap())).unwrap();
+    }
+    for entry in fs::read_dir(from.join("images")).unwrap() {
+        let file = entry.unwrap().path();
+        let name = file.file_name().unwrap().to_str().unwrap().to_owned();
+        let mut photo = image::open(&file).unwrap().into_rgb8();
+        let (w, h) = photo.dimensions();
+        for (x, _, pixel) in photo.enumerate_pixels_mut() {
+            if x < w / 2 {
+                *pixel = Rgb(colour);
+            }
+        }
+        photo.save(dir.join("images").join(&name)).unwrap();
+        if masked {
+            let mask = GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 0 } else { 255 }]));
+            mask.save(dir.join("masks").join(name + ".png")).unwrap();
+        }
+    }
+    dir.to_path_buf()
+}
+
+fn small(path: &Path) -> Dataset {
+    let options = LoadOptions {
+        max_size: 128,
+        ..LoadOptions::default()
+    };
+    load(path, &options).unwrap()
+}
+
+#[test]
+fn what_is_masked_makes_no_difference_to_training() {
+    let dir = tempfile::tempdir().unwrap();
+    let [white, black] = [255, 0].map(|v| painted(&dir.path().join(v.to_string()), [v; 3], true));
+    let [white, black] = [small(&white), small(&black)];
+    assert_eq!(white.alpha(), Alpha::Mask);
+    let config = TrainConfig {
+        sampler: Sampler::Mh,
+        iterations: 60,
+        max_size: 128,
+        ..TrainConfig::default()
+    };
+    let kept = Plan::new(&white, &config).kept;
+    assert!(kept.iter().any(|i| i.what == "masks"));
+    let scene = |data: &Dataset| trained(data, &config, 60).1;
+    let seen = scene(&white);
+    assert!(seen == scene(&black));
+    // It would without masks.
+    let bare = painted(&dir.path().join("bare"), [255; 3], false);
+    let bare = small(&bare);
+    assert_eq!(bare.alpha(), Alpha::None);
+    assert!(seen != scene(&bare));
+}
+
+#[test]
+fn a_mask_with_partly_masked_pixels_keeps_colours() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = small(&painted(dir.path(), [9, 9, 9], true));
+    let photo = data.train[0].photo.load().unwrap();
+    let n = (photo.width * photo.height) as usize;
+    assert_eq!(
+        (photo.channels, photo.mask, photo.data.len()),
+        (4, true, 4 * n)
+    );
+    let mask = &photo.data[3 * n..];
+    let half = photo.width as usize / 2;
+    for (i, m) in mask.iter().enumerate() {
+        assert_eq!(
+            *m,
+            if i % photo.width as usize >= half {
+                255
+            } else {
+                0
+            }
+        );
+        assert!(*m > 0 || photo.data[i] == 0);
+    }
+}
+
+/// A COLMAP scene of three views of 16 × 12 pixels, with a mask of this size under this name.
+fn scene_with(name: &str, size: [u32; 2]) -> TempDir {
+    let dir = colmap_scene(3, DVec3::ZERO, true);
+    let folder = dir.path().join("masks");
+    fs::create_dir_all(&folder).unwrap();
+    let mask = GrayImage::from_fn(size[0], size[1], |x, _| Luma([if x < 8 { 0 } else { 255 }]));
+    mask.save(folder.join(name)).unwrap();
+    dir
+}
+
+#[test]
+fn masks_are_found_by_the_names_that_tools_give_them() {
+    for name in ["v 00.png.png", "v 00.png"] {
+        let dir = scene_with(name, [16, 12]);
+        let data = load(dir.path(), &LoadOptions::default()).unwrap();
+        let views = data.train.iter().chain(&data.test);
+        for view in views {
+            // Those without a mask count as a whole.
+            let photo = view.photo.load().unwrap();
+            let black = photo.data[3 * 192..].iter().filter(|m| **m == 0).count();
+            assert_eq!(photo.alpha(), Alpha::Mask);
+            assert_eq!(
+                black,
+                if view.name == "v 00.png" { 96 } else { 0 },
+                "{name}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_mask_of_another_size_is_refused_by_name() {
+    let dir = scene_with("v 00.png", [8, 6]);
+    assert_refused(
+        load(dir.path(), &LoadOptions::default()),
+        &["v 00.png", "8×6", "16×12"],
+    );
+}
+
+#[test]
+fn alpha_is_transparency_unless_it_is_said_to_be_a_mask() {
+    let dir = colmap_scene(3, DVec3::ZERO, false);
+    let path = dir.path();
+    let file = path.join("images/v 00.png");
+    let rgb: RgbImage = image::open(&file).unwrap().into_rgb8();
+    let holed = RgbaImage::from_fn(16, 12, |x, y| {
+        let [r, g, b] = rgb.get_pixel(x, y).0;
+        Rgba([r, g, b, if x < 4 { 0 } else { 255 }])
+    });
+    holed.save(&file).unwrap();
+    for (alpha_is_mask, alpha) in [(false, Alpha::Transparency), (true, Alpha::Mask)] {
+        let options = LoadOptions {
+            alpha_is_mask,
+            ..LoadOptions::default()
+        };
+        let data = load(path, &options).unwrap();
+        assert_eq!(data.alpha(), alpha);
+        assert_eq!(data.background_matters(), !alpha_is_mask);
+        // Left in their files they say the same.
+        let options = LoadOptions {
+            image_budget: Some(1000),
+            ..options
+        };
+        assert_eq!(load(path, &options).unwrap().alpha(), alpha);
+    }
+}

@@ -1,0 +1,94 @@
+//! live: tiles of a masked photo in which any pixel counts get pairs, the others do not.
+
+use super::*;
+use mhsplat::buffers::Scene;
+use mhsplat::gpu::tuning::NEAR;
+use mhsplat::gpu::{Array, CameraArg};
+use mhsplat::reference::live::live;
+use mhsplat::render::{RenderOptions, Renderer};
+use mhsplat::stage::live::Live;
+
+/// What the kernel says of a mask of this size.
+fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
+    let device = device();
+    let n = size[0] * size[1];
+    let mut photo = vec![9; 3 * n];
+    photo.extend(mask);
+    let camera = CameraArg::<f32>::new(
+        &cases::mild("size", 1, size.map(|s| s as u32), 0, 1).camera,
+        NEAR,
+    );
+    let out = Array::zeros(&device, "live", camera.tile_count()).unwrap();
+    Live::new::<f32>(&kernels(&device))
+        .unwrap()
+        .run(
+            &Array::from_slice(&device, "photo", &photo).unwrap(),
+            &camera,
+            &out,
+        )
+        .unwrap();
+    out.to_vec().unwrap().into_iter().map(|t| t == 1).collect()
+}
+
+#[test]
+fn agrees_with_the_reference() {
+    for size in [[64, 48], [75, 50], [33, 17], [1, 1]] {
+        let n = size[0] * size[1];
+        for sparse in [2, 97, 1009] {
+            let mask: Vec<u8> = (0..n).map(|i| u8::from(i * 31 % sparse == 1)).collect();
+            assert_eq!(
+                tiles(&mask, size),
+                live(&mask, size),
+                "{size:?}, one in {sparse}"
+            );
+        }
+    }
+}
+
+#[test]
+fn one_pixel_wakes_its_tile_alone() {
+    let mut mask = vec![0; 40 * 20];
+    assert!(tiles(&mask, [40, 20]).iter().all(|t| !t));
+    mask[17 * 40 + 33] = 1;
+    assert_eq!(
+        tiles(&mask, [40, 20]),
+        [false, false, false, false, false, true]
+    );
+}
+
+/// Pairs per tile and the image of a masked case, with the tiles that no pixel wakes left out, or not.
+fn rendered(live_only: bool) -> (Vec<u32>, Vec<f32>) {
+    let device = device();
+    let case = cases::mild("mask", 90, [170, 40], 0, 26).with_mask();
+    let defines = Defines {
+        alpha: case.photo.alpha(),
+        ..Defines::new(Tuning::for_device(device.info()))
+    };
+    let mut renderer = Renderer::<f32>::new(&device, defines, 0, false).unwrap();
+    let scene = Scene::upload(&device, &case.splats, 0).unwrap();
+    let camera = CameraArg::new(&case.camera, NEAR);
+    renderer.fit(&scene, &camera).unwrap();
+    let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
+    let stage = Live::new::<f32>(&Kernels::new(&device, defines)).unwrap();
+    stage.run(&photo, &camera, renderer.live_tiles()).unwrap();
+    let options = RenderOptions {
+        live_only,
+        ..RenderOptions::default()
+    };
+    renderer.render(&scene, &camera, &options).unwrap();
+    let image = renderer.read_image(&camera).unwrap();
+    (renderer.pairs_per_tile(&camera).unwrap(), image.rgb)
+}
+
+#[test]
+fn tiles_that_nothing_wakes_get_no_pairs_and_the_others_the_same() {
+    let ((all, whole), (some, part)) = (rendered(false), rendered(true));
+    // 11 tiles across; the left half of 170 pixels is masked: five tiles whole.
+    for (tile, (a, b)) in all.iter().zip(&some).enumerate() {
+        assert_eq!(*b, if tile % 11 < 5 { 0 } else { *a }, "tile {tile}");
+    }
+    assert!(all.iter().enumerate().any(|(t, n)| t % 11 < 5 && *n > 0));
+    for (i, (a, b)) in whole.iter().zip(&part).enumerate() {
+        assert!(i % 170 < 80 || a == b, "pixel {i}");
+    }
+}
