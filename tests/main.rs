@@ -21,6 +21,7 @@ mod faults;
 mod flip;
 mod fuzz;
 mod gradient;
+mod hostile;
 mod layout;
 mod learning;
 mod photos;
