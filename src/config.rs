@@ -2,6 +2,7 @@
 //!
 //! \[MH\] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); \[3DGS\] = Kerbl et al. 2023; \[MCMC\] = Kheradmand et al. 2024.
 
+mod anti_aliasing;
 mod choices;
 mod mh;
 mod samplers;
@@ -10,6 +11,7 @@ mod work;
 
 use serde::{Deserialize, Serialize};
 
+pub use anti_aliasing::AntiAliasing;
 pub use choices::{Acceptance, Birth, Surrogate, ViewSubset};
 pub use mh::MhConfig;
 pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
@@ -134,6 +136,8 @@ pub struct TrainConfig {
     pub init: Init,
     /// What lies behind the scene.
     pub background: Background,
+    /// Mip-Splatting's filters.
+    pub anti_aliasing: AntiAliasing,
     /// Loss weights.
     pub loss: LossConfig,
     /// Optimiser.
@@ -165,6 +169,7 @@ impl Default for TrainConfig {
             checkpoint_every: 1000,
             init: Init::Points,
             background: Background::Black,
+            anti_aliasing: AntiAliasing::Auto,
             loss: LossConfig::default(),
             optimizer: OptimizerConfig::default(),
             mh: MhConfig::default(),

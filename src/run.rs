@@ -8,6 +8,7 @@ pub use start::{abandon_folder, claim_folder, initial_splats, saved_config};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::antialias::AntiAlias;
 use crate::config::TrainConfig;
 use crate::dataset::{Dataset, Frame};
 use crate::error::{Error, Result};
@@ -91,7 +92,8 @@ impl Run {
         clock: Clock,
     ) -> Result<Self> {
         let splats = initial_splats(&dataset, &config)?;
-        let prepared = Prepared::new(dataset, &config, device, &splats)?;
+        let aa = AntiAlias::decide(&dataset, &config).on;
+        let prepared = Prepared::new(dataset, &config, device, &splats, aa)?;
         // The record first: a folder with one can be gone on with.
         prepared.record.write(dir)?;
         let start = Start {
@@ -151,7 +153,8 @@ impl Run {
         // Another tuning would add in another order: the run goes on as it began.
         let device = device.clone().with_tuning(saved.tuning);
         let state = &saved.state;
-        let mut prepared = Prepared::new(dataset, &config, &device, &state.splats)?;
+        let aa = !state.filter.is_empty();
+        let mut prepared = Prepared::new(dataset, &config, &device, &state.splats, aa)?;
         prepared.trainer.restore(state)?;
         let start = Start {
             clock: Clock::resume_from(saved.clock),
@@ -362,8 +365,9 @@ impl Run {
 
     fn export(&mut self) -> Result<()> {
         self.clock.pause();
-        let splats = self.trainer.state()?.splats;
-        ply::write(&self.dir.join("scene.ply"), &splats, &self.frame)?;
+        let state = self.trainer.state()?;
+        let path = self.dir.join("scene.ply");
+        ply::write_filtered(&path, &state.splats, &state.filter, &self.frame)?;
         self.clock.resume();
         Ok(())
     }

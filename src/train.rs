@@ -1,6 +1,7 @@
 //! [`Trainer`]: one iteration after the other, as the paper's loop.
 
 mod control;
+mod filter;
 mod observe;
 mod pictures;
 mod probe;
@@ -13,8 +14,10 @@ pub use state::TrainerState;
 
 use std::collections::VecDeque;
 
+use filter::FilterStage;
 use sampler::SamplerStages;
 
+use crate::antialias::AntiAlias;
 use crate::buffers::{Scene, ViewSet};
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
@@ -49,6 +52,15 @@ fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result
     };
     let planes = if views.has_alpha { 4 } else { 3 };
     Array::zeros(device, "small", planes * pixels)
+}
+
+fn defines(device: &Device, views: &ViewSet, config: &TrainConfig, anti_alias: bool) -> Defines {
+    Defines {
+        has_alpha: views.has_alpha,
+        cull_chunks: config.work.cull_chunks,
+        anti_alias,
+        ..Defines::new(device.tuning())
+    }
 }
 
 fn check_start(splats: &Splats) -> Result<()> {
@@ -96,6 +108,8 @@ pub struct Trainer {
     /// Renders probes; none where density control tries no birth.
     probes: Option<Pass<f32>>,
     sampler: SamplerStages,
+    /// Keeps the 3D filter; none without anti-aliasing.
+    filter: Option<FilterStage>,
     stats: DensityStats,
     /// Time that density steps took on the host, their transfers and edits included.
     density_time: StageTime,
@@ -124,26 +138,30 @@ impl Trainer {
     ) -> Result<Self> {
         let photos = Photos::new(device, dataset.image_budget);
         let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
-        Self::with_views(views, config, splats)
+        let anti_alias = AntiAlias::decide(dataset, config).on;
+        Self::with_views(views, config, splats, anti_alias)
     }
 
-    /// As [`Trainer::new`], with training views whose photos may share their budget with others.
+    /// As [`Trainer::new`], with training views whose photos may share their budget with others, and with the decision on
+    /// anti-aliasing taken.
     ///
     /// # Errors
     /// As [`Trainer::new`].
     #[doc(hidden)]
-    pub fn with_views(views: ViewSet, config: &TrainConfig, splats: &Splats) -> Result<Self> {
+    pub fn with_views(
+        views: ViewSet,
+        config: &TrainConfig,
+        splats: &Splats,
+        anti_alias: bool,
+    ) -> Result<Self> {
         let device = &views.photos().device().clone();
         config.validate()?;
         check_start(splats)?;
         let (tuning, degree) = (device.tuning(), config.sh_degree);
-        let defines = Defines {
-            has_alpha: views.has_alpha,
-            cull_chunks: config.work.cull_chunks,
-            ..Defines::new(tuning)
-        };
+        let defines = defines(device, &views, config, anti_alias);
         let kernels = Kernels::new(device, defines);
         let scene = Scene::upload(device, splats, sampler::capacity(config, splats.len()))?;
+        let (scene, filter) = filter::stage(&kernels, scene, &views)?;
         let density = density::make(config);
         let sampler = SamplerStages::new(&kernels, density.as_ref())?;
         let loss = Loss::new::<f32>(&kernels)?;
@@ -172,6 +190,7 @@ impl Trainer {
             probes: probe::pass(device, defines, degree, density.as_ref())?,
             density,
             sampler,
+            filter,
             stats: DensityStats::default(),
             density_time: StageTime::default(),
             probe_time: StageTime::default(),
@@ -230,6 +249,7 @@ impl Trainer {
             .schedule
             .upcoming(iteration, 1 + AHEAD, self.views.len());
         let view = order[0];
+        self.filter_at(iteration)?;
         let photo = self.views.photo(view, &order[1..])?;
         let (camera, factor) = self.camera_at(iteration, view);
         let options = self.options(iteration, degree);
@@ -268,6 +288,7 @@ impl Trainer {
                 params: &self.scene.params,
                 stride: self.scene.stride,
                 count,
+                filter: &self.scene.filter,
                 camera,
                 pair_start: &frame.pair_start,
                 pair_counts: &frame.pair_counts,

@@ -6,6 +6,7 @@
     clippy::print_stdout
 )]
 
+mod antialias;
 mod bench;
 mod cli;
 mod compare;

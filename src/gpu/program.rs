@@ -33,6 +33,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("noise", include_str!("../../kernels/noise.cl")),
     ("screen_grad", include_str!("../../kernels/screen_grad.cl")),
     ("importance", include_str!("../../kernels/importance.cl")),
+    ("filter", include_str!("../../kernels/filter.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
     ("edit", include_str!("../../kernels/edit.cl")),
@@ -60,6 +61,8 @@ pub struct Defines {
     pub has_alpha: bool,
     /// Gaussians that cannot be seen are left alone by the VW, before most of the work is done.
     pub cull_chunks: bool,
+    /// Mip-Splatting's filters: project and project_grad take the 3D filter of each Gaussian.
+    pub anti_alias: bool,
     /// Build the layout probe.
     pub layout_probe: bool,
 }
@@ -74,6 +77,7 @@ impl Defines {
             sh_degree: 0,
             has_alpha: false,
             cull_chunks: true,
+            anti_alias: false,
             layout_probe: false,
         }
     }
@@ -101,6 +105,8 @@ impl Defines {
         int("LOSS_ROWS", u64::from(tuning::LOSS_ROWS));
         int("SHRINK_RUN", u64::from(tuning::SHRINK_RUN));
         int("CULL_CHUNKS", u64::from(self.cull_chunks));
+        int("ANTI_ALIAS", u64::from(self.anti_alias));
+        int("FILTER_CHUNKS", u64::from(tuning::FILTER_CHUNKS));
         int("CHAINS", u64::from(tuning::PEAK_CHAINS));
         int("STRIP", u64::from(self.tuning.strip));
         int("SH_DEGREE", u64::from(self.sh_degree));
@@ -129,6 +135,8 @@ impl Defines {
         real("SSIM_C2", tuning::SSIM_C[1]);
         real("COLOR_MAX", tuning::COLOR_MAX);
         real("BLUR", tuning::BLUR);
+        real("FILTER_VARIANCE", tuning::FILTER_VARIANCE);
+        real("FILTER_MARGIN", tuning::FILTER_MARGIN);
         real("TILE_SLACK", tuning::TILE_SLACK);
         real("LOG_SCALE_MIN", tuning::LOG_SCALE[0]);
         real("LOG_SCALE_MAX", tuning::LOG_SCALE[1]);

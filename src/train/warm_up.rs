@@ -55,6 +55,7 @@ impl Trainer {
         for moment in [&self.moment1, &self.moment2] {
             moment.clear()?;
         }
+        self.refresh_filter(&self.scene)?;
         for v in 0..self.views.len() {
             let options = self.options(0, 0);
             self.renderer
