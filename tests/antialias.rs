@@ -115,7 +115,7 @@ fn auto_is_off_for_one_distance_and_on_for_two() {
 /// Views on a circle around the origin, every other one `factor` times as far; no points.
 fn circle(factor: f64) -> Dataset {
     let view = |k: usize| {
-        let far = if k % 2 == 0 { 1.0 } else { factor };
+        let far = if k.is_multiple_of(2) { 1.0 } else { factor };
         let photo = Photo {
             width: 32,
             height: 32,
@@ -183,6 +183,16 @@ fn a_resumed_run_ends_with_the_same_bits() {
         resumed.restore(&state).unwrap();
         drive(&mut resumed, 130).unwrap();
         assert!(resumed.state().unwrap().splats == whole, "{sampler:?}");
+        // Its renders would lack the filters.
+        let options = mhsplat::surrogate::Options::default();
+        let refused = mhsplat::surrogate::check(
+            folder.path(),
+            data.clone(),
+            &device,
+            &options,
+            &mut |_, _| (),
+        );
+        assert!(refused.unwrap_err().to_string().contains("anti-aliasing"));
         let mut other = Trainer::new(&device, &data, &plain, &state.splats).unwrap();
         assert!(other.restore(&state).is_err(), "a filter nobody asked for");
     }
