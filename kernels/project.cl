@@ -28,10 +28,13 @@ static inline maskV pixel_bounds(realV mean, realV half_extent, int size, realV 
 // Off for what project() is sure to cull, by its centre and its largest scale alone: behind the near plane, or beyond the
 // image by more than the widest ellipse that any opacity gives it. Neighbours in Morton order are off together. What this
 // lets through although it is broken, shape_of() finds.
-static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV ls[3]) {
+static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV ls[3], realV sigma) {
   realV t[3];
   to_camera(cam, x, t);
-  const realV largest = exp(clamp(fmax(ls[0], fmax(ls[1], ls[2])), V(LOG_SCALE_MIN), V(LOG_SCALE_MAX)));
+  realV largest = exp(clamp(fmax(ls[0], fmax(ls[1], ls[2])), V(LOG_SCALE_MIN), V(LOG_SCALE_MAX)));
+#if ANTI_ALIAS
+  largest = sqrt(fma(sigma, sigma, largest * largest));
+#endif
   const realV iz = R(1.0) / t[2], u = t[0] * iz, v = t[1] * iz;
   const realV reach = V(R(-1.4) * (real)LOG2_ALPHA_MIN); // 2 ln2 (1 + 1 %) of the largest exponent
   // |J W| of a row is f/z |(1, u)| with the clamped u; the rest of M is a rotation and the scales.
@@ -56,6 +59,9 @@ static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV
 
 __kernel void project(__global const real *params,   // in [planes, stride] raw parameters
                       uint stride, uint count,       // Gaussians allocated (a multiple of VW), Gaussians
+#if ANTI_ALIAS
+                      __global const real *filter,   // in [stride] standard deviation of the 3D filter, local units
+#endif
                       const Camera cam,              // in camera
                       int depth_as_color,            // 1: the colour is the depth (for depth images)
                       __global Record *records,      // out [stride]
@@ -73,14 +79,24 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
     x[k] = PLANE(params, P_POSITION + k);
     ls[k] = PLANE(params, P_LOG_SCALE + k);
   }
-#if CULL_CHUNKS
-  if (!any_lane(may_be_seen(&cam, x, ls))) return;
-#endif
-  const realV lo = -softplus(-PLANE(params, P_OPACITY)) * R(1.4426950408889634);
-  const realV tau = lo - (real)LOG2_ALPHA_MIN;
-  for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
   Shape o;
-  maskV seen = shape_of(&cam, x, ls, q, &o) & (tau > V(R(0.0)));
+#if ANTI_ALIAS
+  o.sigma = vload_real(0, filter + i);
+  const realV sigma = o.sigma;
+#else
+  const realV sigma = V(R(0.0));
+#endif
+#if CULL_CHUNKS
+  if (!any_lane(may_be_seen(&cam, x, ls, sigma))) return;
+#endif
+  realV lo = -softplus(-PLANE(params, P_OPACITY)) * R(1.4426950408889634);
+  for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
+  maskV seen = shape_of(&cam, x, ls, q, &o);
+#if ANTI_ALIAS
+  lo += log2_left(&o);
+#endif
+  const realV tau = lo - (real)LOG2_ALPHA_MIN;
+  seen &= tau > V(R(0.0));
   const realV px = fma(V(cam.fx), o.t[0] * o.iz, V(cam.cx)), py = fma(V(cam.fy), o.t[1] * o.iz, V(cam.cy));
   const realV reach = R(1.3862943611198906) * tau; // 2 ln2
   realV x0, x1, y0, y1;

@@ -69,6 +69,33 @@ static inline void color_grad(__global const real *params, uint stride, uint i, 
   for (int k = 0; k < 3; k++) dx[k] = fma(dd[k] - along * dir[k], inv_distance, dx[k]);
 }
 
+#if ANTI_ALIAS
+// What the filters do to the opacity, added to dL/d(J W R) and the log-scales; dlog is dL/d(log opacity). With w = 1 -
+// det0/det, a sum of positive terms over det, d log sqrt(det0/det) = w d log sqrt(det0) - BLUR/det (M . dM); the second
+// term is in the caller's G. In cofactors d log sqrt(det0) by the log-scale of axis k is the share of the other two
+// components of c, and by the rows of J W R their cross products with c / det0: nothing cancels and nothing grows with the
+// length of a needle. 1 / det0 stays finite: a Gaussian that has pairs was above the cut with its opacity times
+// sqrt(det0/det), so that det0 is at least (BLUR times the cut) squared.
+static inline void area_grad(const Shape *o, realV dlog, realV dm[6], realV dls[3]) {
+  const realV area = R(1.0) / o->det0;
+  const realV w = ((real)BLUR * (dot3(o->m, o->m) + dot3(o->m + 3, o->m + 3)) + (real)BLUR * (real)BLUR) / o->det;
+  const realV weight = dlog * w, *a = o->jwr, *b = o->jwr + 3;
+  realV p[3];
+  for (int k = 0; k < 3; k++) {
+    const int l = k == 2 ? 0 : k + 1, m = k == 0 ? 2 : k - 1;
+    p[k] = weight * (o->c[k] * area) * (o->s[l] * o->s[m]);
+    const realV share = (o->c[l] * o->c[l] + o->c[m] * o->c[m]) * area;
+    const realV wide = fma(weight, share, dls[k]); // by the log of the filtered scale
+    dls[k] = fma(o->kept[k], wide, dlog * (R(1.0) - o->kept[k]));
+  }
+  for (int k = 0; k < 3; k++) {
+    const int l = k == 2 ? 0 : k + 1, m = k == 0 ? 2 : k - 1;
+    dm[k] += b[l] * p[m] - b[m] * p[l];
+    dm[3 + k] += p[l] * a[m] - p[m] * a[l];
+  }
+}
+#endif
+
 // The sums' geometric part -> position, log-scale and quaternion gradients.
 static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[SUMS], realV dx[3], realV dls[3],
                               realV dq[4]) {
@@ -77,8 +104,13 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
   // dL/dmean and G = K Q K with K = P^T diag(ka, kc) P, P = [[1, -r], [0, 1]]
   const realV mx = ka * s[1], my = fma(-r, mx, kc * s[2]);
   const realV e00 = ka * ka * s[3], e01 = ka * kc * s[4], e11 = kc * kc * s[5];
-  const realV g00 = e00, g01 = fma(-r, e00, e01), g11 = fma(r, fma(r, e00, -R(2.0) * e01), e11);
+  realV g00 = e00, g01 = fma(-r, e00, e01), g11 = fma(r, fma(r, e00, -R(2.0) * e01), e11);
   realV dm[6], dt[3], djw[6], drot[9];
+#if ANTI_ALIAS
+  const realV thin = s[0] * ((real)BLUR / o->det);
+  g00 -= thin;
+  g11 -= thin;
+#endif
   for (int k = 0; k < 3; k++) {
     dm[k] = fma(g00, o->m[k], g01 * o->m[3 + k]);
     dm[3 + k] = fma(g01, o->m[k], g11 * o->m[3 + k]);
@@ -86,6 +118,9 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
     dm[k] *= o->s[k]; // now dL/d(J W R)
     dm[3 + k] *= o->s[k];
   }
+#if ANTI_ALIAS
+  area_grad(o, s[0], dm, dls);
+#endif
   for (int a = 0; a < 3; a++) {
     djw[a] = djw[3 + a] = zero;
     for (int k = 0; k < 3; k++) {
@@ -116,6 +151,9 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
 }
 
 __kernel void project_grad(__global const real *params, uint stride, uint count, // in [planes, stride]
+#if ANTI_ALIAS
+                           __global const real *filter,                          // in [stride] see project
+#endif
                            uint first, uint grad_stride,                         // block: first Gaussian, room
                            const Camera cam, __global const uint *pair_start,    // in [count] first emission slot
                            __global const uint *pair_counts,                     // in [count]; counted only
@@ -157,6 +195,9 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
     for (int k = 0; k < 3; k++) x[k] = PLANE(params, P_POSITION + k);
     for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
     Shape o;
+#if ANTI_ALIAS
+    o.sigma = vload_real(0, filter + i);
+#endif
     active &= shape_of(&cam, x, ls, q, &o);
     shape_grad(&cam, &o, s, dx, dls, dq);
     color_grad(params, stride, i, grads, grad_stride, at, &cam, active, x, s + 6, dx);

@@ -19,6 +19,8 @@ const MOST_PIXELS: i32 = 1 << 16;
 pub struct Scene<R: Real = f32> {
     /// Planes in the order of [`Plane`] \[planes, stride\].
     pub params: Array<R>,
+    /// Standard deviations of the 3D filter, local units \[stride\]; empty without anti-aliasing.
+    pub filter: Array<R>,
     /// Gaussians allocated.
     pub stride: usize,
     /// Gaussians.
@@ -58,9 +60,22 @@ impl<R: Real> Scene<R> {
         }
         Ok(Self {
             params: Array::from_slice(device, "params", &host)?,
+            filter: Array::zeros(device, "filter", 0)?,
             stride,
             count,
             sh_degree: splats.sh_degree(),
+        })
+    }
+
+    /// The same with room for the 3D filter: until it is filled in, no Gaussian is filtered, as is right for a scene that has
+    /// the filter in its scales and opacities.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn with_filter(self, device: &Device) -> Result<Self> {
+        Ok(Self {
+            filter: Array::zeros(device, "filter", self.stride)?,
+            ..self
         })
     }
 

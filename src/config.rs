@@ -2,6 +2,7 @@
 //!
 //! \[MH\] = Kim, Jung, Park, NeurIPS 2025 (arXiv 2506.12945); \[3DGS\] = Kerbl et al. 2023; \[MCMC\] = Kheradmand et al. 2024.
 
+mod anti_aliasing;
 mod choices;
 mod mh;
 mod samplers;
@@ -10,6 +11,7 @@ mod work;
 
 use serde::{Deserialize, Serialize};
 
+pub use anti_aliasing::AntiAliasing;
 pub use choices::{Acceptance, Birth, Surrogate, ViewSubset};
 pub use mh::MhConfig;
 pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
@@ -138,6 +140,8 @@ pub struct TrainConfig {
     pub alpha_is_mask: bool,
     /// What lies behind the scene.
     pub background: Background,
+    /// Mip-Splatting's filters.
+    pub anti_aliasing: AntiAliasing,
     /// Loss weights.
     pub loss: LossConfig,
     /// Optimiser.
@@ -171,6 +175,7 @@ impl Default for TrainConfig {
             init: Init::Points,
             alpha_is_mask: false,
             background: Background::Black,
+            anti_aliasing: AntiAliasing::Auto,
             loss: LossConfig::default(),
             optimizer: OptimizerConfig::default(),
             mh: MhConfig::default(),

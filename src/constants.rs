@@ -13,6 +13,12 @@ pub const T_MIN: f64 = 1e-4;
 pub const COLOR_MAX: f64 = 1e4;
 /// Added to the diagonal of the 2D covariance, pixels² (3DGS).
 pub const BLUR: f64 = 0.3;
+/// Variance of the 3D smoothing filter, in squares of the finest sampling distance (Mip-Splatting, §5).
+pub const FILTER_VARIANCE: f64 = 0.2;
+/// A view samples what lies in its image widened by this share of its width and height on each side (Mip-Splatting, code).
+pub const FILTER_MARGIN: f64 = 0.15;
+/// Chunks of Gaussians of which the filter stage takes the largest filter.
+pub const FILTER_CHUNKS: u32 = 256;
 /// Slack of the tile test in the exponent (base 2), for f32 rounding.
 pub const TILE_SLACK: f64 = 1e-3;
 /// Log-scales are clamped to this range, in which the covariance stays finite in f32.

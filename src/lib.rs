@@ -11,6 +11,7 @@
 //! |---|---|---|
 //! | read | [`dataset`] | files → posed photos in the local frame |
 //! | start | [`model`] | points → [`Splats`] |
+//! | anti-alias | [`antialias`], `kernels/filter.cl` | whether the views' sampling rates ask for Mip-Splatting's filters; each Gaussian's 3D filter |
 //! | project | `kernels/project.cl` | Gaussians → 2D records of one camera |
 //! | scan, bin, sort | `kernels/{scan,bin,sort}.cl` | records → Gaussians of each tile, front to back |
 //! | splat | `kernels/splat.cl` | tiles → image |
@@ -52,6 +53,7 @@
 //! # }
 //! ```
 
+pub mod antialias;
 #[doc(hidden)]
 pub mod atomic;
 pub mod bench;

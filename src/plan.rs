@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::antialias::AntiAlias;
 use crate::config::{Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Alpha, Dataset, View};
 use crate::schedule::Schedule;
@@ -48,6 +49,8 @@ impl Plan {
             },
             "SH degree 0 asked for",
         );
+        let filters = AntiAlias::decide(dataset, config);
+        plan.decide(filters.on, "anti-aliasing", &filters.why, &filters.why);
         plan.decide_work(dataset, config);
         plan.sampler(config);
         plan.decide(

@@ -117,6 +117,7 @@ impl<R: Real> Backward<'_, R> {
             params: &scene.params,
             stride: scene.stride,
             count,
+            filter: &scene.filter,
             camera,
             pair_start: &frame.pair_start,
             pair_counts: &frame.pair_counts,

@@ -157,6 +157,7 @@ impl<R: Real> Renderer<R> {
             params: &scene.params,
             stride: scene.stride,
             count: scene.count,
+            filter: &scene.filter,
             camera,
             depth_as_color: options.quantity == Quantity::Depth,
             records: &f.records,

@@ -10,6 +10,7 @@ pub use start::{abandon_folder, claim_folder, initial_splats, saved_config};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::antialias::AntiAlias;
 use crate::config::TrainConfig;
 use crate::dataset::{Dataset, Frame};
 use crate::error::{Error, Result};
@@ -98,7 +99,8 @@ impl Run {
         clock: Clock,
     ) -> Result<Self> {
         let splats = initial_splats(&dataset, &config)?;
-        let prepared = Prepared::new(dataset, &config, device, &splats)?;
+        let aa = AntiAlias::decide(&dataset, &config).on;
+        let prepared = Prepared::new(dataset, &config, device, &splats, aa)?;
         // The record first: a folder with one can be gone on with.
         prepared.record.write(dir)?;
         let start = Start {
@@ -159,7 +161,8 @@ impl Run {
         // Another tuning would add in another order: the run goes on as it began.
         let device = device.clone().with_tuning(saved.tuning);
         let state = &saved.state;
-        let mut prepared = Prepared::new(dataset, &config, &device, &state.splats)?;
+        let aa = !state.filter.is_empty();
+        let mut prepared = Prepared::new(dataset, &config, &device, &state.splats, aa)?;
         prepared.trainer.restore(state)?;
         let before = read_rows(dir.join("metrics.csv"))?;
         let losses: Vec<f64> = before

@@ -2,7 +2,9 @@
 
 mod bands;
 mod control;
+mod filter;
 mod finish;
+mod flight;
 mod observe;
 mod pictures;
 mod probe;
@@ -17,16 +19,19 @@ pub use state::TrainerState;
 
 use std::collections::VecDeque;
 
+use filter::FilterStage;
 use finish::Judge;
+use flight::InFlight;
 use sampler::SamplerStages;
 
+use crate::antialias::AntiAlias;
 use crate::buffers::{Scene, ViewSet};
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
 use crate::gpu::tuning::status;
-use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, PendingRead, StageTime};
+use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, StageTime};
 use crate::model::{Plane, Splats};
 use crate::photos::{AHEAD, Photos};
 use crate::probe::Pass;
@@ -57,6 +62,15 @@ fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result
     Array::zeros(device, "small", planes * pixels)
 }
 
+fn defines(device: &Device, views: &ViewSet, config: &TrainConfig, anti_alias: bool) -> Defines {
+    Defines {
+        alpha: views.alpha,
+        cull_chunks: config.work.cull_chunks,
+        anti_alias,
+        ..Defines::new(device.tuning())
+    }
+}
+
 fn check_start(splats: &Splats) -> Result<()> {
     if splats.is_empty() {
         return Err(Error::Numerics {
@@ -65,12 +79,6 @@ fn check_start(splats: &Splats) -> Result<()> {
         });
     }
     Ok(())
-}
-
-struct InFlight {
-    iteration: u32,
-    counters: PendingRead<u32>,
-    launches: usize,
 }
 
 /// Trains a scene on one device. Every random number is keyed by (seed, purpose, iteration, index).
@@ -106,6 +114,8 @@ pub struct Trainer {
     /// Renders probes; none where density control tries no birth.
     probes: Option<Pass<f32>>,
     sampler: SamplerStages,
+    /// Keeps the 3D filter; none without anti-aliasing.
+    filter: Option<FilterStage>,
     stats: DensityStats,
     /// Time that density steps took on the host, their transfers and edits included.
     density_time: StageTime,
@@ -134,26 +144,30 @@ impl Trainer {
     ) -> Result<Self> {
         let photos = Photos::new(device, dataset.image_budget);
         let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
-        Self::with_views(views, config, splats)
+        let anti_alias = AntiAlias::decide(dataset, config).on;
+        Self::with_views(views, config, splats, anti_alias)
     }
 
-    /// As [`Trainer::new`], with training views whose photos may share their budget with others.
+    /// As [`Trainer::new`], with training views whose photos may share their budget with others, and with the decision on
+    /// anti-aliasing taken.
     ///
     /// # Errors
     /// As [`Trainer::new`].
     #[doc(hidden)]
-    pub fn with_views(views: ViewSet, config: &TrainConfig, splats: &Splats) -> Result<Self> {
+    pub fn with_views(
+        views: ViewSet,
+        config: &TrainConfig,
+        splats: &Splats,
+        anti_alias: bool,
+    ) -> Result<Self> {
         let device = &views.photos().device().clone();
         config.validate()?;
         check_start(splats)?;
         let (tuning, degree) = (device.tuning(), config.sh_degree);
-        let defines = Defines {
-            alpha: views.alpha,
-            cull_chunks: config.work.cull_chunks,
-            ..Defines::new(tuning)
-        };
+        let defines = defines(device, &views, config, anti_alias);
         let kernels = Kernels::new(device, defines);
         let scene = Scene::upload(device, splats, sampler::capacity(config, splats.len()))?;
+        let (scene, filter) = filter::stage(&kernels, scene, &views)?;
         let density = density::make(config);
         let sampler = SamplerStages::new(&kernels, density.as_ref())?;
         let loss = Loss::new::<f32>(&kernels)?;
@@ -185,6 +199,7 @@ impl Trainer {
             probes: probe::pass(device, defines, degree, density.as_ref())?,
             density,
             sampler,
+            filter,
             stats: DensityStats::default(),
             density_time: StageTime::default(),
             probe_time: StageTime::default(),
@@ -248,6 +263,7 @@ impl Trainer {
             .map(|v| self.findings.bands.instead(v, self.views.len()))
             .collect();
         let view = order[0];
+        self.filter_at(iteration)?;
         let photo = self.views.photo(view, &order[1..])?;
         let (camera, factor) = self.camera_at(iteration, view);
         let options = self.options(iteration, degree);
@@ -296,6 +312,7 @@ impl Trainer {
                 params: &self.scene.params,
                 stride: self.scene.stride,
                 count,
+                filter: &self.scene.filter,
                 camera,
                 pair_start: &frame.pair_start,
                 pair_counts: &frame.pair_counts,
@@ -346,46 +363,5 @@ impl Trainer {
             self.settle_oldest()?;
         }
         Ok(())
-    }
-
-    fn settle_oldest(&mut self) -> Result<()> {
-        let Some(done) = self.in_flight.pop_front() else {
-            return Ok(());
-        };
-        let counters = done.counters.wait()?;
-        self.device.collect_times(done.launches)?;
-        for later in &mut self.in_flight {
-            later.launches -= done.launches.min(later.launches);
-        }
-        self.most_pairs = self
-            .most_pairs
-            .max(counters[status::PAIRS as usize] as usize);
-        self.non_finite = u64::from(counters[status::NON_FINITE as usize]);
-        let needed = counters[status::OVERFLOW as usize];
-        if needed > 0 {
-            self.in_flight.clear();
-            self.overflows += 1;
-            self.most_pairs = self.most_pairs.max(needed as usize);
-            self.renderer.grow_pairs(needed)?;
-            self.iteration = done.iteration;
-        }
-        Ok(())
-    }
-
-    /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed).
-    ///
-    /// # Errors
-    /// As [`Trainer::step`].
-    pub fn settle(&mut self) -> Result<()> {
-        let goal = self.iteration;
-        loop {
-            while !self.in_flight.is_empty() {
-                self.settle_oldest()?;
-            }
-            if self.iteration >= goal {
-                return Ok(());
-            }
-            self.step()?;
-        }
     }
 }

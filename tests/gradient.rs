@@ -41,6 +41,16 @@ fn needles(seed: u64) -> Case {
     }
 }
 
+/// Gaussians of one shape at all angles, thin enough for the filters and not so thin that these leave too little of their
+/// opacity for finite differences.
+fn thin(name: &str, log_scales: [f32; 3], seed: u64) -> Case {
+    let mut case = case(name, [40, 30], 0, seed);
+    for i in 0..case.splats.len() {
+        case.splats.scatter(Plane::LOG_SCALE, i, log_scales);
+    }
+    case.anti_aliased(4)
+}
+
 fn differences(case: &Case) -> Vec<Vec<f64>> {
     let (scene, camera, options) = twin::inputs(case);
     let photo = twin::photo(case);
@@ -91,6 +101,18 @@ fn cases() -> Vec<(Case, Tolerance)> {
         (case("SH 2, wide", [70, 18], 2, 32), DIFFERENCES),
         (off_center, DIFFERENCES),
         (needles(34), DIFFERENCES),
+        (
+            case("anti-aliased", [40, 30], 1, 36).anti_aliased(1),
+            DIFFERENCES,
+        ),
+        (
+            thin("needles, anti-aliased", [-0.8, -5.4, -5.6], 37),
+            DIFFERENCES,
+        ),
+        (
+            thin("pancakes, anti-aliased", [-1.6, -1.8, -6.2], 38),
+            DIFFERENCES,
+        ),
     ]
 }
 

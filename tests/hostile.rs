@@ -35,7 +35,7 @@ fn train(views: &[(String, Camera)], points: Vec<ColmapPoint>) -> (f64, usize) {
 fn point(position: [f64; 3]) -> ColmapPoint {
     ColmapPoint {
         position,
-        ..three_points(DVec3::ZERO)[0].clone()
+        ..three_points(DVec3::ZERO)[0]
     }
 }
 

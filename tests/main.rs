@@ -6,6 +6,7 @@
     clippy::print_stdout
 )]
 
+mod antialias;
 mod bands;
 mod bench;
 mod cli;

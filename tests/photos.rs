@@ -203,7 +203,7 @@ fn trained(budget: u64) -> (Splats, Vec<ViewScore>, PhotoStats) {
     let photos = Photos::new(&device, data.image_budget);
     let train = ViewSet::new(&photos, data.train).unwrap();
     let test = ViewSet::new(&photos, data.test).unwrap();
-    let mut trainer = Trainer::with_views(train, &config, &splats).unwrap();
+    let mut trainer = Trainer::with_views(train, &config, &splats, false).unwrap();
     let defines = Defines::new(Tuning::for_device(device.info()));
     let evaluator = Evaluator::new(&device, defines, test).unwrap();
     let mut scores = Vec::new();

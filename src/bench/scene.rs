@@ -138,6 +138,7 @@ pub fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
         splats: cloud(gaussians),
         photo: photo(&camera),
         camera,
+        filter_views: Vec::new(),
         background: [0.2, 0.5, 0.1],
         alpha_min,
         sh_degree: SH_DEGREE,

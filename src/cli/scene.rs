@@ -6,7 +6,7 @@ use mhsplat::buffers::Scene;
 use mhsplat::dataset::{self, Dataset, Frame, LoadOptions};
 use mhsplat::error::{Error, Result};
 use mhsplat::export::ply;
-use mhsplat::gpu::Device;
+use mhsplat::gpu::{Defines, Device};
 use mhsplat::render::Renderer;
 use mhsplat::report::{RECORD_FILE, RunRecord};
 
@@ -59,12 +59,19 @@ pub fn dataset(
     dataset::load(path, &options)
 }
 
-/// Uploads a scene in a local frame.
+/// Uploads a scene in a local frame; its file says whether it is rendered with the 2D filter.
 pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
     let splats = ply::read(ply, frame)?;
     let device = super::open_tested(device)?;
-    let renderer = Renderer::for_display(&device, splats.sh_degree())?;
-    let scene = Scene::upload(&device, &splats, 0)?;
+    let defines = Defines {
+        anti_alias: ply::is_anti_aliased(ply),
+        ..Defines::new(device.tuning())
+    };
+    let renderer = Renderer::new(&device, defines, splats.sh_degree(), false)?;
+    let mut scene = Scene::upload(&device, &splats, 0)?;
+    if defines.anti_alias {
+        scene = scene.with_filter(&device)?;
+    }
     Ok(Loaded {
         device,
         scene,

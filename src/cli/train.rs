@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
-use mhsplat::config::{Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration};
+use mhsplat::config::{AntiAliasing, Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration};
 use mhsplat::dataset::{self, LoadOptions};
 use mhsplat::error::{Error, Result};
 use mhsplat::gpu::Device;
@@ -33,6 +33,16 @@ enum SurrogateFlag {
     Importance,
     /// Its first-order change of the loss, computed over a few views.
     Probe,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum AntiAliasingFlag {
+    /// On where the training views' sampling rates differ much.
+    Auto,
+    /// Mip-Splatting's 2D and 3D filters.
+    On,
+    /// Neither filter.
+    Off,
 }
 
 /// Arguments; every one also has its place in a --config file, and wins over it.
@@ -88,7 +98,7 @@ pub struct TrainArgs {
     /// Continue the run in this folder from its checkpoint, as it was configured.
     #[arg(long, value_name = "RUN", conflicts_with_all = [
         "output", "config", "sampler", "surrogate", "iterations", "max_size", "max_gaussians", "sh_degree", "seed",
-        "test_every", "init", "background", "alpha_is_mask",
+        "test_every", "init", "background", "alpha_is_mask", "anti_aliasing",
     ])]
     resume: Option<PathBuf>,
     /// points, random or FILE.ply [default: points]
@@ -100,6 +110,9 @@ pub struct TrainArgs {
     /// black, white, random or R,G,B [default: black]
     #[arg(long)]
     background: Option<String>,
+    /// Filters for views of other distances and sizes than those trained on [default: auto]
+    #[arg(long, value_enum)]
+    anti_aliasing: Option<AntiAliasingFlag>,
     /// TOML file (or a run's run.json) with the same names; flags win.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -268,6 +281,13 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
         c.mh.surrogate = match s {
             SurrogateFlag::Importance => Surrogate::Importance,
             SurrogateFlag::Probe => Surrogate::Probe,
+        };
+    }
+    if let Some(a) = args.anti_aliasing {
+        c.anti_aliasing = match a {
+            AntiAliasingFlag::Auto => AntiAliasing::Auto,
+            AntiAliasingFlag::On => AntiAliasing::On,
+            AntiAliasingFlag::Off => AntiAliasing::Off,
         };
     }
     if let Some(t) = &args.time_budget {

@@ -1,7 +1,7 @@
 //! Checkpoints: everything a run needs to continue bit for bit, as one safetensors file.
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
-//! order of [`crate::model::Plane`]), `cues` \[rows, N\] (where the sampler has any) and `losses` \[2 · ring\] and, as metadata, format version,
+//! order of [`crate::model::Plane`]), `cues` \[rows, N\] (where the sampler has any), `filter` \[N\] (with anti-aliasing) and `losses` \[2 · ring\] and, as metadata, format version,
 //! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning, with a checksum of all that. It is
 //! written beside the old one and renamed over it.
 
@@ -22,7 +22,7 @@ use crate::train::{Findings, TrainerState};
 const VERSION: u32 = 6;
 
 /// Tensors in the order of the checksum.
-const NAMES: [&str; 5] = ["params", "moment1", "moment2", "losses", "cues"];
+const NAMES: [&str; 6] = ["params", "moment1", "moment2", "losses", "cues", "filter"];
 
 /// What every version's header begins with.
 #[derive(Deserialize)]
@@ -120,6 +120,10 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         let shape = vec![state.cues.len(), state.splats.len()];
         tensors.push(("cues", shape, planes(&state.cues)));
     }
+    if !state.filter.is_empty() {
+        let data = bytes(state.filter.iter().copied());
+        tensors.push(("filter", vec![state.filter.len()], data));
+    }
     let parts = tensors.iter().map(|(_, _, data)| data.as_slice());
     let sum = checksum(&header, parts);
     let views = tensors
@@ -183,22 +187,22 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     let expected = Plane::count(header.sh_degree.min(3));
     let params = planes(&tensors, "params", expected)?;
     let splats = Splats::new(header.sh_degree, params).map_err(|e| text(&e))?;
-    let moments = ["moment1", "moment2"].map(|name| planes(&tensors, name, expected));
-    let [moment1, moment2] = moments;
-    let (moment1, moment2) = (moment1?, moment2?);
-    if [&moment1, &moment2]
-        .iter()
-        .any(|m| m.iter().any(|p| p.len() != splats.len()))
-    {
+    let moment = |name| planes(&tensors, name, expected);
+    let (moment1, moment2) = (moment("moment1")?, moment("moment2")?);
+    let mut moments = moment1.iter().chain(&moment2);
+    if moments.any(|p| p.len() != splats.len()) {
         return Err("moments and parameters differ in length".into());
     }
-    let cues = match density::make(&header.config).wanted(1, 1.0).rows() {
-        0 => Vec::new(),
-        rows => planes(&tensors, "cues", rows)?,
+    let rows = density::make(&header.config).wanted(1, 1.0).rows();
+    let cues = if rows == 0 {
+        Vec::new()
+    } else {
+        planes(&tensors, "cues", rows)?
     };
     if cues.iter().any(|c| c.len() != splats.len()) {
         return Err("cues and parameters differ in length".into());
     }
+    let filter = filter(&tensors, splats.len())?;
     let losses = planes(&tensors, "losses", 1)?.concat();
     let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
     Ok(Checkpoint {
@@ -209,6 +213,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             moment1,
             moment2,
             cues,
+            filter,
             stats: header.stats,
             non_finite: header.non_finite,
             findings: header.findings,
@@ -224,6 +229,18 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
         tuning: header.tuning,
         stages: header.stages,
     })
+}
+
+/// The 3D filter of `count` Gaussians; empty where there is none.
+fn filter(tensors: &SafeTensors<'_>, count: usize) -> std::result::Result<Vec<f32>, String> {
+    if tensors.tensor("filter").is_err() {
+        return Ok(Vec::new());
+    }
+    let values = planes(tensors, "filter", 1)?.concat();
+    if values.len() != count {
+        return Err("filter and parameters differ in length".into());
+    }
+    Ok(values)
 }
 
 /// The rows of an f32 tensor; one of a single dimension is one row.

@@ -3,7 +3,7 @@
 //! Everything is stored raw: log-scales, opacity logits, quaternions w, x, y, z, SH coefficients. `f_rest_*` goes channel
 //! by channel: all coefficients but the first of red, then of green, then of blue.
 
-use std::io::Write;
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 
 use glam::DVec3;
@@ -13,6 +13,11 @@ use crate::dataset::ply::Table;
 use crate::error::{Error, Result};
 use crate::model::{Plane, Splats, sh_coefficients};
 
+/// The comment in the header of a scene that was trained with anti-aliasing.
+pub const ANTI_ALIASED: &str = "mhsplat anti-aliasing: mip-splatting, 3D filter applied";
+/// Bytes of a header that are looked at for it.
+const MOST_HEADER: u64 = 1 << 16;
+
 /// Writes the Gaussians in the dataset's frame (`frame` tells where the local one lies), binary little endian, atomically.
 ///
 /// Positions are moved in f64 and then rounded to f32, the format's precision: at UTM offsets (10⁶ m) that leaves 0.5 m.
@@ -20,9 +25,46 @@ use crate::model::{Plane, Splats, sh_coefficients};
 /// # Errors
 /// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
 pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
+    write_rows(path, splats, frame, "")
+}
+
+/// As [`write()`], for a scene trained with anti-aliasing: each Gaussian's 3D filter (standard deviations `filter` \[N\], local
+/// units) goes into its scales and opacity, so that any viewer shows it, and a comment in the header says that the opacities
+/// are meant for the 2D filter. An empty `filter`: as [`write()`].
+///
+/// # Errors
+/// As [`write()`]; [`Error::Numerics`] for a filter of another length.
+pub fn write_filtered(path: &Path, splats: &Splats, filter: &[f32], frame: &Frame) -> Result<()> {
+    if filter.is_empty() {
+        return write(path, splats, frame);
+    }
+    let comment = format!("comment {ANTI_ALIASED}\n");
+    write_rows(path, &splats.filtered(filter)?, frame, &comment)
+}
+
+/// Whether the header of a PLY file says that its scene was trained with anti-aliasing, so that it is to be rendered with
+/// the 2D filter. False for what cannot be read.
+#[must_use]
+pub fn is_anti_aliased(path: &Path) -> bool {
+    let Ok(file) = std::fs::File::open(path) else {
+        return false;
+    };
+    let header = BufReader::new(file.take(MOST_HEADER)).split(b'\n');
+    let mut lines = header.map_while(|line| line.ok());
+    lines
+        .next()
+        .is_some_and(|first| first.trim_ascii() == b"ply")
+        && lines
+            .map(|line| line.trim_ascii().to_vec())
+            .take_while(|line| line != b"end_header")
+            .filter_map(|line| line.strip_prefix(b"comment ").map(<[u8]>::to_vec))
+            .any(|comment| comment.trim_ascii() == ANTI_ALIASED.as_bytes())
+}
+
+fn write_rows(path: &Path, splats: &Splats, frame: &Frame, comment: &str) -> Result<()> {
     let rows = to_rows(splats, frame)?;
     let mut header = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n",
+        "ply\nformat binary_little_endian 1.0\n{comment}element vertex {}\n",
         splats.len()
     );
     for name in property_names(splats.sh_degree()) {

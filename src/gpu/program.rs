@@ -34,6 +34,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("noise", include_str!("../../kernels/noise.cl")),
     ("screen_grad", include_str!("../../kernels/screen_grad.cl")),
     ("importance", include_str!("../../kernels/importance.cl")),
+    ("filter", include_str!("../../kernels/filter.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
     ("live", include_str!("../../kernels/live.cl")),
@@ -63,6 +64,8 @@ pub struct Defines {
     pub alpha: Alpha,
     /// Gaussians that cannot be seen are left alone by the VW, before most of the work is done.
     pub cull_chunks: bool,
+    /// Mip-Splatting's filters: project and project_grad take the 3D filter of each Gaussian.
+    pub anti_alias: bool,
     /// Build the layout probe.
     pub layout_probe: bool,
 }
@@ -77,6 +80,7 @@ impl Defines {
             sh_degree: 0,
             alpha: Alpha::None,
             cull_chunks: true,
+            anti_alias: false,
             layout_probe: false,
         }
     }
@@ -110,6 +114,8 @@ impl Defines {
         int("LOSS_ROWS", u64::from(tuning::LOSS_ROWS));
         int("SHRINK_RUN", u64::from(tuning::SHRINK_RUN));
         int("CULL_CHUNKS", u64::from(self.cull_chunks));
+        int("ANTI_ALIAS", u64::from(self.anti_alias));
+        int("FILTER_CHUNKS", u64::from(tuning::FILTER_CHUNKS));
         int("CHAINS", u64::from(tuning::PEAK_CHAINS));
         int("STRIP", u64::from(self.tuning.strip));
         int("SH_DEGREE", u64::from(self.sh_degree));
@@ -139,6 +145,8 @@ impl Defines {
         real("SSIM_C2", tuning::SSIM_C[1]);
         real("COLOR_MAX", tuning::COLOR_MAX);
         real("BLUR", tuning::BLUR);
+        real("FILTER_VARIANCE", tuning::FILTER_VARIANCE);
+        real("FILTER_MARGIN", tuning::FILTER_MARGIN);
         real("TILE_SLACK", tuning::TILE_SLACK);
         real("LOG_SCALE_MIN", tuning::LOG_SCALE[0]);
         real("LOG_SCALE_MAX", tuning::LOG_SCALE[1]);

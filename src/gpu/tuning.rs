@@ -4,8 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::device::{DeviceInfo, DeviceKind};
 pub use crate::constants::{
-    ALPHA_MAX, ALPHA_MIN, BLUR, COLOR_MAX, LOG_SCALE, LOSS_ROWS, NEAR, PEAK_CHAINS, SHRINK_RUN,
-    SSIM_C, SSIM_SIGMA, SSIM_TAPS, STAGE, SUMS, T_MIN, TILE, TILE_SLACK,
+    ALPHA_MAX, ALPHA_MIN, BLUR, COLOR_MAX, FILTER_CHUNKS, FILTER_MARGIN, FILTER_VARIANCE,
+    LOG_SCALE, LOSS_ROWS, NEAR, PEAK_CHAINS, SHRINK_RUN, SSIM_C, SSIM_SIGMA, SSIM_TAPS, STAGE,
+    SUMS, T_MIN, TILE, TILE_SLACK,
 };
 
 /// Key of a Gaussian that is not visible.

@@ -1,5 +1,6 @@
 //! The scene being trained: a set of 3D Gaussians in raw (unactivated) form.
 
+mod filtered;
 pub mod init;
 #[doc(hidden)]
 pub mod knn;

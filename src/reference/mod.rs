@@ -9,6 +9,7 @@ pub mod bin;
 pub mod chain;
 pub mod compare;
 pub mod edit;
+pub mod filter;
 pub mod importance;
 pub mod live;
 pub mod loss;
@@ -26,7 +27,9 @@ pub mod splat;
 pub mod splat_grad;
 pub mod weight;
 
-pub use crate::constants::{ALPHA_MAX, BLUR, COLOR_MAX, LOG_SCALE, T_MIN};
+pub use crate::constants::{
+    ALPHA_MAX, BLUR, COLOR_MAX, FILTER_MARGIN, FILTER_VARIANCE, LOG_SCALE, T_MIN,
+};
 use crate::dataset::Camera;
 use crate::model::{Plane, Splats};
 
@@ -106,6 +109,8 @@ pub struct Scene64 {
     pub sh_degree: u32,
     /// Planes.
     pub planes: Vec<Vec<f64>>,
+    /// Standard deviation of each Gaussian's 3D filter, local units \[N\]; none without anti-aliasing.
+    pub filter: Option<Vec<f64>>,
 }
 
 impl Scene64 {
@@ -116,6 +121,7 @@ impl Scene64 {
         Self {
             sh_degree: splats.sh_degree(),
             planes: splats.planes().iter().map(widen).collect(),
+            filter: None,
         }
     }
 
@@ -149,6 +155,7 @@ impl Scene64 {
         Self {
             sh_degree: self.sh_degree,
             planes: vec![vec![0.0; self.len()]; self.planes.len()],
+            filter: None,
         }
     }
 }

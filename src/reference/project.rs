@@ -38,14 +38,67 @@ pub struct Shape64 {
     pub jw: [[f64; 3]; 2],
     /// R.
     pub rot: [[f64; 3]; 3],
-    /// Scales.
+    /// Scales, after the 3D filter if there is one.
     pub s: [f64; 3],
+    /// Squared scales before the 3D filter over those after it.
+    pub kept: [f64; 3],
     /// 3D covariance R S Sᵀ Rᵀ.
     pub sigma: [[f64; 3]; 3],
     /// 2D covariance with the blur.
     pub cov: [[f64; 2]; 2],
     /// Its determinant.
     pub det: f64,
+    /// What the 2D filter needs; none without anti-aliasing.
+    pub area: Option<Area64>,
+}
+
+/// The area of a projection without the blur, by cofactors of the 3D covariance: det(T Σ Tᵀ) = tᵀ adj(Σ) t with T = J·W, t the
+/// cross product of its rows and adj(Σ) = R diag(s_l² s_m²) Rᵀ.
+#[derive(Debug, Clone, Copy)]
+pub struct Area64 {
+    /// t.
+    pub cross: [f64; 3],
+    /// Rᵀ t.
+    pub along: [f64; 3],
+    /// s_l² s_m² of the other two axes.
+    pub cofactors: [f64; 3],
+    /// Determinant of the 2D covariance without the blur.
+    pub det0: f64,
+}
+
+impl Area64 {
+    fn new(jw: &[[f64; 3]; 2], rot: &[[f64; 3]; 3], s: [f64; 3]) -> Self {
+        let cross = cross(jw[0], jw[1]);
+        let along = std::array::from_fn(|j| (0..3).map(|a| rot[a][j] * cross[a]).sum::<f64>());
+        let cofactors = std::array::from_fn(|j| (s[(j + 1) % 3] * s[(j + 2) % 3]).powi(2));
+        Self {
+            cross,
+            along,
+            cofactors,
+            det0: (0..3).map(|j| cofactors[j] * along[j] * along[j]).sum(),
+        }
+    }
+}
+
+/// Cross product.
+#[must_use]
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+impl Shape64 {
+    /// log2 of what both filters leave of the opacity: √(Π s²/Π s′²) and √(det0/det); 0 without anti-aliasing.
+    #[must_use]
+    pub fn log2_left(&self) -> f64 {
+        let of = |area: &Area64| {
+            0.5 * (self.kept.map(f64::log2).iter().sum::<f64>() + (area.det0 / self.det).log2())
+        };
+        self.area.as_ref().map_or(0.0, of)
+    }
 }
 
 /// Camera-space geometry of Gaussian `i`; none at or behind the near plane.
@@ -69,7 +122,10 @@ pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
         [0.0, f[1], -f[1] * ratio[1].0],
     ];
     let jw = product(&j, &camera.w);
-    let s = log_scales.map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp());
+    let own = log_scales.map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp());
+    let filter = scene.filter.as_ref().map_or(0.0, |f| f[i]);
+    let s = own.map(|s| s.hypot(filter));
+    let kept = std::array::from_fn(|k| (own[k] / s[k]).powi(2));
     let (q, _) = unit_quaternion(scene.gather(Plane::ROTATION, i));
     let rot = rotation(q);
     let rs: [[f64; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|k| rot[r][k] * s[k]));
@@ -77,17 +133,14 @@ pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
     let m = product(&jw, &rs);
     let mut cov = product(&m, &transpose(&m));
     // det(M Mᵀ + b I) by Lagrange's identity: a sum of positive terms, exact for needles too.
-    let cross = [
-        m[0][1] * m[1][2] - m[0][2] * m[1][1],
-        m[0][2] * m[1][0] - m[0][0] * m[1][2],
-        m[0][0] * m[1][1] - m[0][1] * m[1][0],
-    ];
-    let det =
-        cross.iter().map(|c| c * c).sum::<f64>() + BLUR * (cov[0][0] + cov[1][1]) + BLUR * BLUR;
+    let det = cross(m[0], m[1]).iter().map(|c| c * c).sum::<f64>()
+        + BLUR * (cov[0][0] + cov[1][1])
+        + BLUR * BLUR;
     cov[0][0] += BLUR;
     cov[1][1] += BLUR;
     (det < 1e37 && cov[0][0] < 1e30 && cov[1][1] < 1e30).then_some(Shape64 {
         t,
+        kept,
         ratio,
         jw,
         rot,
@@ -95,6 +148,7 @@ pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
         sigma,
         cov,
         det,
+        area: scene.filter.is_some().then(|| Area64::new(&jw, &rot, s)),
     })
 }
 
@@ -140,6 +194,7 @@ pub fn project(
     } else {
         sigmoid(logit).log2()
     };
+    let lo = lo + o.log2_left();
     let tau = lo - options.alpha_min.log2();
     if tau.is_nan() || tau <= 0.0 {
         return None;

@@ -1,9 +1,9 @@
 //! Twin of `kernels/project_grad.cl`, by the textbook's road through the 3D covariance.
 
-use super::project::{Shape64, color, shape};
+use super::project::{Area64, Shape64, color, cross, shape};
 use super::screen_grad::mean_gradient;
 use super::{
-    Camera64, LOG_SCALE, Options, Scene64, product, sh, sigmoid, transpose, unit_quaternion,
+    BLUR, Camera64, LOG_SCALE, Options, Scene64, product, sh, sigmoid, transpose, unit_quaternion,
 };
 use crate::model::{Plane, sh_coefficients};
 
@@ -58,17 +58,33 @@ fn geometry(
     let xy = s[4] + r * s[5];
     let q = [[s[3] + r * s[4] + r * xy, xy], [xy, s[5]]];
     let dmean = mean_gradient(o, s);
-    let dcov = product(&product(&k, &q), &k).map(|row| row.map(|v| 0.5 * v));
+    let mut dcov = product(&product(&k, &q), &k).map(|row| row.map(|v| 0.5 * v));
+    // log √(det0/det) = ½ (log det0 − log det), det = det0 + b tr + b²: the trace's part here, det0's in area().
+    if o.area.is_some() {
+        dcov[0][0] -= 0.5 * s[0] * BLUR / o.det;
+        dcov[1][1] -= 0.5 * s[0] * BLUR / o.det;
+    }
     // cov = T Sigma T^t + b I with T = J W.
     let dsigma = product(&product(&transpose(&o.jw), &dcov), &o.jw);
-    let djw = product(&product(&dcov, &o.jw), &o.sigma).map(|row| row.map(|v| 2.0 * v));
+    let mut djw = product(&product(&dcov, &o.jw), &o.sigma).map(|row| row.map(|v| 2.0 * v));
     // Sigma = N N^t with N = R S.
     let nn: [[f64; 3]; 3] = std::array::from_fn(|a| std::array::from_fn(|b| o.rot[a][b] * o.s[b]));
     let dn = product(&dsigma, &nn).map(|row| row.map(|v| 2.0 * v));
-    let drot: [[f64; 3]; 3] = std::array::from_fn(|a| std::array::from_fn(|b| dn[a][b] * o.s[b]));
-    for (b, s) in o.s.iter().enumerate() {
-        let ds: f64 = (0..3).map(|a| dn[a][b] * o.rot[a][b]).sum();
-        out.planes[Plane::LOG_SCALE + b][i] = ds * s;
+    let mut drot: [[f64; 3]; 3] =
+        std::array::from_fn(|a| std::array::from_fn(|b| dn[a][b] * o.s[b]));
+    let mut dlog: [f64; 3] =
+        std::array::from_fn(|b| o.s[b] * (0..3).map(|a| dn[a][b] * o.rot[a][b]).sum::<f64>());
+    if let Some(area) = &o.area {
+        let weight = s[0] * (o.det - area.det0) / o.det;
+        area_grad(o, area, weight, &mut dlog, &mut drot, &mut djw);
+    }
+    for (b, d) in dlog.iter().enumerate() {
+        // log s′ = ½ log(s² + σ²), and the opacity is multiplied by s/s′.
+        out.planes[Plane::LOG_SCALE + b][i] = if o.area.is_some() {
+            d * o.kept[b] + s[0] * (1.0 - o.kept[b])
+        } else {
+            *d
+        };
     }
     let dq = quaternion(scene.gather(Plane::ROTATION, i), &drot);
     for (b, d) in dq.iter().enumerate() {
@@ -77,6 +93,33 @@ fn geometry(
     let dt = camera_position(camera, o, &djw, dmean);
     for b in 0..3 {
         out.planes[Plane::POSITION + b][i] = (0..3).map(|a| camera.w[a][b] * dt[a]).sum();
+    }
+}
+
+/// Adds `weight` times the derivative of ½ log det0, det0 = Σ_j (cofactor_j)·(r_j·t)².
+fn area_grad(
+    o: &Shape64,
+    area: &Area64,
+    weight: f64,
+    dlog: &mut [f64; 3],
+    drot: &mut [[f64; 3]; 3],
+    djw: &mut [[f64; 3]; 2],
+) {
+    let by_along: [f64; 3] =
+        std::array::from_fn(|j| weight * area.cofactors[j] * area.along[j] / area.det0);
+    let share: [f64; 3] = std::array::from_fn(|j| by_along[j] * area.along[j]);
+    let mut by_cross = [0.0; 3];
+    for j in 0..3 {
+        dlog[j] += share[(j + 1) % 3] + share[(j + 2) % 3];
+        for a in 0..3 {
+            drot[a][j] += by_along[j] * area.cross[a];
+            by_cross[a] += by_along[j] * o.rot[a][j];
+        }
+    }
+    let [first, second] = [cross(o.jw[1], by_cross), cross(by_cross, o.jw[0])];
+    for a in 0..3 {
+        djw[0][a] += first[a];
+        djw[1][a] += second[a];
     }
 }
 

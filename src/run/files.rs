@@ -42,8 +42,9 @@ impl Run {
 
     pub(super) fn export(&mut self) -> Result<()> {
         self.clock.pause();
-        let splats = self.trainer.state()?.splats;
-        ply::write(&self.dir.join("scene.ply"), &splats, &self.frame)?;
+        let state = self.trainer.state()?;
+        let path = self.dir.join("scene.ply");
+        ply::write_filtered(&path, &state.splats, &state.filter, &self.frame)?;
         self.clock.resume();
         Ok(())
     }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::Prepared;
+use crate::antialias::{AntiAlias, without_filter};
 use crate::buffers::ViewSet;
 use crate::config::{Init, TrainConfig};
 use crate::dataset::{Camera, Dataset};
@@ -38,6 +39,12 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
                     "raise --max-gaussians",
                 ));
             }
+            let filtered = ply::is_anti_aliased(path) && AntiAlias::decide(dataset, config).on;
+            let splats = if filtered {
+                without_filter(&splats, dataset)?
+            } else {
+                splats
+            };
             let degree = splats.sh_degree().min(config.sh_degree);
             splats.with_sh_degree(degree)
         }
@@ -113,13 +120,14 @@ impl Prepared {
         config: &TrainConfig,
         device: &Device,
         splats: &Splats,
+        anti_alias: bool,
     ) -> Result<Self> {
         let record = record(&dataset, config, device);
         let (frame, fingerprint) = (dataset.frame, dataset.fingerprint());
         let photos = Photos::new(device, dataset.image_budget);
         let train = ViewSet::new(&photos, dataset.train)?;
         let test = ViewSet::new(&photos, dataset.test)?;
-        let trainer = Trainer::with_views(train, config, splats)?;
+        let trainer = Trainer::with_views(train, config, splats, anti_alias)?;
         let evaluator = if test.is_empty() {
             None
         } else {

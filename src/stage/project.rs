@@ -11,6 +11,7 @@ pub struct Project {
     local: usize,
     lanes: usize,
     planes: usize,
+    anti_alias: bool,
 }
 
 /// Arguments of [`Project::run`].
@@ -22,6 +23,8 @@ pub struct ProjectArgs<'a, R: Real> {
     pub stride: usize,
     /// Gaussians.
     pub count: usize,
+    /// Standard deviations of the 3D filter, local units \[stride\]; not looked at unless the kernels are built with `anti_alias`.
+    pub filter: &'a Array<R>,
     /// Camera.
     pub camera: &'a CameraArg<R>,
     /// Composite the depth (local units) in place of the colour.
@@ -47,6 +50,7 @@ impl Project {
             local: defines.tuning.lane_local(),
             lanes: defines.tuning.vector_width as usize,
             planes: Plane::count(defines.sh_degree),
+            anti_alias: defines.anti_alias,
         })
     }
 
@@ -55,11 +59,16 @@ impl Project {
     /// # Errors
     /// Arrays that are too short, or the driver's.
     pub fn run<R: Real>(&self, a: &ProjectArgs<'_, R>) -> Result<()> {
-        self.kernel
+        let mut launch = self
+            .kernel
             .launch()
             .array(a.params, self.planes * a.stride)
             .value(a.stride as u32)
-            .value(a.count as u32)
+            .value(a.count as u32);
+        if self.anti_alias {
+            launch = launch.array(a.filter, a.stride);
+        }
+        launch
             .value(*a.camera)
             .value(i32::from(a.depth_as_color))
             .array(a.records, a.count)

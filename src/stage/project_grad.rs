@@ -14,6 +14,7 @@ pub struct ProjectGrad {
     local: usize,
     lanes: usize,
     planes: usize,
+    anti_alias: bool,
 }
 
 /// Arguments of [`ProjectGrad::run`].
@@ -25,6 +26,8 @@ pub struct ProjectGradArgs<'a, R: Real> {
     pub stride: usize,
     /// Gaussians.
     pub count: usize,
+    /// Standard deviations of the 3D filter, local units \[stride\]; not looked at unless the kernels are built with `anti_alias`.
+    pub filter: &'a Array<R>,
     /// Camera.
     pub camera: &'a CameraArg<R>,
     /// First pair of each Gaussian \[count\].
@@ -60,6 +63,7 @@ impl ProjectGrad {
             local: defines.tuning.lane_local(),
             lanes: defines.tuning.vector_width as usize,
             planes: Plane::count(defines.sh_degree),
+            anti_alias: defines.anti_alias,
         })
     }
 
@@ -69,11 +73,16 @@ impl ProjectGrad {
     /// Arrays that are too short, or the driver's.
     pub fn run<R: Real>(&self, a: &ProjectGradArgs<'_, R>) -> Result<()> {
         let n = a.count.max(1) as f64;
-        self.kernel
+        let mut launch = self
+            .kernel
             .launch()
             .array(a.params, self.planes * a.stride)
             .value(a.stride as u32)
-            .value(a.count as u32)
+            .value(a.count as u32);
+        if self.anti_alias {
+            launch = launch.array(a.filter, a.stride);
+        }
+        launch
             .value(a.block.start as u32)
             .value(a.grad_stride as u32)
             .value(*a.camera)

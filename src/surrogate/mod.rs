@@ -149,6 +149,13 @@ pub fn check(
             "give the dataset of that run",
         ));
     }
+    if !saved.state.filter.is_empty() {
+        return Err(Error::input(
+            run,
+            "was trained with anti-aliasing, which the check's renders do not have",
+            "give a run trained with --anti-aliasing off",
+        ));
+    }
     let subject = Subject {
         run,
         dataset,

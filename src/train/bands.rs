@@ -127,7 +127,8 @@ impl Trainer {
         let all: Vec<usize> = (0..self.views.len()).collect();
         let sights: Vec<Sight> = spread(&all).into_iter().map(|v| self.sight(v)).collect();
         let fewer = with_fewer_bands(&self.scene.download()?, degree - 1, &sights)?;
-        let fewer = Scene::upload(&self.device, &fewer, self.scene.stride)?;
+        let mut fewer = Scene::upload(&self.device, &fewer, self.scene.stride)?;
+        self.copy_filter(&mut fewer)?;
         let without = self.squared_error(&fewer, views)?;
         let scene = std::mem::replace(&mut self.scene, fewer);
         let with = self.squared_error(&scene, views)?;

@@ -197,6 +197,8 @@ impl Trainer {
         if self.config.work.morton_order || !outcome.removed.is_empty() {
             self.reorder(&outcome.removed)?;
         }
+        self.fit_filter()?;
+        self.refresh_filter(&self.scene)?;
         self.most_pairs =
             (self.most_pairs as f64 * self.scene.count as f64 / before.max(1) as f64) as usize;
         self.fit_views()

@@ -128,6 +128,9 @@ impl Trainer {
             self.scene.params = self.reordered(&order, &self.scene.params)?;
             self.moment1 = self.reordered(&order, &self.moment1)?;
             self.moment2 = self.reordered(&order, &self.moment2)?;
+            if !self.scene.filter.is_empty() {
+                self.scene.filter = self.reordered_planes(&order, &self.scene.filter, 1)?;
+            }
             self.scene.count = kept.len();
             self.findings.removed += removed;
         }
@@ -136,9 +139,18 @@ impl Trainer {
 
     /// The rows of `order` of an array of the scene's shape.
     pub(super) fn reordered(&self, order: &Array<u32>, from: &Array<f32>) -> Result<Array<f32>> {
-        let shape = [self.scene.planes(), self.scene.stride];
-        let to = Array::zeros(&self.device, from.name(), shape[0] * shape[1])?;
-        self.edit.reorder(order, shape, from, &to)?;
+        self.reordered_planes(order, from, self.scene.planes())
+    }
+
+    fn reordered_planes(
+        &self,
+        order: &Array<u32>,
+        from: &Array<f32>,
+        planes: usize,
+    ) -> Result<Array<f32>> {
+        let to = Array::zeros(&self.device, from.name(), planes * self.scene.stride)?;
+        self.edit
+            .reorder(order, [planes, self.scene.stride], from, &to)?;
         Ok(to)
     }
 }

@@ -98,6 +98,11 @@ impl Trainer {
         let stride = Scene::<f32>::grown_stride(n + trials.len()).max(from);
         let scene = Scene {
             params: restride(&self.device, &self.scene.params, planes, from, stride)?,
+            filter: Array::zeros(
+                &self.device,
+                "filter",
+                self.filter.as_ref().map_or(0, |_| stride),
+            )?,
             stride,
             count: n + trials.len(),
             sh_degree: self.scene.sh_degree,
@@ -121,6 +126,7 @@ impl Trainer {
             moment1: &moments,
             moment2: &moments,
         })?;
+        self.refresh_filter(&scene)?;
         Ok(scene)
     }
 

@@ -22,6 +22,8 @@ pub struct TrainerState {
     pub moment2: Vec<Vec<f32>>,
     /// What the sampler has had gathered for its next step \[rows\]\[N\].
     pub cues: Vec<Vec<f32>>,
+    /// Standard deviations of the 3D filter \[N\], local units; empty without anti-aliasing.
+    pub filter: Vec<f32>,
     /// Statistics of density control so far.
     pub stats: DensityStats,
     /// Non-finite gradient values so far.
@@ -52,6 +54,7 @@ impl Trainer {
             moment1: read(&self.moment1)?,
             moment2: read(&self.moment2)?,
             cues: self.read_cues()?,
+            filter: self.read_filter()?,
             stats: self.stats,
             non_finite: self.non_finite,
             findings: self.findings.clone(),
@@ -85,6 +88,7 @@ impl Trainer {
         for (k, row) in state.cues.iter().enumerate() {
             self.cues.write(k * self.scene.stride, row)?;
         }
+        self.restore_filter(&state.filter)?;
         self.stats = state.stats;
         self.findings = state.findings.clone();
         self.iteration = state.iteration;

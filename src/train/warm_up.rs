@@ -34,7 +34,10 @@ impl Trainer {
     /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the pair arrays by rendering each view.
     pub(super) fn warm_up(&mut self) -> Result<()> {
         let most = self.config.sh_degree;
-        let nothing = Scene::upload(&self.device, &Splats::zeros(most, 0), 0)?;
+        let mut nothing = Scene::upload(&self.device, &Splats::zeros(most, 0), 0)?;
+        if self.filter.is_some() {
+            nothing = nothing.with_filter(&self.device)?;
+        }
         let state = |name| Array::zeros(&self.device, name, nothing.planes() * nothing.stride);
         let moments = [state("moment1")?, state("moment2")?];
         let scene = std::mem::replace(&mut self.scene, nothing);
@@ -52,6 +55,7 @@ impl Trainer {
         self.scene = scene;
         [self.moment1, self.moment2] = kept;
         self.fit_views()?;
+        self.refresh_filter(&self.scene)?;
         for v in 0..self.views.len() {
             let options = self.options(0, 0);
             self.renderer

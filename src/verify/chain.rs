@@ -5,12 +5,13 @@ use crate::buffers::Scene;
 use crate::dataset::{Camera, Photo};
 use crate::density::Edit as DensityEdit;
 use crate::error::Result;
-use crate::gpu::tuning::{NEAR, SUMS, Tuning, status};
+use crate::gpu::tuning::{FILTER_CHUNKS, NEAR, SUMS, Tuning, status};
 use crate::gpu::{Array, CameraArg, Defines, Device, EditRow, Kernels, Real, Record};
 use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::stage::adam::{Adam, AdamArgs, LearningRates};
 use crate::stage::edit::{Edit, EditArgs};
+use crate::stage::filter::{Filter, FilterArgs};
 use crate::stage::importance::{Importance, ImportanceArgs};
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::stage::metrics::Metrics;
@@ -31,6 +32,8 @@ pub struct Case {
     pub camera: Camera,
     /// Photo, of the camera's size.
     pub photo: Photo,
+    /// Cameras whose sampling rates the 3D filter goes by; none: no anti-aliasing.
+    pub filter_views: Vec<Camera>,
     /// Background colour.
     pub background: [f32; 3],
     /// Contributions below this alpha are dropped.
@@ -55,6 +58,8 @@ pub const ADAM: [f64; 3] = [0.9, 0.999, 1e-15];
 pub struct Outputs {
     /// project: record of each Gaussian, none when culled.
     pub records: Vec<Option<Record<f64>>>,
+    /// filter: standard deviation of each Gaussian; empty without anti-aliasing.
+    pub filter: Vec<f64>,
     /// bin, scan and sort: Gaussians of each tile, front to back.
     pub tiles: Vec<Vec<u32>>,
     /// Sum of the counts of bin, which must equal the number of pairs.
@@ -134,11 +139,15 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         sh_degree: case.sh_degree,
         alpha: case.photo.alpha(),
         cull_chunks: true,
+        anti_alias: !case.filter_views.is_empty(),
         layout_probe: false,
     };
     let stages = Stages::new::<R>(&Kernels::new(device, defines))?;
     let mut renderer = Renderer::<R>::new(device, defines, case.sh_degree, true)?;
-    let scene = Scene::<R>::upload(device, &case.splats, 0)?;
+    let mut scene = Scene::<R>::upload(device, &case.splats, 0)?;
+    if defines.anti_alias {
+        scene = scene.with_filter(device)?;
+    }
     let photo = Array::from_slice(device, "photo", &case.photo.data)?;
     let camera = CameraArg::<R>::new(&case.camera, NEAR);
     let options = RenderOptions {
@@ -148,6 +157,9 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         live_only: false,
     };
     // The first pass may be repeated with more room for pairs; times are of one that is not.
+    if defines.anti_alias {
+        filter(&Kernels::new(device, defines), &scene, &renderer, case)?;
+    }
     renderer.render(&scene, &camera, &options)?;
     device.collect_times(usize::MAX)?;
     device.reset_times();
@@ -155,6 +167,9 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
 
     let mut out = Outputs::default();
     read_forward(&renderer, &scene, &camera, &mut out)?;
+    if defines.anti_alias {
+        out.filter = widen(scene.filter.read(0, scene.count)?);
+    }
     let mut run = Run {
         device,
         stages,
@@ -176,6 +191,30 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         .map(|(s, t)| (s, t.seconds))
         .collect();
     Ok(out)
+}
+
+/// Fills in the 3D filter of the scene.
+fn filter<R: Real>(
+    kernels: &Kernels,
+    scene: &Scene<R>,
+    renderer: &Renderer<R>,
+    case: &Case,
+) -> Result<()> {
+    let device = kernels.device();
+    let cameras: Vec<_> = case
+        .filter_views
+        .iter()
+        .map(|c| CameraArg::<R>::new(c, NEAR))
+        .collect();
+    Filter::new::<R>(kernels)?.run(&FilterArgs {
+        params: &scene.params,
+        stride: scene.stride,
+        count: scene.count,
+        cameras: &Array::from_slice(device, "cameras", &cameras)?,
+        status: &renderer.frame.status,
+        largest: &Array::zeros(device, "largest", FILTER_CHUNKS as usize)?,
+        filter: &scene.filter,
+    })
 }
 
 /// A passage under way: what is on the device, and the stages.
@@ -264,6 +303,7 @@ impl<R: Real> Run<'_, R> {
             params: &self.scene.params,
             stride: self.scene.stride,
             count: self.scene.count,
+            filter: &self.scene.filter,
             camera: &self.camera,
             pair_start: &f.pair_start,
             pair_counts: &f.pair_counts,

@@ -81,7 +81,7 @@ fn sound(q: &Quantity, n: usize, spoilt: &[usize]) -> Vec<f64> {
     let per = q.values.len() / n.max(1);
     let owner = |at: usize| match q.stage {
         // One Gaussian after the other.
-        "project" | "splat_grad" => Some(at / per.max(1)),
+        "filter" | "project" | "splat_grad" => Some(at / per.max(1)),
         // Plane by plane.
         "project_grad" | "adam" | "noise" | "screen_grad" | "weight" | "importance" | "edit" => {
             Some(at % n)

@@ -94,6 +94,26 @@ fn quick_cases() -> Vec<(&'static str, Case, f64)> {
             SINGLE,
         ),
         ("needles", cases::needles(60, [64, 48], 11), SINGLE_NEEDLES),
+        (
+            "anti-aliasing",
+            cases::mild(
+                "anti-aliased, 200 Gaussians, 75x50, SH 1",
+                200,
+                [75, 50],
+                1,
+                12,
+            )
+            .anti_aliased(1),
+            SINGLE,
+        ),
+        (
+            "anti-aliasing",
+            Case {
+                name: "anti-aliased needles 1000:1".into(),
+                ..cases::needles(60, [64, 48], 13).anti_aliased(30)
+            },
+            SINGLE_NEEDLES,
+        ),
     ]
 }
 

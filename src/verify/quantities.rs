@@ -49,6 +49,11 @@ fn flat(planes: &[Vec<f64>]) -> Vec<f64> {
     planes.iter().flatten().copied().collect()
 }
 
+/// The 3D filter, if there is one.
+fn filter(values: &[f64]) -> Option<Quantity> {
+    (!values.is_empty()).then(|| quantity("filter", "standard deviation", values.to_vec()))
+}
+
 /// Fixed-size description of a record; zeros when culled.
 fn record_values(r: Option<[f64; 14]>) -> [f64; 14] {
     r.unwrap_or([0.0; 14])
@@ -102,7 +107,7 @@ fn lists(tiles: &[Vec<u32>]) -> Vec<f64> {
 pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
     let [cue_ssim, cue_l1, cue_views] = &out.cues;
     let pairs: usize = out.tiles.iter().map(Vec::len).sum();
-    vec![
+    let mut all = vec![
         quantity("project", "mean", of_device(out, 0..2)),
         quantity("project", "quadratic form", of_device(out, 2..5)),
         quantity("project", "opacity, depth, colour", of_device(out, 5..10)),
@@ -146,7 +151,9 @@ pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
             "rows",
             out.edited.iter().flat_map(|p| flat(p)).collect(),
         ),
-    ]
+    ];
+    all.extend(filter(&out.filter));
+    all
 }
 
 /// The same from the reference. The optimiser, the edits and the importance start from the device's own gradients and
@@ -170,7 +177,7 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     let edited = [flat(&rows), flat(&first), flat(&second)].concat();
     let record = |part| of_reference(&p.records, part);
     let gaussians = scene.len().max(1) as f64;
-    vec![
+    let mut all = vec![
         quantity("project", "mean", record(0..2)),
         quantity("project", "quadratic form", record(2..5)),
         quantity("project", "opacity, depth, colour", record(5..10)),
@@ -208,7 +215,9 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
         quantity("importance", "cues", cues),
         quantity("metrics", "squared error", vec![error]),
         quantity("edit", "rows", edited),
-    ]
+    ];
+    all.extend(filter(scene.filter.as_deref().unwrap_or_default()));
+    all
 }
 
 /// How large the terms of a rotation's gradient are at most: those that the longest axis of a Gaussian would have across the

@@ -4,6 +4,7 @@ use super::chain::Case;
 use crate::dataset::Alpha;
 use crate::gpu::tuning::NEAR;
 use crate::reference::chain::{Passage, run as reference};
+use crate::reference::filter::filter;
 use crate::reference::{Camera64, Options, Scene64};
 
 /// The photo over the background, planar \[3, height, width\].
@@ -42,11 +43,13 @@ pub fn inputs(case: &Case) -> (Scene64, Camera64, Options) {
         sh_degree: case.sh_degree,
         background: case.background.map(f64::from),
     };
-    (
-        Scene64::new(&case.splats),
-        Camera64::new(&case.camera, NEAR),
-        options,
-    )
+    let mut scene = Scene64::new(&case.splats);
+    if !case.filter_views.is_empty() {
+        let cameras = case.filter_views.iter().map(|c| Camera64::new(c, NEAR));
+        let positions = (0..scene.len()).map(|i| scene.position(i));
+        scene.filter = Some(filter(positions, &cameras.collect::<Vec<_>>()));
+    }
+    (scene, Camera64::new(&case.camera, NEAR), options)
 }
 
 /// Every stage of the reference on a case.

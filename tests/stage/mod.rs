@@ -3,6 +3,7 @@
 mod adam;
 mod bin;
 mod edit;
+mod filter;
 mod importance;
 mod live;
 mod loss;
@@ -51,7 +52,16 @@ fn scenes() -> Vec<(Case, f64)> {
         (cases::mild("SH 1", 1, [1, 1], 1, 23), SINGLE),
         (cases::mild("SH 0, wide", 80, [130, 20], 0, 24), SINGLE),
         (cases::needles(40, [64, 48], 25), SINGLE_NEEDLES),
+        (anti_aliased(), SINGLE),
+        (
+            cases::needles(40, [64, 48], 28).anti_aliased(30),
+            SINGLE_NEEDLES,
+        ),
     ]
+}
+
+fn anti_aliased() -> Case {
+    cases::mild("SH 1, anti-aliased", 90, [60, 44], 1, 27).anti_aliased(1)
 }
 
 static ROWS: LazyLock<Vec<Row>> = LazyLock::new(|| {
@@ -77,16 +87,20 @@ fn agrees(stage: &str) {
 
 /// Asserts that the check of a stage rejects outputs that `spoil` has changed.
 fn rejects(stage: &str, spoil: impl Fn(&mut Outputs)) {
+    rejects_in(stage, &cases::mild("spoilt", 60, [40, 30], 1, 26), spoil);
+}
+
+/// As [`rejects`], of a case.
+fn rejects_in(stage: &str, case: &Case, spoil: impl Fn(&mut Outputs)) {
     let device = device();
-    let case = cases::mild("spoilt", 60, [40, 30], 1, 26);
-    let good = chain::run::<f32>(&device, Tuning::for_device(device.info()), &case).unwrap();
+    let good = chain::run::<f32>(&device, Tuning::for_device(device.info()), case).unwrap();
     let mut bad = good.clone();
     spoil(&mut bad);
-    let want = reference_quantities(&case, &twin::run(&case), &good);
+    let want = reference_quantities(case, &twin::run(case), &good);
     let fails = |out: &Outputs| {
         check(
             "spoilt",
-            &case,
+            case,
             &device_quantities(out),
             &want,
             "f32",

@@ -1,0 +1,390 @@
+//! Anti-aliasing as a whole: what it is for, when it switches itself on, and that files and checkpoints keep it.
+
+use std::sync::Arc;
+
+use crate::cli::{done, room as room_folder, text};
+use crate::determinism::{drive, room, saved, trained};
+use glam::{DMat3, DVec3};
+use mhsplat::antialias::{AntiAlias, LEAST_SPREAD, spread};
+use mhsplat::buffers::Scene;
+use mhsplat::config::{AntiAliasing, Init, Sampler};
+use mhsplat::dataset::{Camera, Dataset, Frame, Photo, PhotoSource, View};
+use mhsplat::export::{checkpoint, ply};
+use mhsplat::gpu::{Defines, Device};
+use mhsplat::model::{Plane, Splats};
+use mhsplat::render::{RenderOptions, Rendered, Renderer};
+use mhsplat::run::initial_splats;
+use mhsplat::train::Trainer;
+use mhsplat::verify::{cases, chain, twin};
+use mhsplat::{Plan, TrainConfig};
+
+fn config(anti_aliasing: AntiAliasing, sampler: Sampler) -> TrainConfig {
+    TrainConfig {
+        anti_aliasing,
+        sampler,
+        iterations: 130,
+        max_size: 64,
+        sh_degree: 1,
+        seed: 5,
+        ..TrainConfig::default()
+    }
+}
+
+/// Mean brightness of a bright Gaussian of a standard deviation of 1.5 pixels in 256 × 256 of them, and at `1/zoom` of that
+/// size; trained, as far as the filter is concerned, at the full size.
+fn brightness(zoom: u32, anti_aliased: bool) -> f64 {
+    let mut case = cases::mild("zoom", 1, [256, 256], 0, 40);
+    let full = Camera {
+        rotation: DMat3::IDENTITY,
+        translation: DVec3::new(0.0, 0.0, 2.0),
+        fx: 300.0,
+        fy: 300.0,
+        cx: 128.0,
+        cy: 128.0,
+        width: 256,
+        height: 256,
+    };
+    case.camera = full.scaled_to(256 / zoom, 256 / zoom);
+    case.photo = Photo {
+        mask: false,
+        width: 256 / zoom,
+        height: 256 / zoom,
+        channels: 3,
+        data: vec![0; (3 * (256 / zoom) * (256 / zoom)) as usize],
+    };
+    case.background = [0.0; 3];
+    case.splats = Splats::zeros(0, 1);
+    let scale = (1.5 * 2.0 / 300.0f32).ln();
+    case.splats.scatter(Plane::LOG_SCALE, 0, [scale; 3]);
+    case.splats.scatter(Plane::OPACITY, 0, [4.0]);
+    case.splats.scatter(Plane::SH, 0, [1.7; 3]);
+    if anti_aliased {
+        case.filter_views = vec![full];
+    }
+    let device = Device::open(None).unwrap();
+    let out = chain::run::<f32>(&device, device.tuning(), &case).unwrap();
+    let by_twin = twin::run(&case).image;
+    let mean = |image: &[f64]| image.iter().sum::<f64>() / image.len() as f64;
+    assert!((mean(&out.image) - mean(&by_twin)).abs() < 1e-4 * mean(&by_twin));
+    mean(&out.image)
+}
+
+#[test]
+fn zooming_out_keeps_the_brightness_with_the_filters_and_not_without() {
+    let ratio = |on: bool| brightness(4, on) / brightness(1, on);
+    let (with, without) = (ratio(true), ratio(false));
+    println!("mean brightness at a quarter of the size: x{with:.3} with, x{without:.3} without");
+    assert!((with - 1.0).abs() < 0.05, "{with}");
+    assert!(without > 2.0, "{without}");
+}
+
+/// The room with every other view moved back along its axis to `factor` times the median depth of the points it sees.
+fn two_distances(factor: f64) -> Dataset {
+    let mut data = room(64);
+    let points = data.points.positions.clone();
+    for view in data.train.iter_mut().step_by(2) {
+        let c = &mut view.camera;
+        let depth =
+            |p: &[f32; 3]| (c.rotation * DVec3::from_array(p.map(f64::from)) + c.translation).z;
+        let mut depths: Vec<f64> = points.iter().map(depth).filter(|z| *z > 0.0).collect();
+        depths.sort_by(f64::total_cmp);
+        c.translation.z += (factor - 1.0) * depths[depths.len() / 2];
+    }
+    data
+}
+
+#[test]
+fn auto_is_off_for_one_distance_and_on_for_two() {
+    let auto = TrainConfig::default();
+    assert_eq!(auto.anti_aliasing, AntiAliasing::Auto);
+    let (plain, apart) = (two_distances(1.0), two_distances(8.0));
+    let (low, high) = (spread(&plain).unwrap(), spread(&apart).unwrap());
+    println!("spread of the sampling rates: {low:.2} and {high:.2}");
+    assert!(low < 0.75 * LEAST_SPREAD, "{low}");
+    assert!(high > 1.25 * LEAST_SPREAD, "{high}");
+    assert!(!AntiAlias::decide(&plain, &auto).on && AntiAlias::decide(&apart, &auto).on);
+    let what = |items: &[mhsplat::plan::Item]| items.iter().any(|i| i.what == "anti-aliasing");
+    assert!(what(&Plan::new(&plain, &auto).left_out) && what(&Plan::new(&apart, &auto).kept));
+    let set = |anti_aliasing| TrainConfig {
+        anti_aliasing,
+        ..TrainConfig::default()
+    };
+    assert!(AntiAlias::decide(&plain, &set(AntiAliasing::On)).on);
+    assert!(!AntiAlias::decide(&apart, &set(AntiAliasing::Off)).on);
+}
+
+/// Views on a circle around the origin, every other one `factor` times as far; no points.
+fn circle(factor: f64) -> Dataset {
+    let view = |k: usize| {
+        let far = if k.is_multiple_of(2) { 1.0 } else { factor };
+        let photo = Photo {
+            mask: false,
+            width: 32,
+            height: 32,
+            channels: 3,
+            data: vec![0; 3 * 32 * 32],
+        };
+        View {
+            name: format!("{k:02}"),
+            camera: Camera {
+                rotation: DMat3::from_rotation_y(0.5 * k as f64),
+                translation: DVec3::new(0.0, 0.0, far),
+                fx: 30.0,
+                fy: 30.0,
+                cx: 16.0,
+                cy: 16.0,
+                width: 32,
+                height: 32,
+            },
+            photo: PhotoSource::Memory(Arc::new(photo)),
+        }
+    };
+    let mut data = room(64);
+    data.points = mhsplat::dataset::Points::default();
+    data.train = (0..12).map(view).collect();
+    data
+}
+
+#[test]
+fn without_points_the_rates_are_compared_where_the_views_look() {
+    let same = spread(&circle(1.0)).unwrap();
+    assert!((same - 1.0).abs() < 1e-9, "{same}");
+    let apart = spread(&circle(8.0)).unwrap();
+    assert!((apart - 8.0).abs() < 1e-9, "{apart}");
+    let mut parallel = circle(1.0);
+    for view in &mut parallel.train {
+        view.camera.rotation = DMat3::IDENTITY;
+    }
+    assert_eq!(spread(&parallel), None);
+    assert!(!AntiAlias::decide(&parallel, &TrainConfig::default()).on);
+}
+
+#[test]
+fn a_resumed_run_ends_with_the_same_bits() {
+    let data = room(64);
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
+        let config = config(AntiAliasing::On, sampler);
+        let (_, whole) = trained(&data, &config, 130);
+        let plain = TrainConfig {
+            anti_aliasing: AntiAliasing::Off,
+            ..config.clone()
+        };
+        assert!(
+            whole != trained(&data, &plain, 130).1,
+            "the filters do nothing"
+        );
+        // The filter is that of iteration 100 or of the last density step; the checkpoint comes after both.
+        let (mut part, _) = trained(&data, &config, 113);
+        let folder = tempfile::tempdir().unwrap();
+        checkpoint::write(folder.path(), &saved(&mut part, &config, &data)).unwrap();
+        let state = checkpoint::read(folder.path()).unwrap().state;
+        assert_eq!(state.filter.len(), state.splats.len());
+        assert!(state.filter.iter().all(|s| *s > 0.0));
+        let device = Device::open(None).unwrap();
+        let mut resumed = Trainer::new(&device, &data, &config, &state.splats).unwrap();
+        resumed.restore(&state).unwrap();
+        drive(&mut resumed, 130).unwrap();
+        assert!(resumed.state().unwrap().splats == whole, "{sampler:?}");
+        // Its renders would lack the filters.
+        let options = mhsplat::surrogate::Options::default();
+        let refused = mhsplat::surrogate::check(
+            folder.path(),
+            data.clone(),
+            &device,
+            &options,
+            &mut |_, _| (),
+        );
+        assert!(refused.unwrap_err().to_string().contains("anti-aliasing"));
+        let mut other = Trainer::new(&device, &data, &plain, &state.splats).unwrap();
+        assert!(other.restore(&state).is_err(), "a filter nobody asked for");
+    }
+}
+
+#[test]
+fn too_little_room_for_pairs_changes_nothing() {
+    let data = room(64);
+    let config = config(AntiAliasing::On, Sampler::Mh);
+    let (_, whole) = trained(&data, &config, 130);
+    let device = Device::open(None).unwrap();
+    let splats = initial_splats(&data, &config).unwrap();
+    let mut tight = Trainer::new(&device, &data, &config, &splats).unwrap();
+    for until in [99, 104, 130] {
+        tight.shrink_pairs(256).unwrap();
+        drive(&mut tight, until).unwrap();
+    }
+    assert!(tight.overflows() > 0);
+    assert!(tight.state().unwrap().splats == whole);
+}
+
+fn shown(splats: &Splats, camera: &Camera, anti_alias: bool) -> Rendered {
+    let device = Device::open(None).unwrap();
+    let defines = Defines {
+        anti_alias,
+        ..Defines::new(device.tuning())
+    };
+    let degree = splats.sh_degree();
+    let mut renderer = Renderer::<f32>::new(&device, defines, degree, false).unwrap();
+    let mut scene = Scene::upload(&device, splats, 0).unwrap();
+    if anti_alias {
+        scene = scene.with_filter(&device).unwrap();
+    }
+    let options = RenderOptions {
+        sh_degree: degree,
+        ..RenderOptions::default()
+    };
+    renderer.image(&scene, camera, &options).unwrap()
+}
+
+fn apart(a: &Rendered, b: &Rendered) -> f32 {
+    let pairs = a.rgb.iter().zip(&b.rgb);
+    pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+}
+
+#[test]
+fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
+    let data = room(64);
+    let config = config(AntiAliasing::On, Sampler::Mh);
+    let (mut trainer, _) = trained(&data, &config, 130);
+    let state = trainer.state().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let [marked, plain] = ["marked.ply", "plain.ply"].map(|name| folder.path().join(name));
+    ply::write_filtered(&marked, &state.splats, &state.filter, &data.frame).unwrap();
+    ply::write_filtered(&plain, &state.splats, &[], &data.frame).unwrap();
+    assert!(ply::is_anti_aliased(&marked) && !ply::is_anti_aliased(&plain));
+    assert!(!ply::is_anti_aliased(&folder.path().join("none.ply")));
+    assert!(ply::write_filtered(&plain, &state.splats, &[1.0], &Frame::IDENTITY).is_err());
+
+    let camera = data.train[0].camera;
+    let arg = Renderer::<f32>::camera(&camera);
+    let options = RenderOptions {
+        sh_degree: 1,
+        ..RenderOptions::default()
+    };
+    let (scene, renderer) = trainer.scene_and_renderer();
+    renderer.render(scene, &arg, &options).unwrap();
+    let trained = renderer.read_image(&arg).unwrap();
+    let baked = ply::read(&marked, &data.frame).unwrap();
+    let raw = ply::read(&plain, &data.frame).unwrap();
+    // Rounding, and pixels at the cut.
+    let same = apart(&trained, &shown(&baked, &camera, true));
+    assert!(same < 0.01, "{same}");
+    assert!(apart(&trained, &shown(&baked, &camera, false)) > 5.0 * same);
+    assert!(apart(&trained, &shown(&raw, &camera, true)) > 5.0 * same);
+
+    // Training on from it takes the mark for an answer, unless it is told otherwise.
+    let on_from = |path: &std::path::Path, anti_aliasing| TrainConfig {
+        init: Init::File(path.to_path_buf()),
+        anti_aliasing,
+        ..TrainConfig::default()
+    };
+    assert!(AntiAlias::decide(&data, &on_from(&marked, AntiAliasing::Auto)).on);
+    assert!(!AntiAlias::decide(&data, &on_from(&marked, AntiAliasing::Off)).on);
+    assert!(!AntiAlias::decide(&data, &on_from(&plain, AntiAliasing::Auto)).on);
+    // It starts from what was trained, not from what the filter made of it. The filter that was written is up to 30
+    // iterations old.
+    let start = on_from(&marked, AntiAliasing::Auto);
+    let start = TrainConfig {
+        sh_degree: 1,
+        ..start
+    };
+    let splats = initial_splats(&data, &start).unwrap();
+    let device = Device::open(None).unwrap();
+    let mut again = Trainer::new(&device, &data, &start, &splats).unwrap();
+    let (scene, renderer) = again.scene_and_renderer();
+    renderer.render(scene, &arg, &options).unwrap();
+    let begun = apart(&trained, &renderer.read_image(&arg).unwrap());
+    assert!(begun < 3.0 * same.max(0.01), "{begun}");
+}
+
+#[test]
+fn a_filter_of_nothing_changes_no_bit_and_a_wide_one_dims_and_widens() {
+    let mut splats = Splats::zeros(0, 2);
+    for i in 0..2 {
+        splats.scatter(Plane::LOG_SCALE, i, [-3.0, -4.0, -5.0f32]);
+        splats.scatter(Plane::OPACITY, i, [1.25f32]);
+    }
+    let sigma = (-4.0f64).exp();
+    let out = splats.filtered(&[0.0, sigma as f32]).unwrap();
+    assert_eq!(out.gather::<11>(0, 0), splats.gather::<11>(0, 0));
+    let wide = [-3.0f64, -4.0, -5.0].map(|l| (2.0 * l).exp() + sigma * sigma);
+    let mut left = 1.0;
+    for (k, wide) in wide.iter().enumerate() {
+        let got = f64::from(out.planes()[Plane::LOG_SCALE + k][1]);
+        assert!((got - 0.5 * wide.ln()).abs() < 1e-6, "{got}");
+        left *= ([-6.0f64, -8.0, -10.0][k].exp() / wide).sqrt();
+    }
+    let opacity = |logit: f64| 1.0 / (1.0 + (-logit).exp());
+    let got = opacity(f64::from(out.planes()[Plane::OPACITY][1]));
+    assert!((got - left * opacity(1.25)).abs() < 1e-6, "{got}");
+}
+
+#[test]
+fn what_is_filtered_can_be_taken_back() {
+    let data = room(64);
+    let splats = initial_splats(&data, &TrainConfig::default()).unwrap();
+    let sigma: Vec<f32> = splats.planes()[Plane::LOG_SCALE]
+        .iter()
+        .enumerate()
+        .map(|(i, l)| l.exp() * 0.05 * (i % 60) as f32)
+        .collect();
+    let there = splats.filtered(&sigma).unwrap();
+    assert_ne!(there, splats);
+    let back = there.unfiltered(&sigma).unwrap();
+    for p in 0..Plane::SH {
+        for (a, b) in splats.planes()[p].iter().zip(&back.planes()[p]) {
+            assert!((a - b).abs() < 1e-4, "plane {p}: {a} {b}");
+        }
+    }
+    assert!(splats.filtered(&sigma[1..]).is_err());
+}
+
+/// The command line end to end: a run with the option, its scene rendered from the folder as it was evaluated, and gone on with.
+#[test]
+fn a_run_is_evaluated_again_with_its_own_filters() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let train = |more: &[&str]| {
+        let base = [
+            "train",
+            &room_folder(),
+            "--iterations",
+            "60",
+            "--max-size",
+            "64",
+            "--json",
+        ];
+        done(&[&base, more].concat())
+    };
+    let record = train(&["-o", text(&run), "--anti-aliasing", "on"]);
+    let record: serde_json::Value = serde_json::from_str(&record).unwrap();
+    assert_eq!(record["config"]["anti-aliasing"], "on");
+    let kept = record["plan"]["kept"].as_array().unwrap();
+    assert!(kept.iter().any(|i| i["what"] == "anti-aliasing"));
+    let score = |scene: &std::path::Path| -> f64 {
+        let out = done(&[
+            "eval",
+            text(scene),
+            &room_folder(),
+            "--max-size",
+            "64",
+            "--json",
+        ]);
+        serde_json::from_str::<serde_json::Value>(&out).unwrap()["psnr"]
+            .as_f64()
+            .unwrap()
+    };
+    let of_run = record["final"]["psnr"].as_f64().unwrap();
+    let again = score(&run);
+    assert!((again - of_run).abs() < 0.01, "{again} {of_run}");
+    // The same scene without its mark is another picture.
+    let bytes = std::fs::read(run.join("scene.ply")).unwrap();
+    let comment = format!("comment {}\n", ply::ANTI_ALIASED).into_bytes();
+    let at = bytes
+        .windows(comment.len())
+        .position(|w| w == comment)
+        .unwrap();
+    let bare = [&bytes[..at], &bytes[at + comment.len()..]].concat();
+    let unmarked = folder.path().join("unmarked.ply");
+    std::fs::write(&unmarked, bare).unwrap();
+    assert!((score(&unmarked) - of_run).abs() > 1e-3);
+}
