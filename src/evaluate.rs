@@ -1,5 +1,6 @@
 //! PSNR, SSIM and ꟻLIP of rendered views against their photos (after clamping to [0, 1]; mean over RGB; no masks).
 
+pub mod color;
 pub mod flip;
 
 use crate::buffers::{Scene, ViewSet};
@@ -86,17 +87,24 @@ impl Evaluator {
             background,
             size,
         };
-        self.metrics.run(&pair, &self.rows)?;
-        self.loss.errors(&pair, &self.maps, &self.partial)?;
-        self.loss.sum(&pair, &self.partial, &self.sums, 0)?;
-        let squared: f64 = self.rows.read(0, size[1])?.into_iter().map(f64::from).sum();
-        let ssim = f64::from(self.sums.to_vec()?[1]);
+        let (psnr, ssim) = self.measure(&pair)?;
         Ok(ViewScore {
             view: self.views.names[view].clone(),
-            psnr: psnr(squared / (3 * size[0] * size[1]) as f64),
+            psnr,
             ssim,
-            flip: None,
+            ..ViewScore::default()
         })
+    }
+
+    /// PSNR and SSIM of an image, which is clamped in place.
+    fn measure(&self, pair: &ImagePair<'_, f32>) -> Result<(f64, f64)> {
+        self.metrics.run(pair, &self.rows)?;
+        self.loss.errors(pair, &self.maps, &self.partial)?;
+        self.loss.sum(pair, &self.partial, &self.sums, 0)?;
+        let [w, h] = pair.size;
+        let squared: f64 = self.rows.read(0, h)?.into_iter().map(f64::from).sum();
+        let ssim = f64::from(self.sums.to_vec()?[1]);
+        Ok((psnr(squared / (3 * w * h) as f64), ssim))
     }
 
     /// ꟻLIP of a view that [`Evaluator::score`] has just scored.

@@ -1,6 +1,7 @@
 //! One training run with its run folder: evaluations, exports, checkpoints, records and the report.
 
 mod gallery;
+mod score;
 mod start;
 
 pub use start::{abandon_folder, claim_folder, initial_splats, saved_config};
@@ -11,13 +12,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::config::TrainConfig;
 use crate::dataset::{Dataset, Frame};
 use crate::error::{Error, Result};
-use crate::evaluate::{Evaluator, mean, mean_flip};
+use crate::evaluate::Evaluator;
 use crate::export::checkpoint::Checkpoint;
 use crate::export::{checkpoint, ply};
+use crate::exposure::Decision;
 use crate::gpu::Device;
 use crate::report::{
-    Clock, DensityRow, DensityWriter, FinalRecord, MetricsRow, MetricsWriter, RunRecord,
-    StageRecord, clock, read_density, read_rows, write_report,
+    Clock, DensityRow, DensityWriter, MetricsRow, MetricsWriter, RunRecord, StageRecord, clock,
+    read_density, read_rows, write_report,
 };
 use crate::train::Trainer;
 
@@ -34,6 +36,8 @@ pub struct Progress {
     pub psnr: Option<f64>,
     /// Seconds of training so far.
     pub train_seconds: f64,
+    /// What was decided on per-image exposure, if that was left open.
+    pub exposure: Option<Decision>,
 }
 
 /// A run under way.
@@ -244,6 +248,7 @@ impl Run {
                 gaussians: self.trainer.gaussians(),
                 psnr: self.psnr,
                 train_seconds: self.clock.train_seconds(),
+                exposure: self.trainer.exposure_decision(),
             });
         }
         self.trainer.settle()?;
@@ -290,24 +295,10 @@ impl Run {
         self.clock.pause();
         let loss = self.trainer.recent_loss()?;
         let done = self.trainer.iteration();
-        let degree = self.trainer.schedule().sh_degree(done);
-        let background = self.trainer.schedule().fixed_background();
-        let (scene, renderer) = self.trainer.scene_and_renderer();
-        let scores = match &self.evaluator {
-            Some(e) if last => e.score_all_with_flip(scene, renderer, degree, background)?,
-            Some(e) => e.score_all(scene, renderer, degree, background)?,
-            None => Vec::new(),
-        };
-        let means = mean(&scores);
-        self.psnr = means.map(|(p, _)| p);
-        if let Some((psnr, ssim)) = means {
-            self.record.final_scores = Some(FinalRecord {
-                psnr,
-                ssim,
-                flip: mean_flip(&scores),
-                per_view: scores,
-            });
-        }
+        let scores = self.scores(last)?;
+        self.psnr = scores.as_ref().map(|s| s.psnr);
+        let ssim = scores.as_ref().map(|s| s.ssim);
+        self.record.final_scores = scores.or_else(|| self.record.final_scores.take());
         let now = self.clock.reading();
         let stats = *self.trainer.stats();
         self.metrics.write(&MetricsRow {
@@ -317,7 +308,7 @@ impl Run {
             cpu_seconds: now.cpu_seconds,
             loss: loss.filter(|l| l.is_finite()),
             psnr: self.psnr,
-            ssim: means.map(|(_, s)| s),
+            ssim,
             gaussians: self.trainer.gaussians() as u64,
             proposed: stats.proposed,
             accepted: stats.accepted,
@@ -334,6 +325,8 @@ impl Run {
         let now = self.clock.reading();
         let stages = self.stage_times();
         let r = &mut self.record;
+        let decision = self.trainer.exposure_decision();
+        r.plan.exposure(self.config.exposure, decision);
         r.iterations = self.trainer.iteration();
         r.gaussians = self.trainer.gaussians() as u64;
         r.train_seconds = now.train_seconds;

@@ -1,6 +1,7 @@
 //! [`Trainer`]: one iteration after the other, as the paper's loop.
 
 mod control;
+mod exposure;
 mod observe;
 mod pictures;
 mod probe;
@@ -13,6 +14,7 @@ pub use state::TrainerState;
 
 use std::collections::VecDeque;
 
+use exposure::Compensation;
 use sampler::SamplerStages;
 
 use crate::buffers::{Scene, ViewSet};
@@ -20,6 +22,7 @@ use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
+use crate::exposure::Decision;
 use crate::gpu::tuning::status;
 use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, PendingRead, StageTime};
 use crate::model::{Plane, Splats};
@@ -30,7 +33,7 @@ use crate::schedule::Schedule;
 use crate::stage::adam::{Adam, AdamArgs};
 use crate::stage::edit::Edit;
 use crate::stage::importance::Importance;
-use crate::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::stage::loss::Loss;
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
 use crate::stage::shrink::Shrink;
 use crate::stage::splat_grad::SplatGrad;
@@ -96,6 +99,9 @@ pub struct Trainer {
     /// Renders probes; none where density control tries no birth.
     probes: Option<Pass<f32>>,
     sampler: SamplerStages,
+    /// Per-image exposure, where it is on.
+    exposure: Option<Compensation>,
+    exposure_decision: Option<Decision>,
     stats: DensityStats,
     /// Time that density steps took on the host, their transfers and edits included.
     density_time: StageTime,
@@ -172,6 +178,8 @@ impl Trainer {
             probes: probe::pass(device, defines, degree, density.as_ref())?,
             density,
             sampler,
+            exposure: None,
+            exposure_decision: None,
             stats: DensityStats::default(),
             density_time: StageTime::default(),
             probe_time: StageTime::default(),
@@ -210,20 +218,6 @@ impl Trainer {
         }
     }
 
-    fn pair<'a>(
-        &'a self,
-        camera: &CameraArg<f32>,
-        photo: &'a Array<u8>,
-        background: [f32; 3],
-    ) -> ImagePair<'a, f32> {
-        ImagePair {
-            image: &self.renderer.frame.image,
-            photo,
-            background,
-            size: size_of_image(camera),
-        }
-    }
-
     /// Forward, loss, backward and optimiser of one iteration, without waiting.
     fn enqueue_step(&mut self, iteration: u32, degree: u32) -> Result<()> {
         let order = self
@@ -236,10 +230,8 @@ impl Trainer {
         self.renderer.enqueue(&self.scene, &camera, &options)?;
 
         let photo = self.shrunk(&photo, view, factor)?;
-        let pair = self.pair(&camera, photo, options.background);
-        let lambda = f64::from(self.config.loss.lambda_ssim);
-        self.loss
-            .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
+        let pair = self.pair(view, &camera, photo, options.background)?;
+        self.loss_gradient(view, &pair)?;
         self.loss.sum(
             &pair,
             &self.partial,
@@ -247,6 +239,7 @@ impl Trainer {
             iteration as usize % LOSS_RING,
         )?;
         self.watch(iteration, &camera, &pair)?;
+        self.step_exposure(iteration, view)?;
 
         let frame = &self.renderer.frame;
         self.splat_grad
@@ -305,6 +298,7 @@ impl Trainer {
     /// # Errors
     /// More than the device can allocate, or the driver's.
     pub fn step(&mut self) -> Result<()> {
+        self.begin_exposure()?;
         let degree = self.schedule.sh_degree(self.iteration);
         self.enqueue_step(self.iteration, degree)?;
         self.in_flight.push_back(InFlight {

@@ -14,6 +14,7 @@ mod density;
 mod determinism;
 mod experiment;
 mod export;
+mod exposure;
 mod extreme;
 #[cfg(target_os = "linux")]
 mod faults;

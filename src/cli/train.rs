@@ -6,7 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
-use mhsplat::config::{Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration};
+use mhsplat::config::{
+    ExposureChoice, Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration,
+};
 use mhsplat::dataset::{self, LoadOptions};
 use mhsplat::error::{Error, Result};
 use mhsplat::gpu::Device;
@@ -33,6 +35,16 @@ enum SurrogateFlag {
     Importance,
     /// Its first-order change of the loss, computed over a few views.
     Probe,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ExposureFlag {
+    /// On if photos differ in brightness by more than what they show.
+    Auto,
+    /// A colour transform for every training photo.
+    On,
+    /// None.
+    Off,
 }
 
 /// Arguments; every one also has its place in a --config file, and wins over it.
@@ -85,7 +97,7 @@ pub struct TrainArgs {
     /// Continue the run in this folder from its checkpoint, as it was configured.
     #[arg(long, value_name = "RUN", conflicts_with_all = [
         "output", "config", "sampler", "surrogate", "iterations", "max_size", "max_gaussians", "sh_degree", "seed",
-        "test_every", "init", "background",
+        "test_every", "init", "background", "exposure",
     ])]
     resume: Option<PathBuf>,
     /// points, random or FILE.ply [default: points]
@@ -94,6 +106,9 @@ pub struct TrainArgs {
     /// black, white, random or R,G,B [default: black]
     #[arg(long)]
     background: Option<String>,
+    /// A colour transform for every training photo, for sets whose brightness varies [default: auto]
+    #[arg(long, value_enum)]
+    exposure: Option<ExposureFlag>,
     /// TOML file (or a run's run.json) with the same names; flags win.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -142,7 +157,8 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     ));
     output::note(&run.record().plan.summary());
     let bar = progress_bar();
-    let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());
+    let mut told = false;
+    let driven = run.drive(&stop, |p| show(&bar, p, &mut told)).map(|_| ());
     bar.finish();
     let stopped = matches!(driven, Err(Error::Interrupted));
     if driven.is_err() {
@@ -259,6 +275,13 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
             SurrogateFlag::Probe => Surrogate::Probe,
         };
     }
+    if let Some(e) = args.exposure {
+        c.exposure = match e {
+            ExposureFlag::Auto => ExposureChoice::Auto,
+            ExposureFlag::On => ExposureChoice::On,
+            ExposureFlag::Off => ExposureChoice::Off,
+        };
+    }
     if let Some(t) = &args.time_budget {
         c.time_budget = Some(parse_duration(t)?);
     }
@@ -303,7 +326,14 @@ fn progress_bar() -> ProgressBar {
     bar
 }
 
-fn show(bar: &ProgressBar, p: &Progress) {
+/// Shows where training is, and once what was decided on the way.
+fn show(bar: &ProgressBar, p: &Progress, told: &mut bool) {
+    if let Some(decision) = p.exposure.filter(|_| !*told) {
+        *told = true;
+        let on = if decision.on { "on" } else { "left out" };
+        let what = format!("per-image exposure is {on}: {}", decision.why());
+        bar.suspend(|| output::note(&what));
+    }
     bar.set_length(u64::from(p.iterations));
     bar.set_position(u64::from(p.iteration));
     if p.iteration.is_multiple_of(10) {
@@ -331,7 +361,14 @@ fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
             let flip = f
                 .flip
                 .map_or_else(String::new, |v| format!(", FLIP {v:.4}"));
-            format!("held-out PSNR {:.2} dB, SSIM {:.4}{flip}", f.psnr, f.ssim)
+            let fitted = f.cc_psnr.zip(f.cc_ssim);
+            let fitted = fitted.map_or_else(String::new, |(psnr, ssim)| {
+                format!("; colour-corrected PSNR {psnr:.2} dB, SSIM {ssim:.4}")
+            });
+            format!(
+                "held-out PSNR {:.2} dB, SSIM {:.4}{flip}{fitted}",
+                f.psnr, f.ssim
+            )
         },
     );
     output::line(&format!(

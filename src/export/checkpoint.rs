@@ -1,7 +1,7 @@
 //! Checkpoints: everything a run needs to continue bit for bit, as one safetensors file.
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
-//! order of [`crate::model::Plane`]), `cues` \[rows, N\] (where the sampler has any) and `losses` \[2 · ring\] and, as metadata, format version,
+//! order of [`crate::model::Plane`]), `cues` \[rows, N\] (where the sampler has any), `losses` \[2 · ring\] and, with per-image exposure, `exposures` \[3, 12 · views\] and, as metadata, format version,
 //! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning, with a checksum of all that. It is
 //! written beside the old one and renamed over it.
 
@@ -14,15 +14,23 @@ use serde::{Deserialize, Serialize};
 use crate::config::TrainConfig;
 use crate::density::{self, DensityStats};
 use crate::error::{Error, Result};
+use crate::exposure::Decision;
 use crate::gpu::tuning::Tuning;
 use crate::model::{Plane, Splats};
 use crate::report::{Reading, StageRecord};
 use crate::train::TrainerState;
 
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 /// Tensors in the order of the checksum.
-const NAMES: [&str; 5] = ["params", "moment1", "moment2", "losses", "cues"];
+const NAMES: [&str; 6] = [
+    "params",
+    "moment1",
+    "moment2",
+    "losses",
+    "cues",
+    "exposures",
+];
 
 /// What every version's header begins with.
 #[derive(Deserialize)]
@@ -43,6 +51,7 @@ struct Header {
     dataset: String,
     tuning: Tuning,
     stages: Vec<StageRecord>,
+    exposure_decision: Option<Decision>,
 }
 
 /// A checkpoint, to be written or read back.
@@ -100,6 +109,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         dataset: checkpoint.dataset.clone(),
         tuning: checkpoint.tuning,
         stages: checkpoint.stages.clone(),
+        exposure_decision: state.exposure_decision,
     };
     let header = serde_json::to_string(&header).map_err(encoding)?;
     let shape = vec![state.splats.planes().len(), state.splats.len()];
@@ -117,6 +127,10 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
     if !state.cues.is_empty() {
         let shape = vec![state.cues.len(), state.splats.len()];
         tensors.push(("cues", shape, planes(&state.cues)));
+    }
+    if let Some(row) = state.exposures.first() {
+        let shape = vec![state.exposures.len(), row.len()];
+        tensors.push(("exposures", shape, planes(&state.exposures)));
     }
     let parts = tensors.iter().map(|(_, _, data)| data.as_slice());
     let sum = checksum(&header, parts);
@@ -181,8 +195,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     let expected = Plane::count(header.sh_degree.min(3));
     let params = planes(&tensors, "params", expected)?;
     let splats = Splats::new(header.sh_degree, params).map_err(|e| text(&e))?;
-    let moments = ["moment1", "moment2"].map(|name| planes(&tensors, name, expected));
-    let [moment1, moment2] = moments;
+    let [moment1, moment2] = ["moment1", "moment2"].map(|name| planes(&tensors, name, expected));
     let (moment1, moment2) = (moment1?, moment2?);
     if [&moment1, &moment2]
         .iter()
@@ -210,6 +223,8 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             stats: header.stats,
             non_finite: header.non_finite,
             losses,
+            exposure_decision: header.exposure_decision,
+            exposures: exposures(&tensors)?,
         },
         config: header.config,
         clock: Reading {
@@ -221,6 +236,14 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
         tuning: header.tuning,
         stages: header.stages,
     })
+}
+
+/// Transforms and moments of per-image exposure, if there are any.
+fn exposures(tensors: &SafeTensors<'_>) -> std::result::Result<Vec<Vec<f32>>, String> {
+    match tensors.tensor("exposures") {
+        Ok(_) => planes(tensors, "exposures", 3),
+        Err(_) => Ok(Vec::new()),
+    }
 }
 
 /// The rows of an f32 tensor; one of a single dimension is one row.

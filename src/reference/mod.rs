@@ -9,6 +9,7 @@ pub mod bin;
 pub mod chain;
 pub mod compare;
 pub mod edit;
+pub mod exposure;
 pub mod importance;
 pub mod loss;
 pub mod metrics;

@@ -4,6 +4,7 @@
 pub mod adam;
 pub mod bin;
 pub mod edit;
+pub mod exposure;
 pub mod importance;
 pub mod loss;
 pub mod metrics;

@@ -48,7 +48,7 @@ impl Trainer {
         let (camera, factor) = self.camera_at(self.iteration, view);
         let options = self.options(self.iteration, self.schedule.sh_degree(self.iteration));
         self.renderer.render(&self.scene, &camera, &options)?;
-        let seen = self.renderer.read_image(&camera)?;
+        let mut seen = self.renderer.read_image(&camera)?;
         let by_depth = RenderOptions {
             quantity: Quantity::Depth,
             background: [0.0; 3],
@@ -63,9 +63,11 @@ impl Trainer {
             *z /= 1.0 - left;
         }
         let photo = self.shrunk(&photo, view, factor)?;
-        let photo = self.photo_planes(photo, pixels, options.background)?;
+        let mut photo = self.photo_planes(photo, pixels, options.background)?;
+        let taken = photo.clone();
+        self.exposed_picture(view, &mut seen.rgb, &mut photo)?;
         let error = |i: usize| -> f32 {
-            let apart = |c: usize| (seen.rgb[c * pixels + i] - photo[c][i]).abs();
+            let apart = |c: usize| (seen.rgb[c * pixels + i] - taken[c][i]).abs();
             (0..3).map(apart).sum::<f32>() / 3.0
         };
         Ok(Picture {
@@ -81,7 +83,7 @@ impl Trainer {
     }
 
     /// Red, green and blue of a photo on the device; a transparent one lies over the background.
-    fn photo_planes(
+    pub(super) fn photo_planes(
         &self,
         photo: &Array<u8>,
         pixels: usize,

@@ -3,6 +3,7 @@
 use super::Trainer;
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
+use crate::exposure::Decision;
 use crate::gpu::Array;
 use crate::gpu::tuning::status;
 use crate::model::Splats;
@@ -28,6 +29,10 @@ pub struct TrainerState {
     pub non_finite: u64,
     /// Ring of the last losses on the device: L1 and SSIM of each iteration.
     pub losses: Vec<f32>,
+    /// What was decided on per-image exposure.
+    pub exposure_decision: Option<Decision>,
+    /// Transforms of the training views and their moments \[3\]\[views · 12\]; empty where exposure is not compensated.
+    pub exposures: Vec<Vec<f32>>,
 }
 
 impl Trainer {
@@ -53,6 +58,8 @@ impl Trainer {
             stats: self.stats,
             non_finite: self.non_finite,
             losses: self.losses.to_vec()?,
+            exposure_decision: self.exposure_decision,
+            exposures: self.exposures()?,
         })
     }
 
@@ -82,6 +89,7 @@ impl Trainer {
         for (k, row) in state.cues.iter().enumerate() {
             self.cues.write(k * self.scene.stride, row)?;
         }
+        self.restore_exposure(state.exposure_decision, &state.exposures)?;
         self.stats = state.stats;
         self.iteration = state.iteration;
         self.last_density = (!state.density_due).then_some(state.iteration);

@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 
 use super::chain::{ADAM, Case, Outputs};
+use super::exposure::{self, ExposureOutputs, largest_sum};
 use super::sampler::{NOISE, NOISE_KEYS};
 use super::twin;
 use crate::model::Plane;
@@ -145,6 +146,20 @@ pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
             out.edited.iter().flat_map(|p| flat(p)).collect(),
         ),
     ]
+    .into_iter()
+    .chain(exposed(&out.exposure, 0.0))
+    .collect()
+}
+
+/// What the exposure stage gave; `largest` is what the sums of its gradient are made of.
+fn exposed(out: &ExposureOutputs, largest: f64) -> [Quantity; 4] {
+    let of = |name, values: &[f64]| quantity("exposure", name, values.to_vec());
+    [
+        of("image", &out.image),
+        of("gradient by the render", &out.dimage),
+        of("gradient by the transform", &out.grads).floored(largest),
+        of("transforms, moments", &out.adam.concat()),
+    ]
 }
 
 /// The same from the reference. The optimiser, the edits and the importance start from the device's own gradients and
@@ -205,6 +220,9 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
         quantity("metrics", "squared error", vec![error]),
         quantity("edit", "rows", edited),
     ]
+    .into_iter()
+    .chain(exposed(&exposure::reference(device), largest_sum(device)))
+    .collect()
 }
 
 /// How large the terms of a rotation's gradient are at most: those that the longest axis of a Gaussian would have across the

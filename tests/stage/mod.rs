@@ -3,6 +3,7 @@
 mod adam;
 mod bin;
 mod edit;
+mod exposure;
 mod importance;
 mod loss;
 mod metrics;
