@@ -15,7 +15,7 @@ pub use anti_aliasing::AntiAliasing;
 pub use choices::{Acceptance, Birth, Surrogate, ViewSubset};
 pub use mh::MhConfig;
 pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
-pub use values::{Background, Init, parse_bytes, parse_duration};
+pub use values::{Background, ExposureChoice, Init, parse_bytes, parse_duration};
 use values::{bytes_or_number, duration_or_number};
 pub use work::WorkConfig;
 
@@ -68,6 +68,10 @@ pub struct OptimizerConfig {
     pub lr_scale: f32,
     /// Quaternion.
     pub lr_rotation: f32,
+    /// Entries of the photos' colour transforms, at the start (\[3DGS\], later versions).
+    pub lr_exposure: f32,
+    /// Entries of the photos' colour transforms, at the end (log-linear in between).
+    pub lr_exposure_final: f32,
     /// Whether runs shorter than the papers' 30,000 iterations take larger steps (see `Schedule::rates`).
     pub lr_scales_with_run: bool,
     /// Factor on the rates of all but the positions at the end of a run; 1 for none, as in the papers. It is reached
@@ -93,6 +97,8 @@ impl Default for OptimizerConfig {
             lr_opacity: 0.05,
             lr_scale: 5e-3,
             lr_rotation: 1e-3,
+            lr_exposure: 0.01,
+            lr_exposure_final: 0.001,
             lr_scales_with_run: true,
             lr_settle: 0.1,
             lr_settle_from: 25_000,
@@ -142,6 +148,8 @@ pub struct TrainConfig {
     pub background: Background,
     /// Mip-Splatting's filters.
     pub anti_aliasing: AntiAliasing,
+    /// Whether every training photo has a colour transform of its own, x' = A x + b, between render and loss.
+    pub exposure: ExposureChoice,
     /// Loss weights.
     pub loss: LossConfig,
     /// Optimiser.
@@ -176,6 +184,7 @@ impl Default for TrainConfig {
             alpha_is_mask: false,
             background: Background::Black,
             anti_aliasing: AntiAliasing::Auto,
+            exposure: ExposureChoice::Auto,
             loss: LossConfig::default(),
             optimizer: OptimizerConfig::default(),
             mh: MhConfig::default(),
@@ -248,6 +257,8 @@ impl OptimizerConfig {
             o.lr_opacity,
             o.lr_scale,
             o.lr_rotation,
+            o.lr_exposure,
+            o.lr_exposure_final,
         ];
         if !rates.iter().all(|v| v.is_finite() && *v >= 0.0) {
             return Err(Error::config(

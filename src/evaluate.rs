@@ -1,6 +1,7 @@
 //! PSNR, SSIM and ꟻLIP of rendered views against their photos (after clamping to [0, 1]; mean over RGB and, with
 //! masks, over the pixels that count).
 
+pub mod color;
 pub mod flip;
 
 use crate::buffers::{Scene, ViewSet};
@@ -89,22 +90,30 @@ impl Evaluator {
             background,
             size,
         };
-        self.metrics.run(&pair, &self.rows)?;
-        self.loss.errors(&pair, &self.maps, &self.partial)?;
-        self.loss.sum(&pair, &self.partial, &self.sums, 0)?;
+        let (psnr, ssim) = self.measure(&pair)?;
+        Ok(ViewScore {
+            view: self.views.names[view].clone(),
+            psnr,
+            ssim,
+            ..ViewScore::default()
+        })
+    }
+
+    /// PSNR and SSIM of an image, which is clamped in place.
+    fn measure(&self, pair: &ImagePair<'_, f32>) -> Result<(f64, f64)> {
+        self.metrics.run(pair, &self.rows)?;
+        self.loss.errors(pair, &self.maps, &self.partial)?;
+        self.loss.sum(pair, &self.partial, &self.sums, 0)?;
+        let [w, h] = pair.size;
         let sum = |row: usize| -> Result<f64> {
-            let values = self.rows.read(row * size[1], size[1])?;
+            let values = self.rows.read(row * h, h)?;
             Ok(values.into_iter().map(f64::from).sum())
         };
         let (squared, counted) = (sum(0)?, sum(1)?.max(1.0));
         let ssim = f64::from(self.sums.to_vec()?[1]);
-        Ok(ViewScore {
-            view: self.views.names[view].clone(),
-            psnr: psnr(squared / (3.0 * counted)),
-            // Where nothing counts SSIM is 1.
-            ssim: 1.0 - (1.0 - ssim) * (size[0] * size[1]) as f64 / counted,
-            flip: None,
-        })
+        // Where nothing counts SSIM is 1.
+        let ssim = 1.0 - (1.0 - ssim) * (w * h) as f64 / counted;
+        Ok((psnr(squared / (3.0 * counted)), ssim))
     }
 
     /// ꟻLIP of a view that [`Evaluator::score`] has just scored.

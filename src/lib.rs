@@ -16,6 +16,7 @@
 //! | scan, bin, sort | `kernels/{scan,bin,sort}.cl` | records → Gaussians of each tile, front to back |
 //! | splat | `kernels/splat.cl` | tiles → image |
 //! | shrink, loss | `kernels/{shrink,loss}.cl` | early in a run the photo at a fraction of its size; L1 + SSIM and its gradient |
+//! | exposure | `kernels/exposure.cl`, [`exposure`](mod@exposure) | between render and loss an affine colour transform per photo, where photos differ in brightness |
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
 //! | adam | `kernels/adam.cl` | one step of all parameters |
 //! | noise | `kernels/noise.cl` | a random step of every position (samplers mcmc, mh) |
@@ -71,6 +72,7 @@ pub mod error;
 pub mod evaluate;
 pub mod experiment;
 pub mod export;
+pub mod exposure;
 #[doc(hidden)]
 pub mod gpu;
 pub mod model;

@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::antialias::AntiAlias;
-use crate::config::{Init, MhConfig, Sampler, TrainConfig};
+use crate::config::{ExposureChoice, Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Alpha, Dataset, View};
+use crate::exposure::Decision;
 use crate::schedule::Schedule;
 use crate::train::{BAND_WORTH, Findings};
 
@@ -53,6 +54,7 @@ impl Plan {
         plan.decide(filters.on, "anti-aliasing", &filters.why, &filters.why);
         plan.decide_work(dataset, config);
         plan.sampler(config);
+        plan.exposure(config.exposure, None);
         plan.decide(
             !dataset.test.is_empty(),
             "held-out evaluation",
@@ -192,6 +194,25 @@ impl Plan {
             let what = "removal of Gaussians that no training view shows";
             self.decide(false, what, "", "work.remove-unseen is off");
         }
+    }
+
+    /// Whether exposure is compensated: as the configuration says or, where it leaves that open, as was decided on the way.
+    pub fn exposure(&mut self, choice: ExposureChoice, decision: Option<Decision>) {
+        let what = "per-image exposure";
+        for list in [&mut self.kept, &mut self.left_out] {
+            list.retain(|item| item.what != what);
+        }
+        let (on, why) = match (choice, decision) {
+            (ExposureChoice::On, _) => (true, "exposure is on".to_owned()),
+            (ExposureChoice::Off, _) => (false, "exposure is off".to_owned()),
+            (ExposureChoice::Auto, Some(d)) => (d.on, d.why()),
+            (ExposureChoice::Auto, None) => {
+                let open =
+                    "photos are compared with their renders first: on if their brightness varies";
+                (false, open.to_owned())
+            }
+        };
+        self.decide(on, what, &why, &why);
     }
 
     fn sampler(&mut self, config: &TrainConfig) {

@@ -122,6 +122,11 @@ impl<R: Real> Renderer<R> {
         CameraArg::new(camera, NEAR)
     }
 
+    /// The device.
+    pub(crate) fn device(&self) -> &Device {
+        &self.device
+    }
+
     /// Makes the arrays large enough for a scene and a camera (pairs grow on demand).
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 mod files;
 mod gallery;
 mod patience;
+mod score;
 mod start;
 
 pub use start::{abandon_folder, claim_folder, initial_splats, saved_config};
@@ -14,13 +15,13 @@ use crate::antialias::AntiAlias;
 use crate::config::TrainConfig;
 use crate::dataset::{Dataset, Frame};
 use crate::error::{Error, Result};
-use crate::evaluate::{Evaluator, mean, mean_flip};
+use crate::evaluate::Evaluator;
 use crate::export::checkpoint;
+use crate::exposure::Decision;
 use crate::gpu::Device;
 use crate::plan::Plan;
 use crate::report::{
-    Clock, DensityRow, DensityWriter, FinalRecord, MetricsRow, MetricsWriter, RunRecord,
-    StageRecord, read_rows,
+    Clock, DensityRow, DensityWriter, MetricsRow, MetricsWriter, RunRecord, StageRecord, read_rows,
 };
 use crate::train::Trainer;
 
@@ -37,6 +38,8 @@ pub struct Progress {
     pub psnr: Option<f64>,
     /// Seconds of training so far.
     pub train_seconds: f64,
+    /// What was decided on per-image exposure, if that was left open.
+    pub exposure: Option<Decision>,
 }
 
 /// A run under way.
@@ -265,6 +268,7 @@ impl Run {
                 gaussians: self.trainer.gaussians(),
                 psnr: self.psnr,
                 train_seconds: self.clock.train_seconds(),
+                exposure: self.trainer.exposure_decision(),
             });
         }
         if self.trainer.iteration() < self.config.iterations && self.stalled() {
@@ -315,24 +319,10 @@ impl Run {
         let loss = self.trainer.recent_loss()?.filter(|l| l.is_finite());
         self.losses.extend(loss);
         let done = self.trainer.iteration();
-        let background = self.trainer.schedule().fixed_background();
-        let (scene, renderer) = self.trainer.scene_and_renderer();
-        let degree = scene.sh_degree;
-        let scores = match &self.evaluator {
-            Some(e) if last => e.score_all_with_flip(scene, renderer, degree, background)?,
-            Some(e) => e.score_all(scene, renderer, degree, background)?,
-            None => Vec::new(),
-        };
-        let means = mean(&scores);
-        self.psnr = means.map(|(p, _)| p);
-        if let Some((psnr, ssim)) = means {
-            self.record.final_scores = Some(FinalRecord {
-                psnr,
-                ssim,
-                flip: mean_flip(&scores),
-                per_view: scores,
-            });
-        }
+        let scores = self.scores(last)?;
+        self.psnr = scores.as_ref().map(|s| s.psnr);
+        let ssim = scores.as_ref().map(|s| s.ssim);
+        self.record.final_scores = scores.or_else(|| self.record.final_scores.take());
         let now = self.clock.reading();
         let stats = *self.trainer.stats();
         self.metrics.write(&MetricsRow {
@@ -342,7 +332,7 @@ impl Run {
             cpu_seconds: now.cpu_seconds,
             loss,
             psnr: self.psnr,
-            ssim: means.map(|(_, s)| s),
+            ssim,
             gaussians: self.trainer.gaussians() as u64,
             proposed: stats.proposed,
             accepted: stats.accepted,

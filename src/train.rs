@@ -2,6 +2,7 @@
 
 mod bands;
 mod control;
+mod exposure;
 mod filter;
 mod finish;
 mod flight;
@@ -19,6 +20,7 @@ pub use state::TrainerState;
 
 use std::collections::VecDeque;
 
+use exposure::Compensation;
 use filter::FilterStage;
 use finish::Judge;
 use flight::InFlight;
@@ -30,6 +32,7 @@ use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
+use crate::exposure::Decision;
 use crate::gpu::tuning::status;
 use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, StageTime};
 use crate::model::{Plane, Splats};
@@ -41,7 +44,7 @@ use crate::stage::adam::{Adam, AdamArgs};
 use crate::stage::edit::Edit;
 use crate::stage::importance::Importance;
 use crate::stage::live::Live;
-use crate::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::stage::loss::Loss;
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
 use crate::stage::shrink::Shrink;
 use crate::stage::splat_grad::SplatGrad;
@@ -116,6 +119,9 @@ pub struct Trainer {
     sampler: SamplerStages,
     /// Keeps the 3D filter; none without anti-aliasing.
     filter: Option<FilterStage>,
+    /// Per-image exposure, where it is on.
+    exposure: Option<Compensation>,
+    exposure_decision: Option<Decision>,
     stats: DensityStats,
     /// Time that density steps took on the host, their transfers and edits included.
     density_time: StageTime,
@@ -200,6 +206,8 @@ impl Trainer {
             density,
             sampler,
             filter,
+            exposure: None,
+            exposure_decision: None,
             stats: DensityStats::default(),
             density_time: StageTime::default(),
             probe_time: StageTime::default(),
@@ -239,20 +247,6 @@ impl Trainer {
         }
     }
 
-    fn pair<'a>(
-        &'a self,
-        camera: &CameraArg<f32>,
-        photo: &'a Array<u8>,
-        background: [f32; 3],
-    ) -> ImagePair<'a, f32> {
-        ImagePair {
-            image: &self.renderer.frame.image,
-            photo,
-            background,
-            size: size_of_image(camera),
-        }
-    }
-
     /// Forward, loss, backward and optimiser of one iteration, without waiting.
     fn enqueue_step(&mut self, iteration: u32, degree: u32) -> Result<()> {
         let order = self
@@ -280,10 +274,8 @@ impl Trainer {
         self.renderer.enqueue(&self.scene, &camera, &render)?;
 
         let photo = self.at_size(&photo, factor);
-        let pair = self.pair(&camera, photo, options.background);
-        let lambda = f64::from(self.config.loss.lambda_ssim);
-        self.loss
-            .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
+        let pair = self.pair(view, &camera, photo, options.background)?;
+        self.loss_gradient(view, &pair)?;
         self.loss.sum(
             &pair,
             &self.partial,
@@ -291,6 +283,7 @@ impl Trainer {
             iteration as usize % LOSS_RING,
         )?;
         self.watch(iteration, &camera, &pair)?;
+        self.step_exposure(iteration, view)?;
 
         let frame = &self.renderer.frame;
         self.splat_grad
@@ -351,6 +344,7 @@ impl Trainer {
     /// More than the device can allocate, or the driver's.
     pub fn step(&mut self) -> Result<()> {
         self.look_after_bands()?;
+        self.begin_exposure()?;
         self.enqueue_step(self.iteration, self.scene.sh_degree)?;
         self.in_flight.push_back(InFlight {
             iteration: self.iteration,

@@ -16,6 +16,7 @@ mod density;
 mod determinism;
 mod experiment;
 mod export;
+mod exposure;
 mod extreme;
 #[cfg(target_os = "linux")]
 mod faults;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use mhsplat::buffers::ViewSet;
 use mhsplat::error::{Error, Result};
+use mhsplat::evaluate::color::mean_corrected;
 use mhsplat::evaluate::{Evaluator, mean, mean_flip};
 use mhsplat::gpu::Defines;
 use mhsplat::photos::Photos;
@@ -27,6 +28,9 @@ pub struct EvalArgs {
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
+    /// Also score after an affine fit of each render's colours to its photo (gsplat's cc_psnr).
+    #[arg(long)]
+    color_corrected: bool,
     /// Exit with 1 unless the mean PSNR reaches this, dB.
     #[arg(long, value_name = "DB", value_parser = output::finite)]
     require_psnr: Option<f64>,
@@ -56,7 +60,11 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let degree = loaded.scene.sh_degree;
     let (scene, renderer) = (&loaded.scene, &mut loaded.renderer);
-    let scores = evaluator.score_all_with_flip(scene, renderer, degree, background)?;
+    let mut scores = evaluator.score_all_with_flip(scene, renderer, degree, background)?;
+    if args.color_corrected {
+        evaluator.add_color_corrected(&mut scores, scene, renderer, degree, background)?;
+    }
+    let corrected = mean_corrected(&scores);
     let (psnr, ssim) = mean(&scores).unwrap_or((0.0, 0.0));
     let flip = mean_flip(&scores).unwrap_or(1.0);
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
@@ -64,6 +72,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         output::json(&json!({
             "scene": ply, "gaussians": loaded.scene.count, "width": size[0], "height": size[1],
             "psnr": psnr, "ssim": ssim, "flip": flip, "per_view": scores,
+            "cc_psnr": corrected.map(|c| c.0), "cc_ssim": corrected.map(|c| c.1),
         }))?;
     } else {
         for s in &scores {
@@ -82,6 +91,15 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
             size[1],
             loaded.scene.count
         ));
+        print_corrected(corrected);
     }
     Ok(Outcome::of(args.require_psnr, Some(psnr)))
+}
+
+fn print_corrected(means: Option<(f64, f64)>) {
+    if let Some((psnr, ssim)) = means {
+        output::line(&format!(
+            "{psnr:>7.3} dB  SSIM {ssim:.4}  mean after fitting colours to the photos"
+        ));
+    }
 }

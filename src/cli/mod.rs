@@ -6,6 +6,7 @@ mod devices;
 mod eval;
 mod experiment;
 mod output;
+mod progress;
 mod render;
 mod scene;
 mod surrogate;

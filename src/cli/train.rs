@@ -5,14 +5,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressStyle};
-use mhsplat::config::{AntiAliasing, Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration};
+use mhsplat::config::{
+    AntiAliasing, ExposureChoice, Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration,
+};
 use mhsplat::dataset::{self, LoadOptions};
 use mhsplat::error::{Error, Result};
 use mhsplat::gpu::Device;
-use mhsplat::report::{Clock, RunRecord};
-use mhsplat::run::{Progress, Run, abandon_folder, claim_folder, saved_config};
+use mhsplat::report::Clock;
+use mhsplat::run::{Run, abandon_folder, claim_folder, saved_config};
 
+use super::progress::{finish, progress_bar, show};
 use super::{Common, Outcome, output};
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -42,6 +44,16 @@ enum AntiAliasingFlag {
     /// Mip-Splatting's 2D and 3D filters.
     On,
     /// Neither filter.
+    Off,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ExposureFlag {
+    /// On if photos differ in brightness by more than what they show.
+    Auto,
+    /// A colour transform for every training photo.
+    On,
+    /// None.
     Off,
 }
 
@@ -98,7 +110,7 @@ pub struct TrainArgs {
     /// Continue the run in this folder from its checkpoint, as it was configured.
     #[arg(long, value_name = "RUN", conflicts_with_all = [
         "output", "config", "sampler", "surrogate", "iterations", "max_size", "max_gaussians", "sh_degree", "seed",
-        "test_every", "init", "background", "alpha_is_mask", "anti_aliasing",
+        "test_every", "init", "background", "alpha_is_mask", "anti_aliasing", "exposure",
     ])]
     resume: Option<PathBuf>,
     /// points, random or FILE.ply [default: points]
@@ -113,6 +125,9 @@ pub struct TrainArgs {
     /// Filters for views of other distances and sizes than those trained on [default: auto]
     #[arg(long, value_enum)]
     anti_aliasing: Option<AntiAliasingFlag>,
+    /// A colour transform for every training photo, for sets whose brightness varies [default: auto]
+    #[arg(long, value_enum)]
+    exposure: Option<ExposureFlag>,
     /// TOML file (or a run's run.json) with the same names; flags win.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -162,7 +177,8 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     output::note(&run.record().plan.summary());
     let planned = run.record().plan.clone();
     let bar = progress_bar();
-    let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());
+    let mut told = false;
+    let driven = run.drive(&stop, |p| show(&bar, p, &mut told)).map(|_| ());
     bar.finish();
     let stopped = matches!(driven, Err(Error::Interrupted));
     if driven.is_err() {
@@ -269,6 +285,28 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
         export_every,
         checkpoint_every
     );
+    choices(args, &mut c);
+    if let Some(t) = &args.time_budget {
+        c.time_budget = Some(parse_duration(t)?);
+    }
+    if let Some(b) = &args.image_budget {
+        c.image_budget = Some(parse_bytes(b)?);
+    }
+    c.alpha_is_mask |= args.alpha_is_mask;
+    c.patience = args.patience.or(c.patience);
+    c.max_gaussians = args.max_gaussians.or(c.max_gaussians);
+    c.eval_every = args.eval_every.or(c.eval_every);
+    if let Some(init) = &args.init {
+        c.init = init.parse()?;
+    }
+    if let Some(background) = &args.background {
+        c.background = background.parse()?;
+    }
+    Ok(c)
+}
+
+/// The options that are one of a few names.
+fn choices(args: &TrainArgs, c: &mut TrainConfig) {
     if let Some(s) = args.sampler {
         c.sampler = match s {
             SamplerFlag::Mh => Sampler::Mh,
@@ -290,23 +328,13 @@ fn config(args: &TrainArgs) -> Result<TrainConfig> {
             AntiAliasingFlag::Off => AntiAliasing::Off,
         };
     }
-    if let Some(t) = &args.time_budget {
-        c.time_budget = Some(parse_duration(t)?);
+    if let Some(e) = args.exposure {
+        c.exposure = match e {
+            ExposureFlag::Auto => ExposureChoice::Auto,
+            ExposureFlag::On => ExposureChoice::On,
+            ExposureFlag::Off => ExposureChoice::Off,
+        };
     }
-    if let Some(b) = &args.image_budget {
-        c.image_budget = Some(parse_bytes(b)?);
-    }
-    c.alpha_is_mask |= args.alpha_is_mask;
-    c.patience = args.patience.or(c.patience);
-    c.max_gaussians = args.max_gaussians.or(c.max_gaussians);
-    c.eval_every = args.eval_every.or(c.eval_every);
-    if let Some(init) = &args.init {
-        c.init = init.parse()?;
-    }
-    if let Some(background) = &args.background {
-        c.background = background.parse()?;
-    }
-    Ok(c)
 }
 
 fn read_config(file: &Path) -> Result<TrainConfig> {
@@ -325,62 +353,4 @@ fn read_config(file: &Path) -> Result<TrainConfig> {
         return serde_json::from_value(inner).map_err(|e| wrong(e.to_string()));
     }
     toml::from_str(&text).map_err(|e| wrong(e.to_string()))
-}
-
-fn progress_bar() -> ProgressBar {
-    let bar = ProgressBar::new(0);
-    let style = "{bar:24} {pos}/{len} {per_sec} {msg} {eta} left";
-    if let Ok(style) = ProgressStyle::with_template(style) {
-        bar.set_style(style);
-    }
-    bar
-}
-
-fn show(bar: &ProgressBar, p: &Progress) {
-    bar.set_length(u64::from(p.iterations));
-    bar.set_position(u64::from(p.iteration));
-    if p.iteration.is_multiple_of(10) {
-        let psnr = p.psnr.map_or_else(String::new, |v| format!("{v:.2} dB, "));
-        bar.set_message(format!(
-            "{psnr}{} Gaussians, {:.0} s,",
-            p.gaussians, p.train_seconds
-        ));
-    }
-}
-
-fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
-    if common.json {
-        return output::json(record);
-    }
-    if record.iterations < record.config.iterations {
-        let why = record.stalled.map_or_else(
-            || "the time budget ended the run".to_owned(),
-            |n| {
-                format!("the training loss had not fallen for {n} evaluations, which ended the run")
-            },
-        );
-        output::note(&format!(
-            "{why} after {} of {} iterations, before its schedules did",
-            record.iterations, record.config.iterations
-        ));
-    }
-    let scores = record.final_scores.as_ref().map_or_else(
-        || "no held-out view".to_owned(),
-        |f| {
-            let flip = f
-                .flip
-                .map_or_else(String::new, |v| format!(", FLIP {v:.4}"));
-            format!("held-out PSNR {:.2} dB, SSIM {:.4}{flip}", f.psnr, f.ssim)
-        },
-    );
-    output::line(&format!(
-        "{scores}; {} Gaussians; {} iterations in {:.1} s ({:.1} CPU s)\nscene: {}\nreport: {}",
-        record.gaussians,
-        record.iterations,
-        record.train_seconds,
-        record.cpu_seconds,
-        dir.join("scene.ply").display(),
-        dir.join("report.html").display(),
-    ));
-    Ok(())
 }

@@ -50,6 +50,20 @@ impl From<Init> for String {
     }
 }
 
+/// Whether every training photo has an affine colour transform of its own (\[3DGS\], later versions).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum ExposureChoice {
+    /// If photos differ in brightness by more than what they show; see [`crate::exposure`].
+    #[default]
+    Auto,
+    /// Yes.
+    On,
+    /// No.
+    Off,
+}
+
 /// What lies behind the scene; written `black`, `white`, `random` or `R,G,B`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
 #[serde(try_from = "String", into = "String")]

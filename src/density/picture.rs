@@ -11,7 +11,7 @@ pub struct Picture {
     pub rotation: [f32; 9],
     /// Centre of projection, local units.
     pub center: [f32; 3],
-    /// The photo's red, green, blue.
+    /// The photo's red, green, blue as the scene has them: without the view's exposure, where that is compensated.
     pub photo: [Vec<f32>; 3],
     /// Mean over the channels of |render − photo|.
     pub error: Vec<f32>,

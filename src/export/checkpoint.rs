@@ -1,7 +1,8 @@
 //! Checkpoints: everything a run needs to continue bit for bit, as one safetensors file.
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
-//! order of [`crate::model::Plane`]), `cues` \[rows, N\] (where the sampler has any), `filter` \[N\] (with anti-aliasing) and `losses` \[2 · ring\] and, as metadata, format version,
+//! order of [`crate::model::Plane`]), `cues` \[rows, N\] (where the sampler has any), `filter` \[N\] (with anti-aliasing),
+//! `exposures` \[3, 12 · views\] (with per-image exposure) and `losses` \[2 · ring\] and, as metadata, format version,
 //! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning, with a checksum of all that. It is
 //! written beside the old one and renamed over it.
 
@@ -14,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::TrainConfig;
 use crate::density::{self, DensityStats};
 use crate::error::{Error, Result};
+use crate::exposure::Decision;
 use crate::gpu::tuning::Tuning;
 use crate::model::{Plane, Splats};
 use crate::report::{Reading, StageRecord};
@@ -22,7 +24,15 @@ use crate::train::{Findings, TrainerState};
 const VERSION: u32 = 6;
 
 /// Tensors in the order of the checksum.
-const NAMES: [&str; 6] = ["params", "moment1", "moment2", "losses", "cues", "filter"];
+const NAMES: [&str; 7] = [
+    "params",
+    "moment1",
+    "moment2",
+    "losses",
+    "cues",
+    "filter",
+    "exposures",
+];
 
 /// What every version's header begins with.
 #[derive(Deserialize)]
@@ -44,6 +54,7 @@ struct Header {
     dataset: String,
     tuning: Tuning,
     stages: Vec<StageRecord>,
+    exposure_decision: Option<Decision>,
 }
 
 /// A checkpoint, to be written or read back.
@@ -102,6 +113,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         dataset: checkpoint.dataset.clone(),
         tuning: checkpoint.tuning,
         stages: checkpoint.stages.clone(),
+        exposure_decision: state.exposure_decision,
     };
     let header = serde_json::to_string(&header).map_err(encoding)?;
     let shape = vec![state.splats.planes().len(), state.splats.len()];
@@ -123,6 +135,10 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
     if !state.filter.is_empty() {
         let data = bytes(state.filter.iter().copied());
         tensors.push(("filter", vec![state.filter.len()], data));
+    }
+    if let Some(row) = state.exposures.first() {
+        let shape = vec![state.exposures.len(), row.len()];
+        tensors.push(("exposures", shape, planes(&state.exposures)));
     }
     let parts = tensors.iter().map(|(_, _, data)| data.as_slice());
     let sum = checksum(&header, parts);
@@ -187,21 +203,12 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     let expected = Plane::count(header.sh_degree.min(3));
     let params = planes(&tensors, "params", expected)?;
     let splats = Splats::new(header.sh_degree, params).map_err(|e| text(&e))?;
-    let moment = |name| planes(&tensors, name, expected);
-    let (moment1, moment2) = (moment("moment1")?, moment("moment2")?);
-    let mut moments = moment1.iter().chain(&moment2);
-    if moments.any(|p| p.len() != splats.len()) {
-        return Err("moments and parameters differ in length".into());
-    }
-    let rows = density::make(&header.config).wanted(1, 1.0).rows();
-    let cues = if rows == 0 {
-        Vec::new()
-    } else {
-        planes(&tensors, "cues", rows)?
+    let beside = |name, rows| beside(&tensors, name, rows, splats.len());
+    let (moment1, moment2) = (beside("moment1", expected)?, beside("moment2", expected)?);
+    let cues = match density::make(&header.config).wanted(1, 1.0).rows() {
+        0 => Vec::new(),
+        rows => beside("cues", rows)?,
     };
-    if cues.iter().any(|c| c.len() != splats.len()) {
-        return Err("cues and parameters differ in length".into());
-    }
     let filter = filter(&tensors, splats.len())?;
     let losses = planes(&tensors, "losses", 1)?.concat();
     let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
@@ -218,6 +225,8 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             non_finite: header.non_finite,
             findings: header.findings,
             losses,
+            exposure_decision: header.exposure_decision,
+            exposures: exposures(&tensors)?,
         },
         config: header.config,
         clock: Reading {
@@ -231,6 +240,14 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     })
 }
 
+/// Transforms and moments of per-image exposure, if there are any.
+fn exposures(tensors: &SafeTensors<'_>) -> std::result::Result<Vec<Vec<f32>>, String> {
+    match tensors.tensor("exposures") {
+        Ok(_) => planes(tensors, "exposures", 3),
+        Err(_) => Ok(Vec::new()),
+    }
+}
+
 /// The 3D filter of `count` Gaussians; empty where there is none.
 fn filter(tensors: &SafeTensors<'_>, count: usize) -> std::result::Result<Vec<f32>, String> {
     if tensors.tensor("filter").is_err() {
@@ -241,6 +258,20 @@ fn filter(tensors: &SafeTensors<'_>, count: usize) -> std::result::Result<Vec<f3
         return Err("filter and parameters differ in length".into());
     }
     Ok(values)
+}
+
+/// The rows of a tensor that has a value for each of `count` Gaussians.
+fn beside(
+    tensors: &SafeTensors<'_>,
+    name: &str,
+    rows: usize,
+    count: usize,
+) -> std::result::Result<Vec<Vec<f32>>, String> {
+    let rows = planes(tensors, name, rows)?;
+    if rows.iter().any(|row| row.len() != count) {
+        return Err(format!("{name} and parameters differ in length"));
+    }
+    Ok(rows)
 }
 
 /// The rows of an f32 tensor; one of a single dimension is one row.

@@ -25,6 +25,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("sort", include_str!("../../kernels/sort.cl")),
     ("splat", include_str!("../../kernels/splat.cl")),
     ("loss", include_str!("../../kernels/loss.cl")),
+    ("exposure", include_str!("../../kernels/exposure.cl")),
     ("splat_grad", include_str!("../../kernels/splat_grad.cl")),
     (
         "project_grad",

@@ -9,6 +9,7 @@ pub mod bin;
 pub mod chain;
 pub mod compare;
 pub mod edit;
+pub mod exposure;
 pub mod filter;
 pub mod importance;
 pub mod live;

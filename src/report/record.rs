@@ -77,6 +77,12 @@ pub struct ViewScore {
     /// ꟻLIP, 0 (equal) to 1; taken at the end of a run and by `eval` only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flip: Option<f64>,
+    /// PSNR in dB after an affine fit of the render's colours to the photo's; at the end of a run that compensates exposure.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cc_psnr: Option<f64>,
+    /// SSIM after that fit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cc_ssim: Option<f64>,
 }
 
 /// Scores of the last evaluation.
@@ -89,6 +95,12 @@ pub struct FinalRecord {
     /// Mean ꟻLIP over the views; of the evaluation at the end of the run only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flip: Option<f64>,
+    /// Mean colour-corrected PSNR over the views in dB; where a run compensates exposure.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cc_psnr: Option<f64>,
+    /// Mean colour-corrected SSIM over the views.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cc_ssim: Option<f64>,
     /// Scores by view, sorted by name.
     pub per_view: Vec<ViewScore>,
 }
@@ -186,9 +198,12 @@ impl RunRecord {
             what,
         };
         let scores = self.final_scores.iter();
-        let flips = scores.flat_map(|f| f.per_view.iter().map(|v| v.flip).chain([f.flip]));
-        let mut optional = flips
-            .map(|flip| ("flip", flip))
+        let of_views = scores.flat_map(|f| {
+            let views = f.per_view.iter().map(|v| [v.flip, v.cc_psnr, v.cc_ssim]);
+            views.chain([[f.flip, f.cc_psnr, f.cc_ssim]])
+        });
+        let mut optional = of_views
+            .flat_map(|v| ["flip", "cc_psnr", "cc_ssim"].into_iter().zip(v))
             .chain([("time-budget", self.config.time_budget)]);
         let bad = optional.find_map(|(name, v)| Some((name, v.filter(|v| !v.is_finite())?)));
         if let Some((name, value)) = bad {

@@ -119,6 +119,9 @@ fn command(record: &RunRecord, run_dir: &Path) -> String {
     if !samplers || c.loss != d.loss || c.optimizer != d.optimizer {
         flag("config", run_dir.join(RECORD_FILE).display().to_string());
     }
+    if c.exposure != d.exposure {
+        flag("exposure", plain(&c.exposure));
+    }
     if c.sampler != d.sampler {
         flag("sampler", plain(&c.sampler));
     }

@@ -10,7 +10,8 @@ impl Run {
     pub(super) fn write_record(&mut self) -> Result<()> {
         let now = self.clock.reading();
         let stages = self.stage_times();
-        let plan = self.plan.observed(&self.config, self.trainer.findings());
+        let mut plan = self.plan.observed(&self.config, self.trainer.findings());
+        plan.exposure(self.config.exposure, self.trainer.exposure_decision());
         let r = &mut self.record;
         r.plan = plan;
         r.iterations = self.trainer.iteration();

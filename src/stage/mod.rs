@@ -4,6 +4,7 @@
 pub mod adam;
 pub mod bin;
 pub mod edit;
+pub mod exposure;
 pub mod filter;
 pub mod importance;
 pub mod live;

@@ -77,7 +77,7 @@ impl Trainer {
             let options = self.final_options(scene.sh_degree);
             self.renderer.render(scene, &camera, &options)?;
             let photo = self.shrunk(&photo, view, factor)?;
-            let pair = self.pair(&camera, photo, options.background);
+            let pair = self.pair(view, &camera, photo, options.background)?;
             self.judge.metrics.run(&pair, &self.judge.rows)?;
             let rows = self.judge.rows.read(0, pair.size[1])?;
             total += rows.into_iter().map(f64::from).sum::<f64>();

@@ -59,7 +59,7 @@ impl Trainer {
         let (camera, factor) = self.camera_at(self.iteration, view);
         let options = self.options(self.iteration, self.scene.sh_degree);
         self.renderer.render(&self.scene, &camera, &options)?;
-        let seen = self.renderer.read_image(&camera)?;
+        let mut seen = self.renderer.read_image(&camera)?;
         let by_depth = RenderOptions {
             quantity: Quantity::Depth,
             background: [0.0; 3],
@@ -79,9 +79,11 @@ impl Trainer {
             _ => Vec::new(),
         };
         let counts = |i: usize| mask.get(i).map_or(1.0, |m| f32::from(*m) / 255.0);
-        let photo = self.photo_planes(photo, pixels, options.background)?;
+        let mut photo = self.photo_planes(photo, pixels, options.background)?;
+        let taken = photo.clone();
+        self.exposed_picture(view, &mut seen.rgb, &mut photo)?;
         let error = |i: usize| -> f32 {
-            let apart = |c: usize| (seen.rgb[c * pixels + i] - photo[c][i]).abs();
+            let apart = |c: usize| (seen.rgb[c * pixels + i] - taken[c][i]).abs();
             counts(i) * (0..3).map(apart).sum::<f32>() / 3.0
         };
         Ok(Picture {
@@ -97,7 +99,7 @@ impl Trainer {
     }
 
     /// Red, green and blue of a photo on the device; a transparent one lies over the background.
-    fn photo_planes(
+    pub(super) fn photo_planes(
         &self,
         photo: &Array<u8>,
         pixels: usize,

@@ -144,10 +144,8 @@ impl Trainer {
         let options = self.options(self.iteration, degree as u32);
         self.renderer.render(&self.scene, &camera, &options)?;
         let photo = self.shrunk(&photo, view, factor)?;
-        let pair = self.pair(&camera, photo, options.background);
-        let lambda = f64::from(self.config.loss.lambda_ssim);
-        self.loss
-            .gradient(&pair, lambda, &self.maps, &self.partial, &self.dimage)?;
+        let pair = self.pair(view, &camera, photo, options.background)?;
+        self.loss_gradient(view, &pair)?;
         let (project_grad, dimage) = (&self.project_grad[degree], &self.dimage);
         let sources = if shared {
             let backward = Backward {

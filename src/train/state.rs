@@ -3,6 +3,7 @@
 use super::{Findings, Trainer};
 use crate::density::DensityStats;
 use crate::error::{Error, Result};
+use crate::exposure::Decision;
 use crate::gpu::Array;
 use crate::gpu::tuning::status;
 use crate::model::Splats;
@@ -32,6 +33,10 @@ pub struct TrainerState {
     pub findings: Findings,
     /// Ring of the last losses on the device: L1 and SSIM of each iteration.
     pub losses: Vec<f32>,
+    /// What was decided on per-image exposure.
+    pub exposure_decision: Option<Decision>,
+    /// Transforms of the training views and their moments \[3\]\[views · 12\]; empty where exposure is not compensated.
+    pub exposures: Vec<Vec<f32>>,
 }
 
 impl Trainer {
@@ -59,6 +64,8 @@ impl Trainer {
             non_finite: self.non_finite,
             findings: self.findings.clone(),
             losses: self.losses.to_vec()?,
+            exposure_decision: self.exposure_decision,
+            exposures: self.exposures()?,
         })
     }
 
@@ -67,6 +74,14 @@ impl Trainer {
     /// # Errors
     /// A state of another shape, or the driver's.
     pub fn restore(&mut self, state: &TrainerState) -> Result<()> {
+        if (state.splats.sh_degree(), state.splats.len())
+            != (self.scene.sh_degree, self.scene.count)
+        {
+            return Err(Error::Numerics {
+                stage: "checkpoint".into(),
+                what: "it holds other Gaussians than training begins with".into(),
+            });
+        }
         for (array, planes) in [
             (&self.moment1, &state.moment1),
             (&self.moment2, &state.moment2),
@@ -89,6 +104,7 @@ impl Trainer {
             self.cues.write(k * self.scene.stride, row)?;
         }
         self.restore_filter(&state.filter)?;
+        self.restore_exposure(state.exposure_decision, &state.exposures)?;
         self.stats = state.stats;
         self.findings = state.findings.clone();
         self.iteration = state.iteration;

@@ -75,7 +75,7 @@ impl Trainer {
         let photo = self.views.photo(0, &[])?;
         let camera = self.views.cameras[0];
         if let Wanted::Errors { .. } = self.density.wanted(1, 1.0) {
-            let pair = self.pair(&camera, &photo, self.schedule.fixed_background());
+            let pair = self.pair(0, &camera, &photo, self.schedule.fixed_background())?;
             self.add_cues(&camera, &pair, true)?;
         }
         self.warm_up_edits()?;

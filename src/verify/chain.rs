@@ -1,5 +1,7 @@
 //! Every stage once, in order, on one device and in one precision, with every intermediate result read back.
 
+use super::exposure::ExposureOutputs;
+pub use super::readback::row_of;
 use super::readback::{crop, read_forward, widen};
 use crate::buffers::Scene;
 use crate::dataset::{Camera, Photo};
@@ -11,6 +13,7 @@ use crate::model::{Plane, Splats};
 use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::stage::adam::{Adam, AdamArgs, LearningRates};
 use crate::stage::edit::{Edit, EditArgs};
+use crate::stage::exposure::Exposure;
 use crate::stage::filter::{Filter, FilterArgs};
 use crate::stage::importance::{Importance, ImportanceArgs};
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
@@ -74,6 +77,8 @@ pub struct Outputs {
     pub dimage: Vec<f64>,
     /// loss: 1 − SSIM and |x − y|, channel means \[2, height, width\].
     pub error_maps: Vec<f64>,
+    /// exposure: of the image and its gradient.
+    pub exposure: ExposureOutputs,
     /// splat_grad: nine sums of each Gaussian.
     pub sums: Vec<[f64; SUMS]>,
     /// project_grad: planes.
@@ -101,6 +106,7 @@ pub struct Outputs {
 pub(super) struct Stages {
     loss: Loss,
     pub(super) splat_grad: SplatGrad,
+    pub(super) exposure: Exposure,
     project_grad: ProjectGrad,
     adam: Adam,
     pub(super) noise: Noise,
@@ -115,6 +121,7 @@ impl Stages {
     fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         Ok(Self {
             loss: Loss::new::<R>(kernels)?,
+            exposure: Exposure::new::<R>(kernels)?,
             splat_grad: SplatGrad::new::<R>(kernels)?,
             project_grad: ProjectGrad::new::<R>(kernels)?,
             adam: Adam::new::<R>(kernels)?,
@@ -259,6 +266,7 @@ impl<R: Real> Run<'_, R> {
         let sums = widen(loss.to_vec()?);
         out.loss = [sums[0], sums[1]];
         out.dimage = crop(&widen(dimage.to_vec()?), &self.camera, 0..3);
+        out.exposure = self.exposure(&dimage, plane)?;
 
         let f = &self.renderer.frame;
         s.splat_grad
@@ -378,19 +386,5 @@ impl<R: Real> Run<'_, R> {
         s.metrics.run(&pair, &rows)?;
         out.squared_error = widen(rows.read(0, h)?).iter().sum();
         Ok(())
-    }
-}
-
-/// An edit as the device takes it.
-#[must_use]
-pub fn row_of(e: &DensityEdit) -> EditRow {
-    EditRow {
-        src: e.src,
-        dst: e.dst,
-        position: e.position,
-        log_scale: e.log_scale,
-        opacity_logit: e.opacity_logit,
-        colored: u32::from(e.color.is_some()),
-        color: e.color.unwrap_or_default(),
     }
 }

@@ -6,6 +6,7 @@
 pub mod cases;
 pub mod chain;
 pub mod check;
+pub mod exposure;
 pub mod page;
 pub mod quantities;
 mod readback;

@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 
 use super::chain::{ADAM, Case, Outputs};
+use super::exposure::{self, ExposureOutputs, largest_sum};
 use super::sampler::{NOISE, NOISE_KEYS};
 use super::twin;
 use crate::model::Plane;
@@ -153,7 +154,19 @@ pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
         ),
     ];
     all.extend(filter(&out.filter));
+    all.extend(exposed(&out.exposure, 0.0));
     all
+}
+
+/// What the exposure stage gave; `largest` is what the sums of its gradient are made of.
+fn exposed(out: &ExposureOutputs, largest: f64) -> [Quantity; 4] {
+    let of = |name, values: &[f64]| quantity("exposure", name, values.to_vec());
+    [
+        of("image", &out.image),
+        of("gradient by the render", &out.dimage),
+        of("gradient by the transform", &out.grads).floored(largest),
+        of("transforms, moments", &out.adam.concat()),
+    ]
 }
 
 /// The same from the reference. The optimiser, the edits and the importance start from the device's own gradients and
@@ -217,6 +230,7 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
         quantity("edit", "rows", edited),
     ];
     all.extend(filter(scene.filter.as_deref().unwrap_or_default()));
+    all.extend(exposed(&exposure::reference(device), largest_sum(device)));
     all
 }
 

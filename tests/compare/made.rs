@@ -60,11 +60,14 @@ pub fn run(name: &str, seed: u64) -> Made {
         psnr: last.psnr.unwrap(),
         ssim: last.ssim.unwrap(),
         flip: Some(0.1),
+        cc_psnr: None,
+        cc_ssim: None,
         per_view: vec![ViewScore {
             view: "one.png".into(),
             psnr: 25.0,
             ssim: 0.9,
             flip: Some(0.1),
+            ..ViewScore::default()
         }],
     });
     Made {

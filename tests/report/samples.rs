@@ -101,18 +101,22 @@ pub fn record() -> RunRecord {
         psnr: 27.314_159,
         ssim: 0.871_23,
         flip: Some(0.0912),
+        cc_psnr: None,
+        cc_ssim: None,
         per_view: vec![
             ViewScore {
                 view: "IMG_0008.jpg".into(),
                 psnr: 26.9,
                 ssim: 0.86,
                 flip: Some(0.0951),
+                ..ViewScore::default()
             },
             ViewScore {
                 view: "IMG_0016.jpg".into(),
                 psnr: 27.7,
                 ssim: 0.88,
                 flip: Some(0.0873),
+                ..ViewScore::default()
             },
         ],
     });

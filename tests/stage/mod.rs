@@ -3,6 +3,7 @@
 mod adam;
 mod bin;
 mod edit;
+mod exposure;
 mod filter;
 mod importance;
 mod live;

@@ -1,0 +1,87 @@
+//! What `mhsplat train` says on the way and at the end.
+
+use std::path::Path;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use mhsplat::error::Result;
+use mhsplat::report::RunRecord;
+use mhsplat::run::Progress;
+
+use super::{Common, output};
+
+/// An empty bar.
+pub fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::new(0);
+    let style = "{bar:24} {pos}/{len} {per_sec} {msg} {eta} left";
+    if let Ok(style) = ProgressStyle::with_template(style) {
+        bar.set_style(style);
+    }
+    bar
+}
+
+/// Shows where training is, and once what was decided on the way.
+pub fn show(bar: &ProgressBar, p: &Progress, told: &mut bool) {
+    if let Some(decision) = p.exposure.filter(|_| !*told) {
+        *told = true;
+        let on = if decision.on { "on" } else { "left out" };
+        let what = format!("per-image exposure is {on}: {}", decision.why());
+        bar.suspend(|| output::note(&what));
+    }
+    bar.set_length(u64::from(p.iterations));
+    bar.set_position(u64::from(p.iteration));
+    if p.iteration.is_multiple_of(10) {
+        let psnr = p.psnr.map_or_else(String::new, |v| format!("{v:.2} dB, "));
+        bar.set_message(format!(
+            "{psnr}{} Gaussians, {:.0} s,",
+            p.gaussians, p.train_seconds
+        ));
+    }
+}
+
+/// Says what came of the run.
+///
+/// # Errors
+/// A record that is no JSON.
+pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
+    if common.json {
+        return output::json(record);
+    }
+    if record.iterations < record.config.iterations {
+        let why = record.stalled.map_or_else(
+            || "the time budget ended the run".to_owned(),
+            |n| {
+                format!("the training loss had not fallen for {n} evaluations, which ended the run")
+            },
+        );
+        output::note(&format!(
+            "{why} after {} of {} iterations, before its schedules did",
+            record.iterations, record.config.iterations
+        ));
+    }
+    let scores = record.final_scores.as_ref().map_or_else(
+        || "no held-out view".to_owned(),
+        |f| {
+            let flip = f
+                .flip
+                .map_or_else(String::new, |v| format!(", FLIP {v:.4}"));
+            let fitted = f.cc_psnr.zip(f.cc_ssim);
+            let fitted = fitted.map_or_else(String::new, |(psnr, ssim)| {
+                format!("; colour-corrected PSNR {psnr:.2} dB, SSIM {ssim:.4}")
+            });
+            format!(
+                "held-out PSNR {:.2} dB, SSIM {:.4}{flip}{fitted}",
+                f.psnr, f.ssim
+            )
+        },
+    );
+    output::line(&format!(
+        "{scores}; {} Gaussians; {} iterations in {:.1} s ({:.1} CPU s)\nscene: {}\nreport: {}",
+        record.gaussians,
+        record.iterations,
+        record.train_seconds,
+        record.cpu_seconds,
+        dir.join("scene.ply").display(),
+        dir.join("report.html").display(),
+    ));
+    Ok(())
+}

@@ -1,0 +1,119 @@
+//! Colour-corrected scores: of the render under the affine transform that fits it to the photo best. A held-out view has no
+//! transform of its own, and where training compensates exposure, plain scores measure its photo's exposure, too. gsplat
+//! calls the PSNR after such a fit `cc_psnr`.
+
+use super::{Evaluator, MAX_PSNR};
+use crate::buffers::Scene;
+use crate::error::Result;
+use crate::gpu::Array;
+use crate::gpu::tuning::TILE;
+use crate::render::Renderer;
+use crate::report::ViewScore;
+use crate::stage::loss::{ImagePair, size_of_image};
+
+/// Weight of the identity per pixel: it decides where the pixels do not, say in a picture of one colour.
+const RIDGE: f64 = 1e-6;
+
+/// The affine transform, row-major \[A | b\], that takes `render` to `photo` with the least squared error. Both planar
+/// \[3, pixels\].
+#[must_use]
+pub fn fit(render: &[f32], photo: &[f32]) -> [f64; 12] {
+    let n = render.len() / 3;
+    let ridge = RIDGE * n as f64;
+    let mut rows = [[0.0; 7]; 4];
+    for i in 0..n {
+        let of = |v: &[f32], c: usize| f64::from(v[c * n + i]);
+        let x = [of(render, 0), of(render, 1), of(render, 2), 1.0];
+        for (row, a) in rows.iter_mut().zip(x) {
+            for (sum, b) in row.iter_mut().zip(x) {
+                *sum += a * b;
+            }
+            for c in 0..3 {
+                row[4 + c] += a * of(photo, c);
+            }
+        }
+    }
+    for (k, row) in rows.iter_mut().enumerate() {
+        row[k] += ridge;
+        if k < 3 {
+            row[4 + k] += ridge;
+        }
+    }
+    // Gauss-Jordan; the ridge keeps every pivot of this positive definite matrix away from zero.
+    for k in 0..4 {
+        let pivot = rows[k];
+        for (r, row) in rows.iter_mut().enumerate() {
+            let factor = if r == k {
+                1.0 - 1.0 / pivot[k]
+            } else {
+                row[k] / pivot[k]
+            };
+            for (v, p) in row.iter_mut().zip(pivot) {
+                *v -= factor * p;
+            }
+        }
+    }
+    std::array::from_fn(|k| rows[k % 4][4 + k / 4])
+}
+
+/// A x + b of a planar image \[3, pixels\].
+#[must_use]
+pub fn corrected(render: &[f32], e: &[f64; 12]) -> Vec<f32> {
+    let image: Vec<f64> = render.iter().map(|v| f64::from(*v)).collect();
+    let out = crate::reference::exposure::apply(&image, e);
+    out.into_iter().map(|v| v as f32).collect()
+}
+
+impl Evaluator {
+    /// Adds the colour-corrected PSNR and SSIM to the scores of all views, in their order.
+    ///
+    /// # Errors
+    /// As [`Evaluator::score_all`].
+    pub fn add_color_corrected(
+        &self,
+        scores: &mut [ViewScore],
+        scene: &Scene,
+        renderer: &mut Renderer,
+        sh_degree: u32,
+        background: [f32; 3],
+    ) -> Result<()> {
+        for (view, score) in scores.iter_mut().enumerate() {
+            // Leaves the clamped image in the renderer.
+            self.score(view, &[], scene, renderer, sh_degree, background)?;
+            let camera = &self.views.cameras[view];
+            let image = renderer.read_image(camera)?;
+            let bytes = self.views.read_photo(view)?.rgb_over(background);
+            let channel = |c: usize| bytes.iter().skip(c).step_by(3);
+            let photo = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
+            let photo: Vec<f32> = photo.collect();
+            let values = corrected(&image.rgb, &fit(&image.rgb, &photo));
+            let [w, h] = size_of_image(camera);
+            let [stride, rows] = [w, h].map(|s| s.next_multiple_of(TILE as usize));
+            let mut padded = vec![0.0; 3 * stride * rows];
+            for (k, row) in values.chunks_exact(w).enumerate() {
+                let at = (k / h * rows + k % h) * stride;
+                padded[at..at + w].copy_from_slice(row);
+            }
+            let pair = ImagePair {
+                image: &Array::from_slice(renderer.device(), "corrected", &padded)?,
+                photo: &*self.views.photo(view, &[])?,
+                background,
+                size: [w, h],
+            };
+            let (psnr, ssim) = self.measure(&pair)?;
+            (score.cc_psnr, score.cc_ssim) = (Some(psnr.min(MAX_PSNR)), Some(ssim));
+        }
+        Ok(())
+    }
+}
+
+/// Mean colour-corrected PSNR and SSIM; none where a view has none.
+#[must_use]
+pub fn mean_corrected(scores: &[ViewScore]) -> Option<(f64, f64)> {
+    let all: Option<Vec<(f64, f64)>> = scores.iter().map(|s| s.cc_psnr.zip(s.cc_ssim)).collect();
+    let n = scores.len() as f64;
+    all.filter(|v| !v.is_empty()).map(|v| {
+        let sum = |of: fn(&(f64, f64)) -> f64| v.iter().map(of).sum::<f64>() / n;
+        (sum(|s| s.0), sum(|s| s.1))
+    })
+}

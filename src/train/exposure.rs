@@ -1,0 +1,241 @@
+//! Per-image exposure: what stands between the render and the loss. Where it is off, nothing of it is built.
+
+use super::Trainer;
+use crate::config::ExposureChoice;
+use crate::error::{Error, Result};
+use crate::exposure::{self, Decision, exposed, unexposed};
+use crate::gpu::{Array, CameraArg, Device, Kernels};
+use crate::reference::exposure::IDENTITY;
+use crate::stage::exposure::{ENTRIES, ExposedImage, Exposure, ExposureStep};
+use crate::stage::loss::{ImagePair, size_of_image};
+
+/// Transforms of the training views on the device.
+#[derive(Debug)]
+pub(super) struct Compensation {
+    stage: Exposure,
+    views: usize,
+    exposures: Array<f32>,
+    moments: [Array<f32>; 2],
+    /// The render under its view's transform.
+    corrected: Array<f32>,
+    partial: Array<f32>,
+    grads: Array<f32>,
+    /// Iterations done when it was switched on.
+    since: u32,
+}
+
+impl Compensation {
+    /// The identity for every view; `plane` is the padded size of the largest, pixels.
+    pub(super) fn new(kernels: &Kernels, views: usize, plane: usize, since: u32) -> Result<Self> {
+        let device = kernels.device();
+        let stage = Exposure::new::<f32>(kernels)?;
+        let zeros = |name, len| Array::zeros(device, name, len);
+        let it = Self {
+            views,
+            exposures: zeros("exposures", ENTRIES * views)?,
+            moments: [
+                zeros("moment1", ENTRIES * views)?,
+                zeros("moment2", ENTRIES * views)?,
+            ],
+            corrected: zeros("corrected", 3 * plane)?,
+            partial: zeros("exposure partial", stage.partial_len())?,
+            grads: zeros("exposure grads", ENTRIES)?,
+            stage,
+            since,
+        };
+        let identity = IDENTITY.map(|v| v as f32).repeat(views);
+        it.exposures.write(0, &identity)?;
+        Ok(it)
+    }
+
+    fn arrays(&self) -> [&Array<f32>; 3] {
+        [&self.exposures, &self.moments[0], &self.moments[1]]
+    }
+}
+
+impl Trainer {
+    fn compensation(&self, device: &Device) -> Result<Compensation> {
+        let kernels = Kernels::new(device, crate::gpu::Defines::new(device.tuning()));
+        let plane = self.dimage.len() / 3;
+        let since = self.schedule.exposure_from().unwrap_or(0);
+        Compensation::new(&kernels, self.views.len(), plane, since)
+    }
+
+    /// A render and its photo as the loss compares them: the render under its view's transform, if exposure is compensated.
+    pub(super) fn pair<'a>(
+        &'a self,
+        view: usize,
+        camera: &CameraArg<f32>,
+        photo: &'a Array<u8>,
+        background: [f32; 3],
+    ) -> Result<ImagePair<'a, f32>> {
+        let mut pair = ImagePair {
+            image: &self.renderer.frame.image,
+            photo,
+            background,
+            size: size_of_image(camera),
+        };
+        if let Some(e) = &self.exposure {
+            e.stage
+                .apply(&self.exposed_image(e, view, &pair), &e.corrected)?;
+            pair.image = &e.corrected;
+        }
+        Ok(pair)
+    }
+
+    fn exposed_image<'a>(
+        &'a self,
+        e: &'a Compensation,
+        view: usize,
+        pair: &ImagePair<'_, f32>,
+    ) -> ExposedImage<'a, f32> {
+        ExposedImage {
+            image: &self.renderer.frame.image,
+            plane: pair.plane(),
+            exposures: &e.exposures,
+            view,
+        }
+    }
+
+    /// The gradient of the loss by the render (and by the view's transform) of what [`Trainer::pair`] gave.
+    pub(super) fn loss_gradient(&self, view: usize, pair: &ImagePair<'_, f32>) -> Result<()> {
+        let lambda = f64::from(self.config.loss.lambda_ssim);
+        self.loss
+            .gradient(pair, lambda, &self.maps, &self.partial, &self.dimage)?;
+        let Some(e) = &self.exposure else {
+            return Ok(());
+        };
+        let exposed = self.exposed_image(e, view, pair);
+        e.stage.backward(&exposed, &self.dimage, &e.partial)
+    }
+
+    /// The optimiser's step of the transforms, if there are any.
+    pub(super) fn step_exposure(&self, iteration: u32, view: usize) -> Result<()> {
+        let Some(e) = &self.exposure else {
+            return Ok(());
+        };
+        let o = &self.config.optimizer;
+        e.stage.step(&ExposureStep {
+            partial: &e.partial,
+            view,
+            views: e.views,
+            rate: self.schedule.exposure_rate(iteration),
+            constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
+            step: iteration.saturating_sub(e.since) + 1,
+            exposures: &e.exposures,
+            moments: [&e.moments[0], &e.moments[1]],
+            grads: &e.grads,
+            status: &self.renderer.frame.status,
+        })
+    }
+
+    /// Begins to compensate exposure where that is due now and, if it is left open, worth it.
+    pub(super) fn begin_exposure(&mut self) -> Result<()> {
+        if self.schedule.exposure_from() != Some(self.iteration)
+            || self.exposure_decision.is_some()
+            || self.exposure.is_some()
+        {
+            return Ok(());
+        }
+        self.settle()?;
+        if self.config.exposure == ExposureChoice::Auto {
+            let views = exposure::compared(self.views.len(), self.config.iterations);
+            let mut gains = Vec::with_capacity(views.len());
+            for view in views {
+                gains.extend(self.gain(view)?);
+            }
+            let decision = Decision::new(self.iteration, &gains);
+            self.exposure_decision = Some(decision);
+            if !decision.on {
+                return Ok(());
+            }
+        }
+        self.exposure = Some(self.compensation(&self.device)?);
+        Ok(())
+    }
+
+    fn gain(&mut self, view: usize) -> Result<Option<[f64; 3]>> {
+        let photo = self.views.photo(view, &[])?;
+        let (camera, factor) = self.camera_at(self.iteration, view);
+        let options = self.options(self.iteration, self.scene.sh_degree);
+        self.renderer.render(&self.scene, &camera, &options)?;
+        let seen = self.renderer.read_image(&camera)?;
+        let pixels = seen.width * seen.height;
+        let photo = self.shrunk(&photo, view, factor)?;
+        let photo = self.photo_planes(photo, pixels, options.background)?;
+        Ok(exposure::gain(&seen.rgb, &seen.transmittance, &photo))
+    }
+
+    /// What was decided on per-image exposure; none where the configuration says, or before it is due.
+    #[must_use]
+    pub fn exposure_decision(&self) -> Option<Decision> {
+        self.exposure_decision
+    }
+
+    /// Whether exposure is compensated now.
+    #[must_use]
+    pub fn compensates_exposure(&self) -> bool {
+        self.exposure.is_some()
+    }
+
+    /// Transforms, first and second moments, \[3\]\[views · 12\]; nothing where exposure is not compensated.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn exposures(&self) -> Result<Vec<Vec<f32>>> {
+        let arrays = self.exposure.iter().flat_map(Compensation::arrays);
+        arrays.map(Array::to_vec).collect()
+    }
+
+    /// Continues with a decision and what [`Trainer::exposures`] gave.
+    pub(super) fn restore_exposure(
+        &mut self,
+        decision: Option<Decision>,
+        rows: &[Vec<f32>],
+    ) -> Result<()> {
+        self.exposure_decision = decision;
+        let wanted = self.config.exposure != ExposureChoice::Off;
+        if decision.is_some_and(|d| d.on) || wanted && !rows.is_empty() {
+            self.exposure = Some(self.compensation(&self.device)?);
+        }
+        let arrays: Vec<&Array<f32>> = self
+            .exposure
+            .iter()
+            .flat_map(Compensation::arrays)
+            .collect();
+        let fits = arrays.len() == rows.len();
+        if !fits || arrays.iter().zip(rows).any(|(a, row)| a.len() != row.len()) {
+            return Err(Error::Numerics {
+                stage: "checkpoint".into(),
+                what: format!("exposures of another shape: {} rows", rows.len()),
+            });
+        }
+        for (array, row) in arrays.iter().zip(rows) {
+            array.write(0, row)?;
+        }
+        Ok(())
+    }
+
+    /// What exposure compensation makes of a render (planar RGB), and a photo's planes without it, as the scene has its colours.
+    pub(super) fn exposed_picture(
+        &self,
+        view: usize,
+        render: &mut [f32],
+        photo: &mut [Vec<f32>; 3],
+    ) -> Result<()> {
+        let Some(e) = &self.exposure else {
+            return Ok(());
+        };
+        let e = e.exposures.read(ENTRIES * view, ENTRIES)?;
+        let pixels = render.len() / 3;
+        for i in 0..pixels {
+            let x = exposed(&e, [0, 1, 2].map(|c| render[c * pixels + i]));
+            let y = unexposed(&e, [0, 1, 2].map(|c| photo[c][i]));
+            for c in 0..3 {
+                render[c * pixels + i] = x[c];
+                photo[c][i] = y[c];
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,309 @@
+//! Per-image exposure: photos of different brightness.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use crate::determinism::{drive, room, saved};
+use mhsplat::buffers::ViewSet;
+use mhsplat::config::ExposureChoice;
+use mhsplat::dataset::{Dataset, LoadOptions, load};
+use mhsplat::evaluate::Evaluator;
+use mhsplat::evaluate::color::{corrected, fit, mean_corrected};
+use mhsplat::export::checkpoint;
+use mhsplat::exposure::{Decision, compared, exposed, gain, spread, unexposed};
+use mhsplat::gpu::{Defines, Device};
+use mhsplat::photos::Photos;
+use mhsplat::report::{Clock, RunRecord};
+use mhsplat::run::{Run, initial_splats};
+use mhsplat::{TrainConfig, Trainer};
+
+/// Gain of the k-th photo: 0.7 to 1.3 in no order.
+fn true_gain(k: usize) -> f64 {
+    0.7 + 0.6 * ((k * 7) % 13) as f64 / 12.0
+}
+
+fn copy_folder(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let target = to.join(path.file_name().unwrap());
+        if path.is_dir() {
+            copy_folder(&path, &target);
+        } else {
+            std::fs::copy(&path, &target).unwrap();
+        }
+    }
+}
+
+/// The bundled scene, its photos brightened and darkened, at `max_size`; with the gain of each training view.
+fn altered(max_size: u32) -> (Dataset, Vec<f64>) {
+    let folder = tempfile::tempdir().unwrap();
+    copy_folder(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny"),
+        folder.path(),
+    );
+    let files = std::fs::read_dir(folder.path().join("images")).unwrap();
+    let mut files: Vec<_> = files.map(|f| f.unwrap().path()).collect();
+    files.sort();
+    for (k, file) in files.iter().enumerate() {
+        let mut photo = image::open(file).unwrap().to_rgb8();
+        for v in photo.iter_mut() {
+            *v = (f64::from(*v) * true_gain(k)).round().min(255.0) as u8;
+        }
+        photo.save(file).unwrap();
+    }
+    let options = LoadOptions {
+        max_size,
+        ..LoadOptions::default()
+    };
+    let data = load(folder.path(), &options).unwrap();
+    let at = |name: &str| {
+        let is = |f: &std::path::PathBuf| f.ends_with(name);
+        files.iter().position(is).unwrap()
+    };
+    let gains = data.train.iter().map(|v| true_gain(at(&v.name)));
+    let gains = gains.collect();
+    (data, gains)
+}
+
+fn config(iterations: u32, exposure: ExposureChoice) -> TrainConfig {
+    TrainConfig {
+        iterations,
+        max_size: 96,
+        sh_degree: 1,
+        seed: 5,
+        exposure,
+        ..TrainConfig::default()
+    }
+}
+
+fn trainer(data: &Dataset, config: &TrainConfig) -> Trainer {
+    let device = Device::open(None).unwrap();
+    let splats = initial_splats(data, config).unwrap();
+    Trainer::new(&device, data, config, &splats).unwrap()
+}
+
+fn trained(data: &Dataset, config: &TrainConfig, until: u32) -> Trainer {
+    let mut trainer = trainer(data, config);
+    drive(&mut trainer, until).unwrap();
+    trainer
+}
+
+/// Colour-corrected PSNR of the held-out views.
+fn corrected_psnr(data: &Dataset, trainer: &mut Trainer) -> f64 {
+    let device = Device::open(None).unwrap();
+    let views = ViewSet::new(&Photos::new(&device, data.image_budget), data.test.clone()).unwrap();
+    let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
+    let (scene, renderer) = trainer.scene_and_renderer();
+    let mut scores = evaluator.score_all(scene, renderer, 1, [0.0; 3]).unwrap();
+    evaluator
+        .add_color_corrected(&mut scores, scene, renderer, 1, [0.0; 3])
+        .unwrap();
+    for s in &scores {
+        assert!(s.cc_psnr.unwrap() > s.psnr - 0.05, "{s:?}");
+    }
+    mean_corrected(&scores).unwrap().0
+}
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let (ma, mb) = (mean(a), mean(b));
+    let sum = |f: &dyn Fn(f64, f64) -> f64| -> f64 {
+        a.iter().zip(b).map(|(a, b)| f(a - ma, b - mb)).sum()
+    };
+    sum(&|a, b| a * b) / (sum(&|a, _| a * a) * sum(&|_, b| b * b)).sqrt()
+}
+
+#[test]
+fn altered_photos_are_learned_better_and_their_gains_found() {
+    let (data, gains) = altered(96);
+    let mut with = trained(&data, &config(600, ExposureChoice::On), 600);
+    let mut without = trained(&data, &config(600, ExposureChoice::Off), 600);
+    // What a transform makes of grey.
+    let exposures = with.exposures().unwrap();
+    let found: Vec<f64> = exposures[0]
+        .chunks_exact(12)
+        .map(|e| exposed(e, [0.5; 3]).iter().map(|v| f64::from(*v)).sum())
+        .collect();
+    let alike = correlation(&found, &gains);
+    let [on, off] = [&mut with, &mut without].map(|t| corrected_psnr(&data, t));
+    println!(
+        "colour-corrected PSNR {on:.2} dB with, {off:.2} dB without; gains correlate by {alike:.4}"
+    );
+    assert!(alike > 0.95, "{alike}");
+    assert!(on > off + 1.0, "{on} {off}");
+}
+
+/// The record of a run of 500 iterations with everything left open.
+fn decided(data: Dataset) -> RunRecord {
+    let folder = tempfile::tempdir().unwrap();
+    let device = Device::open(None).unwrap();
+    let mut config = config(500, ExposureChoice::Auto);
+    config.eval_every = Some(0);
+    let clock = Clock::start();
+    let mut run = Run::start(folder.path(), data, config, &device, clock).unwrap();
+    run.drive(&AtomicBool::new(false), |_| {}).unwrap();
+    let read = RunRecord::read(folder.path()).unwrap();
+    assert_eq!(read.plan, run.record().plan);
+    read
+}
+
+#[test]
+fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
+    let record = decided(altered(96).0);
+    let find = |list: &[mhsplat::plan::Item]| {
+        let mut items = list.iter().filter(|i| i.what == "per-image exposure");
+        (items.next().map(|i| i.why.clone()), items.count())
+    };
+    let kept = find(&record.plan.kept);
+    println!("{kept:?}");
+    assert!(kept.0.unwrap().contains("after 300 iterations") && kept.1 == 0);
+    assert!(find(&record.plan.left_out).0.is_none());
+    let scores = record.final_scores.unwrap();
+    assert!(scores.cc_psnr.unwrap() > scores.psnr && scores.cc_ssim.is_some());
+    assert!(record.stages.iter().any(|s| s.name == "exposure"));
+    let record = decided(room(96));
+    let left = find(&record.plan.left_out);
+    println!("{left:?}");
+    assert!(left.0.unwrap().contains("spread") && find(&record.plan.kept).0.is_none());
+    assert!(record.final_scores.unwrap().cc_psnr.is_none());
+    assert!(record.stages.iter().all(|s| s.name != "exposure"));
+}
+
+#[test]
+fn where_it_is_off_nothing_of_it_runs_and_no_bit_changes() {
+    let data = room(64);
+    let run = |choice| {
+        let mut trainer = trained(&data, &config(360, choice), 320);
+        let stages: Vec<&str> = trainer.stage_times().iter().map(|s| s.0).collect();
+        (
+            trainer.state().unwrap().splats,
+            stages.contains(&"exposure"),
+            trainer.exposure_decision(),
+        )
+    };
+    let off = run(ExposureChoice::Off);
+    assert!(!off.1 && off.2.is_none());
+    let auto = run(ExposureChoice::Auto);
+    assert!(!auto.1 && !auto.2.unwrap().on, "{:?}", auto.2);
+    assert!(auto.0 == off.0, "looking must change nothing");
+    let on = run(ExposureChoice::On);
+    assert!(on.1 && on.0 != off.0);
+}
+
+#[test]
+fn a_resumed_run_with_exposures_ends_with_the_same_bits() {
+    let (data, _) = altered(64);
+    let device = Device::open(None).unwrap();
+    // Before it begins, when that is due next, and after.
+    for (choice, iterations, stops) in [
+        (ExposureChoice::On, 200, [33, 40, 73]),
+        (ExposureChoice::Auto, 400, [290, 300, 310]),
+    ] {
+        let config = config(iterations, choice);
+        let until = stops[2] + 30;
+        let mut whole = trained(&data, &config, until);
+        assert!(whole.compensates_exposure());
+        let (splats, rows) = (whole.state().unwrap().splats, whole.exposures().unwrap());
+        assert!(rows.iter().all(|r| r.iter().any(|v| *v != 0.0)));
+        for stop in stops {
+            let mut part = trained(&data, &config, stop);
+            let folder = tempfile::tempdir().unwrap();
+            checkpoint::write(folder.path(), &saved(&mut part, &config, &data)).unwrap();
+            drop(part);
+            let state = checkpoint::read(folder.path()).unwrap().state;
+            let mut resumed = Trainer::new(&device, &data, &config, &state.splats).unwrap();
+            resumed.restore(&state).unwrap();
+            resumed.density_step().unwrap();
+            drive(&mut resumed, until).unwrap();
+            assert!(
+                splats == resumed.state().unwrap().splats,
+                "{choice:?} {stop}"
+            );
+            assert!(rows == resumed.exposures().unwrap(), "{choice:?} {stop}");
+            assert_eq!(whole.exposure_decision(), resumed.exposure_decision());
+        }
+    }
+}
+
+#[test]
+fn pairs_that_do_not_fit_step_no_exposure_twice() {
+    let (data, _) = altered(64);
+    let config = config(60, ExposureChoice::On);
+    let mut roomy = trained(&data, &config, 40);
+    let mut tight = trainer(&data, &config);
+    tight.shrink_pairs(1024).unwrap();
+    drive(&mut tight, 40).unwrap();
+    assert!(tight.overflows() > 0);
+    assert!(roomy.exposures().unwrap() == tight.exposures().unwrap());
+    assert!(roomy.state().unwrap().splats == tight.state().unwrap().splats);
+}
+
+#[test]
+fn exposures_of_another_shape_are_refused() {
+    let data = room(64);
+    let mut with = trained(&data, &config(60, ExposureChoice::On), 20);
+    let state = with.state().unwrap();
+    let off = config(60, ExposureChoice::Off);
+    let device = Device::open(None).unwrap();
+    let mut without = Trainer::new(&device, &data, &off, &state.splats).unwrap();
+    let said = without.restore(&state).unwrap_err().to_string();
+    assert!(said.contains("exposures of another shape"), "{said}");
+}
+
+/// Gains found in a render of 100 pixels and its photo, a tenth of which is far off.
+fn seen(gains: [f32; 3]) -> [f64; 3] {
+    let render: Vec<f32> = (0..300).map(|i| 0.1 + 0.005 * (i % 100) as f32).collect();
+    let of = |c: usize, i: usize| {
+        if i % 10 == 3 {
+            0.9
+        } else {
+            gains[c] * render[c * 100 + i]
+        }
+    };
+    let photo = [0, 1, 2].map(|c| (0..100).map(|i| of(c, i)).collect());
+    gain(&render, &[0.0; 100], &photo).unwrap()
+}
+
+#[test]
+fn gains_are_found_under_outliers_and_their_spread_decides() {
+    let got = seen([0.8, 1.0, 1.25]);
+    for (got, want) in got.iter().zip([0.8, 1.0, 1.25]) {
+        assert!((got - want).abs() < 0.01, "{got} {want}");
+    }
+    let grey = [0, 1, 2].map(|_| vec![0.5; 100]);
+    assert!(
+        gain(&[0.5; 300], &[1.0; 100], &grey).is_none(),
+        "background alone"
+    );
+    let at = |k: i32| (0.1 * f64::from(k)).exp();
+    let gains: Vec<[f64; 3]> = (-2..=2).map(|k| [at(k), 1.0, at(k)]).collect();
+    let got = spread(&gains).unwrap();
+    assert!((got - 0.148_26 * 2.0 / 3.0).abs() < 1e-9, "{got}");
+    assert!(spread(&gains[..3]).is_none());
+    let decided = Decision::new(7, &gains);
+    assert!(decided.on && decided.why().contains("9.9 %"), "{decided:?}");
+    assert!(!Decision::new(7, &[[1.0; 3]; 8]).on);
+    assert_eq!(compared(10, 250), [0, 2, 4, 6, 8]);
+    assert_eq!(compared(1000, 30_000).len(), 64);
+}
+
+#[test]
+fn transforms_are_fitted_applied_and_undone() {
+    let e = [
+        0.8, 0.1, 0.0, 0.05, 0.0, 1.1, -0.1, 0.02, 0.05, 0.0, 0.9, -0.03,
+    ];
+    let render: Vec<f32> = (0..300)
+        .map(|i| ((i * 7919) % 101) as f32 / 101.0)
+        .collect();
+    let got = fit(&render, &corrected(&render, &e));
+    for (got, want) in got.iter().zip(e) {
+        assert!((got - want).abs() < 1e-3, "{got} {want}");
+    }
+    let flat = fit(&[0.0; 30], &[0.5; 30]);
+    assert!(flat.iter().all(|v| v.is_finite()) && (flat[3] - 0.5).abs() < 1e-3);
+    let (e, x) = (e.map(|v| v as f32), [0.2, 0.5, 0.7]);
+    let back = unexposed(&e, exposed(&e, x));
+    assert!(back.iter().zip(x).all(|(b, x)| (b - x).abs() < 1e-5));
+    assert_eq!(unexposed(&[0.0; 12], x), x);
+}
