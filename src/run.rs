@@ -21,7 +21,7 @@ use crate::exposure::Decision;
 use crate::gpu::Device;
 use crate::plan::Plan;
 use crate::report::{
-    Clock, DensityRow, DensityWriter, MetricsRow, MetricsWriter, RunRecord, StageRecord, read_rows,
+    Clock, DensityRow, DensityWriter, MetricsRow, MetricsWriter, RunRecord, StageRecord,
 };
 use crate::train::Trainer;
 
@@ -167,12 +167,7 @@ impl Run {
         let aa = !state.filter.is_empty();
         let mut prepared = Prepared::new(dataset, &config, &device, &state.splats, aa)?;
         prepared.trainer.restore(state)?;
-        let before = read_rows(dir.join("metrics.csv"))?;
-        let losses: Vec<f64> = before
-            .iter()
-            .filter(|row| row.iteration <= state.iteration)
-            .filter_map(|row| row.loss)
-            .collect();
+        let losses = patience::losses(dir, state.iteration)?;
         patience::check(&config, &losses)?;
         let start = Start {
             losses,

@@ -84,6 +84,19 @@ fn check_start(splats: &Splats) -> Result<()> {
     Ok(())
 }
 
+/// What is counted over a run.
+#[derive(Debug, Default)]
+struct Tally {
+    stats: DensityStats,
+    /// Time that density steps took on the host, their transfers and edits included.
+    density_time: StageTime,
+    /// Of that, what probes took.
+    probe_time: StageTime,
+    most_pairs: usize,
+    non_finite: u64,
+    overflows: u64,
+}
+
 /// Trains a scene on one device. Every random number is keyed by (seed, purpose, iteration, index).
 pub struct Trainer {
     config: TrainConfig,
@@ -122,18 +135,11 @@ pub struct Trainer {
     /// Per-image exposure, where it is on.
     exposure: Option<Compensation>,
     exposure_decision: Option<Decision>,
-    stats: DensityStats,
-    /// Time that density steps took on the host, their transfers and edits included.
-    density_time: StageTime,
-    /// Of that, what probes took.
-    probe_time: StageTime,
+    tally: Tally,
     in_flight: VecDeque<InFlight>,
     iteration: u32,
     /// Iterations done when density control last acted: repeating an iteration must not repeat that.
     last_density: Option<u32>,
-    most_pairs: usize,
-    non_finite: u64,
-    overflows: u64,
 }
 
 impl Trainer {
@@ -208,15 +214,10 @@ impl Trainer {
             filter,
             exposure: None,
             exposure_decision: None,
-            stats: DensityStats::default(),
-            density_time: StageTime::default(),
-            probe_time: StageTime::default(),
+            tally: Tally::default(),
             in_flight: VecDeque::new(),
             iteration: 0,
             last_density: None,
-            most_pairs: 0,
-            non_finite: 0,
-            overflows: 0,
             config: config.clone(),
             views,
             scene,
@@ -234,7 +235,8 @@ impl Trainer {
         self.renderer
             .frame
             .fit_image(&self.device, &self.views.largest_camera)?;
-        let pairs = (self.most_pairs + self.most_pairs / 4).max(4 * self.scene.count.max(1024));
+        let pairs =
+            (self.tally.most_pairs + self.tally.most_pairs / 4).max(4 * self.scene.count.max(1024));
         self.renderer.frame.fit_pairs(&self.device, pairs)
     }
 

@@ -151,10 +151,7 @@ impl Defines {
         real("TILE_SLACK", tuning::TILE_SLACK);
         real("LOG_SCALE_MIN", tuning::LOG_SCALE[0]);
         real("LOG_SCALE_MAX", tuning::LOG_SCALE[1]);
-        let window: Vec<String> = ssim_window()
-            .iter()
-            .map(|w| format!("{w:?}{suffix}"))
-            .collect();
+        let window = ssim_window().map(|w| format!("{w:?}{suffix}"));
         let _ = writeln!(text, "#define SSIM_WINDOW {{{}}}", window.join(", "));
         let _ = writeln!(text, "#define KEY_CULLED {}u", tuning::KEY_CULLED);
         text

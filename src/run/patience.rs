@@ -1,8 +1,11 @@
 //! The end of a run whose loss has stopped improving.
 
+use std::path::Path;
+
 use super::Run;
 use crate::config::TrainConfig;
 use crate::error::{Error, Result};
+use crate::report::read_rows;
 
 /// Share of the loss by which it must fall to have improved.
 const IMPROVEMENT: f64 = 1e-3;
@@ -18,6 +21,13 @@ fn stalled(losses: &[f64], patience: Option<u32>) -> bool {
     let best = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
     let (before, last) = losses.split_at(losses.len() - patience);
     best(last) > best(before) * (1.0 - IMPROVEMENT)
+}
+
+/// Training losses at the evaluations of a run up to an iteration.
+pub(super) fn losses(dir: &Path, iteration: u32) -> Result<Vec<f64>> {
+    let rows = read_rows(dir.join("metrics.csv"))?;
+    let before = rows.iter().filter(|row| row.iteration <= iteration);
+    Ok(before.filter_map(|row| row.loss).collect())
 }
 
 /// Refuses to go on with a run whose patience is used up.

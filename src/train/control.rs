@@ -103,9 +103,9 @@ impl Trainer {
         self.last_density = Some(self.iteration);
         self.apply(&outcome)?;
         self.device.finish()?;
-        self.density_time.seconds += began.elapsed().as_secs_f64();
-        self.density_time.calls += 1;
-        self.stats.add(&outcome.stats);
+        self.tally.density_time.seconds += began.elapsed().as_secs_f64();
+        self.tally.density_time.calls += 1;
+        self.tally.stats.add(&outcome.stats);
         Ok(Some(DensityEvent {
             iteration: self.iteration,
             progress,
@@ -199,8 +199,8 @@ impl Trainer {
         }
         self.fit_filter()?;
         self.refresh_filter(&self.scene)?;
-        self.most_pairs =
-            (self.most_pairs as f64 * self.scene.count as f64 / before.max(1) as f64) as usize;
+        self.tally.most_pairs = (self.tally.most_pairs as f64 * self.scene.count as f64
+            / before.max(1) as f64) as usize;
         self.fit_views()
     }
 

@@ -22,15 +22,16 @@ impl Trainer {
         for later in &mut self.in_flight {
             later.launches -= done.launches.min(later.launches);
         }
-        self.most_pairs = self
+        self.tally.most_pairs = self
+            .tally
             .most_pairs
             .max(counters[status::PAIRS as usize] as usize);
-        self.non_finite = u64::from(counters[status::NON_FINITE as usize]);
+        self.tally.non_finite = u64::from(counters[status::NON_FINITE as usize]);
         let needed = counters[status::OVERFLOW as usize];
         if needed > 0 {
             self.in_flight.clear();
-            self.overflows += 1;
-            self.most_pairs = self.most_pairs.max(needed as usize);
+            self.tally.overflows += 1;
+            self.tally.most_pairs = self.tally.most_pairs.max(needed as usize);
             self.renderer.grow_pairs(needed)?;
             self.iteration = done.iteration;
         }

@@ -57,19 +57,19 @@ impl Trainer {
     /// Density statistics over the run.
     #[must_use]
     pub fn stats(&self) -> &DensityStats {
-        &self.stats
+        &self.tally.stats
     }
 
     /// Gradient values that were not finite, as far as the host has seen.
     #[must_use]
     pub fn non_finite(&self) -> u64 {
-        self.non_finite
+        self.tally.non_finite
     }
 
     /// How often pairs did not fit and iterations were repeated.
     #[must_use]
     pub fn overflows(&self) -> u64 {
-        self.overflows
+        self.tally.overflows
     }
 
     /// Leaves room for no more than `pairs` pairs, so that a test can see what happens then.
@@ -87,13 +87,13 @@ impl Trainer {
     #[must_use]
     pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
         let mut times = self.device.times();
-        if self.density_time.calls > 0 {
+        if self.tally.density_time.calls > 0 {
             let edit = times.iter().find(|(name, _)| *name == "edit");
-            let mut host = self.density_time;
+            let mut host = self.tally.density_time;
             host.seconds = (host.seconds - edit.map_or(0.0, |(_, t)| t.seconds)).max(0.0);
-            if self.probe_time.calls > 0 {
-                host.seconds = (host.seconds - self.probe_time.seconds).max(0.0);
-                times.push(("probe", self.probe_time));
+            if self.tally.probe_time.calls > 0 {
+                host.seconds = (host.seconds - self.tally.probe_time.seconds).max(0.0);
+                times.push(("probe", self.tally.probe_time));
             }
             times.push(("density", host));
         }

@@ -47,8 +47,8 @@ impl Trainer {
         self.probes = Some(pass);
         // Counted as `probe`, not as the stages that a probe passes.
         self.device.forget_launches();
-        self.probe_time.seconds += began.elapsed().as_secs_f64();
-        self.probe_time.calls += 1;
+        self.tally.probe_time.seconds += began.elapsed().as_secs_f64();
+        self.tally.probe_time.calls += 1;
         changes
     }
 

@@ -60,8 +60,8 @@ impl Trainer {
             moment2: read(&self.moment2)?,
             cues: self.read_cues()?,
             filter: self.read_filter()?,
-            stats: self.stats,
-            non_finite: self.non_finite,
+            stats: self.tally.stats,
+            non_finite: self.tally.non_finite,
             findings: self.findings.clone(),
             losses: self.losses.to_vec()?,
             exposure_decision: self.exposure_decision,
@@ -105,7 +105,7 @@ impl Trainer {
         }
         self.restore_filter(&state.filter)?;
         self.restore_exposure(state.exposure_decision, &state.exposures)?;
-        self.stats = state.stats;
+        self.tally.stats = state.stats;
         self.findings = state.findings.clone();
         self.iteration = state.iteration;
         self.last_density = (!state.density_due).then_some(state.iteration);
@@ -120,7 +120,7 @@ impl Trainer {
             });
         }
         self.losses.write(0, &state.losses)?;
-        self.non_finite = state.non_finite;
+        self.tally.non_finite = state.non_finite;
         let slot = status::NON_FINITE as usize;
         self.renderer
             .frame

@@ -61,7 +61,7 @@ impl Trainer {
             self.renderer
                 .render(&self.scene, &self.views.cameras[v], &options)?;
             let pairs = self.renderer.frame.status.read(status::PAIRS as usize, 1)?[0];
-            self.most_pairs = self.most_pairs.max(pairs as usize);
+            self.tally.most_pairs = self.tally.most_pairs.max(pairs as usize);
         }
         self.fit_views()?;
         self.device.finish()?;

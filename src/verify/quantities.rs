@@ -174,7 +174,6 @@ fn exposed(out: &ExposureOutputs, largest: f64) -> [Quantity; 4] {
 #[must_use]
 pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Quantity> {
     let (scene, camera, _) = twin::inputs(case);
-    let photo = twin::photo(case);
     let pairs: usize = p.tiles.iter().map(Vec::len).sum();
     let sums = p.sums.iter().flat_map(|s| s.unwrap_or([0.0; 9])).collect();
     let [params, m, v] = optimiser(case, &scene.planes, &device.grads);
@@ -185,8 +184,8 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     let cues = cues_of(&scene, &camera, maps);
     let [norms, iterations] = pulls(&scene, &camera, device);
     let shown = weights(&p.records, &p.tiles, &camera, case.alpha_min);
-    let g = &p.grads.planes;
-    let error = squared_error(&p.image, &photo, twin::mask(case).as_deref());
+    let mask = twin::mask(case);
+    let error = squared_error(&p.image, &twin::photo(case), mask.as_deref());
     let edited = [flat(&rows), flat(&first), flat(&second)].concat();
     let record = |part| of_reference(&p.records, part);
     let gaussians = scene.len().max(1) as f64;
@@ -209,16 +208,16 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
             [p.loss.ssim_error.clone(), p.loss.l1_error.clone()].concat(),
         ),
         quantity("splat_grad", "sums", sums),
-        quantity("project_grad", "position", flat(&g[0..3])),
-        quantity("project_grad", "log-scale", flat(&g[3..6])),
+        quantity("project_grad", "position", flat(&p.grads.planes[0..3])),
+        quantity("project_grad", "log-scale", flat(&p.grads.planes[3..6])),
         // A round Gaussian, or one seen along its axis, does not change when it turns: the terms, of the size of those of the
         // scales over the quaternion's norm, cancel.
-        quantity("project_grad", "rotation", flat(&g[6..10]))
+        quantity("project_grad", "rotation", flat(&p.grads.planes[6..10]))
             .floored(largest_turn(case, p) / largest_norm(&scene)),
         // A saturated opacity has no gradient; the regulariser's alone is up to λ_o/4N.
-        quantity("project_grad", "opacity", flat(&g[10..11]))
+        quantity("project_grad", "opacity", flat(&p.grads.planes[10..11]))
             .floored(0.25 * case.lambdas[1] / gaussians),
-        quantity("project_grad", "SH", flat(&g[11..])),
+        quantity("project_grad", "SH", flat(&p.grads.planes[11..])),
         quantity("adam", "parameters", flat(&params)),
         quantity("adam", "moments", [flat(&m), flat(&v)].concat()),
         quantity("noise", "displacement", displacements(&scene)),
