@@ -5,7 +5,7 @@ pub mod color;
 pub mod flip;
 
 use crate::buffers::{Scene, ViewSet};
-use crate::dataset::Alpha;
+use crate::dataset::{Alpha, Photo};
 use crate::error::Result;
 use crate::gpu::{Array, Defines, Device, Kernels};
 use crate::render::{Quantity, RenderOptions, Renderer};
@@ -74,6 +74,20 @@ impl Evaluator {
         sh_degree: u32,
         background: [f32; 3],
     ) -> Result<ViewScore> {
+        let counting = self.score_counting(view, next, scene, renderer, sh_degree, background)?;
+        Ok(counting.0)
+    }
+
+    /// [`Evaluator::score`], and how many pixels counted.
+    fn score_counting(
+        &self,
+        view: usize,
+        next: &[usize],
+        scene: &Scene,
+        renderer: &mut Renderer,
+        sh_degree: u32,
+        background: [f32; 3],
+    ) -> Result<(ViewScore, f64)> {
         let photo = self.views.photo(view, next)?;
         let camera = &self.views.cameras[view];
         let options = RenderOptions {
@@ -90,17 +104,18 @@ impl Evaluator {
             background,
             size,
         };
-        let (psnr, ssim) = self.measure(&pair)?;
-        Ok(ViewScore {
+        let [psnr, ssim, counted] = self.measure(&pair)?;
+        let score = ViewScore {
             view: self.views.names[view].clone(),
             psnr,
             ssim,
             ..ViewScore::default()
-        })
+        };
+        Ok((score, counted))
     }
 
-    /// PSNR and SSIM of an image, which is clamped in place.
-    fn measure(&self, pair: &ImagePair<'_, f32>) -> Result<(f64, f64)> {
+    /// PSNR and SSIM of an image, which is clamped in place, and how many pixels count.
+    fn measure(&self, pair: &ImagePair<'_, f32>) -> Result<[f64; 3]> {
         self.metrics.run(pair, &self.rows)?;
         self.loss.errors(pair, &self.maps, &self.partial)?;
         self.loss.sum(pair, &self.partial, &self.sums, 0)?;
@@ -109,11 +124,12 @@ impl Evaluator {
             let values = self.rows.read(row * h, h)?;
             Ok(values.into_iter().map(f64::from).sum())
         };
-        let (squared, counted) = (sum(0)?, sum(1)?.max(1.0));
+        let (squared, all) = (sum(0)?, sum(1)?);
+        let counted = all.max(1.0);
         let ssim = f64::from(self.sums.to_vec()?[1]);
-        // Where nothing counts SSIM is 1.
-        let ssim = 1.0 - (1.0 - ssim) * (w * h) as f64 / counted;
-        Ok((psnr(squared / (3.0 * counted)), ssim))
+        // Where nothing counts SSIM is 1; of a mask of a few pixels most windows are at its edge.
+        let ssim = (1.0 - (1.0 - ssim) * (w * h) as f64 / counted).max(-1.0);
+        Ok([psnr(squared / (3.0 * counted)), ssim, all])
     }
 
     /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
@@ -121,17 +137,14 @@ impl Evaluator {
         let mut image = renderer.read_image(&self.views.cameras[view])?;
         let photo = self.views.read_photo(view)?;
         let pixels = image.width * image.height;
-        let mut share = 1.0;
-        if photo.alpha() == Alpha::Mask {
-            let mask = photo.data[3 * pixels..]
-                .iter()
-                .map(|m| f32::from(*m) / 255.0);
-            let mask: Vec<f32> = mask.collect();
-            for plane in image.rgb.chunks_exact_mut(pixels.max(1)) {
-                plane.iter_mut().zip(&mask).for_each(|(v, m)| *v *= m);
-            }
-            share = f64::from(mask.iter().sum::<f32>().max(1.0)) / pixels as f64;
-        }
+        let mask = mask_of(&photo);
+        counting(&mask, &mut image.rgb);
+        let share = if mask.is_empty() {
+            1.0
+        } else {
+            let counted: f64 = mask.iter().map(|m| f64::from(*m)).sum();
+            counted.max(1.0) / pixels as f64
+        };
         let photo = photo.rgb_over(if share < 1.0 { [0.0; 3] } else { background });
         let channel = |c: usize| photo.iter().skip(c).step_by(3);
         let planes = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
@@ -139,7 +152,7 @@ impl Evaluator {
         Ok(flip::flip(&planes, &image.rgb, image.width, image.height)? / share)
     }
 
-    /// Scores every view by PSNR and SSIM.
+    /// Scores every view of which anything counts by PSNR and SSIM.
     ///
     /// # Errors
     /// As [`Renderer::render`] and [`ViewSet::photo`].
@@ -151,12 +164,17 @@ impl Evaluator {
         background: [f32; 3],
     ) -> Result<Vec<ViewScore>> {
         let all: Vec<usize> = (0..self.views.len()).collect();
-        all.iter()
-            .map(|&v| self.score(v, &all[v + 1..], scene, renderer, sh_degree, background))
-            .collect()
+        let mut scores = Vec::with_capacity(all.len());
+        for v in 0..all.len() {
+            let next = &all[v + 1..];
+            let (score, counted) =
+                self.score_counting(v, next, scene, renderer, sh_degree, background)?;
+            scores.extend((counted > 0.0).then_some(score));
+        }
+        Ok(scores)
     }
 
-    /// Scores every view by PSNR, SSIM and ꟻLIP, the last of them on the host.
+    /// Scores every view of which anything counts by PSNR, SSIM and ꟻLIP, the last of them on the host.
     ///
     /// # Errors
     /// As [`Evaluator::score_all`].
@@ -168,16 +186,38 @@ impl Evaluator {
         background: [f32; 3],
     ) -> Result<Vec<ViewScore>> {
         let all: Vec<usize> = (0..self.views.len()).collect();
-        let full = |&v: &usize| {
+        let mut scores = Vec::with_capacity(all.len());
+        for v in 0..all.len() {
             let next = &all[v + 1..];
-            let score = self.score(v, next, scene, renderer, sh_degree, background)?;
-            let flip = self.flip(v, renderer, background)?;
-            Ok(ViewScore {
-                flip: Some(flip),
-                ..score
-            })
-        };
-        all.iter().map(full).collect()
+            let (score, counted) =
+                self.score_counting(v, next, scene, renderer, sh_degree, background)?;
+            if counted > 0.0 {
+                let flip = Some(self.flip(v, renderer, background)?);
+                scores.push(ViewScore { flip, ..score });
+            }
+        }
+        Ok(scores)
+    }
+}
+
+/// How far each pixel of a photo counts; empty without a mask.
+fn mask_of(photo: &Photo) -> Vec<f32> {
+    let pixels = photo.width as usize * photo.height as usize;
+    let mask = photo.data.get(3 * pixels..).unwrap_or_default();
+    let value = |m: &u8| f32::from(*m) / 255.0;
+    if photo.alpha() == Alpha::Mask {
+        mask.iter().map(value).collect()
+    } else {
+        Vec::new()
+    }
+}
+
+/// Multiplies planes by a mask, if there is any.
+fn counting(mask: &[f32], planes: &mut [f32]) {
+    if !mask.is_empty() {
+        for plane in planes.chunks_exact_mut(mask.len()) {
+            plane.iter_mut().zip(mask).for_each(|(v, m)| *v *= m);
+        }
     }
 }
 

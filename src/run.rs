@@ -167,7 +167,8 @@ impl Run {
         let aa = !state.filter.is_empty();
         let mut prepared = Prepared::new(dataset, &config, &device, &state.splats, aa)?;
         prepared.trainer.restore(state)?;
-        let losses = patience::losses(dir, state.iteration)?;
+        let full_from = prepared.trainer.full_size_from();
+        let losses = patience::losses(dir, state.iteration, full_from)?;
         patience::check(&config, &losses)?;
         let start = Start {
             losses,
@@ -312,8 +313,11 @@ impl Run {
         self.trainer.settle()?;
         self.clock.pause();
         let loss = self.trainer.recent_loss()?.filter(|l| l.is_finite());
-        self.losses.extend(loss);
         let done = self.trainer.iteration();
+        // Smaller photos have smaller losses; the end is no other evaluation than the last.
+        if !last && done > self.trainer.full_size_from() {
+            self.losses.extend(loss);
+        }
         let scores = self.scores(last)?;
         self.psnr = scores.as_ref().map(|s| s.psnr);
         let ssim = scores.as_ref().map(|s| s.ssim);

@@ -70,6 +70,15 @@ impl Schedule {
         (1 << level).min(1 << most.max(1).ilog2())
     }
 
+    /// First iteration at which photos of `size` pixels are not shrunk.
+    #[must_use]
+    pub fn full_size_from(&self, size: [usize; 2]) -> u32 {
+        let interval = self.scaled(self.config.work.resolution_interval).max(1);
+        let factor = self.shrink_factor(0, size) as u32;
+        let levels = self.config.work.resolution_levels;
+        if factor == 1 { 0 } else { interval * levels }
+    }
+
     /// Learning rates; position decays log-linearly over the run. Local units: the scene extent is 1.
     ///
     /// Adam moves a parameter by about its rate per iteration, whatever the gradient, so that a short run cannot reach what

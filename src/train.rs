@@ -143,8 +143,8 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// Uploads the training views and the scene, builds every kernel and runs each once over nothing, so that no later
-    /// iteration waits for a compiler.
+    /// Uploads the training views and the scene, builds the kernels of an iteration and runs each once over nothing, so that no
+    /// later one waits for a compiler; those of per-image exposure, which is decided on the way, are built then.
     ///
     /// # Errors
     /// A bad configuration, a build failure, or more than the device can allocate.
@@ -251,13 +251,7 @@ impl Trainer {
 
     /// Forward, loss, backward and optimiser of one iteration, without waiting.
     fn enqueue_step(&mut self, iteration: u32, degree: u32) -> Result<()> {
-        let order = self
-            .schedule
-            .upcoming(iteration, 1 + AHEAD, self.views.len());
-        let order: Vec<usize> = order
-            .into_iter()
-            .map(|v| self.findings.bands.instead(v, self.views.len()))
-            .collect();
+        let order = self.upcoming(iteration, 1 + AHEAD);
         let view = order[0];
         self.filter_at(iteration)?;
         let photo = self.views.photo(view, &order[1..])?;

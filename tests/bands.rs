@@ -224,3 +224,37 @@ fn what_no_training_view_shows_goes_at_the_end_and_nothing_else() {
     everything.finish().unwrap();
     assert_eq!(everything.gaussians(), n + 3);
 }
+
+#[test]
+fn what_was_gathered_of_a_gaussian_stays_with_it() {
+    let data = room(64);
+    let config = TrainConfig {
+        sampler: Sampler::Adc,
+        ..config()
+    };
+    let splats = initial_splats(&data, &config).unwrap();
+    let mut stopped = trainer(&data, &config, &splats);
+    drive(&mut stopped, 90).unwrap();
+    let of = |t: &mut Trainer| {
+        let state = t.state().unwrap();
+        let n = state.splats.len();
+        let row = |i: usize| (state.splats.gather::<3>(Plane::POSITION, i), i);
+        let cues: Vec<_> = (0..n)
+            .map(|i| {
+                (
+                    row(i).0,
+                    state.cues.iter().map(|c| c[i]).collect::<Vec<f32>>(),
+                )
+            })
+            .collect();
+        cues
+    };
+    let before = of(&mut stopped);
+    stopped.finish().unwrap();
+    let after = of(&mut stopped);
+    assert!(stopped.findings().removed > 0 && after.len() < before.len());
+    let mut rest = before.iter();
+    // In the same order, with gaps.
+    assert!(after.iter().all(|row| rest.any(|b| b == row)));
+    assert!(before.iter().any(|(_, cues)| cues.iter().any(|c| *c > 0.0)));
+}

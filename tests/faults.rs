@@ -89,7 +89,7 @@ fn a_device_lost_on_the_way_costs_what_came_after_the_checkpoint() {
         ("clEnqueueNDRangeKernel", 6000),
         ("clEnqueueReadBuffer", 800),
         ("clEnqueueCopyBuffer", 20),
-        ("clEnqueueFillBuffer", 100),
+        ("clEnqueueFillBuffer", 150),
         ("clFlush", 100),
         ("clWaitForEvents", 6000),
     ] {

@@ -116,11 +116,12 @@ impl Loaded {
     }
 }
 
-/// Whether a run came to its end: by its iterations, or by its time budget.
+/// Whether a run came to its end: by its iterations, its time budget or its patience.
 #[must_use]
 pub fn finished(record: &RunRecord) -> bool {
     let out_of_time = |budget: f64| record.train_seconds >= budget;
     record.iterations >= record.config.iterations
+        || record.stalled.is_some()
         || record.config.time_budget.is_some_and(out_of_time)
 }
 

@@ -113,6 +113,9 @@ impl Dataset {
                 let c = &view.camera;
                 take(&c.width.to_le_bytes());
                 take(&c.height.to_le_bytes());
+                if view.photo.alpha() == Alpha::Mask {
+                    take(b"mask");
+                }
                 let pose = c.rotation.to_cols_array().into_iter();
                 let lens = [c.fx, c.fy, c.cx, c.cy];
                 for v in pose.chain(c.translation.to_array()).chain(lens) {

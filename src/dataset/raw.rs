@@ -98,17 +98,18 @@ pub(super) fn find_mask(root: &Path, name: &str) -> Option<PathBuf> {
     let folder = root.join("masks");
     let whole = inside(&folder, name).ok()?;
     let short = folder.join(whole.file_name()?);
-    let in_place = |path: &PathBuf| {
+    let named = |path: &PathBuf| {
         let mut added = path.clone().into_os_string();
         added.push(".png");
-        [
-            PathBuf::from(added),
-            path.with_extension("png"),
-            path.clone(),
-        ]
+        // What is no image's extension is part of the name.
+        let ends = path.extension().and_then(|e| e.to_str());
+        let swaps = ends.is_some_and(|e| EXTENSIONS.contains(&e));
+        let swapped = swaps.then(|| path.with_extension("png"));
+        [Some(PathBuf::from(added)), swapped, Some(path.clone())]
     };
     let candidates = [whole, short];
-    candidates.iter().flat_map(in_place).find(|p| p.is_file())
+    let mut names = candidates.iter().flat_map(named).flatten();
+    names.find(|p| p.is_file())
 }
 
 /// Splits, normalises and reads the photos.

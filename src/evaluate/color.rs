@@ -2,7 +2,7 @@
 //! transform of its own, and where training compensates exposure, plain scores measure its photo's exposure, too. gsplat
 //! calls the PSNR after such a fit `cc_psnr`.
 
-use super::{Evaluator, MAX_PSNR};
+use super::{Evaluator, mask_of};
 use crate::buffers::Scene;
 use crate::error::Result;
 use crate::gpu::Array;
@@ -17,13 +17,14 @@ const RIDGE: f64 = 1e-6;
 /// The affine transform, row-major \[A | b\], that takes `render` to `photo` with the least squared error. Both planar
 /// \[3, pixels\].
 #[must_use]
-pub fn fit(render: &[f32], photo: &[f32]) -> [f64; 12] {
+pub fn fit(render: &[f32], photo: &[f32], mask: &[f32]) -> [f64; 12] {
     let n = render.len() / 3;
     let ridge = RIDGE * n as f64;
     let mut rows = [[0.0; 7]; 4];
     for i in 0..n {
         let of = |v: &[f32], c: usize| f64::from(v[c * n + i]);
-        let x = [of(render, 0), of(render, 1), of(render, 2), 1.0];
+        let m = mask.get(i).map_or(1.0, |m| f64::from(*m));
+        let x = [of(render, 0), of(render, 1), of(render, 2), 1.0].map(|v| m * v);
         for (row, a) in rows.iter_mut().zip(x) {
             for (sum, b) in row.iter_mut().zip(x) {
                 *sum += a * b;
@@ -77,16 +78,26 @@ impl Evaluator {
         sh_degree: u32,
         background: [f32; 3],
     ) -> Result<()> {
-        for (view, score) in scores.iter_mut().enumerate() {
+        for score in scores {
+            let Some(view) = self.views.names.iter().position(|n| *n == score.view) else {
+                continue;
+            };
             // Leaves the clamped image in the renderer.
             self.score(view, &[], scene, renderer, sh_degree, background)?;
             let camera = &self.views.cameras[view];
             let image = renderer.read_image(camera)?;
-            let bytes = self.views.read_photo(view)?.rgb_over(background);
+            let photo = self.views.read_photo(view)?;
+            let mask = mask_of(&photo);
+            let behind = if mask.is_empty() {
+                background
+            } else {
+                [0.0; 3]
+            };
+            let bytes = photo.rgb_over(behind);
             let channel = |c: usize| bytes.iter().skip(c).step_by(3);
             let photo = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
             let photo: Vec<f32> = photo.collect();
-            let values = corrected(&image.rgb, &fit(&image.rgb, &photo));
+            let values = corrected(&image.rgb, &fit(&image.rgb, &photo, &mask));
             let [w, h] = size_of_image(camera);
             let [stride, rows] = [w, h].map(|s| s.next_multiple_of(TILE as usize));
             let mut padded = vec![0.0; 3 * stride * rows];
@@ -100,8 +111,8 @@ impl Evaluator {
                 background,
                 size: [w, h],
             };
-            let (psnr, ssim) = self.measure(&pair)?;
-            (score.cc_psnr, score.cc_ssim) = (Some(psnr.min(MAX_PSNR)), Some(ssim));
+            let [psnr, ssim, _] = self.measure(&pair)?;
+            (score.cc_psnr, score.cc_ssim) = (Some(psnr), Some(ssim));
         }
         Ok(())
     }

@@ -4,7 +4,7 @@ use std::ffi::CString;
 use std::fmt::Write as _;
 use std::hash::{Hash, Hasher};
 
-use ocl::core::{self, ProgramBuildInfo};
+use ocl::core::{self, ProgramBuildInfo, ProgramBuildInfoResult, ProgramBuildStatus};
 use rustc_hash::FxHasher;
 
 use super::device::Device;
@@ -221,16 +221,21 @@ impl Kernels {
         let program = core::create_program_with_source(&inner.context, &[bytes])
             .map_err(|e| device_error(stage, &e, bug))?;
         let options = c"-cl-std=CL1.2 -cl-kernel-arg-info".to_owned();
-        if let Err(e) =
-            core::build_program(&program, Some(&[inner.device_ptr()]), &options, None, None)
-        {
+        let built =
+            core::build_program(&program, Some(&[inner.device_ptr()]), &options, None, None);
+        // A build that fails without a log is no error to `ocl`.
+        let status =
+            core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildStatus);
+        let failed = match (built, status) {
+            (Err(e), _) => Some(e.to_string()),
+            (Ok(()), Ok(ProgramBuildInfoResult::BuildStatus(ProgramBuildStatus::Success))) => None,
+            (Ok(()), Ok(status)) => Some(format!("{status}; it gives no reason")),
+            (Ok(()), Err(e)) => Some(e.to_string()),
+        };
+        if let Some(e) = failed {
             let log = core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildLog)
-                .map_or_else(|_| e.to_string(), |l| l.to_string());
-            let log = if log.trim().is_empty() {
-                e.to_string()
-            } else {
-                log
-            };
+                .map_or_else(|_| e.clone(), |l| l.to_string());
+            let log = if log.trim().is_empty() { e } else { log };
             return Err(Error::device(
                 format!("build {stage}.cl"),
                 format!("the device's compiler says:\n{}", log.trim()),

@@ -105,6 +105,12 @@ pub struct FinalRecord {
     pub per_view: Vec<ViewScore>,
 }
 
+// serde hands over a reference.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(n: &u64) -> bool {
+    *n == 0
+}
+
 /// The whole of `run.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
@@ -130,7 +136,7 @@ pub struct RunRecord {
     /// Number of Gaussians.
     pub gaussians: u64,
     /// Gaussians that were removed at the end, because no training view shows them; not among `gaussians`.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_zero")]
     pub removed: u64,
     /// Seconds of training, evaluation and export left out.
     pub train_seconds: f64,

@@ -116,8 +116,11 @@ fn command(record: &RunRecord, run_dir: &Path) -> String {
         let _ = write!(line, " --{name} {}", quoted(&value));
     };
     let samplers = c.mh == d.mh && c.mcmc == d.mcmc && c.adc == d.adc;
-    if !samplers || c.loss != d.loss || c.optimizer != d.optimizer {
+    if !samplers || c.loss != d.loss || c.optimizer != d.optimizer || c.work != d.work {
         flag("config", run_dir.join(RECORD_FILE).display().to_string());
+    }
+    if c.anti_aliasing != d.anti_aliasing {
+        flag("anti-aliasing", plain(&c.anti_aliasing));
     }
     if c.exposure != d.exposure {
         flag("exposure", plain(&c.exposure));
@@ -149,6 +152,12 @@ fn command(record: &RunRecord, run_dir: &Path) -> String {
         Background::Color([r, g, b]) => flag("background", format!("{r},{g},{b}")),
         background => flag("background", plain(&background)),
     }
+    if c.alpha_is_mask {
+        line.push_str(" --alpha-is-mask");
+    }
+    let mut flag = |name: &str, value: String| {
+        let _ = write!(line, " --{name} {}", quoted(&value));
+    };
     if !record.device.name.is_empty() {
         flag("device", record.device.name.clone());
     }

@@ -23,11 +23,12 @@ fn stalled(losses: &[f64], patience: Option<u32>) -> bool {
     best(last) > best(before) * (1.0 - IMPROVEMENT)
 }
 
-/// Training losses at the evaluations of a run up to an iteration.
-pub(super) fn losses(dir: &Path, iteration: u32) -> Result<Vec<f64>> {
-    let rows = read_rows(dir.join("metrics.csv"))?;
-    let before = rows.iter().filter(|row| row.iteration <= iteration);
-    Ok(before.filter_map(|row| row.loss).collect())
+/// Training losses at the evaluations of a run up to an iteration, of photos of full size.
+pub(super) fn losses(dir: &Path, iteration: u32, full_from: u32) -> Result<Vec<f64>> {
+    let mut rows = read_rows(dir.join("metrics.csv"))?;
+    rows.retain(|row| row.iteration <= iteration && row.iteration > full_from);
+    rows.dedup_by_key(|row| row.iteration);
+    Ok(rows.into_iter().filter_map(|row| row.loss).collect())
 }
 
 /// Refuses to go on with a run whose patience is used up.

@@ -156,6 +156,13 @@ pub fn check(
             "give a run trained with --anti-aliasing off",
         ));
     }
+    if !saved.state.exposures.is_empty() {
+        return Err(Error::input(
+            run,
+            "was trained with per-image exposure, which the check's renders do not have",
+            "give a run trained with --exposure off",
+        ));
+    }
     let subject = Subject {
         run,
         dataset,

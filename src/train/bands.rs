@@ -71,10 +71,12 @@ impl Bands {
 
     /// The view to train on in the place of one that is set aside; any other is itself.
     pub(super) fn instead(&self, view: usize, views: usize) -> usize {
-        if self.sets_aside(view, views) {
-            (view + 1) % views
-        } else {
+        if !self.sets_aside(view, views) {
             view
+        } else if view + 1 < views {
+            view + 1
+        } else {
+            view - 1
         }
     }
 }
@@ -123,7 +125,7 @@ impl Trainer {
     /// Drops the highest band if it is worth less than [`BAND_WORTH`] in some training views, at the size that they have now;
     /// the bands below it then take over what they can. Whether it is kept.
     fn judge_band(&mut self, views: &[usize]) -> Result<bool> {
-        let degree = self.scene.sh_degree;
+        let degree = self.scene.sh_degree.max(1);
         let all: Vec<usize> = (0..self.views.len()).collect();
         let sights: Vec<Sight> = spread(&all).into_iter().map(|v| self.sight(v)).collect();
         let fewer = with_fewer_bands(&self.scene.download()?, degree - 1, &sights)?;
@@ -131,7 +133,9 @@ impl Trainer {
         self.copy_filter(&mut fewer)?;
         let without = self.squared_error(&fewer, views)?;
         let scene = std::mem::replace(&mut self.scene, fewer);
-        let with = self.squared_error(&scene, views)?;
+        let with = self.squared_error(&scene, views);
+        let fewer = std::mem::replace(&mut self.scene, scene);
+        let with = with?;
         // Where nothing is left to explain there is nothing to gain.
         let gain = Some(10.0 * (without / with).log10())
             .filter(|g| g.is_finite())
@@ -143,12 +147,19 @@ impl Trainer {
             gain,
             kept,
         });
-        if kept {
-            self.scene = scene;
-        } else {
+        if !kept {
+            self.scene = fewer;
             self.resize_moments(degree, degree - 1)?;
         }
         Ok(kept)
+    }
+
+    /// Views of `count` iterations from `iteration` on, none of them set aside.
+    pub(super) fn upcoming(&self, iteration: u32, count: usize) -> Vec<usize> {
+        let views = self.views.len();
+        let order = self.schedule.upcoming(iteration, count, views);
+        let bands = &self.findings.bands;
+        order.into_iter().map(|v| bands.instead(v, views)).collect()
     }
 
     /// Where a training view looks from.
@@ -198,4 +209,24 @@ fn spread(views: &[usize]) -> Vec<usize> {
     let n = views.len();
     let count = n.min(JUDGING_VIEWS);
     (0..count).map(|k| views[k * n / count]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Bands;
+
+    #[test]
+    fn what_is_set_aside_is_not_trained_on_in_the_place_of_another() {
+        for views in 1..40 {
+            let mut bands = Bands::default();
+            assert!((0..views).all(|v| bands.instead(v, views) == v));
+            bands.on_trial = true;
+            let trained = |v: usize| bands.instead(v, views);
+            assert!((0..views).all(|v| trained(v) < views));
+            assert!(
+                (0..views).all(|v| !bands.sets_aside(trained(v), views)),
+                "{views}"
+            );
+        }
+    }
 }

@@ -55,6 +55,7 @@ impl Trainer {
         if self.config.work.sh_by_need {
             self.drop_bands()?;
         }
+        self.findings.removed = 0;
         if self.config.work.remove_unseen {
             self.remove_unseen()?;
         }
@@ -131,8 +132,12 @@ impl Trainer {
             if !self.scene.filter.is_empty() {
                 self.scene.filter = self.reordered_planes(&order, &self.scene.filter, 1)?;
             }
+            if !self.cues.is_empty() {
+                let rows = self.sampler.cue_rows;
+                self.cues = self.reordered_planes(&order, &self.cues, rows)?;
+            }
             self.scene.count = kept.len();
-            self.findings.removed += removed;
+            self.findings.removed = removed;
         }
         Ok(())
     }

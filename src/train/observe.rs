@@ -36,6 +36,12 @@ impl Trainer {
         Ok(Some(sum / n as f64))
     }
 
+    /// First iteration that takes photos at their full size.
+    #[must_use]
+    pub fn full_size_from(&self) -> u32 {
+        self.schedule.full_size_from(self.views.largest)
+    }
+
     /// How the kernels were cut.
     #[must_use]
     pub fn tuning(&self) -> Tuning {

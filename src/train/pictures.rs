@@ -16,9 +16,7 @@ impl Trainer {
         if count == 0 {
             return Ok(Vec::new());
         }
-        let views = self
-            .schedule
-            .upcoming(self.iteration, count, self.views.len());
+        let views = self.upcoming(self.iteration, count);
         views.into_iter().map(|view| self.picture(view)).collect()
     }
 
@@ -83,8 +81,8 @@ impl Trainer {
         let taken = photo.clone();
         self.exposed_picture(view, &mut seen.rgb, &mut photo)?;
         let error = |i: usize| -> f32 {
-            let apart = |c: usize| (seen.rgb[c * pixels + i] - taken[c][i]).abs();
-            counts(i) * (0..3).map(apart).sum::<f32>() / 3.0
+            let apart = |c: usize| (counts(i) * seen.rgb[c * pixels + i] - taken[c][i]).abs();
+            (0..3).map(apart).sum::<f32>() / 3.0
         };
         Ok(Picture {
             width: seen.width,

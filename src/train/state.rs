@@ -108,7 +108,9 @@ impl Trainer {
         self.tally.stats = state.stats;
         self.findings = state.findings.clone();
         self.iteration = state.iteration;
-        self.last_density = (!state.density_due).then_some(state.iteration);
+        // A step that falls on this iteration is done or still to be done; where none does, none was.
+        let falls = self.schedule.density_due(state.iteration).is_some();
+        self.last_density = (falls && !state.density_due).then_some(state.iteration);
         if state.losses.len() != self.losses.len() {
             return Err(Error::Numerics {
                 stage: "checkpoint".into(),
