@@ -1,5 +1,5 @@
 # make demo   install what is missing, build, train the bundled scene, leave a report
-# make test   run the tests
+# make test   run the tests; TESTS="stage:: layout" some of them, OCL_ICD_VENDORS=folder on another OpenCL implementation
 DEMO ?= run-demo
 export MHSPLAT_COMMIT ?= $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 
@@ -14,7 +14,7 @@ demo: install
 	else target/release/mhsplat train data/room-tiny -o $(DEMO) --iterations 2500; fi
 
 test: install
-	cargo test --release --locked
+	cargo test --release --locked -- $(TESTS)
 
 bench: install
 	cargo bench --locked
