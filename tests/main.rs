@@ -38,4 +38,5 @@ mod stiff;
 mod stress;
 mod surrogate;
 mod synth;
+mod tiny;
 mod tune;

@@ -8,13 +8,15 @@ use mhsplat::gpu::Device;
 use mhsplat::report::folder::check_folder;
 use mhsplat::verify::page::{json, markdown, write_folder};
 use mhsplat::verify::stress::stress;
-use mhsplat::verify::{Verification, quick};
+use mhsplat::verify::{Verification, quick, tiny};
 
 use super::{Common, Outcome, output};
 
 /// Which cases.
 #[derive(Clone, Copy, ValueEnum)]
 enum Suite {
+    /// Two scenes of two tiles, for interpreters of kernels.
+    Tiny,
     /// A few small scenes.
     Quick,
     /// Stiff and extreme cases: the error against the stiffness.
@@ -38,6 +40,7 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
         check_folder(dir)?;
     }
     let suite = match args.suite {
+        Suite::Tiny => tiny,
         Suite::Quick => quick,
         Suite::Stress => stress,
     };

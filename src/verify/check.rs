@@ -14,6 +14,8 @@ pub const EXACT: f64 = 1e-10;
 pub const SINGLE: f64 = 1e-5;
 /// f32 kernels on needles 1000 times longer than thick.
 pub const SINGLE_NEEDLES: f64 = 1e-4;
+/// f32 kernels on images that are constant over large parts, where the variances in SSIM cancel.
+pub const SINGLE_FLAT: f64 = 1e-4;
 /// Share of elements that may fall on the other side of a discontinuity in f32 (the alpha cut, tile edges, a sign).
 pub const FLIP_SHARE: f64 = 0.01;
 

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
+use mhsplat::config::ExposureChoice;
 use mhsplat::dataset::colmap::{read_bin, read_txt, write_txt};
 use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
 use mhsplat::dataset::{Frame, LoadOptions, load, point_cloud};
@@ -33,7 +34,7 @@ pub const COLMAP: [&str; 6] = [
     "images_txt",
     "points3d_txt",
 ];
-pub const PHOTOS: [&str; 3] = ["transforms", "png", "jpeg"];
+pub const PHOTOS: [&str; 4] = ["transforms", "lenses", "png", "jpeg"];
 pub const CLOUDS: [&str; 2] = ["points_ply", "scene_ply"];
 pub const SETTINGS: [&str; 3] = ["config_toml", "config_json", "experiment_toml"];
 pub const RUNS: [&str; 4] = ["checkpoint", "signed_checkpoint", "run_json", "metrics_csv"];
@@ -93,12 +94,59 @@ fn colmap(name: &str) -> Reader {
     of_file(dir, file, move |_| read_txt(&text).is_ok())
 }
 
+/// Cameras of a whole dataset, of every lens that photos are undistorted from.
+fn lenses() -> Reader {
+    let dir = dataset(SynthLayout::Colmap);
+    let model = dir.path().join("sparse/0");
+    let text = read_bin(&model).unwrap();
+    for stem in ["cameras", "images", "points3D"] {
+        fs::remove_file(model.join(format!("{stem}.bin"))).unwrap();
+    }
+    write_txt(&model, &text).unwrap();
+    let file = model.join("cameras.txt");
+    let mut reader = of_file(dir, file, |dir| load(dir, &LoadOptions::default()).is_ok());
+    let cameras = [
+        "SIMPLE_RADIAL 24 16 20 12 8 0.1",
+        "RADIAL 24 16 20 12 8 0.1 -0.02",
+        "OPENCV 24 16 20 21 12 8 0.1 -0.02 0.01 0.02",
+        "FULL_OPENCV 24 16 20 21 12 8 0.1 0.02 0.01 0.02 0.03 0.04 0.05 0.06",
+        "OPENCV_FISHEYE 24 16 20 21 12 8 0.1 0.02 0.03 0.04",
+        "RADIAL_FISHEYE 24 16 20 12 8 0.1 0.02",
+    ];
+    let line = |c: &str| format!("1 {c}\n").into_bytes();
+    reader.seeds.extend(cameras.into_iter().map(line));
+    reader
+}
+
+/// A transforms file whose photos have lenses and masks.
+fn transforms(dir: TempDir) -> Reader {
+    let file = dir.path().join("transforms_train.json");
+    let mut with_more: serde_json::Value =
+        serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    let top = with_more.as_object_mut().unwrap();
+    for (key, value) in [("k1", 0.1), ("k2", -0.02), ("p1", 0.01), ("p2", 0.02)] {
+        top.insert(key.into(), value.into());
+    }
+    top.insert("camera_model".into(), "OPENCV".into());
+    image::GrayImage::from_pixel(24, 16, image::Luma([255]))
+        .save(dir.path().join("mask.png"))
+        .unwrap();
+    for frame in top["frames"].as_array_mut().unwrap() {
+        frame["mask_path"] = "mask.png".into();
+    }
+    let mut reader = of_file(dir, file, |dir| load(dir, &LoadOptions::default()).is_ok());
+    reader.seeds.push(serde_json::to_vec(&with_more).unwrap());
+    reader
+}
+
 fn photos(name: &str) -> Reader {
+    if name == "lenses" {
+        return lenses();
+    }
     let dir = dataset(SynthLayout::Transforms);
     let reads = |dir: &Path| load(dir, &LoadOptions::default()).is_ok();
     if name == "transforms" {
-        let file = dir.path().join("transforms_train.json");
-        return of_file(dir, file, reads);
+        return transforms(dir);
     }
     let data = load(dir.path(), &LoadOptions::default()).unwrap();
     let stem = &data.train[0].name;
@@ -189,6 +237,7 @@ fn trained() -> (TempDir, PathBuf) {
         iterations: 3,
         max_gaussians: Some(20),
         sh_degree: 0,
+        exposure: ExposureChoice::On,
         ..TrainConfig::default()
     };
     let device = Device::open(None).unwrap();
@@ -230,7 +279,15 @@ fn signed(bytes: &[u8]) -> Vec<u8> {
         let tensors = safetensors::SafeTensors::deserialize(bytes).ok()?;
         let mut sum = crc32fast::Hasher::new();
         sum.update(entries.get("mhsplat")?.as_bytes());
-        for name in ["params", "moment1", "moment2", "losses", "cues"] {
+        for name in [
+            "params",
+            "moment1",
+            "moment2",
+            "losses",
+            "cues",
+            "filter",
+            "exposures",
+        ] {
             if let Ok(tensor) = tensors.tensor(name) {
                 sum.update(tensor.data());
             }

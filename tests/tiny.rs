@@ -1,0 +1,74 @@
+//! What interpreters of kernels can be given (oclgrind, for data races and reads out of bounds): every stage, and a training with
+//! density control, of the smallest scenes.
+
+use mhsplat::config::{Sampler, TrainConfig};
+use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
+use mhsplat::dataset::{Dataset, LoadOptions, load};
+use mhsplat::gpu::Device;
+use mhsplat::run::initial_splats;
+use mhsplat::train::Trainer;
+use mhsplat::verify::tiny;
+
+use crate::determinism::drive;
+
+/// Iterations, with density control after every tenth from the first on.
+const ITERATIONS: u32 = 30;
+
+#[test]
+fn every_stage_agrees_with_the_reference() {
+    let outcome = tiny(&Device::open(None).unwrap()).unwrap();
+    assert_eq!(outcome.failed, 0, "{outcome:#?}");
+    assert!(outcome.passed > 100, "{}", outcome.passed);
+}
+
+/// Three views of two tiles of a synthetic room with 30 points.
+fn dataset() -> Dataset {
+    let dir = tempfile::tempdir().unwrap();
+    let options = SynthOptions {
+        layout: SynthLayout::Colmap,
+        views: 3,
+        width: 24,
+        height: 16,
+        points: 30,
+        samples: 1,
+        ..SynthOptions::default()
+    };
+    generate("room", dir.path(), &options).unwrap();
+    load(dir.path(), &LoadOptions::default()).unwrap()
+}
+
+fn config(sampler: Sampler) -> TrainConfig {
+    let mut config = TrainConfig {
+        sampler,
+        iterations: ITERATIONS,
+        sh_degree: 1,
+        seed: 4,
+        ..TrainConfig::default()
+    };
+    (config.mh.interval, config.mh.births_from_iteration) = (10, 500);
+    (config.mcmc.interval, config.adc.interval) = (10, 10);
+    config.mh.pixel_proposals = 40;
+    config
+}
+
+#[test]
+fn every_sampler_trains() {
+    let data = dataset();
+    let device = Device::open(None).unwrap();
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None] {
+        let config = config(sampler);
+        let splats = initial_splats(&data, &config).unwrap();
+        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        drive(&mut trainer, ITERATIONS).unwrap();
+        let stats = trainer.stats().clone();
+        let grown = stats.accepted + stats.cloned + stats.split;
+        assert_eq!(
+            grown > 0,
+            sampler != Sampler::None,
+            "{sampler:?}: {stats:?}"
+        );
+        let state = trainer.state().unwrap();
+        let finite = |p: &Vec<f32>| p.iter().all(|v| v.is_finite());
+        assert!(state.splats.planes().iter().all(finite), "{sampler:?}");
+    }
+}
