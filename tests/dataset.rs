@@ -8,6 +8,7 @@ mod masks;
 mod morton;
 mod photo;
 mod real;
+mod rigs;
 mod transforms;
 
 use std::path::Path;
