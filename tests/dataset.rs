@@ -9,6 +9,7 @@ mod morton;
 mod photo;
 mod real;
 mod rigs;
+mod several;
 mod transforms;
 
 use std::path::Path;
