@@ -1,6 +1,7 @@
 //! Tests: dataset readers, split, frame, photos, initialisation.
 
 mod colmap;
+mod formats;
 mod frames;
 mod init;
 mod lens;
