@@ -5,7 +5,7 @@ mod formats;
 mod frames;
 mod init;
 mod lens;
-mod masks;
+pub mod masks;
 mod morton;
 mod photo;
 mod real;
