@@ -1,10 +1,12 @@
 // metrics: squared error of a render clamped to [0, 1] against a photo; the clamped image stays in place, so that SSIM
-// (loss_forward) is taken of the same picture. Launch: one work-item per image row.
+// (loss_forward) is taken of the same picture; then the sum of 1 - SSIM over the pixels, as far as each counts. With a mask
+// m both are of the masked pictures: (m x - m y)^2, and m (1 - SSIM) of the map between m x and m y, so that nothing under a
+// mask changes a score. Launch of both kernels: one work-item per image row.
 
 __kernel void metrics(__global real *image,               // in/out [>= 3, rows, stride]
                       __global const uchar *photo,        // in [3 or 4, height, width]
                       real bg_red, real bg_green, real bg_blue, int width, int height, int stride, int rows,
-                      __global real *squared_error) { // out [2, height] sum over the row and the channels, pixels that count
+                      __global real *score) { // out [>= 2, height]: 0 sum over the row and the channels, 1 pixels that count
   const int y = get_global_id(0);
   if (y >= height) return;
   const size_t plane = (size_t)stride * rows, pixels = (size_t)width * height;
@@ -31,10 +33,29 @@ __kernel void metrics(__global real *image,               // in/out [>= 3, rows,
 #endif
     }
   }
-  squared_error[y] = sum;
+  score[y] = sum;
 #if HAS_MASK
-  squared_error[height + y] = counted;
+  score[height + y] = counted;
 #else
-  squared_error[height + y] = (real)width;
+  score[height + y] = (real)width;
 #endif
+}
+
+__kernel void metrics_ssim(__global const real *maps,   // in [>= 1, rows, stride] channel means of 1 - SSIM
+                           __global const uchar *photo, // in [3 or 4, height, width]
+                           int width, int height, int stride,
+                           __global real *score) { // out [3, height]: 2 sum over the row
+  const int y = get_global_id(0);
+  if (y >= height) return;
+  real sum = R(0.0);
+  for (int x = 0; x < width; x++) {
+    const real e = maps[(size_t)y * stride + x];
+#if HAS_MASK
+    const size_t pixels = (size_t)width * height;
+    sum = fma((real)photo[3 * pixels + (size_t)y * width + x] / R(255.0), e, sum);
+#else
+    sum += e;
+#endif
+  }
+  score[2 * height + y] = sum;
 }

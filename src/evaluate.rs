@@ -1,11 +1,13 @@
-//! PSNR, SSIM and ꟻLIP of rendered views against their photos (after clamping to [0, 1]; mean over RGB and, with
-//! masks, over the pixels that count).
+//! PSNR, SSIM and ꟻLIP of rendered views against their photos (after clamping to [0, 1]; mean over RGB).
+//!
+//! With a mask m in [0, 1] render x and photo y are compared as m·x and m·y, so that nothing that lies under a mask changes a
+//! score. PSNR is that of the mean squared error Σ (m·x − m·y)² / Σ m; SSIM and ꟻLIP are the means of their maps over the
+//! pixels that count, Σ m·s / Σ m. A window reaches past the mask's edge, where both pictures are black and agree.
 
 pub mod color;
 pub mod flip;
 
 use crate::buffers::{Scene, ViewSet};
-use crate::dataset::{Alpha, Photo};
 use crate::error::Result;
 use crate::gpu::{Array, Defines, Device, Kernels};
 use crate::render::{Quantity, RenderOptions, Renderer};
@@ -24,7 +26,6 @@ pub struct Evaluator {
     loss: Loss,
     maps: Array<f32>,
     partial: Array<f32>,
-    sums: Array<f32>,
     rows: Array<f32>,
 }
 
@@ -48,8 +49,7 @@ impl Evaluator {
             metrics: Metrics::new::<f32>(&kernels)?,
             maps: Array::zeros(device, "error maps", 2 * plane)?,
             partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
-            sums: Array::zeros(device, "score", 2)?,
-            rows: Array::zeros(device, "squared_error", 2 * h)?,
+            rows: Array::zeros(device, "score", 3 * h)?,
             loss,
             views,
         })
@@ -114,42 +114,31 @@ impl Evaluator {
         Ok((score, counted))
     }
 
-    /// PSNR and SSIM of an image, which is clamped in place, and how many pixels count.
+    /// PSNR and SSIM of an image, which is clamped in place, and how many pixels count. Where nothing counts nothing differs.
     fn measure(&self, pair: &ImagePair<'_, f32>) -> Result<[f64; 3]> {
         self.metrics.run(pair, &self.rows)?;
         self.loss.errors(pair, &self.maps, &self.partial)?;
-        self.loss.sum(pair, &self.partial, &self.sums, 0)?;
-        let [w, h] = pair.size;
-        let sum = |row: usize| -> Result<f64> {
-            let values = self.rows.read(row * h, h)?;
-            Ok(values.into_iter().map(f64::from).sum())
-        };
-        let (squared, all) = (sum(0)?, sum(1)?);
-        let counted = all.max(1.0);
-        let ssim = f64::from(self.sums.to_vec()?[1]);
-        // Where nothing counts SSIM is 1; of a mask of a few pixels most windows are at its edge.
-        let ssim = (1.0 - (1.0 - ssim) * (w * h) as f64 / counted).max(-1.0);
-        Ok([psnr(squared / (3.0 * counted)), ssim, all])
+        self.metrics.dissimilarity(pair, &self.maps, &self.rows)?;
+        let h = pair.size[1];
+        let rows = self.rows.read(0, 3 * h)?;
+        let sum = |k: usize| -> f64 { rows[k * h..][..h].iter().map(|v| f64::from(*v)).sum() };
+        let [squared, counted, dissimilarity] = [0, 1, 2].map(sum);
+        let each = if counted > 0.0 { 1.0 / counted } else { 0.0 };
+        let ssim = 1.0 - dissimilarity * each;
+        Ok([psnr(squared * each / 3.0), ssim, counted])
     }
 
     /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
     fn flip(&self, view: usize, renderer: &Renderer, background: [f32; 3]) -> Result<f64> {
         let mut image = renderer.read_image(&self.views.cameras[view])?;
         let photo = self.views.read_photo(view)?;
-        let pixels = image.width * image.height;
-        let mask = mask_of(&photo);
+        let mask = photo.counts();
         counting(&mask, &mut image.rgb);
-        let share = if mask.is_empty() {
-            1.0
-        } else {
-            let counted: f64 = mask.iter().map(|m| f64::from(*m)).sum();
-            counted.max(1.0) / pixels as f64
-        };
-        let photo = photo.rgb_over(if share < 1.0 { [0.0; 3] } else { background });
+        let photo = photo.rgb_over(background);
         let channel = |c: usize| photo.iter().skip(c).step_by(3);
         let planes = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
         let planes: Vec<f32> = planes.collect();
-        Ok(flip::flip(&planes, &image.rgb, image.width, image.height)? / share)
+        flip::flip(&planes, &image.rgb, image.width, image.height, &mask)
     }
 
     /// Scores every view of which anything counts by PSNR and SSIM.
@@ -197,18 +186,6 @@ impl Evaluator {
             }
         }
         Ok(scores)
-    }
-}
-
-/// How far each pixel of a photo counts; empty without a mask.
-fn mask_of(photo: &Photo) -> Vec<f32> {
-    let pixels = photo.width as usize * photo.height as usize;
-    let mask = photo.data.get(3 * pixels..).unwrap_or_default();
-    let value = |m: &u8| f32::from(*m) / 255.0;
-    if photo.alpha() == Alpha::Mask {
-        mask.iter().map(value).collect()
-    } else {
-        Vec::new()
     }
 }
 

@@ -1,5 +1,7 @@
 //! `mhsplat bench`: what may be said of samples, how work is counted, and what is printed.
 
+mod trained;
+
 use std::sync::LazyLock;
 
 use mhsplat::bench::record::{BenchRecord, Case, Failure, Iteration, Outcome};

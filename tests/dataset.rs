@@ -1,13 +1,16 @@
 //! Tests: dataset readers, split, frame, photos, initialisation.
 
 mod colmap;
+mod formats;
 mod frames;
 mod init;
 mod lens;
-mod masks;
+pub mod masks;
 mod morton;
 mod photo;
 mod real;
+mod rigs;
+mod several;
 mod transforms;
 
 use std::path::Path;

@@ -124,16 +124,16 @@ fn the_comparison_can_fail() {
 fn symmetric_zero_for_equal_pictures_and_growing_with_the_error() {
     let (width, height, a, b) = pair("noise");
     let (a, b) = (planar(&a), planar(&b));
-    let forth = flip(&a, &b, width, height).unwrap();
-    let back = flip(&b, &a, width, height).unwrap();
+    let forth = flip(&a, &b, width, height, &[]).unwrap();
+    let back = flip(&b, &a, width, height, &[]).unwrap();
     assert!((forth - back).abs() < 1e-12);
-    assert_eq!(flip(&a, &a, width, height).unwrap(), 0.0);
+    assert_eq!(flip(&a, &a, width, height, &[]).unwrap(), 0.0);
     let half: Vec<f32> = a
         .iter()
         .zip(&b)
         .map(|(x, y)| f32::midpoint(*x, *y))
         .collect();
-    let less = flip(&a, &half, width, height).unwrap();
+    let less = flip(&a, &half, width, height, &[]).unwrap();
     assert!(0.0 < less && less < forth, "{less} against {forth}");
 }
 
@@ -177,7 +177,7 @@ fn what_is_no_picture_is_refused() {
     for value in [f32::NAN, f32::INFINITY, -0.01, 1.01] {
         let mut bad = gray.clone();
         bad[7] = value;
-        assert!(flip(&gray, &bad, 2, 2).is_err(), "{value}");
-        assert!(flip(&bad, &gray, 2, 2).is_err(), "{value}");
+        assert!(flip(&gray, &bad, 2, 2, &[]).is_err(), "{value}");
+        assert!(flip(&bad, &gray, 2, 2, &[]).is_err(), "{value}");
     }
 }

@@ -26,6 +26,7 @@ mod gradient;
 mod hostile;
 mod layout;
 mod learning;
+mod masks;
 mod photos;
 mod plan;
 mod probes;

@@ -281,6 +281,13 @@ fn what_cannot_be_checked_is_refused() {
         assert!(stderr(&output).contains(why), "{}", stderr(&output));
     };
     refused(&[text(&dir.path().join("nowhere"))], "holds no run.json");
+    for option in ["--anti-aliasing", "--exposure"] {
+        let run = dir.path().join(option);
+        let room = room();
+        let folder = ["train", &room, "-o", text(&run), option, "on"];
+        done(&[&folder[..], &["--max-size", "64", "--iterations", "10"]].concat());
+        refused(&[text(&run)], &format!("{option} off"));
+    }
     let run = short_run(dir.path());
     refused(&[text(&run), "--views", "0"], "--views");
     refused(&[text(&run), "--candidates", "0"], "--candidates");

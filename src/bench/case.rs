@@ -7,6 +7,8 @@ use super::scene::{self, VIEWS};
 use super::spread::{Ratio, Spread, ratio};
 use super::work::{Load, TileWork};
 use super::{Options, STAGES, no_samples};
+use crate::antialias::without_filter;
+use crate::config::{AntiAliasing, TrainConfig};
 use crate::dataset::Dataset;
 use crate::error::Result;
 use crate::gpu::tuning::TILE;
@@ -57,6 +59,8 @@ pub(super) struct Subject<'a> {
     pub name: &'a str,
     pub splats: &'a Splats,
     pub dataset: Dataset,
+    /// Whether the scene was trained with anti-aliasing, so that it is to be rendered with its filters.
+    pub anti_alias: bool,
 }
 
 impl Subject<'_> {
@@ -66,6 +70,21 @@ impl Subject<'_> {
         let (n, w, h) = (self.splats.len(), camera.width, camera.height);
         format!("{}, {n} Gaussians, {w} × {h}", self.name)
     }
+}
+
+/// A trainer that changes nothing. Of a scene with anti-aliasing it takes the 3D filter out first, which training puts in again
+/// by the views at hand.
+fn trainer(device: &Device, subject: &Subject<'_>) -> Result<Trainer> {
+    let still = scene::still(subject.splats.sh_degree());
+    if !subject.anti_alias {
+        return Trainer::new(device, &subject.dataset, &still, subject.splats);
+    }
+    let config = TrainConfig {
+        anti_aliasing: AntiAliasing::On,
+        ..still
+    };
+    let splats = without_filter(subject.splats, &subject.dataset)?;
+    Trainer::new(device, &subject.dataset, &config, &splats)
 }
 
 /// Times every stage and the whole iteration.
@@ -79,8 +98,7 @@ pub(super) fn measure(
     options: &Options,
 ) -> Result<Case> {
     let idle = device.allocated_bytes();
-    let config = scene::still(subject.splats.sh_degree());
-    let mut trainer = Trainer::new(device, &subject.dataset, &config, subject.splats)?;
+    let mut trainer = trainer(device, subject)?;
     sample(&mut trainer, VIEWS)?;
     let warm = sample(&mut trainer, VIEWS)?;
     // Whole passes over the views: then every sample holds the same work.

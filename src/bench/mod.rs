@@ -152,13 +152,15 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
             name: growth::SYNTHETIC,
             splats: &scene::cloud(*n),
             dataset: scene::dataset(&scene::circle(*size)),
+            anti_alias: false,
         });
     }
-    if let Some((name, splats)) = &trained {
+    if let Some((name, splats, anti_alias)) = &trained {
         measure(&Subject {
             name,
             splats,
             dataset: scene::dataset(&around(splats)),
+            anti_alias: *anti_alias,
         });
     }
     if let (true, Some(error)) = (cases.is_empty(), last) {
@@ -184,14 +186,25 @@ fn failure(what: &str, error: &Error) -> Failure {
     }
 }
 
-fn read_scene(path: &Path) -> Result<(String, Splats)> {
+/// Name and Gaussians of a scene, and whether its header says that it was trained with anti-aliasing.
+fn read_scene(path: &Path) -> Result<(String, Splats, bool)> {
     let splats = ply::read(path, &Frame::IDENTITY)?;
     if splats.is_empty() {
         let fix = "give a scene that `mhsplat train` wrote";
         return Err(Error::input(path, "holds no Gaussian", fix));
     }
     let name = path.file_name().unwrap_or(path.as_os_str());
-    Ok((name.to_string_lossy().into_owned(), splats))
+    let anti_alias = ply::is_anti_aliased(path);
+    let with = if anti_alias {
+        " with anti-aliasing"
+    } else {
+        ""
+    };
+    Ok((
+        format!("{}{with}", name.to_string_lossy()),
+        splats,
+        anti_alias,
+    ))
 }
 
 fn around(splats: &Splats) -> Vec<crate::dataset::Camera> {

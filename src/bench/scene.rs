@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
 
-use crate::config::{OptimizerConfig, Sampler, TrainConfig, WorkConfig};
+use crate::config::{AntiAliasing, OptimizerConfig, Sampler, TrainConfig, WorkConfig};
 use crate::dataset::{Camera, Dataset, Frame, Layout, Photo, Points, View};
 use crate::model::{Plane, Splats};
 use crate::rng::{Philox, Purpose};
@@ -124,6 +124,7 @@ pub fn still(sh_degree: u32) -> TrainConfig {
             ..OptimizerConfig::default()
         },
         sampler: Sampler::None,
+        anti_aliasing: AntiAliasing::Off,
         sh_degree,
         ..TrainConfig::default()
     }

@@ -28,6 +28,9 @@ pub struct EvalArgs {
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
+    /// Take the photos' alpha for a mask of what counts, not for transparency (as the run did).
+    #[arg(long)]
+    alpha_is_mask: bool,
     /// Also score after an affine fit of each render's colours to its photo (gsplat's cc_psnr).
     #[arg(long)]
     color_corrected: bool,
@@ -44,6 +47,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         record.as_ref(),
         args.max_size,
         args.test_every,
+        args.alpha_is_mask,
     )?;
     if data.test.is_empty() {
         return Err(Error::input(

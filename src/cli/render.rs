@@ -22,7 +22,7 @@ enum What {
     Depth,
     /// Opacity.
     Alpha,
-    /// Difference to the photo (needs --dataset).
+    /// Difference to the photo as far as its mask counts (needs --dataset).
     Error,
 }
 
@@ -55,6 +55,9 @@ pub struct RenderArgs {
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
+    /// Take the photos' alpha for a mask of what counts, not for transparency (as the run did).
+    #[arg(long, requires = "dataset")]
+    alpha_is_mask: bool,
 }
 
 /// A view to render: name, camera, and its photo.
@@ -73,7 +76,13 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let (frame, jobs) = match &args.dataset {
         Some(path) => {
-            let data = scene::dataset(path, record.as_ref(), args.max_size, None)?;
+            let data = scene::dataset(
+                path,
+                record.as_ref(),
+                args.max_size,
+                None,
+                args.alpha_is_mask,
+            )?;
             (data.frame, dataset_jobs(data))
         }
         None if args.what == What::Error => {
@@ -192,7 +201,10 @@ fn pixels(
         What::Error => {
             let render = renderer.image(&loaded.scene, camera, &options)?.rgb8();
             match photo {
-                Some(photo) => error_map(&render, &photo.load()?.rgb_over(background)),
+                Some(photo) => {
+                    let photo = photo.load()?;
+                    error_map(&photo.counted(render), &photo.rgb_over(background))
+                }
                 None => error_map(&render, &render),
             }
         }

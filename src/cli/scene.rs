@@ -38,12 +38,14 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
     Ok((ply, record))
 }
 
-/// Reads a dataset at the resolution and split of a run, unless asked otherwise.
+/// Reads a dataset at the resolution and split of a run, unless asked otherwise; alpha is a mask where it was one to the run, or
+/// is asked for.
 pub fn dataset(
     path: &Path,
     record: Option<&RunRecord>,
     max_size: Option<u32>,
     test_every: Option<u32>,
+    alpha_is_mask: bool,
 ) -> Result<Dataset> {
     let defaults = LoadOptions::default();
     let options = LoadOptions {
@@ -54,7 +56,7 @@ pub fn dataset(
             .or(record.map(|r| r.config.test_every))
             .unwrap_or(defaults.test_every),
         image_budget: None,
-        alpha_is_mask: record.is_some_and(|r| r.config.alpha_is_mask),
+        alpha_is_mask: alpha_is_mask || record.is_some_and(|r| r.config.alpha_is_mask),
     };
     dataset::load(path, &options)
 }

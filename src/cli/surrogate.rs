@@ -61,7 +61,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
         Some(path) => path.clone(),
         None => PathBuf::from(&record.dataset.path),
     };
-    let dataset = scene::dataset(&path, Some(&record), None, None)?;
+    let dataset = scene::dataset(&path, Some(&record), None, None, false)?;
     let device = super::open_tested(common.device.as_deref())?;
     let options = Options {
         candidates: args.candidates as usize,

@@ -113,7 +113,7 @@ pub struct TrainArgs {
         "test_every", "init", "background", "alpha_is_mask", "anti_aliasing", "exposure",
     ])]
     resume: Option<PathBuf>,
-    /// points, random or FILE.ply [default: points]
+    /// points, random or FILE.ply: Gaussians or a point cloud, in the dataset's frame [default: points]
     #[arg(long)]
     init: Option<String>,
     /// Take the photos' alpha for a mask of what counts, not for transparency.

@@ -14,7 +14,7 @@ pub enum Init {
     Points,
     /// Random points in the cameras' bounding box.
     Random,
-    /// A PLY file with 3DGS properties, in the dataset's own frame.
+    /// A PLY file in the dataset's own frame: Gaussians (3DGS properties), or a plain point cloud.
     File(std::path::PathBuf),
 }
 

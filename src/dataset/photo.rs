@@ -91,13 +91,14 @@ impl Photo {
         }
     }
 
-    /// The photo over a background (RGB in [0, 1]): interleaved RGB8, `[height][width][3]`. A photo without alpha hides
-    /// the background everywhere.
+    /// What a render is compared with: interleaved RGB8, `[height][width][3]`. Over a background (RGB in [0, 1]) as far as the
+    /// photo is transparent; under a mask as far as it counts, whatever the background.
     #[must_use]
     pub fn rgb_over(&self, background: [f32; 3]) -> Vec<u8> {
         let n = self.width as usize * self.height as usize;
         let mut out = vec![0; 3 * n];
-        let alpha = self.data.get(3 * n..4 * n);
+        let transparency = self.alpha() == Alpha::Transparency;
+        let alpha = self.data.get(3 * n..4 * n).filter(|_| transparency);
         for (c, (plane, b)) in self.data.chunks_exact(n.max(1)).zip(background).enumerate() {
             for (i, &v) in plane.iter().enumerate() {
                 let behind = alpha.map_or(0.0, |a| f32::from(255 - a[i]) * b);
@@ -105,6 +106,37 @@ impl Photo {
             }
         }
         out
+    }
+
+    /// How far each pixel counts, in [0, 1]; empty without a mask.
+    #[must_use]
+    pub fn counts(&self) -> Vec<f32> {
+        let pixels = self.width as usize * self.height as usize;
+        let mask = self.data.get(3 * pixels..).unwrap_or_default();
+        let masked = self.alpha() == Alpha::Mask;
+        let value = |m: &u8| f32::from(*m) / 255.0;
+        mask.iter().filter(|_| masked).map(value).collect()
+    }
+
+    /// A render (interleaved RGB8, of the photo's size) as far as the photo counts: what [`Photo::rgb_over`] is the
+    /// counterpart of.
+    #[must_use]
+    pub fn counted(&self, mut rgb: Vec<u8>) -> Vec<u8> {
+        for (pixel, m) in rgb.chunks_exact_mut(3).zip(self.counts()) {
+            for v in pixel {
+                *v = (f32::from(*v) * m).round() as u8;
+            }
+        }
+        rgb
+    }
+
+    /// The photo to look at: interleaved RGB8, as [`colors`] has it.
+    #[must_use]
+    pub fn shown(&self, background: [f32; 3]) -> Vec<u8> {
+        let planes = colors(self.alpha(), &self.data, background);
+        let n = self.width as usize * self.height as usize;
+        let pixel = |i: usize| [0, 1, 2].map(|c| (255.0 * planes[c][i]).round() as u8);
+        (0..n).flat_map(pixel).collect()
     }
 
     /// Gives a photo without an alpha plane an opaque one.
@@ -115,4 +147,19 @@ impl Photo {
             self.channels = 4;
         }
     }
+}
+
+/// Red, green and blue in [0, 1] of a photo's planes (as [`Photo`] has them): over the background (RGB in [0, 1]) as far as it
+/// is transparent; under a mask as it is without one, but black where the mask leaves nothing.
+#[must_use]
+pub fn colors(alpha: Alpha, planes: &[u8], background: [f32; 3]) -> [Vec<f32>; 3] {
+    let n = planes.len() / alpha.planes();
+    let value = |plane: usize, i: usize| f32::from(planes[plane * n + i]) / 255.0;
+    let pixel = |c: usize, i: usize| match alpha {
+        Alpha::None => value(c, i),
+        Alpha::Transparency => value(c, i) + (1.0 - value(3, i)) * background[c],
+        Alpha::Mask if planes[3 * n + i] > 0 => (value(c, i) / value(3, i)).min(1.0),
+        Alpha::Mask => 0.0,
+    };
+    std::array::from_fn(|c| (0..n).map(|i| pixel(c, i)).collect())
 }

@@ -153,11 +153,6 @@ impl Table {
         })
     }
 
-    /// Number of vertices.
-    pub(crate) fn rows(&self) -> usize {
-        self.rows
-    }
-
     /// Whether there is a property of that name.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.properties.iter().any(|p| p.name == name)
@@ -210,36 +205,35 @@ impl Table {
         let byte = |v: f64| (v * factor).round().clamp(0.0, 255.0) as u8;
         Ok(values.into_iter().map(byte).collect())
     }
+
+    /// Positions and colours, in the file's own frame; grey (128) without `red green blue`.
+    ///
+    /// # Errors
+    /// A missing or non-finite coordinate.
+    pub(crate) fn points(&self) -> Result<(Vec<DVec3>, Vec<[u8; 3]>)> {
+        let [x, y, z] = [self.column("x")?, self.column("y")?, self.column("z")?];
+        let row = |i: usize| DVec3::new(x[i], y[i], z[i]);
+        let positions = (0..self.rows).map(row).collect();
+        let colors = if ["red", "green", "blue"].iter().all(|c| self.has(c)) {
+            let [r, g, b] = [
+                self.color("red")?,
+                self.color("green")?,
+                self.color("blue")?,
+            ];
+            (0..self.rows).map(|i| [r[i], g[i], b[i]]).collect()
+        } else {
+            vec![[128; 3]; self.rows]
+        };
+        Ok((positions, colors))
+    }
 }
 
-/// Positions and colours of a plain point cloud, in the file's own frame; grey (128) without `red green blue`.
+/// Positions and colours of a plain point cloud, in the file's own frame.
 ///
 /// # Errors
-/// See [`Table::read`]; a missing or non-finite coordinate.
+/// As [`Table::read`] and [`Table::points`].
 pub(crate) fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>)> {
-    let table = Table::read(path)?;
-    let (x, y, z) = (table.column("x")?, table.column("y")?, table.column("z")?);
-    let positions = x
-        .iter()
-        .zip(&y)
-        .zip(&z)
-        .map(|((&x, &y), &z)| DVec3::new(x, y, z))
-        .collect();
-    let colors = if ["red", "green", "blue"].iter().all(|c| table.has(c)) {
-        let (r, g, b) = (
-            table.color("red")?,
-            table.color("green")?,
-            table.color("blue")?,
-        );
-        r.iter()
-            .zip(&g)
-            .zip(&b)
-            .map(|((&r, &g), &b)| [r, g, b])
-            .collect()
-    } else {
-        vec![[128; 3]; table.rows()]
-    };
-    Ok((positions, colors))
+    Table::read(path)?.points()
 }
 
 /// Longest header that is looked through, bytes.

@@ -13,7 +13,15 @@ use crate::error::{Error, Result};
 /// # Errors
 /// [`Error::Input`] for what is no such file, is truncated or holds a value that is not finite; [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<Points> {
-    let (positions, colors) = ply::read_points(path)?;
+    from_table(path, &ply::Table::read(path)?, frame)
+}
+
+/// As [`read`], of a file that is read already.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn from_table(path: &Path, table: &ply::Table, frame: &Frame) -> Result<Points> {
+    let (positions, colors) = table.points()?;
     let local = |p: DVec3| frame.to_local(p).as_vec3().to_array();
     let positions: Vec<[f32; 3]> = positions.into_iter().map(local).collect();
     let far = |p: &[f32; 3]| p.iter().any(|v| !v.is_finite());

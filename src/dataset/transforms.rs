@@ -1,7 +1,7 @@
 //! `transforms*.json`: NeRF-synthetic (Blender) and nerfstudio / instant-ngp datasets.
 //!
 //! Format: <https://docs.nerf.studio/quickstart/data_conventions.html>. Matrices are camera-to-world in OpenGL axes
-//! (x right, y up, z back). `applied_transform`, masks and depth maps are not used.
+//! (x right, y up, z back). `applied_transform` and depth maps are not used.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -2,7 +2,7 @@
 //! transform of its own, and where training compensates exposure, plain scores measure its photo's exposure, too. gsplat
 //! calls the PSNR after such a fit `cc_psnr`.
 
-use super::{Evaluator, mask_of};
+use super::Evaluator;
 use crate::buffers::Scene;
 use crate::error::Result;
 use crate::gpu::Array;
@@ -87,13 +87,8 @@ impl Evaluator {
             let camera = &self.views.cameras[view];
             let image = renderer.read_image(camera)?;
             let photo = self.views.read_photo(view)?;
-            let mask = mask_of(&photo);
-            let behind = if mask.is_empty() {
-                background
-            } else {
-                [0.0; 3]
-            };
-            let bytes = photo.rgb_over(behind);
+            let mask = photo.counts();
+            let bytes = photo.rgb_over(background);
             let channel = |c: usize| bytes.iter().skip(c).step_by(3);
             let photo = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
             let photo: Vec<f32> = photo.collect();

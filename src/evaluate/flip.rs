@@ -125,13 +125,23 @@ fn strip(
     both.map(|i| colors[i].powf(1.0 - features[i])).collect()
 }
 
-/// Mean of [`error_map`] at [`PIXELS_PER_DEGREE`]: 0 for equal pictures.
+/// Mean of [`error_map`] at [`PIXELS_PER_DEGREE`] over the pixels that count, `mask` \[height, width\] or empty: 0 for equal
+/// pictures, and where nothing counts.
 ///
 /// # Errors
 /// As [`error_map`].
-pub fn flip(reference: &[f32], test: &[f32], width: usize, height: usize) -> Result<f64> {
+pub fn flip(
+    reference: &[f32],
+    test: &[f32],
+    width: usize,
+    height: usize,
+    mask: &[f32],
+) -> Result<f64> {
     let map = error_map(reference, test, width, height, PIXELS_PER_DEGREE)?;
-    Ok(map.iter().sum::<f64>() / map.len() as f64)
+    let weight = |i: usize| mask.get(i).map_or(1.0, |m| f64::from(*m));
+    let all: f64 = (0..map.len()).map(weight).sum();
+    let sum: f64 = map.iter().enumerate().map(|(i, v)| weight(i) * v).sum();
+    Ok(if all > 0.0 { sum / all } else { 0.0 })
 }
 
 fn transform(m: &[[f64; 3]; 3], v: Color) -> Color {

@@ -8,8 +8,8 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use crate::dataset::Frame;
 use crate::dataset::ply::Table;
+use crate::dataset::{Frame, Points, point_cloud};
 use crate::error::{Error, Result};
 use crate::model::{Plane, Splats, sh_coefficients};
 
@@ -126,6 +126,28 @@ fn to_rows(splats: &Splats, frame: &Frame) -> Result<Vec<f32>> {
     Ok(rows)
 }
 
+/// What a PLY file holds, in the local frame.
+#[derive(Debug, Clone)]
+pub enum Contents {
+    /// Gaussians.
+    Scene(Splats),
+    /// A plain point cloud: no 3DGS properties.
+    Points(Points),
+}
+
+/// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` where there are any; grey otherwise).
+///
+/// # Errors
+/// As [`read`] and [`point_cloud::read`].
+pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
+    let table = Table::read(path)?;
+    if is_plain(&table) {
+        point_cloud::from_table(path, &table, frame).map(Contents::Points)
+    } else {
+        from_table(path, &table, frame).map(Contents::Scene)
+    }
+}
+
 /// Reads Gaussians, ascii or binary little endian, properties in any order and of any scalar type. The SH degree follows
 /// from the number of `f_rest_*`.
 ///
@@ -134,13 +156,21 @@ fn to_rows(splats: &Splats, frame: &Frame) -> Result<Vec<f32>> {
 /// by row and property); [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<Splats> {
     let table = Table::read(path)?;
-    if !table.has("opacity") && !table.has("f_dc_0") {
+    if is_plain(&table) {
         return Err(Error::input(
             path,
             "no 3DGS properties (f_dc_0, opacity, …): a plain point cloud",
             "give a PLY of Gaussians",
         ));
     }
+    from_table(path, &table, frame)
+}
+
+fn is_plain(table: &Table) -> bool {
+    !table.has("opacity") && !table.has("f_dc_0")
+}
+
+fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<Splats> {
     let rest = table.names().filter(|n| n.starts_with("f_rest_")).count();
     let Some(sh_degree) = (0..=3).find(|&d| 3 * (sh_coefficients(d) - 1) == rest) else {
         return Err(Error::input(

@@ -11,3 +11,11 @@ pub fn squared_error(image: &[f64], photo: &[f64], mask: Option<&[f64]>) -> f64 
         .map(|(at, (x, y))| (counts(at) * x.clamp(0.0, 1.0) - y).powi(2))
         .sum()
 }
+
+/// Sum over the pixels of a map \[height, width\], as far as they count. Of 1 − SSIM of the masked pictures it is Σ m (1 − SSIM);
+/// SSIM of the picture is 1 less that over Σ m.
+#[must_use]
+pub fn sum_counted(map: &[f64], mask: Option<&[f64]>) -> f64 {
+    let counts = |at: usize| mask.map_or(1.0, |m| m[at]);
+    map.iter().enumerate().map(|(at, v)| counts(at) * v).sum()
+}

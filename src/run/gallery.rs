@@ -24,16 +24,17 @@ impl Run {
             let score = evaluator.score(view, next, scene, renderer, degree, background)?;
             let image = renderer.read_image(&evaluator.views().cameras[view])?;
             let render = image.rgb8();
-            let photo = evaluator.views().read_photo(view)?.rgb_over(background);
+            let photo = evaluator.views().read_photo(view)?;
+            let counted = photo.counted(render.clone());
             items.push(GalleryItem {
                 view: score.view,
                 psnr: score.psnr,
                 ssim: score.ssim,
                 width: image.width as u32,
                 height: image.height as u32,
-                error: error_map(&render, &photo)?,
+                error: error_map(&counted, &photo.rgb_over(background))?,
                 render,
-                photo,
+                photo: photo.shown(background),
             });
         }
         Ok(items)

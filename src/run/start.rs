@@ -9,6 +9,7 @@ use crate::config::{Init, TrainConfig};
 use crate::dataset::{Camera, Dataset};
 use crate::error::{Error, Result};
 use crate::evaluate::Evaluator;
+use crate::export::ply::Contents;
 use crate::export::{checkpoint, ply};
 use crate::gpu::{Defines, Device};
 use crate::model::{Splats, init};
@@ -22,32 +23,15 @@ const RANDOM_GAUSSIANS: usize = 20_000;
 
 /// The first Gaussians that a configuration asks for.
 ///
-/// Without bands of spherical harmonics, but for those of a PLY file: training adds them.
+/// Without bands of spherical harmonics, but for those of a PLY file with Gaussians: training adds them.
 /// Never more than `max_gaussians`: of too many points a random part is taken, keyed by the seed.
 ///
 /// # Errors
-/// A PLY file that cannot be read, or holds too many Gaussians.
+/// A PLY file that cannot be read, holds nothing, or too many Gaussians.
 pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats> {
     let most = config.max_gaussians.unwrap_or(usize::MAX);
     let splats = match &config.init {
-        Init::File(path) => {
-            let splats = ply::read(path, &dataset.frame)?;
-            if splats.len() > most {
-                return Err(Error::input(
-                    path,
-                    format!("{} Gaussians; at most {most} are wanted", splats.len()),
-                    "raise --max-gaussians",
-                ));
-            }
-            let filtered = ply::is_anti_aliased(path) && AntiAlias::decide(dataset, config).on;
-            let splats = if filtered {
-                without_filter(&splats, dataset)?
-            } else {
-                splats
-            };
-            let degree = splats.sh_degree().min(config.sh_degree);
-            splats.with_sh_degree(degree)
-        }
+        Init::File(path) => from_file(path, dataset, config, most),
         start if *start == Init::Random || dataset.points.positions.is_empty() => {
             let count = RANDOM_GAUSSIANS.min(most);
             init::random(dataset, count, 0, config.seed)
@@ -62,6 +46,34 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
     } else {
         splats
     })
+}
+
+/// The Gaussians of a PLY file, or one for each point of a plain cloud.
+fn from_file(path: &Path, dataset: &Dataset, config: &TrainConfig, most: usize) -> Result<Splats> {
+    let empty = || Error::input(path, "no vertex", "give a PLY file that holds some");
+    let splats = match ply::read_either(path, &dataset.frame)? {
+        Contents::Points(points) if points.positions.is_empty() => return Err(empty()),
+        Contents::Points(points) => {
+            return init::from_points(&init::subset(&points, most, config.seed), 0);
+        }
+        Contents::Scene(splats) if splats.is_empty() => return Err(empty()),
+        Contents::Scene(splats) => splats,
+    };
+    if splats.len() > most {
+        return Err(Error::input(
+            path,
+            format!("{} Gaussians; at most {most} are wanted", splats.len()),
+            "raise --max-gaussians",
+        ));
+    }
+    let filtered = ply::is_anti_aliased(path) && AntiAlias::decide(dataset, config).on;
+    let splats = if filtered {
+        without_filter(&splats, dataset)?
+    } else {
+        splats
+    };
+    let degree = splats.sh_degree().min(config.sh_degree);
+    splats.with_sh_degree(degree)
 }
 
 /// The configuration of the run in a folder: its checkpoint's, or its record's where it was killed before the first checkpoint.

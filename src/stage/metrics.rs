@@ -1,4 +1,4 @@
-//! Squared error of a clamped render (`kernels/metrics.cl`).
+//! Squared error and SSIM of a clamped render (`kernels/metrics.cl`).
 
 use super::loss::ImagePair;
 use crate::error::Result;
@@ -7,33 +7,35 @@ use crate::gpu::{Array, Kernel, Kernels, Real};
 /// The metrics stage.
 #[derive(Debug)]
 pub struct Metrics {
-    kernel: Kernel,
+    squared: Kernel,
+    ssim: Kernel,
     local: usize,
     photo_planes: usize,
 }
 
 impl Metrics {
-    /// Builds the kernel.
+    /// Builds the kernels.
     ///
     /// # Errors
     /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("metrics", ["metrics"])?;
+        let [squared, ssim] = kernels.build::<R, 2>("metrics", ["metrics", "metrics_ssim"])?;
         Ok(Self {
-            kernel,
+            squared,
+            ssim,
             local: kernels.defines().tuning.coarse_local(),
             photo_planes: kernels.defines().photo_planes(),
         })
     }
 
     /// Clamps the render in place and writes the squared error of each row (all channels) and the number of its pixels
-    /// that count into `squared_error` \[2, height\].
+    /// that count into rows 0 and 1 of `score` \[≥ 2, height\].
     ///
     /// # Errors
     /// Arrays that are too short, or the driver's.
-    pub fn run<R: Real>(&self, pair: &ImagePair<'_, R>, squared_error: &Array<R>) -> Result<()> {
+    pub fn run<R: Real>(&self, pair: &ImagePair<'_, R>, score: &Array<R>) -> Result<()> {
         let ([w, h], [stride, rows], bg) = (pair.size, pair.padded(), pair.background_real());
-        self.kernel
+        self.squared
             .launch()
             .array(pair.image, 3 * pair.plane())
             .array(pair.photo, self.photo_planes * w * h)
@@ -44,7 +46,30 @@ impl Metrics {
             .value(h as i32)
             .value(stride as i32)
             .value(rows as i32)
-            .array(squared_error, 2 * h)
+            .array(score, 2 * h)
+            .run([h, 1], [self.local, 1])
+    }
+
+    /// Sums 1 − SSIM of each row, as far as its pixels count, into row 2 of `score` \[3, height\]; `maps` is what
+    /// [`super::loss::Loss::errors`] left of the clamped render.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn dissimilarity<R: Real>(
+        &self,
+        pair: &ImagePair<'_, R>,
+        maps: &Array<R>,
+        score: &Array<R>,
+    ) -> Result<()> {
+        let ([w, h], [stride, _]) = (pair.size, pair.padded());
+        self.ssim
+            .launch()
+            .array(maps, pair.plane())
+            .array(pair.photo, self.photo_planes * w * h)
+            .value(w as i32)
+            .value(h as i32)
+            .value(stride as i32)
+            .array(score, 3 * h)
             .run([h, 1], [self.local, 1])
     }
 }

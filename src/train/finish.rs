@@ -35,7 +35,7 @@ impl Judge {
     pub(super) fn new(kernels: &Kernels, height: usize) -> Result<Self> {
         Ok(Self {
             metrics: Metrics::new::<f32>(kernels)?,
-            rows: Array::zeros(kernels.device(), "squared_error", 2 * height)?,
+            rows: Array::zeros(kernels.device(), "score", 2 * height)?,
             weight: Weight::new::<f32>(kernels)?,
         })
     }

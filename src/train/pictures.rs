@@ -2,6 +2,7 @@
 
 use super::Trainer;
 use crate::dataset::Alpha;
+use crate::dataset::photo::colors;
 use crate::density::Picture;
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg};
@@ -81,8 +82,8 @@ impl Trainer {
         let taken = photo.clone();
         self.exposed_picture(view, &mut seen.rgb, &mut photo)?;
         let error = |i: usize| -> f32 {
-            let apart = |c: usize| (counts(i) * seen.rgb[c * pixels + i] - taken[c][i]).abs();
-            (0..3).map(apart).sum::<f32>() / 3.0
+            let apart = |c: usize| (seen.rgb[c * pixels + i] - taken[c][i]).abs();
+            counts(i) * (0..3).map(apart).sum::<f32>() / 3.0
         };
         Ok(Picture {
             width: seen.width,
@@ -96,26 +97,15 @@ impl Trainer {
         })
     }
 
-    /// Red, green and blue of a photo on the device; a transparent one lies over the background.
+    /// Red, green and blue of a photo on the device ([`colors`]).
     pub(super) fn photo_planes(
         &self,
         photo: &Array<u8>,
         pixels: usize,
         background: [f32; 3],
     ) -> Result<[Vec<f32>; 3]> {
-        let planes = self.views.alpha.planes();
-        let bytes = photo.read(0, planes * pixels)?;
-        let value = |plane: usize, i: usize| f32::from(bytes[plane * pixels + i]) / 255.0;
-        let behind = |i: usize| {
-            if self.views.alpha == Alpha::Transparency {
-                1.0 - value(3, i)
-            } else {
-                0.0
-            }
-        };
-        Ok(std::array::from_fn(|c| {
-            let pixel = |i: usize| value(c, i) + behind(i) * background[c];
-            (0..pixels).map(pixel).collect()
-        }))
+        let alpha = self.views.alpha;
+        let bytes = photo.read(0, alpha.planes() * pixels)?;
+        Ok(colors(alpha, &bytes, background))
     }
 }

@@ -97,6 +97,8 @@ pub struct Outputs {
     pub weights: Vec<f64>,
     /// metrics: squared error over the image.
     pub squared_error: f64,
+    /// metrics: 1 − SSIM (of the render before it is clamped) over the pixels, as far as they count.
+    pub dissimilarity: f64,
     /// edit: parameters and moments afterwards.
     pub edited: [Vec<Vec<f64>>; 3],
     /// Seconds of device time per stage.
@@ -382,9 +384,11 @@ impl<R: Real> Run<'_, R> {
         }
         let row = |k: usize| Ok(widen(cues.read(k * stride, n)?));
         out.cues = [row(0)?, row(1)?, row(2)?];
-        let rows = Array::zeros(device, "squared_error", 2 * h)?;
+        let rows = Array::zeros(device, "score", 3 * h)?;
+        s.metrics.dissimilarity(&pair, &maps, &rows)?;
         s.metrics.run(&pair, &rows)?;
         out.squared_error = widen(rows.read(0, h)?).iter().sum();
+        out.dissimilarity = widen(rows.read(2 * h, h)?).iter().sum();
         Ok(())
     }
 }

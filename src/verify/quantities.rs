@@ -11,7 +11,7 @@ use crate::reference::adam::{Step, adam};
 use crate::reference::chain::Passage;
 use crate::reference::edit::edit;
 use crate::reference::importance::importance;
-use crate::reference::metrics::squared_error;
+use crate::reference::metrics::{squared_error, sum_counted};
 use crate::reference::noise::noise;
 use crate::reference::project::Record64;
 use crate::reference::project_grad::project_grad;
@@ -146,16 +146,32 @@ pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
             "cues",
             [cue_ssim.as_slice(), cue_l1, cue_views].concat(),
         ),
-        quantity("metrics", "squared error", vec![out.squared_error]),
         quantity(
             "edit",
             "rows",
             out.edited.iter().flat_map(|p| flat(p)).collect(),
         ),
     ];
+    all.extend(scored(out.squared_error, out.dissimilarity));
     all.extend(filter(&out.filter));
     all.extend(exposed(&out.exposure, 0.0));
     all
+}
+
+fn scored(squared_error: f64, dissimilarity: f64) -> [Quantity; 2] {
+    [
+        quantity("metrics", "squared error", vec![squared_error]),
+        quantity("metrics", "1 - SSIM", vec![dissimilarity]),
+    ]
+}
+
+/// The same from the reference; SSIM from the device's own map of 1 − SSIM.
+fn scores_of(case: &Case, p: &Passage, map: &[f64]) -> [Quantity; 2] {
+    let mask = twin::mask(case);
+    let error = squared_error(&p.image, &twin::photo(case), mask.as_deref());
+    let [squared, ssim] = scored(error, sum_counted(map, mask.as_deref()));
+    // Of pictures that agree it is nothing but rounding.
+    [squared, ssim.floored(1e-3 * map.len() as f64)]
 }
 
 /// What the exposure stage gave; `largest` is what the sums of its gradient are made of.
@@ -184,8 +200,6 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     let cues = cues_of(&scene, &camera, maps);
     let [norms, iterations] = pulls(&scene, &camera, device);
     let shown = weights(&p.records, &p.tiles, &camera, case.alpha_min);
-    let mask = twin::mask(case);
-    let error = squared_error(&p.image, &twin::photo(case), mask.as_deref());
     let edited = [flat(&rows), flat(&first), flat(&second)].concat();
     let record = |part| of_reference(&p.records, part);
     let gaussians = scene.len().max(1) as f64;
@@ -225,9 +239,9 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
         quantity("screen_grad", "iterations", iterations),
         quantity("weight", "weights", shown),
         quantity("importance", "cues", cues),
-        quantity("metrics", "squared error", vec![error]),
         quantity("edit", "rows", edited),
     ];
+    all.extend(scores_of(case, p, maps[0]));
     all.extend(filter(scene.filter.as_deref().unwrap_or_default()));
     all.extend(exposed(&exposure::reference(device), largest_sum(device)));
     all

@@ -14,7 +14,7 @@ use super::{assert_refused, colmap_scene};
 use crate::determinism::trained;
 
 /// The bundled room with a box painted over the left of every photo, which masks leave out if `masked`.
-fn painted(dir: &Path, colour: [u8; 3], masked: bool) -> PathBuf {
+pub fn painted(dir: &Path, colour: [u8; 3], masked: bool) -> PathBuf {
     let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
     for folder in ["images", "sparse/0", "masks"] {
         fs::create_dir_all(dir.join(folder)).unwrap();
@@ -42,7 +42,7 @@ fn painted(dir: &Path, colour: [u8; 3], masked: bool) -> PathBuf {
     dir.to_path_buf()
 }
 
-fn small(path: &Path) -> Dataset {
+pub fn small(path: &Path) -> Dataset {
     let options = LoadOptions {
         max_size: 128,
         ..LoadOptions::default()

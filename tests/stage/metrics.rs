@@ -14,6 +14,11 @@ fn a_wrong_error_is_rejected() {
 }
 
 #[test]
+fn a_wrong_ssim_is_rejected() {
+    rejects("metrics", |out| out.dissimilarity *= 1.001);
+}
+
+#[test]
 fn psnr_of_known_errors() {
     assert!((psnr(0.01) - 20.0).abs() < 1e-12);
     assert!((psnr(1.0)).abs() < 1e-12);

@@ -2,6 +2,9 @@
 //!
 //! Format: <https://colmap.github.io/format.html>. Poses are world-to-camera in OpenCV axes, which is the convention of
 //! [`Camera`] too. Point tracks and 2D observations are skipped when reading and left empty when writing.
+//!
+//! COLMAP 3.12 and later also write `rigs` and `frames`, which are not read: `images` still has the registered images alone,
+//! each with its whole pose, sensor_from_rig ∘ rig_from_world.
 
 mod bin;
 mod models;
