@@ -18,6 +18,8 @@ pub const LEAST_SPREAD: f64 = 0.08;
 const USABLE: [f32; 2] = [0.04, 0.96];
 /// Pixels count where no more transmittance than this is left: elsewhere the background is compared with itself.
 const MOST_TRANSMITTANCE: f32 = 0.5;
+/// The transform that changes nothing, row-major \[A | b\].
+pub const IDENTITY: [f64; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 /// Pixels that a gain needs.
 const LEAST_PIXELS: usize = 50;
 

@@ -3,9 +3,8 @@
 use super::Trainer;
 use crate::config::ExposureChoice;
 use crate::error::{Error, Result};
-use crate::exposure::{self, Decision, exposed, unexposed};
+use crate::exposure::{self, Decision, IDENTITY, exposed, unexposed};
 use crate::gpu::{Array, CameraArg, Device, Kernels};
-use crate::reference::exposure::IDENTITY;
 use crate::stage::exposure::{ENTRIES, ExposedImage, Exposure, ExposureStep};
 use crate::stage::loss::{ImagePair, size_of_image};
 
