@@ -174,6 +174,7 @@ impl Trainer {
     ) -> Result<Self> {
         let device = &views.photos().device().clone();
         config.validate()?;
+        crate::exposure::check(config.exposure, views.alpha)?;
         check_start(splats)?;
         let (tuning, degree) = (device.tuning(), config.sh_degree);
         let defines = defines(device, &views, config, anti_alias);

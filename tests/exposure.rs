@@ -1,8 +1,9 @@
 //! Per-image exposure: photos of different brightness.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
+use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::{drive, room, saved};
 use mhsplat::buffers::ViewSet;
 use mhsplat::config::ExposureChoice;
@@ -35,14 +36,13 @@ fn copy_folder(from: &Path, to: &Path) {
     }
 }
 
-/// The bundled scene, its photos brightened and darkened, at `max_size`; with the gain of each training view.
-fn altered(max_size: u32) -> (Dataset, Vec<f64>) {
-    let folder = tempfile::tempdir().unwrap();
+/// The bundled scene in `folder`, its photos brightened and darkened; their names in the order of their gains.
+fn alter(folder: &Path) -> Vec<PathBuf> {
     copy_folder(
         &Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny"),
-        folder.path(),
+        folder,
     );
-    let files = std::fs::read_dir(folder.path().join("images")).unwrap();
+    let files = std::fs::read_dir(folder.join("images")).unwrap();
     let mut files: Vec<_> = files.map(|f| f.unwrap().path()).collect();
     files.sort();
     for (k, file) in files.iter().enumerate() {
@@ -52,6 +52,13 @@ fn altered(max_size: u32) -> (Dataset, Vec<f64>) {
         }
         photo.save(file).unwrap();
     }
+    files
+}
+
+/// What [`alter`] makes, at `max_size`; with the gain of each training view.
+fn altered(max_size: u32) -> (Dataset, Vec<f64>) {
+    let folder = tempfile::tempdir().unwrap();
+    let files = alter(folder.path());
     let options = LoadOptions {
         max_size,
         ..LoadOptions::default()
@@ -189,6 +196,63 @@ fn where_it_is_off_nothing_of_it_runs_and_no_bit_changes() {
     assert!(auto.0 == off.0, "looking must change nothing");
     let on = run(ExposureChoice::On);
     assert!(on.1 && on.0 != off.0);
+}
+
+/// The altered scene with the left eighth of its photos transparent.
+fn cut_out(folder: &Path) {
+    for file in alter(folder) {
+        let mut photo = image::open(&file).unwrap().to_rgba8();
+        let edge = photo.width() / 8;
+        for (x, _, pixel) in photo.enumerate_pixels_mut() {
+            pixel[3] = if x < edge { 0 } else { 255 };
+        }
+        photo.save(&file).unwrap();
+    }
+}
+
+#[test]
+fn transparent_photos_get_no_transforms_and_masked_ones_do() {
+    let folder = tempfile::tempdir().unwrap();
+    cut_out(folder.path());
+    let read = |alpha_is_mask| {
+        let options = LoadOptions {
+            max_size: 64,
+            alpha_is_mask,
+            ..LoadOptions::default()
+        };
+        load(folder.path(), &options).unwrap()
+    };
+    let [transparent, masked] = [false, true].map(read);
+    assert!(transparent.background_matters() && !masked.background_matters());
+    let auto = config(360, ExposureChoice::Auto);
+    let looked = trained(&masked, &auto, 301);
+    assert!(looked.exposure_decision().unwrap().on && looked.compensates_exposure());
+    let left = trained(&transparent, &auto, 301);
+    assert!(left.exposure_decision().is_none() && !left.compensates_exposure());
+    let why = |data: &Dataset| {
+        let items = mhsplat::Plan::new(data, &auto).left_out;
+        let mut items = items.iter().filter(|i| i.what == "per-image exposure");
+        items.next().unwrap().why.clone()
+    };
+    assert!(why(&transparent).contains("transparent photos"));
+    assert!(why(&masked).contains("compared with their renders"));
+}
+
+#[test]
+fn exposure_of_transparent_photos_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (photos, run) = (folder.path().join("photos"), folder.path().join("run"));
+    cut_out(&photos);
+    let base = ["train", text(&photos), "-o", text(&run), "--exposure", "on"];
+    let base = [&base[..], &["--iterations", "3", "--max-size", "64"]].concat();
+    let refused = mhsplat(&base);
+    let said = stderr(&refused);
+    assert_eq!(refused.status.code(), Some(2), "{said}");
+    for word in ["--exposure", "transparent", "--alpha-is-mask"] {
+        assert!(said.contains(word), "{word}: {said}");
+    }
+    assert!(!run.exists(), "a refused run left its folder");
+    done(&[&base[..], &["--alpha-is-mask"]].concat());
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use super::Trainer;
 use crate::config::ExposureChoice;
+use crate::dataset::Alpha;
 use crate::error::{Error, Result};
 use crate::exposure::{self, Decision, IDENTITY, exposed, unexposed};
 use crate::gpu::{Array, CameraArg, Device, Kernels};
@@ -128,9 +129,10 @@ impl Trainer {
         })
     }
 
-    /// Begins to compensate exposure where that is due now and, if it is left open, worth it.
+    /// Begins to compensate exposure where that is due now and, if it is left open, worth it; never of transparent photos.
     pub(super) fn begin_exposure(&mut self) -> Result<()> {
         if self.schedule.exposure_from() != Some(self.iteration)
+            || self.views.alpha == Alpha::Transparency
             || self.exposure_decision.is_some()
             || self.exposure.is_some()
         {
