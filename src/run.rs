@@ -242,6 +242,7 @@ impl Run {
                 self.interrupt()?;
                 return Err(Error::Interrupted);
             }
+            self.prepare()?;
             self.trainer.step()?;
             self.density_step()?;
             let done = self.trainer.iteration();
@@ -275,6 +276,17 @@ impl Run {
         self.checkpoint()?;
         self.export()?;
         self.report()
+    }
+
+    /// What comes before an iteration. Compilers are not waited for in training time.
+    fn prepare(&mut self) -> Result<()> {
+        if self.trainer.prepare()? {
+            self.clock.pause();
+            let built = self.trainer.build_exposure();
+            self.clock.resume();
+            built?;
+        }
+        Ok(())
     }
 
     fn density_step(&mut self) -> Result<()> {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
 use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::{drive, room, saved};
@@ -15,7 +16,7 @@ use mhsplat::exposure::{Decision, compared, exposed, gain, spread, unexposed};
 use mhsplat::gpu::{Defines, Device};
 use mhsplat::photos::Photos;
 use mhsplat::report::{Clock, RunRecord};
-use mhsplat::run::{Run, initial_splats};
+use mhsplat::run::{Progress, Run, initial_splats};
 use mhsplat::{TrainConfig, Trainer};
 
 /// Gain of the k-th photo: 0.7 to 1.3 in no order.
@@ -141,23 +142,34 @@ fn altered_photos_are_learned_better_and_their_gains_found() {
     assert!(on > off + 0.5, "{on} {off}");
 }
 
-/// The record of a run of 500 iterations with everything left open.
-fn decided(data: Dataset) -> RunRecord {
+/// The record of a run of 500 iterations with everything left open, and the seconds of iteration 301 that the training clock stood.
+fn decided(data: Dataset) -> (RunRecord, f64) {
     let folder = tempfile::tempdir().unwrap();
     let device = Device::open(None).unwrap();
     let mut config = config(500, ExposureChoice::Auto);
     config.eval_every = Some(0);
     let clock = Clock::start();
     let mut run = Run::start(folder.path(), data, config, &device, clock).unwrap();
-    run.drive(&AtomicBool::new(false), |_| {}).unwrap();
+    let (mut before, mut stood) = ((Instant::now(), 0.0), 0.0);
+    let clocks = |p: &Progress| {
+        let now = (Instant::now(), p.train_seconds);
+        if p.iteration == 301 {
+            stood = (now.0 - before.0).as_secs_f64() - (now.1 - before.1);
+        }
+        before = now;
+    };
+    run.drive(&AtomicBool::new(false), clocks).unwrap();
     let read = RunRecord::read(folder.path()).unwrap();
     assert_eq!(read.plan, run.record().plan);
-    read
+    (read, stood)
 }
 
 #[test]
 fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
-    let record = decided(altered(96).0);
+    let (record, stood) = decided(altered(96).0);
+    // Its kernels are compiled before that iteration.
+    println!("the training clock stood for {stood:.4} s");
+    assert!(stood > 1e-3, "{stood}");
     let find = |list: &[mhsplat::plan::Item]| {
         let mut items = list.iter().filter(|i| i.what == "per-image exposure");
         (items.next().map(|i| i.why.clone()), items.count())
@@ -169,7 +181,7 @@ fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
     let scores = record.final_scores.unwrap();
     assert!(scores.cc_psnr.unwrap() > scores.psnr && scores.cc_ssim.is_some());
     assert!(record.stages.iter().any(|s| s.name == "exposure"));
-    let record = decided(room(96));
+    let (record, _) = decided(room(96));
     let left = find(&record.plan.left_out);
     println!("{left:?}");
     assert!(left.0.unwrap().contains("spread") && find(&record.plan.kept).0.is_none());
