@@ -140,10 +140,7 @@ impl Run {
         if saved.dataset != dataset.fingerprint() {
             return Err(Error::input(
                 &dataset.path,
-                format!(
-                    "its views are not those that {} was trained on",
-                    dir.display()
-                ),
+                dataset.not_that_of(dir),
                 "give the dataset of that run, or start anew with -o",
             ));
         }

@@ -91,6 +91,13 @@ impl Photo {
         }
     }
 
+    /// The alpha plane, if it is a mask.
+    pub(super) fn mask_plane(&self) -> Option<&[u8]> {
+        let pixels = self.width as usize * self.height as usize;
+        let plane = self.data.get(3 * pixels..4 * pixels);
+        plane.filter(|_| self.alpha() == Alpha::Mask)
+    }
+
     /// The photo over a background (RGB in [0, 1]): interleaved RGB8, `[height][width][3]`. A photo without alpha hides
     /// the background everywhere.
     #[must_use]
