@@ -83,7 +83,6 @@ impl Evaluator {
         scores: &mut [ViewScore],
         scene: &Scene,
         renderer: &mut Renderer,
-        sh_degree: u32,
         background: [f32; 3],
     ) -> Result<()> {
         for score in scores {
@@ -91,7 +90,7 @@ impl Evaluator {
                 continue;
             };
             // Leaves the clamped image in the renderer.
-            self.score(view, &[], scene, renderer, sh_degree, background)?;
+            self.score(view, &[], scene, renderer, background)?;
             let camera = &self.views.cameras[view];
             let image = renderer.read_image(camera)?;
             let photo = self.views.read_photo(view)?;
