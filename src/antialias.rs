@@ -8,13 +8,10 @@
 use glam::{DMat3, DVec3};
 
 use crate::config::{AntiAliasing, Init, TrainConfig};
-use crate::constants::NEAR;
-use crate::dataset::{Dataset, View};
+use crate::dataset::{Camera, Dataset, View};
 use crate::error::Result;
 use crate::export::ply;
-use crate::model::{Plane, Splats};
-use crate::reference::Camera64;
-use crate::reference::filter::{filter, rate};
+use crate::model::{Plane, Splats, filters};
 
 /// `auto` switches the filters on from this spread of the sampling rates on. Of ordinary captures of objects, rooms and
 /// façades the spread is 1 to 2.7; of one that stands at a distance and at eight times that, it is 6 to 8.
@@ -74,12 +71,13 @@ pub fn spread(dataset: &Dataset) -> Option<f64> {
     let cameras = cameras(dataset);
     let points = &dataset.points.positions;
     let step = points.len().div_ceil(MOST_POINTS).max(1);
-    let sampled = points.iter().step_by(step).map(|p| p.map(f64::from));
+    let sampled = points.iter().step_by(step);
+    let sampled = sampled.map(|p| DVec3::from_array(p.map(f64::from)));
     let mut spreads: Vec<f64> = sampled.filter_map(|p| spread_at(p, &cameras)).collect();
     spreads.sort_by(f64::total_cmp);
     match spreads.get(spreads.len() / 2) {
         Some(median) => Some(*median),
-        None => spread_at(center_of_attention(&dataset.train)?.to_array(), &cameras),
+        None => spread_at(center_of_attention(&dataset.train)?, &cameras),
     }
 }
 
@@ -91,17 +89,17 @@ pub fn spread(dataset: &Dataset) -> Option<f64> {
 pub fn without_filter(splats: &Splats, dataset: &Dataset) -> Result<Splats> {
     let positions =
         (0..splats.len()).map(|i| splats.gather::<3>(Plane::POSITION, i).map(f64::from));
-    let sigma = filter(positions, &cameras(dataset));
+    let sigma = filters(positions, &cameras(dataset));
     splats.unfiltered(&sigma.iter().map(|s| *s as f32).collect::<Vec<_>>())
 }
 
-fn cameras(dataset: &Dataset) -> Vec<Camera64> {
-    let views = dataset.train.iter();
-    views.map(|v| Camera64::new(&v.camera, NEAR)).collect()
+fn cameras(dataset: &Dataset) -> Vec<Camera> {
+    dataset.train.iter().map(|v| v.camera).collect()
 }
 
-fn spread_at(point: [f64; 3], cameras: &[Camera64]) -> Option<f64> {
-    let mut rates: Vec<f64> = cameras.iter().filter_map(|c| rate(point, c)).collect();
+fn spread_at(point: DVec3, cameras: &[Camera]) -> Option<f64> {
+    let rates = cameras.iter().filter_map(|c| c.sampling_rate(point));
+    let mut rates: Vec<f64> = rates.collect();
     if rates.len() < LEAST_VIEWS {
         return None;
     }

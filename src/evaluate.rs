@@ -61,7 +61,8 @@ impl Evaluator {
         &self.views
     }
 
-    /// Renders and scores one view; the clamped image stays in the renderer. `next` are the views to be scored after it.
+    /// Renders and scores one view; none where no pixel of it counts. The clamped image stays in the renderer. `next` are the views
+    /// to be scored after it.
     ///
     /// # Errors
     /// As [`Renderer::render`] and [`ViewSet::photo`].
@@ -71,27 +72,12 @@ impl Evaluator {
         next: &[usize],
         scene: &Scene,
         renderer: &mut Renderer,
-        sh_degree: u32,
         background: [f32; 3],
-    ) -> Result<ViewScore> {
-        let counting = self.score_counting(view, next, scene, renderer, sh_degree, background)?;
-        Ok(counting.0)
-    }
-
-    /// [`Evaluator::score`], and how many pixels counted.
-    fn score_counting(
-        &self,
-        view: usize,
-        next: &[usize],
-        scene: &Scene,
-        renderer: &mut Renderer,
-        sh_degree: u32,
-        background: [f32; 3],
-    ) -> Result<(ViewScore, f64)> {
+    ) -> Result<Option<ViewScore>> {
         let photo = self.views.photo(view, next)?;
         let camera = &self.views.cameras[view];
         let options = RenderOptions {
-            sh_degree,
+            sh_degree: scene.sh_degree,
             background,
             quantity: Quantity::Color,
             live_only: false,
@@ -111,7 +97,7 @@ impl Evaluator {
             ssim,
             ..ViewScore::default()
         };
-        Ok((score, counted))
+        Ok((counted > 0.0).then_some(score))
     }
 
     /// PSNR and SSIM of an image, which is clamped in place, and how many pixels count. Where nothing counts nothing differs.
@@ -141,7 +127,7 @@ impl Evaluator {
         flip::flip(&planes, &image.rgb, image.width, image.height, &mask)
     }
 
-    /// Scores every view of which anything counts by PSNR and SSIM.
+    /// Scores every view of which anything counts by PSNR and SSIM and, if `with_flip`, by ꟻLIP, which is taken on the host.
     ///
     /// # Errors
     /// As [`Renderer::render`] and [`ViewSet::photo`].
@@ -149,41 +135,20 @@ impl Evaluator {
         &self,
         scene: &Scene,
         renderer: &mut Renderer,
-        sh_degree: u32,
         background: [f32; 3],
+        with_flip: bool,
     ) -> Result<Vec<ViewScore>> {
         let all: Vec<usize> = (0..self.views.len()).collect();
         let mut scores = Vec::with_capacity(all.len());
         for v in 0..all.len() {
             let next = &all[v + 1..];
-            let (score, counted) =
-                self.score_counting(v, next, scene, renderer, sh_degree, background)?;
-            scores.extend((counted > 0.0).then_some(score));
-        }
-        Ok(scores)
-    }
-
-    /// Scores every view of which anything counts by PSNR, SSIM and ꟻLIP, the last of them on the host.
-    ///
-    /// # Errors
-    /// As [`Evaluator::score_all`].
-    pub fn score_all_with_flip(
-        &self,
-        scene: &Scene,
-        renderer: &mut Renderer,
-        sh_degree: u32,
-        background: [f32; 3],
-    ) -> Result<Vec<ViewScore>> {
-        let all: Vec<usize> = (0..self.views.len()).collect();
-        let mut scores = Vec::with_capacity(all.len());
-        for v in 0..all.len() {
-            let next = &all[v + 1..];
-            let (score, counted) =
-                self.score_counting(v, next, scene, renderer, sh_degree, background)?;
-            if counted > 0.0 {
-                let flip = Some(self.flip(v, renderer, background)?);
-                scores.push(ViewScore { flip, ..score });
+            let Some(mut score) = self.score(v, next, scene, renderer, background)? else {
+                continue;
+            };
+            if with_flip {
+                score.flip = Some(self.flip(v, renderer, background)?);
             }
+            scores.push(score);
         }
         Ok(scores)
     }

@@ -4,6 +4,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::config::ExposureChoice;
+use crate::dataset::Alpha;
+use crate::error::{Error, Result};
+
 /// Views that are compared at most.
 const MOST_VIEWS: usize = 64;
 /// A view is compared for so many iterations of the run, so that it takes about a hundredth of the time.
@@ -18,8 +22,29 @@ pub const LEAST_SPREAD: f64 = 0.08;
 const USABLE: [f32; 2] = [0.04, 0.96];
 /// Pixels count where no more transmittance than this is left: elsewhere the background is compared with itself.
 const MOST_TRANSMITTANCE: f32 = 0.5;
+/// The transform that changes nothing, row-major \[A | b\].
+pub const IDENTITY: [f64; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 /// Pixels that a gain needs.
 const LEAST_PIXELS: usize = 50;
+
+/// Why photos with transparent pixels have no transforms.
+pub const TRANSPARENT: &str = "no camera saw the background that transparent photos are composited over, and a transform would change it, too";
+
+/// Refuses transforms of transparent photos; `auto` leaves them off.
+///
+/// # Errors
+/// Transforms asked for, and photos whose alpha is transparency.
+pub fn check(choice: ExposureChoice, alpha: Alpha) -> Result<()> {
+    if choice == ExposureChoice::On && alpha == Alpha::Transparency {
+        let fix =
+            "leave it to auto or off, or, if their alpha says what counts, give --alpha-is-mask";
+        return Err(Error::config(
+            "--exposure",
+            format!("on; {TRANSPARENT}: {fix}"),
+        ));
+    }
+    Ok(())
+}
 
 /// What was decided on per-image exposure where the configuration leaves it open.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

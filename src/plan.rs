@@ -5,12 +5,13 @@ use serde::{Deserialize, Serialize};
 use crate::antialias::AntiAlias;
 use crate::config::{ExposureChoice, Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Alpha, Dataset, View};
-use crate::exposure::Decision;
+use crate::exposure::{Decision, TRANSPARENT};
 use crate::schedule::Schedule;
 use crate::train::{BAND_WORTH, Findings};
 
 /// Items that training decides.
 const COLOUR: &str = "view-dependent colour";
+const EXPOSURE: &str = "per-image exposure";
 const UNSEEN: &str = "Gaussians that no training view shows";
 
 /// One decision.
@@ -54,7 +55,7 @@ impl Plan {
         plan.decide(filters.on, "anti-aliasing", &filters.why, &filters.why);
         plan.decide_work(dataset, config);
         plan.sampler(config);
-        plan.exposure(config.exposure, None);
+        plan.exposure(config.exposure, dataset.alpha());
         plan.decide(
             !dataset.test.is_empty(),
             "held-out evaluation",
@@ -196,23 +197,24 @@ impl Plan {
         }
     }
 
-    /// Whether exposure is compensated: as the configuration says or, where it leaves that open, as was decided on the way.
-    pub fn exposure(&mut self, choice: ExposureChoice, decision: Option<Decision>) {
-        let what = "per-image exposure";
-        for list in [&mut self.kept, &mut self.left_out] {
-            list.retain(|item| item.what != what);
-        }
-        let (on, why) = match (choice, decision) {
-            (ExposureChoice::On, _) => (true, "exposure is on".to_owned()),
-            (ExposureChoice::Off, _) => (false, "exposure is off".to_owned()),
-            (ExposureChoice::Auto, Some(d)) => (d.on, d.why()),
-            (ExposureChoice::Auto, None) => {
-                let open =
-                    "photos are compared with their renders first: on if their brightness varies";
-                (false, open.to_owned())
-            }
+    /// Whether exposure is compensated, as far as the configuration and the photos say.
+    fn exposure(&mut self, choice: ExposureChoice, alpha: Alpha) {
+        let (on, why) = match (choice, alpha) {
+            (ExposureChoice::On, _) => (true, "exposure is on"),
+            (ExposureChoice::Off, _) => (false, "exposure is off"),
+            (ExposureChoice::Auto, Alpha::Transparency) => (false, TRANSPARENT),
+            (ExposureChoice::Auto, _) => (
+                false,
+                "photos are compared with their renders first: on if their brightness varies",
+            ),
         };
-        self.decide(on, what, &why, &why);
+        self.decide(on, EXPOSURE, why, why);
+    }
+
+    /// What was decided on exposure on the way.
+    pub(crate) fn exposure_decided(&mut self, decision: Decision) {
+        let why = decision.why();
+        self.decide(decision.on, EXPOSURE, &why, &why);
     }
 
     fn sampler(&mut self, config: &TrainConfig) {

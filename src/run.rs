@@ -140,10 +140,7 @@ impl Run {
         if saved.dataset != dataset.fingerprint() {
             return Err(Error::input(
                 &dataset.path,
-                format!(
-                    "its views are not those that {} was trained on",
-                    dir.display()
-                ),
+                dataset.not_that_of(dir),
                 "give the dataset of that run, or start anew with -o",
             ));
         }
@@ -242,6 +239,7 @@ impl Run {
                 self.interrupt()?;
                 return Err(Error::Interrupted);
             }
+            self.prepare()?;
             self.trainer.step()?;
             self.density_step()?;
             let done = self.trainer.iteration();
@@ -275,6 +273,17 @@ impl Run {
         self.checkpoint()?;
         self.export()?;
         self.report()
+    }
+
+    /// What comes before an iteration. Compilers are not waited for in training time.
+    fn prepare(&mut self) -> Result<()> {
+        if self.trainer.prepare()? {
+            self.clock.pause();
+            let built = self.trainer.build_exposure();
+            self.clock.resume();
+            built?;
+        }
+        Ok(())
     }
 
     fn density_step(&mut self) -> Result<()> {

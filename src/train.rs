@@ -174,6 +174,7 @@ impl Trainer {
     ) -> Result<Self> {
         let device = &views.photos().device().clone();
         config.validate()?;
+        crate::exposure::check(config.exposure, views.alpha)?;
         check_start(splats)?;
         let (tuning, degree) = (device.tuning(), config.sh_degree);
         let defines = defines(device, &views, config, anti_alias);
@@ -339,8 +340,9 @@ impl Trainer {
     /// # Errors
     /// More than the device can allocate, or the driver's.
     pub fn step(&mut self) -> Result<()> {
-        self.look_after_bands()?;
-        self.begin_exposure()?;
+        if self.prepare()? {
+            self.build_exposure()?;
+        }
         self.enqueue_step(self.iteration, self.scene.sh_degree)?;
         self.in_flight.push_back(InFlight {
             iteration: self.iteration,

@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use mhsplat::antialias::{AntiAlias, LEAST_SPREAD, spread};
 use mhsplat::buffers::Scene;
 use mhsplat::config::{AntiAliasing, Init, Sampler};
-use mhsplat::dataset::{Camera, Dataset, Frame, Photo, PhotoSource, View};
+use mhsplat::dataset::{Camera, Dataset, Frame, Lens, Photo, PhotoSource, View};
 use mhsplat::export::{checkpoint, ply};
 use mhsplat::gpu::{Defines, Device};
 use mhsplat::model::{Plane, Splats};
@@ -136,6 +136,7 @@ fn circle(factor: f64) -> Dataset {
                 width: 32,
                 height: 32,
             },
+            lens: Lens::Pinhole,
             photo: PhotoSource::Memory(Arc::new(photo)),
         }
     };

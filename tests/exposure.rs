@@ -1,8 +1,10 @@
 //! Per-image exposure: photos of different brightness.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
+use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::{drive, room, saved};
 use mhsplat::buffers::ViewSet;
 use mhsplat::config::ExposureChoice;
@@ -14,7 +16,7 @@ use mhsplat::exposure::{Decision, compared, exposed, gain, spread, unexposed};
 use mhsplat::gpu::{Defines, Device};
 use mhsplat::photos::Photos;
 use mhsplat::report::{Clock, RunRecord};
-use mhsplat::run::{Run, initial_splats};
+use mhsplat::run::{Progress, Run, initial_splats};
 use mhsplat::{TrainConfig, Trainer};
 
 /// Gain of the k-th photo: 0.7 to 1.3 in no order.
@@ -35,14 +37,13 @@ fn copy_folder(from: &Path, to: &Path) {
     }
 }
 
-/// The bundled scene, its photos brightened and darkened, at `max_size`; with the gain of each training view.
-fn altered(max_size: u32) -> (Dataset, Vec<f64>) {
-    let folder = tempfile::tempdir().unwrap();
+/// The bundled scene in `folder`, its photos brightened and darkened; their names in the order of their gains.
+fn alter(folder: &Path) -> Vec<PathBuf> {
     copy_folder(
         &Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny"),
-        folder.path(),
+        folder,
     );
-    let files = std::fs::read_dir(folder.path().join("images")).unwrap();
+    let files = std::fs::read_dir(folder.join("images")).unwrap();
     let mut files: Vec<_> = files.map(|f| f.unwrap().path()).collect();
     files.sort();
     for (k, file) in files.iter().enumerate() {
@@ -52,6 +53,13 @@ fn altered(max_size: u32) -> (Dataset, Vec<f64>) {
         }
         photo.save(file).unwrap();
     }
+    files
+}
+
+/// What [`alter`] makes, at `max_size`; with the gain of each training view.
+fn altered(max_size: u32) -> (Dataset, Vec<f64>) {
+    let folder = tempfile::tempdir().unwrap();
+    let files = alter(folder.path());
     let options = LoadOptions {
         max_size,
         ..LoadOptions::default()
@@ -95,9 +103,11 @@ fn corrected_psnr(data: &Dataset, trainer: &mut Trainer) -> f64 {
     let views = ViewSet::new(&Photos::new(&device, data.image_budget), data.test.clone()).unwrap();
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
     let (scene, renderer) = trainer.scene_and_renderer();
-    let mut scores = evaluator.score_all(scene, renderer, 1, [0.0; 3]).unwrap();
+    let mut scores = evaluator
+        .score_all(scene, renderer, [0.0; 3], false)
+        .unwrap();
     evaluator
-        .add_color_corrected(&mut scores, scene, renderer, 1, [0.0; 3])
+        .add_color_corrected(&mut scores, scene, renderer, [0.0; 3])
         .unwrap();
     for s in &scores {
         assert!(s.cc_psnr.unwrap() > s.psnr - 0.05, "{s:?}");
@@ -134,23 +144,34 @@ fn altered_photos_are_learned_better_and_their_gains_found() {
     assert!(on > off + 0.5, "{on} {off}");
 }
 
-/// The record of a run of 500 iterations with everything left open.
-fn decided(data: Dataset) -> RunRecord {
+/// The record of a run of 500 iterations with everything left open, and the seconds of iteration 301 that the training clock stood.
+fn decided(data: Dataset) -> (RunRecord, f64) {
     let folder = tempfile::tempdir().unwrap();
     let device = Device::open(None).unwrap();
     let mut config = config(500, ExposureChoice::Auto);
     config.eval_every = Some(0);
     let clock = Clock::start();
     let mut run = Run::start(folder.path(), data, config, &device, clock).unwrap();
-    run.drive(&AtomicBool::new(false), |_| {}).unwrap();
+    let (mut before, mut stood) = ((Instant::now(), 0.0), 0.0);
+    let clocks = |p: &Progress| {
+        let now = (Instant::now(), p.train_seconds);
+        if p.iteration == 301 {
+            stood = (now.0 - before.0).as_secs_f64() - (now.1 - before.1);
+        }
+        before = now;
+    };
+    run.drive(&AtomicBool::new(false), clocks).unwrap();
     let read = RunRecord::read(folder.path()).unwrap();
     assert_eq!(read.plan, run.record().plan);
-    read
+    (read, stood)
 }
 
 #[test]
 fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
-    let record = decided(altered(96).0);
+    let (record, stood) = decided(altered(96).0);
+    // Its kernels are compiled before that iteration.
+    println!("the training clock stood for {stood:.4} s");
+    assert!(stood > 1e-3, "{stood}");
     let find = |list: &[mhsplat::plan::Item]| {
         let mut items = list.iter().filter(|i| i.what == "per-image exposure");
         (items.next().map(|i| i.why.clone()), items.count())
@@ -162,7 +183,7 @@ fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
     let scores = record.final_scores.unwrap();
     assert!(scores.cc_psnr.unwrap() > scores.psnr && scores.cc_ssim.is_some());
     assert!(record.stages.iter().any(|s| s.name == "exposure"));
-    let record = decided(room(96));
+    let (record, _) = decided(room(96));
     let left = find(&record.plan.left_out);
     println!("{left:?}");
     assert!(left.0.unwrap().contains("spread") && find(&record.plan.kept).0.is_none());
@@ -189,6 +210,63 @@ fn where_it_is_off_nothing_of_it_runs_and_no_bit_changes() {
     assert!(auto.0 == off.0, "looking must change nothing");
     let on = run(ExposureChoice::On);
     assert!(on.1 && on.0 != off.0);
+}
+
+/// The altered scene with the left eighth of its photos transparent.
+fn cut_out(folder: &Path) {
+    for file in alter(folder) {
+        let mut photo = image::open(&file).unwrap().to_rgba8();
+        let edge = photo.width() / 8;
+        for (x, _, pixel) in photo.enumerate_pixels_mut() {
+            pixel[3] = if x < edge { 0 } else { 255 };
+        }
+        photo.save(&file).unwrap();
+    }
+}
+
+#[test]
+fn transparent_photos_get_no_transforms_and_masked_ones_do() {
+    let folder = tempfile::tempdir().unwrap();
+    cut_out(folder.path());
+    let read = |alpha_is_mask| {
+        let options = LoadOptions {
+            max_size: 64,
+            alpha_is_mask,
+            ..LoadOptions::default()
+        };
+        load(folder.path(), &options).unwrap()
+    };
+    let [transparent, masked] = [false, true].map(read);
+    assert!(transparent.background_matters() && !masked.background_matters());
+    let auto = config(360, ExposureChoice::Auto);
+    let looked = trained(&masked, &auto, 301);
+    assert!(looked.exposure_decision().unwrap().on && looked.compensates_exposure());
+    let left = trained(&transparent, &auto, 301);
+    assert!(left.exposure_decision().is_none() && !left.compensates_exposure());
+    let why = |data: &Dataset| {
+        let items = mhsplat::Plan::new(data, &auto).left_out;
+        let mut items = items.iter().filter(|i| i.what == "per-image exposure");
+        items.next().unwrap().why.clone()
+    };
+    assert!(why(&transparent).contains("transparent photos"));
+    assert!(why(&masked).contains("compared with their renders"));
+}
+
+#[test]
+fn exposure_of_transparent_photos_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (photos, run) = (folder.path().join("photos"), folder.path().join("run"));
+    cut_out(&photos);
+    let base = ["train", text(&photos), "-o", text(&run), "--exposure", "on"];
+    let base = [&base[..], &["--iterations", "3", "--max-size", "64"]].concat();
+    let refused = mhsplat(&base);
+    let said = stderr(&refused);
+    assert_eq!(refused.status.code(), Some(2), "{said}");
+    for word in ["--exposure", "transparent", "--alpha-is-mask"] {
+        assert!(said.contains(word), "{word}: {said}");
+    }
+    assert!(!run.exists(), "a refused run left its folder");
+    done(&[&base[..], &["--alpha-is-mask"]].concat());
 }
 
 #[test]

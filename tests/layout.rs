@@ -197,6 +197,32 @@ fn dependencies_point_one_way() {
     }
 }
 
+/// Files and folders below src that may use the f64 reference: what runs must not wait for code that is slow and obvious.
+const OF_THE_REFERENCE: [&str; 3] = ["reference", "verify", "bench/precision.rs"];
+
+#[test]
+fn only_checks_use_the_reference() {
+    let src = root().join("src");
+    let uses = |source: &str| {
+        let mut lines = source.lines();
+        lines.any(|l| l.contains("reference::") || l.contains("crate::reference"))
+    };
+    let [mut inside, mut outside] = [0, 0];
+    for file in files("src", "rs") {
+        let source = text(&file);
+        if OF_THE_REFERENCE
+            .iter()
+            .any(|p| file.starts_with(src.join(p)))
+        {
+            inside += usize::from(uses(&source));
+        } else {
+            outside += 1;
+            assert!(!uses(&source), "{}", file.display());
+        }
+    }
+    assert!(inside > 10 && outside > 100, "{inside} {outside}");
+}
+
 #[test]
 fn clap_stays_in_the_command_line() {
     for file in files("src", "rs") {

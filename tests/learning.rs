@@ -21,9 +21,13 @@ fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let evaluator = Evaluator::new(&device, defines, views).unwrap();
     let score = |trainer: &mut Trainer| {
         let (scene, renderer) = trainer.scene_and_renderer();
-        mean(&evaluator.score_all(scene, renderer, 3, [0.0; 3]).unwrap())
-            .unwrap()
-            .0
+        mean(
+            &evaluator
+                .score_all(scene, renderer, [0.0; 3], false)
+                .unwrap(),
+        )
+        .unwrap()
+        .0
     };
     let before = score(&mut trainer);
     while trainer.iteration() < config.iterations {

@@ -64,14 +64,12 @@ fn scores(views: &[View]) -> (Vec<ViewScore>, Vec<f32>) {
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
     let (scene, renderer) = trainer.scene_and_renderer();
     let mut scores = evaluator
-        .score_all_with_flip(scene, renderer, 0, [0.0; 3])
+        .score_all(scene, renderer, [0.0; 3], true)
         .unwrap();
     evaluator
-        .add_color_corrected(&mut scores, scene, renderer, 0, [0.0; 3])
+        .add_color_corrected(&mut scores, scene, renderer, [0.0; 3])
         .unwrap();
-    evaluator
-        .score(0, &[], scene, renderer, 0, [0.0; 3])
-        .unwrap();
+    evaluator.score(0, &[], scene, renderer, [0.0; 3]).unwrap();
     let camera = &evaluator.views().cameras[0];
     (scores, renderer.read_image(camera).unwrap().rgb)
 }

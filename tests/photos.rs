@@ -213,7 +213,7 @@ fn trained(budget: u64) -> (Splats, Vec<ViewScore>, PhotoStats) {
         if trainer.iteration().is_multiple_of(30) {
             trainer.settle().unwrap();
             let (scene, renderer) = trainer.scene_and_renderer();
-            let all = evaluator.score_all(scene, renderer, 3, [0.0; 3]);
+            let all = evaluator.score_all(scene, renderer, [0.0; 3], false);
             scores.extend(all.unwrap());
         }
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::{DMat3, DVec3};
 
 use crate::config::{AntiAliasing, OptimizerConfig, Sampler, TrainConfig, WorkConfig};
-use crate::dataset::{Camera, Dataset, Frame, Layout, Photo, Points, View};
+use crate::dataset::{Camera, Dataset, Frame, Layout, Lens, Photo, Points, View};
 use crate::model::{Plane, Splats};
 use crate::rng::{Philox, Purpose};
 use crate::stage::adam::LearningRates;
@@ -87,6 +87,7 @@ pub fn dataset(cameras: &[Camera]) -> Dataset {
     let view = |(k, camera): (usize, &Camera)| View {
         name: format!("{k}"),
         camera: *camera,
+        lens: Lens::Pinhole,
         photo: photo(camera).into(),
     };
     Dataset {

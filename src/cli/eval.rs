@@ -62,11 +62,10 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let defines = Defines::new(loaded.device.tuning());
     let evaluator = Evaluator::new(&loaded.device, defines, views)?;
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
-    let degree = loaded.scene.sh_degree;
     let (scene, renderer) = (&loaded.scene, &mut loaded.renderer);
-    let mut scores = evaluator.score_all_with_flip(scene, renderer, degree, background)?;
+    let mut scores = evaluator.score_all(scene, renderer, background, true)?;
     if args.color_corrected {
-        evaluator.add_color_corrected(&mut scores, scene, renderer, degree, background)?;
+        evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
     }
     let corrected = mean_corrected(&scores);
     let (psnr, ssim) = mean(&scores).unwrap_or((0.0, 0.0));

@@ -2,6 +2,8 @@
 
 use glam::{DMat3, DVec3};
 
+use crate::constants::{FILTER_MARGIN, NEAR};
+
 /// A pinhole camera: x right, y down, z forward; pixel centres at +0.5.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
@@ -28,6 +30,21 @@ impl Camera {
     #[must_use]
     pub fn center(&self) -> DVec3 {
         -(self.rotation.transpose() * self.translation)
+    }
+
+    /// Pixels per local unit that this camera takes at a point, f/z with the larger focal length, if its image has the point, widened by
+    /// [`FILTER_MARGIN`] on each side (Mip-Splatting, Yu et al. 2024, Eq. 6).
+    #[must_use]
+    pub fn sampling_rate(&self, x: DVec3) -> Option<f64> {
+        let t = self.rotation * x + self.translation;
+        let inside = |p: f64, size: u32| {
+            let size = f64::from(size);
+            p >= -FILTER_MARGIN * size && p <= (1.0 + FILTER_MARGIN) * size
+        };
+        let seen = t.z > NEAR
+            && inside(self.fx * t.x / t.z + self.cx, self.width)
+            && inside(self.fy * t.y / t.z + self.cy, self.height);
+        seen.then(|| self.fx.max(self.fy) / t.z)
     }
 
     /// The same camera for a photo resampled to `width` × `height` pixels. Focal lengths and principal point scale per

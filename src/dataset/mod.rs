@@ -55,6 +55,8 @@ pub struct View {
     pub name: String,
     /// Camera in the dataset's local frame, intrinsics at the photo's (downscaled) resolution.
     pub camera: Camera,
+    /// What the lens did to the photo as it is in its file; undone when it is read.
+    pub lens: Lens,
     /// The photo, of the camera's width and height.
     pub photo: PhotoSource,
 }
@@ -94,8 +96,8 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Tells datasets, splits and resolutions apart: 16 hexadecimal digits from layout, names, sizes and cameras of the
-    /// views and their split, not from the photos' pixels.
+    /// Tells datasets, splits and resolutions apart: 16 hexadecimal digits from layout, names, sizes, cameras and lenses of the
+    /// views, their masks and their split, not from the photos' colours.
     #[must_use]
     pub fn fingerprint(&self) -> String {
         // FNV-1a, 64 bits.
@@ -113,8 +115,12 @@ impl Dataset {
                 let c = &view.camera;
                 take(&c.width.to_le_bytes());
                 take(&c.height.to_le_bytes());
-                if view.photo.alpha() == Alpha::Mask {
+                if let Some(mask) = view.photo.mask_digest() {
                     take(b"mask");
+                    take(&mask.to_le_bytes());
+                }
+                if view.lens != Lens::Pinhole {
+                    take(format!("{:?}", view.lens).as_bytes());
                 }
                 let pose = c.rotation.to_cols_array().into_iter();
                 let lens = [c.fx, c.fy, c.cx, c.cy];
@@ -124,6 +130,14 @@ impl Dataset {
             }
         }
         format!("{hash:016x}")
+    }
+
+    /// What to say where this is not the dataset that a run has by its [`Dataset::fingerprint`].
+    pub(crate) fn not_that_of(&self, run: &Path) -> String {
+        let run = run.display();
+        format!(
+            "its views are not those of {run}: names, sizes, cameras, lenses, masks or split differ"
+        )
     }
 
     /// What the photos' alpha says: the same for all of them.

@@ -91,6 +91,13 @@ impl Photo {
         }
     }
 
+    /// The alpha plane, if it is a mask.
+    pub(super) fn mask_plane(&self) -> Option<&[u8]> {
+        let pixels = self.width as usize * self.height as usize;
+        let plane = self.data.get(3 * pixels..4 * pixels);
+        plane.filter(|_| self.alpha() == Alpha::Mask)
+    }
+
     /// What a render is compared with: interleaved RGB8, `[height][width][3]`. Over a background (RGB in [0, 1]) as far as the
     /// photo is transparent; under a mask as far as it counts, whatever the background.
     #[must_use]

@@ -147,6 +147,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         .map(|((raw, camera), photo)| View {
             name: raw.name,
             camera,
+            lens: raw.lens,
             photo,
         });
     Ok(Dataset {

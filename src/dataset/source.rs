@@ -32,6 +32,24 @@ pub struct PhotoFile {
     height: u32,
     /// 3, or 4 where the photo may have an alpha plane: at first what the header says, then what all photos have.
     channels: u32,
+    /// [`digest`] of the mask that the photo was found to have, of one that is white all over where it has none.
+    mask_digest: u64,
+}
+
+/// A number that changes when a byte does: FNV-1a over words of eight bytes, with the upper half mixed into the lower one.
+fn digest(bytes: &[u8]) -> u64 {
+    let step = |hash: u64, word: u64| {
+        let hash = (hash ^ word).wrapping_mul(0x0100_0000_01b3);
+        hash ^ (hash >> 32)
+    };
+    let mut words = bytes.chunks_exact(8);
+    let mut hash = 0xcbf2_9ce4_8422_2325;
+    for word in words.by_ref() {
+        let word = word.iter().fold(0, |sum, b| sum << 8 | u64::from(*b));
+        hash = step(hash, word);
+    }
+    let rest = words.remainder().iter();
+    rest.fold(hash, |hash, b| step(hash, u64::from(*b)))
 }
 
 impl From<Photo> for PhotoSource {
@@ -74,6 +92,15 @@ impl PhotoSource {
         }
     }
 
+    /// A number that changes when the photo's mask, as it was decoded, does; none without masks.
+    #[must_use]
+    pub fn mask_digest(&self) -> Option<u64> {
+        match self {
+            Self::Memory(photo) => photo.mask_plane().map(digest),
+            Self::File(file) => (self.alpha() == Alpha::Mask).then_some(file.mask_digest),
+        }
+    }
+
     /// Bytes of the decoded photo, `channels × height × width`.
     #[must_use]
     pub fn bytes(&self) -> u64 {
@@ -108,6 +135,17 @@ impl PhotoFile {
             mask,
             width,
             height,
+            mask_digest: 0,
+        }
+    }
+
+    /// [`digest`] of a photo's mask, as [`PhotoFile::load`] would give it; 0 without masks.
+    fn mask_digest_of(&self, photo: &Photo) -> u64 {
+        let white = || vec![255; photo.width as usize * photo.height as usize];
+        match (&self.mask, photo.mask_plane()) {
+            (Mask::None, _) => 0,
+            (_, Some(plane)) => digest(plane),
+            (_, None) => digest(&white()),
         }
     }
 
@@ -183,10 +221,14 @@ pub(super) fn read(mut files: Vec<PhotoFile>, budget: u64) -> Result<Vec<PhotoSo
     };
     let fits = with_channels(&mut files, most) <= budget;
     let decoded: Vec<(bool, Option<Photo>)> = files
-        .par_iter()
+        .par_iter_mut()
         .map(|f| {
             let photo = f.decoded()?;
-            Ok((photo.channels == 4, fits.then_some(photo)))
+            let transparent = photo.channels == 4;
+            if !fits {
+                f.mask_digest = f.mask_digest_of(&photo);
+            }
+            Ok((transparent, fits.then_some(photo)))
         })
         .collect::<Result<_>>()?;
     let alpha = decoded.iter().any(|(transparent, _)| *transparent);

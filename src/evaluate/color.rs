@@ -5,6 +5,7 @@
 use super::Evaluator;
 use crate::buffers::Scene;
 use crate::error::Result;
+use crate::exposure::exposed;
 use crate::gpu::Array;
 use crate::gpu::tuning::TILE;
 use crate::render::Renderer;
@@ -60,9 +61,16 @@ pub fn fit(render: &[f32], photo: &[f32], mask: &[f32]) -> [f64; 12] {
 /// A x + b of a planar image \[3, pixels\].
 #[must_use]
 pub fn corrected(render: &[f32], e: &[f64; 12]) -> Vec<f32> {
-    let image: Vec<f64> = render.iter().map(|v| f64::from(*v)).collect();
-    let out = crate::reference::exposure::apply(&image, e);
-    out.into_iter().map(|v| v as f32).collect()
+    let e = e.map(|v| v as f32);
+    let n = render.len() / 3;
+    let mut out = vec![0.0; 3 * n];
+    for i in 0..n {
+        let color = exposed(&e, [0, 1, 2].map(|c| render[c * n + i]));
+        for (c, v) in color.into_iter().enumerate() {
+            out[c * n + i] = v;
+        }
+    }
+    out
 }
 
 impl Evaluator {
@@ -75,7 +83,6 @@ impl Evaluator {
         scores: &mut [ViewScore],
         scene: &Scene,
         renderer: &mut Renderer,
-        sh_degree: u32,
         background: [f32; 3],
     ) -> Result<()> {
         for score in scores {
@@ -83,7 +90,7 @@ impl Evaluator {
                 continue;
             };
             // Leaves the clamped image in the renderer.
-            self.score(view, &[], scene, renderer, sh_degree, background)?;
+            self.score(view, &[], scene, renderer, background)?;
             let camera = &self.views.cameras[view];
             let image = renderer.read_image(camera)?;
             let photo = self.views.read_photo(view)?;

@@ -1,7 +1,11 @@
-//! Mip-Splatting's 3D filter (Yu et al., CVPR 2024, Eq. 9) put into scales and opacities, and taken out of them again.
+//! Mip-Splatting's 3D filter (Yu et al., CVPR 2024): its size (Eq. 6 to 8), put into scales and opacities (Eq. 9), and taken out of
+//! them again.
+
+use glam::DVec3;
 
 use super::{Plane, Splats};
-use crate::constants::LOG_SCALE;
+use crate::constants::{FILTER_VARIANCE, LOG_SCALE};
+use crate::dataset::Camera;
 use crate::error::{Error, Result};
 
 /// Least share of a squared scale that is taken for the Gaussian's own where the rest is the filter's: below, f32 knows nothing.
@@ -17,6 +21,25 @@ fn ln_opacity(logit: f64) -> f64 {
 /// The logit of an opacity's logarithm, 1 − o without cancellation.
 fn logit_of(ln_o: f64) -> f64 {
     ln_o - (-ln_o.exp_m1()).ln()
+}
+
+/// Standard deviation of the 3D filter of a Gaussian at every position, local units \[N\]: √0.2 over the highest sampling rate of the
+/// views that see its centre ([`Camera::sampling_rate`]); the largest of the others for a Gaussian that no view sees, 0 for all
+/// if none is seen.
+#[must_use]
+pub fn filters(positions: impl Iterator<Item = [f64; 3]>, cameras: &[Camera]) -> Vec<f64> {
+    let own: Vec<Option<f64>> = positions
+        .map(|x| {
+            let rates = cameras
+                .iter()
+                .filter_map(|c| c.sampling_rate(DVec3::from_array(x)));
+            rates
+                .reduce(f64::max)
+                .map(|rate| FILTER_VARIANCE.sqrt() / rate)
+        })
+        .collect();
+    let largest = own.iter().flatten().copied().fold(0.0, f64::max);
+    own.into_iter().map(|v| v.unwrap_or(largest)).collect()
 }
 
 impl Splats {

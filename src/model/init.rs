@@ -1,13 +1,11 @@
 //! The first Gaussians: one per sparse point, or random ones.
 
 use super::knn::mean_squared_distances;
+use super::sh::C0;
 use super::{Plane, Splats};
 use crate::dataset::{Dataset, Points};
 use crate::error::{Error, Result};
 use crate::rng::{Philox, Purpose};
-
-/// Value of the constant SH basis function, ½·√(1/π).
-const SH_C0: f64 = 0.282_094_791_773_878_14;
 
 /// Opacity of a new Gaussian (3DGS §5.1).
 const OPACITY: f64 = 0.1;
@@ -150,7 +148,7 @@ fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<
         };
         splats.scatter(Plane::POSITION, i, p);
         splats.scatter(Plane::LOG_SCALE, i, [scale.ln() as f32; 3]);
-        splats.scatter(Plane::SH, i, c.map(|v| ((v - 0.5) / SH_C0) as f32));
+        splats.scatter(Plane::SH, i, c.map(|v| ((v - 0.5) / C0) as f32));
     }
     Ok(splats)
 }

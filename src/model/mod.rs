@@ -7,7 +7,9 @@ pub mod knn;
 pub mod morton;
 mod orbit;
 pub mod refit;
+pub(crate) mod sh;
 mod splats;
 
+pub use filtered::filters;
 pub use orbit::orbit;
 pub use splats::{Plane, Splats, sh_coefficients};

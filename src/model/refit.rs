@@ -2,9 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{Plane, Splats, sh_coefficients};
+use super::{Plane, Splats, sh, sh_coefficients};
 use crate::error::Result;
-use crate::reference::sh;
 
 /// Added to the normal matrix's diagonal, per direction: what few directions do not determine stays as it is.
 const RIDGE: f64 = 1e-6;

@@ -1,7 +1,6 @@
 //! Twin of `kernels/exposure.cl`: an affine colour transform per image.
 
-/// The identity, row-major \[A | b\].
-pub const IDENTITY: [f64; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+pub use crate::exposure::IDENTITY;
 
 /// A x + b of every pixel of a planar image \[3, pixels\]; `exposure` is row-major \[A | b\].
 #[must_use]

@@ -28,9 +28,7 @@ pub mod splat;
 pub mod splat_grad;
 pub mod weight;
 
-pub use crate::constants::{
-    ALPHA_MAX, BLUR, COLOR_MAX, FILTER_MARGIN, FILTER_VARIANCE, LOG_SCALE, T_MIN,
-};
+pub use crate::constants::{ALPHA_MAX, BLUR, COLOR_MAX, LOG_SCALE, T_MIN};
 use crate::dataset::Camera;
 use crate::model::{Plane, Splats};
 

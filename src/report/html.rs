@@ -144,14 +144,6 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
         grouped(record.config.iterations.into()),
         escape(&record.version)
     );
-    let last = record.final_scores.as_ref().map(|f| (f.psnr, f.ssim));
-    let last = last.or_else(|| rows.iter().rev().find_map(|r| r.psnr.zip(r.ssim)));
-    let (psnr, ssim) = last.map_or_else(
-        || ("–".to_owned(), "–".to_owned()),
-        |(p, s)| (format!("{} <small>dB</small>", fixed(p, 2)), fixed(s, 4)),
-    );
-    let flip = record.final_scores.as_ref().and_then(|f| f.flip);
-    let flip = flip.map_or_else(|| "–".to_owned(), |v| fixed(v, 4));
     let cpu = match record.cpu_seconds {
         s if s > 0.0 => small_units(&span(s)),
         _ => "<small>not measured</small>".to_owned(),
@@ -163,15 +155,13 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
             bytes as f64 / f64::from(1 << 30)
         ),
     };
-    let heads = [
-        ("PSNR, held-out", psnr),
-        ("SSIM, held-out", ssim),
-        ("FLIP, held-out", flip),
+    let mut heads = score_heads(record.final_scores.as_ref(), rows);
+    heads.extend([
         ("Gaussians", grouped(record.gaussians)),
         ("Training time", small_units(&span(record.train_seconds))),
         ("CPU time", cpu),
         ("Peak memory", memory),
-    ];
+    ]);
     out.push_str("<dl class=heads>");
     for (name, value) in heads {
         let _ = write!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
@@ -181,6 +171,29 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
         "<div class=wide><dt>Device</dt><dd>{}</dd></div></dl>",
         escape(&record.device.name)
     );
+}
+
+/// The last scores of the held-out views, those after a fit of the colours where there are any.
+fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'static str, String)> {
+    let decibels = |v: f64| format!("{} <small>dB</small>", fixed(v, 2));
+    let last = scores.map(|f| (f.psnr, f.ssim));
+    let last = last.or_else(|| rows.iter().rev().find_map(|r| r.psnr.zip(r.ssim)));
+    let (psnr, ssim) = last.map_or_else(
+        || ("–".to_owned(), "–".to_owned()),
+        |(p, s)| (decibels(p), fixed(s, 4)),
+    );
+    let flip = scores.and_then(|f| f.flip);
+    let flip = flip.map_or_else(|| "–".to_owned(), |v| fixed(v, 4));
+    let mut heads = vec![
+        ("PSNR, held-out", psnr),
+        ("SSIM, held-out", ssim),
+        ("FLIP, held-out", flip),
+    ];
+    if let Some((psnr, ssim)) = scores.and_then(|f| f.cc_psnr.zip(f.cc_ssim)) {
+        heads.push(("PSNR, colour-corrected", decibels(psnr)));
+        heads.push(("SSIM, colour-corrected", fixed(ssim, 4)));
+    }
+    heads
 }
 
 fn plan(out: &mut String, record: &RunRecord) {
@@ -259,20 +272,40 @@ fn scores(out: &mut String, scores: Option<&FinalRecord>) {
     let Some(scores) = scores.filter(|s| !s.per_view.is_empty()) else {
         return;
     };
+    let corrected = scores.per_view.iter().any(|s| s.cc_psnr.is_some());
+    let note = if corrected {
+        "<p class=note>Colour-corrected: after the affine fit of the render's colours to the photo's; a held-out view has no \
+         exposure of its own.</p>"
+    } else {
+        ""
+    };
     let _ = write!(
         out,
-        "<details><summary>Scores of all {} held-out views</summary><table>\
-         <tr><th>view</th><th class=n>PSNR, dB</th><th class=n>SSIM</th><th class=n>FLIP</th></tr>",
+        "<details><summary>Scores of all {} held-out views</summary>{note}<table>\
+         <tr><th>view</th><th class=n>PSNR, dB</th><th class=n>SSIM</th><th class=n>FLIP</th>",
         scores.per_view.len()
     );
+    if corrected {
+        out.push_str(
+            "<th class=n>PSNR, colour-corrected, dB</th><th class=n>SSIM, colour-corrected</th>",
+        );
+    }
+    out.push_str("</tr>");
     for score in &scores.per_view {
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td class=n>{}</td><td class=n>{}</td><td class=n>{}</td></tr>",
-            escape(&score.view),
+        let figure = |v: Option<f64>, decimals| fixed(v.unwrap_or(f64::NAN), decimals);
+        let mut row = vec![
             fixed(score.psnr, 2),
             fixed(score.ssim, 4),
-            fixed(score.flip.unwrap_or(f64::NAN), 4)
+            figure(score.flip, 4),
+        ];
+        if corrected {
+            row.extend([figure(score.cc_psnr, 2), figure(score.cc_ssim, 4)]);
+        }
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td class=n>{}</td></tr>",
+            escape(&score.view),
+            row.join("</td><td class=n>")
         );
     }
     out.push_str("</table></details>\n");

@@ -33,7 +33,7 @@ pub struct DatasetRecord {
     pub width: u32,
     /// Largest height of a photo as trained on, in pixels.
     pub height: u32,
-    /// `Dataset::fingerprint`: views, cameras, sizes and split; not in records of earlier versions.
+    /// `Dataset::fingerprint`: views, cameras, lenses, sizes, masks and split; not in records of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fingerprint: Option<String>,
 }

@@ -11,7 +11,9 @@ impl Run {
         let now = self.clock.reading();
         let stages = self.stage_times();
         let mut plan = self.plan.observed(&self.config, self.trainer.findings());
-        plan.exposure(self.config.exposure, self.trainer.exposure_decision());
+        if let Some(decision) = self.trainer.exposure_decision() {
+            plan.exposure_decided(decision);
+        }
         let r = &mut self.record;
         r.plan = plan;
         r.iterations = self.trainer.iteration();

@@ -14,14 +14,15 @@ impl Run {
         };
         let background = self.trainer.schedule().fixed_background();
         let (scene, renderer) = self.trainer.scene_and_renderer();
-        let degree = scene.sh_degree;
         let n = evaluator.views().len();
         let shown = n.min(GALLERY_VIEWS);
         let views: Vec<usize> = (0..shown).map(|k| k * n / shown).collect();
         let mut items = Vec::with_capacity(shown);
         for (k, &view) in views.iter().enumerate() {
             let next = &views[k + 1..];
-            let score = evaluator.score(view, next, scene, renderer, degree, background)?;
+            let Some(score) = evaluator.score(view, next, scene, renderer, background)? else {
+                continue;
+            };
             let image = renderer.read_image(&evaluator.views().cameras[view])?;
             let render = image.rgb8();
             let photo = evaluator.views().read_photo(view)?;

@@ -13,17 +13,12 @@ impl Run {
         let background = self.trainer.schedule().fixed_background();
         let compensates = self.trainer.compensates_exposure();
         let (scene, renderer) = self.trainer.scene_and_renderer();
-        let degree = scene.sh_degree;
         let Some(evaluator) = &self.evaluator else {
             return Ok(None);
         };
-        let mut scores = if last {
-            evaluator.score_all_with_flip(scene, renderer, degree, background)?
-        } else {
-            evaluator.score_all(scene, renderer, degree, background)?
-        };
+        let mut scores = evaluator.score_all(scene, renderer, background, last)?;
         if last && compensates {
-            evaluator.add_color_corrected(&mut scores, scene, renderer, degree, background)?;
+            evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
         }
         let corrected = mean_corrected(&scores);
         Ok(mean(&scores).map(|(psnr, ssim)| FinalRecord {

@@ -108,15 +108,8 @@ pub(super) fn check_unfinished(dir: &Path, dataset: &Dataset) -> Result<()> {
         return Err(Error::input(dir, what, fix));
     }
     if record.dataset.fingerprint.as_deref() != Some(&dataset.fingerprint()) {
-        let what = format!(
-            "its views are not those that {} was begun with",
-            dir.display()
-        );
-        return Err(Error::input(
-            &dataset.path,
-            what,
-            "give the dataset of that run",
-        ));
+        let fix = "give the dataset of that run";
+        return Err(Error::input(&dataset.path, dataset.not_that_of(dir), fix));
     }
     Ok(())
 }

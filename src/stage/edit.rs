@@ -1,5 +1,6 @@
 //! The set of Gaussians changes: rows that density control decided on, another order (`kernels/edit.cl`).
 
+use crate::density;
 use crate::error::Result;
 use crate::gpu::{Array, EditRow, Kernel, Kernels, Real};
 use crate::model::Plane;
@@ -28,6 +29,20 @@ pub struct EditArgs<'a, R: Real> {
     pub moment1: &'a Array<R>,
     /// In/out \[planes, stride\].
     pub moment2: &'a Array<R>,
+}
+
+impl From<&density::Edit> for EditRow {
+    fn from(e: &density::Edit) -> Self {
+        Self {
+            src: e.src,
+            dst: e.dst,
+            position: e.position,
+            log_scale: e.log_scale,
+            opacity_logit: e.opacity_logit,
+            colored: u32::from(e.color.is_some()),
+            color: e.color.unwrap_or_default(),
+        }
+    }
 }
 
 impl Edit {

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::gpu::tuning::status::SLOTS;
-use crate::gpu::{Array, Kernel, Kernels, Real};
+use crate::gpu::{Array, Kernel, Kernels, Launch, Real};
 
 /// Entries of \[A | b\], row-major 3 × 4.
 pub const ENTRIES: usize = 12;
@@ -86,18 +86,23 @@ impl Exposure {
         ENTRIES * self.chunks
     }
 
-    /// A x + b of every pixel into `corrected` \[3, rows, stride\].
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn apply<R: Real>(&self, x: &ExposedImage<'_, R>, corrected: &Array<R>) -> Result<()> {
-        self.apply
+    /// A kernel with what both passes over the image begin with.
+    fn launch<'k, R: Real>(&self, kernel: &'k Kernel, x: &ExposedImage<'_, R>) -> Launch<'k> {
+        kernel
             .launch()
             .array(x.image, 3 * x.plane)
             .value(x.plane as u32)
             .value(self.chunks as u32)
             .array(x.exposures, ENTRIES * (x.view + 1))
             .value(x.view as u32)
+    }
+
+    /// A x + b of every pixel into `corrected` \[3, rows, stride\].
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn apply<R: Real>(&self, x: &ExposedImage<'_, R>, corrected: &Array<R>) -> Result<()> {
+        self.launch(&self.apply, x)
             .array(corrected, 3 * x.plane)
             .run([self.chunks, 1], [self.local, 1])
     }
@@ -113,13 +118,7 @@ impl Exposure {
         dimage: &Array<R>,
         partial: &Array<R>,
     ) -> Result<()> {
-        self.backward
-            .launch()
-            .array(x.image, 3 * x.plane)
-            .value(x.plane as u32)
-            .value(self.chunks as u32)
-            .array(x.exposures, ENTRIES * (x.view + 1))
-            .value(x.view as u32)
+        self.launch(&self.backward, x)
             .array(dimage, 3 * x.plane)
             .array(partial, self.partial_len())
             .run([self.chunks, 1], [self.local, 1])

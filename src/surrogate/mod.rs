@@ -142,10 +142,7 @@ pub fn check(
     if saved.dataset != dataset.fingerprint() {
         return Err(Error::input(
             &dataset.path,
-            format!(
-                "its views are not those that {} was trained on",
-                run.display()
-            ),
+            dataset.not_that_of(run),
             "give the dataset of that run",
         ));
     }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::Trainer;
 use crate::buffers::{Scene, restride};
 use crate::density::{
-    Cues, DensityStats, Edit, Evidence, Outcome, SceneState, ScreenGradient, StepContext, Wanted,
+    Cues, DensityStats, Evidence, Outcome, SceneState, ScreenGradient, StepContext, Wanted,
 };
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg, EditRow};
@@ -25,19 +25,6 @@ pub struct DensityEvent {
     pub gaussians: usize,
     /// This step's statistics.
     pub stats: DensityStats,
-}
-
-/// An edit as the device takes it.
-pub(super) fn row(e: &Edit) -> EditRow {
-    EditRow {
-        src: e.src,
-        dst: e.dst,
-        position: e.position,
-        log_scale: e.log_scale,
-        opacity_logit: e.opacity_logit,
-        colored: u32::from(e.color.is_some()),
-        color: e.color.unwrap_or_default(),
-    }
 }
 
 impl Trainer {
@@ -185,7 +172,7 @@ impl Trainer {
         } else {
             self.cues.clear()?;
         }
-        let rows: Vec<EditRow> = outcome.edits.iter().map(row).collect();
+        let rows: Vec<EditRow> = outcome.edits.iter().map(EditRow::from).collect();
         let edits = Array::from_slice(&self.device, "edits", &rows)?;
         self.edit.run(&self.edit_args(&edits))?;
         self.scene.count = outcome.rows;

@@ -2,10 +2,11 @@
 
 use super::Trainer;
 use crate::config::ExposureChoice;
+use crate::dataset::Alpha;
 use crate::error::{Error, Result};
-use crate::exposure::{self, Decision, exposed, unexposed};
-use crate::gpu::{Array, CameraArg, Device, Kernels};
-use crate::reference::exposure::IDENTITY;
+use crate::exposure::{self, Decision, IDENTITY, exposed, unexposed};
+use crate::gpu::tuning::status::{OVERFLOW, SLOTS};
+use crate::gpu::{Array, CameraArg, Defines, Kernels};
 use crate::stage::exposure::{ENTRIES, ExposedImage, Exposure, ExposureStep};
 use crate::stage::loss::{ImagePair, size_of_image};
 
@@ -54,8 +55,8 @@ impl Compensation {
 }
 
 impl Trainer {
-    fn compensation(&self, device: &Device) -> Result<Compensation> {
-        let kernels = Kernels::new(device, crate::gpu::Defines::new(device.tuning()));
+    fn compensation(&self) -> Result<Compensation> {
+        let kernels = Kernels::new(&self.device, Defines::new(self.device.tuning()));
         let plane = self.dimage.len() / 3;
         let since = self.schedule.exposure_from().unwrap_or(0);
         Compensation::new(&kernels, self.views.len(), plane, since)
@@ -114,6 +115,16 @@ impl Trainer {
         let Some(e) = &self.exposure else {
             return Ok(());
         };
+        self.step_transforms(e, iteration, view, &self.renderer.frame.status)
+    }
+
+    fn step_transforms(
+        &self,
+        e: &Compensation,
+        iteration: u32,
+        view: usize,
+        status: &Array<u32>,
+    ) -> Result<()> {
         let o = &self.config.optimizer;
         e.stage.step(&ExposureStep {
             partial: &e.partial,
@@ -125,32 +136,64 @@ impl Trainer {
             exposures: &e.exposures,
             moments: [&e.moments[0], &e.moments[1]],
             grads: &e.grads,
-            status: &self.renderer.frame.status,
+            status,
         })
     }
 
-    /// Begins to compensate exposure where that is due now and, if it is left open, worth it.
-    pub(super) fn begin_exposure(&mut self) -> Result<()> {
+    /// What comes before the next iteration where that is due: a look at the bands, the decision on exposure. Whether
+    /// [`Trainer::build_exposure`] is to follow; [`Trainer::step`] does both where nobody has. Twice is as good as once.
+    ///
+    /// # Errors
+    /// As [`Trainer::step`].
+    pub fn prepare(&mut self) -> Result<bool> {
+        self.look_after_bands()?;
+        self.exposure_begins()
+    }
+
+    /// Whether exposure is to be compensated from now on: that is due and, if it is left open, worth it; never of transparent
+    /// photos.
+    fn exposure_begins(&mut self) -> Result<bool> {
         if self.schedule.exposure_from() != Some(self.iteration)
-            || self.exposure_decision.is_some()
+            || self.views.alpha == Alpha::Transparency
             || self.exposure.is_some()
         {
-            return Ok(());
+            return Ok(false);
         }
         self.settle()?;
-        if self.config.exposure == ExposureChoice::Auto {
+        if self.config.exposure == ExposureChoice::On {
+            return Ok(true);
+        }
+        if self.exposure_decision.is_none() {
             let views = exposure::compared(self.views.len(), self.config.iterations);
             let mut gains = Vec::with_capacity(views.len());
             for view in views {
                 gains.extend(self.gain(view)?);
             }
-            let decision = Decision::new(self.iteration, &gains);
-            self.exposure_decision = Some(decision);
-            if !decision.on {
-                return Ok(());
-            }
+            self.exposure_decision = Some(Decision::new(self.iteration, &gains));
         }
-        self.exposure = Some(self.compensation(&self.device)?);
+        Ok(self.exposure_decision.is_some_and(|d| d.on))
+    }
+
+    /// Compiles the kernels of exposure and runs each once, so that no iteration waits for them; the transforms are the identity.
+    ///
+    /// # Errors
+    /// A build failure, more than the device can allocate, or the driver's.
+    pub fn build_exposure(&mut self) -> Result<()> {
+        let built = self.compensation()?;
+        let image = ExposedImage {
+            image: &self.renderer.frame.image,
+            plane: self.dimage.len() / 3,
+            exposures: &built.exposures,
+            view: 0,
+        };
+        built.stage.apply(&image, &built.corrected)?;
+        built.stage.backward(&image, &self.dimage, &built.partial)?;
+        // After an overflow the step changes nothing.
+        let status = Array::zeros(&self.device, "status", SLOTS)?;
+        status.write(OVERFLOW as usize, &[1])?;
+        self.step_transforms(&built, self.iteration, 0, &status)?;
+        self.device.finish()?;
+        self.exposure = Some(built);
         Ok(())
     }
 
@@ -196,7 +239,7 @@ impl Trainer {
         self.exposure_decision = decision;
         let wanted = self.config.exposure != ExposureChoice::Off;
         if decision.is_some_and(|d| d.on) || wanted && !rows.is_empty() {
-            self.exposure = Some(self.compensation(&self.device)?);
+            self.build_exposure()?;
         }
         let arrays: Vec<&Array<f32>> = self
             .exposure

@@ -3,7 +3,6 @@
 use std::time::Instant;
 
 use super::Trainer;
-use super::control::row;
 use crate::buffers::{Scene, restride};
 use crate::density::{DensityControl, Edit, Trial};
 use crate::error::Result;
@@ -107,7 +106,7 @@ impl Trainer {
         };
         let faint = |(k, t): (usize, &Trial)| {
             let logit = f64::from(t.birth.opacity_logit);
-            row(&Edit {
+            EditRow::from(&Edit {
                 dst: (n + k) as u32,
                 opacity_logit: scaled_logit(logit, EPSILON_SINGLE) as f32,
                 ..t.birth

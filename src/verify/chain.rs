@@ -1,7 +1,6 @@
 //! Every stage once, in order, on one device and in one precision, with every intermediate result read back.
 
 use super::exposure::ExposureOutputs;
-pub use super::readback::row_of;
 use super::readback::{crop, read_forward, widen};
 use crate::buffers::Scene;
 use crate::dataset::{Camera, Photo};
@@ -347,7 +346,7 @@ impl<R: Real> Run<'_, R> {
         }
         out.adam = [self.planes(&kept)?, self.planes(&m)?, self.planes(&v)?];
         out.non_finite = f.status.read(status::NON_FINITE as usize, 1)?[0];
-        let rows: Vec<EditRow> = case.edits.iter().map(row_of).collect();
+        let rows: Vec<EditRow> = case.edits.iter().map(EditRow::from).collect();
         s.edit.run(&EditArgs {
             edits: &Array::from_slice(device, "edits", &rows)?,
             stride: self.scene.stride,

@@ -132,11 +132,8 @@ pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
         quantity("project_grad", "opacity", flat(&out.grads[10..11])),
         quantity("project_grad", "SH", flat(&out.grads[11..])),
         quantity("adam", "parameters", flat(&out.adam[0])),
-        quantity(
-            "adam",
-            "moments",
-            [flat(&out.adam[1]), flat(&out.adam[2])].concat(),
-        ),
+        quantity("adam", "first moments", flat(&out.adam[1])),
+        quantity("adam", "second moments", flat(&out.adam[2])),
         quantity("noise", "displacement", flat(&out.noise)),
         quantity("screen_grad", "norms", out.screen_grad[0].clone()),
         quantity("screen_grad", "iterations", out.screen_grad[1].clone()),
@@ -175,13 +172,15 @@ fn scores_of(case: &Case, p: &Passage, map: &[f64]) -> [Quantity; 2] {
 }
 
 /// What the exposure stage gave; `largest` is what the sums of its gradient are made of.
-fn exposed(out: &ExposureOutputs, largest: f64) -> [Quantity; 4] {
+fn exposed(out: &ExposureOutputs, largest: f64) -> [Quantity; 6] {
     let of = |name, values: &[f64]| quantity("exposure", name, values.to_vec());
     [
         of("image", &out.image),
         of("gradient by the render", &out.dimage),
         of("gradient by the transform", &out.grads).floored(largest),
-        of("transforms, moments", &out.adam.concat()),
+        of("transforms", &out.adam[0]),
+        of("first moments", &out.adam[1]),
+        of("second moments", &out.adam[2]),
     ]
 }
 
@@ -233,7 +232,8 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
             .floored(0.25 * case.lambdas[1] / gaussians),
         quantity("project_grad", "SH", flat(&p.grads.planes[11..])),
         quantity("adam", "parameters", flat(&params)),
-        quantity("adam", "moments", [flat(&m), flat(&v)].concat()),
+        quantity("adam", "first moments", flat(&m)),
+        quantity("adam", "second moments", flat(&v)),
         quantity("noise", "displacement", displacements(&scene)),
         quantity("screen_grad", "norms", norms),
         quantity("screen_grad", "iterations", iterations),

@@ -2,10 +2,9 @@
 
 use super::chain::Outputs;
 use crate::buffers::Scene;
-use crate::density::Edit as DensityEdit;
 use crate::error::Result;
 use crate::gpu::tuning::{TILE, status};
-use crate::gpu::{CameraArg, EditRow, Real, Record};
+use crate::gpu::{CameraArg, Real, Record};
 use crate::render::Renderer;
 
 pub(super) fn widen<R: Real>(values: Vec<R>) -> Vec<f64> {
@@ -73,18 +72,4 @@ pub(super) fn crop<R: Real>(
         .flat_map(|c| (0..h).map(move |y| (c * rows + y) * stride))
         .flat_map(|from| padded[from..from + w].iter().copied())
         .collect()
-}
-
-/// An edit as the device takes it.
-#[must_use]
-pub fn row_of(e: &DensityEdit) -> EditRow {
-    EditRow {
-        src: e.src,
-        dst: e.dst,
-        position: e.position,
-        log_scale: e.log_scale,
-        opacity_logit: e.opacity_logit,
-        colored: u32::from(e.color.is_some()),
-        color: e.color.unwrap_or_default(),
-    }
 }

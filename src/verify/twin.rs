@@ -45,9 +45,8 @@ pub fn inputs(case: &Case) -> (Scene64, Camera64, Options) {
     };
     let mut scene = Scene64::new(&case.splats);
     if !case.filter_views.is_empty() {
-        let cameras = case.filter_views.iter().map(|c| Camera64::new(c, NEAR));
         let positions = (0..scene.len()).map(|i| scene.position(i));
-        scene.filter = Some(filter(positions, &cameras.collect::<Vec<_>>()));
+        scene.filter = Some(filter(positions, &case.filter_views));
     }
     (scene, Camera64::new(&case.camera, NEAR), options)
 }

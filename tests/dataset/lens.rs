@@ -309,3 +309,20 @@ fn transforms_say_it_as_colmap_does() {
         assert_ne!(pixels(dir.path()).1, a.1, "{line}");
     }
 }
+
+#[test]
+fn a_fingerprint_tells_lenses_apart() {
+    let dir = super::colmap_scene(3, glam::DVec3::ZERO, false);
+    let of = |tangential: f64| {
+        let line = format!("1 OPENCV 16 12 21.5 20.25 8.5 5.75 0.05 0.01 0 {tangential}\n");
+        fs::write(dir.path().join("sparse/0/cameras.txt"), line).unwrap();
+        let data = load(dir.path(), &LoadOptions::default()).unwrap();
+        assert_ne!(data.train[0].lens, Lens::Pinhole);
+        (data.train[0].camera, data.fingerprint())
+    };
+    // So little that the pinhole camera is the same.
+    let [a, again, b] = [1e-9, 1e-9, 2e-9].map(of);
+    assert_eq!(a, again);
+    assert_eq!(a.0, b.0);
+    assert_ne!(a.1, b.1);
+}

@@ -11,6 +11,7 @@ use mhsplat::plan::Plan;
 use tempfile::TempDir;
 
 use super::{assert_refused, colmap_scene};
+use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::trained;
 
 /// The bundled room with a box painted over the left of every photo, which masks leave out if `masked`.
@@ -136,6 +137,81 @@ fn a_mask_of_another_size_is_refused_by_name() {
         load(dir.path(), &LoadOptions::default()),
         &["v 00.png", "8×6", "16×12"],
     );
+}
+
+#[test]
+fn a_fingerprint_tells_masks_apart_by_what_is_in_them() {
+    let dir = scene_with("v 00.png", [16, 12]);
+    let within = |budget| {
+        let options = LoadOptions {
+            image_budget: budget,
+            ..LoadOptions::default()
+        };
+        load(dir.path(), &options).unwrap().fingerprint()
+    };
+    let file = dir.path().join("masks/v 00.png");
+    let first = within(None);
+    let mut seen = vec![first.clone()];
+    // One pixel; two alike, each in the last byte of a word of eight; white all over.
+    for change in [&[(3, 0)][..], &[(7, 2), (15, 2)], &[(7, 2), (7, 3)]] {
+        let mut mask = image::open(&file).unwrap().into_luma8();
+        for (x, y) in change {
+            mask.put_pixel(*x, *y, Luma([128]));
+        }
+        mask.save(&file).unwrap();
+        seen.push(within(None));
+        assert_eq!(seen.last(), Some(&within(Some(1000))), "left in the files");
+    }
+    GrayImage::from_pixel(16, 12, Luma([255]))
+        .save(&file)
+        .unwrap();
+    seen.push(within(None));
+    for (i, a) in seen.iter().enumerate() {
+        assert!(!seen[..i].contains(a), "{i}: {seen:?}");
+    }
+    // The colours are not in it, nor is how the mask's file says it.
+    let mask = GrayImage::from_fn(16, 12, |x, _| Luma([if x < 8 { 0 } else { 255 }]));
+    image::DynamicImage::from(mask)
+        .into_rgb8()
+        .save(&file)
+        .unwrap();
+    assert_eq!(first, within(None));
+}
+
+/// A run goes on with its own masks alone, and runs with others are not compared.
+#[test]
+fn a_run_with_other_masks_is_not_gone_on_with() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = painted(&dir.path().join("data"), [9, 9, 9], true);
+    let [first, second] = ["first", "second"].map(|r| dir.path().join(r));
+    let train = |run: &Path| {
+        let args = ["train", text(&data), "-o", text(run), "--iterations", "4"];
+        done(&[&args[..], &["--max-size", "64"]].concat());
+    };
+    train(&first);
+    let file = data.join("masks/view_0003.png.png");
+    let mut mask = image::open(&file).unwrap().into_luma8();
+    let (w, h) = mask.dimensions();
+    for (x, y) in (0..w).flat_map(|x| (0..h).map(move |y| (x, y))) {
+        mask.put_pixel(x, y, Luma([if y < h / 2 { 0 } else { 255 }]));
+    }
+    mask.save(&file).unwrap();
+    train(&second);
+    for (args, word) in [
+        (
+            ["train", text(&data), "--resume", text(&first)],
+            "its views are not those of",
+        ),
+        (
+            ["compare", text(&first), text(&second), "--json"],
+            "another dataset",
+        ),
+    ] {
+        let refused = mhsplat(&args);
+        let said = stderr(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{said}");
+        assert!(said.contains(word) && said.contains("masks"), "{said}");
+    }
 }
 
 #[test]

@@ -133,7 +133,7 @@ fn scores(data: &Dataset) -> Vec<ViewScore> {
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
     let (scene, renderer) = trainer.scene_and_renderer();
     evaluator
-        .score_all_with_flip(scene, renderer, scene.sh_degree, [0.0; 3])
+        .score_all(scene, renderer, [0.0; 3], true)
         .unwrap()
 }
 

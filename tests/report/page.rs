@@ -128,6 +128,27 @@ fn page_shows_the_run() {
 }
 
 #[test]
+fn colour_corrected_scores_are_shown_where_there_are_any() {
+    let plain = page(&record(), &rows(), &density(), &[]);
+    assert!(!plain.contains("colour-corrected"));
+    let mut record = record();
+    let scores = record.final_scores.as_mut().unwrap();
+    (scores.cc_psnr, scores.cc_ssim) = (Some(30.123), Some(0.9134));
+    // A view of an earlier version's record may lack them.
+    (scores.per_view[1].cc_psnr, scores.per_view[1].cc_ssim) = (Some(31.456), Some(0.9278));
+    let text = page(&record, &rows(), &density(), &[]);
+    for shown in [
+        "<dt>PSNR, colour-corrected</dt><dd>30.12 <small>dB</small></dd>",
+        "<dt>SSIM, colour-corrected</dt><dd>0.9134</dd>",
+        "<th class=n>PSNR, colour-corrected, dB</th><th class=n>SSIM, colour-corrected</th></tr>",
+        "<td class=n>0.0951</td><td class=n>–</td><td class=n>–</td></tr>",
+        "<td class=n>0.0873</td><td class=n>31.46</td><td class=n>0.9278</td></tr>",
+    ] {
+        assert!(text.contains(shown), "{shown}");
+    }
+}
+
+#[test]
 fn density_control_is_told_in_the_samplers_terms() {
     let told = |sampler| {
         let mut record = record();

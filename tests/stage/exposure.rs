@@ -23,6 +23,14 @@ fn wrong_images_gradients_and_steps_are_rejected() {
     rejects("exposure", |out| out.exposure.grads[7] *= -1.0);
     rejects("exposure", |out| out.exposure.adam[0][13] += 1e-3);
     rejects("exposure", |out| out.exposure.adam[0][0] += 1e-3);
+    // Moments are far smaller than the transforms, and the second ones than the first.
+    for moment in [1, 2] {
+        rejects("exposure", |out| {
+            out.exposure.adam[moment]
+                .iter_mut()
+                .for_each(|m| *m *= 1.001)
+        });
+    }
 }
 
 /// Central differences of the loss of the corrected image by every value of `at`.

@@ -7,7 +7,7 @@ use mhsplat::dataset::Camera;
 use mhsplat::gpu::tuning::{FILTER_CHUNKS, NEAR, status};
 use mhsplat::gpu::{Array, CameraArg};
 use mhsplat::model::{Plane, Splats};
-use mhsplat::reference::{Camera64, filter::filter};
+use mhsplat::reference::filter::filter;
 use mhsplat::stage::filter::{Filter, FilterArgs};
 
 #[test]
@@ -94,8 +94,7 @@ fn the_finest_view_that_sees_a_centre_decides() {
         .collect();
     let splats = at(&positions);
     let got = filtered(&splats, &cameras, 0);
-    let twins: Vec<Camera64> = cameras.iter().map(|c| Camera64::new(c, NEAR)).collect();
-    let twin = filter(positions.iter().map(|p| p.map(f64::from)), &twins);
+    let twin = filter(positions.iter().map(|p| p.map(f64::from)), &cameras);
     for ((got, twin), want) in got.iter().zip(&twin).zip(&want) {
         assert!((f64::from(*got) - want).abs() < 1e-6 * want, "{got} {want}");
         assert!((twin - want).abs() < 1e-6 * want, "{twin} {want}");

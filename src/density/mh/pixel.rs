@@ -9,10 +9,8 @@ use super::{MhConfig, Proposal, StepContext, accept, shrinking};
 use crate::density::draw::Categorical;
 use crate::density::relocation::{logit, sigmoid};
 use crate::density::{Edit, Picture};
+use crate::model::sh::C0;
 use crate::rng::{Philox, Purpose};
-
-/// First SH basis function, 1/(2√π): a colour c is stored as (c − ½) over this.
-const SH_0: f64 = 0.282_094_791_773_878_14;
 
 /// Pixels of all pictures, one after the other.
 struct Pixels<'a> {
@@ -122,7 +120,7 @@ fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32)
     let placed = z > 0.0 && z >= config.pixel_near;
     let good = placed && log_scale.is_finite() && position.iter().all(|v| v.is_finite());
     let opacity = config.pixel_opacity;
-    let color = [0, 1, 2].map(|c| (f64::from(picture.photo[c][at]) - 0.5) / SH_0);
+    let color = [0, 1, 2].map(|c| (f64::from(picture.photo[c][at]) - 0.5) / C0);
     good.then_some(Edit {
         src,
         dst: src,
