@@ -32,7 +32,7 @@ use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
-use crate::exposure::Decision;
+use crate::exposure::{Decision, check as check_exposure};
 use crate::gpu::tuning::status;
 use crate::gpu::{Array, CameraArg, Defines, Device, Kernels, StageTime};
 use crate::model::{Plane, Splats};
@@ -74,7 +74,9 @@ fn defines(device: &Device, views: &ViewSet, config: &TrainConfig, anti_alias: b
     }
 }
 
-fn check_start(splats: &Splats) -> Result<()> {
+fn check(config: &TrainConfig, views: &ViewSet, splats: &Splats) -> Result<()> {
+    config.validate()?;
+    check_exposure(config.exposure, views.alpha)?;
     if splats.is_empty() {
         return Err(Error::Numerics {
             stage: "train".into(),
@@ -173,9 +175,7 @@ impl Trainer {
         anti_alias: bool,
     ) -> Result<Self> {
         let device = &views.photos().device().clone();
-        config.validate()?;
-        crate::exposure::check(config.exposure, views.alpha)?;
-        check_start(splats)?;
+        check(config, &views, splats)?;
         let (tuning, degree) = (device.tuning(), config.sh_degree);
         let defines = defines(device, &views, config, anti_alias);
         let kernels = Kernels::new(device, defines);

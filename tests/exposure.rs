@@ -19,9 +19,9 @@ use mhsplat::report::{Clock, RunRecord};
 use mhsplat::run::{Progress, Run, initial_splats};
 use mhsplat::{TrainConfig, Trainer};
 
-/// Gain of the k-th photo: 0.7 to 1.3 in no order.
+/// Gain of the k-th photo: 0.4 to 1.2 in no order.
 fn true_gain(k: usize) -> f64 {
-    0.7 + 0.6 * ((k * 7) % 13) as f64 / 12.0
+    0.4 + 0.8 * ((k * 7) % 13) as f64 / 12.0
 }
 
 fn copy_folder(from: &Path, to: &Path) {
@@ -127,8 +127,8 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
 #[test]
 fn altered_photos_are_learned_better_and_their_gains_found() {
     let (data, gains) = altered(96);
-    let mut with = trained(&data, &config(600, ExposureChoice::On), 600);
-    let mut without = trained(&data, &config(600, ExposureChoice::Off), 600);
+    let [mut with, mut without] = [ExposureChoice::On, ExposureChoice::Off]
+        .map(|choice| trained(&data, &config(600, choice), 600));
     // What a transform makes of grey.
     let exposures = with.exposures().unwrap();
     let found: Vec<f64> = exposures[0]
@@ -141,7 +141,8 @@ fn altered_photos_are_learned_better_and_their_gains_found() {
         "colour-corrected PSNR {on:.2} dB with, {off:.2} dB without; gains correlate by {alike:.4}"
     );
     assert!(alike > 0.95, "{alike}");
-    assert!(on > off + 0.5, "{on} {off}");
+    // 1.6 to 1.9 dB with three seeds.
+    assert!(on >= off + 1.0, "{on} {off}");
 }
 
 /// The record of a run of 500 iterations with everything left open, and the seconds of iteration 301 that the training clock stood.

@@ -220,7 +220,7 @@ fn only_checks_use_the_reference() {
             assert!(!uses(&source), "{}", file.display());
         }
     }
-    assert!(inside > 10 && outside > 100, "{inside} {outside}");
+    assert!(inside > 3 && outside > 100, "{inside} {outside}");
 }
 
 #[test]

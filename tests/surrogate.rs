@@ -296,7 +296,7 @@ fn what_cannot_be_checked_is_refused() {
         dir.path(),
         mhsplat::dataset::synthetic::SynthLayout::Transforms,
     );
-    refused(&[text(&run), text(&other)], "was trained on");
+    refused(&[text(&run), text(&other)], "its views are not those of");
     fs::remove_dir_all(run.join("checkpoint")).unwrap();
     refused(&[text(&run)], "no checkpoint");
 }

@@ -191,8 +191,8 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     let (scene, camera, _) = twin::inputs(case);
     let pairs: usize = p.tiles.iter().map(Vec::len).sum();
     let sums = p.sums.iter().flat_map(|s| s.unwrap_or([0.0; 9])).collect();
-    let [params, m, v] = optimiser(case, &scene.planes, &device.grads);
-    let (mut rows, mut first, mut second) = (params.clone(), m.clone(), v.clone());
+    let steps = optimiser(case, &scene.planes, &device.grads);
+    let [mut rows, mut first, mut second] = steps.clone();
     edit(&case.edits, &mut rows, [&mut first, &mut second]);
     let pixels = camera.pixels();
     let maps = [&device.error_maps[..pixels], &device.error_maps[pixels..]];
@@ -231,9 +231,9 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
         quantity("project_grad", "opacity", flat(&p.grads.planes[10..11]))
             .floored(0.25 * case.lambdas[1] / gaussians),
         quantity("project_grad", "SH", flat(&p.grads.planes[11..])),
-        quantity("adam", "parameters", flat(&params)),
-        quantity("adam", "first moments", flat(&m)),
-        quantity("adam", "second moments", flat(&v)),
+        quantity("adam", "parameters", flat(&steps[0])),
+        quantity("adam", "first moments", flat(&steps[1])),
+        quantity("adam", "second moments", flat(&steps[2])),
         quantity("noise", "displacement", displacements(&scene)),
         quantity("screen_grad", "norms", norms),
         quantity("screen_grad", "iterations", iterations),
