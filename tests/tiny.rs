@@ -11,8 +11,8 @@ use mhsplat::verify::tiny;
 
 use crate::determinism::drive;
 
-/// Iterations, with density control after every tenth from the first on.
-const ITERATIONS: u32 = 30;
+/// Iterations, with density control after every third.
+const ITERATIONS: u32 = 9;
 
 #[test]
 fn every_stage_agrees_with_the_reference() {
@@ -45,9 +45,9 @@ fn config(sampler: Sampler) -> TrainConfig {
         seed: 4,
         ..TrainConfig::default()
     };
-    (config.mh.interval, config.mh.births_from_iteration) = (10, 500);
-    (config.mcmc.interval, config.adc.interval) = (10, 10);
-    config.mh.pixel_proposals = 40;
+    (config.mh.interval, config.mcmc.interval, config.adc.interval) = (3, 3, 3);
+    (config.mh.births_from_iteration, config.mh.pixel_proposals) = (500, 10);
+    (config.mh.coarse_proposals, config.mh.fine_proposals) = (10, 10);
     config
 }
 
