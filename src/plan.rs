@@ -7,7 +7,7 @@ use crate::config::{ExposureChoice, Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Alpha, Dataset, View};
 use crate::exposure::{Decision, TRANSPARENT};
 use crate::schedule::Schedule;
-use crate::train::{BAND_WORTH, Findings};
+use crate::train::{Findings, TRIAL_WORTH};
 
 /// Items that training decides.
 const COLOUR: &str = "view-dependent colour";
@@ -43,7 +43,7 @@ impl Plan {
             COLOUR,
             &if config.work.sh_by_need {
                 format!(
-                    "up to SH degree {}; a band stays while it is worth {BAND_WORTH} dB of views set aside",
+                    "up to SH degree {}; a band stays while views set aside gain {TRIAL_WORTH} dB by it",
                     config.sh_degree
                 )
             } else {
@@ -119,11 +119,11 @@ impl Plan {
                 let why = format!("the band of SH degree {} is worth {gain}", last.degree);
                 plan.decide(true, COLOUR, &why, "");
             } else if last.degree == 1 {
-                let why = format!("the first band of SH is worth {gain}, less than {BAND_WORTH}");
+                let why = format!("the first band of SH is worth {gain}: too little");
                 plan.decide(false, COLOUR, "", &why);
             } else {
                 let why = format!(
-                    "up to SH degree {}; the next band is worth {gain}, less than {BAND_WORTH}",
+                    "up to SH degree {}; the next band is worth {gain}: too little",
                     last.degree - 1
                 );
                 plan.decide(true, COLOUR, &why, "");

@@ -275,7 +275,7 @@ impl Run {
         self.report()
     }
 
-    /// What comes before an iteration. Compilers are not waited for in training time.
+    /// What comes before an iteration. The kernels of exposure, if it begins in mid-run, are compiled outside of training time.
     fn prepare(&mut self) -> Result<()> {
         if self.trainer.prepare()? {
             self.clock.pause();

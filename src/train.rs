@@ -13,7 +13,7 @@ mod sampler;
 mod state;
 mod warm_up;
 
-pub use bands::{BAND_WORTH, BandTrial, Bands};
+pub use bands::{BAND_WORTH, BandTrial, Bands, TRIAL_WORTH};
 pub use control::DensityEvent;
 pub use finish::Findings;
 pub use state::TrainerState;

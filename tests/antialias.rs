@@ -377,7 +377,7 @@ fn a_run_is_evaluated_again_with_its_own_filters() {
     let of_run = record["final"]["psnr"].as_f64().unwrap();
     let again = score(&run, "64");
     assert!((again - of_run).abs() < 0.01, "{again} {of_run}");
-    // The same scene without its mark is another picture: at half the size, where the 2D filter has most to do, half a decibel worse.
+    // The same scene without its mark is another picture: at half the size, where the 2D filter has more to do, worse.
     let bytes = std::fs::read(run.join("scene.ply")).unwrap();
     let comment = format!("comment {}\n", ply::ANTI_ALIASED).into_bytes();
     let at = bytes

@@ -45,7 +45,11 @@ fn config(sampler: Sampler) -> TrainConfig {
         seed: 4,
         ..TrainConfig::default()
     };
-    (config.mh.interval, config.mcmc.interval, config.adc.interval) = (3, 3, 3);
+    (
+        config.mh.interval,
+        config.mcmc.interval,
+        config.adc.interval,
+    ) = (3, 3, 3);
     (config.mh.births_from_iteration, config.mh.pixel_proposals) = (500, 10);
     (config.mh.coarse_proposals, config.mh.fine_proposals) = (10, 10);
     config
@@ -60,7 +64,7 @@ fn every_sampler_trains() {
         let splats = initial_splats(&data, &config).unwrap();
         let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
         drive(&mut trainer, ITERATIONS).unwrap();
-        let stats = trainer.stats().clone();
+        let stats = *trainer.stats();
         let grown = stats.accepted + stats.cloned + stats.split;
         assert_eq!(
             grown > 0,

@@ -73,7 +73,7 @@ impl Subject<'_> {
 }
 
 /// A trainer that changes nothing. Of a scene with anti-aliasing it takes the 3D filter out first, which training puts in again
-/// by the views at hand.
+/// by the views at hand: those of the bench, so that the filter is theirs and not the training views'.
 fn trainer(device: &Device, subject: &Subject<'_>) -> Result<Trainer> {
     let still = scene::still(subject.splats.sh_degree());
     if !subject.anti_alias {

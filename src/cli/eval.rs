@@ -68,7 +68,13 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
     }
     let corrected = mean_corrected(&scores);
-    let (psnr, ssim) = mean(&scores).unwrap_or((0.0, 0.0));
+    let (psnr, ssim) = mean(&scores).ok_or_else(|| {
+        Error::input(
+            &args.dataset,
+            "the masks leave no pixel of any held-out view",
+            "masks are white where a photo counts; or hold other views out with --test-every",
+        )
+    })?;
     let flip = mean_flip(&scores).unwrap_or(1.0);
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
     if common.json {

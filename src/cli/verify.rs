@@ -15,7 +15,7 @@ use super::{Common, Outcome, output};
 /// Which cases.
 #[derive(Clone, Copy, ValueEnum)]
 enum Suite {
-    /// Two scenes of two tiles, for interpreters of kernels.
+    /// Three scenes of two tiles, for interpreters of kernels.
     Tiny,
     /// A few small scenes.
     Quick,

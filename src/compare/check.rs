@@ -41,7 +41,7 @@ fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
         (Some(p), Some(q)) if p == q => None,
         // Without a fingerprint (records of earlier versions), the name has to do.
         (Some(_), Some(_)) => Some(format!(
-            "another dataset, {} instead of {}: views, cameras, lenses, sizes or masks differ",
+            "another dataset, {} instead of {}: views, cameras, lenses, sizes or masks differ, or one run is of an earlier version",
             y.path, x.path
         )),
         _ if x.layout == y.layout && folder(&x.path) == folder(&y.path) => None,

@@ -62,11 +62,11 @@ pub fn page(c: &Comparison) -> String {
 pub(super) fn clock_note(clock: Clock) -> &'static str {
     match clock {
         Clock::Cpu => {
-            "Times are CPU seconds of the process while training, loading included and evaluations left out: other programs \
-             on the machine change them least."
+            "Times are CPU seconds of the process while training, loading included, evaluations and kernels compiled in mid-run left out: other \
+             programs on the machine change them least."
         }
         Clock::Train => {
-            "Times are seconds of training, loading included and evaluations left out; other programs on the machine delay \
+            "Times are seconds of training, loading included, evaluations and kernels compiled in mid-run left out; other programs on the machine delay \
              them."
         }
         Clock::Wall => "Times are seconds since the start, evaluations included.",

@@ -136,8 +136,16 @@ impl Dataset {
     pub(crate) fn not_that_of(&self, run: &Path) -> String {
         let run = run.display();
         format!(
-            "its views are not those of {run}: names, sizes, cameras, lenses, masks or split differ"
+            "its views are not those of {run}: names, sizes, cameras, lenses, masks or split differ (or an earlier version began it)"
         )
+    }
+
+    /// Names of views of which the masks leave nothing.
+    #[must_use]
+    pub fn masked_out(&self) -> Vec<String> {
+        let views = self.train.iter().chain(&self.test);
+        let black = views.filter(|v| v.photo.masked_out());
+        black.map(|v| v.name.clone()).collect()
     }
 
     /// What the photos' alpha says: the same for all of them.

@@ -118,11 +118,7 @@ impl Photo {
     /// How far each pixel counts, in [0, 1]; empty without a mask.
     #[must_use]
     pub fn counts(&self) -> Vec<f32> {
-        let pixels = self.width as usize * self.height as usize;
-        let mask = self.data.get(3 * pixels..).unwrap_or_default();
-        let masked = self.alpha() == Alpha::Mask;
-        let value = |m: &u8| f32::from(*m) / 255.0;
-        mask.iter().filter(|_| masked).map(value).collect()
+        counts(self.alpha(), &self.data)
     }
 
     /// A render (interleaved RGB8, of the photo's size) as far as the photo counts: what [`Photo::rgb_over`] is the
@@ -154,6 +150,16 @@ impl Photo {
             self.channels = 4;
         }
     }
+}
+
+/// How far each pixel of a photo's planes (as [`Photo`] has them) counts, in [0, 1]; empty without a mask.
+#[must_use]
+pub fn counts(alpha: Alpha, planes: &[u8]) -> Vec<f32> {
+    let pixels = planes.len() / alpha.planes();
+    let mask = planes.get(3 * pixels..).unwrap_or_default();
+    let value = |m: &u8| f32::from(*m) / 255.0;
+    let masked = alpha == Alpha::Mask;
+    mask.iter().filter(|_| masked).map(value).collect()
 }
 
 /// Red, green and blue in [0, 1] of a photo's planes (as [`Photo`] has them): over the background (RGB in [0, 1]) as far as it

@@ -150,10 +150,18 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
             lens: raw.lens,
             photo,
         });
+    let train: Vec<View> = views.by_ref().take(first_held_out).collect();
+    if train.iter().all(|v| v.photo.masked_out()) {
+        return Err(Error::input(
+            path,
+            "the masks leave no pixel of any training photo",
+            "masks are white where a photo counts: turn them round, or take them away",
+        ));
+    }
     Ok(Dataset {
         path: path.to_path_buf(),
         layout: scene.layout,
-        train: views.by_ref().take(first_held_out).collect(),
+        train,
         test: views.collect(),
         points,
         frame,

@@ -101,6 +101,20 @@ impl PhotoSource {
         }
     }
 
+    /// Whether the photo's mask leaves nothing of it.
+    #[must_use]
+    pub fn masked_out(&self) -> bool {
+        match self {
+            Self::Memory(photo) => photo
+                .mask_plane()
+                .is_some_and(|mask| mask.iter().all(|m| *m == 0)),
+            Self::File(file) => {
+                let black = || vec![0; file.width as usize * file.height as usize];
+                self.alpha() == Alpha::Mask && file.mask_digest == digest(&black())
+            }
+        }
+    }
+
     /// Bytes of the decoded photo, `channels × height × width`.
     #[must_use]
     pub fn bytes(&self) -> u64 {

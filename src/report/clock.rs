@@ -1,7 +1,7 @@
 //! The three clocks of a run, and the process figures of `/proc`.
 //!
-//! All three start together. `wall` runs on; `train` and `cpu` stop while the run evaluates or exports, so that both
-//! cover the same span. On shared machines `cpu` is the one to compare by.
+//! All three start together. `wall` runs on; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
+//! kernels, so that both cover the same span. On shared machines `cpu` is the one to compare by.
 
 use std::time::{Duration, Instant};
 

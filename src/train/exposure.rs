@@ -3,6 +3,7 @@
 use super::Trainer;
 use crate::config::ExposureChoice;
 use crate::dataset::Alpha;
+use crate::dataset::photo::colors;
 use crate::error::{Error, Result};
 use crate::exposure::{self, Decision, IDENTITY, exposed, unexposed};
 use crate::gpu::tuning::status::{OVERFLOW, SLOTS};
@@ -205,7 +206,9 @@ impl Trainer {
         let seen = self.renderer.read_image(&camera)?;
         let pixels = seen.width * seen.height;
         let photo = self.shrunk(&photo, view, factor)?;
-        let photo = self.photo_planes(photo, pixels, options.background)?;
+        let alpha = self.views.alpha;
+        let bytes = photo.read(0, alpha.planes() * pixels)?;
+        let photo = colors(alpha, &bytes, options.background);
         Ok(exposure::gain(&seen.rgb, &seen.transmittance, &photo))
     }
 

@@ -1,8 +1,7 @@
 //! Views rendered for density control beside those of training.
 
 use super::Trainer;
-use crate::dataset::Alpha;
-use crate::dataset::photo::colors;
+use crate::dataset::photo::{colors, counts};
 use crate::density::Picture;
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg};
@@ -73,12 +72,11 @@ impl Trainer {
             *z /= 1.0 - left;
         }
         let photo = self.shrunk(&photo, view, factor)?;
-        let mask = match self.views.alpha {
-            Alpha::Mask => photo.read(3 * pixels, pixels)?,
-            _ => Vec::new(),
-        };
-        let counts = |i: usize| mask.get(i).map_or(1.0, |m| f32::from(*m) / 255.0);
-        let mut photo = self.photo_planes(photo, pixels, options.background)?;
+        let alpha = self.views.alpha;
+        let bytes = photo.read(0, alpha.planes() * pixels)?;
+        let mask = counts(alpha, &bytes);
+        let counts = |i: usize| mask.get(i).copied().unwrap_or(1.0);
+        let mut photo = colors(alpha, &bytes, options.background);
         let taken = photo.clone();
         self.exposed_picture(view, &mut seen.rgb, &mut photo)?;
         let error = |i: usize| -> f32 {
@@ -95,17 +93,5 @@ impl Trainer {
             depth,
             transmittance: seen.transmittance,
         })
-    }
-
-    /// Red, green and blue of a photo on the device ([`colors`]).
-    pub(super) fn photo_planes(
-        &self,
-        photo: &Array<u8>,
-        pixels: usize,
-        background: [f32; 3],
-    ) -> Result<[Vec<f32>; 3]> {
-        let alpha = self.views.alpha;
-        let bytes = photo.read(0, alpha.planes() * pixels)?;
-        Ok(colors(alpha, &bytes, background))
     }
 }

@@ -49,20 +49,20 @@ pub fn quick(device: &Device) -> Result<Verification> {
     suite(device, "quick", quick_cases())
 }
 
-/// The tiny suite, for interpreters such as oclgrind: every stage of two scenes of two tiles, both precisions, both styles.
+/// The tiny suite, for interpreters such as oclgrind: every stage of three scenes of two tiles, both precisions, both styles.
 ///
 /// # Errors
 /// A build failure, or the driver's.
 pub fn tiny(device: &Device) -> Result<Verification> {
     let mild = |name, sh_degree, seed| cases::mild(name, 12, [20, 10], sh_degree, seed);
     let alpha = mild("12 Gaussians, 20x10, SH 2, alpha", 2, 31).with_alpha();
-    let filtered = mild("12 Gaussians, 20x10, SH 1, anti-aliased, mask", 1, 32)
-        .anti_aliased(1)
-        .with_mask();
+    let filtered = mild("12 Gaussians, 20x10, SH 1, anti-aliased", 1, 32).anti_aliased(1);
+    let masked = mild("12 Gaussians, 20x10, SH 0, mask", 0, 33).with_mask();
     // Half of the masked picture is black in render and photo alike: SSIM's variances cancel there.
     let cases = [
         ("alpha", alpha, SINGLE),
-        ("anti-aliasing", filtered, SINGLE_FLAT),
+        ("anti-aliasing", filtered, SINGLE),
+        ("mask", masked, SINGLE_FLAT),
     ];
     suite(device, "tiny", cases)
 }

@@ -1,4 +1,4 @@
-//! `mhsplat bench --scene`: a trained scene is rendered as it was trained.
+//! `mhsplat bench --scene`: a trained scene is rendered with the filters that it was trained with.
 
 use mhsplat::bench::work::TileWork;
 use mhsplat::bench::{self, Options, scene};

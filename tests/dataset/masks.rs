@@ -241,3 +241,38 @@ fn alpha_is_transparency_unless_it_is_said_to_be_a_mask() {
         assert_eq!(load(path, &options).unwrap().alpha(), alpha);
     }
 }
+
+/// A COLMAP scene of three views of 16 × 12 pixels, the first held out, with black masks for some.
+fn blackened(names: &[&str]) -> TempDir {
+    let dir = colmap_scene(3, DVec3::ZERO, true);
+    let folder = dir.path().join("masks");
+    fs::create_dir_all(&folder).unwrap();
+    for name in names {
+        GrayImage::new(16, 12).save(folder.join(name)).unwrap();
+    }
+    dir
+}
+
+#[test]
+fn masks_that_leave_nothing_are_named() {
+    // In memory, and left in their files.
+    for image_budget in [None, Some(1000)] {
+        let options = LoadOptions {
+            image_budget,
+            ..LoadOptions::default()
+        };
+        let all = blackened(&["v 01.png", "v 02.png"]);
+        let words = &["no pixel of any training photo", "white"];
+        assert_refused(load(all.path(), &options), words);
+        let some = blackened(&["v 00.png", "v 02.png"]);
+        let data = load(some.path(), &options).unwrap();
+        assert_eq!(data.masked_out(), ["v 02.png", "v 00.png"]);
+    }
+    let held_out = blackened(&["v 00.png"]);
+    let run = held_out.path().join("run");
+    let (data, run) = (text(held_out.path()), text(&run));
+    done(&["train", data, "-o", run, "--iterations", "1"]);
+    let eval = mhsplat(&["eval", run, data, "--require-psnr", "0"]);
+    assert_eq!(eval.status.code(), Some(2), "{}", stderr(&eval));
+    assert!(stderr(&eval).contains("no pixel of any held-out view"));
+}

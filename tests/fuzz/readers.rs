@@ -111,6 +111,7 @@ fn lenses() -> Reader {
         "OPENCV 24 16 20 21 12 8 0.1 -0.02 0.01 0.02",
         "FULL_OPENCV 24 16 20 21 12 8 0.1 0.02 0.01 0.02 0.03 0.04 0.05 0.06",
         "OPENCV_FISHEYE 24 16 20 21 12 8 0.1 0.02 0.03 0.04",
+        "SIMPLE_RADIAL_FISHEYE 24 16 20 12 8 0.1",
         "RADIAL_FISHEYE 24 16 20 12 8 0.1 0.02",
     ];
     let line = |c: &str| format!("1 {c}\n").into_bytes();
