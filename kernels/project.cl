@@ -26,8 +26,8 @@ static inline maskV pixel_bounds(realV mean, realV half_extent, int size, realV 
 
 #if CULL_CHUNKS
 // Off for what project() is sure to cull, by its centre and its largest scale alone: behind the near plane, or beyond the
-// image by more than the widest ellipse that any opacity gives it. Neighbours in Morton order are off together. What this
-// lets through although it is broken, shape_of() finds.
+// image by more than the widest ellipse that any opacity gives it. Neighbours in Morton order are off together. What is
+// broken is off here or in shape_of().
 static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV ls[3], realV sigma) {
   realV t[3];
   to_camera(cam, x, t);
@@ -43,9 +43,9 @@ static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV
   const realV wide = sqrt(reach * fma(jx * jx, fma(cu, cu, V(R(1.0))), V((real)BLUR))) + R(1.0);
   const realV high = sqrt(reach * fma(jy * jy, fma(cv, cv, V(R(1.0))), V((real)BLUR))) + R(1.0);
   const realV px = fma(V(cam->fx), u, V(cam->cx)), py = fma(V(cam->fy), v, V(cam->cy));
-  const maskV outside = (px + wide < V(R(0.0))) | (px - wide > V((real)cam->width)) | (py + high < V(R(0.0))) |
-                        (py - high > V((real)cam->height));
-  return !((t[2] <= V(cam->near)) | outside);
+  // No mask is turned round: of a vector that is negated oclgrind makes 1 where all bits are due.
+  return (t[2] > V(cam->near)) & (px + wide >= V(R(0.0))) & (px - wide <= V((real)cam->width)) &
+         (py + high >= V(R(0.0))) & (py - high <= V((real)cam->height));
 }
 #endif
 
