@@ -25,6 +25,8 @@ fn config() -> TrainConfig {
         ..TrainConfig::default()
     };
     config.mh.surrogate = Surrogate::Probe;
+    // While a band is on trial other views are taken in the place of those set aside.
+    config.work.sh_by_need = false;
     config
 }
 

@@ -1,6 +1,6 @@
 //! `mhsplat eval`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use mhsplat::buffers::ViewSet;
 use mhsplat::error::{Error, Result};
@@ -68,13 +68,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
     }
     let corrected = mean_corrected(&scores);
-    let (psnr, ssim) = mean(&scores).ok_or_else(|| {
-        Error::input(
-            &args.dataset,
-            "the masks leave no pixel of any held-out view",
-            "masks are white where a photo counts; or hold other views out with --test-every",
-        )
-    })?;
+    let (psnr, ssim) = mean(&scores).ok_or_else(|| nothing_counts(&args.dataset))?;
     let flip = mean_flip(&scores).unwrap_or(1.0);
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
     if common.json {
@@ -103,6 +97,14 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         print_corrected(corrected);
     }
     Ok(Outcome::of(args.require_psnr, Some(psnr)))
+}
+
+fn nothing_counts(dataset: &Path) -> Error {
+    Error::input(
+        dataset,
+        "the masks leave no pixel of any held-out view",
+        "masks are white where a photo counts; or hold other views out with --test-every",
+    )
 }
 
 fn print_corrected(means: Option<(f64, f64)>) {
