@@ -17,7 +17,8 @@ fn still(sampler: Sampler) -> TrainConfig {
         sampler,
         iterations: 60,
         max_size: 64,
-        sh_degree: 1,
+        // No bands that come and go.
+        sh_degree: 0,
         optimizer: OptimizerConfig {
             lr_position: 0.0,
             lr_position_final: 0.0,
