@@ -31,7 +31,7 @@ __kernel void adam(__global const real *grads, uint grad_stride, // in [planes, 
   vstore_real(choose(isfinite(next), next, old), group, params + base);
   vstore_real(m, group, moment1 + base);
   vstore_real(v, group, moment2 + base);
-  if (any_lane(!good)) {
+  if (!all_lanes(good)) {
     real lane[VW];
     vstore_real(choose(good, zero, (realV)(R(1.0))), 0, lane);
     uint bad = 0;

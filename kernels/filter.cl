@@ -48,7 +48,7 @@ __kernel void filter_unseen(uint count, __global const uint *status, // in S_OVE
   if (i >= count || status[S_OVERFLOW] != 0) return;
   const realV own = vload_real(0, filter + i);
   const maskV seen = own > V(R(0.0));
-  if (!any_lane(!seen)) return;
+  if (all_lanes(seen)) return;
   real most = R(0.0);
   for (uint k = 0; k < FILTER_CHUNKS; k++) most = fmax(most, largest[k]);
   vstore_real(choose(seen, own, V(most)), 0, filter + i);

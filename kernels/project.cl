@@ -43,7 +43,6 @@ static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV
   const realV wide = sqrt(reach * fma(jx * jx, fma(cu, cu, V(R(1.0))), V((real)BLUR))) + R(1.0);
   const realV high = sqrt(reach * fma(jy * jy, fma(cv, cv, V(R(1.0))), V((real)BLUR))) + R(1.0);
   const realV px = fma(V(cam->fx), u, V(cam->cx)), py = fma(V(cam->fy), v, V(cam->cy));
-  // No mask is turned round: of a vector that is negated oclgrind makes 1 where all bits are due.
   return (t[2] > V(cam->near)) & (px + wide >= V(R(0.0))) & (px - wide <= V((real)cam->width)) &
          (py + high >= V(R(0.0))) & (py - high <= V((real)cam->height));
 }

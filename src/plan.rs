@@ -7,7 +7,7 @@ use crate::config::{ExposureChoice, Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Alpha, Dataset, View};
 use crate::exposure::{Decision, TRANSPARENT};
 use crate::schedule::Schedule;
-use crate::train::{Findings, TRIAL_WORTH};
+use crate::train::{BAND_WORTH, Findings, SET_ASIDE_EVERY, TRIAL_WORTH};
 
 /// Items that training decides.
 const COLOUR: &str = "view-dependent colour";
@@ -32,6 +32,21 @@ pub struct Plan {
     pub left_out: Vec<Item>,
 }
 
+/// What is said of the bands of spherical harmonics of a run on so many training views.
+fn bands(config: &TrainConfig, views: usize) -> String {
+    let degree = config.sh_degree;
+    if !config.work.sh_by_need {
+        return format!("SH degree {degree}, one band after the other");
+    }
+    let end = format!("goes at the end if the training views miss less than {BAND_WORTH} dB");
+    if views < SET_ASIDE_EVERY {
+        return format!("up to SH degree {degree}; a band {end}");
+    }
+    format!(
+        "up to SH degree {degree}; a band stays while views set aside gain {TRIAL_WORTH} dB by it, and {end}"
+    )
+}
+
 impl Plan {
     /// Decides for a dataset and a configuration.
     #[must_use]
@@ -41,21 +56,14 @@ impl Plan {
         plan.decide(
             config.sh_degree > 0,
             COLOUR,
-            &if config.work.sh_by_need {
-                format!(
-                    "up to SH degree {}; a band stays while views set aside gain {TRIAL_WORTH} dB by it",
-                    config.sh_degree
-                )
-            } else {
-                format!("SH degree {}, one band after the other", config.sh_degree)
-            },
+            &bands(config, dataset.train.len()),
             "SH degree 0 asked for",
         );
         let filters = AntiAlias::decide(dataset, config);
         plan.decide(filters.on, "anti-aliasing", &filters.why, &filters.why);
         plan.decide_work(dataset, config);
         plan.sampler(config);
-        plan.exposure(config.exposure, dataset.alpha());
+        plan.exposure(config, dataset.alpha());
         plan.decide(
             !dataset.test.is_empty(),
             "held-out evaluation",
@@ -198,11 +206,15 @@ impl Plan {
     }
 
     /// Whether exposure is compensated, as far as the configuration and the photos say.
-    fn exposure(&mut self, choice: ExposureChoice, alpha: Alpha) {
-        let (on, why) = match (choice, alpha) {
+    fn exposure(&mut self, config: &TrainConfig, alpha: Alpha) {
+        let from = Schedule::new(config).exposure_from().unwrap_or(0);
+        let (on, why) = match (config.exposure, alpha) {
             (ExposureChoice::On, _) => (true, "exposure is on"),
             (ExposureChoice::Off, _) => (false, "exposure is off"),
             (ExposureChoice::Auto, Alpha::Transparency) => (false, TRANSPARENT),
+            (ExposureChoice::Auto, _) if from >= config.iterations => {
+                (false, "the run is too short to tell whether it is needed")
+            }
             (ExposureChoice::Auto, _) => (
                 false,
                 "photos are compared with their renders first: on if their brightness varies",

@@ -13,7 +13,7 @@ mod sampler;
 mod state;
 mod warm_up;
 
-pub use bands::{BAND_WORTH, BandTrial, Bands, TRIAL_WORTH};
+pub use bands::{BAND_WORTH, BandTrial, Bands, SET_ASIDE_EVERY, TRIAL_WORTH};
 pub use control::DensityEvent;
 pub use finish::Findings;
 pub use state::TrainerState;
@@ -42,7 +42,6 @@ use crate::render::{Quantity, RenderOptions, Renderer};
 use crate::schedule::Schedule;
 use crate::stage::adam::{Adam, AdamArgs};
 use crate::stage::edit::Edit;
-use crate::stage::importance::Importance;
 use crate::stage::live::Live;
 use crate::stage::loss::Loss;
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
@@ -63,6 +62,12 @@ fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result
     };
     let planes = views.alpha.planes();
     Array::zeros(device, "small", planes * pixels)
+}
+
+fn shrink_stage(kernels: &Kernels, config: &TrainConfig) -> Result<Option<Shrink>> {
+    let coarse_first = config.work.resolution_levels > 0;
+    let stage = coarse_first.then(|| Shrink::new::<f32>(kernels));
+    stage.transpose()
 }
 
 fn defines(device: &Device, views: &ViewSet, config: &TrainConfig, anti_alias: bool) -> Defines {
@@ -110,14 +115,14 @@ pub struct Trainer {
     moment1: Array<f32>,
     moment2: Array<f32>,
     renderer: Renderer,
-    shrink: Shrink,
+    /// Where coarse photos come first.
+    shrink: Option<Shrink>,
     /// Where photos have masks: tiles in which nothing counts get no pairs.
     live: Option<Live>,
     loss: Loss,
     splat_grad: SplatGrad,
     project_grad: Vec<ProjectGrad>,
     adam: Adam,
-    importance: Importance,
     edit: Edit,
     maps: Array<f32>,
     /// A photo at a fraction of its size.
@@ -197,11 +202,10 @@ impl Trainer {
             splat_grad: SplatGrad::new::<f32>(&kernels)?,
             project_grad: warm_up::project_grad_per_degree(device, defines, degree)?,
             adam: Adam::new::<f32>(&kernels)?,
-            importance: Importance::new::<f32>(&kernels)?,
             edit: Edit::new::<f32>(&kernels)?,
             live: Live::if_masked::<f32>(&kernels)?,
-            shrink: Shrink::new::<f32>(&kernels)?,
-            judge: Judge::new(&kernels, h)?,
+            shrink: shrink_stage(&kernels, config)?,
+            judge: Judge::new(&kernels, h, config)?,
             findings: Findings::default(),
             small: small_photo(device, &views, config)?,
             maps: Array::zeros(device, "maps", 3 * plane)?,

@@ -9,7 +9,7 @@ use mhsplat::model::{Plane, Splats};
 use mhsplat::reference::sh;
 use mhsplat::render::{RenderOptions, Renderer};
 use mhsplat::run::initial_splats;
-use mhsplat::train::Trainer;
+use mhsplat::train::{BAND_WORTH, TRIAL_WORTH, Trainer, TrainerState};
 
 /// A fixed set, with the bands looked after every 40 iterations.
 fn config() -> TrainConfig {
@@ -96,25 +96,86 @@ fn no_band_is_kept_where_they_do_not() {
     assert_eq!(trained.state().unwrap().splats.sh_degree(), 2);
 }
 
+/// The wait after a band that is worth nothing is doubled once: a band may be worth something later in the run.
+#[test]
+fn a_band_is_tried_again_as_long_as_the_run_lasts() {
+    let (data, plain) = shining(0.0);
+    let mut config = config();
+    (config.iterations, config.optimizer.sh_interval) = (640, 1875);
+    let mut trained = trainer(&data, &config, &plain);
+    drive(&mut trained, 610).unwrap();
+    let bands = &trained.findings().bands;
+    let judged: Vec<u32> = bands.trials.iter().map(|t| t.iteration).collect();
+    assert_eq!(judged, [80, 200, 400, 600], "{bands:?}");
+}
+
+/// A band learns little in its first interval, so that little is asked of it there, and more at the end.
+#[test]
+fn a_band_of_little_worth_passes_its_trial_and_goes_at_the_end() {
+    let (data, plain) = shining(0.05);
+    let mut trained = trainer(&data, &config(), &plain);
+    drive(&mut trained, 90).unwrap();
+    let first = trained.findings().bands.trials[0];
+    assert!(
+        first.kept && (TRIAL_WORTH..BAND_WORTH).contains(&first.gain),
+        "{first:?}"
+    );
+    trained.finish().unwrap();
+    assert_eq!(trained.scene_and_renderer().0.sh_degree, 0);
+    let last = trained.findings().bands.trials.last();
+    assert!(last.is_some_and(|t| !t.kept && t.degree == 1), "{last:?}");
+}
+
+/// The state of a run after `until` iterations that was saved and taken up again after each of `at`.
+fn interrupted(data: &Dataset, plain: &Splats, at: &[u32], until: u32) -> TrainerState {
+    let mut trained = trainer(data, &config(), plain);
+    for &at in at {
+        drive(&mut trained, at).unwrap();
+        let state = trained.state().unwrap();
+        trained = trainer(data, &config(), &state.splats);
+        trained.restore(&state).unwrap();
+    }
+    drive(&mut trained, until).unwrap();
+    trained.state().unwrap()
+}
+
 #[test]
 fn a_run_goes_on_in_the_middle_of_a_trial_with_the_same_bits() {
-    let (data, plain) = shining(0.4);
-    let config = config();
-    let mut whole = trainer(&data, &config, &plain);
-    drive(&mut whole, 100).unwrap();
-    for at in [40, 60, 80] {
-        let mut part = trainer(&data, &config, &plain);
-        drive(&mut part, at).unwrap();
-        let state = part.state().unwrap();
-        let mut rest = trainer(&data, &config, &state.splats);
-        rest.restore(&state).unwrap();
-        drive(&mut rest, 100).unwrap();
-        let [a, b] = [&mut whole, &mut rest].map(|t| t.state().unwrap());
-        assert!(
-            a.splats == b.splats && a.findings == b.findings,
-            "from {at}"
-        );
+    // A band that is kept, and one that is let go.
+    for (size, stops) in [(0.4, [40, 60, 80]), (0.0, [60, 80, 130])] {
+        let (data, plain) = shining(size);
+        let whole = interrupted(&data, &plain, &[], 140);
+        assert_eq!(whole.findings.bands.trials[0].kept, size > 0.0);
+        for at in stops {
+            let rest = interrupted(&data, &plain, &[at], 140);
+            assert!(
+                whole.splats == rest.splats && whole.findings == rest.findings,
+                "from {at}"
+            );
+        }
     }
+}
+
+/// A run that its time budget ended in the middle of a trial is finished there, goes on, and is finished again.
+#[test]
+fn a_finished_run_goes_on() {
+    let (data, plain) = shining(0.4);
+    let mut early = trainer(&data, &config(), &plain);
+    drive(&mut early, 60).unwrap();
+    assert!(early.findings().bands.on_trial);
+    early.finish().unwrap();
+    let state = early.state().unwrap();
+    assert_eq!(state.findings.finished, Some(60));
+    let mut late = trainer(&data, &config(), &state.splats);
+    late.restore(&state).unwrap();
+    drive(&mut late, 240).unwrap();
+    late.finish().unwrap();
+    let findings = late.findings().clone();
+    assert_eq!(findings.finished, Some(240));
+    assert!(
+        !findings.bands.on_trial && late.scene_and_renderer().0.sh_degree >= 1,
+        "{findings:?}"
+    );
 }
 
 /// A camera at `center` that looks along z, or back if that is below.

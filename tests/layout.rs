@@ -292,6 +292,40 @@ fn functions_are_short() {
     assert_eq!(functions(&long), [("fn f() {".to_owned(), 72)]);
 }
 
+/// Masks of a kernel that it negates, by name.
+fn negated(source: &str) -> Vec<String> {
+    let name = |rest: &str| -> String {
+        let end = |c: char| !c.is_alphanumeric() && c != '_';
+        rest.split(end).next().unwrap_or_default().to_owned()
+    };
+    let declared = source.split("maskV ").skip(1);
+    let names = declared.flat_map(|d| {
+        let line = d.split([';', '{']).next().unwrap_or_default();
+        line.split(',')
+            .map(|part| name(part.trim()))
+            .collect::<Vec<_>>()
+    });
+    let found = |n: &String| {
+        let negation = format!("!{n}");
+        let mut after = source.split(negation.as_str()).skip(1);
+        !n.is_empty() && after.any(|rest| name(rest).is_empty())
+    };
+    names.filter(found).collect()
+}
+
+/// Of a negated vector oclgrind makes 1 where all bits are due.
+#[test]
+fn kernels_negate_no_mask() {
+    let kernels = [files("kernels", "cl"), files("kernels", "clh")].concat();
+    assert!(kernels.len() > 20);
+    for file in kernels {
+        let source = text(&file);
+        assert_eq!(negated(&source), Vec::<String>::new(), "{}", file.display());
+    }
+    let wrong = "const maskV near = z > 0, far = z < 9; if (!any_lane(near & !far)) return;";
+    assert_eq!(negated(wrong), ["far"]);
+}
+
 /// A fresh machine has neither a loader nor a driver: what installs them was once committed empty, and nobody noticed where
 /// both were there already.
 #[test]

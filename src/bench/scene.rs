@@ -100,6 +100,7 @@ pub fn dataset(cameras: &[Camera]) -> Dataset {
         undistorted: 0,
         missing: Vec::new(),
         astray: Vec::new(),
+        masked_out: Vec::new(),
         image_budget: u64::MAX,
     }
 }

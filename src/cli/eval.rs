@@ -49,12 +49,9 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         args.test_every,
         args.alpha_is_mask,
     )?;
+    let left_out = data.masked_out.len();
     if data.test.is_empty() {
-        return Err(Error::input(
-            &args.dataset,
-            "no held-out view",
-            "hold some out with --test-every",
-        ));
+        return Err(nothing_held_out(&args.dataset, left_out));
     }
     let mut loaded = scene::open(&ply, &data.frame, common.device.as_deref())?;
     let photos = Photos::new(&loaded.device, data.image_budget);
@@ -68,7 +65,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
     }
     let corrected = mean_corrected(&scores);
-    let (psnr, ssim) = mean(&scores).ok_or_else(|| nothing_counts(&args.dataset))?;
+    let (psnr, ssim) = mean(&scores).ok_or_else(|| nothing_held_out(&args.dataset, left_out))?;
     let flip = mean_flip(&scores).unwrap_or(1.0);
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
     if common.json {
@@ -99,10 +96,17 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     Ok(Outcome::of(args.require_psnr, Some(psnr)))
 }
 
-fn nothing_counts(dataset: &Path) -> Error {
+fn nothing_held_out(dataset: &Path, masked_out: usize) -> Error {
+    if masked_out == 0 {
+        return Error::input(
+            dataset,
+            "no held-out view",
+            "hold some out with --test-every",
+        );
+    }
     Error::input(
         dataset,
-        "the masks leave no pixel of any held-out view",
+        format!("no held-out view; {masked_out} views have masks that leave no pixel of them"),
         "masks are white where a photo counts; or hold other views out with --test-every",
     )
 }

@@ -243,7 +243,7 @@ fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -
         data.points.positions.len()
     ));
     note_left_out("are named by the dataset and not there", &data.missing);
-    note_left_out("have masks that leave nothing of them", &data.masked_out());
+    note_left_out("have masks that leave nothing of them", &data.masked_out);
     note_left_out(
         "have cameras far from all others (wrong poses?)",
         &data.astray,

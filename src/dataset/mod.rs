@@ -91,6 +91,8 @@ pub struct Dataset {
     pub missing: Vec<String>,
     /// Names of views that were left out because their cameras are far from all others, at least 20 times as far as 9 of 10 are.
     pub astray: Vec<String>,
+    /// Names of views that were left out because their masks leave no pixel of them: training views, then held-out ones.
+    pub masked_out: Vec<String>,
     /// Bytes that photos left in their files may take on the device at one time; those in memory are uploaded whatever it is.
     pub image_budget: u64,
 }
@@ -138,14 +140,6 @@ impl Dataset {
         format!(
             "its views are not those of {run}: names, sizes, cameras, lenses, masks or split differ (or an earlier version began it)"
         )
-    }
-
-    /// Names of views of which the masks leave nothing.
-    #[must_use]
-    pub fn masked_out(&self) -> Vec<String> {
-        let views = self.train.iter().chain(&self.test);
-        let black = views.filter(|v| v.photo.masked_out());
-        black.map(|v| v.name.clone()).collect()
     }
 
     /// What the photos' alpha says: the same for all of them.

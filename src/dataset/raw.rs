@@ -150,8 +150,10 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
             lens: raw.lens,
             photo,
         });
-    let train: Vec<View> = views.by_ref().take(first_held_out).collect();
-    if train.iter().all(|v| v.photo.masked_out()) {
+    let (train, mut masked_out) = shown(views.by_ref().take(first_held_out));
+    let (test, held_out) = shown(views);
+    masked_out.extend(held_out);
+    if train.is_empty() {
         return Err(Error::input(
             path,
             "the masks leave no pixel of any training photo",
@@ -162,12 +164,13 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         path: path.to_path_buf(),
         layout: scene.layout,
         train,
-        test: views.collect(),
+        test,
         points,
         frame,
         undistorted,
         missing,
         astray,
+        masked_out,
         image_budget: budget,
     })
 }
@@ -227,7 +230,8 @@ fn split(
 }
 
 /// Leaves out views whose cameras are far from all others, by name: one wrong pose would make everything else a speck, and
-/// what it sees is not there. They are a twentieth of the views at most, or nobody is left out.
+/// what it sees is not there. They are a twentieth of the views at most, and not all that there are to train on, or nobody is
+/// left out.
 fn together(train: Vec<RawView>, test: Vec<RawView>) -> (Vec<RawView>, Vec<RawView>, Vec<String>) {
     let centers: Vec<DVec3> = train
         .iter()
@@ -253,8 +257,17 @@ fn together(train: Vec<RawView>, test: Vec<RawView>) -> (Vec<RawView>, Vec<RawVi
     if 20 * astray.len() > centers.len() {
         return (train, test, Vec::new());
     }
+    if train.iter().all(far) {
+        return (train, test, Vec::new());
+    }
     let near = |views: Vec<RawView>| views.into_iter().filter(|v| !far(v)).collect();
     (near(train), near(test), astray)
+}
+
+/// The views of which their masks leave anything, and the names of the others.
+fn shown(views: impl Iterator<Item = View>) -> (Vec<View>, Vec<String>) {
+    let (black, shown): (Vec<View>, Vec<View>) = views.partition(|v| v.photo.masked_out());
+    (shown, black.into_iter().map(|v| v.name).collect())
 }
 
 /// Some photos may be missing, but not all.

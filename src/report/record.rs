@@ -29,6 +29,9 @@ pub struct DatasetRecord {
     /// Images that were left out because their cameras are far from all others.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub astray: Vec<String>,
+    /// Images that were left out because their masks leave no pixel of them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub masked_out: Vec<String>,
     /// Largest width of a photo as trained on, in pixels.
     pub width: u32,
     /// Largest height of a photo as trained on, in pixels.

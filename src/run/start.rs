@@ -165,6 +165,7 @@ fn record(dataset: &Dataset, config: &TrainConfig, device: &Device) -> RunRecord
             test_views: dataset.test.len(),
             missing: dataset.missing.clone(),
             astray: dataset.astray.clone(),
+            masked_out: dataset.masked_out.clone(),
             width: largest(|c| c.width),
             height: largest(|c| c.height),
             fingerprint: Some(dataset.fingerprint()),

@@ -17,9 +17,9 @@ pub const BAND_WORTH: f64 = 0.02;
 pub const TRIAL_WORTH: f64 = 0.005;
 
 /// While a band is on trial every n-th training view is set aside, to judge the band by: others learn it by heart.
-const SET_ASIDE_EVERY: usize = 8;
+pub const SET_ASIDE_EVERY: usize = 8;
 
-/// Views on which a band is judged at most, and whose directions the bands below it are fitted to.
+/// Views on which a band is judged at most.
 const JUDGING_VIEWS: usize = 32;
 
 /// Intervals that pass after a band was found to be worth nothing, before it is tried again; twice as many every time, up to
@@ -106,8 +106,8 @@ impl Trainer {
             let bands = &mut self.findings.bands;
             bands.on_trial = false;
             if !kept {
-                bands.next = interval + bands.wait;
-                bands.wait = (2 * bands.wait).min(WAITS[1]);
+                bands.next = interval.saturating_add(bands.wait);
+                bands.wait = bands.wait.saturating_mul(2).min(WAITS[1]);
             }
         }
         let by_need = self.config.work.sh_by_need && self.views.len() >= SET_ASIDE_EVERY;
@@ -128,17 +128,20 @@ impl Trainer {
     }
 
     /// Drops the highest band if it is worth less than `least` dB in some training views, at the size that they have now; the
-    /// bands below it then take over what they can. Whether it is kept.
+    /// bands below it then take over what they can of it in the directions of all training views. Whether it is kept.
+    /// Where bands do not come and go by need nothing judges them.
     fn judge_band(&mut self, views: &[usize], least: f64) -> Result<bool> {
+        let Some(judge) = self.judge.metrics.clone() else {
+            return Ok(true);
+        };
         let degree = self.scene.sh_degree.max(1);
-        let all: Vec<usize> = (0..self.views.len()).collect();
-        let sights: Vec<Sight> = spread(&all).into_iter().map(|v| self.sight(v)).collect();
+        let sights: Vec<Sight> = (0..self.views.len()).map(|v| self.sight(v)).collect();
         let fewer = with_fewer_bands(&self.scene.download()?, degree - 1, &sights)?;
         let mut fewer = Scene::upload(&self.device, &fewer, self.scene.stride)?;
         self.copy_filter(&mut fewer)?;
-        let without = self.squared_error(&fewer, views)?;
+        let without = self.squared_error(&judge, &fewer, views)?;
         let scene = std::mem::replace(&mut self.scene, fewer);
-        let with = self.squared_error(&scene, views);
+        let with = self.squared_error(&judge, &scene, views);
         let fewer = std::mem::replace(&mut self.scene, scene);
         let with = with?;
         // Where nothing is left to explain there is nothing to gain.

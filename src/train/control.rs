@@ -58,8 +58,11 @@ impl Trainer {
         pair: &ImagePair<'_, f32>,
         first_view: bool,
     ) -> Result<()> {
+        let Some(importance) = &self.sampler.importance else {
+            return Ok(());
+        };
         self.loss.errors(pair, &self.maps, &self.partial)?;
-        self.importance.run(&ImportanceArgs {
+        importance.run(&ImportanceArgs {
             params: &self.scene.params,
             stride: self.scene.stride,
             count: self.scene.count,

@@ -1,9 +1,12 @@
 //! What is left out at the end of a run, because the trained scene does not need it.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use super::{Bands, Trainer};
 use crate::buffers::Scene;
+use crate::config::TrainConfig;
 use crate::error::Result;
 use crate::gpu::{Array, Kernels};
 use crate::render::RenderOptions;
@@ -22,21 +25,27 @@ pub struct Findings {
     pub finished: Option<u32>,
 }
 
-/// Stages that judge the scene by the training views.
-#[derive(Debug)]
+/// Stages that judge the scene by the training views, each where the configuration asks for what it decides.
+#[derive(Debug, Clone)]
 pub(super) struct Judge {
-    metrics: Metrics,
-    rows: Array<f32>,
-    weight: Weight,
+    /// Errors of views, and the row sums that they are added up from: for bands.
+    pub(super) metrics: Option<Arc<(Metrics, Array<f32>)>>,
+    /// What views show of each Gaussian: for those that are not seen.
+    weight: Option<Arc<Weight>>,
 }
 
 impl Judge {
     /// Builds the kernels; `height` is that of the largest view.
-    pub(super) fn new(kernels: &Kernels, height: usize) -> Result<Self> {
+    pub(super) fn new(kernels: &Kernels, height: usize, config: &TrainConfig) -> Result<Self> {
+        let metrics = || {
+            let rows = Array::zeros(kernels.device(), "score", 2 * height)?;
+            Ok(Arc::new((Metrics::new::<f32>(kernels)?, rows)))
+        };
+        let weight = || Ok(Arc::new(Weight::new::<f32>(kernels)?));
+        let bands = config.work.sh_by_need && config.sh_degree > 0;
         Ok(Self {
-            metrics: Metrics::new::<f32>(kernels)?,
-            rows: Array::zeros(kernels.device(), "score", 2 * height)?,
-            weight: Weight::new::<f32>(kernels)?,
+            metrics: bands.then(metrics).transpose()?,
+            weight: config.work.remove_unseen.then(weight).transpose()?,
         })
     }
 }
@@ -52,13 +61,9 @@ impl Trainer {
         if self.findings.finished == Some(self.iteration) {
             return Ok(());
         }
-        if self.config.work.sh_by_need {
-            self.drop_bands()?;
-        }
+        self.drop_bands()?;
         self.findings.removed = 0;
-        if self.config.work.remove_unseen {
-            self.remove_unseen()?;
-        }
+        self.remove_unseen()?;
         self.findings.finished = Some(self.iteration);
         self.fit_views()
     }
@@ -70,7 +75,12 @@ impl Trainer {
     }
 
     /// Sum of the squared errors of training views of a scene, at the size that they have now.
-    pub(super) fn squared_error(&mut self, scene: &Scene, views: &[usize]) -> Result<f64> {
+    pub(super) fn squared_error(
+        &mut self,
+        (metrics, rows): &(Metrics, Array<f32>),
+        scene: &Scene,
+        views: &[usize],
+    ) -> Result<f64> {
         let mut total = 0.0;
         for (k, &view) in views.iter().enumerate() {
             let photo = self.views.photo(view, &views[k + 1..])?;
@@ -79,9 +89,9 @@ impl Trainer {
             self.renderer.render(scene, &camera, &options)?;
             let photo = self.shrunk(&photo, view, factor)?;
             let pair = self.pair(view, &camera, photo, options.background)?;
-            self.judge.metrics.run(&pair, &self.judge.rows)?;
-            let rows = self.judge.rows.read(0, pair.size[1])?;
-            total += rows.into_iter().map(f64::from).sum::<f64>();
+            metrics.run(&pair, rows)?;
+            let sums = rows.read(0, pair.size[1])?;
+            total += sums.into_iter().map(f64::from).sum::<f64>();
         }
         Ok(total)
     }
@@ -95,17 +105,17 @@ impl Trainer {
     }
 
     /// The most that any training view shows of each Gaussian: the sum of α·T over its pixels.
-    fn weights(&mut self) -> Result<Vec<f32>> {
+    fn weights(&mut self, weight: &Weight) -> Result<Vec<f32>> {
         let count = self.scene.count;
         let most = Array::zeros(&self.device, "weights", count)?;
-        let options = self.final_options(0);
+        let options = self.final_options(self.scene.sh_degree);
         for camera in self.views.cameras.clone() {
             self.renderer.render(&self.scene, &camera, &options)?;
             let frame = &self.renderer.frame;
             self.dimage.write(0, &red_image(size_of_image(&camera)))?;
             self.splat_grad
                 .run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
-            self.judge.weight.run(&WeightArgs {
+            weight.run(&WeightArgs {
                 count,
                 pair_start: &frame.pair_start,
                 pair_counts: &frame.pair_counts,
@@ -119,7 +129,10 @@ impl Trainer {
     /// Removes the Gaussians that no pixel of any training view shows: behind, beyond, below the cut or hidden in all of them.
     /// What is left renders every training view to the same bit.
     fn remove_unseen(&mut self) -> Result<()> {
-        let weights = self.weights()?;
+        let Some(weight) = self.judge.weight.clone() else {
+            return Ok(());
+        };
+        let weights = self.weights(&weight)?;
         let kept: Vec<u32> = (0..weights.len() as u32)
             .filter(|&i| weights[i as usize] > 0.0)
             .collect();

@@ -41,10 +41,10 @@ impl Trainer {
     /// Makes the smaller photo, if there is to be one.
     pub(super) fn shrink_photo(&self, photo: &Array<u8>, view: usize, factor: usize) -> Result<()> {
         let size = size_of_image(&self.views.cameras[view]);
-        if factor > 1 {
-            self.shrink.run(photo, size, factor, &self.small)?;
+        match &self.shrink {
+            Some(shrink) if factor > 1 => shrink.run(photo, size, factor, &self.small),
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// The photo, or what [`Trainer::shrink_photo`] made of it.

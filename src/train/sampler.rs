@@ -6,6 +6,7 @@ use crate::density::{DensityControl, NoiseLaw, Wanted};
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg, Device, Kernels};
 use crate::rng::Purpose;
+use crate::stage::importance::Importance;
 use crate::stage::noise::{Noise, NoiseArgs};
 use crate::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
 
@@ -14,6 +15,8 @@ use crate::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
 pub(super) struct SamplerStages {
     noise: Option<(Noise, NoiseLaw)>,
     screen_grad: Option<ScreenGrad>,
+    /// Gathers errors of views per Gaussian.
+    pub(super) importance: Option<Importance>,
     /// Rows of cues that the sampler wants gathered.
     pub(super) cue_rows: usize,
 }
@@ -28,6 +31,9 @@ impl SamplerStages {
                 .transpose()?,
             screen_grad: (wanted == Wanted::ScreenGradient)
                 .then(|| ScreenGrad::new::<f32>(kernels))
+                .transpose()?,
+            importance: matches!(wanted, Wanted::Errors { .. })
+                .then(|| Importance::new::<f32>(kernels))
                 .transpose()?,
             cue_rows: wanted.rows(),
         })

@@ -80,10 +80,10 @@ impl Trainer {
         }
         self.warm_up_edits()?;
         let size = size_of_image(&camera);
-        if !self.small.is_empty() && size.iter().all(|s| *s > 1) {
-            self.shrink.run(&photo, size, 2, &self.small)?;
+        match &self.shrink {
+            Some(shrink) if size.iter().all(|s| *s > 1) => shrink.run(&photo, size, 2, &self.small),
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// The edit kernels write where they are told to, so they get planes of their own.

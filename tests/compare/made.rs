@@ -50,6 +50,7 @@ pub fn run(name: &str, seed: u64) -> Made {
         height: 72,
         missing: Vec::new(),
         astray: Vec::new(),
+        masked_out: Vec::new(),
         fingerprint: Some("0123456789abcdef".into()),
     };
     let mut record = RunRecord::new(config, dataset, DeviceRecord::default(), Plan::default());

@@ -34,7 +34,7 @@ pub const COLMAP: [&str; 6] = [
     "images_txt",
     "points3d_txt",
 ];
-pub const PHOTOS: [&str; 4] = ["transforms", "lenses", "png", "jpeg"];
+pub const PHOTOS: [&str; 6] = ["transforms", "lenses", "png", "jpeg", "webp", "mask"];
 pub const CLOUDS: [&str; 2] = ["points_ply", "scene_ply"];
 pub const SETTINGS: [&str; 3] = ["config_toml", "config_json", "experiment_toml"];
 pub const RUNS: [&str; 4] = ["checkpoint", "signed_checkpoint", "run_json", "metrics_csv"];
@@ -140,6 +140,17 @@ fn transforms(dir: TempDir) -> Reader {
     reader
 }
 
+/// The mask of a photo.
+fn mask() -> Reader {
+    let dir = dataset(SynthLayout::Colmap);
+    let name = &load(dir.path(), &LoadOptions::default()).unwrap().train[0].name;
+    let file = dir.path().join("masks").join(format!("{name}.png"));
+    fs::create_dir(dir.path().join("masks")).unwrap();
+    let white = image::GrayImage::from_pixel(24, 16, image::Luma([255]));
+    white.save(&file).unwrap();
+    of_file(dir, file, |dir| load(dir, &LoadOptions::default()).is_ok())
+}
+
 fn photos(name: &str) -> Reader {
     if name == "lenses" {
         return lenses();
@@ -149,6 +160,9 @@ fn photos(name: &str) -> Reader {
     if name == "transforms" {
         return transforms(dir);
     }
+    if name == "mask" {
+        return mask();
+    }
     let data = load(dir.path(), &LoadOptions::default()).unwrap();
     let stem = &data.train[0].name;
     let candidates = [
@@ -156,13 +170,14 @@ fn photos(name: &str) -> Reader {
         dir.path().join(format!("{stem}.png")),
     ];
     let file = candidates.into_iter().find(|p| p.is_file()).unwrap();
-    if name == "jpeg" {
-        // The reader goes by content, not by the name.
-        let pixels = image::open(&file).unwrap().into_rgb8();
-        pixels
-            .save_with_format(&file, image::ImageFormat::Jpeg)
-            .unwrap();
-    }
+    // The reader goes by content, not by the name.
+    let format = match name {
+        "jpeg" => image::ImageFormat::Jpeg,
+        "webp" => image::ImageFormat::WebP,
+        _ => image::ImageFormat::Png,
+    };
+    let pixels = image::open(&file).unwrap().into_rgb8();
+    pixels.save_with_format(&file, format).unwrap();
     of_file(dir, file, reads)
 }
 

@@ -73,6 +73,7 @@ pub fn record() -> RunRecord {
             height: 478,
             missing: Vec::new(),
             astray: Vec::new(),
+            masked_out: Vec::new(),
             fingerprint: Some("0123456789abcdef".into()),
         },
         DeviceRecord {
