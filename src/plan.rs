@@ -43,7 +43,7 @@ fn bands(config: &TrainConfig, views: usize) -> String {
         return format!("up to SH degree {degree}; a band {end}");
     }
     format!(
-        "up to SH degree {degree}; a band stays while views set aside gain {TRIAL_WORTH} dB by it, and {end}"
+        "up to SH degree {degree} as soon as views set aside gain {TRIAL_WORTH} dB by the first band; a band {end}"
     )
 }
 

@@ -23,8 +23,9 @@ pub struct WorkConfig {
     pub morton_order: bool,
     /// Leave neighbours that a view cannot see alone together. Changes no result.
     pub cull_chunks: bool,
-    /// A band of spherical harmonics stays only while it is worth `train::TRIAL_WORTH` of training views that are set aside, and is
-    /// dropped at the end where the training views do not miss it; off: one more band at every interval, as in the papers.
+    /// Bands of spherical harmonics come, one at every interval, once the first is worth `train::TRIAL_WORTH` of training views
+    /// that are set aside, and are dropped at the end where the training views do not miss them; off: they come from the first
+    /// interval on and stay, as in the papers.
     pub sh_by_need: bool,
     /// At the end, Gaussians that no training view would miss are removed.
     pub remove_unseen: bool,

@@ -1,4 +1,4 @@
-//! `mhsplat bench --scene`: a trained scene is rendered with the filters that it was trained with.
+//! `mhsplat bench --scene`: a scene trained with anti-aliasing is rendered with both filters, the 3D one by the bench's own views.
 
 use mhsplat::bench::work::TileWork;
 use mhsplat::bench::{self, Options, scene};

@@ -195,3 +195,27 @@ fn a_mirrored_pose_is_refused() {
     });
     assert_refused(load_every(dir.path(), 0), &["no rigid pose"]);
 }
+
+/// What looks far away may be all that there is to train on.
+#[test]
+fn the_only_training_view_is_never_astray() {
+    let dir = scene(25, DVec3::ZERO);
+    edit(dir.path(), "transforms_train.json", |v| {
+        let frames = v["frames"].as_array_mut().unwrap();
+        frames.truncate(1);
+        for row in frames[0]["transform_matrix"]
+            .as_array_mut()
+            .unwrap()
+            .iter_mut()
+            .take(3)
+        {
+            row[3] = json!(1e5);
+        }
+    });
+    edit(dir.path(), "transforms_test.json", |v| {
+        v["frames"].as_array_mut().unwrap().remove(0);
+    });
+    let d = load_every(dir.path(), 8).unwrap();
+    assert_eq!((d.train.len(), d.test.len()), (1, 24));
+    assert!(d.astray.is_empty());
+}
