@@ -123,7 +123,14 @@ impl Plan {
         let mut plan = self.clone();
         if let Some(last) = findings.bands.trials.last() {
             let gain = format!("{:+.3} dB at iteration {}", last.gain, last.iteration);
-            if last.kept {
+            let most = config.sh_degree;
+            if findings.finished.is_none() && last.kept {
+                let why = format!("up to SH degree {most}, since the first band was worth {gain}");
+                plan.decide(true, COLOUR, &why, "");
+            } else if findings.finished.is_none() {
+                let why = format!("the first band was worth {gain}: too little; it is tried again");
+                plan.decide(false, COLOUR, "", &why);
+            } else if last.kept {
                 let why = format!("the band of SH degree {} is worth {gain}", last.degree);
                 plan.decide(true, COLOUR, &why, "");
             } else if last.degree == 1 {

@@ -53,9 +53,14 @@ const LAG: usize = 2;
 /// Losses kept on the device.
 const LOSS_RING: usize = 256;
 
+/// Whether photos are ever shrunk; see [`Schedule::shrink_factor`].
+fn coarse_first(config: &TrainConfig) -> bool {
+    config.work.resolution_levels > 0 && config.time_budget.is_none()
+}
+
 /// Room for a photo at half its size, if the configuration ever asks for one.
 fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result<Array<u8>> {
-    let pixels = if config.work.resolution_levels > 0 {
+    let pixels = if coarse_first(config) {
         (views.largest[0] / 2) * (views.largest[1] / 2)
     } else {
         0
@@ -65,8 +70,7 @@ fn small_photo(device: &Device, views: &ViewSet, config: &TrainConfig) -> Result
 }
 
 fn shrink_stage(kernels: &Kernels, config: &TrainConfig) -> Result<Option<Shrink>> {
-    let coarse_first = config.work.resolution_levels > 0;
-    let stage = coarse_first.then(|| Shrink::new::<f32>(kernels));
+    let stage = coarse_first(config).then(|| Shrink::new::<f32>(kernels));
     stage.transpose()
 }
 

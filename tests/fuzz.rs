@@ -137,3 +137,23 @@ fn every_reader_has_a_fuzz_target() {
     names.sort_unstable();
     assert_eq!(targets, names);
 }
+
+/// What names its version in a checkpoint, up to the number's end.
+fn version(bytes: &[u8]) -> Option<Vec<u8>> {
+    let key = br#"version\":"#;
+    let at = bytes.windows(key.len()).position(|w| w == key)?;
+    let end = bytes[at..].iter().position(|b| *b == b',')?;
+    Some(bytes[at..at + end].to_vec())
+}
+
+/// Readers refuse another version by its number and look no further.
+#[test]
+fn stored_checkpoints_are_of_this_version() {
+    for name in ["checkpoint", "signed_checkpoint"] {
+        let this = version(&reader(name).seeds[0]);
+        assert!(this.is_some());
+        let stored = corpus(name);
+        let same = stored.iter().filter(|(_, bytes)| version(bytes) == this);
+        assert!(same.count() >= 5, "{name}");
+    }
+}

@@ -321,6 +321,9 @@ fn kernels_negate_no_mask() {
     for file in kernels {
         let source = text(&file);
         assert_eq!(negated(&source), Vec::<String>::new(), "{}", file.display());
+        for wrong in ["any_lane(!", "all_lanes(!", "choose(!", "!isfinite("] {
+            assert!(!source.contains(wrong), "{}: {wrong}", file.display());
+        }
     }
     let wrong = "const maskV near = z > 0, far = z < 9; if (!any_lane(near & !far)) return;";
     assert_eq!(negated(wrong), ["far"]);

@@ -97,10 +97,13 @@ fn data_switch_items() {
     assert!(of(&scarce, "photos decoded ahead of their use").is_ok());
 }
 
-/// What the plan says after bands of these degrees were judged last.
-fn colour(degree: u32, kept: bool) -> Result<String, String> {
+/// What the plan says after a band of this degree was judged last, in mid-run or at the end.
+fn colour(degree: u32, kept: bool, finished: Option<u32>) -> Result<String, String> {
     let config = TrainConfig::default();
-    let mut findings = Findings::default();
+    let mut findings = Findings {
+        finished,
+        ..Findings::default()
+    };
     findings.bands.trials.push(BandTrial {
         iteration: 300,
         degree,
@@ -113,13 +116,20 @@ fn colour(degree: u32, kept: bool) -> Result<String, String> {
 
 #[test]
 fn what_training_finds_is_told() {
+    let end = Some(300);
     assert!(
-        colour(2, true)
+        colour(2, true, end)
             .unwrap()
             .contains("degree 2 is worth +0.500 dB at iteration 300")
     );
-    assert!(colour(2, false).unwrap().contains("up to SH degree 1"));
-    assert!(colour(1, false).unwrap_err().contains("+0.010 dB"));
+    assert!(colour(2, false, end).unwrap().contains("up to SH degree 1"));
+    assert!(colour(1, false, end).unwrap_err().contains("+0.010 dB"));
+    assert!(
+        colour(1, true, None)
+            .unwrap()
+            .contains("up to SH degree 3, since the first band was worth +0.500 dB")
+    );
+    assert!(colour(1, false, None).unwrap_err().contains("tried again"));
     let config = TrainConfig::default();
     let before = Plan::new(&room(64), &config);
     assert_eq!(before.since(&before), None);
@@ -141,4 +151,26 @@ fn what_training_finds_is_told() {
         "{said}"
     );
     assert!(!said.contains("Morton"), "{said}");
+}
+
+#[test]
+fn bars_of_bands_and_short_runs_are_told() {
+    let data = room(64);
+    let mut few = data.clone();
+    few.train.truncate(7);
+    let colour = "view-dependent colour";
+    let of = |data: &Dataset| verdict(&plan(data, |_| {}), colour).unwrap();
+    for (data, first) in [(&data, true), (&few, false)] {
+        let said = of(data);
+        assert_eq!(said.contains("gain 0.005 dB by the first band"), first);
+        assert!(said.contains("miss less than 0.02 dB"), "{said}");
+    }
+    let papers = plan(&data, |c| c.work.sh_by_need = false);
+    assert!(!verdict(&papers, colour).unwrap().contains("dB"));
+    let exposure = |iterations| {
+        let short = plan(&data, |c| c.iterations = iterations);
+        verdict(&short, "per-image exposure").unwrap_err()
+    };
+    assert!(exposure(300).contains("too short to tell"));
+    assert!(exposure(301).contains("compared with their renders"));
 }

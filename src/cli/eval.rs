@@ -49,9 +49,8 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         args.test_every,
         args.alpha_is_mask,
     )?;
-    let left_out = data.masked_out.len();
     if data.test.is_empty() {
-        return Err(nothing_held_out(&args.dataset, left_out));
+        return Err(nothing_held_out(&args.dataset));
     }
     let mut loaded = scene::open(&ply, &data.frame, common.device.as_deref())?;
     let photos = Photos::new(&loaded.device, data.image_budget);
@@ -65,7 +64,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
     }
     let corrected = mean_corrected(&scores);
-    let (psnr, ssim) = mean(&scores).ok_or_else(|| nothing_held_out(&args.dataset, left_out))?;
+    let (psnr, ssim) = mean(&scores).ok_or_else(|| nothing_held_out(&args.dataset))?;
     let flip = mean_flip(&scores).unwrap_or(1.0);
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
     if common.json {
@@ -96,18 +95,11 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     Ok(Outcome::of(args.require_psnr, Some(psnr)))
 }
 
-fn nothing_held_out(dataset: &Path, masked_out: usize) -> Error {
-    if masked_out == 0 {
-        return Error::input(
-            dataset,
-            "no held-out view",
-            "hold some out with --test-every",
-        );
-    }
+fn nothing_held_out(dataset: &Path) -> Error {
     Error::input(
         dataset,
-        format!("no held-out view; {masked_out} views have masks that leave no pixel of them"),
-        "masks are white where a photo counts; or hold other views out with --test-every",
+        "no held-out view",
+        "hold some out with --test-every; photos of which masks leave nothing do not count",
     )
 }
 

@@ -10,6 +10,8 @@ use mhsplat::gpu::{Defines, Device};
 use mhsplat::render::Renderer;
 use mhsplat::report::{RECORD_FILE, RunRecord};
 
+use super::output;
+
 /// A scene ready to be rendered.
 pub struct Loaded {
     pub device: Device,
@@ -58,7 +60,39 @@ pub fn dataset(
         image_budget: None,
         alpha_is_mask: alpha_is_mask || record.is_some_and(|r| r.config.alpha_is_mask),
     };
-    dataset::load(path, &options)
+    let data = dataset::load(path, &options)?;
+    note_left_out(&data);
+    Ok(data)
+}
+
+/// Says which images of a dataset are left out, and why.
+pub fn note_left_out(data: &Dataset) {
+    for (names, one, more) in [
+        (
+            &data.missing,
+            "image is named by the dataset and not there",
+            "images are named by the dataset and not there",
+        ),
+        (
+            &data.masked_out,
+            "image has a mask that leaves nothing of it",
+            "images have masks that leave nothing of them",
+        ),
+        (
+            &data.astray,
+            "image has a camera far from all others (a wrong pose?)",
+            "images have cameras far from all others (wrong poses?)",
+        ),
+    ] {
+        if names.is_empty() {
+            continue;
+        }
+        let what = if names.len() == 1 { one } else { more };
+        let some = names[..names.len().min(5)].join(", ");
+        let dots = if names.len() > 5 { ", ..." } else { "" };
+        let count = names.len();
+        output::note(&format!("left out: {count} {what}: {some}{dots}"));
+    }
 }
 
 /// Uploads a scene in a local frame; its file says whether it is rendered with the 2D filter.

@@ -15,7 +15,7 @@ use mhsplat::report::Clock;
 use mhsplat::run::{Run, abandon_folder, claim_folder, saved_config};
 
 use super::progress::{finish, progress_bar, show};
-use super::{Common, Outcome, output};
+use super::{Common, Outcome, output, scene};
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SamplerFlag {
@@ -197,18 +197,6 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     Ok(Outcome::of(args.require_psnr, psnr))
 }
 
-/// Says which images are left out; `run.json` has all of their names.
-fn note_left_out(why: &str, names: &[String]) {
-    if !names.is_empty() {
-        let some = names[..names.len().min(5)].join(", ");
-        let more = if names.len() > 5 { ", ..." } else { "" };
-        output::note(&format!(
-            "{} images {why}; training goes on without them: {some}{more}",
-            names.len()
-        ));
-    }
-}
-
 /// How a run that ended early goes on.
 fn note_resume(saved: Option<u32>, dataset: &Path, dir: &Path, stopped: bool) {
     let what = match saved {
@@ -242,12 +230,7 @@ fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -
         data.test.len(),
         data.points.positions.len()
     ));
-    note_left_out("are named by the dataset and not there", &data.missing);
-    note_left_out("have masks that leave nothing of them", &data.masked_out);
-    note_left_out(
-        "have cameras far from all others (wrong poses?)",
-        &data.astray,
-    );
+    scene::note_left_out(&data);
     if args.resume.is_some() {
         Run::resume(dir, data, config, device, clock)
     } else {

@@ -92,6 +92,7 @@ pub struct Dataset {
     /// Names of views that were left out because their cameras are far from all others, at least 20 times as far as 9 of 10 are.
     pub astray: Vec<String>,
     /// Names of views that were left out because their masks leave no pixel of them: training views, then held-out ones.
+    /// Their cameras count for the frame.
     pub masked_out: Vec<String>,
     /// Bytes that photos left in their files may take on the device at one time; those in memory are uploaded whatever it is.
     pub image_budget: u64,

@@ -138,7 +138,6 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         .par_iter()
         .map(|v| place(v, &frame, options.max_size, masked))
         .collect::<Result<_>>()?;
-    let undistorted = raw.iter().filter(|v| v.lens != Lens::Pinhole).count();
     let photos = read(files, budget)?;
     let mut views = raw
         .into_iter()
@@ -153,6 +152,8 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     let (train, mut masked_out) = shown(views.by_ref().take(first_held_out));
     let (test, held_out) = shown(views);
     masked_out.extend(held_out);
+    let of_lenses = train.iter().chain(&test);
+    let undistorted = of_lenses.filter(|v| v.lens != Lens::Pinhole).count();
     if train.is_empty() {
         return Err(Error::input(
             path,
