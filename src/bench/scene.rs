@@ -156,5 +156,6 @@ pub fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
         },
         edits: Vec::new(),
         spoilt: Vec::new(),
+        error_map_bound: None,
     }
 }

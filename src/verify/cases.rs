@@ -114,6 +114,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
             vec![edit(0, 0)]
         },
         spoilt: Vec::new(),
+        error_map_bound: None,
     }
 }
 

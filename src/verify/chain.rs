@@ -50,6 +50,8 @@ pub struct Case {
     pub edits: Vec<DensityEdit>,
     /// Gaussians whose own numbers are not compared, because their parameters are none. What they do to others is.
     pub spoilt: Vec<usize>,
+    /// A bound of its own on the loss's error maps in f32, where the case needs one.
+    pub error_map_bound: Option<f64>,
 }
 
 /// Adam's constants in every case: β₁, β₂, ε. Exact in f32, as those of a configuration are: 1 − β₂ of a rounded 0.999 is off by
