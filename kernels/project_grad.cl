@@ -45,17 +45,9 @@ static inline void sh_direction_grad(const realV d[3], const realV *weight, real
 #endif
 }
 
-// What the regulariser adds to the gradient of an SH coefficient: l (l + 1) / 2 times it, l its band.
-static inline realV roughness_grad(__global const real *params, uint stride, uint i, maskV exists, real weight, int k, int ch) {
-  if (k == 0) return V(R(0.0));
-  const real band = k < 4 ? R(1.0) : k < 9 ? R(3.0) : R(6.0);
-  return choose(exists, (weight * band) * PLANE(params, P_SH + 3 * k + ch), V(R(0.0)));
-}
-
 // Colour gradient -> SH coefficient gradients (written) and position gradient (added), 0 where `active` is off.
 static inline void color_grad(__global const real *params, uint stride, uint i, __global real *grads,
-                              uint grad_stride, uint at, const Camera *cam, maskV active, maskV exists, real weight_sh,
-                              const realV x[3], const realV dcolor[3], realV dx[3]) {
+                              uint grad_stride, uint at, const Camera *cam, maskV active, const realV x[3], const realV dcolor[3], realV dx[3]) {
   const realV zero = V(R(0.0));
   realV dir[3], basis[SH_COUNT], weight[SH_COUNT];
   const realV inv_distance = view_direction(cam, x, dir);
@@ -67,8 +59,7 @@ static inline void color_grad(__global const real *params, uint stride, uint i, 
     for (int k = 0; k < SH_COUNT; k++) sum = fma(basis[k], PLANE(params, P_SH + 3 * k + ch), sum);
     const realV d = choose(active & (sum > zero), dcolor[ch], zero);
     for (int k = 0; k < SH_COUNT; k++) {
-      const realV regular = roughness_grad(params, stride, i, exists, weight_sh, k, ch);
-      vstore_real(fma(d, basis[k], regular), 0, grads + (size_t)(P_SH + 3 * k + ch) * grad_stride + at);
+      vstore_real(d * basis[k], 0, grads + (size_t)(P_SH + 3 * k + ch) * grad_stride + at);
       weight[k] = fma(d, PLANE(params, P_SH + 3 * k + ch), weight[k]);
     }
   }
@@ -170,7 +161,6 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
                            __global const real *sums,                            // in [pairs, SUMS]
                            real weight_opacity, // lambda_o / N
                            real weight_scale,   // lambda_s / (3 N), per local unit
-                           real weight_sh,      // lambda_r / N, of the mean roughness
                            __global real *grads) { // out [planes, grad_stride] of the block
   const uint at = get_global_id(0) * VW, i = first + at;
   if (at >= grad_stride || i >= count) return;
@@ -210,12 +200,10 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
 #endif
     active &= shape_of(&cam, x, ls, q, &o);
     shape_grad(&cam, &o, s, dx, dls, dq);
-    color_grad(params, stride, i, grads, grad_stride, at, &cam, active, exists, weight_sh, x, s + 6, dx);
+    color_grad(params, stride, i, grads, grad_stride, at, &cam, active, x, s + 6, dx);
   } else { // neighbours that no pixel saw
     s[0] = dx[0] = dx[1] = dx[2] = dls[0] = dls[1] = dls[2] = dq[0] = dq[1] = dq[2] = dq[3] = zero;
-    for (int k = 0; k < SH_COUNT; k++)
-      for (int ch = 0; ch < 3; ch++)
-        vstore_real(roughness_grad(params, stride, i, exists, weight_sh, k, ch), 0, grads + (size_t)(P_SH + 3 * k + ch) * grad_stride + at);
+    for (int k = 0; k < 3 * SH_COUNT; k++) vstore_real(zero, 0, grads + (size_t)(P_SH + k) * grad_stride + at);
   }
   for (int k = 0; k < 3; k++) {
     const maskV free_scale = exists & (ls[k] > V(LOG_SCALE_MIN)) & (ls[k] < V(LOG_SCALE_MAX));

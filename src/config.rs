@@ -32,11 +32,6 @@ pub struct LossConfig {
     /// λ_s: weight of the mean scale, in local units (scene extent 1). The papers' 0.01 is per world unit, and their scenes
     /// have an extent of about five.
     pub lambda_scale: f32,
-    /// λ_r: weight of the mean roughness ½ Σ ½ l(l+1) c² of the Gaussians' colours over the directions, c the SH coefficients of
-    /// the bands l ≥ 1 of all channels: ¼ of the integral of the squared gradient over the sphere. Divided by the number of
-    /// training views, as a prior counts once however many photos there are: without it the bands of a scene with few photos
-    /// say anything where none looks. Not in the papers.
-    pub lambda_sh: f32,
 }
 
 impl Default for LossConfig {
@@ -45,7 +40,6 @@ impl Default for LossConfig {
             lambda_ssim: 0.2,
             lambda_opacity: 0.01,
             lambda_scale: 0.05,
-            lambda_sh: 0.1,
         }
     }
 }
@@ -292,7 +286,7 @@ impl LossConfig {
     fn validate(&self) -> Result<()> {
         let l = self;
         let shares = (0.0..=1.0).contains(&l.lambda_ssim);
-        let weights = [l.lambda_opacity, l.lambda_scale, l.lambda_sh];
+        let weights = [l.lambda_opacity, l.lambda_scale];
         if !(shares && weights.iter().all(|w| w.is_finite() && *w >= 0.0)) {
             return Err(Error::config(
                 "loss",

@@ -125,7 +125,6 @@ impl<R: Real> Backward<'_, R> {
             sums: &frame.sums,
             lambda_opacity: 0.0,
             lambda_scale: 0.0,
-            lambda_sh: 0.0,
             block: first..count,
             grad_stride: rows,
             grads: &grads,

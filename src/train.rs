@@ -318,7 +318,6 @@ impl Trainer {
                 sums: &frame.sums,
                 lambda_opacity: f64::from(self.config.loss.lambda_opacity),
                 lambda_scale: f64::from(self.config.loss.lambda_scale),
-                lambda_sh: f64::from(self.config.loss.lambda_sh) / self.views.len().max(1) as f64,
                 block: block.clone(),
                 grad_stride,
                 grads: &self.grads,

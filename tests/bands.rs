@@ -327,28 +327,3 @@ fn what_was_gathered_of_a_gaussian_stays_with_it() {
     assert!(after.iter().all(|row| rest.any(|b| b == row)));
     assert!(before.iter().any(|(_, cues)| cues.iter().any(|c| *c > 0.0)));
 }
-
-/// How far colours are from those of band 0 in the root mean square over all directions, of the scene that three photos give.
-fn glitter(lambda_sh: f32) -> f64 {
-    let (mut data, plain) = shining(0.1);
-    data.train.truncate(3);
-    let mut config = config();
-    (config.sh_degree, config.iterations) = (3, 600);
-    config.optimizer.sh_interval = 1000;
-    config.loss.lambda_sh = lambda_sh;
-    let mut trained = trainer(&data, &config, &plain);
-    drive(&mut trained, config.iterations).unwrap();
-    let splats = trained.state().unwrap().splats;
-    assert_eq!(splats.sh_degree(), 3);
-    let higher = splats.planes().iter().skip(Plane::SH + 3).flatten();
-    // The basis is orthonormal on the sphere.
-    let sum: f64 = higher.map(|c| f64::from(*c).powi(2)).sum();
-    (sum / (splats.len() * 3) as f64 / (4.0 * std::f64::consts::PI)).sqrt()
-}
-
-/// Bands say anything where no photo looks, unless what no photo asks for fades.
-#[test]
-fn few_photos_leave_less_glitter() {
-    let (without, with) = (glitter(0.0), glitter(TrainConfig::default().loss.lambda_sh));
-    assert!(with < 0.7 * without, "{with} with, {without} without");
-}

@@ -145,7 +145,7 @@ pub fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
         background: [0.2, 0.5, 0.1],
         alpha_min,
         sh_degree: SH_DEGREE,
-        lambdas: [0.2, 0.01, 0.01, 0.003],
+        lambdas: [0.2, 0.01, 0.01],
         rates: LearningRates {
             position: 0.0,
             scale: 0.0,

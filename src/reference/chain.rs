@@ -6,7 +6,7 @@ use super::project::{Record64, project};
 use super::project_grad::project_grad;
 use super::splat::splat;
 use super::splat_grad::splat_grad;
-use super::{Camera64, LOG_SCALE, Options, Scene64, sh, sigmoid};
+use super::{Camera64, LOG_SCALE, Options, Scene64, sigmoid};
 use crate::model::Plane;
 
 /// Everything on the way.
@@ -28,9 +28,9 @@ pub struct Passage {
     pub grads: Scene64,
 }
 
-/// λ·(1 − SSIM) + (1 − λ)·L1 and the regularisers, with weights λ, λ_o, λ_s, λ_r.
+/// λ·(1 − SSIM) + (1 − λ)·L1 and the regularisers, with weights λ, λ_o, λ_s.
 #[must_use]
-pub fn total(scene: &Scene64, l1: f64, ssim: f64, lambdas: [f64; 4]) -> f64 {
+pub fn total(scene: &Scene64, l1: f64, ssim: f64, lambdas: [f64; 3]) -> f64 {
     let n = scene.len() as f64;
     let opacity: f64 = scene.planes[Plane::OPACITY]
         .iter()
@@ -43,13 +43,7 @@ pub fn total(scene: &Scene64, l1: f64, ssim: f64, lambdas: [f64; 4]) -> f64 {
         .map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp())
         .sum::<f64>()
         / (3.0 * n);
-    let bands = scene.planes.iter().enumerate().skip(Plane::SH);
-    let roughness: f64 = bands
-        .map(|(p, plane)| 0.5 * sh::roughness(p) * plane.iter().map(|c| c * c).sum::<f64>())
-        .sum::<f64>()
-        / n;
-    let regularisers = lambdas[1] * opacity + lambdas[2] * scale + lambdas[3] * roughness;
-    (1.0 - lambdas[0]) * l1 + lambdas[0] * (1.0 - ssim) + regularisers
+    (1.0 - lambdas[0]) * l1 + lambdas[0] * (1.0 - ssim) + lambdas[1] * opacity + lambdas[2] * scale
 }
 
 /// Records, Gaussians of each tile, image \[3, height, width\] and transmittance \[height, width\].
@@ -73,7 +67,7 @@ pub fn loss_of(
     camera: &Camera64,
     options: &Options,
     photo: &[f64],
-    lambdas: [f64; 4],
+    lambdas: [f64; 3],
 ) -> f64 {
     let (_, _, image, _) = render(scene, camera, options);
     let l = loss(&image, photo, camera.size.map(|s| s as usize), lambdas[0]);
@@ -88,7 +82,7 @@ pub fn run(
     options: &Options,
     photo: &[f64],
     mask: Option<&[f64]>,
-    lambdas: [f64; 4],
+    lambdas: [f64; 3],
 ) -> Passage {
     let pixels = camera.pixels();
     let counts = |at: usize| mask.map_or(1.0, |m| m[at % pixels]);
@@ -108,13 +102,7 @@ pub fn run(
         .zip(&records)
         .map(|(s, r)| r.as_ref().map(|_| s))
         .collect();
-    let grads = project_grad(
-        scene,
-        camera,
-        options,
-        &sums,
-        [lambdas[1], lambdas[2], lambdas[3]],
-    );
+    let grads = project_grad(scene, camera, options, &sums, [lambdas[1], lambdas[2]]);
     Passage {
         records,
         tiles,

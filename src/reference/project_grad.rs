@@ -7,15 +7,15 @@ use super::{
 };
 use crate::model::{Plane, sh_coefficients};
 
-/// Gradients of all raw parameters from the nine sums of each Gaussian, regularisers λ_o·mean(o) + λ_s·mean(scale) +
-/// λ_r·mean(roughness) included. `sums[i]` is none for a culled Gaussian.
+/// Gradients of all raw parameters from the nine sums of each Gaussian, regularisers λ_o·mean(o) + λ_s·mean(scale)
+/// included. `sums[i]` is none for a culled Gaussian.
 #[must_use]
 pub fn project_grad(
     scene: &Scene64,
     camera: &Camera64,
     options: &Options,
     sums: &[Option<[f64; 9]>],
-    lambdas: [f64; 3],
+    lambdas: [f64; 2],
 ) -> Scene64 {
     let n = scene.len() as f64;
     let mut out = scene.zeros_like();
@@ -36,9 +36,6 @@ pub fn project_grad(
             } else {
                 0.0
             };
-        }
-        for p in Plane::SH..scene.planes.len() {
-            out.planes[p][i] += lambdas[2] / n * sh::roughness(p) * scene.planes[p][i];
         }
     }
     out

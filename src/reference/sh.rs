@@ -1,7 +1,6 @@
 //! Real spherical harmonics with their gradient. Their values are the host's own (`model::sh`): what is checked against them are
 //! the kernels, which have the polynomials in `common.clh`.
 
-use crate::model::Plane;
 pub use crate::model::sh::basis;
 use crate::model::sh::{C1, C2, C3};
 
@@ -37,11 +36,4 @@ pub fn gradient([x, y, z]: [f64; 3]) -> [[f64; 3]; 16] {
         scale(C3[4], [2.0 * x * z, -2.0 * y * z, xx - yy]),
         scale(-C3[0], [3.0 * xx - 3.0 * yy, -6.0 * x * y, 0.0]),
     ]
-}
-
-/// l(l+1)/2 of the band l that a plane of SH coefficients belongs to: what a coefficient's square adds to twice the roughness.
-#[must_use]
-pub fn roughness(plane: usize) -> f64 {
-    let band = ((plane - Plane::SH) / 3).isqrt();
-    (band * (band + 1) / 2) as f64
 }

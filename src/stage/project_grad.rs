@@ -42,8 +42,6 @@ pub struct ProjectGradArgs<'a, R: Real> {
     pub lambda_opacity: f64,
     /// λ_s of the mean scale, per local unit.
     pub lambda_scale: f64,
-    /// λ_r of the mean roughness of view-dependent colours.
-    pub lambda_sh: f64,
     /// The Gaussians whose gradients are wanted; starts at a multiple of 16.
     pub block: Range<usize>,
     /// Gaussians that a plane of `grads` has room for, a multiple of 16.
@@ -94,7 +92,6 @@ impl ProjectGrad {
             .array(a.sums, 1)
             .value(R::of(a.lambda_opacity / n))
             .value(R::of(a.lambda_scale / (3.0 * n)))
-            .value(R::of(a.lambda_sh / n))
             .array(a.grads, self.planes * a.grad_stride)
             .run([a.block.len().div_ceil(self.lanes), 1], [self.local, 1])
     }

@@ -99,7 +99,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         background: [0.2, 0.5, 0.1],
         alpha_min: ALPHA_MIN,
         sh_degree,
-        lambdas: [0.2, 0.01, 0.01, 0.01],
+        lambdas: [0.2, 0.01, 0.01],
         rates: LearningRates {
             position: 1e-3,
             scale: 5e-3,

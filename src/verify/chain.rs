@@ -42,8 +42,8 @@ pub struct Case {
     pub alpha_min: f64,
     /// SH degree in use.
     pub sh_degree: u32,
-    /// λ, λ_o, λ_s, λ_r.
-    pub lambdas: [f64; 4],
+    /// λ, λ_o, λ_s.
+    pub lambdas: [f64; 3],
     /// Learning rates of the optimiser step.
     pub rates: LearningRates,
     /// Rows written after the step.
@@ -323,7 +323,6 @@ impl<R: Real> Run<'_, R> {
             sums: &f.sums,
             lambda_opacity: case.lambdas[1],
             lambda_scale: case.lambdas[2],
-            lambda_sh: case.lambdas[3],
             block: 0..self.scene.count,
             grad_stride: self.scene.stride,
             grads: &grads,

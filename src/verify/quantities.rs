@@ -252,7 +252,7 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
 /// axis, times (s_max/s_k)².
 fn largest_turn(case: &Case, p: &Passage) -> f64 {
     let (scene, camera, options) = twin::inputs(case);
-    let pulls = project_grad(&scene, &camera, &options, &p.sums, [0.0; 3]);
+    let pulls = project_grad(&scene, &camera, &options, &p.sums, [0.0; 2]);
     let of = |i: usize| -> f64 {
         let axes = scene
             .gather::<3>(Plane::LOG_SCALE, i)
