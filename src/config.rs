@@ -182,7 +182,7 @@ impl Default for TrainConfig {
             checkpoint_every: 1000,
             init: Init::Points,
             alpha_is_mask: false,
-            background: Background::Black,
+            background: Background::Auto,
             anti_aliasing: AntiAliasing::Auto,
             exposure: ExposureChoice::Auto,
             loss: LossConfig::default(),

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::antialias::AntiAlias;
-use crate::config::{ExposureChoice, Init, MhConfig, Sampler, TrainConfig};
+use crate::config::{Background, ExposureChoice, Init, MhConfig, Sampler, TrainConfig};
 use crate::dataset::{Alpha, Dataset, View};
 use crate::exposure::{Decision, TRANSPARENT};
 use crate::schedule::Schedule;
@@ -52,7 +52,7 @@ impl Plan {
     #[must_use]
     pub fn new(dataset: &Dataset, config: &TrainConfig) -> Self {
         let mut plan = Self::default();
-        plan.photos(dataset);
+        plan.photos(dataset, config);
         plan.decide(
             config.sh_degree > 0,
             COLOUR,
@@ -85,12 +85,24 @@ impl Plan {
     }
 
     /// What the photos are like.
-    fn photos(&mut self, dataset: &Dataset) {
+    fn photos(&mut self, dataset: &Dataset, config: &TrainConfig) {
         self.decide(
             dataset.background_matters(),
             "photo alpha over the background",
             "photos have transparent pixels",
             "no photo is transparent",
+        );
+        let transparent = dataset.background_matters();
+        self.decide(
+            config.background == Background::Random
+                || config.background == Background::Auto && transparent,
+            "a background of another colour in each iteration",
+            "over one colour a scene keeps fog of that colour",
+            if config.background == Background::Auto {
+                "no photo is transparent"
+            } else {
+                "one colour asked for"
+            },
         );
         self.decide(
             dataset.alpha() == Alpha::Mask,

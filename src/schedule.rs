@@ -258,11 +258,12 @@ impl Schedule {
         order
     }
 
-    /// Background colour of an iteration.
+    /// Background colour of an iteration over photos that are transparent or not.
     #[must_use]
-    pub fn background(&self, iteration: u32) -> [f32; 3] {
+    pub fn background(&self, iteration: u32, transparent: bool) -> [f32; 3] {
         match self.config.background {
-            Background::Random => {
+            Background::Auto if !transparent => self.fixed_background(),
+            Background::Auto | Background::Random => {
                 let stream = Purpose::Background.stream(0);
                 let u = Philox::uniform(self.config.seed, stream, u64::from(iteration));
                 [u[0] as f32, u[1] as f32, u[2] as f32]
@@ -277,7 +278,7 @@ impl Schedule {
         match self.config.background {
             Background::White => [1.0; 3],
             Background::Color(c) => c,
-            Background::Black | Background::Random => [0.0; 3],
+            Background::Auto | Background::Black | Background::Random => [0.0; 3],
         }
     }
 }

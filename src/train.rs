@@ -29,7 +29,7 @@ use sampler::SamplerStages;
 use crate::antialias::AntiAlias;
 use crate::buffers::{Scene, ViewSet};
 use crate::config::TrainConfig;
-use crate::dataset::Dataset;
+use crate::dataset::{Alpha, Dataset};
 use crate::density::{self, DensityControl, DensityStats};
 use crate::error::{Error, Result};
 use crate::exposure::{Decision, check as check_exposure};
@@ -252,7 +252,9 @@ impl Trainer {
     fn options(&self, iteration: u32, sh_degree: u32) -> RenderOptions {
         RenderOptions {
             sh_degree,
-            background: self.schedule.background(iteration),
+            background: self
+                .schedule
+                .background(iteration, self.views.alpha == Alpha::Transparency),
             quantity: Quantity::Color,
             live_only: false,
         }

@@ -1,7 +1,7 @@
 //! The plan: what switches each item on, and what is said of it.
 
 use crate::determinism::room;
-use mhsplat::config::{Init, Sampler, TrainConfig};
+use mhsplat::config::{Background, Init, Sampler, TrainConfig};
 use mhsplat::dataset::{Dataset, LoadOptions, Photo, PhotoSource, load};
 use mhsplat::plan::{Item, Plan};
 use mhsplat::train::{BandTrial, Findings};
@@ -37,6 +37,11 @@ fn options_switch_items() {
         |c| c.work.resolution_levels = 0,
         false,
     );
+    switched(
+        "a background of another colour in each iteration",
+        |c| c.background = Background::Random,
+        true,
+    );
     switched("coarse photos first", |c| c.time_budget = Some(9.0), false);
     switched("Morton order", |c| c.work.morton_order = false, false);
     switched(
@@ -71,6 +76,8 @@ fn data_switch_items() {
     let of = |data: &Dataset, what: &str| verdict(&Plan::new(data, &config), what);
     let alpha = "photo alpha over the background";
     assert!(of(&data, alpha).is_err());
+    let backgrounds = "a background of another colour in each iteration";
+    assert!(of(&data, backgrounds).is_err());
     assert!(of(&data, "undistortion").is_err());
     assert!(of(&data, "held-out evaluation").is_ok());
     assert!(of(&data, "photos decoded ahead of their use").is_err());
@@ -84,6 +91,10 @@ fn data_switch_items() {
     data.test.clear();
     data.points.positions.clear();
     assert!(of(&data, alpha).is_ok());
+    assert!(of(&data, backgrounds).is_ok());
+    let over_white = plan(&data, |c| c.background = Background::White);
+    let why = verdict(&over_white, backgrounds).unwrap_err();
+    assert!(why.contains("one colour"), "{why}");
     assert!(of(&data, "undistortion").unwrap().contains("3 photos"));
     assert!(of(&data, "held-out evaluation").is_err());
     assert!(of(&data, "initial Gaussians from sparse points").is_err());

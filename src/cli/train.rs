@@ -119,7 +119,7 @@ pub struct TrainArgs {
     /// Take the photos' alpha for a mask of what counts, not for transparency.
     #[arg(long)]
     alpha_is_mask: bool,
-    /// black, white, random or R,G,B [default: black]
+    /// auto (random where photos are transparent), black, white, random or R,G,B [default: auto]
     #[arg(long)]
     background: Option<String>,
     /// Filters for views of other distances and sizes than those trained on [default: auto]

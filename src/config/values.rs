@@ -64,13 +64,16 @@ pub enum ExposureChoice {
     Off,
 }
 
-/// What lies behind the scene; written `black`, `white`, `random` or `R,G,B`.
+/// What lies behind the scene; written `auto`, `black`, `white`, `random` or `R,G,B`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Background {
-    /// (0, 0, 0).
+    /// As [`Background::Random`] where photos are transparent, as [`Background::Black`] where they are not. Over one colour a
+    /// scene keeps fog of that colour, which no training view shows and other views do.
     #[default]
+    Auto,
+    /// (0, 0, 0).
     Black,
     /// (1, 1, 1).
     White,
@@ -86,10 +89,11 @@ impl std::str::FromStr for Background {
         let wrong = || {
             Error::config(
                 "--background",
-                format!("{s:?}; black, white, random or R,G,B in 0 to 1 expected"),
+                format!("{s:?}; auto, black, white, random or R,G,B in 0 to 1 expected"),
             )
         };
         match s {
+            "auto" => Ok(Self::Auto),
             "black" => Ok(Self::Black),
             "white" => Ok(Self::White),
             "random" => Ok(Self::Random),
@@ -119,6 +123,7 @@ impl TryFrom<String> for Background {
 impl From<Background> for String {
     fn from(v: Background) -> Self {
         match v {
+            Background::Auto => "auto".into(),
             Background::Black => "black".into(),
             Background::White => "white".into(),
             Background::Random => "random".into(),
