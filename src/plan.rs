@@ -92,16 +92,18 @@ impl Plan {
             "photos have transparent pixels",
             "no photo is transparent",
         );
-        let transparent = dataset.background_matters();
+        let asked = config.background != Background::Auto;
+        let one = format!("one colour asked for: {}", String::from(config.background));
         self.decide(
-            config.background == Background::Random
-                || config.background == Background::Auto && transparent,
+            config.background.changes(dataset.background_matters()),
             "a background of another colour in each iteration",
-            "over one colour a scene keeps fog of that colour",
-            if config.background == Background::Auto {
-                "no photo is transparent"
-            } else {
-                "one colour asked for"
+            match asked {
+                true => "asked for",
+                false => "over one colour a scene keeps fog of it",
+            },
+            match asked {
+                true => &one,
+                false => "no photo is transparent",
             },
         );
         self.decide(

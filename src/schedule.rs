@@ -261,15 +261,12 @@ impl Schedule {
     /// Background colour of an iteration over photos that are transparent or not.
     #[must_use]
     pub fn background(&self, iteration: u32, transparent: bool) -> [f32; 3] {
-        match self.config.background {
-            Background::Auto if !transparent => self.fixed_background(),
-            Background::Auto | Background::Random => {
-                let stream = Purpose::Background.stream(0);
-                let u = Philox::uniform(self.config.seed, stream, u64::from(iteration));
-                [u[0] as f32, u[1] as f32, u[2] as f32]
-            }
-            _ => self.fixed_background(),
+        if !self.config.background.changes(transparent) {
+            return self.fixed_background();
         }
+        let stream = Purpose::Background.stream(0);
+        let u = Philox::uniform(self.config.seed, stream, u64::from(iteration));
+        [u[0] as f32, u[1] as f32, u[2] as f32]
     }
 
     /// Background colour where it must not change: evaluation.

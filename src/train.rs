@@ -249,12 +249,15 @@ impl Trainer {
         self.renderer.frame.fit_pairs(&self.device, pairs)
     }
 
+    /// Whether the training photos are.
+    fn transparent(&self) -> bool {
+        self.views.alpha == Alpha::Transparency
+    }
+
     fn options(&self, iteration: u32, sh_degree: u32) -> RenderOptions {
         RenderOptions {
             sh_degree,
-            background: self
-                .schedule
-                .background(iteration, self.views.alpha == Alpha::Transparency),
+            background: self.schedule.background(iteration, self.transparent()),
             quantity: Quantity::Color,
             live_only: false,
         }

@@ -1,13 +1,12 @@
 //! Training learns: held-out PSNR rises, and density control beats a fixed set.
 
-use crate::determinism::{drive, room};
+use crate::determinism::room;
 use mhsplat::buffers::ViewSet;
-use mhsplat::config::{Background, Sampler, TrainConfig};
-use mhsplat::dataset::{Dataset, Photo, PhotoSource};
+use mhsplat::config::{Sampler, TrainConfig};
+use mhsplat::dataset::Dataset;
 use mhsplat::evaluate::{Evaluator, mean};
 use mhsplat::gpu::tuning::Tuning;
 use mhsplat::gpu::{Defines, Device};
-use mhsplat::model::Plane;
 use mhsplat::photos::Photos;
 use mhsplat::run::initial_splats;
 use mhsplat::train::Trainer;
@@ -61,43 +60,4 @@ fn a_room_is_learned_and_density_control_helps() {
     );
     assert!(with > before + 6.0);
     assert!(with > without);
-}
-
-/// Opacities of black fog after training on photos in which there is nothing.
-fn fog(background: Background) -> Vec<f32> {
-    let mut data = room(64);
-    for view in &mut data.train {
-        let (w, h) = (view.camera.width, view.camera.height);
-        let clear = Photo::from_interleaved(w, h, 4, &vec![0; 4 * (w * h) as usize]).unwrap();
-        view.photo = PhotoSource::Memory(clear.into());
-    }
-    let mut config = TrainConfig {
-        sampler: Sampler::None,
-        iterations: 150,
-        max_size: 64,
-        sh_degree: 0,
-        background,
-        ..TrainConfig::default()
-    };
-    (config.loss.lambda_opacity, config.loss.lambda_scale) = (0.0, 0.0);
-    let mut splats = initial_splats(&data, &config).unwrap();
-    for c in 0..3 {
-        // Far below black, so that no gradient of the colour moves it.
-        splats.plane_mut(Plane::SH + c).fill(-4.0);
-    }
-    splats.plane_mut(Plane::OPACITY).fill(0.0);
-    let device = Device::open(None).unwrap();
-    let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
-    drive(&mut trainer, config.iterations).unwrap();
-    trainer.state().unwrap().splats.planes()[Plane::OPACITY].clone()
-}
-
-/// Over one background a scene keeps fog of its colour in front of what is transparent, which other views would show.
-#[test]
-fn fog_of_the_backgrounds_colour_does_not_last() {
-    assert!(fog(Background::Black).iter().all(|logit| *logit == 0.0));
-    let changing = fog(Background::Auto);
-    let lasting = changing.iter().filter(|logit| **logit > -1.0).count();
-    println!("{lasting} of {} last", changing.len());
-    assert!(lasting < changing.len() / 2);
 }

@@ -7,6 +7,7 @@
 )]
 
 mod antialias;
+mod background;
 mod bands;
 mod bench;
 mod cli;

@@ -94,7 +94,7 @@ fn data_switch_items() {
     assert!(of(&data, backgrounds).is_ok());
     let over_white = plan(&data, |c| c.background = Background::White);
     let why = verdict(&over_white, backgrounds).unwrap_err();
-    assert!(why.contains("one colour"), "{why}");
+    assert_eq!(why, "one colour asked for: white");
     assert!(of(&data, "undistortion").unwrap().contains("3 photos"));
     assert!(of(&data, "held-out evaluation").is_err());
     assert!(of(&data, "initial Gaussians from sparse points").is_err());

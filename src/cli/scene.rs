@@ -120,6 +120,10 @@ pub fn background(asked: Option<&str>, record: Option<&RunRecord>) -> Result<[f3
     let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
     if let Some(text) = asked {
         config.background = text.parse()?;
+        if config.background.changes(true) {
+            let what = format!("{text:?}; black, white or R,G,B expected where nothing is trained");
+            return Err(Error::config("--background", what));
+        }
     }
     Ok(mhsplat::schedule::Schedule::new(&config).fixed_background())
 }

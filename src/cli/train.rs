@@ -119,7 +119,8 @@ pub struct TrainArgs {
     /// Take the photos' alpha for a mask of what counts, not for transparency.
     #[arg(long)]
     alpha_is_mask: bool,
-    /// auto (random where photos are transparent), black, white, random or R,G,B [default: auto]
+    /// black, white, R,G,B, random (another colour in each iteration, scored over black), or auto: random where photos are
+    /// transparent, black where not [default: auto]
     #[arg(long)]
     background: Option<String>,
     /// Filters for views of other distances and sizes than those trained on [default: auto]

@@ -70,7 +70,7 @@ pub enum ExposureChoice {
 #[non_exhaustive]
 pub enum Background {
     /// As [`Background::Random`] where photos are transparent, as [`Background::Black`] where they are not. Over one colour a
-    /// scene keeps fog of that colour, which no training view shows and other views do.
+    /// scene keeps fog of that colour, which no training view shows and other views do. Black when evaluating.
     #[default]
     Auto,
     /// (0, 0, 0).
@@ -81,6 +81,14 @@ pub enum Background {
     Random,
     /// RGB in [0, 1].
     Color([f32; 3]),
+}
+
+impl Background {
+    /// Whether every iteration has a colour of its own, over photos that are transparent or not.
+    #[must_use]
+    pub fn changes(self, transparent: bool) -> bool {
+        self == Self::Random || (self == Self::Auto && transparent)
+    }
 }
 
 impl std::str::FromStr for Background {

@@ -11,10 +11,10 @@ pub struct Picture {
     pub rotation: [f32; 9],
     /// Centre of projection, local units.
     pub center: [f32; 3],
-    /// The photo's red, green, blue as the scene has them: without a mask on them, and without the view's exposure, where that
-    /// is compensated.
+    /// The photo's red, green, blue as the scene has them: without a mask on them or a background behind, and without the view's
+    /// exposure, where that is compensated.
     pub photo: [Vec<f32>; 3],
-    /// Mean over the channels of |render − photo|, as far as the pixel counts.
+    /// Mean over the channels of |render − photo|, as far as the pixel counts and is opaque.
     pub error: Vec<f32>,
     /// Mean depth (camera z) of what is rendered, local units; not finite where nothing is.
     pub depth: Vec<f32>,

@@ -181,7 +181,7 @@ struct Subject<'a> {
 }
 
 impl Subject<'_> {
-    /// The renders and the loss of training at the checkpoint.
+    /// The renders and the loss of training at the checkpoint, over the background of evaluation.
     fn setting(&self, schedule: &Schedule, probe: f64) -> Setting {
         Setting {
             render: RenderOptions {

@@ -216,7 +216,7 @@ fn resized(
 }
 
 /// At most [`JUDGING_VIEWS`] of some views, evenly.
-fn spread(views: &[usize]) -> Vec<usize> {
+pub(super) fn spread(views: &[usize]) -> Vec<usize> {
     let n = views.len();
     let count = n.min(JUDGING_VIEWS);
     (0..count).map(|k| views[k * n / count]).collect()

@@ -97,7 +97,7 @@ impl Trainer {
     }
 
     /// How views are rendered to be judged: over the background that does not change.
-    fn final_options(&self, sh_degree: u32) -> RenderOptions {
+    pub(super) fn final_options(&self, sh_degree: u32) -> RenderOptions {
         RenderOptions {
             background: self.schedule.fixed_background(),
             ..self.options(self.iteration, sh_degree)

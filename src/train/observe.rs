@@ -1,23 +1,29 @@
 //! What can be seen of a trainer between iterations.
 
+use super::bands::spread;
 use super::{LOSS_RING, Trainer};
 use crate::buffers::Scene;
 use crate::density::DensityStats;
 use crate::error::Result;
-use crate::gpu::StageTime;
 use crate::gpu::tuning::Tuning;
+use crate::gpu::{Array, StageTime};
 use crate::photos::PhotoStats;
 use crate::render::Renderer;
 use crate::schedule::Schedule;
 
 impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
-    /// more than there are views). None before the first iteration.
+    /// more than there are views). None before the first iteration. Where a run waits for the loss to fall no more, but every
+    /// iteration has a background of its own, that of at most 32 views over the background that does not change.
     ///
     /// # Errors
     /// The driver's.
     pub fn recent_loss(&mut self) -> Result<Option<f64>> {
         self.settle()?;
+        let changing = self.config.background.changes(self.transparent());
+        if changing && self.config.patience.is_some() && self.iteration > 0 {
+            return self.steady_loss().map(Some);
+        }
         let n = (self.iteration as usize)
             .min(LOSS_RING)
             .min(self.views.len());
@@ -34,6 +40,28 @@ impl Trainer {
             })
             .sum();
         Ok(Some(sum / n as f64))
+    }
+
+    /// Mean loss of some training views over the background that does not change, at the size that they have now.
+    fn steady_loss(&mut self) -> Result<f64> {
+        let all: Vec<usize> = (0..self.views.len()).collect();
+        let (views, sums) = (spread(&all), Array::zeros(&self.device, "loss", 2)?);
+        let lambda = f64::from(self.config.loss.lambda_ssim);
+        let mut total = 0.0;
+        for (k, &view) in views.iter().enumerate() {
+            let photo = self.views.photo(view, &views[k + 1..])?;
+            let (camera, factor) = self.camera_at(self.iteration, view);
+            let options = self.final_options(self.scene.sh_degree);
+            self.renderer.render(&self.scene, &camera, &options)?;
+            let photo = self.shrunk(&photo, view, factor)?;
+            let pair = self.pair(view, &camera, photo, options.background)?;
+            self.loss.errors(&pair, &self.maps, &self.partial)?;
+            self.loss.sum(&pair, &self.partial, &sums, 0)?;
+            let parts: Vec<f32> = sums.to_vec()?;
+            let [l1, ssim] = [0, 1].map(|k| f64::from(parts[k]));
+            total += (1.0 - lambda) * l1 + lambda * (1.0 - ssim);
+        }
+        Ok(total / views.len() as f64)
     }
 
     /// First iteration that takes photos at their full size.

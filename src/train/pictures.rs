@@ -1,7 +1,8 @@
 //! Views rendered for density control beside those of training.
 
 use super::Trainer;
-use crate::dataset::photo::{colors, counts};
+use crate::dataset::Alpha;
+use crate::dataset::photo::colors;
 use crate::density::Picture;
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg};
@@ -74,14 +75,18 @@ impl Trainer {
         let photo = self.shrunk(&photo, view, factor)?;
         let alpha = self.views.alpha;
         let bytes = photo.read(0, alpha.planes() * pixels)?;
-        let mask = counts(alpha, &bytes);
-        let counts = |i: usize| mask.get(i).copied().unwrap_or(1.0);
-        let mut photo = colors(alpha, &bytes, options.background);
-        let taken = photo.clone();
+        // Nothing is born where there is nothing, whatever fog is there.
+        let opaque = |i: usize| f32::from(*bytes.get(3 * pixels + i).unwrap_or(&255)) / 255.0;
+        let taken = colors(alpha, &bytes, options.background);
+        let mut photo = match alpha {
+            // What is born has the photo's colour and not that of this iteration's background.
+            Alpha::Transparency => colors(Alpha::Mask, &bytes, options.background),
+            _ => taken.clone(),
+        };
         self.exposed_picture(view, &mut seen.rgb, &mut photo)?;
         let error = |i: usize| -> f32 {
             let apart = |c: usize| (seen.rgb[c * pixels + i] - taken[c][i]).abs();
-            counts(i) * (0..3).map(apart).sum::<f32>() / 3.0
+            opaque(i) * (0..3).map(apart).sum::<f32>() / 3.0
         };
         Ok(Picture {
             width: seen.width,

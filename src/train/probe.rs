@@ -8,6 +8,7 @@ use crate::density::{DensityControl, Edit, Trial};
 use crate::error::Result;
 use crate::gpu::{Array, Defines, Device, EditRow};
 use crate::probe::{Backward, EPSILON_SINGLE, Pass, ROUND, change, scaled_logit};
+use crate::render::RenderOptions;
 use crate::stage::edit::EditArgs;
 
 /// What renders probes, if this density control tries births.
@@ -55,7 +56,8 @@ impl Trainer {
     pub(super) fn warm_up_probes(&mut self, degree: u32) -> Result<()> {
         if let Some(mut pass) = self.probes.take() {
             let scene = self.with_probes(&[])?;
-            self.probe_view(&mut pass, &scene, [0, degree as usize], true)?;
+            let options = self.options(0, degree);
+            self.probe_view(&mut pass, &scene, 0, &options, true)?;
             self.probes = Some(pass);
         }
         Ok(())
@@ -70,8 +72,9 @@ impl Trainer {
         let views = self.upcoming(self.iteration, count);
         let degree = self.scene.sh_degree as usize;
         let mut changes = vec![f64::NAN; trials.len()];
-        for view in &views {
-            let [probes, sources] = self.probe_view(pass, &scene, [*view, degree], shared)?;
+        for (at, view) in (self.iteration..).zip(&views) {
+            let options = self.options(at, degree as u32);
+            let [probes, sources] = self.probe_view(pass, &scene, *view, &options, shared)?;
             let touched = pass.touched(n, scene.count)?;
             for (k, (sum, trial)) in changes.iter_mut().zip(trials).enumerate() {
                 let logit = f64::from(trial.birth.opacity_logit);
@@ -133,17 +136,17 @@ impl Trainer {
         &mut self,
         pass: &mut Pass<f32>,
         scene: &Scene,
-        [view, degree]: [usize; 2],
+        view: usize,
+        options: &RenderOptions,
         shared: bool,
     ) -> Result<[[Vec<f64>; 4]; 2]> {
         let photo = self.views.photo(view, &[])?;
         let (camera, factor) = self.camera_at(self.iteration, view);
-        let options = self.options(self.iteration, degree as u32);
-        self.renderer.render(&self.scene, &camera, &options)?;
+        self.renderer.render(&self.scene, &camera, options)?;
         let photo = self.shrunk(&photo, view, factor)?;
         let pair = self.pair(view, &camera, photo, options.background)?;
         self.loss_gradient(view, &pair)?;
-        let (project_grad, dimage) = (&self.project_grad[degree], &self.dimage);
+        let (project_grad, dimage) = (&self.project_grad[options.sh_degree as usize], &self.dimage);
         let sources = if shared {
             let backward = Backward {
                 device: &self.device,
@@ -155,7 +158,7 @@ impl Trainer {
         } else {
             Default::default()
         };
-        pass.render(scene, &camera, &options)?;
+        pass.render(scene, &camera, options)?;
         let first = self.scene.count / ROUND * ROUND;
         let probes = pass
             .backward(project_grad)

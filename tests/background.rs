@@ -1,0 +1,180 @@
+//! What lies behind transparent photos: another colour in each iteration, unless one is asked for.
+
+use crate::determinism::{drive, room, saved, trained};
+use mhsplat::config::{Background, Sampler, TrainConfig};
+use mhsplat::dataset::{Alpha, Dataset, Photo, PhotoSource};
+use mhsplat::export::checkpoint;
+use mhsplat::gpu::Device;
+use mhsplat::model::{Plane, Splats};
+use mhsplat::run::initial_splats;
+use mhsplat::schedule::Schedule;
+use mhsplat::train::Trainer;
+
+/// The room's photos with this alpha in their left halves.
+fn holed(alpha: u8, mask: bool) -> Dataset {
+    let mut data = room(64);
+    for view in data.train.iter_mut().chain(&mut data.test) {
+        let photo = view.photo.load().unwrap();
+        let (w, pixels) = (photo.width as usize, (photo.width * photo.height) as usize);
+        let rgba: Vec<u8> = (0..4 * pixels)
+            .map(|k| match (k % 4, k / 4) {
+                (3, at) if at % w < w / 2 => alpha,
+                (3, _) => 255,
+                (c, at) => photo.data[c * pixels + at],
+            })
+            .collect();
+        let (w, h) = (photo.width, photo.height);
+        let mut photo = Photo::from_interleaved(w, h, 4, &rgba).unwrap();
+        photo.mask = mask;
+        view.photo = PhotoSource::Memory(photo.into());
+    }
+    data
+}
+
+fn config(background: Background) -> TrainConfig {
+    TrainConfig {
+        iterations: 90,
+        max_size: 64,
+        sh_degree: 1,
+        seed: 5,
+        background,
+        ..TrainConfig::default()
+    }
+}
+
+#[test]
+fn the_schedule_changes_it_where_photos_are_transparent() {
+    let of = |background| {
+        let schedule = Schedule::new(&config(background));
+        let over = |transparent| [0, 1, 2].map(|i| schedule.background(i, transparent));
+        (over(false), over(true), schedule.fixed_background())
+    };
+    let (black, white, grey) = ([0.0; 3], [1.0; 3], [0.5; 3]);
+    for (background, color) in [
+        (Background::Black, black),
+        (Background::White, white),
+        (Background::Color(grey), grey),
+    ] {
+        assert_eq!(of(background), ([color; 3], [color; 3], color));
+    }
+    let (opaque, transparent, fixed) = of(Background::Auto);
+    assert_eq!((opaque, fixed), ([black; 3], black));
+    assert!(transparent[0] != transparent[1] && transparent[1] != transparent[2]);
+    assert_eq!(of(Background::Random), (transparent, transparent, black));
+    for background in [Background::Auto, Background::Random, Background::White] {
+        let text = String::from(background);
+        assert_eq!(text.parse::<Background>().unwrap(), background, "{text}");
+    }
+    assert_eq!(TrainConfig::default().background, Background::Auto);
+}
+
+#[test]
+fn training_asks_what_its_photos_are() {
+    let of = |data: &Dataset, background| trained(data, &config(background), 40).1;
+    let same = |data: &Dataset| of(data, Background::Auto) == of(data, Background::Black);
+    assert!(same(&room(64)));
+    let masked = holed(0, true);
+    assert_eq!(masked.alpha(), Alpha::Mask);
+    assert!(same(&masked));
+    let transparent = holed(0, false);
+    assert!(!same(&transparent));
+    assert!(of(&transparent, Background::Auto) == of(&transparent, Background::Random));
+}
+
+#[test]
+fn a_resumed_run_over_changing_backgrounds_ends_with_the_same_bits() {
+    let data = holed(100, false);
+    let mut config = config(Background::Auto);
+    config.mh.surrogate = mhsplat::config::Surrogate::Probe;
+    let (done, whole) = trained(&data, &config, 90);
+    assert!(done.stats().accepted > 0 && done.stats().pixel[0] > 0);
+    let (mut half, _) = trained(&data, &config, 33);
+    let folder = tempfile::tempdir().unwrap();
+    checkpoint::write(folder.path(), &saved(&mut half, &config, &data)).unwrap();
+    let saved = checkpoint::read(folder.path()).unwrap();
+    let device = Device::open(None).unwrap();
+    let mut trainer = Trainer::new(&device, &data, &config, &saved.state.splats).unwrap();
+    trainer.restore(&saved.state).unwrap();
+    drive(&mut trainer, 90).unwrap();
+    assert!(trainer.state().unwrap().splats == whole);
+}
+
+/// Photos in which there is nothing, and black fog before them.
+fn fog(background: Background) -> (Dataset, TrainConfig, Splats) {
+    let mut data = room(64);
+    for view in &mut data.train {
+        let (w, h) = (view.camera.width, view.camera.height);
+        let clear = Photo::from_interleaved(w, h, 4, &vec![0; 4 * (w * h) as usize]).unwrap();
+        view.photo = PhotoSource::Memory(clear.into());
+    }
+    let mut config = TrainConfig {
+        iterations: 150,
+        sh_degree: 0,
+        ..config(background)
+    };
+    (config.loss.lambda_opacity, config.loss.lambda_scale) = (0.0, 0.0);
+    let mut splats = initial_splats(&data, &config).unwrap();
+    for c in 0..3 {
+        // Far below black, so that no gradient of the colour moves it.
+        splats.plane_mut(Plane::SH + c).fill(-4.0);
+    }
+    splats.plane_mut(Plane::OPACITY).fill(0.0);
+    (data, config, splats)
+}
+
+/// Over one background a scene keeps fog of its colour in front of what is transparent, which other views would show.
+#[test]
+fn fog_of_the_backgrounds_colour_does_not_last() {
+    let of = |background| {
+        let (data, mut config, splats) = fog(background);
+        config.sampler = Sampler::None;
+        let device = Device::open(None).unwrap();
+        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        drive(&mut trainer, config.iterations).unwrap();
+        trainer.state().unwrap().splats.planes()[Plane::OPACITY].clone()
+    };
+    assert!(of(Background::Black).iter().all(|o| o.abs() < 1e-3));
+    let left = of(Background::Auto);
+    let lasting = left.iter().filter(|logit| **logit > -1.0).count();
+    assert!(lasting < left.len() / 10, "{lasting} of {}", left.len());
+}
+
+/// Where a photo is clear no error brings a Gaussian of the background's colour into being.
+#[test]
+fn nothing_is_born_where_there_is_nothing() {
+    let born = |data: &Dataset, config: &TrainConfig, splats: &Splats| {
+        let device = Device::open(None).unwrap();
+        let mut trainer = Trainer::new(&device, data, config, splats).unwrap();
+        drive(&mut trainer, config.iterations).unwrap();
+        trainer.stats().pixel[0]
+    };
+    let (data, mut config, splats) = fog(Background::Auto);
+    (config.mh.coarse_proposals, config.mh.fine_proposals) = (0, 0);
+    assert_eq!(born(&data, &config, &splats), 0);
+    assert!(born(&holed(0, false), &config, &splats) > 0);
+}
+
+/// With a patience the loss is that of the scene, and not of the backgrounds that the last iterations happened to have.
+#[test]
+fn patience_does_not_wait_for_backgrounds() {
+    let losses = |patience| {
+        let data = holed(0, false);
+        let mut config = config(Background::Auto);
+        (config.sampler, config.patience) = (Sampler::None, patience);
+        let o = &mut config.optimizer;
+        (o.lr_position, o.lr_position_final) = (0.0, 0.0);
+        (o.lr_sh0, o.lr_sh, o.lr_opacity) = (0.0, 0.0, 0.0);
+        (o.lr_scale, o.lr_rotation) = (0.0, 0.0);
+        let splats = initial_splats(&data, &config).unwrap();
+        let device = Device::open(None).unwrap();
+        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        [40, 80].map(|until| {
+            drive(&mut trainer, until).unwrap();
+            trainer.recent_loss().unwrap().unwrap()
+        })
+    };
+    let [before, after] = losses(Some(3));
+    assert!(before > 0.0 && before == after);
+    let [before, after] = losses(None);
+    assert_ne!(before, after);
+}
