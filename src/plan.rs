@@ -99,7 +99,7 @@ impl Plan {
             "a background of another colour in each iteration",
             match asked {
                 true => "asked for",
-                false => "over one colour a scene keeps fog of it",
+                false => "photos are transparent: over one colour a scene keeps fog of it",
             },
             match asked {
                 true => &one,

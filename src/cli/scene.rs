@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use mhsplat::buffers::Scene;
+use mhsplat::config::Background;
 use mhsplat::dataset::{self, Dataset, Frame, LoadOptions};
 use mhsplat::error::{Error, Result};
 use mhsplat::export::ply;
@@ -119,11 +120,11 @@ pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
 pub fn background(asked: Option<&str>, record: Option<&RunRecord>) -> Result<[f32; 3]> {
     let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
     if let Some(text) = asked {
-        config.background = text.parse()?;
-        if config.background.changes(true) {
-            let what = format!("{text:?}; black, white or R,G,B expected where nothing is trained");
-            return Err(Error::config("--background", what));
-        }
+        let one = text.parse().ok().filter(|b: &Background| !b.changes(true));
+        config.background = one.ok_or_else(|| {
+            let what = format!("{text:?}; black, white or R,G,B in 0 to 1 expected");
+            Error::config("--background", what)
+        })?;
     }
     Ok(mhsplat::schedule::Schedule::new(&config).fixed_background())
 }

@@ -13,16 +13,20 @@ use crate::schedule::Schedule;
 
 impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
-    /// more than there are views). None before the first iteration. Where a run waits for the loss to fall no more, but every
-    /// iteration has a background of its own, that of at most 32 views over the background that does not change.
+    /// more than there are views). None before the first iteration. Where every iteration has a background of its own, that of
+    /// at most 32 views, rendered over the background that does not change.
     ///
     /// # Errors
     /// The driver's.
     pub fn recent_loss(&mut self) -> Result<Option<f64>> {
         self.settle()?;
-        let changing = self.config.background.changes(self.transparent());
-        if changing && self.config.patience.is_some() && self.iteration > 0 {
-            return self.steady_loss().map(Some);
+        if self.iteration > 0 && self.config.background.changes(self.transparent()) {
+            self.device.finish()?;
+            self.device.collect_times(usize::MAX)?;
+            let loss = self.steady_loss().map(Some);
+            // No part of training's stages.
+            self.device.forget_launches();
+            return loss;
         }
         let n = (self.iteration as usize)
             .min(LOSS_RING)
@@ -42,9 +46,10 @@ impl Trainer {
         Ok(Some(sum / n as f64))
     }
 
-    /// Mean loss of some training views over the background that does not change, at the size that they have now.
+    /// Mean loss of some views that are trained on now, over the background that does not change, at the size that they have now.
     fn steady_loss(&mut self) -> Result<f64> {
-        let all: Vec<usize> = (0..self.views.len()).collect();
+        let (n, bands) = (self.views.len(), &self.findings.bands);
+        let all: Vec<usize> = (0..n).map(|v| bands.instead(v, n)).collect();
         let (views, sums) = (spread(&all), Array::zeros(&self.device, "loss", 2)?);
         let lambda = f64::from(self.config.loss.lambda_ssim);
         let mut total = 0.0;

@@ -18,7 +18,8 @@ impl Trainer {
             return Ok(Vec::new());
         }
         let views = self.upcoming(self.iteration, count);
-        views.into_iter().map(|view| self.picture(view)).collect()
+        let at = (self.iteration..).zip(views);
+        at.map(|(at, view)| self.picture(at, view)).collect()
     }
 
     /// A view's camera at the size that photos have at an iteration, and by how much that is smaller.
@@ -53,10 +54,11 @@ impl Trainer {
         if factor == 1 { photo } else { &self.small }
     }
 
-    fn picture(&mut self, view: usize) -> Result<Picture> {
+    /// A view as it is now, over the background of iteration `at`.
+    fn picture(&mut self, at: u32, view: usize) -> Result<Picture> {
         let photo = self.views.photo(view, &[])?;
         let (camera, factor) = self.camera_at(self.iteration, view);
-        let options = self.options(self.iteration, self.scene.sh_degree);
+        let options = self.options(at, self.scene.sh_degree);
         self.renderer.render(&self.scene, &camera, &options)?;
         let mut seen = self.renderer.read_image(&camera)?;
         let by_depth = RenderOptions {
@@ -75,7 +77,7 @@ impl Trainer {
         let photo = self.shrunk(&photo, view, factor)?;
         let alpha = self.views.alpha;
         let bytes = photo.read(0, alpha.planes() * pixels)?;
-        // Nothing is born where there is nothing, whatever fog is there.
+        // Image space has no birth where the photo has nothing, whatever fog is there.
         let opaque = |i: usize| f32::from(*bytes.get(3 * pixels + i).unwrap_or(&255)) / 255.0;
         let taken = colors(alpha, &bytes, options.background);
         let mut photo = match alpha {

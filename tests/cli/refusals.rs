@@ -200,6 +200,28 @@ fn configurations_that_make_no_sense() {
     }
 }
 
+/// What is only shown has one background.
+#[test]
+fn backgrounds_that_change_are_for_training() {
+    let dir = tempfile::tempdir().unwrap();
+    let (run, out) = (dir.path().join("run"), dir.path().join("out"));
+    let (data, short) = (room(), ["--iterations", "1", "--max-size", "32"]);
+    let train = [&["train", &data, "-o", text(&run)][..], &short].concat();
+    assert_eq!(mhsplat(&train).status.code(), Some(0));
+    for value in ["auto", "random", "plaid"] {
+        let eval = ["eval", text(&run), &data, "--background", value];
+        let orbit = ["render", text(&run), "--orbit", "1", "-o", text(&out)];
+        let render = [&orbit[..], &["--background", value]].concat();
+        for args in [&eval[..], &render] {
+            let output = mhsplat(args);
+            assert_eq!(output.status.code(), Some(2), "{args:?}");
+            let message = stderr(&output);
+            assert!(message.contains("black, white or R,G,B"), "{message}");
+        }
+    }
+    assert!(!out.exists());
+}
+
 #[test]
 fn nothing_to_resume() {
     let dir = tempfile::tempdir().unwrap();
