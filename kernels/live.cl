@@ -1,7 +1,7 @@
-// live: the tiles of a masked photo in which any pixel counts; the others get no pairs.
-// Launch: one work-item per tile. Not built for photos without a mask.
+// live: the tiles of a masked photo in which any pixel counts (the others get no pairs), or those of a transparent photo in
+// which any pixel is not clear. Launch: one work-item per tile. Not built for photos that are neither.
 
-__kernel void live(__global const uchar *photo, // in [4, height, width], plane 3 is the mask
+__kernel void live(__global const uchar *photo, // in [4, height, width], plane 3 is the mask, or alpha
                    int width, int height, int tiles_x, int tiles,
                    __global uint *live_tiles) { // out [tiles] 0 or 1
   const int tile = get_global_id(0);

@@ -2,7 +2,9 @@
 // (sigma 1.5, zero padding), one channel after the other so that the maps between the sweeps stay in cache. Both images
 // are shifted by SHIFT = 1/2, padding included, which leaves variances and covariances as they are and keeps
 // E[x^2] - E[x]^2 from cancelling on flat images. A work-item takes a strip of STRIP columns by LOSS_ROWS rows: it windows
-// columns first (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in registers), then rows. Source: [MH] Eq. 4; SSIM of Wang et
+// columns first (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in registers), then rows. With SKIP_BLANK vectors are left out
+// whose windows see only tiles that are masked, or clear in the photo and without pairs in the render: render and photo are the
+// same there, the derivatives of SSIM by x, x^2 and x y cancel, and zeros in the maps are right for neighbours. Source: [MH] Eq. 4; SSIM of Wang et
 // al. 2004; gradient through three maps as in fused-ssim.
 
 #define RADIUS (TAPS / 2)
@@ -56,14 +58,6 @@ static inline realV mask_at(const Images *s, int x, int y) {
   if (y < 0 || y >= s->height) return (realV)(R(0.0));
   return over_255(bytes_at(s->photo, 4 * s->pixels, 3 * s->pixels + (long)y * s->width, x, s->width));
 }
-
-// Whether no pixel counts of those that the strip at (x0, y0) and the windows around it see.
-static inline int nothing_counts(const Images *s, int x0, int y0) {
-  realV most = (realV)(R(0.0));
-  for (int y = y0 - RADIUS; y < y0 + LOSS_ROWS + RADIUS; y++)
-    for (int j = 0; j < VECTORS; j++) most = max(most, mask_at(s, x0 + (j - HALO) * VW, y));
-  return !any_lane(most > (realV)(R(0.0)));
-}
 #endif
 
 // VW rendered values of row y from column x on, shifted; masked as the photo is.
@@ -88,6 +82,34 @@ static inline realV photo_at(const Images *s, int x, int y) {
 #endif
   return v - SHIFT;
 }
+
+#if SKIP_BLANK
+// Whether any tile within `margin` pixels of VW columns from x on, LOSS_ROWS rows from y on, may have a render that differs from
+// the photo.
+static inline int may_differ(__global const uint *live, __global const uint *tile_start, int x, int y, int margin, int stride, int rows) {
+  const int across = stride / TILE, first = max(x - margin, 0) / TILE, last = min(x + VW - 1 + margin, stride - 1) / TILE;
+  for (int ty = max(y - margin, 0) / TILE; ty <= min(y + LOSS_ROWS - 1 + margin, rows - 1) / TILE; ty++)
+    for (int tile = ty * across + first; tile <= ty * across + last; tile++)
+      if (live[tile] || (!HAS_MASK && tile_start[tile + 1] > tile_start[tile])) return 1;
+  return 0;
+}
+
+// Flags the vectors of a strip that are not left out.
+static inline void flag_active(int skip, __global const uint *live, __global const uint *tile_start, int x0, int y0, int margin, int stride,
+                               int rows, int active[STRIP / VW]) {
+  for (int j = 0; j < STRIP / VW; j++) {
+    const int x = x0 + j * VW;
+    active[j] = x < stride && (!skip || may_differ(live, tile_start, x, y0, margin, stride, rows));
+  }
+}
+
+// Whether windows over the rows of any active vector see vector `at` of the strip with its halo.
+static inline int in_reach(const int active[STRIP / VW], int at) {
+  int any_active = 0;
+  for (int j = max(at - 2 * HALO, 0); j <= min(at, STRIP / VW - 1); j++) any_active |= active[j];
+  return any_active;
+}
+#endif
 
 // Vertical windows of LOSS_ROWS consecutive rows, of REACH rows. The window is symmetric: 5 sums, 6 products.
 static inline void window_columns(const realV r[REACH], realV out[LOSS_ROWS]) {
@@ -150,6 +172,11 @@ static inline realV ssim_of(realV mx, realV my, realV squares, realV xy, realV *
 __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, stride]
                            __global const uchar *photo, // in [3 or 4, height, width]
                            int channel, real background, int width, int height, int stride, int rows,
+#if SKIP_BLANK
+                           int skip,                       // 1: leave out what is blank
+                           __global const uint *live,       // in [tiles] 0: masked or clear
+                           __global const uint *tile_start, // in [tiles + 1]
+#endif
                            int write_error,
                            __global real *maps,      // out [3, rows, stride], or [2, rows, stride]
                            __global real *partial) { // out [3, strips, 2] sums of |x - y| and SSIM
@@ -160,22 +187,15 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
   const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
   const size_t columns = (stride + STRIP - 1) / STRIP, strips = columns * ((rows + LOSS_ROWS - 1) / LOSS_ROWS);
   const size_t strip = channel * strips + sy * columns + sx;
-#if HAS_MASK
-  if (nothing_counts(&s, x0, y0)) { // render and photo agree: SSIM 1, nothing else
-    real inside_count = R(0.0);
-    for (int y = y0; y < min(y0 + LOSS_ROWS, rows); y++)
-      for (int x = x0; x < min(x0 + STRIP, stride); x++) {
-        for (int m = 0; m < (write_error ? 2 : 3); m++)
-          if (!write_error || channel == 0) maps[m * plane + (long)y * stride + x] = R(0.0);
-        inside_count += x < width && y < height ? R(1.0) : R(0.0);
-      }
-    partial[2 * strip] = R(0.0);
-    partial[2 * strip + 1] = inside_count;
-    return;
-  }
+#if SKIP_BLANK
+  int active[STRIP / VW];
+  flag_active(skip, live, tile_start, x0, y0, RADIUS, stride, rows, active);
 #endif
   realV moments[4][LOSS_ROWS][VECTORS], differences[LOSS_ROWS][VECTORS];
   for (int j = 0; j < VECTORS; j++) {
+#if SKIP_BLANK
+    if (!in_reach(active, j)) continue;
+#endif
     const int x = x0 + (j - HALO) * VW;
     realV a[REACH], b[REACH], squares[REACH], products[REACH], out[LOSS_ROWS];
     for (int r = 0; r < REACH; r++) {
@@ -200,10 +220,15 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
     for (int j = 0; j * VW < STRIP && x0 + j * VW < stride; j++) {
       const int x = x0 + j * VW, y = y0 + g;
       const maskV in = inside(x, y < height ? width : 0);
-      realV dmx, dxx, dxy;
-      realV ssim = ssim_of(window_row(moments[0][g], j + HALO), window_row(moments[1][g], j + HALO), window_row(moments[2][g], j + HALO),
-                           window_row(moments[3][g], j + HALO), &dmx, &dxx, &dxy);
-      const realV difference = choose(in, differences[g][j + HALO], zero);
+      realV dmx = zero, dxx = zero, dxy = zero, ssim = one, difference = zero;
+#if SKIP_BLANK
+      if (active[j])
+#endif
+      {
+        ssim = ssim_of(window_row(moments[0][g], j + HALO), window_row(moments[1][g], j + HALO),
+                       window_row(moments[2][g], j + HALO), window_row(moments[3][g], j + HALO), &dmx, &dxx, &dxy);
+        difference = choose(in, differences[g][j + HALO], zero);
+      }
       ssim = choose(in, ssim, zero);
       l1_sum += difference;
       ssim_sum += ssim;
@@ -225,6 +250,11 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
 // Launch: as loss_forward. dL/dx of the channel, zero in the padding.
 __kernel void loss_backward(__global const real *image, __global const uchar *photo, // in, as loss_forward
                             int channel, real background, int width, int height, int stride, int rows,
+#if SKIP_BLANK
+                            int skip,                       // 1: leave out what is blank
+                            __global const uint *live,       // in [tiles] 0: masked or clear
+                            __global const uint *tile_start, // in [tiles + 1]
+#endif
                             __global const real *maps,   // in [3, rows, stride]
                             real weight_l1,              // (1 - lambda) / (3 width height)
                             real weight_ssim,            // lambda / (3 width height)
@@ -234,16 +264,16 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
   const long plane = (long)stride * rows;
   const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
   dimage += channel * plane;
-#if HAS_MASK
-  if (nothing_counts(&s, x0, y0)) {
-    for (int y = y0; y < min(y0 + LOSS_ROWS, rows); y++)
-      for (int x = x0; x < min(x0 + STRIP, stride); x++) dimage[(long)y * stride + x] = R(0.0);
-    return;
-  }
+#if SKIP_BLANK
+  int active[STRIP / VW];
+  flag_active(skip, live, tile_start, x0, y0, 2 * RADIUS, stride, rows, active);
 #endif
   realV windows[3][LOSS_ROWS][VECTORS];
   for (int m = 0; m < 3; m++)
     for (int j = 0; j < VECTORS; j++) {
+#if SKIP_BLANK
+      if (!in_reach(active, j)) continue;
+#endif
       realV in[REACH], out[LOSS_ROWS];
       for (int r = 0; r < REACH; r++) {
         const int x = x0 + (j - HALO) * VW, y = y0 - RADIUS + r; // a vector of a padded row is in it or not
@@ -257,6 +287,12 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
   for (int g = 0; g < LOSS_ROWS && y0 + g < rows; g++)
     for (int j = 0; j * VW < STRIP && x0 + j * VW < stride; j++) {
       const int x = x0 + j * VW, y = y0 + g;
+#if SKIP_BLANK
+      if (!active[j]) {
+        vstore_real(zero, 0, dimage + (size_t)y * stride + x);
+        continue;
+      }
+#endif
       const realV a = render_at(&s, x, y);
       const realV b = photo_at(&s, x, y);
       const realV dssim = window_row(windows[0][g], j + HALO) +

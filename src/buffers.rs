@@ -8,6 +8,7 @@ use crate::gpu::tuning::{NEAR, SUMS, TILE, Tuning, status};
 use crate::gpu::{Array, CameraArg, Device, Real, Record};
 use crate::model::{Plane, Splats};
 use crate::photos::Photos;
+use crate::stage::loss::Blank;
 
 /// Strides are multiples of this, so that vector loads of a plane never straddle two.
 const ROUND: usize = 256;
@@ -206,6 +207,14 @@ impl<R: Real> Frame<R> {
         self.cover = Array::zeros(device, "cover", 2 * stride)?;
         self.offsets = ints("offsets")?;
         Ok(())
+    }
+
+    /// Where the view enqueued last and a photo whose live tiles were marked are blank.
+    pub(crate) fn blank(&self) -> Blank<'_> {
+        Blank {
+            live: &self.live,
+            tile_start: &self.tile_start,
+        }
     }
 
     /// Pairs there is room for.

@@ -89,6 +89,7 @@ impl Evaluator {
             photo: &photo,
             background,
             size,
+            blank: None,
         };
         let [psnr, ssim, counted] = self.measure(&pair)?;
         let score = ViewScore {

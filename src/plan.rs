@@ -220,6 +220,16 @@ impl Plan {
             "what a view cannot see costs it next to nothing",
             "work.cull-chunks is off",
         );
+        let (alpha, blank) = match dataset.alpha() {
+            Alpha::None => ("no photo is transparent or masked", false),
+            _ => ("work.skip-blank is off", work.skip_blank),
+        };
+        self.decide(
+            blank,
+            "loss skipped where render and photo are blank",
+            "no gradient comes from clear or masked tiles that no Gaussian reaches",
+            alpha,
+        );
         if !work.remove_unseen {
             let what = "removal of Gaussians that no training view shows";
             self.decide(false, what, "", "work.remove-unseen is off");

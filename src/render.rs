@@ -148,6 +148,17 @@ impl<R: Real> Renderer<R> {
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
+        self.enqueue_pairs(scene, camera, options)?;
+        self.splat.run(&self.lists(camera), options.background)
+    }
+
+    /// Enqueues the forward stages up to the sorted pairs.
+    fn enqueue_pairs(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
         let f = &self.frame;
         let degree = options.sh_degree.min(scene.sh_degree) as usize;
         let Some(project) = self.project.get(degree) else {
@@ -173,8 +184,7 @@ impl<R: Real> Renderer<R> {
         self.order_at = self.pair_up(scene.count, camera, by_depth, options.live_only)?;
         let (f, [_, tiles]) = (&self.frame, tiles_of(camera));
         self.bin
-            .ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)?;
-        self.splat.run(&self.lists(camera), options.background)
+            .ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)
     }
 
     /// Compacts the visible Gaussians and sorts them by depth; answers which of the two arrays holds them.
@@ -252,7 +262,7 @@ impl<R: Real> Renderer<R> {
         })
     }
 
-    /// Which tiles get pairs where only those do in which a pixel of the photo counts \[tiles\]: written by the live stage.
+    /// Tiles in which a pixel of the photo counts, or is not clear \[tiles\]: written by the live stage.
     #[must_use]
     pub fn live_tiles(&self) -> &Array<u32> {
         &self.frame.live
@@ -310,9 +320,29 @@ impl<R: Real> Renderer<R> {
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
+        self.fitting(scene, camera, |r| r.enqueue(scene, camera, options))
+    }
+
+    /// As [`Renderer::render`], up to the sorted pairs: nothing is splatted.
+    pub(crate) fn pair(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        self.fitting(scene, camera, |r| r.enqueue_pairs(scene, camera, options))
+    }
+
+    /// Enqueues something and waits, until the pairs fit.
+    fn fitting(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        enqueue: impl Fn(&mut Self) -> Result<()>,
+    ) -> Result<()> {
         self.fit(scene, camera)?;
         loop {
-            self.enqueue(scene, camera, options)?;
+            enqueue(self)?;
             let counters = self.frame.status.to_vec()?;
             match counters.get(status::OVERFLOW as usize) {
                 Some(&needed) if needed > 0 => self.grow_pairs(needed)?,

@@ -43,7 +43,7 @@ use crate::schedule::Schedule;
 use crate::stage::adam::{Adam, AdamArgs};
 use crate::stage::edit::Edit;
 use crate::stage::live::Live;
-use crate::stage::loss::Loss;
+use crate::stage::loss::{Blank, Loss};
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
 use crate::stage::shrink::Shrink;
 use crate::stage::splat_grad::SplatGrad;
@@ -78,6 +78,7 @@ fn defines(device: &Device, views: &ViewSet, config: &TrainConfig, anti_alias: b
     Defines {
         alpha: views.alpha,
         cull_chunks: config.work.cull_chunks,
+        skip_blank: config.work.skip_blank,
         anti_alias,
         ..Defines::new(device.tuning())
     }
@@ -121,7 +122,7 @@ pub struct Trainer {
     renderer: Renderer,
     /// Where coarse photos come first.
     shrink: Option<Shrink>,
-    /// Where photos have masks: tiles in which nothing counts get no pairs.
+    /// Where photos have masks or are transparent: tiles in which nothing counts get no pairs, and what is blank no loss.
     live: Option<Live>,
     loss: Loss,
     splat_grad: SplatGrad,
@@ -207,7 +208,7 @@ impl Trainer {
             project_grad: warm_up::project_grad_per_degree(device, defines, degree)?,
             adam: Adam::new::<f32>(&kernels)?,
             edit: Edit::new::<f32>(&kernels)?,
-            live: Live::if_masked::<f32>(&kernels)?,
+            live: Live::if_asked::<f32>(&kernels)?,
             shrink: shrink_stage(&kernels, config)?,
             judge: Judge::new(&kernels, h, config)?,
             findings: Findings::default(),
@@ -276,7 +277,7 @@ impl Trainer {
             let photo = self.at_size(&photo, factor);
             live.run(photo, &camera, self.renderer.live_tiles())?;
         }
-        let live_only = self.live.is_some();
+        let live_only = self.views.alpha == Alpha::Mask;
         let render = RenderOptions {
             live_only,
             ..options
@@ -284,7 +285,8 @@ impl Trainer {
         self.renderer.enqueue(&self.scene, &camera, &render)?;
 
         let photo = self.at_size(&photo, factor);
-        let pair = self.pair(view, &camera, photo, options.background)?;
+        let mut pair = self.pair(view, &camera, photo, options.background)?;
+        pair.blank = self.blank();
         self.loss_gradient(view, &pair)?;
         self.loss.sum(
             &pair,
@@ -300,6 +302,12 @@ impl Trainer {
             .run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
         self.update(iteration, degree, &camera)?;
         self.sample(iteration, &camera)
+    }
+
+    /// Where render and photo are blank, if that is skipped. A transform of exposure changes the background of what is clear.
+    fn blank(&self) -> Option<Blank<'_>> {
+        let unchanged = self.exposure.is_none() || self.views.alpha == Alpha::Mask;
+        (self.live.is_some() && unchanged).then(|| self.renderer.frame.blank())
     }
 
     /// Gradients of the parameters and the optimiser's step, block by block: a block's gradients are used while they are

@@ -284,6 +284,7 @@ fn rows_against(device: &Device, photo: Array<u8>, side: usize, drop_early: bool
         photo: &photo,
         background: [0.0; 3],
         size: [side, side],
+        blank: None,
     };
     for _ in 0..20 {
         metrics.run(&pair, &rows).unwrap();

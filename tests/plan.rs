@@ -92,6 +92,11 @@ fn data_switch_items() {
     data.points.positions.clear();
     assert!(of(&data, alpha).is_ok());
     assert!(of(&data, backgrounds).is_ok());
+    let blank = "loss skipped where render and photo are blank";
+    assert!(of(&data, blank).is_ok());
+    let off = plan(&data, |c| c.work.skip_blank = false);
+    assert_eq!(verdict(&off, blank).unwrap_err(), "work.skip-blank is off");
+    assert!(of(&room(64), blank).unwrap_err().contains("no photo is"));
     let over_white = plan(&data, |c| c.background = Background::White);
     let why = verdict(&over_white, backgrounds).unwrap_err();
     assert_eq!(why, "one colour asked for: white");

@@ -23,6 +23,8 @@ pub struct WorkConfig {
     pub morton_order: bool,
     /// Leave neighbours that a view cannot see alone together. Changes no result.
     pub cull_chunks: bool,
+    /// Where photos have alpha or masks: the loss leaves out what is blank in render and photo alike.
+    pub skip_blank: bool,
     /// Bands of spherical harmonics come, one at every interval, once the first is worth `train::TRIAL_WORTH` of training views
     /// that are set aside, and are dropped at the end where the training views do not miss them; off: they come from the first
     /// interval on and stay, as in the papers. A run that begins with Gaussians that have bands has no such trial.
@@ -38,6 +40,7 @@ impl Default for WorkConfig {
             resolution_interval: 1500,
             morton_order: true,
             cull_chunks: true,
+            skip_blank: true,
             sh_by_need: true,
             remove_unseen: true,
         }

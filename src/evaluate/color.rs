@@ -112,6 +112,7 @@ impl Evaluator {
                 photo: &*self.views.photo(view, &[])?,
                 background,
                 size: [w, h],
+                blank: None,
             };
             let [psnr, ssim, _] = self.measure(&pair)?;
             (score.cc_psnr, score.cc_ssim) = (Some(psnr), Some(ssim));

@@ -33,13 +33,13 @@ const SOURCES: &[(&str, &str)] = &[
     ),
     ("adam", include_str!("../../kernels/adam.cl")),
     ("noise", include_str!("../../kernels/noise.cl")),
+    ("seen", include_str!("../../kernels/seen.cl")),
     ("screen_grad", include_str!("../../kernels/screen_grad.cl")),
     ("importance", include_str!("../../kernels/importance.cl")),
     ("filter", include_str!("../../kernels/filter.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
     ("live", include_str!("../../kernels/live.cl")),
-    ("weight", include_str!("../../kernels/weight.cl")),
     ("edit", include_str!("../../kernels/edit.cl")),
     ("peak", include_str!("../../kernels/peak.cl")),
 ];
@@ -65,6 +65,8 @@ pub struct Defines {
     pub alpha: Alpha,
     /// Gaussians that cannot be seen are left alone by the VW, before most of the work is done.
     pub cull_chunks: bool,
+    /// Where photos have alpha or masks: loss leaves out what is blank in render and photo.
+    pub skip_blank: bool,
     /// Mip-Splatting's filters: project and project_grad take the 3D filter of each Gaussian.
     pub anti_alias: bool,
     /// Build the layout probe.
@@ -81,6 +83,7 @@ impl Defines {
             sh_degree: 0,
             alpha: Alpha::None,
             cull_chunks: true,
+            skip_blank: true,
             anti_alias: false,
             layout_probe: false,
         }
@@ -96,6 +99,12 @@ impl Defines {
     #[must_use]
     pub fn masked(&self) -> bool {
         self.alpha == Alpha::Mask
+    }
+
+    /// Whether loss is built to leave out what is blank.
+    #[must_use]
+    pub fn skips_blank(&self) -> bool {
+        self.skip_blank && self.alpha != Alpha::None
     }
 
     fn prelude(&self, is_double: bool) -> String {
@@ -114,6 +123,7 @@ impl Defines {
         int("TAPS", tuning::SSIM_TAPS as u64);
         int("LOSS_ROWS", u64::from(tuning::LOSS_ROWS));
         int("SHRINK_RUN", u64::from(tuning::SHRINK_RUN));
+        int("SKIP_BLANK", u64::from(self.skips_blank()));
         int("CULL_CHUNKS", u64::from(self.cull_chunks));
         int("ANTI_ALIAS", u64::from(self.anti_alias));
         int("FILTER_CHUNKS", u64::from(tuning::FILTER_CHUNKS));

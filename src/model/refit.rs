@@ -11,6 +11,9 @@ const RIDGE: f64 = 1e-6;
 /// Coefficients of degree 2, the highest that anything is refitted to.
 const MOST: usize = sh_coefficients(2);
 
+/// Coefficients of degree 3, the highest there is.
+const MOST_HIGH: usize = sh_coefficients(3);
+
 /// A camera as far as it matters from where it sees what.
 #[derive(Debug, Clone, Copy)]
 pub struct Sight {
@@ -45,12 +48,12 @@ impl Sight {
 /// # Errors
 /// As [`Splats::with_sh_degree`].
 pub fn with_fewer_bands(splats: &Splats, degree: u32, sights: &[Sight]) -> Result<Splats> {
+    let changes = match degree {
+        0 => changes::<1>(splats, sights),
+        1 => changes::<4>(splats, sights),
+        _ => changes::<MOST>(splats, sights),
+    };
     let low = sh_coefficients(degree).min(MOST);
-    let high = sh_coefficients(splats.sh_degree());
-    let changes: Vec<[[f64; 3]; MOST]> = (0..splats.len())
-        .into_par_iter()
-        .map(|i| change(splats, i, [low, high], sights))
-        .collect();
     let mut fewer = splats.clone().with_sh_degree(degree)?;
     for k in 0..low {
         for c in 0..3 {
@@ -66,31 +69,41 @@ pub fn with_fewer_bands(splats: &Splats, degree: u32, sights: &[Sight]) -> Resul
     Ok(fewer)
 }
 
-/// What the lower coefficients of Gaussian `i` take over.
-fn change(
-    splats: &Splats,
-    i: usize,
-    [low, high]: [usize; 2],
-    sights: &[Sight],
-) -> [[f64; 3]; MOST] {
+/// What the `LOW` lower coefficients of each Gaussian take over, as rows of [`MOST`].
+fn changes<const LOW: usize>(splats: &Splats, sights: &[Sight]) -> Vec<[[f64; 3]; MOST]> {
+    let of = |i| {
+        let mut all = [[0.0; 3]; MOST];
+        all[..LOW].copy_from_slice(&change::<LOW>(splats, i, sights));
+        all
+    };
+    (0..splats.len()).into_par_iter().map(of).collect()
+}
+
+/// What the `LOW` lower coefficients of Gaussian `i` take over.
+fn change<const LOW: usize>(splats: &Splats, i: usize, sights: &[Sight]) -> [[f64; 3]; LOW] {
     let x = splats.gather::<3>(Plane::POSITION, i).map(f64::from);
-    let mut normal = [[0.0; MOST]; MOST];
-    let mut right = [[0.0; 3]; MOST];
+    let high = sh_coefficients(splats.sh_degree());
+    let mut higher = [[0.0; 3]; MOST_HIGH];
+    for (k, of) in higher.iter_mut().enumerate().take(high).skip(LOW) {
+        *of = splats.gather::<3>(Plane::SH + 3 * k, i).map(f64::from);
+    }
+    let mut normal = [[0.0; LOW]; LOW];
+    let mut right = [[0.0; 3]; LOW];
     let mut seen = 0;
     for direction in sights.iter().filter_map(|s| s.direction(x)) {
         let basis = sh::basis(direction);
         let mut color = [0.0; 3];
-        for (k, value) in basis.iter().enumerate().take(high).skip(low) {
-            let coefficient = splats.gather::<3>(Plane::SH + 3 * k, i);
-            for (sum, c) in color.iter_mut().zip(coefficient) {
-                *sum += value * f64::from(c);
+        for (value, of) in basis.iter().zip(&higher) {
+            for (sum, c) in color.iter_mut().zip(of) {
+                *sum += value * c;
             }
         }
-        for (a, row) in normal.iter_mut().enumerate().take(low) {
-            for (b, sum) in row.iter_mut().enumerate().take(low) {
-                *sum += basis[a] * basis[b];
+        for (a, (row, right)) in normal.iter_mut().zip(&mut right).enumerate() {
+            // The upper half: it is symmetric.
+            for (sum, value) in row.iter_mut().zip(&basis).skip(a) {
+                *sum += basis[a] * value;
             }
-            for (sum, c) in right[a].iter_mut().zip(color) {
+            for (sum, c) in right.iter_mut().zip(color) {
                 *sum += basis[a] * c;
             }
         }
@@ -99,17 +112,21 @@ fn change(
     if seen == 0 {
         return right;
     }
-    for (k, row) in normal.iter_mut().enumerate() {
-        row[k] += RIDGE * f64::from(seen);
+    let upper = normal;
+    for (a, row) in normal.iter_mut().enumerate() {
+        for (v, other) in row.iter_mut().zip(&upper).take(a) {
+            *v = other[a];
+        }
+        row[a] += RIDGE * f64::from(seen);
     }
-    solve(normal, right, low)
+    solve(normal, right)
 }
 
-/// Solves a symmetric positive definite system of the first `n` rows by elimination; the other rows of the answer are zero.
-fn solve(mut a: [[f64; MOST]; MOST], mut b: [[f64; 3]; MOST], n: usize) -> [[f64; 3]; MOST] {
-    for k in 0..n {
+/// Solves a symmetric positive definite system by elimination.
+fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [[f64; 3]; N]) -> [[f64; 3]; N] {
+    for k in 0..N {
         let (pivot, right) = (a[k], b[k]);
-        for row in k + 1..n {
+        for row in k + 1..N {
             let factor = a[row][k] / pivot[k];
             let (left, other) = (&mut a[row], &mut b[row]);
             left.iter_mut()
@@ -121,9 +138,9 @@ fn solve(mut a: [[f64; MOST]; MOST], mut b: [[f64; 3]; MOST], n: usize) -> [[f64
                 .for_each(|(v, p)| *v -= factor * p);
         }
     }
-    let mut out = [[0.0; 3]; MOST];
-    for k in (0..n).rev() {
-        let rest = |c: usize| -> f64 { (k + 1..n).map(|j| a[k][j] * out[j][c]).sum() };
+    let mut out = [[0.0; 3]; N];
+    for k in (0..N).rev() {
+        let rest = |c: usize| -> f64 { (k + 1..N).map(|j| a[k][j] * out[j][c]).sum() };
         out[k] = std::array::from_fn(|c| (b[k][c] - rest(c)) / a[k][k]);
     }
     out

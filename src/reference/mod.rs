@@ -21,12 +21,12 @@ pub mod project;
 pub mod project_grad;
 pub mod scan;
 pub mod screen_grad;
+pub mod seen;
 pub mod sh;
 pub mod shrink;
 pub mod sort;
 pub mod splat;
 pub mod splat_grad;
-pub mod weight;
 
 pub use crate::constants::{ALPHA_MAX, BLUR, COLOR_MAX, LOG_SCALE, T_MIN};
 use crate::dataset::Camera;

@@ -1,4 +1,4 @@
-//! Tiles of a masked photo in which any pixel counts (`kernels/live.cl`).
+//! Tiles of a masked photo in which any pixel counts, or of a transparent one in which any is not clear (`kernels/live.cl`).
 
 use crate::error::Result;
 use crate::gpu::{Array, CameraArg, Kernel, Kernels, Real};
@@ -23,16 +23,17 @@ impl Live {
         })
     }
 
-    /// Builds the kernel where photos have masks.
+    /// Builds the kernel where photos have masks, or where they are transparent and what is blank is skipped.
     ///
     /// # Errors
     /// A build failure.
-    pub fn if_masked<R: Real>(kernels: &Kernels) -> Result<Option<Self>> {
-        let masked = kernels.defines().masked();
-        masked.then(|| Self::new::<R>(kernels)).transpose()
+    pub fn if_asked<R: Real>(kernels: &Kernels) -> Result<Option<Self>> {
+        let defines = kernels.defines();
+        let asked = defines.masked() || defines.skips_blank();
+        asked.then(|| Self::new::<R>(kernels)).transpose()
     }
 
-    /// Enqueues the stage for a masked photo \[4, height, width\] of a camera's size; `live` \[tiles\] receives 1 or 0.
+    /// Enqueues the stage for a photo \[4, height, width\] of a camera's size; `live` \[tiles\] receives 1 or 0.
     ///
     /// # Errors
     /// Arrays that are too short, or the driver's.

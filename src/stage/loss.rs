@@ -15,6 +15,9 @@ pub struct Loss {
     strip: usize,
     local: usize,
     photo_planes: usize,
+    skips_blank: bool,
+    /// In the place of what says what is blank.
+    nowhere: Array<u32>,
 }
 
 /// A rendered image and its photo.
@@ -28,6 +31,17 @@ pub struct ImagePair<'a, R: Real> {
     pub background: [f32; 3],
     /// Width and height, pixels.
     pub size: [usize; 2],
+    /// Where kernels that skip it find out what is blank in both; none: nothing is skipped.
+    pub blank: Option<Blank<'a>>,
+}
+
+/// What says where a render and its photo are blank.
+#[derive(Debug, Clone, Copy)]
+pub struct Blank<'a> {
+    /// Tiles that are neither masked nor clear in the photo \[tiles\] (the live stage's).
+    pub live: &'a Array<u32>,
+    /// First pair of each tile of the render \[tiles + 1\].
+    pub tile_start: &'a Array<u32>,
 }
 
 impl<R: Real> ImagePair<'_, R> {
@@ -72,6 +86,8 @@ impl Loss {
             strip: tuning.strip as usize,
             local: tuning.coarse_local(),
             photo_planes: kernels.defines().photo_planes(),
+            skips_blank: kernels.defines().skips_blank(),
+            nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
         })
     }
 
@@ -160,7 +176,7 @@ impl Loss {
         channel: usize,
     ) -> Launch<'k> {
         let ([w, h], [stride, rows]) = (pair.size, pair.padded());
-        kernel
+        let launch = kernel
             .launch()
             .array(pair.image, 3 * pair.plane())
             .array(pair.photo, self.photo_planes * w * h)
@@ -169,7 +185,21 @@ impl Loss {
             .value(w as i32)
             .value(h as i32)
             .value(stride as i32)
-            .value(rows as i32)
+            .value(rows as i32);
+        if !self.skips_blank {
+            return launch;
+        }
+        let tiles = pair.plane() / (TILE * TILE) as usize;
+        match pair.blank {
+            Some(b) => launch
+                .value(1)
+                .array(b.live, tiles)
+                .array(b.tile_start, tiles + 1),
+            None => launch
+                .value(0)
+                .array(&self.nowhere, 1)
+                .array(&self.nowhere, 1),
+        }
     }
 
     /// Mean |x − y| and mean SSIM into `out[2·slot..]`.

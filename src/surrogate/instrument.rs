@@ -152,6 +152,7 @@ impl<R: Real> Instrument<R> {
             photo: &photo,
             background: self.setting.render.background,
             size: size_of_image(&self.views.cameras[view]),
+            blank: None,
         })
     }
 

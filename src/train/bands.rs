@@ -9,6 +9,8 @@ use crate::error::Result;
 use crate::gpu::{Array, Device};
 use crate::model::Plane;
 use crate::model::refit::{Sight, with_fewer_bands};
+use crate::stage::loss::ImagePair;
+use crate::stage::metrics::Metrics;
 
 /// What a band must be worth at the end of a run: this much PSNR of the training views, dB.
 pub const BAND_WORTH: f64 = 0.02;
@@ -24,6 +26,15 @@ pub const SET_ASIDE_EVERY: usize = 8;
 
 /// Views on which a band is judged at most.
 const JUDGING_VIEWS: usize = 32;
+
+/// Rounds in which they are looked at, until it is clear what they say.
+const ROUNDS: usize = 4;
+
+/// Views that are looked at before anything is clear.
+const LEAST_VIEWS: usize = 8;
+
+/// Standard errors by which it must be.
+const DOUBT: f64 = 2.0;
 
 /// Intervals that pass after the first band was found to be worth nothing, before it is tried again; twice as many the next
 /// time, and no more than the second of these.
@@ -142,15 +153,7 @@ impl Trainer {
         let fewer = with_fewer_bands(&self.scene.download()?, degree - 1, &sights)?;
         let mut fewer = Scene::upload(&self.device, &fewer, self.scene.stride)?;
         self.copy_filter(&mut fewer)?;
-        let without = self.squared_error(&judge, &fewer, views)?;
-        let scene = std::mem::replace(&mut self.scene, fewer);
-        let with = self.squared_error(&judge, &scene, views);
-        let fewer = std::mem::replace(&mut self.scene, scene);
-        let with = with?;
-        // Where nothing is left to explain there is nothing to gain.
-        let gain = Some(10.0 * (without / with).log10())
-            .filter(|g| g.is_finite())
-            .unwrap_or(0.0);
+        let gain = self.band_gain(&judge, &mut fewer, views, least)?;
         let kept = gain >= least;
         self.findings.bands.trials.push(BandTrial {
             iteration: self.iteration,
@@ -163,6 +166,35 @@ impl Trainer {
             self.resize_moments(degree, degree - 1)?;
         }
         Ok(kept)
+    }
+
+    /// PSNR that the scene has over another in some training views, dB: in as many of them, a quarter after the other, as it
+    /// takes to tell on which side of `least` it is.
+    fn band_gain(
+        &mut self,
+        (metrics, rows): &(Metrics, Array<f32>),
+        other: &mut Scene,
+        views: &[usize],
+        least: f64,
+    ) -> Result<f64> {
+        let squared_error = |_: &Self, pair: &ImagePair<'_, f32>| {
+            metrics.run(pair, rows)?;
+            let sums = rows.read(0, pair.size[1])?;
+            Ok(sums.into_iter().map(f64::from).sum::<f64>())
+        };
+        let mut errors = Vec::with_capacity(views.len());
+        for turn in 0..ROUNDS {
+            let round: Vec<usize> = views.iter().skip(turn).step_by(ROUNDS).copied().collect();
+            let with = self.over_views(&round, squared_error)?;
+            std::mem::swap(&mut self.scene, other);
+            let without = self.over_views(&round, squared_error);
+            std::mem::swap(&mut self.scene, other);
+            errors.extend(without?.into_iter().zip(with));
+            if is_clear(&errors, least) {
+                break;
+            }
+        }
+        Ok(pooled_gain(&errors))
     }
 
     /// Views of `count` iterations from `iteration` on, none of them set aside.
@@ -222,9 +254,50 @@ pub(super) fn spread(views: &[usize]) -> Vec<usize> {
     (0..count).map(|k| views[k * n / count]).collect()
 }
 
+/// PSNR that views with the second of these squared errors have over views with the first, dB; 0 where nothing is left to
+/// explain.
+fn pooled_gain(errors: &[(f64, f64)]) -> f64 {
+    let (without, with) = errors
+        .iter()
+        .fold((0.0, 0.0), |(a, b), e| (a + e.0, b + e.1));
+    let gain = 10.0 * (without / with).log10();
+    Some(gain).filter(|g| g.is_finite()).unwrap_or(0.0)
+}
+
+/// Whether squared errors without a band and with it say, beyond [`DOUBT`] standard errors over the views, if it is worth `least`
+/// dB: the pooled gain is where the sum of what each view has beyond that is positive.
+fn is_clear(errors: &[(f64, f64)], least: f64) -> bool {
+    let n = errors.len() as f64;
+    let factor = 10f64.powf(least / 10.0);
+    let beyond = |e: &(f64, f64)| e.0 - factor * e.1;
+    let sum: f64 = errors.iter().map(beyond).sum();
+    let spread: f64 = errors.iter().map(|e| (beyond(e) - sum / n).powi(2)).sum();
+    errors.len() >= LEAST_VIEWS && sum.abs() > DOUBT * (spread * n / (n - 1.0)).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
-    use super::Bands;
+    use super::{BAND_WORTH, Bands, LEAST_VIEWS, is_clear, pooled_gain};
+
+    #[test]
+    fn a_gain_is_clear_where_all_views_agree() {
+        let gains = |of: &dyn Fn(usize) -> f64, views: usize| -> Vec<(f64, f64)> {
+            let error = |k: usize| 1.0 + (k % 5) as f64;
+            let pair = |k| (error(k) * 10f64.powf(of(k) / 10.0), error(k));
+            (0..views).map(pair).collect()
+        };
+        let (much, none) = (gains(&|_| 0.3, 8), gains(&|_| 0.001, 8));
+        assert!(is_clear(&much, BAND_WORTH) && is_clear(&none, BAND_WORTH));
+        assert!((pooled_gain(&much) - 0.3).abs() < 1e-9);
+        // Too few views; views that disagree.
+        assert!(!is_clear(&much[..LEAST_VIEWS - 1], BAND_WORTH));
+        let mixed = gains(&|k| if k % 2 == 0 { 0.3 } else { -0.2 }, 8);
+        assert!(!is_clear(&mixed, BAND_WORTH));
+        // Nothing is left to explain.
+        assert!(!is_clear(&[(0.0, 0.0); 8], BAND_WORTH));
+        assert_eq!(pooled_gain(&[(0.0, 0.0); 8]), 0.0);
+        assert!(!is_clear(&[], BAND_WORTH));
+    }
 
     #[test]
     fn what_is_set_aside_is_not_trained_on_in_the_place_of_another() {

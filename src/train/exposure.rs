@@ -76,6 +76,7 @@ impl Trainer {
             photo,
             background,
             size: size_of_image(camera),
+            blank: None,
         };
         if let Some(e) = &self.exposure {
             e.stage

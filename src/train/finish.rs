@@ -1,18 +1,18 @@
 //! What is left out at the end of a run, because the trained scene does not need it.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::{Bands, Trainer};
-use crate::buffers::Scene;
 use crate::config::TrainConfig;
 use crate::error::Result;
 use crate::gpu::{Array, Kernels};
 use crate::render::RenderOptions;
-use crate::stage::loss::size_of_image;
+use crate::stage::loss::{ImagePair, size_of_image};
 use crate::stage::metrics::Metrics;
-use crate::stage::weight::{Weight, WeightArgs, red_image};
+use crate::stage::seen::{Seen, SeenArgs};
 
 /// What training has found out about its scene.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -30,8 +30,8 @@ pub struct Findings {
 pub(super) struct Judge {
     /// Errors of views, and the row sums that they are added up from: for bands.
     pub(super) metrics: Option<Arc<(Metrics, Array<f32>)>>,
-    /// What views show of each Gaussian: for those that are not seen.
-    weight: Option<Arc<Weight>>,
+    /// Which Gaussians views show.
+    seen: Option<Arc<Seen>>,
 }
 
 impl Judge {
@@ -41,11 +41,11 @@ impl Judge {
             let rows = Array::zeros(kernels.device(), "score", 2 * height)?;
             Ok(Arc::new((Metrics::new::<f32>(kernels)?, rows)))
         };
-        let weight = || Ok(Arc::new(Weight::new::<f32>(kernels)?));
+        let seen = || Ok(Arc::new(Seen::new::<f32>(kernels)?));
         let bands = config.work.sh_by_need && config.sh_degree > 0;
         Ok(Self {
             metrics: bands.then(metrics).transpose()?,
-            weight: config.work.remove_unseen.then(weight).transpose()?,
+            seen: config.work.remove_unseen.then(seen).transpose()?,
         })
     }
 }
@@ -74,26 +74,23 @@ impl Trainer {
         &self.findings
     }
 
-    /// Sum of the squared errors of training views of a scene, at the size that they have now.
-    pub(super) fn squared_error(
+    /// Something of the renders and photos of training views, in their order, at the size that they have now.
+    pub(super) fn over_views(
         &mut self,
-        (metrics, rows): &(Metrics, Array<f32>),
-        scene: &Scene,
         views: &[usize],
-    ) -> Result<f64> {
-        let mut total = 0.0;
+        of: impl Fn(&Self, &ImagePair<'_, f32>) -> Result<f64>,
+    ) -> Result<Vec<f64>> {
+        let mut all = Vec::with_capacity(views.len());
         for (k, &view) in views.iter().enumerate() {
             let photo = self.views.photo(view, &views[k + 1..])?;
             let (camera, factor) = self.camera_at(self.iteration, view);
-            let options = self.final_options(scene.sh_degree);
-            self.renderer.render(scene, &camera, &options)?;
+            let options = self.final_options(self.scene.sh_degree);
+            self.renderer.render(&self.scene, &camera, &options)?;
             let photo = self.shrunk(&photo, view, factor)?;
             let pair = self.pair(view, &camera, photo, options.background)?;
-            metrics.run(&pair, rows)?;
-            let sums = rows.read(0, pair.size[1])?;
-            total += sums.into_iter().map(f64::from).sum::<f64>();
+            all.push(of(self, &pair)?);
         }
-        Ok(total)
+        Ok(all)
     }
 
     /// How views are rendered to be judged: over the background that does not change.
@@ -104,39 +101,43 @@ impl Trainer {
         }
     }
 
-    /// The most that any training view shows of each Gaussian: the sum of α·T over its pixels.
-    fn weights(&mut self, weight: &Weight) -> Result<Vec<f32>> {
-        let count = self.scene.count;
-        let most = Array::zeros(&self.device, "weights", count)?;
+    /// Which Gaussians some training views show, 1 or 0; none where nobody asks.
+    pub(super) fn seen(&mut self, views: Range<usize>) -> Result<Option<Vec<u32>>> {
+        let (count, Some(stage)) = (self.scene.count, self.judge.seen.clone()) else {
+            return Ok(None);
+        };
+        let seen = Array::zeros(&self.device, "seen", count)?;
+        let mut shown = Array::zeros(&self.device, "shown", 0)?;
         let options = self.final_options(self.scene.sh_degree);
-        for camera in self.views.cameras.clone() {
-            self.renderer.render(&self.scene, &camera, &options)?;
+        for camera in &self.views.cameras[views] {
+            self.renderer.pair(&self.scene, camera, &options)?;
             let frame = &self.renderer.frame;
-            self.dimage.write(0, &red_image(size_of_image(&camera)))?;
-            self.splat_grad
-                .run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
-            weight.run(&WeightArgs {
+            if shown.len() < frame.pair_capacity() {
+                shown = Array::zeros(&self.device, "shown", frame.pair_capacity())?;
+            }
+            stage.run(&SeenArgs {
                 count,
+                lists: self.renderer.lists(camera),
+                size: size_of_image(camera),
                 pair_start: &frame.pair_start,
                 pair_counts: &frame.pair_counts,
-                sums: &frame.sums,
-                most: &most,
+                shown: &shown,
+                seen: &seen,
             })?;
         }
-        most.read(0, count)
+        seen.to_vec().map(Some)
     }
 
     /// Removes the Gaussians that no pixel of any training view shows: behind, beyond, below the cut or hidden in all of them.
     /// What is left renders every training view to the same bit.
     fn remove_unseen(&mut self) -> Result<()> {
-        let Some(weight) = self.judge.weight.clone() else {
+        let Some(seen) = self.seen(0..self.views.len())? else {
             return Ok(());
         };
-        let weights = self.weights(&weight)?;
-        let kept: Vec<u32> = (0..weights.len() as u32)
-            .filter(|&i| weights[i as usize] > 0.0)
+        let kept: Vec<u32> = (0..seen.len() as u32)
+            .filter(|&i| seen[i as usize] != 0)
             .collect();
-        let removed = (weights.len() - kept.len()) as u64;
+        let removed = (seen.len() - kept.len()) as u64;
         if removed > 0 && !kept.is_empty() {
             let order = Array::from_slice(&self.device, "order", &kept)?;
             self.scene.params = self.reordered(&order, &self.scene.params)?;

@@ -52,21 +52,14 @@ impl Trainer {
         let all: Vec<usize> = (0..n).map(|v| bands.instead(v, n)).collect();
         let (views, sums) = (spread(&all), Array::zeros(&self.device, "loss", 2)?);
         let lambda = f64::from(self.config.loss.lambda_ssim);
-        let mut total = 0.0;
-        for (k, &view) in views.iter().enumerate() {
-            let photo = self.views.photo(view, &views[k + 1..])?;
-            let (camera, factor) = self.camera_at(self.iteration, view);
-            let options = self.final_options(self.scene.sh_degree);
-            self.renderer.render(&self.scene, &camera, &options)?;
-            let photo = self.shrunk(&photo, view, factor)?;
-            let pair = self.pair(view, &camera, photo, options.background)?;
-            self.loss.errors(&pair, &self.maps, &self.partial)?;
-            self.loss.sum(&pair, &self.partial, &sums, 0)?;
+        let losses = self.over_views(&views, |t, pair| {
+            t.loss.errors(pair, &t.maps, &t.partial)?;
+            t.loss.sum(pair, &t.partial, &sums, 0)?;
             let parts: Vec<f32> = sums.to_vec()?;
             let [l1, ssim] = [0, 1].map(|k| f64::from(parts[k]));
-            total += (1.0 - lambda) * l1 + lambda * (1.0 - ssim);
-        }
-        Ok(total / views.len() as f64)
+            Ok((1.0 - lambda) * l1 + lambda * (1.0 - ssim))
+        })?;
+        Ok(losses.iter().sum::<f64>() / views.len() as f64)
     }
 
     /// First iteration that takes photos at their full size.

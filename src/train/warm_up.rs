@@ -82,6 +82,7 @@ impl Trainer {
             let pair = self.pair(0, &camera, &photo, self.schedule.fixed_background())?;
             judge.0.run(&pair, &judge.1)?;
         }
+        self.seen(0..1)?;
         self.warm_up_edits()?;
         let size = size_of_image(&camera);
         match &self.shrink {

@@ -14,14 +14,15 @@ use crate::stage::adam::{Adam, AdamArgs, LearningRates};
 use crate::stage::edit::{Edit, EditArgs};
 use crate::stage::exposure::Exposure;
 use crate::stage::filter::{Filter, FilterArgs};
-use crate::stage::importance::{Importance, ImportanceArgs};
+use crate::stage::importance::Importance;
+use crate::stage::live::Live;
 use crate::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::stage::metrics::Metrics;
 use crate::stage::noise::Noise;
 use crate::stage::project_grad::{ProjectGrad, ProjectGradArgs};
 use crate::stage::screen_grad::ScreenGrad;
+use crate::stage::seen::Seen;
 use crate::stage::splat_grad::SplatGrad;
-use crate::stage::weight::Weight;
 
 /// Inputs of a passage through all stages.
 #[derive(Debug, Clone)]
@@ -95,8 +96,8 @@ pub struct Outputs {
     pub screen_grad: [Vec<f64>; 2],
     /// importance: sums of 1 − SSIM and L1, views (twice the same view).
     pub cues: [Vec<f64>; 3],
-    /// weight: what the view shows of each Gaussian, pixels.
-    pub weights: Vec<f64>,
+    /// seen: 1 for each Gaussian that the view shows, or that counted as seen before.
+    pub seen: Vec<f64>,
     /// metrics: squared error over the image.
     pub squared_error: f64,
     /// metrics: 1 − SSIM (of the render before it is clamped) over the pixels, as far as they count.
@@ -108,22 +109,24 @@ pub struct Outputs {
 }
 
 pub(super) struct Stages {
-    loss: Loss,
+    live: Option<Live>,
+    pub(super) loss: Loss,
     pub(super) splat_grad: SplatGrad,
     pub(super) exposure: Exposure,
     project_grad: ProjectGrad,
     adam: Adam,
     pub(super) noise: Noise,
     pub(super) screen_grad: ScreenGrad,
-    pub(super) weight: Weight,
-    importance: Importance,
-    metrics: Metrics,
+    pub(super) seen: Seen,
+    pub(super) importance: Importance,
+    pub(super) metrics: Metrics,
     edit: Edit,
 }
 
 impl Stages {
     fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         Ok(Self {
+            live: Live::if_asked::<R>(kernels)?,
             loss: Loss::new::<R>(kernels)?,
             exposure: Exposure::new::<R>(kernels)?,
             splat_grad: SplatGrad::new::<R>(kernels)?,
@@ -131,7 +134,7 @@ impl Stages {
             adam: Adam::new::<R>(kernels)?,
             noise: Noise::new::<R>(kernels)?,
             screen_grad: ScreenGrad::new::<R>(kernels)?,
-            weight: Weight::new::<R>(kernels)?,
+            seen: Seen::new::<R>(kernels)?,
             importance: Importance::new::<R>(kernels)?,
             metrics: Metrics::new::<R>(kernels)?,
             edit: Edit::new::<R>(kernels)?,
@@ -145,13 +148,11 @@ impl Stages {
 /// A build failure, or the driver's.
 pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outputs> {
     let defines = Defines {
-        tuning,
         alpha_min: case.alpha_min,
         sh_degree: case.sh_degree,
         alpha: case.photo.alpha(),
-        cull_chunks: true,
         anti_alias: !case.filter_views.is_empty(),
-        layout_probe: false,
+        ..Defines::new(tuning)
     };
     let stages = Stages::new::<R>(&Kernels::new(device, defines))?;
     let mut renderer = Renderer::<R>::new(device, defines, case.sh_degree, true)?;
@@ -193,7 +194,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
     run.loss_and_gradient(&mut out)?;
     run.gradient_and_update(&mut out)?;
     run.sampler_stages(&mut out)?;
-    run.weights(&mut out)?;
+    run.seen(&mut out)?;
     run.importance_and_metrics(&mut out)?;
     device.collect_times(usize::MAX)?;
     out.seconds = device
@@ -240,12 +241,17 @@ pub(super) struct Run<'a, R: Real> {
 }
 
 impl<R: Real> Run<'_, R> {
-    fn pair(&self) -> ImagePair<'_, R> {
+    pub(super) fn pair(&self) -> ImagePair<'_, R> {
         ImagePair {
             image: &self.renderer.frame.image,
             photo: &self.photo,
             background: self.case.background,
             size: size_of_image(&self.camera),
+            blank: self
+                .stages
+                .live
+                .is_some()
+                .then(|| self.renderer.frame.blank()),
         }
     }
 
@@ -257,9 +263,11 @@ impl<R: Real> Run<'_, R> {
 
     fn loss_and_gradient(&mut self, out: &mut Outputs) -> Result<()> {
         let (device, s, case) = (self.device, &self.stages, self.case);
+        if let Some(live) = &s.live {
+            live.run(&self.photo, &self.camera, self.renderer.live_tiles())?;
+        }
         let pair = self.pair();
-        let [w, h] = pair.size;
-        let plane = pair.plane();
+        let ([w, h], plane) = (pair.size, pair.plane());
         let maps = Array::zeros(device, "maps", 3 * plane)?;
         let dimage = Array::zeros(device, "dimage", 3 * plane)?;
         let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
@@ -359,38 +367,6 @@ impl<R: Real> Run<'_, R> {
             moment2: &v,
         })?;
         out.edited = [self.planes(&kept)?, self.planes(&m)?, self.planes(&v)?];
-        Ok(())
-    }
-
-    fn importance_and_metrics(&mut self, out: &mut Outputs) -> Result<()> {
-        let (device, s, n) = (self.device, &self.stages, self.scene.count);
-        let pair = self.pair();
-        let [w, h] = pair.size;
-        let maps = Array::zeros(device, "maps", 2 * pair.plane())?;
-        let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
-        s.loss.errors(&pair, &maps, &partial)?;
-        out.error_maps = crop(&widen(maps.to_vec()?), &self.camera, 0..2);
-        let stride = self.scene.stride;
-        let cues = Array::zeros(device, "cues", 3 * stride)?;
-        for first_view in [true, false] {
-            s.importance.run(&ImportanceArgs {
-                params: &self.scene.params,
-                stride,
-                count: n,
-                camera: &self.camera,
-                maps: &maps,
-                first_view,
-                status: &self.renderer.frame.status,
-                cues: &cues,
-            })?;
-        }
-        let row = |k: usize| Ok(widen(cues.read(k * stride, n)?));
-        out.cues = [row(0)?, row(1)?, row(2)?];
-        let rows = Array::zeros(device, "score", 3 * h)?;
-        s.metrics.dissimilarity(&pair, &maps, &rows)?;
-        s.metrics.run(&pair, &rows)?;
-        out.squared_error = widen(rows.read(0, h)?).iter().sum();
-        out.dissimilarity = widen(rows.read(2 * h, h)?).iter().sum();
         Ok(())
     }
 }

@@ -87,7 +87,7 @@ fn sound(q: &Quantity, n: usize, spoilt: &[usize]) -> Vec<f64> {
         // One Gaussian after the other.
         "filter" | "project" | "splat_grad" => Some(at / per.max(1)),
         // Plane by plane.
-        "project_grad" | "adam" | "noise" | "screen_grad" | "weight" | "importance" | "edit" => {
+        "project_grad" | "adam" | "noise" | "screen_grad" | "seen" | "importance" | "edit" => {
             Some(at % n)
         }
         _ => None,

@@ -19,7 +19,7 @@ const CURVES: [&[&str]; 5] = [
     &["project", "dataset", "density"],
     &["splat", "scan", "bin", "sort"],
     &["loss", "metrics", "importance"],
-    &["exposure", "splat_grad", "screen_grad", "weight"],
+    &["exposure", "splat_grad", "screen_grad", "seen"],
     &["project_grad", "adam", "noise", "edit"],
 ];
 

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use super::chain::{ADAM, Case, Outputs};
 use super::exposure::{self, ExposureOutputs, largest_sum};
-use super::sampler::{NOISE, NOISE_KEYS};
+use super::sampler::{NOISE, NOISE_KEYS, seen_before};
 use super::twin;
 use crate::model::Plane;
 use crate::reference::adam::{Step, adam};
@@ -16,7 +16,7 @@ use crate::reference::noise::noise;
 use crate::reference::project::Record64;
 use crate::reference::project_grad::project_grad;
 use crate::reference::screen_grad::screen_grad;
-use crate::reference::weight::weights;
+use crate::reference::seen::seen;
 use crate::reference::{Camera64, LOG_SCALE, Scene64, unit_quaternion};
 
 /// A named array of numbers.
@@ -137,7 +137,7 @@ pub fn device_quantities(out: &Outputs) -> Vec<Quantity> {
         quantity("noise", "displacement", flat(&out.noise)),
         quantity("screen_grad", "norms", out.screen_grad[0].clone()),
         quantity("screen_grad", "iterations", out.screen_grad[1].clone()),
-        quantity("weight", "weights", out.weights.clone()),
+        quantity("seen", "Gaussians", out.seen.clone()),
         quantity(
             "importance",
             "cues",
@@ -198,7 +198,6 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     let maps = [&device.error_maps[..pixels], &device.error_maps[pixels..]];
     let cues = cues_of(&scene, &camera, maps);
     let [norms, iterations] = pulls(&scene, &camera, device);
-    let shown = weights(&p.records, &p.tiles, &camera, case.alpha_min);
     let edited = [flat(&rows), flat(&first), flat(&second)].concat();
     let record = |part| of_reference(&p.records, part);
     let gaussians = scene.len().max(1) as f64;
@@ -237,7 +236,7 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
         quantity("noise", "displacement", displacements(&scene)),
         quantity("screen_grad", "norms", norms),
         quantity("screen_grad", "iterations", iterations),
-        quantity("weight", "weights", shown),
+        quantity("seen", "Gaussians", shown(case, p)),
         quantity("importance", "cues", cues),
         quantity("edit", "rows", edited),
     ];
@@ -245,6 +244,15 @@ pub fn reference_quantities(case: &Case, p: &Passage, device: &Outputs) -> Vec<Q
     all.extend(filter(scene.filter.as_deref().unwrap_or_default()));
     all.extend(exposed(&exposure::reference(device), largest_sum(device)));
     all
+}
+
+/// 1 for each Gaussian that the view shows, or that counts as seen before.
+fn shown(case: &Case, p: &Passage) -> Vec<f64> {
+    let (_, camera, _) = twin::inputs(case);
+    let now = seen(&p.records, &p.tiles, &camera, case.alpha_min);
+    let before = seen_before(now.len());
+    let either = |(now, before)| f64::from(u32::from(now) | before);
+    now.into_iter().zip(before).map(either).collect()
 }
 
 /// How large the terms of a rotation's gradient are at most: those that the longest axis of a Gaussian would have across the

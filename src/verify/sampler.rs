@@ -1,15 +1,16 @@
-//! The stages that some samplers add to an iteration.
+//! The stages that some samplers add to an iteration, and those that look at the result.
 
 use super::chain::{Outputs, Run};
-use super::readback::widen;
+use super::readback::{crop, widen};
 use crate::density::NoiseLaw;
 use crate::error::Result;
 use crate::gpu::{Array, Real};
 use crate::model::Plane;
+use crate::stage::importance::ImportanceArgs;
 use crate::stage::loss::size_of_image;
 use crate::stage::noise::NoiseArgs;
 use crate::stage::screen_grad::ScreenGradArgs;
-use crate::stage::weight::{WeightArgs, red_image};
+use crate::stage::seen::SeenArgs;
 
 /// The noise of every case: gentle enough a gate that all Gaussians take part, and as long as the scene is large.
 pub const NOISE: NoiseLaw = NoiseLaw {
@@ -67,22 +68,59 @@ impl<R: Real> Run<'_, R> {
         Ok(())
     }
 
-    /// What the view shows of each Gaussian; the sums of splat_grad are others afterwards.
-    pub(super) fn weights(&mut self, out: &mut Outputs) -> Result<()> {
-        let (s, f, count) = (&self.stages, &self.renderer.frame, self.scene.count);
-        let red = red_image::<R>(size_of_image(&self.camera));
-        let red = Array::from_slice(self.device, "dimage", &red)?;
-        s.splat_grad
-            .run(&self.renderer.lists(&self.camera), &red, &f.sums)?;
-        let most = Array::zeros(self.device, "weights", count)?;
-        s.weight.run(&WeightArgs {
-            count,
-            pair_start: &f.pair_start,
-            pair_counts: &f.pair_counts,
-            sums: &f.sums,
-            most: &most,
-        })?;
-        out.weights = widen(most.read(0, count)?);
+    /// Maps of errors, what importance takes from them, and what views are scored by.
+    pub(super) fn importance_and_metrics(&mut self, out: &mut Outputs) -> Result<()> {
+        let (device, s, n) = (self.device, &self.stages, self.scene.count);
+        let pair = self.pair();
+        let [w, h] = pair.size;
+        let maps = Array::zeros(device, "maps", 2 * pair.plane())?;
+        let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
+        s.loss.errors(&pair, &maps, &partial)?;
+        out.error_maps = crop(&widen(maps.to_vec()?), &self.camera, 0..2);
+        let stride = self.scene.stride;
+        let cues = Array::zeros(device, "cues", 3 * stride)?;
+        for first_view in [true, false] {
+            s.importance.run(&ImportanceArgs {
+                params: &self.scene.params,
+                stride,
+                count: n,
+                camera: &self.camera,
+                maps: &maps,
+                first_view,
+                status: &self.renderer.frame.status,
+                cues: &cues,
+            })?;
+        }
+        let row = |k: usize| Ok(widen(cues.read(k * stride, n)?));
+        out.cues = [row(0)?, row(1)?, row(2)?];
+        let rows = Array::zeros(device, "score", 3 * h)?;
+        s.metrics.dissimilarity(&pair, &maps, &rows)?;
+        s.metrics.run(&pair, &rows)?;
+        out.squared_error = widen(rows.read(0, h)?).iter().sum();
+        out.dissimilarity = widen(rows.read(2 * h, h)?).iter().sum();
         Ok(())
     }
+
+    /// Which Gaussians the view shows, where some were seen before.
+    pub(super) fn seen(&mut self, out: &mut Outputs) -> Result<()> {
+        let (s, f, count) = (&self.stages, &self.renderer.frame, self.scene.count);
+        let before: Vec<u32> = seen_before(count).collect();
+        let seen = Array::from_slice(self.device, "seen", &before)?;
+        s.seen.run(&SeenArgs {
+            count,
+            lists: self.renderer.lists(&self.camera),
+            size: size_of_image(&self.camera),
+            pair_start: &f.pair_start,
+            pair_counts: &f.pair_counts,
+            shown: &Array::zeros(self.device, "shown", f.pair_capacity())?,
+            seen: &seen,
+        })?;
+        out.seen = seen.to_vec()?.into_iter().map(f64::from).collect();
+        Ok(())
+    }
+}
+
+/// Which of so many Gaussians count as seen before: every third.
+pub fn seen_before(count: usize) -> impl Iterator<Item = u32> {
+    (0..count).map(|i| u32::from(i % 3 == 2))
 }

@@ -15,11 +15,11 @@ mod project;
 mod project_grad;
 mod scan;
 mod screen_grad;
+mod seen;
 mod shrink;
 mod sort;
 mod splat;
 mod splat_grad;
-mod weight;
 
 use std::sync::LazyLock;
 
