@@ -2,10 +2,11 @@
 // (sigma 1.5, zero padding), one channel after the other so that the maps between the sweeps stay in cache. Both images
 // are shifted by SHIFT = 1/2, padding included, which leaves variances and covariances as they are and keeps
 // E[x^2] - E[x]^2 from cancelling on flat images. A work-item takes a strip of STRIP columns by LOSS_ROWS rows: it windows
-// columns first (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in registers), then rows. With SKIP_BLANK vectors are left out
-// whose windows see only tiles that are masked, or clear in the photo and without pairs in the render: render and photo are the
-// same there, the derivatives of SSIM by x, x^2 and x y cancel, and zeros in the maps are right for neighbours. Source: [MH] Eq. 4; SSIM of Wang et
-// al. 2004; gradient through three maps as in fused-ssim.
+// columns first (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in registers), then rows; longer than a function should be, because
+// the windows stay in registers. With SKIP_BLANK vectors are left out whose windows see only tiles that are masked, or clear in
+// the photo and without pairs in the render: render and photo are the same there, the derivatives of SSIM by x, x^2 and x y
+// cancel, and zeros in the maps are right for neighbours. Pixels of other tiles have the same gradient, to the bit. Source: [MH]
+// Eq. 4; SSIM of Wang et al. 2004; gradient through three maps as in fused-ssim.
 
 #define RADIUS (TAPS / 2)
 #define REACH (LOSS_ROWS + 2 * RADIUS) // rows that a group sees
@@ -85,7 +86,7 @@ static inline realV photo_at(const Images *s, int x, int y) {
 
 #if SKIP_BLANK
 // Whether any tile within `margin` pixels of VW columns from x on, LOSS_ROWS rows from y on, may have a render that differs from
-// the photo.
+// the photo: one that is live or, but for masks, has pairs.
 static inline int may_differ(__global const uint *live, __global const uint *tile_start, int x, int y, int margin, int stride, int rows) {
   const int across = stride / TILE, first = max(x - margin, 0) / TILE, last = min(x + VW - 1 + margin, stride - 1) / TILE;
   for (int ty = max(y - margin, 0) / TILE; ty <= min(y + LOSS_ROWS - 1 + margin, rows - 1) / TILE; ty++)

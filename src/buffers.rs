@@ -146,7 +146,7 @@ pub struct Frame<R: Real> {
     pub sums: Array<R>,
     /// First pair of each tile \[tiles + 1\].
     pub tile_start: Array<u32>,
-    /// Tiles of a masked photo that get pairs \[tiles\].
+    /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear \[tiles\].
     pub live: Array<u32>,
     /// Pairs used of each tile \[tiles\].
     pub tile_used: Array<u32>,

@@ -20,8 +20,8 @@
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
 //! | adam | `kernels/adam.cl` | one step of all parameters |
 //! | noise | `kernels/noise.cl` | a random step of every position (samplers mcmc, mh) |
-//! | live | `kernels/live.cl` | tiles of a masked photo in which any pixel counts |
-//! | weight | `kernels/weight.cl` | what the views show of each Gaussian, for what is removed at the end |
+//! | live | `kernels/live.cl` | tiles of a masked photo in which any pixel counts, of a transparent one in which any is not clear |
+//! | seen | `kernels/seen.cl` | which Gaussians the views show, for what is removed at the end |
 //! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error cues (sampler mh) or gradients on the screen (adc) of each Gaussian |
 //! | density control | [`density`] | which Gaussians are born, moved or removed, on the host |
 //! | probes | `probe.rs`, `train/probe.rs` | what proposed births would do to the loss, if density control asks |

@@ -294,6 +294,8 @@ impl Trainer {
             &self.losses,
             iteration as usize % LOSS_RING,
         )?;
+        // Cues are of faint Gaussians, too, whose tiles may be blank: the rounding of SSIM there must not depend on what is skipped.
+        pair.blank = None;
         self.watch(iteration, &camera, &pair)?;
         self.step_exposure(iteration, view)?;
 
@@ -304,7 +306,8 @@ impl Trainer {
         self.sample(iteration, &camera)
     }
 
-    /// Where render and photo are blank, if that is skipped. A transform of exposure changes the background of what is clear.
+    /// Where render and photo are blank, if that is skipped. A transform of exposure, which is refused for transparent photos,
+    /// would change the background of what is clear.
     fn blank(&self) -> Option<Blank<'_>> {
         let unchanged = self.exposure.is_none() || self.views.alpha == Alpha::Mask;
         (self.live.is_some() && unchanged).then(|| self.renderer.frame.blank())

@@ -4,8 +4,10 @@ use crate::determinism::{drive, room, saved, trained};
 use mhsplat::config::{Background, Sampler, TrainConfig};
 use mhsplat::dataset::{Alpha, Dataset, Photo, PhotoSource};
 use mhsplat::export::checkpoint;
-use mhsplat::gpu::Device;
+use mhsplat::gpu::tuning::NEAR;
+use mhsplat::gpu::{CameraArg, Device};
 use mhsplat::model::{Plane, Splats};
+use mhsplat::render::RenderOptions;
 use mhsplat::run::initial_splats;
 use mhsplat::schedule::Schedule;
 use mhsplat::train::Trainer;
@@ -177,4 +179,59 @@ fn the_loss_does_not_depend_on_chance_backgrounds() {
     assert!(before > 0.0 && before == after);
     let [before, after] = losses(1e-3);
     assert!(after < before);
+}
+
+/// Gaussians in the middle of the room alone, so that tiles of every photo have none.
+fn small(data: &Dataset, config: &TrainConfig) -> Splats {
+    let mut splats = initial_splats(data, config).unwrap();
+    for p in 0..3 {
+        let position = splats.plane_mut(Plane::POSITION + p);
+        position.iter_mut().for_each(|x| *x *= 0.1);
+        splats.plane_mut(Plane::LOG_SCALE + p).fill(-5.0);
+    }
+    splats
+}
+
+/// What is blank has no loss, and what is not does not notice.
+#[test]
+fn skipping_what_is_blank_changes_no_bit() {
+    for (mask, sampler) in [
+        (false, Sampler::None),
+        (true, Sampler::None),
+        (false, Sampler::Mh),
+        (true, Sampler::Mh),
+    ] {
+        let data = holed(0, mask);
+        let mut config = config(Background::Auto);
+        config.sampler = sampler;
+        let splats = small(&data, &config);
+        let device = Device::open(None).unwrap();
+        let of = |config: &TrainConfig| {
+            let mut trainer = Trainer::new(&device, &data, config, &splats).unwrap();
+            drive(&mut trainer, config.iterations).unwrap();
+            trainer
+        };
+        let mut skipped = of(&config);
+        config.work.skip_blank = false;
+        let whole = of(&config).state().unwrap().splats;
+        assert!(
+            skipped.state().unwrap().splats == whole,
+            "{mask} {sampler:?}"
+        );
+        config.seed += 1;
+        assert!(
+            of(&config).state().unwrap().splats != whole,
+            "{mask} {sampler:?}"
+        );
+        let camera = CameraArg::new(&data.train[0].camera, NEAR);
+        let (scene, renderer) = skipped.scene_and_renderer();
+        renderer
+            .render(scene, &camera, &RenderOptions::default())
+            .unwrap();
+        let pairs = renderer.pairs_per_tile(&camera).unwrap();
+        let across = camera.tiles[0] as usize;
+        let clear = |t: &usize| t % across < across / 2 && pairs[*t] == 0;
+        assert!((0..pairs.len()).any(|t| clear(&t)), "nothing was blank");
+        assert!(pairs.iter().any(|n| *n > 0));
+    }
 }

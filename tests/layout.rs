@@ -235,6 +235,35 @@ fn clap_stays_in_the_command_line() {
     }
 }
 
+/// Names of kernel files that a text speaks of, `kernels/{a,b}.cl` for two.
+fn kernels_named(text: &str) -> Vec<String> {
+    let parts = text.split("kernels/").skip(1);
+    let names = parts.filter_map(|part| part.split_once(".cl")).map(|p| p.0);
+    let plain = |c: char| c.is_alphanumeric() || "_{},".contains(c);
+    names
+        .filter(|n| n.chars().all(plain))
+        .flat_map(|n| n.trim_matches(['{', '}']).split(','))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn the_table_of_stages_names_every_kernel_and_no_other() {
+    let named = kernels_named(&text(&root().join("src/lib.rs")));
+    for file in files("kernels", "cl") {
+        let stem = file.file_stem().unwrap().to_str().unwrap().to_owned();
+        assert!(named.contains(&stem), "src/lib.rs lacks {stem}.cl");
+    }
+    for name in &named {
+        let file = root().join(format!("kernels/{name}.cl"));
+        assert!(file.exists(), "src/lib.rs speaks of {name}.cl");
+    }
+    assert_eq!(
+        kernels_named("`kernels/{a,b}.cl`, `kernels/c.cl`"),
+        ["a", "b", "c"]
+    );
+}
+
 #[test]
 fn files_are_small() {
     let all = [

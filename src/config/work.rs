@@ -23,7 +23,7 @@ pub struct WorkConfig {
     pub morton_order: bool,
     /// Leave neighbours that a view cannot see alone together. Changes no result.
     pub cull_chunks: bool,
-    /// Where photos have alpha or masks: the loss leaves out what is blank in render and photo alike.
+    /// Where photos have alpha or masks: the loss leaves out what is blank in render and photo alike. Changes no bit of the scene.
     pub skip_blank: bool,
     /// Bands of spherical harmonics come, one at every interval, once the first is worth `train::TRIAL_WORTH` of training views
     /// that are set aside, and are dropped at the end where the training views do not miss them; off: they come from the first

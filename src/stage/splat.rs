@@ -11,7 +11,7 @@ pub struct Splat {
     group: usize,
 }
 
-/// The sorted pairs of a view, shared by splat and splat_grad.
+/// The sorted pairs of a view, shared by splat, splat_grad and seen.
 #[derive(Debug)]
 pub struct TileLists<'a, R: Real> {
     /// Records \[count\].

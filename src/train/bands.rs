@@ -33,7 +33,7 @@ const ROUNDS: usize = 4;
 /// Views that are looked at before anything is clear.
 const LEAST_VIEWS: usize = 8;
 
-/// Standard errors by which it must be.
+/// Standard errors by which it must be, at any of the rounds.
 const DOUBT: f64 = 2.0;
 
 /// Intervals that pass after the first band was found to be worth nothing, before it is tried again; twice as many the next
@@ -48,7 +48,7 @@ pub struct BandTrial {
     /// Degree of the band.
     pub degree: u32,
     /// PSNR with the band, minus that without it, the bands below taking over what they can, dB: of the views set aside, or,
-    /// at the end of a run, of the training views.
+    /// at the end of a run, of training views; of no more of them than it takes to tell (8 to 32).
     pub gain: f64,
     /// Whether it was worth having.
     pub kept: bool,
@@ -183,11 +183,13 @@ impl Trainer {
             Ok(sums.into_iter().map(f64::from).sum::<f64>())
         };
         let mut errors = Vec::with_capacity(views.len());
+        let round =
+            |turn| -> Vec<usize> { views.iter().skip(turn).step_by(ROUNDS).copied().collect() };
         for turn in 0..ROUNDS {
-            let round: Vec<usize> = views.iter().skip(turn).step_by(ROUNDS).copied().collect();
-            let with = self.over_views(&round, squared_error)?;
+            let (now, next) = (round(turn), round(turn + 1));
+            let with = self.over_views(&now, &now, squared_error)?;
             std::mem::swap(&mut self.scene, other);
-            let without = self.over_views(&round, squared_error);
+            let without = self.over_views(&now, &next, squared_error);
             std::mem::swap(&mut self.scene, other);
             errors.extend(without?.into_iter().zip(with));
             if is_clear(&errors, least) {

@@ -74,15 +74,18 @@ impl Trainer {
         &self.findings
     }
 
-    /// Something of the renders and photos of training views, in their order, at the size that they have now.
+    /// Something of the renders and photos of training views, in their order, at the size that they have now; `next` are
+    /// those that come after them.
     pub(super) fn over_views(
         &mut self,
         views: &[usize],
+        next: &[usize],
         of: impl Fn(&Self, &ImagePair<'_, f32>) -> Result<f64>,
     ) -> Result<Vec<f64>> {
         let mut all = Vec::with_capacity(views.len());
+        let order = [views, next].concat();
         for (k, &view) in views.iter().enumerate() {
-            let photo = self.views.photo(view, &views[k + 1..])?;
+            let photo = self.views.photo(view, &order[k + 1..])?;
             let (camera, factor) = self.camera_at(self.iteration, view);
             let options = self.final_options(self.scene.sh_degree);
             self.renderer.render(&self.scene, &camera, &options)?;

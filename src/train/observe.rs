@@ -52,7 +52,7 @@ impl Trainer {
         let all: Vec<usize> = (0..n).map(|v| bands.instead(v, n)).collect();
         let (views, sums) = (spread(&all), Array::zeros(&self.device, "loss", 2)?);
         let lambda = f64::from(self.config.loss.lambda_ssim);
-        let losses = self.over_views(&views, |t, pair| {
+        let losses = self.over_views(&views, &[], |t, pair| {
             t.loss.errors(pair, &t.maps, &t.partial)?;
             t.loss.sum(pair, &t.partial, &sums, 0)?;
             let parts: Vec<f32> = sums.to_vec()?;

@@ -1,6 +1,7 @@
 //! seen: which Gaussians views show.
 
 use super::*;
+use mhsplat::gpu::tuning::STAGE;
 use mhsplat::gpu::{Array, Record};
 use mhsplat::stage::seen::{Seen, SeenArgs};
 use mhsplat::stage::splat::TileLists;
@@ -12,7 +13,11 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn a_gaussian_taken_for_unseen_is_rejected() {
-    rejects("seen", |out| out.seen[2] = 1.0 - out.seen[2]);
+    rejects("seen", |out| {
+        for i in [0, 1] {
+            out.seen[i] = 1.0 - out.seen[i];
+        }
+    });
 }
 
 /// A record at (x, y), of alpha 0.97, within so many pixels.
@@ -33,46 +38,79 @@ fn record([x, y]: [f64; 2], reach: u32, sharpness: f64) -> Record<f64> {
     }
 }
 
-/// What is seen of an image of 5 × 5 pixels, front to back: one Gaussian in the padding, three of alpha 0.97 everywhere,
-/// one behind them.
-fn seen(before: [u32; 5]) -> Vec<u32> {
+/// What is seen of one tile of an image of 5 × 5 pixels with these Gaussians, front to back.
+fn seen_of(records: &[Record<f64>], before: &[u32], tuning: Tuning) -> Vec<u32> {
     let device = device();
-    let wide = record([2.5, 2.5], 15, 1e-6);
-    let records = [record([10.5, 10.5], 1, 10.0), wide, wide, wide, wide];
+    let n = records.len();
     let array = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
-    let order = array("order", &[0, 1, 2, 3, 4]);
-    let seen = array("seen", &before);
-    Seen::new::<f64>(&kernels(&device))
+    let order = array("order", &(0..n as u32).collect::<Vec<_>>());
+    let seen = array("seen", before);
+    Seen::new::<f64>(&Kernels::new(&device, Defines::new(tuning)))
         .unwrap()
         .run(&SeenArgs {
-            count: 5,
+            count: n,
             lists: TileLists {
-                records: &Array::from_slice(&device, "records", &records).unwrap(),
+                records: &Array::from_slice(&device, "records", records).unwrap(),
                 pair_owner: &order,
                 order: &order,
-                tile_start: &array("tile_start", &[0, 5]),
+                tile_start: &array("tile_start", &[0, n as u32]),
                 tile_used: &array("tile_used", &[0]),
                 tiles: [1, 1],
                 image: &Array::zeros(&device, "image", 0).unwrap(),
             },
             size: [5, 5],
             pair_start: &order,
-            pair_counts: &array("pair_counts", &[1; 5]),
+            pair_counts: &array("pair_counts", &vec![1; n]),
             // Left over from another view.
-            shown: &Array::from_slice(&device, "shown", &[1; 5]).unwrap(),
+            shown: &Array::from_slice(&device, "shown", &vec![1; n]).unwrap(),
             seen: &seen,
         })
         .unwrap();
     seen.to_vec().unwrap()
 }
 
-#[test]
-fn what_is_hidden_or_beside_the_image_is_not_seen() {
-    assert_eq!(seen([0; 5]), [0, 1, 1, 1, 0]);
+fn styles() -> [Tuning; 3] {
+    [
+        Tuning::for_device(device().info()),
+        Tuning::CPU,
+        Tuning::GPU,
+    ]
 }
 
+/// One Gaussian in the padding, three of alpha 0.97 everywhere, one behind them.
 #[test]
-fn what_was_seen_once_stays_so() {
-    assert_eq!(seen([1, 0, 0, 0, 1]), [1, 1, 1, 1, 1]);
-    assert_eq!(seen([0, 1, 1, 1, 0]), [0, 1, 1, 1, 0]);
+fn what_is_hidden_or_beside_the_image_is_not_seen() {
+    let wide = record([2.5, 2.5], 15, 1e-6);
+    let records = [record([10.5, 10.5], 1, 10.0), wide, wide, wide, wide];
+    for tuning in styles() {
+        let seen = |before: [u32; 5]| seen_of(&records, &before, tuning);
+        assert_eq!(seen([0; 5]), [0, 1, 1, 1, 0]);
+        // What was seen once stays so.
+        assert_eq!(seen([1, 0, 0, 0, 1]), [1, 1, 1, 1, 1]);
+        assert_eq!(seen([0, 1, 1, 1, 0]), [0, 1, 1, 1, 0]);
+    }
+}
+
+/// A tile with more pairs than are staged at once, each in a pixel of its own or, the last two, before and behind what is opaque.
+#[test]
+fn long_lists_are_looked_at_as_far_as_there_is_anything_unseen() {
+    let faint = Record {
+        lo: 0.01_f64.log2(),
+        ..record([1.5, 1.5], 1, 10.0)
+    };
+    let opaque = record([3.5, 3.5], 0, 1e-6);
+    let many = 2 * STAGE as usize + 7;
+    let mut records = vec![faint; many];
+    records.extend([opaque; 4]);
+    let seen_but = |unseen: &[usize]| -> Vec<u32> {
+        let of = |i| u32::from(!unseen.contains(&i));
+        (0..records.len()).map(of).collect()
+    };
+    for tuning in styles() {
+        let [last, hidden] = [many + 2, many + 3];
+        let before = seen_but(&[3, last, hidden]);
+        assert_eq!(seen_of(&records, &before, tuning), seen_but(&[hidden]));
+        let before = seen_but(&[hidden]);
+        assert_eq!(seen_of(&records, &before, tuning), before);
+    }
 }
