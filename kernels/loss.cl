@@ -91,7 +91,11 @@ static inline int may_differ(__global const uint *live, __global const uint *til
   const int across = stride / TILE, first = max(x - margin, 0) / TILE, last = min(x + VW - 1 + margin, stride - 1) / TILE;
   for (int ty = max(y - margin, 0) / TILE; ty <= min(y + LOSS_ROWS - 1 + margin, rows - 1) / TILE; ty++)
     for (int tile = ty * across + first; tile <= ty * across + last; tile++)
-      if (live[tile] || (!HAS_MASK && tile_start[tile + 1] > tile_start[tile])) return 1;
+#if HAS_MASK
+      if (live[tile]) return 1;
+#else
+      if (live[tile] || tile_start[tile + 1] > tile_start[tile]) return 1;
+#endif
   return 0;
 }
 
