@@ -306,11 +306,11 @@ impl Trainer {
         self.sample(iteration, &camera)
     }
 
-    /// Where render and photo are blank, if that is skipped. A transform of exposure, which is refused for transparent photos,
-    /// would change the background of what is clear.
+    /// Where render and photo are blank, if that is skipped. A transform of exposure would change what is clear; it is refused
+    /// for transparent photos.
     fn blank(&self) -> Option<Blank<'_>> {
-        let unchanged = self.exposure.is_none() || self.views.alpha == Alpha::Mask;
-        (self.live.is_some() && unchanged).then(|| self.renderer.frame.blank())
+        let skipped = self.live.is_some() && self.config.work.skip_blank;
+        skipped.then(|| self.renderer.frame.blank())
     }
 
     /// Gradients of the parameters and the optimiser's step, block by block: a block's gradients are used while they are

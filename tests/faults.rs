@@ -137,7 +137,7 @@ fn what_cannot_be_allocated_or_built_is_named() {
     refuses(&broken, &["build ", ".cl", "driver"]);
     assert!(!run.exists());
     // In the middle, where a density step asks for larger arrays, what was saved stays.
-    let late = failing(&library, &run, "clCreateBuffer", 150, MEMORY);
+    let late = failing(&library, &run, "clCreateBuffer", 165, MEMORY);
     refuses(&late, &["allocate", "lower", "iterations is saved"]);
     assert!(checkpoint::read(&run).is_ok());
 }

@@ -40,7 +40,7 @@ pub struct ImagePair<'a, R: Real> {
 pub struct Blank<'a> {
     /// Tiles that are neither masked nor clear in the photo \[tiles\] (the live stage's).
     pub live: &'a Array<u32>,
-    /// First pair of each tile of the render \[tiles + 1\]; of no meaning for masked tiles, which are blank whatever is there.
+    /// First pair of each tile of the render \[tiles + 1\]; not read where photos have masks.
     pub tile_start: &'a Array<u32>,
 }
 

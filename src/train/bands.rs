@@ -48,7 +48,7 @@ pub struct BandTrial {
     /// Degree of the band.
     pub degree: u32,
     /// PSNR with the band, minus that without it, the bands below taking over what they can, dB: of the views set aside, or,
-    /// at the end of a run, of training views; of no more of them than it takes to tell (8 to 32).
+    /// at the end of a run, of training views; of no more of them than it takes to tell (at least 8 or all, at most 32).
     pub gain: f64,
     /// Whether it was worth having.
     pub kept: bool,
@@ -186,7 +186,8 @@ impl Trainer {
         let round =
             |turn| -> Vec<usize> { views.iter().skip(turn).step_by(ROUNDS).copied().collect() };
         for turn in 0..ROUNDS {
-            let (now, next) = (round(turn), round(turn + 1));
+            let last = turn + 1 == ROUNDS;
+            let (now, next) = (round(turn), if last { Vec::new() } else { round(turn + 1) });
             let with = self.over_views(&now, &now, squared_error)?;
             std::mem::swap(&mut self.scene, other);
             let without = self.over_views(&now, &next, squared_error);

@@ -12,7 +12,7 @@ fn agrees_with_the_reference() {
 }
 
 #[test]
-fn a_gaussian_taken_for_unseen_is_rejected() {
+fn two_gaussians_taken_for_the_other_are_rejected() {
     rejects("seen", |out| {
         for i in [0, 1] {
             out.seen[i] = 1.0 - out.seen[i];
