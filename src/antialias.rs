@@ -1,9 +1,11 @@
 //! Whether a run trains with Mip-Splatting's filters (Yu et al., CVPR 2024): by the option, or by how much the sampling rates of
-//! the training views differ.
+//! the training views differ, from view to view or within each.
 //!
 //! A view samples a point at f/z pixels per unit of length, f the larger focal length and z the point's depth. Where some
 //! views take one pixel for what others take many for, a scene trained without the filters shows in the first too thick, and
-//! in views closer than any too thin: the 2D covariance gets the same blur whatever it is the covariance of.
+//! in views closer than any too thin: the 2D covariance gets the same blur whatever it is the covariance of. So it is for a
+//! camera that moves among things near and far: few views come close to any one of them (a fence, the legs of a chair), so
+//! that the rates at most points hardly differ from view to view, but those within each view do.
 
 use glam::{DMat3, DVec3};
 
@@ -13,16 +15,22 @@ use crate::error::Result;
 use crate::export::ply;
 use crate::model::{Plane, Splats, filters};
 
-/// `auto` switches the filters on from this spread of the sampling rates on. Of ordinary captures of objects, rooms and
-/// façades the spread is 1 to 2.7; of one that stands at a distance and at eight times that, it is 6 to 8.
+/// `auto` switches the filters on from this spread of the sampling rates from view to view on. Of ordinary captures of objects,
+/// rooms and façades the spread is 1 to 2.7; of one that stands at a distance and at eight times that, it is 6 to 8.
 pub const LEAST_SPREAD: f64 = 4.0;
-/// The spread at a point leaves out this share of the views that see it, at either end: a camera that happens to pass close by
-/// is no second distance.
+/// Likewise within views. Around an object, in a room and along a façade it is 1.7 to 2.5, where the filters are worth -0.1 to
+/// 0.2 dB; close to a floor or a table top with the room behind, or among fences with mountains behind, it is 3.7 to 8.1, and
+/// they are worth 0.4 to 1.2 dB.
+pub const LEAST_SPREAD_WITHIN: f64 = 3.0;
+/// Spreads leave out this share of the rates at either end: a camera that happens to pass close by is no second distance, nor
+/// is a point that was triangulated badly.
 const TAIL: f64 = 0.1;
 /// Points looked at, evenly taken from the dataset's.
 const MOST_POINTS: usize = 4096;
 /// Views that must see a point for it to count.
 const LEAST_VIEWS: usize = 3;
+/// Points that a view must see for it to count.
+const LEAST_POINTS: usize = 20;
 
 /// A decision on anti-aliasing.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,37 +55,65 @@ impl AntiAlias {
             (AntiAliasing::Auto, Init::File(path)) if ply::is_anti_aliased(path) => {
                 says(true, "the first Gaussians were trained with it")
             }
-            (AntiAliasing::Auto, _) => match spread(dataset) {
-                None => says(
-                    false,
-                    "the views share no point to compare their sampling rates at",
+            (AntiAliasing::Auto, _) => Self::by_rates(Spreads::of(dataset)),
+        }
+    }
+
+    fn by_rates(spreads: Spreads) -> Self {
+        let Some(across) = spreads.across else {
+            return Self {
+                on: false,
+                why: "the views share no point to compare their sampling rates at".into(),
+            };
+        };
+        let first = format!(
+            "the views' sampling rates differ by a factor of {across:.1} from view to view; auto asks for {LEAST_SPREAD}"
+        );
+        match spreads.within {
+            None => Self {
+                on: across >= LEAST_SPREAD,
+                why: first,
+            },
+            Some(within) => Self {
+                on: across >= LEAST_SPREAD || within >= LEAST_SPREAD_WITHIN,
+                why: format!(
+                    "{first}, or for {LEAST_SPREAD_WITHIN} within views, where it is {within:.1}"
                 ),
-                Some(s) => Self {
-                    on: s >= LEAST_SPREAD,
-                    why: format!(
-                        "the views' sampling rates differ by a factor of {s:.1}; auto asks for {LEAST_SPREAD}"
-                    ),
-                },
             },
         }
     }
 }
 
-/// Spread of the training views' sampling rates: at each sparse point the 90th percentile of f/z over the 10th, over the views
-/// whose image has the point (hidden or not); of those the median over the points. Without points that three views see, the
-/// same at the point closest to all optical axes. None where not even that is in view.
-#[must_use]
-pub fn spread(dataset: &Dataset) -> Option<f64> {
-    let cameras = cameras(dataset);
-    let points = &dataset.points.positions;
-    let step = points.len().div_ceil(MOST_POINTS).max(1);
-    let sampled = points.iter().step_by(step);
-    let sampled = sampled.map(|p| DVec3::from_array(p.map(f64::from)));
-    let mut spreads: Vec<f64> = sampled.filter_map(|p| spread_at(p, &cameras)).collect();
-    spreads.sort_by(f64::total_cmp);
-    match spreads.get(spreads.len() / 2) {
-        Some(median) => Some(*median),
-        None => spread_at(center_of_attention(&dataset.train)?, &cameras),
+/// How much the sampling rates of the training views differ, at the sparse points in their images (hidden or not).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spreads {
+    /// From view to view: at each point the 90th percentile of f/z over the 10th; of those the median over the points that
+    /// three views see. Without such a point, the same at the point closest to all optical axes; none where not even that is
+    /// in view.
+    pub across: Option<f64>,
+    /// Within views: in each the 90th percentile of the points' f/z over the 10th; of those the median over the views that see
+    /// 20 points. None where no view does.
+    pub within: Option<f64>,
+}
+
+impl Spreads {
+    /// Of a dataset's training views.
+    #[must_use]
+    pub fn of(dataset: &Dataset) -> Self {
+        let cameras = cameras(dataset);
+        let points = &dataset.points.positions;
+        let step = points.len().div_ceil(MOST_POINTS).max(1);
+        let sampled = points.iter().step_by(step);
+        let sampled: Vec<DVec3> = sampled
+            .map(|p| DVec3::from_array(p.map(f64::from)))
+            .collect();
+        let at = |p: &DVec3| ratio(cameras.iter().map(|c| c.sampling_rate(*p)), LEAST_VIEWS);
+        let of = |c: &Camera| ratio(sampled.iter().map(|p| c.sampling_rate(*p)), LEAST_POINTS);
+        let center = || at(&center_of_attention(&dataset.train)?);
+        Self {
+            across: median(sampled.iter().filter_map(at)).or_else(center),
+            within: median(cameras.iter().filter_map(of)),
+        }
     }
 }
 
@@ -97,15 +133,21 @@ fn cameras(dataset: &Dataset) -> Vec<Camera> {
     dataset.train.iter().map(|v| v.camera).collect()
 }
 
-fn spread_at(point: DVec3, cameras: &[Camera]) -> Option<f64> {
-    let rates = cameras.iter().filter_map(|c| c.sampling_rate(point));
-    let mut rates: Vec<f64> = rates.collect();
-    if rates.len() < LEAST_VIEWS {
+/// The 90th percentile of the rates that there are over the 10th, if they are so many.
+fn ratio(rates: impl Iterator<Item = Option<f64>>, least: usize) -> Option<f64> {
+    let mut rates: Vec<f64> = rates.flatten().collect();
+    if rates.len() < least {
         return None;
     }
     rates.sort_by(f64::total_cmp);
     let tail = (TAIL * (rates.len() - 1) as f64).round() as usize;
     Some(rates[rates.len() - 1 - tail] / rates[tail])
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 /// The point with the least sum of squared distances to the optical axes; none where these are parallel.

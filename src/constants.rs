@@ -11,8 +11,12 @@ pub const T_MIN: f64 = 1e-4;
 /// A colour channel at or above this is taken for broken and its Gaussian is culled: far beyond any photo (1), and its
 /// eighth power, which the derivative of SSIM holds, is still finite in f32.
 pub const COLOR_MAX: f64 = 1e4;
-/// Added to the diagonal of the 2D covariance, pixels² (3DGS).
-pub const BLUR: f64 = 0.3;
+/// Added to the diagonal of the 2D covariance, pixels²: 3DGS's dilation, 0.3, or with anti-aliasing the variance of
+/// Mip-Splatting's 2D filter, 0.1 (§6.1: the Gaussian nearest to a pixel's box; with the 3D filter's 0.2 both come to 0.3).
+#[must_use]
+pub const fn blur(anti_alias: bool) -> f64 {
+    if anti_alias { 0.1 } else { 0.3 }
+}
 /// Variance of the 3D smoothing filter, in squares of the finest sampling distance (Mip-Splatting, §5).
 pub const FILTER_VARIANCE: f64 = 0.2;
 /// A view samples what lies in its image widened by this share of its width and height on each side (Mip-Splatting, code).

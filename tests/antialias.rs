@@ -1,14 +1,13 @@
-//! Anti-aliasing as a whole: what it is for, when it switches itself on, and that files and checkpoints keep it.
-
-use std::sync::Arc;
+//! Anti-aliasing as a whole: what it is for, and that files and checkpoints keep it.
 
 use crate::cli::{done, room as room_folder, text};
 use crate::determinism::{drive, room, saved, trained};
 use glam::{DMat3, DVec3};
-use mhsplat::antialias::{AntiAlias, LEAST_SPREAD, spread};
+use mhsplat::TrainConfig;
+use mhsplat::antialias::AntiAlias;
 use mhsplat::buffers::Scene;
 use mhsplat::config::{AntiAliasing, Init, Sampler};
-use mhsplat::dataset::{Camera, Dataset, Frame, Lens, Photo, PhotoSource, View};
+use mhsplat::dataset::{Camera, Frame, Photo};
 use mhsplat::export::{checkpoint, ply};
 use mhsplat::gpu::{Defines, Device};
 use mhsplat::model::{Plane, Splats};
@@ -16,7 +15,6 @@ use mhsplat::render::{RenderOptions, Rendered, Renderer};
 use mhsplat::run::initial_splats;
 use mhsplat::train::Trainer;
 use mhsplat::verify::{cases, chain, twin};
-use mhsplat::{Plan, TrainConfig};
 
 fn config(anti_aliasing: AntiAliasing, sampler: Sampler) -> TrainConfig {
     TrainConfig {
@@ -74,90 +72,9 @@ fn zooming_out_keeps_the_brightness_with_the_filters_and_not_without() {
     let ratio = |on: bool| brightness(4, on) / brightness(1, on);
     let (with, without) = (ratio(true), ratio(false));
     println!("mean brightness at a quarter of the size: x{with:.3} with, x{without:.3} without");
-    assert!((with - 1.0).abs() < 0.05, "{with}");
+    // A Gaussian of 0.6 pixels with the 2D filter's 0.1 pixels² loses 6 % to the cut at 1/255 and to sampling at pixel centres.
+    assert!((with - 1.0).abs() < 0.08, "{with}");
     assert!(without > 2.0, "{without}");
-}
-
-/// The room with every other view moved back along its axis to `factor` times the median depth of the points it sees.
-fn two_distances(factor: f64) -> Dataset {
-    let mut data = room(64);
-    let points = data.points.positions.clone();
-    for view in data.train.iter_mut().step_by(2) {
-        let c = &mut view.camera;
-        let depth =
-            |p: &[f32; 3]| (c.rotation * DVec3::from_array(p.map(f64::from)) + c.translation).z;
-        let mut depths: Vec<f64> = points.iter().map(depth).filter(|z| *z > 0.0).collect();
-        depths.sort_by(f64::total_cmp);
-        c.translation.z += (factor - 1.0) * depths[depths.len() / 2];
-    }
-    data
-}
-
-#[test]
-fn auto_is_off_for_one_distance_and_on_for_two() {
-    let auto = TrainConfig::default();
-    assert_eq!(auto.anti_aliasing, AntiAliasing::Auto);
-    let (plain, apart) = (two_distances(1.0), two_distances(8.0));
-    let (low, high) = (spread(&plain).unwrap(), spread(&apart).unwrap());
-    println!("spread of the sampling rates: {low:.2} and {high:.2}");
-    assert!(low < 0.75 * LEAST_SPREAD, "{low}");
-    assert!(high > 1.25 * LEAST_SPREAD, "{high}");
-    assert!(!AntiAlias::decide(&plain, &auto).on && AntiAlias::decide(&apart, &auto).on);
-    let what = |items: &[mhsplat::plan::Item]| items.iter().any(|i| i.what == "anti-aliasing");
-    assert!(what(&Plan::new(&plain, &auto).left_out) && what(&Plan::new(&apart, &auto).kept));
-    let set = |anti_aliasing| TrainConfig {
-        anti_aliasing,
-        ..TrainConfig::default()
-    };
-    assert!(AntiAlias::decide(&plain, &set(AntiAliasing::On)).on);
-    assert!(!AntiAlias::decide(&apart, &set(AntiAliasing::Off)).on);
-}
-
-/// Views on a circle around the origin, every other one `factor` times as far; no points.
-fn circle(factor: f64) -> Dataset {
-    let view = |k: usize| {
-        let far = if k.is_multiple_of(2) { 1.0 } else { factor };
-        let photo = Photo {
-            mask: false,
-            width: 32,
-            height: 32,
-            channels: 3,
-            data: vec![0; 3 * 32 * 32],
-        };
-        View {
-            name: format!("{k:02}"),
-            camera: Camera {
-                rotation: DMat3::from_rotation_y(0.5 * k as f64),
-                translation: DVec3::new(0.0, 0.0, far),
-                fx: 30.0,
-                fy: 30.0,
-                cx: 16.0,
-                cy: 16.0,
-                width: 32,
-                height: 32,
-            },
-            lens: Lens::Pinhole,
-            photo: PhotoSource::Memory(Arc::new(photo)),
-        }
-    };
-    let mut data = room(64);
-    data.points = mhsplat::dataset::Points::default();
-    data.train = (0..12).map(view).collect();
-    data
-}
-
-#[test]
-fn without_points_the_rates_are_compared_where_the_views_look() {
-    let same = spread(&circle(1.0)).unwrap();
-    assert!((same - 1.0).abs() < 1e-9, "{same}");
-    let apart = spread(&circle(8.0)).unwrap();
-    assert!((apart - 8.0).abs() < 1e-9, "{apart}");
-    let mut parallel = circle(1.0);
-    for view in &mut parallel.train {
-        view.camera.rotation = DMat3::IDENTITY;
-    }
-    assert_eq!(spread(&parallel), None);
-    assert!(!AntiAlias::decide(&parallel, &TrainConfig::default()).on);
 }
 
 #[test]

@@ -35,6 +35,7 @@ mod recovery;
 mod reference;
 mod report;
 mod samplers;
+mod sampling_rates;
 mod stage;
 mod stiff;
 mod stress;

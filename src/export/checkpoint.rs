@@ -21,7 +21,7 @@ use crate::model::{Plane, Splats};
 use crate::report::{Reading, StageRecord};
 use crate::train::{Findings, TrainerState};
 
-const VERSION: u32 = 7;
+const VERSION: u32 = 8;
 
 /// Tensors in the order of the checksum.
 const NAMES: [&str; 7] = [

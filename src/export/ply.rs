@@ -14,7 +14,8 @@ use crate::error::{Error, Result};
 use crate::model::{Plane, Splats, sh_coefficients};
 
 /// The comment in the header of a scene that was trained with anti-aliasing.
-pub const ANTI_ALIASED: &str = "mhsplat anti-aliasing: mip-splatting, 3D filter applied";
+pub const ANTI_ALIASED: &str =
+    "mhsplat anti-aliasing: mip-splatting, 2D filter of 0.1, 3D filter applied";
 /// Bytes of a header that are looked at for it.
 const MOST_HEADER: u64 = 1 << 16;
 

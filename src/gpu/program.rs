@@ -11,6 +11,7 @@ use super::device::Device;
 use super::launch::Kernel;
 use super::tuning::{self, Tuning, status};
 use super::{Real, device_error};
+use crate::constants::blur;
 use crate::dataset::Alpha;
 use crate::error::{Error, Result};
 use crate::model::Plane;
@@ -155,7 +156,7 @@ impl Defines {
         real("SSIM_C1", tuning::SSIM_C[0]);
         real("SSIM_C2", tuning::SSIM_C[1]);
         real("COLOR_MAX", tuning::COLOR_MAX);
-        real("BLUR", tuning::BLUR);
+        real("BLUR", blur(self.anti_alias));
         real("FILTER_VARIANCE", tuning::FILTER_VARIANCE);
         real("FILTER_MARGIN", tuning::FILTER_MARGIN);
         real("TILE_SLACK", tuning::TILE_SLACK);

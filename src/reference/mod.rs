@@ -28,7 +28,7 @@ pub mod sort;
 pub mod splat;
 pub mod splat_grad;
 
-pub use crate::constants::{ALPHA_MAX, BLUR, COLOR_MAX, LOG_SCALE, T_MIN};
+pub use crate::constants::{ALPHA_MAX, COLOR_MAX, LOG_SCALE, T_MIN, blur};
 use crate::dataset::Camera;
 use crate::model::{Plane, Splats};
 

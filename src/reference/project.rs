@@ -1,7 +1,7 @@
 //! Twin of `kernels/project.cl`: raw Gaussians → records of one camera.
 
 use super::{
-    BLUR, COLOR_MAX, Camera64, LOG_SCALE, Options, Scene64, product, rotation, sh, sigmoid,
+    COLOR_MAX, Camera64, LOG_SCALE, Options, Scene64, blur, product, rotation, sh, sigmoid,
     transpose, unit_quaternion,
 };
 use crate::model::{Plane, sh_coefficients};
@@ -133,11 +133,11 @@ pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
     let m = product(&jw, &rs);
     let mut cov = product(&m, &transpose(&m));
     // det(M Mᵀ + b I) by Lagrange's identity: a sum of positive terms, exact for needles too.
-    let det = cross(m[0], m[1]).iter().map(|c| c * c).sum::<f64>()
-        + BLUR * (cov[0][0] + cov[1][1])
-        + BLUR * BLUR;
-    cov[0][0] += BLUR;
-    cov[1][1] += BLUR;
+    let b = blur(scene.filter.is_some());
+    let det =
+        cross(m[0], m[1]).iter().map(|c| c * c).sum::<f64>() + b * (cov[0][0] + cov[1][1]) + b * b;
+    cov[0][0] += b;
+    cov[1][1] += b;
     (det < 1e37 && cov[0][0] < 1e30 && cov[1][1] < 1e30).then_some(Shape64 {
         t,
         kept,

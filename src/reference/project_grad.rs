@@ -3,7 +3,7 @@
 use super::project::{Area64, Shape64, color, cross, shape};
 use super::screen_grad::mean_gradient;
 use super::{
-    BLUR, Camera64, LOG_SCALE, Options, Scene64, product, sh, sigmoid, transpose, unit_quaternion,
+    Camera64, LOG_SCALE, Options, Scene64, blur, product, sh, sigmoid, transpose, unit_quaternion,
 };
 use crate::model::{Plane, sh_coefficients};
 
@@ -61,8 +61,9 @@ fn geometry(
     let mut dcov = product(&product(&k, &q), &k).map(|row| row.map(|v| 0.5 * v));
     // log √(det0/det) = ½ (log det0 − log det), det = det0 + b tr + b²: the trace's part here, det0's in area().
     if o.area.is_some() {
-        dcov[0][0] -= 0.5 * s[0] * BLUR / o.det;
-        dcov[1][1] -= 0.5 * s[0] * BLUR / o.det;
+        let thin = 0.5 * s[0] * blur(true) / o.det;
+        dcov[0][0] -= thin;
+        dcov[1][1] -= thin;
     }
     // cov = T Sigma T^t + b I with T = J W.
     let dsigma = product(&product(&transpose(&o.jw), &dcov), &o.jw);

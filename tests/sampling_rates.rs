@@ -1,0 +1,131 @@
+//! When anti-aliasing switches itself on: by the sampling rates of the training views.
+
+use std::sync::Arc;
+
+use crate::determinism::room;
+use glam::{DMat3, DVec3};
+use mhsplat::antialias::{AntiAlias, LEAST_SPREAD, LEAST_SPREAD_WITHIN, Spreads};
+use mhsplat::config::AntiAliasing;
+use mhsplat::dataset::{Camera, Dataset, Lens, Photo, PhotoSource, View};
+use mhsplat::{Plan, TrainConfig};
+
+/// The room with every other view moved back along its axis to `factor` times the median depth of the points it sees.
+fn two_distances(factor: f64) -> Dataset {
+    let mut data = room(64);
+    let points = data.points.positions.clone();
+    for view in data.train.iter_mut().step_by(2) {
+        let c = &mut view.camera;
+        let depth =
+            |p: &[f32; 3]| (c.rotation * DVec3::from_array(p.map(f64::from)) + c.translation).z;
+        let mut depths: Vec<f64> = points.iter().map(depth).filter(|z| *z > 0.0).collect();
+        depths.sort_by(f64::total_cmp);
+        c.translation.z += (factor - 1.0) * depths[depths.len() / 2];
+    }
+    data
+}
+
+#[test]
+fn auto_is_off_for_one_distance_and_on_for_two() {
+    let auto = TrainConfig::default();
+    assert_eq!(auto.anti_aliasing, AntiAliasing::Auto);
+    let (plain, apart) = (two_distances(1.0), two_distances(8.0));
+    let across = |data: &Dataset| Spreads::of(data).across.unwrap();
+    let (low, high) = (across(&plain), across(&apart));
+    println!("spread of the sampling rates: {low:.2} and {high:.2}");
+    assert!(low < 0.75 * LEAST_SPREAD, "{low}");
+    assert!(high > 1.25 * LEAST_SPREAD, "{high}");
+    assert!(!AntiAlias::decide(&plain, &auto).on && AntiAlias::decide(&apart, &auto).on);
+    let what = |items: &[mhsplat::plan::Item]| items.iter().any(|i| i.what == "anti-aliasing");
+    assert!(what(&Plan::new(&plain, &auto).left_out) && what(&Plan::new(&apart, &auto).kept));
+    let set = |anti_aliasing| TrainConfig {
+        anti_aliasing,
+        ..TrainConfig::default()
+    };
+    assert!(AntiAlias::decide(&plain, &set(AntiAliasing::On)).on);
+    assert!(!AntiAlias::decide(&apart, &set(AntiAliasing::Off)).on);
+}
+
+/// The room with half of its points brought towards the first camera, so that each view sees things near and far.
+#[test]
+fn auto_is_on_where_views_see_near_and_far() {
+    let auto = TrainConfig::default();
+    let mut data = room(64);
+    let plain = Spreads::of(&data);
+    assert!(
+        plain.within.unwrap() < 0.85 * LEAST_SPREAD_WITHIN,
+        "{plain:?}"
+    );
+    // All views from where the first stands, so that no point is seen from two distances.
+    let first = data.train[0].camera;
+    for view in &mut data.train {
+        view.camera = first;
+    }
+    assert!(!AntiAlias::decide(&data, &auto).on);
+    let center = first.center();
+    for p in data.points.positions.iter_mut().step_by(2) {
+        let q = center + 0.1 * (DVec3::from_array(p.map(f64::from)) - center);
+        *p = q.to_array().map(|v| v as f32);
+    }
+    let spreads = Spreads::of(&data);
+    println!("spreads of the sampling rates: {spreads:?}, before {plain:?}");
+    assert!((spreads.across.unwrap() - 1.0).abs() < 1e-6);
+    assert!(spreads.within.unwrap() > 1.25 * LEAST_SPREAD_WITHIN);
+    let decided = AntiAlias::decide(&data, &auto);
+    assert!(
+        decided.on && decided.why.contains("within views"),
+        "{}",
+        decided.why
+    );
+    data.points.positions.truncate(19);
+    assert_eq!(Spreads::of(&data).within, None, "too few points");
+    assert!(!AntiAlias::decide(&data, &auto).on);
+}
+
+/// Views on a circle around the origin, every other one `factor` times as far; no points.
+fn circle(factor: f64) -> Dataset {
+    let view = |k: usize| {
+        let far = if k.is_multiple_of(2) { 1.0 } else { factor };
+        let photo = Photo {
+            mask: false,
+            width: 32,
+            height: 32,
+            channels: 3,
+            data: vec![0; 3 * 32 * 32],
+        };
+        View {
+            name: format!("{k:02}"),
+            camera: Camera {
+                rotation: DMat3::from_rotation_y(0.5 * k as f64),
+                translation: DVec3::new(0.0, 0.0, far),
+                fx: 30.0,
+                fy: 30.0,
+                cx: 16.0,
+                cy: 16.0,
+                width: 32,
+                height: 32,
+            },
+            lens: Lens::Pinhole,
+            photo: PhotoSource::Memory(Arc::new(photo)),
+        }
+    };
+    let mut data = room(64);
+    data.points = mhsplat::dataset::Points::default();
+    data.train = (0..12).map(view).collect();
+    data
+}
+
+#[test]
+fn without_points_the_rates_are_compared_where_the_views_look() {
+    let across = |data: &Dataset| Spreads::of(data).across;
+    let same = across(&circle(1.0)).unwrap();
+    assert!((same - 1.0).abs() < 1e-9, "{same}");
+    let apart = across(&circle(8.0)).unwrap();
+    assert!((apart - 8.0).abs() < 1e-9, "{apart}");
+    let mut parallel = circle(1.0);
+    for view in &mut parallel.train {
+        view.camera.rotation = DMat3::IDENTITY;
+    }
+    assert_eq!(across(&parallel), None);
+    assert_eq!(Spreads::of(&parallel).within, None);
+    assert!(!AntiAlias::decide(&parallel, &TrainConfig::default()).on);
+}
