@@ -18,9 +18,9 @@ use crate::model::{Plane, Splats, filters};
 /// `auto` switches the filters on from this spread of the sampling rates from view to view on. Of ordinary captures of objects,
 /// rooms and façades the spread is 1 to 2.7; of one that stands at a distance and at eight times that, it is 6 to 8.
 pub const LEAST_SPREAD: f64 = 4.0;
-/// Likewise within views. Around an object, in a room and along a façade it is 1.7 to 2.5, where the filters are worth -0.1 to
-/// 0.2 dB; close to a floor or a table top with the room behind, or among fences with mountains behind, it is 3.7 to 8.1, and
-/// they are worth 0.4 to 1.2 dB.
+/// Likewise within views. Around an object, in a room and along a façade it is 1.6 to 2.5; close to a floor or a table top with
+/// the room behind, or among fences with mountains behind, it is 3.7 to 8.1, and there the filters are worth 0.4 to 1.2 dB
+/// (README). Points that something hides count, too: rooms seen through walls would make it larger than it is.
 pub const LEAST_SPREAD_WITHIN: f64 = 3.0;
 /// Spreads leave out this share of the rates at either end: a camera that happens to pass close by is no second distance, nor
 /// is a point that was triangulated badly.
@@ -29,7 +29,7 @@ const TAIL: f64 = 0.1;
 const MOST_POINTS: usize = 4096;
 /// Views that must see a point for it to count.
 const LEAST_VIEWS: usize = 3;
-/// Points that a view must see for it to count.
+/// Points, of those looked at, that a view must see for it to count.
 const LEAST_POINTS: usize = 20;
 
 /// A decision on anti-aliasing.
@@ -60,25 +60,21 @@ impl AntiAlias {
     }
 
     fn by_rates(spreads: Spreads) -> Self {
-        let Some(across) = spreads.across else {
-            return Self {
-                on: false,
-                why: "the views share no point to compare their sampling rates at".into(),
-            };
+        let Spreads { across, within } = spreads;
+        let one = |spread: Option<f64>, least: f64, where_: &str| {
+            spread.map(|s| format!("by a factor of {s:.1} {where_} (auto asks for {least})"))
         };
-        let first = format!(
-            "the views' sampling rates differ by a factor of {across:.1} from view to view; auto asks for {LEAST_SPREAD}"
-        );
-        match spreads.within {
-            None => Self {
-                on: across >= LEAST_SPREAD,
-                why: first,
-            },
-            Some(within) => Self {
-                on: across >= LEAST_SPREAD || within >= LEAST_SPREAD_WITHIN,
-                why: format!(
-                    "{first}, or for {LEAST_SPREAD_WITHIN} within views, where it is {within:.1}"
-                ),
+        let both = [
+            one(across, LEAST_SPREAD, "from view to view"),
+            one(within, LEAST_SPREAD_WITHIN, "within views"),
+        ];
+        let both: Vec<String> = both.into_iter().flatten().collect();
+        Self {
+            on: across.is_some_and(|s| s >= LEAST_SPREAD)
+                || within.is_some_and(|s| s >= LEAST_SPREAD_WITHIN),
+            why: match both.is_empty() {
+                true => "the views share no point to compare their sampling rates at".into(),
+                false => format!("sampling rates differ {}", both.join(" and ")),
             },
         }
     }
@@ -92,7 +88,7 @@ pub struct Spreads {
     /// in view.
     pub across: Option<f64>,
     /// Within views: in each the 90th percentile of the points' f/z over the 10th; of those the median over the views that see
-    /// 20 points. None where no view does.
+    /// 20 of the points looked at (4096 at most). None where no view does.
     pub within: Option<f64>,
 }
 

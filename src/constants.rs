@@ -12,7 +12,7 @@ pub const T_MIN: f64 = 1e-4;
 /// eighth power, which the derivative of SSIM holds, is still finite in f32.
 pub const COLOR_MAX: f64 = 1e4;
 /// Added to the diagonal of the 2D covariance, pixels²: 3DGS's dilation, 0.3, or with anti-aliasing the variance of
-/// Mip-Splatting's 2D filter, 0.1 (§6.1: the Gaussian nearest to a pixel's box; with the 3D filter's 0.2 both come to 0.3).
+/// Mip-Splatting's 2D filter, 0.1 (§6.1: about one pixel; with the 3D filter's 0.2 they come to 0.3 again).
 #[must_use]
 pub const fn blur(anti_alias: bool) -> f64 {
     if anti_alias { 0.1 } else { 0.3 }

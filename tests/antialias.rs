@@ -7,6 +7,7 @@ use mhsplat::TrainConfig;
 use mhsplat::antialias::AntiAlias;
 use mhsplat::buffers::Scene;
 use mhsplat::config::{AntiAliasing, Init, Sampler};
+use mhsplat::constants::blur;
 use mhsplat::dataset::{Camera, Frame, Photo};
 use mhsplat::export::{checkpoint, ply};
 use mhsplat::gpu::{Defines, Device};
@@ -72,7 +73,8 @@ fn zooming_out_keeps_the_brightness_with_the_filters_and_not_without() {
     let ratio = |on: bool| brightness(4, on) / brightness(1, on);
     let (with, without) = (ratio(true), ratio(false));
     println!("mean brightness at a quarter of the size: x{with:.3} with, x{without:.3} without");
-    // A Gaussian of 0.6 pixels with the 2D filter's 0.1 pixels² loses 6 % to the cut at 1/255 and to sampling at pixel centres.
+    // Its variance at a quarter of the size is 0.25 pixels² with both filters: sampled at pixel centres around a corner of four
+    // and cut at 1/255 it loses 6 %.
     assert!((with - 1.0).abs() < 0.08, "{with}");
     assert!(without > 2.0, "{without}");
 }
@@ -175,6 +177,19 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     ply::write_filtered(&marked, &state.splats, &state.filter, &data.frame).unwrap();
     ply::write_filtered(&plain, &state.splats, &[], &data.frame).unwrap();
     assert!(ply::is_anti_aliased(&marked) && !ply::is_anti_aliased(&plain));
+    assert!(ply::ANTI_ALIASED.contains(&format!("2D filter of {},", blur(true))));
+    // Of other filters: refused, not shown with these.
+    let other = folder.path().join("other.ply");
+    let mark = b"2D filter of 0.1";
+    let mut bytes = std::fs::read(&marked).unwrap();
+    let at = bytes.windows(mark.len()).position(|w| w == mark).unwrap();
+    bytes[at + mark.len() - 1] = b'3';
+    std::fs::write(&other, bytes).unwrap();
+    let refused = ply::read(&other, &data.frame).unwrap_err().to_string();
+    assert!(
+        refused.contains("other.ply") && refused.contains("0.3"),
+        "{refused}"
+    );
     assert!(!ply::is_anti_aliased(&folder.path().join("none.ply")));
     assert!(ply::write_filtered(&plain, &state.splats, &[1.0], &Frame::IDENTITY).is_err());
 

@@ -44,6 +44,19 @@ fn an_isotropic_gaussian_projects_as_a_round_blur() {
 }
 
 #[test]
+fn with_anti_aliasing_the_blur_is_a_tenth_and_takes_its_share_of_the_opacity() {
+    // Without a 3D filter (0): det0 = s², det = (s + 0.1)² with s = 400·e^-4.
+    let (mut scene, camera, options) = alone(-2.0, 0.0, 2.0);
+    scene.filter = Some(vec![0.0]);
+    let record = project(&scene, 0, &camera, &options).unwrap();
+    let own = 400.0 * (-4.0f64).exp();
+    let half_log2e = 0.5 * std::f64::consts::LOG2_E;
+    assert!((record.a - half_log2e / (own + 0.1)).abs() < 1e-12);
+    let opacity = 0.5 * own / (own + 0.1);
+    assert!((record.lo - opacity.log2()).abs() < 1e-12);
+}
+
+#[test]
 fn the_centre_pixel_shows_opacity_times_colour() {
     let (scene, camera, options) = alone(-2.0, 0.0, 2.0);
     let records = vec![project(&scene, 0, &camera, &options)];

@@ -29,9 +29,14 @@ fn auto_is_off_for_one_distance_and_on_for_two() {
     let auto = TrainConfig::default();
     assert_eq!(auto.anti_aliasing, AntiAliasing::Auto);
     let (plain, apart) = (two_distances(1.0), two_distances(8.0));
-    let across = |data: &Dataset| Spreads::of(data).across.unwrap();
-    let (low, high) = (across(&plain), across(&apart));
-    println!("spread of the sampling rates: {low:.2} and {high:.2}");
+    let spreads = [&plain, &apart].map(Spreads::of);
+    println!("spreads of the sampling rates: {spreads:?}");
+    assert!(
+        spreads
+            .iter()
+            .all(|s| s.within.unwrap() < 0.85 * LEAST_SPREAD_WITHIN)
+    );
+    let [low, high] = spreads.map(|s| s.across.unwrap());
     assert!(low < 0.75 * LEAST_SPREAD, "{low}");
     assert!(high > 1.25 * LEAST_SPREAD, "{high}");
     assert!(!AntiAlias::decide(&plain, &auto).on && AntiAlias::decide(&apart, &auto).on);
@@ -71,11 +76,20 @@ fn auto_is_on_where_views_see_near_and_far() {
     assert!((spreads.across.unwrap() - 1.0).abs() < 1e-6);
     assert!(spreads.within.unwrap() > 1.25 * LEAST_SPREAD_WITHIN);
     let decided = AntiAlias::decide(&data, &auto);
-    assert!(
-        decided.on && decided.why.contains("within views"),
-        "{}",
-        decided.why
-    );
+    assert!(decided.on, "{}", decided.why);
+    let mut two = data.clone();
+    two.train.truncate(2);
+    assert_eq!(Spreads::of(&two).across, None, "three views make a spread");
+    assert!(AntiAlias::decide(&two, &auto).on);
+    // The camera's own points, so that it sees all of them.
+    let inside = |p: &[f32; 3]| {
+        first
+            .sampling_rate(DVec3::from_array(p.map(f64::from)))
+            .is_some()
+    };
+    data.points.positions.retain(inside);
+    data.points.positions.truncate(20);
+    assert!(Spreads::of(&data).within.is_some());
     data.points.positions.truncate(19);
     assert_eq!(Spreads::of(&data).within, None, "too few points");
     assert!(!AntiAlias::decide(&data, &auto).on);

@@ -13,7 +13,10 @@ use crate::dataset::{Frame, Points, point_cloud};
 use crate::error::{Error, Result};
 use crate::model::{Plane, Splats, sh_coefficients};
 
-/// The comment in the header of a scene that was trained with anti-aliasing.
+/// What a comment on the filters of a scene begins with.
+const MARK: &str = "mhsplat anti-aliasing:";
+/// The comment in the header of a scene that was trained with anti-aliasing; the 2D filter's variance in pixels²
+/// ([`crate::constants::blur`]).
 pub const ANTI_ALIASED: &str =
     "mhsplat anti-aliasing: mip-splatting, 2D filter of 0.1, 3D filter applied";
 /// Bytes of a header that are looked at for it.
@@ -30,8 +33,8 @@ pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
 }
 
 /// As [`write()`], for a scene trained with anti-aliasing: each Gaussian's 3D filter (standard deviations `filter` \[N\], local
-/// units) goes into its scales and opacity, so that any viewer shows it, and a comment in the header says that the opacities
-/// are meant for the 2D filter. An empty `filter`: as [`write()`].
+/// units) goes into its scales and opacity, so that any viewer has it, and a comment in the header says that the opacities
+/// are meant for the 2D filter, with its variance. An empty `filter`: as [`write()`].
 ///
 /// # Errors
 /// As [`write()`]; [`Error::Numerics`] for a filter of another length.
@@ -47,19 +50,35 @@ pub fn write_filtered(path: &Path, splats: &Splats, filter: &[f32], frame: &Fram
 /// the 2D filter. False for what cannot be read.
 #[must_use]
 pub fn is_anti_aliased(path: &Path) -> bool {
-    let Ok(file) = std::fs::File::open(path) else {
-        return false;
-    };
+    mark(path).is_some_and(|mark| mark == ANTI_ALIASED.as_bytes())
+}
+
+/// Refuses a scene whose header speaks of other filters than these: it would be shown with the wrong ones.
+fn refuse_other_filters(path: &Path) -> Result<()> {
+    match mark(path) {
+        Some(mark) if mark != ANTI_ALIASED.as_bytes() => Err(Error::input(
+            path,
+            format!(
+                "trained with other filters than this version's: `{}`",
+                String::from_utf8_lossy(&mark)
+            ),
+            "train it again, or show it with the version that trained it",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// The comment on filters in the header of a PLY file; none in what cannot be read.
+fn mark(path: &Path) -> Option<Vec<u8>> {
+    let file = std::fs::File::open(path).ok()?;
     let header = BufReader::new(file.take(MOST_HEADER)).split(b'\n');
     let mut lines = header.map_while(|line| line.ok());
-    lines
-        .next()
-        .is_some_and(|first| first.trim_ascii() == b"ply")
-        && lines
-            .map(|line| line.trim_ascii().to_vec())
-            .take_while(|line| line != b"end_header")
-            .filter_map(|line| line.strip_prefix(b"comment ").map(<[u8]>::to_vec))
-            .any(|comment| comment.trim_ascii() == ANTI_ALIASED.as_bytes())
+    let is_ply = lines.next()?.trim_ascii() == b"ply";
+    let mut comments = lines
+        .map(|line| line.trim_ascii().to_vec())
+        .take_while(|line| is_ply && line != b"end_header")
+        .filter_map(|line| Some(line.strip_prefix(b"comment ")?.trim_ascii().to_vec()));
+    comments.find(|comment| comment.starts_with(MARK.as_bytes()))
 }
 
 fn write_rows(path: &Path, splats: &Splats, frame: &Frame, comment: &str) -> Result<()> {
@@ -154,7 +173,7 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
 ///
 /// # Errors
 /// [`Error::Input`] for what is no such file, is truncated, lacks a property, or holds a value that is not finite (named
-/// by row and property); [`Error::Io`].
+/// by row and property), or was trained with other filters; [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<Splats> {
     let table = Table::read(path)?;
     if is_plain(&table) {
@@ -172,6 +191,7 @@ fn is_plain(table: &Table) -> bool {
 }
 
 fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<Splats> {
+    refuse_other_filters(path)?;
     let rest = table.names().filter(|n| n.starts_with("f_rest_")).count();
     let Some(sh_degree) = (0..=3).find(|&d| 3 * (sh_coefficients(d) - 1) == rest) else {
         return Err(Error::input(
