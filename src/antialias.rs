@@ -60,23 +60,26 @@ impl AntiAlias {
     }
 
     fn by_rates(spreads: Spreads) -> Self {
-        let Spreads { across, within } = spreads;
-        let one = |spread: Option<f64>, least: f64, where_: &str| {
-            spread.map(|s| format!("by a factor of {s:.1} {where_} (auto asks for {least})"))
-        };
-        let both = [
-            one(across, LEAST_SPREAD, "from view to view"),
-            one(within, LEAST_SPREAD_WITHIN, "within views"),
+        let measures = [
+            (spreads.across, LEAST_SPREAD, "from view to view"),
+            (spreads.within, LEAST_SPREAD_WITHIN, "within views"),
         ];
-        let both: Vec<String> = both.into_iter().flatten().collect();
-        Self {
-            on: across.is_some_and(|s| s >= LEAST_SPREAD)
-                || within.is_some_and(|s| s >= LEAST_SPREAD_WITHIN),
-            why: match both.is_empty() {
-                true => "the views share no point to compare their sampling rates at".into(),
-                false => format!("sampling rates differ {}", both.join(" and ")),
-            },
-        }
+        let told = measures.map(|(spread, least, place)| {
+            let spread = spread?;
+            let says =
+                format!("by a factor of {spread:.1} {place} (auto asks for {least} or more)");
+            Some((spread >= least, says))
+        });
+        let told: Vec<(bool, String)> = told.into_iter().flatten().collect();
+        let on = told.iter().any(|(met, _)| *met);
+        // Switched on by what meets its bar; left out because neither does.
+        let says = told.iter().filter(|(met, _)| *met == on);
+        let says: Vec<&str> = says.map(|(_, says)| says.as_str()).collect();
+        let why = match says.is_empty() {
+            true => "the views share no point to compare their sampling rates at".into(),
+            false => format!("sampling rates differ {}", says.join(" and ")),
+        };
+        Self { on, why }
     }
 }
 
@@ -88,7 +91,7 @@ pub struct Spreads {
     /// in view.
     pub across: Option<f64>,
     /// Within views: in each the 90th percentile of the points' f/z over the 10th; of those the median over the views that see
-    /// 20 of the points looked at (4096 at most). None where no view does.
+    /// 20 of the points looked at (4096 at most). None where fewer than half of the views do.
     pub within: Option<f64>,
 }
 
@@ -106,9 +109,11 @@ impl Spreads {
         let at = |p: &DVec3| ratio(cameras.iter().map(|c| c.sampling_rate(*p)), LEAST_VIEWS);
         let of = |c: &Camera| ratio(sampled.iter().map(|p| c.sampling_rate(*p)), LEAST_POINTS);
         let center = || at(&center_of_attention(&dataset.train)?);
+        let each: Vec<f64> = cameras.iter().filter_map(of).collect();
+        let most = 2 * each.len() >= cameras.len();
         Self {
-            across: median(sampled.iter().filter_map(at)).or_else(center),
-            within: median(cameras.iter().filter_map(of)),
+            across: median(sampled.iter().filter_map(at).collect()).or_else(center),
+            within: median(each).filter(|_| most),
         }
     }
 }
@@ -140,8 +145,7 @@ fn ratio(rates: impl Iterator<Item = Option<f64>>, least: usize) -> Option<f64> 
     Some(rates[rates.len() - 1 - tail] / rates[tail])
 }
 
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
+fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }

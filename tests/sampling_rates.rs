@@ -76,7 +76,17 @@ fn auto_is_on_where_views_see_near_and_far() {
     assert!((spreads.across.unwrap() - 1.0).abs() < 1e-6);
     assert!(spreads.within.unwrap() > 1.25 * LEAST_SPREAD_WITHIN);
     let decided = AntiAlias::decide(&data, &auto);
-    assert!(decided.on, "{}", decided.why);
+    let why = decided.why;
+    assert!(
+        decided.on && why.contains("within views (auto asks for 3 or more)"),
+        "{why}"
+    );
+    assert!(
+        !why.contains("from view to view"),
+        "only what meets its bar: {why}"
+    );
+    let left_out = AntiAlias::decide(&room(64), &auto).why;
+    assert!(left_out.contains("from view to view") && left_out.contains("within views"));
     let mut two = data.clone();
     two.train.truncate(2);
     assert_eq!(Spreads::of(&two).across, None, "three views make a spread");
@@ -90,6 +100,20 @@ fn auto_is_on_where_views_see_near_and_far() {
     data.points.positions.retain(inside);
     data.points.positions.truncate(20);
     assert!(Spreads::of(&data).within.is_some());
+    let away = DMat3::from_rotation_y(std::f64::consts::PI);
+    let n = data.train.len();
+    for (turned, some) in [(n / 2, true), (n / 2 + 1, false)] {
+        let mut data = data.clone();
+        for view in &mut data.train[..turned] {
+            view.camera.rotation = away * view.camera.rotation;
+            view.camera.translation = away * view.camera.translation;
+        }
+        assert_eq!(
+            Spreads::of(&data).within.is_some(),
+            some,
+            "{turned} of {n} look away"
+        );
+    }
     data.points.positions.truncate(19);
     assert_eq!(Spreads::of(&data).within, None, "too few points");
     assert!(!AntiAlias::decide(&data, &auto).on);

@@ -123,7 +123,7 @@ pub struct TrainArgs {
     /// transparent, black where not [default: auto]
     #[arg(long)]
     background: Option<String>,
-    /// Filters for views of other distances and sizes than those trained on [default: auto]
+    /// Filters for things seen from near and far, and for views of other sizes than those trained on [default: auto]
     #[arg(long, value_enum)]
     anti_aliasing: Option<AntiAliasingFlag>,
     /// A colour transform for every training photo, for sets whose brightness varies [default: auto]

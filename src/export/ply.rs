@@ -59,7 +59,7 @@ fn refuse_other_filters(path: &Path) -> Result<()> {
         Some(mark) if mark != ANTI_ALIASED.as_bytes() => Err(Error::input(
             path,
             format!(
-                "trained with other filters than this version's: `{}`",
+                "trained with other filters than this version's (`{ANTI_ALIASED}`): `{}`",
                 String::from_utf8_lossy(&mark)
             ),
             "train it again, or show it with the version that trained it",
