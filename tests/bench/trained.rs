@@ -41,7 +41,7 @@ fn a_scene_with_anti_aliasing_is_measured_with_it() {
     // Thinner than a pixel, so that the 2D filter dims them and few pixels are left to each.
     let mut splats = scene::cloud(400).with_sh_degree(0).unwrap();
     for plane in Plane::LOG_SCALE..Plane::ROTATION {
-        splats.plane_mut(plane).fill((1.5e-3f32).ln());
+        splats.plane_mut(plane).fill((0.9e-3f32).ln());
     }
     splats.plane_mut(Plane::OPACITY).fill(-5.1);
     let measured = |name: &str, filter: &[f32]| {
