@@ -1,15 +1,17 @@
 //! The density step on the host: a million Gaussians counted, importance, about 20,000 proposals decided.
 #![allow(missing_docs, clippy::unwrap_used)]
 
+use std::hint::black_box;
+
 use criterion::{Criterion, criterion_group, criterion_main};
+
+use mhsplat::base::rng::{Philox, Purpose};
 use mhsplat::config::MhConfig;
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::mh::importance::importance;
 use mhsplat::density::mh::sparsity::VoxelCounts;
 use mhsplat::density::relocation::split;
 use mhsplat::density::{Cues, DensityControl, Evidence, SceneState, StepContext};
-use mhsplat::rng::{Philox, Purpose};
-use std::hint::black_box;
 
 const N: usize = 1_000_000;
 

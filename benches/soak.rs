@@ -10,9 +10,8 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use mhsplat::config::Sampler;
-use mhsplat::report::Clock;
-use mhsplat::report::clock::process_cpu_seconds;
-use mhsplat::run::{Run, saved_config};
+use mhsplat::run::clock::process_cpu_seconds;
+use mhsplat::run::{Clock, Run, saved_config};
 use mhsplat::{Device, LoadOptions, TrainConfig, load_dataset};
 
 const ITERATIONS: u32 = 300;

@@ -7,7 +7,8 @@
 use std::time::{Duration, Instant};
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use mhsplat::bench::{STAGES, scene};
+
+use mhsplat::lab::bench::{STAGES, scene};
 use mhsplat::{Device, Trainer};
 
 fn seconds_of(trainer: &Trainer, stage: &str) -> f64 {

@@ -54,52 +54,29 @@
 //! # }
 //! ```
 
-pub mod antialias;
 #[doc(hidden)]
-pub mod atomic;
-pub mod bench;
+pub mod base;
+pub mod capture;
 #[doc(hidden)]
-pub mod buffers;
-#[doc(hidden)]
-pub mod cache;
-pub mod compare;
+pub mod chart;
 pub mod config;
-#[doc(hidden)]
-pub mod constants;
-pub mod dataset;
 pub mod density;
-pub mod error;
+#[doc(hidden)]
+pub mod device;
 pub mod evaluate;
-pub mod experiment;
-pub mod export;
-pub mod exposure;
+pub mod lab;
 #[doc(hidden)]
-pub mod gpu;
-pub mod model;
-#[doc(hidden)]
-pub mod photos;
-pub mod plan;
-mod probe;
-pub mod reference;
-pub mod render;
-pub mod report;
-#[doc(hidden)]
-pub mod rng;
+pub mod pipeline;
 pub mod run;
-pub mod schedule;
-#[doc(hidden)]
-pub mod stage;
-pub mod surrogate;
+pub mod scene;
 pub mod train;
-pub mod tune;
-pub mod verify;
 
+pub use base::error::{Error, Result};
+pub use capture::{Camera, Dataset, LoadOptions, View, load as load_dataset};
 pub use config::TrainConfig;
-pub use dataset::{Camera, Dataset, LoadOptions, View, load as load_dataset, synthetic};
-pub use error::{Error, Result};
-pub use gpu::Device;
-pub use model::Splats;
-pub use plan::Plan;
-pub use render::Renderer;
-pub use report::RunRecord;
+pub use device::Device;
+pub use pipeline::forward::Renderer;
+pub use run::RunRecord;
+pub use scene::Splats;
 pub use train::Trainer;
+pub use train::plan::Plan;

@@ -1,21 +1,21 @@
 //! Anti-aliasing as a whole: what it is for, and that files and checkpoints keep it.
 
+use glam::{DMat3, DVec3};
+
 use crate::cli::{done, room as room_folder, text};
 use crate::determinism::{drive, room, saved, trained};
-use glam::{DMat3, DVec3};
 use mhsplat::TrainConfig;
-use mhsplat::antialias::AntiAlias;
-use mhsplat::buffers::Scene;
+use mhsplat::base::constants::blur;
+use mhsplat::capture::{Camera, Frame, Photo};
 use mhsplat::config::{AntiAliasing, Init, Sampler};
-use mhsplat::constants::blur;
-use mhsplat::dataset::{Camera, Frame, Photo};
-use mhsplat::export::{checkpoint, ply};
-use mhsplat::gpu::{Defines, Device};
-use mhsplat::model::{Plane, Splats};
-use mhsplat::render::{RenderOptions, Rendered, Renderer};
-use mhsplat::run::initial_splats;
+use mhsplat::device::{Defines, Device};
+use mhsplat::lab::verify::{cases, chain, twin};
+use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::forward::{RenderOptions, Rendered, Renderer};
+use mhsplat::run::{checkpoint, initial_splats};
+use mhsplat::scene::{Plane, Splats, ply};
 use mhsplat::train::Trainer;
-use mhsplat::verify::{cases, chain, twin};
+use mhsplat::train::sampling_rates::AntiAlias;
 
 fn config(anti_aliasing: AntiAliasing, sampler: Sampler) -> TrainConfig {
     TrainConfig {
@@ -117,8 +117,8 @@ fn a_resumed_run_ends_with_the_same_bits() {
         drive(&mut resumed, 130).unwrap();
         assert!(resumed.state().unwrap().splats == whole, "{sampler:?}");
         // Its renders would lack the filters.
-        let options = mhsplat::surrogate::Options::default();
-        let refused = mhsplat::surrogate::check(
+        let options = mhsplat::lab::surrogate::Options::default();
+        let refused = mhsplat::lab::surrogate::check(
             folder.path(),
             data.clone(),
             &device,

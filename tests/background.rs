@@ -1,16 +1,15 @@
 //! What lies behind transparent photos: another colour in each iteration, unless one is asked for.
 
 use crate::determinism::{drive, room, saved, trained};
+use mhsplat::base::constants::NEAR;
+use mhsplat::capture::{Alpha, Dataset, Photo, PhotoSource};
 use mhsplat::config::{Background, Sampler, TrainConfig};
-use mhsplat::dataset::{Alpha, Dataset, Photo, PhotoSource};
-use mhsplat::export::checkpoint;
-use mhsplat::gpu::tuning::NEAR;
-use mhsplat::gpu::{CameraArg, Device};
-use mhsplat::model::{Plane, Splats};
-use mhsplat::render::RenderOptions;
-use mhsplat::run::initial_splats;
-use mhsplat::schedule::Schedule;
+use mhsplat::device::{CameraArg, Device};
+use mhsplat::pipeline::forward::RenderOptions;
+use mhsplat::run::{checkpoint, initial_splats};
+use mhsplat::scene::{Plane, Splats};
 use mhsplat::train::Trainer;
+use mhsplat::train::schedule::Schedule;
 
 /// The room's photos with this alpha in their left halves.
 fn holed(alpha: u8, mask: bool) -> Dataset {

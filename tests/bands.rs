@@ -1,14 +1,13 @@
 //! Bands of spherical harmonics come and go by what they are worth, and what no view shows goes at the end.
 
 use crate::determinism::{drive, room};
+use mhsplat::capture::{Dataset, Photo, PhotoSource};
 use mhsplat::config::{Sampler, TrainConfig};
-use mhsplat::dataset::{Dataset, Photo, PhotoSource};
-use mhsplat::gpu::Device;
-use mhsplat::model::refit::{Sight, with_fewer_bands};
-use mhsplat::model::{Plane, Splats};
-use mhsplat::reference::sh;
-use mhsplat::render::{RenderOptions, Renderer};
+use mhsplat::device::Device;
+use mhsplat::pipeline::forward::{RenderOptions, Renderer};
 use mhsplat::run::initial_splats;
+use mhsplat::scene::refit::{Sight, with_fewer_bands};
+use mhsplat::scene::{Plane, Splats, sh};
 use mhsplat::train::{BAND_WORTH, TRIAL_WORTH, Trainer, TrainerState};
 
 /// A fixed set, with the bands looked after every 40 iterations.
@@ -44,7 +43,7 @@ fn shining(size: f32) -> (Dataset, Splats) {
     }
     let device = Device::open(None).unwrap();
     let mut renderer = Renderer::<f32>::for_display(&device, 1).unwrap();
-    let scene = mhsplat::buffers::Scene::upload(&device, &truth, 0).unwrap();
+    let scene = mhsplat::pipeline::buffers::Scene::upload(&device, &truth, 0).unwrap();
     let options = RenderOptions {
         sh_degree: 1,
         ..RenderOptions::default()
@@ -210,7 +209,7 @@ fn glint() -> Splats {
 fn red(splats: &Splats, center: [f64; 3]) -> f64 {
     let norm = center.iter().map(|c| c * c).sum::<f64>().sqrt();
     let basis = sh::basis(center.map(|c| -c / norm));
-    let coefficients = mhsplat::model::sh_coefficients(splats.sh_degree());
+    let coefficients = mhsplat::scene::sh_coefficients(splats.sh_degree());
     let term = |k: usize| basis[k] * f64::from(splats.planes()[Plane::SH + 3 * k][0]);
     (0..coefficients).map(term).sum()
 }
@@ -271,7 +270,7 @@ fn what_no_training_view_shows_goes_at_the_end_and_nothing_else() {
     let images = |t: &mut Trainer| {
         let (scene, renderer) = t.scene_and_renderer();
         let options = RenderOptions::default();
-        let image = |v: &mhsplat::dataset::View| renderer.image(scene, &v.camera, &options);
+        let image = |v: &mhsplat::capture::View| renderer.image(scene, &v.camera, &options);
         data.train
             .iter()
             .map(image)

@@ -4,17 +4,18 @@ mod trained;
 
 use std::sync::LazyLock;
 
-use mhsplat::bench::record::{BenchRecord, Case, Failure, Iteration, Outcome};
-use mhsplat::bench::spread::{Spread, exponent, ratio};
-use mhsplat::bench::work::{Load, TileWork};
-use mhsplat::bench::{self, Options, STAGES, scene};
-use mhsplat::buffers::Scene;
-use mhsplat::gpu::tuning::{TILE, Tuning};
-use mhsplat::gpu::{Array, Defines, Device};
-use mhsplat::render::{RenderOptions, Renderer};
-use mhsplat::report::loglog::Decades;
-
 use super::cli;
+use mhsplat::base::constants::TILE;
+use mhsplat::chart::loglog::Decades;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::device::{Array, Defines, Device};
+use mhsplat::lab::bench;
+use mhsplat::lab::bench::record::{BenchRecord, Case, Failure, Iteration, Outcome};
+use mhsplat::lab::bench::work::{Load, TileWork};
+use mhsplat::lab::bench::{Options, STAGES, scene};
+use mhsplat::lab::stats::{Spread, exponent, ratio};
+use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::forward::{RenderOptions, Renderer};
 
 fn spread(samples: &[f64]) -> Spread {
     Spread::of(samples).unwrap()

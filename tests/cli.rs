@@ -7,7 +7,7 @@ mod run_folder;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
+use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
 
 /// The program under test, on the default device.
 pub fn program() -> Command {

@@ -7,8 +7,9 @@ mod paired;
 mod relative;
 
 use made::{Made, compared, run};
-use mhsplat::compare::{Clock, Options, Source, compare, finished};
-use mhsplat::error::Error;
+
+use mhsplat::base::error::Error;
+use mhsplat::lab::compare::{Clock, Options, Source, compare, finished};
 
 fn message(error: &Error) -> String {
     error.to_string()
@@ -131,7 +132,7 @@ fn unequal_numbers_of_gaussians_are_named() {
         let mut other = run("b", 0).named("other");
         other.rows[19].gaussians += extra;
         let c = compared(&[run("a", 0), other], &Options::default()).unwrap();
-        let text = mhsplat::compare::markdown(&c);
+        let text = mhsplat::lab::compare::markdown(&c);
         (c.warnings, text.contains("are equal to 2 %"))
     };
     let (warnings, equal) = more(20);
@@ -166,7 +167,7 @@ fn some_runs_arriving_is_not_all() {
         ..Options::default()
     };
     let c = compared(&made, &options).unwrap();
-    let text = mhsplat::compare::markdown(&c);
+    let text = mhsplat::lab::compare::markdown(&c);
     assert!(text.contains("| 2 of 3: "), "{text}");
     assert!(text.contains("| not reached |"), "{text}");
     assert!(text.contains("| ≤ 50"), "at the first evaluation: {text}");
@@ -213,7 +214,7 @@ fn what_is_not_comparable_is_refused_by_name() {
             "{:?}",
             c.warnings
         );
-        assert!(mhsplat::compare::page(&c).contains("not comparable: "));
+        assert!(mhsplat::lab::compare::page(&c).contains("not comparable: "));
     }
     // A dataset that was moved is the same one.
     let moved = [

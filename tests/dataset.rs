@@ -13,14 +13,15 @@ mod rigs;
 mod several;
 mod transforms;
 
+pub use real::data;
+
 use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
-pub use real::data;
 
-use mhsplat::dataset::colmap::{ColmapModel, ColmapPoint, write_bin, write_txt};
-use mhsplat::dataset::{Camera, Dataset, LoadOptions, load};
-use mhsplat::error::Error;
+use mhsplat::base::error::Error;
+use mhsplat::capture::colmap::{ColmapModel, ColmapPoint, write_bin, write_txt};
+use mhsplat::capture::{Camera, Dataset, LoadOptions, load};
 
 /// Cameras on a ring around `middle`, radius 3, each turned its own way; images named so that the order given is not the
 /// sorted one.
@@ -151,7 +152,7 @@ fn camera_difference_notices_a_moved_camera() {
 #[test]
 fn split_holds_out_every_nth_by_name() {
     let dir = colmap_scene(10, DVec3::ZERO, true);
-    let names = |views: &[mhsplat::dataset::View]| -> Vec<String> {
+    let names = |views: &[mhsplat::capture::View]| -> Vec<String> {
         views.iter().map(|v| v.name.clone()).collect()
     };
     let d = load_every(dir.path(), 4).unwrap();

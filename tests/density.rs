@@ -12,8 +12,8 @@ mod step;
 mod switches;
 mod voxels;
 
+use mhsplat::base::rng::{Philox, Purpose};
 use mhsplat::density::{Cues, Evidence, SceneState};
-use mhsplat::rng::{Philox, Purpose};
 
 /// A scene and its cues, owned.
 #[derive(Clone)]

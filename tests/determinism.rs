@@ -1,14 +1,13 @@
 //! Same seed, same bits; interruptions and small buffers change nothing.
 
+use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::Sampler;
-use mhsplat::dataset::{Dataset, LoadOptions, load};
-use mhsplat::export::checkpoint::{self, Checkpoint};
-use mhsplat::gpu::Device;
-use mhsplat::model::Splats;
-use mhsplat::report::Reading;
-use mhsplat::run::initial_splats;
-use mhsplat::schedule::Schedule;
+use mhsplat::device::Device;
+use mhsplat::run::checkpoint::Checkpoint;
+use mhsplat::run::{Reading, checkpoint, initial_splats};
+use mhsplat::scene::Splats;
 use mhsplat::train::Trainer;
+use mhsplat::train::schedule::Schedule;
 use mhsplat::{Result, TrainConfig};
 
 /// The bundled scene.

@@ -4,11 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use mhsplat::config::TrainConfig;
-use mhsplat::error::{Error, Result};
-use mhsplat::experiment::*;
-
 use crate::compare::made::{Made, run as made};
+use mhsplat::base::error::{Error, Result};
+use mhsplat::config::TrainConfig;
+use mhsplat::lab::experiment::*;
 
 mod cli;
 mod stale;

@@ -4,14 +4,12 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
-use mhsplat::dataset::{Frame, Points, point_cloud};
-use mhsplat::error::Error;
-use mhsplat::export::ply;
-use mhsplat::model::{Plane, Splats};
-use mhsplat::rng::Philox;
 
-use crate::dataset::assert_refused;
-use crate::dataset::data;
+use crate::dataset::{assert_refused, data};
+use mhsplat::base::error::Error;
+use mhsplat::base::rng::Philox;
+use mhsplat::capture::{Frame, Points, point_cloud};
+use mhsplat::scene::{Plane, Splats, ply};
 
 fn splats(n: usize, sh_degree: u32) -> Splats {
     let planes = (0..Plane::count(sh_degree) as u64)

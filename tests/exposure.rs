@@ -6,17 +6,16 @@ use std::time::Instant;
 
 use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::{drive, room, saved};
-use mhsplat::buffers::ViewSet;
+use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::ExposureChoice;
-use mhsplat::dataset::{Dataset, LoadOptions, load};
+use mhsplat::device::{Defines, Device};
 use mhsplat::evaluate::Evaluator;
 use mhsplat::evaluate::color::{corrected, fit, mean_corrected};
-use mhsplat::export::checkpoint;
-use mhsplat::exposure::{Decision, compared, exposed, gain, spread, unexposed};
-use mhsplat::gpu::{Defines, Device};
-use mhsplat::photos::Photos;
-use mhsplat::report::{Clock, RunRecord};
-use mhsplat::run::{Progress, Run, initial_splats};
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::photos::Photos;
+use mhsplat::pipeline::stage::exposure::{exposed, unexposed};
+use mhsplat::run::{Clock, Progress, Run, RunRecord, checkpoint, initial_splats};
+use mhsplat::train::brightness::{Decision, compared, gain, spread};
 use mhsplat::{TrainConfig, Trainer};
 
 /// Gains of photos: so much as in a set taken with automatic exposure.
@@ -178,7 +177,7 @@ fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
     // Its kernels are compiled before that iteration.
     println!("the training clock stood for {stood:.4} s");
     assert!(stood > 1e-3, "{stood}");
-    let find = |list: &[mhsplat::plan::Item]| {
+    let find = |list: &[mhsplat::train::plan::Item]| {
         let mut items = list.iter().filter(|i| i.what == "per-image exposure");
         (items.next().map(|i| i.why.clone()), items.count())
     };

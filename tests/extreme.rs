@@ -1,10 +1,10 @@
 //! Broken and extreme parameters: culled or bounded, never NaN, and never anybody else's problem.
 
-use mhsplat::gpu::Device;
-use mhsplat::gpu::tuning::Tuning;
-use mhsplat::model::{Plane, Splats};
-use mhsplat::verify::cases::mild;
-use mhsplat::verify::chain::{Case, Outputs, run};
+use mhsplat::device::Device;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::lab::verify::cases::mild;
+use mhsplat::lab::verify::chain::{Case, Outputs, run};
+use mhsplat::scene::{Plane, Splats};
 
 /// A plane of every parameter group: x, a log-scale, w and z of the quaternion, opacity, SH degree 0 and 3.
 const ONE_OF_EACH: [usize; 7] = [0, 4, 6, 9, Plane::OPACITY, Plane::SH, Plane::SH + 40];

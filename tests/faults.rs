@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use mhsplat::export::checkpoint;
+use mhsplat::run::checkpoint;
 
 /// CL_DEVICE_NOT_AVAILABLE.
 const LOST: i32 = -2;

@@ -11,9 +11,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use mhsplat::report::clock;
 use mutate::{Dice, mutated};
 use readers::{CLOUDS, COLMAP, PHOTOS, RUNS, Reader, SETTINGS, reader};
+
+use mhsplat::run::clock;
 
 /// Inputs per reader in a plain test run.
 const INPUTS: u64 = 400;

@@ -3,14 +3,14 @@
 //! The alpha cut is a discontinuity at which finite differences disagree even in sign, so it lies at 1e-7 here; the bounds
 //! of the ellipses move with it.
 
-use mhsplat::gpu::Device;
-use mhsplat::gpu::tuning::Tuning;
-use mhsplat::model::Plane;
-use mhsplat::reference::Scene64;
-use mhsplat::reference::chain::loss_of;
-use mhsplat::reference::compare::{Tolerance, compare};
-use mhsplat::verify::chain::{self, Case};
-use mhsplat::verify::{cases, twin};
+use mhsplat::device::Device;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::lab::error::{Tolerance, compare};
+use mhsplat::lab::verify::chain::Case;
+use mhsplat::lab::verify::{cases, chain, twin};
+use mhsplat::pipeline::chain::loss_of;
+use mhsplat::pipeline::reference::Scene64;
+use mhsplat::scene::Plane;
 
 /// Step of the central differences: truncation (h²) and rounding (1e-16/h) meet near it.
 const STEP: f64 = 1e-5;

@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use glam::DVec3;
-use mhsplat::config::TrainConfig;
-use mhsplat::dataset::Camera;
-use mhsplat::dataset::colmap::{ColmapModel, ColmapPoint, write_bin};
 
 use crate::dataset::{assert_refused, load_every, ring, three_points, write_images};
 use crate::determinism::trained;
+use mhsplat::capture::Camera;
+use mhsplat::capture::colmap::{ColmapModel, ColmapPoint, write_bin};
+use mhsplat::config::TrainConfig;
 
 fn written(dir: &Path, views: &[(String, Camera)], points: Vec<ColmapPoint>) {
     let model = ColmapModel::from_views(views, points);

@@ -1,13 +1,13 @@
 //! Training learns: held-out PSNR rises, and density control beats a fixed set.
 
 use crate::determinism::room;
-use mhsplat::buffers::ViewSet;
+use mhsplat::capture::Dataset;
 use mhsplat::config::{Sampler, TrainConfig};
-use mhsplat::dataset::Dataset;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::device::{Defines, Device};
 use mhsplat::evaluate::{Evaluator, mean};
-use mhsplat::gpu::tuning::Tuning;
-use mhsplat::gpu::{Defines, Device};
-use mhsplat::photos::Photos;
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::photos::Photos;
 use mhsplat::run::initial_splats;
 use mhsplat::train::Trainer;
 

@@ -1,4 +1,5 @@
 //! The one integration test binary.
+
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -25,6 +26,7 @@ mod flip;
 mod fuzz;
 mod gradient;
 mod hostile;
+mod house;
 mod layout;
 mod learning;
 mod masks;

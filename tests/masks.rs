@@ -2,19 +2,17 @@
 
 mod pictures;
 
-use mhsplat::TrainConfig;
-use mhsplat::buffers::ViewSet;
-use mhsplat::config::{OptimizerConfig, Sampler};
-use mhsplat::dataset::{Dataset, Photo, PhotoSource, View};
-use mhsplat::evaluate::Evaluator;
-use mhsplat::gpu::{Defines, Device};
-use mhsplat::model::Plane;
-use mhsplat::photos::Photos;
-use mhsplat::reference::loss::loss;
-use mhsplat::reference::metrics::sum_counted;
-use mhsplat::report::ViewScore;
-
 use crate::determinism::{room, trained};
+use mhsplat::TrainConfig;
+use mhsplat::capture::{Dataset, Photo, PhotoSource, View};
+use mhsplat::config::{OptimizerConfig, Sampler};
+use mhsplat::device::{Defines, Device};
+use mhsplat::evaluate::{Evaluator, ViewScore};
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::photos::Photos;
+use mhsplat::pipeline::stage::loss::loss;
+use mhsplat::pipeline::stage::metrics::sum_counted;
+use mhsplat::scene::Plane;
 
 fn config(iterations: u32) -> TrainConfig {
     TrainConfig {

@@ -8,21 +8,20 @@ use glam::DVec3;
 
 use crate::dataset::colmap_scene;
 use crate::determinism::room_within;
-use mhsplat::buffers::ViewSet;
+use mhsplat::base::error::{Error, Result};
+use mhsplat::capture::source::parse_available;
+use mhsplat::capture::{Dataset, LoadOptions, PhotoSource, load};
 use mhsplat::config::parse_bytes;
-use mhsplat::dataset::source::parse_available;
-use mhsplat::dataset::{Dataset, LoadOptions, PhotoSource, load};
-use mhsplat::error::{Error, Result};
-use mhsplat::evaluate::Evaluator;
-use mhsplat::gpu::tuning::Tuning;
-use mhsplat::gpu::{Array, Defines, Device, Kernels};
-use mhsplat::model::Splats;
-use mhsplat::photos::{PhotoStats, Photos};
-use mhsplat::report::ViewScore;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::device::{Array, Defines, Device, Kernels};
+use mhsplat::evaluate::{Evaluator, ViewScore};
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::photos::{PhotoStats, Photos};
+use mhsplat::pipeline::stage::loss::ImagePair;
+use mhsplat::pipeline::stage::metrics::Metrics;
 use mhsplat::run::initial_splats;
-use mhsplat::schedule::Schedule;
-use mhsplat::stage::loss::ImagePair;
-use mhsplat::stage::metrics::Metrics;
+use mhsplat::scene::Splats;
+use mhsplat::train::schedule::Schedule;
 use mhsplat::{TrainConfig, Trainer};
 
 /// Bytes of a photo of [`colmap_scene`].

@@ -1,9 +1,9 @@
 //! The plan: what switches each item on, and what is said of it.
 
 use crate::determinism::room;
+use mhsplat::capture::{Dataset, LoadOptions, Photo, PhotoSource, load};
 use mhsplat::config::{Background, Init, Sampler, TrainConfig};
-use mhsplat::dataset::{Dataset, LoadOptions, Photo, PhotoSource, load};
-use mhsplat::plan::{Item, Plan};
+use mhsplat::train::plan::{Item, Plan};
 use mhsplat::train::{BandTrial, Findings};
 
 /// Why an item is kept (`Ok`) or left out (`Err`); panics if it is on both lists or on none.

@@ -1,20 +1,19 @@
 //! Probes in training: what they foretell, and that they repeat.
 
+use crate::determinism::{drive, room, trained};
 use mhsplat::TrainConfig;
-use mhsplat::buffers::ViewSet;
+use mhsplat::base::constants::ALPHA_MIN;
 use mhsplat::config::Surrogate;
 use mhsplat::density::relocation::split;
 use mhsplat::density::{Edit, Trial};
-use mhsplat::export::checkpoint;
-use mhsplat::gpu::Device;
-use mhsplat::gpu::tuning::ALPHA_MIN;
-use mhsplat::model::{Plane, Splats};
-use mhsplat::photos::Photos;
-use mhsplat::render::{Quantity, RenderOptions};
-use mhsplat::surrogate::{Birth, Instrument, Setting, Shape};
+use mhsplat::device::Device;
+use mhsplat::lab::surrogate::{Birth, Instrument, Setting, Shape};
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::forward::{Quantity, RenderOptions};
+use mhsplat::pipeline::photos::Photos;
+use mhsplat::run::checkpoint;
+use mhsplat::scene::{Plane, Splats};
 use mhsplat::train::Trainer;
-
-use crate::determinism::{drive, room, trained};
 
 fn config() -> TrainConfig {
     let mut config = TrainConfig {

@@ -1,12 +1,15 @@
 //! The reference itself against numbers known by other means, and the comparator against results it must refuse.
 
-use mhsplat::model::{Plane, Splats};
-use mhsplat::reference::compare::{Tolerance, compare};
-use mhsplat::reference::loss::loss;
-use mhsplat::reference::sh;
-use mhsplat::reference::{Camera64, Options, Scene64, rotation, sigmoid, splat, unit_quaternion};
-use mhsplat::reference::{bin::bin, project::project};
-use mhsplat::verify::{cases, twin};
+use mhsplat::lab::error::{Tolerance, compare};
+use mhsplat::lab::verify::{cases, twin};
+use mhsplat::pipeline::reference::{
+    Camera64, Options, Scene64, rotation, sigmoid, unit_quaternion,
+};
+use mhsplat::pipeline::stage::bin::bin;
+use mhsplat::pipeline::stage::loss::loss;
+use mhsplat::pipeline::stage::project::project;
+use mhsplat::pipeline::stage::splat;
+use mhsplat::scene::{Plane, Splats, sh};
 
 /// One Gaussian of the given log-scale in front of a camera that looks along z from the origin.
 fn alone(log_scale: f32, logit: f32, depth: f32) -> (Scene64, Camera64, Options) {

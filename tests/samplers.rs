@@ -5,10 +5,10 @@ use mhsplat::TrainConfig;
 use mhsplat::config::{
     AdcConfig, Background, Birth, McmcConfig, MhConfig, OptimizerConfig, Sampler,
 };
-use mhsplat::gpu::Device;
-use mhsplat::model::{Plane, Splats};
+use mhsplat::device::Device;
 use mhsplat::run::initial_splats;
-use mhsplat::schedule::Schedule;
+use mhsplat::scene::{Plane, Splats};
+use mhsplat::train::schedule::Schedule;
 use mhsplat::train::{DensityEvent, Trainer};
 
 /// A run in which the optimiser moves nothing.

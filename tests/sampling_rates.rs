@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use crate::determinism::room;
 use glam::{DMat3, DVec3};
-use mhsplat::antialias::{AntiAlias, LEAST_SPREAD, LEAST_SPREAD_WITHIN, Spreads};
+
+use crate::determinism::room;
+use mhsplat::capture::{Camera, Dataset, Lens, Photo, PhotoSource, View};
 use mhsplat::config::AntiAliasing;
-use mhsplat::dataset::{Camera, Dataset, Lens, Photo, PhotoSource, View};
+use mhsplat::train::sampling_rates::{AntiAlias, LEAST_SPREAD, LEAST_SPREAD_WITHIN, Spreads};
 use mhsplat::{Plan, TrainConfig};
 
 /// The room with every other view moved back along its axis to `factor` times the median depth of the points it sees.
@@ -40,7 +41,8 @@ fn auto_is_off_for_one_distance_and_on_for_two() {
     assert!(low < 0.75 * LEAST_SPREAD, "{low}");
     assert!(high > 1.25 * LEAST_SPREAD, "{high}");
     assert!(!AntiAlias::decide(&plain, &auto).on && AntiAlias::decide(&apart, &auto).on);
-    let what = |items: &[mhsplat::plan::Item]| items.iter().any(|i| i.what == "anti-aliasing");
+    let what =
+        |items: &[mhsplat::train::plan::Item]| items.iter().any(|i| i.what == "anti-aliasing");
     assert!(what(&Plan::new(&plain, &auto).left_out) && what(&Plan::new(&apart, &auto).kept));
     let set = |anti_aliasing| TrainConfig {
         anti_aliasing,
@@ -147,7 +149,7 @@ fn circle(factor: f64) -> Dataset {
         }
     };
     let mut data = room(64);
-    data.points = mhsplat::dataset::Points::default();
+    data.points = mhsplat::capture::Points::default();
     data.train = (0..12).map(view).collect();
     data
 }

@@ -1,14 +1,13 @@
 //! Training from starts that plain settings do not survive: finite throughout, and it ends with the best it had.
 
-use mhsplat::config::{AdcConfig, Sampler, TrainConfig};
-use mhsplat::dataset::Dataset;
-use mhsplat::gpu::Device;
-use mhsplat::model::{Plane, Splats};
-use mhsplat::rng::{Philox, Purpose};
-use mhsplat::run::initial_splats;
-use mhsplat::train::Trainer;
-
 use crate::determinism::room;
+use mhsplat::base::rng::{Philox, Purpose};
+use mhsplat::capture::Dataset;
+use mhsplat::config::{AdcConfig, Sampler, TrainConfig};
+use mhsplat::device::Device;
+use mhsplat::run::initial_splats;
+use mhsplat::scene::{Plane, Splats};
+use mhsplat::train::Trainer;
 
 const ITERATIONS: u32 = 240;
 

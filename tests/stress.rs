@@ -1,10 +1,10 @@
 //! The stress suite: every family within its bound, none forgotten, and a bound that can be missed.
 
-use mhsplat::gpu::Device;
-use mhsplat::verify::Verification;
-use mhsplat::verify::check::Row;
-use mhsplat::verify::stress::scenes::families;
-use mhsplat::verify::stress::{Family, beside_scenes, verify_family};
+use mhsplat::device::Device;
+use mhsplat::lab::verify::Verification;
+use mhsplat::lab::verify::check::Row;
+use mhsplat::lab::verify::stress::scenes::families;
+use mhsplat::lab::verify::stress::{Family, beside_scenes, verify_family};
 
 const SHAPES: [&str; 5] = [
     "needles",
@@ -106,14 +106,14 @@ fn a_bound_can_be_missed_and_the_page_says_so() {
         families: vec![narrow.note],
         cases,
     };
-    let page = mhsplat::verify::page::page(std::slice::from_ref(&v));
+    let page = mhsplat::lab::verify::page::page(std::slice::from_ref(&v));
     assert!(page.contains("a device &lt;1&gt;") && page.contains("FAILED"));
     assert!(page.contains("<svg") && page.contains("Failed comparisons"));
     let other = Verification {
         device: "another".into(),
         ..v.clone()
     };
-    let text = mhsplat::verify::page::markdown(&[v, other]);
+    let text = mhsplat::lab::verify::page::markdown(&[v, other]);
     assert!(text.contains("FAILED") && text.contains(&format!("{failed} failed")));
     assert!(
         text.contains("| family | a device <1> | another |"),
@@ -124,7 +124,7 @@ fn a_bound_can_be_missed_and_the_page_says_so() {
 #[test]
 fn a_device_that_computes_wrong_results_is_refused() {
     use mhsplat::Error;
-    use mhsplat::verify::selftest::{judge, rows};
+    use mhsplat::lab::selftest::{judge, rows};
     let good = rows(&Device::open(None).unwrap()).unwrap();
     judge(&good).unwrap();
     let mut bad = good;

@@ -3,20 +3,19 @@
 use std::fs;
 use std::path::PathBuf;
 
-use mhsplat::buffers::ViewSet;
-use mhsplat::config::TrainConfig;
-use mhsplat::gpu::Device;
-use mhsplat::model::Plane;
-use mhsplat::photos::Photos;
-use mhsplat::render::{Quantity, RenderOptions};
-use mhsplat::rng::{Philox, Purpose};
-use mhsplat::run::initial_splats;
-use mhsplat::surrogate::rank::{estimate, kendall, quantile, ranks, spearman};
-use mhsplat::surrogate::{Base, Birth, Instrument, Setting, Shape};
-use mhsplat::{Splats, Trainer};
-
 use crate::cli::{done, mhsplat, room, stderr, text};
 use crate::determinism;
+use mhsplat::base::rng::{Philox, Purpose};
+use mhsplat::config::TrainConfig;
+use mhsplat::device::Device;
+use mhsplat::lab::surrogate::rank::{estimate, kendall, quantile, ranks, spearman};
+use mhsplat::lab::surrogate::{Base, Birth, Instrument, Setting, Shape};
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::forward::{Quantity, RenderOptions};
+use mhsplat::pipeline::photos::Photos;
+use mhsplat::run::initial_splats;
+use mhsplat::scene::Plane;
+use mhsplat::{Splats, Trainer};
 
 fn close(a: Option<f64>, b: f64) -> bool {
     a.is_some_and(|a| (a - b).abs() < 1e-12)
@@ -292,10 +291,8 @@ fn what_cannot_be_checked_is_refused() {
     refused(&[text(&run), "--views", "0"], "--views");
     refused(&[text(&run), "--candidates", "0"], "--candidates");
     refused(&[text(&run), text(&dir.path().join("nowhere"))], "nowhere");
-    let other = crate::cli::scratch_dataset(
-        dir.path(),
-        mhsplat::dataset::synthetic::SynthLayout::Transforms,
-    );
+    let other =
+        crate::cli::scratch_dataset(dir.path(), mhsplat::lab::synth::SynthLayout::Transforms);
     refused(&[text(&run), text(&other)], "its views are not those of");
     fs::remove_dir_all(run.join("checkpoint")).unwrap();
     refused(&[text(&run)], "no checkpoint");

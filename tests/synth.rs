@@ -5,8 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
-use mhsplat::dataset::synthetic::{CHROME_SPHERE, SynthLayout, SynthOptions, generate};
-use mhsplat::error::Error;
+
+use mhsplat::base::error::Error;
+use mhsplat::lab::synth::{CHROME_SPHERE, SynthLayout, SynthOptions, generate};
 
 /// Every file below `root`: path relative to it → bytes.
 fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {

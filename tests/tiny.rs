@@ -1,15 +1,14 @@
 //! What interpreters of kernels can be given (oclgrind, for data races and reads out of bounds): every stage, and a training with
 //! density control, of the smallest scenes.
 
+use crate::determinism::drive;
+use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::{Sampler, TrainConfig};
-use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
-use mhsplat::dataset::{Dataset, LoadOptions, load};
-use mhsplat::gpu::Device;
+use mhsplat::device::Device;
+use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
+use mhsplat::lab::verify::tiny;
 use mhsplat::run::initial_splats;
 use mhsplat::train::Trainer;
-use mhsplat::verify::tiny;
-
-use crate::determinism::drive;
 
 /// Iterations, with density control after every third.
 const ITERATIONS: u32 = 9;

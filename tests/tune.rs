@@ -1,9 +1,9 @@
 //! tune: which way of cutting kernels is taken, and from where.
 
 use mhsplat::Device;
-use mhsplat::bench::spread::Spread;
-use mhsplat::gpu::tuning::Tuning;
-use mhsplat::tune::{chosen, read};
+use mhsplat::device::tuning::Tuning;
+use mhsplat::lab::stats::Spread;
+use mhsplat::lab::tune::{chosen, read};
 
 const OTHER: Tuning = Tuning {
     block_width: 8,

@@ -1,12 +1,13 @@
 //! `mhsplat devices`.
 
-use mhsplat::error::Result;
-use mhsplat::gpu::Device;
-use mhsplat::gpu::tuning::Tuning;
-use mhsplat::tune::{self, Origin};
 use serde_json::json;
 
 use super::{Common, Outcome, output};
+use mhsplat::base::error::Result;
+use mhsplat::device::Device;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::lab::tune;
+use mhsplat::lab::tune::Origin;
 
 /// Lists devices; marks the default and says why.
 pub fn run(common: &Common) -> Result<Outcome> {

@@ -2,15 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use mhsplat::buffers::ViewSet;
-use mhsplat::error::{Error, Result};
-use mhsplat::evaluate::color::mean_corrected;
-use mhsplat::evaluate::{Evaluator, mean, mean_flip};
-use mhsplat::gpu::Defines;
-use mhsplat::photos::Photos;
 use serde_json::json;
 
 use super::{Common, Outcome, output, scene};
+use mhsplat::base::error::{Error, Result};
+use mhsplat::device::Defines;
+use mhsplat::evaluate::color::mean_corrected;
+use mhsplat::evaluate::{Evaluator, mean, mean_flip};
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::photos::Photos;
 
 /// Arguments.
 #[derive(clap::Args)]

@@ -1,25 +1,22 @@
 //! The only place that names `clap`: one file per subcommand, flags → library types, call, print.
 
-mod bench;
-mod compare;
 mod devices;
 mod eval;
-mod experiment;
+mod lab;
 mod output;
 mod progress;
 mod render;
 mod scene;
-mod surrogate;
-mod synth;
 mod train;
-mod verify;
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use mhsplat::error::{Error, Result};
-use mhsplat::verify::selftest::self_test;
-use mhsplat::{Device, tune};
+
+use mhsplat::Device;
+use mhsplat::base::error::{Error, Result};
+use mhsplat::lab::selftest::self_test;
+use mhsplat::lab::tune;
 
 /// Posed photos to a 3D Gaussian scene, on any OpenCL device.
 ///
@@ -46,19 +43,19 @@ enum Command {
     /// Render a scene to PNG files.
     Render(render::RenderArgs),
     /// Error against run time of several runs, and time to equal error.
-    Compare(compare::CompareArgs),
+    Compare(lab::compare::CompareArgs),
     /// Scenes, settings and seeds from a file: trains what is missing and compares.
-    Experiment(experiment::ExperimentArgs),
+    Experiment(lab::experiment::ExperimentArgs),
     /// What births truly do to the loss of a run, and how well the sampler's importance foretells it.
-    Surrogate(surrogate::SurrogateArgs),
+    Surrogate(lab::surrogate::SurrogateArgs),
     /// List every OpenCL platform and device.
     Devices,
     /// Make a seeded scene with known truth.
-    Synth(synth::SynthArgs),
+    Synth(lab::synth::SynthArgs),
     /// Time, throughput, share of the measured peak and error of every stage.
-    Bench(bench::BenchArgs),
+    Bench(lab::bench::BenchArgs),
     /// Check every stage on a device against the f64 reference.
-    Verify(verify::VerifyArgs),
+    Verify(lab::verify::VerifyArgs),
 }
 
 /// What every subcommand shares.
@@ -113,13 +110,13 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Command::Train(args) => train::run(&args, &common),
         Command::Eval(args) => eval::run(&args, &common),
         Command::Render(args) => render::run(&args, &common),
-        Command::Compare(args) => compare::run(&args, &common),
-        Command::Experiment(args) => experiment::run(&args, &common),
-        Command::Surrogate(args) => surrogate::run(&args, &common),
+        Command::Compare(args) => lab::compare::run(&args, &common),
+        Command::Experiment(args) => lab::experiment::run(&args, &common),
+        Command::Surrogate(args) => lab::surrogate::run(&args, &common),
         Command::Devices => devices::run(&common),
-        Command::Synth(args) => synth::run(&args, &common),
-        Command::Bench(args) => bench::run(&args, &common),
-        Command::Verify(args) => verify::run(&args, &common),
+        Command::Synth(args) => lab::synth::run(&args, &common),
+        Command::Bench(args) => lab::bench::run(&args, &common),
+        Command::Verify(args) => lab::verify::run(&args, &common),
     }
 }
 

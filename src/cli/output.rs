@@ -2,8 +2,9 @@
 
 use std::io::Write;
 
-use mhsplat::error::{Error, Result};
 use serde::Serialize;
+
+use mhsplat::base::error::{Error, Result};
 
 /// A line on stderr. A closed stderr is nobody's loss.
 pub fn note(text: &str) {

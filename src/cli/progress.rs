@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use mhsplat::error::Result;
-use mhsplat::report::RunRecord;
-use mhsplat::run::Progress;
 
 use super::{Common, output};
+use mhsplat::base::error::Result;
+use mhsplat::run::{Progress, RunRecord};
 
 /// An empty bar.
 pub fn progress_bar() -> ProgressBar {

@@ -3,15 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use mhsplat::dataset::{Camera, Dataset, Frame, PhotoSource};
-use mhsplat::error::{Error, Result};
-use mhsplat::model::orbit;
-use mhsplat::render::{Quantity, RenderOptions, Rendered, Renderer, to_byte};
-use mhsplat::report::error_map;
 use serde_json::json;
 
 use super::scene::Loaded;
 use super::{Common, Outcome, output, scene};
+use mhsplat::base::error::{Error, Result};
+use mhsplat::capture::{Camera, Dataset, Frame, PhotoSource};
+use mhsplat::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer, to_byte};
+use mhsplat::run::report::gallery::error_map;
+use mhsplat::scene::orbit;
 
 /// What is written.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -2,16 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use mhsplat::buffers::Scene;
-use mhsplat::config::Background;
-use mhsplat::dataset::{self, Dataset, Frame, LoadOptions};
-use mhsplat::error::{Error, Result};
-use mhsplat::export::ply;
-use mhsplat::gpu::{Defines, Device};
-use mhsplat::render::Renderer;
-use mhsplat::report::{RECORD_FILE, RunRecord};
-
 use super::output;
+use mhsplat::base::error::{Error, Result};
+use mhsplat::capture;
+use mhsplat::capture::{Dataset, Frame, LoadOptions};
+use mhsplat::config::Background;
+use mhsplat::device::{Defines, Device};
+use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::forward::Renderer;
+use mhsplat::run::{RECORD_FILE, RunRecord};
+use mhsplat::scene::ply;
 
 /// A scene ready to be rendered.
 pub struct Loaded {
@@ -61,7 +61,7 @@ pub fn dataset(
         image_budget: None,
         alpha_is_mask: alpha_is_mask || record.is_some_and(|r| r.config.alpha_is_mask),
     };
-    let data = dataset::load(path, &options)?;
+    let data = capture::load(path, &options)?;
     note_left_out(&data);
     Ok(data)
 }
@@ -126,5 +126,5 @@ pub fn background(asked: Option<&str>, record: Option<&RunRecord>) -> Result<[f3
             Error::config("--background", what)
         })?;
     }
-    Ok(mhsplat::schedule::Schedule::new(&config).fixed_background())
+    Ok(mhsplat::train::schedule::Schedule::new(&config).fixed_background())
 }

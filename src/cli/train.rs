@@ -5,17 +5,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::ValueEnum;
-use mhsplat::config::{
-    AntiAliasing, ExposureChoice, Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration,
-};
-use mhsplat::dataset::{self, LoadOptions};
-use mhsplat::error::{Error, Result};
-use mhsplat::gpu::Device;
-use mhsplat::report::Clock;
-use mhsplat::run::{Run, abandon_folder, claim_folder, saved_config};
 
 use super::progress::{finish, progress_bar, show};
 use super::{Common, Outcome, output, scene};
+use mhsplat::base::error::{Error, Result};
+use mhsplat::capture;
+use mhsplat::capture::LoadOptions;
+use mhsplat::config::{
+    AntiAliasing, ExposureChoice, Sampler, Surrogate, TrainConfig, parse_bytes, parse_duration,
+};
+use mhsplat::device::Device;
+use mhsplat::run::{Clock, Run, abandon_folder, claim_folder, saved_config};
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SamplerFlag {
@@ -223,7 +223,7 @@ fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -
         image_budget: config.image_budget,
         alpha_is_mask: config.alpha_is_mask,
     };
-    let data = dataset::load(&args.dataset, &options)?;
+    let data = capture::load(&args.dataset, &options)?;
     output::note(&format!(
         "{}: {} training views, {} held out, {} points",
         args.dataset.display(),

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum AntiAliasing {
-    /// On where the training views' sampling rates differ much (see [`crate::antialias`]).
+    /// On where the training views' sampling rates differ much (see [`crate::train::sampling_rates`]).
     #[default]
     Auto,
     /// Both filters.

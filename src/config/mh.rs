@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Acceptance, Birth, DensityTimes, Surrogate, ViewSubset};
-use crate::error::{Error, Result};
+use crate::base::error::{Error, Result};
+use crate::config::choices::{Acceptance, Birth, Surrogate, ViewSubset};
+use crate::config::samplers::DensityTimes;
 
 /// Metropolis–Hastings density control (\[MH\] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations; of two
 /// values the first is for η = 0 and the second for η = 1, linear in between.

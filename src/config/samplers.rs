@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::TrainConfig;
-use crate::error::{Error, Result};
+use crate::base::error::{Error, Result};
+use crate::config::TrainConfig;
 
 /// Density control.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]

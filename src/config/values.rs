@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
+use crate::base::error::{Error, Result};
 
 /// Where the first Gaussians come from; written `points`, `random` or the path of a PLY file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -55,7 +55,7 @@ impl From<Init> for String {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum ExposureChoice {
-    /// If photos differ in brightness by more than what they show; see [`crate::exposure`].
+    /// If photos differ in brightness by more than what they show; see [`crate::train::brightness`].
     #[default]
     Auto,
     /// Yes.

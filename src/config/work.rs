@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
+use crate::base::error::{Error, Result};
 
 /// Iterations of the run that intervals are written for.
 const PAPER_ITERATIONS: u64 = 30_000;

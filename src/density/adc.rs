@@ -3,16 +3,17 @@
 //! nearly transparent or too large goes; and from time to time every opacity is lowered, so that only what is needed comes
 //! back.
 
-use super::draw::{birth_position, gather, is_finite};
-use super::relocation::{logit, sigmoid};
-use super::{
+use rayon::prelude::*;
+
+use crate::base::error::Result;
+use crate::base::rng::{Philox, Purpose};
+use crate::config::AdcConfig;
+use crate::density::draw::{birth_position, gather, is_finite};
+use crate::density::relocation::{logit, sigmoid};
+use crate::density::{
     DensityControl, DensityStats, Edit, Evidence, Outcome, SceneState, ScreenGradient, StepContext,
     Wanted, check_lengths, unexpected,
 };
-use crate::config::AdcConfig;
-use crate::error::Result;
-use crate::rng::{Philox, Purpose};
-use rayon::prelude::*;
 
 /// Density control by thresholds on gradient, size and opacity.
 #[derive(Debug, Clone)]

@@ -1,8 +1,9 @@
 //! What every sampler draws: sources by weight, positions by the source's own shape (\[MH\] Eq. 14–16, \[3DGS\] §5.2).
 
-use crate::density::SceneState;
-use crate::rng::Philox;
 use rayon::prelude::*;
+
+use crate::base::rng::Philox;
+use crate::density::SceneState;
 
 /// Weights per partial sum; fixed, so that sums round alike for any number of threads.
 const CHUNK: usize = 8192;

@@ -2,18 +2,19 @@
 //! §3): noise on the positions after every optimiser step explores; a step of density control relocates the dead (§3.2)
 //! and grows the set by a fixed rate until the cap, both by splitting Gaussians that are drawn ∝ opacity (Eq. 9).
 
-use super::draw::{Categorical, gather, is_finite};
-use super::relocate::Relocation;
-use super::relocation::{sigmoid, split};
-use super::{
+use rayon::prelude::*;
+use rustc_hash::FxHashSet;
+
+use crate::base::error::Result;
+use crate::base::rng::{Philox, Purpose};
+use crate::config::McmcConfig;
+use crate::density::draw::{Categorical, gather, is_finite};
+use crate::density::relocate::Relocation;
+use crate::density::relocation::{sigmoid, split};
+use crate::density::{
     DensityControl, DensityStats, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext,
     Wanted, check_lengths, unexpected,
 };
-use crate::config::McmcConfig;
-use crate::error::Result;
-use crate::rng::{Philox, Purpose};
-use rayon::prelude::*;
-use rustc_hash::FxHashSet;
 
 /// Density control by noise, relocation and growth.
 #[derive(Debug, Clone)]

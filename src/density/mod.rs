@@ -10,13 +10,13 @@ mod picture;
 mod relocate;
 pub mod relocation;
 
-pub use adc::Adaptive;
-pub use mcmc::Mcmc;
-pub use none::Fixed;
-pub use picture::Picture;
+pub use crate::density::adc::Adaptive;
+pub use crate::density::mcmc::Mcmc;
+pub use crate::density::none::Fixed;
+pub use crate::density::picture::Picture;
 
+use crate::base::error::{Error, Result};
 use crate::config::{Sampler, TrainConfig};
-use crate::error::{Error, Result};
 
 /// What density control sees of the scene: raw parameters, struct of arrays, each slice of length N.
 #[derive(Debug, Clone, Copy)]

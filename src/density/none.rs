@@ -1,7 +1,7 @@
 //! A fixed set of Gaussians.
 
-use super::{DensityControl, Evidence, Outcome, SceneState, StepContext, Wanted};
-use crate::error::Result;
+use crate::base::error::Result;
+use crate::density::{DensityControl, Evidence, Outcome, SceneState, StepContext, Wanted};
 
 /// Density control that never changes the set.
 #[derive(Debug, Clone, Copy, Default)]

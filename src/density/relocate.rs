@@ -1,11 +1,13 @@
 //! Dead Gaussians take over alive ones (\[MH\] Eq. 17, \[MCMC\] Eq. 9).
 
-use super::draw::{Categorical, gather, is_finite};
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use crate::base::rng::{Philox, Purpose};
+use crate::density::draw::{Categorical, gather, is_finite};
 use crate::density::relocation::{logit, most_copies, sigmoid, split};
 use crate::density::{Edit, SceneState, StepContext};
-use crate::rng::{Philox, Purpose};
-use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// Copies keep an opacity of this many times the one at which a Gaussian is dead: copies that the next step would find
 /// dead spread until nothing is alive.

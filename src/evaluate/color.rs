@@ -2,15 +2,14 @@
 //! transform of its own, and where training compensates exposure, plain scores measure its photo's exposure, too. gsplat
 //! calls the PSNR after such a fit `cc_psnr`.
 
-use super::Evaluator;
-use crate::buffers::Scene;
-use crate::error::Result;
-use crate::exposure::exposed;
-use crate::gpu::Array;
-use crate::gpu::tuning::TILE;
-use crate::render::Renderer;
-use crate::report::ViewScore;
-use crate::stage::loss::{ImagePair, size_of_image};
+use crate::base::constants::TILE;
+use crate::base::error::Result;
+use crate::device::Array;
+use crate::evaluate::{Evaluator, ViewScore};
+use crate::pipeline::buffers::Scene;
+use crate::pipeline::forward::Renderer;
+use crate::pipeline::stage::exposure::exposed;
+use crate::pipeline::stage::loss::{ImagePair, size_of_image};
 
 /// Weight of the identity per pixel: it decides where the pixels do not, say in a picture of one colour.
 const RIDGE: f64 = 1e-6;

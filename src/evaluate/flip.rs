@@ -4,9 +4,11 @@
 //! Section numbers are the paper's. Its filters are sums of products of one-dimensional ones, so that filtering by rows and
 //! columns is exact. Beyond the border the nearest pixel goes on, as in the authors' programs. Tests: flip.
 
-use crate::error::{Error, Result};
-use rayon::prelude::*;
 use std::f64::consts::PI;
+
+use rayon::prelude::*;
+
+use crate::base::error::{Error, Result};
 
 /// Pixels per degree of the visual field at which scores are given: a screen 0.7 m away, 0.7 m wide, of 3840 pixels.
 pub const PIXELS_PER_DEGREE: f64 = 67.0;

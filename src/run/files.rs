@@ -1,10 +1,13 @@
 //! What a run writes into its folder.
 
-use super::Run;
-use crate::error::Result;
-use crate::export::checkpoint::Checkpoint;
-use crate::export::{checkpoint, ply};
-use crate::report::{StageRecord, clock, read_density, read_rows, write_report};
+use crate::base::error::Result;
+use crate::run::checkpoint::Checkpoint;
+use crate::run::density_log::read_density;
+use crate::run::metrics::read_rows;
+use crate::run::record::StageRecord;
+use crate::run::report::page::write_report;
+use crate::run::{Run, checkpoint, clock};
+use crate::scene::ply;
 
 impl Run {
     pub(super) fn write_record(&mut self) -> Result<()> {

@@ -1,8 +1,8 @@
 //! The held-out views that the report shows.
 
-use super::Run;
-use crate::error::Result;
-use crate::report::{GalleryItem, error_map};
+use crate::base::error::Result;
+use crate::run::Run;
+use crate::run::report::gallery::{GalleryItem, error_map};
 
 /// Held-out views shown in the report.
 const GALLERY_VIEWS: usize = 6;

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use super::Run;
+use crate::base::error::{Error, Result};
 use crate::config::TrainConfig;
-use crate::error::{Error, Result};
-use crate::report::read_rows;
+use crate::run::Run;
+use crate::run::metrics::read_rows;
 
 /// Share of the loss by which it must fall to have improved.
 const IMPROVEMENT: f64 = 1e-3;

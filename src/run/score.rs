@@ -1,10 +1,10 @@
 //! Scores of the held-out views, as the record has them.
 
-use super::Run;
-use crate::error::Result;
+use crate::base::error::Result;
 use crate::evaluate::color::mean_corrected;
 use crate::evaluate::{mean, mean_flip};
-use crate::report::FinalRecord;
+use crate::run::Run;
+use crate::run::record::FinalRecord;
 
 impl Run {
     /// Scores the held-out views as they are rendered; `last` takes FLIP, too, and, where exposure is compensated, colour-corrected

@@ -2,21 +2,21 @@
 
 use std::path::Path;
 
-use super::Prepared;
-use crate::antialias::{AntiAlias, without_filter};
-use crate::buffers::ViewSet;
+use crate::base::error::{Error, Result};
+use crate::capture::{Camera, Dataset};
 use crate::config::{Init, TrainConfig};
-use crate::dataset::{Camera, Dataset};
-use crate::error::{Error, Result};
+use crate::device::{Defines, Device};
 use crate::evaluate::Evaluator;
-use crate::export::ply::Contents;
-use crate::export::{checkpoint, ply};
-use crate::gpu::{Defines, Device};
-use crate::model::{Splats, init};
-use crate::photos::Photos;
-use crate::plan::Plan;
-use crate::report::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
+use crate::pipeline::buffers::ViewSet;
+use crate::pipeline::photos::Photos;
+use crate::run::record::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
+use crate::run::{Prepared, checkpoint};
+use crate::scene::ply::Contents;
+use crate::scene::without_filter;
+use crate::scene::{Splats, init, ply};
 use crate::train::Trainer;
+use crate::train::plan::Plan;
+use crate::train::sampling_rates::AntiAlias;
 
 /// Gaussians of a random initialisation.
 const RANDOM_GAUSSIANS: usize = 20_000;
@@ -207,7 +207,7 @@ pub fn claim_folder(dir: &Path) -> Result<()> {
 pub fn abandon_folder(dir: &Path) {
     let saved = dir.join("checkpoint");
     for folder in [dir, &saved] {
-        crate::atomic::sweep(folder);
+        crate::base::files::sweep(folder);
     }
     let _ = std::fs::remove_dir(saved);
     for name in ["run.json", "metrics.csv", "density.csv"] {

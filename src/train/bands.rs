@@ -3,14 +3,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Trainer;
-use crate::buffers::Scene;
-use crate::error::Result;
-use crate::gpu::{Array, Device};
-use crate::model::Plane;
-use crate::model::refit::{Sight, with_fewer_bands};
-use crate::stage::loss::ImagePair;
-use crate::stage::metrics::Metrics;
+use crate::base::error::Result;
+use crate::device::{Array, Device};
+use crate::pipeline::buffers::Scene;
+use crate::pipeline::stage::loss::ImagePair;
+use crate::pipeline::stage::metrics::Metrics;
+use crate::scene::Plane;
+use crate::scene::refit::{Sight, with_fewer_bands};
+use crate::train::Trainer;
 
 /// What a band must be worth at the end of a run: this much PSNR of the training views, dB.
 pub const BAND_WORTH: f64 = 0.02;

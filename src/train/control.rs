@@ -2,17 +2,17 @@
 
 use std::time::Instant;
 
-use super::Trainer;
-use crate::buffers::{Scene, restride};
+use crate::base::error::Result;
 use crate::density::{
     Cues, DensityStats, Evidence, Outcome, SceneState, ScreenGradient, StepContext, Wanted,
 };
-use crate::error::Result;
-use crate::gpu::{Array, CameraArg, EditRow};
-use crate::model::{Plane, morton};
-use crate::stage::edit::EditArgs;
-use crate::stage::importance::ImportanceArgs;
-use crate::stage::loss::ImagePair;
+use crate::device::{Array, CameraArg, EditRow};
+use crate::pipeline::buffers::{Scene, restride};
+use crate::pipeline::stage::edit::EditArgs;
+use crate::pipeline::stage::importance::ImportanceArgs;
+use crate::pipeline::stage::loss::ImagePair;
+use crate::scene::{Plane, morton};
+use crate::train::Trainer;
 
 /// What one density step did.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,15 +1,17 @@
 //! Per-image exposure: what stands between the render and the loss. Where it is off, nothing of it is built.
 
-use super::Trainer;
+use crate::base::error::{Error, Result};
+use crate::capture::Alpha;
+use crate::capture::photo::colors;
 use crate::config::ExposureChoice;
-use crate::dataset::Alpha;
-use crate::dataset::photo::colors;
-use crate::error::{Error, Result};
-use crate::exposure::{self, Decision, IDENTITY, exposed, unexposed};
-use crate::gpu::tuning::status::{OVERFLOW, SLOTS};
-use crate::gpu::{Array, CameraArg, Defines, Kernels};
-use crate::stage::exposure::{ENTRIES, ExposedImage, Exposure, ExposureStep};
-use crate::stage::loss::{ImagePair, size_of_image};
+use crate::device::tuning::status::{OVERFLOW, SLOTS};
+use crate::device::{Array, CameraArg, Defines, Kernels};
+use crate::pipeline::stage::exposure::{
+    ENTRIES, ExposedImage, Exposure, ExposureStep, IDENTITY, exposed, unexposed,
+};
+use crate::pipeline::stage::loss::{ImagePair, size_of_image};
+use crate::train::brightness::Decision;
+use crate::train::{Trainer, brightness};
 
 /// Transforms of the training views on the device.
 #[derive(Debug)]
@@ -166,7 +168,7 @@ impl Trainer {
             return Ok(true);
         }
         if self.exposure_decision.is_none() {
-            let views = exposure::compared(self.views.len(), self.config.iterations);
+            let views = brightness::compared(self.views.len(), self.config.iterations);
             let mut gains = Vec::with_capacity(views.len());
             for view in views {
                 gains.extend(self.gain(view)?);
@@ -210,7 +212,7 @@ impl Trainer {
         let alpha = self.views.alpha;
         let bytes = photo.read(0, alpha.planes() * pixels)?;
         let photo = colors(alpha, &bytes, options.background);
-        Ok(exposure::gain(&seen.rgb, &seen.transmittance, &photo))
+        Ok(brightness::gain(&seen.rgb, &seen.transmittance, &photo))
     }
 
     /// What was decided on per-image exposure; none where the configuration says, or before it is due.

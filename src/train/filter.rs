@@ -1,11 +1,11 @@
 //! The 3D filter of Mip-Splatting over a run: it follows the positions at intervals.
 
-use super::Trainer;
-use crate::buffers::{Scene, ViewSet};
-use crate::error::{Error, Result};
-use crate::gpu::tuning::FILTER_CHUNKS;
-use crate::gpu::{Array, CameraArg, Kernels};
-use crate::stage::filter::{Filter, FilterArgs};
+use crate::base::constants::FILTER_CHUNKS;
+use crate::base::error::{Error, Result};
+use crate::device::{Array, CameraArg, Kernels};
+use crate::pipeline::buffers::{Scene, ViewSet};
+use crate::pipeline::stage::filter::{Filter, FilterArgs};
+use crate::train::Trainer;
 
 /// Iterations between two looks at the sampling rates (Mip-Splatting, §6); after a density step there is one anyway.
 const INTERVAL: u32 = 100;

@@ -5,14 +5,15 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Bands, Trainer};
+use crate::base::error::Result;
 use crate::config::TrainConfig;
-use crate::error::Result;
-use crate::gpu::{Array, Kernels};
-use crate::render::RenderOptions;
-use crate::stage::loss::{ImagePair, size_of_image};
-use crate::stage::metrics::Metrics;
-use crate::stage::seen::{Seen, SeenArgs};
+use crate::device::{Array, Kernels};
+use crate::pipeline::forward::RenderOptions;
+use crate::pipeline::stage::loss::{ImagePair, size_of_image};
+use crate::pipeline::stage::metrics::Metrics;
+use crate::pipeline::stage::seen::{Seen, SeenArgs};
+use crate::train::Trainer;
+use crate::train::bands::Bands;
 
 /// What training has found out about its scene.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

@@ -1,15 +1,15 @@
 //! What can be seen of a trainer between iterations.
 
-use super::bands::spread;
-use super::{LOSS_RING, Trainer};
-use crate::buffers::Scene;
+use crate::base::error::Result;
 use crate::density::DensityStats;
-use crate::error::Result;
-use crate::gpu::tuning::Tuning;
-use crate::gpu::{Array, StageTime};
-use crate::photos::PhotoStats;
-use crate::render::Renderer;
-use crate::schedule::Schedule;
+use crate::device::tuning::Tuning;
+use crate::device::{Array, StageTime};
+use crate::pipeline::buffers::Scene;
+use crate::pipeline::forward::Renderer;
+use crate::pipeline::photos::PhotoStats;
+use crate::train::bands::spread;
+use crate::train::schedule::Schedule;
+use crate::train::{LOSS_RING, Trainer};
 
 impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no

@@ -1,13 +1,13 @@
 //! Views rendered for density control beside those of training.
 
-use super::Trainer;
-use crate::dataset::Alpha;
-use crate::dataset::photo::colors;
+use crate::base::error::Result;
+use crate::capture::Alpha;
+use crate::capture::photo::colors;
 use crate::density::Picture;
-use crate::error::Result;
-use crate::gpu::{Array, CameraArg};
-use crate::render::{Quantity, RenderOptions};
-use crate::stage::loss::size_of_image;
+use crate::device::{Array, CameraArg};
+use crate::pipeline::forward::{Quantity, RenderOptions};
+use crate::pipeline::stage::loss::size_of_image;
+use crate::train::Trainer;
 
 impl Trainer {
     /// The views that training takes next, as many as density control wants, at the size that they have now. Colour and

@@ -1,15 +1,15 @@
-//! Births tried before they are decided on: what each would do to the loss, to first order (see [`crate::probe`]).
+//! Births tried before they are decided on: what each would do to the loss, to first order (see [`crate::pipeline::backward`]).
 
 use std::time::Instant;
 
-use super::Trainer;
-use crate::buffers::{Scene, restride};
+use crate::base::error::Result;
 use crate::density::{DensityControl, Edit, Trial};
-use crate::error::Result;
-use crate::gpu::{Array, Defines, Device, EditRow};
-use crate::probe::{Backward, EPSILON_SINGLE, Pass, ROUND, change, scaled_logit};
-use crate::render::RenderOptions;
-use crate::stage::edit::EditArgs;
+use crate::device::{Array, Defines, Device, EditRow};
+use crate::pipeline::backward::{Backward, EPSILON_SINGLE, Pass, ROUND, change, scaled_logit};
+use crate::pipeline::buffers::{Scene, restride};
+use crate::pipeline::forward::RenderOptions;
+use crate::pipeline::stage::edit::EditArgs;
+use crate::train::Trainer;
 
 /// What renders probes, if this density control tries births.
 pub(super) fn pass(

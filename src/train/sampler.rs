@@ -1,14 +1,14 @@
 //! What some samplers add to an iteration. For the others these stages are not even built.
 
-use super::Trainer;
+use crate::base::error::Result;
+use crate::base::rng::Purpose;
 use crate::config::TrainConfig;
 use crate::density::{DensityControl, NoiseLaw, Wanted};
-use crate::error::Result;
-use crate::gpu::{Array, CameraArg, Device, Kernels};
-use crate::rng::Purpose;
-use crate::stage::importance::Importance;
-use crate::stage::noise::{Noise, NoiseArgs};
-use crate::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
+use crate::device::{Array, CameraArg, Device, Kernels};
+use crate::pipeline::stage::importance::Importance;
+use crate::pipeline::stage::noise::{Noise, NoiseArgs};
+use crate::pipeline::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
+use crate::train::Trainer;
 
 /// Stages of one sampler alone.
 #[derive(Debug)]
@@ -49,7 +49,7 @@ impl SamplerStages {
 pub(super) fn capacity(config: &TrainConfig, count: usize) -> usize {
     match config.density_times() {
         None => count,
-        Some(_) => crate::buffers::Scene::<f32>::grown_stride(count),
+        Some(_) => crate::pipeline::buffers::Scene::<f32>::grown_stride(count),
     }
 }
 

@@ -1,12 +1,13 @@
 //! What a checkpoint holds of the trainer.
 
-use super::{Findings, Trainer};
+use crate::base::error::{Error, Result};
 use crate::density::DensityStats;
-use crate::error::{Error, Result};
-use crate::exposure::Decision;
-use crate::gpu::Array;
-use crate::gpu::tuning::status;
-use crate::model::Splats;
+use crate::device::Array;
+use crate::device::tuning::status;
+use crate::scene::Splats;
+use crate::train::Trainer;
+use crate::train::brightness::Decision;
+use crate::train::finish::Findings;
 
 /// Everything that a checkpoint must hold to continue bit for bit.
 #[derive(Debug, Clone)]

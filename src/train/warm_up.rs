@@ -1,15 +1,15 @@
 //! What happens before the first iteration: every kernel is built and run once.
 
-use super::Trainer;
-use crate::buffers::Scene;
+use crate::base::error::Result;
 use crate::density::Wanted;
-use crate::error::Result;
-use crate::gpu::tuning::status;
-use crate::gpu::{Array, Defines, Device, EditRow, Kernels};
-use crate::model::Splats;
-use crate::stage::edit::EditArgs;
-use crate::stage::loss::size_of_image;
-use crate::stage::project_grad::ProjectGrad;
+use crate::device::tuning::status;
+use crate::device::{Array, Defines, Device, EditRow, Kernels};
+use crate::pipeline::buffers::Scene;
+use crate::pipeline::stage::edit::EditArgs;
+use crate::pipeline::stage::loss::size_of_image;
+use crate::pipeline::stage::project_grad::ProjectGrad;
+use crate::scene::Splats;
+use crate::train::Trainer;
 
 /// One build of the stage for every SH degree that training passes through.
 pub(super) fn project_grad_per_degree(

@@ -1,13 +1,13 @@
 //! `mhsplat bench --scene`: a scene trained with anti-aliasing is rendered with both filters, the 3D one by the bench's own views.
 
-use mhsplat::bench::work::TileWork;
-use mhsplat::bench::{self, Options, scene};
-use mhsplat::buffers::Scene;
-use mhsplat::dataset::Frame;
-use mhsplat::export::ply;
-use mhsplat::gpu::{Defines, Device};
-use mhsplat::model::{Plane, Splats, orbit};
-use mhsplat::render::{RenderOptions, Renderer};
+use mhsplat::capture::Frame;
+use mhsplat::device::{Defines, Device};
+use mhsplat::lab::bench;
+use mhsplat::lab::bench::work::TileWork;
+use mhsplat::lab::bench::{Options, scene};
+use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::forward::{RenderOptions, Renderer};
+use mhsplat::scene::{Plane, Splats, orbit, ply};
 
 /// The mean number of pairs over the circle of views around a scene, rendered with the 2D filter or without.
 fn pairs_of(splats: &Splats, anti_alias: bool) -> f64 {

@@ -3,15 +3,15 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use mhsplat::TrainConfig;
-use mhsplat::config::Init;
-use mhsplat::dataset::synthetic::SynthLayout;
-use mhsplat::dataset::{Dataset, LoadOptions, load, point_cloud};
-use mhsplat::model::{Plane, Splats};
-use mhsplat::run::initial_splats;
 use serde_json::Value;
 
 use super::{mhsplat, scratch_dataset, stderr, stdout, text};
+use mhsplat::TrainConfig;
+use mhsplat::capture::{Dataset, LoadOptions, load, point_cloud};
+use mhsplat::config::Init;
+use mhsplat::lab::synth::SynthLayout;
+use mhsplat::run::initial_splats;
+use mhsplat::scene::{Plane, Splats};
 
 const SH_0: f64 = 0.282_094_791_773_878_14;
 

@@ -3,9 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use mhsplat::dataset::synthetic::SynthLayout;
-
 use super::{mhsplat, room, scratch_dataset, stderr, stdout, text};
+use mhsplat::lab::synth::SynthLayout;
 
 /// Trains on `dataset` and asserts that it is refused in one line that contains every one of `words`, leaving no run.
 fn refused(dataset: &Path, words: &[&str]) {

@@ -5,10 +5,10 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use mhsplat::dataset::synthetic::SynthLayout;
 use serde_json::Value;
 
 use super::{done, mhsplat, program, room, stderr, text};
+use mhsplat::lab::synth::SynthLayout;
 
 fn json(text: &str) -> Value {
     serde_json::from_str(text).unwrap()

@@ -2,9 +2,8 @@
 
 use std::fs;
 
-use crate::cli::{done, mhsplat, stderr, stdout, text};
-
 use super::made::run;
+use crate::cli::{done, mhsplat, stderr, stdout, text};
 
 #[test]
 fn a_page_tables_and_json() {

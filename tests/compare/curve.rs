@@ -1,6 +1,6 @@
 //! First crossings and bands.
 
-use mhsplat::compare::curve::{Crossing, Curve, band};
+use mhsplat::lab::compare::curve::{Crossing, Curve, band};
 
 fn at(at: f64) -> Option<Crossing> {
     Some(Crossing { at, at_most: false })

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use mhsplat::compare::{Comparison, Options, Source, compare};
+use mhsplat::base::error::Result;
 use mhsplat::config::{Sampler, TrainConfig};
-use mhsplat::error::Result;
-use mhsplat::plan::Plan;
-use mhsplat::report::*;
+use mhsplat::evaluate::ViewScore;
+use mhsplat::lab::compare::{Comparison, Options, Source, compare};
+use mhsplat::run::*;
+use mhsplat::train::plan::Plan;
 
 #[derive(Clone)]
 pub struct Made {

@@ -1,8 +1,7 @@
 //! Groups seed by seed.
 
-use mhsplat::compare::{Bound, Options, Paired, Verdict, few, paired};
-
 use super::made::{Made, compared, run};
+use mhsplat::lab::compare::{Bound, Options, Paired, Verdict, few, paired};
 
 fn pairs(made: &[Made], reference: &str) -> Vec<Paired> {
     let options = Options {

@@ -1,9 +1,8 @@
 //! Thresholds, bounds of what is not reached, and what sets groups apart.
 
-use mhsplat::compare::thresholds::between;
-use mhsplat::compare::{Bound, Bounded, Clock, Comparison, Limit, Options, bounded};
-
 use super::made::{Made, compared, run};
+use mhsplat::lab::compare::thresholds::between;
+use mhsplat::lab::compare::{Bound, Bounded, Clock, Comparison, Limit, Options, bounded};
 
 fn sorted(ends: &[(f64, f64)], reference: usize) -> Vec<f64> {
     let mut all = between(ends, reference);
@@ -36,13 +35,13 @@ fn the_early_thresholds_are_shown_and_those_that_only_one_reaches() {
     let c = compared(&made, &Options::default()).unwrap();
     let own: Vec<f64> = (15..=25).map(f64::from).collect();
     assert_eq!(c.thresholds, own);
-    let text = mhsplat::compare::markdown(&c);
+    let text = mhsplat::lab::compare::markdown(&c);
     let row = text
         .lines()
         .find(|l| l.starts_with("| none | ") && l.contains("not reached"));
     assert_eq!(row.unwrap().matches("not reached").count(), 3, "{text}");
     assert!(text.contains("every whole dB above the highest first evaluation"));
-    assert!(mhsplat::compare::page(&c).contains("every whole dB above"));
+    assert!(mhsplat::lab::compare::page(&c).contains("every whole dB above"));
 }
 
 /// `fast`, twice as slow, and 3 dB lower, of these seeds.
@@ -94,7 +93,7 @@ fn what_is_not_reached_is_counted_and_a_bound() {
     assert!((bounded.ratio - (exact * limit.value).sqrt()).abs() < 1e-9);
     assert_eq!(low.mean_of, 1, "the mean alone hides what is missing");
     assert!(low.to_psnr[2].limit.is_none(), "neither reaches 40 dB");
-    let text = mhsplat::compare::markdown(&c);
+    let text = mhsplat::lab::compare::markdown(&c);
     let cell = format!(
         "| both 1, only fast 1, only low 0, neither 1 | ≥ {:.2}, of 2 |",
         bounded.ratio
@@ -111,7 +110,7 @@ fn what_is_not_reached_is_counted_and_a_bound() {
     let other = fast.bounded.unwrap();
     assert!((other.ratio * bounded.ratio - 1.0).abs() < 1e-9);
     assert_eq!(other.limit().bound, Bound::AtMost);
-    assert!(mhsplat::compare::markdown(&c).contains(&format!("≤ {:.2}, of 2 |", other.ratio)));
+    assert!(mhsplat::lab::compare::markdown(&c).contains(&format!("≤ {:.2}, of 2 |", other.ratio)));
 }
 
 #[test]

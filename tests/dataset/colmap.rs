@@ -3,10 +3,10 @@
 use std::fs;
 
 use glam::DVec3;
-use mhsplat::dataset::Layout;
-use mhsplat::dataset::colmap::{ColmapModel, read_bin, read_txt, write_bin, write_txt};
 
 use super::{assert_refused, assert_ring, colmap_scene, load_every, ring, three_points};
+use mhsplat::capture::Layout;
+use mhsplat::capture::colmap::{ColmapModel, read_bin, read_txt, write_bin, write_txt};
 
 fn model() -> ColmapModel {
     let middle = DVec3::new(0.1, 1.0 / 3.0, -7.0);

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use image::{DynamicImage, GrayImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage, Rgba};
-use mhsplat::dataset::{Alpha, Photo};
 use tempfile::TempDir;
 
 use super::{colmap_scene, load_every};
+use mhsplat::capture::{Alpha, Photo};
 
 const SIZE: [u32; 2] = [16, 12];
 

@@ -4,10 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
+
 use mhsplat::TrainConfig;
-use mhsplat::dataset::colmap::{ColmapModel, read_bin, write_bin};
-use mhsplat::dataset::{LoadOptions, load};
-use mhsplat::gpu::Device;
+use mhsplat::capture::colmap::{ColmapModel, read_bin, write_bin};
+use mhsplat::capture::{LoadOptions, load};
+use mhsplat::device::Device;
 use mhsplat::run::initial_splats;
 use mhsplat::train::Trainer;
 

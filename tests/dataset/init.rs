@@ -1,12 +1,12 @@
 //! The first Gaussians.
 
 use glam::DVec3;
-use mhsplat::dataset::Points;
-use mhsplat::model::knn::mean_squared_distances;
-use mhsplat::model::{Plane, Splats, init};
-use mhsplat::rng::Philox;
 
 use super::{colmap_scene, load_every};
+use mhsplat::base::rng::Philox;
+use mhsplat::capture::Points;
+use mhsplat::scene::knn::mean_squared_distances;
+use mhsplat::scene::{Plane, Splats, init};
 
 fn cloud(n: u64, seed: u64) -> Vec<[f32; 3]> {
     (0..n)

@@ -2,12 +2,12 @@
 
 use std::fs;
 
-use mhsplat::dataset::colmap::read_txt;
-use mhsplat::dataset::transforms::write_transforms;
-use mhsplat::dataset::{Camera, Lens, LoadOptions, PhotoSource, Undistortion, load};
 use serde_json::{Value, json};
 
 use super::data;
+use mhsplat::capture::colmap::read_txt;
+use mhsplat::capture::transforms::write_transforms;
+use mhsplat::capture::{Camera, Lens, LoadOptions, PhotoSource, Undistortion, load};
 
 const PERSPECTIVE: Lens = Lens::Perspective {
     radial: [-0.28, 0.09, -0.01, 0.02, -0.003, 0.001],

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use image::{GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
-use mhsplat::config::{Sampler, TrainConfig};
-use mhsplat::dataset::{Alpha, Dataset, LoadOptions, load};
-use mhsplat::plan::Plan;
 use tempfile::TempDir;
 
 use super::{assert_refused, colmap_scene};
 use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::trained;
+use mhsplat::capture::{Alpha, Dataset, LoadOptions, load};
+use mhsplat::config::{Sampler, TrainConfig};
+use mhsplat::train::plan::Plan;
 
 /// The bundled room with a box painted over the left of every photo, which masks leave out if `masked`.
 pub fn painted(dir: &Path, colour: [u8; 3], masked: bool) -> PathBuf {

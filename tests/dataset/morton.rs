@@ -1,6 +1,6 @@
 //! Order along the Z curve.
 
-use mhsplat::model::{Plane, Splats, morton};
+use mhsplat::scene::{Plane, Splats, morton};
 
 #[test]
 fn corners_of_a_cube_in_z_order() {

@@ -3,9 +3,9 @@
 use std::fs;
 
 use glam::DVec3;
-use mhsplat::dataset::{LoadOptions, Photo, load, shrink};
 
 use super::{assert_refused, colmap_scene, load_every, ring};
+use mhsplat::capture::{LoadOptions, Photo, load, shrink};
 
 #[test]
 fn area_filter_is_exact() {

@@ -2,9 +2,8 @@
 
 use std::path::PathBuf;
 
-use mhsplat::dataset::{Dataset, Layout, LoadOptions, load};
-
 use super::load_every;
+use mhsplat::capture::{Dataset, Layout, LoadOptions, load};
 
 /// A folder of the optional test data: `$MHSPLAT_DATA`, or `shared/data` next to the checkout.
 pub fn data(name: &str) -> Option<PathBuf> {

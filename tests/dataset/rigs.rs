@@ -5,11 +5,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
-use mhsplat::dataset::colmap::{read_bin, read_txt};
-use mhsplat::dataset::{Layout, camera::Camera};
 use tempfile::TempDir;
 
 use super::{load_every, write_images};
+use mhsplat::capture::Layout;
+use mhsplat::capture::camera::Camera;
+use mhsplat::capture::colmap::{read_bin, read_txt};
 
 fn stored(form: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -4,18 +4,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use image::{GrayImage, Luma, Rgb, imageops};
-use mhsplat::TrainConfig;
-use mhsplat::buffers::ViewSet;
-use mhsplat::config::Sampler;
-use mhsplat::dataset::colmap::{ColmapModel, read_bin, write_bin};
-use mhsplat::dataset::transforms::write_transforms;
-use mhsplat::dataset::{Alpha, Camera, Dataset, LoadOptions, View, load, point_cloud};
-use mhsplat::evaluate::{Evaluator, mean};
-use mhsplat::gpu::{Defines, Device};
-use mhsplat::photos::Photos;
-use mhsplat::report::ViewScore;
 
 use crate::determinism::{room, trained};
+use mhsplat::TrainConfig;
+use mhsplat::capture::colmap::{ColmapModel, read_bin, write_bin};
+use mhsplat::capture::transforms::write_transforms;
+use mhsplat::capture::{Alpha, Camera, Dataset, LoadOptions, View, load, point_cloud};
+use mhsplat::config::Sampler;
+use mhsplat::device::{Defines, Device};
+use mhsplat::evaluate::{Evaluator, ViewScore, mean};
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::photos::Photos;
 
 /// Left, top, width and height of what is kept of every other photo, and of the same of every fourth: upright, and small.
 const CROPS: [[u32; 4]; 2] = [[96, 0, 144, 192], [10, 60, 128, 96]];

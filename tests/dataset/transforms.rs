@@ -4,12 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
-use mhsplat::dataset::point_cloud;
-use mhsplat::dataset::transforms::write_transforms;
-use mhsplat::dataset::{Frame, Layout, Points};
 use serde_json::{Value, json};
 
 use super::{assert_refused, assert_ring, load_every, ring, write_images};
+use mhsplat::capture::transforms::write_transforms;
+use mhsplat::capture::{Frame, Layout, Points, point_cloud};
 
 fn scene(count: usize, middle: DVec3) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();

@@ -1,12 +1,12 @@
 //! Acceptance: frequencies against ρ, and a chain against the exact distribution of a toy target.
 
 use super::total_variation;
+use mhsplat::base::rng::{Philox, Purpose};
 use mhsplat::config::Acceptance;
-use mhsplat::density::mh::accept::temperature_for;
 use mhsplat::density::mh::accept::{
-    accepts, exact_ln_prior_ratio, exact_ln_prior_ratio_of_death, ln_acceptance, voxel_prior,
+    accepts, exact_ln_prior_ratio, exact_ln_prior_ratio_of_death, ln_acceptance, temperature_for,
+    voxel_prior,
 };
-use mhsplat::rng::{Philox, Purpose};
 
 const LAMBDA: f64 = 0.7;
 /// log-weight of one more Gaussian in each voxel, standing for −ΔL; a few voxels that want to be filled differently.

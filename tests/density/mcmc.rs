@@ -1,12 +1,13 @@
 //! MCMC density control: relocation and growth against the printed formulas, counts, caps.
 
+use std::collections::HashMap;
+
 use super::parts::alternating_sum;
 use super::step::{breaches, context, dying};
 use super::{Scene, on_threads};
 use mhsplat::config::McmcConfig;
 use mhsplat::density::relocation::sigmoid;
 use mhsplat::density::{DensityControl, Edit, Evidence, Mcmc, Outcome, StepContext};
-use std::collections::HashMap;
 
 fn step_of(config: &McmcConfig, scene: &Scene, context: &StepContext) -> Outcome {
     Mcmc::new(config)

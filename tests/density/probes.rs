@@ -1,5 +1,7 @@
 //! Births judged by computed changes of the loss.
 
+use std::collections::HashSet;
+
 use super::step::{breaches, context};
 use super::{Scene, on_threads};
 use mhsplat::config::{Acceptance, Birth, MhConfig, Surrogate};
@@ -7,7 +9,6 @@ use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::mh::accept::{ln_gains, ln_ratio};
 use mhsplat::density::relocation::split;
 use mhsplat::density::{DensityControl, Outcome, StepContext, Trial};
-use std::collections::HashSet;
 
 const N: usize = 5000;
 

@@ -1,10 +1,11 @@
 //! What relocation and births make of the opacity they share.
 
+use std::collections::HashMap;
+
 use super::step::{breaches, context, dying, step_with};
 use mhsplat::config::Birth;
 use mhsplat::density::Edit;
 use mhsplat::density::relocation::sigmoid;
-use std::collections::HashMap;
 
 #[test]
 fn relocation_keeps_the_rendered_opacity_and_shares_it() {

@@ -1,5 +1,7 @@
 //! The whole density step, its contract and its reproducibility.
 
+use std::collections::{HashMap, HashSet};
+
 use super::{Scene, on_threads};
 use mhsplat::config::{Birth, MhConfig, Sampler, TrainConfig};
 use mhsplat::density::mh::MetropolisHastings;
@@ -7,7 +9,6 @@ use mhsplat::density::relocation::sigmoid;
 use mhsplat::density::{
     Cues, DensityControl, DensityStats, Edit, Evidence, Fixed, Outcome, StepContext, Wanted, make,
 };
-use std::collections::{HashMap, HashSet};
 
 pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext<'static> {
     StepContext::at(iteration, progress, seed)

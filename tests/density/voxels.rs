@@ -1,8 +1,9 @@
 //! Voxel counts against brute force.
 
+use std::collections::HashMap;
+
 use super::Scene;
 use mhsplat::density::mh::sparsity::{Lattice, VoxelCounts};
-use std::collections::HashMap;
 
 /// Counts with a map of floored f64 coordinates.
 fn brute_force(positions: [&[f32]; 3], edge: f64) -> HashMap<[i64; 3], u32> {

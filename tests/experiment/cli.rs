@@ -4,9 +4,8 @@ use std::fs;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use mhsplat::experiment::{State, last_error, state};
-
 use crate::cli::{done, mhsplat, program, room, stderr, stdout, text};
+use mhsplat::lab::experiment::{State, last_error, state};
 
 #[test]
 fn ctrl_c_stops_and_the_same_command_ends_it() {

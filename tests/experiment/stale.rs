@@ -2,9 +2,8 @@
 
 use std::fs;
 
-use mhsplat::experiment::*;
-
 use super::{Fake, TWO, drive, experiment, record};
+use mhsplat::lab::experiment::*;
 
 fn states(e: &Experiment) -> Vec<String> {
     let all = blocks(e).into_iter().flatten();

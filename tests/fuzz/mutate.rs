@@ -1,6 +1,6 @@
 //! Seeded mutations of files.
 
-use mhsplat::rng::Philox;
+use mhsplat::base::rng::Philox;
 
 /// Numbers that counts, offsets and sizes get wrong.
 const NUMBERS: [u64; 10] = [

@@ -4,17 +4,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-use mhsplat::config::ExposureChoice;
-use mhsplat::dataset::colmap::{read_bin, read_txt, write_txt};
-use mhsplat::dataset::synthetic::{SynthLayout, SynthOptions, generate};
-use mhsplat::dataset::{Frame, LoadOptions, load, point_cloud};
-use mhsplat::experiment::Experiment;
-use mhsplat::export::{checkpoint, ply};
-use mhsplat::report::metrics::METRICS_FILE;
-use mhsplat::report::{Clock, RECORD_FILE, read_rows};
-use mhsplat::run::Run;
-use mhsplat::{Device, RunRecord, TrainConfig};
 use tempfile::TempDir;
+
+use mhsplat::capture::colmap::{read_bin, read_txt, write_txt};
+use mhsplat::capture::{Frame, LoadOptions, load, point_cloud};
+use mhsplat::config::ExposureChoice;
+use mhsplat::lab::experiment::Experiment;
+use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
+use mhsplat::run::metrics::METRICS_FILE;
+use mhsplat::run::{Clock, RECORD_FILE, Run, checkpoint, read_rows};
+use mhsplat::scene::ply;
+use mhsplat::{Device, RunRecord, TrainConfig};
 
 /// Whether a reader takes what is fed to it.
 type Read = Box<dyn FnMut(&[u8]) -> bool + Send>;
@@ -189,7 +189,7 @@ fn cloud(name: &str) -> Reader {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("points.ply");
     if name == "scene_ply" {
-        let splats = mhsplat::model::init::from_points(&data.points, 1).unwrap();
+        let splats = mhsplat::scene::init::from_points(&data.points, 1).unwrap();
         ply::write(&file, &splats, &Frame::IDENTITY).unwrap();
         let path = file.clone();
         return of_file(dir, file, move |_| {

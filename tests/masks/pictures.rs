@@ -5,13 +5,12 @@ use std::path::{Path, PathBuf};
 
 use base64::Engine;
 use image::{RgbImage, Rgba, RgbaImage};
-use mhsplat::dataset::Alpha;
-use mhsplat::report::error_map;
-use mhsplat::report::gallery::colormap;
 use serde_json::Value;
 
 use crate::cli::{done, text};
 use crate::dataset::masks::{painted, small};
+use mhsplat::capture::Alpha;
+use mhsplat::run::report::gallery::{colormap, error_map};
 
 /// The pictures of a report: photo, render and error map of every view shown.
 fn pictures(report: &Path) -> Vec<RgbImage> {

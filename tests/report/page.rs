@@ -1,14 +1,17 @@
 //! The report page and its charts.
 
-use super::samples::*;
-use mhsplat::config::{Init, Sampler, TrainConfig};
-use mhsplat::error::Error;
-use mhsplat::plan::Plan;
-use mhsplat::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
-use mhsplat::report::html::{escape, grouped, span};
-use mhsplat::report::svg::{Axis, Bar, Scale, Series, bar_chart, line_chart, ticks};
-use mhsplat::report::*;
 use std::path::Path;
+
+use super::samples::*;
+use mhsplat::base::error::Error;
+use mhsplat::chart::bars::{Bar, bar_chart};
+use mhsplat::chart::svg::{Axis, Scale, Series, line_chart};
+use mhsplat::chart::text::{escape, grouped, span};
+use mhsplat::chart::ticks::ticks;
+use mhsplat::config::{Init, Sampler, TrainConfig};
+use mhsplat::run::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
+use mhsplat::run::*;
+use mhsplat::train::plan::Plan;
 
 /// Tag names left open, or the first thing that is wrong: enough of a parser for a page that spells every tag out.
 fn check_tags(text: &str) -> Result<(), String> {

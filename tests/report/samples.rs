@@ -2,8 +2,9 @@
 
 use mhsplat::config::{Background, Init, Sampler, TrainConfig};
 use mhsplat::density::DensityStats;
-use mhsplat::plan::{Item, Plan};
-use mhsplat::report::*;
+use mhsplat::evaluate::ViewScore;
+use mhsplat::run::*;
+use mhsplat::train::plan::{Item, Plan};
 
 pub fn item(what: &str, why: &str) -> Item {
     Item {

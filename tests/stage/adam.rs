@@ -1,9 +1,9 @@
 //! adam: the optimiser.
 
 use super::*;
-use mhsplat::gpu::Array;
-use mhsplat::gpu::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
-use mhsplat::stage::adam::{Adam, AdamArgs};
+use mhsplat::device::Array;
+use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
+use mhsplat::pipeline::stage::adam::{Adam, AdamArgs};
 
 #[test]
 fn agrees_with_the_reference() {

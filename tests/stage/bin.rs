@@ -1,8 +1,8 @@
 //! bin: pairs of tiles and Gaussians.
 
 use super::*;
-use mhsplat::reference::project::project;
-use mhsplat::verify::twin::inputs;
+use mhsplat::lab::verify::twin::inputs;
+use mhsplat::pipeline::stage::project::project;
 
 #[test]
 fn agrees_with_the_reference() {

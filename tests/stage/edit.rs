@@ -2,8 +2,8 @@
 
 use super::*;
 use mhsplat::density::Edit;
-use mhsplat::gpu::Array;
-use mhsplat::model::Plane;
+use mhsplat::device::Array;
+use mhsplat::scene::Plane;
 
 #[test]
 fn agrees_with_the_reference() {
@@ -71,7 +71,7 @@ fn a_coloured_row_has_its_own_colour_and_no_higher_bands() {
 #[test]
 fn rows_in_another_order_are_the_reference_s() {
     let device = device();
-    let edit = mhsplat::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
+    let edit = mhsplat::pipeline::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
     let (planes, stride, order) = (3, 256, [4u32, 0, 2, 1, 3]);
     let values: Vec<f32> = (0..planes * stride).map(|v| v as f32).collect();
     let array = |name, v: &[f32]| Array::from_slice(&device, name, v).unwrap();
@@ -84,7 +84,7 @@ fn rows_in_another_order_are_the_reference_s() {
     let got = to.to_vec().unwrap();
     for (p, plane) in values.chunks(stride).enumerate() {
         let plane: Vec<f64> = plane.iter().map(|v| f64::from(*v)).collect();
-        let want = mhsplat::reference::edit::reorder(&order, &plane);
+        let want = mhsplat::pipeline::stage::edit::reorder(&order, &plane);
         for (i, w) in want.iter().enumerate() {
             assert_eq!(f64::from(got[p * stride + i]), *w);
         }
@@ -99,14 +99,14 @@ fn rows_in_another_order_are_the_reference_s() {
 #[test]
 fn an_opacity_reset_lowers_what_is_above_and_forgets_the_moments() {
     let device = device();
-    let edit = mhsplat::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
+    let edit = mhsplat::pipeline::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
     let (planes, stride, count) = (Plane::count(0), 256, 5);
     let array = |name| Array::from_slice(&device, name, &vec![1.5f32; planes * stride]).unwrap();
     let (params, moment1, moment2) = (array("params"), array("moment1"), array("moment2"));
     params
         .write(Plane::OPACITY * stride, &[-6.0, -4.0, 0.0, f32::NAN])
         .unwrap();
-    let args = mhsplat::stage::edit::EditArgs {
+    let args = mhsplat::pipeline::stage::edit::EditArgs {
         edits: &Array::from_slice(&device, "edits", &[]).unwrap(),
         stride,
         planes,

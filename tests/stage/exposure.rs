@@ -1,13 +1,14 @@
 //! exposure: an affine colour transform per image.
 
 use super::*;
-use mhsplat::gpu::Array;
-use mhsplat::gpu::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
-use mhsplat::reference::compare::{Tolerance, compare};
-use mhsplat::reference::exposure::{IDENTITY, apply, backward};
-use mhsplat::reference::loss::loss;
-use mhsplat::stage::exposure::{ENTRIES, Exposure, ExposureStep};
-use mhsplat::verify::exposure::EXPOSURES;
+use mhsplat::device::Array;
+use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
+use mhsplat::lab::error::{Tolerance, compare};
+use mhsplat::lab::verify::exposure::EXPOSURES;
+use mhsplat::pipeline::stage::exposure::{
+    ENTRIES, Exposure, ExposureStep, IDENTITY, apply, backward,
+};
+use mhsplat::pipeline::stage::loss::loss;
 
 #[test]
 fn agrees_with_the_reference() {

@@ -1,14 +1,16 @@
 //! filter: the 3D filter of each Gaussian.
 
-use super::*;
 use glam::{DMat3, DVec3};
-use mhsplat::buffers::Scene;
-use mhsplat::dataset::Camera;
-use mhsplat::gpu::tuning::{FILTER_CHUNKS, NEAR, status};
-use mhsplat::gpu::{Array, CameraArg};
-use mhsplat::model::{Plane, Splats};
-use mhsplat::reference::filter::filter;
-use mhsplat::stage::filter::{Filter, FilterArgs};
+
+use super::*;
+use mhsplat::base::constants::{FILTER_CHUNKS, NEAR};
+use mhsplat::capture::Camera;
+use mhsplat::device::tuning::status;
+use mhsplat::device::{Array, CameraArg};
+use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::stage::filter::{Filter, FilterArgs};
+use mhsplat::scene::filters;
+use mhsplat::scene::{Plane, Splats};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -94,7 +96,7 @@ fn the_finest_view_that_sees_a_centre_decides() {
         .collect();
     let splats = at(&positions);
     let got = filtered(&splats, &cameras, 0);
-    let twin = filter(positions.iter().map(|p| p.map(f64::from)), &cameras);
+    let twin = filters(positions.iter().map(|p| p.map(f64::from)), &cameras);
     for ((got, twin), want) in got.iter().zip(&twin).zip(&want) {
         assert!((f64::from(*got) - want).abs() < 1e-6 * want, "{got} {want}");
         assert!((twin - want).abs() < 1e-6 * want, "{twin} {want}");

@@ -1,12 +1,11 @@
 //! live: tiles of a masked photo in which any pixel counts get pairs, the others do not.
 
 use super::*;
-use mhsplat::buffers::Scene;
-use mhsplat::gpu::tuning::NEAR;
-use mhsplat::gpu::{Array, CameraArg};
-use mhsplat::reference::live::live;
-use mhsplat::render::{RenderOptions, Renderer};
-use mhsplat::stage::live::Live;
+use mhsplat::base::constants::NEAR;
+use mhsplat::device::{Array, CameraArg};
+use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::forward::{RenderOptions, Renderer};
+use mhsplat::pipeline::stage::live::{Live, live};
 
 /// What the kernel says of a mask of this size.
 fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {

@@ -1,9 +1,10 @@
 //! loss: L1 + SSIM.
 
 use super::*;
-use mhsplat::dataset::Alpha;
-use mhsplat::gpu::Array;
-use mhsplat::stage::loss::{Blank, ImagePair, Loss};
+use mhsplat::capture::Alpha;
+use mhsplat::device::Array;
+use mhsplat::pipeline::buffers::Blank;
+use mhsplat::pipeline::stage::loss::{ImagePair, Loss};
 
 #[test]
 fn agrees_with_the_reference() {

@@ -23,12 +23,12 @@ mod splat_grad;
 
 use std::sync::LazyLock;
 
-use mhsplat::gpu::tuning::Tuning;
-use mhsplat::gpu::{Defines, Device, Kernels};
-use mhsplat::verify::chain::{self, Case, Outputs};
-use mhsplat::verify::check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check};
-use mhsplat::verify::quantities::{device_quantities, reference_quantities};
-use mhsplat::verify::{cases, twin, verify_case};
+use mhsplat::device::tuning::Tuning;
+use mhsplat::device::{Defines, Device, Kernels};
+use mhsplat::lab::verify::chain::{Case, Outputs};
+use mhsplat::lab::verify::check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check};
+use mhsplat::lab::verify::quantities::{device_quantities, reference_quantities};
+use mhsplat::lab::verify::{cases, chain, twin, verify_case};
 
 fn device() -> Device {
     Device::open(None).unwrap()

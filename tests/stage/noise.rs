@@ -1,12 +1,13 @@
 //! noise: random steps of the positions.
 
-use super::*;
 use glam::{DMat3, DQuat, DVec3};
-use mhsplat::gpu::Array;
-use mhsplat::gpu::tuning::status::{OVERFLOW, SLOTS};
-use mhsplat::model::{Plane, Splats};
-use mhsplat::rng::{Philox, Purpose};
-use mhsplat::stage::noise::{Noise, NoiseArgs};
+
+use super::*;
+use mhsplat::base::rng::{Philox, Purpose};
+use mhsplat::device::Array;
+use mhsplat::device::tuning::status::{OVERFLOW, SLOTS};
+use mhsplat::pipeline::stage::noise::{Noise, NoiseArgs};
+use mhsplat::scene::{Plane, Splats};
 
 /// [MCMC]'s gate: k = 100, x₀ = 0.005.
 const PUBLISHED: [f64; 2] = [100.0, 0.005];
@@ -55,7 +56,7 @@ impl Draw {
     fn positions(&self, splats: &Splats) -> [Vec<f64>; 3] {
         let device = device();
         let kernels = Kernels::new(&device, Defines::new(self.tuning));
-        let scene = mhsplat::buffers::Scene::<f64>::upload(&device, splats, 0).unwrap();
+        let scene = mhsplat::pipeline::buffers::Scene::<f64>::upload(&device, splats, 0).unwrap();
         let status = Array::zeros(&device, "status", SLOTS).unwrap();
         status.write(OVERFLOW as usize, &[self.overflow]).unwrap();
         Noise::new::<f64>(&kernels)

@@ -1,11 +1,10 @@
 //! peak: the micro-benchmarks do the work that they are timed for.
 
 use super::*;
-use mhsplat::gpu::tuning::PEAK_CHAINS;
-use mhsplat::gpu::{Array, Real};
-use mhsplat::reference::compare::{Tolerance, compare};
-use mhsplat::reference::peak::fma_chains;
-use mhsplat::stage::peak::{FmaArgs, Peak};
+use mhsplat::base::constants::PEAK_CHAINS;
+use mhsplat::device::{Array, Real};
+use mhsplat::lab::error::{Tolerance, compare};
+use mhsplat::pipeline::stage::peak::{FmaArgs, Peak, fma_chains};
 
 /// Lanes of seven work-items after `steps` steps of x → 0.99 x + 0.5.
 fn chains<R: Real>(tuning: Tuning, steps: u32) -> Vec<f64> {

@@ -1,7 +1,7 @@
 //! project: records.
 
 use super::*;
-use mhsplat::model::Plane;
+use mhsplat::scene::Plane;
 
 #[test]
 fn agrees_with_the_reference() {

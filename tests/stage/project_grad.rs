@@ -1,7 +1,7 @@
 //! project_grad: gradients of the raw parameters.
 
 use super::*;
-use mhsplat::model::Plane;
+use mhsplat::scene::Plane;
 
 #[test]
 fn agrees_with_the_reference() {
@@ -63,8 +63,8 @@ fn anti_aliasing_keeps_gradients_finite_edge_on() {
 }
 
 /// The case's camera with a focal length of a million pixels.
-fn fine(case: &Case) -> mhsplat::dataset::Camera {
-    mhsplat::dataset::Camera {
+fn fine(case: &Case) -> mhsplat::capture::Camera {
+    mhsplat::capture::Camera {
         fx: 1e6,
         fy: 1e6,
         ..case.camera

@@ -1,10 +1,9 @@
 //! scan: prefix sums.
 
 use super::*;
-use mhsplat::gpu::Array;
-use mhsplat::gpu::tuning::status::{OVERFLOW, PAIRS, SLOTS, VISIBLE};
-use mhsplat::reference;
-use mhsplat::stage::scan::{Count, Scan, ScanArgs};
+use mhsplat::device::Array;
+use mhsplat::device::tuning::status::{OVERFLOW, PAIRS, SLOTS, VISIBLE};
+use mhsplat::pipeline::stage::scan::{Count, Scan, ScanArgs, scan as definition};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -52,7 +51,7 @@ fn scanned_by(n: Count, values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>)
 fn sums_of_every_length() {
     for n in [0usize, 1, 2, 15, 16, 17, 1000, 4097] {
         let values: Vec<u32> = (0..n as u32).map(|i| i * 7 % 11).collect();
-        let (sums, total) = reference::scan::scan(&values);
+        let (sums, total) = definition(&values);
         let (got, status) = scanned(&values, usize::MAX >> 33);
         assert_eq!(got, sums, "{n} values");
         assert_eq!(u64::from(status[PAIRS as usize]), total);

@@ -1,11 +1,12 @@
 //! screen_grad: gradients by the projected centres.
 
 use super::*;
-use mhsplat::gpu::tuning::SUMS;
-use mhsplat::gpu::tuning::status::{OVERFLOW, SLOTS};
-use mhsplat::gpu::{Array, Record};
-use mhsplat::reference::{Camera64, chain};
-use mhsplat::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
+use mhsplat::base::constants::SUMS;
+use mhsplat::device::tuning::status::{OVERFLOW, SLOTS};
+use mhsplat::device::{Array, Record};
+use mhsplat::pipeline::chain;
+use mhsplat::pipeline::reference::Camera64;
+use mhsplat::pipeline::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -85,8 +86,8 @@ fn the_gradient_by_the_mean_is_a_finite_difference() {
     let (scene, camera, options) = twin::inputs(&case);
     let passage = twin::run(&case);
     let sums = passage.sums[0].unwrap();
-    let shape = mhsplat::reference::project::shape(&scene, 0, &camera).unwrap();
-    let got = mhsplat::reference::screen_grad::mean_gradient(&shape, &sums);
+    let shape = mhsplat::pipeline::stage::project::shape(&scene, 0, &camera).unwrap();
+    let got = mhsplat::pipeline::stage::screen_grad::mean_gradient(&shape, &sums);
     let photo = twin::photo(&case);
     let loss = |camera: &Camera64| chain::loss_of(&scene, camera, &options, &photo, case.lambdas);
     for (k, got) in got.into_iter().enumerate() {

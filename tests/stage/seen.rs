@@ -1,10 +1,10 @@
 //! seen: which Gaussians views show.
 
 use super::*;
-use mhsplat::gpu::tuning::STAGE;
-use mhsplat::gpu::{Array, Record};
-use mhsplat::stage::seen::{Seen, SeenArgs};
-use mhsplat::stage::splat::TileLists;
+use mhsplat::base::constants::STAGE;
+use mhsplat::device::{Array, Record};
+use mhsplat::pipeline::stage::seen::{Seen, SeenArgs};
+use mhsplat::pipeline::stage::splat::TileLists;
 
 #[test]
 fn agrees_with_the_reference() {

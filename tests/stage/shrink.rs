@@ -1,9 +1,9 @@
 //! shrink: photos at a fraction of their size.
 
 use super::*;
-use mhsplat::dataset::Photo;
-use mhsplat::gpu::Array;
-use mhsplat::stage::shrink::Shrink;
+use mhsplat::capture::Photo;
+use mhsplat::device::Array;
+use mhsplat::pipeline::stage::shrink::Shrink;
 
 /// A photo whose bytes take every value in no pattern.
 fn photo(width: u32, height: u32, channels: u32) -> Photo {
@@ -37,7 +37,7 @@ fn agrees_with_the_reference_to_the_byte() {
     for (size, channels) in [([64, 48], 3), ([75, 50], 4), ([33, 17], 3)] {
         for factor in [2, 4, 8] {
             let photo = photo(size[0], size[1], channels);
-            let want = mhsplat::reference::shrink::shrink(&photo, factor);
+            let want = mhsplat::pipeline::stage::shrink::shrink(&photo, factor);
             assert_eq!(shrunk(&photo, factor), want.data, "{size:?} / {factor}");
         }
     }

@@ -1,11 +1,10 @@
 //! sort: stable radix sort.
 
 use super::*;
-use mhsplat::gpu::Array;
-use mhsplat::gpu::tuning::status::{SLOTS, VISIBLE};
-use mhsplat::reference;
-use mhsplat::rng::Philox;
-use mhsplat::stage::sort::{Sort, SortArgs};
+use mhsplat::base::rng::Philox;
+use mhsplat::device::Array;
+use mhsplat::device::tuning::status::{SLOTS, VISIBLE};
+use mhsplat::pipeline::stage::sort::{Sort, SortArgs, sort as definition};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -66,7 +65,7 @@ fn any_keys_any_width_both_tunings() {
         let keys: Vec<u32> = (0..n as u64)
             .map(|i| Philox::words(3, 1, i)[0] & mask)
             .collect();
-        let want = reference::sort::sort(&keys);
+        let want = definition(&keys);
         for tuning in [
             Tuning::CPU,
             Tuning {

@@ -1,7 +1,7 @@
 //! splat: compositing.
 
 use super::*;
-use mhsplat::reference::compare::{Tolerance, compare};
+use mhsplat::lab::error::{Tolerance, compare};
 
 #[test]
 fn agrees_with_the_reference() {

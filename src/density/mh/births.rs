@@ -1,11 +1,12 @@
 //! What becomes of accepted proposals.
 
-use super::super::relocate::{self, Relocation};
-use super::sparsity::VoxelCounts;
-use super::{Decision, Kind};
-use crate::config::Birth;
-use crate::density::{DensityStats, Edit, Outcome, SceneState};
 use rustc_hash::FxHashSet;
+
+use crate::config::Birth;
+use crate::density::mh::sparsity::VoxelCounts;
+use crate::density::mh::{Decision, Kind};
+use crate::density::relocate::Relocation;
+use crate::density::{DensityStats, Edit, Outcome, SceneState, relocate};
 
 /// The births of a step, in the order of decision.
 pub(super) struct Births {

@@ -1,8 +1,9 @@
 //! Importance of each Gaussian from its opacity and the error maps under it (\[MH\] Eq. 12, 13).
 
+use rayon::prelude::*;
+
 use crate::density::Cues;
 use crate::density::relocation::sigmoid;
-use rayon::prelude::*;
 
 /// Rows per partial sum; fixed, so that sums round alike for any number of threads.
 const CHUNK: usize = 8192;

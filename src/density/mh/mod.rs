@@ -12,19 +12,20 @@ mod pixel;
 mod proposal;
 pub mod sparsity;
 
-use super::draw::{Categorical, birth_position, gather};
-use super::relocate::Relocation;
-use super::{
+use rayon::prelude::*;
+
+use crate::base::error::Result;
+use crate::base::rng::{Philox, Purpose};
+use crate::config::{Birth, MhConfig, ViewSubset};
+use crate::density::draw::{Categorical, birth_position, gather};
+use crate::density::mh::births::Births;
+use crate::density::mh::proposal::{Decision, Draft, Kind, Proposal};
+use crate::density::mh::sparsity::{Lattice, VoxelCounts};
+use crate::density::relocate::Relocation;
+use crate::density::{
     Cues, DensityControl, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext, Trial,
     Wanted, check_lengths, numerics, relocation, unexpected,
 };
-use crate::config::{Birth, MhConfig, ViewSubset};
-use crate::error::Result;
-use crate::rng::{Philox, Purpose};
-use births::Births;
-use proposal::{Decision, Draft, Kind, Proposal};
-use rayon::prelude::*;
-use sparsity::{Lattice, VoxelCounts};
 
 /// k of the noise's gate (\[MCMC\] Eq. 8).
 const NOISE_STEEPNESS: f64 = 100.0;

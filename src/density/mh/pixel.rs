@@ -5,12 +5,13 @@
 //! pixel's remaining transmittance, else at the rendered mean depth. Not in \[MH\]; acceptance is that of the other phases, with the pixel's error in
 //! place of the importance.
 
-use super::{MhConfig, Proposal, StepContext, accept, shrinking};
+use crate::base::rng::{Philox, Purpose};
+use crate::density::Edit;
 use crate::density::draw::Categorical;
+use crate::density::mh::{MhConfig, Proposal, StepContext, accept, shrinking};
+use crate::density::picture::Picture;
 use crate::density::relocation::{logit, sigmoid};
-use crate::density::{Edit, Picture};
-use crate::model::sh::C0;
-use crate::rng::{Philox, Purpose};
+use crate::scene::sh::C0;
 
 /// Pixels of all pictures, one after the other.
 struct Pixels<'a> {

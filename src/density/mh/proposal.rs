@@ -1,9 +1,9 @@
 //! Births before they are decided on, and after.
 
-use super::accept;
+use crate::base::error::Result;
+use crate::density::mh::accept;
 use crate::density::relocate::Relocation;
 use crate::density::{Edit, Trial, numerics, relocation};
-use crate::error::Result;
 
 /// How a birth was proposed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,0 +1,372 @@
+//! From what the readers found to a [`Dataset`]: split, local frame, photos.
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Component, Path, PathBuf};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::base::error::{Error, Result};
+use crate::capture::camera::Camera;
+use crate::capture::decode::{Mask, header};
+use crate::capture::frame::Frame;
+use crate::capture::lens::{Lens, Undistortion};
+use crate::capture::source::{PhotoFile, automatic_budget, read};
+use crate::capture::{Dataset, Layout, LoadOptions, Points, View};
+
+/// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
+pub(super) struct RawView {
+    /// Name of the image, unique within the dataset.
+    pub name: String,
+    /// The image file.
+    pub file: PathBuf,
+    /// Camera in the dataset's frame.
+    pub camera: Camera,
+    /// What its lens does to the photo.
+    pub lens: Lens,
+    /// The file of its mask.
+    pub mask: Option<PathBuf>,
+}
+
+/// A dataset as read, in its own frame.
+pub(super) struct RawScene {
+    /// Layout it was read from.
+    pub layout: Layout,
+    /// All views, or those to train on where `test` is given.
+    pub train: Vec<RawView>,
+    /// Held-out views, where the dataset names them itself.
+    pub test: Option<Vec<RawView>>,
+    /// Names of views whose images are missing; they are in neither list.
+    pub missing: Vec<String>,
+    /// Sparse points, dataset units.
+    pub positions: Vec<DVec3>,
+    /// RGB colours, one per position.
+    pub colors: Vec<[u8; 3]>,
+}
+
+/// The path of `name` below `folder`.
+///
+/// # Errors
+/// A name that is absolute, empty or climbs out of the folder: a dataset must not read the rest of the disk.
+pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf> {
+    let relative = Path::new(name);
+    let stays = relative
+        .components()
+        .all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+    if stays && relative.file_name().is_some() {
+        return Ok(folder.join(relative));
+    }
+    Err(Error::input(
+        folder,
+        format!("the dataset names the file '{name}', which is not below this folder"),
+        "use relative paths without '..'",
+    ))
+}
+
+/// A camera is astray from so many times the distance of the farthest but a tenth on: a scene has no two scales so far apart,
+/// but a pose that went wrong is anywhere.
+const ASTRAY: f64 = 20.0;
+
+/// Extensions of the image formats that are read.
+const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
+
+/// The image file that a dataset names: as it is, with an extension added, or with another one; none if there is none.
+///
+/// # Errors
+/// As [`inside`].
+pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
+    let exact = inside(folder, name)?;
+    if exact.is_file() {
+        return Ok(Some(exact));
+    }
+    let longer = EXTENSIONS.iter().map(|extension| {
+        let mut longer = exact.clone().into_os_string();
+        longer.push(".");
+        longer.push(extension);
+        PathBuf::from(longer)
+    });
+    // What is no image's extension is part of the name.
+    let ends = exact.extension().and_then(|e| e.to_str());
+    let swaps = ends.is_some_and(|e| EXTENSIONS.contains(&e));
+    let other = EXTENSIONS
+        .iter()
+        .filter(|_| swaps)
+        .map(|e| exact.with_extension(e));
+    Ok(longer.chain(other).find(|candidate| candidate.is_file()))
+}
+
+/// The mask of an image: in the folder `masks`, under the image's name or file name, with `.png` added (COLMAP) or in the
+/// place of the extension.
+pub(super) fn find_mask(root: &Path, name: &str) -> Option<PathBuf> {
+    let folder = root.join("masks");
+    let whole = inside(&folder, name).ok()?;
+    let short = folder.join(whole.file_name()?);
+    let named = |path: &PathBuf| {
+        let mut added = path.clone().into_os_string();
+        added.push(".png");
+        // What is no image's extension is part of the name.
+        let ends = path.extension().and_then(|e| e.to_str());
+        let swaps = ends.is_some_and(|e| EXTENSIONS.contains(&e));
+        let swapped = swaps.then(|| path.with_extension("png"));
+        [Some(PathBuf::from(added)), swapped, Some(path.clone())]
+    };
+    let candidates = [whole, short];
+    let mut names = candidates.iter().flat_map(named).flatten();
+    names.find(|p| p.is_file())
+}
+
+/// Splits, normalises and reads the photos.
+///
+/// # Errors
+/// No photo there, a name given twice, an empty training set, an unreadable photo or one of another shape than its camera,
+/// a photo larger than the budget, poses or points that leave the range of numbers.
+pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> Result<Dataset> {
+    let mut missing = scene.missing;
+    missing.sort();
+    refuse_if_none(path, &scene.train, &missing)?;
+    let (train, test) = split(path, scene.train, scene.test, &missing, options.test_every)?;
+    let (train, test, astray) = together(train, test);
+    let centers: Vec<DVec3> = train
+        .iter()
+        .chain(&test)
+        .map(|v| v.camera.center())
+        .collect();
+    let frame = local_frame(path, &centers, &scene.positions)?;
+    let points = local_points(path, &frame, &scene.positions, scene.colors)?;
+    let budget = options.image_budget.unwrap_or_else(automatic_budget);
+    let first_held_out = train.len();
+    let raw: Vec<RawView> = train.into_iter().chain(test).collect();
+    let masked = options.alpha_is_mask || raw.iter().any(|v| v.mask.is_some());
+    let (cameras, files): (Vec<Camera>, Vec<PhotoFile>) = raw
+        .par_iter()
+        .map(|v| place(v, &frame, options.max_size, masked))
+        .collect::<Result<_>>()?;
+    let photos = read(files, budget)?;
+    let mut views = raw
+        .into_iter()
+        .zip(cameras)
+        .zip(photos)
+        .map(|((raw, camera), photo)| View {
+            name: raw.name,
+            camera,
+            lens: raw.lens,
+            photo,
+        });
+    let (train, mut masked_out) = shown(views.by_ref().take(first_held_out));
+    let (test, held_out) = shown(views);
+    masked_out.extend(held_out);
+    let of_lenses = train.iter().chain(&test);
+    let undistorted = of_lenses.filter(|v| v.lens != Lens::Pinhole).count();
+    if train.is_empty() {
+        return Err(Error::input(
+            path,
+            "the masks leave no pixel of any training photo",
+            "masks are white where a photo counts: turn them round, or take them away",
+        ));
+    }
+    Ok(Dataset {
+        path: path.to_path_buf(),
+        layout: scene.layout,
+        train,
+        test,
+        points,
+        frame,
+        undistorted,
+        missing,
+        astray,
+        masked_out,
+        image_budget: budget,
+    })
+}
+
+/// Sorts by name; without a held-out list, every `test_every`-th image is held out, beginning with the first. Missing ones
+/// count, so that the others stay on their sides.
+fn split(
+    path: &Path,
+    mut train: Vec<RawView>,
+    test: Option<Vec<RawView>>,
+    missing: &[String],
+    test_every: u32,
+) -> Result<(Vec<RawView>, Vec<RawView>)> {
+    train.sort_by(|a, b| a.name.cmp(&b.name));
+    let (train, test) = match test {
+        Some(mut test) => {
+            test.sort_by(|a, b| a.name.cmp(&b.name));
+            (train, test)
+        }
+        None if test_every == 0 => (train, Vec::new()),
+        None => {
+            let mut index = 0;
+            train.into_iter().partition(|view| {
+                let before = missing.partition_point(|m| *m < view.name);
+                index += 1;
+                (index - 1 + before) % test_every as usize != 0
+            })
+        }
+    };
+    let mut seen = HashSet::new();
+    if let Some(twice) = train
+        .iter()
+        .chain(&test)
+        .find(|v| !seen.insert(v.name.as_str()))
+    {
+        let what = format!("the image {} is given twice", twice.name);
+        let fix = "remove one of the entries (a view cannot be both trained on and held out)";
+        return Err(Error::input(path, what, fix));
+    }
+    let mut files = HashMap::new();
+    for view in train.iter().chain(&test) {
+        if let Some(other) = files.insert(&view.file, &view.name) {
+            let what = format!("the image of two views, {other} and {}", view.name);
+            let fix = "remove one of the entries";
+            return Err(Error::input(&view.file, what, fix));
+        }
+    }
+    if train.is_empty() {
+        let what = format!(
+            "{} views are held out and none is left to train on",
+            test.len()
+        );
+        let fix = "use more images or lower the share held out (--test-every 0 holds out none)";
+        return Err(Error::input(path, what, fix));
+    }
+    Ok((train, test))
+}
+
+/// Leaves out views whose cameras are far from all others, by name: one wrong pose would make everything else a speck, and
+/// what it sees is not there. They are a twentieth of the views at most, and not all that there are to train on, or nobody is
+/// left out.
+fn together(train: Vec<RawView>, test: Vec<RawView>) -> (Vec<RawView>, Vec<RawView>, Vec<String>) {
+    let centers: Vec<DVec3> = train
+        .iter()
+        .chain(&test)
+        .map(|v| v.camera.center())
+        .collect();
+    let quantile = |mut values: Vec<f64>, q: f64| {
+        values.sort_by(f64::total_cmp);
+        let last = values.len().saturating_sub(1);
+        values[(q * last as f64).floor() as usize]
+    };
+    let axis = |k: usize| quantile(centers.iter().map(|c| c[k]).collect(), 0.5);
+    let middle = DVec3::new(axis(0), axis(1), axis(2));
+    let distance = |v: &RawView| v.camera.center().distance(middle);
+    let usual = quantile(centers.iter().map(|c| c.distance(middle)).collect(), 0.9);
+    let far = |v: &RawView| usual > 0.0 && distance(v) > ASTRAY * usual;
+    let astray: Vec<String> = train
+        .iter()
+        .chain(&test)
+        .filter(|v| far(v))
+        .map(|v| v.name.clone())
+        .collect();
+    if 20 * astray.len() > centers.len() {
+        return (train, test, Vec::new());
+    }
+    if train.iter().all(far) {
+        return (train, test, Vec::new());
+    }
+    let near = |views: Vec<RawView>| views.into_iter().filter(|v| !far(v)).collect();
+    (near(train), near(test), astray)
+}
+
+/// The views of which their masks leave anything, and the names of the others.
+fn shown(views: impl Iterator<Item = View>) -> (Vec<View>, Vec<String>) {
+    let (black, shown): (Vec<View>, Vec<View>) = views.partition(|v| v.photo.masked_out());
+    (shown, black.into_iter().map(|v| v.name).collect())
+}
+
+/// Some photos may be missing, but not all.
+fn refuse_if_none(path: &Path, train: &[RawView], missing: &[String]) -> Result<()> {
+    match missing.first() {
+        Some(first) if train.is_empty() => Err(Error::input(
+            path,
+            format!(
+                "none of the image files to train on is there; {} are missing, the first is {first} (as it is, or with .png, .jpg, .jpeg or .webp)",
+                missing.len()
+            ),
+            "copy the images to their places",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// [`Frame::fit`], refused where it is no frame.
+fn local_frame(path: &Path, centers: &[DVec3], points: &[DVec3]) -> Result<Frame> {
+    let frame = Frame::fit(centers, points);
+    let Frame { center, scale } = frame;
+    if center.is_finite() && scale.is_normal() {
+        return Ok(frame);
+    }
+    Err(Error::input(
+        path,
+        format!(
+            "the cameras' mean centre is {center} and their extent {scale}; finite, non-zero numbers expected"
+        ),
+        "check the poses",
+    ))
+}
+
+fn local_points(
+    path: &Path,
+    frame: &Frame,
+    positions: &[DVec3],
+    colors: Vec<[u8; 3]>,
+) -> Result<Points> {
+    let positions: Vec<[f32; 3]> = positions
+        .iter()
+        .map(|&p| frame.to_local(p).as_vec3().to_array())
+        .collect();
+    let far = |p: &[f32; 3]| p.iter().any(|v| !v.is_finite());
+    if let Some(i) = positions.iter().position(far) {
+        let what = format!("point {i} lies too far from the cameras for single precision");
+        return Err(Error::input(path, what, "remove the point"));
+    }
+    Ok(Points { positions, colors })
+}
+
+/// Moves the camera to the local frame, to a pinhole and to the resolution that the photo will have.
+fn place(
+    view: &RawView,
+    frame: &Frame,
+    max_size: u32,
+    masked: bool,
+) -> Result<(Camera, PhotoFile)> {
+    let header = header(&view.file)?;
+    let original = (header.width, header.height);
+    let camera = &view.camera;
+    let expected = (f64::from(camera.width), f64::from(camera.height));
+    let aspect = f64::from(original.0) * expected.1 / (f64::from(original.1) * expected.0);
+    // Resampled copies round their sides to whole pixels; half a pixel on each side is no other shape either.
+    let slack = 0.5 / f64::from(original.0) + 0.5 / f64::from(original.1);
+    if (aspect - 1.0).abs() > slack.max(0.01) {
+        return Err(Error::input(
+            &view.file,
+            format!(
+                "{}×{} pixels, but its camera says {}×{}, another shape",
+                original.0, original.1, camera.width, camera.height
+            ),
+            "use the photos that the camera parameters were computed for",
+        ));
+    }
+    let undistortion = match view.lens {
+        Lens::Pinhole => None,
+        lens => Some(
+            Undistortion::new(lens, &camera.scaled_to(header.width, header.height)).ok_or_else(
+                || {
+                    let what = format!("its lens ({lens:?}) leaves no pinhole image of the photo");
+                    Error::input(&view.file, what, "check the camera's distortion parameters")
+                },
+            )?,
+        ),
+    };
+    let pinhole = undistortion.map_or(*camera, |u| u.target);
+    let mask = match &view.mask {
+        Some(file) => Mask::File(file.clone()),
+        None if masked => Mask::Alpha,
+        None => Mask::None,
+    };
+    let file = PhotoFile::new(view.file.clone(), header, max_size, undistortion, mask);
+    let (width, height) = file.size();
+    let mut camera = pinhole.scaled_to(width, height);
+    camera.translation = -(camera.rotation * frame.to_local(view.camera.center()));
+    Ok((camera, file))
+}

@@ -1,0 +1,67 @@
+//! Pinhole camera in OpenCV axes.
+
+use glam::{DMat3, DVec3};
+
+use crate::base::constants::{FILTER_MARGIN, NEAR};
+
+/// A pinhole camera: x right, y down, z forward; pixel centres at +0.5.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    /// Rotation W from the (local) scene frame to the camera frame.
+    pub rotation: DMat3,
+    /// Translation t₀: a point x of the scene lies at `rotation·x + translation` in the camera frame, local units.
+    pub translation: DVec3,
+    /// Focal length in x, pixels.
+    pub fx: f64,
+    /// Focal length in y, pixels.
+    pub fy: f64,
+    /// Principal point x, pixels from the left edge of the image.
+    pub cx: f64,
+    /// Principal point y, pixels from the upper edge of the image.
+    pub cy: f64,
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+}
+
+impl Camera {
+    /// Centre of projection in the scene frame: −Wᵀ t₀.
+    #[must_use]
+    pub fn center(&self) -> DVec3 {
+        -(self.rotation.transpose() * self.translation)
+    }
+
+    /// Pixels per local unit that this camera takes at a point, f/z with the larger focal length, if its image has the point, widened by
+    /// [`FILTER_MARGIN`] on each side (Mip-Splatting, Yu et al. 2024, Eq. 6).
+    #[must_use]
+    pub fn sampling_rate(&self, x: DVec3) -> Option<f64> {
+        let t = self.rotation * x + self.translation;
+        let inside = |p: f64, size: u32| {
+            let size = f64::from(size);
+            p >= -FILTER_MARGIN * size && p <= (1.0 + FILTER_MARGIN) * size
+        };
+        let seen = t.z > NEAR
+            && inside(self.fx * t.x / t.z + self.cx, self.width)
+            && inside(self.fy * t.y / t.z + self.cy, self.height);
+        seen.then(|| self.fx.max(self.fy) / t.z)
+    }
+
+    /// The same camera for a photo resampled to `width` × `height` pixels. Focal lengths and principal point scale per
+    /// axis: with pixel centres at +0.5, pixel coordinates are continuous lengths from the image's corner and a plain
+    /// factor is exact.
+    #[must_use]
+    pub fn scaled_to(&self, width: u32, height: u32) -> Self {
+        let sx = f64::from(width) / f64::from(self.width);
+        let sy = f64::from(height) / f64::from(self.height);
+        Self {
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            cx: self.cx * sx,
+            cy: self.cy * sy,
+            width,
+            height,
+            ..*self
+        }
+    }
+}

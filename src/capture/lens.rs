@@ -1,0 +1,320 @@
+//! Lens distortion, and photos without it: every training camera is a pinhole.
+//!
+//! Models and their parameters: COLMAP's documentation, <https://colmap.github.io/cameras.html>, which has them from OpenCV
+//! (rational and tangential terms) and from Kannala, Brandt 2006 (equidistant fisheye). The pinhole camera of a distorted one
+//! is chosen as `colmap image_undistorter` does by default: the same focal lengths, and along each axis the largest size without
+//! a pixel that the photo has no light for, between a fifth of the photo's and twice that.
+
+use crate::capture::camera::Camera;
+
+/// Newton steps after which an inverse is given up.
+const STEPS: usize = 100;
+/// The undistorted image is not smaller or larger than the photo by more than these factors.
+const SCALES: (f64, f64) = (0.2, 2.0);
+/// Rays further from the axis than this (radians) are on no pinhole image worth having.
+const WIDEST: f64 = 1.5;
+/// Steps in which a lens is searched for the place where it folds over.
+const SEARCH: u32 = 4096;
+
+/// How a lens moves a ray on the plane at depth 1.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Lens {
+    /// Not at all.
+    #[default]
+    Pinhole,
+    /// (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) times, and tangentially by p1 and p2.
+    Perspective {
+        /// k1 to k6.
+        radial: [f64; 6],
+        /// p1, p2.
+        tangential: [f64; 2],
+    },
+    /// To θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) from the centre, θ the ray's angle to the axis.
+    Fisheye {
+        /// k1 to k4.
+        radial: [f64; 4],
+    },
+}
+
+/// Σ k_i x^{i+1} by Horner's scheme.
+fn series(k: &[f64], x: f64) -> f64 {
+    k.iter().rev().fold(0.0, |sum, k| (sum + k) * x)
+}
+
+impl Lens {
+    /// The lens, or [`Lens::Pinhole`] where all its coefficients are 0 and it moves nothing.
+    #[must_use]
+    pub fn simplified(self) -> Self {
+        match self {
+            Self::Perspective { radial, tangential }
+                if radial.iter().chain(&tangential).all(|k| *k == 0.0) =>
+            {
+                Self::Pinhole
+            }
+            other => other,
+        }
+    }
+
+    /// Whether every coefficient is a finite number.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        match self {
+            Self::Pinhole => true,
+            Self::Perspective { radial, tangential } => {
+                radial.iter().chain(tangential).all(|k| k.is_finite())
+            }
+            Self::Fisheye { radial } => radial.iter().all(|k| k.is_finite()),
+        }
+    }
+
+    /// Where the ray through (u, v, 1) falls.
+    #[must_use]
+    pub fn distort(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        let r2 = u * u + v * v;
+        match self {
+            Self::Pinhole => [u, v],
+            Self::Perspective { radial, tangential } => {
+                let [p1, p2] = *tangential;
+                let factor = (1.0 + series(&radial[..3], r2)) / (1.0 + series(&radial[3..], r2));
+                [
+                    u * factor + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u),
+                    v * factor + 2.0 * p2 * u * v + p1 * (r2 + 2.0 * v * v),
+                ]
+            }
+            Self::Fisheye { radial } => {
+                let r = r2.sqrt();
+                if r < 1e-12 {
+                    return [u, v];
+                }
+                let angle = r.atan();
+                let factor = angle * (1.0 + series(radial, angle * angle)) / r;
+                [u * factor, v * factor]
+            }
+        }
+    }
+
+    /// Distance of the image from the centre for a ray this far off (r for perspective lenses, θ for fisheyes), without the
+    /// tangential part.
+    fn bent(&self, far: f64) -> f64 {
+        let square = far * far;
+        match self {
+            Self::Pinhole => far,
+            Self::Perspective { radial, .. } => {
+                let below = 1.0 + series(&radial[3..], square);
+                if below <= 0.0 {
+                    return f64::NAN;
+                }
+                far * (1.0 + series(&radial[..3], square)) / below
+            }
+            Self::Fisheye { radial } => far * (1.0 + series(radial, square)),
+        }
+    }
+
+    /// How far a ray may be off (r or θ) before the image folds over: beyond, another ray falls on the same place, and the
+    /// polynomial describes no lens.
+    #[must_use]
+    pub fn fold(&self) -> f64 {
+        let widest = match self {
+            Self::Pinhole => return f64::INFINITY,
+            Self::Perspective { .. } => WIDEST.tan(),
+            Self::Fisheye { .. } => WIDEST,
+        };
+        let at = |k: u32| widest * f64::from(k) / f64::from(SEARCH);
+        // NaN does not grow either.
+        let grows = |k: &u32| self.bent(at(*k + 1)) > self.bent(at(*k));
+        at((0..SEARCH).take_while(grows).count() as u32)
+    }
+
+    /// The ray that falls on (x, y), none where there is none before the image folds over (`fold`).
+    #[must_use]
+    pub fn undistort(&self, [x, y]: [f64; 2], fold: f64) -> Option<[f64; 2]> {
+        let r = x.hypot(y);
+        if *self == Self::Pinhole || r < 1e-12 {
+            return Some([x, y]);
+        }
+        // The radial part grows up to the fold: bisection cannot miss.
+        let (mut low, mut high) = (0.0, fold);
+        let reached = self.bent(fold) >= r;
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if self.bent(middle) < r {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        let far = 0.5 * (low + high);
+        if let Self::Fisheye { .. } = self {
+            return reached.then(|| [x * far.tan() / r, y * far.tan() / r]);
+        }
+        self.polish([x * far / r, y * far / r], [x, y], fold)
+    }
+
+    /// Newton's method from a ray that is right but for the tangential part.
+    fn polish(&self, [mut u, mut v]: [f64; 2], [x, y]: [f64; 2], fold: f64) -> Option<[f64; 2]> {
+        for _ in 0..STEPS {
+            let [a, b] = self.distort([u, v]);
+            let (dx, dy) = (a - x, b - y);
+            // Central differences: the step is a small part of what the functions vary over.
+            let h = 1e-6 * (1.0 + u.hypot(v));
+            let [[xu, yu], [xv, yv]] = [[h, 0.0], [0.0, h]].map(|[du, dv]| {
+                let [p, q] = self.distort([u + du, v + dv]);
+                let [r, s] = self.distort([u - du, v - dv]);
+                [(p - r) / (2.0 * h), (q - s) / (2.0 * h)]
+            });
+            let determinant = xu * yv - xv * yu;
+            if determinant <= 0.0 || !determinant.is_finite() {
+                return None;
+            }
+            let (su, sv) = (
+                (yv * dx - xv * dy) / determinant,
+                (xu * dy - yu * dx) / determinant,
+            );
+            (u, v) = (u - su, v - sv);
+            if su.hypot(sv) < 1e-12 * (1.0 + u.hypot(v)) {
+                return (u.hypot(v) <= fold).then_some([u, v]);
+            }
+        }
+        None
+    }
+}
+
+/// A photo's way from a lens to a pinhole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Undistortion {
+    lens: Lens,
+    fold: f64,
+    /// Intrinsics of the photo as it is.
+    source: Camera,
+    /// The pinhole camera; its pose is the source's.
+    pub target: Camera,
+}
+
+impl Undistortion {
+    /// For a photo of a lens, with its camera's intrinsics at the photo's own size. None where nothing of the lens's image
+    /// reaches one of the photo's borders, or what is left would be less than a fifth of a side.
+    #[must_use]
+    pub fn new(lens: Lens, source: &Camera) -> Option<Self> {
+        let (w, h) = (f64::from(source.width), f64::from(source.height));
+        let fold = lens.fold();
+        let place = |x: f64, y: f64| {
+            let point = [(x - source.cx) / source.fx, (y - source.cy) / source.fy];
+            let [u, v] = lens.undistort(point, fold)?;
+            Some([source.fx * u + source.cx, source.fy * v + source.cy])
+        };
+        // A border's least and largest place; what no ray falls on, as in the corners of a fisheye's photo, does not count.
+        let ends = |along: u32, at: &dyn Fn(f64) -> Option<[f64; 2]>, k: usize| {
+            let places = (0..along).filter_map(|i| at(f64::from(i) + 0.5));
+            let range = places.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], place| {
+                [low.min(place[k]), high.max(place[k])]
+            });
+            (range[0] <= range[1]).then_some(range)
+        };
+        let left = ends(source.height, &|y| place(0.5, y), 0)?;
+        let right = ends(source.height, &|y| place(w - 0.5, y), 0)?;
+        let top = ends(source.width, &|x| place(x, 0.5), 1)?;
+        let bottom = ends(source.width, &|x| place(x, h - 0.5), 1)?;
+        let side = |size: f64, center: f64, low: f64, high: f64| {
+            let scale = (center / (center - low)).max((size - 0.5 - center) / (high - center));
+            let scale = (1.0 / scale).min(SCALES.1);
+            (scale >= SCALES.0).then(|| (scale * size).max(1.0) as u32)
+        };
+        let width = side(w, source.cx, left[1], right[0])?;
+        let height = side(h, source.cy, top[1], bottom[0])?;
+        let target = Camera {
+            cx: source.cx * f64::from(width) / w,
+            cy: source.cy * f64::from(height) / h,
+            width,
+            height,
+            ..*source
+        };
+        Some(Self {
+            lens,
+            fold,
+            source: *source,
+            target,
+        })
+    }
+
+    /// Width and height of the photo as it is, pixels.
+    #[must_use]
+    pub fn source_size(&self) -> (u32, u32) {
+        (self.source.width, self.source.height)
+    }
+
+    /// The photo that the pinhole camera takes: `bytes` of `channels` interleaved channels with straight alpha, of the source's
+    /// size, bilinearly interpolated; the same of the target's size. Black, and transparent where there is alpha, beyond the photo.
+    #[must_use]
+    pub fn apply(&self, bytes: &[u8], channels: usize) -> Vec<u8> {
+        let width = self.target.width as usize;
+        let mut out = vec![0; width * self.target.height as usize * channels];
+        for (i, pixel) in out.chunks_exact_mut(channels.max(1)).enumerate() {
+            let place = self.source_of([(i % width) as f64 + 0.5, (i / width) as f64 + 0.5]);
+            if let Some(place) = place {
+                self.sample(bytes, place, pixel);
+            }
+        }
+        out
+    }
+
+    /// Where a place on the pinhole image lies on the photo, pixels; nowhere beyond the fold.
+    fn source_of(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
+        let (t, s) = (&self.target, &self.source);
+        let ray = [(x - t.cx) / t.fx, (y - t.cy) / t.fy];
+        let r = ray[0].hypot(ray[1]);
+        let far = match self.lens {
+            Lens::Fisheye { .. } => r.atan(),
+            _ => r,
+        };
+        let [u, v] = self.lens.distort(ray);
+        (far <= self.fold).then_some([s.fx * u + s.cx, s.fy * v + s.cy])
+    }
+
+    fn sample(&self, bytes: &[u8], [x, y]: [f64; 2], out: &mut [u8]) {
+        let (w, h) = (self.source.width as usize, self.source.height as usize);
+        let (x, y) = (x - 0.5, y - 0.5);
+        // NaN is within nothing.
+        let within = x >= -0.5 && y >= -0.5 && x <= w as f64 - 0.5 && y <= h as f64 - 0.5;
+        if !within {
+            return;
+        }
+        let axis = |at: f64, n: usize| {
+            let at = at.clamp(0.0, (n - 1) as f64);
+            let low = (at as usize).min(n.saturating_sub(2));
+            (low, (low + 1).min(n - 1), at - low as f64)
+        };
+        let ((x0, x1, fx), (y0, y1, fy)) = (axis(x, w), axis(y, h));
+        let corners = [
+            (x0, y0, (1.0 - fx) * (1.0 - fy)),
+            (x1, y0, fx * (1.0 - fy)),
+            (x0, y1, (1.0 - fx) * fy),
+            (x1, y1, fx * fy),
+        ];
+        let channels = out.len();
+        let mut sum = [0.0; 4];
+        let mut weights = 0.0;
+        for (x, y, weight) in corners {
+            let pixel = &bytes[(y * w + x) * channels..][..channels];
+            // Colours count as far as they are opaque.
+            let opaque = if channels == 4 {
+                f64::from(pixel[3]) / 255.0
+            } else {
+                1.0
+            };
+            for (s, v) in sum.iter_mut().zip(pixel).take(3) {
+                *s += weight * opaque * f64::from(*v);
+            }
+            weights += weight * opaque;
+        }
+        for (o, s) in out.iter_mut().zip(sum).take(3) {
+            *o = if weights > 0.0 {
+                (s / weights).round() as u8
+            } else {
+                0
+            };
+        }
+        if channels == 4 {
+            out[3] = (255.0 * weights).round().clamp(0.0, 255.0) as u8;
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! 8-bit photos, planar.
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::error::{Error, Result};
+
+/// What the alpha plane of photos says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Alpha {
+    /// Nothing: there is none.
+    #[default]
+    None,
+    /// How far the scene hides the background: a photo over b is `rgb + (1 − alpha)·b`.
+    Transparency,
+    /// Where the photo counts: render and photo are compared as far as it is 1.
+    Mask,
+}
+
+impl Alpha {
+    /// Planes of a photo: colour, and alpha if there is any.
+    #[must_use]
+    pub fn planes(self) -> usize {
+        if self == Self::None { 3 } else { 4 }
+    }
+}
+
+/// An 8-bit image, planar: `data[(c·height + y)·width + x]`. With 4 channels the colours are premultiplied by the alpha
+/// plane (channel 3), so that the photo over a background b is `rgb + (1 − alpha)·b`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Photo {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// 3 (RGB) or 4 (premultiplied RGBA).
+    pub channels: u32,
+    /// Whether the alpha plane is a mask and not transparency.
+    pub mask: bool,
+    /// Planes, `channels × height × width` bytes.
+    pub data: Vec<u8>,
+}
+
+impl Photo {
+    /// A photo from interleaved bytes `[height][width][channels]`, as image files have them: RGB, or RGBA with *straight*
+    /// alpha, which is multiplied into the colours here.
+    ///
+    /// # Errors
+    /// [`Error::Numerics`] for a channel count other than 3 or 4, a side of 0, or a length that is not
+    /// `width · height · channels`.
+    pub fn from_interleaved(width: u32, height: u32, channels: u32, bytes: &[u8]) -> Result<Self> {
+        let n = width as usize * height as usize;
+        let c = channels as usize;
+        if !(c == 3 || c == 4) || n == 0 || n.checked_mul(c) != Some(bytes.len()) {
+            return Err(Error::Numerics {
+                stage: "photo".into(),
+                what: format!(
+                    "{} bytes for {width}×{height} pixels of {channels} channels; width·height·channels expected, with 3 or 4 channels",
+                    bytes.len()
+                ),
+            });
+        }
+        let mut data = vec![0; bytes.len()];
+        for (i, pixel) in bytes.chunks_exact(c).enumerate() {
+            let alpha = if c == 4 { u32::from(pixel[3]) } else { 255 };
+            for (k, &v) in pixel.iter().enumerate() {
+                // Rounded to nearest; exact where alpha is 0 or 255.
+                data[k * n + i] = if k == 3 {
+                    v
+                } else {
+                    ((u32::from(v) * alpha + 127) / 255) as u8
+                };
+            }
+        }
+        Ok(Self {
+            width,
+            height,
+            channels,
+            mask: false,
+            data,
+        })
+    }
+
+    /// What the alpha plane says.
+    #[must_use]
+    pub fn alpha(&self) -> Alpha {
+        match (self.channels, self.mask) {
+            (4, true) => Alpha::Mask,
+            (4, false) => Alpha::Transparency,
+            _ => Alpha::None,
+        }
+    }
+
+    /// The alpha plane, if it is a mask.
+    pub(super) fn mask_plane(&self) -> Option<&[u8]> {
+        let pixels = self.width as usize * self.height as usize;
+        let plane = self.data.get(3 * pixels..4 * pixels);
+        plane.filter(|_| self.alpha() == Alpha::Mask)
+    }
+
+    /// What a render is compared with: interleaved RGB8, `[height][width][3]`. Over a background (RGB in [0, 1]) as far as the
+    /// photo is transparent; under a mask as far as it counts, whatever the background.
+    #[must_use]
+    pub fn rgb_over(&self, background: [f32; 3]) -> Vec<u8> {
+        let n = self.width as usize * self.height as usize;
+        let mut out = vec![0; 3 * n];
+        let transparency = self.alpha() == Alpha::Transparency;
+        let alpha = self.data.get(3 * n..4 * n).filter(|_| transparency);
+        for (c, (plane, b)) in self.data.chunks_exact(n.max(1)).zip(background).enumerate() {
+            for (i, &v) in plane.iter().enumerate() {
+                let behind = alpha.map_or(0.0, |a| f32::from(255 - a[i]) * b);
+                out[3 * i + c] = (f32::from(v) + behind).round().clamp(0.0, 255.0) as u8;
+            }
+        }
+        out
+    }
+
+    /// How far each pixel counts, in [0, 1]; empty without a mask.
+    #[must_use]
+    pub fn counts(&self) -> Vec<f32> {
+        counts(self.alpha(), &self.data)
+    }
+
+    /// A render (interleaved RGB8, of the photo's size) as far as the photo counts: what [`Photo::rgb_over`] is the
+    /// counterpart of.
+    #[must_use]
+    pub fn counted(&self, mut rgb: Vec<u8>) -> Vec<u8> {
+        for (pixel, m) in rgb.chunks_exact_mut(3).zip(self.counts()) {
+            for v in pixel {
+                *v = (f32::from(*v) * m).round() as u8;
+            }
+        }
+        rgb
+    }
+
+    /// The photo to look at: interleaved RGB8, as [`colors`] has it.
+    #[must_use]
+    pub fn shown(&self, background: [f32; 3]) -> Vec<u8> {
+        let planes = colors(self.alpha(), &self.data, background);
+        let n = self.width as usize * self.height as usize;
+        let pixel = |i: usize| [0, 1, 2].map(|c| (255.0 * planes[c][i]).round() as u8);
+        (0..n).flat_map(pixel).collect()
+    }
+
+    /// Gives a photo without an alpha plane an opaque one.
+    pub fn add_alpha(&mut self) {
+        if self.channels == 3 {
+            let n = self.width as usize * self.height as usize;
+            self.data.resize(4 * n, 255);
+            self.channels = 4;
+        }
+    }
+}
+
+/// How far each pixel of a photo's planes (as [`Photo`] has them) counts, in [0, 1]; empty without a mask.
+#[must_use]
+pub fn counts(alpha: Alpha, planes: &[u8]) -> Vec<f32> {
+    let pixels = planes.len() / alpha.planes();
+    let mask = planes.get(3 * pixels..).unwrap_or_default();
+    let value = |m: &u8| f32::from(*m) / 255.0;
+    let masked = alpha == Alpha::Mask;
+    mask.iter().filter(|_| masked).map(value).collect()
+}
+
+/// Red, green and blue in [0, 1] of a photo's planes (as [`Photo`] has them): over the background (RGB in [0, 1]) as far as it
+/// is transparent; under a mask as it is without one, but black where the mask leaves nothing.
+#[must_use]
+pub fn colors(alpha: Alpha, planes: &[u8], background: [f32; 3]) -> [Vec<f32>; 3] {
+    let n = planes.len() / alpha.planes();
+    let value = |plane: usize, i: usize| f32::from(planes[plane * n + i]) / 255.0;
+    let pixel = |c: usize, i: usize| match alpha {
+        Alpha::None => value(c, i),
+        Alpha::Transparency => value(c, i) + (1.0 - value(3, i)) * background[c],
+        Alpha::Mask if planes[3 * n + i] > 0 => (value(c, i) / value(3, i)).min(1.0),
+        Alpha::Mask => 0.0,
+    };
+    std::array::from_fn(|c| (0..n).map(|i| pixel(c, i)).collect())
+}

@@ -1,0 +1,352 @@
+//! `transforms*.json`: NeRF-synthetic (Blender) and nerfstudio / instant-ngp datasets.
+//!
+//! Format: <https://docs.nerf.studio/quickstart/data_conventions.html>. Matrices are camera-to-world in OpenGL axes
+//! (x right, y up, z back). `applied_transform` and depth maps are not used.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::base::error::{Error, Result};
+use crate::base::ply;
+use crate::capture::assemble::{RawScene, RawView, find_mask, inside, locate};
+use crate::capture::camera::Camera;
+use crate::capture::lens::Lens;
+use crate::capture::{Layout, decode};
+
+/// Remedy for a value that cannot be used.
+const CORRECT: &str = "correct the file";
+
+/// Coefficients of a fisheye lens, in order.
+const FISHEYE: [&str; 4] = ["k1", "k2", "k3", "k4"];
+/// Those of a perspective lens; the last three in `FULL_OPENCV` alone.
+const PERSPECTIVE: [&str; 8] = ["k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6"];
+/// All that a file may have.
+const COEFFICIENTS: [&str; 11] = [
+    "k1",
+    "k2",
+    "k3",
+    "k4",
+    "k5",
+    "k6",
+    "p1",
+    "p2",
+    "p3",
+    "p4",
+    "is_fisheye",
+];
+
+#[derive(Deserialize)]
+struct File {
+    frames: Vec<Frame>,
+    ply_file_path: Option<String>,
+    #[serde(flatten)]
+    lens: Intrinsics,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    file_path: String,
+    mask_path: Option<String>,
+    transform_matrix: Vec<Vec<f64>>,
+    #[serde(flatten)]
+    lens: Intrinsics,
+}
+
+/// Intrinsics; a frame's own win over the file's.
+#[derive(Deserialize)]
+struct Intrinsics {
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    camera_model: Option<String>,
+    #[serde(flatten)]
+    other: BTreeMap<String, Value>,
+}
+
+/// The transforms file to train from, if `root` has one.
+pub(super) fn find(root: &Path) -> Option<PathBuf> {
+    ["transforms_train.json", "transforms.json"]
+        .iter()
+        .map(|name| root.join(name))
+        .find(|file| file.is_file())
+}
+
+/// Reads `file`; next to a `transforms_train.json`, a `transforms_test.json` gives the held-out views.
+///
+/// # Errors
+/// Unreadable JSON, an unknown camera model, poses that are no rotation, paths that leave `root`.
+pub(super) fn load(root: &Path, file: &Path) -> Result<RawScene> {
+    let mut missing = Vec::new();
+    let (train, points) = read(root, file, &mut missing)?;
+    let held_out = root.join("transforms_test.json");
+    let named_split = file.ends_with("transforms_train.json") && held_out.is_file();
+    let test = if named_split {
+        Some(read(root, &held_out, &mut missing)?.0)
+    } else {
+        None
+    };
+    let (positions, colors) = match points {
+        Some(name) => ply::read_points(&inside(root, &name)?)?,
+        None => (Vec::new(), Vec::new()),
+    };
+    Ok(RawScene {
+        layout: Layout::Transforms,
+        train,
+        test,
+        missing,
+        positions,
+        colors,
+    })
+}
+
+/// The views of one file, and its `ply_file_path`; names of images that are not there are added to `missing`.
+fn read(
+    root: &Path,
+    file: &Path,
+    missing: &mut Vec<String>,
+) -> Result<(Vec<RawView>, Option<String>)> {
+    let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
+    let parsed: File = serde_json::from_slice(&text).map_err(|e| {
+        let fix = "a list `frames` with `file_path` and a 4×4 `transform_matrix` each is expected";
+        Error::input(file, e.to_string(), fix)
+    })?;
+    if parsed.frames.is_empty() {
+        return Err(Error::input(
+            file,
+            "no view in `frames`",
+            "list one frame per photo, with `file_path` and `transform_matrix`",
+        ));
+    }
+    let mut views = Vec::with_capacity(parsed.frames.len());
+    for frame in &parsed.frames {
+        let at = Place { file, frame };
+        let Some(image) = locate(root, &frame.file_path)? else {
+            missing.push(normal_name(&frame.file_path));
+            continue;
+        };
+        views.push(RawView {
+            name: normal_name(&frame.file_path),
+            camera: at.camera(&parsed.lens, &image)?,
+            lens: at.lens(&parsed.lens)?,
+            mask: at.mask(root)?,
+            file: image,
+        });
+    }
+    Ok((views, parsed.ply_file_path))
+}
+
+fn normal_name(name: &str) -> String {
+    name.trim_start_matches("./").to_string()
+}
+
+/// A frame of a file, for messages.
+struct Place<'a> {
+    file: &'a Path,
+    frame: &'a Frame,
+}
+
+impl Place<'_> {
+    fn bad(&self, what: &str, fix: &str) -> Error {
+        let what = format!("frame {}: {what}", self.frame.file_path);
+        Error::input(self.file, what, fix)
+    }
+
+    /// The file that the frame names as its mask, or one in the folder `masks`.
+    fn mask(&self, root: &Path) -> Result<Option<PathBuf>> {
+        let Some(name) = &self.frame.mask_path else {
+            return Ok(find_mask(root, &self.frame.file_path));
+        };
+        let found = locate(root, name)?;
+        if found.is_none() {
+            let what = format!("its mask {name} is not there");
+            return Err(self.bad(&what, "copy the mask to its place, or remove mask_path"));
+        }
+        Ok(found)
+    }
+
+    /// Distortion from the frame, then the file; zero where neither says.
+    fn lens(&self, file: &Intrinsics) -> Result<Lens> {
+        let own = &self.frame.lens;
+        let own_or_file = |key: &str| {
+            let all = [own, file].into_iter().filter_map(|i| i.other.get(key));
+            all.into_iter().find(|v| !v.is_null())
+        };
+        let value = |key: &str| -> Result<f64> {
+            match own_or_file(key) {
+                None | Some(Value::Bool(false)) => Ok(0.0),
+                Some(Value::Bool(true)) => Ok(1.0),
+                Some(v) => v
+                    .as_f64()
+                    .filter(|k| k.is_finite())
+                    .ok_or_else(|| self.bad(&format!("{key} = {v}; a number expected"), CORRECT)),
+            }
+        };
+        let fix = "undistort the photos first (colmap image_undistorter, for example)";
+        let model = own.camera_model.as_deref().or(file.camera_model.as_deref());
+        let used: &[&str] = match model {
+            Some("OPENCV_FISHEYE" | "FISHEYE") => &FISHEYE,
+            None | Some("OPENCV") if value("is_fisheye")? != 0.0 => &FISHEYE,
+            None | Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "SIMPLE_RADIAL" | "RADIAL") => {
+                &PERSPECTIVE[..5]
+            }
+            Some("FULL_OPENCV") => &PERSPECTIVE,
+            Some(other) => {
+                let what = format!("the camera model {other} is not read");
+                return Err(self.bad(&what, fix));
+            }
+        };
+        let fisheye = used == FISHEYE;
+        for key in COEFFICIENTS {
+            let v = value(key)?;
+            let right = used.contains(&key) || (fisheye && key == "is_fisheye");
+            if v != 0.0 && !right {
+                let what = format!("{key} = {v} has no place in this camera model");
+                return Err(self.bad(&what, fix));
+            }
+        }
+        let k = used
+            .iter()
+            .map(|n| value(n))
+            .collect::<Result<Vec<f64>>>()?;
+        let at = |i: usize| k.get(i).copied().unwrap_or(0.0);
+        let lens = if fisheye {
+            Lens::Fisheye {
+                radial: std::array::from_fn(at),
+            }
+        } else {
+            Lens::Perspective {
+                radial: [at(0), at(1), at(2), at(5), at(6), at(7)],
+                tangential: [at(3), at(4)],
+            }
+        };
+        Ok(lens.simplified())
+    }
+
+    /// Intrinsics from the frame, then the file, then defaults: the image's size, its centre, fy = fx.
+    fn camera(&self, file: &Intrinsics, image: &Path) -> Result<Camera> {
+        let own = &self.frame.lens;
+        let (width, height) = match (own.w.or(file.w), own.h.or(file.h)) {
+            (Some(w), Some(h)) => (self.pixels("w", w)?, self.pixels("h", h)?),
+            _ => {
+                let header = decode::header(image)?;
+                (header.width, header.height)
+            }
+        };
+        let (w, h) = (f64::from(width), f64::from(height));
+        let from_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());
+        // A frame's field of view wins over the file's focal length, hence frame by frame.
+        let focal_x = |l: &Intrinsics| l.fl_x.or(l.camera_angle_x.map(|a| from_angle(w, a)));
+        let focal_y = |l: &Intrinsics| l.fl_y.or(l.camera_angle_y.map(|a| from_angle(h, a)));
+        let Some(fx) = focal_x(own).or_else(|| focal_x(file)) else {
+            return Err(self.bad(
+                "neither fl_x nor camera_angle_x is given",
+                "add one of them",
+            ));
+        };
+        let own_fy = focal_y(own).or_else(|| focal_x(own));
+        let fy = own_fy.or_else(|| focal_y(file)).unwrap_or(fx);
+        let cx = own.cx.or(file.cx).unwrap_or(w / 2.0);
+        let cy = own.cy.or(file.cy).unwrap_or(h / 2.0);
+        let good = fx > 0.0 && fy > 0.0 && [fx, fy, cx, cy].iter().all(|v| v.is_finite());
+        if !good || width == 0 || height == 0 {
+            let what = format!(
+                "{width}×{height} pixels with focal lengths {fx}, {fy} and principal point {cx}, {cy}; positive sizes and focal lengths expected"
+            );
+            return Err(self.bad(&what, CORRECT));
+        }
+        let (rotation, center) = self.pose()?;
+        Ok(Camera {
+            rotation,
+            translation: -(rotation * center),
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        })
+    }
+
+    fn pixels(&self, key: &str, value: f64) -> Result<u32> {
+        if (1.0..=1e6).contains(&value) && value.fract() == 0.0 {
+            return Ok(value as u32);
+        }
+        let what = format!("{key} = {value}; a whole number of pixels expected");
+        Err(self.bad(&what, CORRECT))
+    }
+
+    /// World-to-camera rotation in OpenCV axes, and the camera's centre. Columns are normalised, which undoes the scale of
+    /// a scaled camera object; what is then no rotation within 1 % is refused.
+    fn pose(&self) -> Result<(DMat3, DVec3)> {
+        let m = &self.frame.transform_matrix;
+        let shaped = (m.len() == 3 || m.len() == 4) && m.iter().all(|row| row.len() == 4);
+        if !shaped {
+            let what = "transform_matrix is not 4×4 (or 3×4)";
+            return Err(self.bad(what, CORRECT));
+        }
+        let column = |k: usize| DVec3::new(m[0][k], m[1][k], m[2][k]);
+        let [x, y, z] = [column(0), -column(1), -column(2)].map(DVec3::normalize_or_zero);
+        let center = column(3);
+        let raw = DMat3::from_cols(x, y, z);
+        let rigid = (raw.determinant() - 1.0).abs() < 0.01;
+        if !rigid || !center.is_finite() {
+            let what = format!(
+                "transform_matrix is no rigid pose (determinant of its axes {}, centre {center})",
+                raw.determinant()
+            );
+            return Err(self.bad(&what, CORRECT));
+        }
+        // Gram–Schmidt from the viewing axis; files with few digits are off by their rounding.
+        let x = (x - z * x.dot(z)).normalize();
+        let y = z.cross(x);
+        Ok((DMat3::from_cols(x, y, z).transpose(), center))
+    }
+}
+
+/// Writes a nerfstudio-style transforms file for cameras in the dataset's frame, named by image path relative to the
+/// file's folder; `points` is the relative path of a PLY with sparse points. Every frame carries its own intrinsics.
+///
+/// # Errors
+/// [`Error::Numerics`] for numbers that are not finite, [`Error::Io`] where the system refuses.
+pub fn write_transforms(
+    file: &Path,
+    views: &[(String, Camera)],
+    points: Option<&str>,
+) -> Result<()> {
+    let mut frames = Vec::with_capacity(views.len());
+    for (name, camera) in views {
+        let c = camera.center();
+        let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
+        let intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
+        if !c.is_finite()
+            || !camera.rotation.is_finite()
+            || intrinsics.iter().any(|v| !v.is_finite())
+        {
+            return Err(Error::Numerics {
+                stage: "transforms".into(),
+                what: format!("the camera of {name} is not finite"),
+            });
+        }
+        let row = |k: usize, c: f64| json!([x[k], -y[k], -z[k], c]);
+        frames.push(json!({
+            "file_path": name,
+            "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
+            "w": camera.width, "h": camera.height,
+            "transform_matrix": [row(0, c.x), row(1, c.y), row(2, c.z), json!([0.0, 0.0, 0.0, 1.0])],
+        }));
+    }
+    let mut root = json!({ "frames": frames });
+    if let Some(points) = points {
+        root["ply_file_path"] = json!(points);
+    }
+    std::fs::write(file, format!("{root:#}")).map_err(|e| Error::io(file, e))
+}

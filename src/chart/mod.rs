@@ -1,0 +1,7 @@
+//! Charts and the text on pages.
+
+pub mod bars;
+pub mod loglog;
+pub mod svg;
+pub mod text;
+pub mod ticks;

@@ -1,0 +1,60 @@
+//! Numbers, durations and text as pages and charts show them.
+
+/// `text` with the characters replaced that mean something in HTML text or a quoted attribute.
+#[must_use]
+pub fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            // Other control characters are not allowed in HTML, whichever way they are spelt.
+            c if c.is_control() && c != '\n' && c != '\t' => out.push('\u{fffd}'),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+/// `value` in groups of three digits, set apart by narrow no-break spaces.
+#[must_use]
+pub fn grouped(value: u64) -> String {
+    let digits = value.to_string();
+    let mut out = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            out.push('\u{202f}');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+/// Seconds as `12.3 s`, `4 min 05 s` or `1 h 07 min`; a dash where they are not a finite span.
+#[must_use]
+pub fn span(seconds: f64) -> String {
+    if !(seconds.is_finite() && seconds >= 0.0) {
+        return "–".to_owned();
+    }
+    // Judged as it will be shown, so that 119.96 is not "120.0 s" and 7199.7 not "120 min 00 s".
+    let whole = seconds.round() as u64;
+    match whole {
+        0..=9 => format!("{seconds:.2} s"),
+        10..=119 => format!("{seconds:.1} s"),
+        120..=7199 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+/// A number with `decimals` places, a dash where it is not finite.
+#[must_use]
+pub fn fixed(value: f64, decimals: usize) -> String {
+    if value.is_finite() {
+        format!("{value:.decimals$}").replace('-', "−")
+    } else {
+        "–".to_owned()
+    }
+}

@@ -1,0 +1,79 @@
+//! `mhsplat bench`.
+
+use std::path::PathBuf;
+
+use crate::cli::{Common, Outcome, output};
+use mhsplat::base::error::{Error, Result};
+use mhsplat::device::Device;
+use mhsplat::lab::bench;
+use mhsplat::lab::bench::{Options, Outcome as Measured};
+use mhsplat::lab::folder::check_folder;
+
+/// Arguments.
+#[derive(clap::Args)]
+pub struct BenchArgs {
+    /// 10k, 100k, 500k and 1M Gaussians at 400, 800 and 1600 pixels each.
+    #[arg(long)]
+    full: bool,
+    /// Measure a trained scene, too, seen from a circle around it.
+    #[arg(long, value_name = "FILE.ply")]
+    scene: Option<PathBuf>,
+    /// Folder for bench.json, bench.csv, bench.md and bench.html; must be empty or not exist.
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// N@PX, one or more, in a hurry: shows that everything works, measures nothing.
+    #[arg(long, hide = true, value_parser = brief_case, value_delimiter = ',', conflicts_with = "full")]
+    brief: Vec<(usize, u32)>,
+}
+
+fn brief_case(text: &str) -> std::result::Result<(usize, u32), String> {
+    let numbers = text.split_once('@');
+    numbers
+        .and_then(|(n, px)| Some((n.parse().ok()?, px.parse().ok()?)))
+        .filter(|(n, px): &(usize, u32)| *n > 0 && (1..=4096).contains(px))
+        .ok_or_else(|| "N@PX expected".into())
+}
+
+/// Measures one device, or all of them with --device all.
+pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
+    if let Some(dir) = &args.output {
+        check_folder(dir)?;
+    }
+    let options = Options {
+        scene: args.scene.clone(),
+        ..match (args.brief.as_slice(), args.full) {
+            ([], true) => Options::full(),
+            ([], false) => Options::default(),
+            (cases, _) => Options::brief(cases.to_vec()),
+        }
+    };
+    let mut note = |text: &str| output::note(text);
+    let outcomes = match common.device.as_deref() {
+        Some("all") => {
+            let all = Device::list()?.into_iter();
+            let devices: Vec<_> = all.map(|d| (d.name, Some(d.index.to_string()))).collect();
+            bench::run_all(&devices, crate::cli::open_device, &options, &mut note)
+        }
+        one => {
+            let record = bench::run(&crate::cli::open_device(one)?, &options, &mut note)?;
+            vec![Measured::Done(Box::new(record))]
+        }
+    };
+    if let Some(dir) = &args.output {
+        bench::write_folder(dir, &outcomes)?;
+    }
+    if common.json {
+        output::line(&bench::json(&outcomes)?);
+    } else {
+        output::line(&bench::markdown(&outcomes));
+    }
+    let failed = |o: &Measured| matches!(o, Measured::Failed { .. });
+    if outcomes.iter().all(failed) {
+        return Err(Error::device(
+            "bench",
+            "no device could be measured",
+            "see why above, and `mhsplat devices`",
+        ));
+    }
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,80 @@
+//! `mhsplat synth`.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+
+use crate::cli::{Common, Outcome, output};
+use mhsplat::base::error::{Error, Result};
+use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
+
+#[derive(Clone, Copy, ValueEnum)]
+enum LayoutFlag {
+    /// images/ and sparse/0/*.bin
+    Colmap,
+    /// images/ and sparse/0/*.txt
+    ColmapTxt,
+    /// transforms_train.json and transforms_test.json
+    Transforms,
+}
+
+/// Arguments.
+#[derive(clap::Args)]
+pub struct SynthArgs {
+    /// Scene: room or object.
+    name: String,
+    /// Folder to write; must not exist or be empty.
+    dir: PathBuf,
+    /// Layout of the files [default: colmap for room, transforms for object]
+    #[arg(long, value_enum)]
+    layout: Option<LayoutFlag>,
+    /// Views, held-out ones included [default: 64]
+    #[arg(long)]
+    views: Option<u32>,
+    /// Image size, WIDTHxHEIGHT pixels.
+    #[arg(long, value_name = "WxH")]
+    size: Option<String>,
+    /// Sparse points.
+    #[arg(long)]
+    points: Option<u32>,
+    /// Seed.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Rays per pixel.
+    #[arg(long)]
+    samples: Option<u32>,
+}
+
+/// Makes the scene.
+pub fn run(args: &SynthArgs, common: &Common) -> Result<Outcome> {
+    let mut options = SynthOptions::for_scene(&args.name);
+    if let Some(layout) = args.layout {
+        options.layout = match layout {
+            LayoutFlag::Colmap => SynthLayout::Colmap,
+            LayoutFlag::ColmapTxt => SynthLayout::ColmapTxt,
+            LayoutFlag::Transforms => SynthLayout::Transforms,
+        };
+    }
+    if let Some(size) = &args.size {
+        let wrong = || {
+            Error::config(
+                "--size",
+                format!("{size:?}; WIDTHxHEIGHT expected, like 256x192"),
+            )
+        };
+        let (w, h) = size.split_once('x').ok_or_else(wrong)?;
+        options.width = w.parse().map_err(|_| wrong())?;
+        options.height = h.parse().map_err(|_| wrong())?;
+    }
+    options.views = args.views.unwrap_or(options.views);
+    options.points = args.points.unwrap_or(options.points);
+    options.seed = args.seed.unwrap_or(options.seed);
+    options.samples = args.samples.unwrap_or(options.samples);
+    let report = generate(&args.name, &args.dir, &options)?;
+    if common.json {
+        output::json(&report)?;
+    } else {
+        output::line(&format!("{} written to {}", args.name, args.dir.display()));
+    }
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,79 @@
+//! `mhsplat verify`.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+
+use crate::cli::{Common, Outcome, output};
+use mhsplat::base::error::{Error, Result};
+use mhsplat::device::Device;
+use mhsplat::lab::folder::check_folder;
+use mhsplat::lab::verify::page::{json, markdown, write_folder};
+use mhsplat::lab::verify::stress::stress;
+use mhsplat::lab::verify::{Verification, quick, tiny};
+
+/// Which cases.
+#[derive(Clone, Copy, ValueEnum)]
+enum Suite {
+    /// Three scenes of two tiles, for interpreters of kernels.
+    Tiny,
+    /// A few small scenes.
+    Quick,
+    /// Stiff and extreme cases: the error against the stiffness.
+    Stress,
+}
+
+/// Arguments.
+#[derive(clap::Args)]
+pub struct VerifyArgs {
+    /// Which cases.
+    #[arg(long, value_enum, default_value = "quick")]
+    suite: Suite,
+    /// Folder for verify.html, verify.json and verify.md; must be empty or not exist.
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+}
+
+/// Checks one device, or all of them with --device all.
+pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
+    if let Some(dir) = &args.output {
+        check_folder(dir)?;
+    }
+    let suite = match args.suite {
+        Suite::Tiny => tiny,
+        Suite::Quick => quick,
+        Suite::Stress => stress,
+    };
+    let selectors: Vec<Option<String>> = match common.device.as_deref() {
+        Some("all") => Device::list()?
+            .iter()
+            .map(|d| Some(d.index.to_string()))
+            .collect(),
+        other => vec![other.map(str::to_owned)],
+    };
+    let results = selectors
+        .iter()
+        .map(|s| suite(&crate::cli::open_device(s.as_deref())?))
+        .collect::<Result<Vec<Verification>>>()?;
+    if let Some(dir) = &args.output {
+        write_folder(dir, &results)?;
+    }
+    if common.json {
+        output::line(&json(&results)?);
+    } else {
+        output::line(&markdown(&results));
+    }
+    if results.is_empty() {
+        return Err(Error::device(
+            "verify",
+            "no device",
+            "see `mhsplat devices`",
+        ));
+    }
+    let failed: usize = results.iter().map(|r| r.failed).sum();
+    Ok(if failed == 0 {
+        Outcome::Done
+    } else {
+        Outcome::Missed
+    })
+}

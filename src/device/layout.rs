@@ -1,0 +1,175 @@
+//! Types that cross the border to the device: `repr(C)` twins of the structs in `kernels/common.clh` and `edit.cl`.
+//! Their sizes and offsets are compared with the device's in the tests.
+
+use std::fmt::Debug;
+
+use ocl::core::OclPrm;
+
+use crate::capture::Camera;
+
+/// A type that device arrays can hold.
+pub trait Element: OclPrm {
+    /// Its name in OpenCL C.
+    const NAME: &'static str;
+}
+
+macro_rules! element {
+    ($($t:ty => $name:literal),*) => { $(impl Element for $t { const NAME: &'static str = $name; })* };
+}
+element!(f32 => "float", f64 => "double", u32 => "uint", i32 => "int", u8 => "uchar");
+
+/// The kernels' `real`: f32, or f64 for the checks against the reference.
+pub trait Real: Element + Into<f64> {
+    /// Whether the kernels are built with REAL_IS_DOUBLE.
+    const IS_DOUBLE: bool;
+    /// Rounds from f64.
+    fn of(v: f64) -> Self;
+}
+
+impl Real for f32 {
+    const IS_DOUBLE: bool = false;
+    fn of(v: f64) -> Self {
+        v as f32
+    }
+}
+
+impl Real for f64 {
+    const IS_DOUBLE: bool = true;
+    fn of(v: f64) -> Self {
+        v
+    }
+}
+
+/// A projected Gaussian (`Record` in `kernels/common.clh`).
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Record<R> {
+    /// Mean x, pixels.
+    pub x: R,
+    /// Mean y, pixels.
+    pub y: R,
+    /// ½·log2(e)·Σ′yy/det Σ′, 1/pixel².
+    pub a: R,
+    /// Σ′xy/Σ′yy.
+    pub r: R,
+    /// ½·log2(e)/Σ′yy, 1/pixel².
+    pub c: R,
+    /// log2 of the opacity.
+    pub lo: R,
+    /// Colour.
+    pub rgb: [R; 3],
+    /// Camera z, local units.
+    pub depth: R,
+    /// Inclusive pixel bounds in x, low 16 bits first, high 16 bits last.
+    pub bx: u32,
+    /// Inclusive pixel bounds in y, likewise.
+    pub by: u32,
+}
+
+/// A camera (`Camera` in `kernels/common.clh`).
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct CameraArg<R> {
+    /// Rotation scene → camera, row major.
+    pub w: [R; 9],
+    /// Translation, local units.
+    pub t: [R; 3],
+    /// Centre of projection, local units.
+    pub center: [R; 3],
+    /// fx, fy, cx, cy, pixels.
+    pub intrinsics: [R; 4],
+    /// x/z and y/z (min, max, min, max) inside which the affine approximation is trusted.
+    pub limits: [R; 4],
+    /// Near plane, local units.
+    pub near: R,
+    /// Width and height, pixels.
+    pub size: [i32; 2],
+    /// Tiles in x and y.
+    pub tiles: [i32; 2],
+}
+
+impl<R: Real> CameraArg<R> {
+    /// The field of view is widened by 30 % on each side, as in 3DGS (with the principal point taken into account).
+    #[must_use]
+    pub fn new(camera: &Camera, near: f64) -> Self {
+        let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+        let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
+        let (mx, my) = (0.3 * w / (2.0 * fx), 0.3 * h / (2.0 * fy));
+        let rows = camera.rotation.transpose().to_cols_array();
+        let tile = crate::base::constants::TILE;
+        Self {
+            w: rows.map(R::of),
+            t: camera.translation.to_array().map(R::of),
+            center: camera.center().to_array().map(R::of),
+            intrinsics: [fx, fy, cx, cy].map(R::of),
+            limits: [
+                -cx / fx - mx,
+                (w - cx) / fx + mx,
+                -cy / fy - my,
+                (h - cy) / fy + my,
+            ]
+            .map(R::of),
+            near: R::of(near),
+            size: [camera.width as i32, camera.height as i32],
+            tiles: [
+                camera.width.div_ceil(tile) as i32,
+                camera.height.div_ceil(tile) as i32,
+            ],
+        }
+    }
+
+    /// The camera of the photo that the shrink stage makes: the same pixel grid, `factor` times coarser (1: as it is).
+    #[must_use]
+    pub fn shrunk(&self, factor: usize) -> Self {
+        let size = self.size.map(|s| s / factor as i32);
+        Self {
+            intrinsics: self.intrinsics.map(|v| R::of(v.into() / factor as f64)),
+            size,
+            tiles: size.map(|s| (s as u32).div_ceil(crate::base::constants::TILE) as i32),
+            ..*self
+        }
+    }
+
+    /// Number of tiles.
+    #[must_use]
+    pub fn tile_count(&self) -> usize {
+        (self.tiles[0] * self.tiles[1]) as usize
+    }
+}
+
+/// A row to write (`Edit` in `kernels/edit.cl`).
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct EditRow {
+    /// Row to copy from.
+    pub src: u32,
+    /// Row to write.
+    pub dst: u32,
+    /// Position, local units.
+    pub position: [f32; 3],
+    /// Log-scale.
+    pub log_scale: [f32; 3],
+    /// Opacity logit.
+    pub opacity_logit: f32,
+    /// Whether `color` replaces the SH coefficients of `src`.
+    pub colored: u32,
+    /// SH coefficients of band 0.
+    pub color: [f32; 3],
+}
+
+// SAFETY: plain old data, any bit pattern is a value, no padding that is read.
+unsafe impl<R: Real> OclPrm for Record<R> {}
+// SAFETY: as above.
+unsafe impl<R: Real> OclPrm for CameraArg<R> {}
+// SAFETY: as above.
+unsafe impl OclPrm for EditRow {}
+
+impl<R: Real> Element for Record<R> {
+    const NAME: &'static str = "Record";
+}
+impl<R: Real> Element for CameraArg<R> {
+    const NAME: &'static str = "Camera";
+}
+impl Element for EditRow {
+    const NAME: &'static str = "Edit";
+}

@@ -1,0 +1,178 @@
+//! Constants that only the device side knows, and the sizes that depend on the class of device.
+
+pub use crate::base::constants::{
+    ALPHA_MAX, ALPHA_MIN, COLOR_MAX, FILTER_CHUNKS, FILTER_MARGIN, FILTER_VARIANCE, LOG_SCALE,
+    LOSS_ROWS, NEAR, PEAK_CHAINS, SHRINK_RUN, SSIM_C, SSIM_SIGMA, SSIM_TAPS, STAGE, SUMS, T_MIN,
+    TILE, TILE_SLACK,
+};
+
+use serde::{Deserialize, Serialize};
+
+use crate::device::context::{DeviceInfo, DeviceKind};
+
+/// Key of a Gaussian that is not visible.
+pub const KEY_CULLED: u32 = u32::MAX;
+
+/// Slots of the device's status array.
+pub mod status {
+    /// Visible Gaussians.
+    pub const VISIBLE: u32 = 0;
+    /// Pairs (0 after an overflow).
+    pub const PAIRS: u32 = 1;
+    /// Pairs needed when they did not fit; sticky until the host clears it.
+    pub const OVERFLOW: u32 = 2;
+    /// Gradient values that were not finite.
+    pub const NON_FINITE: u32 = 3;
+    /// Number of slots.
+    pub const SLOTS: usize = 8;
+}
+
+/// How kernels are cut for a device. The defaults of its class were measured for CPUs and are conservative for GPUs; a
+/// choice for the device at hand is measured by [`crate::lab::tune`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Tuning {
+    /// Lanes of realV.
+    pub vector_width: u32,
+    /// Width of a block of `vector_width` pixels.
+    pub block_width: u32,
+    /// A work-group per tile instead of a work-item per tile.
+    pub group_style: bool,
+    /// Gaussians per group of the kernels that take them one by one or by vectors.
+    pub local: usize,
+    /// Chunks of the scan and sort kernels.
+    pub chunks: usize,
+    /// Bits per radix pass.
+    pub radix_bits: u32,
+    /// Columns per strip of the loss kernels.
+    pub strip: u32,
+    /// Gaussians whose gradients are computed and used before the next ones; a multiple of 16.
+    pub update_block: usize,
+}
+
+impl Tuning {
+    /// Explicit vectors, a work-item per tile: for CPUs.
+    pub const CPU: Self = Self {
+        vector_width: 16,
+        block_width: 4,
+        group_style: false,
+        local: 64,
+        chunks: 16,
+        radix_bits: 12,
+        strip: 400,
+        update_block: 8192,
+    };
+
+    /// One pixel per work-item, a work-group per tile: for GPUs.
+    pub const GPU: Self = Self {
+        vector_width: 1,
+        block_width: 1,
+        group_style: true,
+        local: 128,
+        chunks: 2048,
+        radix_bits: 4,
+        strip: 8,
+        update_block: 1 << 18,
+    };
+
+    /// The default for a device.
+    #[must_use]
+    pub fn for_device(info: &DeviceInfo) -> Self {
+        match info.kind {
+            DeviceKind::Cpu if info.vector_width < 16 && info.vector_width > 0 => Self {
+                vector_width: 8,
+                ..Self::CPU
+            },
+            DeviceKind::Cpu => Self::CPU,
+            // Too small for a work-group per tile: one pixel at a time, slow but right.
+            _ if info.max_work_group < (TILE * TILE) as usize => Self {
+                group_style: false,
+                local: info.max_work_group.clamp(1, Self::GPU.local),
+                ..Self::GPU
+            },
+            _ => Self::GPU,
+        }
+    }
+
+    /// What is wrong with these sizes for a device, if anything: no kernel is built with such.
+    #[must_use]
+    pub fn fault(&self, info: &DeviceInfo) -> Option<&'static str> {
+        let Self {
+            vector_width: lanes,
+            block_width: block,
+            ..
+        } = *self;
+        let tile = TILE as usize;
+        let checks = [
+            (
+                matches!(lanes, 1 | 4 | 8 | 16),
+                "vector-width is 1, 4, 8 or 16",
+            ),
+            (
+                block > 0
+                    && lanes.is_multiple_of(block)
+                    && matches!(lanes / block, 1 | 2 | 4)
+                    && TILE.is_multiple_of(block)
+                    && (block > 1 || lanes == 1),
+                "a block is one, two or four rows of block-width pixels and holds vector-width of them",
+            ),
+            (
+                !self.group_style || lanes == 1,
+                "group-style goes with vector-width 1",
+            ),
+            (
+                !self.group_style || info.max_work_group >= tile * tile,
+                "the device has no room for a work-group per tile",
+            ),
+            (
+                (1..=info.max_work_group).contains(&self.local),
+                "local is between 1 and the device's largest work-group",
+            ),
+            (
+                (1..=1 << 16).contains(&self.chunks),
+                "chunks is between 1 and 65536",
+            ),
+            (
+                (1..=16).contains(&self.radix_bits),
+                "radix-bits is between 1 and 16",
+            ),
+            (
+                self.strip > 0 && self.strip.is_multiple_of(lanes.max(1)) && self.strip <= 4096,
+                "strip is a multiple of vector-width, up to 4096",
+            ),
+            (
+                self.update_block > 0 && self.update_block.is_multiple_of(16),
+                "update-block is a multiple of 16",
+            ),
+        ];
+        checks
+            .into_iter()
+            .find(|(good, _)| !good)
+            .map(|(_, what)| what)
+    }
+
+    /// Local size of kernels in which a work-item takes a vector of Gaussians.
+    #[must_use]
+    pub fn lane_local(&self) -> usize {
+        (self.local / self.vector_width as usize).max(1)
+    }
+
+    /// Gaussians whose scattered records a work-item of the bin stage fetches together: enough to have their cache misses
+    /// at the same time on a CPU; a GPU has its other work-items for that.
+    #[must_use]
+    pub fn batch(&self) -> usize {
+        if self.group_style { 1 } else { STAGE as usize }
+    }
+
+    /// Local size of kernels with a work-item per batch.
+    #[must_use]
+    pub fn batch_local(&self) -> usize {
+        if self.group_style { self.local } else { 1 }
+    }
+
+    /// Local size of kernels with a work-item per tile or per chunk.
+    #[must_use]
+    pub fn coarse_local(&self) -> usize {
+        if self.group_style { 32 } else { 1 }
+    }
+}

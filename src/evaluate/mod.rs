@@ -1,0 +1,212 @@
+//! PSNR, SSIM and ꟻLIP of rendered views against their photos (after clamping to [0, 1]; mean over RGB).
+//!
+//! With a mask m in [0, 1] render x and photo y are compared as m·x and m·y, so that nothing that lies under a mask changes a
+//! score. PSNR is that of the mean squared error Σ (m·x − m·y)² / Σ m; SSIM and ꟻLIP are the means of their maps over the
+//! pixels that count, Σ m·s / Σ m. A window reaches past the mask's edge, where both pictures are black and agree.
+
+pub mod color;
+pub mod flip;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::error::Result;
+use crate::device::{Array, Defines, Device, Kernels};
+use crate::pipeline::buffers::{Scene, ViewSet};
+use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::pipeline::stage::metrics::Metrics;
+
+/// Scores of one held-out view.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct ViewScore {
+    /// Name of the view.
+    pub view: String,
+    /// PSNR in dB.
+    pub psnr: f64,
+    /// SSIM.
+    pub ssim: f64,
+    /// ꟻLIP, 0 (equal) to 1; taken at the end of a run and by `eval` only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flip: Option<f64>,
+    /// PSNR in dB after an affine fit of the render's colours to the photo's; at the end of a run that compensates exposure.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cc_psnr: Option<f64>,
+    /// SSIM after that fit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cc_ssim: Option<f64>,
+}
+
+/// PSNR of two equal images (mean squared error below 1e-10).
+pub const MAX_PSNR: f64 = 100.0;
+
+/// Scores views with the metrics and loss stages.
+#[derive(Debug)]
+pub struct Evaluator {
+    views: ViewSet,
+    metrics: Metrics,
+    loss: Loss,
+    maps: Array<f32>,
+    partial: Array<f32>,
+    rows: Array<f32>,
+}
+
+impl Evaluator {
+    /// Takes the views to score. `defines` must be the renderer's.
+    ///
+    /// # Errors
+    /// A build failure, or more than the device can allocate.
+    pub fn new(device: &Device, defines: Defines, views: ViewSet) -> Result<Self> {
+        let kernels = Kernels::new(
+            device,
+            Defines {
+                alpha: views.alpha,
+                ..defines
+            },
+        );
+        let loss = Loss::new::<f32>(&kernels)?;
+        let [w, h] = views.largest;
+        let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
+        Ok(Self {
+            metrics: Metrics::new::<f32>(&kernels)?,
+            maps: Array::zeros(device, "error maps", 2 * plane)?,
+            partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
+            rows: Array::zeros(device, "score", 3 * h)?,
+            loss,
+            views,
+        })
+    }
+
+    /// The views.
+    #[must_use]
+    pub fn views(&self) -> &ViewSet {
+        &self.views
+    }
+
+    /// Renders and scores one view; none where no pixel of it counts. The clamped image stays in the renderer. `next` are the views
+    /// to be scored after it.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`] and [`ViewSet::photo`].
+    pub fn score(
+        &self,
+        view: usize,
+        next: &[usize],
+        scene: &Scene,
+        renderer: &mut Renderer,
+        background: [f32; 3],
+    ) -> Result<Option<ViewScore>> {
+        let photo = self.views.photo(view, next)?;
+        let camera = &self.views.cameras[view];
+        let options = RenderOptions {
+            sh_degree: scene.sh_degree,
+            background,
+            quantity: Quantity::Color,
+            live_only: false,
+        };
+        renderer.render(scene, camera, &options)?;
+        let size = size_of_image(camera);
+        let pair = ImagePair {
+            image: &renderer.frame.image,
+            photo: &photo,
+            background,
+            size,
+            blank: None,
+        };
+        let [psnr, ssim, counted] = self.measure(&pair)?;
+        let score = ViewScore {
+            view: self.views.names[view].clone(),
+            psnr,
+            ssim,
+            ..ViewScore::default()
+        };
+        Ok((counted > 0.0).then_some(score))
+    }
+
+    /// PSNR and SSIM of an image, which is clamped in place, and how many pixels count. Where nothing counts nothing differs.
+    fn measure(&self, pair: &ImagePair<'_, f32>) -> Result<[f64; 3]> {
+        self.metrics.run(pair, &self.rows)?;
+        self.loss.errors(pair, &self.maps, &self.partial)?;
+        self.metrics.dissimilarity(pair, &self.maps, &self.rows)?;
+        let h = pair.size[1];
+        let rows = self.rows.read(0, 3 * h)?;
+        let sum = |k: usize| -> f64 { rows[k * h..][..h].iter().map(|v| f64::from(*v)).sum() };
+        let [squared, counted, dissimilarity] = [0, 1, 2].map(sum);
+        let each = if counted > 0.0 { 1.0 / counted } else { 0.0 };
+        let ssim = 1.0 - dissimilarity * each;
+        Ok([psnr(squared * each / 3.0), ssim, counted])
+    }
+
+    /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
+    fn flip(&self, view: usize, renderer: &Renderer, background: [f32; 3]) -> Result<f64> {
+        let mut image = renderer.read_image(&self.views.cameras[view])?;
+        let photo = self.views.read_photo(view)?;
+        let mask = photo.counts();
+        counting(&mask, &mut image.rgb);
+        let photo = photo.rgb_over(background);
+        let channel = |c: usize| photo.iter().skip(c).step_by(3);
+        let planes = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
+        let planes: Vec<f32> = planes.collect();
+        flip::flip(&planes, &image.rgb, image.width, image.height, &mask)
+    }
+
+    /// Scores every view of which anything counts by PSNR and SSIM and, if `with_flip`, by ꟻLIP, which is taken on the host.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`] and [`ViewSet::photo`].
+    pub fn score_all(
+        &self,
+        scene: &Scene,
+        renderer: &mut Renderer,
+        background: [f32; 3],
+        with_flip: bool,
+    ) -> Result<Vec<ViewScore>> {
+        let all: Vec<usize> = (0..self.views.len()).collect();
+        let mut scores = Vec::with_capacity(all.len());
+        for v in 0..all.len() {
+            let next = &all[v + 1..];
+            let Some(mut score) = self.score(v, next, scene, renderer, background)? else {
+                continue;
+            };
+            if with_flip {
+                score.flip = Some(self.flip(v, renderer, background)?);
+            }
+            scores.push(score);
+        }
+        Ok(scores)
+    }
+}
+
+/// Multiplies planes by a mask, if there is any.
+fn counting(mask: &[f32], planes: &mut [f32]) {
+    if !mask.is_empty() {
+        for plane in planes.chunks_exact_mut(mask.len()) {
+            plane.iter_mut().zip(mask).for_each(|(v, m)| *v *= m);
+        }
+    }
+}
+
+/// PSNR of a mean squared error of values in [0, 1].
+#[must_use]
+pub fn psnr(mse: f64) -> f64 {
+    (-10.0 * mse.log10()).min(MAX_PSNR)
+}
+
+/// Mean PSNR and mean SSIM; none for no view.
+#[must_use]
+pub fn mean(scores: &[ViewScore]) -> Option<(f64, f64)> {
+    let n = scores.len() as f64;
+    (!scores.is_empty()).then(|| {
+        (
+            scores.iter().map(|s| s.psnr).sum::<f64>() / n,
+            scores.iter().map(|s| s.ssim).sum::<f64>() / n,
+        )
+    })
+}
+
+/// Mean ꟻLIP; none for no view, or where a view has none.
+#[must_use]
+pub fn mean_flip(scores: &[ViewScore]) -> Option<f64> {
+    let all: Option<Vec<f64>> = scores.iter().map(|s| s.flip).collect();
+    all.filter(|v| !v.is_empty())
+        .map(|v| v.iter().sum::<f64>() / v.len() as f64)
+}

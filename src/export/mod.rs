@@ -1,4 +1,0 @@
-//! Scene files and checkpoints.
-
-pub mod checkpoint;
-pub mod ply;

@@ -1,0 +1,247 @@
+//! One scene at one resolution: samples of whole iterations, split into stages.
+
+use std::time::Instant;
+
+use crate::base::constants::TILE;
+use crate::base::error::Result;
+use crate::capture::Dataset;
+use crate::config::{AntiAliasing, TrainConfig};
+use crate::device::{Device, DeviceKind};
+use crate::lab::bench::record::{Case, Iteration, Peak, Stage};
+use crate::lab::bench::scene::VIEWS;
+use crate::lab::bench::work::{Load, TileWork};
+use crate::lab::bench::{Options, STAGES, no_samples, scene};
+use crate::lab::stats::{Ratio, Spread, ratio};
+use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::run::clock::process_cpu_seconds;
+use crate::scene::without_filter;
+use crate::scene::{Plane, Splats};
+use crate::train::Trainer;
+
+/// Most iterations of a sample: the clock of CPU time has ticks of 10 ms, which is little enough of a sample by then.
+const MOST_ITERATIONS: u32 = 800;
+
+/// Several iterations, timed. Seconds per iteration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Sample {
+    wall: f64,
+    cpu: f64,
+    stages: [f64; STAGES.len()],
+}
+
+fn stage_seconds(trainer: &Trainer) -> [f64; STAGES.len()] {
+    let times = trainer.stage_times();
+    STAGES.map(|stage| {
+        let found = times.iter().find(|(name, _)| *name == stage);
+        found.map_or(0.0, |(_, t)| t.seconds)
+    })
+}
+
+fn sample(trainer: &mut Trainer, iterations: u32) -> Result<Sample> {
+    let (before, cpu) = (stage_seconds(trainer), process_cpu_seconds());
+    let start = Instant::now();
+    for _ in 0..iterations {
+        trainer.step()?;
+    }
+    trainer.settle()?;
+    let each = 1.0 / f64::from(iterations);
+    let (wall, cpu) = (start.elapsed().as_secs_f64(), process_cpu_seconds() - cpu);
+    let after = stage_seconds(trainer);
+    Ok(Sample {
+        wall: wall * each,
+        cpu: cpu * each,
+        stages: std::array::from_fn(|k| (after[k] - before[k]) * each),
+    })
+}
+
+/// What is measured.
+pub(super) struct Subject<'a> {
+    pub name: &'a str,
+    pub splats: &'a Splats,
+    pub dataset: Dataset,
+    /// Whether the scene was trained with anti-aliasing, so that it is to be rendered with its filters.
+    pub anti_alias: bool,
+}
+
+impl Subject<'_> {
+    /// `N Gaussians, W×H`.
+    pub fn title(&self) -> String {
+        let camera = &self.dataset.train[0].camera;
+        let (n, w, h) = (self.splats.len(), camera.width, camera.height);
+        format!("{}, {n} Gaussians, {w} × {h}", self.name)
+    }
+}
+
+/// A trainer that changes nothing. Of a scene with anti-aliasing it takes the 3D filter out first, which training puts in again
+/// by the views at hand: those of the bench, so that the filter is theirs and not the training views'.
+fn trainer(device: &Device, subject: &Subject<'_>) -> Result<Trainer> {
+    let still = scene::still(subject.splats.sh_degree());
+    if !subject.anti_alias {
+        return Trainer::new(device, &subject.dataset, &still, subject.splats);
+    }
+    let config = TrainConfig {
+        anti_aliasing: AntiAliasing::On,
+        ..still
+    };
+    let splats = without_filter(subject.splats, &subject.dataset)?;
+    Trainer::new(device, &subject.dataset, &config, &splats)
+}
+
+/// Times every stage and the whole iteration.
+///
+/// # Errors
+/// A build failure, more than the device can allocate, or the driver's.
+pub(super) fn measure(
+    device: &Device,
+    peak: &Peak,
+    subject: &Subject<'_>,
+    options: &Options,
+) -> Result<Case> {
+    let idle = device.allocated_bytes();
+    let mut trainer = trainer(device, subject)?;
+    sample(&mut trainer, VIEWS)?;
+    let warm = sample(&mut trainer, VIEWS)?;
+    // Whole passes over the views: then every sample holds the same work.
+    let passes = options.sample_seconds / (warm.wall * f64::from(VIEWS)).max(1e-9);
+    let iterations = (VIEWS * passes.ceil().clamp(1.0, 1e4) as u32).min(MOST_ITERATIONS);
+    let samples: Vec<Sample> = (0..options.samples)
+        .map(|_| sample(&mut trainer, iterations))
+        .collect::<Result<_>>()?;
+    let bytes = device.allocated_bytes().saturating_sub(idle);
+    let (load, work) = load(device, &mut trainer, subject)?;
+    let on_cpu = device.info().kind == DeviceKind::Cpu;
+    let clocks = Clocks { peak, on_cpu };
+    let camera = &subject.dataset.train[0].camera;
+    let rows = STAGES
+        .iter()
+        .enumerate()
+        .map(|(k, name)| clocks.stage(name, k, &samples, &load));
+    Ok(Case {
+        scene: subject.name.to_owned(),
+        gaussians: subject.splats.len(),
+        width: camera.width,
+        height: camera.height,
+        pairs: load.pairs.round() as u64,
+        stages: rows.collect::<Result<_>>()?,
+        iteration: Iteration {
+            iterations,
+            visible: load.visible.round() as u64,
+            used_pairs: work,
+            lanes: load.lanes.round() as u64,
+            device_bytes: bytes,
+            bytes_per_gaussian: bytes as f64 / subject.splats.len() as f64,
+            ..whole(&samples)?
+        },
+    })
+}
+
+/// Means over the views, counted after the timing, and pairs looked at.
+fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result<(Load, u64)> {
+    let tuning = device.tuning();
+    let (scene, renderer) = trainer.scene_and_renderer();
+    let options = RenderOptions {
+        sh_degree: subject.splats.sh_degree(),
+        background: [0.0; 3],
+        quantity: Quantity::Color,
+        live_only: false,
+    };
+    let views = &subject.dataset.train;
+    let each = 1.0 / views.len() as f64;
+    let (mut load, mut used) = (Load::default(), 0.0);
+    for view in views {
+        let camera = Renderer::<f32>::camera(&view.camera);
+        renderer.render(scene, &camera, &options)?;
+        let work = TileWork::read(renderer, &camera, scene.count)?;
+        load.visible += each * work.visible as f64;
+        load.pairs += each * work.pairs as f64;
+        load.lanes += each * work.lanes(&tuning) as f64;
+        used += each * work.used() as f64;
+        load.tiles = camera.tile_count() as f64;
+        load.passes = Load::passes(&tuning, camera.tile_count());
+    }
+    load.gaussians = scene.count as f64;
+    load.planes = Plane::count(subject.splats.sh_degree()) as f64;
+    load.pixels = load.tiles * f64::from(TILE * TILE);
+    Ok((load, used.round() as u64))
+}
+
+fn spread(samples: &[Sample], figure: impl Fn(&Sample) -> f64) -> Result<Spread> {
+    let values: Vec<f64> = samples.iter().map(figure).collect();
+    Spread::of(&values).ok_or_else(|| no_samples("bench"))
+}
+
+fn whole(samples: &[Sample]) -> Result<Iteration> {
+    let ms = spread(samples, |s| 1e3 * s.wall)?;
+    let cpu = spread(samples, |s| 1e3 * s.cpu)?;
+    let cores = spread(samples, |s| s.cpu / s.wall)?;
+    Ok(Iteration {
+        median_ms: ms.median,
+        min_ms: ms.min,
+        max_ms: ms.max,
+        cpu_ms: cpu.median,
+        cpu_min_ms: cpu.min,
+        cpu_max_ms: cpu.max,
+        cores_busy: cores.median,
+        cores_busy_min: cores.min,
+        cores_busy_max: cores.max,
+        samples: ms.samples,
+        iterations: 0,
+        visible: 0,
+        used_pairs: 0,
+        lanes: 0,
+        device_bytes: 0,
+        bytes_per_gaussian: 0.0,
+    })
+}
+
+/// By which clock lanes are counted, and what they are compared with.
+struct Clocks<'a> {
+    peak: &'a Peak,
+    on_cpu: bool,
+}
+
+impl Clocks<'_> {
+    fn stage(
+        &self,
+        name: &'static str,
+        k: usize,
+        samples: &[Sample],
+        load: &Load,
+    ) -> Result<Stage> {
+        let ms = spread(samples, |s| 1e3 * s.stages[k])?;
+        let cpu = spread(samples, |s| 1e3 * s.stages[k] * s.cpu / s.wall)?;
+        let core = self.peak.fma_core.filter(|_| self.on_cpu && cpu.min > 0.0);
+        let (rate, best, unit) = match Load::flop_per_lane(name) {
+            Some(flop) => {
+                let rate = spread(samples, |s| {
+                    let cores = if core.is_some() { s.cpu / s.wall } else { 1.0 };
+                    load.lanes / (s.stages[k] * cores)
+                })?;
+                let best = core.unwrap_or(self.peak.fma).scaled(1e9 / flop);
+                (rate, best, "lanes/core-s")
+            }
+            None => {
+                let rate = spread(samples, |s| load.bytes(name) / s.stages[k])?;
+                (rate, self.peak.copy.scaled(1e9), "bytes/s")
+            }
+        };
+        let share: Option<Ratio> = ratio(&rate, &best);
+        Ok(Stage {
+            name,
+            median_ms: ms.median,
+            min_ms: ms.min,
+            max_ms: ms.max,
+            cpu_ms: self.on_cpu.then_some(cpu.median),
+            cpu_min_ms: self.on_cpu.then_some(cpu.min),
+            cpu_max_ms: self.on_cpu.then_some(cpu.max),
+            samples: ms.samples,
+            rate: rate.median,
+            rate_min: rate.min,
+            rate_max: rate.max,
+            unit,
+            share_of_peak: share.map(|s| s.median),
+            share_min: share.map(|s| s.low),
+            share_max: share.map(|s| s.high),
+        })
+    }
+}

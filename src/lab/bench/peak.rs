@@ -1,0 +1,122 @@
+//! The device's own best, measured in the same run as everything else.
+
+use std::time::Instant;
+
+use crate::base::error::Result;
+use crate::device::tuning::Tuning;
+use crate::device::{Array, Defines, Device, DeviceKind, Kernels};
+use crate::lab::bench::record::Peak as Record;
+use crate::lab::bench::{Options, no_samples};
+use crate::lab::stats::Spread;
+use crate::pipeline::stage::peak::{FmaArgs, Peak};
+use crate::run::clock::process_cpu_seconds;
+
+/// Bytes of each of the two arrays of the copy: far beyond the last level of any cache.
+const COPY_BYTES: u64 = 256 << 20;
+/// Lanes of a copy's vectors (and a block width that divides them), tried besides the device's own: compilers that run
+/// several work-items in one vector do better with narrow ones.
+const COPY_WIDTHS: [(u32, u32); 2] = [(1, 1), (4, 2)];
+/// Factor and term of the multiply-adds; every value stays near 1.
+const FACTORS: [f64; 2] = [0.999, 0.001];
+
+/// Device seconds of what `enqueue` enqueues, and CPU seconds of the process meanwhile.
+fn time(device: &Device, enqueue: impl FnOnce() -> Result<()>) -> Result<[f64; 2]> {
+    device.finish()?;
+    device.collect_times(usize::MAX)?;
+    let seconds = || -> f64 { device.times().iter().map(|(_, t)| t.seconds).sum() };
+    let (before, cpu, start) = (seconds(), process_cpu_seconds(), Instant::now());
+    enqueue()?;
+    device.finish()?;
+    let wall = start.elapsed().as_secs_f64();
+    device.collect_times(usize::MAX)?;
+    let spent = seconds() - before;
+    // A driver without profiling counters: the wall clock is all there is.
+    let spent = if spent > 0.0 { spent } else { wall };
+    Ok([spent, process_cpu_seconds() - cpu])
+}
+
+/// Runs both micro-benchmarks.
+///
+/// # Errors
+/// A build failure, or the driver's.
+pub(super) fn measure(device: &Device, options: &Options) -> Result<Record> {
+    let own = device.tuning();
+    let build = |tuning| Peak::new::<f32>(&Kernels::new(device, Defines::new(tuning)));
+    let (fma, core) = fma(device, &build(own)?, options)?;
+    let widths = COPY_WIDTHS.map(|(vector_width, block_width)| Tuning {
+        vector_width,
+        block_width,
+        ..own
+    });
+    let kernels = std::iter::once(own).chain(widths);
+    let kernels: Vec<Peak> = kernels.map(build).collect::<Result<_>>()?;
+    let copy = copy(device, &kernels, options.samples)?;
+    Ok(Record {
+        fma_gflops: fma.median,
+        copy_gbs: copy.median,
+        fma,
+        copy,
+        fma_core: core,
+    })
+}
+
+/// 10⁹ FLOP per second of device time, and per second of CPU time where the device is the CPU.
+fn fma(device: &Device, peak: &Peak, options: &Options) -> Result<(Spread, Option<Spread>)> {
+    let cpu = device.info().kind == DeviceKind::Cpu;
+    let items = device.info().compute_units.max(1) as usize * if cpu { 16 } else { 2048 };
+    let out = Array::<f32>::zeros(device, "peak", items * peak.lanes())?;
+    let launch = |steps: u32| {
+        time(device, || {
+            peak.fma(&FmaArgs {
+                items,
+                steps,
+                factors: FACTORS,
+                out: &out,
+            })
+        })
+    };
+    launch(1)?;
+    let mut steps = 1024u32;
+    loop {
+        let [seconds, _] = launch(steps)?;
+        let missing = options.sample_seconds / seconds.max(1e-6);
+        if missing < 1.5 || steps >= 1 << 28 {
+            break;
+        }
+        steps = (f64::from(steps) * missing.min(16.0)) as u32;
+    }
+    let giga = peak.flop(items, steps) * 1e-9;
+    let times: Vec<[f64; 2]> = (0..options.samples)
+        .map(|_| launch(steps))
+        .collect::<Result<_>>()?;
+    let rates = |k: usize| -> Vec<f64> { times.iter().map(|t| giga / t[k]).collect() };
+    let wall = Spread::of(&rates(0)).ok_or_else(|| no_samples("peak"))?;
+    let core = cpu.then(|| Spread::of(&rates(1))).flatten();
+    Ok((wall, core))
+}
+
+/// 10⁹ bytes read and written per second of device time, by the fastest of the kernels.
+fn copy(device: &Device, kernels: &[Peak], samples: usize) -> Result<Spread> {
+    let info = device.info();
+    let bytes = COPY_BYTES.min(info.max_alloc).min(info.global_memory / 8) as usize;
+    let lanes = kernels.iter().map(Peak::lanes).max().unwrap_or(1);
+    let len = (bytes / size_of::<f32>()).next_multiple_of(lanes);
+    let [from, to] = [
+        Array::<f32>::zeros(device, "peak copy", len)?,
+        Array::<f32>::zeros(device, "peak copy", len)?,
+    ];
+    let giga = 2.0 * (len * size_of::<f32>()) as f64 * 1e-9;
+    let mut best: Option<Spread> = None;
+    for kernel in kernels {
+        let launch = || time(device, || kernel.copy(&from, &to));
+        launch()?;
+        let rates: Vec<f64> = (0..samples)
+            .map(|_| Ok(giga / launch()?[0]))
+            .collect::<Result<_>>()?;
+        let found = Spread::of(&rates);
+        if best.is_none_or(|b| found.is_some_and(|f| f.median > b.median)) {
+            best = found;
+        }
+    }
+    best.ok_or_else(|| no_samples("peak"))
+}

@@ -1,0 +1,208 @@
+//! Error against time of every way to build the kernels, on a scene small enough for the f64 reference.
+//!
+//! The reference of the precisions, widths and styles has the same alpha cut as the kernels, so that their error is
+//! rounding; that of the cuts has none to speak of, so that theirs is what is cut off.
+
+use crate::base::constants::{ALPHA_MIN, TILE};
+use crate::base::error::{Error, Result};
+use crate::device::tuning::Tuning;
+use crate::device::{Device, Real};
+use crate::lab::bench::record::{Failure, Precision};
+use crate::lab::bench::{Options, failure, no_samples, scene};
+use crate::lab::error::measure as error;
+use crate::lab::stats::Spread;
+use crate::lab::verify::chain::{Case, Outputs};
+use crate::lab::verify::quantities::{Quantity, device_quantities, reference_quantities};
+use crate::lab::verify::{chain, twin};
+use crate::pipeline::chain::Passage;
+
+/// Stages and the quantities of them that are compared. Stages that run more than once in a passage are left out.
+const COMPARED: [(&str, &str); 4] = [
+    ("project", "quadratic form"),
+    ("splat", "image"),
+    ("splat_grad", "sums"),
+    ("project_grad", "position"),
+];
+/// Stages that the alpha cut reaches.
+const CUT: [&str; 2] = ["splat", "splat_grad"];
+/// Stands for no cut: 10⁵ contributions of this alpha are below f32's resolution.
+const NO_CUT: f64 = 1e-13;
+/// Vector widths, with the width of their blocks of pixels.
+const WIDTHS: [(u32, u32); 4] = [(1, 1), (4, 2), (8, 4), (16, 4)];
+/// Alpha cuts: 3DGS's and the default here, a coarse one, and one as good as none.
+const CUTS: [(&str, f64); 3] = [
+    ("cut 1/255", ALPHA_MIN),
+    ("cut 1e-3", 1e-3),
+    ("cut 1e-7", 1e-7),
+];
+
+/// A way to build the kernels.
+#[derive(Debug, Clone, PartialEq)]
+struct Variant {
+    name: String,
+    tuning: Tuning,
+    double: bool,
+    /// Alpha cut.
+    alpha_min: f64,
+    /// Compared with the reference that cuts nothing instead of the one with the same cut.
+    against_no_cut: bool,
+}
+
+/// Every vector width in the style of CPUs, the style of GPUs, f64 as the device would have it, and every cut: what the
+/// device can do of it.
+fn variants(device: &Device) -> Vec<Variant> {
+    let (info, own) = (device.info(), device.tuning());
+    let single = |name: String, tuning: Tuning| Variant {
+        name,
+        tuning,
+        double: false,
+        alpha_min: ALPHA_MIN,
+        against_no_cut: false,
+    };
+    let by_width = |(vector_width, block_width): (u32, u32)| {
+        let tuning = Tuning {
+            vector_width,
+            block_width,
+            ..Tuning::CPU
+        };
+        single(format!("f32 × {vector_width}"), tuning)
+    };
+    let mut all: Vec<Variant> = WIDTHS.into_iter().map(by_width).collect();
+    if info.max_work_group >= (TILE * TILE) as usize {
+        let chunks = own.chunks;
+        let group = Tuning {
+            chunks,
+            ..Tuning::GPU
+        };
+        all.push(single("f32, group per tile".into(), group));
+    }
+    if info.fp64 {
+        all.push(Variant {
+            double: true,
+            ..single("f64".into(), own)
+        });
+    }
+    all.extend(CUTS.map(|(name, alpha_min)| Variant {
+        alpha_min,
+        against_no_cut: true,
+        ..single(name.into(), own)
+    }));
+    all
+}
+
+/// What the variants are measured on.
+struct Setup {
+    gaussians: usize,
+    size: u32,
+    same_cut: Passage,
+    no_cut: Passage,
+}
+
+/// Runs every variant; one that fails is listed among the failures.
+pub(super) fn measure(
+    device: &Device,
+    options: &Options,
+    note: &mut dyn FnMut(&str),
+    failed: &mut Vec<Failure>,
+) -> Vec<Precision> {
+    let Some((gaussians, size)) = options.precision else {
+        return Vec::new();
+    };
+    let mut all = variants(device);
+    if options.own_build_only {
+        let own = device.tuning();
+        all.retain(|v| v.tuning == own && v.alpha_min == ALPHA_MIN);
+    }
+    let setup = Setup {
+        gaussians,
+        size,
+        same_cut: twin::run(&scene::case(gaussians, size, ALPHA_MIN)),
+        no_cut: twin::run(&scene::case(gaussians, size, NO_CUT)),
+    };
+    let mut rows = Vec::new();
+    for v in all {
+        let what = format!("precision: {}", v.name);
+        note(&what);
+        match setup.measure(device, &v, options.samples) {
+            Ok(of_variant) => rows.extend(of_variant),
+            Err(e) => failed.push(failure(&what, &e)),
+        }
+    }
+    rows
+}
+
+impl Setup {
+    fn measure(&self, device: &Device, v: &Variant, samples: usize) -> Result<Vec<Precision>> {
+        let case = scene::case(self.gaussians, self.size, v.alpha_min);
+        let runs = if v.double {
+            passages::<f64>(device, v.tuning, &case, samples)?
+        } else {
+            passages::<f32>(device, v.tuning, &case, samples)?
+        };
+        let reference = if v.against_no_cut {
+            &self.no_cut
+        } else {
+            &self.same_cut
+        };
+        let want = reference_quantities(&case, reference, &runs[0]);
+        COMPARED
+            .iter()
+            .filter(|(stage, _)| !v.against_no_cut || CUT.contains(stage))
+            .map(|(stage, quantity)| row(stage, quantity, &v.name, &runs, &want))
+            .collect()
+    }
+}
+
+/// Passages through all stages; the first one, which may wait for the compiler, is not among them.
+fn passages<R: Real>(
+    device: &Device,
+    tuning: Tuning,
+    case: &Case,
+    samples: usize,
+) -> Result<Vec<Outputs>> {
+    chain::run::<R>(device, tuning, case)?;
+    (0..samples.max(1))
+        .map(|_| chain::run::<R>(device, tuning, case))
+        .collect()
+}
+
+fn row(
+    stage: &'static str,
+    quantity: &str,
+    variant: &str,
+    runs: &[Outputs],
+    want: &[Quantity],
+) -> Result<Precision> {
+    let got = device_quantities(&runs[0]);
+    let of = |all: &[Quantity]| -> Vec<f64> {
+        let found = all.iter().find(|q| q.stage == stage && q.name == quantity);
+        found.map(|q| q.values.clone()).unwrap_or_default()
+    };
+    let (got, want) = (of(&got), of(want));
+    let report = error(&got, &want, f64::INFINITY, 0.0);
+    if report.non_finite > 0 || got.len() != want.len() || got.is_empty() {
+        let (n, wanted, bad) = (got.len(), want.len(), report.non_finite);
+        return Err(Error::Numerics {
+            stage: stage.into(),
+            what: format!(
+                "{n} values of which {bad} are not finite; {wanted} finite ones expected"
+            ),
+        });
+    }
+    let ms: Vec<f64> = runs
+        .iter()
+        .flat_map(|out| out.seconds.iter().filter(|(name, _)| *name == stage))
+        .map(|(_, seconds)| 1e3 * seconds)
+        .collect();
+    let ms = Spread::of(&ms).ok_or_else(|| no_samples(stage))?;
+    Ok(Precision {
+        stage,
+        variant: variant.to_owned(),
+        median_ms: ms.median,
+        min_ms: ms.min,
+        max_ms: ms.max,
+        samples: ms.samples,
+        max_rel_error: report.max,
+        median_rel_error: report.median,
+    })
+}

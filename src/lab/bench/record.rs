@@ -1,0 +1,197 @@
+//! What `bench --json` prints (see the fields' names there) and every table and plot is made of.
+
+use serde::Serialize;
+
+use crate::device::DeviceInfo;
+use crate::lab::stats::{Ratio, Spread};
+
+/// One device, measured.
+#[derive(Debug, Clone, Serialize)]
+pub struct BenchRecord {
+    /// Device name.
+    pub device: String,
+    /// Version of this package.
+    pub version: String,
+    /// What the device says of itself.
+    pub about: DeviceInfo,
+    /// The device at its best.
+    pub peak: Peak,
+    /// One entry per scene and resolution.
+    pub cases: Vec<Case>,
+    /// How time and memory grow.
+    pub growth: Vec<Growth>,
+    /// Error against time of every precision, vector width, style and cut-off.
+    pub precision: Vec<Precision>,
+    /// What could not be measured, and why.
+    pub failed: Vec<Failure>,
+}
+
+/// Results of the micro-benchmarks of `kernels/peak.cl`.
+#[derive(Debug, Clone, Serialize)]
+pub struct Peak {
+    /// Fused multiply-adds in registers, all compute units, f32: median of 10⁹ FLOP per second of device time.
+    pub fma_gflops: f64,
+    /// A copy far beyond any cache: median of 10⁹ bytes read and written per second of device time.
+    pub copy_gbs: f64,
+    /// Range and number of samples of `fma_gflops`.
+    pub fma: Spread,
+    /// Range and number of samples of `copy_gbs`.
+    pub copy: Spread,
+    /// 10⁹ FLOP per second of CPU time, that is of one core; null where the device is not the CPU.
+    pub fma_core: Option<Spread>,
+}
+
+/// A scene at a resolution. Counts are means over the views.
+#[derive(Debug, Clone, Serialize)]
+pub struct Case {
+    /// `synthetic`, or the file's name.
+    pub scene: String,
+    /// Gaussians.
+    pub gaussians: usize,
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+    /// (tile, Gaussian) pairs of a view.
+    pub pairs: u64,
+    /// The stages, in the order of an iteration.
+    pub stages: Vec<Stage>,
+    /// The iteration as a whole.
+    pub iteration: Iteration,
+}
+
+/// One stage of an iteration. Times are of all its launches in one iteration.
+#[derive(Debug, Clone, Serialize)]
+pub struct Stage {
+    /// Stem of its kernel file.
+    pub name: &'static str,
+    /// Device time.
+    pub median_ms: f64,
+    /// Smallest sample.
+    pub min_ms: f64,
+    /// Largest sample.
+    pub max_ms: f64,
+    /// CPU time: device time × cores busy over the whole iteration (CPU time of the process over wall time). That is too
+    /// much for a stage with launches of a single work-item and too little for one that keeps every core busy, by as much
+    /// as the cores were not all busy. Null where the device is not the CPU.
+    pub cpu_ms: Option<f64>,
+    /// Smallest sample.
+    pub cpu_min_ms: Option<f64>,
+    /// Largest sample.
+    pub cpu_max_ms: Option<f64>,
+    /// Samples.
+    pub samples: usize,
+    /// Work per second, in `unit`.
+    pub rate: f64,
+    /// Smallest sample.
+    pub rate_min: f64,
+    /// Largest sample.
+    pub rate_max: f64,
+    /// `lanes/core-s` (pixel lanes evaluated per second of CPU time; of device time where the device is not the CPU) or
+    /// `bytes/s` (bytes that must move, per second of device time).
+    pub unit: &'static str,
+    /// Share of the measured peak: FLOP of the lanes over the multiply-adds, bytes over the copy. Above 1 where data stay
+    /// in a cache. Null with fewer than three samples.
+    pub share_of_peak: Option<f64>,
+    /// Its lower end over the samples of both.
+    pub share_min: Option<f64>,
+    /// Its upper end.
+    pub share_max: Option<f64>,
+}
+
+/// A whole iteration, enqueued and settled.
+#[derive(Debug, Clone, Serialize)]
+pub struct Iteration {
+    /// Wall time.
+    pub median_ms: f64,
+    /// Smallest sample.
+    pub min_ms: f64,
+    /// Largest sample.
+    pub max_ms: f64,
+    /// CPU time of the process (of the host alone where the device is not the CPU).
+    pub cpu_ms: f64,
+    /// Smallest sample.
+    pub cpu_min_ms: f64,
+    /// Largest sample.
+    pub cpu_max_ms: f64,
+    /// CPU time over wall time.
+    pub cores_busy: f64,
+    /// Smallest sample.
+    pub cores_busy_min: f64,
+    /// Largest sample.
+    pub cores_busy_max: f64,
+    /// Samples.
+    pub samples: usize,
+    /// Iterations of each sample, a multiple of the number of views.
+    pub iterations: u32,
+    /// Gaussians in the picture.
+    pub visible: u64,
+    /// Pairs looked at before every pixel of their tile was opaque.
+    pub used_pairs: u64,
+    /// Pixel lanes that splat evaluates, and splat_grad again.
+    pub lanes: u64,
+    /// Bytes of all arrays on the device, photos included.
+    pub device_bytes: u64,
+    /// The same per Gaussian.
+    pub bytes_per_gaussian: f64,
+}
+
+/// A power law over some of the cases: y ∝ xᵖ.
+#[derive(Debug, Clone, Serialize)]
+pub struct Growth {
+    /// What grows with what, and what stays the same.
+    pub what: String,
+    /// Number of cases.
+    pub points: usize,
+    /// The exponent p and its range.
+    pub exponent: Ratio,
+    /// Smaller and larger x of `ratio`.
+    pub between: [f64; 2],
+    /// y of the larger over y of the smaller.
+    pub ratio: Ratio,
+}
+
+/// Error of a stage in one variant against the f64 reference, relative to the largest wanted value, and its time.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Precision {
+    /// Stem of its kernel file.
+    pub stage: &'static str,
+    /// Precision, vector width, style, cut-off.
+    pub variant: String,
+    /// Device time.
+    pub median_ms: f64,
+    /// Smallest sample.
+    pub min_ms: f64,
+    /// Largest sample.
+    pub max_ms: f64,
+    /// Samples.
+    pub samples: usize,
+    /// Largest error, with elements in which a decision at a discontinuity fell the other way.
+    pub max_rel_error: f64,
+    /// Median error.
+    pub median_rel_error: f64,
+}
+
+/// Something that could not be measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Failure {
+    /// The case or part.
+    pub what: String,
+    /// Why.
+    pub error: String,
+}
+
+/// What came of one device.
+#[derive(Debug, Clone, Serialize)]
+#[serde(untagged)]
+pub enum Outcome {
+    /// It was measured.
+    Done(Box<BenchRecord>),
+    /// It was not.
+    Failed {
+        /// Device name.
+        device: String,
+        /// Why.
+        error: String,
+    },
+}

@@ -1,0 +1,171 @@
+//! How much work a view is: pixel lanes counted from the device's own lists, bytes estimated from array shapes.
+
+use crate::base::constants::{SUMS, TILE};
+use crate::base::error::Result;
+use crate::device::tuning::{Tuning, status};
+use crate::device::{CameraArg, Real, Record};
+use crate::lab::bench::STAGES;
+use crate::pipeline::forward::Renderer;
+
+/// FLOP of a lane in the innermost block of `kernels/splat.cl`, a multiply-add counting two and comparisons, selections,
+/// conversions and integers nothing: u 3, exponent 6, 2^x 12, weight 1, three channels 6, transmittance 1.
+pub const SPLAT_FLOP: f64 = 29.0;
+/// The same of `kernels/splat_grad.cl`: u 3, exponent 6, 2^x 12, weight 1, colour along the gradient 5, what is behind 2,
+/// dL/dα 4, transmittance 1, its product with α 1, with u and dy 2, nine sums 15. Not counted: the sums over the lanes.
+pub const SPLAT_GRAD_FLOP: f64 = 52.0;
+
+/// What the splat kernels look at in one view.
+#[derive(Debug, Clone, Default)]
+pub struct TileWork {
+    /// Packed pixel bounds in x and y of each Gaussian, as in [`Record`]; of culled ones, anything.
+    pub bounds: Vec<[u32; 2]>,
+    /// Gaussians of each tile up to the last one looked at, front to back.
+    pub tiles: Vec<Vec<u32>>,
+    /// Tiles per row.
+    pub tiles_x: usize,
+    /// Visible Gaussians.
+    pub visible: usize,
+    /// Pairs, looked at or not.
+    pub pairs: usize,
+}
+
+impl TileWork {
+    /// Reads the lists of the view that `renderer` rendered last (of `count` Gaussians) back from the device.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn read<R: Real>(
+        renderer: &Renderer<R>,
+        camera: &CameraArg<R>,
+        count: usize,
+    ) -> Result<Self> {
+        let frame = &renderer.frame;
+        let counters = frame.status.to_vec()?;
+        let pairs = counters[status::PAIRS as usize] as usize;
+        let lists = renderer.lists(camera);
+        let [tiles_x, tiles] = lists.tiles;
+        let order = lists.order.read(0, pairs)?;
+        let owner = lists.pair_owner.read(0, pairs)?;
+        let start = lists.tile_start.read(0, tiles)?;
+        let used = lists.tile_used.read(0, tiles)?;
+        let of_tile = |(first, n): (&u32, &u32)| {
+            let slots = &order[*first as usize..(*first + *n) as usize];
+            slots.iter().map(|slot| owner[*slot as usize]).collect()
+        };
+        let bounds = |r: &Record<R>| [r.bx, r.by];
+        Ok(Self {
+            bounds: lists.records.read(0, count)?.iter().map(bounds).collect(),
+            tiles: start.iter().zip(&used).map(of_tile).collect(),
+            tiles_x,
+            visible: counters[status::VISIBLE as usize] as usize,
+            pairs,
+        })
+    }
+
+    /// Pairs looked at.
+    #[must_use]
+    pub fn used(&self) -> usize {
+        self.tiles.iter().map(Vec::len).sum()
+    }
+
+    /// Pixel lanes that the kernels of this tuning evaluate: the blocks that a Gaussian's pixel bounds reach (`block_range`
+    /// in `kernels/common.clh`), or every pixel of the tile where a work-group takes a tile.
+    #[must_use]
+    pub fn lanes(&self, tuning: &Tuning) -> u64 {
+        if tuning.group_style {
+            return self.used() as u64 * u64::from(TILE * TILE);
+        }
+        let block = [tuning.block_width, tuning.vector_width / tuning.block_width];
+        let blocks = |bounds: u32, tile: usize, k: usize| -> u64 {
+            let (first, block) = (tile as i64 * i64::from(TILE), i64::from(block[k]));
+            let low = (i64::from(bounds & 0xffff) - first).max(0) / block;
+            let high = (i64::from(bounds >> 16) - first).min(i64::from(TILE) - 1) / block;
+            (high - low + 1).max(0) as u64
+        };
+        let mut total = 0;
+        for (tile, list) in self.tiles.iter().enumerate() {
+            for gaussian in list {
+                let [bx, by] = self.bounds[*gaussian as usize];
+                total += blocks(bx, tile % self.tiles_x, 0) * blocks(by, tile / self.tiles_x, 1);
+            }
+        }
+        total * u64::from(tuning.vector_width)
+    }
+}
+
+/// What the byte estimates depend on; means over views.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Load {
+    /// Gaussians.
+    pub gaussians: f64,
+    /// Parameter planes in use.
+    pub planes: f64,
+    /// Visible Gaussians.
+    pub visible: f64,
+    /// Pairs.
+    pub pairs: f64,
+    /// Pixels of the padded image.
+    pub pixels: f64,
+    /// Tiles.
+    pub tiles: f64,
+    /// Radix passes by depth and by tile.
+    pub passes: [f64; 2],
+    /// Pixel lanes.
+    pub lanes: f64,
+}
+
+impl Load {
+    /// Radix passes of the two sorts for an image of `tiles` tiles (as `stage::sort` cuts them).
+    #[must_use]
+    pub fn passes(tuning: &Tuning, tiles: usize) -> [f64; 2] {
+        let bits = [32, usize::BITS - tiles.leading_zeros()];
+        bits.map(|b| f64::from(b.div_ceil(tuning.radix_bits).max(1)))
+    }
+
+    /// FLOP per lane of a splat stage; none of the others.
+    #[must_use]
+    pub fn flop_per_lane(stage: &str) -> Option<f64> {
+        match stage {
+            "splat" => Some(SPLAT_FLOP),
+            "splat_grad" => Some(SPLAT_GRAD_FLOP),
+            _ => None,
+        }
+    }
+
+    /// Bytes that a stage must move in f32: every input read and every output written once per launch, scratch that fits a
+    /// cache (chunk sums, histograms) and what the drivers fetch besides left out. 0 for the splat stages.
+    #[must_use]
+    pub fn bytes(&self, stage: &str) -> f64 {
+        debug_assert!(STAGES.contains(&stage));
+        let (real, uint) = (size_of::<f32>() as f64, size_of::<u32>() as f64);
+        let record = size_of::<Record<f32>>() as f64;
+        let (n, v, p) = (self.gaussians, self.visible, self.pairs);
+        match stage {
+            // Geometry of all, colour of the visible; keys and pair counts of all, records of the visible.
+            "project" => {
+                n * (11.0 * real + 2.0 * uint) + v * ((self.planes - 11.0) * real + record)
+            }
+            // Keys twice and a compacted (key, index); records, indices and counts; again with offsets, into pairs.
+            "bin" => {
+                let compact = 2.0 * n * uint + 2.0 * v * uint;
+                let count = v * (record + 2.0 * uint);
+                let emit = v * (record + 4.0 * uint) + 2.0 * p * uint;
+                compact + count + emit + self.tiles * uint
+            }
+            // Counts read twice, offsets written.
+            "scan" => 3.0 * v * uint,
+            // A pass reads the keys for the histogram, then keys and values, and writes both; the first pass by tile makes
+            // its values itself.
+            "sort" => {
+                let [by_depth, by_tile] = self.passes;
+                (by_depth * v + by_tile * p) * 5.0 * uint - p * uint
+            }
+            // Forward: render and photo in, nine maps out. Backward: maps, render and photo in, gradient out.
+            "loss" => self.pixels * ((3.0 + 9.0 + 9.0 + 3.0 + 3.0) * real + 6.0),
+            "project_grad" => n * (2.0 * self.planes * real + 2.0 * uint) + p * SUMS as f64 * real,
+            // Gradients, parameters and both moments in, all but the gradients out.
+            "adam" => 7.0 * n * self.planes * real,
+            _ => 0.0,
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! A quantity over a clock: when it first reaches a value, and several such curves as one with a band.
+
+use serde::Serialize;
+
+use crate::lab::stats::Spread;
+
+/// Points of a common grid.
+const GRID: usize = 120;
+
+/// Points (clock, value), the clock never falling. Holds finite points only.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Curve(Vec<(f64, f64)>);
+
+/// When a curve first reached a value.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Crossing {
+    /// Clock, interpolated between two evaluations.
+    pub at: f64,
+    /// Whether it was there at the first evaluation already, so that the true one is `at` or earlier.
+    pub at_most: bool,
+}
+
+impl Curve {
+    /// Of points in any order; those that are not finite are left out.
+    #[must_use]
+    pub fn new(points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        let finite = |p: &(f64, f64)| p.0.is_finite() && p.1.is_finite();
+        let mut points: Vec<_> = points.into_iter().filter(finite).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Self(points)
+    }
+
+    /// The points.
+    #[must_use]
+    pub fn points(&self) -> &[(f64, f64)] {
+        &self.0
+    }
+
+    /// The last value.
+    #[must_use]
+    pub fn last(&self) -> Option<f64> {
+        self.0.last().map(|p| p.1)
+    }
+
+    /// The first time at which the curve is at `value` or above, straight lines between its points; none where no point is.
+    /// What the curve does later does not matter: one that falls below again has reached it all the same.
+    #[must_use]
+    pub fn first_reaches(&self, value: f64) -> Option<Crossing> {
+        let found = self.0.iter().position(|p| p.1 >= value)?;
+        let above = self.0[found];
+        let Some(below) = found.checked_sub(1).map(|i| self.0[i]) else {
+            return Some(Crossing {
+                at: above.0,
+                at_most: true,
+            });
+        };
+        let share = (value - below.1) / (above.1 - below.1);
+        Some(Crossing {
+            at: below.0 + share * (above.0 - below.0),
+            at_most: false,
+        })
+    }
+
+    /// The value at `at`, straight lines between the points; none outside of them.
+    #[must_use]
+    pub fn value(&self, at: f64) -> Option<f64> {
+        let after = self.0.iter().position(|p| p.0 >= at)?;
+        let b = self.0[after];
+        if b.0 == at {
+            return Some(b.1);
+        }
+        let a = self.0[after.checked_sub(1)?];
+        Some(a.1 + (at - a.0) / (b.0 - a.0) * (b.1 - a.1))
+    }
+}
+
+/// Median and range of several curves on a common grid, over the span that all of them cover: (clock, spread), rising. Empty
+/// where there is no such span. One curve is its own points.
+#[must_use]
+pub fn band(curves: &[Curve]) -> Vec<(f64, Spread)> {
+    let spread = |at: f64| -> Option<(f64, Spread)> {
+        let values: Option<Vec<f64>> = curves.iter().map(|c| c.value(at)).collect();
+        Some((at, Spread::of(&values?)?))
+    };
+    if let [one] = curves {
+        return one.0.iter().filter_map(|p| spread(p.0)).collect();
+    }
+    let edge =
+        |pick: fn(&Curve) -> Option<f64>| curves.iter().map(pick).collect::<Option<Vec<_>>>();
+    let firsts = edge(|c| c.0.first().map(|p| p.0));
+    let lasts = edge(|c| c.0.last().map(|p| p.0));
+    let (Some(firsts), Some(lasts)) = (firsts, lasts) else {
+        return Vec::new();
+    };
+    let from = firsts.into_iter().fold(f64::NEG_INFINITY, f64::max);
+    let to = lasts.into_iter().fold(f64::INFINITY, f64::min);
+    if !(from < to && from.is_finite() && to.is_finite()) {
+        return Vec::new();
+    }
+    let step = |i: usize| match i {
+        i if i == GRID => to,
+        i => from + (to - from) * i as f64 / GRID as f64,
+    };
+    (0..=GRID).filter_map(|i| spread(step(i))).collect()
+}

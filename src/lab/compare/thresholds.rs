@@ -1,0 +1,100 @@
+//! PSNR values that runs are timed to.
+
+use crate::base::error::{Error, Result};
+use crate::lab::compare::curve::Curve;
+use crate::lab::compare::group::Group;
+use crate::lab::compare::load::{Clock, Loaded};
+use crate::lab::stats::Spread;
+
+/// No picture has a PSNR beyond this, dB.
+pub const LIMIT: f64 = 200.0;
+/// Columns that a table can hold.
+const MOST: usize = 24;
+/// Fewer than this many whole values are joined by halves near the end.
+const FEWEST: usize = 4;
+/// Values that were asked for.
+const GIVEN: &str = "Thresholds as given.";
+/// Values of our own.
+const RULE: &str = "Thresholds: every whole dB above the highest first evaluation of a group and up to the best PSNR of any \
+                    (medians over its runs), every other one and so on where they are more than 24; where they are fewer \
+                    than four, half dB, too, within the last 1 dB below the best of the reference and below that of the others.";
+
+/// Refuses values that are no PSNR.
+///
+/// # Errors
+/// The first such value.
+pub fn check(values: &[f64]) -> Result<()> {
+    let within = |v: &f64| v.abs() <= LIMIT;
+    match values.iter().find(|v| !within(v)) {
+        None => Ok(()),
+        Some(bad) => Err(Error::config(
+            "--threshold",
+            format!("{bad}; a number of dB within ±{LIMIT} expected"),
+        )),
+    }
+}
+
+/// Multiples of `step` above `low` and up to `high`.
+fn steps(low: f64, high: f64, step: f64) -> Vec<f64> {
+    let (first, last) = ((low / step).floor() + 1.0, (high / step).floor());
+    let count = (last - first + 1.0).max(0.0) as usize;
+    (0..count).map(|k| (first + k as f64) * step).collect()
+}
+
+/// Values between where groups begin and the best that they reach: `(first, best)` of each group. In no order, and some twice.
+#[must_use]
+pub fn between(ends: &[(f64, f64)], reference: usize) -> Vec<f64> {
+    let highest = |pick: &dyn Fn(usize) -> Option<f64>| {
+        let all = (0..ends.len()).filter_map(pick);
+        all.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let low = highest(&|k| Some(ends[k].0));
+    let best = highest(&|k| Some(ends[k].1));
+    if !(low < best && low.abs() <= LIMIT && best.abs() <= LIMIT) {
+        return Vec::new();
+    }
+    let step = ((best - low) / MOST as f64).ceil().max(1.0);
+    let mut all = steps(low, best, step);
+    if all.len() < FEWEST {
+        let own = ends.get(reference).map_or(best, |e| e.1);
+        let others = highest(&|k| Some(ends[k].1).filter(|_| k != reference));
+        for end in [own, others].into_iter().filter(|e| e.is_finite()) {
+            all.extend(steps(low.max(end - 1.0), end, 0.5));
+        }
+    }
+    all
+}
+
+/// Thresholds as asked for, or by the rule, and which of the two.
+///
+/// # Errors
+/// Values that are no PSNR.
+pub fn choose(
+    runs: &[Loaded],
+    groups: &[Group],
+    reference: usize,
+    asked: &[f64],
+) -> Result<(Vec<f64>, &'static str)> {
+    check(asked)?;
+    let median = |g: &Group, of: fn(&Curve) -> Option<f64>| -> Option<f64> {
+        let curves = g.runs.iter().map(|r| runs[*r].psnr(Clock::Iterations));
+        let values: Vec<f64> = curves.filter_map(|c| of(&c)).collect();
+        Some(Spread::of(&values)?.median)
+    };
+    let first = |c: &Curve| c.points().first().map(|p| p.1);
+    let best = |c: &Curve| c.points().iter().map(|p| p.1).reduce(f64::max);
+    let (mut all, rule) = match asked.is_empty() {
+        false => (asked.to_vec(), GIVEN),
+        true => {
+            let end = |g: &Group| {
+                let ends = median(g, first).zip(median(g, best));
+                ends.unwrap_or((f64::NEG_INFINITY, f64::NEG_INFINITY))
+            };
+            let ends: Vec<_> = groups.iter().map(end).collect();
+            (between(&ends, reference), RULE)
+        }
+    };
+    all.sort_by(f64::total_cmp);
+    all.dedup();
+    Ok((all, rule))
+}

@@ -1,0 +1,58 @@
+//! A quick look at a device before it is trusted with a run: every stage of one scene, in the precision and style of training.
+
+use crate::base::error::{Error, Result};
+use crate::device::Device;
+use crate::lab::cache;
+use crate::lab::verify::cases::mild;
+use crate::lab::verify::check::{Row, SINGLE, check};
+use crate::lab::verify::quantities::{device_quantities, reference_quantities};
+use crate::lab::verify::{chain, twin};
+
+/// Refuses a device that computes wrong results. What a device passed once, it is not asked again: that is kept per device,
+/// driver, kernels and tuning.
+///
+/// # Errors
+/// [`Error::Device`] that names the stage and its error; a build failure, or the driver's.
+pub fn self_test(device: &Device) -> Result<()> {
+    let of = (device.tuning(), env!("CARGO_PKG_VERSION"));
+    let kept = cache::file("selftest", device.info(), of);
+    if kept.as_ref().is_some_and(|f| f.is_file()) {
+        return Ok(());
+    }
+    judge(&rows(device)?)?;
+    if let Some(file) = kept {
+        cache::keep(&file, b"\"passed\"\n");
+    }
+    Ok(())
+}
+
+/// The comparisons.
+///
+/// # Errors
+/// A build failure, or the driver's.
+pub fn rows(device: &Device) -> Result<Vec<Row>> {
+    // The SH degree of training, whose kernels are needed anyway.
+    let case = mild("self-test", 300, [75, 50], 3, 7);
+    let out = chain::run::<f32>(device, device.tuning(), &case)?;
+    let want = reference_quantities(&case, &twin::run(&case), &out);
+    let got = device_quantities(&out);
+    Ok(check("self-test", &case, &got, &want, "f32", SINGLE))
+}
+
+/// The verdict on the comparisons.
+///
+/// # Errors
+/// [`Error::Device`] for the first that failed.
+pub fn judge(rows: &[Row]) -> Result<()> {
+    match rows.iter().find(|r| !r.pass) {
+        None => Ok(()),
+        Some(r) => Err(Error::device(
+            "self-test",
+            format!(
+                "this device computes wrong results: stage {}, {}: error {:.1e} where {:.0e} is allowed, {} elements beyond it, {} not finite",
+                r.stage, r.quantity, r.max_rel_error, r.bound, r.flips, r.non_finite
+            ),
+            "select another device with --device, or update the driver; `mhsplat verify` shows every stage",
+        )),
+    }
+}

@@ -1,0 +1,248 @@
+//! The device side of the check: a scene over some views, its losses, cues and gradients.
+//!
+//! Losses are compared strip by strip: the sums that the loss stage leaves for every strip are subtracted on the host in f64, so
+//! that what a candidate does not touch cancels exactly. Where the device has double precision all kernels run in it; in
+//! single precision the strips that change still round.
+
+use crate::base::constants::TILE;
+use crate::base::error::Result;
+use crate::density::Cues;
+use crate::device::{Array, Defines, Device, Kernels, Real};
+use crate::pipeline::backward::{Pass, ROUND};
+use crate::pipeline::buffers::{Scene, ViewSet};
+use crate::pipeline::forward::RenderOptions;
+use crate::pipeline::stage::importance::{Importance, ImportanceArgs};
+use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::pipeline::stage::project_grad::ProjectGrad;
+use crate::scene::Splats;
+
+/// How an instrument is set up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Setting {
+    /// SH degree and background of the renders.
+    pub render: RenderOptions,
+    /// λ of the loss.
+    pub lambda_ssim: f64,
+    /// Contributions below this alpha are dropped.
+    pub alpha_min: f64,
+    /// ε: opacity of a probe over that of its candidate. The cut of the probes' render is ε times the other, so that a probe
+    /// covers just the pixels that its candidate would.
+    pub probe: f64,
+}
+
+/// Cues of every Gaussian over the views.
+#[derive(Debug, Clone, Default)]
+pub struct CueRows {
+    /// Sums of 1 − SSIM.
+    pub ssim: Vec<f32>,
+    /// Sums of L1.
+    pub l1: Vec<f32>,
+    /// Views that see the centre.
+    pub views: Vec<u32>,
+}
+
+impl CueRows {
+    /// As density control takes them.
+    #[must_use]
+    pub fn cues(&self) -> Cues<'_> {
+        Cues {
+            ssim: &self.ssim,
+            l1: &self.l1,
+            views: &self.views,
+        }
+    }
+}
+
+/// The scene as it is, over all views.
+#[derive(Debug, Clone, Default)]
+pub struct Base {
+    /// Loss of each view.
+    pub losses: Vec<f64>,
+    /// Cues of every Gaussian.
+    pub cues: CueRows,
+    /// Derivatives of the mean loss by opacity logit and the three log-scales, of every Gaussian.
+    pub gradients: [Vec<f64>; 4],
+    /// Sums of each strip, by view.
+    pub(super) strips: Vec<Vec<f64>>,
+    /// Whether a view has any pair of a Gaussian, by view.
+    pub(super) touched: Vec<Vec<bool>>,
+}
+
+/// Renders, losses and gradients of one scene over some views.
+#[derive(Debug)]
+pub struct Instrument<R: Real> {
+    pub(super) device: Device,
+    pub(super) setting: Setting,
+    pub(super) views: ViewSet<R>,
+    pub(super) splats: Splats,
+    pub(super) scene: Scene<R>,
+    /// With the ordinary cut, and with the probes'.
+    passes: [Pass<R>; 2],
+    project_grad: ProjectGrad,
+    loss: Loss,
+    importance: Importance,
+    maps: Array<R>,
+    dimage: Array<R>,
+    partial: Array<R>,
+}
+
+impl<R: Real> Instrument<R> {
+    /// Uploads the scene, with room for `births` more, and builds the kernels.
+    ///
+    /// # Errors
+    /// A build failure, or more than the device can allocate.
+    pub fn new(
+        device: &Device,
+        views: ViewSet<R>,
+        splats: Splats,
+        setting: Setting,
+        births: usize,
+    ) -> Result<Self> {
+        let degree = setting.render.sh_degree.min(splats.sh_degree());
+        let defines = Defines {
+            alpha_min: setting.alpha_min,
+            sh_degree: degree,
+            alpha: views.alpha,
+            ..Defines::new(device.tuning())
+        };
+        let kernels = Kernels::new(device, defines);
+        let loss = Loss::new::<R>(&kernels)?;
+        let [w, h] = views.largest;
+        let plane = w.next_multiple_of(TILE as usize) * h.next_multiple_of(TILE as usize);
+        Ok(Self {
+            scene: Scene::upload(device, &splats, splats.len() + births.max(1) + 2 * ROUND)?,
+            passes: [
+                Pass::new(device, defines, degree, setting.alpha_min)?,
+                Pass::new(device, defines, degree, setting.alpha_min * setting.probe)?,
+            ],
+            project_grad: ProjectGrad::new::<R>(&kernels)?,
+            importance: Importance::new::<R>(&kernels)?,
+            maps: Array::zeros(device, "maps", 3 * plane)?,
+            dimage: Array::zeros(device, "dimage", 3 * plane)?,
+            partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
+            loss,
+            device: device.clone(),
+            setting,
+            views,
+            splats,
+        })
+    }
+
+    /// Number of views.
+    pub(super) fn view_count(&self) -> usize {
+        self.views.len()
+    }
+
+    /// Renders a view with one of the passes.
+    pub(super) fn render(&mut self, lifted: usize, view: usize, count: usize) -> Result<()> {
+        self.scene.count = count;
+        let camera = &self.views.cameras[view];
+        self.passes[lifted].render(&self.scene, camera, &self.setting.render)
+    }
+
+    /// Calls `then` with the render made last with the ordinary cut, and the view's photo.
+    fn with_pair<T>(
+        &self,
+        view: usize,
+        then: impl FnOnce(&ImagePair<'_, R>) -> Result<T>,
+    ) -> Result<T> {
+        let photo = self.views.photo(view, &[])?;
+        then(&ImagePair {
+            image: &self.passes[0].renderer.frame.image,
+            photo: &photo,
+            background: self.setting.render.background,
+            size: size_of_image(&self.views.cameras[view]),
+            blank: None,
+        })
+    }
+
+    /// Sums of each strip of the render made last: |x − y| and SSIM in turn.
+    pub(super) fn strips(&self, view: usize) -> Result<Vec<f64>> {
+        self.with_pair(view, |pair| {
+            self.loss.errors(pair, &self.maps, &self.partial)?;
+            let [w, h] = pair.size;
+            let sums = self.partial.read(0, self.loss.partial_len(w, h))?;
+            Ok(sums.into_iter().map(Into::into).collect())
+        })
+    }
+
+    /// The loss of these strips, without its constant, and the number of pixel values.
+    pub(super) fn weigh(&self, view: usize, l1: f64, ssim: f64) -> f64 {
+        let [w, h] = size_of_image(&self.views.cameras[view]);
+        let lambda = self.setting.lambda_ssim;
+        ((1.0 - lambda) * l1 - lambda * ssim) / (3 * w * h) as f64
+    }
+
+    /// dL/dC of the render made last with the ordinary cut.
+    pub(super) fn image_gradient(&self, view: usize) -> Result<()> {
+        let lambda = self.setting.lambda_ssim;
+        self.with_pair(view, |pair| {
+            self.loss
+                .gradient(pair, lambda, &self.maps, &self.partial, &self.dimage)
+        })
+    }
+
+    /// Gradients of the rows from `first` (a multiple of 16) on from the render made last by one of the passes: opacity logit
+    /// and log-scales.
+    pub(super) fn gradients(
+        &self,
+        lifted: usize,
+        view: usize,
+        first: usize,
+    ) -> Result<[Vec<f64>; 4]> {
+        let backward = self.passes[lifted].backward(&self.project_grad);
+        let camera = &self.views.cameras[view];
+        backward.gradients(&self.scene, camera, &self.dimage, first)
+    }
+
+    /// Whether the view rendered last has any pair of the rows.
+    pub(super) fn touched(&self, lifted: usize, first: usize, count: usize) -> Result<Vec<bool>> {
+        self.passes[lifted].touched(first, count)
+    }
+
+    /// Losses, cues and gradients of the scene as it is.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn base(&mut self) -> Result<Base> {
+        let n = self.splats.len();
+        let cues = Array::zeros(&self.device, "cues", 3 * self.scene.stride)?;
+        let mut base = Base {
+            gradients: std::array::from_fn(|_| vec![0.0; n]),
+            ..Base::default()
+        };
+        let k = self.view_count() as f64;
+        for view in 0..self.view_count() {
+            self.render(0, view, n)?;
+            let strips = self.strips(view)?;
+            let sum = |at: usize| strips[at..].iter().step_by(2).sum::<f64>();
+            let loss = self.setting.lambda_ssim + self.weigh(view, sum(0), sum(1));
+            base.losses.push(loss);
+            base.strips.push(strips);
+            base.touched.push(self.touched(0, 0, n)?);
+            self.importance.run(&ImportanceArgs {
+                params: &self.scene.params,
+                stride: self.scene.stride,
+                count: n,
+                camera: &self.views.cameras[view],
+                maps: &self.maps,
+                first_view: view == 0,
+                status: &self.passes[0].renderer.frame.status,
+                cues: &cues,
+            })?;
+            self.image_gradient(view)?;
+            let gradients = self.gradients(0, view, 0)?;
+            for (sums, more) in base.gradients.iter_mut().zip(gradients) {
+                sums.iter_mut().zip(more).for_each(|(s, g)| *s += g / k);
+            }
+        }
+        let row = |r: usize| cues.read(r * self.scene.stride, n);
+        let narrow = |v: Vec<R>| v.into_iter().map(|v| v.into() as f32).collect();
+        base.cues = CueRows {
+            ssim: narrow(row(0)?),
+            l1: narrow(row(1)?),
+            views: row(2)?.into_iter().map(|v| v.into() as u32).collect(),
+        };
+        Ok(base)
+    }
+}

@@ -1,0 +1,195 @@
+//! Scenes that the stages are checked on: seeded, exact in f32.
+
+use glam::{DMat3, DVec3};
+
+use crate::base::constants::ALPHA_MIN;
+use crate::base::rng::{Philox, Purpose};
+use crate::capture::{Camera, Photo};
+use crate::density::Edit;
+use crate::lab::verify::chain::Case;
+use crate::pipeline::stage::adam::LearningRates;
+use crate::scene::{Plane, Splats};
+
+fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
+    Philox::uniform(
+        seed,
+        Purpose::Synthetic.stream(0),
+        (index as u64) << 8 | what,
+    )
+}
+
+fn camera(size: [u32; 2]) -> Camera {
+    let [w, h] = size.map(f64::from);
+    let rotation = DMat3::from_rotation_y(0.1) * DMat3::from_rotation_x(-0.2);
+    Camera {
+        rotation,
+        translation: DVec3::new(0.1, -0.05, 3.0),
+        fx: 1.1 * w,
+        fy: 1.05 * w,
+        cx: 0.47 * w,
+        cy: 0.55 * h,
+        width: size[0],
+        height: size[1],
+    }
+}
+
+fn cloud(n: usize, sh_degree: u32, seed: u64) -> Splats {
+    let mut s = Splats::zeros(sh_degree, n);
+    for i in 0..n {
+        let [x, y, z, far] = uniform(seed, i, 0);
+        let scale = uniform(seed, i, 1);
+        let spread = if far > 0.9 { 8.0 } else { 2.0 };
+        s.scatter(
+            Plane::POSITION,
+            i,
+            [x, y, z].map(|v| (spread * (v - 0.5)) as f32),
+        );
+        s.scatter(
+            Plane::LOG_SCALE,
+            i,
+            [0, 1, 2].map(|k| (2.0 * scale[k] - 3.2) as f32),
+        );
+        s.scatter(
+            Plane::ROTATION,
+            i,
+            uniform(seed, i, 2).map(|v| (v - 0.5) as f32),
+        );
+        s.scatter(Plane::OPACITY, i, [(6.0 * scale[3] - 2.0) as f32]);
+        for p in Plane::SH..Plane::count(sh_degree) {
+            s.scatter(
+                p,
+                i,
+                [(1.2 * uniform(seed, i, 3 + p as u64)[0] - 0.4) as f32],
+            );
+        }
+    }
+    s
+}
+
+/// Well-conditioned Gaussians in front of the camera, some beside and behind it; a noisy photo; two edits.
+#[must_use]
+pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> Case {
+    let s = cloud(n, sh_degree, seed);
+    let [w, h] = size;
+    let data = (0..3 * (w * h) as usize)
+        .map(|i| (255.0 * uniform(seed, i, 255)[0]) as u8)
+        .collect();
+    let last = n.saturating_sub(1) as u32;
+    let edit = |src: u32, dst: u32| Edit {
+        src,
+        dst,
+        position: [0.25, -0.5, 0.75],
+        log_scale: [-3.0, -2.0, -1.0],
+        opacity_logit: 0.5,
+        // The appended row has a colour of its own.
+        color: (dst > last).then_some([0.5, -0.25, 1.5]),
+    };
+    Case {
+        name: name.into(),
+        splats: s,
+        camera: camera(size),
+        photo: Photo {
+            width: w,
+            height: h,
+            channels: 3,
+            mask: false,
+            data,
+        },
+        filter_views: Vec::new(),
+        background: [0.2, 0.5, 0.1],
+        alpha_min: ALPHA_MIN,
+        sh_degree,
+        lambdas: [0.2, 0.01, 0.01],
+        rates: LearningRates {
+            position: 1e-3,
+            scale: 5e-3,
+            rotation: 1e-3,
+            opacity: 0.025,
+            sh0: 2.5e-3,
+            sh: 1e-4,
+        },
+        edits: if last > 0 {
+            vec![edit(0, last), edit(0, 0), edit(1, 1)]
+        } else {
+            vec![edit(0, 0)]
+        },
+        spoilt: Vec::new(),
+        error_map_bound: None,
+    }
+}
+
+/// Gaussians a thousand times longer than thick, at all angles.
+#[must_use]
+pub fn needles(n: usize, size: [u32; 2], seed: u64) -> Case {
+    let mut case = mild("needles 1000:1", n, size, 1, seed);
+    for i in 0..n {
+        let long = uniform(seed, i, 4)[0] as f32;
+        case.splats
+            .scatter(Plane::LOG_SCALE, i, [-0.5 - long, -7.4 - long, -7.4]);
+    }
+    case
+}
+
+impl Case {
+    /// The same with anti-aliasing: the 3D filter goes by the case's camera, by one of a third of its focal length, nearer,
+    /// and by one that sees the scene from the side, all with `finer` times the pixels in width and height: where that is much,
+    /// the 3D filter leaves even thin Gaussians what they are, and the 2D filter has them to itself.
+    #[must_use]
+    pub fn anti_aliased(mut self, finer: u32) -> Self {
+        let [w, h] = [self.camera.width, self.camera.height];
+        let camera = self.camera.scaled_to(finer * w, finer * h);
+        let near = Camera {
+            translation: 0.7 * camera.translation,
+            fx: camera.fx / 3.0,
+            fy: camera.fy / 3.0,
+            ..camera
+        };
+        let side = Camera {
+            rotation: DMat3::from_rotation_y(1.4) * camera.rotation,
+            ..camera
+        };
+        self.filter_views = vec![camera, near, side];
+        self
+    }
+
+    /// The same with a photo that has a premultiplied alpha plane.
+    #[must_use]
+    pub fn with_alpha(mut self) -> Self {
+        let photo = &mut self.photo;
+        let n = (photo.width * photo.height) as usize;
+        let alpha: Vec<u8> = (0..n)
+            .map(|i| {
+                if i % 3 == 0 {
+                    255
+                } else {
+                    (i * 37 % 256) as u8
+                }
+            })
+            .collect();
+        for c in 0..3 {
+            for (v, a) in photo.data[c * n..].iter_mut().zip(&alpha) {
+                *v = (u32::from(*v) * u32::from(*a) / 255) as u8;
+            }
+        }
+        photo.data.extend(alpha);
+        photo.channels = 4;
+        self
+    }
+
+    /// The same with a mask: the photo's right half counts, its left does not, and between them it does in part.
+    #[must_use]
+    pub fn with_mask(mut self) -> Self {
+        let photo = &mut self.photo;
+        let (w, n) = (photo.width as usize, photo.data.len() / 3);
+        let slope = |i: usize| (i % w * 8).saturating_sub(4 * w).min(w) * 255 / w.max(1);
+        let mask: Vec<u8> = (0..n).map(|i| slope(i) as u8).collect();
+        for c in 0..3 {
+            for (v, m) in photo.data[c * n..].iter_mut().zip(&mask) {
+                *v = (u32::from(*v) * u32::from(*m) / 255) as u8;
+            }
+        }
+        photo.data.extend(mask);
+        (photo.channels, photo.mask) = (4, true);
+        self
+    }
+}

@@ -1,0 +1,373 @@
+//! Every stage once, in order, on one device and in one precision, with every intermediate result read back.
+
+use crate::base::constants::{FILTER_CHUNKS, NEAR, SUMS};
+use crate::base::error::Result;
+use crate::capture::{Camera, Photo};
+use crate::density::Edit as DensityEdit;
+use crate::device::tuning::{Tuning, status};
+use crate::device::{Array, CameraArg, Defines, Device, EditRow, Kernels, Real, Record};
+use crate::lab::verify::exposure::ExposureOutputs;
+use crate::lab::verify::readback::{crop, read_forward, widen};
+use crate::pipeline::buffers::Scene;
+use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::stage::adam::{Adam, AdamArgs, LearningRates};
+use crate::pipeline::stage::edit::{Edit, EditArgs};
+use crate::pipeline::stage::exposure::Exposure;
+use crate::pipeline::stage::filter::{Filter, FilterArgs};
+use crate::pipeline::stage::importance::Importance;
+use crate::pipeline::stage::live::Live;
+use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::pipeline::stage::metrics::Metrics;
+use crate::pipeline::stage::noise::Noise;
+use crate::pipeline::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::pipeline::stage::screen_grad::ScreenGrad;
+use crate::pipeline::stage::seen::Seen;
+use crate::pipeline::stage::splat_grad::SplatGrad;
+use crate::scene::{Plane, Splats};
+
+/// Inputs of a passage through all stages.
+#[derive(Debug, Clone)]
+pub struct Case {
+    /// Name of the case.
+    pub name: String,
+    /// Scene (f32 values, so that both precisions start from the same numbers).
+    pub splats: Splats,
+    /// Camera.
+    pub camera: Camera,
+    /// Photo, of the camera's size.
+    pub photo: Photo,
+    /// Cameras whose sampling rates the 3D filter goes by; none: no anti-aliasing.
+    pub filter_views: Vec<Camera>,
+    /// Background colour.
+    pub background: [f32; 3],
+    /// Contributions below this alpha are dropped.
+    pub alpha_min: f64,
+    /// SH degree in use.
+    pub sh_degree: u32,
+    /// λ, λ_o, λ_s.
+    pub lambdas: [f64; 3],
+    /// Learning rates of the optimiser step.
+    pub rates: LearningRates,
+    /// Rows written after the step.
+    pub edits: Vec<DensityEdit>,
+    /// Gaussians whose own numbers are not compared, because their parameters are none. What they do to others is.
+    pub spoilt: Vec<usize>,
+    /// A bound of its own on the loss's error maps in f32, where the case needs one.
+    pub error_map_bound: Option<f64>,
+}
+
+/// Adam's constants in every case: β₁, β₂, ε. Exact in f32, as those of a configuration are: 1 − β₂ of a rounded 0.999 is off by
+/// 1.3e-5 of itself, and every second moment with it.
+pub const ADAM: [f64; 3] = [0.9_f32 as f64, 0.999_f32 as f64, 1e-15];
+
+/// What the stages gave, as f64 whatever the precision. Images are without padding.
+#[derive(Debug, Clone, Default)]
+pub struct Outputs {
+    /// project: record of each Gaussian, none when culled.
+    pub records: Vec<Option<Record<f64>>>,
+    /// filter: standard deviation of each Gaussian; empty without anti-aliasing.
+    pub filter: Vec<f64>,
+    /// bin, scan and sort: Gaussians of each tile, front to back.
+    pub tiles: Vec<Vec<u32>>,
+    /// Sum of the counts of bin, which must equal the number of pairs.
+    pub counted: usize,
+    /// splat: \[3, height, width\].
+    pub image: Vec<f64>,
+    /// splat: \[height, width\].
+    pub transmittance: Vec<f64>,
+    /// loss: mean |x − y| and mean SSIM.
+    pub loss: [f64; 2],
+    /// loss: \[3, height, width\].
+    pub dimage: Vec<f64>,
+    /// loss: 1 − SSIM and |x − y|, channel means \[2, height, width\].
+    pub error_maps: Vec<f64>,
+    /// exposure: of the image and its gradient.
+    pub exposure: ExposureOutputs,
+    /// splat_grad: nine sums of each Gaussian.
+    pub sums: Vec<[f64; SUMS]>,
+    /// project_grad: planes.
+    pub grads: Vec<Vec<f64>>,
+    /// adam: parameters and moments after two steps with the same gradient.
+    pub adam: [Vec<Vec<f64>>; 3],
+    /// Non-finite gradients that adam counted.
+    pub non_finite: u32,
+    /// noise: displacement of each Gaussian, x, y and z.
+    pub noise: Vec<Vec<f64>>,
+    /// screen_grad: sums of norms, iterations (twice the same one).
+    pub screen_grad: [Vec<f64>; 2],
+    /// importance: sums of 1 − SSIM and L1, views (twice the same view).
+    pub cues: [Vec<f64>; 3],
+    /// seen: 1 for each Gaussian that the view shows, or that counted as seen before.
+    pub seen: Vec<f64>,
+    /// metrics: squared error over the image.
+    pub squared_error: f64,
+    /// metrics: 1 − SSIM (of the render before it is clamped) over the pixels, as far as they count.
+    pub dissimilarity: f64,
+    /// edit: parameters and moments afterwards.
+    pub edited: [Vec<Vec<f64>>; 3],
+    /// Seconds of device time per stage.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+pub(super) struct Stages {
+    live: Option<Live>,
+    pub(super) loss: Loss,
+    pub(super) splat_grad: SplatGrad,
+    pub(super) exposure: Exposure,
+    project_grad: ProjectGrad,
+    adam: Adam,
+    pub(super) noise: Noise,
+    pub(super) screen_grad: ScreenGrad,
+    pub(super) seen: Seen,
+    pub(super) importance: Importance,
+    pub(super) metrics: Metrics,
+    edit: Edit,
+}
+
+impl Stages {
+    fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+        Ok(Self {
+            live: Live::if_asked::<R>(kernels)?,
+            loss: Loss::new::<R>(kernels)?,
+            exposure: Exposure::new::<R>(kernels)?,
+            splat_grad: SplatGrad::new::<R>(kernels)?,
+            project_grad: ProjectGrad::new::<R>(kernels)?,
+            adam: Adam::new::<R>(kernels)?,
+            noise: Noise::new::<R>(kernels)?,
+            screen_grad: ScreenGrad::new::<R>(kernels)?,
+            seen: Seen::new::<R>(kernels)?,
+            importance: Importance::new::<R>(kernels)?,
+            metrics: Metrics::new::<R>(kernels)?,
+            edit: Edit::new::<R>(kernels)?,
+        })
+    }
+}
+
+/// Runs every stage in precision `R` on `case`.
+///
+/// # Errors
+/// A build failure, or the driver's.
+pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outputs> {
+    let defines = Defines {
+        alpha_min: case.alpha_min,
+        sh_degree: case.sh_degree,
+        alpha: case.photo.alpha(),
+        anti_alias: !case.filter_views.is_empty(),
+        ..Defines::new(tuning)
+    };
+    let stages = Stages::new::<R>(&Kernels::new(device, defines))?;
+    let mut renderer = Renderer::<R>::new(device, defines, case.sh_degree, true)?;
+    let mut scene = Scene::<R>::upload(device, &case.splats, 0)?;
+    if defines.anti_alias {
+        scene = scene.with_filter(device)?;
+    }
+    let photo = Array::from_slice(device, "photo", &case.photo.data)?;
+    let camera = CameraArg::<R>::new(&case.camera, NEAR);
+    let options = RenderOptions {
+        sh_degree: case.sh_degree,
+        background: case.background,
+        quantity: Quantity::Color,
+        live_only: false,
+    };
+    // The first pass may be repeated with more room for pairs; times are of one that is not.
+    if defines.anti_alias {
+        filter(&Kernels::new(device, defines), &scene, &renderer, case)?;
+    }
+    renderer.render(&scene, &camera, &options)?;
+    device.collect_times(usize::MAX)?;
+    device.reset_times();
+    renderer.render(&scene, &camera, &options)?;
+
+    let mut out = Outputs::default();
+    read_forward(&renderer, &scene, &camera, &mut out)?;
+    if defines.anti_alias {
+        out.filter = widen(scene.filter.read(0, scene.count)?);
+    }
+    let mut run = Run {
+        device,
+        stages,
+        renderer,
+        scene,
+        photo,
+        camera,
+        case,
+    };
+    run.loss_and_gradient(&mut out)?;
+    run.gradient_and_update(&mut out)?;
+    run.sampler_stages(&mut out)?;
+    run.seen(&mut out)?;
+    run.importance_and_metrics(&mut out)?;
+    device.collect_times(usize::MAX)?;
+    out.seconds = device
+        .times()
+        .into_iter()
+        .map(|(s, t)| (s, t.seconds))
+        .collect();
+    Ok(out)
+}
+
+/// Fills in the 3D filter of the scene.
+fn filter<R: Real>(
+    kernels: &Kernels,
+    scene: &Scene<R>,
+    renderer: &Renderer<R>,
+    case: &Case,
+) -> Result<()> {
+    let device = kernels.device();
+    let cameras: Vec<_> = case
+        .filter_views
+        .iter()
+        .map(|c| CameraArg::<R>::new(c, NEAR))
+        .collect();
+    Filter::new::<R>(kernels)?.run(&FilterArgs {
+        params: &scene.params,
+        stride: scene.stride,
+        count: scene.count,
+        cameras: &Array::from_slice(device, "cameras", &cameras)?,
+        status: &renderer.frame.status,
+        largest: &Array::zeros(device, "largest", FILTER_CHUNKS as usize)?,
+        filter: &scene.filter,
+    })
+}
+
+/// A passage under way: what is on the device, and the stages.
+pub(super) struct Run<'a, R: Real> {
+    pub(super) device: &'a Device,
+    pub(super) stages: Stages,
+    pub(super) renderer: Renderer<R>,
+    pub(super) scene: Scene<R>,
+    photo: Array<u8>,
+    pub(super) camera: CameraArg<R>,
+    case: &'a Case,
+}
+
+impl<R: Real> Run<'_, R> {
+    pub(super) fn pair(&self) -> ImagePair<'_, R> {
+        ImagePair {
+            image: &self.renderer.frame.image,
+            photo: &self.photo,
+            background: self.case.background,
+            size: size_of_image(&self.camera),
+            blank: self
+                .stages
+                .live
+                .is_some()
+                .then(|| self.renderer.frame.blank()),
+        }
+    }
+
+    pub(super) fn planes(&self, array: &Array<R>) -> Result<Vec<Vec<f64>>> {
+        (0..self.scene.planes())
+            .map(|p| Ok(widen(array.read(p * self.scene.stride, self.scene.count)?)))
+            .collect()
+    }
+
+    fn loss_and_gradient(&mut self, out: &mut Outputs) -> Result<()> {
+        let (device, s, case) = (self.device, &self.stages, self.case);
+        if let Some(live) = &s.live {
+            live.run(&self.photo, &self.camera, self.renderer.live_tiles())?;
+        }
+        let pair = self.pair();
+        let ([w, h], plane) = (pair.size, pair.plane());
+        let maps = Array::zeros(device, "maps", 3 * plane)?;
+        let dimage = Array::zeros(device, "dimage", 3 * plane)?;
+        let partial = Array::zeros(device, "partial", s.loss.partial_len(w, h))?;
+        let loss = Array::zeros(device, "losses", 2)?;
+        s.loss
+            .gradient(&pair, case.lambdas[0], &maps, &partial, &dimage)?;
+        s.loss.sum(&pair, &partial, &loss, 0)?;
+        let sums = widen(loss.to_vec()?);
+        out.loss = [sums[0], sums[1]];
+        out.dimage = crop(&widen(dimage.to_vec()?), &self.camera, 0..3);
+        out.exposure = self.exposure(&dimage, plane)?;
+
+        let f = &self.renderer.frame;
+        s.splat_grad
+            .run(&self.renderer.lists(&self.camera), &dimage, &f.sums)?;
+        out.sums = self.read_sums()?;
+        Ok(())
+    }
+
+    /// The nine sums of each Gaussian, added over its pairs.
+    fn read_sums(&self) -> Result<Vec<[f64; SUMS]>> {
+        let f = &self.renderer.frame;
+        let (counts, starts) = (
+            f.pair_counts.read(0, self.scene.count)?,
+            f.pair_start.read(0, self.scene.count)?,
+        );
+        let all = widen(f.sums.to_vec()?);
+        Ok(counts
+            .iter()
+            .zip(&starts)
+            .map(|(n, first)| {
+                let mut total = [0.0; SUMS];
+                for p in 0..*n as usize {
+                    for (k, t) in total.iter_mut().enumerate() {
+                        *t += all[(*first as usize + p) * SUMS + k];
+                    }
+                }
+                total
+            })
+            .collect())
+    }
+
+    fn gradient_and_update(&mut self, out: &mut Outputs) -> Result<()> {
+        let (device, s, case) = (self.device, &self.stages, self.case);
+        let f = &self.renderer.frame;
+        let len = self.scene.planes() * self.scene.stride;
+        let [grads, m, v] = [
+            Array::zeros(device, "grads", len)?,
+            Array::zeros(device, "moment1", len)?,
+            Array::zeros(device, "moment2", len)?,
+        ];
+        s.project_grad.run(&ProjectGradArgs {
+            params: &self.scene.params,
+            stride: self.scene.stride,
+            count: self.scene.count,
+            filter: &self.scene.filter,
+            camera: &self.camera,
+            pair_start: &f.pair_start,
+            pair_counts: &f.pair_counts,
+            status: &f.status,
+            sums: &f.sums,
+            lambda_opacity: case.lambdas[1],
+            lambda_scale: case.lambdas[2],
+            block: 0..self.scene.count,
+            grad_stride: self.scene.stride,
+            grads: &grads,
+        })?;
+        out.grads = self.planes(&grads)?;
+        // The optimiser and the edits change the parameters that the later stages read: keep a copy.
+        let kept = Array::zeros(device, "params", len)?;
+        kept.copy_from(0, &self.scene.params, 0, len)?;
+        for step in 1..=2 {
+            s.adam.run(&AdamArgs {
+                grads: &grads,
+                grad_stride: self.scene.stride,
+                block: 0..self.scene.count,
+                stride: self.scene.stride,
+                planes: Plane::count(case.sh_degree),
+                rates: case.rates,
+                constants: ADAM,
+                step,
+                params: &kept,
+                moment1: &m,
+                moment2: &v,
+                status: &f.status,
+            })?;
+        }
+        out.adam = [self.planes(&kept)?, self.planes(&m)?, self.planes(&v)?];
+        out.non_finite = f.status.read(status::NON_FINITE as usize, 1)?[0];
+        let rows: Vec<EditRow> = case.edits.iter().map(EditRow::from).collect();
+        s.edit.run(&EditArgs {
+            edits: &Array::from_slice(device, "edits", &rows)?,
+            stride: self.scene.stride,
+            planes: self.scene.planes(),
+            params: &kept,
+            moment1: &m,
+            moment2: &v,
+        })?;
+        out.edited = [self.planes(&kept)?, self.planes(&m)?, self.planes(&v)?];
+        Ok(())
+    }
+}

@@ -1,0 +1,128 @@
+//! The exposure stage in the check: on the image and the gradient that the stages before it gave.
+
+use crate::base::error::Result;
+use crate::device::{Array, Real};
+use crate::lab::verify::chain::{ADAM, Outputs, Run};
+use crate::lab::verify::readback::{crop, widen};
+use crate::pipeline::stage::adam::{Step, adam};
+use crate::pipeline::stage::exposure::{
+    ENTRIES, ExposedImage, ExposureStep, IDENTITY, apply, backward, center,
+};
+
+/// The transforms of the views in every case, the second being that of the case's: a brightening with some mixing of
+/// channels. Exact in f32.
+pub const EXPOSURES: [[f64; 12]; 3] = [
+    IDENTITY,
+    [
+        1.25, 0.0625, -0.03125, 0.015625, -0.125, 0.875, 0.25, -0.0625, 0.03125, 0.5, 0.75, 0.125,
+    ],
+    IDENTITY,
+];
+/// The case's view.
+const VIEW: usize = 1;
+/// Learning rate of both steps.
+const RATE: f64 = 0.01;
+
+/// What the exposure stage gave, as f64 whatever the precision. Images are without padding.
+#[derive(Debug, Clone, Default)]
+pub struct ExposureOutputs {
+    /// A x + b \[3, height, width\].
+    pub image: Vec<f64>,
+    /// dL/dx \[3, height, width\], the loss stage's gradient being that by the corrected image.
+    pub dimage: Vec<f64>,
+    /// dL/d\[A | b\].
+    pub grads: Vec<f64>,
+    /// Transforms and moments \[views · 12\] after two steps with the same gradient.
+    pub adam: [Vec<f64>; 3],
+}
+
+impl<R: Real> Run<'_, R> {
+    /// The stage on copies of the image's transform and of the gradient `dimage`.
+    pub(super) fn exposure(&self, dimage: &Array<R>, plane: usize) -> Result<ExposureOutputs> {
+        let (device, stage) = (self.device, &self.stages.exposure);
+        let views = EXPOSURES.len();
+        let start: Vec<R> = EXPOSURES.as_flattened().iter().map(|v| R::of(*v)).collect();
+        let exposures = Array::from_slice(device, "exposures", &start)?;
+        let zeros = |name, len| Array::<R>::zeros(device, name, len);
+        let (m, v) = (
+            zeros("moment1", start.len())?,
+            zeros("moment2", start.len())?,
+        );
+        let partial = zeros("exposure partial", stage.partial_len())?;
+        let grads = zeros("exposure grads", ENTRIES)?;
+        let corrected = zeros("corrected", 3 * plane)?;
+        let gradient = zeros("dimage", 3 * plane)?;
+        gradient.copy_from(0, dimage, 0, 3 * plane)?;
+        let exposed = ExposedImage {
+            image: &self.renderer.frame.image,
+            plane,
+            exposures: &exposures,
+            view: VIEW,
+        };
+        stage.apply(&exposed, &corrected)?;
+        stage.backward(&exposed, &gradient, &partial)?;
+        for step in 1..=2 {
+            stage.step(&ExposureStep {
+                partial: &partial,
+                view: VIEW,
+                views,
+                rate: RATE,
+                constants: ADAM,
+                step,
+                exposures: &exposures,
+                moments: [&m, &v],
+                grads: &grads,
+                status: &self.renderer.frame.status,
+            })?;
+        }
+        let image = |a: &Array<R>| Ok(crop(&widen(a.to_vec()?), &self.camera, 0..3));
+        Ok(ExposureOutputs {
+            image: image(&corrected)?,
+            dimage: image(&gradient)?,
+            grads: widen(grads.to_vec()?),
+            adam: [
+                widen(exposures.to_vec()?),
+                widen(m.to_vec()?),
+                widen(v.to_vec()?),
+            ],
+        })
+    }
+}
+
+/// The same from the reference, from the device's own image and gradients.
+#[must_use]
+pub fn reference(device: &Outputs) -> ExposureOutputs {
+    let exposure = &EXPOSURES[VIEW];
+    let (dimage, grads) = backward(&device.image, exposure, &device.dimage);
+    let mut params = EXPOSURES.as_flattened().to_vec();
+    let (mut m, mut v) = (vec![0.0; params.len()], vec![0.0; params.len()]);
+    let mut all = vec![0.0; params.len()];
+    all[VIEW * ENTRIES..(VIEW + 1) * ENTRIES].copy_from_slice(&device.exposure.grads);
+    for t in 1..=2 {
+        let step = Step {
+            rate: RATE,
+            constants: ADAM,
+            t,
+        };
+        adam(&all, &step, &mut params, &mut m, &mut v);
+        center(&mut params);
+    }
+    ExposureOutputs {
+        image: apply(&device.image, exposure),
+        dimage,
+        grads: grads.to_vec(),
+        adam: [params, m, v],
+    }
+}
+
+/// The largest sum of magnitudes of the terms of dL/d\[A | b\].
+#[must_use]
+pub fn largest_sum(device: &Outputs) -> f64 {
+    let magnitudes = |v: &[f64]| v.iter().map(|v| v.abs()).collect::<Vec<f64>>();
+    let (_, sums) = backward(
+        &magnitudes(&device.image),
+        &IDENTITY,
+        &magnitudes(&device.dimage),
+    );
+    sums.into_iter().fold(0.0, f64::max)
+}

@@ -1,0 +1,121 @@
+//! The optimiser under gradients of any size.
+
+use crate::base::error::Result;
+use crate::device::tuning::status;
+use crate::device::{Array, Defines, Device, Kernels, Real};
+use crate::lab::verify::chain::ADAM;
+use crate::lab::verify::check::{EXACT, Row};
+use crate::lab::verify::stress::{FamilyNote, host_row};
+use crate::pipeline::stage::adam::{Adam, AdamArgs, LearningRates, Step, adam};
+use crate::scene::Plane;
+
+/// What the family is about.
+pub const NOTE: FamilyNote = FamilyNote {
+    name: "optimiser",
+    axis: "size of the gradients",
+    bound: SINGLE,
+    reason: "below 1e-17 the second moment is no normal number of f32, and counts for less beside ε than it should",
+};
+/// Bound in f32. Below 1e-17 the second moment is no normal number of f32 and counts for less beside ε than it should.
+const SINGLE: f64 = 2e-3;
+/// Gaussians: one vector of the widest kind and one more.
+const N: usize = 32;
+
+/// Every row of one precision.
+///
+/// # Errors
+/// A build failure, or the driver's.
+pub fn rows<R: Real>(device: &Device, precision: &str, bound: f64) -> Result<Vec<Row>> {
+    let sizes = [-30, -25, -20, -18, -15, -10, -5, 0, 5, 10, 17, 19, 25, 30];
+    let mut rows = Vec::new();
+    for size in sizes.map(|e| 10f64.powi(e)) {
+        for (rate, what) in [(1e-2, "steps"), (0.0, "steps at rate 0")] {
+            let errors = errors::<R>(device, size, rate)?;
+            let case = format!("gradients of {size:.0e}");
+            let quantity = format!("{what} ({precision})");
+            rows.push(host_row(
+                NOTE.name, &case, "adam", &quantity, size, &errors, bound,
+            ));
+        }
+    }
+    Ok(rows)
+}
+
+/// Both precisions, as far as the device has them.
+///
+/// # Errors
+/// As [`rows`].
+pub fn all(device: &Device) -> Result<Vec<Row>> {
+    let mut all = rows::<f32>(device, "f32", SINGLE)?;
+    if device.info().fp64 {
+        all.extend(rows::<f64>(device, "f64", EXACT)?);
+    }
+    Ok(all)
+}
+
+/// Steps that are taken.
+const STEPS: u32 = 3;
+
+/// Errors of the parameters after the steps from 0, over the largest wanted one, and of the count of gradients that are none.
+fn errors<R: Real>(device: &Device, size: f64, rate: f64) -> Result<Vec<f64>> {
+    let planes = Plane::count(0);
+    let sign = |i: usize| if i.is_multiple_of(3) { -1.0 } else { 1.0 };
+    let gradient = |i: usize| R::of(size * sign(i) * (1.0 + (i % 7) as f64));
+    let gradients: Vec<R> = (0..planes * N).map(gradient).collect();
+    let (got, counted) = stepped(device, &gradients, rate)?;
+    let wide: Vec<f64> = gradients.iter().map(|g| (*g).into()).collect();
+    let zeros = || vec![0.0; wide.len()];
+    let (mut want, mut m, mut v, mut bad) = (zeros(), zeros(), zeros(), 0);
+    for t in 1..=STEPS {
+        let step = Step {
+            rate,
+            constants: ADAM,
+            t,
+        };
+        bad += adam(&wide, &step, &mut want, &mut m, &mut v);
+    }
+    let largest = want.iter().fold(0.0f64, |l, w| l.max(w.abs()));
+    let scale = if largest > 0.0 { largest } else { 1.0 };
+    let (params, moments) = got.split_at(wide.len());
+    let apart = params.iter().zip(&want).map(|(g, w)| (g - w).abs() / scale);
+    let broken = |m: &f64| if m.is_finite() { 0.0 } else { f64::NAN };
+    let mut errors: Vec<f64> = apart.chain(moments.iter().map(broken)).collect();
+    errors.push(f64::from(counted.abs_diff(bad)));
+    Ok(errors)
+}
+
+/// Parameters and both moments after the steps from 0 with the same gradients, and how many of those counted as none.
+fn stepped<R: Real>(device: &Device, gradients: &[R], rate: f64) -> Result<(Vec<f64>, u32)> {
+    let kernels = Kernels::new(device, Defines::new(device.tuning()));
+    let stage = Adam::new::<R>(&kernels)?;
+    let grads = Array::from_slice(device, "grads", gradients)?;
+    let zeros = |name| Array::<R>::zeros(device, name, gradients.len());
+    let [params, moment1, moment2] = [zeros("params")?, zeros("moment1")?, zeros("moment2")?];
+    let counters = Array::zeros(device, "status", status::SLOTS)?;
+    for step in 1..=STEPS {
+        stage.run(&AdamArgs {
+            grads: &grads,
+            grad_stride: N,
+            block: 0..N,
+            stride: N,
+            planes: gradients.len() / N,
+            rates: LearningRates {
+                position: rate,
+                scale: rate,
+                rotation: rate,
+                opacity: rate,
+                sh0: rate,
+                sh: rate,
+            },
+            constants: ADAM,
+            step,
+            params: &params,
+            moment1: &moment1,
+            moment2: &moment2,
+            status: &counters,
+        })?;
+    }
+    let counted = counters.read(status::NON_FINITE as usize, 1)?[0];
+    let all = [params.to_vec()?, moment1.to_vec()?, moment2.to_vec()?].concat();
+    Ok((all.into_iter().map(Into::into).collect(), counted))
+}

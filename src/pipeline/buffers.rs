@@ -1,0 +1,382 @@
+//! What lives on the device: the scene, and the arrays of one view's passage through the stages.
+
+use std::sync::Arc;
+
+use crate::base::constants::{NEAR, SUMS, TILE};
+use crate::base::error::{Error, Result};
+use crate::capture::{Alpha, Photo, View};
+use crate::device::tuning::{Tuning, status};
+use crate::device::{Array, CameraArg, Device, Real, Record};
+use crate::pipeline::photos::Photos;
+use crate::scene::{Plane, Splats};
+
+/// What says where a render and its photo are blank.
+#[derive(Debug, Clone, Copy)]
+pub struct Blank<'a> {
+    /// Tiles that are neither masked nor clear in the photo \[tiles\] (the live stage's).
+    pub live: &'a Array<u32>,
+    /// First pair of each tile of the render \[tiles + 1\]; not read where photos have masks.
+    pub tile_start: &'a Array<u32>,
+}
+
+/// Strides are multiples of this, so that vector loads of a plane never straddle two.
+const ROUND: usize = 256;
+/// Longest side of an image: records hold pixel bounds in 16 bits.
+const MOST_PIXELS: i32 = 1 << 16;
+
+/// Raw parameters of a scene on the device.
+#[derive(Debug)]
+pub struct Scene<R: Real = f32> {
+    /// Planes in the order of [`Plane`] \[planes, stride\].
+    pub params: Array<R>,
+    /// Standard deviations of the 3D filter, local units \[stride\]; empty without anti-aliasing.
+    pub filter: Array<R>,
+    /// Gaussians allocated.
+    pub stride: usize,
+    /// Gaussians.
+    pub count: usize,
+    /// SH degree of the stored coefficients.
+    pub sh_degree: u32,
+}
+
+/// `old` with a larger stride, the rows beyond the old ones zero.
+pub(crate) fn restride<R: Real>(
+    device: &Device,
+    old: &Array<R>,
+    planes: usize,
+    from: usize,
+    to: usize,
+) -> Result<Array<R>> {
+    let new = Array::zeros(device, old.name(), planes * to)?;
+    for p in 0..planes {
+        new.copy_from(p * to, old, p * from, from)?;
+    }
+    Ok(new)
+}
+
+impl<R: Real> Scene<R> {
+    /// Uploads a scene, with room for at least `capacity` Gaussians.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn upload(device: &Device, splats: &Splats, capacity: usize) -> Result<Self> {
+        let count = splats.len();
+        let stride = capacity.max(count).max(1).next_multiple_of(ROUND);
+        let mut host = vec![R::of(0.0); splats.planes().len() * stride];
+        for (p, plane) in splats.planes().iter().enumerate() {
+            for (to, v) in host[p * stride..].iter_mut().zip(plane) {
+                *to = R::of(f64::from(*v));
+            }
+        }
+        Ok(Self {
+            params: Array::from_slice(device, "params", &host)?,
+            filter: Array::zeros(device, "filter", 0)?,
+            stride,
+            count,
+            sh_degree: splats.sh_degree(),
+        })
+    }
+
+    /// The same with room for the 3D filter: until it is filled in, no Gaussian is filtered, as is right for a scene that has
+    /// the filter in its scales and opacities.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn with_filter(self, device: &Device) -> Result<Self> {
+        Ok(Self {
+            filter: Array::zeros(device, "filter", self.stride)?,
+            ..self
+        })
+    }
+
+    /// Number of planes.
+    #[must_use]
+    pub fn planes(&self) -> usize {
+        Plane::count(self.sh_degree)
+    }
+
+    /// Reads the first `count` values of one plane.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn plane(&self, plane: usize) -> Result<Vec<f32>> {
+        let values = self.params.read(plane * self.stride, self.count)?;
+        Ok(values.into_iter().map(|v| v.into() as f32).collect())
+    }
+
+    /// Reads the scene back.
+    ///
+    /// # Errors
+    /// The driver's, or non-finite parameters.
+    pub fn download(&self) -> Result<Splats> {
+        let planes = (0..self.planes())
+            .map(|p| self.plane(p))
+            .collect::<Result<_>>()?;
+        Splats::new(self.sh_degree, planes)
+    }
+
+    /// A stride for at least `capacity` Gaussians, with a quarter as many again to grow into.
+    #[must_use]
+    pub fn grown_stride(capacity: usize) -> usize {
+        (capacity + capacity / 4).next_multiple_of(ROUND)
+    }
+}
+
+/// Arrays of one view's passage from records to the image; they grow and never shrink.
+#[derive(Debug)]
+pub struct Frame<R: Real> {
+    /// Records \[stride\].
+    pub records: Array<Record<R>>,
+    /// Depth bits or culled \[stride\].
+    pub keys: Array<u32>,
+    /// Pairs of each Gaussian \[stride\].
+    pub pair_counts: Array<u32>,
+    /// First pair of each Gaussian \[stride\].
+    pub pair_start: Array<u32>,
+    /// Keys of the visible Gaussians, twice for sorting \[stride\].
+    pub visible_keys: [Array<u32>; 2],
+    /// Visible Gaussians, twice for sorting \[stride\].
+    pub visible: [Array<u32>; 2],
+    /// Tiles of each visible Gaussian \[stride\].
+    pub counts: Array<u32>,
+    /// Which tiles those are, if they are few \[stride, 2\].
+    pub cover: Array<u32>,
+    /// First pair of each visible Gaussian \[stride\].
+    pub offsets: Array<u32>,
+    /// Sums per chunk \[chunks\].
+    pub chunk_sums: Array<u32>,
+    /// Tile of each pair, twice for sorting \[pairs\].
+    pub tile_keys: [Array<u32>; 2],
+    /// Emission slot of each pair, twice for sorting \[pairs\].
+    pub order: [Array<u32>; 2],
+    /// Gaussian of each pair, by emission slot \[pairs\].
+    pub pair_owner: Array<u32>,
+    /// Sums of splat_grad \[pairs, 9\]; empty when only rendering.
+    pub sums: Array<R>,
+    /// First pair of each tile \[tiles + 1\].
+    pub tile_start: Array<u32>,
+    /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear \[tiles\].
+    pub live: Array<u32>,
+    /// Pairs used of each tile \[tiles\].
+    pub tile_used: Array<u32>,
+    /// Red, green, blue, transmittance \[4, rows, stride of the image\].
+    pub image: Array<R>,
+    /// Counters; see [`status`].
+    pub status: Array<u32>,
+    gradients: bool,
+}
+
+impl<R: Real> Frame<R> {
+    /// Arrays for `stride` Gaussians, `pairs` pairs and a padded image of `tiles` tiles.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn new(device: &Device, tuning: &Tuning, gradients: bool) -> Result<Self> {
+        let ints = |name| Array::<u32>::zeros(device, name, 0);
+        Ok(Self {
+            records: Array::zeros(device, "records", 0)?,
+            keys: ints("keys")?,
+            pair_counts: ints("pair_counts")?,
+            pair_start: ints("pair_start")?,
+            visible_keys: [ints("visible_keys")?, ints("visible_keys")?],
+            visible: [ints("visible")?, ints("visible")?],
+            counts: ints("counts")?,
+            cover: ints("cover")?,
+            offsets: ints("offsets")?,
+            chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
+            tile_keys: [ints("tile_keys")?, ints("tile_keys")?],
+            order: [ints("order")?, ints("order")?],
+            pair_owner: ints("pair_owner")?,
+            sums: Array::zeros(device, "sums", 0)?,
+            tile_start: ints("tile_start")?,
+            live: ints("live")?,
+            tile_used: ints("tile_used")?,
+            image: Array::zeros(device, "image", 0)?,
+            status: Array::zeros(device, "status", status::SLOTS)?,
+            gradients,
+        })
+    }
+
+    /// Makes room for a scene of `stride` Gaussians. Contents are lost.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn fit_gaussians(&mut self, device: &Device, stride: usize) -> Result<()> {
+        if self.keys.len() >= stride {
+            return Ok(());
+        }
+        let ints = |name| Array::<u32>::zeros(device, name, stride);
+        self.records = Array::zeros(device, "records", stride)?;
+        self.keys = ints("keys")?;
+        self.pair_counts = ints("pair_counts")?;
+        self.pair_start = ints("pair_start")?;
+        self.visible_keys = [ints("visible_keys")?, ints("visible_keys")?];
+        self.visible = [ints("visible")?, ints("visible")?];
+        self.counts = ints("counts")?;
+        self.cover = Array::zeros(device, "cover", 2 * stride)?;
+        self.offsets = ints("offsets")?;
+        Ok(())
+    }
+
+    /// Where the view enqueued last and a photo whose live tiles were marked are blank.
+    pub(crate) fn blank(&self) -> Blank<'_> {
+        Blank {
+            live: &self.live,
+            tile_start: &self.tile_start,
+        }
+    }
+
+    /// Pairs there is room for.
+    #[must_use]
+    pub fn pair_capacity(&self) -> usize {
+        self.pair_owner.len()
+    }
+
+    /// Makes room for `pairs` pairs. Contents are lost.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn fit_pairs(&mut self, device: &Device, pairs: usize) -> Result<()> {
+        if self.pair_capacity() >= pairs {
+            return Ok(());
+        }
+        self.set_pairs(device, pairs)
+    }
+
+    /// Room for `pairs` pairs, rounded up, whatever there was before.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn set_pairs(&mut self, device: &Device, pairs: usize) -> Result<()> {
+        // Slots are numbered by 32 bits.
+        let most = u32::MAX as usize - (ROUND - 1);
+        let pairs = pairs.min(most).next_multiple_of(ROUND);
+        let ints = |name| Array::<u32>::zeros(device, name, pairs);
+        self.tile_keys = [ints("tile_keys")?, ints("tile_keys")?];
+        self.order = [ints("order")?, ints("order")?];
+        if self.gradients {
+            self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
+        }
+        self.pair_owner = ints("pair_owner")?;
+        Ok(())
+    }
+
+    /// Makes room for a camera's image. Contents are lost.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn fit_image(&mut self, device: &Device, camera: &CameraArg<R>) -> Result<()> {
+        if camera.size.iter().any(|s| *s < 1 || *s > MOST_PIXELS) {
+            let [w, h] = camera.size;
+            return Err(Error::config(
+                "image size",
+                format!("{w} x {h}; 1 to {MOST_PIXELS} pixels a side expected"),
+            ));
+        }
+        let tiles = camera.tile_count();
+        if self.tile_used.len() >= tiles {
+            return Ok(());
+        }
+        self.tile_start = Array::zeros(device, "tile_start", tiles + 1)?;
+        self.image = Array::zeros(device, "image", 4 * tiles * (TILE * TILE) as usize)?;
+        self.live = Array::zeros(device, "live", tiles)?;
+        self.tile_used = Array::zeros(device, "tile_used", tiles)?;
+        Ok(())
+    }
+}
+
+/// Cameras of a set of views, and access to their photos on the device.
+#[derive(Debug)]
+pub struct ViewSet<R: Real = f32> {
+    /// Names, as the dataset gives them.
+    pub names: Vec<String>,
+    /// Cameras.
+    pub cameras: Vec<CameraArg<R>>,
+    /// Where the photos come from, shared with other sets.
+    photos: Photos,
+    /// The photos' numbers there.
+    numbers: Vec<usize>,
+    /// What the photos' alpha plane says.
+    pub alpha: Alpha,
+    /// Largest width and largest height, pixels.
+    pub largest: [usize; 2],
+    /// A camera with as many tiles as any view needs.
+    pub largest_camera: CameraArg<R>,
+}
+
+impl<R: Real> ViewSet<R> {
+    /// Takes views; their photos are added to `photos` one by one, so that pixels that nobody else holds are freed as soon as
+    /// they are uploaded.
+    ///
+    /// # Errors
+    /// As [`Photos::add`].
+    pub fn new(photos: &Photos, views: impl IntoIterator<Item = View>) -> Result<Self> {
+        let (mut names, mut cameras, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
+        let mut alpha = Alpha::None;
+        for view in views {
+            if view.photo.alpha() != Alpha::None {
+                alpha = view.photo.alpha();
+            }
+            names.push(view.name);
+            cameras.push(CameraArg::<R>::new(&view.camera, NEAR));
+            numbers.push(photos.add(view.photo)?);
+        }
+        let most = |k: usize| cameras.iter().map(|c| c.size[k].max(1)).max().unwrap_or(1) as usize;
+        let largest = [most(0), most(1)];
+        let mut largest_camera = cameras.first().copied().unwrap_or_default();
+        largest_camera.tiles = largest.map(|s| s.div_ceil(TILE as usize) as i32);
+        Ok(Self {
+            names,
+            alpha,
+            cameras,
+            photos: photos.clone(),
+            numbers,
+            largest,
+            largest_camera,
+        })
+    }
+
+    /// The photo of a view \[3 or 4, height, width\]; those of the views `next`, in the order of their use, are decoded
+    /// meanwhile if they are not there yet.
+    ///
+    /// # Errors
+    /// As [`Photos::get`].
+    pub fn photo(&self, view: usize, next: &[usize]) -> Result<Arc<Array<u8>>> {
+        let next = next.iter().map(|v| self.numbers[*v]);
+        self.photos.get(self.numbers[view], next)
+    }
+
+    /// The photo of a view, read back from the device.
+    ///
+    /// # Errors
+    /// As [`ViewSet::photo`], or the driver's.
+    pub fn read_photo(&self, view: usize) -> Result<Photo> {
+        let data = self.photo(view, &[])?.to_vec()?;
+        let [width, height] = self.cameras[view].size.map(|s| s as u32);
+        Ok(Photo {
+            width,
+            height,
+            channels: self.alpha.planes() as u32,
+            mask: self.alpha == Alpha::Mask,
+            data,
+        })
+    }
+
+    /// Where the photos come from.
+    #[must_use]
+    pub fn photos(&self) -> &Photos {
+        &self.photos
+    }
+
+    /// Number of views.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.cameras.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.cameras.is_empty()
+    }
+}

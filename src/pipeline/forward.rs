@@ -1,0 +1,397 @@
+//! [`Renderer`]: the forward stages, in order.
+
+use crate::base::constants::NEAR;
+use crate::base::error::{Error, Result};
+use crate::capture::Camera;
+use crate::device::tuning::status;
+use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
+use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::stage::bin::{Bin, BinArgs, EmitArgs};
+use crate::pipeline::stage::project::{Project, ProjectArgs};
+use crate::pipeline::stage::scan::{Count, Scan, ScanArgs};
+use crate::pipeline::stage::sort::{Sort, SortArgs};
+use crate::pipeline::stage::splat::{Splat, TileLists, tiles_of};
+
+/// What is composited.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Quantity {
+    /// View-dependent colour.
+    #[default]
+    Color,
+    /// Camera z, local units (opacity-weighted; divide by alpha for the mean depth).
+    Depth,
+}
+
+/// How a view is rendered.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RenderOptions {
+    /// SH degree in use (at most the scene's).
+    pub sh_degree: u32,
+    /// Background colour.
+    pub background: [f32; 3],
+    /// What is composited.
+    pub quantity: Quantity,
+    /// Only tiles in which a pixel of the photo counts, as [`Renderer::live_tiles`] says; of effect for photos with masks.
+    pub live_only: bool,
+}
+
+/// A rendered image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rendered {
+    /// Width, pixels.
+    pub width: usize,
+    /// Height, pixels.
+    pub height: usize,
+    /// Planar red, green, blue \[3, height, width\].
+    pub rgb: Vec<f32>,
+    /// Transmittance that is left \[height, width\].
+    pub transmittance: Vec<f32>,
+}
+
+impl Rendered {
+    /// Interleaved 8-bit RGB, clamped and rounded.
+    #[must_use]
+    pub fn rgb8(&self) -> Vec<u8> {
+        let pixels = self.width * self.height;
+        (0..pixels)
+            .flat_map(|i| (0..3).map(move |c| to_byte(self.rgb[c * pixels + i])))
+            .collect()
+    }
+}
+
+/// A value in [0, 1] as a byte.
+#[must_use]
+pub fn to_byte(v: f32) -> u8 {
+    (v.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+/// Runs the forward stages for one view at a time.
+#[derive(Debug)]
+pub struct Renderer<R: Real = f32> {
+    device: Device,
+    project: Vec<Project>,
+    scan: Scan,
+    bin: Bin,
+    sort: Sort,
+    splat: Splat,
+    pub(crate) frame: Frame<R>,
+    order_at: usize,
+}
+
+impl<R: Real> Renderer<R> {
+    /// Builds the kernels for SH degrees 0 to `sh_degree`; `gradients` also allocates what the backward stages need.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new(device: &Device, defines: Defines, sh_degree: u32, gradients: bool) -> Result<Self> {
+        let kernels = Kernels::new(device, defines);
+        let project = (0..=sh_degree)
+            .map(|d| {
+                Project::new::<R>(&Kernels::new(
+                    device,
+                    Defines {
+                        sh_degree: d,
+                        ..defines
+                    },
+                ))
+            })
+            .collect::<Result<_>>()?;
+        Ok(Self {
+            device: device.clone(),
+            project,
+            scan: Scan::new::<R>(&kernels)?,
+            bin: Bin::new::<R>(&kernels)?,
+            sort: Sort::new::<R>(&kernels)?,
+            splat: Splat::new::<R>(&kernels)?,
+            frame: Frame::new(device, &defines.tuning, gradients)?,
+            order_at: 0,
+        })
+    }
+
+    /// A renderer with the device's default tuning, for display.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn for_display(device: &Device, sh_degree: u32) -> Result<Self> {
+        let defines = Defines::new(device.tuning());
+        Self::new(device, defines, sh_degree, false)
+    }
+
+    /// The camera as the kernels take it.
+    #[must_use]
+    pub fn camera(camera: &Camera) -> CameraArg<R> {
+        CameraArg::new(camera, NEAR)
+    }
+
+    /// The device.
+    pub(crate) fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Makes the arrays large enough for a scene and a camera (pairs grow on demand).
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn fit(&mut self, scene: &Scene<R>, camera: &CameraArg<R>) -> Result<()> {
+        self.frame.fit_gaussians(&self.device, scene.stride)?;
+        self.frame
+            .fit_pairs(&self.device, 4 * scene.count.max(1024))?;
+        self.frame.fit_image(&self.device, camera)
+    }
+
+    /// Enqueues the forward stages. Does not wait; an overflow of the pairs is told by the status array.
+    ///
+    /// # Errors
+    /// Arrays that were not made to fit, or the driver's.
+    pub fn enqueue(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        self.enqueue_pairs(scene, camera, options)?;
+        self.splat.run(&self.lists(camera), options.background)
+    }
+
+    /// Enqueues the forward stages up to the sorted pairs.
+    fn enqueue_pairs(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        let f = &self.frame;
+        let degree = options.sh_degree.min(scene.sh_degree) as usize;
+        let Some(project) = self.project.get(degree) else {
+            return Err(Error::device(
+                "project",
+                format!("not built for SH degree {degree}"),
+                "make the renderer for this degree",
+            ));
+        };
+        let status = &f.status;
+        project.run(&ProjectArgs {
+            params: &scene.params,
+            stride: scene.stride,
+            count: scene.count,
+            filter: &scene.filter,
+            camera,
+            depth_as_color: options.quantity == Quantity::Depth,
+            records: &f.records,
+            keys: &f.keys,
+            pair_counts: &f.pair_counts,
+        })?;
+        let by_depth = self.sort_visible(scene.count)?;
+        self.order_at = self.pair_up(scene.count, camera, by_depth, options.live_only)?;
+        let (f, [_, tiles]) = (&self.frame, tiles_of(camera));
+        self.bin
+            .ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)
+    }
+
+    /// Compacts the visible Gaussians and sorts them by depth; answers which of the two arrays holds them.
+    fn sort_visible(&self, count: usize) -> Result<usize> {
+        let f = &self.frame;
+        let status = &f.status;
+        self.bin.visible(&f.keys, count, &f.chunk_sums)?;
+        self.scan
+            .totals(&f.chunk_sums, status, status::VISIBLE, f.keys.len())?;
+        let [keys, visible] = [&f.visible_keys, &f.visible];
+        self.bin
+            .compact(&f.keys, count, &f.chunk_sums, &keys[0], &visible[0])?;
+        self.sort.run(&SortArgs {
+            keys: [&keys[0], &keys[1]],
+            values: [&visible[0], &visible[1]],
+            status,
+            n_slot: status::VISIBLE,
+            bits: 32,
+        })
+    }
+
+    /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile; answers which of the two arrays
+    /// holds the order.
+    fn pair_up(
+        &self,
+        count: usize,
+        camera: &CameraArg<R>,
+        by_depth: usize,
+        live_only: bool,
+    ) -> Result<usize> {
+        let f = &self.frame;
+        let (status, visible) = (&f.status, &f.visible);
+        let [tiles_x, tiles] = tiles_of(camera);
+        let bin = BinArgs {
+            records: &f.records,
+            visible: &visible[by_depth],
+            count,
+            status,
+            tiles_x: tiles_x as u32,
+            live: live_only.then_some(&f.live),
+            counts: &f.counts,
+            pair_counts: &f.pair_counts,
+            cover: &f.cover,
+        };
+        self.bin.count(&bin)?;
+        let scan = |values, n, out| {
+            self.scan.run(&ScanArgs {
+                values,
+                status,
+                n,
+                total_slot: status::PAIRS,
+                capacity: f.pair_capacity(),
+                sums: &f.chunk_sums,
+                out,
+            })
+        };
+        scan(&f.counts, Count::Slot(status::VISIBLE), &f.offsets)?;
+        scan(&f.pair_counts, Count::Known(count), &f.pair_start)?;
+        self.bin.emit(
+            &bin,
+            &EmitArgs {
+                offsets: &f.offsets,
+                pair_start: &f.pair_start,
+                tile_keys: &f.tile_keys[0],
+                slots: &f.order[0],
+                pair_owner: &f.pair_owner,
+            },
+        )?;
+        self.sort.run(&SortArgs {
+            keys: [&f.tile_keys[0], &f.tile_keys[1]],
+            values: [&f.order[0], &f.order[1]],
+            status,
+            n_slot: status::PAIRS,
+            bits: usize::BITS - tiles.leading_zeros(),
+        })
+    }
+
+    /// Tiles in which a pixel of the photo counts, or is not clear \[tiles\]: written by the live stage.
+    #[must_use]
+    pub fn live_tiles(&self) -> &Array<u32> {
+        &self.frame.live
+    }
+
+    /// Pairs of each tile of the view rendered last.
+    ///
+    /// # Errors
+    /// The driver's.
+    #[doc(hidden)]
+    pub fn pairs_per_tile(&self, camera: &CameraArg<R>) -> Result<Vec<u32>> {
+        let start = self.frame.tile_start.read(0, camera.tile_count() + 1)?;
+        Ok(start.windows(2).map(|w| w[1] - w[0]).collect())
+    }
+
+    /// The sorted pairs of the view enqueued last.
+    pub(crate) fn lists(&self, camera: &CameraArg<R>) -> TileLists<'_, R> {
+        let f = &self.frame;
+        TileLists {
+            records: &f.records,
+            pair_owner: &f.pair_owner,
+            order: &f.order[self.order_at],
+            tile_start: &f.tile_start,
+            tile_used: &f.tile_used,
+            tiles: tiles_of(camera),
+            image: &f.image,
+        }
+    }
+
+    /// Makes room for the pairs that did not fit and clears the flag.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub(crate) fn grow_pairs(&mut self, needed: u32) -> Result<()> {
+        let needed = needed as usize;
+        if needed >= u32::MAX as usize {
+            return Err(Error::device(
+                "bin",
+                "more than 2^32 - 1 (tile, Gaussian) pairs in one view",
+                "lower --max-size or --max-gaussians",
+            ));
+        }
+        self.device.finish()?;
+        self.frame.fit_pairs(&self.device, needed + needed / 2)?;
+        self.frame.status.write(status::OVERFLOW as usize, &[0])
+    }
+
+    /// Renders a view and waits; grows the pair arrays as needed.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn render(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        self.fitting(scene, camera, |r| r.enqueue(scene, camera, options))
+    }
+
+    /// As [`Renderer::render`], up to the sorted pairs: nothing is splatted.
+    pub(crate) fn pair(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        self.fitting(scene, camera, |r| r.enqueue_pairs(scene, camera, options))
+    }
+
+    /// Enqueues something and waits, until the pairs fit.
+    fn fitting(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        enqueue: impl Fn(&mut Self) -> Result<()>,
+    ) -> Result<()> {
+        self.fit(scene, camera)?;
+        loop {
+            enqueue(self)?;
+            let counters = self.frame.status.to_vec()?;
+            match counters.get(status::OVERFLOW as usize) {
+                Some(&needed) if needed > 0 => self.grow_pairs(needed)?,
+                _ => return Ok(()),
+            }
+        }
+    }
+
+    /// Renders a view and reads the image back.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn image(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &Camera,
+        options: &RenderOptions,
+    ) -> Result<Rendered> {
+        let arg = Self::camera(camera);
+        self.render(scene, &arg, options)?;
+        self.read_image(&arg)
+    }
+
+    /// The image of the view rendered last, without its padding.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn read_image(&self, camera: &CameraArg<R>) -> Result<Rendered> {
+        let [width, height] = camera.size.map(|s| s as usize);
+        let stride = camera.tiles[0] as usize * crate::base::constants::TILE as usize;
+        let plane = self.lists(camera).plane();
+        let padded = self.frame.image.read(0, 4 * plane)?;
+        let cut = |c: usize| {
+            (0..height).flat_map(move |y| {
+                let row = c * plane + y * stride;
+                row..row + width
+            })
+        };
+        let take = |c: usize| {
+            cut(c)
+                .map(|i| padded[i].into() as f32)
+                .collect::<Vec<f32>>()
+        };
+        Ok(Rendered {
+            width,
+            height,
+            rgb: (0..3).flat_map(take).collect(),
+            transmittance: take(3),
+        })
+    }
+}

@@ -1,0 +1,9 @@
+//! One view through the kernels: buffers, photos, the forward and backward passes, one file per stage.
+
+pub(crate) mod backward;
+pub mod buffers;
+pub mod chain;
+pub mod forward;
+pub mod photos;
+pub mod reference;
+pub mod stage;

@@ -1,0 +1,311 @@
+//! L1 + SSIM and its gradient (`kernels/loss.cl`).
+
+use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS, TILE};
+use crate::base::error::Result;
+use crate::device::{Array, CameraArg, Kernel, Kernels, Launch, Real};
+use crate::pipeline::buffers::Blank;
+
+/// The loss stage.
+#[derive(Debug)]
+pub struct Loss {
+    forward: Kernel,
+    /// As `forward`, for density control: its time is importance's.
+    errors: Kernel,
+    backward: Kernel,
+    sum: Kernel,
+    strip: usize,
+    local: usize,
+    photo_planes: usize,
+    skips_blank: bool,
+    /// In the place of what says what is blank.
+    nowhere: Array<u32>,
+}
+
+/// A rendered image and its photo.
+#[derive(Debug)]
+pub struct ImagePair<'a, R: Real> {
+    /// Render \[≥ 3, rows, stride\].
+    pub image: &'a Array<R>,
+    /// Photo \[3 or 4, height, width\].
+    pub photo: &'a Array<u8>,
+    /// Background under the photo's alpha.
+    pub background: [f32; 3],
+    /// Width and height, pixels.
+    pub size: [usize; 2],
+    /// Where kernels that skip it find out what is blank in both; none: nothing is skipped.
+    pub blank: Option<Blank<'a>>,
+}
+
+impl<R: Real> ImagePair<'_, R> {
+    /// Padded width and height of a plane.
+    #[must_use]
+    pub fn padded(&self) -> [usize; 2] {
+        self.size.map(|s| s.next_multiple_of(TILE as usize))
+    }
+
+    /// Pixels of a padded plane.
+    #[must_use]
+    pub fn plane(&self) -> usize {
+        let [w, h] = self.padded();
+        w * h
+    }
+
+    pub(super) fn background_real(&self) -> [R; 3] {
+        self.background.map(|c| R::of(f64::from(c)))
+    }
+}
+
+/// Width and height of a camera's image, as [`ImagePair::size`] wants them.
+#[must_use]
+pub fn size_of_image<R: Real>(camera: &CameraArg<R>) -> [usize; 2] {
+    camera.size.map(|s| s as usize)
+}
+
+impl Loss {
+    /// Builds the kernels.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+        let names = ["loss_forward", "loss_forward", "loss_backward", "loss_sum"];
+        let [forward, errors, backward, sum] = kernels.build::<R, 4>("loss", names)?;
+        let tuning = kernels.defines().tuning;
+        Ok(Self {
+            forward,
+            errors: errors.counted_as("importance"),
+            backward,
+            sum,
+            strip: tuning.strip as usize,
+            local: tuning.coarse_local(),
+            photo_planes: kernels.defines().photo_planes(),
+            skips_blank: kernels.defines().skips_blank(),
+            nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
+        })
+    }
+
+    /// Work-items (columns, groups of rows) over a padded image.
+    fn strips(&self, padded: [usize; 2]) -> [usize; 2] {
+        [
+            padded[0].div_ceil(self.strip),
+            padded[1].div_ceil(LOSS_ROWS as usize),
+        ]
+    }
+
+    /// Values that `partial` must hold for an image: two per strip and channel.
+    #[must_use]
+    pub fn partial_len(&self, width: usize, height: usize) -> usize {
+        let tile = TILE as usize;
+        let [x, y] = self.strips([width.next_multiple_of(tile), height.next_multiple_of(tile)]);
+        3 * 2 * x * y
+    }
+
+    /// Gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render into `dimage` \[3, rows, stride\]. `maps`
+    /// \[3, rows, stride\] is scratch, `partial` receives what [`Loss::sum`] adds up.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn gradient<R: Real>(
+        &self,
+        pair: &ImagePair<'_, R>,
+        lambda_ssim: f64,
+        maps: &Array<R>,
+        partial: &Array<R>,
+        dimage: &Array<R>,
+    ) -> Result<()> {
+        let n = (3 * pair.size[0] * pair.size[1]) as f64;
+        for channel in 0..3 {
+            self.forward(pair, channel, false, maps, partial)?;
+            self.with_images(&self.backward, pair, channel)
+                .array(maps, 3 * pair.plane())
+                .value(R::of((1.0 - lambda_ssim) / n))
+                .value(R::of(lambda_ssim / n))
+                .array(dimage, 3 * pair.plane())
+                .run(self.strips(pair.padded()), [self.local, 1])?;
+        }
+        Ok(())
+    }
+
+    /// Channel means of 1 − SSIM and |x − y| into `maps` \[2, rows, stride\]; `partial` receives what [`Loss::sum`] adds
+    /// up.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn errors<R: Real>(
+        &self,
+        pair: &ImagePair<'_, R>,
+        maps: &Array<R>,
+        partial: &Array<R>,
+    ) -> Result<()> {
+        (0..3).try_for_each(|channel| self.forward(pair, channel, true, maps, partial))
+    }
+
+    fn forward<R: Real>(
+        &self,
+        pair: &ImagePair<'_, R>,
+        channel: usize,
+        write_error: bool,
+        maps: &Array<R>,
+        partial: &Array<R>,
+    ) -> Result<()> {
+        let [w, h] = pair.size;
+        let kernel = if write_error {
+            &self.errors
+        } else {
+            &self.forward
+        };
+        self.with_images(kernel, pair, channel)
+            .value(i32::from(write_error))
+            .array(maps, if write_error { 2 } else { 3 } * pair.plane())
+            .array(partial, self.partial_len(w, h))
+            .run(self.strips(pair.padded()), [self.local, 1])
+    }
+
+    /// The arguments that both sweeps begin with.
+    fn with_images<'k, R: Real>(
+        &self,
+        kernel: &'k Kernel,
+        pair: &ImagePair<'_, R>,
+        channel: usize,
+    ) -> Launch<'k> {
+        let ([w, h], [stride, rows]) = (pair.size, pair.padded());
+        let launch = kernel
+            .launch()
+            .array(pair.image, 3 * pair.plane())
+            .array(pair.photo, self.photo_planes * w * h)
+            .value(channel as i32)
+            .value(pair.background_real()[channel])
+            .value(w as i32)
+            .value(h as i32)
+            .value(stride as i32)
+            .value(rows as i32);
+        if !self.skips_blank {
+            return launch;
+        }
+        let tiles = pair.plane() / (TILE * TILE) as usize;
+        match pair.blank {
+            Some(b) => launch
+                .value(1)
+                .array(b.live, tiles)
+                .array(b.tile_start, tiles + 1),
+            None => launch
+                .value(0)
+                .array(&self.nowhere, 1)
+                .array(&self.nowhere, 1),
+        }
+    }
+
+    /// Mean |x − y| and mean SSIM into `out[2·slot..]`.
+    ///
+    /// # Errors
+    /// Arrays that are too short, or the driver's.
+    pub fn sum<R: Real>(
+        &self,
+        pair: &ImagePair<'_, R>,
+        partial: &Array<R>,
+        out: &Array<R>,
+        slot: usize,
+    ) -> Result<()> {
+        let [w, h] = pair.size;
+        let len = self.partial_len(w, h);
+        self.sum
+            .launch()
+            .array(partial, len)
+            .value((len / 2) as u32)
+            .value(R::of(1.0 / (3 * w * h) as f64))
+            .array(out, 2 * (slot + 1))
+            .value(slot as u32)
+            .run([1, 1], [1, 1])
+    }
+}
+
+/// The 11-tap Gaussian window, σ = 1.5, normalised.
+fn window() -> [f64; SSIM_TAPS] {
+    let raw = std::array::from_fn(|k| {
+        (-(k as f64 - 5.0).powi(2) / (2.0 * SSIM_SIGMA * SSIM_SIGMA)).exp()
+    });
+    let sum: f64 = raw.iter().sum();
+    raw.map(|v| v / sum)
+}
+
+/// What the loss stage gives.
+#[derive(Debug, Clone, Default)]
+pub struct Loss64 {
+    /// Mean |x − y|.
+    pub l1: f64,
+    /// Mean SSIM.
+    pub ssim: f64,
+    /// dL/dx \[3, height, width\].
+    pub gradient: Vec<f64>,
+    /// Channel means of 1 − SSIM \[height, width\].
+    pub ssim_error: Vec<f64>,
+    /// Channel means of |x − y| \[height, width\].
+    pub l1_error: Vec<f64>,
+}
+
+/// L = (1 − λ)·mean|x − y| + λ·(1 − mean SSIM) of planar images \[3, height, width\]; zero padding.
+#[must_use]
+pub fn loss(x: &[f64], y: &[f64], size: [usize; 2], lambda: f64) -> Loss64 {
+    let [w, h] = size;
+    let n = w * h;
+    let total = (3 * n) as f64;
+    let taps = window();
+    let mut out = Loss64 {
+        gradient: vec![0.0; 3 * n],
+        ssim_error: vec![0.0; n],
+        l1_error: vec![0.0; n],
+        ..Loss64::default()
+    };
+    for c in 0..3 {
+        let (a, b) = (&x[c * n..(c + 1) * n], &y[c * n..(c + 1) * n]);
+        for at in 0..n {
+            let d = a[at] - b[at];
+            out.l1 += d.abs() / total;
+            out.l1_error[at] += d.abs() / 3.0;
+            if d != 0.0 {
+                out.gradient[c * n + at] += (1.0 - lambda) * d.signum() / total;
+            }
+            let inside = |(i, j): (usize, usize)| -> Option<(usize, f64)> {
+                let (px, py) = ((at % w + j).checked_sub(5)?, (at / w + i).checked_sub(5)?);
+                (px < w && py < h).then_some((py * w + px, taps[i] * taps[j]))
+            };
+            let cells: Vec<(usize, f64)> =
+                (0..121).filter_map(|k| inside((k / 11, k % 11))).collect();
+            let (ssim, [dm, dxx, dxy]) = ssim_at(a, b, &cells);
+            out.ssim += ssim / total;
+            out.ssim_error[at] += (1.0 - ssim) / 3.0;
+            for (p, weight) in &cells {
+                let d = weight * (dm + 2.0 * a[*p] * dxx + b[*p] * dxy);
+                out.gradient[c * n + p] -= lambda * d / total;
+            }
+        }
+    }
+    out
+}
+
+/// SSIM of one window and its derivatives with respect to E[x], E[x²] and E[xy]. Variances are sums of squared
+/// differences to the mean; what the window has outside of the image is 0 there.
+fn ssim_at(a: &[f64], b: &[f64], cells: &[(usize, f64)]) -> (f64, [f64; 3]) {
+    let [c1, c2] = SSIM_C;
+    let mean = |v: &[f64]| cells.iter().map(|(p, w)| w * v[*p]).sum::<f64>();
+    let (mx, my) = (mean(a), mean(b));
+    let outside = 1.0 - cells.iter().map(|(_, w)| w).sum::<f64>();
+    let moment = |u: &[f64], mu: f64, v: &[f64], mv: f64| {
+        cells
+            .iter()
+            .map(|(p, w)| w * (u[*p] - mu) * (v[*p] - mv))
+            .sum::<f64>()
+            + outside * mu * mv
+    };
+    let (vx, vy, cov) = (
+        moment(a, mx, a, mx),
+        moment(b, my, b, my),
+        moment(a, mx, b, my),
+    );
+    let (a1, a2) = (2.0 * mx * my + c1, 2.0 * cov + c2);
+    let (b1, b2) = (mx * mx + my * my + c1, vx + vy + c2);
+    let ssim = a1 * a2 / (b1 * b2);
+    let dxx = -ssim / b2;
+    let dxy = 2.0 * a1 / (b1 * b2);
+    let dm = 2.0 * my * a2 / (b1 * b2) - 2.0 * mx * ssim / b1 - 2.0 * mx * dxx - my * dxy;
+    (ssim, [dm, dxx, dxy])
+}

@@ -1,0 +1,302 @@
+//! Checkpoints: everything a run needs to continue bit for bit, as one safetensors file.
+//!
+//! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
+//! order of [`crate::scene::Plane`]), `cues` \[rows, N\] (where the sampler has any), `filter` \[N\] (with anti-aliasing),
+//! `exposures` \[3, 12 · views\] (with per-image exposure) and `losses` \[2 · ring\] and, as metadata, format version,
+//! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning, with a checksum of all that. It is
+//! written beside the old one and renamed over it.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+use crate::base::error::{Error, Result};
+use crate::config::TrainConfig;
+use crate::density;
+use crate::density::DensityStats;
+use crate::device::tuning::Tuning;
+use crate::run::clock::Reading;
+use crate::run::record::StageRecord;
+use crate::scene::{Plane, Splats};
+use crate::train::brightness::Decision;
+use crate::train::{Findings, TrainerState};
+
+const VERSION: u32 = 8;
+
+/// Tensors in the order of the checksum.
+const NAMES: [&str; 7] = [
+    "params",
+    "moment1",
+    "moment2",
+    "losses",
+    "cues",
+    "filter",
+    "exposures",
+];
+
+/// What every version's header begins with.
+#[derive(Deserialize)]
+struct Version {
+    version: u32,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    version: u32,
+    iteration: u32,
+    density_due: bool,
+    sh_degree: u32,
+    config: TrainConfig,
+    clock: [f64; 3],
+    stats: DensityStats,
+    non_finite: u64,
+    findings: Findings,
+    dataset: String,
+    tuning: Tuning,
+    stages: Vec<StageRecord>,
+    exposure_decision: Option<Decision>,
+}
+
+/// A checkpoint, to be written or read back.
+#[derive(Debug, Clone)]
+pub struct Checkpoint {
+    /// State of the trainer.
+    pub state: TrainerState,
+    /// Configuration of the run.
+    pub config: TrainConfig,
+    /// Clocks at the time of writing.
+    pub clock: Reading,
+    /// [`crate::capture::Dataset::fingerprint`] of what it was trained on.
+    pub dataset: String,
+    /// How kernels were cut: the last bits depend on it.
+    pub tuning: Tuning,
+    /// Seconds per stage so far.
+    pub stages: Vec<StageRecord>,
+}
+
+/// The file within a run folder.
+#[must_use]
+pub fn path(run_dir: &Path) -> PathBuf {
+    run_dir.join("checkpoint").join("state.safetensors")
+}
+
+fn encoding(what: impl std::fmt::Display) -> Error {
+    Error::Numerics {
+        stage: "checkpoint".into(),
+        what: what.to_string(),
+    }
+}
+
+fn bytes(values: impl Iterator<Item = f32>) -> Vec<u8> {
+    values.flat_map(f32::to_le_bytes).collect()
+}
+
+/// Writes a checkpoint into a run folder.
+///
+/// # Errors
+/// [`Error::Io`] when writing fails; the previous checkpoint is then still there.
+pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
+    let file = path(run_dir);
+    let folder = run_dir.join("checkpoint");
+    std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+    let (state, clock) = (&checkpoint.state, &checkpoint.clock);
+    let header = Header {
+        version: VERSION,
+        iteration: state.iteration,
+        density_due: state.density_due,
+        sh_degree: state.splats.sh_degree(),
+        config: checkpoint.config.clone(),
+        clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
+        stats: state.stats,
+        non_finite: state.non_finite,
+        findings: state.findings.clone(),
+        dataset: checkpoint.dataset.clone(),
+        tuning: checkpoint.tuning,
+        stages: checkpoint.stages.clone(),
+        exposure_decision: state.exposure_decision,
+    };
+    let header = serde_json::to_string(&header).map_err(encoding)?;
+    let shape = vec![state.splats.planes().len(), state.splats.len()];
+    let planes = |p: &[Vec<f32>]| bytes(p.iter().flatten().copied());
+    let mut tensors = vec![
+        ("params", shape.clone(), planes(state.splats.planes())),
+        ("moment1", shape.clone(), planes(&state.moment1)),
+        ("moment2", shape, planes(&state.moment2)),
+        (
+            "losses",
+            vec![state.losses.len()],
+            bytes(state.losses.iter().copied()),
+        ),
+    ];
+    if !state.cues.is_empty() {
+        let shape = vec![state.cues.len(), state.splats.len()];
+        tensors.push(("cues", shape, planes(&state.cues)));
+    }
+    if !state.filter.is_empty() {
+        let data = bytes(state.filter.iter().copied());
+        tensors.push(("filter", vec![state.filter.len()], data));
+    }
+    if let Some(row) = state.exposures.first() {
+        let shape = vec![state.exposures.len(), row.len()];
+        tensors.push(("exposures", shape, planes(&state.exposures)));
+    }
+    let parts = tensors.iter().map(|(_, _, data)| data.as_slice());
+    let sum = checksum(&header, parts);
+    let views = tensors
+        .iter()
+        .map(|(name, shape, data)| {
+            let view = TensorView::new(Dtype::F32, shape.clone(), data);
+            view.map(|t| (*name, t)).map_err(encoding)
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let metadata = HashMap::from([("mhsplat".to_owned(), header), ("crc32".to_owned(), sum)]);
+    let data = safetensors::serialize(views, Some(metadata)).map_err(encoding)?;
+    crate::base::files::write_bytes(&file, &data)
+}
+
+/// CRC-32 of the header and the tensors, eight hexadecimal digits.
+fn checksum<'a>(header: &str, tensors: impl Iterator<Item = &'a [u8]>) -> String {
+    let mut sum = crc32fast::Hasher::new();
+    sum.update(header.as_bytes());
+    tensors.for_each(|t| sum.update(t));
+    format!("{:08x}", sum.finalize())
+}
+
+/// Reads the checkpoint of a run folder.
+///
+/// # Errors
+/// No checkpoint, or one that is damaged or of another version.
+pub fn read(run_dir: &Path) -> Result<Checkpoint> {
+    let file = path(run_dir);
+    let data = std::fs::read(&file).map_err(|_| {
+        Error::input(
+            &file,
+            "no checkpoint to be read there",
+            "give the folder of a run that was stopped, or start anew with -o",
+        )
+    })?;
+    parse(&data).map_err(|what| {
+        Error::input(
+            &file,
+            format!("damaged checkpoint: {what}"),
+            "start anew with -o NEW_FOLDER",
+        )
+    })
+}
+
+/// A checkpoint from the bytes of its file, or what is wrong with them.
+fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
+    let text = |e: &dyn std::fmt::Display| e.to_string();
+    let (_, metadata) = SafeTensors::read_metadata(data).map_err(|e| text(&e))?;
+    let entry = |name: &str| metadata.metadata().as_ref().and_then(|m| m.get(name));
+    let written = entry("mhsplat").ok_or("it was not written by mhsplat")?;
+    let version: Version = serde_json::from_str(written).map_err(|e| text(&e))?;
+    if version.version != VERSION {
+        return Err(format!("version {}; {VERSION} expected", version.version));
+    }
+    let tensors = SafeTensors::deserialize(data).map_err(|e| text(&e))?;
+    let parts = NAMES.iter().filter_map(|n| tensors.tensor(n).ok());
+    if entry("crc32") != Some(&checksum(written, parts.map(|t| t.data()))) {
+        return Err("its checksum is wrong".into());
+    }
+    let header: Header = serde_json::from_str(written).map_err(|e| text(&e))?;
+    let expected = Plane::count(header.sh_degree.min(3));
+    let params = planes(&tensors, "params", expected)?;
+    let splats = Splats::new(header.sh_degree, params).map_err(|e| text(&e))?;
+    let beside = |name, rows| beside(&tensors, name, rows, splats.len());
+    let (moment1, moment2) = (beside("moment1", expected)?, beside("moment2", expected)?);
+    let cues = match density::make(&header.config).wanted(1, 1.0).rows() {
+        0 => Vec::new(),
+        rows => beside("cues", rows)?,
+    };
+    let filter = filter(&tensors, splats.len())?;
+    let losses = planes(&tensors, "losses", 1)?.concat();
+    let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
+    Ok(Checkpoint {
+        state: TrainerState {
+            iteration: header.iteration,
+            density_due: header.density_due,
+            splats,
+            moment1,
+            moment2,
+            cues,
+            filter,
+            stats: header.stats,
+            non_finite: header.non_finite,
+            findings: header.findings,
+            losses,
+            exposure_decision: header.exposure_decision,
+            exposures: exposures(&tensors)?,
+        },
+        config: header.config,
+        clock: Reading {
+            train_seconds,
+            wall_seconds,
+            cpu_seconds,
+        },
+        dataset: header.dataset,
+        tuning: header.tuning,
+        stages: header.stages,
+    })
+}
+
+/// Transforms and moments of per-image exposure, if there are any.
+fn exposures(tensors: &SafeTensors<'_>) -> std::result::Result<Vec<Vec<f32>>, String> {
+    match tensors.tensor("exposures") {
+        Ok(_) => planes(tensors, "exposures", 3),
+        Err(_) => Ok(Vec::new()),
+    }
+}
+
+/// The 3D filter of `count` Gaussians; empty where there is none.
+fn filter(tensors: &SafeTensors<'_>, count: usize) -> std::result::Result<Vec<f32>, String> {
+    if tensors.tensor("filter").is_err() {
+        return Ok(Vec::new());
+    }
+    let values = planes(tensors, "filter", 1)?.concat();
+    if values.len() != count {
+        return Err("filter and parameters differ in length".into());
+    }
+    Ok(values)
+}
+
+/// The rows of a tensor that has a value for each of `count` Gaussians.
+fn beside(
+    tensors: &SafeTensors<'_>,
+    name: &str,
+    rows: usize,
+    count: usize,
+) -> std::result::Result<Vec<Vec<f32>>, String> {
+    let rows = planes(tensors, name, rows)?;
+    if rows.iter().any(|row| row.len() != count) {
+        return Err(format!("{name} and parameters differ in length"));
+    }
+    Ok(rows)
+}
+
+/// The rows of an f32 tensor; one of a single dimension is one row.
+fn planes(
+    tensors: &SafeTensors<'_>,
+    name: &str,
+    expected: usize,
+) -> std::result::Result<Vec<Vec<f32>>, String> {
+    let t = tensors.tensor(name).map_err(|e| e.to_string())?;
+    let (rows, n) = match *t.shape() {
+        [rows, n] => (rows, n),
+        [n] => (1, n),
+        _ => return Err(format!("{name} has {} dimensions", t.shape().len())),
+    };
+    if rows != expected || t.dtype() != Dtype::F32 || n == 0 {
+        return Err(format!(
+            "{name} is {rows} x {n}; {expected} planes of f32 expected"
+        ));
+    }
+    let row = |row: &[u8]| {
+        row.chunks_exact(4)
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect()
+    };
+    Ok(t.data().chunks_exact(4 * n).map(row).collect())
+}

@@ -1,0 +1,239 @@
+//! `run.json`: what was run, on what, and what came of it.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::error::{Error, Result};
+use crate::config::TrainConfig;
+use crate::density::DensityStats;
+use crate::device::tuning::Tuning;
+use crate::evaluate::ViewScore;
+use crate::pipeline::photos::PhotoStats;
+use crate::train::plan::Plan;
+
+/// Name of the record in the run folder.
+pub const RECORD_FILE: &str = "run.json";
+
+/// The dataset of a run.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct DatasetRecord {
+    /// Folder, as given.
+    pub path: String,
+    /// Layout found there (`colmap-bin`, `colmap-txt`, `transforms`).
+    pub layout: String,
+    /// Views trained on.
+    pub train_views: usize,
+    /// Views held out.
+    pub test_views: usize,
+    /// Images that the dataset names and that are not there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<String>,
+    /// Images that were left out because their cameras are far from all others.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub astray: Vec<String>,
+    /// Images that were left out because their masks leave no pixel of them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub masked_out: Vec<String>,
+    /// Largest width of a photo as trained on, in pixels.
+    pub width: u32,
+    /// Largest height of a photo as trained on, in pixels.
+    pub height: u32,
+    /// `Dataset::fingerprint`: views, cameras, lenses, sizes, masks and split; not in records of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fingerprint: Option<String>,
+}
+
+/// The OpenCL device of a run.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct DeviceRecord {
+    /// Device name.
+    pub name: String,
+    /// Vendor of the device.
+    pub vendor: String,
+    /// OpenCL platform.
+    pub platform: String,
+    /// Driver version.
+    pub driver: String,
+    /// How kernels were cut for it; not in records of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tuning: Option<Tuning>,
+}
+
+/// Time spent in one stage over the run.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct StageRecord {
+    /// Name of the stage (the stem of its kernel file, or a host step's name).
+    pub name: String,
+    /// Seconds, summed over the calls.
+    pub seconds: f64,
+    /// Number of calls.
+    pub calls: u64,
+}
+
+/// Scores of the last evaluation.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct FinalRecord {
+    /// Mean PSNR over the views in dB.
+    pub psnr: f64,
+    /// Mean SSIM over the views.
+    pub ssim: f64,
+    /// Mean ꟻLIP over the views; of the evaluation at the end of the run only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flip: Option<f64>,
+    /// Mean colour-corrected PSNR over the views in dB; where a run compensates exposure.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cc_psnr: Option<f64>,
+    /// Mean colour-corrected SSIM over the views.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cc_ssim: Option<f64>,
+    /// Scores by view, sorted by name.
+    pub per_view: Vec<ViewScore>,
+}
+
+// serde hands over a reference.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(n: &u64) -> bool {
+    *n == 0
+}
+
+/// The whole of `run.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunRecord {
+    /// Version of this package.
+    pub version: String,
+    /// Source revision it was built from, `unknown` where the build did not say.
+    pub commit: String,
+    /// Every option, resolved.
+    pub config: TrainConfig,
+    /// Seed of every random number.
+    pub seed: u64,
+    /// The dataset.
+    pub dataset: DatasetRecord,
+    /// The device.
+    pub device: DeviceRecord,
+    /// Evaluations without a lower training loss that ended the run; absent where it ended otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stalled: Option<u32>,
+    /// What was kept and left out.
+    pub plan: Plan,
+    /// Iterations done.
+    pub iterations: u32,
+    /// Number of Gaussians.
+    pub gaussians: u64,
+    /// Gaussians that were removed at the end, because no training view shows them; not among `gaussians`.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub removed: u64,
+    /// Seconds of training, evaluation and export left out.
+    pub train_seconds: f64,
+    /// Seconds since the start.
+    pub wall_seconds: f64,
+    /// CPU seconds over the span of `train_seconds`; 0 where the system does not tell.
+    pub cpu_seconds: f64,
+    /// Largest resident set in bytes; 0 where the system does not tell.
+    pub peak_rss_bytes: u64,
+    /// Photos waited for, and what they took of their budget.
+    #[serde(default)]
+    pub photos: PhotoStats,
+    /// Time by stage, in the order of the pipeline.
+    pub stages: Vec<StageRecord>,
+    /// Density control, summed over the run.
+    pub density: DensityStats,
+    /// Scores of the last evaluation; absent before it and without held-out views.
+    #[serde(rename = "final")]
+    pub final_scores: Option<FinalRecord>,
+}
+
+impl RunRecord {
+    /// The record of a run that has not begun.
+    ///
+    /// The revision is that of the variable `MHSPLAT_COMMIT` at build time.
+    #[must_use]
+    pub fn new(
+        config: TrainConfig,
+        dataset: DatasetRecord,
+        device: DeviceRecord,
+        plan: Plan,
+    ) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            commit: option_env!("MHSPLAT_COMMIT")
+                .unwrap_or("unknown")
+                .to_owned(),
+            seed: config.seed,
+            config,
+            dataset,
+            device,
+            stalled: None,
+            plan,
+            iterations: 0,
+            gaussians: 0,
+            removed: 0,
+            train_seconds: 0.0,
+            wall_seconds: 0.0,
+            cpu_seconds: 0.0,
+            peak_rss_bytes: 0,
+            photos: PhotoStats::default(),
+            stages: Vec::new(),
+            density: DensityStats::default(),
+            final_scores: None,
+        }
+    }
+
+    /// The record as indented JSON.
+    ///
+    /// # Errors
+    /// [`Error::Numerics`] when a number is not finite.
+    pub fn to_json(&self) -> Result<String> {
+        let numerics = |what: String| Error::Numerics {
+            stage: RECORD_FILE.to_owned(),
+            what,
+        };
+        let scores = self.final_scores.iter();
+        let of_views = scores.flat_map(|f| {
+            let views = f.per_view.iter().map(|v| [v.flip, v.cc_psnr, v.cc_ssim]);
+            views.chain([[f.flip, f.cc_psnr, f.cc_ssim]])
+        });
+        let mut optional = of_views
+            .flat_map(|v| ["flip", "cc_psnr", "cc_ssim"].into_iter().zip(v))
+            .chain([("time-budget", self.config.time_budget)]);
+        let bad = optional.find_map(|(name, v)| Some((name, v.filter(|v| !v.is_finite())?)));
+        if let Some((name, value)) = bad {
+            return Err(numerics(format!("{name} is {value}")));
+        }
+        let text = serde_json::to_string_pretty(self).map_err(|e| numerics(e.to_string()))?;
+        // serde_json spells NaN and infinity `null`, and no number reads back from that: what cannot be read back as it
+        // was written is refused, with the line that shows the field. (An optional number would: hence the check above.)
+        if let Err(error) = serde_json::from_str::<Self>(&text) {
+            let line = text.lines().nth(error.line().saturating_sub(1));
+            return Err(numerics(format!(
+                "a number is not finite: `{}`",
+                line.unwrap_or_default().trim()
+            )));
+        }
+        Ok(text)
+    }
+
+    /// Writes `run.json` into `run_dir`, replacing it as a whole.
+    ///
+    /// # Errors
+    /// [`Error::Numerics`] when a number is not finite (the file stays as it was), [`Error::Io`] when writing fails.
+    pub fn write(&self, run_dir: impl AsRef<Path>) -> Result<()> {
+        let mut text = self.to_json()?;
+        text.push('\n');
+        crate::base::files::write_bytes(&run_dir.as_ref().join(RECORD_FILE), text.as_bytes())
+    }
+
+    /// Reads `run.json` of `run_dir`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when it cannot be read, [`Error::Input`] when it is not such a record.
+    pub fn read(run_dir: impl AsRef<Path>) -> Result<Self> {
+        let path = run_dir.as_ref().join(RECORD_FILE);
+        let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, e))?;
+        serde_json::from_str(&text).map_err(|e| {
+            let fix = "give a folder that `mhsplat train` wrote with this version";
+            Error::input(&path, format!("not a run record: {e}"), fix)
+        })
+    }
+}

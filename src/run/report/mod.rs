@@ -1,0 +1,6 @@
+//! TODO
+
+pub mod gallery;
+pub mod page;
+pub(crate) mod panels;
+pub(crate) mod settings;

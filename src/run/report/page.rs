@@ -1,0 +1,255 @@
+//! `report.html`: one self-contained page about a run, for a phone as well as for a desk.
+//!
+//! Style, charts and images are all inside; the page's own content policy forbids it to load anything. Every string that
+//! comes from the run (file names, device names) is escaped.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use crate::base::error::Result;
+use crate::chart::text::{escape, fixed, grouped, span};
+use crate::run::density_log::DensityRow;
+use crate::run::metrics::MetricsRow;
+use crate::run::record::{FinalRecord, RunRecord};
+use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
+use crate::run::report::{panels, settings};
+
+/// Name of the page in the run folder.
+pub const REPORT_FILE: &str = "report.html";
+
+/// Writes `report.html` into `run_dir`, replacing it as a whole. Any slice may be empty.
+///
+/// # Errors
+/// [`crate::base::error::Error::Numerics`] when a gallery image does not match its size, [`crate::base::error::Error::Io`] when
+/// writing fails.
+pub fn write_report(
+    run_dir: &Path,
+    record: &RunRecord,
+    rows: &[MetricsRow],
+    density: &[DensityRow],
+    gallery: &[GalleryItem],
+) -> Result<()> {
+    let mut body = String::new();
+    headlines(&mut body, record, rows);
+    panels::quality(&mut body, rows, density);
+    panels::density_control(&mut body, record.config.sampler, density);
+    panels::stages(&mut body, record);
+    plan(&mut body, record);
+    views(&mut body, gallery)?;
+    scores(&mut body, record.final_scores.as_ref());
+    settings::section(&mut body, record, run_dir);
+    let title = format!("{} · mhsplat", folder_name(&record.dataset.path));
+    crate::base::files::write_bytes(&run_dir.join(REPORT_FILE), page(&title, &body).as_bytes())
+}
+
+/// A complete page of the report's style around `body` (HTML).
+#[must_use]
+pub fn page(title: &str, body: &str) -> String {
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/>\
+         <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"/>\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none';style-src 'unsafe-inline';img-src data:\"/>\
+         <title>{}</title><style>\n{}</style></head><body>\n{body}</body></html>\n",
+        escape(title),
+        include_str!("report.css")
+    )
+}
+
+fn folder_name(path: &str) -> &str {
+    let name = path.trim_end_matches(['/', '\\']);
+    let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
+    if name.is_empty() { "run" } else { name }
+}
+
+/// A [`span`] with its units set small.
+fn small_units(span: &str) -> String {
+    let words = span.split(' ').enumerate().map(|(index, word)| {
+        if index % 2 == 1 {
+            format!("<small>{word}</small>")
+        } else {
+            word.to_owned()
+        }
+    });
+    words.collect::<Vec<_>>().join(" ")
+}
+
+fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
+    let d = &record.dataset;
+    let _ = write!(
+        out,
+        "<h1>{}</h1><p class=sub>{} training and {} held-out views, {} × {} px · {} of {} iterations · mhsplat {}</p>",
+        escape(folder_name(&d.path)),
+        grouped(d.train_views as u64),
+        grouped(d.test_views as u64),
+        d.width,
+        d.height,
+        grouped(record.iterations.into()),
+        grouped(record.config.iterations.into()),
+        escape(&record.version)
+    );
+    let cpu = match record.cpu_seconds {
+        s if s > 0.0 => small_units(&span(s)),
+        _ => "<small>not measured</small>".to_owned(),
+    };
+    let memory = match record.peak_rss_bytes {
+        0 => "<small>not measured</small>".to_owned(),
+        bytes => format!(
+            "{:.2} <small>GiB</small>",
+            bytes as f64 / f64::from(1 << 30)
+        ),
+    };
+    let mut heads = score_heads(record.final_scores.as_ref(), rows);
+    heads.extend([
+        ("Gaussians", grouped(record.gaussians)),
+        ("Training time", small_units(&span(record.train_seconds))),
+        ("CPU time", cpu),
+        ("Peak memory", memory),
+    ]);
+    out.push_str("<dl class=heads>");
+    for (name, value) in heads {
+        let _ = write!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
+    }
+    let _ = writeln!(
+        out,
+        "<div class=wide><dt>Device</dt><dd>{}</dd></div></dl>",
+        escape(&record.device.name)
+    );
+}
+
+/// The last scores of the held-out views, those after a fit of the colours where there are any.
+fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'static str, String)> {
+    let decibels = |v: f64| format!("{} <small>dB</small>", fixed(v, 2));
+    let last = scores.map(|f| (f.psnr, f.ssim));
+    let last = last.or_else(|| rows.iter().rev().find_map(|r| r.psnr.zip(r.ssim)));
+    let (psnr, ssim) = last.map_or_else(
+        || ("–".to_owned(), "–".to_owned()),
+        |(p, s)| (decibels(p), fixed(s, 4)),
+    );
+    let flip = scores.and_then(|f| f.flip);
+    let flip = flip.map_or_else(|| "–".to_owned(), |v| fixed(v, 4));
+    let mut heads = vec![
+        ("PSNR, held-out", psnr),
+        ("SSIM, held-out", ssim),
+        ("FLIP, held-out", flip),
+    ];
+    if let Some((psnr, ssim)) = scores.and_then(|f| f.cc_psnr.zip(f.cc_ssim)) {
+        heads.push(("PSNR, colour-corrected", decibels(psnr)));
+        heads.push(("SSIM, colour-corrected", fixed(ssim, 4)));
+    }
+    heads
+}
+
+fn plan(out: &mut String, record: &RunRecord) {
+    let table = |out: &mut String, items: &[crate::train::plan::Item]| {
+        out.push_str("<table>");
+        for item in items {
+            let (what, why) = (escape(&item.what), escape(&item.why));
+            let _ = write!(out, "<tr><th>{what}</th><td>{why}</td></tr>");
+        }
+        out.push_str("</table>");
+    };
+    let plan = &record.plan;
+    out.push_str("<h2>Left out, and why</h2>\n");
+    if plan.left_out.is_empty() {
+        out.push_str("<p class=note>Nothing.</p>");
+    } else {
+        table(out, &plan.left_out);
+    }
+    if !plan.kept.is_empty() {
+        let _ = write!(
+            out,
+            "<details><summary>Kept ({})</summary>",
+            plan.kept.len()
+        );
+        table(out, &plan.kept);
+        out.push_str("</details>");
+    }
+    out.push('\n');
+}
+
+fn views(out: &mut String, gallery: &[GalleryItem]) -> Result<()> {
+    out.push_str("<h2>Held-out views</h2>\n");
+    if gallery.is_empty() {
+        out.push_str("<p class=note>No renders in this report.</p>\n");
+        return Ok(());
+    }
+    let stops: Vec<String> = (0..=10u8)
+        .map(|i| {
+            let [r, g, b] = colormap(f64::from(i) / 10.0);
+            format!("rgb({r} {g} {b})")
+        })
+        .collect();
+    let _ = writeln!(
+        out,
+        "<p class=note>Error: mean absolute difference over R, G, B of values in [0, 1].</p>\
+         <div class=ramp><span>0</span><i style=\"background:linear-gradient(90deg,{})\"></i><span>≥ {ERROR_FULL_SCALE}</span></div>",
+        stops.join(",")
+    );
+    for item in gallery {
+        let _ = write!(
+            out,
+            "<div class=view><h3>{}<span>{} dB</span><span>SSIM {}</span></h3><div class=trio>",
+            escape(&item.view),
+            fixed(item.psnr, 2),
+            fixed(item.ssim, 4)
+        );
+        let images = [
+            ("photo", &item.photo),
+            ("render", &item.render),
+            ("error", &item.error),
+        ];
+        for (name, rgb) in images {
+            let uri = data_uri(&item.view, rgb, item.width, item.height)?;
+            let _ = write!(
+                out,
+                "<figure><img alt=\"{name}\" width=\"{}\" height=\"{}\" src=\"{uri}\"/><figcaption>{name}</figcaption></figure>",
+                item.width, item.height
+            );
+        }
+        out.push_str("</div></div>\n");
+    }
+    Ok(())
+}
+
+fn scores(out: &mut String, scores: Option<&FinalRecord>) {
+    let Some(scores) = scores.filter(|s| !s.per_view.is_empty()) else {
+        return;
+    };
+    let corrected = scores.per_view.iter().any(|s| s.cc_psnr.is_some());
+    let note = if corrected {
+        "<p class=note>Colour-corrected: after the affine fit of the render's colours to the photo's; a held-out view has no \
+         exposure of its own.</p>"
+    } else {
+        ""
+    };
+    let _ = write!(
+        out,
+        "<details><summary>Scores of all {} held-out views</summary>{note}<table>\
+         <tr><th>view</th><th class=n>PSNR, dB</th><th class=n>SSIM</th><th class=n>FLIP</th>",
+        scores.per_view.len()
+    );
+    if corrected {
+        out.push_str(
+            "<th class=n>PSNR, colour-corrected, dB</th><th class=n>SSIM, colour-corrected</th>",
+        );
+    }
+    out.push_str("</tr>");
+    for score in &scores.per_view {
+        let figure = |v: Option<f64>, decimals| fixed(v.unwrap_or(f64::NAN), decimals);
+        let mut row = vec![
+            fixed(score.psnr, 2),
+            fixed(score.ssim, 4),
+            figure(score.flip, 4),
+        ];
+        if corrected {
+            row.extend([figure(score.cc_psnr, 2), figure(score.cc_ssim, 4)]);
+        }
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td class=n>{}</td></tr>",
+            escape(&score.view),
+            row.join("</td><td class=n>")
+        );
+    }
+    out.push_str("</table></details>\n");
+}

@@ -1,0 +1,275 @@
+//! The charts of the page: quality, density control and time by stage.
+
+use std::fmt::Write;
+
+use crate::chart::bars::{Bar, bar_chart};
+use crate::chart::svg::{Axis, Scale, Series, line_chart};
+use crate::chart::text::{escape, fixed, grouped, span};
+use crate::config::Sampler;
+use crate::density::DensityStats;
+use crate::run::density_log::DensityRow;
+use crate::run::metrics::MetricsRow;
+use crate::run::record::RunRecord;
+
+const TIME: Axis<'static> = Axis {
+    label: "training time",
+    unit: "s",
+    scale: Scale::Seconds,
+    from_zero: true,
+};
+const ITERATION: Axis<'static> = Axis {
+    label: "iteration",
+    unit: "",
+    scale: Scale::Number,
+    from_zero: true,
+};
+const PSNR: Axis<'static> = Axis {
+    label: "PSNR",
+    unit: "dB",
+    scale: Scale::Number,
+    from_zero: false,
+};
+const SSIM: Axis<'static> = Axis {
+    label: "SSIM",
+    unit: "",
+    scale: Scale::Number,
+    from_zero: false,
+};
+const SHARE: Axis<'static> = Axis {
+    label: "accepted",
+    unit: "%",
+    scale: Scale::Percent,
+    from_zero: true,
+};
+/// An axis from zero for a plain number.
+fn number(label: &str) -> Axis<'_> {
+    Axis {
+        label,
+        unit: "",
+        scale: Scale::Number,
+        from_zero: true,
+    }
+}
+
+fn points<R>(rows: &[R], x: impl Fn(&R) -> f64, y: impl Fn(&R) -> Option<f64>) -> Vec<(f64, f64)> {
+    rows.iter()
+        .filter_map(|r| y(r).map(|value| (x(r), value)))
+        .collect()
+}
+
+fn single(points: Vec<(f64, f64)>) -> [Series<'static>; 1] {
+    [Series { name: "", points }]
+}
+
+pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityRow]) {
+    let time = |r: &MetricsRow| r.train_seconds;
+    let iteration = |r: &MetricsRow| f64::from(r.iteration);
+    out.push_str("<h2>Quality on held-out views</h2><div class=charts>\n");
+    let charts = [
+        (
+            "PSNR against time",
+            TIME,
+            PSNR,
+            points(rows, time, |r| r.psnr),
+        ),
+        (
+            "PSNR against iterations",
+            ITERATION,
+            PSNR,
+            points(rows, iteration, |r| r.psnr),
+        ),
+        (
+            "SSIM against time",
+            TIME,
+            SSIM,
+            points(rows, time, |r| r.ssim),
+        ),
+        (
+            "SSIM against iterations",
+            ITERATION,
+            SSIM,
+            points(rows, iteration, |r| r.ssim),
+        ),
+    ];
+    for (title, x, y, points) in charts {
+        out.push_str(&line_chart(title, &x, &y, &single(points)));
+    }
+    out.push_str("</div>\n<h2>Gaussians and loss</h2><div class=charts>\n");
+    // Density steps come more often than evaluations; evaluations also cover the time without density control.
+    let mut counts = points(rows, time, |r| Some(r.gaussians as f64));
+    counts.extend(points(
+        density,
+        |r| r.train_seconds,
+        |r| Some(r.gaussians as f64),
+    ));
+    counts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    out.push_str(&line_chart(
+        "Gaussians against time",
+        &TIME,
+        &number("Gaussians"),
+        &single(counts),
+    ));
+    let loss = points(rows, time, |r| r.loss);
+    out.push_str(&line_chart(
+        "Training loss",
+        &TIME,
+        &number("loss"),
+        &single(loss),
+    ));
+    out.push_str("</div>\n");
+}
+
+/// One number of a step.
+type Count = fn(&DensityStats) -> u64;
+
+/// What the sampler did at each of its steps.
+pub(super) fn density_control(out: &mut String, sampler: Sampler, density: &[DensityRow]) {
+    if sampler == Sampler::None {
+        out.push_str("<h2>Density control</h2><p class=note>A fixed set of Gaussians.</p>\n");
+        return;
+    }
+    out.push_str("<h2>Density control, per step</h2><div class=charts>\n");
+    let shown: &[(&str, Count)] = match sampler {
+        Sampler::Adc => &[
+            ("cloned", |s| s.cloned),
+            ("split", |s| s.split),
+            ("removed", |s| s.pruned),
+        ],
+        Sampler::Mcmc => &[("born", |s| s.accepted), ("relocated", |s| s.relocated)],
+        _ => &[
+            ("born", |s| s.accepted),
+            ("relocated", |s| s.relocated),
+            ("removed", |s| s.pruned),
+        ],
+    };
+    if sampler == Sampler::Mh {
+        acceptance(out, density);
+    }
+    let changes: Vec<Series> = shown
+        .iter()
+        .map(|(name, count)| Series {
+            name,
+            points: points(density, step_of, |r| Some(count(&r.stats) as f64)),
+        })
+        .collect();
+    let unit = number("Gaussians");
+    out.push_str(&line_chart("Changes", &ITERATION, &unit, &changes));
+    match sampler {
+        Sampler::Mh => voxels(out, density),
+        Sampler::Adc => resets(out, density),
+        _ => (),
+    }
+    out.push_str("</div>\n");
+}
+
+fn step_of(row: &DensityRow) -> f64 {
+    f64::from(row.iteration)
+}
+
+fn acceptance(out: &mut String, density: &[DensityRow]) {
+    let rate = |pair: [u64; 2]| (pair[0] > 0).then(|| pair[1] as f64 / pair[0] as f64);
+    let phases = [
+        Series {
+            name: "coarse",
+            points: points(density, step_of, |r| rate(r.stats.coarse)),
+        },
+        Series {
+            name: "fine",
+            points: points(density, step_of, |r| rate(r.stats.fine)),
+        },
+    ];
+    out.push_str(&line_chart("Acceptance", &ITERATION, &SHARE, &phases));
+}
+
+fn voxels(out: &mut String, density: &[DensityRow]) {
+    let voxels = points(density, step_of, |r| Some(r.stats.occupied_voxels as f64));
+    out.push_str(&line_chart(
+        "Occupied voxels",
+        &ITERATION,
+        &number("voxels"),
+        &single(voxels),
+    ));
+    // D is the mean over the proposals, so a step without proposals has none.
+    let prior = points(density, step_of, |r| {
+        (r.stats.proposed > 0).then_some(r.stats.mean_prior)
+    });
+    out.push_str(&line_chart(
+        "Mean voxel prior D",
+        &ITERATION,
+        &number("D"),
+        &single(prior),
+    ));
+}
+
+fn resets(out: &mut String, density: &[DensityRow]) {
+    let mut sum = 0;
+    let so_far = points(density, step_of, |r| Some(r.stats.opacity_resets as f64));
+    let so_far = so_far.into_iter().map(|(at, n)| {
+        sum += n as u64;
+        (at, sum as f64)
+    });
+    out.push_str(&line_chart(
+        "Opacity resets so far",
+        &ITERATION,
+        &number("resets"),
+        &single(so_far.collect()),
+    ));
+}
+
+pub(super) fn stages(out: &mut String, record: &RunRecord) {
+    let total: f64 = record.stages.iter().map(|s| s.seconds).sum();
+    let bars: Vec<Bar> = record
+        .stages
+        .iter()
+        .map(|s| Bar {
+            name: s.name.clone(),
+            value: s.seconds,
+            text: match s.seconds / total {
+                share if share.is_finite() => {
+                    format!("{} s · {} %", digits(s.seconds), fixed(100.0 * share, 1))
+                }
+                _ => format!("{} s", digits(s.seconds)),
+            },
+        })
+        .collect();
+    out.push_str("<h2>Time by stage</h2><div class=charts>\n");
+    out.push_str(&bar_chart("Seconds in each stage", &bars));
+    if bars.is_empty() {
+        out.push_str("</div>\n");
+        return;
+    }
+    out.push_str(
+        "<div class=chart><table>\
+         <tr><th>stage</th><th class=n>calls</th><th class=n>ms per call</th></tr>",
+    );
+    for stage in &record.stages {
+        let per_call = match stage.calls {
+            0 => "–".to_owned(),
+            n => digits(1e3 * stage.seconds / n as f64),
+        };
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td class=n>{}</td><td class=n>{per_call}</td></tr>",
+            escape(&stage.name),
+            grouped(stage.calls)
+        );
+    }
+    let _ = writeln!(
+        out,
+        "</table></div></div><p class=note>{} in stages, of {} of training.</p>",
+        span(total),
+        span(record.train_seconds)
+    );
+}
+
+/// A measured value with three digits or its whole part.
+fn digits(value: f64) -> String {
+    fixed(
+        value,
+        match value {
+            v if v < 10.0 => 2,
+            v if v < 100.0 => 1,
+            _ => 0,
+        },
+    )
+}

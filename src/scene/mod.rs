@@ -1,0 +1,15 @@
+//! The scene being trained: a set of 3D Gaussians in raw (unactivated) form.
+
+mod gaussians;
+pub mod init;
+pub mod knn;
+pub mod morton;
+mod orbit;
+pub mod ply;
+pub mod refit;
+pub mod sh;
+mod smoothing;
+
+pub use crate::scene::gaussians::{Plane, Splats, sh_coefficients};
+pub use crate::scene::orbit::orbit;
+pub use crate::scene::smoothing::{filters, without_filter};

@@ -1,0 +1,231 @@
+//! 3DGS PLY files, with the properties and their order as in Inria's implementation (Kerbl et al. 2023, `save_ply`).
+//!
+//! Everything is stored raw: log-scales, opacity logits, quaternions w, x, y, z, SH coefficients. `f_rest_*` goes channel
+//! by channel: all coefficients but the first of red, then of green, then of blue.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+
+use glam::DVec3;
+
+use crate::base::error::{Error, Result};
+use crate::base::ply::Table;
+use crate::capture::{Frame, Points, point_cloud};
+use crate::scene::gaussians::{Plane, Splats, sh_coefficients};
+
+/// What a comment on the filters of a scene begins with.
+const MARK: &str = "mhsplat anti-aliasing:";
+/// The comment in the header of a scene that was trained with anti-aliasing; the 2D filter's variance in pixels²
+/// ([`crate::base::constants::blur`]).
+pub const ANTI_ALIASED: &str =
+    "mhsplat anti-aliasing: mip-splatting, 2D filter of 0.1, 3D filter applied";
+/// Bytes of a header that are looked at for it.
+const MOST_HEADER: u64 = 1 << 16;
+
+/// Writes the Gaussians in the dataset's frame (`frame` tells where the local one lies), binary little endian, atomically.
+///
+/// Positions are moved in f64 and then rounded to f32, the format's precision: at UTM offsets (10⁶ m) that leaves 0.5 m.
+///
+/// # Errors
+/// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
+pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
+    write_rows(path, splats, frame, "")
+}
+
+/// As [`write()`], for a scene trained with anti-aliasing: each Gaussian's 3D filter (standard deviations `filter` \[N\], local
+/// units) goes into its scales and opacity, so that any viewer has it, and a comment in the header says that the opacities
+/// are meant for the 2D filter, with its variance. An empty `filter`: as [`write()`].
+///
+/// # Errors
+/// As [`write()`]; [`Error::Numerics`] for a filter of another length.
+pub fn write_filtered(path: &Path, splats: &Splats, filter: &[f32], frame: &Frame) -> Result<()> {
+    if filter.is_empty() {
+        return write(path, splats, frame);
+    }
+    let comment = format!("comment {ANTI_ALIASED}\n");
+    write_rows(path, &splats.filtered(filter)?, frame, &comment)
+}
+
+/// Whether the header of a PLY file says that its scene was trained with anti-aliasing, so that it is to be rendered with
+/// the 2D filter. False for what cannot be read.
+#[must_use]
+pub fn is_anti_aliased(path: &Path) -> bool {
+    mark(path).is_some_and(|mark| mark == ANTI_ALIASED.as_bytes())
+}
+
+/// Refuses a scene whose header speaks of other filters than these: it would be shown with the wrong ones.
+fn refuse_other_filters(path: &Path) -> Result<()> {
+    match mark(path) {
+        Some(mark) if mark != ANTI_ALIASED.as_bytes() => Err(Error::input(
+            path,
+            format!(
+                "trained with other filters than this version's (`{ANTI_ALIASED}`): `{}`",
+                String::from_utf8_lossy(&mark)
+            ),
+            "train it again, or show it with the version that trained it",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// The comment on filters in the header of a PLY file; none in what cannot be read.
+fn mark(path: &Path) -> Option<Vec<u8>> {
+    let file = std::fs::File::open(path).ok()?;
+    let header = BufReader::new(file.take(MOST_HEADER)).split(b'\n');
+    let mut lines = header.map_while(|line| line.ok());
+    let is_ply = lines.next()?.trim_ascii() == b"ply";
+    let mut comments = lines
+        .map(|line| line.trim_ascii().to_vec())
+        .take_while(|line| is_ply && line != b"end_header")
+        .filter_map(|line| Some(line.strip_prefix(b"comment ")?.trim_ascii().to_vec()));
+    comments.find(|comment| comment.starts_with(MARK.as_bytes()))
+}
+
+fn write_rows(path: &Path, splats: &Splats, frame: &Frame, comment: &str) -> Result<()> {
+    let rows = to_rows(splats, frame)?;
+    let mut header = format!(
+        "ply\nformat binary_little_endian 1.0\n{comment}element vertex {}\n",
+        splats.len()
+    );
+    for name in property_names(splats.sh_degree()) {
+        header.push_str("property float ");
+        header.push_str(&name);
+        header.push('\n');
+    }
+    header.push_str("end_header\n");
+    crate::base::files::write(path, |out| {
+        out.write_all(header.as_bytes())?;
+        rows.iter()
+            .try_for_each(|v| out.write_all(&v.to_le_bytes()))
+    })
+}
+
+fn property_names(sh_degree: u32) -> Vec<String> {
+    let numbered = |stem: &'static str, n: usize| (0..n).map(move |i| format!("{stem}_{i}"));
+    ["x", "y", "z", "nx", "ny", "nz"]
+        .into_iter()
+        .map(String::from)
+        .chain(numbered("f_dc", 3))
+        .chain(numbered("f_rest", 3 * (sh_coefficients(sh_degree) - 1)))
+        .chain(["opacity".to_string()])
+        .chain(numbered("scale", 3))
+        .chain(numbered("rot", 4))
+        .collect()
+}
+
+/// Planes of SH coefficients above the first, in the file's order.
+fn rest_planes(sh_degree: u32) -> impl Iterator<Item = usize> {
+    let n = sh_coefficients(sh_degree);
+    (0..3).flat_map(move |c| (1..n).map(move |k| Plane::SH + 3 * k + c))
+}
+
+/// The rows of the file, `[N][properties]`, checked.
+fn to_rows(splats: &Splats, frame: &Frame) -> Result<Vec<f32>> {
+    let names = property_names(splats.sh_degree());
+    let stretch = frame.scale.ln();
+    let rest: Vec<usize> = rest_planes(splats.sh_degree()).collect();
+    let mut rows = Vec::with_capacity(splats.len() * names.len());
+    for i in 0..splats.len() {
+        let start = rows.len();
+        let position = DVec3::from_array(splats.gather(Plane::POSITION, i).map(f64::from));
+        rows.extend(frame.to_dataset(position).as_vec3().to_array());
+        rows.extend([0.0; 3]);
+        rows.extend(splats.gather::<3>(Plane::SH, i));
+        rows.extend(rest.iter().map(|&p| splats.gather::<1>(p, i)[0]));
+        rows.extend(splats.gather::<1>(Plane::OPACITY, i));
+        let scales: [f32; 3] = splats.gather(Plane::LOG_SCALE, i);
+        rows.extend(scales.map(|s| (f64::from(s) + stretch) as f32));
+        rows.extend(splats.gather::<4>(Plane::ROTATION, i));
+        if let Some(k) = rows[start..].iter().position(|v| !v.is_finite()) {
+            return Err(Error::Numerics {
+                stage: "export".into(),
+                what: format!("{} of Gaussian {i} is {}", names[k], rows[start + k]),
+            });
+        }
+    }
+    Ok(rows)
+}
+
+/// What a PLY file holds, in the local frame.
+#[derive(Debug, Clone)]
+pub enum Contents {
+    /// Gaussians.
+    Scene(Splats),
+    /// A plain point cloud: no 3DGS properties.
+    Points(Points),
+}
+
+/// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` where there are any; grey otherwise).
+///
+/// # Errors
+/// As [`read`] and [`point_cloud::read`].
+pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
+    let table = Table::read(path)?;
+    if is_plain(&table) {
+        point_cloud::from_table(path, &table, frame).map(Contents::Points)
+    } else {
+        from_table(path, &table, frame).map(Contents::Scene)
+    }
+}
+
+/// Reads Gaussians, ascii or binary little endian, properties in any order and of any scalar type. The SH degree follows
+/// from the number of `f_rest_*`.
+///
+/// # Errors
+/// [`Error::Input`] for what is no such file, is truncated, lacks a property, or holds a value that is not finite (named
+/// by row and property), or was trained with other filters; [`Error::Io`].
+pub fn read(path: &Path, frame: &Frame) -> Result<Splats> {
+    let table = Table::read(path)?;
+    if is_plain(&table) {
+        return Err(Error::input(
+            path,
+            "no 3DGS properties (f_dc_0, opacity, …): a plain point cloud",
+            "give a PLY of Gaussians",
+        ));
+    }
+    from_table(path, &table, frame)
+}
+
+fn is_plain(table: &Table) -> bool {
+    !table.has("opacity") && !table.has("f_dc_0")
+}
+
+fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<Splats> {
+    refuse_other_filters(path)?;
+    let rest = table.names().filter(|n| n.starts_with("f_rest_")).count();
+    let Some(sh_degree) = (0..=3).find(|&d| 3 * (sh_coefficients(d) - 1) == rest) else {
+        return Err(Error::input(
+            path,
+            format!("{rest} properties f_rest_*; 0, 9, 24 or 45 expected (SH degree 0 to 3)"),
+            "export the scene again",
+        ));
+    };
+    let stretch = frame.scale.ln();
+    let mut planes = vec![Vec::new(); Plane::count(sh_degree)];
+    let mut fill = |plane: usize, name: String, change: &dyn Fn(f64) -> f64| -> Result<()> {
+        let values = table.column(&name)?;
+        planes[plane] = values.into_iter().map(|v| change(v) as f32).collect();
+        match planes[plane].iter().position(|v| !v.is_finite()) {
+            None => Ok(()),
+            Some(row) => Err(Error::input(
+                path,
+                format!("{name} of vertex {row} is beyond single precision"),
+                "remove the Gaussian",
+            )),
+        }
+    };
+    for (k, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let to_local = |v: f64| (v - frame.center[k]) / frame.scale;
+        fill(Plane::POSITION + k, name.into(), &to_local)?;
+        fill(Plane::LOG_SCALE + k, format!("scale_{k}"), &|v| v - stretch)?;
+        fill(Plane::SH + k, format!("f_dc_{k}"), &|v| v)?;
+    }
+    for k in 0..4 {
+        fill(Plane::ROTATION + k, format!("rot_{k}"), &|v| v)?;
+    }
+    fill(Plane::OPACITY, "opacity".into(), &|v| v)?;
+    for (i, plane) in rest_planes(sh_degree).enumerate() {
+        fill(plane, format!("f_rest_{i}"), &|v| v)?;
+    }
+    Splats::new(sh_degree, planes)
+}

@@ -1,0 +1,108 @@
+//! Mip-Splatting's 3D filter (Yu et al., CVPR 2024): its size (Eq. 6 to 8), put into scales and opacities (Eq. 9), and taken out of
+//! them again.
+
+use glam::DVec3;
+
+use crate::base::constants::{FILTER_VARIANCE, LOG_SCALE};
+use crate::base::error::{Error, Result};
+use crate::capture::{Camera, Dataset};
+use crate::scene::gaussians::{Plane, Splats};
+
+/// The first Gaussians as the trainer is to take them: `splats` of a PLY file with the 3D filter in it are given back what they
+/// were before, by the training views of this dataset. Training filters them itself.
+///
+/// # Errors
+/// A value that is then not finite.
+pub fn without_filter(splats: &Splats, dataset: &Dataset) -> Result<Splats> {
+    let positions =
+        (0..splats.len()).map(|i| splats.gather::<3>(Plane::POSITION, i).map(f64::from));
+    let sigma = filters(
+        positions,
+        &dataset.train.iter().map(|v| v.camera).collect::<Vec<_>>(),
+    );
+    splats.unfiltered(&sigma.iter().map(|s| *s as f32).collect::<Vec<_>>())
+}
+
+/// Least share of a squared scale that is taken for the Gaussian's own where the rest is the filter's: below, f32 knows nothing.
+const LEAST_OWN: f64 = 1e-4;
+/// Largest opacity that comes of taking a filter out.
+const MOST_OPACITY: f64 = 0.999;
+
+/// ln o of a logit, −softplus(−l).
+fn ln_opacity(logit: f64) -> f64 {
+    -((-logit).max(0.0) + (-logit.abs()).exp().ln_1p())
+}
+
+/// The logit of an opacity's logarithm, 1 − o without cancellation.
+fn logit_of(ln_o: f64) -> f64 {
+    ln_o - (-ln_o.exp_m1()).ln()
+}
+
+/// Standard deviation of the 3D filter of a Gaussian at every position, local units \[N\]: √0.2 over the highest sampling rate of the
+/// views that see its centre ([`Camera::sampling_rate`]); the largest of the others for a Gaussian that no view sees, 0 for all
+/// if none is seen.
+#[must_use]
+pub fn filters(positions: impl Iterator<Item = [f64; 3]>, cameras: &[Camera]) -> Vec<f64> {
+    let own: Vec<Option<f64>> = positions
+        .map(|x| {
+            let rates = cameras
+                .iter()
+                .filter_map(|c| c.sampling_rate(DVec3::from_array(x)));
+            rates
+                .reduce(f64::max)
+                .map(|rate| FILTER_VARIANCE.sqrt() / rate)
+        })
+        .collect();
+    let largest = own.iter().flatten().copied().fold(0.0, f64::max);
+    own.into_iter().map(|v| v.unwrap_or(largest)).collect()
+}
+
+impl Splats {
+    /// The same Gaussians after a 3D filter of standard deviations `sigma` \[N\], of the scales' unit: scales √(s² + σ²), opacities
+    /// times √(Π s² / Π (s² + σ²)). A Gaussian whose σ is 0 keeps its bits.
+    ///
+    /// # Errors
+    /// Another number of standard deviations than of Gaussians, or a value that is then not finite.
+    pub fn filtered(&self, sigma: &[f32]) -> Result<Self> {
+        self.changed(sigma, |own, sigma| {
+            let own = own.clamp(LOG_SCALE[0], LOG_SCALE[1]);
+            own + 0.5 * (sigma * (-own).exp()).powi(2).ln_1p()
+        })
+    }
+
+    /// The Gaussians of which [`Splats::filtered`] makes these, as far as can be told: a squared scale keeps at least 1e-4 of what
+    /// it is, and no opacity is raised above 0.999. Training on from a filtered scene, which filters it again, starts here.
+    ///
+    /// # Errors
+    /// As [`Splats::filtered`].
+    pub fn unfiltered(&self, sigma: &[f32]) -> Result<Self> {
+        self.changed(sigma, |wide, sigma| {
+            let own = 1.0 - (sigma * (-wide).exp()).powi(2);
+            wide + 0.5 * own.max(LEAST_OWN).ln()
+        })
+    }
+
+    /// New log-scales from the old ones and σ, and opacities so that their product with the three scales stays.
+    fn changed(&self, sigma: &[f32], scale: impl Fn(f64, f64) -> f64) -> Result<Self> {
+        if sigma.len() != self.len() {
+            return Err(Error::Numerics {
+                stage: "filter".into(),
+                what: format!("{} values; {} expected", sigma.len(), self.len()),
+            });
+        }
+        let mut planes = self.planes().to_vec();
+        for (i, sigma) in sigma.iter().enumerate().filter(|(_, s)| **s != 0.0) {
+            let mut ln_left = 0.0;
+            for plane in &mut planes[Plane::LOG_SCALE..Plane::ROTATION] {
+                let old = f64::from(plane[i]);
+                let new = scale(old, f64::from(*sigma));
+                plane[i] = new as f32;
+                ln_left += old.clamp(LOG_SCALE[0], LOG_SCALE[1]) - new;
+            }
+            let ln_o = ln_opacity(f64::from(planes[Plane::OPACITY][i]));
+            let most = ln_o.max(MOST_OPACITY.ln());
+            planes[Plane::OPACITY][i] = logit_of((ln_o + ln_left).min(most)) as f32;
+        }
+        Self::new(self.sh_degree(), planes)
+    }
+}

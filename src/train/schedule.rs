@@ -1,0 +1,281 @@
+//! What changes over a run: pure functions of the configuration and the iteration.
+
+use crate::base::rng::{Philox, Purpose};
+use crate::config::{Background, ExposureChoice, TrainConfig};
+use crate::pipeline::stage::adam::LearningRates;
+
+/// Iterations that the papers' schedules are written for.
+const PAPER_ITERATIONS: f64 = 30_000.0;
+
+/// Largest factor on the learning rates of a short run.
+const MOST_BOOST: f64 = 4.0;
+
+/// A run has this many density steps, however short it is, unless they would be closer than [`LEAST_INTERVAL`].
+const LEAST_DENSITY_STEPS: u32 = 15;
+
+/// Iterations that new Gaussians are given before the next step judges them.
+const LEAST_INTERVAL: u32 = 25;
+
+/// Iterations, of the papers' 30,000, after which exposure is compensated, or it is decided whether: full photos have been trained
+/// on by then. Before, renders differ from photos by how much of a view is there yet (measured: gains in synthetic sets, which
+/// have one exposure, spread by up to 30 % after 2,000 iterations and by 2 % after 6,000).
+const EXPOSURE_FROM: u32 = 6000;
+
+/// Iterations that a short run does before it decides: of fewer, no render tells how bright a photo should be.
+const LEAST_BEFORE_DECISION: u32 = 300;
+
+/// Pixels that a shrunk photo has in width and height at least.
+const LEAST_SIDE: usize = 64;
+
+/// The schedules of one run.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    config: TrainConfig,
+    scale: f64,
+}
+
+impl Schedule {
+    /// Schedules scaled from the papers' 30,000 iterations to the run's.
+    #[must_use]
+    pub fn new(config: &TrainConfig) -> Self {
+        Self {
+            config: config.clone(),
+            scale: f64::from(config.iterations) / PAPER_ITERATIONS,
+        }
+    }
+
+    fn scaled(&self, iteration: u32) -> u32 {
+        (f64::from(iteration) * self.scale).round() as u32
+    }
+
+    /// Iterations between two bands of spherical harmonics.
+    #[must_use]
+    pub fn sh_interval(&self) -> u32 {
+        self.scaled(self.config.optimizer.sh_interval).max(1)
+    }
+
+    /// By how much the photos of `size` pixels are shrunk at an iteration: a power of two, 1 for not at all. Every smaller
+    /// size is used for `work.resolution_interval` (scaled) iterations, the smallest first; both sides keep at least 64
+    /// pixels. A run with a time budget has full photos throughout: it may end before the schedule comes to them.
+    #[must_use]
+    pub fn shrink_factor(&self, iteration: u32, size: [usize; 2]) -> usize {
+        let work = &self.config.work;
+        let interval = self.scaled(work.resolution_interval).max(1);
+        let levels = match self.config.time_budget {
+            None => work.resolution_levels,
+            Some(_) => 0,
+        };
+        let level = levels.saturating_sub(iteration / interval);
+        let most = size[0].min(size[1]) / LEAST_SIDE;
+        (1 << level).min(1 << most.max(1).ilog2())
+    }
+
+    /// First iteration at which photos of `size` pixels are not shrunk.
+    #[must_use]
+    pub fn full_size_from(&self, size: [usize; 2]) -> u32 {
+        let interval = self.scaled(self.config.work.resolution_interval).max(1);
+        let factor = self.shrink_factor(0, size) as u32;
+        let levels = self.config.work.resolution_levels;
+        if factor == 1 { 0 } else { interval * levels }
+    }
+
+    /// Learning rates; position decays log-linearly over the run. Local units: the scene extent is 1.
+    ///
+    /// Adam moves a parameter by about its rate per iteration, whatever the gradient, so that a short run cannot reach what
+    /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for
+    /// positions, which have the longest way to go, f times for the higher SH bands and √f times for the rest (measured on
+    /// one indoor scene at 1,500 and 3,000 iterations). From 30,000 iterations on the rates are the papers'. Towards the end all
+    /// but the position's settle (`lr-settle`).
+    #[must_use]
+    pub fn rates(&self, iteration: u32) -> LearningRates {
+        let o = &self.config.optimizer;
+        let boost = if o.lr_scales_with_run {
+            (1.0 / self.scale).sqrt().clamp(1.0, MOST_BOOST)
+        } else {
+            1.0
+        };
+        let settle = self.settle(iteration);
+        let slow = settle * boost.sqrt();
+        LearningRates {
+            position: boost.powf(1.5) * self.position_rate(iteration),
+            scale: slow * f64::from(o.lr_scale),
+            rotation: slow * f64::from(o.lr_rotation),
+            opacity: slow * f64::from(o.lr_opacity),
+            sh0: slow * f64::from(o.lr_sh0),
+            sh: settle * boost * f64::from(o.lr_sh),
+        }
+    }
+
+    /// Factor by which the rates settle towards the end: 1, then log-linear down to `lr-settle`.
+    fn settle(&self, iteration: u32) -> f64 {
+        let o = &self.config.optimizer;
+        let paper = f64::from(iteration) / self.scale;
+        let from = f64::from(o.lr_settle_from);
+        let share = (paper - from) / (PAPER_ITERATIONS - from).max(1.0);
+        f64::from(o.lr_settle).powf(share.clamp(0.0, 1.0))
+    }
+
+    /// Learning rate of the positions without what short runs add to it: log-linear over the run. The noise on positions is
+    /// in proportion to this one: n·lr² is its variance after n iterations, and with the rate of [`Schedule::rates`] that of a
+    /// short run would be more than a long one's, which costs (measured: see the README on short runs).
+    #[must_use]
+    pub fn position_rate(&self, iteration: u32) -> f64 {
+        let o = &self.config.optimizer;
+        let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
+        let (from, to) = (f64::from(o.lr_position), f64::from(o.lr_position_final));
+        if from > 0.0 && to > 0.0 {
+            (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
+        } else {
+            from
+        }
+    }
+
+    /// Learning rate of the photos' colour transforms: log-linear over the run.
+    #[must_use]
+    pub fn exposure_rate(&self, iteration: u32) -> f64 {
+        let o = &self.config.optimizer;
+        let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
+        let (from, to) = (f64::from(o.lr_exposure), f64::from(o.lr_exposure_final));
+        if from > 0.0 && to > 0.0 {
+            (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
+        } else {
+            from
+        }
+    }
+
+    /// Iterations done when exposure is first compensated or, if the configuration leaves that open, when it is decided; none
+    /// where it is off.
+    ///
+    /// Not from the start: the first renders are far from any photo, all transforms would take up some of that at random, and
+    /// view-dependent colour would undo it in the training views alone (measured: held-out PSNR of one set falls by 2.7 dB).
+    #[must_use]
+    pub fn exposure_from(&self) -> Option<u32> {
+        let from = self.scaled(EXPOSURE_FROM).max(1);
+        match self.config.exposure {
+            ExposureChoice::On => Some(from),
+            ExposureChoice::Auto => Some(from.max(LEAST_BEFORE_DECISION)),
+            ExposureChoice::Off => None,
+        }
+    }
+
+    /// First iteration at which density control may act, and the one before which it ends; empty for a fixed set.
+    #[must_use]
+    pub fn density_span(&self) -> [u32; 2] {
+        self.config.density_times().map_or([0, 0], |times| {
+            let from = self.scaled(times.from) + u32::from(times.after_from);
+            [from, self.scaled(times.until)]
+        })
+    }
+
+    /// Iterations between two density steps: the paper's, or fewer where a short run would have less than 15 steps.
+    #[must_use]
+    pub fn density_interval(&self) -> u32 {
+        let [from, until] = self.density_span();
+        let least = until.saturating_sub(from) / LEAST_DENSITY_STEPS;
+        let asked = self.config.density_times().map_or(1, |t| t.interval);
+        asked.min(least.max(LEAST_INTERVAL))
+    }
+
+    /// Progress η of density control if a step is due after `done` iterations.
+    #[must_use]
+    pub fn density_due(&self, done: u32) -> Option<f64> {
+        let [from, until] = self.density_span();
+        if done < from
+            || done >= until.min(self.config.iterations)
+            || !done.is_multiple_of(self.density_interval())
+        {
+            return None;
+        }
+        Some(f64::from(done - from) / f64::from((until - from).max(1)))
+    }
+
+    /// The next density step at or after `iteration`'s end: after how many iterations done, and its progress η.
+    #[must_use]
+    pub fn next_density(&self, iteration: u32) -> Option<(u32, f64)> {
+        let [from, _] = self.density_span();
+        let due = from
+            .max(iteration.saturating_add(1))
+            .checked_next_multiple_of(self.density_interval())?;
+        self.density_due(due).map(|progress| (due, progress))
+    }
+
+    /// Opacity resets (adc) that come at intervals, before the density step at `done`.
+    #[must_use]
+    pub fn opacity_resets(&self, done: u32) -> u32 {
+        let every = self.scaled(self.config.adc.reset_interval).max(1);
+        done.saturating_sub(self.density_interval()) / every
+    }
+
+    /// Whether opacity is reset (adc) with the density step at `done`: as it is due by the interval, and before a white
+    /// background at the first step, too (released code: at `densify_from_iter`).
+    #[must_use]
+    pub fn resets_opacity(&self, done: u32) -> bool {
+        let every = self.scaled(self.config.adc.reset_interval).max(1);
+        let [from, _] = self.density_span();
+        let first = done < from + self.density_interval();
+        done / every > self.opacity_resets(done)
+            || (first && self.config.background == Background::White)
+    }
+
+    /// Iterations between two evaluations, 0 for none before the end.
+    #[must_use]
+    pub fn eval_every(&self) -> u32 {
+        self.config
+            .eval_every
+            .unwrap_or((self.config.iterations / 20).max(1))
+    }
+
+    /// View of an iteration: every epoch is a permutation of the views, keyed by (seed, epoch).
+    #[must_use]
+    pub fn view(&self, iteration: u32, views: usize) -> usize {
+        self.upcoming(iteration, 1, views)[0]
+    }
+
+    /// Views of `count` iterations from `iteration` on.
+    #[must_use]
+    pub fn upcoming(&self, iteration: u32, count: usize, views: usize) -> Vec<usize> {
+        let n = views.max(1);
+        let first = iteration as usize;
+        let mut epoch = first / n;
+        let mut order = self.permutation(epoch as u32, views);
+        let view = |i: usize| {
+            if i / n != epoch {
+                epoch = i / n;
+                order = self.permutation(epoch as u32, views);
+            }
+            order[i % n]
+        };
+        (first..first + count).map(view).collect()
+    }
+
+    fn permutation(&self, epoch: u32, views: usize) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..views.max(1)).collect();
+        for i in (1..order.len()).rev() {
+            let u =
+                Philox::uniform(self.config.seed, Purpose::ViewOrder.stream(epoch), i as u64)[0];
+            order.swap(i, (u * (i + 1) as f64) as usize);
+        }
+        order
+    }
+
+    /// Background colour of an iteration over photos that are transparent or not.
+    #[must_use]
+    pub fn background(&self, iteration: u32, transparent: bool) -> [f32; 3] {
+        if !self.config.background.changes(transparent) {
+            return self.fixed_background();
+        }
+        let stream = Purpose::Background.stream(0);
+        let u = Philox::uniform(self.config.seed, stream, u64::from(iteration));
+        [u[0] as f32, u[1] as f32, u[2] as f32]
+    }
+
+    /// Background colour where it must not change: evaluation.
+    #[must_use]
+    pub fn fixed_background(&self) -> [f32; 3] {
+        match self.config.background {
+            Background::White => [1.0; 3],
+            Background::Color(c) => c,
+            Background::Auto | Background::Black | Background::Random => [0.0; 3],
+        }
+    }
+}
