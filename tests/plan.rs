@@ -3,8 +3,8 @@
 use crate::determinism::room;
 use mhsplat::capture::{Dataset, LoadOptions, Photo, PhotoSource, load};
 use mhsplat::config::{Background, Init, Sampler, TrainConfig};
+use mhsplat::train::Findings;
 use mhsplat::train::plan::{Item, Plan};
-use mhsplat::train::{BandTrial, Findings};
 
 /// Why an item is kept (`Ok`) or left out (`Err`); panics if it is on both lists or on none.
 fn verdict(plan: &Plan, what: &str) -> Result<String, String> {
@@ -113,39 +113,8 @@ fn data_switch_items() {
     assert!(of(&scarce, "photos decoded ahead of their use").is_ok());
 }
 
-/// What the plan says after a band of this degree was judged last, in mid-run or at the end.
-fn colour(degree: u32, kept: bool, finished: Option<u32>) -> Result<String, String> {
-    let config = TrainConfig::default();
-    let mut findings = Findings {
-        finished,
-        ..Findings::default()
-    };
-    findings.bands.trials.push(BandTrial {
-        iteration: 300,
-        degree,
-        gain: if kept { 0.5 } else { 0.01 },
-        kept,
-    });
-    let plan = Plan::new(&room(64), &config).observed(&config, &findings);
-    verdict(&plan, "view-dependent colour")
-}
-
 #[test]
 fn what_training_finds_is_told() {
-    let end = Some(300);
-    assert!(
-        colour(2, true, end)
-            .unwrap()
-            .contains("degree 2 is worth +0.500 dB at iteration 300")
-    );
-    assert!(colour(2, false, end).unwrap().contains("up to SH degree 1"));
-    assert!(colour(1, false, end).unwrap_err().contains("+0.010 dB"));
-    assert!(
-        colour(1, true, None)
-            .unwrap()
-            .contains("up to SH degree 3, since the first band was worth +0.500 dB")
-    );
-    assert!(colour(1, false, None).unwrap_err().contains("tried again"));
     let config = TrainConfig::default();
     let before = Plan::new(&room(64), &config);
     assert_eq!(before.since(&before), None);
@@ -170,19 +139,8 @@ fn what_training_finds_is_told() {
 }
 
 #[test]
-fn bars_of_bands_and_short_runs_are_told() {
+fn short_runs_are_told() {
     let data = room(64);
-    let mut few = data.clone();
-    few.train.truncate(7);
-    let colour = "view-dependent colour";
-    let of = |data: &Dataset| verdict(&plan(data, |_| {}), colour).unwrap();
-    for (data, first) in [(&data, true), (&few, false)] {
-        let said = of(data);
-        assert_eq!(said.contains("gain 0.005 dB by the first band"), first);
-        assert!(said.contains("miss less than 0.02 dB"), "{said}");
-    }
-    let papers = plan(&data, |c| c.work.sh_by_need = false);
-    assert!(!verdict(&papers, colour).unwrap().contains("dB"));
     let exposure = |iterations| {
         let short = plan(&data, |c| c.iterations = iterations);
         verdict(&short, "per-image exposure").unwrap_err()

@@ -25,7 +25,6 @@ fn config() -> TrainConfig {
     };
     config.mh.surrogate = Surrogate::Probe;
     // While a band is on trial other views are taken in the place of those set aside.
-    config.work.sh_by_need = false;
     config
 }
 

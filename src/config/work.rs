@@ -25,10 +25,6 @@ pub struct WorkConfig {
     pub cull_chunks: bool,
     /// Where photos have alpha or masks: the loss leaves out what is blank in render and photo alike. Changes no bit of the scene.
     pub skip_blank: bool,
-    /// Bands of spherical harmonics come, one at every interval, once the first is worth `train::TRIAL_WORTH` of training views
-    /// that are set aside, and are dropped at the end where the training views do not miss them; off: they come from the first
-    /// interval on and stay, as in the papers. A run that begins with Gaussians that have bands has no such trial.
-    pub sh_by_need: bool,
     /// At the end, Gaussians that no training view would miss are removed.
     pub remove_unseen: bool,
 }
@@ -41,7 +37,6 @@ impl Default for WorkConfig {
             morton_order: true,
             cull_chunks: true,
             skip_blank: true,
-            sh_by_need: true,
             remove_unseen: true,
         }
     }

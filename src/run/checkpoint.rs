@@ -23,7 +23,7 @@ use crate::scene::{Plane, Splats};
 use crate::train::brightness::Decision;
 use crate::train::{Findings, TrainerState};
 
-const VERSION: u32 = 8;
+const VERSION: u32 = 9;
 
 /// Tensors in the order of the checksum.
 const NAMES: [&str; 7] = [
@@ -111,7 +111,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
         stats: state.stats,
         non_finite: state.non_finite,
-        findings: state.findings.clone(),
+        findings: state.findings,
         dataset: checkpoint.dataset.clone(),
         tuning: checkpoint.tuning,
         stages: checkpoint.stages.clone(),

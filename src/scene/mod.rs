@@ -6,7 +6,6 @@ pub mod knn;
 pub mod morton;
 mod orbit;
 pub mod ply;
-pub mod refit;
 pub mod sh;
 mod smoothing;
 

@@ -144,13 +144,13 @@ impl Trainer {
         })
     }
 
-    /// What comes before the next iteration where that is due: a look at the bands, the decision on exposure. Whether
+    /// What comes before the next iteration where that is due: a band of spherical harmonics, the decision on exposure. Whether
     /// [`Trainer::build_exposure`] is to follow; [`Trainer::step`] does both where nobody has. Twice is as good as once.
     ///
     /// # Errors
     /// As [`Trainer::step`].
     pub fn prepare(&mut self) -> Result<bool> {
-        self.look_after_bands()?;
+        self.update_sh_degree()?;
         self.exposure_begins()
     }
 

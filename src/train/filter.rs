@@ -70,13 +70,6 @@ impl Trainer {
         Ok(())
     }
 
-    /// Gives a scene of the same Gaussians the filter that this one has.
-    pub(super) fn copy_filter(&self, scene: &mut Scene) -> Result<()> {
-        let len = self.scene.filter.len();
-        scene.filter = Array::zeros(&self.device, "filter", len)?;
-        scene.filter.copy_from(0, &self.scene.filter, 0, len)
-    }
-
     /// Standard deviations of the filter \[N\], local units; empty without anti-aliasing.
     ///
     /// # Errors

@@ -1,58 +1,27 @@
 //! What is left out at the end of a run, because the trained scene does not need it.
 
 use std::ops::Range;
-use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::Result;
-use crate::config::TrainConfig;
-use crate::device::{Array, Kernels};
+use crate::device::Array;
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::stage::loss::{ImagePair, size_of_image};
-use crate::pipeline::stage::metrics::Metrics;
-use crate::pipeline::stage::seen::{Seen, SeenArgs};
+use crate::pipeline::stage::seen::SeenArgs;
 use crate::train::Trainer;
-use crate::train::bands::Bands;
 
 /// What training has found out about its scene.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Findings {
-    /// Bands of spherical harmonics.
-    pub bands: Bands,
     /// Gaussians removed at the end, because no training view shows them.
     pub removed: u64,
     /// Iteration after which the run was finished; a run that goes on from there is finished again.
     pub finished: Option<u32>,
 }
 
-/// Stages that judge the scene by the training views, each where the configuration asks for what it decides.
-#[derive(Debug, Clone)]
-pub(super) struct Judge {
-    /// Errors of views, and the row sums that they are added up from: for bands.
-    pub(super) metrics: Option<Arc<(Metrics, Array<f32>)>>,
-    /// Which Gaussians views show.
-    seen: Option<Arc<Seen>>,
-}
-
-impl Judge {
-    /// Builds the kernels; `height` is that of the largest view.
-    pub(super) fn new(kernels: &Kernels, height: usize, config: &TrainConfig) -> Result<Self> {
-        let metrics = || {
-            let rows = Array::zeros(kernels.device(), "score", 2 * height)?;
-            Ok(Arc::new((Metrics::new::<f32>(kernels)?, rows)))
-        };
-        let seen = || Ok(Arc::new(Seen::new::<f32>(kernels)?));
-        let bands = config.work.sh_by_need && config.sh_degree > 0;
-        Ok(Self {
-            metrics: bands.then(metrics).transpose()?,
-            seen: config.work.remove_unseen.then(seen).transpose()?,
-        })
-    }
-}
-
 impl Trainer {
-    /// Ends the run: bands and Gaussians that the training views do not miss are left out, if the configuration says so.
+    /// Ends the run: Gaussians that no training view shows are removed, if the configuration says so.
     /// Once per run.
     ///
     /// # Errors
@@ -62,7 +31,6 @@ impl Trainer {
         if self.findings.finished == Some(self.iteration) {
             return Ok(());
         }
-        self.drop_bands()?;
         self.findings.removed = 0;
         self.remove_unseen()?;
         self.findings.finished = Some(self.iteration);
@@ -107,7 +75,7 @@ impl Trainer {
 
     /// Which Gaussians some training views show, 1 or 0; none where nobody asks.
     pub(super) fn seen(&mut self, views: Range<usize>) -> Result<Option<Vec<u32>>> {
-        let (count, Some(stage)) = (self.scene.count, self.judge.seen.clone()) else {
+        let (count, Some(stage)) = (self.scene.count, self.seen_stage.clone()) else {
             return Ok(None);
         };
         let seen = Array::zeros(&self.device, "seen", count)?;

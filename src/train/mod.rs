@@ -17,12 +17,12 @@ pub mod schedule;
 mod state;
 mod warm_up;
 
-pub use crate::train::bands::{BAND_WORTH, BandTrial, Bands, SET_ASIDE_EVERY, TRIAL_WORTH};
 pub use crate::train::control::DensityEvent;
 pub use crate::train::finish::Findings;
 pub use crate::train::state::TrainerState;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset};
@@ -40,13 +40,13 @@ use crate::pipeline::stage::edit::Edit;
 use crate::pipeline::stage::live::Live;
 use crate::pipeline::stage::loss::Loss;
 use crate::pipeline::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::pipeline::stage::seen::Seen;
 use crate::pipeline::stage::shrink::Shrink;
 use crate::pipeline::stage::splat_grad::SplatGrad;
 use crate::scene::{Plane, Splats};
 use crate::train::brightness::{Decision, check as check_exposure};
 use crate::train::exposure::Compensation;
 use crate::train::filter::FilterStage;
-use crate::train::finish::Judge;
 use crate::train::overflow::InFlight;
 use crate::train::sampler::SamplerStages;
 use crate::train::sampling_rates::AntiAlias;
@@ -100,6 +100,11 @@ fn check(config: &TrainConfig, views: &ViewSet, splats: &Splats) -> Result<()> {
     Ok(())
 }
 
+fn seen_stage(kernels: &Kernels, config: &TrainConfig) -> Result<Option<Arc<Seen>>> {
+    let stage = config.work.remove_unseen.then(|| Seen::new::<f32>(kernels));
+    Ok(stage.transpose()?.map(Arc::new))
+}
+
 /// What is counted over a run.
 #[derive(Debug, Default)]
 struct Tally {
@@ -136,7 +141,8 @@ pub struct Trainer {
     maps: Array<f32>,
     /// A photo at a fraction of its size.
     small: Array<u8>,
-    judge: Judge,
+    /// Finds Gaussians that no view shows; none if nobody asks.
+    seen_stage: Option<Arc<Seen>>,
     findings: Findings,
     dimage: Array<f32>,
     partial: Array<f32>,
@@ -156,6 +162,8 @@ pub struct Trainer {
     iteration: u32,
     /// Iterations done when density control last acted: repeating an iteration must not repeat that.
     last_density: Option<u32>,
+    /// Iterations done when a band was added last, likewise.
+    sh_updated: Option<u32>,
 }
 
 impl Trainer {
@@ -214,7 +222,7 @@ impl Trainer {
             edit: Edit::new::<f32>(&kernels)?,
             live: Live::if_asked::<f32>(&kernels)?,
             shrink: shrink_stage(&kernels, config)?,
-            judge: Judge::new(&kernels, h, config)?,
+            seen_stage: seen_stage(&kernels, config)?,
             findings: Findings::default(),
             small: small_photo(device, &views, config)?,
             maps: Array::zeros(device, "maps", 3 * plane)?,
@@ -232,6 +240,7 @@ impl Trainer {
             in_flight: VecDeque::new(),
             iteration: 0,
             last_density: None,
+            sh_updated: None,
             config: config.clone(),
             views,
             scene,
@@ -270,7 +279,9 @@ impl Trainer {
 
     /// Forward, loss, backward and optimiser of one iteration, without waiting.
     fn enqueue_step(&mut self, iteration: u32, degree: u32) -> Result<()> {
-        let order = self.upcoming(iteration, 1 + AHEAD);
+        let order = self
+            .schedule
+            .upcoming(iteration, 1 + AHEAD, self.views.len());
         let view = order[0];
         self.filter_at(iteration)?;
         let photo = self.views.photo(view, &order[1..])?;

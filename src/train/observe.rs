@@ -7,9 +7,11 @@ use crate::device::{Array, StageTime};
 use crate::pipeline::buffers::Scene;
 use crate::pipeline::forward::Renderer;
 use crate::pipeline::photos::PhotoStats;
-use crate::train::bands::spread;
 use crate::train::schedule::Schedule;
 use crate::train::{LOSS_RING, Trainer};
+
+/// Views over which the loss is taken where every iteration has a background of its own.
+const MAX_STEADY_VIEWS: usize = 32;
 
 impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
@@ -48,9 +50,9 @@ impl Trainer {
 
     /// Mean loss of some views that are trained on now, over the background that does not change, at the size that they have now.
     fn steady_loss(&mut self) -> Result<f64> {
-        let (n, bands) = (self.views.len(), &self.findings.bands);
-        let all: Vec<usize> = (0..n).map(|v| bands.instead(v, n)).collect();
-        let (views, sums) = (spread(&all), Array::zeros(&self.device, "loss", 2)?);
+        let (n, count) = (self.views.len(), self.views.len().min(MAX_STEADY_VIEWS));
+        let views: Vec<usize> = (0..count).map(|k| k * n / count).collect();
+        let sums = Array::zeros(&self.device, "loss", 2)?;
         let lambda = f64::from(self.config.loss.lambda_ssim);
         let losses = self.over_views(&views, &[], |t, pair| {
             t.loss.errors(pair, &t.maps, &t.partial)?;

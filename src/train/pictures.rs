@@ -17,7 +17,9 @@ impl Trainer {
         if count == 0 {
             return Ok(Vec::new());
         }
-        let views = self.upcoming(self.iteration, count);
+        let views = self
+            .schedule
+            .upcoming(self.iteration, count, self.views.len());
         let at = (self.iteration..).zip(views);
         at.map(|(at, view)| self.picture(at, view)).collect()
     }

@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::capture::{Alpha, Dataset, View};
 use crate::config::{Background, ExposureChoice, Init, MhConfig, Sampler, TrainConfig};
-use crate::train::bands::{BAND_WORTH, SET_ASIDE_EVERY, TRIAL_WORTH};
 use crate::train::brightness::{Decision, TRANSPARENT};
 use crate::train::finish::Findings;
 use crate::train::sampling_rates::AntiAlias;
@@ -33,21 +32,6 @@ pub struct Plan {
     pub left_out: Vec<Item>,
 }
 
-/// What is said of the bands of spherical harmonics of a run on so many training views.
-fn bands(config: &TrainConfig, views: usize) -> String {
-    let degree = config.sh_degree;
-    if !config.work.sh_by_need {
-        return format!("SH degree {degree}, one band after the other");
-    }
-    let end = format!("goes at the end if the training views miss less than {BAND_WORTH} dB");
-    if views < SET_ASIDE_EVERY {
-        return format!("up to SH degree {degree}; a band {end}");
-    }
-    format!(
-        "up to SH degree {degree} as soon as views set aside gain {TRIAL_WORTH} dB by the first band; a band {end}"
-    )
-}
-
 impl Plan {
     /// Decides for a dataset and a configuration.
     #[must_use]
@@ -57,7 +41,7 @@ impl Plan {
         plan.decide(
             config.sh_degree > 0,
             COLOUR,
-            &bands(config, dataset.train.len()),
+            &format!("SH degree {}, one band after the other", config.sh_degree),
             "SH degree 0 asked for",
         );
         let filters = AntiAlias::decide(dataset, config);
@@ -136,29 +120,6 @@ impl Plan {
     #[must_use]
     pub fn observed(&self, config: &TrainConfig, findings: &Findings) -> Self {
         let mut plan = self.clone();
-        if let Some(last) = findings.bands.trials.last() {
-            let gain = format!("{:+.3} dB at iteration {}", last.gain, last.iteration);
-            let most = config.sh_degree;
-            if findings.finished.is_none() && last.kept {
-                let why = format!("up to SH degree {most}, since the first band was worth {gain}");
-                plan.decide(true, COLOUR, &why, "");
-            } else if findings.finished.is_none() {
-                let why = format!("the first band was worth {gain}: too little; it is tried again");
-                plan.decide(false, COLOUR, "", &why);
-            } else if last.kept {
-                let why = format!("the band of SH degree {} is worth {gain}", last.degree);
-                plan.decide(true, COLOUR, &why, "");
-            } else if last.degree == 1 {
-                let why = format!("the first band of SH is worth {gain}: too little");
-                plan.decide(false, COLOUR, "", &why);
-            } else {
-                let why = format!(
-                    "up to SH degree {}; the next band is worth {gain}: too little",
-                    last.degree - 1
-                );
-                plan.decide(true, COLOUR, &why, "");
-            }
-        }
         if findings.finished.is_some() && config.work.remove_unseen {
             let why = format!(
                 "{} removed at the end; the training views stay as they are to the bit",

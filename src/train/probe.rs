@@ -69,7 +69,9 @@ impl Trainer {
         let shared = trials.iter().any(|t| t.source_change.is_some());
         let first = n / ROUND * ROUND;
         let count = self.density.trial_views().min(self.views.len());
-        let views = self.upcoming(self.iteration, count);
+        let views = self
+            .schedule
+            .upcoming(self.iteration, count, self.views.len());
         let degree = self.scene.sh_degree as usize;
         let mut changes = vec![f64::NAN; trials.len()];
         for (at, view) in (self.iteration..).zip(&views) {

@@ -63,7 +63,7 @@ impl Trainer {
             filter: self.read_filter()?,
             stats: self.tally.stats,
             non_finite: self.tally.non_finite,
-            findings: self.findings.clone(),
+            findings: self.findings,
             losses: self.losses.to_vec()?,
             exposure_decision: self.exposure_decision,
             exposures: self.exposures()?,
@@ -107,7 +107,7 @@ impl Trainer {
         self.restore_filter(&state.filter)?;
         self.restore_exposure(state.exposure_decision, &state.exposures)?;
         self.tally.stats = state.stats;
-        self.findings = state.findings.clone();
+        self.findings = state.findings;
         self.iteration = state.iteration;
         // A step that falls on this iteration is done or still to be done; where none does, none was.
         let falls = self.schedule.density_due(state.iteration).is_some();

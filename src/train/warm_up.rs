@@ -78,10 +78,6 @@ impl Trainer {
             let pair = self.pair(0, &camera, &photo, self.schedule.fixed_background())?;
             self.add_cues(&camera, &pair, true)?;
         }
-        if let Some(judge) = self.judge.metrics.clone() {
-            let pair = self.pair(0, &camera, &photo, self.schedule.fixed_background())?;
-            judge.0.run(&pair, &judge.1)?;
-        }
         self.seen(0..1)?;
         self.warm_up_edits()?;
         let size = size_of_image(&camera);
