@@ -18,13 +18,10 @@ pub fn progress_bar() -> ProgressBar {
     bar
 }
 
-/// Shows where training is, and once what was decided on the way.
-pub fn show(bar: &ProgressBar, p: &Progress, told: &mut bool) {
-    if let Some(decision) = p.exposure.filter(|_| !*told) {
-        *told = true;
-        let on = if decision.on { "on" } else { "left out" };
-        let what = format!("per-image exposure is {on}: {}", decision.why());
-        bar.suspend(|| output::note(&what));
+/// Shows the progress of training, and each decision that it takes.
+pub fn show(bar: &ProgressBar, p: &Progress) {
+    if let Some(decided) = &p.decided {
+        bar.suspend(|| output::note(decided));
     }
     bar.set_length(u64::from(p.iterations));
     bar.set_position(u64::from(p.iteration));

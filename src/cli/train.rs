@@ -178,8 +178,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     output::note(&run.record().plan.summary());
     let planned = run.record().plan.clone();
     let bar = progress_bar();
-    let mut told = false;
-    let driven = run.drive(&stop, |p| show(&bar, p, &mut told)).map(|_| ());
+    let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());
     bar.finish();
     let stopped = matches!(driven, Err(Error::Interrupted));
     if driven.is_err() {

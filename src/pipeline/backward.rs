@@ -1,136 +1,148 @@
-//! Probes: births so faint that the image is as without them. The derivative of the loss by the opacity of one is what it
-//! would do to the loss, to first order, and one more render and backward pass per view tells it for all of them together.
-//!
-//! A probe has ε times the opacity of its birth and is rendered with ε times the cut, so that it covers just the pixels that
-//! the birth would; dL/dC is that of the ordinary render.
+//! [`Backward`]: the backward stages, in order.
+
+use std::ops::Range;
+use std::sync::Arc;
 
 use crate::base::error::Result;
-use crate::density::relocation::sigmoid;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::pipeline::buffers::Scene;
-use crate::pipeline::forward::{RenderOptions, Renderer};
+use crate::pipeline::forward::Renderer;
 use crate::pipeline::stage::project_grad::{ProjectGrad, ProjectGradArgs};
 use crate::pipeline::stage::splat_grad::SplatGrad;
 use crate::scene::Plane;
 
-/// ε in double precision: thousands of probes on one ray take less than a hundredth of its light.
-pub(crate) const EPSILON_DOUBLE: f64 = 1e-6;
-/// ε in single precision, where a smaller one would vanish beside the transmittance.
-pub(crate) const EPSILON_SINGLE: f64 = 1e-4;
+/// Rows of gradients that are read back start at multiples of this.
+pub const GRADIENT_ROWS: usize = 16;
 
-/// Rows of gradients start at multiples of this.
-pub(crate) const ROUND: usize = 16;
-
-/// Forward and backward through the same views with a cut of its own.
+/// Gradients of a block of Gaussians: where they go and what is added to them.
 #[derive(Debug)]
-pub(crate) struct Pass<R: Real> {
-    device: Device,
-    pub(crate) renderer: Renderer<R>,
-    splat_grad: SplatGrad,
+pub struct Block<'a, R: Real> {
+    /// Gaussians of the block.
+    pub rows: Range<usize>,
+    /// SH degree in use.
+    pub sh_degree: u32,
+    /// Weights of the regularisers on opacity and scale (λ_o, λ_s).
+    pub lambdas: [f64; 2],
+    /// Gaussians that `grads` has room for.
+    pub stride: usize,
+    /// Gradients \[planes, stride\].
+    pub grads: &'a Array<R>,
 }
 
-impl<R: Real> Pass<R> {
-    /// Builds the kernels for SH degrees 0 to `sh_degree`; contributions below `alpha_min` are dropped.
+/// Runs the backward stages after a render: image gradient → sums per tile intersection → raw parameters.
+#[derive(Debug)]
+pub struct Backward {
+    splat_grad: SplatGrad,
+    /// One build for every SH degree from `lowest` on.
+    project_grad: Arc<Vec<ProjectGrad>>,
+    lowest: u32,
+}
+
+impl Backward {
+    /// Builds the kernels for a range of SH degrees.
     ///
     /// # Errors
     /// A build failure.
-    pub(crate) fn new(
-        device: &Device,
-        defines: Defines,
-        sh_degree: u32,
-        alpha_min: f64,
-    ) -> Result<Self> {
-        let defines = Defines {
-            alpha_min,
-            ..defines
+    pub fn new<R: Real>(device: &Device, defines: Defines, degrees: [u32; 2]) -> Result<Self> {
+        let build = |sh_degree| {
+            let defines = Defines {
+                sh_degree,
+                ..defines
+            };
+            ProjectGrad::new::<R>(&Kernels::new(device, defines))
         };
+        let [lowest, highest] = degrees;
         Ok(Self {
-            device: device.clone(),
-            renderer: Renderer::new(device, defines, sh_degree, true)?,
             splat_grad: SplatGrad::new::<R>(&Kernels::new(device, defines))?,
+            project_grad: Arc::new((lowest..=highest).map(build).collect::<Result<_>>()?),
+            lowest,
         })
     }
 
-    /// Renders and waits.
+    /// The same stages for renders with another alpha cut.
     ///
     /// # Errors
-    /// As [`Renderer::render`].
-    pub(crate) fn render(
-        &mut self,
-        scene: &Scene<R>,
-        camera: &CameraArg<R>,
-        options: &RenderOptions,
-    ) -> Result<()> {
-        self.renderer.render(scene, camera, options)
+    /// A build failure.
+    pub fn with_cut<R: Real>(&self, device: &Device, defines: Defines) -> Result<Self> {
+        Ok(Self {
+            splat_grad: SplatGrad::new::<R>(&Kernels::new(device, defines))?,
+            project_grad: self.project_grad.clone(),
+            lowest: self.lowest,
+        })
     }
 
-    /// What goes back through the view rendered last.
-    pub(crate) fn backward<'a>(&'a self, project_grad: &'a ProjectGrad) -> Backward<'a, R> {
-        Backward {
-            device: &self.device,
-            renderer: &self.renderer,
-            splat_grad: &self.splat_grad,
-            project_grad,
-        }
-    }
-
-    /// Whether the view rendered last has any pair of each row from `first` to `count`.
+    /// Takes the image gradient \[3, rows, stride\] of the view rendered last back to sums per tile intersection.
     ///
     /// # Errors
     /// The driver's.
-    pub(crate) fn touched(&self, first: usize, count: usize) -> Result<Vec<bool>> {
-        let pairs = &self.renderer.frame.pair_counts;
-        let pairs = pairs.read(first, count - first)?;
-        Ok(pairs.into_iter().map(|n| n > 0).collect())
-    }
-}
-
-/// The backward stages after a render.
-#[derive(Debug)]
-pub(crate) struct Backward<'a, R: Real> {
-    pub(crate) device: &'a Device,
-    pub(crate) renderer: &'a Renderer<R>,
-    pub(crate) splat_grad: &'a SplatGrad,
-    pub(crate) project_grad: &'a ProjectGrad,
-}
-
-impl<R: Real> Backward<'_, R> {
-    /// Derivatives of the loss by opacity logit and the three log-scales of the rows of the scene rendered last from `first`
-    /// (a multiple of 16) on.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
-    pub(crate) fn gradients(
+    pub fn splats<R: Real>(
         &self,
-        scene: &Scene<R>,
+        forward: &Renderer<R>,
         camera: &CameraArg<R>,
         dimage: &Array<R>,
-        first: usize,
-    ) -> Result<[Vec<f64>; 4]> {
-        let frame = &self.renderer.frame;
+    ) -> Result<()> {
         self.splat_grad
-            .run(&self.renderer.lists(camera), dimage, &frame.sums)?;
-        let count = scene.count;
-        let rows = (count - first).next_multiple_of(ROUND);
-        let grads = Array::zeros(self.device, "grads", scene.planes() * rows)?;
-        self.project_grad.run(&ProjectGradArgs {
+            .run(&forward.lists(camera), dimage, &forward.frame.sums)
+    }
+
+    /// Takes those sums back to the raw parameters of a block of Gaussians.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn parameters<R: Real>(
+        &self,
+        forward: &Renderer<R>,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        block: Block<'_, R>,
+    ) -> Result<()> {
+        let frame = &forward.frame;
+        let stage = &self.project_grad[(block.sh_degree - self.lowest) as usize];
+        stage.run(&ProjectGradArgs {
             params: &scene.params,
             stride: scene.stride,
-            count,
+            count: scene.count,
             filter: &scene.filter,
             camera,
             pair_start: &frame.pair_start,
             pair_counts: &frame.pair_counts,
             status: &frame.status,
             sums: &frame.sums,
-            lambda_opacity: 0.0,
-            lambda_scale: 0.0,
-            block: first..count,
-            grad_stride: rows,
+            lambda_opacity: block.lambdas[0],
+            lambda_scale: block.lambdas[1],
+            block: block.rows,
+            grad_stride: block.stride,
+            grads: block.grads,
+        })
+    }
+
+    /// Derivatives of the loss by opacity logit and the three log-scales, from the image gradient of the view rendered last,
+    /// of the Gaussians from `first` (a multiple of [`GRADIENT_ROWS`]) on.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn shape_gradients<R: Real>(
+        &self,
+        forward: &Renderer<R>,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        dimage: &Array<R>,
+        [first, sh_degree]: [usize; 2],
+    ) -> Result<[Vec<f64>; 4]> {
+        self.splats(forward, camera, dimage)?;
+        let count = scene.count;
+        let stride = (count - first).next_multiple_of(GRADIENT_ROWS);
+        let grads = Array::zeros(forward.device(), "grads", scene.planes() * stride)?;
+        let block = Block {
+            rows: first..count,
+            sh_degree: sh_degree as u32,
+            lambdas: [0.0; 2],
+            stride,
             grads: &grads,
-        })?;
+        };
+        self.parameters(forward, scene, camera, block)?;
         let plane = |p: usize| -> Result<Vec<f64>> {
-            let values = grads.read(p * rows, count - first)?;
+            let values = grads.read(p * stride, count - first)?;
             Ok(values.into_iter().map(Into::into).collect())
         };
         let scale = Plane::LOG_SCALE;
@@ -141,19 +153,4 @@ impl<R: Real> Backward<'_, R> {
             plane(scale + 2)?,
         ])
     }
-}
-
-/// The logit of `factor` times the opacity of a logit.
-pub(crate) fn scaled_logit(logit: f64, factor: f64) -> f64 {
-    if factor == 1.0 {
-        return logit;
-    }
-    let o = factor * sigmoid(logit);
-    o.ln() - (-o).ln_1p()
-}
-
-/// First-order change of the loss by a birth of this opacity logit, from the derivative by the logit of its probe.
-pub(crate) fn change(slope: f64, logit: f64, epsilon: f64) -> f64 {
-    // dL/dlogit = (1 − o)·o·dL/do at o = ε·o_c; the change by o_c is o_c·dL/do.
-    slope / (sigmoid(-scaled_logit(logit, epsilon)) * epsilon)
 }

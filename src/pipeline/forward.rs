@@ -279,6 +279,15 @@ impl<R: Real> Renderer<R> {
         Ok(start.windows(2).map(|w| w[1] - w[0]).collect())
     }
 
+    /// Flags of the Gaussians from `first` to `count` that intersect any tile of the view rendered last.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn intersected(&self, first: usize, count: usize) -> Result<Vec<bool>> {
+        let counts = self.frame.pair_counts.read(first, count - first)?;
+        Ok(counts.into_iter().map(|n| n > 0).collect())
+    }
+
     /// The sorted pairs of the view enqueued last.
     pub(crate) fn lists(&self, camera: &CameraArg<R>) -> TileLists<'_, R> {
         let f = &self.frame;

@@ -1,9 +1,11 @@
 //! One view through the kernels: buffers, photos, the forward and backward passes, one file per stage.
 
-pub(crate) mod backward;
+pub mod backward;
 pub mod buffers;
 pub mod chain;
+pub mod exposure;
 pub mod forward;
+pub mod pass;
 pub mod photos;
 pub mod reference;
 pub mod stage;

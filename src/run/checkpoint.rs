@@ -20,8 +20,8 @@ use crate::device::tuning::Tuning;
 use crate::run::clock::Reading;
 use crate::run::record::StageRecord;
 use crate::scene::{Plane, Splats};
-use crate::train::brightness::Decision;
-use crate::train::{Findings, TrainerState};
+use crate::train::gaussians::GaussianRows;
+use crate::train::{Learned, Next, TrainerState};
 
 const VERSION: u32 = 9;
 
@@ -46,17 +46,16 @@ struct Version {
 struct Header {
     version: u32,
     iteration: u32,
-    density_due: bool,
+    next: Next,
     sh_degree: u32,
     config: TrainConfig,
     clock: [f64; 3],
     stats: DensityStats,
     non_finite: u64,
-    findings: Findings,
+    learned: Learned,
     dataset: String,
     tuning: Tuning,
     stages: Vec<StageRecord>,
-    exposure_decision: Option<Decision>,
 }
 
 /// A checkpoint, to be written or read back.
@@ -105,38 +104,37 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
     let header = Header {
         version: VERSION,
         iteration: state.iteration,
-        density_due: state.density_due,
+        next: state.next,
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
         stats: state.stats,
         non_finite: state.non_finite,
-        findings: state.findings,
+        learned: state.learned,
         dataset: checkpoint.dataset.clone(),
         tuning: checkpoint.tuning,
         stages: checkpoint.stages.clone(),
-        exposure_decision: state.exposure_decision,
     };
     let header = serde_json::to_string(&header).map_err(encoding)?;
     let shape = vec![state.splats.planes().len(), state.splats.len()];
     let planes = |p: &[Vec<f32>]| bytes(p.iter().flatten().copied());
     let mut tensors = vec![
         ("params", shape.clone(), planes(state.splats.planes())),
-        ("moment1", shape.clone(), planes(&state.moment1)),
-        ("moment2", shape, planes(&state.moment2)),
+        ("moment1", shape.clone(), planes(&state.rows.moment1)),
+        ("moment2", shape, planes(&state.rows.moment2)),
         (
             "losses",
             vec![state.losses.len()],
             bytes(state.losses.iter().copied()),
         ),
     ];
-    if !state.cues.is_empty() {
-        let shape = vec![state.cues.len(), state.splats.len()];
-        tensors.push(("cues", shape, planes(&state.cues)));
+    if !state.rows.cues.is_empty() {
+        let shape = vec![state.rows.cues.len(), state.splats.len()];
+        tensors.push(("cues", shape, planes(&state.rows.cues)));
     }
-    if !state.filter.is_empty() {
-        let data = bytes(state.filter.iter().copied());
-        tensors.push(("filter", vec![state.filter.len()], data));
+    if !state.rows.filter.is_empty() {
+        let data = bytes(state.rows.filter.iter().copied());
+        tensors.push(("filter", vec![state.rows.filter.len()], data));
     }
     if let Some(row) = state.exposures.first() {
         let shape = vec![state.exposures.len(), row.len()];
@@ -217,17 +215,18 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     Ok(Checkpoint {
         state: TrainerState {
             iteration: header.iteration,
-            density_due: header.density_due,
+            next: header.next,
             splats,
-            moment1,
-            moment2,
-            cues,
-            filter,
+            rows: GaussianRows {
+                moment1,
+                moment2,
+                cues,
+                filter,
+            },
             stats: header.stats,
             non_finite: header.non_finite,
-            findings: header.findings,
+            learned: header.learned,
             losses,
-            exposure_decision: header.exposure_decision,
             exposures: exposures(&tensors)?,
         },
         config: header.config,

@@ -4,14 +4,13 @@ use std::path::Path;
 
 use crate::base::error::{Error, Result};
 use crate::config::TrainConfig;
-use crate::run::Run;
 use crate::run::metrics::read_rows;
 
 /// Share of the loss by which it must fall to have improved.
 const IMPROVEMENT: f64 = 1e-3;
 
-/// Whether none of the last `patience` losses is lower than the best one before them.
-fn stalled(losses: &[f64], patience: Option<u32>) -> bool {
+/// True if none of the last `patience` losses is lower than the best one before them.
+pub(super) fn stalled(losses: &[f64], patience: Option<u32>) -> bool {
     let Some(patience) = patience.map(|p| p as usize) else {
         return false;
     };
@@ -38,13 +37,6 @@ pub(super) fn check(config: &TrainConfig, losses: &[f64]) -> Result<()> {
         return Err(Error::config("--patience", what));
     }
     Ok(())
-}
-
-impl Run {
-    /// Whether the training loss has stopped improving, by the patience of the configuration.
-    pub(super) fn stalled(&self) -> bool {
-        stalled(&self.losses, self.config.patience)
-    }
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
 use crate::evaluate::ViewScore;
 use crate::pipeline::photos::PhotoStats;
-use crate::train::plan::Plan;
+use crate::run::plan_record::PlanRecord;
 
 /// Name of the record in the run folder.
 pub const RECORD_FILE: &str = "run.json";
@@ -116,7 +116,7 @@ pub struct RunRecord {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stalled: Option<u32>,
     /// What was kept and left out.
-    pub plan: Plan,
+    pub plan: PlanRecord,
     /// Iterations done.
     pub iterations: u32,
     /// Number of Gaussians.
@@ -153,7 +153,7 @@ impl RunRecord {
         config: TrainConfig,
         dataset: DatasetRecord,
         device: DeviceRecord,
-        plan: Plan,
+        plan: PlanRecord,
     ) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -5,18 +5,14 @@ use std::path::Path;
 use crate::base::error::{Error, Result};
 use crate::capture::{Camera, Dataset};
 use crate::config::{Init, TrainConfig};
-use crate::device::{Defines, Device};
-use crate::evaluate::Evaluator;
-use crate::pipeline::buffers::ViewSet;
-use crate::pipeline::photos::Photos;
+use crate::device::Device;
+use crate::run::checkpoint;
+use crate::run::plan_record::PlanRecord;
 use crate::run::record::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
-use crate::run::{Prepared, checkpoint};
 use crate::scene::ply::Contents;
 use crate::scene::without_filter;
 use crate::scene::{Splats, init, ply};
-use crate::train::Trainer;
-use crate::train::plan::Plan;
-use crate::train::sampling_rates::AntiAlias;
+use crate::train::Plan;
 
 /// Gaussians of a random initialisation.
 const RANDOM_GAUSSIANS: usize = 20_000;
@@ -28,10 +24,11 @@ const RANDOM_GAUSSIANS: usize = 20_000;
 ///
 /// # Errors
 /// A PLY file that cannot be read, holds nothing, or too many Gaussians.
-pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats> {
+pub fn initial_splats(dataset: &Dataset, plan: &Plan) -> Result<Splats> {
+    let config = &plan.config;
     let most = config.max_gaussians.unwrap_or(usize::MAX);
     let splats = match &config.init {
-        Init::File(path) => from_file(path, dataset, config, most),
+        Init::File(path) => from_file(path, dataset, plan, most),
         start if *start == Init::Random || dataset.points.positions.is_empty() => {
             let count = RANDOM_GAUSSIANS.min(most);
             init::random(dataset, count, 0, config.seed)
@@ -49,12 +46,12 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
 }
 
 /// The Gaussians of a PLY file, or one for each point of a plain cloud.
-fn from_file(path: &Path, dataset: &Dataset, config: &TrainConfig, most: usize) -> Result<Splats> {
+fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result<Splats> {
     let empty = || Error::input(path, "no vertex", "give a PLY file that holds some");
     let splats = match ply::read_either(path, &dataset.frame)? {
         Contents::Points(points) if points.positions.is_empty() => return Err(empty()),
         Contents::Points(points) => {
-            return init::from_points(&init::subset(&points, most, config.seed), 0);
+            return init::from_points(&init::subset(&points, most, plan.config.seed), 0);
         }
         Contents::Scene(splats) if splats.is_empty() => return Err(empty()),
         Contents::Scene(splats) => splats,
@@ -66,13 +63,13 @@ fn from_file(path: &Path, dataset: &Dataset, config: &TrainConfig, most: usize) 
             "raise --max-gaussians",
         ));
     }
-    let filtered = ply::is_anti_aliased(path) && AntiAlias::decide(dataset, config).on;
+    let filtered = ply::is_anti_aliased(path) && plan.anti_aliasing.value;
     let splats = if filtered {
         without_filter(&splats, dataset)?
     } else {
         splats
     };
-    let degree = splats.sh_degree().min(config.sh_degree);
+    let degree = splats.sh_degree().min(plan.sh_degree.value);
     splats.with_sh_degree(degree)
 }
 
@@ -114,50 +111,15 @@ pub(super) fn check_unfinished(dir: &Path, dataset: &Dataset) -> Result<()> {
     Ok(())
 }
 
-impl Prepared {
-    /// Moves the photos to the device one by one, so that nobody holds their pixels on the host from then on, and makes the
-    /// trainer and, for held-out views, the evaluator.
-    ///
-    /// # Errors
-    /// As [`Trainer::new`].
-    pub(super) fn new(
-        dataset: Dataset,
-        config: &TrainConfig,
-        device: &Device,
-        splats: &Splats,
-        anti_alias: bool,
-    ) -> Result<Self> {
-        let record = record(&dataset, config, device);
-        let (frame, fingerprint) = (dataset.frame, dataset.fingerprint());
-        let photos = Photos::new(device, dataset.image_budget);
-        let train = ViewSet::new(&photos, dataset.train)?;
-        let test = ViewSet::new(&photos, dataset.test)?;
-        let trainer = Trainer::with_views(train, config, splats, anti_alias)?;
-        let evaluator = if test.is_empty() {
-            None
-        } else {
-            let defines = Defines::new(device.tuning());
-            Some(Evaluator::new(device, defines, test)?)
-        };
-        Ok(Self {
-            trainer,
-            evaluator,
-            record,
-            frame,
-            fingerprint,
-        })
-    }
-}
-
 /// The record of a run that has not begun.
-fn record(dataset: &Dataset, config: &TrainConfig, device: &Device) -> RunRecord {
+pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunRecord {
     let info = device.info();
     let largest = |side: fn(&Camera) -> u32| {
         let sides = dataset.train.iter().map(|v| side(&v.camera));
         sides.max().unwrap_or(0)
     };
     RunRecord::new(
-        config.clone(),
+        plan.config.clone(),
         DatasetRecord {
             path: dataset.path.display().to_string(),
             layout: dataset.layout.to_string(),
@@ -177,7 +139,7 @@ fn record(dataset: &Dataset, config: &TrainConfig, device: &Device) -> RunRecord
             driver: info.driver.clone(),
             tuning: Some(device.tuning()),
         },
-        Plan::new(dataset, config),
+        PlanRecord::of(plan),
     )
 }
 

@@ -1,94 +1,62 @@
-//! Whether a set's photos differ in brightness and colour by more than what they show: decided from a few training views,
-//! each compared with its render after some iterations. A render has what all photos have in common, so that what is left is
-//! the camera's automatic exposure and white balance.
+//! Brightness of photos against their renders: the measure that decides on exposure compensation.
+//!
+//! A few training views are compared with their renders after some iterations. A render has what all photos have in common; the
+//! rest is the camera's automatic exposure and white balance.
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::error::{Error, Result};
-use crate::capture::Alpha;
-use crate::config::ExposureChoice;
-
-/// Views that are compared at most.
-const MOST_VIEWS: usize = 64;
-/// A view is compared for so many iterations of the run, so that it takes about a hundredth of the time.
+/// Largest number of views compared.
+const MAX_VIEWS: usize = 64;
+/// Iterations of the run per compared view, so that the comparison takes about a hundredth of the time.
 const ITERATIONS_PER_VIEW: u32 = 50;
-/// Fewer views tell nothing of a spread.
-const LEAST_VIEWS: usize = 4;
-/// Gains that spread by more than this switch per-image exposure on. Measured on seven sets of photos as they are: up to 7 %,
+/// Smallest number of views that tell a spread.
+const MIN_VIEWS: usize = 4;
+/// Spread of the gains above which photos get exposure transforms. Measured on seven sets of photos as they are: up to 7 %,
 /// where it does more harm than good; on photos brightened and darkened by up to 30 %: 17 %, where it is worth 2.6 dB.
-pub const LEAST_SPREAD: f64 = 0.08;
+pub const MAX_SPREAD: f64 = 0.08;
 /// Pixels count where render and photo are between these: the darker ones have next to no say in a ratio, brighter ones may be
 /// clipped.
 const USABLE: [f32; 2] = [0.04, 0.96];
 /// Pixels count where no more transmittance than this is left: elsewhere the background is compared with itself.
-const MOST_TRANSMITTANCE: f32 = 0.5;
+const MAX_TRANSMITTANCE: f32 = 0.5;
 
-/// Pixels that a gain needs.
-const LEAST_PIXELS: usize = 50;
+/// Smallest number of pixels that a gain is taken from.
+const MIN_PIXELS: usize = 50;
 
-/// Why photos with transparent pixels have no transforms.
-pub const TRANSPARENT: &str = "no camera saw the background that transparent photos are composited over, and a transform would change it, too";
-
-/// Refuses transforms of transparent photos; `auto` leaves them off.
-///
-/// # Errors
-/// Transforms asked for, and photos whose alpha is transparency.
-pub fn check(choice: ExposureChoice, alpha: Alpha) -> Result<()> {
-    if choice == ExposureChoice::On && alpha == Alpha::Transparency {
-        let fix =
-            "leave it to auto or off, or, if their alpha says what counts, give --alpha-is-mask";
-        return Err(Error::config(
-            "--exposure",
-            format!("on; {TRANSPARENT}: {fix}"),
-        ));
-    }
-    Ok(())
-}
-
-/// What was decided on per-image exposure where the configuration leaves it open.
+/// Brightness of the photos over their renders, which decides on exposure compensation where the configuration leaves it open.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Decision {
-    /// Iterations done when it was decided.
+pub struct GainSpread {
+    /// Iterations done when the photos were compared.
     pub iteration: u32,
     /// Views compared.
     pub views: u32,
     /// Robust standard deviation of the gains' logarithms over the views, the mean of three channels.
     pub spread: f32,
-    /// Whether exposure is compensated from then on.
-    pub on: bool,
 }
 
-impl Decision {
-    /// Decides from the views' gains (red, green, blue).
+impl GainSpread {
+    /// Spread of the views' gains (red, green, blue); 0 for fewer than four views.
     #[must_use]
     pub fn new(iteration: u32, gains: &[[f64; 3]]) -> Self {
-        let spread = spread(gains);
         Self {
             iteration,
             views: gains.len() as u32,
-            spread: spread.unwrap_or(0.0) as f32,
-            on: spread.is_some_and(|s| s > LEAST_SPREAD),
+            spread: spread(gains).unwrap_or(0.0) as f32,
         }
     }
 
-    /// The reason, with its figures.
+    /// True if the gains spread by more than [`MAX_SPREAD`].
     #[must_use]
-    pub fn why(&self) -> String {
-        format!(
-            "after {} iterations the gains of {} photos over their renders spread by {:.1} %; on above {:.0} %",
-            self.iteration,
-            self.views,
-            100.0 * f64::from(self.spread),
-            100.0 * LEAST_SPREAD
-        )
+    pub fn varies(&self) -> bool {
+        f64::from(self.spread) > MAX_SPREAD
     }
 }
 
-/// The views that are compared, spread evenly over `views`, in a run of so many iterations.
+/// Views to compare, spread evenly over `views`, in a run of so many iterations.
 #[must_use]
 pub fn compared(views: usize, iterations: u32) -> Vec<usize> {
     let afford = (iterations / ITERATIONS_PER_VIEW) as usize;
-    let count = views.min(MOST_VIEWS).min(afford.max(LEAST_VIEWS));
+    let count = views.min(MAX_VIEWS).min(afford.max(MIN_VIEWS));
     (0..count).map(|k| k * views / count).collect()
 }
 
@@ -98,8 +66,8 @@ fn median(values: &mut [f64]) -> f64 {
     0.5 * (values[(n - 1) / 2] + values[n / 2])
 }
 
-/// Median over the pixels of photo / render by channel; both planar, render \[3, pixels\], transmittance \[pixels\]. None
-/// where too few pixels can be compared.
+/// Median over the pixels of photo / render by channel; both planar, render \[3, pixels\], transmittance \[pixels\]. `None` if
+/// too few pixels can be compared.
 #[must_use]
 pub fn gain(render: &[f32], transmittance: &[f32], photo: &[Vec<f32>; 3]) -> Option<[f64; 3]> {
     let pixels = transmittance.len();
@@ -107,12 +75,12 @@ pub fn gain(render: &[f32], transmittance: &[f32], photo: &[Vec<f32>; 3]) -> Opt
     for (c, gain) in gains.iter_mut().enumerate() {
         let usable = |v: f32| v > USABLE[0] && v < USABLE[1];
         let mut ratios: Vec<f64> = (0..pixels)
-            .filter(|i| transmittance[*i] < MOST_TRANSMITTANCE)
+            .filter(|i| transmittance[*i] < MAX_TRANSMITTANCE)
             .map(|i| (render[c * pixels + i], photo[c][i]))
             .filter(|(x, y)| usable(*x) && usable(*y))
             .map(|(x, y)| f64::from(y) / f64::from(x))
             .collect();
-        if ratios.len() < LEAST_PIXELS {
+        if ratios.len() < MIN_PIXELS {
             return None;
         }
         *gain = median(&mut ratios);
@@ -121,10 +89,10 @@ pub fn gain(render: &[f32], transmittance: &[f32], photo: &[Vec<f32>; 3]) -> Opt
 }
 
 /// Robust standard deviation (1.4826 times the median of absolute deviations from the median) of ln gain over the views, the
-/// mean of the channels. None for fewer than four views.
+/// mean of the channels. `None` for fewer than four views.
 #[must_use]
 pub fn spread(gains: &[[f64; 3]]) -> Option<f64> {
-    if gains.len() < LEAST_VIEWS {
+    if gains.len() < MIN_VIEWS {
         return None;
     }
     let of = |c: usize| {

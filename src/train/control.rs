@@ -1,20 +1,32 @@
-//! The density step: error cues from the device, decisions on the host, edits back to the device.
+//! [`Control`]: density control in the loop. Statistics are gathered on the device, decisions are taken on the host, edits go back.
 
 use std::time::Instant;
 
 use crate::base::error::Result;
+use crate::base::rng::Purpose;
+use crate::capture::Alpha;
+use crate::capture::photo::colors;
 use crate::density::{
-    Cues, DensityStats, Evidence, Outcome, SceneState, ScreenGradient, StepContext, Wanted,
+    self, Cues, DensityControl, DensityStats, Evidence, NoiseLaw, Outcome, Picture, SceneState,
+    ScreenGradient, StepContext, Trial, Wanted,
 };
-use crate::device::{Array, CameraArg, EditRow};
-use crate::pipeline::buffers::{Scene, restride};
-use crate::pipeline::stage::edit::EditArgs;
-use crate::pipeline::stage::importance::ImportanceArgs;
+use crate::device::{CameraArg, Device, EditRow, Kernels, StageTime};
+use crate::pipeline::forward::{Quantity, RenderOptions};
+use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
+use crate::pipeline::stage::edit::Edit;
+use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::ImagePair;
+use crate::pipeline::stage::noise::{Noise, NoiseArgs};
+use crate::pipeline::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
 use crate::scene::{Plane, morton};
-use crate::train::Trainer;
+use crate::train::estimates::{Context, Estimates};
+use crate::train::gaussians::{GaussianState, Geometry};
+use crate::train::plan::Plan;
+use crate::train::schedule::Schedule;
+use crate::train::smoothing::Smoothing;
+use crate::train::views::Views;
 
-/// What one density step did.
+/// Result of one density step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DensityEvent {
     /// Iteration.
@@ -27,21 +39,110 @@ pub struct DensityEvent {
     pub stats: DensityStats,
 }
 
-impl Trainer {
-    /// Adds the errors of the iteration's render to the cues if the next density step wants them: the last k renders
-    /// before it serve as its view subset (\[MH\] Eq. 10), as many as there are since the last step at most. Training
-    /// takes the views in random order, so that they are a random subset (of two epochs where one ends between: a view may
-    /// then count twice), and no view is rendered for density control alone.
-    pub(super) fn watch(
+/// What a density step works on.
+#[derive(Debug)]
+pub struct Working<'a> {
+    /// Device.
+    pub device: &'a Device,
+    /// Pipeline of training.
+    pub pipeline: &'a mut Pipeline,
+    /// Gaussians.
+    pub gaussians: &'a mut GaussianState,
+    /// Training views.
+    pub views: &'a Views,
+    /// Smoothing filter, if there is one.
+    pub smoothing: Option<&'a Smoothing>,
+}
+
+/// Density control with the stages that its strategy needs; the others are not built.
+pub struct Control {
+    strategy: Box<dyn DensityControl>,
+    plan: Plan,
+    schedule: Schedule,
+    noise: Option<(Noise, NoiseLaw)>,
+    screen_grad: Option<ScreenGrad>,
+    importance: Option<Importance>,
+    edit: Edit,
+    /// First-order estimates of births, if the strategy asks for them.
+    estimates: Option<Estimates>,
+    /// Statistics over the run.
+    pub stats: DensityStats,
+    /// Time of the steps on the host, with their transfers and edits.
+    pub time: StageTime,
+}
+
+impl Control {
+    /// Builds the stages of the plan's strategy.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new(kernels: &Kernels, plan: &Plan, pipeline: &Pipeline) -> Result<Self> {
+        let strategy = density::make(&plan.config);
+        let wanted = strategy.wanted(1, 1.0);
+        let noise = strategy.noise().map(|law| {
+            let stage = Noise::new::<f32>(kernels)?;
+            Ok((stage, law))
+        });
+        let screen = (wanted == Wanted::ScreenGradient).then(|| ScreenGrad::new::<f32>(kernels));
+        let errors =
+            matches!(wanted, Wanted::Errors { .. }).then(|| Importance::new::<f32>(kernels));
+        let (device, degree) = (kernels.device(), plan.sh_degree.value);
+        let defines = *kernels.defines();
+        Ok(Self {
+            noise: noise.transpose()?,
+            screen_grad: screen.transpose()?,
+            importance: errors.transpose()?,
+            edit: Edit::new::<f32>(kernels)?,
+            estimates: Estimates::new(device, defines, degree, pipeline, strategy.as_ref())?,
+            strategy,
+            plan: plan.clone(),
+            schedule: Schedule::new(&plan.config),
+            stats: DensityStats::default(),
+            time: StageTime::default(),
+        })
+    }
+
+    /// Rows of statistics that the strategy wants gathered.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.strategy.wanted(1, 1.0).rows()
+    }
+
+    /// Stage that writes and reorders rows.
+    #[must_use]
+    pub fn edit(&self) -> &Edit {
+        &self.edit
+    }
+
+    /// Time of the estimates, if there are any.
+    #[must_use]
+    pub fn estimate_time(&self) -> StageTime {
+        self.estimates
+            .as_ref()
+            .map_or_else(StageTime::default, |e| e.time)
+    }
+
+    /// Adds the errors of the iteration's render to the statistics if the next density step wants them.
+    ///
+    /// The last k renders before a step serve as its view subset (\[MH\] Eq. 10), as many as there are since the last step at
+    /// most. Training takes the views in random order, so that they are a random subset (of two epochs where one ends
+    /// between: a view may then count twice), and no view is rendered for density control alone.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn observe(
         &self,
         iteration: u32,
+        pipeline: &Pipeline,
+        gaussians: &GaussianState,
         camera: &CameraArg<f32>,
         pair: &ImagePair<'_, f32>,
+        views: usize,
     ) -> Result<()> {
         let Some((due, progress)) = self.schedule.next_density(iteration) else {
             return Ok(());
         };
-        let Wanted::Errors { views } = self.density.wanted(self.views.len(), progress) else {
+        let Wanted::Errors { views } = self.strategy.wanted(views, progress) else {
             return Ok(());
         };
         let since_last = self.schedule.density_interval().min(due);
@@ -49,179 +150,313 @@ impl Trainer {
         if iteration < first {
             return Ok(());
         }
-        self.add_cues(camera, pair, iteration == first)
+        self.add_errors(pipeline, gaussians, camera, pair, iteration == first)
     }
 
-    pub(super) fn add_cues(
+    fn add_errors(
         &self,
+        pipeline: &Pipeline,
+        gaussians: &GaussianState,
         camera: &CameraArg<f32>,
         pair: &ImagePair<'_, f32>,
         first_view: bool,
     ) -> Result<()> {
-        let Some(importance) = &self.sampler.importance else {
+        let Some(importance) = &self.importance else {
             return Ok(());
         };
-        self.loss.errors(pair, &self.maps, &self.partial)?;
-        importance.run(&ImportanceArgs {
-            params: &self.scene.params,
-            stride: self.scene.stride,
-            count: self.scene.count,
-            camera,
-            maps: &self.maps,
+        let errors = ErrorSums {
+            sums: &gaussians.statistics,
             first_view,
-            status: &self.renderer.frame.status,
-            cues: &self.cues,
+        };
+        pipeline.add_errors(importance, &gaussians.scene, camera, pair, &errors)
+    }
+
+    /// The strategy's part of an iteration, after the optimiser: screen-space gradients are added up until the last density
+    /// step; noise goes on to the end.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn perturb(
+        &self,
+        iteration: u32,
+        pipeline: &Pipeline,
+        gaussians: &GaussianState,
+        camera: &CameraArg<f32>,
+    ) -> Result<()> {
+        let (frame, scene) = (&pipeline.forward.frame, &gaussians.scene);
+        if let Some(stage) = &self.screen_grad
+            && self.schedule.next_density(iteration).is_some()
+        {
+            stage.run(&ScreenGradArgs {
+                records: &frame.records,
+                stride: scene.stride,
+                count: scene.count,
+                pair_start: &frame.pair_start,
+                pair_counts: &frame.pair_counts,
+                sums: &frame.sums,
+                size: camera.size,
+                status: &frame.status,
+                cues: &gaussians.statistics,
+            })?;
+        }
+        if let Some((stage, law)) = &self.noise {
+            stage.run(&NoiseArgs {
+                stride: scene.stride,
+                count: scene.count,
+                seed: self.plan.config.seed,
+                stream: Purpose::Noise.stream(iteration),
+                rate: law.rate * self.schedule.position_rate(iteration),
+                steepness: law.steepness,
+                opacity: law.opacity,
+                status: &frame.status,
+                params: &scene.params,
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Decides from the statistics, edits the Gaussians and puts them in Morton order.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn step(
+        &mut self,
+        mut on: Working<'_>,
+        iteration: u32,
+        progress: f64,
+    ) -> Result<DensityEvent> {
+        let began = Instant::now();
+        let geometry = on.gaussians.geometry()?;
+        let outcome = self.decide(&mut on, &geometry, iteration, progress)?;
+        self.apply(&mut on, &geometry, &outcome)?;
+        on.device.finish()?;
+        self.time.seconds += began.elapsed().as_secs_f64();
+        self.time.calls += 1;
+        self.stats.add(&outcome.stats);
+        Ok(DensityEvent {
+            iteration,
+            progress,
+            gaussians: on.gaussians.scene.count,
+            stats: outcome.stats,
         })
     }
 
-    /// Runs density control if it is due after the iterations done so far.
-    ///
-    /// # Errors
-    /// As [`Trainer::step`].
-    pub fn density_step(&mut self) -> Result<Option<DensityEvent>> {
-        if self.schedule.density_due(self.iteration).is_none() {
-            return Ok(None);
-        }
-        self.settle()?;
-        // Settling may have gone back and forth; only now is the iteration what it says.
-        let due = self.schedule.density_due(self.iteration);
-        let Some(progress) = due.filter(|_| self.last_density != Some(self.iteration)) else {
-            return Ok(None);
-        };
-        let began = Instant::now();
-        let outcome = self.decide(progress)?;
-        self.last_density = Some(self.iteration);
-        self.apply(&outcome)?;
-        self.device.finish()?;
-        self.tally.density_time.seconds += began.elapsed().as_secs_f64();
-        self.tally.density_time.calls += 1;
-        self.tally.stats.add(&outcome.stats);
-        Ok(Some(DensityEvent {
-            iteration: self.iteration,
-            progress,
-            gaussians: self.scene.count,
-            stats: outcome.stats,
-        }))
-    }
-
-    /// What density control wants, from what the device knows.
-    fn decide(&mut self, progress: f64) -> Result<Outcome> {
-        let planes: Vec<Vec<f32>> = (0..Plane::SH)
-            .map(|p| self.scene.plane(p))
-            .collect::<Result<_>>()?;
-        let slice = |p: usize| planes[p].as_slice();
+    fn decide(
+        &mut self,
+        on: &mut Working<'_>,
+        geometry: &Geometry,
+        iteration: u32,
+        progress: f64,
+    ) -> Result<Outcome> {
         let state = SceneState {
-            positions: std::array::from_fn(|k| slice(Plane::POSITION + k)),
-            log_scales: std::array::from_fn(|k| slice(Plane::LOG_SCALE + k)),
-            rotations: std::array::from_fn(|k| slice(Plane::ROTATION + k)),
-            opacity_logits: slice(Plane::OPACITY),
+            positions: std::array::from_fn(|k| geometry.plane(Plane::POSITION + k)),
+            log_scales: std::array::from_fn(|k| geometry.plane(Plane::LOG_SCALE + k)),
+            rotations: std::array::from_fn(|k| geometry.plane(Plane::ROTATION + k)),
+            opacity_logits: geometry.plane(Plane::OPACITY),
         };
-        let cameras: Vec<[f32; 3]> = self.views.cameras.iter().map(|c| c.center).collect();
-        let pictures = self.pictures(progress)?;
+        let cameras: Vec<[f32; 3]> = on.views.set.cameras.iter().map(|c| c.center).collect();
+        let pictures = self.pictures(on, iteration, progress)?;
         let mut context = StepContext {
-            iteration: self.iteration,
+            iteration,
             progress,
-            seed: self.config.seed,
-            max_gaussians: self.config.max_gaussians,
-            opacity_resets: self.schedule.opacity_resets(self.iteration),
-            resets_opacity: self.schedule.resets_opacity(self.iteration),
+            seed: self.plan.config.seed,
+            max_gaussians: self.plan.config.max_gaussians,
+            opacity_resets: self.schedule.opacity_resets(iteration),
+            resets_opacity: self.schedule.resets_opacity(iteration),
             cameras: &cameras,
             pictures: &pictures,
             changes: &[],
         };
-        let rows = self.read_cues()?;
-        let cue = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
-        let wanted = self.density.wanted(self.views.len(), progress);
+        let rows = on.gaussians.read_statistics()?;
+        let row = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
+        let wanted = self.strategy.wanted(on.views.len(), progress);
         let views: Vec<u32> = match wanted {
             Wanted::Nothing => Vec::new(),
             // The last row counts.
-            _ => cue(wanted.rows() - 1).iter().map(|v| *v as u32).collect(),
+            _ => row(wanted.rows() - 1).iter().map(|v| *v as u32).collect(),
         };
         let evidence = match wanted {
             Wanted::Nothing => Evidence::Nothing,
             Wanted::Errors { .. } => Evidence::Errors(Cues {
-                ssim: cue(0),
-                l1: cue(1),
+                ssim: row(0),
+                l1: row(1),
                 views: &views,
             }),
             Wanted::ScreenGradient => Evidence::ScreenGradient(ScreenGradient {
-                norms: cue(0),
+                norms: row(0),
                 views: &views,
             }),
         };
-        let trials = self.density.trials(&context, &state, &evidence)?;
-        let changes = self.probe(&trials)?;
+        let trials = self.strategy.trials(&context, &state, &evidence)?;
+        let changes = self.estimate(on, iteration, &trials)?;
         context.changes = &changes;
-        self.density.step(&context, &state, &evidence)
+        self.strategy.step(&context, &state, &evidence)
     }
 
-    /// The cues so far, as the sampler wants them: sums of 1 − SSIM and of |x − y| and the views that see the centre (mh),
-    /// sums of the gradient's norm and the iterations that saw the Gaussian (adc), or none.
-    pub(super) fn read_cues(&self) -> Result<Vec<Vec<f32>>> {
-        let row = |k: usize| self.cues.read(k * self.scene.stride, self.scene.count);
-        (0..self.sampler.cue_rows).map(row).collect()
-    }
-
-    fn apply(&mut self, outcome: &Outcome) -> Result<()> {
-        let before = self.scene.count;
-        if outcome.rows > self.scene.stride {
-            let (planes, from) = (self.scene.planes(), self.scene.stride);
-            let to = Scene::<f32>::grown_stride(outcome.rows);
-            for array in [&mut self.scene.params, &mut self.moment1, &mut self.moment2] {
-                *array = restride(&self.device, array, planes, from, to)?;
+    /// First-order changes of the loss by births; empty if the strategy asks for none.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn estimate(
+        &mut self,
+        on: &mut Working<'_>,
+        iteration: u32,
+        trials: &[Trial],
+    ) -> Result<Vec<f64>> {
+        let lambda = f64::from(self.plan.config.loss.lambda_ssim);
+        match &mut self.estimates {
+            Some(estimates) => {
+                estimates.changes(context(on, &self.edit, lambda, iteration), trials)
             }
-            self.scene.stride = to;
-            self.cues = self.sampler.cues(&self.device, to)?;
-        } else {
-            self.cues.clear()?;
+            None => Ok(Vec::new()),
         }
-        let rows: Vec<EditRow> = outcome.edits.iter().map(EditRow::from).collect();
-        let edits = Array::from_slice(&self.device, "edits", &rows)?;
-        self.edit.run(&self.edit_args(&edits))?;
-        self.scene.count = outcome.rows;
-        if let Some(limit) = outcome.logit_limit {
-            let args = self.edit_args(&edits);
-            self.edit
-                .limit_opacity(&args, outcome.rows, f64::from(limit))?;
-        }
-        if self.config.work.morton_order || !outcome.removed.is_empty() {
-            self.reorder(&outcome.removed)?;
-        }
-        self.fit_filter()?;
-        self.refresh_filter(&self.scene)?;
-        self.tally.most_pairs = (self.tally.most_pairs as f64 * self.scene.count as f64
-            / before.max(1) as f64) as usize;
-        self.fit_views()
     }
 
-    /// Puts the Gaussians in Morton order (if that is wanted), the removed ones (rows, rising) left out: births are appended, wherever they lie.
-    fn reorder(&mut self, removed: &[u32]) -> Result<()> {
-        let position = |k: usize| self.scene.plane(Plane::POSITION + k);
-        let [x, y, z] = [position(0)?, position(1)?, position(2)?];
-        let mut order = if self.config.work.morton_order {
+    fn apply(&self, on: &mut Working<'_>, geometry: &Geometry, outcome: &Outcome) -> Result<()> {
+        let edits: Vec<EditRow> = outcome.edits.iter().map(EditRow::from).collect();
+        let (device, rows) = (on.device, outcome.rows);
+        on.gaussians
+            .edit(device, &self.edit, &edits, rows, outcome.logit_limit)?;
+        if self.plan.config.work.morton_order || !outcome.removed.is_empty() {
+            let order = self.order(geometry, &edits, outcome);
+            on.gaussians.reorder(device, &self.edit, &order)?;
+        }
+        match on.smoothing {
+            Some(s) => s.run(&on.gaussians.scene, &on.pipeline.forward.frame.status),
+            None => Ok(()),
+        }
+    }
+
+    /// Rows that stay, in Morton order if that is wanted: births are appended, wherever they lie.
+    fn order(&self, geometry: &Geometry, edits: &[EditRow], outcome: &Outcome) -> Vec<u32> {
+        let mut order = if self.plan.config.work.morton_order {
+            let [x, y, z] = geometry.positions_after(edits, outcome.rows);
             morton::order([&x, &y, &z])
         } else {
-            (0..x.len() as u32).collect()
+            (0..outcome.rows as u32).collect()
         };
+        let removed = &outcome.removed;
         if !removed.is_empty() {
             order.retain(|row| removed.binary_search(row).is_err());
         }
-        self.scene.count = order.len();
-        let order = Array::from_slice(&self.device, "order", &order)?;
-        self.scene.params = self.reordered(&order, &self.scene.params)?;
-        self.moment1 = self.reordered(&order, &self.moment1)?;
-        self.moment2 = self.reordered(&order, &self.moment2)?;
-        Ok(())
+        order
     }
 
-    fn edit_args<'a>(&'a self, edits: &'a Array<EditRow>) -> EditArgs<'a, f32> {
-        EditArgs {
-            edits,
-            stride: self.scene.stride,
-            planes: self.scene.planes(),
-            params: &self.scene.params,
-            moment1: &self.moment1,
-            moment2: &self.moment2,
+    /// The views that training takes next, as many as the strategy wants, at the size that they have now. Colour and depth are
+    /// rendered: two forward passes a view.
+    fn pictures(
+        &self,
+        on: &mut Working<'_>,
+        iteration: u32,
+        progress: f64,
+    ) -> Result<Vec<Picture>> {
+        let count = self.strategy.pictures(progress).min(on.views.len());
+        if count == 0 {
+            return Ok(Vec::new());
         }
+        let views = on.views.upcoming(iteration, count);
+        let at = (iteration..).zip(views);
+        at.map(|(at, view)| picture(on, iteration, at, view))
+            .collect()
     }
+
+    /// Runs the kernels once that do not run in every iteration: errors, edits and estimates.
+    ///
+    /// # Errors
+    /// A build failure, or the driver's.
+    pub fn warm_up(
+        &mut self,
+        on: &mut Working<'_>,
+        camera: &CameraArg<f32>,
+        target: Target<'_>,
+        sh_degree: u32,
+    ) -> Result<()> {
+        if self.importance.is_some() {
+            let pair = on.pipeline.pair(camera, target)?;
+            self.add_errors(on.pipeline, on.gaussians, camera, &pair, true)?;
+        }
+        let lambda = f64::from(self.plan.config.loss.lambda_ssim);
+        if let Some(estimates) = &mut self.estimates {
+            estimates.warm_up(context(on, &self.edit, lambda, 0), sh_degree)?;
+        }
+        Ok(())
+    }
+}
+
+fn context<'a>(
+    on: &'a mut Working<'_>,
+    edit: &'a Edit,
+    lambda_ssim: f64,
+    iteration: u32,
+) -> Context<'a> {
+    Context {
+        device: on.device,
+        pipeline: on.pipeline,
+        gaussians: on.gaussians,
+        views: on.views,
+        smoothing: on.smoothing,
+        edit,
+        lambda_ssim,
+        iteration,
+    }
+}
+
+/// A view as it is at an iteration, over the background of iteration `background_of`.
+fn picture(
+    on: &mut Working<'_>,
+    iteration: u32,
+    background_of: u32,
+    number: usize,
+) -> Result<Picture> {
+    let view = on.views.view(iteration, background_of, number, &[])?;
+    let (scene, camera) = (&on.gaussians.scene, &view.camera);
+    let options = RenderOptions {
+        sh_degree: scene.sh_degree,
+        background: view.background,
+        quantity: Quantity::Color,
+        live_only: false,
+    };
+    let forward = &mut on.pipeline.forward;
+    forward.render(scene, camera, &options)?;
+    let mut render = forward.read_image(camera)?;
+    let by_depth = RenderOptions {
+        quantity: Quantity::Depth,
+        background: [0.0; 3],
+        ..options
+    };
+    forward.render(scene, camera, &by_depth)?;
+    let mut depth = forward.read_image(camera)?.rgb;
+    let pixels = render.width * render.height;
+    depth.truncate(pixels);
+    for (z, left) in depth.iter_mut().zip(&render.transmittance) {
+        // Weighted by opacity so far; 0/0 where nothing is.
+        *z /= 1.0 - left;
+    }
+    let alpha = on.views.set.alpha;
+    let bytes = on.views.photo(&view).read(0, alpha.planes() * pixels)?;
+    // Image space has no birth where the photo has nothing, whatever fog is there.
+    let opaque = |i: usize| f32::from(*bytes.get(3 * pixels + i).unwrap_or(&255)) / 255.0;
+    let taken = colors(alpha, &bytes, view.background);
+    let mut photo = match alpha {
+        // What is born has the photo's colour and not that of this iteration's background.
+        Alpha::Transparency => colors(Alpha::Mask, &bytes, view.background),
+        _ => taken.clone(),
+    };
+    if let Some(exposure) = &on.pipeline.exposure {
+        exposure.exchange(number, &mut render.rgb, &mut photo)?;
+    }
+    let error = |i: usize| -> f32 {
+        let apart = |c: usize| (render.rgb[c * pixels + i] - taken[c][i]).abs();
+        opaque(i) * (0..3).map(apart).sum::<f32>() / 3.0
+    };
+    Ok(Picture {
+        width: render.width,
+        intrinsics: camera.intrinsics,
+        rotation: camera.w,
+        center: camera.center,
+        error: (0..pixels).map(error).collect(),
+        photo,
+        depth,
+        transmittance: render.transmittance,
+    })
 }

@@ -1,32 +1,35 @@
-//! What can be seen of a trainer between iterations.
+//! Everything that can be asked of a trainer between iterations.
 
 use crate::base::error::Result;
-use crate::density::DensityStats;
+use crate::density::{DensityStats, Trial};
+use crate::device::StageTime;
 use crate::device::tuning::Tuning;
-use crate::device::{Array, StageTime};
 use crate::pipeline::buffers::Scene;
-use crate::pipeline::forward::Renderer;
+use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::photos::PhotoStats;
+use crate::scene::Splats;
+use crate::train::control::Working;
+use crate::train::plan::{Learned, Plan};
 use crate::train::schedule::Schedule;
-use crate::train::{LOSS_RING, Trainer};
+use crate::train::step::{LOSS_RING, Trainer};
 
-/// Views over which the loss is taken where every iteration has a background of its own.
-const MAX_STEADY_VIEWS: usize = 32;
+/// Largest number of views over which the loss is taken if every iteration has a background of its own.
+const MAX_LOSS_VIEWS: usize = 32;
 
 impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
-    /// more than there are views). None before the first iteration. Where every iteration has a background of its own, that of
-    /// at most 32 views, rendered over the background that does not change.
+    /// more than there are views); `None` before the first iteration. If every iteration has a background of its own, that
+    /// of at most 32 views, rendered over the background that does not change.
     ///
     /// # Errors
     /// The driver's.
     pub fn recent_loss(&mut self) -> Result<Option<f64>> {
         self.settle()?;
-        if self.iteration > 0 && self.config.background.changes(self.transparent()) {
+        if self.iteration > 0 && self.plan.random_background.value {
             self.device.finish()?;
             self.device.collect_times(usize::MAX)?;
             let loss = self.steady_loss().map(Some);
-            // No part of training's stages.
+            // Not counted among the stages of training.
             self.device.forget_launches();
             return loss;
         }
@@ -37,40 +40,67 @@ impl Trainer {
             return Ok(None);
         }
         let ring = self.losses.to_vec()?;
-        let lambda = f64::from(self.config.loss.lambda_ssim);
         let sum: f64 = (0..n)
             .map(|k| {
                 let slot = (self.iteration as usize + LOSS_RING - 1 - k) % LOSS_RING;
-                let (l1, ssim) = (f64::from(ring[2 * slot]), f64::from(ring[2 * slot + 1]));
-                (1.0 - lambda) * l1 + lambda * (1.0 - ssim)
+                self.total_loss([f64::from(ring[2 * slot]), f64::from(ring[2 * slot + 1])])
             })
             .sum();
         Ok(Some(sum / n as f64))
     }
 
-    /// Mean loss of some views that are trained on now, over the background that does not change, at the size that they have now.
+    fn total_loss(&self, [l1, ssim]: [f64; 2]) -> f64 {
+        let lambda = f64::from(self.plan.config.loss.lambda_ssim);
+        (1.0 - lambda) * l1 + lambda * (1.0 - ssim)
+    }
+
+    /// Mean loss of some training views over the background that does not change, at the size that they have now.
     fn steady_loss(&mut self) -> Result<f64> {
-        let (n, count) = (self.views.len(), self.views.len().min(MAX_STEADY_VIEWS));
+        let (n, count) = (self.views.len(), self.views.len().min(MAX_LOSS_VIEWS));
         let views: Vec<usize> = (0..count).map(|k| k * n / count).collect();
-        let sums = Array::zeros(&self.device, "loss", 2)?;
-        let lambda = f64::from(self.config.loss.lambda_ssim);
-        let losses = self.over_views(&views, &[], |t, pair| {
-            t.loss.errors(pair, &t.maps, &t.partial)?;
-            t.loss.sum(pair, &t.partial, &sums, 0)?;
-            let parts: Vec<f32> = sums.to_vec()?;
-            let [l1, ssim] = [0, 1].map(|k| f64::from(parts[k]));
-            Ok((1.0 - lambda) * l1 + lambda * (1.0 - ssim))
-        })?;
-        Ok(losses.iter().sum::<f64>() / views.len() as f64)
+        let mut sum = 0.0;
+        for (k, &number) in views.iter().enumerate() {
+            let at = self.iteration;
+            let view = self.views.view(at, at, number, &views[k + 1..])?;
+            let view = self.views.over_fixed_background(view);
+            let options = RenderOptions {
+                sh_degree: self.gaussians.scene.sh_degree,
+                background: view.background,
+                quantity: Quantity::Color,
+                live_only: false,
+            };
+            let pipeline = &mut self.pipeline;
+            pipeline
+                .forward
+                .render(&self.gaussians.scene, &view.camera, &options)?;
+            let mut target = self.views.target(&view);
+            target.skip_blank = false;
+            let pair = pipeline.pair(&view.camera, target)?;
+            let parts = pipeline.loss(&pair)?;
+            sum += self.total_loss(parts);
+        }
+        Ok(sum / count as f64)
+    }
+
+    /// The plan, with everything that training has found out so far.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Findings of training so far.
+    #[must_use]
+    pub fn learned(&self) -> &Learned {
+        &self.learned
     }
 
     /// First iteration that takes photos at their full size.
     #[must_use]
     pub fn full_size_from(&self) -> u32 {
-        self.schedule.full_size_from(self.views.largest)
+        self.views.full_size_from()
     }
 
-    /// How the kernels were cut.
+    /// Sizes for which the kernels are built.
     #[must_use]
     pub fn tuning(&self) -> Tuning {
         self.device.tuning()
@@ -85,59 +115,105 @@ impl Trainer {
     /// Number of Gaussians.
     #[must_use]
     pub fn gaussians(&self) -> usize {
-        self.scene.count
+        self.gaussians.scene.count
+    }
+
+    /// The Gaussians and, with anti-aliasing, their smoothing filter \[N\].
+    ///
+    /// # Errors
+    /// The driver's, or non-finite parameters.
+    pub fn splats(&mut self) -> Result<(Splats, Vec<f32>)> {
+        self.settle()?;
+        Ok((
+            self.gaussians.scene.download()?,
+            self.gaussians.read_filter()?,
+        ))
     }
 
     /// Density statistics over the run.
     #[must_use]
     pub fn stats(&self) -> &DensityStats {
-        &self.tally.stats
+        &self.control.stats
     }
 
     /// Gradient values that were not finite, as far as the host has seen.
     #[must_use]
     pub fn non_finite(&self) -> u64 {
-        self.tally.non_finite
+        self.counters.non_finite
     }
 
-    /// How often pairs did not fit and iterations were repeated.
+    /// Number of iterations that were repeated because their tile intersections did not fit.
     #[must_use]
     pub fn overflows(&self) -> u64 {
-        self.tally.overflows
+        self.counters.overflows
     }
 
-    /// Leaves room for no more than `pairs` pairs, so that a test can see what happens then.
+    /// True if exposure is compensated now.
+    #[must_use]
+    pub fn compensates_exposure(&self) -> bool {
+        self.pipeline.exposure.is_some()
+    }
+
+    /// Transforms, first and second moments \[3\]\[views · 12\]; empty unless exposure is compensated.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn exposures(&self) -> Result<Vec<Vec<f32>>> {
+        match &self.pipeline.exposure {
+            Some(model) => model.rows(),
+            None => Ok(Vec::new()),
+        }
+    }
+
+    /// Leaves room for no more than `pairs` tile intersections, so that a test can see what happens then.
     ///
     /// # Errors
     /// The driver's.
     #[doc(hidden)]
     pub fn shrink_pairs(&mut self, pairs: usize) -> Result<()> {
         self.settle()?;
-        self.renderer.frame.set_pairs(&self.device, pairs)
+        self.pipeline.forward.frame.set_pairs(&self.device, pairs)
+    }
+
+    /// First-order changes of the loss by births in the views that training takes next; empty if density control asks for none.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    #[doc(hidden)]
+    pub fn estimate(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
+        let mut on = Working {
+            device: &self.device,
+            pipeline: &mut self.pipeline,
+            gaussians: &mut self.gaussians,
+            views: &self.views,
+            smoothing: self.smoothing.as_ref(),
+        };
+        self.control.estimate(&mut on, self.iteration, trials)
     }
 
     /// Device time per stage so far, and under `density` the host's time in density steps, transfers included and without
-    /// the device's `edit` and the probes, whose time on host and device is under `probe`.
+    /// the device's `edit` and the estimates, whose time on host and device is under `probe`.
     #[must_use]
     pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
         let mut times = self.device.times();
-        if self.tally.density_time.calls > 0 {
+        let (steps, estimates) = (self.control.time, self.control.estimate_time());
+        if steps.calls > 0 {
             let edit = times.iter().find(|(name, _)| *name == "edit");
-            let mut host = self.tally.density_time;
+            let mut host = steps;
             host.seconds = (host.seconds - edit.map_or(0.0, |(_, t)| t.seconds)).max(0.0);
-            if self.tally.probe_time.calls > 0 {
-                host.seconds = (host.seconds - self.tally.probe_time.seconds).max(0.0);
-                times.push(("probe", self.tally.probe_time));
+            if estimates.calls > 0 {
+                host.seconds = (host.seconds - estimates.seconds).max(0.0);
+                times.push(("probe", estimates));
             }
             times.push(("density", host));
         }
         times
     }
 
-    /// Photos waited for, and what they took of their budget; sets of views that share it are counted, too.
+    /// Photos waited for, and their share of the budget; sets of views that share it are counted, too.
     #[must_use]
     pub fn photo_stats(&self) -> PhotoStats {
-        self.views.photos().stats()
+        self.views.set.photos().stats()
     }
 
     /// The schedules of this run.
@@ -148,6 +224,6 @@ impl Trainer {
 
     /// The scene on the device and the renderer, for evaluation between iterations.
     pub fn scene_and_renderer(&mut self) -> (&Scene, &mut Renderer) {
-        (&self.scene, &mut self.renderer)
+        (&self.gaussians.scene, &mut self.pipeline.forward)
     }
 }

@@ -1,311 +1,689 @@
-//! [`Plan`]: what this scene needs, and what is left out because it does not.
+//! [`Plan`]: every decision about a run that dataset and configuration allow, taken once before training, with its reason.
+//!
+//! Nothing else decides: the trainer, the run folder and the report go by the plan. What only training can tell (whether photos
+//! differ in brightness, which Gaussians no view shows) is added to it as [`Learned`].
+
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset, View};
-use crate::config::{Background, ExposureChoice, Init, MhConfig, Sampler, TrainConfig};
-use crate::train::brightness::{Decision, TRANSPARENT};
-use crate::train::finish::Findings;
-use crate::train::sampling_rates::AntiAlias;
+use crate::config::{
+    AntiAliasing, Background, ExposureChoice, Init, Sampler, TrainConfig, WorkConfig,
+};
+use crate::scene::ply;
+use crate::train::brightness::{GainSpread, MAX_SPREAD};
+use crate::train::sampling_rates::{MIN_SPREAD, MIN_SPREAD_WITHIN, Spreads};
 use crate::train::schedule::Schedule;
 
-/// Items that training decides.
-const COLOUR: &str = "view-dependent colour";
-const EXPOSURE: &str = "per-image exposure";
-const UNSEEN: &str = "Gaussians that no training view shows";
-
-/// One decision.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Item {
-    /// What is kept or left out.
-    pub what: String,
-    /// Why.
-    pub why: String,
+/// A decision and its reason.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Decided<T> {
+    /// Value to go by.
+    pub value: T,
+    /// Reason for it.
+    pub why: Why,
 }
 
-/// Decisions taken from the dataset and the configuration before training.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+impl<T> Decided<T> {
+    fn new(value: T, why: Why) -> Self {
+        Self { value, why }
+    }
+}
+
+/// Per-image exposure compensation over a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Exposure {
+    /// No photo has a colour transform.
+    Off,
+    /// Every training photo has one from this iteration on.
+    From(u32),
+    /// Photos are compared with their renders after this iteration; [`Learned::gains`] decides then.
+    Compare(u32),
+}
+
+/// Findings of training that belong to the plan.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Learned {
+    /// Brightness of the photos over their renders; `None` until they are compared.
+    pub gains: Option<GainSpread>,
+    /// Gaussians removed at the end because no training view shows them.
+    pub removed: u64,
+    /// Iteration after which the run was finished; a run that continues from there is finished again.
+    pub finished: Option<u32>,
+}
+
+/// A decision that training added to the plan.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Decision {
+    /// Exposure compensation, where the configuration leaves it open.
+    Exposure(Decided<Exposure>),
+    /// Gaussians removed because no training view shows them.
+    Unseen(Decided<u64>),
+}
+
+impl fmt::Display for Decision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (part, kept, why) = match self {
+            Self::Exposure(d) => (Part::Exposure, d.value != Exposure::Off, &d.why),
+            Self::Unseen(d) => (Part::Unseen, false, &d.why),
+        };
+        let verb = if kept { "on" } else { "left out" };
+        write!(f, "{part} is {verb}: {why}")
+    }
+}
+
+/// Decisions of one run.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// What is computed.
-    pub kept: Vec<Item>,
-    /// What is not, and costs nothing.
-    pub left_out: Vec<Item>,
+    /// Configuration that the plan is made from.
+    pub config: TrainConfig,
+    /// Meaning of the photos' alpha plane.
+    pub alpha: Alpha,
+    /// Another background colour in each iteration.
+    pub random_background: Decided<bool>,
+    /// Mip-Splatting's 2D and 3D filters.
+    pub anti_aliasing: Decided<bool>,
+    /// Halvings of the photos at the start of the run.
+    pub halvings: Decided<u32>,
+    /// Per-image exposure compensation.
+    pub exposure: Decided<Exposure>,
+    /// Highest SH degree.
+    pub sh_degree: Decided<u32>,
+    /// Loss left out of tiles that are blank in render and photo.
+    pub skip_blank: Decided<bool>,
+    /// Gaussians removed at the end because no training view shows them; `None` before the end.
+    pub unseen: Option<Decided<u64>>,
+    /// Parts that dataset or configuration switch and nobody else asks for.
+    facts: Vec<(Part, Decided<bool>)>,
+}
+
+/// A part of the work that a plan keeps or leaves out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Compositing of transparent photos.
+    Transparency,
+    /// [`Plan::random_background`].
+    RandomBackground,
+    /// Masks.
+    Masks,
+    /// Undistortion.
+    Undistortion,
+    /// Photos decoded on demand.
+    Prefetch,
+    /// SH degrees above 0.
+    ViewDependentColor,
+    /// [`Plan::anti_aliasing`].
+    AntiAliasing,
+    /// [`Plan::halvings`].
+    ProgressiveResolution,
+    /// Morton order of the Gaussians.
+    MortonOrder,
+    /// Culling of whole blocks of neighbours.
+    BlockCulling,
+    /// [`Plan::skip_blank`].
+    SkipBlank,
+    /// Error statistics and density control of mh.
+    ErrorDensityControl,
+    /// Density control of mh without error statistics.
+    DensityControl,
+    /// Error statistics alone.
+    ErrorStatistics,
+    /// Noise, relocation and growth of mcmc.
+    McmcDensityControl,
+    /// Density control of adc.
+    AdaptiveDensityControl,
+    /// First-order estimates of births.
+    BirthEstimates,
+    /// Noise on positions.
+    Noise,
+    /// Births in image space.
+    PixelBirths,
+    /// [`Plan::exposure`].
+    Exposure,
+    /// Scores of held-out views.
+    HeldOut,
+    /// Initial Gaussians at sparse points.
+    SparsePoints,
+    /// Removal of Gaussians that no training view shows.
+    RemoveUnseen,
+    /// [`Plan::unseen`].
+    Unseen,
+}
+
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Transparency => "photo alpha over the background",
+            Self::RandomBackground => "random background in each iteration",
+            Self::Masks => "masks",
+            Self::Undistortion => "undistortion",
+            Self::Prefetch => "photo prefetch",
+            Self::ViewDependentColor => "view-dependent colour",
+            Self::AntiAliasing => "anti-aliasing",
+            Self::ProgressiveResolution => "progressive resolution",
+            Self::MortonOrder => "Morton order",
+            Self::BlockCulling => "block culling",
+            Self::SkipBlank => "loss skipped in blank tiles",
+            Self::ErrorDensityControl => "importance pass and density control",
+            Self::DensityControl => "density control",
+            Self::ErrorStatistics => "importance pass",
+            Self::McmcDensityControl => "noise on positions, relocation, growth",
+            Self::AdaptiveDensityControl => {
+                "screen-space gradients, clone, split, prune, opacity reset"
+            }
+            Self::BirthEstimates => "first-order birth estimates",
+            Self::Noise => "noise on positions",
+            Self::PixelBirths => "births in image space",
+            Self::Exposure => "per-image exposure",
+            Self::HeldOut => "held-out evaluation",
+            Self::SparsePoints => "initial Gaussians from sparse points",
+            Self::RemoveUnseen => "removal of Gaussians that no training view shows",
+            Self::Unseen => "Gaussians that no training view shows",
+        })
+    }
+}
+
+/// The reason for a decision. [`fmt::Display`] spells it; nothing else does.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Why {
+    /// The option is on.
+    On(&'static str),
+    /// The option is off, or 0.
+    Off(&'static str),
+    /// The user asked for it.
+    AskedFor,
+    /// The user asked for something else.
+    AnotherAskedFor,
+    /// One background colour was asked for.
+    OneColor(Background),
+    /// Photos have transparent pixels.
+    Transparent,
+    /// No photo has a transparent pixel.
+    Opaque,
+    /// Over one background, a scene of transparent photos keeps fog of its colour.
+    Fog,
+    /// Masks say which pixels count.
+    Masked,
+    /// There is no mask.
+    NoMask,
+    /// Photos of distorting lenses.
+    Distorted(usize),
+    /// Every camera is a pinhole.
+    Pinholes,
+    /// Bytes of all decoded photos, and their budget.
+    OverBudget(u64, u64),
+    /// Bytes of all decoded photos.
+    InMemory(u64),
+    /// SH degree, band by band.
+    BandByBand(u32),
+    /// SH degree 0 was asked for.
+    NoBands,
+    /// The initial Gaussians carry the filters.
+    FiltersInFile,
+    /// Sampling rates of the training views.
+    Rates(Spreads),
+    /// The checkpoint was written with it, or without it.
+    Checkpoint,
+    /// Divisor of the photos' size at first.
+    HalvedAtFirst(u32),
+    /// A time budget may end the run before photos have their full size.
+    TimeBudget,
+    /// Photos are too small to be halved.
+    SmallPhotos,
+    /// Neighbours in space share cache lines.
+    Locality,
+    /// Blocks that a view cannot see cost next to nothing.
+    UnseenBlocks,
+    /// No gradient comes from blank tiles.
+    NoGradient,
+    /// No photo is transparent or masked.
+    NoAlpha,
+    /// The sampler needs it.
+    NeededBy(&'static str),
+    /// MCMC with this cap.
+    McmcCap(usize),
+    /// The sampler has another criterion.
+    Criterion(&'static str),
+    /// A fixed set of Gaussians was asked for.
+    FixedSet,
+    /// Views in which births are estimated.
+    EstimatedIn(u32),
+    /// The noise moves faint Gaussians.
+    NoiseMovesFaint,
+    /// Views rendered for each density step, and the share of births on surfaces.
+    PixelViews(u32, f64),
+    /// Transparent photos have no exposure transforms.
+    NoCameraSawBackground,
+    /// The run is too short for a comparison of brightness.
+    TooShort,
+    /// Photos are compared with their renders first.
+    ComparedFirst,
+    /// Gains of the photos over their renders.
+    Gains(GainSpread),
+    /// Held-out views.
+    Views(usize),
+    /// No view is held out.
+    NoHeldOut,
+    /// Sparse points.
+    Points(usize),
+    /// The dataset has no points.
+    NoPoints,
+    /// Gaussians removed; the training views keep every bit.
+    Removed(u64),
+}
+
+/// Reason why transparent photos have no exposure transforms.
+const NO_CAMERA_SAW: &str = "no camera saw the background that transparent photos are composited over, and a transform would change it, too";
+
+fn mebibytes(bytes: u64) -> String {
+    format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20))
+}
+
+impl fmt::Display for Why {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::On(option) => write!(f, "{option} is on"),
+            Self::Off(option) => write!(f, "{option} is off"),
+            Self::AskedFor => f.write_str("asked for"),
+            Self::AnotherAskedFor => f.write_str("another initialisation asked for"),
+            Self::OneColor(color) => {
+                write!(f, "one colour asked for: {}", String::from(*color))
+            }
+            Self::Transparent => f.write_str("photos have transparent pixels"),
+            Self::Opaque => f.write_str("no photo is transparent"),
+            Self::Fog => {
+                f.write_str("photos are transparent: over one colour a scene keeps fog of it")
+            }
+            Self::Masked => f.write_str(
+                "render and photo are compared where masks are not black; black tiles get no Gaussians",
+            ),
+            Self::NoMask => f.write_str("there is no mask"),
+            Self::Distorted(n) => write!(f, "{n} photos have lens distortion"),
+            Self::Pinholes => f.write_str("every camera is a pinhole"),
+            Self::OverBudget(bytes, budget) => {
+                let [bytes, budget] = [*bytes, *budget].map(mebibytes);
+                write!(f, "the photos take {bytes}, and their budget is {budget}")
+            }
+            Self::InMemory(bytes) => {
+                write!(f, "all photos fit in memory ({})", mebibytes(*bytes))
+            }
+            Self::BandByBand(degree) => write!(f, "SH degree {degree}, one band after the other"),
+            Self::NoBands => f.write_str("SH degree 0 asked for"),
+            Self::FiltersInFile => f.write_str("the initial Gaussians were trained with it"),
+            Self::Rates(spreads) => spelt_rates(f, spreads),
+            Self::Checkpoint => f.write_str("as in the checkpoint"),
+            Self::HalvedAtFirst(divisor) => write!(
+                f,
+                "1/{divisor} of the photos' size at first: most errors are reached 1.1 to 1.8 times sooner"
+            ),
+            Self::TimeBudget => {
+                f.write_str("a time budget may end the run before photos have their full size")
+            }
+            Self::SmallPhotos => f.write_str("the photos are too small to be halved"),
+            Self::Locality => {
+                f.write_str("neighbours in space share cache lines and are culled together")
+            }
+            Self::UnseenBlocks => f.write_str("blocks that a view cannot see cost next to nothing"),
+            Self::NoGradient => f.write_str(
+                "no gradient comes from clear or masked tiles that no Gaussian reaches",
+            ),
+            Self::NoAlpha => f.write_str("no photo is transparent or masked"),
+            Self::NeededBy(sampler) => write!(f, "{sampler} sampler"),
+            Self::McmcCap(cap) => write!(f, "MCMC sampler, at most {cap} Gaussians"),
+            Self::Criterion(text) => f.write_str(text),
+            Self::FixedSet => f.write_str("a fixed set of Gaussians asked for"),
+            Self::EstimatedIn(views) => write!(f, "births are estimated in {views} views"),
+            Self::NoiseMovesFaint => f.write_str("mh.noise-rate moves faint Gaussians"),
+            Self::PixelViews(views, surface) => write!(
+                f,
+                "{views} views are rendered for each step; {:.0} % of the births lie on the rendered surface",
+                100.0 * surface
+            ),
+            Self::NoCameraSawBackground => f.write_str(NO_CAMERA_SAW),
+            Self::TooShort => f.write_str("the run is too short to tell whether it is needed"),
+            Self::ComparedFirst => f.write_str(
+                "photos are compared with their renders first: on if their brightness varies",
+            ),
+            Self::Gains(gains) => write!(
+                f,
+                "after {} iterations the gains of {} photos over their renders spread by {:.1} %; on above {:.0} %",
+                gains.iteration,
+                gains.views,
+                100.0 * f64::from(gains.spread),
+                100.0 * MAX_SPREAD
+            ),
+            Self::Views(n) => write!(f, "{n} views are held out"),
+            Self::NoHeldOut => f.write_str("no view is held out"),
+            Self::Points(n) => write!(f, "{n} points"),
+            Self::NoPoints => f.write_str("the dataset has no points; random initialisation"),
+            Self::Removed(n) => write!(
+                f,
+                "{n} removed at the end; the training views stay the same to the bit"
+            ),
+        }
+    }
+}
+
+/// Spells the spreads that decide: those that reach their bar, or all of them if none does.
+fn spelt_rates(f: &mut fmt::Formatter<'_>, spreads: &Spreads) -> fmt::Result {
+    let on = spreads.ask_for_filters();
+    let measures = [
+        (spreads.across, MIN_SPREAD, "from view to view"),
+        (spreads.within, MIN_SPREAD_WITHIN, "within views"),
+    ];
+    let told = measures.into_iter().filter_map(|(spread, bar, place)| {
+        let spread = spread.filter(|s| (*s >= bar) == on)?;
+        Some(format!(
+            "by a factor of {spread:.1} {place} (auto asks for {bar} or more)"
+        ))
+    });
+    let told: Vec<String> = told.collect();
+    match told.is_empty() {
+        true => f.write_str("the views share no point to compare their sampling rates at"),
+        false => write!(f, "sampling rates differ {}", told.join(" and ")),
+    }
 }
 
 impl Plan {
     /// Decides for a dataset and a configuration.
-    #[must_use]
-    pub fn new(dataset: &Dataset, config: &TrainConfig) -> Self {
-        let mut plan = Self::default();
-        plan.photos(dataset, config);
-        plan.decide(
-            config.sh_degree > 0,
-            COLOUR,
-            &format!("SH degree {}, one band after the other", config.sh_degree),
-            "SH degree 0 asked for",
-        );
-        let filters = AntiAlias::decide(dataset, config);
-        plan.decide(filters.on, "anti-aliasing", &filters.why, &filters.why);
-        plan.decide_work(dataset, config);
-        plan.sampler(config);
-        plan.exposure(config, dataset.alpha());
-        plan.decide(
-            !dataset.test.is_empty(),
-            "held-out evaluation",
-            &format!("{} views are held out", dataset.test.len()),
-            "no view is held out",
-        );
-        let points = dataset.points.positions.len();
-        plan.decide(
-            config.init == Init::Points && points > 0,
-            "initial Gaussians from sparse points",
-            &format!("{points} points"),
-            if config.init == Init::Points {
-                "the dataset has no points; random initialisation"
-            } else {
-                "another initialisation asked for"
-            },
-        );
-        plan
-    }
-
-    /// What the photos are like.
-    fn photos(&mut self, dataset: &Dataset, config: &TrainConfig) {
-        self.decide(
-            dataset.background_matters(),
-            "photo alpha over the background",
-            "photos have transparent pixels",
-            "no photo is transparent",
-        );
-        let asked = config.background != Background::Auto;
-        let one = format!("one colour asked for: {}", String::from(config.background));
-        self.decide(
-            config.background.changes(dataset.background_matters()),
-            "a background of another colour in each iteration",
-            match asked {
-                true => "asked for",
-                false => "photos are transparent: over one colour a scene keeps fog of it",
-            },
-            match asked {
-                true => &one,
-                false => "no photo is transparent",
-            },
-        );
-        self.decide(
-            dataset.alpha() == Alpha::Mask,
-            "masks",
-            "render and photo are compared where masks are not black; tiles that are get no pairs",
-            "there is no mask",
-        );
-        self.decide(
-            dataset.undistorted > 0,
-            "undistortion",
-            &format!("{} photos are of lenses that need it", dataset.undistorted),
-            "every camera is a pinhole",
-        );
-        let mebibytes = |bytes: u64| format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20));
-        let photos = mebibytes(dataset.photo_bytes());
-        self.decide(
-            dataset.photos_on_demand(),
-            "photos decoded ahead of their use",
-            &format!(
-                "they take {photos}, and {} is their budget",
-                mebibytes(dataset.image_budget)
-            ),
-            &format!("all photos fit in memory ({photos})"),
-        );
-    }
-
-    /// The plan with what training has found out.
-    #[must_use]
-    pub fn observed(&self, config: &TrainConfig, findings: &Findings) -> Self {
-        let mut plan = self.clone();
-        if findings.finished.is_some() && config.work.remove_unseen {
-            let why = format!(
-                "{} removed at the end; the training views stay as they are to the bit",
-                findings.removed
-            );
-            plan.decide(false, UNSEEN, "", &why);
-        }
-        plan
-    }
-
-    /// What this plan says otherwise than an earlier one; none if it is the same.
-    #[must_use]
-    pub fn since(&self, earlier: &Self) -> Option<String> {
-        let new = |items: &[Item], old: &[Item]| -> Vec<String> {
-            let fresh = items.iter().filter(|i| !old.contains(i));
-            fresh.map(|i| format!("{}: {}", i.what, i.why)).collect()
-        };
-        let kept = new(&self.kept, &earlier.kept);
-        let out = new(&self.left_out, &earlier.left_out);
-        let line = |label: &str, items: &[String]| {
-            let some = !items.is_empty();
-            some.then(|| format!("{label}: {}", items.join("; ")))
-        };
-        let lines = [line("kept", &kept), line("left out", &out)];
-        let lines: Vec<String> = lines.into_iter().flatten().collect();
-        (!lines.is_empty()).then(|| format!("found in training: {}", lines.join("; ")))
-    }
-
-    /// What saves work: switched on is kept.
-    fn decide_work(&mut self, dataset: &Dataset, config: &TrainConfig) {
-        let work = &config.work;
-        let schedule = Schedule::new(config);
-        let first = |v: &View| {
-            let size = [v.camera.width as usize, v.camera.height as usize];
-            schedule.shrink_factor(0, size)
-        };
-        let factor = dataset.train.iter().map(first).max().unwrap_or(1);
-        let coarse = match (work.resolution_levels, config.time_budget) {
-            (0, _) => "work.resolution-levels is 0",
-            (_, Some(_)) => "a time budget may end the run before it comes to full photos",
-            _ => "the photos are too small to be halved",
-        };
-        self.decide(
-            factor > 1,
-            "coarse photos first",
-            &format!(
-                "1/{factor} of their size at first; measured on five scenes: most errors are reached 1.1 to 1.8 times sooner"
-            ),
-            coarse,
-        );
-        self.decide(
-            work.morton_order,
-            "Morton order",
-            "neighbours in space share cache lines and are culled together",
-            "work.morton-order is off",
-        );
-        self.decide(
-            work.cull_chunks,
-            "culling of neighbours together",
-            "what a view cannot see costs it next to nothing",
-            "work.cull-chunks is off",
-        );
-        let (alpha, blank) = match dataset.alpha() {
-            Alpha::None => ("no photo is transparent or masked", false),
-            _ => ("work.skip-blank is off", work.skip_blank),
-        };
-        self.decide(
-            blank,
-            "loss skipped where render and photo are blank",
-            "no gradient comes from clear or masked tiles that no Gaussian reaches",
+    ///
+    /// # Errors
+    /// An invalid configuration, or exposure transforms asked for transparent photos.
+    pub fn new(dataset: &Dataset, config: &TrainConfig) -> Result<Self> {
+        config.validate()?;
+        let alpha = alpha(dataset);
+        let mut plan = Self {
             alpha,
+            random_background: random_background(config, alpha == Alpha::Transparency),
+            anti_aliasing: anti_aliasing(dataset, config),
+            halvings: halvings(dataset, config),
+            exposure: exposure(config, alpha)?,
+            sh_degree: match config.sh_degree {
+                0 => Decided::new(0, Why::NoBands),
+                degree => Decided::new(degree, Why::BandByBand(degree)),
+            },
+            skip_blank: skip_blank(&config.work, alpha),
+            unseen: None,
+            facts: Vec::new(),
+            config: config.clone(),
+        };
+        plan.photos(dataset);
+        plan.work();
+        plan.density_control();
+        plan.start(dataset);
+        Ok(plan)
+    }
+
+    /// The plan with anti-aliasing as a checkpoint was written: sampling rates decide once per run.
+    #[must_use]
+    pub fn with_anti_aliasing(mut self, on: bool) -> Self {
+        if self.anti_aliasing.value != on {
+            self.anti_aliasing = Decided::new(on, Why::Checkpoint);
+        }
+        self
+    }
+
+    /// Takes over the findings of training so far, in the order in which training made them.
+    pub fn learn(&mut self, learned: &Learned) -> Vec<Decision> {
+        let mut decisions = Vec::new();
+        if let (Some(gains), Exposure::Compare(_)) = (learned.gains, self.exposure.value) {
+            let value = match gains.varies() {
+                true => Exposure::From(gains.iteration),
+                false => Exposure::Off,
+            };
+            self.exposure = Decided::new(value, Why::Gains(gains));
+            decisions.push(Decision::Exposure(self.exposure.clone()));
+        }
+        if learned.finished.is_some() && self.config.work.remove_unseen {
+            let unseen = Decided::new(learned.removed, Why::Removed(learned.removed));
+            if self.unseen.as_ref() != Some(&unseen) {
+                decisions.push(Decision::Unseen(unseen.clone()));
+            }
+            self.unseen = Some(unseen);
+        }
+        decisions
+    }
+
+    /// Parts of the work with whether they are kept and why, in the order of a run.
+    #[must_use]
+    pub fn parts(&self) -> Vec<(Part, bool, &Why)> {
+        let fact = |part: Part| {
+            let found = self.facts.iter().find(|(p, _)| *p == part);
+            found.map(|(p, d)| (*p, d.value, &d.why))
+        };
+        let on = |part, d: &'_ Decided<bool>| -> (Part, bool) { (part, d.value) };
+        let typed = |(part, kept): (Part, bool), why| Some((part, kept, why));
+        let exposed = matches!(self.exposure.value, Exposure::From(_));
+        let all = [
+            fact(Part::Transparency),
+            typed(
+                on(Part::RandomBackground, &self.random_background),
+                &self.random_background.why,
+            ),
+            fact(Part::Masks),
+            fact(Part::Undistortion),
+            fact(Part::Prefetch),
+            typed(
+                (Part::ViewDependentColor, self.sh_degree.value > 0),
+                &self.sh_degree.why,
+            ),
+            typed(
+                on(Part::AntiAliasing, &self.anti_aliasing),
+                &self.anti_aliasing.why,
+            ),
+            typed(
+                (Part::ProgressiveResolution, self.halvings.value > 0),
+                &self.halvings.why,
+            ),
+            fact(Part::MortonOrder),
+            fact(Part::BlockCulling),
+            typed(on(Part::SkipBlank, &self.skip_blank), &self.skip_blank.why),
+            fact(Part::RemoveUnseen),
+            fact(Part::ErrorDensityControl),
+            fact(Part::DensityControl),
+            fact(Part::McmcDensityControl),
+            fact(Part::AdaptiveDensityControl),
+            fact(Part::ErrorStatistics),
+            fact(Part::BirthEstimates),
+            fact(Part::Noise),
+            fact(Part::PixelBirths),
+            typed((Part::Exposure, exposed), &self.exposure.why),
+            fact(Part::HeldOut),
+            fact(Part::SparsePoints),
+            self.unseen.as_ref().map(|d| (Part::Unseen, false, &d.why)),
+        ];
+        all.into_iter().flatten().collect()
+    }
+
+    fn fact(&mut self, part: Part, value: bool, why: Why, why_not: Why) {
+        let why = if value { why } else { why_not };
+        self.facts.push((part, Decided::new(value, why)));
+    }
+
+    fn photos(&mut self, dataset: &Dataset) {
+        let transparent = self.alpha == Alpha::Transparency;
+        self.fact(
+            Part::Transparency,
+            transparent,
+            Why::Transparent,
+            Why::Opaque,
         );
+        let masked = self.alpha == Alpha::Mask;
+        self.fact(Part::Masks, masked, Why::Masked, Why::NoMask);
+        let n = dataset.undistorted;
+        self.fact(Part::Undistortion, n > 0, Why::Distorted(n), Why::Pinholes);
+        let bytes = dataset.photo_bytes();
+        self.fact(
+            Part::Prefetch,
+            dataset.photos_on_demand(),
+            Why::OverBudget(bytes, dataset.image_budget),
+            Why::InMemory(bytes),
+        );
+    }
+
+    fn work(&mut self) {
+        let work = self.config.work;
+        let off = Why::Off("work.morton-order");
+        self.fact(Part::MortonOrder, work.morton_order, Why::Locality, off);
+        let off = Why::Off("work.cull-chunks");
+        self.fact(Part::BlockCulling, work.cull_chunks, Why::UnseenBlocks, off);
         if !work.remove_unseen {
-            let what = "removal of Gaussians that no training view shows";
-            self.decide(false, what, "", "work.remove-unseen is off");
+            let off = Why::Off("work.remove-unseen");
+            self.fact(Part::RemoveUnseen, false, off.clone(), off);
         }
     }
 
-    /// Whether exposure is compensated, as far as the configuration and the photos say.
-    fn exposure(&mut self, config: &TrainConfig, alpha: Alpha) {
-        let from = Schedule::new(config).exposure_from().unwrap_or(0);
-        let (on, why) = match (config.exposure, alpha) {
-            (ExposureChoice::On, _) => (true, "exposure is on"),
-            (ExposureChoice::Off, _) => (false, "exposure is off"),
-            (ExposureChoice::Auto, Alpha::Transparency) => (false, TRANSPARENT),
-            (ExposureChoice::Auto, _) if from >= config.iterations => {
-                (false, "the run is too short to tell whether it is needed")
-            }
-            (ExposureChoice::Auto, _) => (
-                false,
-                "photos are compared with their renders first: on if their brightness varies",
-            ),
-        };
-        self.decide(on, EXPOSURE, why, why);
-    }
-
-    /// What was decided on exposure on the way.
-    pub(crate) fn exposure_decided(&mut self, decision: Decision) {
-        let why = decision.why();
-        self.decide(decision.on, EXPOSURE, &why, &why);
-    }
-
-    fn sampler(&mut self, config: &TrainConfig) {
-        let errors = "importance pass";
+    fn density_control(&mut self) {
+        let config = &self.config;
         match config.sampler {
-            Sampler::Mh => self.metropolis_hastings(&config.mh, errors),
+            Sampler::Mh => self.metropolis_hastings(),
             Sampler::Mcmc => {
-                let most = config.max_gaussians.unwrap_or(config.mcmc.cap);
-                let why = format!("MCMC sampler, at most {most} Gaussians");
-                self.decide(true, "noise on positions, relocation, growth", &why, "");
-                self.decide(false, errors, "", "the MCMC sampler draws by opacity");
+                let cap = config.max_gaussians.unwrap_or(config.mcmc.cap);
+                let why = Why::McmcCap(cap);
+                self.fact(Part::McmcDensityControl, true, why.clone(), why);
+                let why = Why::Criterion("the MCMC sampler draws by opacity");
+                self.fact(Part::ErrorStatistics, false, why.clone(), why);
             }
             Sampler::Adc => {
-                let what = "gradients on the screen, clone, split, prune, opacity reset";
-                self.decide(true, what, "ADC sampler", "");
-                let why = "the ADC sampler goes by gradients on the screen";
-                self.decide(false, errors, "", why);
+                let why = Why::NeededBy("ADC");
+                self.fact(Part::AdaptiveDensityControl, true, why.clone(), why);
+                let why = Why::Criterion("the ADC sampler goes by screen-space gradients");
+                self.fact(Part::ErrorStatistics, false, why.clone(), why);
             }
-            Sampler::None => self.decide(
-                false,
-                "importance pass and density control",
-                "",
-                "a fixed set of Gaussians asked for",
-            ),
+            Sampler::None => {
+                let why = Why::FixedSet;
+                self.fact(Part::ErrorDensityControl, false, why.clone(), why);
+            }
         }
     }
 
-    fn metropolis_hastings(&mut self, mh: &MhConfig, errors: &str) {
-        let sampler = "Metropolis-Hastings sampler";
+    fn metropolis_hastings(&mut self) {
+        let mh = self.config.mh.clone();
+        let sampler = Why::NeededBy("Metropolis-Hastings");
         if mh.wants_errors() {
-            self.decide(true, "importance pass and density control", sampler, "");
+            self.fact(Part::ErrorDensityControl, true, sampler.clone(), sampler);
         } else {
-            self.decide(true, "density control", sampler, "");
-            let why = "mh.importance is off, or no cue of errors has a weight";
-            self.decide(false, errors, "", why);
+            self.fact(Part::DensityControl, true, sampler.clone(), sampler);
+            let why = Why::Criterion("mh.importance is off, or no cue of errors has a weight");
+            self.fact(Part::ErrorStatistics, false, why.clone(), why);
         }
         if mh.probed_views() > 0 {
-            let why = format!("births are judged by probes in {} views", mh.probe_views);
-            self.decide(true, "probes", &why, "");
+            let why = Why::EstimatedIn(mh.probe_views);
+            self.fact(Part::BirthEstimates, true, why.clone(), why);
         }
-        let why = "mh.noise-rate moves what is faint";
-        let why_not = "mh.noise-rate is 0";
-        self.decide(mh.noise_rate > 0.0, "noise on positions", why, why_not);
-        let why = format!(
-            "{} views are rendered for each step; of pixels that show a surface {:.0} %",
-            mh.pixel_views,
-            100.0 * mh.pixel_surface
-        );
-        let why_not = "mh.pixel-proposals is 0";
-        self.decide(
+        let off = Why::Criterion("mh.noise-rate is 0");
+        self.fact(Part::Noise, mh.noise_rate > 0.0, Why::NoiseMovesFaint, off);
+        self.fact(
+            Part::PixelBirths,
             mh.pixel_proposals > 0,
-            "births in image space",
-            &why,
+            Why::PixelViews(mh.pixel_views, mh.pixel_surface),
+            Why::Criterion("mh.pixel-proposals is 0"),
+        );
+    }
+
+    fn start(&mut self, dataset: &Dataset) {
+        let held_out = dataset.test.len();
+        self.fact(
+            Part::HeldOut,
+            held_out > 0,
+            Why::Views(held_out),
+            Why::NoHeldOut,
+        );
+        let points = dataset.points.positions.len();
+        let asked = self.config.init == Init::Points;
+        let why_not = match asked {
+            true => Why::NoPoints,
+            false => Why::AnotherAskedFor,
+        };
+        self.fact(
+            Part::SparsePoints,
+            asked && points > 0,
+            Why::Points(points),
             why_not,
         );
     }
+}
 
-    /// Puts an item on one of the lists; what was said of it before goes.
-    fn decide(&mut self, keep: bool, what: &str, why: &str, why_not: &str) {
-        for list in [&mut self.kept, &mut self.left_out] {
-            list.retain(|item| item.what != what);
+/// Meaning of the alpha plane of the training photos.
+fn alpha(dataset: &Dataset) -> Alpha {
+    let mut found = dataset.train.iter().map(|v| v.photo.alpha());
+    found.find(|a| *a != Alpha::None).unwrap_or_default()
+}
+
+fn random_background(config: &TrainConfig, transparent: bool) -> Decided<bool> {
+    let on = config.background.changes(transparent);
+    let asked = config.background != Background::Auto;
+    let why = match (on, asked) {
+        (true, true) => Why::AskedFor,
+        (true, false) => Why::Fog,
+        (false, true) => Why::OneColor(config.background),
+        (false, false) => Why::Opaque,
+    };
+    Decided::new(on, why)
+}
+
+fn anti_aliasing(dataset: &Dataset, config: &TrainConfig) -> Decided<bool> {
+    match (config.anti_aliasing, &config.init) {
+        (AntiAliasing::On, _) => Decided::new(true, Why::On("anti-aliasing")),
+        (AntiAliasing::Off, _) => Decided::new(false, Why::Off("anti-aliasing")),
+        (AntiAliasing::Auto, Init::File(path)) if ply::is_anti_aliased(path) => {
+            Decided::new(true, Why::FiltersInFile)
         }
-        let (list, why) = if keep {
-            (&mut self.kept, why)
-        } else {
-            (&mut self.left_out, why_not)
-        };
-        list.push(Item {
-            what: what.into(),
-            why: why.into(),
-        });
+        (AntiAliasing::Auto, _) => {
+            let spreads = Spreads::of(dataset);
+            Decided::new(spreads.ask_for_filters(), Why::Rates(spreads))
+        }
     }
+}
 
-    /// One line for the terminal.
-    #[must_use]
-    pub fn summary(&self) -> String {
-        let kept: Vec<&str> = self.kept.iter().map(|i| i.what.as_str()).collect();
-        let out: Vec<String> = self
-            .left_out
-            .iter()
-            .map(|i| format!("{}, because {}", i.what, i.why))
-            .collect();
-        if out.is_empty() {
-            format!("plan: {}", kept.join(", "))
-        } else {
-            format!("plan: {}; left out: {}", kept.join(", "), out.join("; "))
+fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
+    let levels = config.work.resolution_levels;
+    if levels == 0 {
+        return Decided::new(0, Why::Criterion("work.resolution-levels is 0"));
+    }
+    if config.time_budget.is_some() {
+        return Decided::new(0, Why::TimeBudget);
+    }
+    let schedule = Schedule::new(config);
+    let first = |v: &View| {
+        let size = [v.camera.width as usize, v.camera.height as usize];
+        schedule.shrink_factor(levels, 0, size)
+    };
+    match dataset.train.iter().map(first).max() {
+        Some(divisor) if divisor > 1 => Decided::new(levels, Why::HalvedAtFirst(divisor as u32)),
+        _ => Decided::new(0, Why::SmallPhotos),
+    }
+}
+
+fn exposure(config: &TrainConfig, alpha: Alpha) -> Result<Decided<Exposure>> {
+    let from = Schedule::new(config).exposure_from();
+    let transparent = alpha == Alpha::Transparency;
+    Ok(match config.exposure {
+        ExposureChoice::On if transparent => {
+            let fix = "leave it to auto or off, or, if their alpha says what counts, give --alpha-is-mask";
+            return Err(Error::config(
+                "--exposure",
+                format!("on; {NO_CAMERA_SAW}: {fix}"),
+            ));
         }
+        ExposureChoice::On => Decided::new(Exposure::From(from), Why::On("exposure")),
+        ExposureChoice::Off => Decided::new(Exposure::Off, Why::Off("exposure")),
+        ExposureChoice::Auto if transparent => {
+            Decided::new(Exposure::Off, Why::NoCameraSawBackground)
+        }
+        ExposureChoice::Auto if from >= config.iterations => {
+            Decided::new(Exposure::Off, Why::TooShort)
+        }
+        ExposureChoice::Auto => Decided::new(Exposure::Compare(from), Why::ComparedFirst),
+    })
+}
+
+fn skip_blank(work: &WorkConfig, alpha: Alpha) -> Decided<bool> {
+    match alpha {
+        Alpha::None => Decided::new(false, Why::NoAlpha),
+        _ if work.skip_blank => Decided::new(true, Why::NoGradient),
+        _ => Decided::new(false, Why::Off("work.skip-blank")),
     }
 }

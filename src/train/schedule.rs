@@ -8,13 +8,13 @@ use crate::pipeline::stage::adam::LearningRates;
 const PAPER_ITERATIONS: f64 = 30_000.0;
 
 /// Largest factor on the learning rates of a short run.
-const MOST_BOOST: f64 = 4.0;
+const MAX_BOOST: f64 = 4.0;
 
-/// A run has this many density steps, however short it is, unless they would be closer than [`LEAST_INTERVAL`].
-const LEAST_DENSITY_STEPS: u32 = 15;
+/// A run has this many density steps, however short it is, unless they would be closer than [`MIN_INTERVAL`].
+const MIN_DENSITY_STEPS: u32 = 15;
 
 /// Iterations that new Gaussians are given before the next step judges them.
-const LEAST_INTERVAL: u32 = 25;
+const MIN_INTERVAL: u32 = 25;
 
 /// Iterations, of the papers' 30,000, after which exposure is compensated, or it is decided whether: full photos have been trained
 /// on by then. Before, renders differ from photos by how much of a view is there yet (measured: gains in synthetic sets, which
@@ -22,10 +22,10 @@ const LEAST_INTERVAL: u32 = 25;
 const EXPOSURE_FROM: u32 = 6000;
 
 /// Iterations that a short run does before it decides: of fewer, no render tells how bright a photo should be.
-const LEAST_BEFORE_DECISION: u32 = 300;
+const MIN_BEFORE_DECISION: u32 = 300;
 
 /// Pixels that a shrunk photo has in width and height at least.
-const LEAST_SIDE: usize = 64;
+const MIN_SIDE: usize = 64;
 
 /// The schedules of one run.
 #[derive(Debug, Clone)]
@@ -54,29 +54,25 @@ impl Schedule {
         self.scaled(self.config.optimizer.sh_interval).max(1)
     }
 
-    /// By how much the photos of `size` pixels are shrunk at an iteration: a power of two, 1 for not at all. Every smaller
-    /// size is used for `work.resolution_interval` (scaled) iterations, the smallest first; both sides keep at least 64
-    /// pixels. A run with a time budget has full photos throughout: it may end before the schedule comes to them.
+    /// Divisor of the size of photos of `size` pixels at an iteration of a run with so many halvings: a power of two, 1 for
+    /// full size. Every smaller size is used for `work.resolution_interval` (scaled) iterations, the smallest first; both
+    /// sides keep at least 64 pixels.
     #[must_use]
-    pub fn shrink_factor(&self, iteration: u32, size: [usize; 2]) -> usize {
-        let work = &self.config.work;
-        let interval = self.scaled(work.resolution_interval).max(1);
-        let levels = match self.config.time_budget {
-            None => work.resolution_levels,
-            Some(_) => 0,
-        };
-        let level = levels.saturating_sub(iteration / interval);
-        let most = size[0].min(size[1]) / LEAST_SIDE;
+    pub fn shrink_factor(&self, halvings: u32, iteration: u32, size: [usize; 2]) -> usize {
+        let interval = self.scaled(self.config.work.resolution_interval).max(1);
+        let level = halvings.saturating_sub(iteration / interval);
+        let most = size[0].min(size[1]) / MIN_SIDE;
         (1 << level).min(1 << most.max(1).ilog2())
     }
 
-    /// First iteration at which photos of `size` pixels are not shrunk.
+    /// First iteration at which photos of `size` pixels have their full size.
     #[must_use]
-    pub fn full_size_from(&self, size: [usize; 2]) -> u32 {
+    pub fn full_size_from(&self, halvings: u32, size: [usize; 2]) -> u32 {
         let interval = self.scaled(self.config.work.resolution_interval).max(1);
-        let factor = self.shrink_factor(0, size) as u32;
-        let levels = self.config.work.resolution_levels;
-        if factor == 1 { 0 } else { interval * levels }
+        match self.shrink_factor(halvings, 0, size) {
+            1 => 0,
+            _ => interval * halvings,
+        }
     }
 
     /// Learning rates; position decays log-linearly over the run. Local units: the scene extent is 1.
@@ -90,7 +86,7 @@ impl Schedule {
     pub fn rates(&self, iteration: u32) -> LearningRates {
         let o = &self.config.optimizer;
         let boost = if o.lr_scales_with_run {
-            (1.0 / self.scale).sqrt().clamp(1.0, MOST_BOOST)
+            (1.0 / self.scale).sqrt().clamp(1.0, MAX_BOOST)
         } else {
             1.0
         };
@@ -117,25 +113,24 @@ impl Schedule {
 
     /// Learning rate of the positions without what short runs add to it: log-linear over the run. The noise on positions is
     /// in proportion to this one: n·lr² is its variance after n iterations, and with the rate of [`Schedule::rates`] that of a
-    /// short run would be more than a long one's, which costs (measured: see the README on short runs).
+    /// short run would be more than a long one's, which costs (docs/results/samplers.md, short runs).
     #[must_use]
     pub fn position_rate(&self, iteration: u32) -> f64 {
         let o = &self.config.optimizer;
-        let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
-        let (from, to) = (f64::from(o.lr_position), f64::from(o.lr_position_final));
-        if from > 0.0 && to > 0.0 {
-            (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
-        } else {
-            from
-        }
+        self.log_linear(iteration, [o.lr_position, o.lr_position_final])
     }
 
     /// Learning rate of the photos' colour transforms: log-linear over the run.
     #[must_use]
     pub fn exposure_rate(&self, iteration: u32) -> f64 {
         let o = &self.config.optimizer;
+        self.log_linear(iteration, [o.lr_exposure, o.lr_exposure_final])
+    }
+
+    /// Log-linear interpolation over the run; the first value throughout if either is 0.
+    fn log_linear(&self, iteration: u32, [from, to]: [f32; 2]) -> f64 {
         let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
-        let (from, to) = (f64::from(o.lr_exposure), f64::from(o.lr_exposure_final));
+        let (from, to) = (f64::from(from), f64::from(to));
         if from > 0.0 && to > 0.0 {
             (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
         } else {
@@ -143,18 +138,16 @@ impl Schedule {
         }
     }
 
-    /// Iterations done when exposure is first compensated or, if the configuration leaves that open, when it is decided; none
-    /// where it is off.
+    /// Iterations done when exposure is first compensated or, if the configuration leaves that open, when it is decided.
     ///
     /// Not from the start: the first renders are far from any photo, all transforms would take up some of that at random, and
     /// view-dependent colour would undo it in the training views alone (measured: held-out PSNR of one set falls by 2.7 dB).
     #[must_use]
-    pub fn exposure_from(&self) -> Option<u32> {
+    pub fn exposure_from(&self) -> u32 {
         let from = self.scaled(EXPOSURE_FROM).max(1);
         match self.config.exposure {
-            ExposureChoice::On => Some(from),
-            ExposureChoice::Auto => Some(from.max(LEAST_BEFORE_DECISION)),
-            ExposureChoice::Off => None,
+            ExposureChoice::Auto => from.max(MIN_BEFORE_DECISION),
+            _ => from,
         }
     }
 
@@ -171,9 +164,9 @@ impl Schedule {
     #[must_use]
     pub fn density_interval(&self) -> u32 {
         let [from, until] = self.density_span();
-        let least = until.saturating_sub(from) / LEAST_DENSITY_STEPS;
+        let least = until.saturating_sub(from) / MIN_DENSITY_STEPS;
         let asked = self.config.density_times().map_or(1, |t| t.interval);
-        asked.min(least.max(LEAST_INTERVAL))
+        asked.min(least.max(MIN_INTERVAL))
     }
 
     /// Progress η of density control if a step is due after `done` iterations.
@@ -225,6 +218,15 @@ impl Schedule {
             .unwrap_or((self.config.iterations / 20).max(1))
     }
 
+    /// True if an evaluation, a checkpoint or an export is due after `done` iterations, before the end.
+    #[must_use]
+    pub fn pause_due(&self, done: u32) -> bool {
+        let c = &self.config;
+        let due = |every: u32| every > 0 && done.is_multiple_of(every);
+        let any = due(self.eval_every()) || due(c.checkpoint_every) || due(c.export_every);
+        done > 0 && done < c.iterations && any
+    }
+
     /// View of an iteration: every epoch is a permutation of the views, keyed by (seed, epoch).
     #[must_use]
     pub fn view(&self, iteration: u32, views: usize) -> usize {
@@ -258,10 +260,10 @@ impl Schedule {
         order
     }
 
-    /// Background colour of an iteration over photos that are transparent or not.
+    /// Background colour of an iteration, `random` or the fixed one.
     #[must_use]
-    pub fn background(&self, iteration: u32, transparent: bool) -> [f32; 3] {
-        if !self.config.background.changes(transparent) {
+    pub fn background(&self, iteration: u32, random: bool) -> [f32; 3] {
+        if !random {
             return self.fixed_background();
         }
         let stream = Purpose::Background.stream(0);

@@ -16,7 +16,7 @@ use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::run::clock::process_cpu_seconds;
 use crate::scene::without_filter;
 use crate::scene::{Plane, Splats};
-use crate::train::Trainer;
+use crate::train::{Plan, Trainer};
 
 /// Most iterations of a sample: the clock of CPU time has ticks of 10 ms, which is little enough of a sample by then.
 const MOST_ITERATIONS: u32 = 800;
@@ -40,10 +40,7 @@ fn stage_seconds(trainer: &Trainer) -> [f64; STAGES.len()] {
 fn sample(trainer: &mut Trainer, iterations: u32) -> Result<Sample> {
     let (before, cpu) = (stage_seconds(trainer), process_cpu_seconds());
     let start = Instant::now();
-    for _ in 0..iterations {
-        trainer.step()?;
-    }
-    trainer.settle()?;
+    trainer.advance_to(trainer.iteration() + iterations)?;
     let each = 1.0 / f64::from(iterations);
     let (wall, cpu) = (start.elapsed().as_secs_f64(), process_cpu_seconds() - cpu);
     let after = stage_seconds(trainer);
@@ -77,14 +74,16 @@ impl Subject<'_> {
 fn trainer(device: &Device, subject: &Subject<'_>) -> Result<Trainer> {
     let still = scene::still(subject.splats.sh_degree());
     if !subject.anti_alias {
-        return Trainer::new(device, &subject.dataset, &still, subject.splats);
+        let plan = Plan::new(&subject.dataset, &still)?;
+        return Trainer::new(device, &subject.dataset, &plan, subject.splats);
     }
     let config = TrainConfig {
         anti_aliasing: AntiAliasing::On,
         ..still
     };
     let splats = without_filter(subject.splats, &subject.dataset)?;
-    Trainer::new(device, &subject.dataset, &config, &splats)
+    let plan = Plan::new(&subject.dataset, &config)?;
+    Trainer::new(device, &subject.dataset, &plan, &splats)
 }
 
 /// Times every stage and the whole iteration.

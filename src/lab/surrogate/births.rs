@@ -5,8 +5,9 @@ use crate::device::Real;
 use crate::lab::surrogate::candidates::{Candidate, Shape};
 use crate::lab::surrogate::instrument::{Base, Instrument};
 use crate::lab::surrogate::outcome::FORMS;
-use crate::pipeline::backward::{ROUND, change, scaled_logit};
+use crate::pipeline::backward::GRADIENT_ROWS;
 use crate::scene::Plane;
+use crate::train::estimates::{change, scaled_logit};
 
 /// A birth as it is to be measured.
 #[derive(Debug, Clone, Copy)]
@@ -86,13 +87,13 @@ impl<R: Real> Instrument<R> {
         let (n, epsilon) = (self.splats.len(), self.setting.probe);
         self.insert(n, births, epsilon)?;
         let mut probed = vec![Probed::default(); births.len()];
-        let (first, count) = (n / ROUND * ROUND, n + births.len());
+        let (first, count) = (n / GRADIENT_ROWS * GRADIENT_ROWS, n + births.len());
         for view in 0..self.view_count() {
-            self.render(0, view, n)?;
+            self.render(false, view, n)?;
             self.image_gradient(view)?;
-            self.render(1, view, count)?;
-            let [slopes, ..] = self.gradients(1, view, first)?;
-            let touched = self.touched(1, n, count)?;
+            self.render(true, view, count)?;
+            let [slopes, ..] = self.gradients(true, view, first)?;
+            let touched = self.faint.forward.intersected(n, count)?;
             for (k, (p, b)) in probed.iter_mut().zip(births).enumerate() {
                 let logit = f64::from(b.shape.opacity_logit);
                 let change = change(slopes[n - first + k], logit, epsilon);
@@ -140,7 +141,7 @@ impl<R: Real> Instrument<R> {
             if !(*seen || changes) {
                 continue;
             }
-            self.render(0, view, n + 1)?;
+            self.render(false, view, n + 1)?;
             let strips = self.strips(view)?;
             let before = base.strips[view].chunks_exact(2);
             let differences = strips.chunks_exact(2).zip(before);

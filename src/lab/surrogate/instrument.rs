@@ -4,17 +4,17 @@
 //! that what a candidate does not touch cancels exactly. Where the device has double precision all kernels run in it; in
 //! single precision the strips that change still round.
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::density::Cues;
 use crate::device::{Array, Defines, Device, Kernels, Real};
-use crate::pipeline::backward::{Pass, ROUND};
+use crate::pipeline::backward::GRADIENT_ROWS;
 use crate::pipeline::buffers::{Scene, ViewSet};
 use crate::pipeline::forward::RenderOptions;
-use crate::pipeline::stage::importance::{Importance, ImportanceArgs};
-use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
-use crate::pipeline::stage::project_grad::ProjectGrad;
+use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
+use crate::pipeline::stage::importance::Importance;
+use crate::pipeline::stage::loss::{ImagePair, size_of_image};
 use crate::scene::Splats;
+use crate::train::estimates::FaintPass;
 
 /// How an instrument is set up.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,14 +76,11 @@ pub struct Instrument<R: Real> {
     pub(super) views: ViewSet<R>,
     pub(super) splats: Splats,
     pub(super) scene: Scene<R>,
-    /// With the ordinary cut, and with the probes'.
-    passes: [Pass<R>; 2],
-    project_grad: ProjectGrad,
-    loss: Loss,
+    pipeline: Pipeline<R>,
+    /// Stages with the faint births' cut.
+    pub(super) faint: FaintPass<R>,
     importance: Importance,
-    maps: Array<R>,
-    dimage: Array<R>,
-    partial: Array<R>,
+    degree: u32,
 }
 
 impl<R: Real> Instrument<R> {
@@ -106,21 +103,15 @@ impl<R: Real> Instrument<R> {
             ..Defines::new(device.tuning())
         };
         let kernels = Kernels::new(device, defines);
-        let loss = Loss::new::<R>(&kernels)?;
-        let [w, h] = views.largest;
-        let plane = w.next_multiple_of(TILE as usize) * h.next_multiple_of(TILE as usize);
+        let pipeline = Pipeline::new(device, defines, [degree, degree], views.largest)?;
+        let cut = setting.alpha_min * setting.probe;
+        let room = splats.len() + births.max(1) + 2 * GRADIENT_ROWS;
         Ok(Self {
-            scene: Scene::upload(device, &splats, splats.len() + births.max(1) + 2 * ROUND)?,
-            passes: [
-                Pass::new(device, defines, degree, setting.alpha_min)?,
-                Pass::new(device, defines, degree, setting.alpha_min * setting.probe)?,
-            ],
-            project_grad: ProjectGrad::new::<R>(&kernels)?,
+            scene: Scene::upload(device, &splats, room)?,
+            faint: FaintPass::new(device, defines, degree, cut, &pipeline)?,
             importance: Importance::new::<R>(&kernels)?,
-            maps: Array::zeros(device, "maps", 3 * plane)?,
-            dimage: Array::zeros(device, "dimage", 3 * plane)?,
-            partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
-            loss,
+            pipeline,
+            degree,
             device: device.clone(),
             setting,
             views,
@@ -133,11 +124,15 @@ impl<R: Real> Instrument<R> {
         self.views.len()
     }
 
-    /// Renders a view with one of the passes.
-    pub(super) fn render(&mut self, lifted: usize, view: usize, count: usize) -> Result<()> {
+    /// Renders a view, with the ordinary cut or that of faint births.
+    pub(super) fn render(&mut self, faint: bool, view: usize, count: usize) -> Result<()> {
         self.scene.count = count;
         let camera = &self.views.cameras[view];
-        self.passes[lifted].render(&self.scene, camera, &self.setting.render)
+        let forward = match faint {
+            true => &mut self.faint.forward,
+            false => &mut self.pipeline.forward,
+        };
+        forward.render(&self.scene, camera, &self.setting.render)
     }
 
     /// Calls `then` with the render made last with the ordinary cut, and the view's photo.
@@ -147,23 +142,18 @@ impl<R: Real> Instrument<R> {
         then: impl FnOnce(&ImagePair<'_, R>) -> Result<T>,
     ) -> Result<T> {
         let photo = self.views.photo(view, &[])?;
-        then(&ImagePair {
-            image: &self.passes[0].renderer.frame.image,
+        let target = Target {
+            view,
             photo: &photo,
             background: self.setting.render.background,
-            size: size_of_image(&self.views.cameras[view]),
-            blank: None,
-        })
+            skip_blank: false,
+        };
+        then(&self.pipeline.pair(&self.views.cameras[view], target)?)
     }
 
     /// Sums of each strip of the render made last: |x − y| and SSIM in turn.
     pub(super) fn strips(&self, view: usize) -> Result<Vec<f64>> {
-        self.with_pair(view, |pair| {
-            self.loss.errors(pair, &self.maps, &self.partial)?;
-            let [w, h] = pair.size;
-            let sums = self.partial.read(0, self.loss.partial_len(w, h))?;
-            Ok(sums.into_iter().map(Into::into).collect())
-        })
+        self.with_pair(view, |pair| self.pipeline.strips(pair))
     }
 
     /// The loss of these strips, without its constant, and the number of pixel values.
@@ -173,31 +163,27 @@ impl<R: Real> Instrument<R> {
         ((1.0 - lambda) * l1 - lambda * ssim) / (3 * w * h) as f64
     }
 
-    /// dL/dC of the render made last with the ordinary cut.
+    /// Takes the loss of the render made last with the ordinary cut back to the image.
     pub(super) fn image_gradient(&self, view: usize) -> Result<()> {
         let lambda = self.setting.lambda_ssim;
-        self.with_pair(view, |pair| {
-            self.loss
-                .gradient(pair, lambda, &self.maps, &self.partial, &self.dimage)
-        })
+        self.with_pair(view, |pair| self.pipeline.loss_gradient(view, pair, lambda))
     }
 
-    /// Gradients of the rows from `first` (a multiple of 16) on from the render made last by one of the passes: opacity logit
-    /// and log-scales.
+    /// Gradients of the rows from `first` (a multiple of 16) on from the render made last, ordinary or faint: opacity logit and
+    /// log-scales.
     pub(super) fn gradients(
         &self,
-        lifted: usize,
+        faint: bool,
         view: usize,
         first: usize,
     ) -> Result<[Vec<f64>; 4]> {
-        let backward = self.passes[lifted].backward(&self.project_grad);
-        let camera = &self.views.cameras[view];
-        backward.gradients(&self.scene, camera, &self.dimage, first)
-    }
-
-    /// Whether the view rendered last has any pair of the rows.
-    pub(super) fn touched(&self, lifted: usize, first: usize, count: usize) -> Result<Vec<bool>> {
-        self.passes[lifted].touched(first, count)
+        let (camera, dimage) = (&self.views.cameras[view], self.pipeline.image_gradient());
+        let (backward, forward) = match faint {
+            true => (&self.faint.backward, &self.faint.forward),
+            false => (&self.pipeline.backward, &self.pipeline.forward),
+        };
+        let rows = [first, self.degree as usize];
+        backward.shape_gradients(forward, &self.scene, camera, dimage, rows)
     }
 
     /// Losses, cues and gradients of the scene as it is.
@@ -213,25 +199,24 @@ impl<R: Real> Instrument<R> {
         };
         let k = self.view_count() as f64;
         for view in 0..self.view_count() {
-            self.render(0, view, n)?;
+            self.render(false, view, n)?;
             let strips = self.strips(view)?;
             let sum = |at: usize| strips[at..].iter().step_by(2).sum::<f64>();
             let loss = self.setting.lambda_ssim + self.weigh(view, sum(0), sum(1));
             base.losses.push(loss);
             base.strips.push(strips);
-            base.touched.push(self.touched(0, 0, n)?);
-            self.importance.run(&ImportanceArgs {
-                params: &self.scene.params,
-                stride: self.scene.stride,
-                count: n,
-                camera: &self.views.cameras[view],
-                maps: &self.maps,
+            base.touched.push(self.pipeline.forward.intersected(0, n)?);
+            let errors = ErrorSums {
+                sums: &cues,
                 first_view: view == 0,
-                status: &self.passes[0].renderer.frame.status,
-                cues: &cues,
+            };
+            self.with_pair(view, |pair| {
+                let camera = &self.views.cameras[view];
+                self.pipeline
+                    .add_errors(&self.importance, &self.scene, camera, pair, &errors)
             })?;
             self.image_gradient(view)?;
-            let gradients = self.gradients(0, view, 0)?;
+            let gradients = self.gradients(false, view, 0)?;
             for (sums, more) in base.gradients.iter_mut().zip(gradients) {
                 sums.iter_mut().zip(more).for_each(|(s, g)| *s += g / k);
             }

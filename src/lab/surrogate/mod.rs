@@ -41,12 +41,12 @@ use crate::capture::Dataset;
 use crate::density::mh::importance::importance;
 use crate::device::{Device, Real};
 use crate::lab::surrogate::candidates::Ground;
-use crate::pipeline::backward::{EPSILON_DOUBLE, EPSILON_SINGLE};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::photos::Photos;
 use crate::run::checkpoint;
 use crate::run::checkpoint::Checkpoint;
+use crate::train::estimates::{EPSILON_DOUBLE, EPSILON_SINGLE};
 use crate::train::schedule::Schedule;
 
 /// Streams of the check's random numbers.
@@ -147,7 +147,7 @@ pub fn check(
             "give the dataset of that run",
         ));
     }
-    if !saved.state.filter.is_empty() {
+    if !saved.state.rows.filter.is_empty() {
         return Err(Error::input(
             run,
             "was trained with anti-aliasing, which the check's renders do not have",

@@ -50,6 +50,15 @@ impl<R: Real> ImagePair<'_, R> {
         w * h
     }
 
+    /// The pair with nothing skipped.
+    #[must_use]
+    pub fn everywhere(self) -> Self {
+        Self {
+            blank: None,
+            ..self
+        }
+    }
+
     pub(super) fn background_real(&self) -> [R; 3] {
         self.background.map(|c| R::of(f64::from(c)))
     }

@@ -140,7 +140,7 @@ fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'stat
 }
 
 fn plan(out: &mut String, record: &RunRecord) {
-    let table = |out: &mut String, items: &[crate::train::plan::Item]| {
+    let table = |out: &mut String, items: &[crate::run::plan_record::Item]| {
         out.push_str("<table>");
         for item in items {
             let (what, why) = (escape(&item.what), escape(&item.why));

@@ -1,0 +1,193 @@
+//! [`ExposureModel`]: an affine colour transform per training photo, between the render and the loss.
+
+use crate::base::error::{Error, Result};
+use crate::device::tuning::status::{OVERFLOW, SLOTS};
+use crate::device::{Array, Device, Kernels, Real};
+use crate::pipeline::stage::exposure::{
+    ENTRIES, ExposedImage, Exposure, ExposureStep, IDENTITY, exposed, unexposed,
+};
+
+/// Optimiser step of one view's transform.
+#[derive(Debug, Clone, Copy)]
+pub struct TransformStep {
+    /// View.
+    pub view: usize,
+    /// Learning rate.
+    pub rate: f64,
+    /// β₁, β₂, ε.
+    pub constants: [f64; 3],
+    /// Iteration of the run.
+    pub iteration: u32,
+}
+
+/// Transforms of the training views on the device.
+#[derive(Debug)]
+pub struct ExposureModel<R: Real = f32> {
+    stage: Exposure,
+    views: usize,
+    exposures: Array<R>,
+    moments: [Array<R>; 2],
+    /// The render under its view's transform.
+    corrected: Array<R>,
+    partial: Array<R>,
+    grads: Array<R>,
+    /// Iterations done when it was switched on.
+    since: u32,
+}
+
+impl<R: Real> ExposureModel<R> {
+    /// The identity for every view; `plane` is the padded size of the largest view, pixels.
+    ///
+    /// # Errors
+    /// A build failure, or more than the device can allocate.
+    pub fn new(kernels: &Kernels, views: usize, plane: usize, since: u32) -> Result<Self> {
+        let device = kernels.device();
+        let stage = Exposure::new::<R>(kernels)?;
+        let zeros = |name, len| Array::zeros(device, name, len);
+        let it = Self {
+            views,
+            exposures: zeros("exposures", ENTRIES * views)?,
+            moments: [
+                zeros("moment1", ENTRIES * views)?,
+                zeros("moment2", ENTRIES * views)?,
+            ],
+            corrected: zeros("corrected", 3 * plane)?,
+            partial: zeros("exposure partial", stage.partial_len())?,
+            grads: zeros("exposure grads", ENTRIES)?,
+            stage,
+            since,
+        };
+        let identity = IDENTITY.map(R::of).repeat(views);
+        it.exposures.write(0, &identity)?;
+        Ok(it)
+    }
+
+    fn image<'a>(&'a self, image: &'a Array<R>, plane: usize, view: usize) -> ExposedImage<'a, R> {
+        ExposedImage {
+            image,
+            plane,
+            exposures: &self.exposures,
+            view,
+        }
+    }
+
+    /// The render of a view under its transform; `plane` is the padded size of the image, pixels.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn apply(&self, image: &Array<R>, plane: usize, view: usize) -> Result<&Array<R>> {
+        let exposed = self.image(image, plane, view);
+        self.stage.apply(&exposed, &self.corrected)?;
+        Ok(&self.corrected)
+    }
+
+    /// Takes the gradient by the transformed image back to the render, in place, and to the view's transform.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn backward(
+        &self,
+        image: &Array<R>,
+        plane: usize,
+        view: usize,
+        dimage: &Array<R>,
+    ) -> Result<()> {
+        let exposed = self.image(image, plane, view);
+        self.stage.backward(&exposed, dimage, &self.partial)
+    }
+
+    /// Optimiser's step of a view's transform; changes nothing after an overflow.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn step(&self, step: TransformStep, status: &Array<u32>) -> Result<()> {
+        self.stage.step(&ExposureStep {
+            partial: &self.partial,
+            view: step.view,
+            views: self.views,
+            rate: step.rate,
+            constants: step.constants,
+            step: step.iteration.saturating_sub(self.since) + 1,
+            exposures: &self.exposures,
+            moments: [&self.moments[0], &self.moments[1]],
+            grads: &self.grads,
+            status,
+        })
+    }
+
+    /// Runs every kernel once and changes no transform, so that no iteration waits for a compiler.
+    ///
+    /// # Errors
+    /// A build failure, or the driver's.
+    pub fn warm_up(
+        &self,
+        device: &Device,
+        image: &Array<R>,
+        dimage: &Array<R>,
+        step: TransformStep,
+    ) -> Result<()> {
+        let plane = dimage.len() / 3;
+        self.apply(image, plane, 0)?;
+        self.backward(image, plane, 0, dimage)?;
+        // After an overflow the step changes nothing.
+        let status = Array::zeros(device, "status", SLOTS)?;
+        status.write(OVERFLOW as usize, &[1])?;
+        self.step(step, &status)
+    }
+
+    fn arrays(&self) -> [&Array<R>; 3] {
+        [&self.exposures, &self.moments[0], &self.moments[1]]
+    }
+
+    /// Transforms, first and second moments \[3\]\[views · 12\].
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn rows(&self) -> Result<Vec<Vec<R>>> {
+        self.arrays().into_iter().map(Array::to_vec).collect()
+    }
+
+    /// Continues with the rows that [`ExposureModel::rows`] gave.
+    ///
+    /// # Errors
+    /// Rows of another shape, or the driver's.
+    pub fn restore(&self, rows: &[Vec<R>]) -> Result<()> {
+        let arrays = self.arrays();
+        let fits = arrays.len() == rows.len();
+        if !fits || arrays.iter().zip(rows).any(|(a, row)| a.len() != row.len()) {
+            return Err(Error::Numerics {
+                stage: "checkpoint".into(),
+                what: format!("exposures of another shape: {} rows", rows.len()),
+            });
+        }
+        for (array, row) in arrays.iter().zip(rows) {
+            array.write(0, row)?;
+        }
+        Ok(())
+    }
+}
+
+impl ExposureModel {
+    /// Transforms a render (planar RGB) as its view's transform says, and takes that transform out of the photo's planes.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn exchange(
+        &self,
+        view: usize,
+        render: &mut [f32],
+        photo: &mut [Vec<f32>; 3],
+    ) -> Result<()> {
+        let e = self.exposures.read(ENTRIES * view, ENTRIES)?;
+        let pixels = render.len() / 3;
+        for i in 0..pixels {
+            let x = exposed(&e, [0, 1, 2].map(|c| render[c * pixels + i]));
+            let y = unexposed(&e, [0, 1, 2].map(|c| photo[c][i]));
+            for c in 0..3 {
+                render[c * pixels + i] = x[c];
+                photo[c][i] = y[c];
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,235 @@
+//! [`Pipeline`]: all stages of one view, forward and backward. Nothing else knows their order.
+
+use crate::base::constants::TILE;
+use crate::base::error::Result;
+use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
+use crate::pipeline::backward::{Backward, Block};
+use crate::pipeline::buffers::Scene;
+use crate::pipeline::exposure::ExposureModel;
+use crate::pipeline::forward::{RenderOptions, Renderer};
+use crate::pipeline::stage::importance::{Importance, ImportanceArgs};
+use crate::pipeline::stage::live::Live;
+use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
+
+/// A photo to compare a render with.
+#[derive(Debug, Clone, Copy)]
+pub struct Target<'a> {
+    /// Number of the view, for its exposure transform.
+    pub view: usize,
+    /// Photo at the camera's size.
+    pub photo: &'a Array<u8>,
+    /// Background under the photo's alpha.
+    pub background: [f32; 3],
+    /// Loss left out of tiles that are blank in render and photo.
+    pub skip_blank: bool,
+}
+
+/// Error statistics of Gaussians: where they are added up.
+#[derive(Debug)]
+pub struct ErrorSums<'a, R: Real> {
+    /// Sums \[3, stride\].
+    pub sums: &'a Array<R>,
+    /// True if the sums start anew.
+    pub first_view: bool,
+}
+
+/// Stages of one view, with what lies between them.
+#[derive(Debug)]
+pub struct Pipeline<R: Real = f32> {
+    device: Device,
+    /// Forward stages.
+    pub forward: Renderer<R>,
+    /// Backward stages.
+    pub backward: Backward,
+    /// Marks the tiles in which a photo's pixels count; `None` if all do.
+    live: Option<Live>,
+    loss: Loss,
+    /// Per-image exposure, between render and loss; `None` if it is off.
+    pub exposure: Option<ExposureModel<R>>,
+    maps: Array<R>,
+    dimage: Array<R>,
+    partial: Array<R>,
+}
+
+impl<R: Real> Pipeline<R> {
+    /// Builds the kernels for a range of SH degrees and images of at most `largest` (width, height) pixels.
+    ///
+    /// # Errors
+    /// A build failure, or more than the device can allocate.
+    pub fn new(
+        device: &Device,
+        defines: Defines,
+        degrees: [u32; 2],
+        largest: [usize; 2],
+    ) -> Result<Self> {
+        let kernels = Kernels::new(device, defines);
+        let loss = Loss::new::<R>(&kernels)?;
+        let [w, h] = largest.map(|side| side.next_multiple_of(TILE as usize));
+        let zeros = |name, planes: usize| Array::zeros(device, name, planes * w * h);
+        Ok(Self {
+            forward: Renderer::new(device, defines, degrees[1], true)?,
+            backward: Backward::new::<R>(device, defines, degrees)?,
+            live: Live::if_asked::<R>(&kernels)?,
+            exposure: None,
+            maps: zeros("maps", 3)?,
+            dimage: zeros("dimage", 3)?,
+            partial: Array::zeros(device, "partial", loss.partial_len(largest[0], largest[1]))?,
+            loss,
+            device: device.clone(),
+        })
+    }
+
+    /// Renders a view without waiting; `photo` says which tiles count.
+    ///
+    /// # Errors
+    /// Arrays that do not fit, or the driver's.
+    pub fn enqueue(
+        &mut self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        photo: &Array<u8>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        self.mark_tiles(photo, camera)?;
+        self.forward.enqueue(scene, camera, options)
+    }
+
+    /// Marks the tiles of a photo in which a pixel counts.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn mark_tiles(&self, photo: &Array<u8>, camera: &CameraArg<R>) -> Result<()> {
+        match &self.live {
+            Some(live) => live.run(photo, camera, self.forward.live_tiles()),
+            None => Ok(()),
+        }
+    }
+
+    /// The render made last and its photo as the loss compares them: the render under its view's exposure transform.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn pair<'a>(
+        &'a self,
+        camera: &CameraArg<R>,
+        target: Target<'a>,
+    ) -> Result<ImagePair<'a, R>> {
+        let skips = target.skip_blank && self.live.is_some();
+        let mut pair = ImagePair {
+            image: &self.forward.frame.image,
+            photo: target.photo,
+            background: target.background,
+            size: size_of_image(camera),
+            blank: skips.then(|| self.forward.frame.blank()),
+        };
+        if let Some(exposure) = &self.exposure {
+            pair.image = exposure.apply(pair.image, pair.plane(), target.view)?;
+        }
+        Ok(pair)
+    }
+
+    /// Takes (1 − λ)·L1 + λ·(1 − SSIM) of a view's pair back to its render, and to its exposure transform.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn loss_gradient(&self, view: usize, pair: &ImagePair<'_, R>, lambda: f64) -> Result<()> {
+        self.loss
+            .gradient(pair, lambda, &self.maps, &self.partial, &self.dimage)?;
+        match &self.exposure {
+            Some(exposure) => {
+                let image = &self.forward.frame.image;
+                exposure.backward(image, pair.plane(), view, &self.dimage)
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Writes mean |x − y| and mean SSIM of the pair compared last into a slot of `losses`.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn record_loss(
+        &self,
+        pair: &ImagePair<'_, R>,
+        losses: &Array<R>,
+        slot: usize,
+    ) -> Result<()> {
+        self.loss.sum(pair, &self.partial, losses, slot)
+    }
+
+    /// Mean |x − y| and mean SSIM of a pair; waits.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn loss(&self, pair: &ImagePair<'_, R>) -> Result<[f64; 2]> {
+        let sums = Array::zeros(&self.device, "loss", 2)?;
+        self.loss.errors(pair, &self.maps, &self.partial)?;
+        self.loss.sum(pair, &self.partial, &sums, 0)?;
+        let parts = sums.to_vec()?;
+        Ok([parts[0].into(), parts[1].into()])
+    }
+
+    /// Sums of |x − y| and SSIM of each strip of a pair, in turn; waits.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn strips(&self, pair: &ImagePair<'_, R>) -> Result<Vec<f64>> {
+        self.loss.errors(pair, &self.maps, &self.partial)?;
+        let [w, h] = pair.size;
+        let sums = self.partial.read(0, self.loss.partial_len(w, h))?;
+        Ok(sums.into_iter().map(Into::into).collect())
+    }
+
+    /// Adds a pair's errors at the projected centres of the Gaussians to their statistics.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn add_errors(
+        &self,
+        stage: &Importance,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        pair: &ImagePair<'_, R>,
+        errors: &ErrorSums<'_, R>,
+    ) -> Result<()> {
+        self.loss.errors(pair, &self.maps, &self.partial)?;
+        stage.run(&ImportanceArgs {
+            params: &scene.params,
+            stride: scene.stride,
+            count: scene.count,
+            camera,
+            maps: &self.maps,
+            first_view: errors.first_view,
+            status: &self.forward.frame.status,
+            cues: errors.sums,
+        })
+    }
+
+    /// Takes the image gradient back to sums per tile intersection.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn splat_gradient(&self, camera: &CameraArg<R>) -> Result<()> {
+        self.backward.splats(&self.forward, camera, &self.dimage)
+    }
+
+    /// Takes those sums back to the raw parameters of a block of Gaussians.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn parameter_gradient(
+        &self,
+        scene: &Scene<R>,
+        camera: &CameraArg<R>,
+        block: Block<'_, R>,
+    ) -> Result<()> {
+        self.backward
+            .parameters(&self.forward, scene, camera, block)
+    }
+
+    /// Image gradient of the pair compared last \[3, rows, stride\].
+    #[must_use]
+    pub fn image_gradient(&self) -> &Array<R> {
+        &self.dimage
+    }
+}

@@ -1,0 +1,508 @@
+//! [`Run`]: one training run and its folder. Evaluations, exports, checkpoints, records and the report.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::base::error::{Error, Result};
+use crate::capture::{Dataset, Frame};
+use crate::config::TrainConfig;
+use crate::device::{Defines, Device};
+use crate::evaluate::color::mean_corrected;
+use crate::evaluate::{Evaluator, mean, mean_flip};
+use crate::pipeline::buffers::ViewSet;
+use crate::pipeline::photos::Photos;
+use crate::run::checkpoint::{self, Checkpoint};
+use crate::run::clock::{self, Clock};
+use crate::run::density_log::{DensityRow, DensityWriter, read_density};
+use crate::run::metrics::{MetricsRow, MetricsWriter, read_rows};
+use crate::run::patience;
+use crate::run::plan_record::PlanRecord;
+use crate::run::record::{FinalRecord, RunRecord, StageRecord};
+use crate::run::report::gallery::{GalleryItem, error_map};
+use crate::run::report::page::write_report;
+use crate::run::start;
+use crate::scene::{Splats, ply};
+use crate::train::plan::Decision;
+use crate::train::{DensityEvent, Event, Plan, Trainer};
+
+/// Held-out views shown in the report.
+const GALLERY_VIEWS: usize = 6;
+
+/// State of a run for the progress display.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Progress {
+    /// Iterations done.
+    pub iteration: u32,
+    /// Iterations of the run.
+    pub iterations: u32,
+    /// Number of Gaussians.
+    pub gaussians: usize,
+    /// PSNR of the last evaluation.
+    pub psnr: Option<f64>,
+    /// Seconds of training so far.
+    pub train_seconds: f64,
+    /// Decision that training has just taken, spelt out.
+    pub decided: Option<String>,
+}
+
+/// A run under way.
+pub struct Run {
+    dir: PathBuf,
+    /// Position of the local frame in the dataset's own.
+    frame: Frame,
+    /// [`Dataset::fingerprint`].
+    fingerprint: String,
+    config: TrainConfig,
+    trainer: Trainer,
+    evaluator: Option<Evaluator>,
+    record: RunRecord,
+    /// Training losses at the evaluations, as far as they are numbers.
+    losses: Vec<f64>,
+    clock: Clock,
+    metrics: MetricsWriter,
+    density: DensityWriter,
+    /// Seconds per stage of the sessions before this one.
+    stages: Vec<StageRecord>,
+    psnr: Option<f64>,
+    /// Iterations of the checkpoint in the folder.
+    saved: Option<u32>,
+}
+
+/// Parts of a run that come from its dataset, on the device and on the host.
+struct Prepared {
+    trainer: Trainer,
+    evaluator: Option<Evaluator>,
+    record: RunRecord,
+    frame: Frame,
+    fingerprint: String,
+}
+
+impl Prepared {
+    /// Moves the photos to the device one by one, so that nobody holds their pixels on the host from then on, and makes the
+    /// trainer and, for held-out views, the evaluator.
+    fn new(dataset: Dataset, plan: &Plan, device: &Device, splats: &Splats) -> Result<Self> {
+        let record = start::record(&dataset, plan, device);
+        let (frame, fingerprint) = (dataset.frame, dataset.fingerprint());
+        let photos = Photos::new(device, dataset.image_budget);
+        let train = ViewSet::new(&photos, dataset.train)?;
+        let test = ViewSet::new(&photos, dataset.test)?;
+        let trainer = Trainer::with_views(train, plan, splats)?;
+        let evaluator = if test.is_empty() {
+            None
+        } else {
+            let defines = Defines::new(device.tuning());
+            Some(Evaluator::new(device, defines, test)?)
+        };
+        Ok(Self {
+            trainer,
+            evaluator,
+            record,
+            frame,
+            fingerprint,
+        })
+    }
+}
+
+/// Parts in which a new run and a resumed one differ.
+struct Start {
+    losses: Vec<f64>,
+    clock: Clock,
+    metrics: MetricsWriter,
+    density: DensityWriter,
+    stages: Vec<StageRecord>,
+    saved: Option<u32>,
+}
+
+impl Run {
+    /// A new run in an empty folder (see [`claim_folder`]).
+    ///
+    /// # Errors
+    /// A folder that cannot be written, or as [`Trainer::new`].
+    pub fn start(
+        dir: &Path,
+        dataset: Dataset,
+        config: TrainConfig,
+        device: &Device,
+        clock: Clock,
+    ) -> Result<Self> {
+        let plan = Plan::new(&dataset, &config)?;
+        let splats = start::initial_splats(&dataset, &plan)?;
+        let prepared = Prepared::new(dataset, &plan, device, &splats)?;
+        // The record first: a folder with one can be gone on with.
+        prepared.record.write(dir)?;
+        let start = Start {
+            losses: Vec::new(),
+            clock,
+            metrics: MetricsWriter::create(dir.join("metrics.csv"))?,
+            density: DensityWriter::create(dir.join("density.csv"))?,
+            stages: Vec::new(),
+            saved: None,
+        };
+        Self::assemble(dir, config, prepared, start)
+    }
+
+    /// Continues the run in `dir` from its checkpoint, or begins it again where it was killed before the first one. `config` is
+    /// that of [`saved_config`], but for what may change on the way:
+    /// the budgets for time and photos, and how often to evaluate, export and save.
+    ///
+    /// # Errors
+    /// A damaged checkpoint, none in a folder of a run that came to its end, another dataset, a time budget or a patience that is used up, or as [`Trainer::new`].
+    pub fn resume(
+        dir: &Path,
+        dataset: Dataset,
+        config: TrainConfig,
+        device: &Device,
+        clock: Clock,
+    ) -> Result<Self> {
+        crate::base::files::sweep(dir);
+        crate::base::files::sweep(&dir.join("checkpoint"));
+        if !start::has_checkpoint(dir)? {
+            start::check_unfinished(dir, &dataset)?;
+            return Self::start(dir, dataset, config, device, clock);
+        }
+        let saved = checkpoint::read(dir)?;
+        if saved.dataset != dataset.fingerprint() {
+            return Err(Error::input(
+                &dataset.path,
+                dataset.not_that_of(dir),
+                "give the dataset of that run, or start anew with -o",
+            ));
+        }
+        let used = saved.clock.train_seconds;
+        if config.time_budget.is_some_and(|budget| used >= budget) {
+            return Err(Error::config(
+                "--time-budget",
+                format!("{used:.0} s of training are done already; give a larger one"),
+            ));
+        }
+        if let Some(fault) = saved.tuning.fault(device.info()) {
+            return Err(Error::input(
+                checkpoint::path(dir),
+                format!("its kernels cannot be built for this device ({fault})"),
+                "resume on the device it was trained on, with --device",
+            ));
+        }
+        // Another tuning would add in another order: the run goes on as it began.
+        let device = device.clone().with_tuning(saved.tuning);
+        let state = &saved.state;
+        let smoothed = !state.rows.filter.is_empty();
+        let plan = Plan::new(&dataset, &config)?.with_anti_aliasing(smoothed);
+        let mut prepared = Prepared::new(dataset, &plan, &device, &state.splats)?;
+        prepared.trainer.restore(state)?;
+        let full_from = prepared.trainer.full_size_from();
+        let losses = patience::losses(dir, state.iteration, full_from)?;
+        patience::check(&config, &losses)?;
+        let start = Start {
+            losses,
+            clock: Clock::resume_from(saved.clock),
+            metrics: MetricsWriter::append(dir.join("metrics.csv"), state.iteration)?,
+            density: DensityWriter::append(dir.join("density.csv"), state.iteration)?,
+            stages: saved.stages,
+            saved: Some(state.iteration),
+        };
+        Self::assemble(dir, config, prepared, start)
+    }
+
+    fn assemble(dir: &Path, config: TrainConfig, prepared: Prepared, start: Start) -> Result<Self> {
+        let mut run = Self {
+            dir: dir.to_path_buf(),
+            frame: prepared.frame,
+            fingerprint: prepared.fingerprint,
+            config,
+            saved: start.saved,
+            trainer: prepared.trainer,
+            evaluator: prepared.evaluator,
+            record: prepared.record,
+            losses: start.losses,
+            clock: start.clock,
+            metrics: start.metrics,
+            density: start.density,
+            stages: start.stages,
+            psnr: None,
+        };
+        run.write_record()?;
+        Ok(run)
+    }
+
+    /// Trains until the iterations or the time are used up, or `stop` is set; leaves the run folder complete.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] when stopped (a checkpoint was written), or whatever failed. Where that can be told of the files
+    /// and not of the device, say a photo that is no longer there, a checkpoint of the last good state is written first;
+    /// [`Run::saved`] says which there is.
+    pub fn drive(
+        &mut self,
+        stop: &AtomicBool,
+        progress: impl FnMut(&Progress),
+    ) -> Result<&RunRecord> {
+        let ended = self.train(stop, progress);
+        if matches!(ended, Err(Error::Io { .. } | Error::Input { .. })) {
+            // The record stays as it was: not that of a run that came to its end.
+            let _ = self.trainer.settle().and_then(|()| self.save(true, false));
+        }
+        ended.map(|()| &self.record)
+    }
+
+    /// The iterations that the folder's checkpoint has; none if there is no checkpoint yet.
+    #[must_use]
+    pub fn saved(&self) -> Option<u32> {
+        self.saved
+    }
+
+    fn train(&mut self, stop: &AtomicBool, mut progress: impl FnMut(&Progress)) -> Result<()> {
+        let iterations = self.config.iterations;
+        loop {
+            let done = self.trainer.iteration();
+            // Between two iterations, once everything due there is done.
+            if !self.trainer.due() && done < iterations {
+                if done > 0 && (self.out_of_time() || self.stalled()) {
+                    break;
+                }
+                if stop.load(Ordering::Relaxed) {
+                    self.interrupt()?;
+                    return Err(Error::Interrupted);
+                }
+            }
+            match self.trainer.advance()? {
+                Event::Finished => break,
+                Event::Iteration { .. } => progress(&self.progress(None)),
+                Event::Decided(decision) => progress(&self.progress(Some(&decision))),
+                Event::Density(event) => self.log_density(&event)?,
+                Event::Settled(done) => self.pause(done)?,
+                Event::Compiling => self.clock.pause(),
+                Event::Compiled => self.clock.resume(),
+            }
+        }
+        if self.trainer.iteration() < iterations && self.stalled() {
+            self.record.stalled = self.config.patience;
+        }
+        self.trainer.finish()?;
+        self.evaluate(true)?;
+        self.save(true, true)?;
+        self.report()
+    }
+
+    fn progress(&self, decision: Option<&Decision>) -> Progress {
+        Progress {
+            iteration: self.trainer.iteration(),
+            iterations: self.config.iterations,
+            gaussians: self.trainer.gaussians(),
+            psnr: self.psnr,
+            train_seconds: self.clock.train_seconds(),
+            decided: decision.map(ToString::to_string),
+        }
+    }
+
+    /// Evaluates, saves and exports, each if it is due.
+    fn pause(&mut self, done: u32) -> Result<()> {
+        let due = |every: u32| every > 0 && done.is_multiple_of(every);
+        let [evaluate, save, export] = [
+            self.trainer.schedule().eval_every(),
+            self.config.checkpoint_every,
+            self.config.export_every,
+        ]
+        .map(due);
+        if evaluate {
+            self.evaluate(false)?;
+        }
+        self.save(save, export)
+    }
+
+    fn log_density(&mut self, event: &DensityEvent) -> Result<()> {
+        self.density.write(&DensityRow {
+            iteration: event.iteration,
+            train_seconds: self.clock.train_seconds(),
+            gaussians: event.gaussians as u64,
+            stats: event.stats,
+        })
+    }
+
+    /// True if the training loss has stopped improving, by the patience of the configuration.
+    fn stalled(&self) -> bool {
+        patience::stalled(&self.losses, self.config.patience)
+    }
+
+    fn out_of_time(&self) -> bool {
+        self.config
+            .time_budget
+            .is_some_and(|t| self.clock.train_seconds() >= t)
+    }
+
+    /// The record as it was last written.
+    #[must_use]
+    pub fn record(&self) -> &RunRecord {
+        &self.record
+    }
+
+    fn interrupt(&mut self) -> Result<()> {
+        self.trainer.settle()?;
+        self.save(true, true)?;
+        self.write_record()
+    }
+
+    /// Scores the held-out views; the `last` evaluation takes FLIP, too.
+    fn evaluate(&mut self, last: bool) -> Result<()> {
+        self.trainer.settle()?;
+        self.clock.pause();
+        let loss = self.trainer.recent_loss()?.filter(|l| l.is_finite());
+        let done = self.trainer.iteration();
+        // Smaller photos have smaller losses; the end is no other evaluation than the last.
+        if !last && done > self.trainer.full_size_from() {
+            self.losses.extend(loss);
+        }
+        let scores = self.scores(last)?;
+        self.psnr = scores.as_ref().map(|s| s.psnr);
+        let ssim = scores.as_ref().map(|s| s.ssim);
+        self.record.final_scores = scores.or_else(|| self.record.final_scores.take());
+        let now = self.clock.reading();
+        let stats = *self.trainer.stats();
+        self.metrics.write(&MetricsRow {
+            iteration: done,
+            train_seconds: now.train_seconds,
+            wall_seconds: now.wall_seconds,
+            cpu_seconds: now.cpu_seconds,
+            loss,
+            psnr: self.psnr,
+            ssim,
+            gaussians: self.trainer.gaussians() as u64,
+            proposed: stats.proposed,
+            accepted: stats.accepted,
+            relocated: stats.relocated,
+            pruned: stats.pruned,
+            non_finite: self.trainer.non_finite(),
+        })?;
+        self.write_record()?;
+        self.clock.resume();
+        Ok(())
+    }
+
+    /// Scores of the held-out views; the `last` evaluation takes FLIP, too, and, if exposure is compensated, colour-corrected scores.
+    /// `None` without held-out views.
+    fn scores(&mut self, last: bool) -> Result<Option<FinalRecord>> {
+        let background = self.trainer.schedule().fixed_background();
+        let compensates = self.trainer.compensates_exposure();
+        let (scene, renderer) = self.trainer.scene_and_renderer();
+        let Some(evaluator) = &self.evaluator else {
+            return Ok(None);
+        };
+        let mut scores = evaluator.score_all(scene, renderer, background, last)?;
+        if last && compensates {
+            evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
+        }
+        let corrected = mean_corrected(&scores);
+        Ok(mean(&scores).map(|(psnr, ssim)| FinalRecord {
+            psnr,
+            ssim,
+            flip: mean_flip(&scores),
+            cc_psnr: corrected.map(|c| c.0),
+            cc_ssim: corrected.map(|c| c.1),
+            per_view: scores,
+        }))
+    }
+
+    fn write_record(&mut self) -> Result<()> {
+        let now = self.clock.reading();
+        let stages = self.stage_times();
+        let r = &mut self.record;
+        r.plan = PlanRecord::of(self.trainer.plan());
+        r.iterations = self.trainer.iteration();
+        r.gaussians = self.trainer.gaussians() as u64;
+        r.removed = self.trainer.learned().removed;
+        r.train_seconds = now.train_seconds;
+        r.wall_seconds = now.wall_seconds;
+        r.cpu_seconds = now.cpu_seconds;
+        r.peak_rss_bytes = clock::peak_rss_bytes();
+        r.density = *self.trainer.stats();
+        r.photos = self.trainer.photo_stats();
+        r.stages = stages;
+        r.write(&self.dir)
+    }
+
+    /// Seconds per stage over all sessions of the run.
+    fn stage_times(&self) -> Vec<StageRecord> {
+        let now = self.trainer.stage_times().into_iter();
+        now.map(|(name, t)| {
+            let before = self.stages.iter().find(|s| s.name == name);
+            StageRecord {
+                name: name.into(),
+                seconds: t.seconds + before.map_or(0.0, |s| s.seconds),
+                calls: t.calls + before.map_or(0, |s| s.calls),
+            }
+        })
+        .collect()
+    }
+
+    /// Writes a checkpoint, then the scene, from one read of the device: first the state to continue from, then the file that
+    /// says the run is not to begin again.
+    fn save(&mut self, checkpoint: bool, export: bool) -> Result<()> {
+        self.clock.pause();
+        if checkpoint {
+            let saved = Checkpoint {
+                state: self.trainer.state()?,
+                config: self.config.clone(),
+                clock: self.clock.reading(),
+                dataset: self.fingerprint.clone(),
+                tuning: self.trainer.tuning(),
+                stages: self.stage_times(),
+            };
+            checkpoint::write(&self.dir, &saved)?;
+            self.saved = Some(saved.state.iteration);
+            if export {
+                self.export(&saved.state.splats, &saved.state.rows.filter)?;
+            }
+        } else if export {
+            let (splats, filter) = self.trainer.splats()?;
+            self.export(&splats, &filter)?;
+        }
+        self.clock.resume();
+        Ok(())
+    }
+
+    fn export(&self, splats: &Splats, filter: &[f32]) -> Result<()> {
+        ply::write_filtered(&self.dir.join("scene.ply"), splats, filter, &self.frame)
+    }
+
+    fn report(&mut self) -> Result<()> {
+        self.clock.pause();
+        let gallery = self.gallery()?;
+        let rows = read_rows(self.dir.join("metrics.csv"))?;
+        let density = read_density(self.dir.join("density.csv"))?;
+        write_report(&self.dir, &self.record, &rows, &density, &gallery)?;
+        self.clock.resume();
+        Ok(())
+    }
+
+    /// Held-out views for the report.
+    fn gallery(&mut self) -> Result<Vec<GalleryItem>> {
+        let Some(evaluator) = &self.evaluator else {
+            return Ok(Vec::new());
+        };
+        let background = self.trainer.schedule().fixed_background();
+        let (scene, renderer) = self.trainer.scene_and_renderer();
+        let n = evaluator.views().len();
+        let shown = n.min(GALLERY_VIEWS);
+        let views: Vec<usize> = (0..shown).map(|k| k * n / shown).collect();
+        let mut items = Vec::with_capacity(shown);
+        for (k, &view) in views.iter().enumerate() {
+            let next = &views[k + 1..];
+            let Some(score) = evaluator.score(view, next, scene, renderer, background)? else {
+                continue;
+            };
+            let image = renderer.read_image(&evaluator.views().cameras[view])?;
+            let render = image.rgb8();
+            let photo = evaluator.views().read_photo(view)?;
+            let counted = photo.counted(render.clone());
+            items.push(GalleryItem {
+                view: score.view,
+                psnr: score.psnr,
+                ssim: score.ssim,
+                width: image.width as u32,
+                height: image.height as u32,
+                error: error_map(&counted, &photo.rgb_over(background))?,
+                render,
+                photo: photo.shown(background),
+            });
+        }
+        Ok(items)
+    }
+}

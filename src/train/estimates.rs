@@ -1,0 +1,274 @@
+//! [`Estimates`]: first-order estimates of births, before they are decided on.
+//!
+//! A birth with ε times its opacity leaves the image as it is. The derivative of the loss by its opacity says what the birth would do
+//! to the loss, to first order, and one more render and backward pass per view says it for all births together. They are rendered
+//! with ε times the alpha cut, so that each covers just the pixels that its birth would; dL/dC is that of the ordinary render.
+
+use std::time::Instant;
+
+use crate::base::error::Result;
+use crate::density::relocation::sigmoid;
+use crate::density::{DensityControl, Edit as DensityEdit, Trial};
+use crate::device::{Array, Defines, Device, EditRow, StageTime};
+use crate::pipeline::backward::{Backward, GRADIENT_ROWS};
+use crate::pipeline::buffers::{Scene, restride};
+use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::pass::Pipeline;
+use crate::pipeline::stage::edit::{Edit, EditArgs};
+use crate::train::gaussians::GaussianState;
+use crate::train::smoothing::Smoothing;
+use crate::train::views::Views;
+
+/// ε in double precision: thousands of estimates on one ray take less than a hundredth of its light.
+pub const EPSILON_DOUBLE: f64 = 1e-6;
+/// ε in single precision, where a smaller one would vanish beside the transmittance.
+pub const EPSILON_SINGLE: f64 = 1e-4;
+
+/// The logit of `factor` times the opacity of a logit.
+#[must_use]
+pub fn scaled_logit(logit: f64, factor: f64) -> f64 {
+    if factor == 1.0 {
+        return logit;
+    }
+    let o = factor * sigmoid(logit);
+    o.ln() - (-o).ln_1p()
+}
+
+/// First-order change of the loss by a birth of this opacity logit, from the derivative by the logit of its faint copy.
+#[must_use]
+pub fn change(slope: f64, logit: f64, epsilon: f64) -> f64 {
+    // dL/dlogit = (1 − o)·o·dL/do at o = ε·o_c; the change by o_c is o_c·dL/do.
+    slope / (sigmoid(-scaled_logit(logit, epsilon)) * epsilon)
+}
+
+/// Forward and backward stages with an alpha cut of their own.
+#[derive(Debug)]
+pub struct FaintPass<R: crate::device::Real> {
+    /// Forward stages.
+    pub forward: Renderer<R>,
+    /// Backward stages.
+    pub backward: Backward,
+}
+
+impl<R: crate::device::Real> FaintPass<R> {
+    /// Builds the stages for contributions from `alpha_min` on; gradients of parameters share `pipeline`'s kernels.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new(
+        device: &Device,
+        defines: Defines,
+        sh_degree: u32,
+        alpha_min: f64,
+        pipeline: &Pipeline<R>,
+    ) -> Result<Self> {
+        let defines = Defines {
+            alpha_min,
+            ..defines
+        };
+        Ok(Self {
+            forward: Renderer::new(device, defines, sh_degree, true)?,
+            backward: pipeline.backward.with_cut::<R>(device, defines)?,
+        })
+    }
+}
+
+/// Everything that an estimate takes of a trainer.
+#[derive(Debug)]
+pub struct Context<'a> {
+    /// Device.
+    pub device: &'a Device,
+    /// Pipeline of training.
+    pub pipeline: &'a mut Pipeline,
+    /// Gaussians as they are.
+    pub gaussians: &'a GaussianState,
+    /// Training views.
+    pub views: &'a Views,
+    /// Smoothing filter, if there is one.
+    pub smoothing: Option<&'a Smoothing>,
+    /// Stage that writes rows.
+    pub edit: &'a Edit,
+    /// λ of the loss.
+    pub lambda_ssim: f64,
+    /// Iterations done.
+    pub iteration: u32,
+}
+
+/// Renders faint births and differentiates by them.
+#[derive(Debug)]
+pub struct Estimates {
+    pass: FaintPass<f32>,
+    /// Views in which births are estimated.
+    views: usize,
+    /// Time on host and device.
+    pub time: StageTime,
+}
+
+impl Estimates {
+    /// Builds the stages if this density control asks for estimates.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new(
+        device: &Device,
+        defines: Defines,
+        sh_degree: u32,
+        pipeline: &Pipeline,
+        density: &dyn DensityControl,
+    ) -> Result<Option<Self>> {
+        let views = density.trial_views();
+        if views == 0 {
+            return Ok(None);
+        }
+        let alpha_min = defines.alpha_min * EPSILON_SINGLE;
+        Ok(Some(Self {
+            pass: FaintPass::new(device, defines, sh_degree, alpha_min, pipeline)?,
+            views,
+            time: StageTime::default(),
+        }))
+    }
+
+    /// First-order change of the loss by each birth, mean over the views that training takes next, at the size that they
+    /// have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn changes(&mut self, mut at: Context<'_>, trials: &[Trial]) -> Result<Vec<f64>> {
+        if trials.is_empty() {
+            return Ok(Vec::new());
+        }
+        let began = Instant::now();
+        at.device.finish()?;
+        at.device.collect_times(usize::MAX)?;
+        let changes = self.over_views(&mut at, trials);
+        // Counted as `probe`, not as the stages that an estimate passes.
+        at.device.forget_launches();
+        self.time.seconds += began.elapsed().as_secs_f64();
+        self.time.calls += 1;
+        changes
+    }
+
+    /// Runs every kernel once on no Gaussians.
+    ///
+    /// # Errors
+    /// A build failure, or the driver's.
+    pub fn warm_up(&mut self, mut at: Context<'_>, sh_degree: u32) -> Result<()> {
+        let scene = at.with_faint(&[])?;
+        self.in_view(&mut at, &scene, [0, 0], sh_degree, true)?;
+        Ok(())
+    }
+
+    fn over_views(&mut self, at: &mut Context<'_>, trials: &[Trial]) -> Result<Vec<f64>> {
+        let scene = at.with_faint(trials)?;
+        let n = at.gaussians.scene.count;
+        let shared = trials.iter().any(|t| t.source_change.is_some());
+        let first = n / GRADIENT_ROWS * GRADIENT_ROWS;
+        let count = self.views.min(at.views.len());
+        let views = at.views.upcoming(at.iteration, count);
+        let degree = at.gaussians.scene.sh_degree;
+        let mut changes = vec![f64::NAN; trials.len()];
+        for (background_of, view) in (at.iteration..).zip(&views) {
+            let number = [background_of as usize, *view];
+            let [faint, sources] = self.in_view(at, &scene, number, degree, shared)?;
+            let touched = self.pass.forward.intersected(n, scene.count)?;
+            for (k, (sum, trial)) in changes.iter_mut().zip(trials).enumerate() {
+                let logit = f64::from(trial.birth.opacity_logit);
+                let mut here = change(faint[0][n - first + k], logit, EPSILON_SINGLE);
+                if let Some(source) = trial.source_change {
+                    let at = trial.birth.src as usize;
+                    here += (0..4).map(|g| source[g] * sources[g][at]).sum::<f64>();
+                }
+                if touched[k] || here != 0.0 {
+                    *sum = here + if sum.is_nan() { 0.0 } else { *sum };
+                }
+            }
+        }
+        Ok(changes.iter().map(|c| c / views.len() as f64).collect())
+    }
+
+    /// Derivatives by opacity logit and log-scales in one view: of the rows from the last whole 16 of the scene on, with the
+    /// faint cut, and of the scene's own, if `shared`, with the ordinary one.
+    fn in_view(
+        &mut self,
+        at: &mut Context<'_>,
+        faint: &Scene,
+        [background_of, number]: [usize; 2],
+        sh_degree: u32,
+        shared: bool,
+    ) -> Result<[[Vec<f64>; 4]; 2]> {
+        let view = at
+            .views
+            .view(at.iteration, background_of as u32, number, &[])?;
+        let options = RenderOptions {
+            sh_degree,
+            background: view.background,
+            quantity: Quantity::Color,
+            live_only: false,
+        };
+        let (scene, camera) = (&at.gaussians.scene, &view.camera);
+        at.pipeline.forward.render(scene, camera, &options)?;
+        let mut target = at.views.target(&view);
+        target.skip_blank = false;
+        let pair = at.pipeline.pair(camera, target)?;
+        at.pipeline
+            .loss_gradient(view.number, &pair, at.lambda_ssim)?;
+        let (dimage, degree) = (at.pipeline.image_gradient(), sh_degree as usize);
+        let sources = if shared {
+            let forward = &at.pipeline.forward;
+            at.pipeline
+                .backward
+                .shape_gradients(forward, scene, camera, dimage, [0, degree])?
+        } else {
+            Default::default()
+        };
+        self.pass.forward.render(faint, camera, &options)?;
+        let first = scene.count / GRADIENT_ROWS * GRADIENT_ROWS;
+        let forward = &self.pass.forward;
+        let births =
+            self.pass
+                .backward
+                .shape_gradients(forward, faint, camera, dimage, [first, degree])?;
+        Ok([births, sources])
+    }
+}
+
+impl Context<'_> {
+    /// A copy of the scene with a faint copy of every birth after its rows: training's own arrays are left alone.
+    fn with_faint(&self, trials: &[Trial]) -> Result<Scene> {
+        let (old, device) = (&self.gaussians.scene, self.device);
+        let n = old.count;
+        let (planes, from) = (old.planes(), old.stride);
+        let stride = Scene::<f32>::grown_stride(n + trials.len()).max(from);
+        let smoothed = self.smoothing.map_or(0, |_| stride);
+        let scene = Scene {
+            params: restride(device, &old.params, planes, from, stride)?,
+            filter: Array::zeros(device, "filter", smoothed)?,
+            stride,
+            count: n + trials.len(),
+            sh_degree: old.sh_degree,
+        };
+        let faint = |(k, t): (usize, &Trial)| {
+            let logit = f64::from(t.birth.opacity_logit);
+            EditRow::from(&DensityEdit {
+                dst: (n + k) as u32,
+                opacity_logit: scaled_logit(logit, EPSILON_SINGLE) as f32,
+                ..t.birth
+            })
+        };
+        let rows: Vec<EditRow> = trials.iter().enumerate().map(faint).collect();
+        // The stage clears moments, which these rows do not have.
+        let moments = Array::zeros(device, "no moments", planes * stride)?;
+        self.edit.run(&EditArgs {
+            edits: &Array::from_slice(device, "probes", &rows)?,
+            stride,
+            planes,
+            params: &scene.params,
+            moment1: &moments,
+            moment2: &moments,
+        })?;
+        if let Some(smoothing) = self.smoothing {
+            smoothing.run(&scene, &self.pipeline.forward.frame.status)?;
+        }
+        Ok(scene)
+    }
+}

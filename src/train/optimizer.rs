@@ -1,0 +1,94 @@
+//! [`Optimizer`]: gradients of the raw parameters and Adam's step, block by block.
+
+use crate::base::error::Result;
+use crate::device::{Array, CameraArg, Kernels};
+use crate::pipeline::backward::Block;
+use crate::pipeline::pass::Pipeline;
+use crate::pipeline::stage::adam::{Adam, AdamArgs};
+use crate::scene::Plane;
+use crate::train::gaussians::GaussianState;
+use crate::train::plan::Plan;
+use crate::train::schedule::Schedule;
+
+/// Adam with the run's constants and schedule.
+#[derive(Debug)]
+pub struct Optimizer {
+    adam: Adam,
+    schedule: Schedule,
+    /// β₁, β₂, ε.
+    constants: [f64; 3],
+    /// Weights of the regularisers on opacity and scale.
+    lambdas: [f64; 2],
+    /// Gradients of one block \[planes, block\].
+    grads: Array<f32>,
+    block: usize,
+}
+
+impl Optimizer {
+    /// Builds the kernel.
+    ///
+    /// # Errors
+    /// A build failure, or more than the device can allocate.
+    pub fn new(kernels: &Kernels, plan: &Plan) -> Result<Self> {
+        let (o, l) = (&plan.config.optimizer, &plan.config.loss);
+        let block = kernels.defines().tuning.update_block;
+        let planes = Plane::count(plan.sh_degree.value);
+        Ok(Self {
+            adam: Adam::new::<f32>(kernels)?,
+            schedule: Schedule::new(&plan.config),
+            constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
+            lambdas: [l.lambda_opacity, l.lambda_scale].map(f64::from),
+            grads: Array::zeros(kernels.device(), "grads", planes * block)?,
+            block,
+        })
+    }
+
+    /// β₁, β₂, ε.
+    #[must_use]
+    pub fn constants(&self) -> [f64; 3] {
+        self.constants
+    }
+
+    /// Takes the view's gradients back to the parameters and updates them, block by block: a block's gradients are used while
+    /// they are still in cache.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn step(
+        &self,
+        pipeline: &Pipeline,
+        gaussians: &GaussianState,
+        camera: &CameraArg<f32>,
+        iteration: u32,
+        sh_degree: u32,
+    ) -> Result<()> {
+        let (scene, count) = (&gaussians.scene, gaussians.scene.count);
+        // Once for no Gaussians, too: warming up builds the kernels so.
+        for first in (0..count.max(1)).step_by(self.block) {
+            let rows = first..count.min(first + self.block);
+            let block = Block {
+                rows: rows.clone(),
+                sh_degree,
+                lambdas: self.lambdas,
+                stride: self.block,
+                grads: &self.grads,
+            };
+            pipeline.parameter_gradient(scene, camera, block)?;
+            self.adam.run(&AdamArgs {
+                grads: &self.grads,
+                grad_stride: self.block,
+                block: rows,
+                stride: scene.stride,
+                planes: Plane::count(sh_degree),
+                rates: self.schedule.rates(iteration),
+                constants: self.constants,
+                step: iteration + 1,
+                params: &scene.params,
+                moment1: &gaussians.moments[0],
+                moment2: &gaussians.moments[1],
+                status: &pipeline.forward.frame.status,
+            })?;
+        }
+        Ok(())
+    }
+}

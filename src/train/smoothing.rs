@@ -1,0 +1,59 @@
+//! [`Smoothing`]: the 3D smoothing filter of Mip-Splatting over a run. It follows the positions at intervals.
+
+use crate::base::error::Result;
+use crate::device::tuning::FILTER_CHUNKS;
+use crate::device::{Array, CameraArg, Kernels};
+use crate::pipeline::buffers::{Scene, ViewSet};
+use crate::pipeline::stage::filter::{Filter, FilterArgs};
+
+/// Iterations between two looks at the sampling rates (Mip-Splatting, §6); every density step has one as well.
+const INTERVAL: u32 = 100;
+
+/// Computes each Gaussian's smoothing filter from the sampling rates of the training views.
+#[derive(Debug)]
+pub struct Smoothing {
+    stage: Filter,
+    /// Training cameras at the photos' full size.
+    cameras: Array<CameraArg<f32>>,
+    largest: Array<f32>,
+}
+
+impl Smoothing {
+    /// Builds the kernel if the kernels are built with anti-aliasing.
+    ///
+    /// # Errors
+    /// A build failure, or more than the device can allocate.
+    pub fn new(kernels: &Kernels, views: &ViewSet) -> Result<Option<Self>> {
+        if !kernels.defines().anti_alias {
+            return Ok(None);
+        }
+        let device = kernels.device();
+        Ok(Some(Self {
+            stage: Filter::new::<f32>(kernels)?,
+            cameras: Array::from_slice(device, "cameras", &views.cameras)?,
+            largest: Array::zeros(device, "largest", FILTER_CHUNKS as usize)?,
+        }))
+    }
+
+    /// True if the filter is recomputed before an iteration.
+    #[must_use]
+    pub fn due(iteration: u32) -> bool {
+        iteration.is_multiple_of(INTERVAL)
+    }
+
+    /// Recomputes the filter of a scene from its positions, without waiting.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn run(&self, scene: &Scene, status: &Array<u32>) -> Result<()> {
+        self.stage.run(&FilterArgs {
+            params: &scene.params,
+            stride: scene.stride,
+            count: scene.count,
+            cameras: &self.cameras,
+            status,
+            largest: &self.largest,
+            filter: &scene.filter,
+        })
+    }
+}

@@ -1,0 +1,622 @@
+//! [`Trainer`]: the training loop. [`Trainer::iterate`] is one iteration in order; [`Trainer::advance`] goes from one event to the
+//! next.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::error::{Error, Result};
+use crate::capture::photo::colors;
+use crate::capture::{Alpha, Dataset};
+use crate::device::tuning::status;
+use crate::device::{Array, Defines, Device, Kernels, PendingRead};
+use crate::pipeline::buffers::ViewSet;
+use crate::pipeline::exposure::{ExposureModel, TransformStep};
+use crate::pipeline::forward::{Quantity, RenderOptions};
+use crate::pipeline::pass::Pipeline;
+use crate::pipeline::photos::Photos;
+use crate::pipeline::stage::loss::size_of_image;
+use crate::pipeline::stage::seen::{Seen, SeenArgs};
+use crate::scene::Splats;
+use crate::train::brightness::{self, GainSpread};
+use crate::train::control::{Control, DensityEvent, Working};
+use crate::train::gaussians::GaussianState;
+use crate::train::optimizer::Optimizer;
+use crate::train::plan::{Decision, Exposure, Learned, Plan};
+use crate::train::schedule::Schedule;
+use crate::train::smoothing::Smoothing;
+use crate::train::views::{TrainingView, Views, capacity};
+
+/// Iterations that may be on their way to the device before the host looks at the counters of the oldest.
+const LAG: usize = 2;
+/// Losses kept on the device.
+pub(super) const LOSS_RING: usize = 256;
+
+/// One thing that training did; see [`Trainer::advance`].
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    /// An iteration was enqueued.
+    Iteration {
+        /// Iterations enqueued so far.
+        enqueued: u32,
+        /// Iterations that have settled: the device has done them, and none of them is ever repeated.
+        settled: u32,
+    },
+    /// Density control acted after this many iterations, all of them settled.
+    Density(DensityEvent),
+    /// All iterations so far have settled, and an evaluation, a checkpoint or an export is due.
+    Settled(u32),
+    /// Training found out what the plan had left open.
+    Decided(Decision),
+    /// The next call compiles kernels and does nothing else: stop the clock.
+    Compiling,
+    /// The kernels are compiled.
+    Compiled,
+    /// All iterations are done, and Gaussians that no view shows are removed.
+    Finished,
+}
+
+/// The next thing to do between two iterations. A checkpoint keeps it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Next {
+    /// Density control, if it is due.
+    Density,
+    /// A pause for evaluation, checkpoint or export, if one is due.
+    Pause,
+    /// Another band of spherical harmonics, if one is due.
+    #[default]
+    Band,
+    /// The decision on exposure compensation, if it is due.
+    Exposure,
+    /// Kernels of exposure compensation.
+    Compile,
+    /// An iteration.
+    Iterate,
+}
+
+/// An iteration that the device may not have done yet.
+struct InFlight {
+    iteration: u32,
+    counters: PendingRead<u32>,
+    launches: usize,
+}
+
+/// Counters over a run.
+#[derive(Debug, Default)]
+pub(super) struct Counters {
+    /// Largest number of tile intersections of a view.
+    pub(super) max_intersections: usize,
+    /// Non-finite gradient values.
+    pub(super) non_finite: u64,
+    /// Iterations repeated because their tile intersections did not fit.
+    pub(super) overflows: u64,
+}
+
+/// Trains a scene on one device. Every random number is keyed by (seed, purpose, iteration, index).
+pub struct Trainer {
+    pub(super) plan: Plan,
+    pub(super) schedule: Schedule,
+    pub(super) device: Device,
+    pub(super) views: Views,
+    pub(super) pipeline: Pipeline,
+    pub(super) gaussians: GaussianState,
+    optimizer: Optimizer,
+    pub(super) control: Control,
+    pub(super) smoothing: Option<Smoothing>,
+    /// Finds Gaussians that no view shows; `None` if they stay.
+    seen: Option<Seen>,
+    /// Ring of mean |x − y| and mean SSIM of the last iterations.
+    pub(super) losses: Array<f32>,
+    pub(super) learned: Learned,
+    pub(super) counters: Counters,
+    in_flight: VecDeque<InFlight>,
+    pub(super) iteration: u32,
+    pub(super) next: Next,
+}
+
+impl Trainer {
+    /// Uploads the training views and the Gaussians, builds the kernels of an iteration and runs each once over nothing, so that
+    /// no later one waits for a compiler; those of exposure compensation, which is decided on the way, are built then.
+    ///
+    /// # Errors
+    /// A bad configuration, a build failure, or more than the device can allocate.
+    pub fn new(device: &Device, dataset: &Dataset, plan: &Plan, splats: &Splats) -> Result<Self> {
+        let photos = Photos::new(device, dataset.image_budget);
+        let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
+        Self::with_views(views, plan, splats)
+    }
+
+    /// [`Trainer::new`] with training views whose photos may share their budget with others.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`].
+    pub fn with_views(set: ViewSet, plan: &Plan, splats: &Splats) -> Result<Self> {
+        plan.config.validate()?;
+        if splats.is_empty() {
+            return Err(Error::Numerics {
+                stage: "train".into(),
+                what: "no Gaussian to start from".into(),
+            });
+        }
+        let device = &set.photos().device().clone();
+        let (config, degree) = (&plan.config, plan.sh_degree.value);
+        let defines = Defines {
+            alpha: plan.alpha,
+            cull_chunks: config.work.cull_chunks,
+            skip_blank: config.work.skip_blank,
+            anti_alias: plan.anti_aliasing.value,
+            ..Defines::new(device.tuning())
+        };
+        let kernels = Kernels::new(device, defines);
+        let pipeline = Pipeline::new(device, defines, [0, degree], set.largest)?;
+        let control = Control::new(&kernels, plan, &pipeline)?;
+        let smoothing = Smoothing::new(&kernels, &set)?;
+        let room = capacity(config, splats.len());
+        let (rows, smoothed) = (control.rows(), smoothing.is_some());
+        let seen = config
+            .work
+            .remove_unseen
+            .then(|| Seen::new::<f32>(&kernels));
+        let mut trainer = Self {
+            gaussians: GaussianState::new(device, splats, room, rows, smoothed)?,
+            views: Views::new(&kernels, set, plan)?,
+            optimizer: Optimizer::new(&kernels, plan)?,
+            schedule: Schedule::new(config),
+            losses: Array::zeros(device, "losses", 2 * LOSS_RING)?,
+            seen: seen.transpose()?,
+            plan: plan.clone(),
+            device: device.clone(),
+            learned: Learned::default(),
+            counters: Counters::default(),
+            in_flight: VecDeque::new(),
+            iteration: 0,
+            next: Next::default(),
+            smoothing,
+            pipeline,
+            control,
+        };
+        trainer.warm_up()?;
+        Ok(trainer)
+    }
+
+    /// One iteration, enqueued and not waited for.
+    fn iterate(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
+        if Smoothing::due(iteration) {
+            self.smooth()?;
+        }
+        let view = self.views.at(iteration)?;
+        let options = self.options(&view, sh_degree);
+        let (camera, photo) = (&view.camera, self.views.photo(&view));
+        self.pipeline
+            .enqueue(&self.gaussians.scene, camera, photo, &options)?;
+
+        let pair = self.pipeline.pair(camera, self.views.target(&view))?;
+        let lambda = f64::from(self.plan.config.loss.lambda_ssim);
+        self.pipeline.loss_gradient(view.number, &pair, lambda)?;
+        let slot = iteration as usize % LOSS_RING;
+        self.pipeline.record_loss(&pair, &self.losses, slot)?;
+
+        // Faint Gaussians have statistics, too, and their tiles may be blank: the rounding of SSIM there must not depend on
+        // what is skipped.
+        let pair = pair.everywhere();
+        let views = self.views.len();
+        self.control.observe(
+            iteration,
+            &self.pipeline,
+            &self.gaussians,
+            camera,
+            &pair,
+            views,
+        )?;
+
+        if let Some(exposure) = &self.pipeline.exposure {
+            let status = &self.pipeline.forward.frame.status;
+            exposure.step(self.transform_step(iteration, view.number), status)?;
+        }
+        self.pipeline.splat_gradient(camera)?;
+        self.optimizer.step(
+            &self.pipeline,
+            &self.gaussians,
+            camera,
+            iteration,
+            sh_degree,
+        )?;
+        self.control
+            .perturb(iteration, &self.pipeline, &self.gaussians, camera)
+    }
+
+    fn options(&self, view: &TrainingView, sh_degree: u32) -> RenderOptions {
+        RenderOptions {
+            sh_degree,
+            background: view.background,
+            quantity: Quantity::Color,
+            live_only: self.plan.alpha == Alpha::Mask,
+        }
+    }
+
+    fn transform_step(&self, iteration: u32, view: usize) -> TransformStep {
+        TransformStep {
+            view,
+            rate: self.schedule.exposure_rate(iteration),
+            constants: self.optimizer.constants(),
+            iteration,
+        }
+    }
+
+    /// Goes on to the next event: between two iterations everything that is due, one event a call; then an iteration, which
+    /// is enqueued, with no more than two others under way.
+    ///
+    /// If the tile intersections of a view do not fit, the device skips the update and every one after it; the host notices,
+    /// makes room and goes back to that iteration, so that the result is the same as if there had been room. Nothing but
+    /// [`Event::Iteration`] comes before all iterations so far have settled, so that no other event comes twice.
+    ///
+    /// # Errors
+    /// More than the device can allocate, a photo that cannot be read, or the driver's. What failed is tried again by the next
+    /// call.
+    pub fn advance(&mut self) -> Result<Event> {
+        loop {
+            let done = self.iteration >= self.plan.config.iterations;
+            if done && !matches!(self.next, Next::Density | Next::Pause) {
+                self.finish()?;
+                return Ok(Event::Finished);
+            }
+            if let Some(event) = self.advance_once()? {
+                return Ok(event);
+            }
+        }
+    }
+
+    /// Advances until `iterations` iterations have settled and everything due after them is done, beyond the end of the
+    /// run, too.
+    ///
+    /// # Errors
+    /// As [`Trainer::advance`].
+    pub fn advance_to(&mut self, iterations: u32) -> Result<()> {
+        loop {
+            let due = matches!(self.next, Next::Density | Next::Pause);
+            if self.iteration >= iterations && !due {
+                return self.settle();
+            }
+            self.advance_once()?;
+        }
+    }
+
+    /// True if density control, an evaluation, a checkpoint or an export is due before the next iteration.
+    #[must_use]
+    pub fn due(&self) -> bool {
+        let pause = self.schedule.pause_due(self.iteration);
+        match self.next {
+            Next::Density => pause || self.schedule.density_due(self.iteration).is_some(),
+            Next::Pause => pause,
+            _ => false,
+        }
+    }
+
+    /// Does what is next; `None` if nothing is due.
+    fn advance_once(&mut self) -> Result<Option<Event>> {
+        let at = self.iteration;
+        let (event, next) = match self.next {
+            Next::Density => (self.density_step()?, Next::Pause),
+            Next::Pause if self.schedule.pause_due(at) => {
+                self.settle()?;
+                (Some(Event::Settled(at)), Next::Band)
+            }
+            Next::Pause => (None, Next::Band),
+            Next::Band => {
+                self.update_sh_degree()?;
+                (None, Next::Exposure)
+            }
+            Next::Exposure => self.exposure_due()?,
+            Next::Compile => {
+                self.build_exposure()?;
+                (Some(Event::Compiled), Next::Iterate)
+            }
+            Next::Iterate => {
+                self.enqueue()?;
+                let oldest = self.in_flight.front().map(|f| f.iteration);
+                let event = Event::Iteration {
+                    enqueued: self.iteration,
+                    settled: oldest.unwrap_or(self.iteration),
+                };
+                return Ok(Some(event));
+            }
+        };
+        self.next = next;
+        Ok(event)
+    }
+
+    /// Enqueues an iteration and settles the oldest if too many are under way.
+    fn enqueue(&mut self) -> Result<()> {
+        self.iterate(self.iteration, self.gaussians.scene.sh_degree)?;
+        self.in_flight.push_back(InFlight {
+            iteration: self.iteration,
+            counters: self
+                .pipeline
+                .forward
+                .frame
+                .status
+                .read_later(0, status::SLOTS)?,
+            launches: self.device.launches(),
+        });
+        self.device.flush()?;
+        self.iteration += 1;
+        self.next = Next::Density;
+        if self.in_flight.len() > LAG {
+            self.settle_oldest()?;
+        }
+        Ok(())
+    }
+
+    fn settle_oldest(&mut self) -> Result<()> {
+        let Some(done) = self.in_flight.pop_front() else {
+            return Ok(());
+        };
+        let counters = done.counters.wait()?;
+        self.device.collect_times(done.launches)?;
+        for later in &mut self.in_flight {
+            later.launches -= done.launches.min(later.launches);
+        }
+        let max = &mut self.counters.max_intersections;
+        *max = (*max).max(counters[status::PAIRS as usize] as usize);
+        self.counters.non_finite = u64::from(counters[status::NON_FINITE as usize]);
+        let needed = counters[status::OVERFLOW as usize];
+        if needed > 0 {
+            self.in_flight.clear();
+            self.counters.overflows += 1;
+            *max = (*max).max(needed as usize);
+            self.pipeline.forward.grow_pairs(needed)?;
+            // Everything due before that iteration was done before it was enqueued.
+            self.iteration = done.iteration;
+            self.next = Next::Iterate;
+        }
+        Ok(())
+    }
+
+    /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed).
+    ///
+    /// # Errors
+    /// As [`Trainer::advance`].
+    pub fn settle(&mut self) -> Result<()> {
+        let (goal, next) = (self.iteration, self.next);
+        loop {
+            while !self.in_flight.is_empty() {
+                self.settle_oldest()?;
+            }
+            if self.iteration >= goal {
+                self.next = next;
+                return Ok(());
+            }
+            // Nothing was due between the iterations that are repeated: that would have settled those before it.
+            self.enqueue()?;
+        }
+    }
+
+    fn density_step(&mut self) -> Result<Option<Event>> {
+        let Some(progress) = self.schedule.density_due(self.iteration) else {
+            return Ok(None);
+        };
+        self.settle()?;
+        let before = self.gaussians.scene.count;
+        let on = Working {
+            device: &self.device,
+            pipeline: &mut self.pipeline,
+            gaussians: &mut self.gaussians,
+            views: &self.views,
+            smoothing: self.smoothing.as_ref(),
+        };
+        let event = self.control.step(on, self.iteration, progress)?;
+        let max = self.counters.max_intersections as f64;
+        let after = self.gaussians.scene.count as f64;
+        self.counters.max_intersections = (max * after / before.max(1) as f64) as usize;
+        self.fit_views()?;
+        Ok(Some(Event::Density(event)))
+    }
+
+    /// Adds a band of spherical harmonics if one is due before the next iteration (3DGS).
+    fn update_sh_degree(&mut self) -> Result<()> {
+        let (at, degree) = (self.iteration, self.gaussians.scene.sh_degree);
+        let due = at > 0 && at.is_multiple_of(self.schedule.sh_interval());
+        if !due || degree >= self.plan.sh_degree.value {
+            return Ok(());
+        }
+        self.settle()?;
+        self.gaussians.raise_sh_degree(&self.device, degree + 1)
+    }
+
+    /// Compares photos with their renders if that is due, or says that kernels are to be compiled.
+    fn exposure_due(&mut self) -> Result<(Option<Event>, Next)> {
+        let at = self.iteration;
+        match self.plan.exposure.value {
+            Exposure::Compare(from) if from == at => {
+                self.settle()?;
+                self.learned.gains = Some(self.compare_brightness()?);
+                let decision = self.plan.learn(&self.learned).into_iter().next();
+                Ok((decision.map(Event::Decided), Next::Exposure))
+            }
+            Exposure::From(from) if from == at && self.pipeline.exposure.is_none() => {
+                self.settle()?;
+                Ok((Some(Event::Compiling), Next::Compile))
+            }
+            _ => Ok((None, Next::Iterate)),
+        }
+    }
+
+    /// Gains of some photos over their renders.
+    fn compare_brightness(&mut self) -> Result<GainSpread> {
+        let views = brightness::compared(self.views.len(), self.plan.config.iterations);
+        let mut gains = Vec::with_capacity(views.len());
+        for number in views {
+            let view = self
+                .views
+                .view(self.iteration, self.iteration, number, &[])?;
+            let options = RenderOptions {
+                live_only: false,
+                ..self.options(&view, self.gaussians.scene.sh_degree)
+            };
+            let forward = &mut self.pipeline.forward;
+            forward.render(&self.gaussians.scene, &view.camera, &options)?;
+            let render = forward.read_image(&view.camera)?;
+            let (alpha, pixels) = (self.plan.alpha, render.width * render.height);
+            let bytes = self.views.photo(&view).read(0, alpha.planes() * pixels)?;
+            let photo = colors(alpha, &bytes, view.background);
+            gains.extend(brightness::gain(&render.rgb, &render.transmittance, &photo));
+        }
+        Ok(GainSpread::new(self.iteration, &gains))
+    }
+
+    /// Compiles the kernels of exposure compensation and runs each once; the transforms are the identity.
+    pub(super) fn build_exposure(&mut self) -> Result<()> {
+        let kernels = Kernels::new(&self.device, Defines::new(self.device.tuning()));
+        let dimage = self.pipeline.image_gradient();
+        let (views, plane) = (self.views.len(), dimage.len() / 3);
+        let built = ExposureModel::new(&kernels, views, plane, self.schedule.exposure_from())?;
+        let image = &self.pipeline.forward.frame.image;
+        let step = self.transform_step(self.iteration, 0);
+        built.warm_up(&self.device, image, dimage, step)?;
+        self.device.finish()?;
+        self.pipeline.exposure = Some(built);
+        Ok(())
+    }
+
+    /// Recomputes the smoothing filter from the positions; does nothing without anti-aliasing.
+    fn smooth(&self) -> Result<()> {
+        match &self.smoothing {
+            Some(s) => s.run(&self.gaussians.scene, &self.pipeline.forward.frame.status),
+            None => Ok(()),
+        }
+    }
+
+    /// Ends the run: removes the Gaussians that no training view shows, if the configuration says so. Once per run.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn finish(&mut self) -> Result<()> {
+        self.settle()?;
+        if self.learned.finished == Some(self.iteration) {
+            return Ok(());
+        }
+        self.learned.removed = 0;
+        self.remove_unseen()?;
+        self.learned.finished = Some(self.iteration);
+        self.plan.learn(&self.learned);
+        self.fit_views()
+    }
+
+    /// Removes the Gaussians that no pixel of any training view shows: behind, beyond, below the cut or hidden in all of them.
+    /// The others render every training view to the same bit.
+    fn remove_unseen(&mut self) -> Result<()> {
+        let Some(seen) = self.seen(self.views.len())? else {
+            return Ok(());
+        };
+        let kept: Vec<u32> = (0..seen.len() as u32)
+            .filter(|&i| seen[i as usize] != 0)
+            .collect();
+        let removed = (seen.len() - kept.len()) as u64;
+        if removed > 0 && !kept.is_empty() {
+            self.gaussians
+                .reorder(&self.device, self.control.edit(), &kept)?;
+            self.learned.removed = removed;
+        }
+        Ok(())
+    }
+
+    /// Flags of the Gaussians that the first `views` training views show, 1 or 0; `None` if nobody asks.
+    fn seen(&mut self, views: usize) -> Result<Option<Vec<u32>>> {
+        let Some(stage) = &self.seen else {
+            return Ok(None);
+        };
+        let (scene, forward) = (&self.gaussians.scene, &mut self.pipeline.forward);
+        let seen = Array::zeros(&self.device, "seen", scene.count)?;
+        let mut shown = Array::zeros(&self.device, "shown", 0)?;
+        let options = RenderOptions {
+            sh_degree: scene.sh_degree,
+            background: self.schedule.fixed_background(),
+            quantity: Quantity::Color,
+            live_only: false,
+        };
+        for camera in &self.views.set.cameras[..views] {
+            forward.pair(scene, camera, &options)?;
+            let frame = &forward.frame;
+            if shown.len() < frame.pair_capacity() {
+                shown = Array::zeros(&self.device, "shown", frame.pair_capacity())?;
+            }
+            stage.run(&SeenArgs {
+                count: scene.count,
+                lists: forward.lists(camera),
+                size: size_of_image(camera),
+                pair_start: &frame.pair_start,
+                pair_counts: &frame.pair_counts,
+                shown: &shown,
+                seen: &seen,
+            })?;
+        }
+        seen.to_vec().map(Some)
+    }
+
+    /// Makes the buffers fit the Gaussians, the largest image, and the tile intersections so far with a quarter to spare.
+    pub(super) fn fit_views(&mut self) -> Result<()> {
+        let frame = &mut self.pipeline.forward.frame;
+        frame.fit_gaussians(&self.device, self.gaussians.scene.stride)?;
+        frame.fit_image(&self.device, &self.views.set.largest_camera)?;
+        let max = self.counters.max_intersections;
+        let least = 4 * self.gaussians.scene.count.max(1024);
+        frame.fit_pairs(&self.device, (max + max / 4).max(least))
+    }
+
+    /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the buffers of tile intersections by rendering
+    /// each view.
+    fn warm_up(&mut self) -> Result<()> {
+        let highest = self.plan.sh_degree.value;
+        let empty = self.gaussians.empty(&self.device, highest)?;
+        let gaussians = std::mem::replace(&mut self.gaussians, empty);
+        self.fit_views()?;
+        for degree in 0..=highest {
+            self.iterate(0, degree)?;
+            self.warm_up_control(degree)?;
+        }
+        self.seen(1)?;
+        self.views.warm_up()?;
+        let edits = [crate::device::EditRow::default()];
+        let mut scratch = self.gaussians.empty(&self.device, highest)?;
+        let edit = self.control.edit();
+        scratch.edit(&self.device, edit, &edits, 1, Some(0.0))?;
+        scratch.reorder(&self.device, edit, &[0])?;
+        self.gaussians = gaussians;
+        self.fit_views()?;
+        self.smooth()?;
+        for number in 0..self.views.len() {
+            let options = RenderOptions {
+                background: self
+                    .schedule
+                    .background(0, self.plan.random_background.value),
+                ..RenderOptions::default()
+            };
+            let (scene, forward) = (&self.gaussians.scene, &mut self.pipeline.forward);
+            forward.render(scene, &self.views.set.cameras[number], &options)?;
+            let found = forward.frame.status.read(status::PAIRS as usize, 1)?[0];
+            let max = &mut self.counters.max_intersections;
+            *max = (*max).max(found as usize);
+        }
+        self.fit_views()?;
+        self.device.finish()?;
+        self.device.collect_times(usize::MAX)?;
+        self.device.reset_times();
+        Ok(())
+    }
+
+    fn warm_up_control(&mut self, sh_degree: u32) -> Result<()> {
+        let view = self.views.at(0)?;
+        let mut target = self.views.target(&view);
+        target.skip_blank = false;
+        let mut on = Working {
+            device: &self.device,
+            pipeline: &mut self.pipeline,
+            gaussians: &mut self.gaussians,
+            views: &self.views,
+            smoothing: self.smoothing.as_ref(),
+        };
+        self.control
+            .warm_up(&mut on, &view.camera, target, sh_degree)
+    }
+}

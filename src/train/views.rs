@@ -1,0 +1,184 @@
+//! [`Views`]: the training views at the size and over the background of an iteration.
+
+use std::sync::Arc;
+
+use crate::base::error::Result;
+use crate::config::TrainConfig;
+use crate::device::{Array, CameraArg, Kernels};
+use crate::pipeline::buffers::ViewSet;
+use crate::pipeline::pass::Target;
+use crate::pipeline::photos::AHEAD;
+use crate::pipeline::stage::loss::size_of_image;
+use crate::pipeline::stage::shrink::Shrink;
+use crate::train::plan::Plan;
+use crate::train::schedule::Schedule;
+
+/// A training view as an iteration takes it.
+#[derive(Debug)]
+pub struct TrainingView {
+    /// Number of the view.
+    pub number: usize,
+    /// Camera at the photo's size.
+    pub camera: CameraArg<f32>,
+    /// Background colour.
+    pub background: [f32; 3],
+    /// Divisor of the photo's size.
+    divisor: usize,
+    photo: Arc<Array<u8>>,
+}
+
+/// Training views with their order, sizes and backgrounds.
+#[derive(Debug)]
+pub struct Views {
+    /// Cameras and photos at full size.
+    pub set: ViewSet,
+    schedule: Schedule,
+    halvings: u32,
+    random_background: bool,
+    skip_blank: bool,
+    /// Makes smaller photos; `None` without progressive resolution.
+    shrink: Option<Shrink>,
+    /// A photo at a fraction of its size.
+    small: Array<u8>,
+}
+
+impl Views {
+    /// Builds the kernel that shrinks photos if the plan asks for it.
+    ///
+    /// # Errors
+    /// A build failure, or more than the device can allocate.
+    pub fn new(kernels: &Kernels, set: ViewSet, plan: &Plan) -> Result<Self> {
+        let halvings = plan.halvings.value;
+        let [w, h] = set.largest;
+        let pixels = match halvings {
+            0 => 0,
+            _ => (w / 2) * (h / 2),
+        };
+        let shrink = (halvings > 0).then(|| Shrink::new::<f32>(kernels));
+        Ok(Self {
+            small: Array::zeros(kernels.device(), "small", set.alpha.planes() * pixels)?,
+            shrink: shrink.transpose()?,
+            schedule: Schedule::new(&plan.config),
+            halvings,
+            random_background: plan.random_background.value,
+            skip_blank: plan.skip_blank.value,
+            set,
+        })
+    }
+
+    /// Number of views.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.set.len()
+    }
+
+    /// True if there is no view.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.set.is_empty()
+    }
+
+    /// Numbers of the views of `count` iterations from `iteration` on.
+    #[must_use]
+    pub fn upcoming(&self, iteration: u32, count: usize) -> Vec<usize> {
+        self.schedule.upcoming(iteration, count, self.len())
+    }
+
+    /// The view of an iteration; photos of the iterations after it are fetched meanwhile.
+    ///
+    /// # Errors
+    /// A photo that cannot be read, or the driver's.
+    pub fn at(&self, iteration: u32) -> Result<TrainingView> {
+        let order = self.upcoming(iteration, 1 + AHEAD);
+        self.view(iteration, iteration, order[0], &order[1..])
+    }
+
+    /// A view by its number, at the size of iteration `size_of` and over the background of iteration `background_of`.
+    ///
+    /// # Errors
+    /// As [`Views::at`].
+    pub fn view(
+        &self,
+        size_of: u32,
+        background_of: u32,
+        number: usize,
+        next: &[usize],
+    ) -> Result<TrainingView> {
+        let photo = self.set.photo(number, next)?;
+        let full = self.set.cameras[number];
+        let size = size_of_image(&full);
+        let divisor = self.schedule.shrink_factor(self.halvings, size_of, size);
+        if let Some(shrink) = &self.shrink
+            && divisor > 1
+        {
+            shrink.run(&photo, size, divisor, &self.small)?;
+        }
+        Ok(TrainingView {
+            number,
+            camera: full.shrunk(divisor),
+            background: self
+                .schedule
+                .background(background_of, self.random_background),
+            divisor,
+            photo,
+        })
+    }
+
+    /// The same view over the background that does not change, for scores.
+    #[must_use]
+    pub fn over_fixed_background(&self, view: TrainingView) -> TrainingView {
+        TrainingView {
+            background: self.schedule.fixed_background(),
+            ..view
+        }
+    }
+
+    /// Photo of a view at its size; good until the next view is taken.
+    #[must_use]
+    pub fn photo<'a>(&'a self, view: &'a TrainingView) -> &'a Array<u8> {
+        match view.divisor {
+            1 => &view.photo,
+            _ => &self.small,
+        }
+    }
+
+    /// Photo and background of a view, for the loss.
+    #[must_use]
+    pub fn target<'a>(&'a self, view: &'a TrainingView) -> Target<'a> {
+        Target {
+            view: view.number,
+            photo: self.photo(view),
+            background: view.background,
+            skip_blank: self.skip_blank,
+        }
+    }
+
+    /// Runs the shrinking kernel once, if there is one.
+    ///
+    /// # Errors
+    /// A build failure, or the driver's.
+    pub fn warm_up(&self) -> Result<()> {
+        let photo = self.set.photo(0, &[])?;
+        let size = size_of_image(&self.set.cameras[0]);
+        match &self.shrink {
+            Some(shrink) if size.iter().all(|s| *s > 1) => shrink.run(&photo, size, 2, &self.small),
+            _ => Ok(()),
+        }
+    }
+
+    /// First iteration that takes photos at their full size.
+    #[must_use]
+    pub fn full_size_from(&self) -> u32 {
+        self.schedule
+            .full_size_from(self.halvings, self.set.largest)
+    }
+}
+
+/// Gaussians to make room for at the start: no more where the set never changes.
+#[must_use]
+pub fn capacity(config: &TrainConfig, count: usize) -> usize {
+    match config.density_times() {
+        None => count,
+        Some(_) => crate::pipeline::buffers::Scene::<f32>::grown_stride(count),
+    }
+}
