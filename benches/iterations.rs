@@ -7,6 +7,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use mhsplat::Plan;
 use mhsplat::run::initial_splats;
 use mhsplat::{Device, LoadOptions, TrainConfig, Trainer, load_dataset};
 
@@ -35,8 +36,9 @@ fn main() {
         ..TrainConfig::default()
     };
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(&data, &config).unwrap();
-    let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let mut trainer =
+        Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
     let times = measure(&mut trainer, iterations);
     print(times, &trainer);
 }
@@ -48,20 +50,19 @@ fn measure(trainer: &mut Trainer, iterations: u32) -> Vec<(f64, u32, &'static st
     while trainer.iteration() < iterations {
         let (at, overflows) = (trainer.iteration(), trainer.overflows());
         let start = Instant::now();
-        trainer.step().unwrap();
+        let event = trainer.advance().unwrap();
         let seconds = start.elapsed().as_secs_f64();
+        // The queue holds two iterations: the first returns after a density step say nothing of their own.
+        quiet = match event {
+            Event::Iteration { .. } => quiet + 1,
+            _ => 0,
+        };
         let every = trainer.schedule().sh_interval();
         let sh = at > 0 && at.is_multiple_of(every);
         let what = match (trainer.overflows() > overflows, sh) {
-            (true, _) => "pairs overflowed",
-            (_, true) => "SH bands looked after",
+            (true, _) => "tile intersections overflowed",
+            (_, true) => "a band of spherical harmonics came",
             _ => "",
-        };
-        // The queue holds two iterations: the first returns after a density step say nothing of their own.
-        quiet = if trainer.density_step().unwrap().is_some() {
-            0
-        } else {
-            quiet + 1
         };
         if at >= 100 && quiet > 3 {
             times.push((seconds, at, what));

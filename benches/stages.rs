@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 
+use mhsplat::Plan;
 use mhsplat::lab::bench::{STAGES, scene};
 use mhsplat::{Device, Trainer};
 
@@ -19,10 +20,8 @@ fn seconds_of(trainer: &Trainer, stage: &str) -> f64 {
 
 fn run(trainer: &mut Trainer, iterations: u64) -> Duration {
     let start = Instant::now();
-    for _ in 0..iterations {
-        trainer.step().unwrap();
-    }
-    trainer.settle().unwrap();
+    let until = trainer.iteration() + iterations as u32;
+    trainer.advance_to(until).unwrap();
     start.elapsed()
 }
 
@@ -31,7 +30,13 @@ fn stages(c: &mut Criterion) {
     for (n, size) in [(10_000, 400), (100_000, 400), (100_000, 800)] {
         let data = scene::dataset(&scene::circle(size));
         let config = scene::still(scene::SH_DEGREE);
-        let mut trainer = Trainer::new(&device, &data, &config, &scene::cloud(n)).unwrap();
+        let mut trainer = Trainer::new(
+            &device,
+            &data,
+            &Plan::new(&data, &config).unwrap(),
+            &scene::cloud(n),
+        )
+        .unwrap();
         let mut group = c.benchmark_group(format!("{n} Gaussians, {size}x{size}"));
         group.sample_size(10).warm_up_time(Duration::from_secs(1));
         group.bench_function(BenchmarkId::from_parameter("iteration"), |b| {

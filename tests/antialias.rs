@@ -4,6 +4,7 @@ use glam::{DMat3, DVec3};
 
 use crate::cli::{done, room as room_folder, text};
 use crate::determinism::{drive, room, saved, trained};
+use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::base::constants::blur;
 use mhsplat::capture::{Camera, Frame, Photo};
@@ -15,7 +16,11 @@ use mhsplat::pipeline::forward::{RenderOptions, Rendered, Renderer};
 use mhsplat::run::{checkpoint, initial_splats};
 use mhsplat::scene::{Plane, Splats, ply};
 use mhsplat::train::Trainer;
-use mhsplat::train::sampling_rates::AntiAlias;
+
+/// True if the plan has the filters.
+fn filters(data: &mhsplat::Dataset, config: &TrainConfig) -> bool {
+    Plan::new(data, config).unwrap().anti_aliasing.value
+}
 
 fn config(anti_aliasing: AntiAliasing, sampler: Sampler) -> TrainConfig {
     TrainConfig {
@@ -109,10 +114,16 @@ fn a_resumed_run_ends_with_the_same_bits() {
         let folder = tempfile::tempdir().unwrap();
         checkpoint::write(folder.path(), &saved(&mut part, &config, &data)).unwrap();
         let state = checkpoint::read(folder.path()).unwrap().state;
-        assert_eq!(state.filter.len(), state.splats.len());
-        assert!(state.filter.iter().all(|s| *s > 0.0));
+        assert_eq!(state.rows.filter.len(), state.splats.len());
+        assert!(state.rows.filter.iter().all(|s| *s > 0.0));
         let device = Device::open(None).unwrap();
-        let mut resumed = Trainer::new(&device, &data, &config, &state.splats).unwrap();
+        let mut resumed = Trainer::new(
+            &device,
+            &data,
+            &Plan::new(&data, &config).unwrap(),
+            &state.splats,
+        )
+        .unwrap();
         resumed.restore(&state).unwrap();
         drive(&mut resumed, 130).unwrap();
         assert!(resumed.state().unwrap().splats == whole, "{sampler:?}");
@@ -126,7 +137,13 @@ fn a_resumed_run_ends_with_the_same_bits() {
             &mut |_, _| (),
         );
         assert!(refused.unwrap_err().to_string().contains("anti-aliasing"));
-        let mut other = Trainer::new(&device, &data, &plain, &state.splats).unwrap();
+        let mut other = Trainer::new(
+            &device,
+            &data,
+            &Plan::new(&data, &plain).unwrap(),
+            &state.splats,
+        )
+        .unwrap();
         assert!(other.restore(&state).is_err(), "a filter nobody asked for");
     }
 }
@@ -137,8 +154,9 @@ fn too_little_room_for_pairs_changes_nothing() {
     let config = config(AntiAliasing::On, Sampler::Mh);
     let (_, whole) = trained(&data, &config, 130);
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(&data, &config).unwrap();
-    let mut tight = Trainer::new(&device, &data, &config, &splats).unwrap();
+    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let mut tight =
+        Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
     for until in [99, 104, 130] {
         tight.shrink_pairs(256).unwrap();
         drive(&mut tight, until).unwrap();
@@ -179,7 +197,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     let state = trainer.state().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let [marked, plain] = ["marked.ply", "plain.ply"].map(|name| folder.path().join(name));
-    ply::write_filtered(&marked, &state.splats, &state.filter, &data.frame).unwrap();
+    ply::write_filtered(&marked, &state.splats, &state.rows.filter, &data.frame).unwrap();
     ply::write_filtered(&plain, &state.splats, &[], &data.frame).unwrap();
     assert!(ply::is_anti_aliased(&marked) && !ply::is_anti_aliased(&plain));
     assert!(ply::ANTI_ALIASED.contains(&format!("2D filter of {},", blur(true))));
@@ -222,9 +240,9 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
         anti_aliasing,
         ..TrainConfig::default()
     };
-    assert!(AntiAlias::decide(&data, &on_from(&marked, AntiAliasing::Auto)).on);
-    assert!(!AntiAlias::decide(&data, &on_from(&marked, AntiAliasing::Off)).on);
-    assert!(!AntiAlias::decide(&data, &on_from(&plain, AntiAliasing::Auto)).on);
+    assert!(filters(&data, &on_from(&marked, AntiAliasing::Auto)));
+    assert!(!filters(&data, &on_from(&marked, AntiAliasing::Off)));
+    assert!(!filters(&data, &on_from(&plain, AntiAliasing::Auto)));
     // It starts from what was trained, not from what the filter made of it. The filter that was written is up to 30
     // iterations old.
     let start = on_from(&marked, AntiAliasing::Auto);
@@ -232,9 +250,10 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
         sh_degree: 1,
         ..start
     };
-    let splats = initial_splats(&data, &start).unwrap();
+    let splats = initial_splats(&data, &Plan::new(&data, &start).unwrap()).unwrap();
     let device = Device::open(None).unwrap();
-    let mut again = Trainer::new(&device, &data, &start, &splats).unwrap();
+    let mut again =
+        Trainer::new(&device, &data, &Plan::new(&data, &start).unwrap(), &splats).unwrap();
     let (scene, renderer) = again.scene_and_renderer();
     renderer.render(scene, &arg, &options).unwrap();
     let begun = apart(&trained, &renderer.read_image(&arg).unwrap());
@@ -266,7 +285,8 @@ fn a_filter_of_nothing_changes_no_bit_and_a_wide_one_dims_and_widens() {
 #[test]
 fn what_is_filtered_can_be_taken_back() {
     let data = room(64);
-    let splats = initial_splats(&data, &TrainConfig::default()).unwrap();
+    let splats =
+        initial_splats(&data, &Plan::new(&data, &TrainConfig::default()).unwrap()).unwrap();
     let sigma: Vec<f32> = splats.planes()[Plane::LOG_SCALE]
         .iter()
         .enumerate()

@@ -1,6 +1,7 @@
 //! What lies behind transparent photos: another colour in each iteration, unless one is asked for.
 
 use crate::determinism::{drive, room, saved, trained};
+use mhsplat::Plan;
 use mhsplat::base::constants::NEAR;
 use mhsplat::capture::{Alpha, Dataset, Photo, PhotoSource};
 use mhsplat::config::{Background, Sampler, TrainConfig};
@@ -94,7 +95,13 @@ fn a_resumed_run_over_changing_backgrounds_ends_with_the_same_bits() {
     checkpoint::write(folder.path(), &saved(&mut half, &config, &data)).unwrap();
     let saved = checkpoint::read(folder.path()).unwrap();
     let device = Device::open(None).unwrap();
-    let mut trainer = Trainer::new(&device, &data, &config, &saved.state.splats).unwrap();
+    let mut trainer = Trainer::new(
+        &device,
+        &data,
+        &Plan::new(&data, &config).unwrap(),
+        &saved.state.splats,
+    )
+    .unwrap();
     trainer.restore(&saved.state).unwrap();
     drive(&mut trainer, 90).unwrap();
     assert!(trainer.state().unwrap().splats == whole);
@@ -114,7 +121,7 @@ fn fog(background: Background) -> (Dataset, TrainConfig, Splats) {
         ..config(background)
     };
     (config.loss.lambda_opacity, config.loss.lambda_scale) = (0.0, 0.0);
-    let mut splats = initial_splats(&data, &config).unwrap();
+    let mut splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     for c in 0..3 {
         // Far below black, so that no gradient of the colour moves it.
         splats.plane_mut(Plane::SH + c).fill(-4.0);
@@ -130,7 +137,8 @@ fn fog_of_the_backgrounds_colour_does_not_last() {
         let (data, mut config, splats) = fog(background);
         config.sampler = Sampler::None;
         let device = Device::open(None).unwrap();
-        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        let mut trainer =
+            Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         drive(&mut trainer, config.iterations).unwrap();
         trainer.state().unwrap().splats.planes()[Plane::OPACITY].clone()
     };
@@ -145,7 +153,8 @@ fn fog_of_the_backgrounds_colour_does_not_last() {
 fn nothing_is_born_in_image_space_where_there_is_nothing() {
     let born = |data: &Dataset, config: &TrainConfig, splats: &Splats| {
         let device = Device::open(None).unwrap();
-        let mut trainer = Trainer::new(&device, data, config, splats).unwrap();
+        let mut trainer =
+            Trainer::new(&device, data, &Plan::new(data, config).unwrap(), splats).unwrap();
         drive(&mut trainer, config.iterations).unwrap();
         trainer.stats().pixel[0]
     };
@@ -166,9 +175,10 @@ fn the_loss_does_not_depend_on_chance_backgrounds() {
         (o.lr_position, o.lr_position_final) = (0.0, 0.0);
         (o.lr_sh0, o.lr_sh, o.lr_opacity) = (rate, 0.0, 0.0);
         (o.lr_scale, o.lr_rotation) = (0.0, 0.0);
-        let splats = initial_splats(&data, &config).unwrap();
+        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
         let device = Device::open(None).unwrap();
-        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        let mut trainer =
+            Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         [40, 80].map(|until| {
             drive(&mut trainer, until).unwrap();
             trainer.recent_loss().unwrap().unwrap()
@@ -182,7 +192,7 @@ fn the_loss_does_not_depend_on_chance_backgrounds() {
 
 /// Gaussians in the middle of the room alone, so that tiles of every photo have none.
 fn small(data: &Dataset, config: &TrainConfig) -> Splats {
-    let mut splats = initial_splats(data, config).unwrap();
+    let mut splats = initial_splats(data, &Plan::new(data, config).unwrap()).unwrap();
     for p in 0..3 {
         let position = splats.plane_mut(Plane::POSITION + p);
         position.iter_mut().for_each(|x| *x *= 0.1);
@@ -206,7 +216,8 @@ fn skipping_what_is_blank_changes_no_bit() {
         let splats = small(&data, &config);
         let device = Device::open(None).unwrap();
         let of = |config: &TrainConfig| {
-            let mut trainer = Trainer::new(&device, &data, config, &splats).unwrap();
+            let mut trainer =
+                Trainer::new(&device, &data, &Plan::new(&data, config).unwrap(), &splats).unwrap();
             drive(&mut trainer, config.iterations).unwrap();
             trainer
         };

@@ -1,6 +1,7 @@
 //! Bands of spherical harmonics come at their intervals, and Gaussians that no view shows go at the end.
 
 use crate::determinism::{drive, room};
+use mhsplat::Plan;
 use mhsplat::capture::Dataset;
 use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::device::Device;
@@ -25,14 +26,20 @@ fn config() -> TrainConfig {
 }
 
 fn trainer(data: &Dataset, config: &TrainConfig, splats: &Splats) -> Trainer {
-    Trainer::new(&Device::open(None).unwrap(), data, config, splats).unwrap()
+    Trainer::new(
+        &Device::open(None).unwrap(),
+        data,
+        &Plan::new(data, config).unwrap(),
+        splats,
+    )
+    .unwrap()
 }
 
 #[test]
 fn one_band_after_the_other_comes_at_its_interval() {
     let data = room(64);
     let config = config();
-    let splats = initial_splats(&data, &config).unwrap();
+    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut trained = trainer(&data, &config, &splats);
     let mut degrees = Vec::new();
     for until in [40, 41, 80, 81, 200] {
@@ -53,7 +60,7 @@ fn one_band_after_the_other_comes_at_its_interval() {
 #[test]
 fn what_no_training_view_shows_goes_at_the_end_and_nothing_else() {
     let data = room(64);
-    let seen = initial_splats(&data, &config()).unwrap();
+    let seen = initial_splats(&data, &Plan::new(&data, &config()).unwrap()).unwrap();
     let n = seen.len();
     let mut planes = seen.planes().to_vec();
     // Three that are too faint to be seen.
@@ -85,13 +92,13 @@ fn what_no_training_view_shows_goes_at_the_end_and_nothing_else() {
     };
     let before = images(&mut untrained);
     untrained.finish().unwrap();
-    let removed = untrained.findings().removed as usize;
+    let removed = untrained.learned().removed as usize;
     assert!(removed >= 3 && removed < n / 2, "{removed} of {n}");
     assert_eq!(untrained.gaussians(), n + 3 - removed);
     assert!(images(&mut untrained) == before);
     // Once.
     untrained.finish().unwrap();
-    assert_eq!(untrained.findings().removed as usize, removed);
+    assert_eq!(untrained.learned().removed as usize, removed);
     let mut kept = config();
     kept.work.remove_unseen = false;
     let mut everything = trainer(&data, &kept, &more);
@@ -106,7 +113,7 @@ fn what_was_gathered_of_a_gaussian_stays_with_it() {
         sampler: Sampler::Adc,
         ..config()
     };
-    let splats = initial_splats(&data, &config).unwrap();
+    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut stopped = trainer(&data, &config, &splats);
     drive(&mut stopped, 90).unwrap();
     let of = |t: &mut Trainer| {
@@ -117,7 +124,7 @@ fn what_was_gathered_of_a_gaussian_stays_with_it() {
             .map(|i| {
                 (
                     row(i).0,
-                    state.cues.iter().map(|c| c[i]).collect::<Vec<f32>>(),
+                    state.rows.cues.iter().map(|c| c[i]).collect::<Vec<f32>>(),
                 )
             })
             .collect();
@@ -126,7 +133,7 @@ fn what_was_gathered_of_a_gaussian_stays_with_it() {
     let before = of(&mut stopped);
     stopped.finish().unwrap();
     let after = of(&mut stopped);
-    assert!(stopped.findings().removed > 0 && after.len() < before.len());
+    assert!(stopped.learned().removed > 0 && after.len() < before.len());
     let mut rest = before.iter();
     // In the same order, with gaps.
     assert!(after.iter().all(|row| rest.any(|b| b == row)));

@@ -1,11 +1,13 @@
 //! Same seed, same bits; interruptions and small buffers change nothing.
 
+use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::Sampler;
 use mhsplat::device::Device;
 use mhsplat::run::checkpoint::Checkpoint;
 use mhsplat::run::{Reading, checkpoint, initial_splats};
 use mhsplat::scene::Splats;
+use mhsplat::train::Event;
 use mhsplat::train::Trainer;
 use mhsplat::train::schedule::Schedule;
 use mhsplat::{Result, TrainConfig};
@@ -51,17 +53,19 @@ pub fn saved(trainer: &mut Trainer, config: &TrainConfig, data: &Dataset) -> Che
 }
 
 pub fn drive(trainer: &mut Trainer, until: u32) -> Result<()> {
-    while trainer.iteration() < until {
-        trainer.step()?;
-        trainer.density_step()?;
-    }
-    trainer.settle()
+    trainer.advance_to(until)
 }
 
 pub fn trained(dataset: &Dataset, config: &TrainConfig, until: u32) -> (Trainer, Splats) {
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(dataset, config).unwrap();
-    let mut trainer = Trainer::new(&device, dataset, config, &splats).unwrap();
+    let splats = initial_splats(dataset, &Plan::new(dataset, config).unwrap()).unwrap();
+    let mut trainer = Trainer::new(
+        &device,
+        dataset,
+        &Plan::new(dataset, config).unwrap(),
+        &splats,
+    )
+    .unwrap();
     drive(&mut trainer, until).unwrap();
     let splats = trainer.state().unwrap().splats;
     (trainer, splats)
@@ -112,15 +116,22 @@ fn a_resumed_run_ends_with_the_same_bits() {
         assert_eq!(saved.config, config);
         assert_eq!(saved.dataset, data.fingerprint());
         let rows = [3, 0, 2, 0][config.sampler as usize];
-        assert_eq!(saved.state.cues.len(), rows);
+        assert_eq!(saved.state.rows.cues.len(), rows);
         let gathered = saved
             .state
+            .rows
             .cues
             .last()
             .is_none_or(|views| views.iter().any(|v| *v > 0.0));
         assert!(gathered, "{:?}", config.sampler);
         let device = Device::open(None).unwrap();
-        let mut trainer = Trainer::new(&device, &data, &config, &saved.state.splats).unwrap();
+        let mut trainer = Trainer::new(
+            &device,
+            &data,
+            &Plan::new(&data, &config).unwrap(),
+            &saved.state.splats,
+        )
+        .unwrap();
         trainer.restore(&saved.state).unwrap();
         drive(&mut trainer, 120).unwrap();
         assert!(
@@ -163,7 +174,13 @@ fn a_run_that_begins_with_coarse_photos_resumes_with_the_same_bits() {
     let (mut part, _) = trained(&data, &config, 20);
     let state = part.state().unwrap();
     let device = Device::open(None).unwrap();
-    let mut trainer = Trainer::new(&device, &data, &config, &state.splats).unwrap();
+    let mut trainer = Trainer::new(
+        &device,
+        &data,
+        &Plan::new(&data, &config).unwrap(),
+        &state.splats,
+    )
+    .unwrap();
     trainer.restore(&state).unwrap();
     drive(&mut trainer, 60).unwrap();
     assert!(whole == trainer.state().unwrap().splats);
@@ -180,7 +197,7 @@ fn coarse_photos_come_first_and_keep_64_pixels() {
     config.work.resolution_levels = 2;
     config.work.resolution_interval = 1500;
     let schedule = Schedule::new(&config);
-    let factors = |size| [0, 149, 150, 299, 300].map(|i| schedule.shrink_factor(i, size));
+    let factors = |size| [0, 149, 150, 299, 300].map(|i| schedule.shrink_factor(2, i, size));
     assert_eq!(factors([800, 600]), [4, 4, 2, 2, 1]);
     assert_eq!(factors([800, 200]), [2, 2, 2, 2, 1]);
     assert_eq!(factors([100, 90]), [1; 5]);
@@ -211,8 +228,9 @@ fn pairs_that_do_not_fit_are_repeated_not_lost() {
     for config in SAMPLERS.map(sampled) {
         let (_, roomy) = trained(&data, &config, 60);
         let device = Device::open(None).unwrap();
-        let splats = initial_splats(&data, &config).unwrap();
-        let mut tight = Trainer::new(&device, &data, &config, &splats).unwrap();
+        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let mut tight =
+            Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         tight.shrink_pairs(1024).unwrap();
         drive(&mut tight, 60).unwrap();
         assert!(
@@ -233,12 +251,12 @@ fn an_overflow_right_after_density_control_does_not_repeat_it() {
     for config in SAMPLERS.map(sampled) {
         let (roomy, whole) = trained(&data, &config, 120);
         let device = Device::open(None).unwrap();
-        let splats = initial_splats(&data, &config).unwrap();
-        let mut tight = Trainer::new(&device, &data, &config, &splats).unwrap();
+        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let mut tight =
+            Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         let mut shrunk = 0;
         while tight.iteration() < 120 {
-            tight.step().unwrap();
-            if tight.density_step().unwrap().is_some() {
+            if let Event::Density(_) = tight.advance().unwrap() {
                 // The next iteration finds no room, and the trainer comes back to this one.
                 tight.shrink_pairs(1024).unwrap();
                 shrunk += 1;
@@ -276,9 +294,10 @@ fn making_a_trainer_changes_no_gaussian() {
             max_gaussians: Some(256),
             ..config(60)
         };
-        let splats = initial_splats(&data, &config).unwrap();
+        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
         assert_eq!(splats.len(), 256);
-        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        let mut trainer =
+            Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         assert!(trainer.state().unwrap().splats == splats, "{sampler:?}");
     }
 }
@@ -297,7 +316,13 @@ fn births_in_image_space_and_a_wanted_rate_repeat_and_resume() {
     let (mut half, _) = trained(&data, &config, 48);
     let state = half.state().unwrap();
     let device = Device::open(None).unwrap();
-    let mut resumed = Trainer::new(&device, &data, &config, &state.splats).unwrap();
+    let mut resumed = Trainer::new(
+        &device,
+        &data,
+        &Plan::new(&data, &config).unwrap(),
+        &state.splats,
+    )
+    .unwrap();
     resumed.restore(&state).unwrap();
     drive(&mut resumed, 120).unwrap();
     assert!(whole == resumed.state().unwrap().splats);

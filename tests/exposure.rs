@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::{drive, room, saved};
+use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::ExposureChoice;
 use mhsplat::device::{Defines, Device};
@@ -14,8 +15,10 @@ use mhsplat::evaluate::color::{corrected, fit, mean_corrected};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
 use mhsplat::pipeline::stage::exposure::{exposed, unexposed};
+use mhsplat::run::PlanRecord;
 use mhsplat::run::{Clock, Progress, Run, RunRecord, checkpoint, initial_splats};
-use mhsplat::train::brightness::{Decision, compared, gain, spread};
+use mhsplat::train::brightness::{GainSpread, compared, gain, spread};
+use mhsplat::train::plan::Why;
 use mhsplat::{TrainConfig, Trainer};
 
 /// Gains of photos: so much as in a set taken with automatic exposure.
@@ -91,8 +94,8 @@ fn config(iterations: u32, exposure: ExposureChoice) -> TrainConfig {
 
 fn trainer(data: &Dataset, config: &TrainConfig) -> Trainer {
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(data, config).unwrap();
-    Trainer::new(&device, data, config, &splats).unwrap()
+    let splats = initial_splats(data, &Plan::new(data, config).unwrap()).unwrap();
+    Trainer::new(&device, data, &Plan::new(data, config).unwrap(), &splats).unwrap()
 }
 
 fn trained(data: &Dataset, config: &TrainConfig, until: u32) -> Trainer {
@@ -177,7 +180,7 @@ fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
     // Its kernels are compiled before that iteration.
     println!("the training clock stood for {stood:.4} s");
     assert!(stood > 1e-3, "{stood}");
-    let find = |list: &[mhsplat::train::plan::Item]| {
+    let find = |list: &[mhsplat::run::Item]| {
         let mut items = list.iter().filter(|i| i.what == "per-image exposure");
         (items.next().map(|i| i.why.clone()), items.count())
     };
@@ -205,13 +208,13 @@ fn where_it_is_off_nothing_of_it_runs_and_no_bit_changes() {
         (
             trainer.state().unwrap().splats,
             stages.contains(&"exposure"),
-            trainer.exposure_decision(),
+            trainer.learned().gains,
         )
     };
     let off = run(ExposureChoice::Off);
     assert!(!off.1 && off.2.is_none());
     let auto = run(ExposureChoice::Auto);
-    assert!(!auto.1 && !auto.2.unwrap().on, "{:?}", auto.2);
+    assert!(!auto.1 && !auto.2.unwrap().varies(), "{:?}", auto.2);
     assert!(auto.0 == off.0, "looking must change nothing");
     let on = run(ExposureChoice::On);
     assert!(on.1 && on.0 != off.0);
@@ -245,11 +248,11 @@ fn transparent_photos_get_no_transforms_and_masked_ones_do() {
     assert!(transparent.background_matters() && !masked.background_matters());
     let auto = config(360, ExposureChoice::Auto);
     let looked = trained(&masked, &auto, 301);
-    assert!(looked.exposure_decision().unwrap().on && looked.compensates_exposure());
+    assert!(looked.learned().gains.unwrap().varies() && looked.compensates_exposure());
     let left = trained(&transparent, &auto, 301);
-    assert!(left.exposure_decision().is_none() && !left.compensates_exposure());
+    assert!(left.learned().gains.is_none() && !left.compensates_exposure());
     let why = |data: &Dataset| {
-        let items = mhsplat::Plan::new(data, &auto).left_out;
+        let items = PlanRecord::of(&Plan::new(data, &auto).unwrap()).left_out;
         let mut items = items.iter().filter(|i| i.what == "per-image exposure");
         items.next().unwrap().why.clone()
     };
@@ -295,16 +298,21 @@ fn a_resumed_run_with_exposures_ends_with_the_same_bits() {
             checkpoint::write(folder.path(), &saved(&mut part, &config, &data)).unwrap();
             drop(part);
             let state = checkpoint::read(folder.path()).unwrap().state;
-            let mut resumed = Trainer::new(&device, &data, &config, &state.splats).unwrap();
+            let mut resumed = Trainer::new(
+                &device,
+                &data,
+                &Plan::new(&data, &config).unwrap(),
+                &state.splats,
+            )
+            .unwrap();
             resumed.restore(&state).unwrap();
-            resumed.density_step().unwrap();
             drive(&mut resumed, until).unwrap();
             assert!(
                 splats == resumed.state().unwrap().splats,
                 "{choice:?} {stop}"
             );
             assert!(rows == resumed.exposures().unwrap(), "{choice:?} {stop}");
-            assert_eq!(whole.exposure_decision(), resumed.exposure_decision());
+            assert_eq!(whole.learned(), resumed.learned());
         }
     }
 }
@@ -329,7 +337,13 @@ fn exposures_of_another_shape_are_refused() {
     let state = with.state().unwrap();
     let off = config(60, ExposureChoice::Off);
     let device = Device::open(None).unwrap();
-    let mut without = Trainer::new(&device, &data, &off, &state.splats).unwrap();
+    let mut without = Trainer::new(
+        &device,
+        &data,
+        &Plan::new(&data, &off).unwrap(),
+        &state.splats,
+    )
+    .unwrap();
     let said = without.restore(&state).unwrap_err().to_string();
     assert!(said.contains("exposures of another shape"), "{said}");
 }
@@ -364,9 +378,10 @@ fn gains_are_found_under_outliers_and_their_spread_decides() {
     let got = spread(&gains).unwrap();
     assert!((got - 0.148_26 * 2.0 / 3.0).abs() < 1e-9, "{got}");
     assert!(spread(&gains[..3]).is_none());
-    let decided = Decision::new(7, &gains);
-    assert!(decided.on && decided.why().contains("9.9 %"), "{decided:?}");
-    assert!(!Decision::new(7, &[[1.0; 3]; 8]).on);
+    let varied = GainSpread::new(7, &gains);
+    assert!(varied.varies(), "{varied:?}");
+    assert!(Why::Gains(varied).to_string().contains("9.9 %"));
+    assert!(!GainSpread::new(7, &[[1.0; 3]; 8]).varies());
     assert_eq!(compared(10, 250), [0, 2, 4, 6, 8]);
     assert_eq!(compared(1000, 30_000).len(), 64);
 }

@@ -1,6 +1,7 @@
 //! Training learns: held-out PSNR rises, and density control beats a fixed set.
 
 use crate::determinism::room;
+use mhsplat::Plan;
 use mhsplat::capture::Dataset;
 use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::device::tuning::Tuning;
@@ -14,8 +15,9 @@ use mhsplat::train::Trainer;
 /// Held-out PSNR before and after training.
 fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(data, config).unwrap();
-    let mut trainer = Trainer::new(&device, data, config, &splats).unwrap();
+    let splats = initial_splats(data, &Plan::new(data, config).unwrap()).unwrap();
+    let mut trainer =
+        Trainer::new(&device, data, &Plan::new(data, config).unwrap(), &splats).unwrap();
     let views = ViewSet::new(&Photos::new(&device, data.image_budget), data.test.clone()).unwrap();
     let defines = Defines::new(Tuning::for_device(device.info()));
     let evaluator = Evaluator::new(&device, defines, views).unwrap();
@@ -30,10 +32,7 @@ fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
         .0
     };
     let before = score(&mut trainer);
-    while trainer.iteration() < config.iterations {
-        trainer.step().unwrap();
-        trainer.density_step().unwrap();
-    }
+    trainer.advance_to(config.iterations).unwrap();
     trainer.settle().unwrap();
     assert_eq!(trainer.non_finite(), 0);
     [before, score(&mut trainer)]

@@ -3,6 +3,7 @@
 mod pictures;
 
 use crate::determinism::{room, trained};
+use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::capture::{Dataset, Photo, PhotoSource, View};
 use mhsplat::config::{OptimizerConfig, Sampler};
@@ -210,7 +211,9 @@ fn births(data: &Dataset) -> f64 {
     config.mh.noise_rate = 0.0;
     config.work.morton_order = false;
     config.work.resolution_levels = 0;
-    let before = mhsplat::run::initial_splats(data, &config).unwrap().len();
+    let before = mhsplat::run::initial_splats(data, &Plan::new(data, &config).unwrap())
+        .unwrap()
+        .len();
     let (_, splats) = trained(data, &config, 51);
     let born = splats.len() - before;
     assert!(born > 100, "{born} births");

@@ -8,6 +8,7 @@ use glam::DVec3;
 
 use crate::dataset::colmap_scene;
 use crate::determinism::room_within;
+use mhsplat::Plan;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::source::parse_available;
 use mhsplat::capture::{Dataset, LoadOptions, PhotoSource, load};
@@ -198,25 +199,21 @@ fn trained(budget: u64) -> (Splats, Vec<ViewScore>, PhotoStats) {
         ..TrainConfig::default()
     };
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(&data, &config).unwrap();
+    let plan = Plan::new(&data, &config).unwrap();
+    let splats = initial_splats(&data, &plan).unwrap();
     let photos = Photos::new(&device, data.image_budget);
     let train = ViewSet::new(&photos, data.train).unwrap();
     let test = ViewSet::new(&photos, data.test).unwrap();
-    let mut trainer = Trainer::with_views(train, &config, &splats, false).unwrap();
+    let mut trainer = Trainer::with_views(train, &plan, &splats).unwrap();
     let defines = Defines::new(Tuning::for_device(device.info()));
     let evaluator = Evaluator::new(&device, defines, test).unwrap();
     let mut scores = Vec::new();
-    while trainer.iteration() < 60 {
-        trainer.step().unwrap();
-        trainer.density_step().unwrap();
-        if trainer.iteration().is_multiple_of(30) {
-            trainer.settle().unwrap();
-            let (scene, renderer) = trainer.scene_and_renderer();
-            let all = evaluator.score_all(scene, renderer, [0.0; 3], false);
-            scores.extend(all.unwrap());
-        }
+    for until in [30, 60] {
+        trainer.advance_to(until).unwrap();
+        let (scene, renderer) = trainer.scene_and_renderer();
+        let all = evaluator.score_all(scene, renderer, [0.0; 3], false);
+        scores.extend(all.unwrap());
     }
-    trainer.settle().unwrap();
     assert!(trainer.stats().accepted > 0, "density control took no part");
     let splats = trainer.state().unwrap().splats;
     (splats, scores, trainer.photo_stats())
@@ -260,13 +257,12 @@ fn a_photo_that_goes_missing_is_named() {
             ..TrainConfig::default()
         };
         let device = Device::open(None).unwrap();
-        let splats = initial_splats(&data, &config).unwrap();
-        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
-        for _ in 0..8 {
-            trainer.step().unwrap();
-        }
+        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let mut trainer =
+            Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
+        trainer.advance_to(8).unwrap();
         spoil(&dir.path().join("images/v 04.png"));
-        let error = (0..50).find_map(|_| trainer.step().err()).unwrap();
+        let error = (0..50).find_map(|_| trainer.advance().err()).unwrap();
         let text = error.to_string();
         assert!(text.contains("v 04.png") && text.contains(word), "{text}");
     }

@@ -3,11 +3,11 @@
 use crate::determinism::room;
 use mhsplat::capture::{Dataset, LoadOptions, Photo, PhotoSource, load};
 use mhsplat::config::{Background, Init, Sampler, TrainConfig};
-use mhsplat::train::Findings;
-use mhsplat::train::plan::{Item, Plan};
+use mhsplat::run::{Item, PlanRecord};
+use mhsplat::train::{Learned, Plan};
 
 /// Why an item is kept (`Ok`) or left out (`Err`); panics if it is on both lists or on none.
-fn verdict(plan: &Plan, what: &str) -> Result<String, String> {
+fn verdict(plan: &PlanRecord, what: &str) -> Result<String, String> {
     let find = |items: &[Item]| items.iter().find(|i| i.what == what).map(|i| i.why.clone());
     match (find(&plan.kept), find(&plan.left_out)) {
         (Some(why), None) => Ok(why),
@@ -16,10 +16,10 @@ fn verdict(plan: &Plan, what: &str) -> Result<String, String> {
     }
 }
 
-fn plan(data: &Dataset, change: impl Fn(&mut TrainConfig)) -> Plan {
+fn plan(data: &Dataset, change: impl Fn(&mut TrainConfig)) -> PlanRecord {
     let mut config = TrainConfig::default();
     change(&mut config);
-    Plan::new(data, &config)
+    PlanRecord::of(&Plan::new(data, &config).unwrap())
 }
 
 /// Asserts that `what` is kept by `on` and left out by the default, or the other way round.
@@ -33,22 +33,22 @@ fn switched(what: &str, on: impl Fn(&mut TrainConfig), kept: bool) {
 fn options_switch_items() {
     switched("view-dependent colour", |c| c.sh_degree = 0, false);
     switched(
-        "coarse photos first",
+        "progressive resolution",
         |c| c.work.resolution_levels = 0,
         false,
     );
     switched(
-        "a background of another colour in each iteration",
+        "random background in each iteration",
         |c| c.background = Background::Random,
         true,
     );
-    switched("coarse photos first", |c| c.time_budget = Some(9.0), false);
-    switched("Morton order", |c| c.work.morton_order = false, false);
     switched(
-        "culling of neighbours together",
-        |c| c.work.cull_chunks = false,
+        "progressive resolution",
+        |c| c.time_budget = Some(9.0),
         false,
     );
+    switched("Morton order", |c| c.work.morton_order = false, false);
+    switched("block culling", |c| c.work.cull_chunks = false, false);
     switched(
         "initial Gaussians from sparse points",
         |c| c.init = Init::Random,
@@ -66,21 +66,20 @@ fn options_switch_items() {
 #[test]
 fn data_switch_items() {
     let mut data = room(256);
-    let config = TrainConfig::default();
-    let small = Plan::new(&room(128), &config);
+    let small = plan(&room(128), |_| {});
     assert!(
-        verdict(&small, "coarse photos first")
+        verdict(&small, "progressive resolution")
             .unwrap_err()
             .contains("too small")
     );
-    let of = |data: &Dataset, what: &str| verdict(&Plan::new(data, &config), what);
+    let of = |data: &Dataset, what: &str| verdict(&plan(data, |_| {}), what);
     let alpha = "photo alpha over the background";
     assert!(of(&data, alpha).is_err());
-    let backgrounds = "a background of another colour in each iteration";
+    let backgrounds = "random background in each iteration";
     assert!(of(&data, backgrounds).is_err());
     assert!(of(&data, "undistortion").is_err());
     assert!(of(&data, "held-out evaluation").is_ok());
-    assert!(of(&data, "photos decoded ahead of their use").is_err());
+    assert!(of(&data, "photo prefetch").is_err());
     let PhotoSource::Memory(photo) = &data.train[0].photo else {
         panic!("the photos fit");
     };
@@ -92,7 +91,7 @@ fn data_switch_items() {
     data.points.positions.clear();
     assert!(of(&data, alpha).is_ok());
     assert!(of(&data, backgrounds).is_ok());
-    let blank = "loss skipped where render and photo are blank";
+    let blank = "loss skipped in blank tiles";
     assert!(of(&data, blank).is_ok());
     let off = plan(&data, |c| c.work.skip_blank = false);
     assert_eq!(verdict(&off, blank).unwrap_err(), "work.skip-blank is off");
@@ -110,20 +109,25 @@ fn data_switch_items() {
     };
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
     let scarce = load(&path, &options).unwrap();
-    assert!(of(&scarce, "photos decoded ahead of their use").is_ok());
+    assert!(of(&scarce, "photo prefetch").is_ok());
 }
 
 #[test]
 fn what_training_finds_is_told() {
     let config = TrainConfig::default();
-    let before = Plan::new(&room(64), &config);
+    let mut plan = Plan::new(&room(64), &config).unwrap();
+    let before = PlanRecord::of(&plan);
     assert_eq!(before.since(&before), None);
-    let findings = Findings {
+    let learned = Learned {
         removed: 12,
         finished: Some(300),
-        ..Findings::default()
+        ..Learned::default()
     };
-    let after = before.observed(&config, &findings);
+    let decisions = plan.learn(&learned);
+    assert_eq!(decisions.len(), 1);
+    assert!(decisions[0].to_string().contains("12 removed"));
+    assert!(plan.learn(&learned).is_empty(), "learned once");
+    let after = PlanRecord::of(&plan);
     let unseen = "Gaussians that no training view shows";
     assert!(
         verdict(&after, unseen)

@@ -1,6 +1,7 @@
 //! Probes in training: what they foretell, and that they repeat.
 
 use crate::determinism::{drive, room, trained};
+use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::base::constants::ALPHA_MIN;
 use mhsplat::config::Surrogate;
@@ -97,7 +98,7 @@ fn training_foretells_what_the_instrument_does() {
     let (data, config) = (room(64), config());
     let (mut trainer, splats) = trained(&data, &config, 60);
     let trials = trials(&splats);
-    let got = trainer.probe(&trials).unwrap();
+    let got = trainer.estimate(&trials).unwrap();
     let want = foretold(&trainer, &splats, &trials);
     let most = want.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     for shares in [false, true] {
@@ -120,8 +121,8 @@ fn training_foretells_what_the_instrument_does() {
     assert!((0..80).map(apart).fold(0.0, f64::max) > 0.1 * most);
     // Asking changes nothing.
     assert!(trainer.state().unwrap().splats == splats);
-    assert_eq!(trainer.probe(&[]).unwrap(), [0.0; 0]);
-    let again = trainer.probe(&trials).unwrap();
+    assert_eq!(trainer.estimate(&[]).unwrap(), [0.0; 0]);
+    let again = trainer.estimate(&trials).unwrap();
     let bits = |all: &[f64]| all.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert_eq!(
         bits(&again),
@@ -151,14 +152,21 @@ fn runs_with_probes_repeat_and_resume() {
     let saved = checkpoint::read(folder.path()).unwrap();
     assert_eq!(saved.config, config);
     let device = Device::open(None).unwrap();
-    let mut resumed = Trainer::new(&device, &data, &config, &saved.state.splats).unwrap();
+    let mut resumed = Trainer::new(
+        &device,
+        &data,
+        &Plan::new(&data, &config).unwrap(),
+        &saved.state.splats,
+    )
+    .unwrap();
     resumed.restore(&saved.state).unwrap();
     drive(&mut resumed, 120).unwrap();
     assert!(whole == resumed.state().unwrap().splats);
 
     // Pairs that do not fit are repeated in the pass of probes as elsewhere.
-    let splats = mhsplat::run::initial_splats(&data, &config).unwrap();
-    let mut tight = Trainer::new(&device, &data, &config, &splats).unwrap();
+    let splats = mhsplat::run::initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let mut tight =
+        Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
     while tight.iteration() < 120 {
         tight.shrink_pairs(1024).unwrap();
         let next = tight.iteration() + 20;

@@ -1,6 +1,7 @@
 //! Samplers in a run: what a trainer makes of their decisions, bounds, schedules, options.
 
 use crate::determinism::room;
+use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::config::{
     AdcConfig, Background, Birth, McmcConfig, MhConfig, OptimizerConfig, Sampler,
@@ -8,6 +9,7 @@ use mhsplat::config::{
 use mhsplat::device::Device;
 use mhsplat::run::initial_splats;
 use mhsplat::scene::{Plane, Splats};
+use mhsplat::train::Event;
 use mhsplat::train::schedule::Schedule;
 use mhsplat::train::{DensityEvent, Trainer};
 
@@ -35,11 +37,20 @@ fn still(sampler: Sampler) -> TrainConfig {
 
 fn train(config: &TrainConfig, splats: &Splats) -> (Vec<DensityEvent>, Splats) {
     let device = Device::open(None).unwrap();
-    let mut trainer = Trainer::new(&device, &room(64), config, splats).unwrap();
+    let mut trainer = Trainer::new(
+        &device,
+        &room(64),
+        &Plan::new(&room(64), config).unwrap(),
+        splats,
+    )
+    .unwrap();
     let mut events = Vec::new();
-    while trainer.iteration() < config.iterations {
-        trainer.step().unwrap();
-        events.extend(trainer.density_step().unwrap());
+    loop {
+        match trainer.advance().unwrap() {
+            Event::Finished => break,
+            Event::Density(event) => events.push(event),
+            _ => {}
+        }
     }
     let state = trainer.state().unwrap();
     assert_eq!(state.splats.len(), trainer.gaussians());
@@ -65,7 +76,7 @@ fn pruned_gaussians_are_gone_and_the_others_unchanged() {
         },
         ..still(Sampler::Adc)
     };
-    let mut splats = initial_splats(&room(64), &config).unwrap();
+    let mut splats = initial_splats(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
     let n = splats.len();
     for i in (0..n).step_by(3) {
         splats.plane_mut(Plane::OPACITY)[i] = -6.0;
@@ -86,7 +97,7 @@ fn a_reset_lowers_every_opacity() {
         },
         ..still(Sampler::Adc)
     };
-    let splats = initial_splats(&room(64), &config).unwrap();
+    let splats = initial_splats(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
     let (events, left) = train(&config, &splats);
     assert!(events.iter().any(|e| e.stats.opacity_resets == 1));
     let limit = (0.01f32 / 0.99).ln();
@@ -109,7 +120,7 @@ fn noise_moves_positions_alone_and_only_where_asked_for() {
         },
         ..still(Sampler::Mcmc)
     };
-    let splats = initial_splats(&room(64), &config).unwrap();
+    let splats = initial_splats(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
     assert!(train(&config, &splats).1 == splats, "no rate, no noise");
     let moving = TrainConfig {
         optimizer: OptimizerConfig {
@@ -161,7 +172,7 @@ fn no_sampler_exceeds_the_bound() {
         sh_degree: 0,
         ..TrainConfig::default()
     };
-    let splats = initial_splats(&room(64), &free).unwrap();
+    let splats = initial_splats(&room(64), &Plan::new(&room(64), &free).unwrap()).unwrap();
     let n = splats.len();
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None] {
         let run = |max_gaussians| {
@@ -188,7 +199,8 @@ fn no_sampler_exceeds_the_bound() {
 fn all_dead_scenes_are_survived() {
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
         let config = still(sampler);
-        let mut splats = initial_splats(&room(64), &config).unwrap();
+        let mut splats =
+            initial_splats(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
         splats.plane_mut(Plane::OPACITY).fill(-9.0);
         let (events, left) = train(&config, &splats);
         assert!(!events.is_empty());

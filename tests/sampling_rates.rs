@@ -7,8 +7,18 @@ use glam::{DMat3, DVec3};
 use crate::determinism::room;
 use mhsplat::capture::{Camera, Dataset, Lens, Photo, PhotoSource, View};
 use mhsplat::config::AntiAliasing;
-use mhsplat::train::sampling_rates::{AntiAlias, LEAST_SPREAD, LEAST_SPREAD_WITHIN, Spreads};
+use mhsplat::run::PlanRecord;
+use mhsplat::train::plan::Decided;
+use mhsplat::train::sampling_rates::{MIN_SPREAD, MIN_SPREAD_WITHIN, Spreads};
 use mhsplat::{Plan, TrainConfig};
+
+fn decided(data: &Dataset, config: &TrainConfig) -> Decided<bool> {
+    Plan::new(data, config).unwrap().anti_aliasing
+}
+
+fn record(data: &Dataset, config: &TrainConfig) -> PlanRecord {
+    PlanRecord::of(&Plan::new(data, config).unwrap())
+}
 
 /// The room with every other view moved back along its axis to `factor` times the median depth of the points it sees.
 fn two_distances(factor: f64) -> Dataset {
@@ -35,21 +45,20 @@ fn auto_is_off_for_one_distance_and_on_for_two() {
     assert!(
         spreads
             .iter()
-            .all(|s| s.within.unwrap() < 0.85 * LEAST_SPREAD_WITHIN)
+            .all(|s| s.within.unwrap() < 0.85 * MIN_SPREAD_WITHIN)
     );
     let [low, high] = spreads.map(|s| s.across.unwrap());
-    assert!(low < 0.75 * LEAST_SPREAD, "{low}");
-    assert!(high > 1.25 * LEAST_SPREAD, "{high}");
-    assert!(!AntiAlias::decide(&plain, &auto).on && AntiAlias::decide(&apart, &auto).on);
-    let what =
-        |items: &[mhsplat::train::plan::Item]| items.iter().any(|i| i.what == "anti-aliasing");
-    assert!(what(&Plan::new(&plain, &auto).left_out) && what(&Plan::new(&apart, &auto).kept));
+    assert!(low < 0.75 * MIN_SPREAD, "{low}");
+    assert!(high > 1.25 * MIN_SPREAD, "{high}");
+    assert!(!decided(&plain, &auto).value && decided(&apart, &auto).value);
+    let what = |items: &[mhsplat::run::Item]| items.iter().any(|i| i.what == "anti-aliasing");
+    assert!(what(&record(&plain, &auto).left_out) && what(&record(&apart, &auto).kept));
     let set = |anti_aliasing| TrainConfig {
         anti_aliasing,
         ..TrainConfig::default()
     };
-    assert!(AntiAlias::decide(&plain, &set(AntiAliasing::On)).on);
-    assert!(!AntiAlias::decide(&apart, &set(AntiAliasing::Off)).on);
+    assert!(decided(&plain, &set(AntiAliasing::On)).value);
+    assert!(!decided(&apart, &set(AntiAliasing::Off)).value);
 }
 
 /// The room with half of its points brought towards the first camera, so that each view sees things near and far.
@@ -59,7 +68,7 @@ fn auto_is_on_where_views_see_near_and_far() {
     let mut data = room(64);
     let plain = Spreads::of(&data);
     assert!(
-        plain.within.unwrap() < 0.85 * LEAST_SPREAD_WITHIN,
+        plain.within.unwrap() < 0.85 * MIN_SPREAD_WITHIN,
         "{plain:?}"
     );
     // All views from where the first stands, so that no point is seen from two distances.
@@ -67,7 +76,7 @@ fn auto_is_on_where_views_see_near_and_far() {
     for view in &mut data.train {
         view.camera = first;
     }
-    assert!(!AntiAlias::decide(&data, &auto).on);
+    assert!(!decided(&data, &auto).value);
     let center = first.center();
     for p in data.points.positions.iter_mut().step_by(2) {
         let q = center + 0.1 * (DVec3::from_array(p.map(f64::from)) - center);
@@ -76,23 +85,23 @@ fn auto_is_on_where_views_see_near_and_far() {
     let spreads = Spreads::of(&data);
     println!("spreads of the sampling rates: {spreads:?}, before {plain:?}");
     assert!((spreads.across.unwrap() - 1.0).abs() < 1e-6);
-    assert!(spreads.within.unwrap() > 1.25 * LEAST_SPREAD_WITHIN);
-    let decided = AntiAlias::decide(&data, &auto);
-    let why = decided.why;
+    assert!(spreads.within.unwrap() > 1.25 * MIN_SPREAD_WITHIN);
+    let filters = decided(&data, &auto);
+    let why = filters.why.to_string();
     assert!(
-        decided.on && why.contains("within views (auto asks for 3 or more)"),
+        filters.value && why.contains("within views (auto asks for 3 or more)"),
         "{why}"
     );
     assert!(
         !why.contains("from view to view"),
         "only what meets its bar: {why}"
     );
-    let left_out = AntiAlias::decide(&room(64), &auto).why;
+    let left_out = decided(&room(64), &auto).why.to_string();
     assert!(left_out.contains("from view to view") && left_out.contains("within views"));
     let mut two = data.clone();
     two.train.truncate(2);
     assert_eq!(Spreads::of(&two).across, None, "three views make a spread");
-    assert!(AntiAlias::decide(&two, &auto).on);
+    assert!(decided(&two, &auto).value);
     // The camera's own points, so that it sees all of them.
     let inside = |p: &[f32; 3]| {
         first
@@ -118,7 +127,7 @@ fn auto_is_on_where_views_see_near_and_far() {
     }
     data.points.positions.truncate(19);
     assert_eq!(Spreads::of(&data).within, None, "too few points");
-    assert!(!AntiAlias::decide(&data, &auto).on);
+    assert!(!decided(&data, &auto).value);
 }
 
 /// Views on a circle around the origin, every other one `factor` times as far; no points.
@@ -167,5 +176,5 @@ fn without_points_the_rates_are_compared_where_the_views_look() {
     }
     assert_eq!(across(&parallel), None);
     assert_eq!(Spreads::of(&parallel).within, None);
-    assert!(!AntiAlias::decide(&parallel, &TrainConfig::default()).on);
+    assert!(!decided(&parallel, &TrainConfig::default()).value);
 }

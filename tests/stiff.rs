@@ -1,6 +1,7 @@
 //! Training from starts that plain settings do not survive: finite throughout, and it ends with the best it had.
 
 use crate::determinism::room;
+use mhsplat::Plan;
 use mhsplat::base::rng::{Philox, Purpose};
 use mhsplat::capture::Dataset;
 use mhsplat::config::{AdcConfig, Sampler, TrainConfig};
@@ -30,16 +31,13 @@ fn config(sampler: Sampler) -> TrainConfig {
 /// Losses after every tenth of the run, and the scene at its end.
 fn train(data: &Dataset, config: &TrainConfig, start: &Splats) -> (Vec<f64>, Splats) {
     let device = Device::open(None).unwrap();
-    let mut trainer = Trainer::new(&device, data, config, start).unwrap();
+    let mut trainer =
+        Trainer::new(&device, data, &Plan::new(data, config).unwrap(), start).unwrap();
     let mut losses = Vec::new();
-    while trainer.iteration() < config.iterations {
-        trainer.step().unwrap();
-        trainer.density_step().unwrap();
-        if trainer.iteration().is_multiple_of(ITERATIONS / 10) {
-            losses.push(trainer.recent_loss().unwrap().unwrap());
-        }
+    for tenth in 1..=10 {
+        trainer.advance_to(tenth * ITERATIONS / 10).unwrap();
+        losses.push(trainer.recent_loss().unwrap().unwrap());
     }
-    trainer.settle().unwrap();
     assert_eq!(trainer.non_finite(), 0);
     (losses, trainer.state().unwrap().splats)
 }
@@ -49,7 +47,7 @@ fn train(data: &Dataset, config: &TrainConfig, start: &Splats) -> (Vec<f64>, Spl
 fn survives(name: &str, data: &Dataset, change: impl Fn(&mut Splats)) {
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None] {
         let config = config(sampler);
-        let mut start = initial_splats(data, &config).unwrap();
+        let mut start = initial_splats(data, &Plan::new(data, &config).unwrap()).unwrap();
         change(&mut start);
         let (losses, scene) = train(data, &config, &start);
         let finite = |p: &Vec<f32>| p.iter().all(|v| v.is_finite());

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use crate::cli::{done, mhsplat, room, stderr, text};
 use crate::determinism;
+use mhsplat::Plan;
 use mhsplat::base::rng::{Philox, Purpose};
 use mhsplat::config::TrainConfig;
 use mhsplat::device::Device;
@@ -104,11 +105,10 @@ fn instrument() -> (Instrument<f64>, Base, Splats) {
         ..TrainConfig::default()
     };
     let device = Device::open(None).unwrap();
-    let first = initial_splats(&data, &config).unwrap();
-    let mut trainer = Trainer::new(&device, &data, &config, &first).unwrap();
-    while trainer.iteration() < config.iterations {
-        trainer.step().unwrap();
-    }
+    let first = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let mut trainer =
+        Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &first).unwrap();
+    trainer.advance_to(config.iterations).unwrap();
     let splats = trainer.state().unwrap().splats;
     let photos = Photos::new(&device, data.image_budget);
     let views = ViewSet::<f64>::new(&photos, data.train.iter().take(3).cloned()).unwrap();

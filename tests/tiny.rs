@@ -2,6 +2,7 @@
 //! density control, of the smallest scenes.
 
 use crate::determinism::drive;
+use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::device::Device;
@@ -60,8 +61,9 @@ fn every_sampler_trains() {
     let device = Device::open(None).unwrap();
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None] {
         let config = config(sampler);
-        let splats = initial_splats(&data, &config).unwrap();
-        let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
+        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let mut trainer =
+            Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         drive(&mut trainer, ITERATIONS).unwrap();
         let stats = *trainer.stats();
         let grown = stats.accepted + stats.cloned + stats.split;

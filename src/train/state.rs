@@ -5,7 +5,7 @@ use crate::density::DensityStats;
 use crate::device::tuning::status;
 use crate::scene::Splats;
 use crate::train::gaussians::GaussianRows;
-use crate::train::plan::Learned;
+use crate::train::plan::{Exposure, Learned};
 use crate::train::step::{Next, Trainer};
 
 /// Everything that a checkpoint must hold to continue bit for bit.
@@ -89,7 +89,16 @@ impl Trainer {
     }
 
     fn restore_exposures(&mut self, rows: &[Vec<f32>]) -> Result<()> {
-        if rows.is_empty() {
+        let on = match self.plan.exposure.value {
+            Exposure::From(from) if from == self.iteration => self.next == Next::Iterate,
+            Exposure::From(from) => from < self.iteration,
+            _ => false,
+        };
+        if on == rows.is_empty() {
+            let rows = rows.len();
+            return Err(mismatch(format!("exposures of another shape: {rows} rows")));
+        }
+        if !on {
             return Ok(());
         }
         self.build_exposure()?;

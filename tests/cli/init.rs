@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::{mhsplat, scratch_dataset, stderr, stdout, text};
+use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::capture::{Dataset, LoadOptions, load, point_cloud};
 use mhsplat::config::Init;
@@ -55,7 +56,7 @@ fn first(data: &Dataset, file: &Path, more: impl FnOnce(&mut TrainConfig)) -> Sp
     };
     config.work.morton_order = false;
     more(&mut config);
-    initial_splats(data, &config).unwrap()
+    initial_splats(data, &Plan::new(data, &config).unwrap()).unwrap()
 }
 
 #[test]
@@ -82,7 +83,7 @@ fn a_point_cloud_of_any_form_gives_its_points() {
     }
     // The dataset's own points, written and read, are the same start as the dataset's.
     point_cloud::write(&file, &data.points, &data.frame).unwrap();
-    let own = initial_splats(&data, &TrainConfig::default()).unwrap();
+    let own = initial_splats(&data, &Plan::new(&data, &TrainConfig::default()).unwrap()).unwrap();
     let read = first(&data, &file, |c| c.work.morton_order = true);
     assert_eq!(own.len(), read.len());
     let pairs = own

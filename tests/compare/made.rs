@@ -6,8 +6,8 @@ use mhsplat::base::error::Result;
 use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::evaluate::ViewScore;
 use mhsplat::lab::compare::{Comparison, Options, Source, compare};
+use mhsplat::run::PlanRecord;
 use mhsplat::run::*;
-use mhsplat::train::plan::Plan;
 
 #[derive(Clone)]
 pub struct Made {
@@ -54,7 +54,12 @@ pub fn run(name: &str, seed: u64) -> Made {
         masked_out: Vec::new(),
         fingerprint: Some("0123456789abcdef".into()),
     };
-    let mut record = RunRecord::new(config, dataset, DeviceRecord::default(), Plan::default());
+    let mut record = RunRecord::new(
+        config,
+        dataset,
+        DeviceRecord::default(),
+        PlanRecord::default(),
+    );
     let last = rows[19];
     record.iterations = 1000;
     (record.gaussians, record.train_seconds) = (last.gaussians, last.train_seconds);

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
 
+use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::capture::colmap::{ColmapModel, read_bin, write_bin};
 use mhsplat::capture::{LoadOptions, load};
@@ -49,12 +50,10 @@ fn trained(scale: f64, offset: DVec3) -> (Vec<f32>, f64) {
         ..TrainConfig::default()
     };
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(&data, &config).unwrap();
-    let mut trainer = Trainer::new(&device, &data, &config, &splats).unwrap();
-    while trainer.iteration() < config.iterations {
-        trainer.step().unwrap();
-        trainer.density_step().unwrap();
-    }
+    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let mut trainer =
+        Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
+    trainer.advance_to(config.iterations).unwrap();
     let loss = trainer.recent_loss().unwrap().unwrap();
     (data.points.positions.concat(), loss)
 }

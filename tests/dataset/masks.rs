@@ -12,7 +12,8 @@ use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::trained;
 use mhsplat::capture::{Alpha, Dataset, LoadOptions, load};
 use mhsplat::config::{Sampler, TrainConfig};
-use mhsplat::train::plan::Plan;
+use mhsplat::run::PlanRecord;
+use mhsplat::train::Plan;
 
 /// The bundled room with a box painted over the left of every photo, which masks leave out if `masked`.
 pub fn painted(dir: &Path, colour: [u8; 3], masked: bool) -> PathBuf {
@@ -63,7 +64,7 @@ fn what_is_masked_makes_no_difference_to_training() {
         max_size: 128,
         ..TrainConfig::default()
     };
-    let kept = Plan::new(&white, &config).kept;
+    let kept = PlanRecord::of(&Plan::new(&white, &config).unwrap()).kept;
     assert!(kept.iter().any(|i| i.what == "masks"));
     let scene = |data: &Dataset| trained(data, &config, 60).1;
     let seen = scene(&white);

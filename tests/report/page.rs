@@ -9,9 +9,9 @@ use mhsplat::chart::svg::{Axis, Scale, Series, line_chart};
 use mhsplat::chart::text::{escape, grouped, span};
 use mhsplat::chart::ticks::ticks;
 use mhsplat::config::{Init, Sampler, TrainConfig};
+use mhsplat::run::PlanRecord;
 use mhsplat::run::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
 use mhsplat::run::*;
-use mhsplat::train::plan::Plan;
 
 /// Tag names left open, or the first thing that is wrong: enough of a parser for a page that spells every tag out.
 fn check_tags(text: &str) -> Result<(), String> {
@@ -177,7 +177,7 @@ fn page_of_an_empty_run() {
         TrainConfig::default(),
         DatasetRecord::default(),
         DeviceRecord::default(),
-        Plan::default(),
+        PlanRecord::default(),
     );
     let text = page(&empty, &[], &[], &[]);
     assert!(text.contains("no data") && text.contains("not measured"));

@@ -4,7 +4,7 @@ use mhsplat::config::{Background, Init, Sampler, TrainConfig};
 use mhsplat::density::DensityStats;
 use mhsplat::evaluate::ViewScore;
 use mhsplat::run::*;
-use mhsplat::train::plan::{Item, Plan};
+use mhsplat::run::{Item, PlanRecord};
 
 pub fn item(what: &str, why: &str) -> Item {
     Item {
@@ -13,8 +13,8 @@ pub fn item(what: &str, why: &str) -> Item {
     }
 }
 
-fn plan() -> Plan {
-    Plan {
+fn plan() -> PlanRecord {
+    PlanRecord {
         kept: vec![
             item("sort", "order by depth within each tile"),
             item("SH degree 3", "84 views see each point from many sides"),
