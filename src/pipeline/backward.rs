@@ -7,9 +7,9 @@
 use crate::base::error::Result;
 use crate::density::relocation::sigmoid;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::{GradientBlock, Scene};
 use crate::pipeline::forward::{RenderOptions, Renderer};
-use crate::pipeline::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::pipeline::stage::splat_grad::SplatGrad;
 use crate::scene::Plane;
 
@@ -108,27 +108,18 @@ impl<R: Real> Backward<'_, R> {
         first: usize,
     ) -> Result<[Vec<f64>; 4]> {
         let frame = &self.renderer.frame;
-        self.splat_grad
-            .run(&self.renderer.lists(camera), dimage, &frame.sums)?;
+        self.splat_grad.run(frame, camera, dimage)?;
         let count = scene.count;
         let rows = (count - first).next_multiple_of(ROUND);
         let grads = Array::zeros(self.device, "grads", scene.planes() * rows)?;
-        self.project_grad.run(&ProjectGradArgs {
-            params: &scene.params,
-            stride: scene.stride,
-            count,
-            filter: &scene.filter,
-            camera,
-            pair_start: &frame.pair_start,
-            pair_counts: &frame.pair_counts,
-            status: &frame.status,
-            sums: &frame.sums,
-            lambda_opacity: 0.0,
-            lambda_scale: 0.0,
-            block: first..count,
-            grad_stride: rows,
-            grads: &grads,
-        })?;
+        let block = GradientBlock {
+            values: &grads,
+            planes: scene.planes(),
+            stride: rows,
+            rows: first..count,
+        };
+        self.project_grad
+            .run(scene, frame, camera, [0.0; 2], &block)?;
         let plane = |p: usize| -> Result<Vec<f64>> {
             let values = grads.read(p * rows, count - first)?;
             Ok(values.into_iter().map(Into::into).collect())

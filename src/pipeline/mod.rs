@@ -4,6 +4,7 @@ pub(crate) mod backward;
 pub mod buffers;
 pub mod chain;
 pub mod forward;
+mod launch;
 pub mod photos;
 pub mod reference;
 pub mod stage;

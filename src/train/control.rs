@@ -6,10 +6,8 @@ use crate::base::error::Result;
 use crate::density::{
     Cues, DensityStats, Evidence, Outcome, SceneState, ScreenGradient, StepContext, Wanted,
 };
-use crate::device::{Array, CameraArg, EditRow};
+use crate::device::{Array, CameraArg};
 use crate::pipeline::buffers::{Scene, restride};
-use crate::pipeline::stage::edit::EditArgs;
-use crate::pipeline::stage::importance::ImportanceArgs;
 use crate::pipeline::stage::loss::ImagePair;
 use crate::scene::{Plane, morton};
 use crate::train::Trainer;
@@ -62,16 +60,15 @@ impl Trainer {
             return Ok(());
         };
         self.loss.errors(pair, &self.maps, &self.partial)?;
-        importance.run(&ImportanceArgs {
-            params: &self.scene.params,
-            stride: self.scene.stride,
-            count: self.scene.count,
+        let frame = &self.renderer.frame;
+        importance.run(
+            &self.scene,
+            frame,
             camera,
-            maps: &self.maps,
+            &self.maps,
             first_view,
-            status: &self.renderer.frame.status,
-            cues: &self.cues,
-        })
+            &self.cues,
+        )
     }
 
     /// Runs density control if it is due after the iterations done so far.
@@ -175,14 +172,12 @@ impl Trainer {
         } else {
             self.cues.clear()?;
         }
-        let rows: Vec<EditRow> = outcome.edits.iter().map(EditRow::from).collect();
-        let edits = Array::from_slice(&self.device, "edits", &rows)?;
-        self.edit.run(&self.edit_args(&edits))?;
+        let edits = Array::from_slice(&self.device, "edits", &outcome.edits)?;
+        self.edit.run(&self.scene, self.moments(), &edits)?;
         self.scene.count = outcome.rows;
         if let Some(limit) = outcome.logit_limit {
-            let args = self.edit_args(&edits);
             self.edit
-                .limit_opacity(&args, outcome.rows, f64::from(limit))?;
+                .limit_opacity(&self.scene, self.moments(), f64::from(limit))?;
         }
         if self.config.work.morton_order || !outcome.removed.is_empty() {
             self.reorder(&outcome.removed)?;
@@ -214,14 +209,8 @@ impl Trainer {
         Ok(())
     }
 
-    fn edit_args<'a>(&'a self, edits: &'a Array<EditRow>) -> EditArgs<'a, f32> {
-        EditArgs {
-            edits,
-            stride: self.scene.stride,
-            planes: self.scene.planes(),
-            params: &self.scene.params,
-            moment1: &self.moment1,
-            moment2: &self.moment2,
-        }
+    /// First and second moments of the parameters.
+    pub(super) fn moments(&self) -> [&Array<f32>; 2] {
+        [&self.moment1, &self.moment2]
     }
 }

@@ -6,10 +6,9 @@ use crate::capture::photo::colors;
 use crate::config::ExposureChoice;
 use crate::device::tuning::status::{OVERFLOW, SLOTS};
 use crate::device::{Array, CameraArg, Defines, Kernels};
-use crate::pipeline::stage::exposure::{
-    ENTRIES, ExposedImage, Exposure, ExposureStep, IDENTITY, exposed, unexposed,
-};
-use crate::pipeline::stage::loss::{ImagePair, size_of_image};
+use crate::pipeline::stage::adam::Step;
+use crate::pipeline::stage::exposure::{ENTRIES, Exposure, Exposures, exposed, unexposed};
+use crate::pipeline::stage::loss::ImagePair;
 use crate::train::brightness::Decision;
 use crate::train::{Trainer, brightness};
 
@@ -17,13 +16,7 @@ use crate::train::{Trainer, brightness};
 #[derive(Debug)]
 pub(super) struct Compensation {
     stage: Exposure,
-    views: usize,
-    exposures: Array<f32>,
-    moments: [Array<f32>; 2],
-    /// The render under its view's transform.
-    corrected: Array<f32>,
-    partial: Array<f32>,
-    grads: Array<f32>,
+    arrays: Exposures<f32>,
     /// Iterations done when it was switched on.
     since: u32,
 }
@@ -31,29 +24,17 @@ pub(super) struct Compensation {
 impl Compensation {
     /// The identity for every view; `plane` is the padded size of the largest, pixels.
     pub(super) fn new(kernels: &Kernels, views: usize, plane: usize, since: u32) -> Result<Self> {
-        let device = kernels.device();
         let stage = Exposure::new::<f32>(kernels)?;
-        let zeros = |name, len| Array::zeros(device, name, len);
-        let it = Self {
-            views,
-            exposures: zeros("exposures", ENTRIES * views)?,
-            moments: [
-                zeros("moment1", ENTRIES * views)?,
-                zeros("moment2", ENTRIES * views)?,
-            ],
-            corrected: zeros("corrected", 3 * plane)?,
-            partial: zeros("exposure partial", stage.partial_len())?,
-            grads: zeros("exposure grads", ENTRIES)?,
+        Ok(Self {
+            arrays: Exposures::new(kernels.device(), &stage, views, plane)?,
             stage,
             since,
-        };
-        let identity = IDENTITY.map(|v| v as f32).repeat(views);
-        it.exposures.write(0, &identity)?;
-        Ok(it)
+        })
     }
 
     fn arrays(&self) -> [&Array<f32>; 3] {
-        [&self.exposures, &self.moments[0], &self.moments[1]]
+        let [first, second] = &self.arrays.moments;
+        [&self.arrays.transforms, first, second]
     }
 }
 
@@ -73,33 +54,13 @@ impl Trainer {
         photo: &'a Array<u8>,
         background: [f32; 3],
     ) -> Result<ImagePair<'a, f32>> {
-        let mut pair = ImagePair {
-            image: &self.renderer.frame.image,
-            photo,
-            background,
-            size: size_of_image(camera),
-            blank: None,
-        };
+        let image = &self.renderer.frame.image;
+        let mut pair = ImagePair::new(image, photo, camera, background);
         if let Some(e) = &self.exposure {
-            e.stage
-                .apply(&self.exposed_image(e, view, &pair), &e.corrected)?;
-            pair.image = &e.corrected;
+            e.stage.apply(image, pair.plane(), &e.arrays, view)?;
+            pair.image = &e.arrays.corrected;
         }
         Ok(pair)
-    }
-
-    fn exposed_image<'a>(
-        &'a self,
-        e: &'a Compensation,
-        view: usize,
-        pair: &ImagePair<'_, f32>,
-    ) -> ExposedImage<'a, f32> {
-        ExposedImage {
-            image: &self.renderer.frame.image,
-            plane: pair.plane(),
-            exposures: &e.exposures,
-            view,
-        }
     }
 
     /// The gradient of the loss by the render (and by the view's transform) of what [`Trainer::pair`] gave.
@@ -110,8 +71,9 @@ impl Trainer {
         let Some(e) = &self.exposure else {
             return Ok(());
         };
-        let exposed = self.exposed_image(e, view, pair);
-        e.stage.backward(&exposed, &self.dimage, &e.partial)
+        let image = &self.renderer.frame.image;
+        e.stage
+            .backward(image, pair.plane(), &e.arrays, view, &self.dimage)
     }
 
     /// The optimiser's step of the transforms, if there are any.
@@ -130,18 +92,12 @@ impl Trainer {
         status: &Array<u32>,
     ) -> Result<()> {
         let o = &self.config.optimizer;
-        e.stage.step(&ExposureStep {
-            partial: &e.partial,
-            view,
-            views: e.views,
+        let step = Step {
             rate: self.schedule.exposure_rate(iteration),
             constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
-            step: iteration.saturating_sub(e.since) + 1,
-            exposures: &e.exposures,
-            moments: [&e.moments[0], &e.moments[1]],
-            grads: &e.grads,
-            status,
-        })
+            t: iteration.saturating_sub(e.since) + 1,
+        };
+        e.stage.step(&e.arrays, view, &step, status)
     }
 
     /// What comes before the next iteration where that is due: a look at the bands, the decision on exposure. Whether
@@ -184,14 +140,11 @@ impl Trainer {
     /// A build failure, more than the device can allocate, or the driver's.
     pub fn build_exposure(&mut self) -> Result<()> {
         let built = self.compensation()?;
-        let image = ExposedImage {
-            image: &self.renderer.frame.image,
-            plane: self.dimage.len() / 3,
-            exposures: &built.exposures,
-            view: 0,
-        };
-        built.stage.apply(&image, &built.corrected)?;
-        built.stage.backward(&image, &self.dimage, &built.partial)?;
+        let (image, plane) = (&self.renderer.frame.image, self.dimage.len() / 3);
+        built.stage.apply(image, plane, &built.arrays, 0)?;
+        built
+            .stage
+            .backward(image, plane, &built.arrays, 0, &self.dimage)?;
         // After an overflow the step changes nothing.
         let status = Array::zeros(&self.device, "status", SLOTS)?;
         status.write(OVERFLOW as usize, &[1])?;
@@ -275,7 +228,7 @@ impl Trainer {
         let Some(e) = &self.exposure else {
             return Ok(());
         };
-        let e = e.exposures.read(ENTRIES * view, ENTRIES)?;
+        let e = e.arrays.transforms.read(ENTRIES * view, ENTRIES)?;
         let pixels = render.len() / 3;
         for i in 0..pixels {
             let x = exposed(&e, [0, 1, 2].map(|c| render[c * pixels + i]));

@@ -4,7 +4,7 @@ use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::{Error, Result};
 use crate::device::{Array, CameraArg, Kernels};
 use crate::pipeline::buffers::{Scene, ViewSet};
-use crate::pipeline::stage::filter::{Filter, FilterArgs};
+use crate::pipeline::stage::filter::Filter;
 use crate::train::Trainer;
 
 /// Iterations between two looks at the sampling rates (Mip-Splatting, §6); after a density step there is one anyway.
@@ -43,15 +43,8 @@ impl Trainer {
         let Some(f) = &self.filter else {
             return Ok(());
         };
-        f.stage.run(&FilterArgs {
-            params: &scene.params,
-            stride: scene.stride,
-            count: scene.count,
-            cameras: &f.cameras,
-            status: &self.renderer.frame.status,
-            largest: &f.largest,
-            filter: &scene.filter,
-        })
+        f.stage
+            .run(scene, &self.renderer.frame, &f.cameras, &f.largest)
     }
 
     /// Refreshes the filter if that is due before an iteration and no density step has just done it.

@@ -9,9 +9,9 @@ use crate::base::error::Result;
 use crate::config::TrainConfig;
 use crate::device::{Array, Kernels};
 use crate::pipeline::forward::RenderOptions;
-use crate::pipeline::stage::loss::{ImagePair, size_of_image};
+use crate::pipeline::stage::loss::ImagePair;
 use crate::pipeline::stage::metrics::Metrics;
-use crate::pipeline::stage::seen::{Seen, SeenArgs};
+use crate::pipeline::stage::seen::Seen;
 use crate::train::Trainer;
 use crate::train::bands::Bands;
 
@@ -119,15 +119,7 @@ impl Trainer {
             if shown.len() < frame.pair_capacity() {
                 shown = Array::zeros(&self.device, "shown", frame.pair_capacity())?;
             }
-            stage.run(&SeenArgs {
-                count,
-                lists: self.renderer.lists(camera),
-                size: size_of_image(camera),
-                pair_start: &frame.pair_start,
-                pair_counts: &frame.pair_counts,
-                shown: &shown,
-                seen: &seen,
-            })?;
+            stage.run(frame, camera, &shown, &seen)?;
         }
         seen.to_vec().map(Some)
     }

@@ -32,14 +32,14 @@ use crate::density::{DensityControl, DensityStats};
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, StageTime};
 use crate::pipeline::backward::Pass;
-use crate::pipeline::buffers::{Blank, Scene, ViewSet};
+use crate::pipeline::buffers::{Blank, GradientBlock, Scene, ViewSet};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::photos::{AHEAD, Photos};
-use crate::pipeline::stage::adam::{Adam, AdamArgs};
+use crate::pipeline::stage::adam::{Adam, Step};
 use crate::pipeline::stage::edit::Edit;
 use crate::pipeline::stage::live::Live;
 use crate::pipeline::stage::loss::Loss;
-use crate::pipeline::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::pipeline::stage::shrink::Shrink;
 use crate::pipeline::stage::splat_grad::SplatGrad;
 use crate::scene::{Plane, Splats};
@@ -303,9 +303,8 @@ impl Trainer {
         self.watch(iteration, &camera, &pair)?;
         self.step_exposure(iteration, view)?;
 
-        let frame = &self.renderer.frame;
         self.splat_grad
-            .run(&self.renderer.lists(&camera), &self.dimage, &frame.sums)?;
+            .run(&self.renderer.frame, &camera, &self.dimage)?;
         self.update(iteration, degree, &camera)?;
         self.sample(iteration, &camera)
     }
@@ -322,40 +321,24 @@ impl Trainer {
     fn update(&self, iteration: u32, degree: u32, camera: &CameraArg<f32>) -> Result<()> {
         let (frame, count) = (&self.renderer.frame, self.scene.count);
         let grad_stride = self.device.tuning().update_block;
-        let o = &self.config.optimizer;
+        let (o, l) = (&self.config.optimizer, &self.config.loss);
+        let step = Step {
+            rate: self.schedule.rates(iteration),
+            constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
+            t: iteration + 1,
+        };
+        let lambdas = [l.lambda_opacity, l.lambda_scale].map(f64::from);
         // Once for no Gaussians, too: warming up builds the kernels so.
         for first in (0..count.max(1)).step_by(grad_stride) {
-            let block = first..count.min(first + grad_stride);
-            self.project_grad[degree as usize].run(&ProjectGradArgs {
-                params: &self.scene.params,
-                stride: self.scene.stride,
-                count,
-                filter: &self.scene.filter,
-                camera,
-                pair_start: &frame.pair_start,
-                pair_counts: &frame.pair_counts,
-                status: &frame.status,
-                sums: &frame.sums,
-                lambda_opacity: f64::from(self.config.loss.lambda_opacity),
-                lambda_scale: f64::from(self.config.loss.lambda_scale),
-                block: block.clone(),
-                grad_stride,
-                grads: &self.grads,
-            })?;
-            self.adam.run(&AdamArgs {
-                grads: &self.grads,
-                grad_stride,
-                block,
-                stride: self.scene.stride,
+            let grads = GradientBlock {
+                values: &self.grads,
                 planes: Plane::count(degree),
-                rates: self.schedule.rates(iteration),
-                constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
-                step: iteration + 1,
-                params: &self.scene.params,
-                moment1: &self.moment1,
-                moment2: &self.moment2,
-                status: &frame.status,
-            })?;
+                stride: grad_stride,
+                rows: first..count.min(first + grad_stride),
+            };
+            self.project_grad[degree as usize].run(&self.scene, frame, camera, lambdas, &grads)?;
+            self.adam
+                .run(&self.scene, self.moments(), &grads, &step, frame)?;
         }
         Ok(())
     }

@@ -4,11 +4,10 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::density::{DensityControl, Edit, Trial};
-use crate::device::{Array, Defines, Device, EditRow};
+use crate::device::{Array, Defines, Device};
 use crate::pipeline::backward::{Backward, EPSILON_SINGLE, Pass, ROUND, change, scaled_logit};
 use crate::pipeline::buffers::{Scene, restride};
 use crate::pipeline::forward::RenderOptions;
-use crate::pipeline::stage::edit::EditArgs;
 use crate::train::Trainer;
 
 /// What renders probes, if this density control tries births.
@@ -109,23 +108,17 @@ impl Trainer {
         };
         let faint = |(k, t): (usize, &Trial)| {
             let logit = f64::from(t.birth.opacity_logit);
-            EditRow::from(&Edit {
+            Edit {
                 dst: (n + k) as u32,
                 opacity_logit: scaled_logit(logit, EPSILON_SINGLE) as f32,
                 ..t.birth
-            })
+            }
         };
-        let rows: Vec<EditRow> = trials.iter().enumerate().map(faint).collect();
+        let rows: Vec<Edit> = trials.iter().enumerate().map(faint).collect();
+        let rows = Array::from_slice(&self.device, "probes", &rows)?;
         // The stage clears moments, which probes do not have.
         let moments = Array::zeros(&self.device, "no moments", planes * stride)?;
-        self.edit.run(&EditArgs {
-            edits: &Array::from_slice(&self.device, "probes", &rows)?,
-            stride,
-            planes,
-            params: &scene.params,
-            moment1: &moments,
-            moment2: &moments,
-        })?;
+        self.edit.run(&scene, [&moments; 2], &rows)?;
         self.refresh_filter(&scene)?;
         Ok(scene)
     }

@@ -6,8 +6,8 @@ use crate::config::TrainConfig;
 use crate::density::{DensityControl, NoiseLaw, Wanted};
 use crate::device::{Array, CameraArg, Device, Kernels};
 use crate::pipeline::stage::importance::Importance;
-use crate::pipeline::stage::noise::{Noise, NoiseArgs};
-use crate::pipeline::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
+use crate::pipeline::stage::noise::Noise;
+use crate::pipeline::stage::screen_grad::ScreenGrad;
 use crate::train::Trainer;
 
 /// Stages of one sampler alone.
@@ -61,30 +61,15 @@ impl Trainer {
         if let Some(stage) = &self.sampler.screen_grad
             && self.schedule.next_density(iteration).is_some()
         {
-            stage.run(&ScreenGradArgs {
-                records: &frame.records,
-                stride: scene.stride,
-                count: scene.count,
-                pair_start: &frame.pair_start,
-                pair_counts: &frame.pair_counts,
-                sums: &frame.sums,
-                size: camera.size,
-                status: &frame.status,
-                cues: &self.cues,
-            })?;
+            stage.run(scene, frame, camera, &self.cues)?;
         }
         if let Some((stage, law)) = &self.sampler.noise {
-            stage.run(&NoiseArgs {
-                stride: scene.stride,
-                count: scene.count,
-                seed: self.config.seed,
-                stream: Purpose::Noise.stream(iteration),
+            let law = NoiseLaw {
                 rate: law.rate * self.schedule.position_rate(iteration),
-                steepness: law.steepness,
-                opacity: law.opacity,
-                status: &frame.status,
-                params: &scene.params,
-            })?;
+                ..*law
+            };
+            let stream = Purpose::Noise.stream(iteration);
+            stage.run(scene, frame, &law, self.config.seed, stream)?;
         }
         Ok(())
     }

@@ -3,12 +3,11 @@
 use crate::base::error::Result;
 use crate::density::Wanted;
 use crate::device::tuning::status;
-use crate::device::{Array, Defines, Device, EditRow, Kernels};
+use crate::device::{Array, Defines, Device, Kernels};
 use crate::pipeline::buffers::Scene;
-use crate::pipeline::stage::edit::EditArgs;
 use crate::pipeline::stage::loss::size_of_image;
 use crate::pipeline::stage::project_grad::ProjectGrad;
-use crate::scene::Splats;
+use crate::scene::{Edit, Splats};
 use crate::train::Trainer;
 
 /// One build of the stage for every SH degree that training passes through.
@@ -95,19 +94,19 @@ impl Trainer {
     fn warm_up_edits(&self) -> Result<()> {
         let (planes, stride) = (self.scene.planes(), 16);
         let scratch = || Array::<f32>::zeros(&self.device, "scratch", planes * stride);
-        let [params, moment1, moment2] = [scratch()?, scratch()?, scratch()?];
-        let args = EditArgs {
-            edits: &Array::from_slice(&self.device, "edits", &[EditRow::default()])?,
+        let scene = Scene {
+            params: scratch()?,
+            filter: Array::zeros(&self.device, "filter", 0)?,
             stride,
-            planes,
-            params: &params,
-            moment1: &moment1,
-            moment2: &moment2,
+            count: 1,
+            sh_degree: self.scene.sh_degree,
         };
-        self.edit.run(&args)?;
-        self.edit.limit_opacity(&args, 1, 0.0)?;
+        let moments = [&scratch()?, &scratch()?];
+        let edits = Array::from_slice(&self.device, "edits", &[Edit::default()])?;
+        self.edit.run(&scene, moments, &edits)?;
+        self.edit.limit_opacity(&scene, moments, 0.0)?;
         let order = Array::from_slice(&self.device, "order", &[0u32])?;
         self.edit
-            .reorder(&order, [planes, stride], &params, &moment1)
+            .reorder(&order, [planes, stride], &scene.params, moments[0])
     }
 }

@@ -11,7 +11,7 @@ use crate::device::{Array, Defines, Device, Kernels, Real};
 use crate::pipeline::backward::{Pass, ROUND};
 use crate::pipeline::buffers::{Scene, ViewSet};
 use crate::pipeline::forward::RenderOptions;
-use crate::pipeline::stage::importance::{Importance, ImportanceArgs};
+use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::scene::Splats;
@@ -147,13 +147,10 @@ impl<R: Real> Instrument<R> {
         then: impl FnOnce(&ImagePair<'_, R>) -> Result<T>,
     ) -> Result<T> {
         let photo = self.views.photo(view, &[])?;
-        then(&ImagePair {
-            image: &self.passes[0].renderer.frame.image,
-            photo: &photo,
-            background: self.setting.render.background,
-            size: size_of_image(&self.views.cameras[view]),
-            blank: None,
-        })
+        let image = &self.passes[0].renderer.frame.image;
+        let camera = &self.views.cameras[view];
+        let background = self.setting.render.background;
+        then(&ImagePair::new(image, &photo, camera, background))
     }
 
     /// Sums of each strip of the render made last: |x − y| and SSIM in turn.
@@ -220,16 +217,10 @@ impl<R: Real> Instrument<R> {
             base.losses.push(loss);
             base.strips.push(strips);
             base.touched.push(self.touched(0, 0, n)?);
-            self.importance.run(&ImportanceArgs {
-                params: &self.scene.params,
-                stride: self.scene.stride,
-                count: n,
-                camera: &self.views.cameras[view],
-                maps: &self.maps,
-                first_view: view == 0,
-                status: &self.passes[0].renderer.frame.status,
-                cues: &cues,
-            })?;
+            let frame = &self.passes[0].renderer.frame;
+            let camera = &self.views.cameras[view];
+            self.importance
+                .run(&self.scene, frame, camera, &self.maps, view == 0, &cues)?;
             self.image_gradient(view)?;
             let gradients = self.gradients(0, view, 0)?;
             for (sums, more) in base.gradients.iter_mut().zip(gradients) {
