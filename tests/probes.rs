@@ -13,7 +13,7 @@ use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::forward::{Quantity, RenderOptions};
 use mhsplat::pipeline::photos::Photos;
 use mhsplat::run::checkpoint;
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::scene::{OptionalColor, Plane, Splats};
 use mhsplat::train::Trainer;
 
 fn config() -> TrainConfig {
@@ -47,7 +47,7 @@ fn trials(splats: &Splats) -> Vec<Trial> {
                 position: at(Plane::POSITION).map(|x| x + 0.01),
                 log_scale: at(Plane::LOG_SCALE).map(|s| if shares { wider(s) } else { s }),
                 opacity_logit: if shares { logit as f32 } else { own },
-                color: None,
+                color: OptionalColor::NONE,
             },
             source_change: shares.then(|| [logit - f64::from(own), offset, offset, offset]),
         }

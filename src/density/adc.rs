@@ -14,6 +14,7 @@ use crate::density::{
     DensityControl, DensityStats, Edit, Evidence, Outcome, SceneState, ScreenGradient, StepContext,
     Wanted, check_lengths, unexpected,
 };
+use crate::scene::OptionalColor;
 
 /// Density control by thresholds on gradient, size and opacity.
 #[derive(Debug, Clone)]
@@ -111,7 +112,7 @@ impl Adaptive {
                 position: gather(&scene.positions, row)?,
                 log_scale: gather(&scene.log_scales, row)?,
                 opacity_logit: *scene.opacity_logits.get(row)?,
-                color: None,
+                color: OptionalColor::NONE,
             })
         };
         let Some(copy) = own() else {

@@ -15,6 +15,7 @@ use crate::density::{
     DensityControl, DensityStats, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext,
     Wanted, check_lengths, unexpected,
 };
+use crate::scene::OptionalColor;
 
 /// Density control by noise, relocation and growth.
 #[derive(Debug, Clone)]
@@ -174,6 +175,6 @@ fn row_after(scene: &SceneState<'_>, relocation: &Relocation, row: u32) -> Optio
         position: gather(&scene.positions, i)?,
         log_scale: gather(&scene.log_scales, i)?,
         opacity_logit: *scene.opacity_logits.get(i)?,
-        color: None,
+        color: OptionalColor::NONE,
     })
 }

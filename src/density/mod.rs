@@ -14,6 +14,7 @@ pub use crate::density::adc::Adaptive;
 pub use crate::density::mcmc::Mcmc;
 pub use crate::density::none::Fixed;
 pub use crate::density::picture::Picture;
+pub use crate::scene::Edit;
 
 use crate::base::error::{Error, Result};
 use crate::config::{Sampler, TrainConfig};
@@ -156,27 +157,6 @@ impl StepContext<'_> {
             changes: &[],
         }
     }
-}
-
-/// One Gaussian to be written: the row `src` is copied to `dst`, then position, log-scale, opacity and maybe the colour are
-/// replaced, and both optimiser moments of `dst` are zeroed. `dst == src` changes the row in place; `dst ≥ N` appends.
-///
-/// Within one step no row is named twice as `dst`, and a row that another edit names as `src` is itself a `dst` only
-/// with `src == dst` (so the order of the edits does not matter).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Edit {
-    /// Row to copy from.
-    pub src: u32,
-    /// Row to write.
-    pub dst: u32,
-    /// New position, local units.
-    pub position: [f32; 3],
-    /// New log-scale.
-    pub log_scale: [f32; 3],
-    /// New opacity logit.
-    pub opacity_logit: f32,
-    /// New SH coefficients of band 0, the higher bands being zero; none: those of `src`.
-    pub color: Option<[f32; 3]>,
 }
 
 /// A birth whose effect on the loss a step asks for.

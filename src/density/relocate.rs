@@ -8,6 +8,7 @@ use crate::base::rng::{Philox, Purpose};
 use crate::density::draw::{Categorical, gather, is_finite};
 use crate::density::relocation::{logit, most_copies, sigmoid, split};
 use crate::density::{Edit, SceneState, StepContext};
+use crate::scene::OptionalColor;
 
 /// Copies keep an opacity of this many times the one at which a Gaussian is dead: copies that the next step would find
 /// dead spread until nothing is alive.
@@ -137,7 +138,7 @@ impl Relocation {
                 position: gather(&scene.positions, source as usize)?,
                 log_scale: log_scale.map(|s| (f64::from(s) + part.log_scale_offset) as f32),
                 opacity_logit: part.opacity_logit as f32,
-                color: None,
+                color: OptionalColor::NONE,
             })
         };
         self.edits = groups.par_iter().filter_map(split_source).collect();

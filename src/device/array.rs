@@ -4,12 +4,12 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use ocl::core::{self, Event, MEM_COPY_HOST_PTR, MEM_READ_WRITE, Mem};
+use ocl_core::{self as core, Event, MEM_COPY_HOST_PTR, MEM_READ_WRITE, Mem};
 
 use crate::base::error::{Error, Result};
 use crate::device::context::{Device, Inner};
+use crate::device::error::{BUG, LOST, LOWER, device_error};
 use crate::device::layout::Element;
-use crate::device::{LOST, LOWER, device_error};
 
 /// A device buffer of `len` values of `T`.
 #[derive(Debug)]
@@ -50,8 +50,7 @@ impl<T: Element> PendingRead<T> {
 
 impl<T> Drop for PendingRead<T> {
     fn drop(&mut self) {
-        // The device writes into `data` until the event completes. Where that cannot be waited for, nobody knows when, and
-        // the memory is left to it.
+        // The device writes into `data` until the event completes. If that cannot be waited for, the memory must stay.
         if core::wait_for_event(&self.event).is_err() {
             std::mem::forget(std::mem::take(&mut self.data));
         }
@@ -59,7 +58,7 @@ impl<T> Drop for PendingRead<T> {
 }
 
 impl<T: Element> Array<T> {
-    /// `len` zero-filled values.
+    /// An array of `len` zeros.
     ///
     /// # Errors
     /// More than the device can allocate.
@@ -105,7 +104,7 @@ impl<T: Element> Array<T> {
         })
     }
 
-    /// Name, as kernels/README.md lists it.
+    /// Name, as in `kernels/README.md`.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.name
@@ -117,7 +116,7 @@ impl<T: Element> Array<T> {
         self.len
     }
 
-    /// Whether there are none.
+    /// True if there are no values.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len == 0
@@ -133,7 +132,7 @@ impl<T: Element> Array<T> {
                 "{len} values from {offset} on; the array holds {}",
                 self.len
             ),
-            "this is a bug; please report it",
+            BUG,
         ))
     }
 

@@ -1,36 +1,22 @@
-//! Kernels with checked argument types, and the time each stage takes.
+//! Kernels whose arguments are checked at every launch.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use ocl::core::{self, ArgVal, Event, KernelArgInfo, KernelInfo, KernelInfoResult, ProfilingInfo};
+use ocl_core::{self as core, ArgVal, Event, KernelArgInfo, KernelInfo, KernelInfoResult};
 
 use crate::base::error::{Error, Result};
 use crate::device::array::Array;
 use crate::device::context::{Device, Inner};
-use crate::device::layout::Element;
-use crate::device::{LOST, device_error};
+use crate::device::defines::Defines;
+use crate::device::error::{BUG, LOST, device_error};
+use crate::device::layout::{CameraArg, Element, Real};
 
-/// Device time of one stage.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct StageTime {
-    /// Seconds between start and end, as the device's profiling counters say.
-    pub seconds: f64,
-    /// Launches.
-    pub calls: u64,
-}
-
-/// A launch whose profiling counters have not been read yet.
-#[derive(Debug)]
-pub(super) struct Pending {
-    stage: &'static str,
-    event: Event,
-}
-
-/// A compiled kernel. Arguments are set and checked on every launch.
+/// A compiled kernel and the choices that it was compiled with.
 #[derive(Debug)]
 pub struct Kernel {
     device: Arc<Inner>,
     kernel: Mutex<core::Kernel>,
+    defines: Defines,
     stage: &'static str,
     name: &'static str,
     types: Vec<String>,
@@ -39,7 +25,7 @@ pub struct Kernel {
 /// Argument list under construction; see [`Kernel::launch`].
 pub struct Launch<'a> {
     owner: &'a Kernel,
-    kernel: std::sync::MutexGuard<'a, core::Kernel>,
+    kernel: MutexGuard<'a, core::Kernel>,
     next: u32,
     error: Option<Error>,
 }
@@ -47,11 +33,12 @@ pub struct Launch<'a> {
 impl Kernel {
     pub(super) fn new(
         device: &Device,
+        defines: Defines,
         program: &core::Program,
         stage: &'static str,
         name: &'static str,
     ) -> Result<Self> {
-        let fail = |e: core::Error| device_error(name, &e, "this is a bug; please report it");
+        let fail = |e: core::Error| device_error(name, &e, BUG);
         let kernel = core::create_kernel(program, name).map_err(fail)?;
         let KernelInfoResult::NumArgs(n) =
             core::get_kernel_info(&kernel, KernelInfo::NumArgs).map_err(fail)?
@@ -72,6 +59,7 @@ impl Kernel {
         Ok(Self {
             device: device.inner.clone(),
             kernel: Mutex::new(kernel),
+            defines,
             stage,
             name,
             types,
@@ -84,7 +72,25 @@ impl Kernel {
         Self { stage, ..self }
     }
 
-    /// Starts an argument list; arguments follow in the order of the kernel's signature.
+    /// Choices that the kernel was compiled with.
+    #[must_use]
+    pub fn defines(&self) -> &Defines {
+        &self.defines
+    }
+
+    /// Number of chunks that a long array is cut into.
+    #[must_use]
+    pub fn chunks(&self) -> usize {
+        self.defines.tuning.chunks
+    }
+
+    /// Number of vectors that hold `count` Gaussians.
+    #[must_use]
+    pub fn vectors(&self, count: usize) -> usize {
+        count.div_ceil(self.defines.tuning.vector_width as usize)
+    }
+
+    /// An empty argument list; arguments follow in the order of the kernel's signature.
     pub fn launch(&self) -> Launch<'_> {
         Launch {
             owner: self,
@@ -96,6 +102,10 @@ impl Kernel {
 }
 
 impl Launch<'_> {
+    fn fail(&mut self, what: String) {
+        self.error = Some(Error::device(self.owner.name, what, BUG));
+    }
+
     fn set(mut self, type_name: &str, pointer: bool, value: ArgVal<'_>) -> Self {
         if self.error.is_some() {
             return self;
@@ -107,71 +117,135 @@ impl Launch<'_> {
             Some(t) => t.trim_end_matches('*') == type_name && t.ends_with('*') == pointer,
         };
         if !matches {
-            self.error = Some(Error::device(
-                self.owner.name,
-                format!(
-                    "argument {} is {}{}; the kernel takes {}",
-                    self.next,
-                    type_name,
-                    if pointer { "*" } else { "" },
-                    found.unwrap_or("fewer arguments")
-                ),
-                "this is a bug; please report it",
+            let star = if pointer { "*" } else { "" };
+            let found = found.unwrap_or("fewer arguments");
+            self.fail(format!(
+                "argument {} is {type_name}{star}; the kernel takes {found}",
+                self.next
             ));
             return self;
         }
         if let Err(e) = core::set_kernel_arg(&self.kernel, self.next, value) {
-            self.error = Some(device_error(
-                self.owner.name,
-                &e,
-                "this is a bug; please report it",
-            ));
+            self.error = Some(device_error(self.owner.name, &e, BUG));
         }
         self.next += 1;
         self
     }
 
-    /// A device array; at least `len` values are needed.
+    /// Choices that the kernel was compiled with.
+    #[must_use]
+    pub fn defines(&self) -> &Defines {
+        &self.owner.defines
+    }
+
+    /// Adds a device array of at least `len` values.
     #[must_use]
     pub fn array<T: Element>(mut self, array: &Array<T>, len: usize) -> Self {
         if self.error.is_none() && array.len() < len {
-            self.error = Some(Error::device(
-                self.owner.name,
-                format!(
-                    "{} holds {} values; {len} are needed",
-                    array.name(),
-                    array.len()
-                ),
-                "this is a bug; please report it",
-            ));
+            let (name, has) = (array.name(), array.len());
+            self.fail(format!("{name} holds {has} values; {len} are needed"));
         }
         self.set(T::NAME, true, ArgVal::mem(&array.mem))
     }
 
-    /// A value.
+    /// Adds a value.
     #[must_use]
     pub fn value<T: Element>(self, value: T) -> Self {
         self.set(T::NAME, false, ArgVal::scalar(&value))
+    }
+
+    /// Adds numbers as `real`.
+    #[must_use]
+    pub fn reals<R: Real>(self, values: impl IntoIterator<Item = f64>) -> Self {
+        values.into_iter().fold(self, |l, v| l.value(R::of(v)))
+    }
+
+    /// Adds numbers as `int`.
+    #[must_use]
+    pub fn ints<const K: usize>(self, values: [usize; K]) -> Self {
+        values.into_iter().fold(self, |l, v| l.value(v as i32))
+    }
+
+    /// Adds numbers as `uint`.
+    #[must_use]
+    pub fn uints<const K: usize>(self, values: [usize; K]) -> Self {
+        values.into_iter().fold(self, |l, v| l.value(v as u32))
+    }
+
+    /// Adds the tiles per row and the tiles in all of a camera's image, as `int`.
+    #[must_use]
+    pub fn tiles<R: Real>(self, camera: &CameraArg<R>) -> Self {
+        self.ints([camera.tiles[0] as usize, camera.tile_count()])
+    }
+
+    /// Enqueues the kernel with a work-item for each vector of `count` Gaussians. Does not wait.
+    ///
+    /// # Errors
+    /// As [`Launch::run`].
+    pub fn over_gaussians(self, count: usize) -> Result<()> {
+        let (vectors, local) = (
+            self.owner.vectors(count),
+            self.defines().tuning.lane_local(),
+        );
+        self.run([vectors, 1], [local, 1])
+    }
+
+    /// Enqueues the kernel with a work-item for each batch of `count` Gaussians. Does not wait.
+    ///
+    /// # Errors
+    /// As [`Launch::run`].
+    pub fn over_batches(self, count: usize) -> Result<()> {
+        let tuning = self.defines().tuning;
+        let batches = count.div_ceil(tuning.batch());
+        self.run([batches, 1], [tuning.batch_local(), 1])
+    }
+
+    /// Enqueues the kernel with a work-item, or a work-group, for each tile of a camera's image. Does not wait.
+    ///
+    /// # Errors
+    /// As [`Launch::run`].
+    pub fn over_tiles<R: Real>(self, camera: &CameraArg<R>) -> Result<()> {
+        let group = self.defines().tuning.tile_group();
+        self.run([camera.tile_count() * group, 1], [group, 1])
+    }
+
+    /// Enqueues the kernel with small work-items, such as one for each Gaussian and plane. Does not wait.
+    ///
+    /// # Errors
+    /// As [`Launch::run`].
+    pub fn over_items(self, items: [usize; 2]) -> Result<()> {
+        let local = self.defines().tuning.local;
+        self.run(items, [local, 1])
+    }
+
+    /// Enqueues the kernel with large work-items, such as one for each chunk of an array or row of an image. Does not wait.
+    ///
+    /// # Errors
+    /// As [`Launch::run`].
+    pub fn over_chunks(self, chunks: [usize; 2]) -> Result<()> {
+        let local = self.defines().tuning.coarse_local();
+        self.run(chunks, [local, 1])
+    }
+
+    /// Enqueues the kernel with one work-item. Does not wait.
+    ///
+    /// # Errors
+    /// As [`Launch::run`].
+    pub fn once(self) -> Result<()> {
+        self.run([1, 1], [1, 1])
     }
 
     /// Enqueues the kernel over `global` work-items (rounded up to whole work-groups of `local`). Does not wait.
     ///
     /// # Errors
     /// A wrong argument, or the driver's.
-    pub fn run(self, global: [usize; 2], local: [usize; 2]) -> Result<()> {
+    pub fn run(mut self, global: [usize; 2], local: [usize; 2]) -> Result<()> {
+        let (given, expected) = (self.next as usize, self.owner.types.len());
+        if self.error.is_none() && given != expected {
+            self.fail(format!("{given} arguments given; {expected} expected"));
+        }
         if let Some(error) = self.error {
             return Err(error);
-        }
-        if self.next as usize != self.owner.types.len() {
-            return Err(Error::device(
-                self.owner.name,
-                format!(
-                    "{} arguments given; {} expected",
-                    self.next,
-                    self.owner.types.len()
-                ),
-                "this is a bug; please report it",
-            ));
         }
         let size = |k: usize| global[k].max(1).next_multiple_of(local[k]);
         let mut event = Event::null();
@@ -189,93 +263,7 @@ impl Launch<'_> {
             )
         }
         .map_err(|e| device_error(self.owner.name, &e, LOST))?;
-        let mut pending = self
-            .owner
-            .device
-            .pending
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        pending.push(Pending {
-            stage: self.owner.stage,
-            event,
-        });
+        self.owner.device.profile.add(self.owner.stage, event);
         Ok(())
-    }
-}
-
-impl Device {
-    /// Launches so far whose device time has not been read.
-    #[must_use]
-    pub fn launches(&self) -> usize {
-        let pending = self
-            .inner
-            .pending
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        pending.len()
-    }
-
-    /// Adds up the device time of the oldest `launches` launches; waits for them if they are not done.
-    ///
-    /// # Errors
-    /// The driver's.
-    pub fn collect_times(&self, launches: usize) -> Result<()> {
-        let drained: Vec<Pending> = {
-            let mut pending = self
-                .inner
-                .pending
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner);
-            let n = launches.min(pending.len());
-            pending.drain(..n).collect()
-        };
-        let mut times = self
-            .inner
-            .times
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        for p in drained {
-            core::wait_for_event(&p.event).map_err(|e| device_error(p.stage, &e, LOST))?;
-            let ask = |info| {
-                core::get_event_profiling_info(&p.event, info)
-                    .ok()
-                    .and_then(|t| t.time().ok())
-            };
-            let entry = times.entry(p.stage).or_default();
-            entry.calls += 1;
-            if let (Some(start), Some(end)) = (ask(ProfilingInfo::Start), ask(ProfilingInfo::End)) {
-                entry.seconds += end.saturating_sub(start) as f64 * 1e-9;
-            }
-        }
-        Ok(())
-    }
-
-    /// Leaves launches so far whose device time has not been read out of all stages: who made them counts them otherwise.
-    pub fn forget_launches(&self) {
-        self.inner
-            .pending
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clear();
-    }
-
-    /// Device time per stage since the device was opened (or [`Device::reset_times`]).
-    #[must_use]
-    pub fn times(&self) -> Vec<(&'static str, StageTime)> {
-        let times = self
-            .inner
-            .times
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        times.iter().map(|(k, v)| (*k, *v)).collect()
-    }
-
-    /// Forgets the times so far.
-    pub fn reset_times(&self) {
-        self.inner
-            .times
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clear();
     }
 }

@@ -1,15 +1,17 @@
-//! Types that cross the border to the device: `repr(C)` twins of the structs in `kernels/common.clh` and `edit.cl`.
-//! Their sizes and offsets are compared with the device's in the tests.
+//! Types that device arrays hold: numbers, and `repr(C)` structs of `kernels/common.clh` and `kernels/edit.cl`. The tests
+//! compare their sizes and offsets with the device's.
 
 use std::fmt::Debug;
 
-use ocl::core::OclPrm;
+use ocl_core::OclPrm;
 
+use crate::base::constants::TILE;
 use crate::capture::Camera;
+use crate::scene::Edit;
 
 /// A type that device arrays can hold.
 pub trait Element: OclPrm {
-    /// Its name in OpenCL C.
+    /// Name of the type in OpenCL C.
     const NAME: &'static str;
 }
 
@@ -20,9 +22,9 @@ element!(f32 => "float", f64 => "double", u32 => "uint", i32 => "int", u8 => "uc
 
 /// The kernels' `real`: f32, or f64 for the checks against the reference.
 pub trait Real: Element + Into<f64> {
-    /// Whether the kernels are built with REAL_IS_DOUBLE.
+    /// True for f64; the value of `REAL_IS_DOUBLE`.
     const IS_DOUBLE: bool;
-    /// Rounds from f64.
+    /// The nearest value to `v`.
     fn of(v: f64) -> Self;
 }
 
@@ -70,7 +72,7 @@ pub struct Record<R> {
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct CameraArg<R> {
-    /// Rotation scene → camera, row major.
+    /// Rotation from scene to camera, row major.
     pub w: [R; 9],
     /// Translation, local units.
     pub t: [R; 3],
@@ -89,14 +91,13 @@ pub struct CameraArg<R> {
 }
 
 impl<R: Real> CameraArg<R> {
-    /// The field of view is widened by 30 % on each side, as in 3DGS (with the principal point taken into account).
+    /// The camera as kernels take it. The field of view is widened by 30 % on each side, as in 3DGS (with the principal point taken into account).
     #[must_use]
     pub fn new(camera: &Camera, near: f64) -> Self {
         let (w, h) = (f64::from(camera.width), f64::from(camera.height));
         let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
         let (mx, my) = (0.3 * w / (2.0 * fx), 0.3 * h / (2.0 * fy));
         let rows = camera.rotation.transpose().to_cols_array();
-        let tile = crate::base::constants::TILE;
         Self {
             w: rows.map(R::of),
             t: camera.translation.to_array().map(R::of),
@@ -112,8 +113,8 @@ impl<R: Real> CameraArg<R> {
             near: R::of(near),
             size: [camera.width as i32, camera.height as i32],
             tiles: [
-                camera.width.div_ceil(tile) as i32,
-                camera.height.div_ceil(tile) as i32,
+                camera.width.div_ceil(TILE) as i32,
+                camera.height.div_ceil(TILE) as i32,
             ],
         }
     }
@@ -125,9 +126,22 @@ impl<R: Real> CameraArg<R> {
         Self {
             intrinsics: self.intrinsics.map(|v| R::of(v.into() / factor as f64)),
             size,
-            tiles: size.map(|s| (s as u32).div_ceil(crate::base::constants::TILE) as i32),
+            tiles: size.map(|s| (s as u32).div_ceil(TILE) as i32),
             ..*self
         }
+    }
+
+    /// Width and height of the image with its padding to whole tiles, pixels.
+    #[must_use]
+    pub fn padded(&self) -> [usize; 2] {
+        self.tiles.map(|t| t as usize * TILE as usize)
+    }
+
+    /// Pixels of a padded plane of the image.
+    #[must_use]
+    pub fn plane(&self) -> usize {
+        let [width, height] = self.padded();
+        width * height
     }
 
     /// Number of tiles.
@@ -137,32 +151,12 @@ impl<R: Real> CameraArg<R> {
     }
 }
 
-/// A row to write (`Edit` in `kernels/edit.cl`).
-#[repr(C)]
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct EditRow {
-    /// Row to copy from.
-    pub src: u32,
-    /// Row to write.
-    pub dst: u32,
-    /// Position, local units.
-    pub position: [f32; 3],
-    /// Log-scale.
-    pub log_scale: [f32; 3],
-    /// Opacity logit.
-    pub opacity_logit: f32,
-    /// Whether `color` replaces the SH coefficients of `src`.
-    pub colored: u32,
-    /// SH coefficients of band 0.
-    pub color: [f32; 3],
-}
-
 // SAFETY: plain old data, any bit pattern is a value, no padding that is read.
 unsafe impl<R: Real> OclPrm for Record<R> {}
 // SAFETY: as above.
 unsafe impl<R: Real> OclPrm for CameraArg<R> {}
 // SAFETY: as above.
-unsafe impl OclPrm for EditRow {}
+unsafe impl OclPrm for Edit {}
 
 impl<R: Real> Element for Record<R> {
     const NAME: &'static str = "Record";
@@ -170,6 +164,6 @@ impl<R: Real> Element for Record<R> {
 impl<R: Real> Element for CameraArg<R> {
     const NAME: &'static str = "Camera";
 }
-impl Element for EditRow {
+impl Element for Edit {
     const NAME: &'static str = "Edit";
 }

@@ -1,14 +1,9 @@
 //! Constants that only the device side knows, and the sizes that depend on the class of device.
 
-pub use crate::base::constants::{
-    ALPHA_MAX, ALPHA_MIN, COLOR_MAX, FILTER_CHUNKS, FILTER_MARGIN, FILTER_VARIANCE, LOG_SCALE,
-    LOSS_ROWS, NEAR, PEAK_CHAINS, SHRINK_RUN, SSIM_C, SSIM_SIGMA, SSIM_TAPS, STAGE, SUMS, T_MIN,
-    TILE, TILE_SLACK,
-};
-
 use serde::{Deserialize, Serialize};
 
-use crate::device::context::{DeviceInfo, DeviceKind};
+use crate::base::constants::{STAGE, TILE};
+use crate::device::info::{DeviceInfo, DeviceKind};
 
 /// Key of a Gaussian that is not visible.
 pub const KEY_CULLED: u32 = u32::MAX;
@@ -27,7 +22,7 @@ pub mod status {
     pub const SLOTS: usize = 8;
 }
 
-/// How kernels are cut for a device. The defaults of its class were measured for CPUs and are conservative for GPUs; a
+/// Sizes that kernels are built with. The defaults of its class were measured for CPUs and are conservative for GPUs; a
 /// choice for the device at hand is measured by [`crate::lab::tune`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -94,7 +89,7 @@ impl Tuning {
         }
     }
 
-    /// What is wrong with these sizes for a device, if anything: no kernel is built with such.
+    /// The first rule that these sizes break for a device; `None` if kernels can be built with them.
     #[must_use]
     pub fn fault(&self, info: &DeviceInfo) -> Option<&'static str> {
         let Self {
@@ -174,5 +169,15 @@ impl Tuning {
     #[must_use]
     pub fn coarse_local(&self) -> usize {
         if self.group_style { 32 } else { 1 }
+    }
+
+    /// Work-items per tile of the kernels that go through the pixels of a tile.
+    #[must_use]
+    pub fn tile_group(&self) -> usize {
+        if self.group_style {
+            (TILE * TILE) as usize
+        } else {
+            1
+        }
     }
 }

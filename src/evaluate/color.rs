@@ -106,13 +106,9 @@ impl Evaluator {
                 let at = (k / h * rows + k % h) * stride;
                 padded[at..at + w].copy_from_slice(row);
             }
-            let pair = ImagePair {
-                image: &Array::from_slice(renderer.device(), "corrected", &padded)?,
-                photo: &*self.views.photo(view, &[])?,
-                background,
-                size: [w, h],
-                blank: None,
-            };
+            let image = Array::from_slice(renderer.device(), "corrected", &padded)?;
+            let photo = self.views.photo(view, &[])?;
+            let pair = ImagePair::new(&image, &photo, camera, background);
             let [psnr, ssim, _] = self.measure(&pair)?;
             (score.cc_psnr, score.cc_ssim) = (Some(psnr), Some(ssim));
         }

@@ -13,7 +13,7 @@ use crate::base::error::Result;
 use crate::device::{Array, Defines, Device, Kernels};
 use crate::pipeline::buffers::{Scene, ViewSet};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
-use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics::Metrics;
 
 /// Scores of one held-out view.
@@ -104,14 +104,7 @@ impl Evaluator {
             live_only: false,
         };
         renderer.render(scene, camera, &options)?;
-        let size = size_of_image(camera);
-        let pair = ImagePair {
-            image: &renderer.frame.image,
-            photo: &photo,
-            background,
-            size,
-            blank: None,
-        };
+        let pair = ImagePair::new(&renderer.frame.image, &photo, camera, background);
         let [psnr, ssim, counted] = self.measure(&pair)?;
         let score = ViewScore {
             view: self.views.names[view].clone(),

@@ -1,33 +1,17 @@
 //! [`Backward`]: the backward stages, in order.
 
-use std::ops::Range;
 use std::sync::Arc;
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::{GradientBlock, Scene};
 use crate::pipeline::forward::Renderer;
-use crate::pipeline::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::pipeline::stage::splat_grad::SplatGrad;
 use crate::scene::Plane;
 
 /// Rows of gradients that are read back start at multiples of this.
 pub const GRADIENT_ROWS: usize = 16;
-
-/// Gradients of a block of Gaussians: where they go and what is added to them.
-#[derive(Debug)]
-pub struct Block<'a, R: Real> {
-    /// Gaussians of the block.
-    pub rows: Range<usize>,
-    /// SH degree in use.
-    pub sh_degree: u32,
-    /// Weights of the regularisers on opacity and scale (λ_o, λ_s).
-    pub lambdas: [f64; 2],
-    /// Gaussians that `grads` has room for.
-    pub stride: usize,
-    /// Gradients \[planes, stride\].
-    pub grads: &'a Array<R>,
-}
 
 /// Runs the backward stages after a render: image gradient → sums per tile intersection → raw parameters.
 #[derive(Debug)]
@@ -81,11 +65,10 @@ impl Backward {
         camera: &CameraArg<R>,
         dimage: &Array<R>,
     ) -> Result<()> {
-        self.splat_grad
-            .run(&forward.lists(camera), dimage, &forward.frame.sums)
+        self.splat_grad.run(&forward.frame, camera, dimage)
     }
 
-    /// Takes those sums back to the raw parameters of a block of Gaussians.
+    /// Takes those sums back to the raw parameters of a block of Gaussians; `lambdas` weigh the regularisers on opacity and scale.
     ///
     /// # Errors
     /// The driver's.
@@ -94,26 +77,12 @@ impl Backward {
         forward: &Renderer<R>,
         scene: &Scene<R>,
         camera: &CameraArg<R>,
-        block: Block<'_, R>,
+        sh_degree: u32,
+        lambdas: [f64; 2],
+        grads: &GradientBlock<'_, R>,
     ) -> Result<()> {
-        let frame = &forward.frame;
-        let stage = &self.project_grad[(block.sh_degree - self.lowest) as usize];
-        stage.run(&ProjectGradArgs {
-            params: &scene.params,
-            stride: scene.stride,
-            count: scene.count,
-            filter: &scene.filter,
-            camera,
-            pair_start: &frame.pair_start,
-            pair_counts: &frame.pair_counts,
-            status: &frame.status,
-            sums: &frame.sums,
-            lambda_opacity: block.lambdas[0],
-            lambda_scale: block.lambdas[1],
-            block: block.rows,
-            grad_stride: block.stride,
-            grads: block.grads,
-        })
+        let stage = &self.project_grad[(sh_degree - self.lowest) as usize];
+        stage.run(scene, &forward.frame, camera, lambdas, grads)
     }
 
     /// Derivatives of the loss by opacity logit and the three log-scales, from the image gradient of the view rendered last,
@@ -132,18 +101,17 @@ impl Backward {
         self.splats(forward, camera, dimage)?;
         let count = scene.count;
         let stride = (count - first).next_multiple_of(GRADIENT_ROWS);
-        let grads = Array::zeros(forward.device(), "grads", scene.planes() * stride)?;
-        let block = Block {
-            rows: first..count,
-            sh_degree: sh_degree as u32,
-            lambdas: [0.0; 2],
+        let values = Array::zeros(forward.device(), "grads", scene.planes() * stride)?;
+        let grads = GradientBlock {
+            values: &values,
+            planes: Plane::count(sh_degree as u32),
             stride,
-            grads: &grads,
+            rows: first..count,
         };
-        self.parameters(forward, scene, camera, block)?;
+        self.parameters(forward, scene, camera, sh_degree as u32, [0.0; 2], &grads)?;
         let plane = |p: usize| -> Result<Vec<f64>> {
-            let values = grads.read(p * stride, count - first)?;
-            Ok(values.into_iter().map(Into::into).collect())
+            let plane = values.read(p * stride, count - first)?;
+            Ok(plane.into_iter().map(Into::into).collect())
         };
         let scale = Plane::LOG_SCALE;
         Ok([

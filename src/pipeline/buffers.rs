@@ -1,5 +1,6 @@
 //! What lives on the device: the scene, and the arrays of one view's passage through the stages.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::base::constants::{NEAR, SUMS, TILE};
@@ -23,6 +24,10 @@ pub struct Blank<'a> {
 const ROUND: usize = 256;
 /// Longest side of an image: records hold pixel bounds in 16 bits.
 const MOST_PIXELS: i32 = 1 << 16;
+
+/// Names of the keys and values that are sorted by depth, and of those sorted by tile.
+const VISIBLE: [&str; 2] = ["visible_keys", "visible"];
+const ORDER: [&str; 2] = ["tile_keys", "order"];
 
 /// Raw parameters of a scene on the device.
 #[derive(Debug)]
@@ -122,6 +127,57 @@ impl<R: Real> Scene<R> {
     }
 }
 
+/// Gradients of the raw parameters of a block of Gaussians.
+#[derive(Debug, Clone)]
+pub struct GradientBlock<'a, R: Real> {
+    /// The values; a plane begins at the first Gaussian of the block.
+    pub values: &'a Array<R>,
+    /// Number of planes in use.
+    pub planes: usize,
+    /// Number of Gaussians that a plane has room for, a multiple of 16.
+    pub stride: usize,
+    /// Rows of the Gaussians; the first is a multiple of 16.
+    pub rows: Range<usize>,
+}
+
+/// Keys and values to be sorted, twice: a pass of the sort goes from one pair of arrays to the other.
+#[derive(Debug)]
+pub struct SortBuffers {
+    /// Keys.
+    pub keys: [Array<u32>; 2],
+    /// Values.
+    pub values: [Array<u32>; 2],
+    /// Index of the pair of arrays that holds the result of the last sort.
+    pub sorted: usize,
+}
+
+impl SortBuffers {
+    /// Room for `len` elements.
+    ///
+    /// # Errors
+    /// More than the device can allocate.
+    pub fn new(device: &Device, names: [&'static str; 2], len: usize) -> Result<Self> {
+        let zeros = |name| Array::zeros(device, name, len);
+        Ok(Self {
+            keys: [zeros(names[0])?, zeros(names[0])?],
+            values: [zeros(names[1])?, zeros(names[1])?],
+            sorted: 0,
+        })
+    }
+
+    /// Keys in rising order.
+    #[must_use]
+    pub fn sorted_keys(&self) -> &Array<u32> {
+        &self.keys[self.sorted]
+    }
+
+    /// Values in the order of their keys.
+    #[must_use]
+    pub fn sorted_values(&self) -> &Array<u32> {
+        &self.values[self.sorted]
+    }
+}
+
 /// Arrays of one view's passage from records to the image; they grow and never shrink.
 #[derive(Debug)]
 pub struct Frame<R: Real> {
@@ -133,10 +189,8 @@ pub struct Frame<R: Real> {
     pub pair_counts: Array<u32>,
     /// First pair of each Gaussian \[stride\].
     pub pair_start: Array<u32>,
-    /// Keys of the visible Gaussians, twice for sorting \[stride\].
-    pub visible_keys: [Array<u32>; 2],
-    /// Visible Gaussians, twice for sorting \[stride\].
-    pub visible: [Array<u32>; 2],
+    /// Visible Gaussians by depth.
+    pub visible: SortBuffers,
     /// Tiles of each visible Gaussian \[stride\].
     pub counts: Array<u32>,
     /// Which tiles those are, if they are few \[stride, 2\].
@@ -145,10 +199,8 @@ pub struct Frame<R: Real> {
     pub offsets: Array<u32>,
     /// Sums per chunk \[chunks\].
     pub chunk_sums: Array<u32>,
-    /// Tile of each pair, twice for sorting \[pairs\].
-    pub tile_keys: [Array<u32>; 2],
-    /// Emission slot of each pair, twice for sorting \[pairs\].
-    pub order: [Array<u32>; 2],
+    /// Emission slots of the pairs by tile.
+    pub order: SortBuffers,
     /// Gaussian of each pair, by emission slot \[pairs\].
     pub pair_owner: Array<u32>,
     /// Sums of splat_grad \[pairs, 9\]; empty when only rendering.
@@ -178,14 +230,12 @@ impl<R: Real> Frame<R> {
             keys: ints("keys")?,
             pair_counts: ints("pair_counts")?,
             pair_start: ints("pair_start")?,
-            visible_keys: [ints("visible_keys")?, ints("visible_keys")?],
-            visible: [ints("visible")?, ints("visible")?],
+            visible: SortBuffers::new(device, VISIBLE, 0)?,
             counts: ints("counts")?,
             cover: ints("cover")?,
             offsets: ints("offsets")?,
             chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
-            tile_keys: [ints("tile_keys")?, ints("tile_keys")?],
-            order: [ints("order")?, ints("order")?],
+            order: SortBuffers::new(device, ORDER, 0)?,
             pair_owner: ints("pair_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
             tile_start: ints("tile_start")?,
@@ -210,8 +260,7 @@ impl<R: Real> Frame<R> {
         self.keys = ints("keys")?;
         self.pair_counts = ints("pair_counts")?;
         self.pair_start = ints("pair_start")?;
-        self.visible_keys = [ints("visible_keys")?, ints("visible_keys")?];
-        self.visible = [ints("visible")?, ints("visible")?];
+        self.visible = SortBuffers::new(device, VISIBLE, stride)?;
         self.counts = ints("counts")?;
         self.cover = Array::zeros(device, "cover", 2 * stride)?;
         self.offsets = ints("offsets")?;
@@ -252,8 +301,7 @@ impl<R: Real> Frame<R> {
         let most = u32::MAX as usize - (ROUND - 1);
         let pairs = pairs.min(most).next_multiple_of(ROUND);
         let ints = |name| Array::<u32>::zeros(device, name, pairs);
-        self.tile_keys = [ints("tile_keys")?, ints("tile_keys")?];
-        self.order = [ints("order")?, ints("order")?];
+        self.order = SortBuffers::new(device, ORDER, pairs)?;
         if self.gradients {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
         }

@@ -3,9 +3,8 @@
 use crate::base::error::{Error, Result};
 use crate::device::tuning::status::{OVERFLOW, SLOTS};
 use crate::device::{Array, Device, Kernels, Real};
-use crate::pipeline::stage::exposure::{
-    ENTRIES, ExposedImage, Exposure, ExposureStep, IDENTITY, exposed, unexposed,
-};
+use crate::pipeline::stage::adam::Step;
+use crate::pipeline::stage::exposure::{ENTRIES, Exposure, Exposures, exposed, unexposed};
 
 /// Optimiser step of one view's transform.
 #[derive(Debug, Clone, Copy)]
@@ -24,13 +23,7 @@ pub struct TransformStep {
 #[derive(Debug)]
 pub struct ExposureModel<R: Real = f32> {
     stage: Exposure,
-    views: usize,
-    exposures: Array<R>,
-    moments: [Array<R>; 2],
-    /// The render under its view's transform.
-    corrected: Array<R>,
-    partial: Array<R>,
-    grads: Array<R>,
+    buffers: Exposures<R>,
     /// Iterations done when it was switched on.
     since: u32,
 }
@@ -41,34 +34,12 @@ impl<R: Real> ExposureModel<R> {
     /// # Errors
     /// A build failure, or more than the device can allocate.
     pub fn new(kernels: &Kernels, views: usize, plane: usize, since: u32) -> Result<Self> {
-        let device = kernels.device();
         let stage = Exposure::new::<R>(kernels)?;
-        let zeros = |name, len| Array::zeros(device, name, len);
-        let it = Self {
-            views,
-            exposures: zeros("exposures", ENTRIES * views)?,
-            moments: [
-                zeros("moment1", ENTRIES * views)?,
-                zeros("moment2", ENTRIES * views)?,
-            ],
-            corrected: zeros("corrected", 3 * plane)?,
-            partial: zeros("exposure partial", stage.partial_len())?,
-            grads: zeros("exposure grads", ENTRIES)?,
+        Ok(Self {
+            buffers: Exposures::new(kernels.device(), &stage, views, plane)?,
             stage,
             since,
-        };
-        let identity = IDENTITY.map(R::of).repeat(views);
-        it.exposures.write(0, &identity)?;
-        Ok(it)
-    }
-
-    fn image<'a>(&'a self, image: &'a Array<R>, plane: usize, view: usize) -> ExposedImage<'a, R> {
-        ExposedImage {
-            image,
-            plane,
-            exposures: &self.exposures,
-            view,
-        }
+        })
     }
 
     /// The render of a view under its transform; `plane` is the padded size of the image, pixels.
@@ -76,9 +47,8 @@ impl<R: Real> ExposureModel<R> {
     /// # Errors
     /// The driver's.
     pub fn apply(&self, image: &Array<R>, plane: usize, view: usize) -> Result<&Array<R>> {
-        let exposed = self.image(image, plane, view);
-        self.stage.apply(&exposed, &self.corrected)?;
-        Ok(&self.corrected)
+        self.stage.apply(image, plane, &self.buffers, view)?;
+        Ok(&self.buffers.corrected)
     }
 
     /// Takes the gradient by the transformed image back to the render, in place, and to the view's transform.
@@ -92,8 +62,8 @@ impl<R: Real> ExposureModel<R> {
         view: usize,
         dimage: &Array<R>,
     ) -> Result<()> {
-        let exposed = self.image(image, plane, view);
-        self.stage.backward(&exposed, dimage, &self.partial)
+        self.stage
+            .backward(image, plane, &self.buffers, view, dimage)
     }
 
     /// Optimiser's step of a view's transform; changes nothing after an overflow.
@@ -101,18 +71,12 @@ impl<R: Real> ExposureModel<R> {
     /// # Errors
     /// The driver's.
     pub fn step(&self, step: TransformStep, status: &Array<u32>) -> Result<()> {
-        self.stage.step(&ExposureStep {
-            partial: &self.partial,
-            view: step.view,
-            views: self.views,
+        let adam = Step {
             rate: step.rate,
             constants: step.constants,
-            step: step.iteration.saturating_sub(self.since) + 1,
-            exposures: &self.exposures,
-            moments: [&self.moments[0], &self.moments[1]],
-            grads: &self.grads,
-            status,
-        })
+            t: step.iteration.saturating_sub(self.since) + 1,
+        };
+        self.stage.step(&self.buffers, step.view, &adam, status)
     }
 
     /// Runs every kernel once and changes no transform, so that no iteration waits for a compiler.
@@ -136,7 +100,11 @@ impl<R: Real> ExposureModel<R> {
     }
 
     fn arrays(&self) -> [&Array<R>; 3] {
-        [&self.exposures, &self.moments[0], &self.moments[1]]
+        [
+            &self.buffers.transforms,
+            &self.buffers.moments[0],
+            &self.buffers.moments[1],
+        ]
     }
 
     /// Transforms, first and second moments \[3\]\[views · 12\].
@@ -178,7 +146,7 @@ impl ExposureModel {
         render: &mut [f32],
         photo: &mut [Vec<f32>; 3],
     ) -> Result<()> {
-        let e = self.exposures.read(ENTRIES * view, ENTRIES)?;
+        let e = self.buffers.transforms.read(ENTRIES * view, ENTRIES)?;
         let pixels = render.len() / 3;
         for i in 0..pixels {
             let x = exposed(&e, [0, 1, 2].map(|c| render[c * pixels + i]));

@@ -6,11 +6,11 @@ use crate::capture::Camera;
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::pipeline::buffers::{Frame, Scene};
-use crate::pipeline::stage::bin::{Bin, BinArgs, EmitArgs};
-use crate::pipeline::stage::project::{Project, ProjectArgs};
-use crate::pipeline::stage::scan::{Count, Scan, ScanArgs};
-use crate::pipeline::stage::sort::{Sort, SortArgs};
-use crate::pipeline::stage::splat::{Splat, TileLists, tiles_of};
+use crate::pipeline::stage::bin::Bin;
+use crate::pipeline::stage::project::Project;
+use crate::pipeline::stage::scan::{Count, Scan};
+use crate::pipeline::stage::sort::Sort;
+use crate::pipeline::stage::splat::Splat;
 
 /// What is composited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -75,7 +75,6 @@ pub struct Renderer<R: Real = f32> {
     sort: Sort,
     splat: Splat,
     pub(crate) frame: Frame<R>,
-    order_at: usize,
 }
 
 impl<R: Real> Renderer<R> {
@@ -104,7 +103,6 @@ impl<R: Real> Renderer<R> {
             sort: Sort::new::<R>(&kernels)?,
             splat: Splat::new::<R>(&kernels)?,
             frame: Frame::new(device, &defines.tuning, gradients)?,
-            order_at: 0,
         })
     }
 
@@ -150,7 +148,7 @@ impl<R: Real> Renderer<R> {
         options: &RenderOptions,
     ) -> Result<()> {
         self.enqueue_pairs(scene, camera, options)?;
-        self.splat.run(&self.lists(camera), options.background)
+        self.splat.run(&self.frame, camera, options.background)
     }
 
     /// Enqueues the forward stages up to the sorted pairs.
@@ -160,7 +158,6 @@ impl<R: Real> Renderer<R> {
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
-        let f = &self.frame;
         let degree = options.sh_degree.min(scene.sh_degree) as usize;
         let Some(project) = self.project.get(degree) else {
             return Err(Error::device(
@@ -169,98 +166,34 @@ impl<R: Real> Renderer<R> {
                 "make the renderer for this degree",
             ));
         };
-        let status = &f.status;
-        project.run(&ProjectArgs {
-            params: &scene.params,
-            stride: scene.stride,
-            count: scene.count,
-            filter: &scene.filter,
-            camera,
-            depth_as_color: options.quantity == Quantity::Depth,
-            records: &f.records,
-            keys: &f.keys,
-            pair_counts: &f.pair_counts,
-        })?;
-        let by_depth = self.sort_visible(scene.count)?;
-        self.order_at = self.pair_up(scene.count, camera, by_depth, options.live_only)?;
-        let (f, [_, tiles]) = (&self.frame, tiles_of(camera));
-        self.bin
-            .ranges(&f.tile_keys[self.order_at], status, tiles, &f.tile_start)
+        let depth_as_color = options.quantity == Quantity::Depth;
+        project.run(scene, &self.frame, camera, depth_as_color)?;
+        self.sort_visible(scene.count)?;
+        self.pair_up(scene.count, camera, options.live_only)?;
+        self.bin.ranges(&self.frame, camera)
     }
 
-    /// Compacts the visible Gaussians and sorts them by depth; answers which of the two arrays holds them.
-    fn sort_visible(&self, count: usize) -> Result<usize> {
-        let f = &self.frame;
-        let status = &f.status;
-        self.bin.visible(&f.keys, count, &f.chunk_sums)?;
-        self.scan
-            .totals(&f.chunk_sums, status, status::VISIBLE, f.keys.len())?;
-        let [keys, visible] = [&f.visible_keys, &f.visible];
-        self.bin
-            .compact(&f.keys, count, &f.chunk_sums, &keys[0], &visible[0])?;
-        self.sort.run(&SortArgs {
-            keys: [&keys[0], &keys[1]],
-            values: [&visible[0], &visible[1]],
-            status,
-            n_slot: status::VISIBLE,
-            bits: 32,
-        })
+    /// Compacts the visible Gaussians and sorts them by depth.
+    fn sort_visible(&mut self, count: usize) -> Result<()> {
+        let f = &mut self.frame;
+        self.bin.visible(f, count)?;
+        self.scan.visible(f)?;
+        self.bin.compact(f, count)?;
+        self.sort
+            .run(&mut f.visible, &f.status, status::VISIBLE, 32)
     }
 
-    /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile; answers which of the two arrays
-    /// holds the order.
-    fn pair_up(
-        &self,
-        count: usize,
-        camera: &CameraArg<R>,
-        by_depth: usize,
-        live_only: bool,
-    ) -> Result<usize> {
-        let f = &self.frame;
-        let (status, visible) = (&f.status, &f.visible);
-        let [tiles_x, tiles] = tiles_of(camera);
-        let bin = BinArgs {
-            records: &f.records,
-            visible: &visible[by_depth],
-            count,
-            status,
-            tiles_x: tiles_x as u32,
-            live: live_only.then_some(&f.live),
-            counts: &f.counts,
-            pair_counts: &f.pair_counts,
-            cover: &f.cover,
-        };
-        self.bin.count(&bin)?;
-        let scan = |values, n, out| {
-            self.scan.run(&ScanArgs {
-                values,
-                status,
-                n,
-                total_slot: status::PAIRS,
-                capacity: f.pair_capacity(),
-                sums: &f.chunk_sums,
-                out,
-            })
-        };
-        scan(&f.counts, Count::Slot(status::VISIBLE), &f.offsets)?;
-        scan(&f.pair_counts, Count::Known(count), &f.pair_start)?;
-        self.bin.emit(
-            &bin,
-            &EmitArgs {
-                offsets: &f.offsets,
-                pair_start: &f.pair_start,
-                tile_keys: &f.tile_keys[0],
-                slots: &f.order[0],
-                pair_owner: &f.pair_owner,
-            },
-        )?;
-        self.sort.run(&SortArgs {
-            keys: [&f.tile_keys[0], &f.tile_keys[1]],
-            values: [&f.order[0], &f.order[1]],
-            status,
-            n_slot: status::PAIRS,
-            bits: usize::BITS - tiles.leading_zeros(),
-        })
+    /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile.
+    fn pair_up(&mut self, count: usize, camera: &CameraArg<R>, live_only: bool) -> Result<()> {
+        let f = &mut self.frame;
+        self.bin.count(f, camera, count, live_only)?;
+        let visible = Count::Slot(status::VISIBLE);
+        self.scan.pairs(f, &f.counts, visible, &f.offsets)?;
+        let all = Count::Known(count);
+        self.scan.pairs(f, &f.pair_counts, all, &f.pair_start)?;
+        self.bin.emit(f, camera, count, live_only)?;
+        let bits = usize::BITS - camera.tile_count().leading_zeros();
+        self.sort.run(&mut f.order, &f.status, status::PAIRS, bits)
     }
 
     /// Tiles in which a pixel of the photo counts, or is not clear \[tiles\]: written by the live stage.
@@ -286,20 +219,6 @@ impl<R: Real> Renderer<R> {
     pub fn intersected(&self, first: usize, count: usize) -> Result<Vec<bool>> {
         let counts = self.frame.pair_counts.read(first, count - first)?;
         Ok(counts.into_iter().map(|n| n > 0).collect())
-    }
-
-    /// The sorted pairs of the view enqueued last.
-    pub(crate) fn lists(&self, camera: &CameraArg<R>) -> TileLists<'_, R> {
-        let f = &self.frame;
-        TileLists {
-            records: &f.records,
-            pair_owner: &f.pair_owner,
-            order: &f.order[self.order_at],
-            tile_start: &f.tile_start,
-            tile_used: &f.tile_used,
-            tiles: tiles_of(camera),
-            image: &f.image,
-        }
     }
 
     /// Makes room for the pairs that did not fit and clears the flag.
@@ -383,7 +302,7 @@ impl<R: Real> Renderer<R> {
     pub fn read_image(&self, camera: &CameraArg<R>) -> Result<Rendered> {
         let [width, height] = camera.size.map(|s| s as usize);
         let stride = camera.tiles[0] as usize * crate::base::constants::TILE as usize;
-        let plane = self.lists(camera).plane();
+        let plane = camera.plane();
         let padded = self.frame.image.read(0, 4 * plane)?;
         let cut = |c: usize| {
             (0..height).flat_map(move |y| {

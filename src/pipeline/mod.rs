@@ -5,6 +5,7 @@ pub mod buffers;
 pub mod chain;
 pub mod exposure;
 pub mod forward;
+mod launch;
 pub mod pass;
 pub mod photos;
 pub mod reference;

@@ -3,13 +3,13 @@
 use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
-use crate::pipeline::backward::{Backward, Block};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::backward::Backward;
+use crate::pipeline::buffers::{GradientBlock, Scene};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
-use crate::pipeline::stage::importance::{Importance, ImportanceArgs};
+use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::live::Live;
-use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::pipeline::stage::loss::{ImagePair, Loss};
 
 /// A photo to compare a render with.
 #[derive(Debug, Clone, Copy)]
@@ -115,13 +115,9 @@ impl<R: Real> Pipeline<R> {
         target: Target<'a>,
     ) -> Result<ImagePair<'a, R>> {
         let skips = target.skip_blank && self.live.is_some();
-        let mut pair = ImagePair {
-            image: &self.forward.frame.image,
-            photo: target.photo,
-            background: target.background,
-            size: size_of_image(camera),
-            blank: skips.then(|| self.forward.frame.blank()),
-        };
+        let image = &self.forward.frame.image;
+        let mut pair = ImagePair::new(image, target.photo, camera, target.background);
+        pair.blank = skips.then(|| self.forward.frame.blank());
         if let Some(exposure) = &self.exposure {
             pair.image = exposure.apply(pair.image, pair.plane(), target.view)?;
         }
@@ -193,16 +189,8 @@ impl<R: Real> Pipeline<R> {
         errors: &ErrorSums<'_, R>,
     ) -> Result<()> {
         self.loss.errors(pair, &self.maps, &self.partial)?;
-        stage.run(&ImportanceArgs {
-            params: &scene.params,
-            stride: scene.stride,
-            count: scene.count,
-            camera,
-            maps: &self.maps,
-            first_view: errors.first_view,
-            status: &self.forward.frame.status,
-            cues: errors.sums,
-        })
+        let (frame, first) = (&self.forward.frame, errors.first_view);
+        stage.run(scene, frame, camera, &self.maps, first, errors.sums)
     }
 
     /// Takes the image gradient back to sums per tile intersection.
@@ -221,10 +209,12 @@ impl<R: Real> Pipeline<R> {
         &self,
         scene: &Scene<R>,
         camera: &CameraArg<R>,
-        block: Block<'_, R>,
+        sh_degree: u32,
+        lambdas: [f64; 2],
+        grads: &GradientBlock<'_, R>,
     ) -> Result<()> {
         self.backward
-            .parameters(&self.forward, scene, camera, block)
+            .parameters(&self.forward, scene, camera, sh_degree, lambdas, grads)
     }
 
     /// Image gradient of the pair compared last \[3, rows, stride\].

@@ -1,5 +1,6 @@
 //! The scene being trained: a set of 3D Gaussians in raw (unactivated) form.
 
+mod edit;
 mod gaussians;
 pub mod init;
 pub mod knn;
@@ -9,6 +10,7 @@ pub mod ply;
 pub mod sh;
 mod smoothing;
 
+pub use crate::scene::edit::{Edit, OptionalColor};
 pub use crate::scene::gaussians::{Plane, Splats, sh_coefficients};
 pub use crate::scene::orbit::orbit;
 pub use crate::scene::smoothing::{filters, without_filter};

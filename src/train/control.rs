@@ -10,14 +10,14 @@ use crate::density::{
     self, Cues, DensityControl, DensityStats, Evidence, NoiseLaw, Outcome, Picture, SceneState,
     ScreenGradient, StepContext, Trial, Wanted,
 };
-use crate::device::{CameraArg, Device, EditRow, Kernels, StageTime};
+use crate::device::{CameraArg, Device, Kernels, StageTime};
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
 use crate::pipeline::stage::edit::Edit;
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::ImagePair;
-use crate::pipeline::stage::noise::{Noise, NoiseArgs};
-use crate::pipeline::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
+use crate::pipeline::stage::noise::Noise;
+use crate::pipeline::stage::screen_grad::ScreenGrad;
 use crate::scene::{Plane, morton};
 use crate::train::estimates::{Context, Estimates};
 use crate::train::gaussians::{GaussianState, Geometry};
@@ -187,30 +187,15 @@ impl Control {
         if let Some(stage) = &self.screen_grad
             && self.schedule.next_density(iteration).is_some()
         {
-            stage.run(&ScreenGradArgs {
-                records: &frame.records,
-                stride: scene.stride,
-                count: scene.count,
-                pair_start: &frame.pair_start,
-                pair_counts: &frame.pair_counts,
-                sums: &frame.sums,
-                size: camera.size,
-                status: &frame.status,
-                cues: &gaussians.statistics,
-            })?;
+            stage.run(scene, frame, camera, &gaussians.statistics)?;
         }
         if let Some((stage, law)) = &self.noise {
-            stage.run(&NoiseArgs {
-                stride: scene.stride,
-                count: scene.count,
-                seed: self.plan.config.seed,
-                stream: Purpose::Noise.stream(iteration),
+            let law = NoiseLaw {
                 rate: law.rate * self.schedule.position_rate(iteration),
-                steepness: law.steepness,
-                opacity: law.opacity,
-                status: &frame.status,
-                params: &scene.params,
-            })?;
+                ..*law
+            };
+            let stream = Purpose::Noise.stream(iteration);
+            stage.run(scene, frame, &law, self.plan.config.seed, stream)?;
         }
         Ok(())
     }
@@ -313,24 +298,24 @@ impl Control {
     }
 
     fn apply(&self, on: &mut Working<'_>, geometry: &Geometry, outcome: &Outcome) -> Result<()> {
-        let edits: Vec<EditRow> = outcome.edits.iter().map(EditRow::from).collect();
+        let edits = &outcome.edits;
         let (device, rows) = (on.device, outcome.rows);
         on.gaussians
-            .edit(device, &self.edit, &edits, rows, outcome.logit_limit)?;
+            .edit(device, &self.edit, edits, rows, outcome.logit_limit)?;
         if self.plan.config.work.morton_order || !outcome.removed.is_empty() {
-            let order = self.order(geometry, &edits, outcome);
+            let order = self.order(geometry, outcome);
             on.gaussians.reorder(device, &self.edit, &order)?;
         }
         match on.smoothing {
-            Some(s) => s.run(&on.gaussians.scene, &on.pipeline.forward.frame.status),
+            Some(s) => s.run(&on.gaussians.scene, &on.pipeline.forward.frame),
             None => Ok(()),
         }
     }
 
     /// Rows that stay, in Morton order if that is wanted: births are appended, wherever they lie.
-    fn order(&self, geometry: &Geometry, edits: &[EditRow], outcome: &Outcome) -> Vec<u32> {
+    fn order(&self, geometry: &Geometry, outcome: &Outcome) -> Vec<u32> {
         let mut order = if self.plan.config.work.morton_order {
-            let [x, y, z] = geometry.positions_after(edits, outcome.rows);
+            let [x, y, z] = geometry.positions_after(&outcome.edits, outcome.rows);
             morton::order([&x, &y, &z])
         } else {
             (0..outcome.rows as u32).collect()

@@ -8,13 +8,14 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::density::relocation::sigmoid;
-use crate::density::{DensityControl, Edit as DensityEdit, Trial};
-use crate::device::{Array, Defines, Device, EditRow, StageTime};
+use crate::density::{DensityControl, Trial};
+use crate::device::{Array, Defines, Device, StageTime};
 use crate::pipeline::backward::{Backward, GRADIENT_ROWS};
 use crate::pipeline::buffers::{Scene, restride};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::pass::Pipeline;
-use crate::pipeline::stage::edit::{Edit, EditArgs};
+use crate::pipeline::stage::edit::Edit;
+use crate::scene;
 use crate::train::gaussians::GaussianState;
 use crate::train::smoothing::Smoothing;
 use crate::train::views::Views;
@@ -240,7 +241,7 @@ impl Context<'_> {
         let (planes, from) = (old.planes(), old.stride);
         let stride = Scene::<f32>::grown_stride(n + trials.len()).max(from);
         let smoothed = self.smoothing.map_or(0, |_| stride);
-        let scene = Scene {
+        let copy = Scene {
             params: restride(device, &old.params, planes, from, stride)?,
             filter: Array::zeros(device, "filter", smoothed)?,
             stride,
@@ -249,26 +250,20 @@ impl Context<'_> {
         };
         let faint = |(k, t): (usize, &Trial)| {
             let logit = f64::from(t.birth.opacity_logit);
-            EditRow::from(&DensityEdit {
+            scene::Edit {
                 dst: (n + k) as u32,
                 opacity_logit: scaled_logit(logit, EPSILON_SINGLE) as f32,
                 ..t.birth
-            })
+            }
         };
-        let rows: Vec<EditRow> = trials.iter().enumerate().map(faint).collect();
+        let rows: Vec<scene::Edit> = trials.iter().enumerate().map(faint).collect();
+        let rows = Array::from_slice(device, "probes", &rows)?;
         // The stage clears moments, which these rows do not have.
         let moments = Array::zeros(device, "no moments", planes * stride)?;
-        self.edit.run(&EditArgs {
-            edits: &Array::from_slice(device, "probes", &rows)?,
-            stride,
-            planes,
-            params: &scene.params,
-            moment1: &moments,
-            moment2: &moments,
-        })?;
+        self.edit.run(&copy, [&moments; 2], &rows)?;
         if let Some(smoothing) = self.smoothing {
-            smoothing.run(&scene, &self.pipeline.forward.frame.status)?;
+            smoothing.run(&copy, &self.pipeline.forward.frame)?;
         }
-        Ok(scene)
+        Ok(copy)
     }
 }

@@ -1,10 +1,10 @@
 //! [`GaussianState`]: everything that training keeps per Gaussian. Every operation on the set is here and treats all of it.
 
 use crate::base::error::{Error, Result};
-use crate::device::{Array, Device, EditRow};
+use crate::device::{Array, Device};
 use crate::pipeline::buffers::{Scene, restride};
-use crate::pipeline::stage::edit::{Edit, EditArgs};
-use crate::scene::{Plane, Splats};
+use crate::pipeline::stage::edit::Edit;
+use crate::scene::{self, Plane, Splats};
 
 /// Parameters, optimiser moments, 3D smoothing filter and error statistics of all Gaussians on the device.
 #[derive(Debug)]
@@ -49,7 +49,7 @@ impl Geometry {
 
     /// Positions after edits that leave `rows` rows.
     #[must_use]
-    pub fn positions_after(&self, edits: &[EditRow], rows: usize) -> [Vec<f32>; 3] {
+    pub fn positions_after(&self, edits: &[scene::Edit], rows: usize) -> [Vec<f32>; 3] {
         std::array::from_fn(|k| {
             let mut plane = self.plane(Plane::POSITION + k).to_vec();
             plane.resize(rows, 0.0);
@@ -146,27 +146,20 @@ impl GaussianState {
         &mut self,
         device: &Device,
         stage: &Edit,
-        edits: &[EditRow],
+        edits: &[scene::Edit],
         rows: usize,
         logit_limit: Option<f32>,
     ) -> Result<()> {
         self.grow(device, rows)?;
         self.statistics.clear()?;
         let edits = Array::from_slice(device, "edits", edits)?;
-        let args = EditArgs {
-            edits: &edits,
-            stride: self.scene.stride,
-            planes: self.scene.planes(),
-            params: &self.scene.params,
-            moment1: &self.moments[0],
-            moment2: &self.moments[1],
-        };
-        stage.run(&args)?;
-        if let Some(limit) = logit_limit {
-            stage.limit_opacity(&args, rows, f64::from(limit))?;
-        }
         self.scene.count = rows;
-        Ok(())
+        let [moment1, moment2] = &self.moments;
+        stage.run(&self.scene, [moment1, moment2], &edits)?;
+        match logit_limit {
+            Some(limit) => stage.limit_opacity(&self.scene, [moment1, moment2], f64::from(limit)),
+            None => Ok(()),
+        }
     }
 
     /// Keeps the Gaussians of `order`, in that order.

@@ -2,9 +2,9 @@
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernels};
-use crate::pipeline::backward::Block;
+use crate::pipeline::buffers::GradientBlock;
 use crate::pipeline::pass::Pipeline;
-use crate::pipeline::stage::adam::{Adam, AdamArgs};
+use crate::pipeline::stage::adam::{Adam, Step};
 use crate::scene::Plane;
 use crate::train::gaussians::GaussianState;
 use crate::train::plan::Plan;
@@ -63,31 +63,24 @@ impl Optimizer {
         sh_degree: u32,
     ) -> Result<()> {
         let (scene, count) = (&gaussians.scene, gaussians.scene.count);
+        let [moment1, moment2] = &gaussians.moments;
+        let step = Step {
+            rate: self.schedule.rates(iteration),
+            constants: self.constants,
+            t: iteration + 1,
+        };
         // Once for no Gaussians, too: warming up builds the kernels so.
         for first in (0..count.max(1)).step_by(self.block) {
-            let rows = first..count.min(first + self.block);
-            let block = Block {
-                rows: rows.clone(),
-                sh_degree,
-                lambdas: self.lambdas,
-                stride: self.block,
-                grads: &self.grads,
-            };
-            pipeline.parameter_gradient(scene, camera, block)?;
-            self.adam.run(&AdamArgs {
-                grads: &self.grads,
-                grad_stride: self.block,
-                block: rows,
-                stride: scene.stride,
+            let grads = GradientBlock {
+                values: &self.grads,
                 planes: Plane::count(sh_degree),
-                rates: self.schedule.rates(iteration),
-                constants: self.constants,
-                step: iteration + 1,
-                params: &scene.params,
-                moment1: &gaussians.moments[0],
-                moment2: &gaussians.moments[1],
-                status: &pipeline.forward.frame.status,
-            })?;
+                stride: self.block,
+                rows: first..count.min(first + self.block),
+            };
+            pipeline.parameter_gradient(scene, camera, sh_degree, self.lambdas, &grads)?;
+            let frame = &pipeline.forward.frame;
+            self.adam
+                .run(scene, [moment1, moment2], &grads, &step, frame)?;
         }
         Ok(())
     }

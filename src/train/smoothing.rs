@@ -1,10 +1,10 @@
 //! [`Smoothing`]: the 3D smoothing filter of Mip-Splatting over a run. It follows the positions at intervals.
 
+use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
-use crate::device::tuning::FILTER_CHUNKS;
 use crate::device::{Array, CameraArg, Kernels};
-use crate::pipeline::buffers::{Scene, ViewSet};
-use crate::pipeline::stage::filter::{Filter, FilterArgs};
+use crate::pipeline::buffers::{Frame, Scene, ViewSet};
+use crate::pipeline::stage::filter::Filter;
 
 /// Iterations between two looks at the sampling rates (Mip-Splatting, §6); every density step has one as well.
 const INTERVAL: u32 = 100;
@@ -45,15 +45,7 @@ impl Smoothing {
     ///
     /// # Errors
     /// The driver's.
-    pub fn run(&self, scene: &Scene, status: &Array<u32>) -> Result<()> {
-        self.stage.run(&FilterArgs {
-            params: &scene.params,
-            stride: scene.stride,
-            count: scene.count,
-            cameras: &self.cameras,
-            status,
-            largest: &self.largest,
-            filter: &scene.filter,
-        })
+    pub fn run(&self, scene: &Scene, view: &Frame<f32>) -> Result<()> {
+        self.stage.run(scene, view, &self.cameras, &self.largest)
     }
 }

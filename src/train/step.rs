@@ -15,8 +15,7 @@ use crate::pipeline::exposure::{ExposureModel, TransformStep};
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
-use crate::pipeline::stage::loss::size_of_image;
-use crate::pipeline::stage::seen::{Seen, SeenArgs};
+use crate::pipeline::stage::seen::Seen;
 use crate::scene::Splats;
 use crate::train::brightness::{self, GainSpread};
 use crate::train::control::{Control, DensityEvent, Working};
@@ -482,7 +481,7 @@ impl Trainer {
     /// Recomputes the smoothing filter from the positions; does nothing without anti-aliasing.
     fn smooth(&self) -> Result<()> {
         match &self.smoothing {
-            Some(s) => s.run(&self.gaussians.scene, &self.pipeline.forward.frame.status),
+            Some(s) => s.run(&self.gaussians.scene, &self.pipeline.forward.frame),
             None => Ok(()),
         }
     }
@@ -541,15 +540,7 @@ impl Trainer {
             if shown.len() < frame.pair_capacity() {
                 shown = Array::zeros(&self.device, "shown", frame.pair_capacity())?;
             }
-            stage.run(&SeenArgs {
-                count: scene.count,
-                lists: forward.lists(camera),
-                size: size_of_image(camera),
-                pair_start: &frame.pair_start,
-                pair_counts: &frame.pair_counts,
-                shown: &shown,
-                seen: &seen,
-            })?;
+            stage.run(frame, camera, &shown, &seen)?;
         }
         seen.to_vec().map(Some)
     }
@@ -577,7 +568,7 @@ impl Trainer {
         }
         self.seen(1)?;
         self.views.warm_up()?;
-        let edits = [crate::device::EditRow::default()];
+        let edits = [crate::scene::Edit::default()];
         let mut scratch = self.gaussians.empty(&self.device, highest)?;
         let edit = self.control.edit();
         scratch.edit(&self.device, edit, &edits, 1, Some(0.0))?;

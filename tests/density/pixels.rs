@@ -84,7 +84,7 @@ fn births_lie_behind_the_pixels_that_err() {
     for e in &births {
         let [u, v, depth] = seen(e);
         assert!((10.0..20.0).contains(&v) && (0.0..40.0).contains(&u));
-        let color = e.color.unwrap();
+        let color = e.color.get().unwrap();
         if u >= 20.0 {
             right += 1;
             assert!((2.0..=20.0).contains(&depth), "{depth}");

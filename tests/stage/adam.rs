@@ -2,8 +2,9 @@
 
 use super::*;
 use mhsplat::device::Array;
-use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
-use mhsplat::pipeline::stage::adam::{Adam, AdamArgs};
+use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW};
+use mhsplat::pipeline::buffers::{Frame, GradientBlock, Scene};
+use mhsplat::pipeline::stage::adam::{Adam, Step};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -34,28 +35,40 @@ fn step_of(
     let array = |name, v: f32| Array::from_slice(&device, name, &vec![v; planes * stride]).unwrap();
     let grads: Vec<f32> = (0..planes * stride).map(|k| gradient(k % stride)).collect();
     let grads = Array::from_slice(&device, "grads", &grads).unwrap();
-    let (params, m, v) = (array("params", 1.0), array("m", 0.0), array("v", 0.0));
-    let status = Array::zeros(&device, "status", SLOTS).unwrap();
-    status.write(OVERFLOW as usize, &[overflow]).unwrap();
+    let scene = Scene {
+        params: array("params", 1.0),
+        filter: Array::zeros(&device, "filter", 0).unwrap(),
+        stride,
+        count: stride,
+        sh_degree: 0,
+    };
+    let (m, v) = (array("m", 0.0), array("v", 0.0));
+    let frame = Frame::new(&device, &kernels.defines().tuning, false).unwrap();
+    frame.status.write(OVERFLOW as usize, &[overflow]).unwrap();
     let case = cases::mild("rates", 1, [1, 1], 0, 1);
     Adam::new::<f32>(&kernels)
         .unwrap()
-        .run(&AdamArgs {
-            grads: &grads,
-            grad_stride: stride,
-            block,
-            stride,
-            planes,
-            rates: case.rates,
-            constants: [0.9, 0.999, 1e-15],
-            step: 1,
-            params: &params,
-            moment1: &m,
-            moment2: &v,
-            status: &status,
-        })
+        .run(
+            &scene,
+            [&m, &v],
+            &GradientBlock {
+                values: &grads,
+                planes,
+                stride,
+                rows: block,
+            },
+            &Step {
+                rate: case.rates,
+                constants: [0.9, 0.999, 1e-15],
+                t: 1,
+            },
+            &frame,
+        )
         .unwrap();
-    (params.to_vec().unwrap(), status.to_vec().unwrap())
+    (
+        scene.params.to_vec().unwrap(),
+        frame.status.to_vec().unwrap(),
+    )
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! edit: rows written by density control.
 
 use super::*;
-use mhsplat::density::Edit;
 use mhsplat::device::Array;
-use mhsplat::scene::Plane;
+use mhsplat::pipeline::buffers::Scene;
+use mhsplat::scene::{Edit, OptionalColor, Plane};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -27,7 +27,7 @@ fn a_copy_takes_everything_but_what_is_replaced() {
         position: [1.0, 2.0, 3.0],
         log_scale: [-1.0; 3],
         opacity_logit: 0.25,
-        color: None,
+        color: OptionalColor::NONE,
     };
     case.edits = vec![row];
     let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
@@ -56,7 +56,7 @@ fn a_coloured_row_has_its_own_colour_and_no_higher_bands() {
         position: [1.0, 2.0, 3.0],
         log_scale: [-1.0; 3],
         opacity_logit: 0.25,
-        color: Some([0.5, -0.25, 1.5]),
+        color: OptionalColor::some([0.5, -0.25, 1.5]),
     }];
     let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
     let sh = out.edited[0][Plane::SH..].iter().map(|plane| plane[4]);
@@ -102,22 +102,22 @@ fn an_opacity_reset_lowers_what_is_above_and_forgets_the_moments() {
     let edit = mhsplat::pipeline::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
     let (planes, stride, count) = (Plane::count(0), 256, 5);
     let array = |name| Array::from_slice(&device, name, &vec![1.5f32; planes * stride]).unwrap();
-    let (params, moment1, moment2) = (array("params"), array("moment1"), array("moment2"));
-    params
+    let scene = Scene {
+        params: array("params"),
+        filter: Array::zeros(&device, "filter", 0).unwrap(),
+        stride,
+        count,
+        sh_degree: 0,
+    };
+    let moments = [&array("moment1"), &array("moment2")];
+    scene
+        .params
         .write(Plane::OPACITY * stride, &[-6.0, -4.0, 0.0, f32::NAN])
         .unwrap();
-    let args = mhsplat::pipeline::stage::edit::EditArgs {
-        edits: &Array::from_slice(&device, "edits", &[]).unwrap(),
-        stride,
-        planes,
-        params: &params,
-        moment1: &moment1,
-        moment2: &moment2,
-    };
-    edit.limit_opacity(&args, count, -4.5).unwrap();
-    let opacity = params.read(Plane::OPACITY * stride, 6).unwrap();
+    edit.limit_opacity(&scene, moments, -4.5).unwrap();
+    let opacity = scene.params.read(Plane::OPACITY * stride, 6).unwrap();
     assert_eq!(opacity, [-6.0, -4.5, -4.5, -4.5, -4.5, 1.5]);
-    for moment in [&moment1, &moment2] {
+    for moment in moments {
         let values = moment.to_vec().unwrap();
         for (at, v) in values.iter().enumerate() {
             let reset = at / stride == Plane::OPACITY && at % stride < count;

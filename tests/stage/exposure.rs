@@ -5,9 +5,8 @@ use mhsplat::device::Array;
 use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
 use mhsplat::lab::error::{Tolerance, compare};
 use mhsplat::lab::verify::exposure::EXPOSURES;
-use mhsplat::pipeline::stage::exposure::{
-    ENTRIES, Exposure, ExposureStep, IDENTITY, apply, backward,
-};
+use mhsplat::pipeline::stage::adam::Step;
+use mhsplat::pipeline::stage::exposure::{ENTRIES, Exposure, Exposures, IDENTITY, apply, backward};
 use mhsplat::pipeline::stage::loss::loss;
 
 #[test]
@@ -79,29 +78,21 @@ fn the_reference_is_the_derivative_of_the_loss() {
 fn stepped(sum: f32, overflow: u32) -> (Vec<f32>, Vec<u32>) {
     let device = device();
     let stage = Exposure::new::<f32>(&kernels(&device)).unwrap();
-    let mut partial = vec![0.0; stage.partial_len()];
+    let exposures = Exposures::<f32>::new(&device, &stage, 3, 0).unwrap();
+    let mut partial = vec![0.0; exposures.partial.len()];
     let chunks = partial.len() / ENTRIES;
     partial.iter_mut().step_by(chunks).for_each(|p| *p = sum);
-    let start = IDENTITY.map(|v| v as f32).repeat(3);
-    let exposures = Array::from_slice(&device, "exposures", &start).unwrap();
-    let zeros = |name| Array::zeros(&device, name, start.len()).unwrap();
+    exposures.partial.write(0, &partial).unwrap();
     let status = Array::zeros(&device, "status", SLOTS).unwrap();
     status.write(OVERFLOW as usize, &[overflow]).unwrap();
-    stage
-        .step(&ExposureStep {
-            partial: &Array::from_slice(&device, "partial", &partial).unwrap(),
-            view: 1,
-            views: 3,
-            rate: 0.01,
-            constants: [0.9, 0.999, 1e-15],
-            step: 1,
-            exposures: &exposures,
-            moments: [&zeros("moment1"), &zeros("moment2")],
-            grads: &zeros("grads"),
-            status: &status,
-        })
-        .unwrap();
-    (exposures.to_vec().unwrap(), status.to_vec().unwrap())
+    let step = Step {
+        rate: 0.01,
+        constants: [0.9, 0.999, 1e-15],
+        t: 1,
+    };
+    stage.step(&exposures, 1, &step, &status).unwrap();
+    let transforms = exposures.transforms.to_vec().unwrap();
+    (transforms, status.to_vec().unwrap())
 }
 
 #[test]

@@ -7,8 +7,8 @@ use mhsplat::base::constants::{FILTER_CHUNKS, NEAR};
 use mhsplat::capture::Camera;
 use mhsplat::device::tuning::status;
 use mhsplat::device::{Array, CameraArg};
-use mhsplat::pipeline::buffers::Scene;
-use mhsplat::pipeline::stage::filter::{Filter, FilterArgs};
+use mhsplat::pipeline::buffers::{Frame, Scene};
+use mhsplat::pipeline::stage::filter::Filter;
 use mhsplat::scene::filters;
 use mhsplat::scene::{Plane, Splats};
 
@@ -55,24 +55,22 @@ fn at(positions: &[[f32; 3]]) -> Splats {
 fn filtered(splats: &Splats, cameras: &[Camera], overflow: u32) -> Vec<f32> {
     let device = device();
     let kernels = kernels(&device);
-    let scene = Scene::<f32>::upload(&device, splats, 0).unwrap();
+    let mut scene = Scene::<f32>::upload(&device, splats, 0).unwrap();
     let args: Vec<_> = cameras.iter().map(|c| CameraArg::new(c, NEAR)).collect();
-    let mut counters = [0; status::SLOTS];
-    counters[status::OVERFLOW as usize] = overflow;
-    let out = Array::from_slice(&device, "filter", &vec![7.0f32; scene.stride]).unwrap();
+    let frame = Frame::new(&device, &kernels.defines().tuning, false).unwrap();
+    let flag = status::OVERFLOW as usize;
+    frame.status.write(flag, &[overflow]).unwrap();
+    scene.filter = Array::from_slice(&device, "filter", &vec![7.0f32; scene.stride]).unwrap();
     Filter::new::<f32>(&kernels)
         .unwrap()
-        .run(&FilterArgs {
-            params: &scene.params,
-            stride: scene.stride,
-            count: scene.count,
-            cameras: &Array::from_slice(&device, "cameras", &args).unwrap(),
-            status: &Array::from_slice(&device, "status", &counters).unwrap(),
-            largest: &Array::zeros(&device, "largest", FILTER_CHUNKS as usize).unwrap(),
-            filter: &out,
-        })
+        .run(
+            &scene,
+            &frame,
+            &Array::from_slice(&device, "cameras", &args).unwrap(),
+            &Array::zeros(&device, "largest", FILTER_CHUNKS as usize).unwrap(),
+        )
         .unwrap();
-    out.read(0, splats.len()).unwrap()
+    scene.filter.read(0, splats.len()).unwrap()
 }
 
 #[test]

@@ -4,9 +4,10 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::*;
 use mhsplat::base::rng::{Philox, Purpose};
-use mhsplat::device::Array;
-use mhsplat::device::tuning::status::{OVERFLOW, SLOTS};
-use mhsplat::pipeline::stage::noise::{Noise, NoiseArgs};
+use mhsplat::density::NoiseLaw;
+use mhsplat::device::tuning::status::OVERFLOW;
+use mhsplat::pipeline::buffers::{Frame, Scene};
+use mhsplat::pipeline::stage::noise::Noise;
 use mhsplat::scene::{Plane, Splats};
 
 /// [MCMC]'s gate: k = 100, x₀ = 0.005.
@@ -56,22 +57,19 @@ impl Draw {
     fn positions(&self, splats: &Splats) -> [Vec<f64>; 3] {
         let device = device();
         let kernels = Kernels::new(&device, Defines::new(self.tuning));
-        let scene = mhsplat::pipeline::buffers::Scene::<f64>::upload(&device, splats, 0).unwrap();
-        let status = Array::zeros(&device, "status", SLOTS).unwrap();
-        status.write(OVERFLOW as usize, &[self.overflow]).unwrap();
+        let scene = Scene::<f64>::upload(&device, splats, 0).unwrap();
+        let frame = Frame::new(&device, &self.tuning, false).unwrap();
+        let flag = OVERFLOW as usize;
+        frame.status.write(flag, &[self.overflow]).unwrap();
+        let law = NoiseLaw {
+            rate: self.rate,
+            steepness: PUBLISHED[0],
+            opacity: PUBLISHED[1],
+        };
+        let stream = Purpose::Noise.stream(self.iteration);
         Noise::new::<f64>(&kernels)
             .unwrap()
-            .run(&NoiseArgs {
-                stride: scene.stride,
-                count: scene.count,
-                seed: self.seed,
-                stream: Purpose::Noise.stream(self.iteration),
-                rate: self.rate,
-                steepness: PUBLISHED[0],
-                opacity: PUBLISHED[1],
-                status: &status,
-                params: &scene.params,
-            })
+            .run(&scene, &frame, &law, self.seed, stream)
             .unwrap();
         let plane = |k| scene.params.read(k * scene.stride, scene.stride).unwrap();
         [plane(0), plane(1), plane(2)]

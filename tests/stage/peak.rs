@@ -4,7 +4,7 @@ use super::*;
 use mhsplat::base::constants::PEAK_CHAINS;
 use mhsplat::device::{Array, Real};
 use mhsplat::lab::error::{Tolerance, compare};
-use mhsplat::pipeline::stage::peak::{FmaArgs, Peak, fma_chains};
+use mhsplat::pipeline::stage::peak::{Peak, fma_chains};
 
 /// Lanes of seven work-items after `steps` steps of x → 0.99 x + 0.5.
 fn chains<R: Real>(tuning: Tuning, steps: u32) -> Vec<f64> {
@@ -12,13 +12,7 @@ fn chains<R: Real>(tuning: Tuning, steps: u32) -> Vec<f64> {
     let kernels = Kernels::new(&device, Defines::new(tuning));
     let peak = Peak::new::<R>(&kernels).unwrap();
     let out = Array::<R>::zeros(&device, "out", 7 * peak.lanes()).unwrap();
-    let args = FmaArgs {
-        items: 7,
-        steps,
-        factors: [0.99, 0.5],
-        out: &out,
-    };
-    peak.fma(&args).unwrap();
+    peak.fma(7, steps, [0.99, 0.5], &out).unwrap();
     out.to_vec().unwrap().into_iter().map(Into::into).collect()
 }
 

@@ -2,8 +2,9 @@
 
 use super::*;
 use mhsplat::device::Array;
-use mhsplat::device::tuning::status::{OVERFLOW, PAIRS, SLOTS, VISIBLE};
-use mhsplat::pipeline::stage::scan::{Count, Scan, ScanArgs, scan as definition};
+use mhsplat::device::tuning::status::{OVERFLOW, PAIRS, VISIBLE};
+use mhsplat::pipeline::buffers::Frame;
+use mhsplat::pipeline::stage::scan::{Count, Scan, scan as definition};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -29,22 +30,14 @@ fn scanned_by(n: Count, values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>)
     let input = Array::zeros(&device, "values", room).unwrap();
     input.write(0, values).unwrap();
     let out = Array::zeros(&device, "out", room).unwrap();
-    let status = Array::zeros(&device, "status", SLOTS).unwrap();
-    status
-        .write(VISIBLE as usize, &[values.len() as u32])
-        .unwrap();
-    let sums = Array::zeros(&device, "sums", kernels.defines().tuning.chunks).unwrap();
-    let args = ScanArgs {
-        values: &input,
-        status: &status,
-        n,
-        total_slot: PAIRS,
-        capacity,
-        sums: &sums,
-        out: &out,
-    };
-    Scan::new::<f32>(&kernels).unwrap().run(&args).unwrap();
-    (out.read(0, values.len()).unwrap(), status.to_vec().unwrap())
+    let mut frame = Frame::<f32>::new(&device, &kernels.defines().tuning, false).unwrap();
+    frame.pair_owner = Array::zeros(&device, "pair_owner", capacity).unwrap();
+    let visible = [values.len() as u32];
+    frame.status.write(VISIBLE as usize, &visible).unwrap();
+    let scan = Scan::new::<f32>(&kernels).unwrap();
+    scan.pairs(&frame, &input, n, &out).unwrap();
+    let status = frame.status.to_vec().unwrap();
+    (out.read(0, values.len()).unwrap(), status)
 }
 
 #[test]
@@ -52,7 +45,7 @@ fn sums_of_every_length() {
     for n in [0usize, 1, 2, 15, 16, 17, 1000, 4097] {
         let values: Vec<u32> = (0..n as u32).map(|i| i * 7 % 11).collect();
         let (sums, total) = definition(&values);
-        let (got, status) = scanned(&values, usize::MAX >> 33);
+        let (got, status) = scanned(&values, 1 << 20);
         assert_eq!(got, sums, "{n} values");
         assert_eq!(u64::from(status[PAIRS as usize]), total);
         assert_eq!(status[OVERFLOW as usize], 0);

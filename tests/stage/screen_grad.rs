@@ -2,11 +2,12 @@
 
 use super::*;
 use mhsplat::base::constants::SUMS;
-use mhsplat::device::tuning::status::{OVERFLOW, SLOTS};
-use mhsplat::device::{Array, Record};
+use mhsplat::device::tuning::status::OVERFLOW;
+use mhsplat::device::{Array, CameraArg, Record};
+use mhsplat::pipeline::buffers::{Frame, Scene};
 use mhsplat::pipeline::chain;
 use mhsplat::pipeline::reference::Camera64;
-use mhsplat::pipeline::stage::screen_grad::{ScreenGrad, ScreenGradArgs};
+use mhsplat::pipeline::stage::screen_grad::ScreenGrad;
 
 #[test]
 fn agrees_with_the_reference() {
@@ -36,22 +37,29 @@ fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
     {
         sums[pair * SUMS + 1..pair * SUMS + 3].copy_from_slice(by);
     }
-    let status = Array::zeros(&device, "status", SLOTS).unwrap();
-    status.write(OVERFLOW as usize, &[overflow]).unwrap();
+    let kernels = kernels(&device);
+    let ints = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
+    let mut frame = Frame::new(&device, &kernels.defines().tuning, false).unwrap();
+    frame.records = Array::from_slice(&device, "records", &[record; 2]).unwrap();
+    frame.pair_start = ints("pair_start", &[0, 2]);
+    frame.pair_counts = ints("pair_counts", &pairs);
+    frame.sums = Array::from_slice(&device, "sums", &sums).unwrap();
+    frame.status.write(OVERFLOW as usize, &[overflow]).unwrap();
+    let scene = Scene {
+        params: Array::zeros(&device, "params", 0).unwrap(),
+        filter: Array::zeros(&device, "filter", 0).unwrap(),
+        stride: 2,
+        count: 2,
+        sh_degree: 0,
+    };
+    let camera = CameraArg {
+        size: [40, 80],
+        ..CameraArg::default()
+    };
     let cues = Array::from_slice(&device, "cues", &[100.0, 200.0, 1.0, 2.0]).unwrap();
-    ScreenGrad::new::<f64>(&kernels(&device))
+    ScreenGrad::new::<f64>(&kernels)
         .unwrap()
-        .run(&ScreenGradArgs {
-            records: &Array::from_slice(&device, "records", &[record; 2]).unwrap(),
-            stride: 2,
-            count: 2,
-            pair_start: &Array::from_slice(&device, "pair_start", &[0, 2]).unwrap(),
-            pair_counts: &Array::from_slice(&device, "pair_counts", &pairs).unwrap(),
-            sums: &Array::from_slice(&device, "sums", &sums).unwrap(),
-            size: [40, 80],
-            status: &status,
-            cues: &cues,
-        })
+        .run(&scene, &frame, &camera, &cues)
         .unwrap();
     cues.to_vec().unwrap()
 }

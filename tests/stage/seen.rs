@@ -2,9 +2,9 @@
 
 use super::*;
 use mhsplat::base::constants::STAGE;
-use mhsplat::device::{Array, Record};
-use mhsplat::pipeline::stage::seen::{Seen, SeenArgs};
-use mhsplat::pipeline::stage::splat::TileLists;
+use mhsplat::device::{Array, CameraArg, Record};
+use mhsplat::pipeline::buffers::Frame;
+use mhsplat::pipeline::stage::seen::Seen;
 
 #[test]
 fn agrees_with_the_reference() {
@@ -43,28 +43,25 @@ fn seen_of(records: &[Record<f64>], before: &[u32], tuning: Tuning) -> Vec<u32> 
     let device = device();
     let n = records.len();
     let array = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
-    let order = array("order", &(0..n as u32).collect::<Vec<_>>());
+    let order = (0..n as u32).collect::<Vec<_>>();
     let seen = array("seen", before);
+    // Left over from another view.
+    let shown = Array::from_slice(&device, "shown", &vec![1; n]).unwrap();
+    let mut frame = Frame::new(&device, &tuning, false).unwrap();
+    frame.records = Array::from_slice(&device, "records", records).unwrap();
+    frame.pair_owner = array("pair_owner", &order);
+    frame.tile_start = array("tile_start", &[0, n as u32]);
+    frame.pair_start = array("pair_start", &order);
+    frame.pair_counts = array("pair_counts", &vec![1; n]);
+    frame.order.values[0] = array("order", &order);
+    let camera = CameraArg {
+        size: [5, 5],
+        tiles: [1, 1],
+        ..CameraArg::default()
+    };
     Seen::new::<f64>(&Kernels::new(&device, Defines::new(tuning)))
         .unwrap()
-        .run(&SeenArgs {
-            count: n,
-            lists: TileLists {
-                records: &Array::from_slice(&device, "records", records).unwrap(),
-                pair_owner: &order,
-                order: &order,
-                tile_start: &array("tile_start", &[0, n as u32]),
-                tile_used: &array("tile_used", &[0]),
-                tiles: [1, 1],
-                image: &Array::zeros(&device, "image", 0).unwrap(),
-            },
-            size: [5, 5],
-            pair_start: &order,
-            pair_counts: &array("pair_counts", &vec![1; n]),
-            // Left over from another view.
-            shown: &Array::from_slice(&device, "shown", &vec![1; n]).unwrap(),
-            seen: &seen,
-        })
+        .run(&frame, &camera, &shown, &seen)
         .unwrap();
     seen.to_vec().unwrap()
 }

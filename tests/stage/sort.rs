@@ -4,7 +4,8 @@ use super::*;
 use mhsplat::base::rng::Philox;
 use mhsplat::device::Array;
 use mhsplat::device::tuning::status::{SLOTS, VISIBLE};
-use mhsplat::pipeline::stage::sort::{Sort, SortArgs, sort as definition};
+use mhsplat::pipeline::buffers::SortBuffers;
+use mhsplat::pipeline::stage::sort::{Sort, sort as definition};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -25,24 +26,17 @@ fn sorted(keys: &[u32], bits: u32, tuning: Tuning) -> Vec<u32> {
     let device = device();
     let kernels = Kernels::new(&device, Defines::new(tuning));
     let n = keys.len().max(1);
-    let array = |name| Array::<u32>::zeros(&device, name, n).unwrap();
-    let (k0, k1, v0, v1) = (array("k0"), array("k1"), array("v0"), array("v1"));
-    k0.write(0, keys).unwrap();
-    v0.write(0, &(0..keys.len() as u32).collect::<Vec<u32>>())
-        .unwrap();
+    let mut elements = SortBuffers::new(&device, ["keys", "values"], n).unwrap();
+    elements.keys[0].write(0, keys).unwrap();
+    let positions: Vec<u32> = (0..keys.len() as u32).collect();
+    elements.values[0].write(0, &positions).unwrap();
     let status = Array::zeros(&device, "status", SLOTS).unwrap();
     status
         .write(VISIBLE as usize, &[keys.len() as u32])
         .unwrap();
-    let args = SortArgs {
-        keys: [&k0, &k1],
-        values: [&v0, &v1],
-        status: &status,
-        n_slot: VISIBLE,
-        bits,
-    };
-    let at = Sort::new::<f32>(&kernels).unwrap().run(&args).unwrap();
-    [&v0, &v1][at].read(0, keys.len()).unwrap()
+    let sort = Sort::new::<f32>(&kernels).unwrap();
+    sort.run(&mut elements, &status, VISIBLE, bits).unwrap();
+    elements.sorted_values().read(0, keys.len()).unwrap()
 }
 
 #[test]

@@ -26,6 +26,7 @@ use crate::density::{
     Cues, DensityControl, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext, Trial,
     Wanted, check_lengths, numerics, relocation, unexpected,
 };
+use crate::scene::OptionalColor;
 
 /// k of the noise's gate (\[MCMC\] Eq. 8).
 const NOISE_STEEPNESS: f64 = 100.0;
@@ -146,7 +147,7 @@ impl MetropolisHastings {
                         position,
                         log_scale,
                         opacity_logit: opacity_logit.min(most),
-                        color: None,
+                        color: OptionalColor::NONE,
                     },
                     ln_gain: accept::ln_gain(self.config.acceptance, importance),
                     u: Philox::uniform(seed, accept, u64::from(row))[0],

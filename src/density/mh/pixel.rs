@@ -11,6 +11,7 @@ use crate::density::draw::Categorical;
 use crate::density::mh::{MhConfig, Proposal, StepContext, accept, shrinking};
 use crate::density::picture::Picture;
 use crate::density::relocation::{logit, sigmoid};
+use crate::scene::OptionalColor;
 use crate::scene::sh::C0;
 
 /// Pixels of all pictures, one after the other.
@@ -128,6 +129,6 @@ fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32)
         position: position.map(|v| v as f32),
         log_scale: [log_scale as f32; 3],
         opacity_logit: logit(opacity) as f32,
-        color: Some(color.map(|v| v as f32)),
+        color: OptionalColor::some(color.map(|v| v as f32)),
     })
 }

@@ -8,7 +8,7 @@ use crate::device::{Array, Defines, Device, DeviceKind, Kernels};
 use crate::lab::bench::record::Peak as Record;
 use crate::lab::bench::{Options, no_samples};
 use crate::lab::stats::Spread;
-use crate::pipeline::stage::peak::{FmaArgs, Peak};
+use crate::pipeline::stage::peak::Peak;
 use crate::run::clock::process_cpu_seconds;
 
 /// Bytes of each of the two arrays of the copy: far beyond the last level of any cache.
@@ -65,16 +65,7 @@ fn fma(device: &Device, peak: &Peak, options: &Options) -> Result<(Spread, Optio
     let cpu = device.info().kind == DeviceKind::Cpu;
     let items = device.info().compute_units.max(1) as usize * if cpu { 16 } else { 2048 };
     let out = Array::<f32>::zeros(device, "peak", items * peak.lanes())?;
-    let launch = |steps: u32| {
-        time(device, || {
-            peak.fma(&FmaArgs {
-                items,
-                steps,
-                factors: FACTORS,
-                out: &out,
-            })
-        })
-    };
+    let launch = |steps: u32| time(device, || peak.fma(items, steps, FACTORS, &out));
     launch(1)?;
     let mut steps = 1024u32;
     loop {

@@ -42,19 +42,18 @@ impl TileWork {
         let frame = &renderer.frame;
         let counters = frame.status.to_vec()?;
         let pairs = counters[status::PAIRS as usize] as usize;
-        let lists = renderer.lists(camera);
-        let [tiles_x, tiles] = lists.tiles;
-        let order = lists.order.read(0, pairs)?;
-        let owner = lists.pair_owner.read(0, pairs)?;
-        let start = lists.tile_start.read(0, tiles)?;
-        let used = lists.tile_used.read(0, tiles)?;
+        let [tiles_x, tiles] = [camera.tiles[0] as usize, camera.tile_count()];
+        let order = frame.order.sorted_values().read(0, pairs)?;
+        let owner = frame.pair_owner.read(0, pairs)?;
+        let start = frame.tile_start.read(0, tiles)?;
+        let used = frame.tile_used.read(0, tiles)?;
         let of_tile = |(first, n): (&u32, &u32)| {
             let slots = &order[*first as usize..(*first + *n) as usize];
             slots.iter().map(|slot| owner[*slot as usize]).collect()
         };
         let bounds = |r: &Record<R>| [r.bx, r.by];
         Ok(Self {
-            bounds: lists.records.read(0, count)?.iter().map(bounds).collect(),
+            bounds: frame.records.read(0, count)?.iter().map(bounds).collect(),
             tiles: start.iter().zip(&used).map(of_tile).collect(),
             tiles_x,
             visible: counters[status::VISIBLE as usize] as usize,

@@ -5,10 +5,9 @@ use glam::{DMat3, DVec3};
 use crate::base::constants::ALPHA_MIN;
 use crate::base::rng::{Philox, Purpose};
 use crate::capture::{Camera, Photo};
-use crate::density::Edit;
 use crate::lab::verify::chain::Case;
 use crate::pipeline::stage::adam::LearningRates;
-use crate::scene::{Plane, Splats};
+use crate::scene::{Edit, OptionalColor, Plane, Splats};
 
 fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
     Philox::uniform(
@@ -82,7 +81,11 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         log_scale: [-3.0, -2.0, -1.0],
         opacity_logit: 0.5,
         // The appended row has a colour of its own.
-        color: (dst > last).then_some([0.5, -0.25, 1.5]),
+        color: if dst > last {
+            OptionalColor::some([0.5, -0.25, 1.5])
+        } else {
+            OptionalColor::NONE
+        },
     };
     Case {
         name: name.into(),

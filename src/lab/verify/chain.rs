@@ -3,27 +3,26 @@
 use crate::base::constants::{FILTER_CHUNKS, NEAR, SUMS};
 use crate::base::error::Result;
 use crate::capture::{Camera, Photo};
-use crate::density::Edit as DensityEdit;
 use crate::device::tuning::{Tuning, status};
-use crate::device::{Array, CameraArg, Defines, Device, EditRow, Kernels, Real, Record};
+use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real, Record};
 use crate::lab::verify::exposure::ExposureOutputs;
 use crate::lab::verify::readback::{crop, read_forward, widen};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::{GradientBlock, Scene};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
-use crate::pipeline::stage::adam::{Adam, AdamArgs, LearningRates};
-use crate::pipeline::stage::edit::{Edit, EditArgs};
+use crate::pipeline::stage::adam::{Adam, LearningRates, Step};
+use crate::pipeline::stage::edit::Edit;
 use crate::pipeline::stage::exposure::Exposure;
-use crate::pipeline::stage::filter::{Filter, FilterArgs};
+use crate::pipeline::stage::filter::Filter;
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::live::Live;
-use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
+use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics::Metrics;
 use crate::pipeline::stage::noise::Noise;
-use crate::pipeline::stage::project_grad::{ProjectGrad, ProjectGradArgs};
+use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::pipeline::stage::screen_grad::ScreenGrad;
 use crate::pipeline::stage::seen::Seen;
 use crate::pipeline::stage::splat_grad::SplatGrad;
-use crate::scene::{Plane, Splats};
+use crate::scene::{self, Plane, Splats};
 
 /// Inputs of a passage through all stages.
 #[derive(Debug, Clone)]
@@ -49,7 +48,7 @@ pub struct Case {
     /// Learning rates of the optimiser step.
     pub rates: LearningRates,
     /// Rows written after the step.
-    pub edits: Vec<DensityEdit>,
+    pub edits: Vec<scene::Edit>,
     /// Gaussians whose own numbers are not compared, because their parameters are none. What they do to others is.
     pub spoilt: Vec<usize>,
     /// A bound of its own on the loss's error maps in f32, where the case needs one.
@@ -219,15 +218,9 @@ fn filter<R: Real>(
         .iter()
         .map(|c| CameraArg::<R>::new(c, NEAR))
         .collect();
-    Filter::new::<R>(kernels)?.run(&FilterArgs {
-        params: &scene.params,
-        stride: scene.stride,
-        count: scene.count,
-        cameras: &Array::from_slice(device, "cameras", &cameras)?,
-        status: &renderer.frame.status,
-        largest: &Array::zeros(device, "largest", FILTER_CHUNKS as usize)?,
-        filter: &scene.filter,
-    })
+    let cameras = Array::from_slice(device, "cameras", &cameras)?;
+    let largest = Array::zeros(device, "largest", FILTER_CHUNKS as usize)?;
+    Filter::new::<R>(kernels)?.run(scene, &renderer.frame, &cameras, &largest)
 }
 
 /// A passage under way: what is on the device, and the stages.
@@ -243,17 +236,24 @@ pub(super) struct Run<'a, R: Real> {
 
 impl<R: Real> Run<'_, R> {
     pub(super) fn pair(&self) -> ImagePair<'_, R> {
+        let frame = &self.renderer.frame;
+        let background = self.case.background;
         ImagePair {
-            image: &self.renderer.frame.image,
-            photo: &self.photo,
-            background: self.case.background,
-            size: size_of_image(&self.camera),
-            blank: self
-                .stages
-                .live
-                .is_some()
-                .then(|| self.renderer.frame.blank()),
+            blank: self.stages.live.is_some().then(|| frame.blank()),
+            ..ImagePair::new(&frame.image, &self.photo, &self.camera, background)
         }
+    }
+
+    /// The scene again, so that its parameters can be changed.
+    pub(super) fn copy_of_scene(&self) -> Result<Scene<R>> {
+        let params = &self.scene.params;
+        let copy = Array::zeros(self.device, "params", params.len())?;
+        copy.copy_from(0, params, 0, params.len())?;
+        Ok(Scene {
+            params: copy,
+            filter: Array::zeros(self.device, "filter", 0)?,
+            ..self.scene
+        })
     }
 
     pub(super) fn planes(&self, array: &Array<R>) -> Result<Vec<Vec<f64>>> {
@@ -281,9 +281,8 @@ impl<R: Real> Run<'_, R> {
         out.dimage = crop(&widen(dimage.to_vec()?), &self.camera, 0..3);
         out.exposure = self.exposure(&dimage, plane)?;
 
-        let f = &self.renderer.frame;
         s.splat_grad
-            .run(&self.renderer.lists(&self.camera), &dimage, &f.sums)?;
+            .run(&self.renderer.frame, &self.camera, &dimage)?;
         out.sums = self.read_sums()?;
         Ok(())
     }
@@ -320,54 +319,39 @@ impl<R: Real> Run<'_, R> {
             Array::zeros(device, "moment1", len)?,
             Array::zeros(device, "moment2", len)?,
         ];
-        s.project_grad.run(&ProjectGradArgs {
-            params: &self.scene.params,
+        let [_, lambda_opacity, lambda_scale] = case.lambdas;
+        let block = GradientBlock {
+            values: &grads,
+            planes: Plane::count(case.sh_degree),
             stride: self.scene.stride,
-            count: self.scene.count,
-            filter: &self.scene.filter,
-            camera: &self.camera,
-            pair_start: &f.pair_start,
-            pair_counts: &f.pair_counts,
-            status: &f.status,
-            sums: &f.sums,
-            lambda_opacity: case.lambdas[1],
-            lambda_scale: case.lambdas[2],
-            block: 0..self.scene.count,
-            grad_stride: self.scene.stride,
-            grads: &grads,
-        })?;
+            rows: 0..self.scene.count,
+        };
+        let lambdas = [lambda_opacity, lambda_scale];
+        s.project_grad
+            .run(&self.scene, f, &self.camera, lambdas, &block)?;
         out.grads = self.planes(&grads)?;
-        // The optimiser and the edits change the parameters that the later stages read: keep a copy.
-        let kept = Array::zeros(device, "params", len)?;
-        kept.copy_from(0, &self.scene.params, 0, len)?;
-        for step in 1..=2 {
-            s.adam.run(&AdamArgs {
-                grads: &grads,
-                grad_stride: self.scene.stride,
-                block: 0..self.scene.count,
-                stride: self.scene.stride,
-                planes: Plane::count(case.sh_degree),
-                rates: case.rates,
+        // The optimiser and the edits change the parameters that the later stages read.
+        let copy = self.copy_of_scene()?;
+        for t in 1..=2 {
+            let step = Step {
+                rate: case.rates,
                 constants: ADAM,
-                step,
-                params: &kept,
-                moment1: &m,
-                moment2: &v,
-                status: &f.status,
-            })?;
+                t,
+            };
+            s.adam.run(&copy, [&m, &v], &block, &step, f)?;
         }
-        out.adam = [self.planes(&kept)?, self.planes(&m)?, self.planes(&v)?];
+        let state = || -> Result<_> {
+            Ok([
+                self.planes(&copy.params)?,
+                self.planes(&m)?,
+                self.planes(&v)?,
+            ])
+        };
+        out.adam = state()?;
         out.non_finite = f.status.read(status::NON_FINITE as usize, 1)?[0];
-        let rows: Vec<EditRow> = case.edits.iter().map(EditRow::from).collect();
-        s.edit.run(&EditArgs {
-            edits: &Array::from_slice(device, "edits", &rows)?,
-            stride: self.scene.stride,
-            planes: self.scene.planes(),
-            params: &kept,
-            moment1: &m,
-            moment2: &v,
-        })?;
-        out.edited = [self.planes(&kept)?, self.planes(&m)?, self.planes(&v)?];
+        let edits = Array::from_slice(device, "edits", &case.edits)?;
+        s.edit.run(&copy, [&m, &v], &edits)?;
+        out.edited = state()?;
         Ok(())
     }
 }

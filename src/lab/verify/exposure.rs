@@ -5,9 +5,7 @@ use crate::device::{Array, Real};
 use crate::lab::verify::chain::{ADAM, Outputs, Run};
 use crate::lab::verify::readback::{crop, widen};
 use crate::pipeline::stage::adam::{Step, adam};
-use crate::pipeline::stage::exposure::{
-    ENTRIES, ExposedImage, ExposureStep, IDENTITY, apply, backward, center,
-};
+use crate::pipeline::stage::exposure::{ENTRIES, Exposures, IDENTITY, apply, backward, center};
 
 /// The transforms of the views in every case, the second being that of the case's: a brightening with some mixing of
 /// channels. Exact in f32.
@@ -40,50 +38,31 @@ impl<R: Real> Run<'_, R> {
     /// The stage on copies of the image's transform and of the gradient `dimage`.
     pub(super) fn exposure(&self, dimage: &Array<R>, plane: usize) -> Result<ExposureOutputs> {
         let (device, stage) = (self.device, &self.stages.exposure);
-        let views = EXPOSURES.len();
+        let e = Exposures::<R>::new(device, stage, EXPOSURES.len(), plane)?;
         let start: Vec<R> = EXPOSURES.as_flattened().iter().map(|v| R::of(*v)).collect();
-        let exposures = Array::from_slice(device, "exposures", &start)?;
-        let zeros = |name, len| Array::<R>::zeros(device, name, len);
-        let (m, v) = (
-            zeros("moment1", start.len())?,
-            zeros("moment2", start.len())?,
-        );
-        let partial = zeros("exposure partial", stage.partial_len())?;
-        let grads = zeros("exposure grads", ENTRIES)?;
-        let corrected = zeros("corrected", 3 * plane)?;
-        let gradient = zeros("dimage", 3 * plane)?;
+        e.transforms.write(0, &start)?;
+        let gradient = Array::zeros(device, "dimage", 3 * plane)?;
         gradient.copy_from(0, dimage, 0, 3 * plane)?;
-        let exposed = ExposedImage {
-            image: &self.renderer.frame.image,
-            plane,
-            exposures: &exposures,
-            view: VIEW,
-        };
-        stage.apply(&exposed, &corrected)?;
-        stage.backward(&exposed, &gradient, &partial)?;
-        for step in 1..=2 {
-            stage.step(&ExposureStep {
-                partial: &partial,
-                view: VIEW,
-                views,
+        let frame = &self.renderer.frame;
+        stage.apply(&frame.image, plane, &e, VIEW)?;
+        stage.backward(&frame.image, plane, &e, VIEW, &gradient)?;
+        for t in 1..=2 {
+            let step = Step {
                 rate: RATE,
                 constants: ADAM,
-                step,
-                exposures: &exposures,
-                moments: [&m, &v],
-                grads: &grads,
-                status: &self.renderer.frame.status,
-            })?;
+                t,
+            };
+            stage.step(&e, VIEW, &step, &frame.status)?;
         }
         let image = |a: &Array<R>| Ok(crop(&widen(a.to_vec()?), &self.camera, 0..3));
         Ok(ExposureOutputs {
-            image: image(&corrected)?,
+            image: image(&e.corrected)?,
             dimage: image(&gradient)?,
-            grads: widen(grads.to_vec()?),
+            grads: widen(e.grads.to_vec()?),
             adam: [
-                widen(exposures.to_vec()?),
-                widen(m.to_vec()?),
-                widen(v.to_vec()?),
+                widen(e.transforms.to_vec()?),
+                widen(e.moments[0].to_vec()?),
+                widen(e.moments[1].to_vec()?),
             ],
         })
     }

@@ -42,8 +42,7 @@ pub(super) fn read_forward<R: Real>(
     let pairs = f.status.read(status::PAIRS as usize, 1)?[0] as usize;
     let visible = f.status.read(status::VISIBLE as usize, 1)?[0] as usize;
     out.counted = f.counts.read(0, visible)?.iter().map(|c| *c as usize).sum();
-    let lists = renderer.lists(camera);
-    let order = lists.order.read(0, pairs)?;
+    let order = f.order.sorted_values().read(0, pairs)?;
     let owner = f.pair_owner.read(0, pairs)?;
     let start = f.tile_start.read(0, camera.tile_count() + 1)?;
     out.tiles = start
@@ -55,7 +54,7 @@ pub(super) fn read_forward<R: Real>(
                 .collect()
         })
         .collect();
-    let planes = widen(f.image.read(0, 4 * lists.plane())?);
+    let planes = widen(f.image.read(0, 4 * camera.plane())?);
     out.image = crop(&planes, camera, 0..3);
     out.transmittance = crop(&planes, camera, 3..4);
     Ok(())

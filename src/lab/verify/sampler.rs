@@ -5,11 +5,6 @@ use crate::density::NoiseLaw;
 use crate::device::{Array, Real};
 use crate::lab::verify::chain::{Outputs, Run};
 use crate::lab::verify::readback::{crop, widen};
-use crate::pipeline::stage::importance::ImportanceArgs;
-use crate::pipeline::stage::loss::size_of_image;
-use crate::pipeline::stage::noise::NoiseArgs;
-use crate::pipeline::stage::screen_grad::ScreenGradArgs;
-use crate::pipeline::stage::seen::SeenArgs;
 use crate::scene::Plane;
 
 /// The noise of every case: gentle enough a gate that all Gaussians take part, and as long as the scene is large.
@@ -26,20 +21,13 @@ impl<R: Real> Run<'_, R> {
     pub(super) fn sampler_stages(&mut self, out: &mut Outputs) -> Result<()> {
         let (device, s, f) = (self.device, &self.stages, &self.renderer.frame);
         let (stride, count) = (self.scene.stride, self.scene.count);
-        let moved = Array::zeros(device, "params", self.scene.params.len())?;
-        moved.copy_from(0, &self.scene.params, 0, self.scene.params.len())?;
-        s.noise.run(&NoiseArgs {
-            stride,
-            count,
-            seed: NOISE_KEYS[0],
-            stream: NOISE_KEYS[1],
-            rate: NOISE.rate,
-            steepness: NOISE.steepness,
-            opacity: NOISE.opacity,
-            status: &f.status,
-            params: &moved,
-        })?;
-        let (before, after) = (self.planes(&self.scene.params)?, self.planes(&moved)?);
+        let moved = self.copy_of_scene()?;
+        s.noise
+            .run(&moved, f, &NOISE, NOISE_KEYS[0], NOISE_KEYS[1])?;
+        let (before, after) = (
+            self.planes(&self.scene.params)?,
+            self.planes(&moved.params)?,
+        );
         out.noise = (Plane::POSITION..Plane::LOG_SCALE)
             .map(|p| {
                 after[p]
@@ -51,17 +39,7 @@ impl<R: Real> Run<'_, R> {
             .collect();
         let cues = Array::zeros(device, "cues", 2 * stride)?;
         for _ in 0..2 {
-            s.screen_grad.run(&ScreenGradArgs {
-                records: &f.records,
-                stride,
-                count,
-                pair_start: &f.pair_start,
-                pair_counts: &f.pair_counts,
-                sums: &f.sums,
-                size: self.camera.size,
-                status: &f.status,
-                cues: &cues,
-            })?;
+            s.screen_grad.run(&self.scene, f, &self.camera, &cues)?;
         }
         let row = |k: usize| Ok(widen(cues.read(k * stride, count)?));
         out.screen_grad = [row(0)?, row(1)?];
@@ -80,16 +58,9 @@ impl<R: Real> Run<'_, R> {
         let stride = self.scene.stride;
         let cues = Array::zeros(device, "cues", 3 * stride)?;
         for first_view in [true, false] {
-            s.importance.run(&ImportanceArgs {
-                params: &self.scene.params,
-                stride,
-                count: n,
-                camera: &self.camera,
-                maps: &maps,
-                first_view,
-                status: &self.renderer.frame.status,
-                cues: &cues,
-            })?;
+            let frame = &self.renderer.frame;
+            s.importance
+                .run(&self.scene, frame, &self.camera, &maps, first_view, &cues)?;
         }
         let row = |k: usize| Ok(widen(cues.read(k * stride, n)?));
         out.cues = [row(0)?, row(1)?, row(2)?];
@@ -106,15 +77,8 @@ impl<R: Real> Run<'_, R> {
         let (s, f, count) = (&self.stages, &self.renderer.frame, self.scene.count);
         let before: Vec<u32> = seen_before(count).collect();
         let seen = Array::from_slice(self.device, "seen", &before)?;
-        s.seen.run(&SeenArgs {
-            count,
-            lists: self.renderer.lists(&self.camera),
-            size: size_of_image(&self.camera),
-            pair_start: &f.pair_start,
-            pair_counts: &f.pair_counts,
-            shown: &Array::zeros(self.device, "shown", f.pair_capacity())?,
-            seen: &seen,
-        })?;
+        let shown = Array::zeros(self.device, "shown", f.pair_capacity())?;
+        s.seen.run(f, &self.camera, &shown, &seen)?;
         out.seen = seen.to_vec()?.into_iter().map(f64::from).collect();
         Ok(())
     }

@@ -1,18 +1,9 @@
-//! The optimiser (`kernels/adam.cl`).
-
-use std::ops::Range;
+//! Optimiser of the raw parameters (`kernels/adam.cl`): Adam, Kingma and Ba 2015, algorithm 1.
 
 use crate::base::error::Result;
-use crate::device::tuning::status::SLOTS;
 use crate::device::{Array, Kernel, Kernels, Real};
-
-/// The adam stage.
-#[derive(Debug)]
-pub struct Adam {
-    kernel: Kernel,
-    vector_width: usize,
-    local: usize,
-}
+use crate::pipeline::buffers::{Frame, GradientBlock, Scene};
+use crate::pipeline::launch::Arguments;
 
 /// Learning rates of one iteration.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,99 +22,65 @@ pub struct LearningRates {
     pub sh: f64,
 }
 
-/// Arguments of [`Adam::run`].
-#[derive(Debug)]
-pub struct AdamArgs<'a, R: Real> {
-    /// Gradients of the block \[planes, grad_stride\].
-    pub grads: &'a Array<R>,
-    /// Gaussians that a plane of `grads` has room for.
-    pub grad_stride: usize,
-    /// The Gaussians to step; starts at a multiple of 16.
-    pub block: Range<usize>,
-    /// Gaussians allocated, a multiple of 16.
-    pub stride: usize,
-    /// Planes in use (those of the SH degree in use).
-    pub planes: usize,
-    /// Learning rates.
-    pub rates: LearningRates,
-    /// β₁, β₂, ε.
-    pub constants: [f64; 3],
-    /// Step, from 1.
-    pub step: u32,
-    /// In/out \[planes, stride\].
-    pub params: &'a Array<R>,
-    /// In/out \[planes, stride\].
-    pub moment1: &'a Array<R>,
-    /// In/out \[planes, stride\].
-    pub moment2: &'a Array<R>,
-    /// Status array.
-    pub status: &'a Array<u32>,
-}
-
-impl Adam {
-    /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("adam", ["adam"])?;
-        let tuning = kernels.defines().tuning;
-        Ok(Self {
-            kernel,
-            vector_width: tuning.vector_width as usize,
-            local: tuning.local,
-        })
-    }
-
-    /// Enqueues one step.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn run<R: Real>(&self, a: &AdamArgs<'_, R>) -> Result<()> {
-        let len = a.planes * a.stride;
-        let groups = a.block.len().div_ceil(self.vector_width);
-        let [beta1, beta2, epsilon] = a.constants;
-        let t = f64::from(a.step);
-        let r = &a.rates;
-        self.kernel
-            .launch()
-            .array(a.grads, a.planes * a.grad_stride)
-            .value(a.grad_stride as u32)
-            .value(a.block.start as u32)
-            .value(groups as u32)
-            .value(a.stride as u32)
-            .value(R::of(r.position))
-            .value(R::of(r.scale))
-            .value(R::of(r.rotation))
-            .value(R::of(r.opacity))
-            .value(R::of(r.sh0))
-            .value(R::of(r.sh))
-            .value(R::of(beta1))
-            .value(R::of(beta2))
-            .value(R::of(epsilon))
-            .value(R::of(1.0 / (1.0 - beta1.powf(t))))
-            .value(R::of(1.0 / (1.0 - beta2.powf(t)).sqrt()))
-            .array(a.params, len)
-            .array(a.moment1, len)
-            .array(a.moment2, len)
-            .array(a.status, SLOTS)
-            .run([groups, a.planes], [self.local, 1])
-    }
-}
-
-/// Constants of one step of one plane.
+/// Constants of one step, of one plane or (with [`LearningRates`]) of all.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Step {
+pub struct Step<T = f64> {
     /// Learning rate.
-    pub rate: f64,
+    pub rate: T,
     /// β₁, β₂, ε.
     pub constants: [f64; 3],
-    /// Step, from 1.
+    /// Number of the step, from 1.
     pub t: u32,
 }
 
-/// One step of one plane; a gradient that is not finite (or whose square would not be, in f32) counts as 0. Returns how
-/// many did.
+impl<T> Step<T> {
+    /// β₁, β₂, ε and the two bias corrections, as kernels take them.
+    pub(super) fn arguments(&self) -> [f64; 5] {
+        let [beta1, beta2, epsilon] = self.constants;
+        let t = f64::from(self.t);
+        let first = 1.0 / (1.0 - beta1.powf(t));
+        let second = 1.0 / (1.0 - beta2.powf(t)).sqrt();
+        [beta1, beta2, epsilon, first, second]
+    }
+}
+
+/// The kernel.
+#[derive(Debug)]
+pub struct Adam(Kernel);
+
+impl Adam {
+    /// Builds the kernel.
+    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+        kernels.one::<R>("adam").map(Self)
+    }
+
+    /// Enqueues one step of the Gaussians of a block; after an overflow in the view nothing changes.
+    pub fn run<R: Real>(
+        &self,
+        scene: &Scene<R>,
+        moments: [&Array<R>; 2],
+        grads: &GradientBlock<'_, R>,
+        step: &Step<LearningRates>,
+        view: &Frame<R>,
+    ) -> Result<()> {
+        let vectors = self.0.vectors(grads.rows.len());
+        let r = &step.rate;
+        self.0
+            .launch()
+            .array(grads.values, grads.planes * grads.stride)
+            .uints([grads.stride, grads.rows.start, vectors, scene.stride])
+            .reals::<R>([r.position, r.scale, r.rotation, r.opacity, r.sh0, r.sh])
+            .reals::<R>(step.arguments())
+            .state(scene, moments, grads.planes)
+            .status(view)
+            .over_items([vectors, grads.planes])
+    }
+}
+
+// Definition in f64.
+
+/// Takes one step of one plane and returns the number of gradients that are not finite (or whose square would not be, in
+/// f32); they count as 0.
 pub fn adam(grads: &[f64], step: &Step, params: &mut [f64], m: &mut [f64], v: &mut [f64]) -> u32 {
     let [beta1, beta2, epsilon] = step.constants;
     let t = f64::from(step.t);

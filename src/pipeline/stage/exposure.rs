@@ -1,11 +1,15 @@
-//! An affine colour transform per training image (`kernels/exposure.cl`).
+//! An affine colour transform of each training image (`kernels/exposure.cl`).
 
 use crate::base::error::Result;
 use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, Kernel, Kernels, Launch, Real};
+use crate::device::{Array, Device, Kernel, Kernels, Launch, Real};
+use crate::pipeline::stage::adam::Step;
+
+/// Entries of \[A | b\], row-major 3 × 4.
+pub const ENTRIES: usize = 12;
 
 /// The transform that changes nothing, row-major \[A | b\].
-pub const IDENTITY: [f64; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+pub const IDENTITY: [f64; ENTRIES] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
 /// A x + b for a colour x; `e` is row-major \[A | b\].
 #[must_use]
@@ -13,7 +17,7 @@ pub fn exposed(e: &[f32], x: [f32; 3]) -> [f32; 3] {
     [0, 4, 8].map(|r| e[r] * x[0] + e[r + 1] * x[1] + e[r + 2] * x[2] + e[r + 3])
 }
 
-/// A⁻¹ (y − b); y where A has no inverse to speak of.
+/// A⁻¹ (y − b), or y if A is nearly singular.
 #[must_use]
 pub fn unexposed(e: &[f32], y: [f32; 3]) -> [f32; 3] {
     let row = |r: usize| glam::Vec3::new(e[4 * r], e[4 * r + 1], e[4 * r + 2]);
@@ -26,63 +30,54 @@ pub fn unexposed(e: &[f32], y: [f32; 3]) -> [f32; 3] {
     (a.inverse() * from).to_array()
 }
 
-/// Entries of \[A | b\], row-major 3 × 4.
-pub const ENTRIES: usize = 12;
+/// Transforms of the training views and the arrays of their steps.
+#[derive(Debug)]
+pub struct Exposures<R: Real> {
+    /// Transforms.
+    pub transforms: Array<R>,
+    /// First and second moments of the transforms.
+    pub moments: [Array<R>; 2],
+    /// Colours of the render under the transform of its view.
+    pub corrected: Array<R>,
+    /// Sums of each chunk for the gradient.
+    pub partial: Array<R>,
+    /// Gradient of the transform of one view.
+    pub grads: Array<R>,
+    /// Number of views.
+    pub views: usize,
+}
 
-/// The exposure stage.
+impl<R: Real> Exposures<R> {
+    /// Transforms that change nothing; `plane` is the number of pixels of the largest padded plane.
+    pub fn new(device: &Device, stage: &Exposure, views: usize, plane: usize) -> Result<Self> {
+        let chunks = stage.step.chunks();
+        let start = IDENTITY.map(R::of).repeat(views);
+        let zeros = |name, len| Array::zeros(device, name, len);
+        Ok(Self {
+            transforms: Array::from_slice(device, "exposures", &start)?,
+            moments: [
+                zeros("moment1", start.len())?,
+                zeros("moment2", start.len())?,
+            ],
+            corrected: zeros("corrected", 3 * plane)?,
+            partial: zeros("exposure partial", ENTRIES * chunks)?,
+            grads: zeros("exposure grads", ENTRIES)?,
+            views,
+        })
+    }
+}
+
+/// The kernels.
 #[derive(Debug)]
 pub struct Exposure {
     apply: Kernel,
     backward: Kernel,
     step: Kernel,
     center: Kernel,
-    chunks: usize,
-    local: usize,
-}
-
-/// A render and the transform of the view that it is of.
-#[derive(Debug)]
-pub struct ExposedImage<'a, R: Real> {
-    /// Render \[≥ 3, rows, stride\].
-    pub image: &'a Array<R>,
-    /// Pixels of a padded plane.
-    pub plane: usize,
-    /// Transforms \[views, 12\].
-    pub exposures: &'a Array<R>,
-    /// The view.
-    pub view: usize,
-}
-
-/// Arguments of [`Exposure::step`].
-#[derive(Debug)]
-pub struct ExposureStep<'a, R: Real> {
-    /// What [`Exposure::backward`] left.
-    pub partial: &'a Array<R>,
-    /// The view that it was of.
-    pub view: usize,
-    /// Number of views.
-    pub views: usize,
-    /// Learning rate.
-    pub rate: f64,
-    /// β₁, β₂, ε.
-    pub constants: [f64; 3],
-    /// Step, from 1.
-    pub step: u32,
-    /// In/out \[views, 12\].
-    pub exposures: &'a Array<R>,
-    /// In/out \[views, 12\].
-    pub moments: [&'a Array<R>; 2],
-    /// Gradient of the view's transform \[12\].
-    pub grads: &'a Array<R>,
-    /// Status array; after an overflow nothing is changed.
-    pub status: &'a Array<u32>,
 }
 
 impl Exposure {
     /// Builds the kernels.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         let names = [
             "exposure_apply",
@@ -91,95 +86,91 @@ impl Exposure {
             "exposure_center",
         ];
         let [apply, backward, step, center] = kernels.build::<R, 4>("exposure", names)?;
-        let tuning = kernels.defines().tuning;
         Ok(Self {
             apply,
             backward,
             step,
             center,
-            chunks: tuning.chunks,
-            local: tuning.coarse_local(),
         })
     }
 
-    /// Values that `partial` must hold.
-    #[must_use]
-    pub fn partial_len(&self) -> usize {
-        ENTRIES * self.chunks
+    /// Writes A x + b of every pixel of a view's render to `corrected`; `plane` is the number of pixels of a padded plane.
+    pub fn apply<R: Real>(
+        &self,
+        image: &Array<R>,
+        plane: usize,
+        e: &Exposures<R>,
+        view: usize,
+    ) -> Result<()> {
+        with_image(&self.apply, image, plane, e, view)
+            .array(&e.corrected, 3 * plane)
+            .over_chunks([self.apply.chunks(), 1])
     }
 
-    /// A kernel with what both passes over the image begin with.
-    fn launch<'k, R: Real>(&self, kernel: &'k Kernel, x: &ExposedImage<'_, R>) -> Launch<'k> {
-        kernel
-            .launch()
-            .array(x.image, 3 * x.plane)
-            .value(x.plane as u32)
-            .value(self.chunks as u32)
-            .array(x.exposures, ENTRIES * (x.view + 1))
-            .value(x.view as u32)
-    }
-
-    /// A x + b of every pixel into `corrected` \[3, rows, stride\].
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn apply<R: Real>(&self, x: &ExposedImage<'_, R>, corrected: &Array<R>) -> Result<()> {
-        self.launch(&self.apply, x)
-            .array(corrected, 3 * x.plane)
-            .run([self.chunks, 1], [self.local, 1])
-    }
-
-    /// The gradient with respect to the corrected image in `dimage` \[3, rows, stride\] becomes that with respect to the
-    /// render; `partial` receives what [`Exposure::step`] adds up.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Turns the gradient by the corrected image in `dimage` into that by the render, and leaves the sums for
+    /// [`Exposure::step`].
     pub fn backward<R: Real>(
         &self,
-        x: &ExposedImage<'_, R>,
+        image: &Array<R>,
+        plane: usize,
+        e: &Exposures<R>,
+        view: usize,
         dimage: &Array<R>,
-        partial: &Array<R>,
     ) -> Result<()> {
-        self.launch(&self.backward, x)
-            .array(dimage, 3 * x.plane)
-            .array(partial, self.partial_len())
-            .run([self.chunks, 1], [self.local, 1])
+        let chunks = self.backward.chunks();
+        with_image(&self.backward, image, plane, e, view)
+            .array(dimage, 3 * plane)
+            .array(&e.partial, ENTRIES * chunks)
+            .over_chunks([chunks, 1])
     }
 
-    /// Enqueues one step of the transforms of all views, whose mean stays the identity.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn step<R: Real>(&self, a: &ExposureStep<'_, R>) -> Result<()> {
-        let len = ENTRIES * a.views;
-        let [beta1, beta2, epsilon] = a.constants;
-        let t = f64::from(a.step);
+    /// Enqueues one step of the transforms of all views, whose mean stays the identity; after an overflow nothing changes.
+    pub fn step<R: Real>(
+        &self,
+        e: &Exposures<R>,
+        view: usize,
+        step: &Step,
+        status: &Array<u32>,
+    ) -> Result<()> {
+        let (len, chunks) = (ENTRIES * e.views, self.step.chunks());
         self.step
             .launch()
-            .array(a.partial, self.partial_len())
-            .value(self.chunks as u32)
-            .value(a.view as u32)
-            .value(a.views as u32)
-            .value(R::of(a.rate))
-            .value(R::of(beta1))
-            .value(R::of(beta2))
-            .value(R::of(epsilon))
-            .value(R::of(1.0 / (1.0 - beta1.powf(t))))
-            .value(R::of(1.0 / (1.0 - beta2.powf(t)).sqrt()))
-            .array(a.exposures, len)
-            .array(a.moments[0], len)
-            .array(a.moments[1], len)
-            .array(a.grads, ENTRIES)
-            .array(a.status, SLOTS)
-            .run([ENTRIES, a.views], [1, 1])?;
+            .array(&e.partial, ENTRIES * chunks)
+            .uints([chunks, view, e.views])
+            .reals::<R>([step.rate])
+            .reals::<R>(step.arguments())
+            .array(&e.transforms, len)
+            .array(&e.moments[0], len)
+            .array(&e.moments[1], len)
+            .array(&e.grads, ENTRIES)
+            .array(status, SLOTS)
+            .run([ENTRIES, e.views], [1, 1])?;
         self.center
             .launch()
-            .value(a.views as u32)
-            .array(a.exposures, len)
-            .array(a.status, SLOTS)
+            .uints([e.views])
+            .array(&e.transforms, len)
+            .array(status, SLOTS)
             .run([ENTRIES, 1], [1, 1])
     }
 }
+
+/// The arguments that both passes over the image begin with.
+fn with_image<'k, R: Real>(
+    kernel: &'k Kernel,
+    image: &Array<R>,
+    plane: usize,
+    e: &Exposures<R>,
+    view: usize,
+) -> Launch<'k> {
+    kernel
+        .launch()
+        .array(image, 3 * plane)
+        .uints([plane, kernel.chunks()])
+        .array(&e.transforms, ENTRIES * (view + 1))
+        .uints([view])
+}
+
+// Definition in f64.
 
 /// A x + b of every pixel of a planar image \[3, pixels\]; `exposure` is row-major \[A | b\].
 #[must_use]
@@ -212,7 +203,7 @@ pub fn backward(image: &[f64], exposure: &[f64; 12], dimage: &[f64]) -> (Vec<f64
     )
 }
 
-/// Takes the mean deviation from the identity off the transforms \[views, 12\].
+/// Subtracts the mean deviation from the identity from the transforms \[views, 12\].
 pub fn center(exposures: &mut [f64]) {
     let views = exposures.len() / 12;
     for (k, identity) in IDENTITY.into_iter().enumerate() {

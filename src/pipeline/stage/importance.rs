@@ -1,78 +1,49 @@
-//! Error cues per Gaussian (`kernels/importance.cl`).
+//! Error cues of each Gaussian: the error maps of a view under the projected centre (`kernels/importance.cl`; [MH] eq. 11, 13).
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
-use crate::device::tuning::status::SLOTS;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
 
-/// The importance stage.
+/// The kernel.
 #[derive(Debug)]
-pub struct Importance {
-    kernel: Kernel,
-    local: usize,
-    lanes: usize,
-}
-
-/// Arguments of [`Importance::run`].
-#[derive(Debug)]
-pub struct ImportanceArgs<'a, R: Real> {
-    /// Raw parameters \[planes, stride\].
-    pub params: &'a Array<R>,
-    /// Gaussians allocated.
-    pub stride: usize,
-    /// Gaussians.
-    pub count: usize,
-    /// Camera.
-    pub camera: &'a CameraArg<R>,
-    /// Error maps \[2, rows, stride\]: 1 − SSIM, |x − y|.
-    pub maps: &'a Array<R>,
-    /// Start the sums with this view.
-    pub first_view: bool,
-    /// Status array; after an overflow the view does not count.
-    pub status: &'a Array<u32>,
-    /// In/out \[3, stride\]: sums of 1 − SSIM and |x − y|, views that see the centre.
-    pub cues: &'a Array<R>,
-}
+pub struct Importance(Kernel);
 
 impl Importance {
     /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("importance", ["importance"])?;
-        Ok(Self {
-            kernel,
-            local: kernels.defines().tuning.lane_local(),
-            lanes: kernels.defines().tuning.vector_width as usize,
-        })
+        kernels.one::<R>("importance").map(Self)
     }
 
-    /// Enqueues the stage for one view.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn run<R: Real>(&self, a: &ImportanceArgs<'_, R>) -> Result<()> {
-        let [stride, rows] = a.camera.tiles.map(|t| t * TILE as i32);
-        self.kernel
+    /// Adds the errors of a view to `cues`, which `first_view` sets to zero before; `maps` are those of
+    /// [`crate::pipeline::stage::loss::Loss::errors`]. After an overflow in the view nothing changes.
+    pub fn run<R: Real>(
+        &self,
+        scene: &Scene<R>,
+        view: &Frame<R>,
+        camera: &CameraArg<R>,
+        maps: &Array<R>,
+        first_view: bool,
+        cues: &Array<R>,
+    ) -> Result<()> {
+        self.0
             .launch()
-            .array(a.params, 3 * a.stride)
-            .value(a.stride as u32)
-            .value(a.count as u32)
-            .value(*a.camera)
-            .array(a.maps, 2 * (stride * rows) as usize)
-            .value(stride)
-            .value(rows)
-            .value(i32::from(a.first_view))
-            .array(a.status, SLOTS)
-            .array(a.cues, 3 * a.stride)
-            .run([a.count.div_ceil(self.lanes), 1], [self.local, 1])
+            .scene(scene, 3)
+            .value(*camera)
+            .array(maps, 2 * camera.plane())
+            .ints(camera.padded())
+            .value(i32::from(first_view))
+            .status(view)
+            .array(cues, 3 * scene.stride)
+            .over_gaussians(scene.count)
     }
 }
 
-/// Values of two error maps \[height, width\] at the pixel under the projected centre of Gaussian `i`, if it is in front
-/// of the camera and inside the image.
+// Definition in f64.
+
+/// Values of two error maps \[height, width\] at the pixel under the projected centre of Gaussian `i`, `None` if that is
+/// behind the camera or outside of the image.
 #[must_use]
 pub fn importance(
     scene: &Scene64,

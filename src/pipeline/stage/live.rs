@@ -4,61 +4,45 @@ use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
 use crate::pipeline::reference::TILE;
 
-/// The live stage.
+/// The kernel.
 #[derive(Debug)]
-pub struct Live {
-    kernel: Kernel,
-    local: usize,
-}
+pub struct Live(Kernel);
 
 impl Live {
     /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("live", ["live"])?;
-        Ok(Self {
-            kernel,
-            local: kernels.defines().tuning.coarse_local(),
-        })
+        kernels.one::<R>("live").map(Self)
     }
 
-    /// Builds the kernel where photos have masks, or where they are transparent and what is blank is skipped.
-    ///
-    /// # Errors
-    /// A build failure.
+    /// Builds the kernel if photos have masks, or if they are transparent and what is blank is skipped.
     pub fn if_asked<R: Real>(kernels: &Kernels) -> Result<Option<Self>> {
         let defines = kernels.defines();
         let asked = defines.masked() || defines.skips_blank();
         asked.then(|| Self::new::<R>(kernels)).transpose()
     }
 
-    /// Enqueues the stage for a photo \[4, height, width\] of a camera's size; `live` \[tiles\] receives 1 or 0.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Marks the live tiles of a photo of a camera's size.
     pub fn run<R: Real>(
         &self,
         photo: &Array<u8>,
         camera: &CameraArg<R>,
         live: &Array<u32>,
     ) -> Result<()> {
-        let [w, h] = camera.size;
+        let [w, h] = camera.size.map(|s| s as usize);
         let tiles = camera.tile_count();
-        self.kernel
+        self.0
             .launch()
-            .array(photo, 4 * w as usize * h as usize)
-            .value(w)
-            .value(h)
-            .value(camera.tiles[0])
-            .value(tiles as i32)
+            .array(photo, 4 * w * h)
+            .ints([w, h])
+            .tiles(camera)
             .array(live, tiles)
-            .run([tiles, 1], [self.local, 1])
+            .over_chunks([tiles, 1])
     }
 }
 
-/// Whether any pixel of each tile (row major) of a mask \[height, width\] counts.
+// Definition in f64.
+
+/// True for each tile (row major) of a mask \[height, width\] in which any pixel counts.
 #[must_use]
 pub fn live(mask: &[u8], [width, height]: [usize; 2]) -> Vec<bool> {
     let tile = TILE as usize;

@@ -1,42 +1,55 @@
-//! L1 + SSIM and its gradient (`kernels/loss.cl`).
+//! L1 + SSIM and its gradient (`kernels/loss.cl`): 3DGS, Kerbl et al. 2023, eq. 7; SSIM, Wang et al. 2004.
 
 use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS, TILE};
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Launch, Real};
 use crate::pipeline::buffers::Blank;
 
-/// The loss stage.
+/// The kernels.
 #[derive(Debug)]
 pub struct Loss {
     forward: Kernel,
-    /// As `forward`, for density control: its time is importance's.
+    /// The same kernel for density control; its time is counted as importance's.
     errors: Kernel,
     backward: Kernel,
     sum: Kernel,
-    strip: usize,
-    local: usize,
-    photo_planes: usize,
-    skips_blank: bool,
-    /// In the place of what says what is blank.
+    /// An array for the arguments that say what is blank, when nothing does.
     nowhere: Array<u32>,
 }
 
 /// A rendered image and its photo.
 #[derive(Debug)]
 pub struct ImagePair<'a, R: Real> {
-    /// Render \[≥ 3, rows, stride\].
+    /// Render.
     pub image: &'a Array<R>,
-    /// Photo \[3 or 4, height, width\].
+    /// Photo of the same size.
     pub photo: &'a Array<u8>,
     /// Background under the photo's alpha.
     pub background: [f32; 3],
     /// Width and height, pixels.
     pub size: [usize; 2],
-    /// Where kernels that skip it find out what is blank in both; none: nothing is skipped.
+    /// Arrays that say what is blank in both, for kernels that skip it; `None` if nothing is to be skipped.
     pub blank: Option<Blank<'a>>,
 }
 
-impl<R: Real> ImagePair<'_, R> {
+impl<'a, R: Real> ImagePair<'a, R> {
+    /// A render and a photo of a camera, of which nothing is skipped.
+    #[must_use]
+    pub fn new(
+        image: &'a Array<R>,
+        photo: &'a Array<u8>,
+        camera: &CameraArg<R>,
+        background: [f32; 3],
+    ) -> Self {
+        Self {
+            image,
+            photo,
+            background,
+            size: size_of_image(camera),
+            blank: None,
+        }
+    }
+
     /// Padded width and height of a plane.
     #[must_use]
     pub fn padded(&self) -> [usize; 2] {
@@ -58,13 +71,9 @@ impl<R: Real> ImagePair<'_, R> {
             ..self
         }
     }
-
-    pub(super) fn background_real(&self) -> [R; 3] {
-        self.background.map(|c| R::of(f64::from(c)))
-    }
 }
 
-/// Width and height of a camera's image, as [`ImagePair::size`] wants them.
+/// Width and height of a camera's image, pixels.
 #[must_use]
 pub fn size_of_image<R: Real>(camera: &CameraArg<R>) -> [usize; 2] {
     camera.size.map(|s| s as usize)
@@ -72,47 +81,36 @@ pub fn size_of_image<R: Real>(camera: &CameraArg<R>) -> [usize; 2] {
 
 impl Loss {
     /// Builds the kernels.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         let names = ["loss_forward", "loss_forward", "loss_backward", "loss_sum"];
         let [forward, errors, backward, sum] = kernels.build::<R, 4>("loss", names)?;
-        let tuning = kernels.defines().tuning;
         Ok(Self {
             forward,
             errors: errors.counted_as("importance"),
             backward,
             sum,
-            strip: tuning.strip as usize,
-            local: tuning.coarse_local(),
-            photo_planes: kernels.defines().photo_planes(),
-            skips_blank: kernels.defines().skips_blank(),
             nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
         })
     }
 
     /// Work-items (columns, groups of rows) over a padded image.
     fn strips(&self, padded: [usize; 2]) -> [usize; 2] {
+        let strip = self.forward.defines().tuning.strip as usize;
         [
-            padded[0].div_ceil(self.strip),
+            padded[0].div_ceil(strip),
             padded[1].div_ceil(LOSS_ROWS as usize),
         ]
     }
 
-    /// Values that `partial` must hold for an image: two per strip and channel.
+    /// Length of `partial` for an image: two values for each strip and channel.
     #[must_use]
     pub fn partial_len(&self, width: usize, height: usize) -> usize {
-        let tile = TILE as usize;
-        let [x, y] = self.strips([width.next_multiple_of(tile), height.next_multiple_of(tile)]);
+        let [x, y] = self.strips([width, height].map(|s| s.next_multiple_of(TILE as usize)));
         3 * 2 * x * y
     }
 
-    /// Gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render into `dimage` \[3, rows, stride\]. `maps`
-    /// \[3, rows, stride\] is scratch, `partial` receives what [`Loss::sum`] adds up.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) by the render to `dimage` and the sums for [`Loss::sum`] to `partial`;
+    /// `maps` is scratch.
     pub fn gradient<R: Real>(
         &self,
         pair: &ImagePair<'_, R>,
@@ -126,19 +124,14 @@ impl Loss {
             self.forward(pair, channel, false, maps, partial)?;
             self.with_images(&self.backward, pair, channel)
                 .array(maps, 3 * pair.plane())
-                .value(R::of((1.0 - lambda_ssim) / n))
-                .value(R::of(lambda_ssim / n))
+                .reals::<R>([(1.0 - lambda_ssim) / n, lambda_ssim / n])
                 .array(dimage, 3 * pair.plane())
-                .run(self.strips(pair.padded()), [self.local, 1])?;
+                .over_chunks(self.strips(pair.padded()))?;
         }
         Ok(())
     }
 
-    /// Channel means of 1 − SSIM and |x − y| into `maps` \[2, rows, stride\]; `partial` receives what [`Loss::sum`] adds
-    /// up.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Writes the channel means of 1 − SSIM and |x − y| to `maps` and the sums for [`Loss::sum`] to `partial`.
     pub fn errors<R: Real>(
         &self,
         pair: &ImagePair<'_, R>,
@@ -157,16 +150,16 @@ impl Loss {
         partial: &Array<R>,
     ) -> Result<()> {
         let [w, h] = pair.size;
-        let kernel = if write_error {
-            &self.errors
+        let (kernel, planes) = if write_error {
+            (&self.errors, 2)
         } else {
-            &self.forward
+            (&self.forward, 3)
         };
         self.with_images(kernel, pair, channel)
             .value(i32::from(write_error))
-            .array(maps, if write_error { 2 } else { 3 } * pair.plane())
+            .array(maps, planes * pair.plane())
             .array(partial, self.partial_len(w, h))
-            .run(self.strips(pair.padded()), [self.local, 1])
+            .over_chunks(self.strips(pair.padded()))
     }
 
     /// The arguments that both sweeps begin with.
@@ -177,17 +170,15 @@ impl Loss {
         channel: usize,
     ) -> Launch<'k> {
         let ([w, h], [stride, rows]) = (pair.size, pair.padded());
+        let defines = kernel.defines();
         let launch = kernel
             .launch()
             .array(pair.image, 3 * pair.plane())
-            .array(pair.photo, self.photo_planes * w * h)
-            .value(channel as i32)
-            .value(pair.background_real()[channel])
-            .value(w as i32)
-            .value(h as i32)
-            .value(stride as i32)
-            .value(rows as i32);
-        if !self.skips_blank {
+            .array(pair.photo, defines.photo_planes() * w * h)
+            .ints([channel])
+            .reals::<R>([f64::from(pair.background[channel])])
+            .ints([w, h, stride, rows]);
+        if !defines.skips_blank() {
             return launch;
         }
         let tiles = pair.plane() / (TILE * TILE) as usize;
@@ -203,10 +194,7 @@ impl Loss {
         }
     }
 
-    /// Mean |x − y| and mean SSIM into `out[2·slot..]`.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Writes the means of |x − y| and SSIM to `out[2·slot..]`.
     pub fn sum<R: Real>(
         &self,
         pair: &ImagePair<'_, R>,
@@ -219,13 +207,15 @@ impl Loss {
         self.sum
             .launch()
             .array(partial, len)
-            .value((len / 2) as u32)
-            .value(R::of(1.0 / (3 * w * h) as f64))
+            .uints([len / 2])
+            .reals::<R>([1.0 / (3 * w * h) as f64])
             .array(out, 2 * (slot + 1))
-            .value(slot as u32)
-            .run([1, 1], [1, 1])
+            .uints([slot])
+            .once()
     }
 }
+
+// Definition in f64.
 
 /// The 11-tap Gaussian window, σ = 1.5, normalised.
 fn window() -> [f64; SSIM_TAPS] {
@@ -236,7 +226,7 @@ fn window() -> [f64; SSIM_TAPS] {
     raw.map(|v| v / sum)
 }
 
-/// What the loss stage gives.
+/// Results of the loss stage.
 #[derive(Debug, Clone, Default)]
 pub struct Loss64 {
     /// Mean |x − y|.

@@ -4,57 +4,37 @@ use crate::base::error::Result;
 use crate::device::{Array, Kernel, Kernels, Real};
 use crate::pipeline::stage::loss::ImagePair;
 
-/// The metrics stage.
+/// The kernels.
 #[derive(Debug)]
 pub struct Metrics {
     squared: Kernel,
     ssim: Kernel,
-    local: usize,
-    photo_planes: usize,
 }
 
 impl Metrics {
     /// Builds the kernels.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         let [squared, ssim] = kernels.build::<R, 2>("metrics", ["metrics", "metrics_ssim"])?;
-        Ok(Self {
-            squared,
-            ssim,
-            local: kernels.defines().tuning.coarse_local(),
-            photo_planes: kernels.defines().photo_planes(),
-        })
+        Ok(Self { squared, ssim })
     }
 
     /// Clamps the render in place and writes the squared error of each row (all channels) and the number of its pixels
-    /// that count into rows 0 and 1 of `score` \[≥ 2, height\].
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// that count to rows 0 and 1 of `score`.
     pub fn run<R: Real>(&self, pair: &ImagePair<'_, R>, score: &Array<R>) -> Result<()> {
-        let ([w, h], [stride, rows], bg) = (pair.size, pair.padded(), pair.background_real());
+        let ([w, h], [stride, rows]) = (pair.size, pair.padded());
+        let planes = self.squared.defines().photo_planes();
         self.squared
             .launch()
             .array(pair.image, 3 * pair.plane())
-            .array(pair.photo, self.photo_planes * w * h)
-            .value(bg[0])
-            .value(bg[1])
-            .value(bg[2])
-            .value(w as i32)
-            .value(h as i32)
-            .value(stride as i32)
-            .value(rows as i32)
+            .array(pair.photo, planes * w * h)
+            .reals::<R>(pair.background.map(f64::from))
+            .ints([w, h, stride, rows])
             .array(score, 2 * h)
-            .run([h, 1], [self.local, 1])
+            .over_chunks([h, 1])
     }
 
-    /// Sums 1 − SSIM of each row, as far as its pixels count, into row 2 of `score` \[3, height\]; `maps` is what
-    /// [`crate::pipeline::stage::loss::Loss::errors`] left of the clamped render.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Sums 1 − SSIM of each row over its pixels that count into row 2 of `score`; `maps` are those of
+    /// [`crate::pipeline::stage::loss::Loss::errors`] of the clamped render.
     pub fn dissimilarity<R: Real>(
         &self,
         pair: &ImagePair<'_, R>,
@@ -62,17 +42,18 @@ impl Metrics {
         score: &Array<R>,
     ) -> Result<()> {
         let ([w, h], [stride, _]) = (pair.size, pair.padded());
+        let planes = self.ssim.defines().photo_planes();
         self.ssim
             .launch()
             .array(maps, pair.plane())
-            .array(pair.photo, self.photo_planes * w * h)
-            .value(w as i32)
-            .value(h as i32)
-            .value(stride as i32)
+            .array(pair.photo, planes * w * h)
+            .ints([w, h, stride])
             .array(score, 3 * h)
-            .run([h, 1], [self.local, 1])
+            .over_chunks([h, 1])
     }
 }
+
+// Definition in f64.
 
 /// Squared error of an image \[3, height, width\] clamped to [0, 1], as far as its pixels count.
 #[must_use]

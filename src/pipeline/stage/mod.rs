@@ -1,4 +1,8 @@
-//! One file per kernel: its definition in f64 and its launcher. Shapes and units of every array are in `kernels/README.md`.
+//! One file per kernel: its launcher, then its definition in f64. `kernels/README.md` lists shapes and units of all arrays.
+//!
+//! Constructors fail if the device's compiler does; launches fail for arrays that are too short and on the driver's errors.
+//! A launch does not wait.
+#![allow(clippy::missing_errors_doc)]
 
 pub mod adam;
 pub mod bin;

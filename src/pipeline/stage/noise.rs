@@ -1,81 +1,50 @@
-//! Noise on the positions (`kernels/noise.cl`).
+//! Noise on the positions (`kernels/noise.cl`): 3DGS-MCMC, Kheradmand et al. 2024, eq. 8.
 
 use crate::base::constants::LOG_SCALE;
 use crate::base::error::Result;
 use crate::base::rng::Philox;
 use crate::density::NoiseLaw;
-use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::{Kernel, Kernels, Real};
+use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Scene64, product, rotation, sigmoid, transpose, unit_quaternion};
 use crate::scene::Plane;
 
-/// The noise stage.
+/// The kernel.
 #[derive(Debug)]
-pub struct Noise {
-    kernel: Kernel,
-    local: usize,
-    lanes: usize,
-}
-
-/// Arguments of [`Noise::run`].
-#[derive(Debug)]
-pub struct NoiseArgs<'a, R: Real> {
-    /// Gaussians allocated.
-    pub stride: usize,
-    /// Gaussians.
-    pub count: usize,
-    /// Seed of the run.
-    pub seed: u64,
-    /// Stream of random numbers (see `Purpose::stream`).
-    pub stream: u64,
-    /// Factor on Σ·ξ, local units.
-    pub rate: f64,
-    /// Steepness of the gate.
-    pub steepness: f64,
-    /// Opacity at which the gate is one half.
-    pub opacity: f64,
-    /// Status array; after an overflow nothing is changed.
-    pub status: &'a Array<u32>,
-    /// In/out \[planes, stride\].
-    pub params: &'a Array<R>,
-}
+pub struct Noise(Kernel);
 
 impl Noise {
     /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("noise", ["noise"])?;
-        let tuning = kernels.defines().tuning;
-        Ok(Self {
-            kernel,
-            local: tuning.lane_local(),
-            lanes: tuning.vector_width as usize,
-        })
+        kernels.one::<R>("noise").map(Self)
     }
 
-    /// Enqueues one step.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn run<R: Real>(&self, a: &NoiseArgs<'_, R>) -> Result<()> {
-        self.kernel
+    /// Moves the positions by the law, whose rate is in local units here; random numbers are keyed by the seed of the run
+    /// and a stream (see `Purpose::stream`). After an overflow in the view nothing changes.
+    pub fn run<R: Real>(
+        &self,
+        scene: &Scene<R>,
+        view: &Frame<R>,
+        law: &NoiseLaw,
+        seed: u64,
+        stream: u64,
+    ) -> Result<()> {
+        self.0
             .launch()
-            .value(a.stride as u32)
-            .value(a.count as u32)
-            .value(a.seed as u32)
-            .value((a.seed >> 32) as u32)
-            .value(a.stream as u32)
-            .value((a.stream >> 32) as u32)
-            .value(R::of(a.rate))
-            .value(R::of(a.steepness))
-            .value(R::of(a.opacity))
-            .array(a.status, SLOTS)
-            .array(a.params, (Plane::OPACITY + 1) * a.stride)
-            .run([a.count.div_ceil(self.lanes), 1], [self.local, 1])
+            .uints([scene.stride, scene.count])
+            .value(seed as u32)
+            .value((seed >> 32) as u32)
+            .value(stream as u32)
+            .value((stream >> 32) as u32)
+            .reals::<R>([law.rate, law.steepness, law.opacity])
+            .status(view)
+            .array(&scene.params, (Plane::OPACITY + 1) * scene.stride)
+            .over_gaussians(scene.count)
     }
 }
+
+// Definition in f64.
 
 /// Displacement of Gaussian `i`: rate·Σ·ξ·σ(−k·(o − x₀)), ξ the first three of the host's normal numbers at (seed, stream, i).
 #[must_use]

@@ -4,98 +4,79 @@ use crate::base::constants::PEAK_CHAINS;
 use crate::base::error::Result;
 use crate::device::{Array, Kernel, Kernels, Real};
 
-/// Values that a group of the copy moves on a CPU, at least.
+/// Smallest number of values that a group of the copy moves on a CPU.
 const GROUP_LANES: usize = 1024;
 
-/// The two kernels.
+/// The kernels.
 #[derive(Debug)]
 pub struct Peak {
     fma: Kernel,
     copy: Kernel,
-    lanes: usize,
-    fma_local: usize,
     copy_local: usize,
-}
-
-/// Arguments of [`Peak::fma`].
-#[derive(Debug)]
-pub struct FmaArgs<'a, R: Real> {
-    /// Work-items.
-    pub items: usize,
-    /// Multiply-adds of each chain.
-    pub steps: u32,
-    /// Factor a and term b of x → a·x + b.
-    pub factors: [f64; 2],
-    /// Out \[items, lanes\]: sum of the chains.
-    pub out: &'a Array<R>,
 }
 
 impl Peak {
     /// Builds the kernels.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         let [fma, copy] = kernels.build::<R, 2>("peak", ["peak_fma", "peak_copy"])?;
         let tuning = kernels.defines().tuning;
-        let lanes = tuning.vector_width as usize;
         // A CPU's thread takes a whole group: one large enough that starting it costs nothing.
-        let group = tuning.local.max(GROUP_LANES / lanes);
+        let group = tuning.local.max(GROUP_LANES / tuning.vector_width as usize);
+        let copy_local = if tuning.group_style {
+            tuning.local
+        } else {
+            group.min(kernels.device().info().max_work_group.max(1))
+        };
         Ok(Self {
             fma,
             copy,
-            lanes,
-            // As the splat kernels: a CPU's thread takes one work-item at a time.
-            fma_local: if tuning.group_style { tuning.local } else { 1 },
-            copy_local: if tuning.group_style {
-                tuning.local
-            } else {
-                group.min(kernels.device().info().max_work_group.max(1))
-            },
+            copy_local,
         })
     }
 
     /// Lanes of a vector.
     #[must_use]
     pub fn lanes(&self) -> usize {
-        self.lanes
+        self.fma.defines().tuning.vector_width as usize
     }
 
     /// FLOP of one launch of [`Peak::fma`] (a multiply-add is two).
     #[must_use]
     pub fn flop(&self, items: usize, steps: u32) -> f64 {
-        2.0 * f64::from(PEAK_CHAINS) * self.lanes as f64 * items as f64 * f64::from(steps)
+        2.0 * f64::from(PEAK_CHAINS) * self.lanes() as f64 * items as f64 * f64::from(steps)
     }
 
-    /// Enqueues the multiply-adds.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn fma<R: Real>(&self, a: &FmaArgs<'_, R>) -> Result<()> {
+    /// Runs the chains x → a·x + b for `steps` steps in each of `items` work-items and writes the sum of each lane to `out`.
+    pub fn fma<R: Real>(
+        &self,
+        items: usize,
+        steps: u32,
+        [a, b]: [f64; 2],
+        out: &Array<R>,
+    ) -> Result<()> {
+        // A CPU's thread takes one work-item at a time, as in the splat kernels.
+        let local = self.fma.defines().tuning.batch_local();
         self.fma
             .launch()
-            .value(a.items as u32)
-            .value(a.steps)
-            .value(R::of(a.factors[0]))
-            .value(R::of(a.factors[1]))
-            .array(a.out, a.items * self.lanes)
-            .run([a.items, 1], [self.fma_local, 1])
+            .uints([items, steps as usize])
+            .reals::<R>([a, b])
+            .array(out, items * self.lanes())
+            .run([items, 1], [local, 1])
     }
 
-    /// Enqueues a copy of as many whole vectors as `from` holds.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Copies as many whole vectors as `from` holds.
     pub fn copy<R: Real>(&self, from: &Array<R>, to: &Array<R>) -> Result<()> {
-        let vectors = from.len() / self.lanes;
+        let vectors = from.len() / self.lanes();
         self.copy
             .launch()
-            .array(from, vectors * self.lanes)
-            .value(vectors as u32)
-            .array(to, vectors * self.lanes)
+            .array(from, vectors * self.lanes())
+            .uints([vectors])
+            .array(to, vectors * self.lanes())
             .run([vectors, 1], [self.copy_local, 1])
     }
 }
+
+// Definition in f64.
 
 /// Sum of `chains` chains that go x → a·x + b `steps` times from 1, 2, 3 …
 #[must_use]

@@ -1,86 +1,48 @@
-//! Raw Gaussians → records of one camera (`kernels/project.cl`).
+//! Raw Gaussians → records of one camera (`kernels/project.cl`): EWA splatting, Zwicker et al. 2002; 3DGS, Kerbl et al. 2023,
+//! section 4.
 
 use crate::base::constants::{COLOR_MAX, LOG_SCALE, blur};
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Real, Record};
+use crate::device::{CameraArg, Kernel, Kernels, Real};
+use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{
     Camera64, Options, Scene64, product, rotation, sigmoid, transpose, unit_quaternion,
 };
 use crate::scene::{Plane, sh, sh_coefficients};
 
-/// The project stage, specialised for one SH degree.
+/// The kernel, specialised for one SH degree.
 #[derive(Debug)]
-pub struct Project {
-    kernel: Kernel,
-    local: usize,
-    lanes: usize,
-    planes: usize,
-    anti_alias: bool,
-}
-
-/// Arguments of [`Project::run`].
-#[derive(Debug)]
-pub struct ProjectArgs<'a, R: Real> {
-    /// Raw parameters \[planes, stride\].
-    pub params: &'a Array<R>,
-    /// Gaussians allocated.
-    pub stride: usize,
-    /// Gaussians.
-    pub count: usize,
-    /// Standard deviations of the 3D filter, local units \[stride\]; not looked at unless the kernels are built with `anti_alias`.
-    pub filter: &'a Array<R>,
-    /// Camera.
-    pub camera: &'a CameraArg<R>,
-    /// Composite the depth (local units) in place of the colour.
-    pub depth_as_color: bool,
-    /// Out \[stride\].
-    pub records: &'a Array<Record<R>>,
-    /// Out \[stride\]: depth bits, or culled.
-    pub keys: &'a Array<u32>,
-    /// Out \[stride\]: zeroed.
-    pub pair_counts: &'a Array<u32>,
-}
+pub struct Project(Kernel);
 
 impl Project {
     /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("project", ["project"])?;
-        let defines = kernels.defines();
-        Ok(Self {
-            kernel,
-            local: defines.tuning.lane_local(),
-            lanes: defines.tuning.vector_width as usize,
-            planes: Plane::count(defines.sh_degree),
-            anti_alias: defines.anti_alias,
-        })
+        kernels.one::<R>("project").map(Self)
     }
 
-    /// Enqueues the stage.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn run<R: Real>(&self, a: &ProjectArgs<'_, R>) -> Result<()> {
-        let mut launch = self
-            .kernel
+    /// Writes records and keys and zeroes the numbers of pairs; `depth_as_color` composites the depth (local units) in place
+    /// of the colour.
+    pub fn run<R: Real>(
+        &self,
+        scene: &Scene<R>,
+        view: &Frame<R>,
+        camera: &CameraArg<R>,
+        depth_as_color: bool,
+    ) -> Result<()> {
+        self.0
             .launch()
-            .array(a.params, self.planes * a.stride)
-            .value(a.stride as u32)
-            .value(a.count as u32);
-        if self.anti_alias {
-            launch = launch.array(a.filter, a.stride);
-        }
-        launch
-            .value(*a.camera)
-            .value(i32::from(a.depth_as_color))
-            .array(a.records, a.count)
-            .array(a.keys, a.count)
-            .array(a.pair_counts, a.count)
-            .run([a.count.div_ceil(self.lanes), 1], [self.local, 1])
+            .gaussians(scene)
+            .value(*camera)
+            .value(i32::from(depth_as_color))
+            .array(&view.records, scene.count)
+            .array(&view.keys, scene.count)
+            .array(&view.pair_counts, scene.count)
+            .over_gaussians(scene.count)
     }
 }
+
+// Definition in f64.
 
 /// A projected Gaussian, in the kernels' terms: with u = dx − r·dy, log2 α = lo − (a·u² + c·dy²).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -108,7 +70,7 @@ pub struct Record64 {
 pub struct Shape64 {
     /// Camera position.
     pub t: [f64; 3],
-    /// x/z and y/z after clamping, and whether the clamp is idle.
+    /// x/z and y/z after clamping, each with true if the clamp changes nothing.
     pub ratio: [(f64, bool); 2],
     /// J·W.
     pub jw: [[f64; 3]; 2],
@@ -124,7 +86,7 @@ pub struct Shape64 {
     pub cov: [[f64; 2]; 2],
     /// Its determinant.
     pub det: f64,
-    /// What the 2D filter needs; none without anti-aliasing.
+    /// Area for the 2D filter; `None` without anti-aliasing.
     pub area: Option<Area64>,
 }
 
@@ -167,7 +129,7 @@ pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 }
 
 impl Shape64 {
-    /// log2 of what both filters leave of the opacity: √(Π s²/Π s′²) and √(det0/det); 0 without anti-aliasing.
+    /// log2 of the part of the opacity that both filters leave: √(Π s²/Π s′²) and √(det0/det); 0 without anti-aliasing.
     #[must_use]
     pub fn log2_left(&self) -> f64 {
         let of = |area: &Area64| {
@@ -177,7 +139,7 @@ impl Shape64 {
     }
 }
 
-/// Camera-space geometry of Gaussian `i`; none at or behind the near plane.
+/// Camera-space geometry of Gaussian `i`; `None` at or behind the near plane.
 #[must_use]
 pub fn shape(scene: &Scene64, i: usize, camera: &Camera64) -> Option<Shape64> {
     let t = camera.apply(scene.position(i));
@@ -253,7 +215,7 @@ pub fn color(
     (rgb, dir, length)
 }
 
-/// Record of Gaussian `i`, none when culled.
+/// Record of Gaussian `i`; `None` if it is culled.
 #[must_use]
 pub fn project(
     scene: &Scene64,

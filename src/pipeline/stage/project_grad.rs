@@ -1,11 +1,10 @@
-//! Sums per pair → gradients of the raw parameters (`kernels/project_grad.cl`).
-
-use std::ops::Range;
+//! Sums of each pair → gradients of the raw parameters (`kernels/project_grad.cl`).
 
 use crate::base::constants::{LOG_SCALE, blur};
 use crate::base::error::Result;
-use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::device::{CameraArg, Kernel, Kernels, Real};
+use crate::pipeline::buffers::{Frame, GradientBlock, Scene};
+use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{
     Camera64, Options, Scene64, product, sigmoid, transpose, unit_quaternion,
 };
@@ -13,98 +12,46 @@ use crate::pipeline::stage::project::{Area64, Shape64, color, cross, shape};
 use crate::pipeline::stage::screen_grad::mean_gradient;
 use crate::scene::{Plane, sh, sh_coefficients};
 
-/// The project_grad stage, specialised for one SH degree.
+/// The kernel, specialised for one SH degree.
 #[derive(Debug)]
-pub struct ProjectGrad {
-    kernel: Kernel,
-    local: usize,
-    lanes: usize,
-    planes: usize,
-    anti_alias: bool,
-}
-
-/// Arguments of [`ProjectGrad::run`].
-#[derive(Debug)]
-pub struct ProjectGradArgs<'a, R: Real> {
-    /// Raw parameters \[planes, stride\].
-    pub params: &'a Array<R>,
-    /// Gaussians allocated.
-    pub stride: usize,
-    /// Gaussians.
-    pub count: usize,
-    /// Standard deviations of the 3D filter, local units \[stride\]; not looked at unless the kernels are built with `anti_alias`.
-    pub filter: &'a Array<R>,
-    /// Camera.
-    pub camera: &'a CameraArg<R>,
-    /// First pair of each Gaussian \[count\].
-    pub pair_start: &'a Array<u32>,
-    /// Pairs of each Gaussian \[count\].
-    pub pair_counts: &'a Array<u32>,
-    /// Status array; after an overflow no Gaussian has pairs.
-    pub status: &'a Array<u32>,
-    /// Sums \[pairs, 9\].
-    pub sums: &'a Array<R>,
-    /// λ_o of the mean opacity.
-    pub lambda_opacity: f64,
-    /// λ_s of the mean scale, per local unit.
-    pub lambda_scale: f64,
-    /// The Gaussians whose gradients are wanted; starts at a multiple of 16.
-    pub block: Range<usize>,
-    /// Gaussians that a plane of `grads` has room for, a multiple of 16.
-    pub grad_stride: usize,
-    /// Out \[planes, grad_stride\].
-    pub grads: &'a Array<R>,
-}
+pub struct ProjectGrad(Kernel);
 
 impl ProjectGrad {
     /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("project_grad", ["project_grad"])?;
-        let defines = kernels.defines();
-        Ok(Self {
-            kernel,
-            local: defines.tuning.lane_local(),
-            lanes: defines.tuning.vector_width as usize,
-            planes: Plane::count(defines.sh_degree),
-            anti_alias: defines.anti_alias,
-        })
+        kernels.one::<R>("project_grad").map(Self)
     }
 
-    /// Enqueues the stage.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn run<R: Real>(&self, a: &ProjectGradArgs<'_, R>) -> Result<()> {
-        let n = a.count.max(1) as f64;
-        let mut launch = self
-            .kernel
+    /// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included. After an overflow
+    /// in the view no Gaussian has pairs.
+    pub fn run<R: Real>(
+        &self,
+        scene: &Scene<R>,
+        view: &Frame<R>,
+        camera: &CameraArg<R>,
+        [lambda_opacity, lambda_scale]: [f64; 2],
+        grads: &GradientBlock<'_, R>,
+    ) -> Result<()> {
+        let n = scene.count.max(1) as f64;
+        let planes = Plane::count(self.0.defines().sh_degree);
+        self.0
             .launch()
-            .array(a.params, self.planes * a.stride)
-            .value(a.stride as u32)
-            .value(a.count as u32);
-        if self.anti_alias {
-            launch = launch.array(a.filter, a.stride);
-        }
-        launch
-            .value(a.block.start as u32)
-            .value(a.grad_stride as u32)
-            .value(*a.camera)
-            .array(a.pair_start, a.count)
-            .array(a.pair_counts, a.count)
-            .array(a.status, SLOTS)
-            .array(a.sums, 1)
-            .value(R::of(a.lambda_opacity / n))
-            .value(R::of(a.lambda_scale / (3.0 * n)))
-            .array(a.grads, self.planes * a.grad_stride)
-            .run([a.block.len().div_ceil(self.lanes), 1], [self.local, 1])
+            .gaussians(scene)
+            .uints([grads.rows.start, grads.stride])
+            .value(*camera)
+            .pair_ranges(view, scene.count)
+            .status(view)
+            .array(&view.sums, 1)
+            .reals::<R>([lambda_opacity / n, lambda_scale / (3.0 * n)])
+            .array(grads.values, planes * grads.stride)
+            .over_gaussians(grads.rows.len())
     }
 }
 
+// Definition in f64.
+
 /// Gradients of all raw parameters from the nine sums of each Gaussian, regularisers λ_o·mean(o) + λ_s·mean(scale)
-/// included. `sums[i]` is none for a culled Gaussian.
+/// included. `sums[i]` is `None` for a culled Gaussian.
 #[must_use]
 pub fn project_grad(
     scene: &Scene64,
@@ -220,7 +167,7 @@ fn area_grad(
     }
 }
 
-/// Through J = [[fx/z, 0, −fx·u/z], [0, fy/z, −fy·v/z]] and the mean to the camera position.
+/// dL/dt: through J = [[fx/z, 0, −fx·u/z], [0, fy/z, −fy·v/z]] and the mean to the camera position.
 fn camera_position(
     camera: &Camera64,
     o: &Shape64,

@@ -1,118 +1,95 @@
 //! Exclusive prefix sums (`kernels/scan.cl`).
 
 use crate::base::error::Result;
-use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::tuning::status::{PAIRS, SLOTS, VISIBLE};
+use crate::device::{Array, Kernel, Kernels, Launch, Real};
+use crate::pipeline::buffers::Frame;
+use crate::pipeline::launch::Arguments;
 
-/// The scan stage.
+/// The kernels.
 #[derive(Debug)]
 pub struct Scan {
     sums: Kernel,
     chunks: Kernel,
     write: Kernel,
-    chunk_count: usize,
-    local: usize,
 }
 
-/// Arguments of [`Scan::run`].
-#[derive(Debug)]
-pub struct ScanArgs<'a> {
-    /// Values \[n\].
-    pub values: &'a Array<u32>,
-    /// Status array; `total_slot` receives the total.
-    pub status: &'a Array<u32>,
-    /// n.
-    pub n: Count,
-    /// Slot of the total.
-    pub total_slot: u32,
-    /// A larger total raises the overflow flag.
-    pub capacity: usize,
-    /// Scratch \[chunks\].
-    pub sums: &'a Array<u32>,
-    /// Out \[n\].
-    pub out: &'a Array<u32>,
-}
-
-/// A number of elements.
+/// Number of elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Count {
-    /// What this slot of the status array holds when the kernel runs.
+    /// The value that this slot of the status array holds when the kernel runs.
     Slot(u32),
-    /// Known to the host.
+    /// A number that the host knows.
     Known(usize),
 }
 
 impl Scan {
     /// Builds the kernels.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [sums, chunks, write] =
-            kernels.build::<R, 3>("scan", ["scan_sums", "scan_chunks", "scan_write"])?;
-        let tuning = kernels.defines().tuning;
+        let names = ["scan_sums", "scan_chunks", "scan_write"];
+        let [sums, chunks, write] = kernels.build::<R, 3>("scan", names)?;
         Ok(Self {
             sums,
             chunks,
             write,
-            chunk_count: tuning.chunks,
-            local: tuning.coarse_local(),
         })
     }
 
-    /// Enqueues the stage.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn run(&self, a: &ScanArgs<'_>) -> Result<()> {
-        let global = [self.chunk_count, 1];
-        let (slot, known) = match a.n {
-            Count::Slot(slot) => (slot, 0),
-            Count::Known(n) => (SLOTS as u32, n as u32),
+    /// Writes the sums of the pairs before each of `n` elements to `out` and the number of pairs to the status; more pairs
+    /// than there is room for raise the overflow flag.
+    pub fn pairs<R: Real>(
+        &self,
+        view: &Frame<R>,
+        values: &Array<u32>,
+        n: Count,
+        out: &Array<u32>,
+    ) -> Result<()> {
+        let (slot, known) = match n {
+            Count::Slot(slot) => (slot as usize, 0),
+            Count::Known(n) => (SLOTS, n),
         };
-        self.sums
-            .launch()
-            .array(a.values, 1)
-            .array(a.status, SLOTS)
-            .value(slot)
-            .value(known)
-            .value(self.chunk_count as u32)
-            .array(a.sums, self.chunk_count)
-            .run(global, [self.local, 1])?;
-        self.totals(a.sums, a.status, a.total_slot, a.capacity)?;
-        self.write
-            .launch()
-            .array(a.values, 1)
-            .array(a.status, SLOTS)
-            .value(slot)
-            .value(known)
-            .value(self.chunk_count as u32)
-            .array(a.sums, self.chunk_count)
-            .array(a.out, 1)
-            .run(global, [self.local, 1])
+        with_values(&self.sums, view, values, slot, known).over_chunks([self.sums.chunks(), 1])?;
+        self.totals(view, PAIRS, view.pair_capacity())?;
+        with_values(&self.write, view, values, slot, known)
+            .array(out, 1)
+            .over_chunks([self.write.chunks(), 1])
     }
 
-    /// Prefix sums of the chunks' sums alone, the total into `total_slot`.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn totals(
-        &self,
-        sums: &Array<u32>,
-        status: &Array<u32>,
-        total_slot: u32,
-        capacity: usize,
-    ) -> Result<()> {
+    /// Writes the sums of the visible Gaussians before each chunk and their number to the status.
+    pub fn visible<R: Real>(&self, view: &Frame<R>) -> Result<()> {
+        self.totals(view, VISIBLE, view.keys.len())
+    }
+
+    fn totals<R: Real>(&self, view: &Frame<R>, slot: u32, capacity: usize) -> Result<()> {
+        let chunks = self.chunks.chunks();
         self.chunks
             .launch()
-            .array(sums, self.chunk_count)
-            .value(self.chunk_count as u32)
-            .array(status, SLOTS)
-            .value(total_slot)
-            .value(capacity as u32)
-            .run([1, 1], [1, 1])
+            .array(&view.chunk_sums, chunks)
+            .uints([chunks])
+            .status(view)
+            .uints([slot as usize, capacity])
+            .once()
     }
 }
+
+/// The arguments that both sweeps over the values begin with.
+fn with_values<'k, R: Real>(
+    kernel: &'k Kernel,
+    view: &Frame<R>,
+    values: &Array<u32>,
+    slot: usize,
+    known: usize,
+) -> Launch<'k> {
+    let chunks = kernel.chunks();
+    kernel
+        .launch()
+        .array(values, 1)
+        .status(view)
+        .uints([slot, known, chunks])
+        .array(&view.chunk_sums, chunks)
+}
+
+// Definition in f64.
 
 /// Exclusive prefix sums and the total.
 #[must_use]

@@ -5,32 +5,17 @@ use crate::base::error::Result;
 use crate::capture::Photo;
 use crate::device::{Array, Kernel, Kernels, Real};
 
-/// The shrink stage.
+/// The kernel.
 #[derive(Debug)]
-pub struct Shrink {
-    kernel: Kernel,
-    local: usize,
-    photo_planes: usize,
-}
+pub struct Shrink(Kernel);
 
 impl Shrink {
     /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("shrink", ["shrink"])?;
-        Ok(Self {
-            kernel,
-            local: kernels.defines().tuning.coarse_local(),
-            photo_planes: kernels.defines().photo_planes(),
-        })
+        kernels.one::<R>("shrink").map(Self)
     }
 
-    /// `photo` \[3 or 4, height, width\] at 1/`factor` of its size into `small` \[3 or 4, ⌊height/factor⌋, ⌊width/factor⌋\].
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Writes a photo at 1/`factor` of its size to `small`.
     pub fn run(
         &self,
         photo: &Array<u8>,
@@ -38,21 +23,18 @@ impl Shrink {
         factor: usize,
         small: &Array<u8>,
     ) -> Result<()> {
-        let ([w, h], planes) = ([width / factor, height / factor], self.photo_planes);
-        self.kernel
+        let [w, h] = [width / factor, height / factor];
+        let planes = self.0.defines().photo_planes();
+        self.0
             .launch()
             .array(photo, planes * width * height)
-            .value(width as i32)
-            .value(height as i32)
-            .value(planes as i32)
-            .value(factor as i32)
+            .ints([width, height, planes, factor])
             .array(small, planes * w * h)
-            .run(
-                [w.div_ceil(SHRINK_RUN as usize), planes * h],
-                [self.local, 1],
-            )
+            .over_chunks([w.div_ceil(SHRINK_RUN as usize), planes * h])
     }
 }
+
+// Definition in f64.
 
 /// The photo at 1/`factor` of its size: means of `factor` × `factor` pixels, rounded to nearest; what does not fill a pixel
 /// is left out.

@@ -2,9 +2,10 @@
 
 use crate::base::error::Result;
 use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, Device, Kernel, Kernels, Real};
+use crate::device::{Array, Kernel, Kernels, Real};
+use crate::pipeline::buffers::SortBuffers;
 
-/// The sort stage with its scratch.
+/// The kernels and their scratch.
 #[derive(Debug)]
 pub struct Sort {
     histogram: Kernel,
@@ -14,132 +15,113 @@ pub struct Sort {
     scatter: Kernel,
     counts: Array<u32>,
     sums: Array<u32>,
-    chunks: usize,
-    radix_bits: u32,
-    local: usize,
-    coarse_local: usize,
-}
-
-/// Arguments of [`Sort::run`]: the elements lie in `keys[0]`, `values[0]`; the other pair is scratch.
-#[derive(Debug)]
-pub struct SortArgs<'a> {
-    /// Keys, in and scratch \[n\].
-    pub keys: [&'a Array<u32>; 2],
-    /// Values, in and scratch \[n\].
-    pub values: [&'a Array<u32>; 2],
-    /// Status array.
-    pub status: &'a Array<u32>,
-    /// Slot of n.
-    pub n_slot: u32,
-    /// Bits of the keys that differ, from the lowest.
-    pub bits: u32,
 }
 
 impl Sort {
     /// Builds the kernels.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [histogram, totals, bins, offsets, scatter] = kernels.build::<R, 5>(
-            "sort",
-            [
-                "sort_histogram",
-                "sort_totals",
-                "sort_bins",
-                "sort_offsets",
-                "sort_scatter",
-            ],
-        )?;
-        let tuning = kernels.defines().tuning;
-        let device: &Device = kernels.device();
-        let most = 1usize << tuning.radix_bits;
+        let names = [
+            "sort_histogram",
+            "sort_totals",
+            "sort_bins",
+            "sort_offsets",
+            "sort_scatter",
+        ];
+        let [histogram, totals, bins, offsets, scatter] = kernels.build::<R, 5>("sort", names)?;
+        let (device, tuning) = (kernels.device(), kernels.defines().tuning);
+        let max_bins = 1usize << tuning.radix_bits;
         Ok(Self {
             histogram,
             totals,
             bins,
             offsets,
             scatter,
-            counts: Array::zeros(device, "sort histogram", most * tuning.chunks)?,
-            sums: Array::zeros(device, "sort totals", most)?,
-            chunks: tuning.chunks,
-            radix_bits: tuning.radix_bits,
-            local: tuning.local,
-            coarse_local: tuning.coarse_local(),
+            counts: Array::zeros(device, "sort histogram", max_bins * tuning.chunks)?,
+            sums: Array::zeros(device, "sort totals", max_bins)?,
         })
     }
 
-    /// Passes for keys of `bits` bits: the fewest bins and sweeps over at most `n` elements together.
+    /// Number of passes for keys of `bits` bits: the one of the fewest bins and sweeps over at most `n` elements together.
     fn passes(&self, bits: u32, n: usize) -> u32 {
-        let least = bits.div_ceil(self.radix_bits).max(1);
+        let tuning = self.scatter.defines().tuning;
+        let min = bits.div_ceil(tuning.radix_bits).max(1);
         let cost = |passes: u32| {
             let bins = 1usize << bits.div_ceil(passes);
             // Every element is read twice and written; every counter of a chunk and bin is zeroed, summed and rewritten.
-            passes as usize * 3 * (n + self.chunks * bins)
+            passes as usize * 3 * (n + tuning.chunks * bins)
         };
-        (least..=bits.max(least))
+        (min..=bits.max(min))
             .min_by_key(|p| cost(*p))
-            .unwrap_or(least)
+            .unwrap_or(min)
     }
 
-    /// Enqueues the passes; answers which of the two pairs of arrays holds the result.
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
-    pub fn run(&self, a: &SortArgs<'_>) -> Result<usize> {
-        let passes = self.passes(a.bits, a.keys[0].len());
-        let per_pass = a.bits.div_ceil(passes).max(1);
+    /// Sorts as many elements as the slot `n_slot` of the status array says by the lowest `bits` bits of their keys.
+    pub fn run(
+        &self,
+        elements: &mut SortBuffers,
+        status: &Array<u32>,
+        n_slot: u32,
+        bits: u32,
+    ) -> Result<()> {
+        let passes = self.passes(bits, elements.keys[0].len());
+        let per_pass = bits.div_ceil(passes).max(1);
         for pass in 0..passes {
-            let (from, to) = (pass as usize % 2, (pass as usize + 1) % 2);
-            let (shift, bins) = (pass * per_pass, 1u32 << per_pass);
-            let chunks = self.chunks as u32;
-            let cells = self.chunks * bins as usize;
-            self.histogram
-                .launch()
-                .array(a.keys[from], 1)
-                .array(a.status, SLOTS)
-                .value(a.n_slot)
-                .value(chunks)
-                .value(shift)
-                .value(bins)
-                .array(&self.counts, cells)
-                .run([self.chunks, 1], [self.coarse_local, 1])?;
-            self.totals
-                .launch()
-                .array(&self.counts, cells)
-                .value(chunks)
-                .value(bins)
-                .array(&self.sums, bins as usize)
-                .run([bins as usize, 1], [self.local, 1])?;
-            self.bins
-                .launch()
-                .array(&self.sums, bins as usize)
-                .value(bins)
-                .run([1, 1], [1, 1])?;
-            self.offsets
-                .launch()
-                .array(&self.counts, cells)
-                .value(chunks)
-                .value(bins)
-                .array(&self.sums, bins as usize)
-                .run([bins as usize, 1], [self.local, 1])?;
-            self.scatter
-                .launch()
-                .array(a.keys[from], 1)
-                .array(a.values[from], 1)
-                .array(a.status, SLOTS)
-                .value(a.n_slot)
-                .value(chunks)
-                .value(shift)
-                .value(bins)
-                .array(&self.counts, cells)
-                .array(a.keys[to], 1)
-                .array(a.values[to], 1)
-                .run([self.chunks, 1], [self.coarse_local, 1])?;
+            self.pass(elements, status, n_slot, pass, per_pass)?;
         }
-        Ok(passes as usize % 2)
+        elements.sorted = passes as usize % 2;
+        Ok(())
+    }
+
+    fn pass(
+        &self,
+        SortBuffers { keys, values, .. }: &SortBuffers,
+        status: &Array<u32>,
+        n_slot: u32,
+        pass: u32,
+        bits: u32,
+    ) -> Result<()> {
+        let (from, to) = (pass as usize % 2, (pass as usize + 1) % 2);
+        let (shift, bins) = ((pass * bits) as usize, 1usize << bits);
+        let (n_slot, chunks) = (n_slot as usize, self.scatter.chunks());
+        let cells = chunks * bins;
+        self.histogram
+            .launch()
+            .array(&keys[from], 1)
+            .array(status, SLOTS)
+            .uints([n_slot, chunks, shift, bins])
+            .array(&self.counts, cells)
+            .over_chunks([chunks, 1])?;
+        self.totals
+            .launch()
+            .array(&self.counts, cells)
+            .uints([chunks, bins])
+            .array(&self.sums, bins)
+            .over_items([bins, 1])?;
+        self.bins
+            .launch()
+            .array(&self.sums, bins)
+            .uints([bins])
+            .once()?;
+        self.offsets
+            .launch()
+            .array(&self.counts, cells)
+            .uints([chunks, bins])
+            .array(&self.sums, bins)
+            .over_items([bins, 1])?;
+        self.scatter
+            .launch()
+            .array(&keys[from], 1)
+            .array(&values[from], 1)
+            .array(status, SLOTS)
+            .uints([n_slot, chunks, shift, bins])
+            .array(&self.counts, cells)
+            .array(&keys[to], 1)
+            .array(&values[to], 1)
+            .over_chunks([chunks, 1])
     }
 }
+
+// Definition in f64.
 
 /// Positions of the keys in ascending order, equal keys in their old order.
 #[must_use]

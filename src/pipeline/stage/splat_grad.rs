@@ -1,58 +1,43 @@
 //! Derivative of the compositing (`kernels/splat_grad.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::pipeline::buffers::Frame;
+use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options};
 use crate::pipeline::stage::project::Record64;
-use crate::pipeline::stage::splat::{TileLists, contributions, group_size, list_at, tile_grid};
+use crate::pipeline::stage::splat::{contributions, list_at};
 
-/// The splat_grad stage.
+/// The kernel.
 #[derive(Debug)]
-pub struct SplatGrad {
-    kernel: Kernel,
-    group: usize,
-}
+pub struct SplatGrad(Kernel);
 
 impl SplatGrad {
     /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [kernel] = kernels.build::<R, 1>("splat_grad", ["splat_grad"])?;
-        Ok(Self {
-            kernel,
-            group: group_size(kernels),
-        })
+        kernels.one::<R>("splat_grad").map(Self)
     }
 
-    /// Enqueues the stage: `dimage` \[3, rows, stride\] → `sums` \[pairs, 9\].
-    ///
-    /// # Errors
-    /// Arrays that are too short, or the driver's.
+    /// Writes nine sums for each pair of the view composited last, from the gradient of the loss by its image.
     pub fn run<R: Real>(
         &self,
-        a: &TileLists<'_, R>,
+        view: &Frame<R>,
+        camera: &CameraArg<R>,
         dimage: &Array<R>,
-        sums: &Array<R>,
     ) -> Result<()> {
-        let [tiles_x, tiles] = a.tiles;
-        let (global, local) = tile_grid(tiles, self.group);
-        self.kernel
+        self.0
             .launch()
-            .array(a.records, 1)
-            .array(a.pair_owner, 1)
-            .array(a.order, 1)
-            .array(a.tile_start, tiles + 1)
-            .array(a.tile_used, tiles)
-            .value(tiles_x as i32)
-            .value(tiles as i32)
-            .array(a.image, 4 * a.plane())
-            .array(dimage, 3 * a.plane())
-            .array(sums, 1)
-            .run(global, local)
+            .tile_lists(view, camera)
+            .array(&view.tile_used, camera.tile_count())
+            .tiles(camera)
+            .array(&view.image, 4 * camera.plane())
+            .array(dimage, 3 * camera.plane())
+            .array(&view.sums, 1)
+            .over_tiles(camera)
     }
 }
+
+// Definition in f64.
 
 /// Nine sums of each Gaussian: g, g·u, g·dy, g·u², g·u·dy, g·dy² with g = dL/dα·α (0 where α is capped), then
 /// α·T·dL/dcolour.

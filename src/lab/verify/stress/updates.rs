@@ -6,7 +6,8 @@ use crate::device::{Array, Defines, Device, Kernels, Real};
 use crate::lab::verify::chain::ADAM;
 use crate::lab::verify::check::{EXACT, Row};
 use crate::lab::verify::stress::{FamilyNote, host_row};
-use crate::pipeline::stage::adam::{Adam, AdamArgs, LearningRates, Step, adam};
+use crate::pipeline::buffers::{Frame, GradientBlock, Scene};
+use crate::pipeline::stage::adam::{Adam, LearningRates, Step, adam};
 use crate::scene::Plane;
 
 /// What the family is about.
@@ -90,32 +91,38 @@ fn stepped<R: Real>(device: &Device, gradients: &[R], rate: f64) -> Result<(Vec<
     let stage = Adam::new::<R>(&kernels)?;
     let grads = Array::from_slice(device, "grads", gradients)?;
     let zeros = |name| Array::<R>::zeros(device, name, gradients.len());
-    let [params, moment1, moment2] = [zeros("params")?, zeros("moment1")?, zeros("moment2")?];
-    let counters = Array::zeros(device, "status", status::SLOTS)?;
-    for step in 1..=STEPS {
-        stage.run(&AdamArgs {
-            grads: &grads,
-            grad_stride: N,
-            block: 0..N,
-            stride: N,
-            planes: gradients.len() / N,
-            rates: LearningRates {
-                position: rate,
-                scale: rate,
-                rotation: rate,
-                opacity: rate,
-                sh0: rate,
-                sh: rate,
-            },
+    let scene = Scene {
+        params: zeros("params")?,
+        filter: Array::zeros(device, "filter", 0)?,
+        stride: N,
+        count: N,
+        sh_degree: 0,
+    };
+    let [moment1, moment2] = [zeros("moment1")?, zeros("moment2")?];
+    let frame = Frame::new(device, &device.tuning(), false)?;
+    let block = GradientBlock {
+        values: &grads,
+        planes: scene.planes(),
+        stride: N,
+        rows: 0..N,
+    };
+    for t in 1..=STEPS {
+        let rate = LearningRates {
+            position: rate,
+            scale: rate,
+            rotation: rate,
+            opacity: rate,
+            sh0: rate,
+            sh: rate,
+        };
+        let step = Step {
+            rate,
             constants: ADAM,
-            step,
-            params: &params,
-            moment1: &moment1,
-            moment2: &moment2,
-            status: &counters,
-        })?;
+            t,
+        };
+        stage.run(&scene, [&moment1, &moment2], &block, &step, &frame)?;
     }
-    let counted = counters.read(status::NON_FINITE as usize, 1)?[0];
-    let all = [params.to_vec()?, moment1.to_vec()?, moment2.to_vec()?].concat();
+    let counted = frame.status.read(status::NON_FINITE as usize, 1)?[0];
+    let all = [scene.params.to_vec()?, moment1.to_vec()?, moment2.to_vec()?].concat();
     Ok((all.into_iter().map(Into::into).collect(), counted))
 }

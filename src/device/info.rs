@@ -1,0 +1,145 @@
+//! Descriptions of the devices that there are.
+
+use std::sync::{Mutex, PoisonError};
+
+use ocl_core::{self as core, DeviceInfo as Query, DeviceInfoResult, DeviceType, PlatformInfo};
+use serde::Serialize;
+
+use crate::base::error::{Error, Result};
+use crate::device::error::device_error;
+
+/// Kind of a device, as OpenCL classes it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DeviceKind {
+    /// A CPU.
+    Cpu,
+    /// A GPU.
+    Gpu,
+    /// Any other accelerator.
+    Accelerator,
+}
+
+/// Properties that a device reports.
+#[derive(Debug, Clone, Serialize)]
+pub struct DeviceInfo {
+    /// Position in the list of all devices of all platforms.
+    pub index: usize,
+    /// Device name.
+    pub name: String,
+    /// Device vendor.
+    pub vendor: String,
+    /// Platform name.
+    pub platform: String,
+    /// Driver version.
+    pub driver: String,
+    /// CPU, GPU or accelerator.
+    pub kind: DeviceKind,
+    /// Compute units.
+    pub compute_units: u32,
+    /// True if double precision is available (`verify` needs it, training does not).
+    pub fp64: bool,
+    /// Preferred native vector width for f32.
+    pub vector_width: u32,
+    /// Size of the largest buffer, bytes.
+    pub max_alloc: u64,
+    /// Device memory, bytes.
+    pub global_memory: u64,
+    /// Work-items of the largest work-group.
+    pub max_work_group: usize,
+}
+
+/// Advice for a system without a device.
+pub(super) const INSTALL: &str = "install an OpenCL driver (on Debian/Ubuntu: `apt-get install ocl-icd-libopencl1 pocl-opencl-icd`) \
+     or point OCL_ICD_VENDORS at one";
+
+/// Index of the device named by an index, a part of its name or platform, or a kind; `None` if nothing matches.
+pub(super) fn select(list: &[DeviceInfo], selector: &str) -> Option<usize> {
+    let s = selector.to_lowercase();
+    let kind = match s.as_str() {
+        "cpu" => Some(DeviceKind::Cpu),
+        "gpu" => Some(DeviceKind::Gpu),
+        "accelerator" => Some(DeviceKind::Accelerator),
+        _ => None,
+    };
+    if let Some(kind) = kind {
+        return list.iter().find(|d| d.kind == kind).map(|d| d.index);
+    }
+    if let Ok(index) = s.parse::<usize>() {
+        return list.get(index).map(|d| d.index);
+    }
+    list.iter()
+        .find(|d| d.name.to_lowercase().contains(&s) || d.platform.to_lowercase().contains(&s))
+        .map(|d| d.index)
+}
+
+/// The devices that were found first. They are enumerated once: some drivers answer wrongly when several threads ask for the first time.
+static DEVICES: Mutex<Vec<(DeviceInfo, core::DeviceId)>> = Mutex::new(Vec::new());
+
+/// Every device of every platform, with its handle.
+pub(super) fn enumerate() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
+    let mut known = DEVICES.lock().unwrap_or_else(PoisonError::into_inner);
+    if known.is_empty() {
+        *known = ask_platforms()?;
+    }
+    Ok(known.clone())
+}
+
+fn ask_platforms() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
+    let platforms = core::get_platform_ids().map_err(|e| device_error("OpenCL", &e, INSTALL))?;
+    let mut out = Vec::new();
+    for platform in platforms {
+        let name = core::get_platform_info(platform, PlatformInfo::Name)
+            .map_or_else(|_| "unknown".into(), |v| v.to_string());
+        // A platform without a device answers with an error, which is no error here.
+        let devices =
+            core::get_device_ids(platform, Some(DeviceType::ALL), None).unwrap_or_default();
+        for id in devices {
+            // A device that cannot say what it is must not keep the others from being used.
+            if let Ok(info) = describe(out.len(), &name, id) {
+                out.push((info, id));
+            }
+        }
+    }
+    if out.is_empty() {
+        return Err(Error::device("OpenCL", "no device found", INSTALL));
+    }
+    Ok(out)
+}
+
+fn describe(index: usize, platform: &str, id: core::DeviceId) -> Result<DeviceInfo> {
+    let ask = |query: Query| {
+        core::get_device_info(id, query)
+            .map_err(|e| device_error("device query", &e, "select another with --device"))
+    };
+    let text = |query: Query| ask(query).map(|v| v.to_string());
+    let kind = match ask(Query::Type)? {
+        DeviceInfoResult::Type(t) if t.contains(DeviceType::GPU) => DeviceKind::Gpu,
+        DeviceInfoResult::Type(t) if t.contains(DeviceType::CPU) => DeviceKind::Cpu,
+        _ => DeviceKind::Accelerator,
+    };
+    let number = |query: Query| -> Result<u64> {
+        Ok(match ask(query)? {
+            DeviceInfoResult::MaxComputeUnits(v) | DeviceInfoResult::NativeVectorWidthFloat(v) => {
+                u64::from(v)
+            }
+            DeviceInfoResult::MaxMemAllocSize(v) | DeviceInfoResult::GlobalMemSize(v) => v,
+            DeviceInfoResult::MaxWorkGroupSize(v) => v as u64,
+            _ => 0,
+        })
+    };
+    Ok(DeviceInfo {
+        index,
+        name: text(Query::Name)?.trim().to_owned(),
+        vendor: text(Query::Vendor)?.trim().to_owned(),
+        platform: platform.trim().to_owned(),
+        driver: text(Query::DriverVersion)?.trim().to_owned(),
+        kind,
+        compute_units: number(Query::MaxComputeUnits)? as u32,
+        fp64: text(Query::Extensions)?.contains("cl_khr_fp64"),
+        vector_width: number(Query::NativeVectorWidthFloat)? as u32,
+        max_alloc: number(Query::MaxMemAllocSize)?,
+        global_memory: number(Query::GlobalMemSize)?,
+        max_work_group: number(Query::MaxWorkGroupSize)? as usize,
+    })
+}
