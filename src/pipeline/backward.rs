@@ -5,7 +5,7 @@
 //! the birth would; dL/dC is that of the ordinary render.
 
 use crate::base::error::Result;
-use crate::density::relocation::sigmoid;
+use crate::base::math::sigmoid;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::pipeline::buffers::Scene;
 use crate::pipeline::forward::{RenderOptions, Renderer};

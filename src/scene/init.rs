@@ -1,6 +1,7 @@
 //! The first Gaussians: one per sparse point, or random ones.
 
 use crate::base::error::{Error, Result};
+use crate::base::math::logit;
 use crate::base::rng::{Philox, Purpose};
 use crate::capture::{Dataset, Points};
 use crate::scene::gaussians::{Plane, Splats};
@@ -137,8 +138,7 @@ fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<
         return Err(numerics(format!("point {i} lies at {:?}", positions[i])));
     }
     let mut splats = Splats::zeros(sh_degree, positions.len());
-    let opacity = (OPACITY / (1.0 - OPACITY)).ln() as f32;
-    splats.plane_mut(Plane::OPACITY).fill(opacity);
+    splats.plane_mut(Plane::OPACITY).fill(logit(OPACITY) as f32);
     let distances = mean_squared_distances::<3>(positions);
     for (i, ((&p, c), d)) in positions.iter().zip(colors).zip(distances).enumerate() {
         let scale = if d.is_nan() {

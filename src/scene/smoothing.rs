@@ -5,6 +5,7 @@ use glam::DVec3;
 
 use crate::base::constants::{FILTER_VARIANCE, LOG_SCALE};
 use crate::base::error::{Error, Result};
+use crate::base::math::ln_sigmoid;
 use crate::capture::{Camera, Dataset};
 use crate::scene::gaussians::{Plane, Splats};
 
@@ -27,11 +28,6 @@ pub fn without_filter(splats: &Splats, dataset: &Dataset) -> Result<Splats> {
 const LEAST_OWN: f64 = 1e-4;
 /// Largest opacity that comes of taking a filter out.
 const MOST_OPACITY: f64 = 0.999;
-
-/// ln o of a logit, −softplus(−l).
-fn ln_opacity(logit: f64) -> f64 {
-    -((-logit).max(0.0) + (-logit.abs()).exp().ln_1p())
-}
 
 /// The logit of an opacity's logarithm, 1 − o without cancellation.
 fn logit_of(ln_o: f64) -> f64 {
@@ -99,7 +95,7 @@ impl Splats {
                 plane[i] = new as f32;
                 ln_left += old.clamp(LOG_SCALE[0], LOG_SCALE[1]) - new;
             }
-            let ln_o = ln_opacity(f64::from(planes[Plane::OPACITY][i]));
+            let ln_o = ln_sigmoid(f64::from(planes[Plane::OPACITY][i]));
             let most = ln_o.max(MOST_OPACITY.ln());
             planes[Plane::OPACITY][i] = logit_of((ln_o + ln_left).min(most)) as f32;
         }

@@ -2,11 +2,12 @@
 
 use crate::base::constants::LOG_SCALE;
 use crate::base::error::Result;
+use crate::base::math::sigmoid;
 use crate::base::rng::Philox;
 use crate::density::NoiseLaw;
 use crate::device::tuning::status::SLOTS;
 use crate::device::{Array, Kernel, Kernels, Real};
-use crate::pipeline::reference::{Scene64, product, rotation, sigmoid, transpose, unit_quaternion};
+use crate::pipeline::reference::{Scene64, product, rotation, transpose, unit_quaternion};
 use crate::scene::Plane;
 
 /// The noise stage.
