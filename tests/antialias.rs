@@ -6,7 +6,7 @@ use crate::cli::{done, room as room_folder, text};
 use crate::determinism::{drive, room, saved, trained};
 use mhsplat::TrainConfig;
 use mhsplat::base::constants::blur;
-use mhsplat::capture::{Camera, Frame, Photo};
+use mhsplat::capture::{Alpha, Camera, Frame, Photo};
 use mhsplat::config::{AntiAliasing, Init, Sampler};
 use mhsplat::device::{Defines, Device};
 use mhsplat::lab::verify::{cases, chain, twin};
@@ -45,10 +45,9 @@ fn brightness_at(middle: f64, zoom: u32, anti_aliased: bool) -> f64 {
     };
     case.camera = full.scaled_to(256 / zoom, 256 / zoom);
     case.photo = Photo {
-        mask: false,
         width: 256 / zoom,
         height: 256 / zoom,
-        channels: 3,
+        alpha: Alpha::None,
         data: vec![0; (3 * (256 / zoom) * (256 / zoom)) as usize],
     };
     case.background = [0.0; 3];

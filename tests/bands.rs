@@ -1,7 +1,7 @@
 //! Bands of spherical harmonics come and go by what they are worth, and what no view shows goes at the end.
 
 use crate::determinism::{drive, room};
-use mhsplat::capture::{Dataset, Photo, PhotoSource};
+use mhsplat::capture::{Alpha, Dataset, Photo, PhotoSource};
 use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::device::Device;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
@@ -52,7 +52,7 @@ fn shining(size: f32) -> (Dataset, Splats) {
         let image = renderer.image(&scene, &view.camera, &options).unwrap();
         let [w, h] = [image.width as u32, image.height as u32];
         view.photo = PhotoSource::Memory(
-            Photo::from_interleaved(w, h, 3, &image.rgb8())
+            Photo::from_interleaved(w, h, Alpha::None, &image.rgb8())
                 .unwrap()
                 .into(),
         );

@@ -14,8 +14,9 @@ use crate::base::error::{Error, Result};
 use crate::base::ply;
 use crate::capture::assemble::{RawScene, RawView, find_mask, inside, locate};
 use crate::capture::camera::Camera;
+use crate::capture::dataset::Layout;
+use crate::capture::decode;
 use crate::capture::lens::Lens;
-use crate::capture::{Layout, decode};
 
 /// Remedy for a value that cannot be used.
 const CORRECT: &str = "correct the file";

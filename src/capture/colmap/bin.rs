@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::error::{Error, Result};
+use crate::capture::colmap::model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 use crate::capture::colmap::models::{Model, PINHOLE};
-use crate::capture::colmap::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 
 /// Reads `cameras.bin`, `images.bin` and, if there is one, `points3D.bin` in `dir`.
 ///

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::str::{FromStr, SplitWhitespace};
 
 use crate::base::error::{Error, Result};
+use crate::capture::colmap::model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 use crate::capture::colmap::models::Model;
-use crate::capture::colmap::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 
 /// Reads `cameras.txt`, `images.txt` and, if there is one, `points3D.txt` in `dir`.
 ///
