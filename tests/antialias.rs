@@ -207,8 +207,8 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     let (scene, renderer) = trainer.scene_and_renderer();
     renderer.render(scene, &arg, &options).unwrap();
     let trained = renderer.read_image(&arg).unwrap();
-    let baked = ply::read(&marked, &data.frame).unwrap();
-    let raw = ply::read(&plain, &data.frame).unwrap();
+    let baked = ply::read(&marked, &data.frame).unwrap().splats;
+    let raw = ply::read(&plain, &data.frame).unwrap().splats;
     // Rounding, and pixels at the cut.
     let same = apart(&trained, &shown(&baked, &camera, true));
     assert!(same < 0.01, "{same}");

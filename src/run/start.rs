@@ -11,7 +11,7 @@ use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::run::record::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
 use crate::run::{Prepared, checkpoint};
-use crate::scene::ply::Contents;
+use crate::scene::ply::{Contents, SceneFile};
 use crate::scene::without_filter;
 use crate::scene::{Splats, init, ply};
 use crate::train::Trainer;
@@ -51,13 +51,16 @@ pub fn initial_splats(dataset: &Dataset, config: &TrainConfig) -> Result<Splats>
 /// The Gaussians of a PLY file, or one for each point of a plain cloud.
 fn from_file(path: &Path, dataset: &Dataset, config: &TrainConfig, most: usize) -> Result<Splats> {
     let empty = || Error::input(path, "no vertex", "give a PLY file that holds some");
-    let splats = match ply::read_either(path, &dataset.frame)? {
+    let SceneFile {
+        splats,
+        anti_aliased,
+    } = match ply::read_either(path, &dataset.frame)? {
         Contents::Points(points) if points.positions.is_empty() => return Err(empty()),
         Contents::Points(points) => {
             return init::from_points(&init::subset(&points, most, config.seed), 0);
         }
-        Contents::Scene(splats) if splats.is_empty() => return Err(empty()),
-        Contents::Scene(splats) => splats,
+        Contents::Scene(file) if file.splats.is_empty() => return Err(empty()),
+        Contents::Scene(file) => file,
     };
     if splats.len() > most {
         return Err(Error::input(
@@ -66,7 +69,7 @@ fn from_file(path: &Path, dataset: &Dataset, config: &TrainConfig, most: usize) 
             "raise --max-gaussians",
         ));
     }
-    let filtered = ply::is_anti_aliased(path) && AntiAlias::decide(dataset, config).on;
+    let filtered = anti_aliased && AntiAlias::decide(dataset, config).on;
     let splats = if filtered {
         without_filter(&splats, dataset)?
     } else {
