@@ -1,4 +1,4 @@
-//! What every room uses: errors, random numbers, files written as a whole, constants, mathematics, hashes, PLY tables.
+//! Shared foundations: errors, random numbers, atomic files, constants, mathematics, hashes, PLY tables.
 
 pub mod constants;
 pub mod error;

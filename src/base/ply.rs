@@ -46,7 +46,7 @@ impl Scalar {
         }
     }
 
-    /// The little-endian value at the start of `bytes`; `None` where they are too few.
+    /// The little-endian value at the start of `bytes`; `None` if they are too few.
     fn read(self, bytes: &[u8]) -> Option<f64> {
         Some(match self {
             Self::I8 => f64::from(i8::from_le_bytes(*bytes.first_chunk()?)),
@@ -242,7 +242,7 @@ impl Table {
 /// Positions and colours of a plain point cloud, in the file's own frame.
 ///
 /// # Errors
-/// As [`Table::read`] and [`Table::points`].
+/// Those of [`Table::read`] and [`Table::points`].
 pub(crate) fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>)> {
     Table::read(path)?.points()
 }

@@ -149,7 +149,7 @@ pub(crate) fn fitted(width: u32, height: u32, max_size: u32) -> (u32, u32) {
 /// premultiplied by alpha before averaging. `bytes` is interleaved with straight alpha; sums are f32, rounded once.
 ///
 /// # Errors
-/// As [`Photo::from_interleaved`]; also a target of 0 pixels or one larger than the source.
+/// Those of [`Photo::from_interleaved`]; also a target of 0 pixels or one larger than the source.
 pub fn shrink(
     width: u32,
     height: u32,

@@ -14,7 +14,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame in which nothing changes.
+    /// The identity.
     pub const IDENTITY: Self = Self {
         center: DVec3::ZERO,
         scale: 1.0,

@@ -8,7 +8,7 @@ use crate::base::error::{Error, Result};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Alpha {
-    /// No alpha plane.
+    /// Absent alpha plane.
     #[default]
     None,
     /// Opacity of the scene in front of the background: a photo over b is `rgb + (1 − alpha)·b`.

@@ -194,7 +194,7 @@ impl PhotoFile {
     /// The photo with the alpha plane that all photos of its dataset have.
     ///
     /// # Errors
-    /// As [`PhotoSource::load`].
+    /// Those of [`PhotoSource::load`].
     pub(crate) fn load(&self) -> Result<Photo> {
         Ok(self.decoded()?.with_alpha(self.alpha))
     }

@@ -8,11 +8,11 @@ use crate::chart::text::escape;
 /// One bar of a bar chart.
 #[derive(Debug, Clone)]
 pub struct Bar {
-    /// Name at its left.
+    /// Name at the left.
     pub name: String,
     /// Length.
     pub value: f64,
-    /// Text at its right.
+    /// Text at the right.
     pub text: String,
 }
 

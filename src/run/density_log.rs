@@ -116,7 +116,7 @@ impl From<Cells> for DensityRow {
 /// All complete rows of the `density.csv` at `path`.
 ///
 /// # Errors
-/// As [`read_table`].
+/// Those of [`read_table`].
 pub fn read_density(path: impl AsRef<Path>) -> Result<Vec<DensityRow>> {
     read_table(path)
 }

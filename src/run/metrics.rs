@@ -69,7 +69,7 @@ impl Row for MetricsRow {
 /// All complete rows of the `metrics.csv` at `path`.
 ///
 /// # Errors
-/// As [`read_table`].
+/// Those of [`read_table`].
 pub fn read_rows(path: impl AsRef<Path>) -> Result<Vec<MetricsRow>> {
     read_table(path)
 }

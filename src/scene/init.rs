@@ -1,4 +1,4 @@
-//! The first Gaussians: one per sparse point, or random ones.
+//! Initial Gaussians: one per sparse point, or random ones.
 
 use crate::base::error::{Error, Result};
 use crate::base::math::logit;
@@ -17,10 +17,10 @@ const OPACITY: f64 = 0.1;
 /// to anything that photos resolve.
 const MIN_SCALE: f64 = 1e-5;
 
-/// Scale of a Gaussian that has no neighbour to tell it, local units.
+/// Scale of a Gaussian without neighbours, local units.
 const LONE_SCALE: f64 = 0.01;
 
-/// Degenerate sides of the cameras' box are widened to this share of the longest one.
+/// Share of the longest side to which thinner sides of the cameras' box are widened.
 const THINNEST_SIDE: f64 = 0.1;
 
 /// One Gaussian per point (method §2): isotropic scale, the root of the mean squared distance to the 3 nearest neighbours
@@ -28,7 +28,7 @@ const THINNEST_SIDE: f64 = 0.1;
 /// rotation; the point's colour in SH band 0, the other bands 0.
 ///
 /// # Errors
-/// [`Error::Numerics`] for no points, as many colours as points are not, or positions that are not finite;
+/// [`Error::Numerics`] for no points, another number of colours, or positions that are not finite;
 /// [`Error::Config`] for an SH degree above 3.
 pub fn from_points(points: &Points, sh_degree: u32) -> Result<Splats> {
     if points.positions.len() != points.colors.len() {
@@ -46,7 +46,7 @@ pub fn from_points(points: &Points, sh_degree: u32) -> Result<Splats> {
     build(&points.positions, &colors, sh_degree)
 }
 
-/// At most `most` of the points, in their order; which, depends on the seed alone.
+/// At most `most` of the points, chosen by the seed alone, in their order.
 #[must_use]
 pub fn subset(points: &Points, most: usize, seed: u64) -> Points {
     let n = points.positions.len();

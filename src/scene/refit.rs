@@ -1,4 +1,4 @@
-//! Fewer bands of spherical harmonics for the same colours.
+//! Least-squares refit of colours to fewer bands of spherical harmonics.
 
 use rayon::prelude::*;
 
@@ -6,16 +6,16 @@ use crate::base::error::Result;
 use crate::scene::gaussians::{Plane, Splats, sh_coefficients};
 use crate::scene::sh;
 
-/// Added to the normal matrix's diagonal, per direction: what few directions do not determine stays as it is.
+/// Regularisation per direction on the diagonal of the normal matrix: keeps coefficients that few directions determine.
 const RIDGE: f64 = 1e-6;
 
-/// Coefficients of degree 2, the highest that anything is refitted to.
-const MOST: usize = sh_coefficients(2);
+/// Coefficients of degree 2, the highest degree of a refit.
+const MAX_LOW: usize = sh_coefficients(2);
 
 /// Coefficients of degree 3, the highest there is.
-const MOST_HIGH: usize = sh_coefficients(3);
+const MAX_HIGH: usize = sh_coefficients(3);
 
-/// A camera as far as it matters from where it sees what.
+/// A pinhole camera with its centre as the device has it.
 #[derive(Debug, Clone, Copy)]
 pub struct Sight {
     /// Rotation scene → camera, rows.
@@ -29,7 +29,7 @@ pub struct Sight {
 }
 
 impl Sight {
-    /// Direction in which this camera sees a position; none if it is behind it or beyond its image.
+    /// Direction from this camera to a position; `None` if it is behind the camera or outside of the image.
     fn direction(&self, x: [f64; 3]) -> Option<[f64; 3]> {
         let d: [f64; 3] = std::array::from_fn(|k| x[k] - self.center[k]);
         let dot = |r: [f64; 3]| r[0] * d[0] + r[1] * d[1] + r[2] * d[2];
@@ -42,19 +42,18 @@ impl Sight {
     }
 }
 
-/// The same Gaussians with the bands of a lower degree, which take over what they can of the colours that the higher ones gave
-/// in the directions from which the cameras see them (least squares over the cameras). A Gaussian that no camera sees keeps
-/// its lower bands as they are.
+/// The same Gaussians with the bands of a lower degree, refitted by least squares to the colours that all bands gave in the
+/// directions from which the cameras see them. A Gaussian that no camera sees keeps its lower bands as they are.
 ///
 /// # Errors
-/// As [`Splats::with_sh_degree`].
+/// Those of [`Splats::with_sh_degree`].
 pub fn with_fewer_bands(splats: &Splats, degree: u32, sights: &[Sight]) -> Result<Splats> {
     let changes = match degree {
         0 => changes::<1>(splats, sights),
         1 => changes::<4>(splats, sights),
-        _ => changes::<MOST>(splats, sights),
+        _ => changes::<MAX_LOW>(splats, sights),
     };
-    let low = sh_coefficients(degree).min(MOST);
+    let low = sh_coefficients(degree).min(MAX_LOW);
     let mut fewer = splats.clone().with_sh_degree(degree)?;
     for k in 0..low {
         for c in 0..3 {
@@ -70,21 +69,21 @@ pub fn with_fewer_bands(splats: &Splats, degree: u32, sights: &[Sight]) -> Resul
     Ok(fewer)
 }
 
-/// What the `LOW` lower coefficients of each Gaussian take over, as rows of [`MOST`].
-fn changes<const LOW: usize>(splats: &Splats, sights: &[Sight]) -> Vec<[[f64; 3]; MOST]> {
+/// Changes of the `LOW` lower coefficients of each Gaussian, as rows of [`MAX_LOW`].
+fn changes<const LOW: usize>(splats: &Splats, sights: &[Sight]) -> Vec<[[f64; 3]; MAX_LOW]> {
     let of = |i| {
-        let mut all = [[0.0; 3]; MOST];
+        let mut all = [[0.0; 3]; MAX_LOW];
         all[..LOW].copy_from_slice(&change::<LOW>(splats, i, sights));
         all
     };
     (0..splats.len()).into_par_iter().map(of).collect()
 }
 
-/// What the `LOW` lower coefficients of Gaussian `i` take over.
+/// Change of the `LOW` lower coefficients of Gaussian `i`.
 fn change<const LOW: usize>(splats: &Splats, i: usize, sights: &[Sight]) -> [[f64; 3]; LOW] {
     let x = splats.gather::<3>(Plane::POSITION, i).map(f64::from);
     let high = sh_coefficients(splats.sh_degree());
-    let mut higher = [[0.0; 3]; MOST_HIGH];
+    let mut higher = [[0.0; 3]; MAX_HIGH];
     for (k, of) in higher.iter_mut().enumerate().take(high).skip(LOW) {
         *of = splats.gather::<3>(Plane::SH + 3 * k, i).map(f64::from);
     }

@@ -74,7 +74,7 @@ fn point(line: &mut Line<'_>) -> Result<ColmapPoint> {
 /// with as many digits as it takes to read the same bits back.
 ///
 /// # Errors
-/// [`Error::Io`] where the system refuses.
+/// [`Error::Io`] if the system refuses.
 pub fn write_txt(dir: &Path, model: &ColmapModel) -> Result<()> {
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
     let mut cameras = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");

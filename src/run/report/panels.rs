@@ -62,6 +62,7 @@ fn single(points: Vec<(f64, f64)>) -> [Banded; 1] {
     [Banded::line("", points)]
 }
 
+/// Charts of scores, number of Gaussians and loss.
 pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityRow]) {
     let time = |r: &MetricsRow| r.train_seconds;
     let iteration = |r: &MetricsRow| f64::from(r.iteration);
@@ -123,7 +124,7 @@ pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityR
 /// One number of a step.
 type Count = fn(&DensityStats) -> u64;
 
-/// What the sampler did at each of its steps.
+/// Charts of the counts of each density step.
 pub(super) fn density_control(out: &mut String, sampler: Sampler, density: &[DensityRow]) {
     if sampler == Sampler::None {
         out.push_str("<h2>Density control</h2><p class=note>A fixed set of Gaussians.</p>\n");
@@ -209,6 +210,7 @@ fn resets(out: &mut String, density: &[DensityRow]) {
     ));
 }
 
+/// Chart and table of the time by stage.
 pub(super) fn stages(out: &mut String, record: &RunRecord) {
     let total: f64 = record.stages.iter().map(|s| s.seconds).sum();
     let bars: Vec<Bar> = record
