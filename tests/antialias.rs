@@ -7,7 +7,7 @@ use crate::determinism::{drive, room, saved, trained};
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::base::constants::blur;
-use mhsplat::capture::{Camera, Frame, Photo};
+use mhsplat::capture::{Alpha, Camera, Frame, Photo};
 use mhsplat::config::{AntiAliasing, Init, Sampler};
 use mhsplat::device::{Defines, Device};
 use mhsplat::lab::verify::{cases, chain, twin};
@@ -50,10 +50,9 @@ fn brightness_at(middle: f64, zoom: u32, anti_aliased: bool) -> f64 {
     };
     case.camera = full.scaled_to(256 / zoom, 256 / zoom);
     case.photo = Photo {
-        mask: false,
         width: 256 / zoom,
         height: 256 / zoom,
-        channels: 3,
+        alpha: Alpha::None,
         data: vec![0; (3 * (256 / zoom) * (256 / zoom)) as usize],
     };
     case.background = [0.0; 3];
@@ -226,8 +225,8 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     let (scene, renderer) = trainer.scene_and_renderer();
     renderer.render(scene, &arg, &options).unwrap();
     let trained = renderer.read_image(&arg).unwrap();
-    let baked = ply::read(&marked, &data.frame).unwrap();
-    let raw = ply::read(&plain, &data.frame).unwrap();
+    let baked = ply::read(&marked, &data.frame).unwrap().splats;
+    let raw = ply::read(&plain, &data.frame).unwrap().splats;
     // Rounding, and pixels at the cut.
     let same = apart(&trained, &shown(&baked, &camera, true));
     assert!(same < 0.01, "{same}");

@@ -13,7 +13,7 @@ use mhsplat::train::Trainer;
 use mhsplat::train::schedule::Schedule;
 
 /// The room's photos with this alpha in their left halves.
-fn holed(alpha: u8, mask: bool) -> Dataset {
+fn holed(alpha: u8, meaning: Alpha) -> Dataset {
     let mut data = room(64);
     for view in data.train.iter_mut().chain(&mut data.test) {
         let photo = view.photo.load().unwrap();
@@ -26,8 +26,7 @@ fn holed(alpha: u8, mask: bool) -> Dataset {
             })
             .collect();
         let (w, h) = (photo.width, photo.height);
-        let mut photo = Photo::from_interleaved(w, h, 4, &rgba).unwrap();
-        photo.mask = mask;
+        let photo = Photo::from_interleaved(w, h, meaning, &rgba).unwrap();
         view.photo = PhotoSource::Memory(photo.into());
     }
     data
@@ -75,17 +74,17 @@ fn training_asks_what_its_photos_are() {
     let of = |data: &Dataset, background| trained(data, &config(background), 40).1;
     let same = |data: &Dataset| of(data, Background::Auto) == of(data, Background::Black);
     assert!(same(&room(64)));
-    let masked = holed(0, true);
+    let masked = holed(0, Alpha::Mask);
     assert_eq!(masked.alpha(), Alpha::Mask);
     assert!(same(&masked));
-    let transparent = holed(0, false);
+    let transparent = holed(0, Alpha::Transparency);
     assert!(!same(&transparent));
     assert!(of(&transparent, Background::Auto) == of(&transparent, Background::Random));
 }
 
 #[test]
 fn a_resumed_run_over_changing_backgrounds_ends_with_the_same_bits() {
-    let data = holed(100, false);
+    let data = holed(100, Alpha::Transparency);
     let mut config = config(Background::Auto);
     config.mh.surrogate = mhsplat::config::Surrogate::Probe;
     let (done, whole) = trained(&data, &config, 90);
@@ -112,7 +111,9 @@ fn fog(background: Background) -> (Dataset, TrainConfig, Splats) {
     let mut data = room(64);
     for view in &mut data.train {
         let (w, h) = (view.camera.width, view.camera.height);
-        let clear = Photo::from_interleaved(w, h, 4, &vec![0; 4 * (w * h) as usize]).unwrap();
+        let clear =
+            Photo::from_interleaved(w, h, Alpha::Transparency, &vec![0; 4 * (w * h) as usize])
+                .unwrap();
         view.photo = PhotoSource::Memory(clear.into());
     }
     let mut config = TrainConfig {
@@ -161,13 +162,13 @@ fn nothing_is_born_in_image_space_where_there_is_nothing() {
     let (data, mut config, splats) = fog(Background::Auto);
     (config.mh.coarse_proposals, config.mh.fine_proposals) = (0, 0);
     assert_eq!(born(&data, &config, &splats), 0);
-    assert!(born(&holed(0, false), &config, &splats) > 0);
+    assert!(born(&holed(0, Alpha::Transparency), &config, &splats) > 0);
 }
 
 /// The loss is that of the scene, and not of the backgrounds that the last iterations happened to have.
 #[test]
 fn the_loss_does_not_depend_on_chance_backgrounds() {
-    let data = holed(0, false);
+    let data = holed(0, Alpha::Transparency);
     let losses = |rate: f32| {
         let mut config = config(Background::Auto);
         config.sampler = Sampler::None;
@@ -204,13 +205,13 @@ fn small(data: &Dataset, config: &TrainConfig) -> Splats {
 /// What is blank has no loss, and what is not does not notice.
 #[test]
 fn skipping_what_is_blank_changes_no_bit() {
-    for (mask, sampler) in [
-        (false, Sampler::None),
-        (true, Sampler::None),
-        (false, Sampler::Mh),
-        (true, Sampler::Mh),
+    for (meaning, sampler) in [
+        (Alpha::Transparency, Sampler::None),
+        (Alpha::Mask, Sampler::None),
+        (Alpha::Transparency, Sampler::Mh),
+        (Alpha::Mask, Sampler::Mh),
     ] {
-        let data = holed(0, mask);
+        let data = holed(0, meaning);
         let mut config = config(Background::Auto);
         config.sampler = sampler;
         let splats = small(&data, &config);
@@ -226,12 +227,12 @@ fn skipping_what_is_blank_changes_no_bit() {
         let whole = of(&config).state().unwrap().splats;
         assert!(
             skipped.state().unwrap().splats == whole,
-            "{mask} {sampler:?}"
+            "{meaning:?} {sampler:?}"
         );
         config.seed += 1;
         assert!(
             of(&config).state().unwrap().splats != whole,
-            "{mask} {sampler:?}"
+            "{meaning:?} {sampler:?}"
         );
         let camera = CameraArg::new(&data.train[0].camera, NEAR);
         let (scene, renderer) = skipped.scene_and_renderer();

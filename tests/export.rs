@@ -49,14 +49,22 @@ fn round_trip_keeps_every_bit() {
     for degree in 0..=3 {
         let scene = splats(17, degree);
         ply::write(&file, &scene, &Frame::IDENTITY).unwrap();
-        assert_eq!(ply::read(&file, &Frame::IDENTITY).unwrap(), scene);
+        assert_eq!(ply::read(&file, &Frame::IDENTITY).unwrap().splats, scene);
         let again = dir.path().join("again.ply");
         ply::write(&again, &scene, &Frame::IDENTITY).unwrap();
         assert_eq!(fs::read(&file).unwrap(), fs::read(&again).unwrap());
     }
-    assert_ne!(ply::read(&file, &Frame::IDENTITY).unwrap(), splats(18, 3));
+    assert_ne!(
+        ply::read(&file, &Frame::IDENTITY).unwrap().splats,
+        splats(18, 3)
+    );
     ply::write(&file, &Splats::zeros(1, 0), &Frame::IDENTITY).unwrap();
-    assert!(ply::read(&file, &Frame::IDENTITY).unwrap().is_empty());
+    assert!(
+        ply::read(&file, &Frame::IDENTITY)
+            .unwrap()
+            .splats
+            .is_empty()
+    );
     let names: Vec<_> = fs::read_dir(dir.path()).unwrap().collect();
     assert_eq!(names.len(), 2, "temporary files are left behind");
 }
@@ -124,7 +132,7 @@ fn frames_move_positions_and_scales() {
             (f64::from(s) + 8_f64.ln()) as f32
         ]
     );
-    let back = ply::read(&file, &frame).unwrap();
+    let back = ply::read(&file, &frame).unwrap().splats;
     for (p, (a, b)) in back.planes().iter().zip(scene.planes()).enumerate() {
         for (a, b) in a.iter().zip(b) {
             // Positions of up to 52 are rounded to 2e-6 in the file, an eighth of that here.
@@ -174,7 +182,8 @@ fn with(dir: &Path, text: &[u8]) -> std::path::PathBuf {
 #[test]
 fn ascii_in_any_order() {
     let dir = tempfile::tempdir().unwrap();
-    let scene = ply::read(&with(dir.path(), ASCII.as_bytes()), &Frame::IDENTITY).unwrap();
+    let file = with(dir.path(), ASCII.as_bytes());
+    let scene = ply::read(&file, &Frame::IDENTITY).unwrap().splats;
     assert_eq!((scene.len(), scene.sh_degree()), (2, 0));
     let all: [f32; 14] = scene.gather(0, 0);
     let expected = [
@@ -268,9 +277,13 @@ fn files_of_other_programs() {
         return;
     };
     let frame = Frame::IDENTITY;
-    let scene = ply::read(&folder.join("epfl_pc_short.ply"), &frame).unwrap();
+    let scene = ply::read(&folder.join("epfl_pc_short.ply"), &frame)
+        .unwrap()
+        .splats;
     assert_eq!((scene.len(), scene.sh_degree()), (100, 3));
-    let scene = ply::read(&folder.join("kacytran_iter7000.ply"), &frame).unwrap();
+    let scene = ply::read(&folder.join("kacytran_iter7000.ply"), &frame)
+        .unwrap()
+        .splats;
     assert_eq!((scene.len(), scene.sh_degree()), (9080, 3));
     let points = point_cloud::read(&folder.join("brush_init.ply"), &frame).unwrap();
     assert_eq!(points.positions.len(), 100);

@@ -5,7 +5,7 @@ mod pictures;
 use crate::determinism::{room, trained};
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
-use mhsplat::capture::{Dataset, Photo, PhotoSource, View};
+use mhsplat::capture::{Alpha, Dataset, Photo, PhotoSource, View};
 use mhsplat::config::{OptimizerConfig, Sampler};
 use mhsplat::device::{Defines, Device};
 use mhsplat::evaluate::{Evaluator, ViewScore};
@@ -35,10 +35,7 @@ fn masked(view: &View, mask: impl Fn(u32, u32) -> u8) -> View {
         [p[0], p[1], p[2], mask(x, y)]
     });
     let bytes: Vec<u8> = bytes.collect();
-    let photo = Photo {
-        mask: true,
-        ..Photo::from_interleaved(photo.width, photo.height, 4, &bytes).unwrap()
-    };
+    let photo = Photo::from_interleaved(photo.width, photo.height, Alpha::Mask, &bytes).unwrap();
     View {
         photo: PhotoSource::from(photo),
         ..view.clone()
@@ -165,10 +162,7 @@ fn scores_are_means_over_what_counts() {
 #[test]
 fn what_a_mask_halves_keeps_its_colour() {
     let bytes = [200, 100, 50, 128, 200, 100, 50, 255, 200, 100, 50, 0];
-    let photo = Photo {
-        mask: true,
-        ..Photo::from_interleaved(3, 1, 4, &bytes).unwrap()
-    };
+    let photo = Photo::from_interleaved(3, 1, Alpha::Mask, &bytes).unwrap();
     // Within what eight bits of a half leave.
     let shown = photo.shown([1.0; 3]);
     for (got, wanted) in shown.iter().zip([200, 100, 50, 200, 100, 50, 0, 0, 0]) {
@@ -182,7 +176,7 @@ fn what_a_mask_halves_keeps_its_colour() {
         photo.counted(vec![200, 100, 50, 10, 20, 30, 7, 8, 9]),
         [100, 50, 25, 10, 20, 30, 0, 0, 0]
     );
-    let open = Photo::from_interleaved(1, 1, 4, &[200, 100, 50, 0]).unwrap();
+    let open = Photo::from_interleaved(1, 1, Alpha::Transparency, &[200, 100, 50, 0]).unwrap();
     assert_eq!(open.shown([1.0, 0.5, 0.0]), [255, 128, 0]);
     assert_eq!(open.counted(vec![1, 2, 3]), [1, 2, 3]);
 }

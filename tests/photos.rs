@@ -11,7 +11,7 @@ use crate::determinism::room_within;
 use mhsplat::Plan;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::source::parse_available;
-use mhsplat::capture::{Dataset, LoadOptions, PhotoSource, load};
+use mhsplat::capture::{Alpha, Dataset, LoadOptions, PhotoSource, load};
 use mhsplat::config::parse_bytes;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Array, Defines, Device, Kernels};
@@ -137,23 +137,27 @@ fn with_alpha(dir: &Path, transparent: bool) {
 
 #[test]
 fn photos_on_demand_are_those_in_memory() {
-    for (alpha, channels) in [(None, 3), (Some(false), 3), (Some(true), 4)] {
+    for (painted, alpha) in [
+        (None, Alpha::None),
+        (Some(false), Alpha::None),
+        (Some(true), Alpha::Transparency),
+    ] {
         let dir = colmap_scene(5, DVec3::ZERO, true);
-        if let Some(transparent) = alpha {
+        if let Some(transparent) = painted {
             with_alpha(dir.path(), transparent);
         }
         let eager = within(dir.path(), u64::MAX).unwrap();
         let lazy = within(dir.path(), 2 * SMALL).unwrap();
         assert_eq!(eager.fingerprint(), lazy.fingerprint());
-        assert_eq!(eager.background_matters(), channels == 4);
-        assert_eq!(lazy.background_matters(), channels == 4);
+        assert_eq!(eager.alpha(), alpha);
+        assert_eq!(lazy.alpha(), alpha);
         assert_eq!(eager.photo_bytes(), lazy.photo_bytes());
         for (a, b) in eager.train.iter().zip(&lazy.train) {
             assert!(matches!(a.photo, PhotoSource::Memory(_)));
             assert!(matches!(b.photo, PhotoSource::File(_)));
             let photo = a.photo.load().unwrap();
             assert_eq!(photo, b.photo.load().unwrap());
-            assert_eq!((photo.channels, b.photo.channels()), (channels, channels));
+            assert_eq!((photo.alpha, b.photo.alpha()), (alpha, alpha));
             assert_eq!(
                 (photo.width, photo.height),
                 (b.camera.width, b.camera.height)

@@ -1,7 +1,7 @@
 //! The plan: what switches each item on, and what is said of it.
 
 use crate::determinism::room;
-use mhsplat::capture::{Dataset, LoadOptions, Photo, PhotoSource, load};
+use mhsplat::capture::{Alpha, Dataset, LoadOptions, Photo, PhotoSource, load};
 use mhsplat::config::{Background, Init, Sampler, TrainConfig};
 use mhsplat::run::{Item, PlanRecord};
 use mhsplat::train::{Learned, Plan};
@@ -83,8 +83,7 @@ fn data_switch_items() {
     let PhotoSource::Memory(photo) = &data.train[0].photo else {
         panic!("the photos fit");
     };
-    let mut clear: Photo = (**photo).clone();
-    clear.add_alpha();
+    let clear = Photo::clone(photo).with_alpha(Alpha::Transparency);
     data.train[0].photo = PhotoSource::Memory(clear.into());
     data.undistorted = 3;
     data.test.clear();

@@ -1,10 +1,9 @@
 //! The reference itself against numbers known by other means, and the comparator against results it must refuse.
 
+use mhsplat::base::math::sigmoid;
 use mhsplat::lab::error::{Tolerance, compare};
 use mhsplat::lab::verify::{cases, twin};
-use mhsplat::pipeline::reference::{
-    Camera64, Options, Scene64, rotation, sigmoid, unit_quaternion,
-};
+use mhsplat::pipeline::reference::{Camera64, Options, Scene64, rotation, unit_quaternion};
 use mhsplat::pipeline::stage::bin::bin;
 use mhsplat::pipeline::stage::loss::loss;
 use mhsplat::pipeline::stage::project::project;

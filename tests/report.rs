@@ -5,7 +5,10 @@ mod samples;
 
 use samples::*;
 
+use std::path::Path;
+
 use mhsplat::base::error::Error;
+use mhsplat::density::DensityStats;
 use mhsplat::run::table::Row;
 use mhsplat::run::*;
 
@@ -241,6 +244,62 @@ fn density_csv_round_trips() {
     let mut writer = DensityWriter::create(&path).unwrap();
     density().iter().for_each(|r| writer.write(r).unwrap());
     assert_eq!(read_density(&path).unwrap(), density());
+}
+
+/// Lines of both tables as version 0.1 wrote them: a resumed run must not mix two spellings.
+#[test]
+fn numbers_in_tables_keep_their_spelling() {
+    let dir = tempfile::tempdir().unwrap();
+    let last = |path: &Path| {
+        let text = std::fs::read_to_string(path).unwrap();
+        text.lines().last().unwrap().to_owned()
+    };
+    let path = dir.path().join("metrics.csv");
+    let row = MetricsRow {
+        iteration: u32::MAX,
+        train_seconds: 1.0 / 3.0,
+        wall_seconds: 1e16,
+        cpu_seconds: 0.0,
+        loss: Some(1e-7),
+        psnr: Some(-27.0),
+        ssim: None,
+        gaussians: u64::MAX,
+        non_finite: 9_007_199_254_740_993,
+        ..MetricsRow::default()
+    };
+    MetricsWriter::create(&path).unwrap().write(&row).unwrap();
+    assert_eq!(
+        last(&path),
+        "4294967295,0.3333333333333333,10000000000000000,0,0.0000001,-27,,18446744073709551615,0,0,0,0,9007199254740993"
+    );
+    assert_eq!(read_rows(&path).unwrap(), [row]);
+    let path = dir.path().join("density.csv");
+    let row = DensityRow {
+        iteration: 100,
+        train_seconds: 12.25,
+        gaussians: 9,
+        stats: DensityStats {
+            proposed: 1,
+            accepted: 2,
+            relocated: 3,
+            pruned: 4,
+            coarse: [5, 6],
+            fine: [7, 8],
+            pixel: [9, 10],
+            occupied_voxels: 11,
+            mean_prior: 5e-324,
+            cloned: 12,
+            split: 13,
+            opacity_resets: 14,
+        },
+    };
+    DensityWriter::create(&path).unwrap().write(&row).unwrap();
+    let tiny = format!("0.{}5", "0".repeat(323));
+    assert_eq!(
+        last(&path),
+        format!("100,12.25,9,1,2,3,4,5,6,7,8,11,{tiny},12,13,14,9,10")
+    );
+    assert_eq!(read_density(&path).unwrap(), [row]);
 }
 
 #[test]

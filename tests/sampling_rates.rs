@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use crate::determinism::room;
-use mhsplat::capture::{Camera, Dataset, Lens, Photo, PhotoSource, View};
+use mhsplat::capture::{Alpha, Camera, Dataset, Lens, Photo, PhotoSource, View};
 use mhsplat::config::AntiAliasing;
 use mhsplat::run::PlanRecord;
 use mhsplat::train::plan::Decided;
@@ -135,10 +135,9 @@ fn circle(factor: f64) -> Dataset {
     let view = |k: usize| {
         let far = if k.is_multiple_of(2) { 1.0 } else { factor };
         let photo = Photo {
-            mask: false,
             width: 32,
             height: 32,
-            channels: 3,
+            alpha: Alpha::None,
             data: vec![0; 3 * 32 * 32],
         };
         View {

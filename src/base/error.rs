@@ -6,24 +6,24 @@ use std::path::{Path, PathBuf};
 /// Result with the library's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Everything that can go wrong. Each variant names the place, what was found and what to do about it.
+/// Any failure of the library. Each variant names the place, what was found and what to do about it.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Error {
-    /// A file or folder of the user's that cannot be used as it is.
+    /// An unusable file or folder of the user.
     Input {
         /// The offending file or folder.
         path: PathBuf,
-        /// What was found, and what was expected.
+        /// Finding, and expectation.
         what: String,
-        /// What the user can do about it.
+        /// Remedy for the user.
         fix: String,
     },
     /// An option or configuration value outside of its domain.
     Config {
         /// Name of the option, as typed.
         option: String,
-        /// What was found, and what was expected.
+        /// Finding, and expectation.
         what: String,
     },
     /// The operating system refused a file operation.
@@ -33,20 +33,20 @@ pub enum Error {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// No OpenCL device, or one that cannot do what is asked of it.
+    /// A missing OpenCL device, or one that lacks a capability.
     Device {
         /// The stage or call that failed.
         stage: String,
-        /// What the driver said, or what limit was met.
+        /// The driver's message, or the limit that was met.
         what: String,
-        /// What to install, select or lower.
+        /// Remedy: something to install, select or lower.
         fix: String,
     },
     /// Numbers that are no longer usable (all parameters non-finite, say).
     Numerics {
-        /// Where it was noticed.
+        /// The stage or file in which it was noticed.
         stage: String,
-        /// What was found.
+        /// Finding.
         what: String,
     },
     /// The user asked to stop (Ctrl-C); the state was saved.

@@ -1,4 +1,4 @@
-//! Files that are either the old ones or the new ones, never half of each.
+//! Atomic files: always the old content or the new one, never half of each.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -10,11 +10,11 @@ use crate::base::error::{Error, Result};
 /// Ending of temporary files.
 const ENDING: &str = ".mhsplat-tmp";
 
-/// Writes a file through `content` into a temporary one next to it, which then takes its place: a reader, or a run that is
-/// killed, sees the old file or the new one. The temporary file is removed when something fails.
+/// Writes a file atomically: `content` fills a temporary file next to it, which then replaces it. A reader, or a run that is
+/// killed, sees the old file or the new one. The temporary file is removed after a failure.
 ///
 /// # Errors
-/// [`Error::Io`] where the system refuses; [`Error::Input`] for a path without a file name.
+/// [`Error::Io`] if the system refuses; [`Error::Input`] for a path without a file name.
 pub fn write(
     path: &Path,
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -46,8 +46,7 @@ pub fn write(
     })
 }
 
-/// Has the new name on the disk, too: after a power cut the folder may else still name the old file. Not every file system can;
-/// the new file is in its place either way.
+/// Flushes the folder of a file, so that its new name survives a power cut. A file system that cannot is ignored.
 fn sync_folder(path: &Path) {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
     if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
@@ -55,15 +54,15 @@ fn sync_folder(path: &Path) {
     }
 }
 
-/// [`write`] for bytes that are there already.
+/// Writes bytes atomically.
 ///
 /// # Errors
-/// As [`write`].
+/// Those of [`write`].
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write(path, |w| w.write_all(bytes))
 }
 
-/// Removes what a killed process left half written in a folder. What cannot be removed stays.
+/// Removes temporary files that killed processes left in a folder; failures are ignored.
 pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else {
         return;

@@ -1,7 +1,9 @@
-//! What every room uses: errors, random numbers, files written as a whole, constants, PLY tables.
+//! Shared foundations: errors, random numbers, atomic files, constants, mathematics, hashes, PLY tables.
 
 pub mod constants;
 pub mod error;
 pub mod files;
+pub mod hash;
+pub mod math;
 pub(crate) mod ply;
 pub mod rng;

@@ -2,6 +2,7 @@
 //!
 //! Format: Turk, "The PLY polygon file format" (1994). ASCII and binary little endian; lists and big endian are refused.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -45,7 +46,7 @@ impl Scalar {
         }
     }
 
-    /// The little-endian value at the start of `bytes`; `None` where they are too few.
+    /// The little-endian value at the start of `bytes`; `None` if they are too few.
     fn read(self, bytes: &[u8]) -> Option<f64> {
         Some(match self {
             Self::I8 => f64::from(i8::from_le_bytes(*bytes.first_chunk()?)),
@@ -79,29 +80,33 @@ struct Element {
     has_list: bool,
 }
 
-/// The header, and where the data begins.
+/// A header, its comments, and the offset of the data.
 struct Header {
     ascii: bool,
     elements: Vec<Element>,
+    comments: Vec<String>,
     data: usize,
 }
 
 /// The `vertex` element of a file.
 pub(crate) struct Table {
     path: PathBuf,
+    comments: Vec<String>,
     rows: usize,
     properties: Vec<Property>,
     stride: usize,
     body: Body,
 }
 
+/// The values of a table.
 enum Body {
-    /// The file's bytes, and where the first row begins.
+    /// The file's bytes, and the offset of the first row.
     Binary(Vec<u8>, usize),
     /// Values, row by row.
     Ascii(Vec<f64>),
 }
 
+/// An [`Error::Input`] about a damaged file.
 fn bad(path: &Path, what: impl Into<String>) -> Error {
     Error::input(path, what, "export the PLY file again")
 }
@@ -110,7 +115,7 @@ impl Table {
     /// Reads a file's `vertex` element.
     ///
     /// # Errors
-    /// Anything that is no PLY, big endian, a list among the vertex's properties, a file shorter than its header says.
+    /// A file of another format, big endian, a list among the vertex's properties, a file shorter than its header says.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
         let header = parse_header(path, &bytes)?;
@@ -146,6 +151,7 @@ impl Table {
         };
         Ok(Self {
             path: path.to_path_buf(),
+            comments: header.comments,
             rows,
             properties: vertex.properties.clone(),
             stride: vertex.stride,
@@ -153,7 +159,12 @@ impl Table {
         })
     }
 
-    /// Whether there is a property of that name.
+    /// Comments of the header, in the file's order.
+    pub(crate) fn comments(&self) -> &[String] {
+        &self.comments
+    }
+
+    /// True if there is a property of that name.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.properties.iter().any(|p| p.name == name)
     }
@@ -166,7 +177,7 @@ impl Table {
     /// The values of a property, one per vertex.
     ///
     /// # Errors
-    /// A property that is not there; a value that is not finite.
+    /// A missing property; a value that is not finite.
     pub(crate) fn column(&self, name: &str) -> Result<Vec<f64>> {
         let Some(k) = self.properties.iter().position(|p| p.name == name) else {
             return Err(bad(&self.path, format!("the property {name} is missing")));
@@ -193,7 +204,7 @@ impl Table {
         Ok(out)
     }
 
-    /// A colour channel in 0…255. Floats that stay within [0, 1] are taken as fractions, 16-bit integers as 0…65535.
+    /// A colour channel in 0…255. Floats within [0, 1] are taken as fractions, 16-bit integers as 0…65535.
     fn color(&self, name: &str) -> Result<Vec<u8>> {
         let values = self.column(name)?;
         let scalar = self.properties.iter().find(|p| p.name == name);
@@ -231,18 +242,31 @@ impl Table {
 /// Positions and colours of a plain point cloud, in the file's own frame.
 ///
 /// # Errors
-/// As [`Table::read`] and [`Table::points`].
+/// Those of [`Table::read`] and [`Table::points`].
 pub(crate) fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>)> {
     Table::read(path)?.points()
 }
 
-/// Longest header that is looked through, bytes.
+/// Comments in the header of a file, whose data is not read.
+///
+/// # Errors
+/// A file that cannot be read, or is no PLY.
+pub(crate) fn read_comments(path: &Path) -> Result<Vec<String>> {
+    let mut bytes = Vec::new();
+    std::fs::File::open(path)
+        .and_then(|file| file.take(HEADER_LIMIT as u64).read_to_end(&mut bytes))
+        .map_err(|e| Error::io(path, e))?;
+    Ok(parse_header(path, &bytes)?.comments)
+}
+
+/// Largest header that is read, bytes.
 const HEADER_LIMIT: usize = 1 << 20;
 
 fn parse_header(path: &Path, bytes: &[u8]) -> Result<Header> {
     let mut header = Header {
         ascii: false,
         elements: Vec::new(),
+        comments: Vec::new(),
         data: 0,
     };
     let mut format = None;
@@ -264,7 +288,11 @@ fn parse_header(path: &Path, bytes: &[u8]) -> Result<Header> {
                 let what = format!("the format is {other}; ascii or binary_little_endian expected");
                 return Err(bad(path, what));
             }
-            ["comment" | "obj_info", ..] | [] => {}
+            ["comment", ..] => {
+                let text = line.trim_start().trim_start_matches("comment");
+                header.comments.push(text.trim().to_owned());
+            }
+            ["obj_info", ..] | [] => {}
             ["element", name, count] => header.elements.push(Element {
                 name: (*name).to_string(),
                 count: count

@@ -13,7 +13,7 @@ const UNIT_32: f64 = 1.0 / 4_294_967_296.0;
 /// 2⁻⁵³.
 const UNIT_53: f64 = 1.0 / 9_007_199_254_740_992.0;
 
-/// What a random number is for. Each purpose owns 2³² streams, so that no two purposes share a number.
+/// The use of a random number. Each purpose owns 2³² streams, so that no two purposes share a number.
 ///
 /// The values are part of the meaning of a seed: append, never renumber.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -42,7 +42,7 @@ pub enum Purpose {
     FineAccept = 10,
     /// Synthetic scenes and tests.
     Synthetic = 11,
-    /// Which sparse points a bounded run starts from.
+    /// Choice of the sparse points that a bounded run starts from.
     Subset = 12,
     /// Noise on the positions after an optimiser step.
     Noise = 13,
@@ -50,9 +50,9 @@ pub enum Purpose {
     Growth = 14,
     /// Positions of the two that a Gaussian is split into.
     Split = 15,
-    /// Pixels that births are proposed at.
+    /// Pixels of the births in image space.
     PixelDraw = 16,
-    /// Place within the pixel and depth of those births.
+    /// Position within the pixel and depth of those births.
     PixelPlace = 17,
     /// Acceptance of those births.
     PixelAccept = 18,

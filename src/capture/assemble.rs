@@ -1,4 +1,4 @@
-//! From what the readers found to a [`Dataset`]: split, local frame, photos.
+//! Raw views and points of the readers → [`Dataset`]: split, local frame, photos.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Component, Path, PathBuf};
@@ -7,12 +7,15 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
+use crate::base::math::{order_statistic, sorted};
 use crate::capture::camera::Camera;
-use crate::capture::decode::{Mask, header};
+use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
+use crate::capture::decode::header;
 use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
+use crate::capture::photo::Alpha;
+use crate::capture::point_cloud::Points;
 use crate::capture::source::{PhotoFile, automatic_budget, read};
-use crate::capture::{Dataset, Layout, LoadOptions, Points, View};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
 pub(super) struct RawView {
@@ -22,7 +25,7 @@ pub(super) struct RawView {
     pub file: PathBuf,
     /// Camera in the dataset's frame.
     pub camera: Camera,
-    /// What its lens does to the photo.
+    /// Its lens distortion.
     pub lens: Lens,
     /// The file of its mask.
     pub mask: Option<PathBuf>,
@@ -32,9 +35,9 @@ pub(super) struct RawView {
 pub(super) struct RawScene {
     /// Layout it was read from.
     pub layout: Layout,
-    /// All views, or those to train on where `test` is given.
+    /// All views, or the training views if `test` is given.
     pub train: Vec<RawView>,
-    /// Held-out views, where the dataset names them itself.
+    /// Held-out views, if the dataset names them itself.
     pub test: Option<Vec<RawView>>,
     /// Names of views whose images are missing; they are in neither list.
     pub missing: Vec<String>,
@@ -63,17 +66,16 @@ pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf> {
     ))
 }
 
-/// A camera is astray from so many times the distance of the farthest but a tenth on: a scene has no two scales so far apart,
-/// but a pose that went wrong is anywhere.
+/// Cameras farther than this many times the 90th-percentile distance from the median are outliers (failed poses).
 const ASTRAY: f64 = 20.0;
 
 /// Extensions of the image formats that are read.
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
 
-/// The image file that a dataset names: as it is, with an extension added, or with another one; none if there is none.
+/// The image file that a dataset names: as it is, with an extension added, or with another one; `None` if there is none.
 ///
 /// # Errors
-/// As [`inside`].
+/// A name that leads out of the folder.
 pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
     let exact = inside(folder, name)?;
     if exact.is_file() {
@@ -85,7 +87,7 @@ pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
         longer.push(extension);
         PathBuf::from(longer)
     });
-    // What is no image's extension is part of the name.
+    // An ending that is no image extension is part of the name.
     let ends = exact.extension().and_then(|e| e.to_str());
     let swaps = ends.is_some_and(|e| EXTENSIONS.contains(&e));
     let other = EXTENSIONS
@@ -95,8 +97,8 @@ pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
     Ok(longer.chain(other).find(|candidate| candidate.is_file()))
 }
 
-/// The mask of an image: in the folder `masks`, under the image's name or file name, with `.png` added (COLMAP) or in the
-/// place of the extension.
+/// The mask of an image: in the folder `masks`, under the image's name or file name, with `.png` added (COLMAP) or replacing
+/// the extension.
 pub(super) fn find_mask(root: &Path, name: &str) -> Option<PathBuf> {
     let folder = root.join("masks");
     let whole = inside(&folder, name).ok()?;
@@ -104,7 +106,7 @@ pub(super) fn find_mask(root: &Path, name: &str) -> Option<PathBuf> {
     let named = |path: &PathBuf| {
         let mut added = path.clone().into_os_string();
         added.push(".png");
-        // What is no image's extension is part of the name.
+        // An ending that is no image extension is part of the name.
         let ends = path.extension().and_then(|e| e.to_str());
         let swaps = ends.is_some_and(|e| EXTENSIONS.contains(&e));
         let swapped = swaps.then(|| path.with_extension("png"));
@@ -125,21 +127,25 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     missing.sort();
     refuse_if_none(path, &scene.train, &missing)?;
     let (train, test) = split(path, scene.train, scene.test, &missing, options.test_every)?;
-    let (train, test, astray) = together(train, test);
+    let (train, test, astray) = without_outliers(train, test);
     let centers: Vec<DVec3> = train
         .iter()
         .chain(&test)
         .map(|v| v.camera.center())
         .collect();
     let frame = local_frame(path, &centers, &scene.positions)?;
-    let points = local_points(path, &frame, &scene.positions, scene.colors)?;
+    let points = Points::local(path, &frame, (scene.positions, scene.colors))?;
     let budget = options.image_budget.unwrap_or_else(automatic_budget);
     let first_held_out = train.len();
     let raw: Vec<RawView> = train.into_iter().chain(test).collect();
-    let masked = options.alpha_is_mask || raw.iter().any(|v| v.mask.is_some());
+    let meaning = if options.alpha_is_mask || raw.iter().any(|v| v.mask.is_some()) {
+        Alpha::Mask
+    } else {
+        Alpha::Transparency
+    };
     let (cameras, files): (Vec<Camera>, Vec<PhotoFile>) = raw
         .par_iter()
-        .map(|v| place(v, &frame, options.max_size, masked))
+        .map(|v| place(v, &frame, options.max_size, meaning))
         .collect::<Result<_>>()?;
     let photos = read(files, budget)?;
     let mut views = raw
@@ -233,24 +239,24 @@ fn split(
     Ok((train, test))
 }
 
-/// Leaves out views whose cameras are far from all others, by name: one wrong pose would make everything else a speck, and
-/// what it sees is not there. They are a twentieth of the views at most, and not all that there are to train on, or nobody is
-/// left out.
-fn together(train: Vec<RawView>, test: Vec<RawView>) -> (Vec<RawView>, Vec<RawView>, Vec<String>) {
+/// Training and held-out views without outlier cameras, and the names of these: one wrong pose would shrink the scene to a
+/// speck. If more than a twentieth of the views or all training views are outliers, none is removed.
+fn without_outliers(
+    train: Vec<RawView>,
+    test: Vec<RawView>,
+) -> (Vec<RawView>, Vec<RawView>, Vec<String>) {
     let centers: Vec<DVec3> = train
         .iter()
         .chain(&test)
         .map(|v| v.camera.center())
         .collect();
-    let quantile = |mut values: Vec<f64>, q: f64| {
-        values.sort_by(f64::total_cmp);
-        let last = values.len().saturating_sub(1);
-        values[(q * last as f64).floor() as usize]
+    let quantile = |values: &mut dyn Iterator<Item = f64>, q: f64| {
+        order_statistic(&sorted(values), q).unwrap_or_default()
     };
-    let axis = |k: usize| quantile(centers.iter().map(|c| c[k]).collect(), 0.5);
+    let axis = |k: usize| quantile(&mut centers.iter().map(|c| c[k]), 0.5);
     let middle = DVec3::new(axis(0), axis(1), axis(2));
     let distance = |v: &RawView| v.camera.center().distance(middle);
-    let usual = quantile(centers.iter().map(|c| c.distance(middle)).collect(), 0.9);
+    let usual = quantile(&mut centers.iter().map(|c| c.distance(middle)), 0.9);
     let far = |v: &RawView| usual > 0.0 && distance(v) > ASTRAY * usual;
     let astray: Vec<String> = train
         .iter()
@@ -258,23 +264,20 @@ fn together(train: Vec<RawView>, test: Vec<RawView>) -> (Vec<RawView>, Vec<RawVi
         .filter(|v| far(v))
         .map(|v| v.name.clone())
         .collect();
-    if 20 * astray.len() > centers.len() {
-        return (train, test, Vec::new());
-    }
-    if train.iter().all(far) {
+    if 20 * astray.len() > centers.len() || train.iter().all(far) {
         return (train, test, Vec::new());
     }
     let near = |views: Vec<RawView>| views.into_iter().filter(|v| !far(v)).collect();
     (near(train), near(test), astray)
 }
 
-/// The views of which their masks leave anything, and the names of the others.
+/// Views that their masks do not blacken, and the names of the others.
 fn shown(views: impl Iterator<Item = View>) -> (Vec<View>, Vec<String>) {
     let (black, shown): (Vec<View>, Vec<View>) = views.partition(|v| v.photo.masked_out());
     (shown, black.into_iter().map(|v| v.name).collect())
 }
 
-/// Some photos may be missing, but not all.
+/// Refuses a dataset all of whose training photos are missing.
 fn refuse_if_none(path: &Path, train: &[RawView], missing: &[String]) -> Result<()> {
     match missing.first() {
         Some(first) if train.is_empty() => Err(Error::input(
@@ -289,7 +292,7 @@ fn refuse_if_none(path: &Path, train: &[RawView], missing: &[String]) -> Result<
     }
 }
 
-/// [`Frame::fit`], refused where it is no frame.
+/// [`Frame::fit`]; refuses poses without a finite centre and extent.
 fn local_frame(path: &Path, centers: &[DVec3], points: &[DVec3]) -> Result<Frame> {
     let frame = Frame::fit(centers, points);
     let Frame { center, scale } = frame;
@@ -305,30 +308,12 @@ fn local_frame(path: &Path, centers: &[DVec3], points: &[DVec3]) -> Result<Frame
     ))
 }
 
-fn local_points(
-    path: &Path,
-    frame: &Frame,
-    positions: &[DVec3],
-    colors: Vec<[u8; 3]>,
-) -> Result<Points> {
-    let positions: Vec<[f32; 3]> = positions
-        .iter()
-        .map(|&p| frame.to_local(p).as_vec3().to_array())
-        .collect();
-    let far = |p: &[f32; 3]| p.iter().any(|v| !v.is_finite());
-    if let Some(i) = positions.iter().position(far) {
-        let what = format!("point {i} lies too far from the cameras for single precision");
-        return Err(Error::input(path, what, "remove the point"));
-    }
-    Ok(Points { positions, colors })
-}
-
-/// Moves the camera to the local frame, to a pinhole and to the resolution that the photo will have.
+/// The photo file of a view, and its camera: in the local frame, a pinhole, at the resolution of the decoded photo.
 fn place(
     view: &RawView,
     frame: &Frame,
     max_size: u32,
-    masked: bool,
+    meaning: Alpha,
 ) -> Result<(Camera, PhotoFile)> {
     let header = header(&view.file)?;
     let original = (header.width, header.height);
@@ -359,12 +344,8 @@ fn place(
         ),
     };
     let pinhole = undistortion.map_or(*camera, |u| u.target);
-    let mask = match &view.mask {
-        Some(file) => Mask::File(file.clone()),
-        None if masked => Mask::Alpha,
-        None => Mask::None,
-    };
-    let file = PhotoFile::new(view.file.clone(), header, max_size, undistortion, mask);
+    let (path, mask) = (view.file.clone(), view.mask.clone());
+    let file = PhotoFile::new(path, header, max_size, undistortion, mask, meaning);
     let (width, height) = file.size();
     let mut camera = pinhole.scaled_to(width, height);
     camera.translation = -(camera.rotation * frame.to_local(view.camera.center()));

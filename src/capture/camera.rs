@@ -32,7 +32,7 @@ impl Camera {
         -(self.rotation.transpose() * self.translation)
     }
 
-    /// Pixels per local unit that this camera takes at a point, f/z with the larger focal length, if its image has the point, widened by
+    /// Sampling rate at a point in pixels per local unit, f/z with the larger focal length; `None` outside of the image widened by
     /// [`FILTER_MARGIN`] on each side (Mip-Splatting, Yu et al. 2024, Eq. 6).
     #[must_use]
     pub fn sampling_rate(&self, x: DVec3) -> Option<f64> {

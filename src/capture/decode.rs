@@ -1,15 +1,15 @@
 //! Image files → [`Photo`]s: decoding and the exact area filter.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use image::{ImageDecoder, ImageReader};
 
 use crate::base::error::{Error, Result};
 use crate::capture::lens::Undistortion;
-use crate::capture::photo::Photo;
+use crate::capture::photo::{Alpha, Photo};
 
-/// How image files are decoded is left to the `image` crate; EXIF orientation is ignored, as COLMAP and the NeRF tools
-/// ignore it, so that pixels stay where the poses expect them.
+/// A decoder for an image file by its content. EXIF orientation is ignored, as COLMAP and the NeRF tools ignore it, so that
+/// pixels stay where the poses expect them.
 fn open(file: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
     ImageReader::open(file)
         .and_then(ImageReader::with_guessed_format)
@@ -24,14 +24,14 @@ fn not_an_image(file: &Path, reason: &image::ImageError) -> Error {
     )
 }
 
-/// What an image file says of itself before its pixels.
+/// Size and channels of an image file, from its header.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Header {
     /// Width, pixels, ≥ 1.
     pub width: u32,
     /// Height, pixels, ≥ 1.
     pub height: u32,
-    /// Whether pixels may be transparent.
+    /// True if pixels may be transparent.
     pub has_alpha: bool,
 }
 
@@ -58,20 +58,8 @@ pub(crate) fn header(file: &Path) -> Result<Header> {
     })
 }
 
-/// Where a photo's mask comes from.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub enum Mask {
-    /// Nowhere: its alpha, if it has any, is transparency.
-    #[default]
-    None,
-    /// Its alpha.
-    Alpha,
-    /// A file, together with its alpha.
-    File(PathBuf),
-}
-
-/// Decodes a photo, applies its mask, takes the lens's distortion out and shrinks it to a longest side of at most `max_size` pixels; 4 channels
-/// only where some pixel is not opaque.
+/// Decodes a photo, multiplies its mask file into its alpha, removes the lens distortion and shrinks it to a longest side of at
+/// most `max_size` pixels. It has an alpha plane, which is `meaning`, only if some pixel is not opaque.
 ///
 /// # Errors
 /// A file that cannot be opened, is no image, or has another size than its lens is known for.
@@ -79,17 +67,18 @@ pub(crate) fn decode(
     file: &Path,
     max_size: u32,
     undistortion: Option<&Undistortion>,
-    mask: &Mask,
+    mask: Option<&Path>,
+    meaning: Alpha,
 ) -> Result<Photo> {
     let image = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
     let (mut width, mut height) = (image.width(), image.height());
-    let has_alpha = image.color().has_alpha() || matches!(mask, Mask::File(_));
+    let has_alpha = image.color().has_alpha() || mask.is_some();
     let mut bytes = if has_alpha {
         image.into_rgba8().into_raw()
     } else {
         image.into_rgb8().into_raw()
     };
-    if let Mask::File(mask) = mask {
+    if let Some(mask) = mask {
         apply_mask(mask, &mut bytes, [width, height])?;
     }
     if let Some(undistortion) = undistortion {
@@ -106,24 +95,24 @@ pub(crate) fn decode(
         (width, height) = (undistortion.target.width, undistortion.target.height);
     }
     let opaque = |rgba: &[u8]| rgba.chunks_exact(4).all(|p| p[3] == 255);
-    let channels = if has_alpha && !opaque(&bytes) { 4 } else { 3 };
-    if has_alpha && channels == 3 {
+    let alpha = match meaning {
+        _ if !has_alpha || opaque(&bytes) => Alpha::None,
+        Alpha::None => Alpha::Transparency,
+        meaning => meaning,
+    };
+    if has_alpha && alpha == Alpha::None {
         let rgb = bytes.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]);
         bytes = rgb.collect();
     }
     let (w, h) = fitted(width, height, max_size);
-    let photo = if (w, h) == (width, height) {
-        Photo::from_interleaved(width, height, channels, &bytes)
+    if (w, h) == (width, height) {
+        Photo::from_interleaved(width, height, alpha, &bytes)
     } else {
-        shrink(width, height, channels, &bytes, w, h)
-    }?;
-    Ok(Photo {
-        mask: channels == 4 && *mask != Mask::None,
-        ..photo
-    })
+        shrink(width, height, alpha, &bytes, w, h)
+    }
 }
 
-/// Multiplies a mask file into the alpha of RGBA bytes: black is left out, white counts.
+/// Multiplies a mask file into the alpha of RGBA bytes: black excludes a pixel, white includes it.
 fn apply_mask(file: &Path, rgba: &mut [u8], [width, height]: [u32; 2]) -> Result<()> {
     let mask = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
     if (mask.width(), mask.height()) != (width, height) {
@@ -160,11 +149,11 @@ pub(crate) fn fitted(width: u32, height: u32, max_size: u32) -> (u32, u32) {
 /// premultiplied by alpha before averaging. `bytes` is interleaved with straight alpha; sums are f32, rounded once.
 ///
 /// # Errors
-/// As [`Photo::from_interleaved`]; also a target of 0 pixels or one larger than the source.
+/// Those of [`Photo::from_interleaved`]; also a target of 0 pixels or one larger than the source.
 pub fn shrink(
     width: u32,
     height: u32,
-    channels: u32,
+    alpha: Alpha,
     bytes: &[u8],
     to_width: u32,
     to_height: u32,
@@ -178,11 +167,11 @@ pub fn shrink(
             "{width}×{height} to {to_width}×{to_height}; a smaller, non-empty target expected"
         )));
     }
-    let (w, h, c) = (width as usize, height as usize, channels as usize);
+    let (w, h, c) = (width as usize, height as usize, alpha.planes());
     let (tw, th) = (to_width as usize, to_height as usize);
-    if !(c == 3 || c == 4) || bytes.len() != w * h * c {
+    if bytes.len() != w * h * c {
         return Err(numerics(format!(
-            "{} bytes for {width}×{height}×{channels}",
+            "{} bytes for {width}×{height}×{c}",
             bytes.len()
         )));
     }
@@ -204,15 +193,14 @@ pub fn shrink(
         }
     }
     Ok(Photo {
-        mask: false,
         width: to_width,
         height: to_height,
-        channels,
+        alpha,
         data,
     })
 }
 
-/// One source row → premultiplied means over each target column, `[target width][channels]`.
+/// Averages one source row: premultiplied means over each target column, `[target width][channels]`.
 fn shrink_row(row: &[u8], c: usize, columns: &Coverage, out: &mut [f32]) {
     for (tx, target) in out.chunks_exact_mut(c).enumerate() {
         target.fill(0.0);
@@ -231,13 +219,13 @@ fn shrink_row(row: &[u8], c: usize, columns: &Coverage, out: &mut [f32]) {
     }
 }
 
-/// Which source pixels each target pixel covers along one axis, and which share of the target each makes up.
+/// Source pixels that each target pixel covers along one axis, and the share of the target that each makes up.
 struct Coverage {
     spans: Vec<(usize, Vec<f32>)>,
 }
 
 impl Coverage {
-    /// Overlaps are counted in integers of 1/(from·to), so that no rounding decides whether a pixel is covered.
+    /// Coverage of `from` pixels by `to`. Overlaps are counted in integers of 1/(from·to), so that no rounding decides whether a pixel is covered.
     fn new(from: usize, to: usize) -> Self {
         let spans = (0..to)
             .map(|t| {

@@ -2,6 +2,8 @@
 
 use glam::DVec3;
 
+use crate::base::math::upper_median;
+
 /// `dataset = local · scale + center`; no rotation, so that orientations and SH coefficients need no change.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Frame {
@@ -12,7 +14,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame in which nothing changes.
+    /// The identity.
     pub const IDENTITY: Self = Self {
         center: DVec3::ZERO,
         scale: 1.0,
@@ -33,12 +35,8 @@ impl Frame {
         let scale = if largest > 1e-9 * (center.length() + 1e-9) {
             1.1 * largest
         } else {
-            let mut distances: Vec<f64> = points.iter().map(|p| p.distance(center)).collect();
-            distances.sort_by(f64::total_cmp);
-            match distances.get(distances.len() / 2) {
-                Some(&median) if median > 0.0 => median,
-                _ => 1.0,
-            }
+            let median = upper_median(points.iter().map(|p| p.distance(center)));
+            median.filter(|m| *m > 0.0).unwrap_or(1.0)
         };
         Self { center, scale }
     }

@@ -7,29 +7,29 @@
 
 use crate::capture::camera::Camera;
 
-/// Newton steps after which an inverse is given up.
+/// Largest number of Newton steps of an inverse.
 const STEPS: usize = 100;
-/// The undistorted image is not smaller or larger than the photo by more than these factors.
+/// Smallest and largest size of an undistorted image, relative to the photo.
 const SCALES: (f64, f64) = (0.2, 2.0);
-/// Rays further from the axis than this (radians) are on no pinhole image worth having.
+/// Largest angle of a ray to the axis on a pinhole image, radians.
 const WIDEST: f64 = 1.5;
-/// Steps in which a lens is searched for the place where it folds over.
+/// Steps of the search for the angle at which a lens folds over.
 const SEARCH: u32 = 4096;
 
-/// How a lens moves a ray on the plane at depth 1.
+/// Lens distortion, a mapping of rays on the plane at depth 1.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Lens {
-    /// Not at all.
+    /// No distortion.
     #[default]
     Pinhole,
-    /// (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) times, and tangentially by p1 and p2.
+    /// Radial factor (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), and tangential terms p1 and p2.
     Perspective {
         /// k1 to k6.
         radial: [f64; 6],
         /// p1, p2.
         tangential: [f64; 2],
     },
-    /// To θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) from the centre, θ the ray's angle to the axis.
+    /// Distance θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) from the centre, θ the ray's angle to the axis.
     Fisheye {
         /// k1 to k4.
         radial: [f64; 4],
@@ -42,7 +42,7 @@ fn series(k: &[f64], x: f64) -> f64 {
 }
 
 impl Lens {
-    /// The lens, or [`Lens::Pinhole`] where all its coefficients are 0 and it moves nothing.
+    /// The lens, or [`Lens::Pinhole`] if all its coefficients are 0.
     #[must_use]
     pub fn simplified(self) -> Self {
         match self {
@@ -55,7 +55,7 @@ impl Lens {
         }
     }
 
-    /// Whether every coefficient is a finite number.
+    /// True if every coefficient is finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         match self {
@@ -67,7 +67,7 @@ impl Lens {
         }
     }
 
-    /// Where the ray through (u, v, 1) falls.
+    /// Image point of the ray through (u, v, 1).
     #[must_use]
     pub fn distort(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         let r2 = u * u + v * v;
@@ -110,8 +110,8 @@ impl Lens {
         }
     }
 
-    /// How far a ray may be off (r or θ) before the image folds over: beyond, another ray falls on the same place, and the
-    /// polynomial describes no lens.
+    /// Largest distance of a ray from the axis (r or θ) before the image folds over: beyond, two rays share an image point, and
+    /// the polynomial describes no lens.
     #[must_use]
     pub fn fold(&self) -> f64 {
         let widest = match self {
@@ -125,7 +125,7 @@ impl Lens {
         at((0..SEARCH).take_while(grows).count() as u32)
     }
 
-    /// The ray that falls on (x, y), none where there is none before the image folds over (`fold`).
+    /// The ray of the image point (x, y); `None` if no ray before the image folds over (`fold`) falls on it.
     #[must_use]
     pub fn undistort(&self, [x, y]: [f64; 2], fold: f64) -> Option<[f64; 2]> {
         let r = x.hypot(y);
@@ -150,7 +150,7 @@ impl Lens {
         self.polish([x * far / r, y * far / r], [x, y], fold)
     }
 
-    /// Newton's method from a ray that is right but for the tangential part.
+    /// The ray of an image point by Newton's method, from one that neglects the tangential part.
     fn polish(&self, [mut u, mut v]: [f64; 2], [x, y]: [f64; 2], fold: f64) -> Option<[f64; 2]> {
         for _ in 0..STEPS {
             let [a, b] = self.distort([u, v]);
@@ -179,7 +179,7 @@ impl Lens {
     }
 }
 
-/// A photo's way from a lens to a pinhole.
+/// The resampling of a photo from its lens to a pinhole camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Undistortion {
     lens: Lens,
@@ -191,8 +191,8 @@ pub struct Undistortion {
 }
 
 impl Undistortion {
-    /// For a photo of a lens, with its camera's intrinsics at the photo's own size. None where nothing of the lens's image
-    /// reaches one of the photo's borders, or what is left would be less than a fifth of a side.
+    /// The resampling for a lens, with the camera's intrinsics at the photo's own size. `None` if no ray falls on one of the
+    /// photo's borders, or the result would be less than a fifth of a side.
     #[must_use]
     pub fn new(lens: Lens, source: &Camera) -> Option<Self> {
         let (w, h) = (f64::from(source.width), f64::from(source.height));
@@ -202,7 +202,7 @@ impl Undistortion {
             let [u, v] = lens.undistort(point, fold)?;
             Some([source.fx * u + source.cx, source.fy * v + source.cy])
         };
-        // A border's least and largest place; what no ray falls on, as in the corners of a fisheye's photo, does not count.
+        // Smallest and largest coordinate of a border; points without a ray, as in the corners of a fisheye's photo, do not count.
         let ends = |along: u32, at: &dyn Fn(f64) -> Option<[f64; 2]>, k: usize| {
             let places = (0..along).filter_map(|i| at(f64::from(i) + 0.5));
             let range = places.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], place| {
@@ -242,8 +242,8 @@ impl Undistortion {
         (self.source.width, self.source.height)
     }
 
-    /// The photo that the pinhole camera takes: `bytes` of `channels` interleaved channels with straight alpha, of the source's
-    /// size, bilinearly interpolated; the same of the target's size. Black, and transparent where there is alpha, beyond the photo.
+    /// The photo as the pinhole camera sees it, bilinearly interpolated: from `bytes` of `channels` interleaved channels with
+    /// straight alpha in the source's size to the same in the target's. Black, and transparent if there is alpha, beyond the photo.
     #[must_use]
     pub fn apply(&self, bytes: &[u8], channels: usize) -> Vec<u8> {
         let width = self.target.width as usize;
@@ -257,7 +257,7 @@ impl Undistortion {
         out
     }
 
-    /// Where a place on the pinhole image lies on the photo, pixels; nowhere beyond the fold.
+    /// Point of the photo for a point of the pinhole image, pixels; `None` beyond the fold.
     fn source_of(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
         let (t, s) = (&self.target, &self.source);
         let ray = [(x - t.cx) / t.fx, (y - t.cy) / t.fy];

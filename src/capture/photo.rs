@@ -4,16 +4,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 
-/// What the alpha plane of photos says.
+/// Meaning of the alpha plane of photos.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Alpha {
-    /// Nothing: there is none.
+    /// Absent alpha plane.
     #[default]
     None,
-    /// How far the scene hides the background: a photo over b is `rgb + (1 − alpha)·b`.
+    /// Opacity of the scene in front of the background: a photo over b is `rgb + (1 − alpha)·b`.
     Transparency,
-    /// Where the photo counts: render and photo are compared as far as it is 1.
+    /// Weight of each pixel in the comparison of render and photo.
     Mask,
 }
 
@@ -23,88 +23,79 @@ impl Alpha {
     pub fn planes(self) -> usize {
         if self == Self::None { 3 } else { 4 }
     }
+
+    /// The meaning that those of several photos share which have an alpha plane at all.
+    pub(super) fn common(mut photos: impl Iterator<Item = Self>) -> Self {
+        photos.find(|a| *a != Self::None).unwrap_or_default()
+    }
 }
 
-/// An 8-bit image, planar: `data[(c·height + y)·width + x]`. With 4 channels the colours are premultiplied by the alpha
-/// plane (channel 3), so that the photo over a background b is `rgb + (1 − alpha)·b`.
+/// An 8-bit image, planar: `data[(c·height + y)·width + x]`. Colours are premultiplied by the alpha plane (channel 3), if
+/// there is one, so that the photo over a background b is `rgb + (1 − alpha)·b`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Photo {
     /// Width, pixels.
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// 3 (RGB) or 4 (premultiplied RGBA).
-    pub channels: u32,
-    /// Whether the alpha plane is a mask and not transparency.
-    pub mask: bool,
-    /// Planes, `channels × height × width` bytes.
+    /// Meaning of the fourth plane; without one there are three.
+    pub alpha: Alpha,
+    /// Planes, 3 or 4 × `height × width` bytes.
     pub data: Vec<u8>,
 }
 
 impl Photo {
-    /// A photo from interleaved bytes `[height][width][channels]`, as image files have them: RGB, or RGBA with *straight*
+    /// A photo from interleaved bytes `[height][width][3 or 4]`, as image files have them: RGB, or RGBA with *straight*
     /// alpha, which is multiplied into the colours here.
     ///
     /// # Errors
-    /// [`Error::Numerics`] for a channel count other than 3 or 4, a side of 0, or a length that is not
-    /// `width · height · channels`.
-    pub fn from_interleaved(width: u32, height: u32, channels: u32, bytes: &[u8]) -> Result<Self> {
+    /// [`Error::Numerics`] for a side of 0, or a length that is not `width · height` times the planes of `alpha`.
+    pub fn from_interleaved(width: u32, height: u32, alpha: Alpha, bytes: &[u8]) -> Result<Self> {
         let n = width as usize * height as usize;
-        let c = channels as usize;
-        if !(c == 3 || c == 4) || n == 0 || n.checked_mul(c) != Some(bytes.len()) {
+        let c = alpha.planes();
+        if n == 0 || n.checked_mul(c) != Some(bytes.len()) {
             return Err(Error::Numerics {
                 stage: "photo".into(),
                 what: format!(
-                    "{} bytes for {width}×{height} pixels of {channels} channels; width·height·channels expected, with 3 or 4 channels",
+                    "{} bytes; {width}×{height} pixels of {c} channels expected",
                     bytes.len()
                 ),
             });
         }
         let mut data = vec![0; bytes.len()];
         for (i, pixel) in bytes.chunks_exact(c).enumerate() {
-            let alpha = if c == 4 { u32::from(pixel[3]) } else { 255 };
+            let opacity = if c == 4 { u32::from(pixel[3]) } else { 255 };
             for (k, &v) in pixel.iter().enumerate() {
                 // Rounded to nearest; exact where alpha is 0 or 255.
                 data[k * n + i] = if k == 3 {
                     v
                 } else {
-                    ((u32::from(v) * alpha + 127) / 255) as u8
+                    ((u32::from(v) * opacity + 127) / 255) as u8
                 };
             }
         }
         Ok(Self {
             width,
             height,
-            channels,
-            mask: false,
+            alpha,
             data,
         })
-    }
-
-    /// What the alpha plane says.
-    #[must_use]
-    pub fn alpha(&self) -> Alpha {
-        match (self.channels, self.mask) {
-            (4, true) => Alpha::Mask,
-            (4, false) => Alpha::Transparency,
-            _ => Alpha::None,
-        }
     }
 
     /// The alpha plane, if it is a mask.
     pub(super) fn mask_plane(&self) -> Option<&[u8]> {
         let pixels = self.width as usize * self.height as usize;
         let plane = self.data.get(3 * pixels..4 * pixels);
-        plane.filter(|_| self.alpha() == Alpha::Mask)
+        plane.filter(|_| self.alpha == Alpha::Mask)
     }
 
-    /// What a render is compared with: interleaved RGB8, `[height][width][3]`. Over a background (RGB in [0, 1]) as far as the
-    /// photo is transparent; under a mask as far as it counts, whatever the background.
+    /// The photo that a render is compared with, interleaved RGB8 `[height][width][3]`: over a background (RGB in [0, 1]) if it
+    /// is transparent; times the mask if it has one, independent of the background.
     #[must_use]
     pub fn rgb_over(&self, background: [f32; 3]) -> Vec<u8> {
         let n = self.width as usize * self.height as usize;
         let mut out = vec![0; 3 * n];
-        let transparency = self.alpha() == Alpha::Transparency;
+        let transparency = self.alpha == Alpha::Transparency;
         let alpha = self.data.get(3 * n..4 * n).filter(|_| transparency);
         for (c, (plane, b)) in self.data.chunks_exact(n.max(1)).zip(background).enumerate() {
             for (i, &v) in plane.iter().enumerate() {
@@ -115,14 +106,13 @@ impl Photo {
         out
     }
 
-    /// How far each pixel counts, in [0, 1]; empty without a mask.
+    /// Weight of each pixel by the mask, in [0, 1]; empty without a mask.
     #[must_use]
     pub fn counts(&self) -> Vec<f32> {
-        counts(self.alpha(), &self.data)
+        counts(self.alpha, &self.data)
     }
 
-    /// A render (interleaved RGB8, of the photo's size) as far as the photo counts: what [`Photo::rgb_over`] is the
-    /// counterpart of.
+    /// A render (interleaved RGB8, of the photo's size) times the photo's mask: the counterpart of [`Photo::rgb_over`].
     #[must_use]
     pub fn counted(&self, mut rgb: Vec<u8>) -> Vec<u8> {
         for (pixel, m) in rgb.chunks_exact_mut(3).zip(self.counts()) {
@@ -133,26 +123,28 @@ impl Photo {
         rgb
     }
 
-    /// The photo to look at: interleaved RGB8, as [`colors`] has it.
+    /// The photo for display, interleaved RGB8 with the colours of [`colors`].
     #[must_use]
     pub fn shown(&self, background: [f32; 3]) -> Vec<u8> {
-        let planes = colors(self.alpha(), &self.data, background);
+        let planes = colors(self.alpha, &self.data, background);
         let n = self.width as usize * self.height as usize;
         let pixel = |i: usize| [0, 1, 2].map(|c| (255.0 * planes[c][i]).round() as u8);
         (0..n).flat_map(pixel).collect()
     }
 
-    /// Gives a photo without an alpha plane an opaque one.
-    pub fn add_alpha(&mut self) {
-        if self.channels == 3 {
+    /// The same photo with an alpha plane of this meaning if it has none: 255 everywhere.
+    #[must_use]
+    pub fn with_alpha(mut self, alpha: Alpha) -> Self {
+        if self.alpha == Alpha::None {
             let n = self.width as usize * self.height as usize;
-            self.data.resize(4 * n, 255);
-            self.channels = 4;
+            self.data.resize(alpha.planes() * n, 255);
+            self.alpha = alpha;
         }
+        self
     }
 }
 
-/// How far each pixel of a photo's planes (as [`Photo`] has them) counts, in [0, 1]; empty without a mask.
+/// Weight of each pixel by the mask among a photo's planes (laid out as in [`Photo`]), in [0, 1]; empty without a mask.
 #[must_use]
 pub fn counts(alpha: Alpha, planes: &[u8]) -> Vec<f32> {
     let pixels = planes.len() / alpha.planes();
@@ -162,8 +154,8 @@ pub fn counts(alpha: Alpha, planes: &[u8]) -> Vec<f32> {
     mask.iter().filter(|_| masked).map(value).collect()
 }
 
-/// Red, green and blue in [0, 1] of a photo's planes (as [`Photo`] has them): over the background (RGB in [0, 1]) as far as it
-/// is transparent; under a mask as it is without one, but black where the mask leaves nothing.
+/// Red, green and blue in [0, 1] of a photo's planes (laid out as in [`Photo`]): over the background (RGB in [0, 1]) if they
+/// are transparent; as without the mask if they have one, but black where the mask is 0.
 #[must_use]
 pub fn colors(alpha: Alpha, planes: &[u8], background: [f32; 3]) -> [Vec<f32>; 3] {
     let n = planes.len() / alpha.planes();

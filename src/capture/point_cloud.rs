@@ -7,31 +7,52 @@ use glam::DVec3;
 
 use crate::base::error::{Error, Result};
 use crate::base::ply;
-use crate::capture::Points;
 use crate::capture::frame::Frame;
 
-/// Reads a plain point cloud (`x y z`, and `red green blue` where there are any; grey otherwise) into the local frame.
+/// Sparse points in the local frame.
+#[derive(Debug, Clone, Default)]
+pub struct Points {
+    /// Positions, local units.
+    pub positions: Vec<[f32; 3]>,
+    /// 8-bit RGB colours, one per position.
+    pub colors: Vec<[u8; 3]>,
+}
+
+impl Points {
+    /// Points of the dataset's frame, moved to the local one in f64; `path` is the place of any error.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a position beyond single precision.
+    pub(super) fn local(
+        path: &Path,
+        frame: &Frame,
+        (positions, colors): (Vec<DVec3>, Vec<[u8; 3]>),
+    ) -> Result<Self> {
+        let local = |p: DVec3| frame.to_local(p).as_vec3().to_array();
+        let positions: Vec<[f32; 3]> = positions.into_iter().map(local).collect();
+        let far = |p: &[f32; 3]| p.iter().any(|v| !v.is_finite());
+        if let Some(i) = positions.iter().position(far) {
+            let what = format!("point {i} lies too far from the cameras for single precision");
+            return Err(Error::input(path, what, "remove the point"));
+        }
+        Ok(Self { positions, colors })
+    }
+}
+
+/// The points of a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise) in the local frame.
 ///
 /// # Errors
-/// [`Error::Input`] for what is no such file, is truncated or holds a value that is not finite; [`Error::Io`].
+/// [`Error::Input`] for a file of another format, a truncated one or a value that is not finite; [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<Points> {
     from_table(path, &ply::Table::read(path)?, frame)
 }
 
-/// As [`read`], of a file that is read already.
+/// The same as [`read`], from a table in memory.
 ///
 /// # Errors
-/// As [`read`].
+/// A missing or non-finite coordinate.
 pub(crate) fn from_table(path: &Path, table: &ply::Table, frame: &Frame) -> Result<Points> {
-    let (positions, colors) = table.points()?;
-    let local = |p: DVec3| frame.to_local(p).as_vec3().to_array();
-    let positions: Vec<[f32; 3]> = positions.into_iter().map(local).collect();
-    let far = |p: &[f32; 3]| p.iter().any(|v| !v.is_finite());
-    if let Some(row) = positions.iter().position(far) {
-        let what = format!("vertex {row} is beyond single precision");
-        return Err(Error::input(path, what, "remove the vertex"));
-    }
-    Ok(Points { positions, colors })
+    Points::local(path, frame, table.points()?)
 }
 
 /// Writes a plain point cloud (`x y z red green blue`, double precision) in the dataset's frame, atomically.

@@ -1,4 +1,4 @@
-//! Where a view's photo is: in memory, or in its file until somebody needs it.
+//! Sources of photos: memory, or an image file that is decoded on demand.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -6,11 +6,12 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
-use crate::capture::decode::{Header, Mask, decode, fitted};
+use crate::base::hash::Fnv;
+use crate::capture::decode::{Header, decode, fitted};
 use crate::capture::lens::Undistortion;
 use crate::capture::photo::{Alpha, Photo};
 
-/// Photos may take this many bytes where the system does not say how much memory there is.
+/// Bytes that photos may take if the system does not report its memory.
 const UNKNOWN_MEMORY: u64 = 4 << 30;
 
 /// A view's photo.
@@ -28,29 +29,29 @@ pub struct PhotoFile {
     path: PathBuf,
     max_size: u32,
     undistortion: Option<Box<Undistortion>>,
-    mask: Mask,
+    mask: Option<PathBuf>,
     width: u32,
     height: u32,
-    /// 3, or 4 where the photo may have an alpha plane: at first what the header says, then what all photos have.
-    channels: u32,
-    /// [`digest`] of the mask that the photo was found to have, of one that is white all over where it has none.
+    /// Alpha plane of the photo: at first as its header has it, then as all photos of the dataset do.
+    alpha: Alpha,
+    /// [`digest`] of the photo's mask, of an all-white one if it has none.
     mask_digest: u64,
 }
 
 /// A number that changes when a byte does: FNV-1a over words of eight bytes, with the upper half mixed into the lower one.
 fn digest(bytes: &[u8]) -> u64 {
-    let step = |hash: u64, word: u64| {
-        let hash = (hash ^ word).wrapping_mul(0x0100_0000_01b3);
-        hash ^ (hash >> 32)
+    let mut hash = Fnv::default();
+    let mut take = |word| {
+        hash.word(word);
+        hash.0 ^= hash.0 >> 32;
     };
-    let mut words = bytes.chunks_exact(8);
-    let mut hash = 0xcbf2_9ce4_8422_2325;
-    for word in words.by_ref() {
-        let word = word.iter().fold(0, |sum, b| sum << 8 | u64::from(*b));
-        hash = step(hash, word);
+    let words = bytes.chunks_exact(8);
+    let rest = words.remainder();
+    for word in words {
+        take(word.iter().fold(0, |sum, b| sum << 8 | u64::from(*b)));
     }
-    let rest = words.remainder().iter();
-    rest.fold(hash, |hash, b| step(hash, u64::from(*b)))
+    rest.iter().for_each(|b| take(u64::from(*b)));
+    hash.0
 }
 
 impl From<Photo> for PhotoSource {
@@ -60,7 +61,7 @@ impl From<Photo> for PhotoSource {
 }
 
 impl PhotoSource {
-    /// The photo; decodes its file where it is not in memory.
+    /// The photo; decodes its file unless it is in memory.
     ///
     /// # Errors
     /// A file that is gone, no longer an image, or of another size than when the dataset was read.
@@ -71,38 +72,25 @@ impl PhotoSource {
         }
     }
 
-    /// Channels: 3 (RGB) or 4 (premultiplied RGBA).
-    #[must_use]
-    pub fn channels(&self) -> u32 {
-        match self {
-            Self::Memory(photo) => photo.channels,
-            Self::File(file) => file.channels,
-        }
-    }
-
-    /// What the alpha plane of the photo says.
+    /// Meaning of the photo's alpha plane.
     #[must_use]
     pub fn alpha(&self) -> Alpha {
         match self {
-            Self::Memory(photo) => photo.alpha(),
-            Self::File(file) => match (file.channels, &file.mask) {
-                (4, Mask::None) => Alpha::Transparency,
-                (4, _) => Alpha::Mask,
-                _ => Alpha::None,
-            },
+            Self::Memory(photo) => photo.alpha,
+            Self::File(file) => file.alpha,
         }
     }
 
-    /// A number that changes when the photo's mask, as it was decoded, does; none without masks.
+    /// A number that changes when the photo's mask, as it was decoded, does; `None` without masks.
     #[must_use]
     pub fn mask_digest(&self) -> Option<u64> {
         match self {
             Self::Memory(photo) => photo.mask_plane().map(digest),
-            Self::File(file) => (self.alpha() == Alpha::Mask).then_some(file.mask_digest),
+            Self::File(file) => (file.alpha == Alpha::Mask).then_some(file.mask_digest),
         }
     }
 
-    /// Whether the photo's mask leaves nothing of it.
+    /// True if the photo's mask is 0 everywhere.
     #[must_use]
     pub fn masked_out(&self) -> bool {
         match self {
@@ -111,12 +99,12 @@ impl PhotoSource {
                 .is_some_and(|mask| mask.iter().all(|m| *m == 0)),
             Self::File(file) => {
                 let black = || vec![0; file.width as usize * file.height as usize];
-                self.alpha() == Alpha::Mask && file.mask_digest == digest(&black())
+                file.alpha == Alpha::Mask && file.mask_digest == digest(&black())
             }
         }
     }
 
-    /// Bytes of the decoded photo, `channels × height × width`.
+    /// Size of the decoded photo in bytes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         match self {
@@ -127,12 +115,14 @@ impl PhotoSource {
 }
 
 impl PhotoFile {
+    /// The photo of an image file with an optional mask file; `meaning` is that of alpha in the whole dataset.
     pub(super) fn new(
         path: PathBuf,
         header: Header,
         max_size: u32,
         undistortion: Option<Undistortion>,
-        mask: Mask,
+        mask: Option<PathBuf>,
+        meaning: Alpha,
     ) -> Self {
         let (width, height) = undistortion.map_or((header.width, header.height), |u| {
             (u.target.width, u.target.height)
@@ -142,10 +132,10 @@ impl PhotoFile {
             path,
             max_size,
             undistortion: undistortion.map(Box::new),
-            channels: if header.has_alpha || matches!(mask, Mask::File(_)) {
-                4
+            alpha: if header.has_alpha || mask.is_some() {
+                meaning
             } else {
-                3
+                Alpha::None
             },
             mask,
             width,
@@ -154,13 +144,13 @@ impl PhotoFile {
         }
     }
 
-    /// [`digest`] of a photo's mask, as [`PhotoFile::load`] would give it; 0 without masks.
+    /// [`digest`] of a photo's mask, an all-white one if it has none; 0 without masks.
     fn mask_digest_of(&self, photo: &Photo) -> u64 {
         let white = || vec![255; photo.width as usize * photo.height as usize];
-        match (&self.mask, photo.mask_plane()) {
-            (Mask::None, _) => 0,
-            (_, Some(plane)) => digest(plane),
-            (_, None) => digest(&white()),
+        match (self.alpha, photo.mask_plane()) {
+            (Alpha::Mask, Some(plane)) => digest(plane),
+            (Alpha::Mask, None) => digest(&white()),
+            _ => 0,
         }
     }
 
@@ -170,44 +160,46 @@ impl PhotoFile {
     }
 
     fn bytes(&self) -> u64 {
-        u64::from(self.width) * u64::from(self.height) * u64::from(self.channels)
+        u64::from(self.width) * u64::from(self.height) * self.alpha.planes() as u64
     }
 
-    /// The photo as decoded, 4 channels only where some pixel is not opaque.
+    /// The photo as decoded, with an alpha plane only if some pixel is not opaque.
     fn decoded(&self) -> Result<Photo> {
         let photo = decode(
             &self.path,
             self.max_size,
             self.undistortion.as_deref(),
-            &self.mask,
+            self.mask.as_deref(),
+            self.alpha,
         )?;
-        if (photo.width, photo.height) == self.size() && photo.channels <= self.channels {
+        let known = photo.alpha == Alpha::None || photo.alpha == self.alpha;
+        if (photo.width, photo.height) == self.size() && known {
             return Ok(photo);
         }
         Err(Error::input(
             &self.path,
             format!(
                 "{}×{} pixels in {} channels; {}×{} in {} were there when the dataset was read",
-                photo.width, photo.height, photo.channels, self.width, self.height, self.channels
+                photo.width,
+                photo.height,
+                photo.alpha.planes(),
+                self.width,
+                self.height,
+                self.alpha.planes()
             ),
             "leave the photos as they are during a run, and start again",
         ))
     }
 
-    /// The photo with the channels that all photos of its dataset have.
+    /// The photo with the alpha plane that all photos of its dataset have.
     ///
     /// # Errors
-    /// As [`PhotoSource::load`].
+    /// Those of [`PhotoSource::load`].
     pub(crate) fn load(&self) -> Result<Photo> {
-        let mut photo = self.decoded()?;
-        if self.channels == 4 {
-            photo.add_alpha();
-            photo.mask = self.mask != Mask::None;
-        }
-        Ok(photo)
+        Ok(self.decoded()?.with_alpha(self.alpha))
     }
 
-    /// What to say when the decoder gives up without a reason.
+    /// The error of a decoder that failed without a reason.
     pub(crate) fn undecodable(&self) -> Error {
         Error::input(
             &self.path,
@@ -217,7 +209,7 @@ impl PhotoFile {
     }
 }
 
-/// The photos of `files`: in memory where all of them fit into `budget` bytes, else left in their files.
+/// The photos of `files`: in memory if all of them fit into `budget` bytes, else left in their files.
 ///
 /// Every file is decoded here in either case: a broken one is found before training begins, and whether any pixel of any
 /// photo is transparent decides for all whether they have an alpha plane.
@@ -225,29 +217,21 @@ impl PhotoFile {
 /// # Errors
 /// A file that cannot be decoded, or a photo that does not fit into the budget alone.
 pub(super) fn read(mut files: Vec<PhotoFile>, budget: u64) -> Result<Vec<PhotoSource>> {
-    let with_channels = |files: &mut [PhotoFile], channels: u32| -> u64 {
-        files.iter_mut().for_each(|f| f.channels = channels);
-        files.iter().map(PhotoFile::bytes).sum()
-    };
-    let most = if files.iter().any(|f| f.channels == 4) {
-        4
-    } else {
-        3
-    };
-    let fits = with_channels(&mut files, most) <= budget;
-    let decoded: Vec<(bool, Option<Photo>)> = files
+    let may_be = Alpha::common(files.iter().map(|f| f.alpha));
+    files.iter_mut().for_each(|f| f.alpha = may_be);
+    let fits = files.iter().map(PhotoFile::bytes).sum::<u64>() <= budget;
+    let decoded: Vec<(Alpha, Option<Photo>)> = files
         .par_iter_mut()
         .map(|f| {
             let photo = f.decoded()?;
-            let transparent = photo.channels == 4;
             if !fits {
                 f.mask_digest = f.mask_digest_of(&photo);
             }
-            Ok((transparent, fits.then_some(photo)))
+            Ok((photo.alpha, fits.then_some(photo)))
         })
         .collect::<Result<_>>()?;
-    let alpha = decoded.iter().any(|(transparent, _)| *transparent);
-    with_channels(&mut files, if alpha { 4 } else { 3 });
+    let alpha = Alpha::common(decoded.iter().map(|d| d.0));
+    files.iter_mut().for_each(|f| f.alpha = alpha);
     if let Some(large) = files.iter().find(|f| f.bytes() > budget) {
         return Err(Error::config(
             "--image-budget",
@@ -261,20 +245,13 @@ pub(super) fn read(mut files: Vec<PhotoFile>, budget: u64) -> Result<Vec<PhotoSo
     let photos = files.into_iter().zip(decoded);
     Ok(photos
         .map(|(file, (_, photo))| match photo {
-            Some(mut photo) => {
-                if alpha {
-                    photo.add_alpha();
-                    photo.mask = file.mask != Mask::None;
-                }
-                photo.into()
-            }
+            Some(photo) => photo.with_alpha(alpha).into(),
             None => PhotoSource::File(file),
         })
         .collect())
 }
 
-/// Bytes that photos may take where nothing else is asked for: half of the memory that the system says is available, 4 GiB
-/// where it does not say.
+/// Default budget of photos in bytes: half of the memory that the system reports as available, 4 GiB if it reports none.
 pub(super) fn automatic_budget() -> u64 {
     std::fs::read_to_string("/proc/meminfo")
         .ok()
@@ -282,7 +259,7 @@ pub(super) fn automatic_budget() -> u64 {
         .map_or(UNKNOWN_MEMORY, |bytes| bytes / 2)
 }
 
-/// Bytes of the `MemAvailable` line of `/proc/meminfo` (proc(5)); none where there is no such line.
+/// Bytes of the `MemAvailable` line of `/proc/meminfo` (proc(5)); `None` without such a line.
 #[must_use]
 pub fn parse_available(text: &str) -> Option<u64> {
     let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"))?;

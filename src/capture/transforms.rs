@@ -14,17 +14,18 @@ use crate::base::error::{Error, Result};
 use crate::base::ply;
 use crate::capture::assemble::{RawScene, RawView, find_mask, inside, locate};
 use crate::capture::camera::Camera;
+use crate::capture::dataset::Layout;
+use crate::capture::decode;
 use crate::capture::lens::Lens;
-use crate::capture::{Layout, decode};
 
-/// Remedy for a value that cannot be used.
+/// Remedy for an unusable value.
 const CORRECT: &str = "correct the file";
 
 /// Coefficients of a fisheye lens, in order.
 const FISHEYE: [&str; 4] = ["k1", "k2", "k3", "k4"];
-/// Those of a perspective lens; the last three in `FULL_OPENCV` alone.
+/// Coefficients of a perspective lens, in order; the last three in `FULL_OPENCV` alone.
 const PERSPECTIVE: [&str; 8] = ["k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6"];
-/// All that a file may have.
+/// All coefficients that a file may have.
 const COEFFICIENTS: [&str; 11] = [
     "k1",
     "k2",
@@ -173,7 +174,7 @@ impl Place<'_> {
         Ok(found)
     }
 
-    /// Distortion from the frame, then the file; zero where neither says.
+    /// Distortion from the frame, then the file; zero by default.
     fn lens(&self, file: &Intrinsics) -> Result<Lens> {
         let own = &self.frame.lens;
         let own_or_file = |key: &str| {
@@ -285,7 +286,7 @@ impl Place<'_> {
     }
 
     /// World-to-camera rotation in OpenCV axes, and the camera's centre. Columns are normalised, which undoes the scale of
-    /// a scaled camera object; what is then no rotation within 1 % is refused.
+    /// a scaled camera object; a result that is no rotation within 1 % is refused.
     fn pose(&self) -> Result<(DMat3, DVec3)> {
         let m = &self.frame.transform_matrix;
         let shaped = (m.len() == 3 || m.len() == 4) && m.iter().all(|row| row.len() == 4);
@@ -316,7 +317,7 @@ impl Place<'_> {
 /// file's folder; `points` is the relative path of a PLY with sparse points. Every frame carries its own intrinsics.
 ///
 /// # Errors
-/// [`Error::Numerics`] for numbers that are not finite, [`Error::Io`] where the system refuses.
+/// [`Error::Numerics`] for numbers that are not finite, [`Error::Io`] if the system refuses.
 pub fn write_transforms(
     file: &Path,
     views: &[(String, Camera)],

@@ -2,41 +2,40 @@
 
 use std::fmt::Write;
 
-use crate::chart::svg::{WIDTH, short};
+use crate::chart::plot::{WIDTH, empty, open, short};
 use crate::chart::text::escape;
 
 /// One bar of a bar chart.
 #[derive(Debug, Clone)]
 pub struct Bar {
-    /// Name at its left.
+    /// Name at the left.
     pub name: String,
     /// Length.
     pub value: f64,
-    /// Text at its right.
+    /// Text at the right.
     pub text: String,
 }
 
-/// A figure with one horizontal bar per entry, longest full width; `no data` where there is none.
+/// A figure with one horizontal bar per entry, the longest over the full width; `no data` if there is none.
 #[must_use]
 pub fn bar_chart(title: &str, bars: &[Bar]) -> String {
     const ROW: f64 = 24.0;
     const NAMES: f64 = 104.0;
     const TEXTS: f64 = 120.0;
-    let title = escape(title);
-    let mut out = format!("<figure class=\"chart bars\"><figcaption>{title}</figcaption>");
     let good: Vec<&Bar> = bars
         .iter()
         .filter(|b| b.value.is_finite() && b.value >= 0.0)
         .collect();
     let longest = good.iter().fold(0.0f64, |l, b| l.max(b.value));
     if good.is_empty() {
-        out.push_str("<p class=none>no data</p></figure>\n");
-        return out;
+        return empty("chart bars", title);
     }
     let height = good.len() as f64 * ROW + 4.0;
+    let mut out = open("chart bars", title);
     let _ = write!(
         out,
-        "<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{title}\">"
+        "</figcaption><svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{}\">",
+        escape(title)
     );
     for (row, bar) in good.iter().enumerate() {
         let y = row as f64 * ROW + 4.0;

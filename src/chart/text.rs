@@ -1,6 +1,6 @@
 //! Numbers, durations and text as pages and charts show them.
 
-/// `text` with the characters replaced that mean something in HTML text or a quoted attribute.
+/// `text` with the special characters of HTML text and quoted attributes replaced.
 #[must_use]
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
@@ -33,7 +33,7 @@ pub fn grouped(value: u64) -> String {
     out
 }
 
-/// Seconds as `12.3 s`, `4 min 05 s` or `1 h 07 min`; a dash where they are not a finite span.
+/// Seconds as `12.3 s`, `4 min 05 s` or `1 h 07 min`; a dash if they are not finite or negative.
 #[must_use]
 pub fn span(seconds: f64) -> String {
     if !(seconds.is_finite() && seconds >= 0.0) {
@@ -49,7 +49,7 @@ pub fn span(seconds: f64) -> String {
     }
 }
 
-/// A number with `decimals` places, a dash where it is not finite.
+/// A number with `decimals` places, a dash if it is not finite.
 #[must_use]
 pub fn fixed(value: f64, decimals: usize) -> String {
     if value.is_finite() {

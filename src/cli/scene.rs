@@ -98,14 +98,14 @@ pub fn note_left_out(data: &Dataset) {
 
 /// Uploads a scene in a local frame; its file says whether it is rendered with the 2D filter.
 pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
-    let splats = ply::read(ply, frame)?;
+    let file = ply::read(ply, frame)?;
     let device = super::open_tested(device)?;
     let defines = Defines {
-        anti_alias: ply::is_anti_aliased(ply),
+        anti_alias: file.anti_aliased,
         ..Defines::new(device.tuning())
     };
-    let renderer = Renderer::new(&device, defines, splats.sh_degree(), false)?;
-    let mut scene = Scene::upload(&device, &splats, 0)?;
+    let renderer = Renderer::new(&device, defines, file.splats.sh_degree(), false)?;
+    let mut scene = Scene::upload(&device, &file.splats, 0)?;
     if defines.anti_alias {
         scene = scene.with_filter(&device)?;
     }

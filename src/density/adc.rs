@@ -6,10 +6,10 @@
 use rayon::prelude::*;
 
 use crate::base::error::Result;
+use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Purpose};
 use crate::config::AdcConfig;
 use crate::density::draw::{birth_position, gather, is_finite};
-use crate::density::relocation::{logit, sigmoid};
 use crate::density::{
     DensityControl, DensityStats, Edit, Evidence, Outcome, SceneState, ScreenGradient, StepContext,
     Wanted, check_lengths, unexpected,

@@ -6,11 +6,12 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use crate::base::error::Result;
+use crate::base::math::sigmoid;
 use crate::base::rng::{Philox, Purpose};
 use crate::config::McmcConfig;
 use crate::density::draw::{Categorical, gather, is_finite};
 use crate::density::relocate::Relocation;
-use crate::density::relocation::{sigmoid, split};
+use crate::density::relocation::split;
 use crate::density::{
     DensityControl, DensityStats, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext,
     Wanted, check_lengths, unexpected,

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
+use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Purpose};
 use crate::density::draw::{Categorical, gather, is_finite};
-use crate::density::relocation::{logit, most_copies, sigmoid, split};
+use crate::density::relocation::{most_copies, split};
 use crate::density::{Edit, SceneState, StepContext};
 use crate::scene::OptionalColor;
 

@@ -10,6 +10,8 @@
 use std::f64::consts::{FRAC_2_SQRT_PI, PI};
 use std::sync::OnceLock;
 
+use crate::base::math::{ln_sigmoid, softplus};
+
 /// Gauss–Legendre nodes on the interval in which the integrand is neither 1 nor 0. 40 of them leave a relative error
 /// below 1e-10 for N ≤ 10⁵; 32 leave 1e-8.
 const NODES: usize = 40;
@@ -27,35 +29,6 @@ pub struct Split {
     pub opacity_logit: f64,
     /// To be added to each of the three log-scales: ln o − ln F. Never positive beyond rounding.
     pub log_scale_offset: f64,
-}
-
-/// ln(1 + eˣ) without overflow or cancellation.
-#[must_use]
-pub fn softplus(x: f64) -> f64 {
-    x.max(0.0) + (-x.abs()).exp().ln_1p()
-}
-
-/// ln(o/(1−o)) of an opacity between 0 and 1.
-#[must_use]
-pub fn logit(opacity: f64) -> f64 {
-    opacity.ln() - (-opacity).ln_1p()
-}
-
-/// The logistic function 1/(1 + e⁻ˣ), without overflow.
-#[must_use]
-pub fn sigmoid(x: f64) -> f64 {
-    if x >= 0.0 {
-        1.0 / (1.0 + (-x).exp())
-    } else {
-        let e = x.exp();
-        e / (1.0 + e)
-    }
-}
-
-/// ln σ(x) = −softplus(−x).
-#[must_use]
-pub fn ln_sigmoid(x: f64) -> f64 {
-    -softplus(-x)
 }
 
 /// Into how many equal copies a Gaussian can be split so that each keeps an opacity of at least `floor` in (0, 1): the

@@ -1,5 +1,5 @@
-//! Colour-corrected scores: of the render under the affine transform that fits it to the photo best. A held-out view has no
-//! transform of its own, and where training compensates exposure, plain scores measure its photo's exposure, too. gsplat
+//! Colour-corrected scores: those of the render under the affine transform that fits it best to the photo. A held-out view has
+//! no transform of its own, and if training compensates exposure, plain scores also measure its photo's exposure. gsplat
 //! calls the PSNR after such a fit `cc_psnr`.
 
 use crate::base::constants::TILE;
@@ -11,7 +11,7 @@ use crate::pipeline::forward::Renderer;
 use crate::pipeline::stage::exposure::exposed;
 use crate::pipeline::stage::loss::{ImagePair, size_of_image};
 
-/// Weight of the identity per pixel: it decides where the pixels do not, say in a picture of one colour.
+/// Weight of the identity per pixel, which decides if the pixels do not, say in a picture of one colour.
 const RIDGE: f64 = 1e-6;
 
 /// The affine transform, row-major \[A | b\], that takes `render` to `photo` with the least squared error. Both planar
@@ -76,7 +76,7 @@ impl Evaluator {
     /// Adds the colour-corrected PSNR and SSIM to the scores of all views, in their order.
     ///
     /// # Errors
-    /// As [`Evaluator::score_all`].
+    /// Those of [`Evaluator::score_all`].
     pub fn add_color_corrected(
         &self,
         scores: &mut [ViewScore],
@@ -116,7 +116,7 @@ impl Evaluator {
     }
 }
 
-/// Mean colour-corrected PSNR and SSIM; none where a view has none.
+/// Mean colour-corrected PSNR and SSIM; `None` if a view has none.
 #[must_use]
 pub fn mean_corrected(scores: &[ViewScore]) -> Option<(f64, f64)> {
     let all: Option<Vec<(f64, f64)>> = scores.iter().map(|s| s.cc_psnr.zip(s.cc_ssim)).collect();

@@ -1,6 +1,6 @@
 //! LDR-ꟻLIP (Andersson et al. 2020): how different two pictures look when one is flipped to the other, 0 to 1 per pixel.
 //!
-//! On the host and in f64: it is taken of the last evaluation and by `mhsplat eval` only, where it costs milliseconds a view.
+//! Computed on the host in f64, at the last evaluation and by `mhsplat eval` only; it costs milliseconds a view.
 //! Section numbers are the paper's. Its filters are sums of products of one-dimensional ones, so that filtering by rows and
 //! columns is exact. Beyond the border the nearest pixel goes on, as in the authors' programs. Tests: flip.
 
@@ -50,7 +50,7 @@ const KNEE_TO: f64 = 0.95;
 const FEATURE_WIDTH: f64 = 0.082;
 const FEATURE_POWER: f64 = 0.5;
 
-/// Rows that are worked on at a time, so that large photos take no memory that counts.
+/// Rows that are processed at a time, to bound the memory for large photos.
 const STRIP: usize = 96;
 
 type Color = [f64; 3];
@@ -101,7 +101,7 @@ pub fn error_map(
     Ok(map)
 }
 
-/// The error of some rows: only as much of the picture is held in f64 as their filters reach.
+/// The error of some rows, with only as much of the picture in f64 as their filters reach.
 fn strip(
     pictures: [&[f32]; 2],
     [width, height]: [usize; 2],
@@ -127,11 +127,11 @@ fn strip(
     both.map(|i| colors[i].powf(1.0 - features[i])).collect()
 }
 
-/// Mean of [`error_map`] at [`PIXELS_PER_DEGREE`] over the pixels that count, `mask` \[height, width\] or empty: 0 for equal
-/// pictures, and where nothing counts.
+/// Mean of [`error_map`] at [`PIXELS_PER_DEGREE`], weighted by `mask` \[height, width\] unless it is empty: 0 for equal
+/// pictures and for a mask of zeros.
 ///
 /// # Errors
-/// As [`error_map`].
+/// Those of [`error_map`].
 pub fn flip(
     reference: &[f32],
     test: &[f32],

@@ -28,7 +28,7 @@ pub struct ViewScore {
     /// ꟻLIP, 0 (equal) to 1; taken at the end of a run and by `eval` only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flip: Option<f64>,
-    /// PSNR in dB after an affine fit of the render's colours to the photo's; at the end of a run that compensates exposure.
+    /// PSNR in dB after an affine fit of the render's colours to the photo's; only at the end of a run that compensates exposure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cc_psnr: Option<f64>,
     /// SSIM after that fit.
@@ -51,7 +51,7 @@ pub struct Evaluator {
 }
 
 impl Evaluator {
-    /// Takes the views to score. `defines` must be the renderer's.
+    /// An evaluator of these views. `defines` must be the renderer's.
     ///
     /// # Errors
     /// A build failure, or more than the device can allocate.
@@ -82,11 +82,11 @@ impl Evaluator {
         &self.views
     }
 
-    /// Renders and scores one view; none where no pixel of it counts. The clamped image stays in the renderer. `next` are the views
+    /// Renders and scores one view; `None` if its mask is 0 everywhere. The clamped image stays in the renderer. `next` are the views
     /// to be scored after it.
     ///
     /// # Errors
-    /// As [`Renderer::render`] and [`ViewSet::photo`].
+    /// Those of [`Renderer::render`] and [`ViewSet::photo`].
     pub fn score(
         &self,
         view: usize,
@@ -115,7 +115,7 @@ impl Evaluator {
         Ok((counted > 0.0).then_some(score))
     }
 
-    /// PSNR and SSIM of an image, which is clamped in place, and how many pixels count. Where nothing counts nothing differs.
+    /// PSNR and SSIM of an image, which is clamped in place, and the sum of its mask. An empty mask gives the best scores.
     fn measure(&self, pair: &ImagePair<'_, f32>) -> Result<[f64; 3]> {
         self.metrics.run(pair, &self.rows)?;
         self.loss.errors(pair, &self.maps, &self.partial)?;
@@ -142,10 +142,10 @@ impl Evaluator {
         flip::flip(&planes, &image.rgb, image.width, image.height, &mask)
     }
 
-    /// Scores every view of which anything counts by PSNR and SSIM and, if `with_flip`, by ꟻLIP, which is taken on the host.
+    /// Scores all views whose masks are not 0 everywhere by PSNR and SSIM and, if `with_flip`, by ꟻLIP, computed on the host.
     ///
     /// # Errors
-    /// As [`Renderer::render`] and [`ViewSet::photo`].
+    /// Those of [`Renderer::render`] and [`ViewSet::photo`].
     pub fn score_all(
         &self,
         scene: &Scene,
@@ -184,7 +184,7 @@ pub fn psnr(mse: f64) -> f64 {
     (-10.0 * mse.log10()).min(MAX_PSNR)
 }
 
-/// Mean PSNR and mean SSIM; none for no view.
+/// Mean PSNR and mean SSIM; `None` without views.
 #[must_use]
 pub fn mean(scores: &[ViewScore]) -> Option<(f64, f64)> {
     let n = scores.len() as f64;
@@ -196,7 +196,7 @@ pub fn mean(scores: &[ViewScore]) -> Option<(f64, f64)> {
     })
 }
 
-/// Mean ꟻLIP; none for no view, or where a view has none.
+/// Mean ꟻLIP; `None` without views, or if a view has none.
 #[must_use]
 pub fn mean_flip(scores: &[ViewScore]) -> Option<f64> {
     let all: Option<Vec<f64>> = scores.iter().map(|s| s.flip).collect();

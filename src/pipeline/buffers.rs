@@ -404,8 +404,7 @@ impl<R: Real> ViewSet<R> {
         Ok(Photo {
             width,
             height,
-            channels: self.alpha.planes() as u32,
-            mask: self.alpha == Alpha::Mask,
+            alpha: self.alpha,
             data,
         })
     }

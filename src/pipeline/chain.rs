@@ -1,7 +1,8 @@
 //! The stages one after the other: loss and gradient of a scene in one view.
 
 use crate::base::constants::LOG_SCALE;
-use crate::pipeline::reference::{Camera64, Options, Scene64, sigmoid};
+use crate::base::math::sigmoid;
+use crate::pipeline::reference::{Camera64, Options, Scene64};
 use crate::pipeline::stage::bin::bin;
 use crate::pipeline::stage::loss::{Loss64, loss};
 use crate::pipeline::stage::project::{Record64, project};

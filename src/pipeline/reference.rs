@@ -147,16 +147,6 @@ pub struct Options {
     pub background: [f64; 3],
 }
 
-/// σ(x) without cancellation for either sign.
-#[must_use]
-pub fn sigmoid(x: f64) -> f64 {
-    if x >= 0.0 {
-        1.0 / (1.0 + (-x).exp())
-    } else {
-        x.exp() / (1.0 + x.exp())
-    }
-}
-
 /// Unit quaternion and norm; the zero quaternion is the identity with norm 0.
 #[must_use]
 pub fn unit_quaternion(q: [f64; 4]) -> ([f64; 4], f64) {

@@ -12,7 +12,7 @@ const TICKS_PER_SECOND: f64 = 100.0;
 /// CPU seconds (user + system) of this process so far, over all its threads, ended ones included.
 ///
 /// From fields 14 and 15 of `/proc/self/stat` (proc(5)). The resolution is one tick, 10 ms; the nanosecond figures of
-/// `/proc/self/task/*/schedstat` are finer but lose the threads that have ended. 0 where there is no `/proc`.
+/// `/proc/self/task/*/schedstat` are finer but lose the threads that have ended. 0 without `/proc`.
 #[must_use]
 pub fn process_cpu_seconds() -> f64 {
     std::fs::read_to_string("/proc/self/stat")
@@ -21,7 +21,7 @@ pub fn process_cpu_seconds() -> f64 {
         .unwrap_or(0.0)
 }
 
-/// CPU seconds of one `/proc/*/stat` line; `None` where it is not such a line.
+/// CPU seconds of one `/proc/*/stat` line; `None` for any other line.
 #[must_use]
 pub fn parse_stat(text: &str) -> Option<f64> {
     // Field 2 is the program's name in brackets and may itself hold blanks and brackets.
@@ -32,7 +32,7 @@ pub fn parse_stat(text: &str) -> Option<f64> {
     Some(user.saturating_add(system) as f64 / TICKS_PER_SECOND)
 }
 
-/// Largest resident set of this process so far in bytes (`VmHWM` of `/proc/self/status`); 0 where there is no `/proc`.
+/// Largest resident set of this process so far in bytes (`VmHWM` of `/proc/self/status`); 0 without `/proc`.
 #[must_use]
 pub fn peak_rss_bytes() -> u64 {
     std::fs::read_to_string("/proc/self/status")
@@ -41,7 +41,7 @@ pub fn peak_rss_bytes() -> u64 {
         .unwrap_or(0)
 }
 
-/// Bytes of the `VmHWM` line of `/proc/*/status`; `None` where there is none.
+/// Bytes of the `VmHWM` line of `/proc/*/status`; `None` without such a line.
 #[must_use]
 pub fn parse_peak(text: &str) -> Option<u64> {
     let line = text.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
@@ -49,18 +49,18 @@ pub fn parse_peak(text: &str) -> Option<u64> {
     kib.checked_mul(1024)
 }
 
-/// What the clocks show, in seconds.
+/// A reading of the clocks, in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Reading {
     /// Time spent training: evaluation and export left out.
     pub train_seconds: f64,
     /// Time since the start.
     pub wall_seconds: f64,
-    /// CPU time of the process over the span of `train_seconds`; 0 where the system does not tell.
+    /// CPU time of the process over the span of `train_seconds`; 0 if the system does not report it.
     pub cpu_seconds: f64,
 }
 
-/// Marks where the running span began.
+/// Beginning of the running span.
 #[derive(Debug, Clone, Copy)]
 struct Mark {
     at: Instant,
@@ -136,7 +136,7 @@ impl Clock {
         self.wall_before + self.start.elapsed().as_secs_f64()
     }
 
-    /// CPU seconds over the span of [`Clock::train_seconds`], to 10 ms per span; 0 where the system does not tell.
+    /// CPU seconds over the span of [`Clock::train_seconds`], to 10 ms per span; 0 if the system does not report it.
     #[must_use]
     pub fn cpu_seconds(&self) -> f64 {
         let span = self

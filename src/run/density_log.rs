@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::error::Result;
 use crate::density::DensityStats;
-use crate::run::table::{Cell, Cells, Row, TableWriter, read_table};
+use crate::run::table::{Row, TableWriter, read_table};
 
 /// Name of the table in the run folder.
 pub const DENSITY_FILE: &str = "density.csv";
@@ -13,7 +15,8 @@ pub const DENSITY_FILE: &str = "density.csv";
 pub type DensityWriter = TableWriter<DensityRow>;
 
 /// One density step.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(from = "Cells", into = "Cells")]
 pub struct DensityRow {
     /// Iteration of the step.
     pub iteration: u32,
@@ -21,7 +24,7 @@ pub struct DensityRow {
     pub train_seconds: f64,
     /// Number of Gaussians after the step.
     pub gaussians: u64,
-    /// What happened in this step (not the sum over the run); what the sampler does not know is zero.
+    /// Counts of this step (not sums over the run); zero for those that the sampler does not have.
     pub stats: DensityStats,
 }
 
@@ -50,58 +53,70 @@ impl Row for DensityRow {
     fn iteration(&self) -> u32 {
         self.iteration
     }
+}
 
-    fn cells(&self) -> Vec<Cell> {
-        let s = &self.stats;
-        vec![
-            Cell::Count(self.iteration.into()),
-            Cell::Real(self.train_seconds),
-            Cell::Count(self.gaussians),
-            Cell::Count(s.proposed),
-            Cell::Count(s.accepted),
-            Cell::Count(s.relocated),
-            Cell::Count(s.pruned),
-            Cell::Count(s.coarse[0]),
-            Cell::Count(s.coarse[1]),
-            Cell::Count(s.fine[0]),
-            Cell::Count(s.fine[1]),
-            Cell::Count(s.occupied_voxels),
-            Cell::Real(s.mean_prior),
-            Cell::Count(s.cloned),
-            Cell::Count(s.split),
-            Cell::Count(s.opacity_resets),
-            Cell::Count(s.pixel[0]),
-            Cell::Count(s.pixel[1]),
-        ]
+/// The cells of a [`DensityRow`] in the order of its columns; arrays hold neighbouring counts.
+type Cells = (
+    u32,
+    f64,
+    u64,
+    [u64; 4],
+    [u64; 2],
+    [u64; 2],
+    u64,
+    f64,
+    [u64; 3],
+    [u64; 2],
+);
+
+impl From<DensityRow> for Cells {
+    fn from(row: DensityRow) -> Self {
+        let s = row.stats;
+        (
+            row.iteration,
+            row.train_seconds,
+            row.gaussians,
+            [s.proposed, s.accepted, s.relocated, s.pruned],
+            s.coarse,
+            s.fine,
+            s.occupied_voxels,
+            s.mean_prior,
+            [s.cloned, s.split, s.opacity_resets],
+            s.pixel,
+        )
     }
+}
 
-    fn parse(cells: &mut Cells<'_>) -> Option<Self> {
-        Some(Self {
-            iteration: cells.count()?,
-            train_seconds: cells.real()?,
-            gaussians: cells.count()?,
+impl From<Cells> for DensityRow {
+    fn from(cells: Cells) -> Self {
+        let [proposed, accepted, relocated, pruned] = cells.3;
+        let [cloned, split, opacity_resets] = cells.8;
+        Self {
+            iteration: cells.0,
+            train_seconds: cells.1,
+            gaussians: cells.2,
             stats: DensityStats {
-                proposed: cells.count()?,
-                accepted: cells.count()?,
-                relocated: cells.count()?,
-                pruned: cells.count()?,
-                coarse: [cells.count()?, cells.count()?],
-                fine: [cells.count()?, cells.count()?],
-                occupied_voxels: cells.count()?,
-                mean_prior: cells.real()?,
-                cloned: cells.count()?,
-                split: cells.count()?,
-                opacity_resets: cells.count()?,
-                pixel: [cells.count()?, cells.count()?],
+                proposed,
+                accepted,
+                relocated,
+                pruned,
+                coarse: cells.4,
+                fine: cells.5,
+                occupied_voxels: cells.6,
+                mean_prior: cells.7,
+                cloned,
+                split,
+                opacity_resets,
+                pixel: cells.9,
             },
-        })
+        }
     }
 }
 
 /// All complete rows of the `density.csv` at `path`.
 ///
 /// # Errors
-/// As [`read_table`].
+/// Those of [`read_table`].
 pub fn read_density(path: impl AsRef<Path>) -> Result<Vec<DensityRow>> {
     read_table(path)
 }

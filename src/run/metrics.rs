@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 use crate::base::error::Result;
-use crate::run::table::{Cell, Cells, Row, TableWriter, read_table};
+use crate::run::table::{Row, TableWriter, read_table};
 
 /// Name of the table in the run folder.
 pub const METRICS_FILE: &str = "metrics.csv";
@@ -12,7 +14,7 @@ pub const METRICS_FILE: &str = "metrics.csv";
 pub type MetricsWriter = TableWriter<MetricsRow>;
 
 /// State of a run at one evaluation. Counts are sums since the start of the run.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct MetricsRow {
     /// Iterations done.
     pub iteration: u32,
@@ -62,48 +64,12 @@ impl Row for MetricsRow {
     fn iteration(&self) -> u32 {
         self.iteration
     }
-
-    fn cells(&self) -> Vec<Cell> {
-        vec![
-            Cell::Count(self.iteration.into()),
-            Cell::Real(self.train_seconds),
-            Cell::Real(self.wall_seconds),
-            Cell::Real(self.cpu_seconds),
-            Cell::Maybe(self.loss),
-            Cell::Maybe(self.psnr),
-            Cell::Maybe(self.ssim),
-            Cell::Count(self.gaussians),
-            Cell::Count(self.proposed),
-            Cell::Count(self.accepted),
-            Cell::Count(self.relocated),
-            Cell::Count(self.pruned),
-            Cell::Count(self.non_finite),
-        ]
-    }
-
-    fn parse(cells: &mut Cells<'_>) -> Option<Self> {
-        Some(Self {
-            iteration: cells.count()?,
-            train_seconds: cells.real()?,
-            wall_seconds: cells.real()?,
-            cpu_seconds: cells.real()?,
-            loss: cells.maybe()?,
-            psnr: cells.maybe()?,
-            ssim: cells.maybe()?,
-            gaussians: cells.count()?,
-            proposed: cells.count()?,
-            accepted: cells.count()?,
-            relocated: cells.count()?,
-            pruned: cells.count()?,
-            non_finite: cells.count()?,
-        })
-    }
 }
 
 /// All complete rows of the `metrics.csv` at `path`.
 ///
 /// # Errors
-/// As [`read_table`].
+/// Those of [`read_table`].
 pub fn read_rows(path: impl AsRef<Path>) -> Result<Vec<MetricsRow>> {
     read_table(path)
 }

@@ -1,4 +1,4 @@
-//! `run.json`: what was run, on what, and what came of it.
+//! `run.json`: configuration, dataset, device and results of a run.
 
 use std::path::Path;
 
@@ -55,7 +55,7 @@ pub struct DeviceRecord {
     pub platform: String,
     /// Driver version.
     pub driver: String,
-    /// How kernels were cut for it; not in records of earlier versions.
+    /// Tuning of the kernels for it; not in records of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tuning: Option<Tuning>,
 }
@@ -81,7 +81,7 @@ pub struct FinalRecord {
     /// Mean ꟻLIP over the views; of the evaluation at the end of the run only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flip: Option<f64>,
-    /// Mean colour-corrected PSNR over the views in dB; where a run compensates exposure.
+    /// Mean colour-corrected PSNR over the views in dB; only if the run compensates exposure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cc_psnr: Option<f64>,
     /// Mean colour-corrected SSIM over the views.
@@ -102,7 +102,7 @@ fn is_zero(n: &u64) -> bool {
 pub struct RunRecord {
     /// Version of this package.
     pub version: String,
-    /// Source revision it was built from, `unknown` where the build did not say.
+    /// Source revision it was built from, `unknown` if the build did not set it.
     pub commit: String,
     /// Every option, resolved.
     pub config: TrainConfig,
@@ -112,27 +112,27 @@ pub struct RunRecord {
     pub dataset: DatasetRecord,
     /// The device.
     pub device: DeviceRecord,
-    /// Evaluations without a lower training loss that ended the run; absent where it ended otherwise.
+    /// Evaluations without a lower training loss that ended the run; absent if it ended otherwise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stalled: Option<u32>,
-    /// What was kept and left out.
+    /// Kept and left-out work, with reasons.
     pub plan: PlanRecord,
     /// Iterations done.
     pub iterations: u32,
     /// Number of Gaussians.
     pub gaussians: u64,
-    /// Gaussians that were removed at the end, because no training view shows them; not among `gaussians`.
+    /// Gaussians that were removed at the end, because no training view sees them; not among `gaussians`.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub removed: u64,
     /// Seconds of training, evaluation and export left out.
     pub train_seconds: f64,
     /// Seconds since the start.
     pub wall_seconds: f64,
-    /// CPU seconds over the span of `train_seconds`; 0 where the system does not tell.
+    /// CPU seconds over the span of `train_seconds`; 0 if the system does not report it.
     pub cpu_seconds: f64,
-    /// Largest resident set in bytes; 0 where the system does not tell.
+    /// Largest resident set in bytes; 0 if the system does not report it.
     pub peak_rss_bytes: u64,
-    /// Photos waited for, and what they took of their budget.
+    /// Waiting for photos, and the use of their budget.
     #[serde(default)]
     pub photos: PhotoStats,
     /// Time by stage, in the order of the pipeline.

@@ -9,7 +9,7 @@ use crate::device::Device;
 use crate::run::checkpoint;
 use crate::run::plan_record::PlanRecord;
 use crate::run::record::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
-use crate::scene::ply::Contents;
+use crate::scene::ply::{Contents, SceneFile};
 use crate::scene::without_filter;
 use crate::scene::{Splats, init, ply};
 use crate::train::Plan;
@@ -48,13 +48,16 @@ pub fn initial_splats(dataset: &Dataset, plan: &Plan) -> Result<Splats> {
 /// The Gaussians of a PLY file, or one for each point of a plain cloud.
 fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result<Splats> {
     let empty = || Error::input(path, "no vertex", "give a PLY file that holds some");
-    let splats = match ply::read_either(path, &dataset.frame)? {
+    let SceneFile {
+        splats,
+        anti_aliased,
+    } = match ply::read_either(path, &dataset.frame)? {
         Contents::Points(points) if points.positions.is_empty() => return Err(empty()),
         Contents::Points(points) => {
             return init::from_points(&init::subset(&points, most, plan.config.seed), 0);
         }
-        Contents::Scene(splats) if splats.is_empty() => return Err(empty()),
-        Contents::Scene(splats) => splats,
+        Contents::Scene(file) if file.splats.is_empty() => return Err(empty()),
+        Contents::Scene(file) => file,
     };
     if splats.len() > most {
         return Err(Error::input(
@@ -63,7 +66,7 @@ fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result
             "raise --max-gaussians",
         ));
     }
-    let filtered = ply::is_anti_aliased(path) && plan.anti_aliasing.value;
+    let filtered = anti_aliased && plan.anti_aliasing.value;
     let splats = if filtered {
         without_filter(&splats, dataset)?
     } else {

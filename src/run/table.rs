@@ -1,64 +1,25 @@
-//! Comma-separated tables that grow while a run goes on: header, then a row per event, flushed at once.
+//! CSV tables that grow during a run: a header, then one row per event, flushed at once.
 //!
-//! Cells are numbers only, so nothing needs quoting. An absent number is an empty cell.
+//! Cells hold numbers only, so nothing is quoted. An absent number is an empty cell.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
+use csv::{ReaderBuilder, StringRecord, Trim, WriterBuilder};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
 use crate::base::error::{Error, Result};
 
-/// One number of a table.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Cell {
-    /// A count.
-    Count(u64),
-    /// A measured value.
-    Real(f64),
-    /// A value that may be absent (an empty cell).
-    Maybe(Option<f64>),
-}
-
-/// A row of a table: its columns, and the way to text and back.
-pub trait Row: Sized {
+/// A row of a table. Its fields are written in their order, nested ones flattened, as many as there are columns.
+pub trait Row: Serialize + DeserializeOwned {
     /// Column names, in order.
     const COLUMNS: &'static [&'static str];
 
     /// Iteration the row belongs to; a resumed run drops the rows beyond its checkpoint.
     fn iteration(&self) -> u32;
-
-    /// The cells, in the order of [`Row::COLUMNS`].
-    fn cells(&self) -> Vec<Cell>;
-
-    /// The row of these cells; `None` where one is missing or not a number.
-    fn parse(cells: &mut Cells<'_>) -> Option<Self>;
-}
-
-/// The cells of one line, read from left to right.
-#[derive(Debug)]
-pub struct Cells<'a>(std::str::Split<'a, char>);
-
-impl Cells<'_> {
-    /// The next cell as a count.
-    pub fn count<T: std::str::FromStr>(&mut self) -> Option<T> {
-        self.0.next()?.trim().parse().ok()
-    }
-
-    /// The next cell as a finite number.
-    pub fn real(&mut self) -> Option<f64> {
-        self.maybe()?
-    }
-
-    /// The next cell as a finite number or nothing.
-    pub fn maybe(&mut self) -> Option<Option<f64>> {
-        let text = self.0.next()?.trim();
-        if text.is_empty() {
-            return Some(None);
-        }
-        let value: f64 = text.parse().ok()?;
-        value.is_finite().then_some(Some(value))
-    }
 }
 
 /// Appends rows to a table.
@@ -75,28 +36,22 @@ impl<R: Row> TableWriter<R> {
     /// # Errors
     /// [`Error::Io`] when the file cannot be written.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        crate::base::files::write_bytes(path, header::<R>().as_bytes())?;
-        Self::open(path)
+        Self::with_rows(path.as_ref(), &[])
     }
 
-    /// Goes on with an existing table after a resume: rows of iterations beyond `iteration`, and a last line that a
-    /// crash cut short, are dropped. Without a file, a new table.
+    /// Continues an existing table after a resume: rows of iterations beyond `iteration`, and a last line that a crash cut
+    /// short, are dropped. Without a file, a new table.
     ///
     /// # Errors
     /// [`Error::Input`] when the file is another table, [`Error::Io`] when it cannot be read or written.
     pub fn append(path: impl AsRef<Path>, iteration: u32) -> Result<Self> {
         let path = path.as_ref();
-        if !path.exists() {
-            return Self::create(path);
+        let mut rows = Vec::new();
+        if path.exists() {
+            rows = read_table::<R>(path)?;
+            rows.retain(|r| r.iteration() <= iteration);
         }
-        let rows = read_table::<R>(path)?;
-        let mut text = header::<R>();
-        for row in rows.iter().filter(|r| r.iteration() <= iteration) {
-            text.push_str(&line(path, row)?);
-        }
-        crate::base::files::write_bytes(path, text.as_bytes())?;
-        Self::open(path)
+        Self::with_rows(path, &rows)
     }
 
     /// Adds a row; on return the system has it.
@@ -111,7 +66,12 @@ impl<R: Row> TableWriter<R> {
             .map_err(|e| Error::io(&self.path, e))
     }
 
-    fn open(path: &Path) -> Result<Self> {
+    fn with_rows(path: &Path, rows: &[R]) -> Result<Self> {
+        let mut text = R::COLUMNS.join(",") + "\n";
+        for row in rows {
+            text.push_str(&line(path, row)?);
+        }
+        crate::base::files::write_bytes(path, text.as_bytes())?;
         let file = OpenOptions::new()
             .append(true)
             .open(path)
@@ -132,61 +92,56 @@ pub fn read_table<R: Row>(path: impl AsRef<Path>) -> Result<Vec<R>> {
     let path = path.as_ref();
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
     let complete = text.rfind('\n').map_or("", |end| &text[..end]);
-    let mut lines = complete.lines();
-    let found = lines.next().unwrap_or("").trim();
+    let (header, rows) = complete.split_once('\n').unwrap_or((complete, ""));
     let expected = R::COLUMNS.join(",");
-    if found != expected {
-        let what = format!("header is `{found}`, expected `{expected}`");
+    if header.trim() != expected {
+        let what = format!("header is `{}`, expected `{expected}`", header.trim());
         return Err(Error::input(path, what, "remove or rename the file"));
     }
-    let mut rows = Vec::new();
-    for (index, text) in lines.enumerate() {
-        if text.trim().is_empty() {
-            continue;
-        }
-        let mut cells = Cells(text.split(','));
-        match R::parse(&mut cells) {
-            Some(row) if cells.0.next().is_none() => rows.push(row),
-            _ => {
-                let what = format!(
-                    "line {}: `{text}`, expected {} finite numbers",
-                    index + 2,
-                    R::COLUMNS.len()
-                );
-                return Err(Error::input(path, what, "remove the line"));
-            }
-        }
-    }
-    Ok(rows)
+    let mut reader = ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .trim(Trim::All)
+        .from_reader(rows.as_bytes());
+    let parse = |record: csv::Result<StringRecord>| {
+        let record = record.map_err(|e| Error::input(path, e.to_string(), "remove the line"))?;
+        let row = record.deserialize(None).ok();
+        let finite = |cell: &str| !cell.parse().is_ok_and(|v: f64| !v.is_finite());
+        let whole = record.len() == R::COLUMNS.len() && record.iter().all(finite);
+        row.filter(|_| whole).ok_or_else(|| {
+            let what = format!(
+                "line {}: `{}`, expected {} finite numbers",
+                record.position().map_or(0, |p| p.line() + 1),
+                record.iter().collect::<Vec<_>>().join(","),
+                R::COLUMNS.len()
+            );
+            Error::input(path, what, "remove the line")
+        })
+    };
+    reader.records().map(parse).collect()
 }
 
-fn header<R: Row>() -> String {
-    R::COLUMNS.join(",") + "\n"
-}
-
+/// The line of a row. Numbers are written as `Display` spells them: the shortest digits that read back as the same bits.
 fn line<R: Row>(path: &Path, row: &R) -> Result<String> {
-    let mut text = String::new();
-    for (cell, column) in row.cells().iter().zip(R::COLUMNS) {
-        if !text.is_empty() {
-            text.push(',');
-        }
-        match *cell {
-            Cell::Count(value) => text.push_str(&value.to_string()),
-            Cell::Maybe(None) => {}
-            Cell::Real(value) | Cell::Maybe(Some(value)) if value.is_finite() => {
-                text.push_str(&value.to_string());
-            }
-            Cell::Real(value) | Cell::Maybe(Some(value)) => {
-                return Err(Error::Numerics {
-                    stage: path.display().to_string(),
-                    what: format!(
-                        "{column} is {value} at iteration {}; only finite numbers are written",
-                        row.iteration()
-                    ),
-                });
-            }
-        }
-    }
-    text.push('\n');
-    Ok(text)
+    let refused = |what: String| Error::Numerics {
+        stage: path.display().to_string(),
+        what,
+    };
+    let mut writer = WriterBuilder::new()
+        .has_headers(false)
+        .from_writer(Vec::new());
+    let written = writer.serialize(row).map_err(|e| refused(e.to_string()));
+    let bytes = written.and_then(|()| writer.into_inner().map_err(|e| refused(e.to_string())))?;
+    let text = String::from_utf8_lossy(&bytes);
+    let cells = text.trim_end().split(',').zip(R::COLUMNS);
+    let plain = cells.map(|(cell, column)| match cell.parse::<f64>() {
+        Ok(value) if !value.is_finite() => Err(refused(format!(
+            "{column} is {value} at iteration {}; only finite numbers are written",
+            row.iteration()
+        ))),
+        // The crate writes 3.0 and 1e16; counts beyond 2⁵³ must not pass through f64.
+        Ok(value) if cell.contains(['.', 'e']) => Ok(value.to_string()),
+        _ => Ok(cell.to_owned()),
+    });
+    Ok(plain.collect::<Result<Vec<_>>>()?.join(",") + "\n")
 }

@@ -46,7 +46,7 @@ pub struct Splats {
 }
 
 impl Splats {
-    /// Takes planes of equal length.
+    /// Gaussians from planes of equal length.
     ///
     /// # Errors
     /// A degree above 3, a wrong number of planes, unequal lengths, or a non-finite value.
@@ -100,7 +100,7 @@ impl Splats {
         self.planes[0].len()
     }
 
-    /// Whether there is no Gaussian.
+    /// True if there is no Gaussian.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0

@@ -1,6 +1,7 @@
-//! The first Gaussians: one per sparse point, or random ones.
+//! Initial Gaussians: one per sparse point, or random ones.
 
 use crate::base::error::{Error, Result};
+use crate::base::math::logit;
 use crate::base::rng::{Philox, Purpose};
 use crate::capture::{Dataset, Points};
 use crate::scene::gaussians::{Plane, Splats};
@@ -16,10 +17,10 @@ const OPACITY: f64 = 0.1;
 /// to anything that photos resolve.
 const MIN_SCALE: f64 = 1e-5;
 
-/// Scale of a Gaussian that has no neighbour to tell it, local units.
+/// Scale of a Gaussian without neighbours, local units.
 const LONE_SCALE: f64 = 0.01;
 
-/// Degenerate sides of the cameras' box are widened to this share of the longest one.
+/// Share of the longest side to which thinner sides of the cameras' box are widened.
 const THINNEST_SIDE: f64 = 0.1;
 
 /// One Gaussian per point (method §2): isotropic scale, the root of the mean squared distance to the 3 nearest neighbours
@@ -27,7 +28,7 @@ const THINNEST_SIDE: f64 = 0.1;
 /// rotation; the point's colour in SH band 0, the other bands 0.
 ///
 /// # Errors
-/// [`Error::Numerics`] for no points, as many colours as points are not, or positions that are not finite;
+/// [`Error::Numerics`] for no points, another number of colours, or positions that are not finite;
 /// [`Error::Config`] for an SH degree above 3.
 pub fn from_points(points: &Points, sh_degree: u32) -> Result<Splats> {
     if points.positions.len() != points.colors.len() {
@@ -45,7 +46,7 @@ pub fn from_points(points: &Points, sh_degree: u32) -> Result<Splats> {
     build(&points.positions, &colors, sh_degree)
 }
 
-/// At most `most` of the points, in their order; which, depends on the seed alone.
+/// At most `most` of the points, chosen by the seed alone, in their order.
 #[must_use]
 pub fn subset(points: &Points, most: usize, seed: u64) -> Points {
     let n = points.positions.len();
@@ -137,8 +138,7 @@ fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<
         return Err(numerics(format!("point {i} lies at {:?}", positions[i])));
     }
     let mut splats = Splats::zeros(sh_degree, positions.len());
-    let opacity = (OPACITY / (1.0 - OPACITY)).ln() as f32;
-    splats.plane_mut(Plane::OPACITY).fill(opacity);
+    splats.plane_mut(Plane::OPACITY).fill(logit(OPACITY) as f32);
     let distances = mean_squared_distances::<3>(positions);
     for (i, ((&p, c), d)) in positions.iter().zip(colors).zip(distances).enumerate() {
         let scale = if d.is_nan() {

@@ -9,7 +9,7 @@ const LEAF: usize = 8;
 const PARALLEL: usize = 1 << 14;
 
 /// Mean of the squared distances from each point to its `K` nearest others, in the points' units squared (fewer than `K`
-/// where there are fewer others; NaN for a single point). Duplicates count as neighbours at distance 0. Positions must be
+/// if there are fewer others; NaN for a single point). Duplicates count as neighbours at distance 0. Positions must be
 /// finite and fewer than 2³².
 #[must_use]
 pub fn mean_squared_distances<const K: usize>(positions: &[[f32; 3]]) -> Vec<f64> {

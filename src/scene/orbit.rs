@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use crate::base::math::order_statistic;
 use crate::capture::Camera;
 
 /// `n` cameras on a circle around the median of the positions (`axes` = x, y, z of every Gaussian), in the plane in which
@@ -13,10 +14,7 @@ pub fn orbit(axes: [&[f32]; 3], n: u32, size: [u32; 2]) -> Vec<Camera> {
         v.sort_by(f32::total_cmp);
         v
     });
-    let quantile = |k: usize, q: f64| {
-        let at = ((sorted[k].len().max(1) - 1) as f64 * q) as usize;
-        f64::from(sorted[k].get(at).copied().unwrap_or(0.0))
-    };
+    let quantile = |k: usize, q: f64| f64::from(order_statistic(&sorted[k], q).unwrap_or(0.0));
     let center = DVec3::from_array(std::array::from_fn(|k| quantile(k, 0.5)));
     let spread = DVec3::from_array(std::array::from_fn(|k| quantile(k, 0.9) - quantile(k, 0.1)));
     let up_axis = (0..3)

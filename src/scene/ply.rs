@@ -3,26 +3,24 @@
 //! Everything is stored raw: log-scales, opacity logits, quaternions w, x, y, z, SH coefficients. `f_rest_*` goes channel
 //! by channel: all coefficients but the first of red, then of green, then of blue.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::Write;
 use std::path::Path;
 
 use glam::DVec3;
 
 use crate::base::error::{Error, Result};
-use crate::base::ply::Table;
+use crate::base::ply::{Table, read_comments};
 use crate::capture::{Frame, Points, point_cloud};
 use crate::scene::gaussians::{Plane, Splats, sh_coefficients};
 
-/// What a comment on the filters of a scene begins with.
+/// Beginning of the comment on the filters of a scene.
 const MARK: &str = "mhsplat anti-aliasing:";
 /// The comment in the header of a scene that was trained with anti-aliasing; the 2D filter's variance in pixels²
 /// ([`crate::base::constants::blur`]).
 pub const ANTI_ALIASED: &str =
     "mhsplat anti-aliasing: mip-splatting, 2D filter of 0.1, 3D filter applied";
-/// Bytes of a header that are looked at for it.
-const MOST_HEADER: u64 = 1 << 16;
 
-/// Writes the Gaussians in the dataset's frame (`frame` tells where the local one lies), binary little endian, atomically.
+/// Writes the Gaussians in the dataset's frame, into which `frame` takes the local one, binary little endian, atomically.
 ///
 /// Positions are moved in f64 and then rounded to f32, the format's precision: at UTM offsets (10⁶ m) that leaves 0.5 m.
 ///
@@ -32,12 +30,12 @@ pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
     write_rows(path, splats, frame, "")
 }
 
-/// As [`write()`], for a scene trained with anti-aliasing: each Gaussian's 3D filter (standard deviations `filter` \[N\], local
-/// units) goes into its scales and opacity, so that any viewer has it, and a comment in the header says that the opacities
-/// are meant for the 2D filter, with its variance. An empty `filter`: as [`write()`].
+/// Writes a scene trained with anti-aliasing: each Gaussian's 3D filter (standard deviations `filter` \[N\], local units) is
+/// merged into its scales and opacity, so that any viewer applies it, and a comment in the header says that the opacities are
+/// meant for the 2D filter, with its variance. An empty `filter`: as [`write()`].
 ///
 /// # Errors
-/// As [`write()`]; [`Error::Numerics`] for a filter of another length.
+/// Those of [`write()`]; [`Error::Numerics`] for a filter of another length.
 pub fn write_filtered(path: &Path, splats: &Splats, filter: &[f32], frame: &Frame) -> Result<()> {
     if filter.is_empty() {
         return write(path, splats, frame);
@@ -46,39 +44,17 @@ pub fn write_filtered(path: &Path, splats: &Splats, filter: &[f32], frame: &Fram
     write_rows(path, &splats.filtered(filter)?, frame, &comment)
 }
 
-/// Whether the header of a PLY file says that its scene was trained with anti-aliasing, so that it is to be rendered with
-/// the 2D filter. False for what cannot be read.
+/// True if the header of a PLY file marks its scene as anti-aliased, so that it is to be rendered with the 2D filter. False for
+/// a file that cannot be read. [`read`] returns the same with the Gaussians.
 #[must_use]
 pub fn is_anti_aliased(path: &Path) -> bool {
-    mark(path).is_some_and(|mark| mark == ANTI_ALIASED.as_bytes())
+    read_comments(path).is_ok_and(|all| mark(&all) == Some(ANTI_ALIASED))
 }
 
-/// Refuses a scene whose header speaks of other filters than these: it would be shown with the wrong ones.
-fn refuse_other_filters(path: &Path) -> Result<()> {
-    match mark(path) {
-        Some(mark) if mark != ANTI_ALIASED.as_bytes() => Err(Error::input(
-            path,
-            format!(
-                "trained with other filters than this version's (`{ANTI_ALIASED}`): `{}`",
-                String::from_utf8_lossy(&mark)
-            ),
-            "train it again, or show it with the version that trained it",
-        )),
-        _ => Ok(()),
-    }
-}
-
-/// The comment on filters in the header of a PLY file; none in what cannot be read.
-fn mark(path: &Path) -> Option<Vec<u8>> {
-    let file = std::fs::File::open(path).ok()?;
-    let header = BufReader::new(file.take(MOST_HEADER)).split(b'\n');
-    let mut lines = header.map_while(|line| line.ok());
-    let is_ply = lines.next()?.trim_ascii() == b"ply";
-    let mut comments = lines
-        .map(|line| line.trim_ascii().to_vec())
-        .take_while(|line| is_ply && line != b"end_header")
-        .filter_map(|line| Some(line.strip_prefix(b"comment ")?.trim_ascii().to_vec()));
-    comments.find(|comment| comment.starts_with(MARK.as_bytes()))
+/// The comment on filters among those of a header.
+fn mark(comments: &[String]) -> Option<&str> {
+    let mut texts = comments.iter().map(String::as_str);
+    texts.find(|comment| comment.starts_with(MARK))
 }
 
 fn write_rows(path: &Path, splats: &Splats, frame: &Frame, comment: &str) -> Result<()> {
@@ -146,19 +122,29 @@ fn to_rows(splats: &Splats, frame: &Frame) -> Result<Vec<f32>> {
     Ok(rows)
 }
 
-/// What a PLY file holds, in the local frame.
+/// A scene as its file holds it, in the local frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneFile {
+    /// The Gaussians.
+    pub splats: Splats,
+    /// True if they were trained with anti-aliasing and are to be rendered with the 2D filter; their scales and opacities
+    /// then include the 3D filter.
+    pub anti_aliased: bool,
+}
+
+/// Contents of a PLY file, in the local frame.
 #[derive(Debug, Clone)]
 pub enum Contents {
     /// Gaussians.
-    Scene(Splats),
+    Scene(SceneFile),
     /// A plain point cloud: no 3DGS properties.
     Points(Points),
 }
 
-/// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` where there are any; grey otherwise).
+/// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise).
 ///
 /// # Errors
-/// As [`read`] and [`point_cloud::read`].
+/// Those of [`read`] and [`point_cloud::read`].
 pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
     let table = Table::read(path)?;
     if is_plain(&table) {
@@ -172,9 +158,9 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
 /// from the number of `f_rest_*`.
 ///
 /// # Errors
-/// [`Error::Input`] for what is no such file, is truncated, lacks a property, or holds a value that is not finite (named
-/// by row and property), or was trained with other filters; [`Error::Io`].
-pub fn read(path: &Path, frame: &Frame) -> Result<Splats> {
+/// [`Error::Input`] for a file of another format, a truncated one, a missing property, a value that is not finite (named by
+/// row and property), or a scene trained with other filters; [`Error::Io`].
+pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
     let table = Table::read(path)?;
     if is_plain(&table) {
         return Err(Error::input(
@@ -190,8 +176,15 @@ fn is_plain(table: &Table) -> bool {
     !table.has("opacity") && !table.has("f_dc_0")
 }
 
-fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<Splats> {
-    refuse_other_filters(path)?;
+fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
+    let mark = mark(table.comments());
+    if let Some(other) = mark.filter(|mark| *mark != ANTI_ALIASED) {
+        return Err(Error::input(
+            path,
+            format!("trained with other filters than this version's (`{ANTI_ALIASED}`): `{other}`"),
+            "train it again, or show it with the version that trained it",
+        ));
+    }
     let rest = table.names().filter(|n| n.starts_with("f_rest_")).count();
     let Some(sh_degree) = (0..=3).find(|&d| 3 * (sh_coefficients(d) - 1) == rest) else {
         return Err(Error::input(
@@ -227,5 +220,8 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<Splats> {
     for (i, plane) in rest_planes(sh_degree).enumerate() {
         fill(plane, format!("f_rest_{i}"), &|v| v)?;
     }
-    Splats::new(sh_degree, planes)
+    Ok(SceneFile {
+        splats: Splats::new(sh_degree, planes)?,
+        anti_aliased: mark.is_some(),
+    })
 }

@@ -1,15 +1,16 @@
-//! Mip-Splatting's 3D filter (Yu et al., CVPR 2024): its size (Eq. 6 to 8), put into scales and opacities (Eq. 9), and taken out of
-//! them again.
+//! Mip-Splatting's 3D smoothing filter (Yu et al., CVPR 2024): its size (Eq. 6 to 8), its application to scales and opacities
+//! (Eq. 9), and its removal.
 
 use glam::DVec3;
 
 use crate::base::constants::{FILTER_VARIANCE, LOG_SCALE};
 use crate::base::error::{Error, Result};
+use crate::base::math::ln_sigmoid;
 use crate::capture::{Camera, Dataset};
 use crate::scene::gaussians::{Plane, Splats};
 
-/// The first Gaussians as the trainer is to take them: `splats` of a PLY file with the 3D filter in it are given back what they
-/// were before, by the training views of this dataset. Training filters them itself.
+/// The Gaussians of a PLY file without the 3D filter that it includes, computed from the training views of this dataset; training
+/// filters them itself.
 ///
 /// # Errors
 /// A value that is then not finite.
@@ -23,15 +24,10 @@ pub fn without_filter(splats: &Splats, dataset: &Dataset) -> Result<Splats> {
     splats.unfiltered(&sigma.iter().map(|s| *s as f32).collect::<Vec<_>>())
 }
 
-/// Least share of a squared scale that is taken for the Gaussian's own where the rest is the filter's: below, f32 knows nothing.
-const LEAST_OWN: f64 = 1e-4;
-/// Largest opacity that comes of taking a filter out.
-const MOST_OPACITY: f64 = 0.999;
-
-/// ln o of a logit, −softplus(−l).
-fn ln_opacity(logit: f64) -> f64 {
-    -((-logit).max(0.0) + (-logit.abs()).exp().ln_1p())
-}
+/// Smallest share of a squared scale that remains when the filter is removed: f32 does not resolve less.
+const MIN_OWN: f64 = 1e-4;
+/// Largest opacity after the removal of a filter.
+const MAX_OPACITY: f64 = 0.999;
 
 /// The logit of an opacity's logarithm, 1 − o without cancellation.
 fn logit_of(ln_o: f64) -> f64 {
@@ -70,15 +66,15 @@ impl Splats {
         })
     }
 
-    /// The Gaussians of which [`Splats::filtered`] makes these, as far as can be told: a squared scale keeps at least 1e-4 of what
-    /// it is, and no opacity is raised above 0.999. Training on from a filtered scene, which filters it again, starts here.
+    /// The approximate inverse of [`Splats::filtered`]: a squared scale keeps at least 1e-4 of its value, and no opacity is raised
+    /// above 0.999. Training on from a filtered scene, which filters it again, starts here.
     ///
     /// # Errors
-    /// As [`Splats::filtered`].
+    /// Those of [`Splats::filtered`].
     pub fn unfiltered(&self, sigma: &[f32]) -> Result<Self> {
         self.changed(sigma, |wide, sigma| {
             let own = 1.0 - (sigma * (-wide).exp()).powi(2);
-            wide + 0.5 * own.max(LEAST_OWN).ln()
+            wide + 0.5 * own.max(MIN_OWN).ln()
         })
     }
 
@@ -99,8 +95,8 @@ impl Splats {
                 plane[i] = new as f32;
                 ln_left += old.clamp(LOG_SCALE[0], LOG_SCALE[1]) - new;
             }
-            let ln_o = ln_opacity(f64::from(planes[Plane::OPACITY][i]));
-            let most = ln_o.max(MOST_OPACITY.ln());
+            let ln_o = ln_sigmoid(f64::from(planes[Plane::OPACITY][i]));
+            let most = ln_o.max(MAX_OPACITY.ln());
             planes[Plane::OPACITY][i] = logit_of((ln_o + ln_left).min(most)) as f32;
         }
         Self::new(self.sh_degree(), planes)

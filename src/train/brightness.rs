@@ -5,6 +5,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::base::math::median;
+
 /// Largest number of views compared.
 const MAX_VIEWS: usize = 64;
 /// Iterations of the run per compared view, so that the comparison takes about a hundredth of the time.
@@ -60,12 +62,6 @@ pub fn compared(views: usize, iterations: u32) -> Vec<usize> {
     (0..count).map(|k| k * views / count).collect()
 }
 
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    0.5 * (values[(n - 1) / 2] + values[n / 2])
-}
-
 /// Median over the pixels of photo / render by channel; both planar, render \[3, pixels\], transmittance \[pixels\]. `None` if
 /// too few pixels can be compared.
 #[must_use]
@@ -74,7 +70,7 @@ pub fn gain(render: &[f32], transmittance: &[f32], photo: &[Vec<f32>; 3]) -> Opt
     let mut gains = [1.0; 3];
     for (c, gain) in gains.iter_mut().enumerate() {
         let usable = |v: f32| v > USABLE[0] && v < USABLE[1];
-        let mut ratios: Vec<f64> = (0..pixels)
+        let ratios: Vec<f64> = (0..pixels)
             .filter(|i| transmittance[*i] < MAX_TRANSMITTANCE)
             .map(|i| (render[c * pixels + i], photo[c][i]))
             .filter(|(x, y)| usable(*x) && usable(*y))
@@ -83,7 +79,7 @@ pub fn gain(render: &[f32], transmittance: &[f32], photo: &[Vec<f32>; 3]) -> Opt
         if ratios.len() < MIN_PIXELS {
             return None;
         }
-        *gain = median(&mut ratios);
+        *gain = median(ratios.into_iter())?;
     }
     Some(gains)
 }
@@ -96,10 +92,9 @@ pub fn spread(gains: &[[f64; 3]]) -> Option<f64> {
         return None;
     }
     let of = |c: usize| {
-        let mut logs: Vec<f64> = gains.iter().map(|g| g[c].ln()).collect();
-        let middle = median(&mut logs);
-        let mut apart: Vec<f64> = logs.iter().map(|l| (l - middle).abs()).collect();
-        1.4826 * median(&mut apart)
+        let logs = || gains.iter().map(|g| g[c].ln());
+        let middle = median(logs())?;
+        Some(1.4826 * median(logs().map(|l| (l - middle).abs()))?)
     };
-    Some((of(0) + of(1) + of(2)) / 3.0)
+    Some((of(0)? + of(1)? + of(2)?) / 3.0)
 }

@@ -7,7 +7,7 @@
 use std::time::Instant;
 
 use crate::base::error::Result;
-use crate::density::relocation::sigmoid;
+use crate::base::math::sigmoid;
 use crate::density::{DensityControl, Trial};
 use crate::device::{Array, Defines, Device, StageTime};
 use crate::pipeline::backward::{Backward, GRADIENT_ROWS};

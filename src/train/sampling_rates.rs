@@ -8,6 +8,7 @@
 
 use glam::{DMat3, DVec3};
 
+use crate::base::math::{sorted, upper_median};
 use crate::capture::{Camera, Dataset, View};
 
 /// Spread of the sampling rates from view to view from which `auto` switches the filters on. Of ordinary captures of objects,
@@ -63,8 +64,8 @@ impl Spreads {
         let each: Vec<f64> = cameras.iter().filter_map(of).collect();
         let most = 2 * each.len() >= cameras.len();
         Self {
-            across: median(sampled.iter().filter_map(at).collect()).or_else(center),
-            within: median(each).filter(|_| most),
+            across: upper_median(sampled.iter().filter_map(at)).or_else(center),
+            within: upper_median(each.into_iter()).filter(|_| most),
         }
     }
 }
@@ -75,18 +76,12 @@ fn cameras(dataset: &Dataset) -> Vec<Camera> {
 
 /// The 90th percentile of the rates that there are over the 10th, if they are so many.
 fn ratio(rates: impl Iterator<Item = Option<f64>>, least: usize) -> Option<f64> {
-    let mut rates: Vec<f64> = rates.flatten().collect();
+    let rates = sorted(rates.flatten());
     if rates.len() < least {
         return None;
     }
-    rates.sort_by(f64::total_cmp);
     let tail = (TAIL * (rates.len() - 1) as f64).round() as usize;
     Some(rates[rates.len() - 1 - tail] / rates[tail])
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// The point with the least sum of squared distances to the optical axes; none where these are parallel.

@@ -82,10 +82,7 @@ fn a_mask_with_partly_masked_pixels_keeps_colours() {
     let data = small(&painted(dir.path(), [9, 9, 9], true));
     let photo = data.train[0].photo.load().unwrap();
     let n = (photo.width * photo.height) as usize;
-    assert_eq!(
-        (photo.channels, photo.mask, photo.data.len()),
-        (4, true, 4 * n)
-    );
+    assert_eq!((photo.alpha, photo.data.len()), (Alpha::Mask, 4 * n));
     let mask = &photo.data[3 * n..];
     let half = photo.width as usize / 2;
     for (i, m) in mask.iter().enumerate() {
@@ -121,7 +118,7 @@ fn masks_are_found_by_the_names_that_tools_give_them() {
             // Those without a mask count as a whole.
             let photo = view.photo.load().unwrap();
             let black = photo.data[3 * 192..].iter().filter(|m| **m == 0).count();
-            assert_eq!(photo.alpha(), Alpha::Mask);
+            assert_eq!(photo.alpha, Alpha::Mask);
             assert_eq!(
                 black,
                 if view.name == "v 00.png" { 96 } else { 0 },

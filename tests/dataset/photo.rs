@@ -5,21 +5,21 @@ use std::fs;
 use glam::DVec3;
 
 use super::{assert_refused, colmap_scene, load_every, ring};
-use mhsplat::capture::{LoadOptions, Photo, load, shrink};
+use mhsplat::capture::{Alpha, LoadOptions, Photo, load, shrink};
 
 #[test]
 fn area_filter_is_exact() {
     // 3 → 2: each target covers one and a half sources, hence weights 2/3 and 1/3.
     let row = [30_u8, 60, 240];
     let bytes: Vec<u8> = row.iter().flat_map(|&v| [v, v, 0]).collect();
-    let photo = shrink(3, 1, 3, &bytes, 2, 1).unwrap();
+    let photo = shrink(3, 1, Alpha::None, &bytes, 2, 1).unwrap();
     assert_eq!(photo.data, [40, 180, 40, 180, 0, 0]);
     // 4×2 → 2×1: plain means of 2×2 blocks.
     let bytes: Vec<u8> = [0, 10, 20, 100, 40, 50, 60, 120]
         .iter()
         .flat_map(|&v| [v, 255, v])
         .collect();
-    let photo = shrink(4, 2, 3, &bytes, 2, 1).unwrap();
+    let photo = shrink(4, 2, Alpha::None, &bytes, 2, 1).unwrap();
     assert_eq!(photo.data, [25, 75, 255, 255, 25, 75]);
 }
 
@@ -29,19 +29,19 @@ fn area_filter_keeps_the_mean_at_any_ratio() {
     let bytes: Vec<u8> = (0..w * h * 3).map(|i| (i * 7919 % 251) as u8).collect();
     let mean = |data: &[u8]| data.iter().map(|&v| f64::from(v)).sum::<f64>() / data.len() as f64;
     for (tw, th) in [(36, 22), (20, 13), (7, 23), (1, 1)] {
-        let photo = shrink(w, h, 3, &bytes, tw, th).unwrap();
+        let photo = shrink(w, h, Alpha::None, &bytes, tw, th).unwrap();
         let off = (mean(&photo.data) - mean(&bytes)).abs();
         // Rounding to bytes alone: half a level at worst, far less on average over many pixels.
         assert!(off < 0.5, "{tw}×{th}: mean off by {off}");
     }
-    let flat = shrink(w, h, 3, &vec![255; bytes.len()], 11, 5).unwrap();
+    let flat = shrink(w, h, Alpha::None, &vec![255; bytes.len()], 11, 5).unwrap();
     assert!(flat.data.iter().all(|&v| v == 255));
 }
 
 #[test]
 fn transparent_pixels_do_not_bleed() {
     let bytes = [255, 0, 0, 255, 0, 255, 0, 0];
-    let photo = shrink(2, 1, 4, &bytes, 1, 1).unwrap();
+    let photo = shrink(2, 1, Alpha::Transparency, &bytes, 1, 1).unwrap();
     assert_eq!(photo.data, [128, 0, 0, 128]);
     assert_eq!(photo.rgb_over([0.0, 0.0, 1.0]), [128, 0, 127]);
 }
@@ -49,19 +49,24 @@ fn transparent_pixels_do_not_bleed() {
 #[test]
 fn area_filter_refuses_nonsense() {
     let bytes = [0; 12];
-    assert!(shrink(2, 2, 3, &bytes, 3, 2).is_err());
-    assert!(shrink(2, 2, 3, &bytes, 0, 2).is_err());
-    assert!(shrink(2, 2, 3, &bytes[..11], 1, 1).is_err());
-    assert!(Photo::from_interleaved(2, 2, 3, &bytes[..11]).is_err());
-    assert!(Photo::from_interleaved(2, 3, 2, &bytes).is_err());
-    assert!(Photo::from_interleaved(0, 2, 3, &[]).is_err());
+    assert!(shrink(2, 2, Alpha::None, &bytes, 3, 2).is_err());
+    assert!(shrink(2, 2, Alpha::None, &bytes, 0, 2).is_err());
+    assert!(shrink(2, 2, Alpha::None, &bytes[..11], 1, 1).is_err());
+    assert!(Photo::from_interleaved(2, 2, Alpha::None, &bytes[..11]).is_err());
+    assert!(Photo::from_interleaved(0, 2, Alpha::None, &[]).is_err());
 }
 
 #[test]
 fn composites_over_a_background() {
-    let photo = Photo::from_interleaved(1, 2, 4, &[200, 100, 0, 0, 10, 20, 30, 255]).unwrap();
+    let photo = Photo::from_interleaved(
+        1,
+        2,
+        Alpha::Transparency,
+        &[200, 100, 0, 0, 10, 20, 30, 255],
+    )
+    .unwrap();
     assert_eq!(photo.rgb_over([1.0, 0.5, 0.0]), [255, 128, 0, 10, 20, 30]);
-    let photo = Photo::from_interleaved(1, 1, 3, &[1, 2, 3]).unwrap();
+    let photo = Photo::from_interleaved(1, 1, Alpha::None, &[1, 2, 3]).unwrap();
     assert_eq!(photo.rgb_over([1.0; 3]), [1, 2, 3]);
     assert_eq!(photo.data, [1, 2, 3]);
 }
@@ -109,7 +114,7 @@ fn one_photo_with_alpha_gives_all_an_alpha_plane() {
     opaque.save(&file).unwrap();
     let d = load_every(dir.path(), 0).unwrap();
     assert!(!d.background_matters());
-    assert!(d.train.iter().all(|v| v.photo.channels() == 3));
+    assert!(d.train.iter().all(|v| v.photo.alpha() == Alpha::None));
     let mut photo = opaque;
     photo.put_pixel(3, 3, image::Rgba([9, 8, 7, 0]));
     photo.save(&file).unwrap();
@@ -117,7 +122,10 @@ fn one_photo_with_alpha_gives_all_an_alpha_plane() {
     assert!(d.background_matters());
     for view in &d.train {
         let photo = view.photo.load().unwrap();
-        assert_eq!((photo.channels, photo.data.len()), (4, 4 * 16 * 12));
+        assert_eq!(
+            (photo.alpha, photo.data.len()),
+            (Alpha::Transparency, 4 * 16 * 12)
+        );
     }
     let photo = d.train[0].photo.load().unwrap();
     assert!(photo.data[3 * 16 * 12..].iter().all(|&a| a == 255));

@@ -2,8 +2,8 @@
 
 use super::Scene;
 use super::step::{breaches, context};
+use mhsplat::base::math::sigmoid;
 use mhsplat::config::AdcConfig;
-use mhsplat::density::relocation::sigmoid;
 use mhsplat::density::{Adaptive, DensityControl, Evidence, Outcome, ScreenGradient, StepContext};
 
 /// (largest scale, opacity, sum of norms, iterations); τ = 2e-4, clones up to 0.01, prunes below 0.005 and, after the first

@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use super::parts::alternating_sum;
 use super::step::{breaches, context, dying};
 use super::{Scene, on_threads};
+use mhsplat::base::math::sigmoid;
 use mhsplat::config::McmcConfig;
-use mhsplat::density::relocation::sigmoid;
 use mhsplat::density::{DensityControl, Edit, Evidence, Mcmc, Outcome, StepContext};
 
 fn step_of(config: &McmcConfig, scene: &Scene, context: &StepContext) -> Outcome {

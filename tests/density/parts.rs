@@ -1,12 +1,13 @@
 //! The parts of density control, each against something simpler.
 
 use super::{Scene, on_threads};
+use mhsplat::base::math::sigmoid;
 use mhsplat::base::rng::{Philox, Purpose};
 use mhsplat::density::Cues;
 use mhsplat::density::draw::{Categorical, birth_position, rotate};
 use mhsplat::density::mh::importance::importance;
 use mhsplat::density::mh::sparsity::VoxelCounts;
-use mhsplat::density::relocation::{ln_coefficient, most_copies, sigmoid, split};
+use mhsplat::density::relocation::{ln_coefficient, most_copies, split};
 
 /// Known answers of Random123's `kat_vectors` for philox4x32-10.
 #[test]

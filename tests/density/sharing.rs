@@ -3,9 +3,9 @@
 use std::collections::HashMap;
 
 use super::step::{breaches, context, dying, step_with};
+use mhsplat::base::math::sigmoid;
 use mhsplat::config::Birth;
 use mhsplat::density::Edit;
-use mhsplat::density::relocation::sigmoid;
 
 #[test]
 fn relocation_keeps_the_rendered_opacity_and_shares_it() {

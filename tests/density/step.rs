@@ -3,9 +3,9 @@
 use std::collections::{HashMap, HashSet};
 
 use super::{Scene, on_threads};
+use mhsplat::base::math::sigmoid;
 use mhsplat::config::{Birth, MhConfig, Sampler, TrainConfig};
 use mhsplat::density::mh::MetropolisHastings;
-use mhsplat::density::relocation::sigmoid;
 use mhsplat::density::{
     Cues, DensityControl, DensityStats, Edit, Evidence, Fixed, Outcome, StepContext, Wanted, make,
 };

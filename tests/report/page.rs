@@ -4,10 +4,10 @@ use std::path::Path;
 
 use super::samples::*;
 use mhsplat::base::error::Error;
+use mhsplat::chart::axis::{Axis, Scale, ticks};
 use mhsplat::chart::bars::{Bar, bar_chart};
-use mhsplat::chart::svg::{Axis, Scale, Series, line_chart};
+use mhsplat::chart::svg::{Banded, band_chart};
 use mhsplat::chart::text::{escape, grouped, span};
-use mhsplat::chart::ticks::ticks;
 use mhsplat::config::{Init, Sampler, TrainConfig};
 use mhsplat::run::PlanRecord;
 use mhsplat::run::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
@@ -67,7 +67,7 @@ const X: Axis<'static> = Axis {
 };
 
 fn chart(points: Vec<(f64, f64)>) -> String {
-    let text = line_chart("t", &X, &X, &[Series { name: "", points }]);
+    let text = band_chart("t", &X, &X, &[Banded::line("", points)]);
     check_tags(&text).unwrap();
     assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
     text

@@ -60,7 +60,7 @@ fn rendered(live_only: bool) -> (Vec<u32>, Vec<f32>) {
     let device = device();
     let case = cases::mild("mask", 90, [170, 40], 0, 26).with_mask();
     let defines = Defines {
-        alpha: case.photo.alpha(),
+        alpha: case.photo.alpha,
         ..Defines::new(Tuning::for_device(device.info()))
     };
     let mut renderer = Renderer::<f32>::new(&device, defines, 0, false).unwrap();

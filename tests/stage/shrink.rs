@@ -1,42 +1,47 @@
 //! shrink: photos at a fraction of their size.
 
 use super::*;
-use mhsplat::capture::Photo;
+use mhsplat::capture::{Alpha, Photo};
 use mhsplat::device::Array;
 use mhsplat::pipeline::stage::shrink::Shrink;
 
 /// A photo whose bytes take every value in no pattern.
-fn photo(width: u32, height: u32, channels: u32) -> Photo {
+fn photo(width: u32, height: u32, alpha: Alpha) -> Photo {
     let byte = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
     Photo {
         width,
         height,
-        channels,
-        mask: false,
-        data: (0..width * height * channels).map(byte).collect(),
+        alpha,
+        data: (0..width * height * alpha.planes() as u32)
+            .map(byte)
+            .collect(),
     }
 }
 
 fn shrunk(photo: &Photo, factor: u32) -> Vec<u8> {
     let device = device();
     let defines = Defines {
-        alpha: photo.alpha(),
+        alpha: photo.alpha,
         ..Defines::new(device.tuning())
     };
     let stage = Shrink::new::<f32>(&Kernels::new(&device, defines)).unwrap();
     let size = [photo.width, photo.height].map(|s| s as usize);
     let from = Array::from_slice(&device, "photo", &photo.data).unwrap();
     let pixels = (photo.width / factor * (photo.height / factor)) as usize;
-    let to = Array::zeros(&device, "small", photo.channels as usize * pixels).unwrap();
+    let to = Array::zeros(&device, "small", photo.alpha.planes() * pixels).unwrap();
     stage.run(&from, size, factor as usize, &to).unwrap();
     to.to_vec().unwrap()
 }
 
 #[test]
 fn agrees_with_the_reference_to_the_byte() {
-    for (size, channels) in [([64, 48], 3), ([75, 50], 4), ([33, 17], 3)] {
+    for (size, alpha) in [
+        ([64, 48], Alpha::None),
+        ([75, 50], Alpha::Transparency),
+        ([33, 17], Alpha::None),
+    ] {
         for factor in [2, 4, 8] {
-            let photo = photo(size[0], size[1], channels);
+            let photo = photo(size[0], size[1], alpha);
             let want = mhsplat::pipeline::stage::shrink::shrink(&photo, factor);
             assert_eq!(shrunk(&photo, factor), want.data, "{size:?} / {factor}");
         }
@@ -48,8 +53,7 @@ fn what_does_not_fill_a_pixel_is_left_out() {
     let photo = Photo {
         width: 3,
         height: 2,
-        channels: 3,
-        mask: false,
+        alpha: Alpha::None,
         data: [[10, 20, 255], [30, 41, 255]].concat().repeat(3),
     };
     assert_eq!(shrunk(&photo, 2), [25, 25, 25]); // (10 + 20 + 30 + 41) / 4 = 25.25

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::base::error::{Error, Result};
+use crate::capture::colmap::model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 use crate::capture::colmap::models::{Model, PINHOLE};
-use crate::capture::colmap::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 
 /// Reads `cameras.bin`, `images.bin` and, if there is one, `points3D.bin` in `dir`.
 ///
@@ -69,7 +69,7 @@ fn point(cursor: &mut Cursor) -> Result<ColmapPoint> {
 /// Writes `cameras.bin`, `images.bin` and `points3D.bin` into `dir`, which is created where needed.
 ///
 /// # Errors
-/// [`Error::Io`] where the system refuses.
+/// [`Error::Io`] if the system refuses.
 pub fn write_bin(dir: &Path, model: &ColmapModel) -> Result<()> {
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
     let mut cameras = (model.cameras.len() as u64).to_le_bytes().to_vec();
@@ -109,7 +109,7 @@ pub fn write_bin(dir: &Path, model: &ColmapModel) -> Result<()> {
     Ok(())
 }
 
-/// A bounds-checked reader that knows what it is reading.
+/// A bounds-checked reader with messages about the current record.
 struct Cursor {
     path: PathBuf,
     bytes: Vec<u8>,
@@ -146,7 +146,7 @@ impl Cursor {
         )
     }
 
-    /// Every record of the file: a count, then `read` as often as it says. `least` is the smallest size of a record in
+    /// All records of the file: a count, then `read` for each. `least` is the smallest size of a record in
     /// bytes; a count that cannot fit into the file is refused before anything is allocated.
     fn list<T>(
         &mut self,

@@ -1,9 +1,10 @@
-//! COLMAP's camera models: those that are read, the others refused by name.
+//! COLMAP's camera models: supported ones, and refusal of the others by name.
 
 use std::path::Path;
 
 use crate::base::error::{Error, Result};
-use crate::capture::colmap::{ColmapCamera, Lens};
+use crate::capture::colmap::model::{ColmapCamera, REBUILD};
+use crate::capture::lens::Lens;
 
 /// Names in the order of COLMAP's identifiers (`src/colmap/sensor/models.h`).
 const NAMES: [&str; 14] = [
@@ -50,8 +51,10 @@ pub(super) enum Model {
 }
 
 impl Model {
+    /// The model of a name in a text file.
+    ///
     /// # Errors
-    /// A model that is not read.
+    /// An unsupported model.
     pub(super) fn from_name(file: &Path, camera: u32, name: &str) -> Result<Self> {
         match name {
             "SIMPLE_PINHOLE" => Ok(Self::SimplePinhole),
@@ -68,8 +71,10 @@ impl Model {
         }
     }
 
+    /// The model of an identifier in a binary file.
+    ///
     /// # Errors
-    /// A model that is not read.
+    /// An unsupported model.
     pub(super) fn from_id(file: &Path, camera: u32, id: i32) -> Result<Self> {
         match usize::try_from(id).ok().and_then(|i| NAMES.get(i)) {
             Some(name) => Self::from_name(file, camera, name),
@@ -88,7 +93,7 @@ impl Model {
         }
     }
 
-    /// fx, fy, cx, cy and the lens; none for another number of parameters.
+    /// fx, fy, cx, cy and the lens; `None` for another number of parameters.
     fn split(self, params: &[f64]) -> Option<([f64; 4], Lens)> {
         let perspective = |radial: &[f64], tangential: [f64; 2]| {
             let mut k = [0.0; 6];
@@ -129,7 +134,7 @@ impl Model {
         Some((pinhole, lens.simplified()))
     }
 
-    /// A camera from as many parameters as [`Model::count`] says.
+    /// A camera from [`Model::count`] parameters.
     ///
     /// # Errors
     /// Another number of parameters, or an image of more than `u32::MAX` pixels on a side.
@@ -146,7 +151,7 @@ impl Model {
                 params.len(),
                 self.count()
             );
-            return Err(Error::input(file, what, crate::capture::colmap::REBUILD));
+            return Err(Error::input(file, what, REBUILD));
         };
         match (u32::try_from(width), u32::try_from(height)) {
             (Ok(width), Ok(height)) => Ok(ColmapCamera {
@@ -159,12 +164,13 @@ impl Model {
             _ => Err(Error::input(
                 file,
                 format!("camera {id} is {width}×{height} pixels"),
-                crate::capture::colmap::REBUILD,
+                REBUILD,
             )),
         }
     }
 }
 
+/// The error for an unsupported camera model.
 fn refused(file: &Path, camera: u32, model: &str) -> Error {
     Error::input(
         file,

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::str::{FromStr, SplitWhitespace};
 
 use crate::base::error::{Error, Result};
+use crate::capture::colmap::model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 use crate::capture::colmap::models::Model;
-use crate::capture::colmap::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, REBUILD};
 
 /// Reads `cameras.txt`, `images.txt` and, if there is one, `points3D.txt` in `dir`.
 ///
@@ -74,7 +74,7 @@ fn point(line: &mut Line<'_>) -> Result<ColmapPoint> {
 /// with as many digits as it takes to read the same bits back.
 ///
 /// # Errors
-/// [`Error::Io`] where the system refuses.
+/// [`Error::Io`] if the system refuses.
 pub fn write_txt(dir: &Path, model: &ColmapModel) -> Result<()> {
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
     let mut cameras = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");

@@ -14,8 +14,8 @@
 //!
 //! A temperature T turns ρ into ρ^{1/T}: the posterior's 1/T-th power for the exact form, a plain knob for the others.
 
+use crate::base::math::ln_sigmoid;
 use crate::config::Acceptance;
-use crate::density::relocation::ln_sigmoid;
 
 /// D(v′) = 1/(1 + λ_v·c), c Gaussians being in the proposal's voxel. In (0, 1], and 1 in an empty voxel.
 #[must_use]

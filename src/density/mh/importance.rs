@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
+use crate::base::math::sigmoid;
 use crate::density::Cues;
-use crate::density::relocation::sigmoid;
 
 /// Rows per partial sum; fixed, so that sums round alike for any number of threads.
 const CHUNK: usize = 8192;

@@ -15,6 +15,7 @@ pub mod sparsity;
 use rayon::prelude::*;
 
 use crate::base::error::Result;
+use crate::base::math;
 use crate::base::rng::{Philox, Purpose};
 use crate::config::{Birth, MhConfig, ViewSubset};
 use crate::density::draw::{Categorical, birth_position, gather};
@@ -24,7 +25,7 @@ use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::relocate::Relocation;
 use crate::density::{
     Cues, DensityControl, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext, Trial,
-    Wanted, check_lengths, numerics, relocation, unexpected,
+    Wanted, check_lengths, numerics, unexpected,
 };
 use crate::scene::OptionalColor;
 
@@ -120,7 +121,7 @@ impl MetropolisHastings {
         let [draw, offset, accept] = phase.streams;
         let seed = step.context.seed;
         let most = match self.config.birth {
-            Birth::Faint => relocation::logit(self.config.birth_opacity) as f32,
+            Birth::Faint => math::logit(self.config.birth_opacity) as f32,
             Birth::Copy | Birth::Split => f32::INFINITY,
         };
         step.sources

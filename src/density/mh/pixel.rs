@@ -5,12 +5,12 @@
 //! pixel's remaining transmittance, else at the rendered mean depth. Not in \[MH\]; acceptance is that of the other phases, with the pixel's error in
 //! place of the importance.
 
+use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Purpose};
 use crate::density::Edit;
 use crate::density::draw::Categorical;
 use crate::density::mh::{MhConfig, Proposal, StepContext, accept, shrinking};
 use crate::density::picture::Picture;
-use crate::density::relocation::{logit, sigmoid};
 use crate::scene::OptionalColor;
 use crate::scene::sh::C0;
 

@@ -33,6 +33,7 @@ use crate::capture::Frame;
 use crate::device::Device;
 use crate::lab::bench::case::Subject;
 use crate::lab::bench::record::Failure;
+use crate::scene::ply::SceneFile;
 use crate::scene::{Splats, orbit, ply};
 
 /// The stages of an iteration, as they are listed.
@@ -186,13 +187,15 @@ fn failure(what: &str, error: &Error) -> Failure {
 
 /// Name and Gaussians of a scene, and whether its header says that it was trained with anti-aliasing.
 fn read_scene(path: &Path) -> Result<(String, Splats, bool)> {
-    let splats = ply::read(path, &Frame::IDENTITY)?;
+    let SceneFile {
+        splats,
+        anti_aliased: anti_alias,
+    } = ply::read(path, &Frame::IDENTITY)?;
     if splats.is_empty() {
         let fix = "give a scene that `mhsplat train` wrote";
         return Err(Error::input(path, "holds no Gaussian", fix));
     }
     let name = path.file_name().unwrap_or(path.as_os_str());
-    let anti_alias = ply::is_anti_aliased(path);
     let with = if anti_alias {
         " with anti-aliasing"
     } else {

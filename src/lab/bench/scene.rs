@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::{DMat3, DVec3};
 
 use crate::base::rng::{Philox, Purpose};
-use crate::capture::{Camera, Dataset, Frame, Layout, Lens, Photo, Points, View};
+use crate::capture::{Alpha, Camera, Dataset, Frame, Layout, Lens, Photo, Points, View};
 use crate::config::{AntiAliasing, OptimizerConfig, Sampler, TrainConfig, WorkConfig};
 use crate::lab::verify::chain::Case;
 use crate::pipeline::stage::adam::LearningRates;
@@ -75,8 +75,7 @@ pub fn photo(camera: &Camera) -> Photo {
     Photo {
         width: camera.width,
         height: camera.height,
-        channels: 3,
-        mask: false,
+        alpha: Alpha::None,
         data: (0..pixels).map(|i| (i * 31 % 251) as u8).collect(),
     }
 }

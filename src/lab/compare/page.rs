@@ -2,7 +2,8 @@
 
 use std::fmt::Write;
 
-use crate::chart::svg::{Axis, Banded, Scale, band_chart};
+use crate::chart::axis::{Axis, Scale};
+use crate::chart::svg::{Banded, band_chart};
 use crate::chart::text::escape;
 use crate::lab::compare::Comparison;
 use crate::lab::compare::curve::{Curve, band};

@@ -4,13 +4,14 @@ use std::collections::BTreeSet;
 
 use serde::Serialize;
 
+use crate::base::math::{logit, sigmoid};
 use crate::base::rng::Philox;
 use crate::config::MhConfig;
 use crate::density::draw::{Categorical, birth_position};
 use crate::density::mh::accept::{ln_acceptance, voxel_prior};
 use crate::density::mh::lerp;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
-use crate::density::relocation::{logit, sigmoid, split};
+use crate::density::relocation::split;
 use crate::density::{Cues, SceneState};
 use crate::lab::surrogate::stream;
 use crate::scene::{Plane, Splats};

@@ -2,7 +2,8 @@
 
 use std::fmt::Write;
 
-use crate::chart::svg::{Axis, Banded, Scale, band_chart};
+use crate::chart::axis::{Axis, Scale};
+use crate::chart::svg::{Banded, band_chart};
 use crate::chart::text::{escape, fixed, grouped};
 use crate::lab::page::GENERATOR;
 use crate::lab::surrogate::Report;

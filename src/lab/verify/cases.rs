@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 
 use crate::base::constants::ALPHA_MIN;
 use crate::base::rng::{Philox, Purpose};
-use crate::capture::{Camera, Photo};
+use crate::capture::{Alpha, Camera, Photo};
 use crate::lab::verify::chain::Case;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::scene::{Edit, OptionalColor, Plane, Splats};
@@ -94,8 +94,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         photo: Photo {
             width: w,
             height: h,
-            channels: 3,
-            mask: false,
+            alpha: Alpha::None,
             data,
         },
         filter_views: Vec::new(),
@@ -175,7 +174,7 @@ impl Case {
             }
         }
         photo.data.extend(alpha);
-        photo.channels = 4;
+        photo.alpha = Alpha::Transparency;
         self
     }
 
@@ -192,7 +191,7 @@ impl Case {
             }
         }
         photo.data.extend(mask);
-        (photo.channels, photo.mask) = (4, true);
+        photo.alpha = Alpha::Mask;
         self
     }
 }

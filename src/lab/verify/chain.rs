@@ -150,7 +150,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
     let defines = Defines {
         alpha_min: case.alpha_min,
         sh_degree: case.sh_degree,
-        alpha: case.photo.alpha(),
+        alpha: case.photo.alpha,
         anti_alias: !case.filter_views.is_empty(),
         ..Defines::new(tuning)
     };

@@ -16,7 +16,7 @@ pub fn photo(case: &Case) -> Vec<f64> {
     (0..3 * n)
         .map(|at| {
             let (c, i) = (at / n, at % n);
-            let gap = if p.alpha() == Alpha::Transparency {
+            let gap = if p.alpha == Alpha::Transparency {
                 1.0 - value(3, i)
             } else {
                 0.0
@@ -32,7 +32,7 @@ pub fn mask(case: &Case) -> Option<Vec<f64>> {
     let p = &case.photo;
     let n = (p.width * p.height) as usize;
     let value = |m: &u8| f64::from(*m) / 255.0;
-    (p.alpha() == Alpha::Mask).then(|| p.data[3 * n..].iter().map(value).collect())
+    (p.alpha == Alpha::Mask).then(|| p.data[3 * n..].iter().map(value).collect())
 }
 
 /// Camera, scene and options of a case.

@@ -2,12 +2,13 @@
 
 use crate::base::constants::LOG_SCALE;
 use crate::base::error::Result;
+use crate::base::math::sigmoid;
 use crate::base::rng::Philox;
 use crate::density::NoiseLaw;
 use crate::device::{Kernel, Kernels, Real};
 use crate::pipeline::buffers::{Frame, Scene};
 use crate::pipeline::launch::Arguments;
-use crate::pipeline::reference::{Scene64, product, rotation, sigmoid, transpose, unit_quaternion};
+use crate::pipeline::reference::{Scene64, product, rotation, transpose, unit_quaternion};
 use crate::scene::Plane;
 
 /// The kernel.

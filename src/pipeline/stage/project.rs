@@ -3,11 +3,12 @@
 
 use crate::base::constants::{COLOR_MAX, LOG_SCALE, blur};
 use crate::base::error::Result;
+use crate::base::math::sigmoid;
 use crate::device::{CameraArg, Kernel, Kernels, Real};
 use crate::pipeline::buffers::{Frame, Scene};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{
-    Camera64, Options, Scene64, product, rotation, sigmoid, transpose, unit_quaternion,
+    Camera64, Options, Scene64, product, rotation, transpose, unit_quaternion,
 };
 use crate::scene::{Plane, sh, sh_coefficients};
 

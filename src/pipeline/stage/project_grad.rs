@@ -2,12 +2,11 @@
 
 use crate::base::constants::{LOG_SCALE, blur};
 use crate::base::error::Result;
+use crate::base::math::sigmoid;
 use crate::device::{CameraArg, Kernel, Kernels, Real};
 use crate::pipeline::buffers::{Frame, GradientBlock, Scene};
 use crate::pipeline::launch::Arguments;
-use crate::pipeline::reference::{
-    Camera64, Options, Scene64, product, sigmoid, transpose, unit_quaternion,
-};
+use crate::pipeline::reference::{Camera64, Options, Scene64, product, transpose, unit_quaternion};
 use crate::pipeline::stage::project::{Area64, Shape64, color, cross, shape};
 use crate::pipeline::stage::screen_grad::mean_gradient;
 use crate::scene::{Plane, sh, sh_coefficients};

@@ -42,7 +42,7 @@ impl Shrink {
 pub fn shrink(photo: &Photo, factor: u32) -> Photo {
     let (width, height) = (photo.width / factor, photo.height / factor);
     let mut data = Vec::new();
-    for plane in 0..photo.channels {
+    for plane in 0..photo.alpha.planes() as u32 {
         for y in 0..height {
             for x in 0..width {
                 let cell = (0..factor * factor).map(|k| {
@@ -55,10 +55,9 @@ pub fn shrink(photo: &Photo, factor: u32) -> Photo {
         }
     }
     Photo {
-        mask: photo.mask,
         width,
         height,
-        channels: photo.channels,
+        alpha: photo.alpha,
         data,
     }
 }

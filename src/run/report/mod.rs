@@ -1,4 +1,4 @@
-//! TODO
+//! The report page of a run.
 
 pub mod gallery;
 pub mod page;

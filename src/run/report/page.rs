@@ -116,7 +116,7 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
     );
 }
 
-/// The last scores of the held-out views, those after a fit of the colours where there are any.
+/// The last scores of the held-out views, colour-corrected ones included if there are any.
 fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'static str, String)> {
     let decibels = |v: f64| format!("{} <small>dB</small>", fixed(v, 2));
     let last = scores.map(|f| (f.psnr, f.ssim));

@@ -2,8 +2,9 @@
 
 use std::fmt::Write;
 
+use crate::chart::axis::{Axis, Scale};
 use crate::chart::bars::{Bar, bar_chart};
-use crate::chart::svg::{Axis, Scale, Series, line_chart};
+use crate::chart::svg::{Banded, band_chart};
 use crate::chart::text::{escape, fixed, grouped, span};
 use crate::config::Sampler;
 use crate::density::DensityStats;
@@ -57,10 +58,11 @@ fn points<R>(rows: &[R], x: impl Fn(&R) -> f64, y: impl Fn(&R) -> Option<f64>) -
         .collect()
 }
 
-fn single(points: Vec<(f64, f64)>) -> [Series<'static>; 1] {
-    [Series { name: "", points }]
+fn single(points: Vec<(f64, f64)>) -> [Banded; 1] {
+    [Banded::line("", points)]
 }
 
+/// Charts of scores, number of Gaussians and loss.
 pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityRow]) {
     let time = |r: &MetricsRow| r.train_seconds;
     let iteration = |r: &MetricsRow| f64::from(r.iteration);
@@ -92,7 +94,7 @@ pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityR
         ),
     ];
     for (title, x, y, points) in charts {
-        out.push_str(&line_chart(title, &x, &y, &single(points)));
+        out.push_str(&band_chart(title, &x, &y, &single(points)));
     }
     out.push_str("</div>\n<h2>Gaussians and loss</h2><div class=charts>\n");
     // Density steps come more often than evaluations; evaluations also cover the time without density control.
@@ -103,14 +105,14 @@ pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityR
         |r| Some(r.gaussians as f64),
     ));
     counts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    out.push_str(&line_chart(
+    out.push_str(&band_chart(
         "Gaussians against time",
         &TIME,
         &number("Gaussians"),
         &single(counts),
     ));
     let loss = points(rows, time, |r| r.loss);
-    out.push_str(&line_chart(
+    out.push_str(&band_chart(
         "Training loss",
         &TIME,
         &number("loss"),
@@ -122,7 +124,7 @@ pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityR
 /// One number of a step.
 type Count = fn(&DensityStats) -> u64;
 
-/// What the sampler did at each of its steps.
+/// Charts of the counts of each density step.
 pub(super) fn density_control(out: &mut String, sampler: Sampler, density: &[DensityRow]) {
     if sampler == Sampler::None {
         out.push_str("<h2>Density control</h2><p class=note>A fixed set of Gaussians.</p>\n");
@@ -145,15 +147,13 @@ pub(super) fn density_control(out: &mut String, sampler: Sampler, density: &[Den
     if sampler == Sampler::Mh {
         acceptance(out, density);
     }
-    let changes: Vec<Series> = shown
-        .iter()
-        .map(|(name, count)| Series {
-            name,
-            points: points(density, step_of, |r| Some(count(&r.stats) as f64)),
-        })
-        .collect();
+    let changes = shown.iter().map(|(name, count)| {
+        let counts = points(density, step_of, |r| Some(count(&r.stats) as f64));
+        Banded::line(*name, counts)
+    });
+    let changes: Vec<Banded> = changes.collect();
     let unit = number("Gaussians");
-    out.push_str(&line_chart("Changes", &ITERATION, &unit, &changes));
+    out.push_str(&band_chart("Changes", &ITERATION, &unit, &changes));
     match sampler {
         Sampler::Mh => voxels(out, density),
         Sampler::Adc => resets(out, density),
@@ -169,21 +169,15 @@ fn step_of(row: &DensityRow) -> f64 {
 fn acceptance(out: &mut String, density: &[DensityRow]) {
     let rate = |pair: [u64; 2]| (pair[0] > 0).then(|| pair[1] as f64 / pair[0] as f64);
     let phases = [
-        Series {
-            name: "coarse",
-            points: points(density, step_of, |r| rate(r.stats.coarse)),
-        },
-        Series {
-            name: "fine",
-            points: points(density, step_of, |r| rate(r.stats.fine)),
-        },
+        Banded::line("coarse", points(density, step_of, |r| rate(r.stats.coarse))),
+        Banded::line("fine", points(density, step_of, |r| rate(r.stats.fine))),
     ];
-    out.push_str(&line_chart("Acceptance", &ITERATION, &SHARE, &phases));
+    out.push_str(&band_chart("Acceptance", &ITERATION, &SHARE, &phases));
 }
 
 fn voxels(out: &mut String, density: &[DensityRow]) {
     let voxels = points(density, step_of, |r| Some(r.stats.occupied_voxels as f64));
-    out.push_str(&line_chart(
+    out.push_str(&band_chart(
         "Occupied voxels",
         &ITERATION,
         &number("voxels"),
@@ -193,7 +187,7 @@ fn voxels(out: &mut String, density: &[DensityRow]) {
     let prior = points(density, step_of, |r| {
         (r.stats.proposed > 0).then_some(r.stats.mean_prior)
     });
-    out.push_str(&line_chart(
+    out.push_str(&band_chart(
         "Mean voxel prior D",
         &ITERATION,
         &number("D"),
@@ -208,7 +202,7 @@ fn resets(out: &mut String, density: &[DensityRow]) {
         sum += n as u64;
         (at, sum as f64)
     });
-    out.push_str(&line_chart(
+    out.push_str(&band_chart(
         "Opacity resets so far",
         &ITERATION,
         &number("resets"),
@@ -216,6 +210,7 @@ fn resets(out: &mut String, density: &[DensityRow]) {
     ));
 }
 
+/// Chart and table of the time by stage.
 pub(super) fn stages(out: &mut String, record: &RunRecord) {
     let total: f64 = record.stages.iter().map(|s| s.seconds).sum();
     let bars: Vec<Bar> = record

@@ -40,7 +40,7 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
     options(out, &record.config);
 }
 
-/// What density control did over the run, in the sampler's terms.
+/// Sums of density control over the run, in the sampler's terms.
 fn density_control(record: &RunRecord) -> String {
     let d = &record.density;
     let [born, proposed] = [d.accepted, d.proposed].map(grouped);
@@ -86,7 +86,7 @@ fn options(out: &mut String, config: &TrainConfig) {
 
 /// Every option with its dotted name, sorted by name.
 pub(crate) fn flatten(config: &TrainConfig) -> Vec<(String, String)> {
-    // By way of text, which spells an f32 as it was typed (0.2), where serde_json's own values widen it.
+    // By way of text, which spells an f32 as it was typed (0.2); serde_json's own values widen it.
     let value = serde_json::to_string(config)
         .and_then(|text| serde_json::from_str::<Value>(&text))
         .unwrap_or_default();

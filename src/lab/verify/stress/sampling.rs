@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use crate::base::error::Result;
+use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Purpose};
 use crate::config::{Acceptance, MhConfig};
 use crate::density::draw::Categorical;
@@ -10,7 +11,7 @@ use crate::density::mh::MetropolisHastings;
 use crate::density::mh::accept::{accepts, exact_ln_prior_ratio, ln_acceptance};
 use crate::density::mh::importance::importance;
 use crate::density::mh::sparsity::VoxelCounts;
-use crate::density::relocation::{ln_coefficient, logit, sigmoid, split};
+use crate::density::relocation::{ln_coefficient, split};
 use crate::density::{Cues, DensityControl, Evidence, SceneState, StepContext};
 use crate::lab::verify::check::{EXACT, Row};
 use crate::lab::verify::stress::{FamilyNote, host_row};

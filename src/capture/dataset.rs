@@ -1,0 +1,167 @@
+//! [`Dataset`]: posed photos in a local frame.
+
+use std::path::{Path, PathBuf};
+
+use crate::base::hash::Fnv;
+use crate::capture::camera::Camera;
+use crate::capture::frame::Frame;
+use crate::capture::lens::Lens;
+use crate::capture::photo::Alpha;
+use crate::capture::point_cloud::Points;
+use crate::capture::source::PhotoSource;
+
+/// Layout the dataset was read from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Layout {
+    /// `images/` + `sparse/0/*.bin`.
+    ColmapBin,
+    /// `images/` + `sparse/0/*.txt`.
+    ColmapTxt,
+    /// `transforms*.json` (Blender, nerfstudio).
+    Transforms,
+}
+
+impl std::fmt::Display for Layout {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::ColmapBin => "colmap-bin",
+            Self::ColmapTxt => "colmap-txt",
+            Self::Transforms => "transforms",
+        })
+    }
+}
+
+/// One photo with its camera.
+#[derive(Debug, Clone)]
+pub struct View {
+    /// Name of the image as the dataset gives it (relative path), unique within the dataset.
+    pub name: String,
+    /// Camera in the dataset's local frame, intrinsics at the photo's (downscaled) resolution.
+    pub camera: Camera,
+    /// Lens distortion of the photo in its file; removed when it is read.
+    pub lens: Lens,
+    /// The photo, of the camera's width and height.
+    pub photo: PhotoSource,
+}
+
+/// A set of posed photos in a local frame in which the scene extent is 1.
+#[derive(Debug, Clone)]
+pub struct Dataset {
+    /// The folder it was read from.
+    pub path: PathBuf,
+    /// The layout found there.
+    pub layout: Layout,
+    /// Views to train on, sorted by name.
+    pub train: Vec<View>,
+    /// Held-out views, sorted by name.
+    pub test: Vec<View>,
+    /// Sparse points (may be empty).
+    pub points: Points,
+    /// Pose of the local frame in the dataset's own frame.
+    pub frame: Frame,
+    /// Number of views with lens distortion, whose photos are undistorted when they are read.
+    pub undistorted: usize,
+    /// Names of views that were left out because their images are missing, sorted.
+    pub missing: Vec<String>,
+    /// Names of views that were left out as outliers: their cameras are at least 20 times as far from the median as 9 of 10 are.
+    pub astray: Vec<String>,
+    /// Names of views that were left out because their masks are 0 everywhere: training views, then held-out ones. Their
+    /// cameras count for the frame.
+    pub masked_out: Vec<String>,
+    /// Bytes that photos decoded on demand may take on the device at one time; no limit to those in memory.
+    pub image_budget: u64,
+}
+
+impl Dataset {
+    /// Fingerprint of 16 hexadecimal digits that tells datasets, splits and resolutions apart: from layout, names, sizes, cameras
+    /// and lenses of the views, their masks and their split, not from the photos' colours.
+    #[must_use]
+    pub fn fingerprint(&self) -> String {
+        let mut hash = Fnv::default();
+        let mut take = |bytes: &[u8]| hash.bytes(bytes);
+        take(self.layout.to_string().as_bytes());
+        for (part, views) in [(&b"train"[..], &self.train), (b"test", &self.test)] {
+            take(part);
+            for view in views {
+                take(view.name.as_bytes());
+                let c = &view.camera;
+                take(&c.width.to_le_bytes());
+                take(&c.height.to_le_bytes());
+                if let Some(mask) = view.photo.mask_digest() {
+                    take(b"mask");
+                    take(&mask.to_le_bytes());
+                }
+                if view.lens != Lens::Pinhole {
+                    take(format!("{:?}", view.lens).as_bytes());
+                }
+                let pose = c.rotation.to_cols_array().into_iter();
+                let lens = [c.fx, c.fy, c.cx, c.cy];
+                for v in pose.chain(c.translation.to_array()).chain(lens) {
+                    take(&v.to_le_bytes());
+                }
+            }
+        }
+        format!("{:016x}", hash.0)
+    }
+
+    /// The message if the [`Dataset::fingerprint`] in a run's folder is another one.
+    pub(crate) fn not_that_of(&self, run: &Path) -> String {
+        let run = run.display();
+        format!(
+            "its views are not those of {run}: names, sizes, cameras, lenses, masks or split differ (or an earlier version began it)"
+        )
+    }
+
+    /// Meaning of the photos' alpha planes, the same for all of them.
+    #[must_use]
+    pub fn alpha(&self) -> Alpha {
+        let views = self.train.iter().chain(&self.test);
+        Alpha::common(views.map(|v| v.photo.alpha()))
+    }
+
+    /// True if photos are transparent, so that the background matters.
+    #[must_use]
+    pub fn background_matters(&self) -> bool {
+        self.alpha() == Alpha::Transparency
+    }
+
+    /// Bytes of all photos, decoded.
+    #[must_use]
+    pub fn photo_bytes(&self) -> u64 {
+        let views = self.train.iter().chain(&self.test);
+        views.map(|view| view.photo.bytes()).sum()
+    }
+
+    /// True if photos are decoded on demand, because not all fit into the budget at one time.
+    #[must_use]
+    pub fn photos_on_demand(&self) -> bool {
+        let mut views = self.train.iter().chain(&self.test);
+        views.any(|view| matches!(view.photo, PhotoSource::File(_)))
+    }
+}
+
+/// Options of [`crate::capture::load`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// Photos are shrunk to this length of their longest side, pixels, ≥ 1; never enlarged.
+    pub max_size: u32,
+    /// Every n-th image by name is held out, the first one included (0: none). A `transforms_test.json` takes precedence.
+    pub test_every: u32,
+    /// Bytes that all photos together may take; if they take more, they are decoded on demand. `None`: half of the available
+    /// memory.
+    pub image_budget: Option<u64>,
+    /// True if the photos' alpha is a mask and not transparency. With mask files it always is.
+    pub alpha_is_mask: bool,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self {
+            max_size: 1600,
+            test_every: 8,
+            image_budget: None,
+            alpha_is_mask: false,
+        }
+    }
+}
