@@ -118,7 +118,7 @@ impl Trainer {
         };
         let cameras: Vec<[f32; 3]> = self.views.cameras.iter().map(|c| c.center).collect();
         let pictures = self.pictures(progress)?;
-        let mut context = StepContext {
+        let context = StepContext {
             iteration: self.iteration,
             progress,
             seed: self.config.seed,
@@ -127,7 +127,6 @@ impl Trainer {
             resets_opacity: self.schedule.resets_opacity(self.iteration),
             cameras: &cameras,
             pictures: &pictures,
-            changes: &[],
         };
         let rows = self.read_cues()?;
         let cue = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
@@ -149,10 +148,10 @@ impl Trainer {
                 views: &views,
             }),
         };
-        let trials = self.density.trials(&context, &state, &evidence)?;
-        let changes = self.probe(&trials)?;
-        context.changes = &changes;
-        self.density.step(&context, &state, &evidence)
+        let density = self.density.clone();
+        density.step_probed(&context, &state, &evidence, &mut |trials| {
+            self.probe(trials)
+        })
     }
 
     /// The cues so far, as the sampler wants them: sums of 1 − SSIM and of |x − y| and the views that see the centre (mh),

@@ -23,6 +23,7 @@ pub use crate::train::finish::Findings;
 pub use crate::train::state::TrainerState;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset};
@@ -142,7 +143,7 @@ pub struct Trainer {
     partial: Array<f32>,
     losses: Array<f32>,
     cues: Array<f32>,
-    density: Box<dyn DensityControl>,
+    density: Arc<dyn DensityControl>,
     /// Renders probes; none where density control tries no birth.
     probes: Option<Pass<f32>>,
     sampler: SamplerStages,

@@ -276,7 +276,7 @@ fn steps() -> Result<Vec<Row>> {
             views: &vec![0; N],
         };
         let config = MhConfig::default();
-        let mut mh = MetropolisHastings::new(&config);
+        let mh = MetropolisHastings::new(&config);
         let context = StepContext::at(10_000, 0.5, 1);
         let outcome = mh.step(&context, &scene, &Evidence::Errors(cues))?;
         let mut written = vec![false; outcome.rows];
