@@ -9,7 +9,7 @@
 //! `exact-prior` of training, which has births alone and decides many at once on the same counts, it is exact in the
 //! prior's factor and no more.
 //!
-//! Where births are probed, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a
+//! If births are probed, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a
 //! faint birth, over a few views, and of each birth alone.
 //!
 //! A temperature T turns ρ into ρ^{1/T}: the posterior's 1/T-th power for the exact form, a plain knob for the others.
