@@ -53,9 +53,9 @@ fn density(c: &mut Criterion) {
     });
     let context = StepContext::at(500, 0.0, 0);
     let errors = Evidence::Errors(cues);
-    let mut mh = MetropolisHastings::new(&MhConfig::paper());
+    let mh = MetropolisHastings::new(&MhConfig::paper());
     // The difference of the two is what proposing and deciding costs.
-    let mut still = MetropolisHastings::new(&MhConfig {
+    let still = MetropolisHastings::new(&MhConfig {
         coarse_proposals: 0,
         fine_proposals: 0,
         ..MhConfig::paper()

@@ -71,33 +71,6 @@ fn same_arguments_same_bytes_whatever_the_thread_count() {
     }
 }
 
-#[test]
-fn the_bundled_scene_is_what_its_command_makes() {
-    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
-    let dir = tempfile::tempdir().unwrap();
-    let made = dir.path().join("room-tiny");
-    let options = SynthOptions {
-        views: 40,
-        width: 256,
-        height: 192,
-        points: 4000,
-        seed: 1,
-        ..SynthOptions::for_scene("room")
-    };
-    let report = generate("room", &made, &options).unwrap();
-    assert_eq!(
-        (report.train_views, report.test_views, report.points_written),
-        (35, 5, 4000)
-    );
-    assert_eq!(
-        differences(&bundled, &made),
-        Vec::<PathBuf>::new(),
-        "see data/README.md"
-    );
-    let size: usize = files(&made).values().map(Vec::len).sum();
-    assert!(size < 4 << 20, "{size} bytes");
-}
-
 /// A camera of `images.txt`: name, rotation, translation.
 fn poses(root: &Path) -> Vec<(String, DMat3, DVec3)> {
     let text = fs::read_to_string(root.join("sparse/0/images.txt")).unwrap();
@@ -175,7 +148,7 @@ fn points_land_on_their_colour() {
         ..small(SynthLayout::ColmapTxt)
     };
     generate("room", dir.path(), &options).unwrap();
-    // A pixel is a mean over its area, so points next to an edge differ; four in five do not, and agree to 8 of 255.
+    // A pixel is a mean over its area, so points next to an edge differ; nine in ten do not, and agree to 8 of 255.
     let close = |differences: &[f64]| {
         let near = differences.iter().filter(|d| **d < 8.0).count();
         near as f64 / differences.len() as f64
@@ -183,9 +156,9 @@ fn points_land_on_their_colour() {
     let right = close(&best_differences(dir.path(), 0.0));
     let wrong = close(&best_differences(dir.path(), 20.0));
     println!("share of points on their colour: {right:.3}, with cameras 20 pixels off: {wrong:.3}");
-    assert!(right > 0.8, "{right}");
+    assert!(right > 0.9, "{right}");
     assert!(
-        wrong < right - 0.15,
+        wrong < right - 0.4,
         "{wrong} against {right}: the test would not notice wrong cameras"
     );
 }
@@ -216,8 +189,6 @@ fn chrome_changes_with_the_view_and_matt_paint_does_not() {
     let dir = tempfile::tempdir().unwrap();
     let options = SynthOptions {
         views: 24,
-        // With this seed no edge of the egg's pattern crosses the place looked at.
-        seed: 7,
         width: 200,
         height: 200,
         samples: 9,
@@ -227,10 +198,10 @@ fn chrome_changes_with_the_view_and_matt_paint_does_not() {
     assert_eq!((report.train_views, report.test_views), (21, 3));
     let (frames, focal) = frames(dir.path());
     assert_eq!(frames.len(), 21);
-    // The top of the chrome sphere, and the top of the matt egg, which no other part hides from above.
+    // The top of the chrome sphere, and that of the red box, which no other part hides from above.
     let (middle, radius) = CHROME_SPHERE;
     let top = DVec3::from(middle) + DVec3::Z * radius;
-    let spreads = [top, DVec3::new(0.74, -0.08, 0.30)].map(|at| {
+    let spreads = [top, DVec3::new(0.78, -0.25, 0.24)].map(|at| {
         let (mut low, mut high, mut seen) = ([255.0f64; 3], [0.0f64; 3], 0);
         for (file, rotation, center) in &frames {
             // From steep views only, so that nothing stands in the way.
@@ -255,8 +226,8 @@ fn chrome_changes_with_the_view_and_matt_paint_does_not() {
         "spread over views: chrome {:.1}, matt {:.1}",
         spreads[0], spreads[1]
     );
-    assert!(spreads[0] > 40.0, "chrome {}", spreads[0]);
-    assert!(spreads[1] < 10.0, "matt {}", spreads[1]);
+    assert!(spreads[0] > 80.0, "chrome {}", spreads[0]);
+    assert!(spreads[1] < 3.0, "matt {}", spreads[1]);
     // The background is transparent.
     let corner = image::open(&frames[0].0)
         .unwrap()
@@ -306,6 +277,5 @@ fn refuses_what_it_cannot_do() {
             Err(Error::Config { .. })
         ));
     }
-    assert!("jpeg".parse::<SynthLayout>().is_err());
     assert!(!fresh.exists());
 }

@@ -1,7 +1,7 @@
 //! Adaptive density control (\[3DGS\] = Kerbl et al., *3D Gaussian Splatting for Real-Time Radiance Field Rendering*, 2023,
-//! §5.2): where training keeps pulling at a Gaussian's projected centre, a small one is cloned and a large one split; what is
-//! nearly transparent or too large goes; and from time to time every opacity is lowered, so that only what is needed comes
-//! back.
+//! §5.2): Gaussians with a large gradient of the projected centre are cloned if small and split if large; those that are
+//! nearly transparent or too large are removed; and from time to time every opacity is lowered, so that only Gaussians that
+//! the photos need become opaque again.
 
 use rayon::prelude::*;
 
@@ -9,12 +9,12 @@ use crate::base::error::Result;
 use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Purpose};
 use crate::config::AdcConfig;
-use crate::density::draw::{birth_position, gather, is_finite};
-use crate::density::{
-    DensityControl, DensityStats, Edit, Evidence, Outcome, SceneState, ScreenGradient, StepContext,
-    Wanted, check_lengths, unexpected,
-};
-use crate::scene::OptionalColor;
+use crate::density::control::{DensityControl, StepContext};
+use crate::density::draw::birth_position;
+use crate::density::outcome::{DensityStats, Outcome};
+use crate::density::state::{SceneState, gather};
+use crate::density::statistics::{Evidence, ScreenGradient, Wanted, unexpected};
+use crate::scene::{Edit, OptionalColor};
 
 /// Density control by thresholds on gradient, size and opacity.
 #[derive(Debug, Clone)]
@@ -22,7 +22,7 @@ pub struct Adaptive {
     config: AdcConfig,
 }
 
-/// What becomes of a Gaussian in one step.
+/// Fate of a Gaussian in one step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Fate {
     Stays,
@@ -44,13 +44,13 @@ impl Adaptive {
         f64::from(scales.into_iter().fold(f32::MIN, f32::max)).exp()
     }
 
-    /// What is to become of a row on which training pulled so hard. Pruning comes after cloning and splitting and sees what
-    /// they leave: so what is too transparent has no copies, and what is too large may stay as two smaller ones.
+    /// Fate of a row with a mean gradient of `pull`. Pruning comes after cloning and splitting and sees their results: so a row
+    /// that is too transparent is not copied, and one that is too large may stay as two smaller ones.
     fn fate(&self, scene: &SceneState<'_>, row: usize, pull: f64, bounded_size: bool) -> Fate {
         let c = &self.config;
-        // Says what is good, so that what broke goes.
+        // Says what is good, so that NaN fails it.
         let opacity = sigmoid(f64::from(scene.opacity_logits[row]));
-        if !(opacity >= c.prune_opacity && is_finite(scene, row)) {
+        if !(opacity >= c.prune_opacity && scene.is_finite(row)) {
             return Fate::Goes;
         }
         let size = Self::size(scene, row);
@@ -69,7 +69,7 @@ impl Adaptive {
         fate
     }
 
-    /// What is to be cloned or split, and what is to go, by row.
+    /// Rows to clone or split, and rows to remove, each rising.
     fn judge(
         &self,
         scene: &SceneState<'_>,
@@ -94,8 +94,8 @@ impl Adaptive {
         (births, removed)
     }
 
-    /// Writes a clone, or the two that a Gaussian is split into; the new row is `dst`. False if the new positions would not be
-    /// finite.
+    /// Writes a clone, or the two parts of a split Gaussian; the new row is `dst`. Returns false, and writes nothing, if the new
+    /// positions would not be finite.
     fn bear(
         &self,
         edits: &mut Vec<Edit>,
@@ -145,7 +145,7 @@ impl Adaptive {
     }
 }
 
-/// A row that is to be cloned or split.
+/// A row to clone or split.
 struct Birth {
     row: u32,
     fate: Fate,
@@ -160,7 +160,7 @@ fn pull(gradient: &ScreenGradient<'_>, row: usize) -> f64 {
     }
 }
 
-/// Splits off the births that there is no room for: of all, those with the largest gradient stay, ties by row. Both by row.
+/// Keeps the `room` births with the largest gradients (ties by row), rising, and returns the rest.
 fn bounded(births: &mut Vec<Birth>, room: usize) -> Vec<Birth> {
     if births.len() <= room {
         return Vec::new();
@@ -177,7 +177,7 @@ impl DensityControl for Adaptive {
     }
 
     fn step(
-        &mut self,
+        &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Evidence<'_>,
@@ -185,17 +185,17 @@ impl DensityControl for Adaptive {
         let Evidence::ScreenGradient(gradient) = evidence else {
             return Err(unexpected());
         };
-        check_lengths(scene, [gradient.norms.len(), gradient.views.len()])?;
+        scene.check_lengths([gradient.norms.len(), gradient.views.len()])?;
         let n = scene.len();
         let bounded_size = context.opacity_resets > 0;
         let (mut births, mut removed) = self.judge(scene, gradient, bounded_size);
         // Rows are named by 32 bits.
-        let most = context.max_gaussians.unwrap_or(usize::MAX);
-        let room = most.saturating_sub(n - removed.len());
+        let max = context.max_gaussians.unwrap_or(usize::MAX);
+        let room = max.saturating_sub(n - removed.len());
         let proposed = births.len() as u64;
         let rest = bounded(&mut births, room.min(u32::MAX as usize - n));
         if bounded_size {
-            // Whole, what was to be split is too large to stay.
+            // Unsplit, they are too large to stay.
             let too_large =
                 |b: &&Birth| Self::size(scene, b.row as usize) > self.config.prune_scale;
             removed.extend(rest.iter().filter(too_large).map(|b| b.row));

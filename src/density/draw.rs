@@ -1,11 +1,11 @@
-//! What every sampler draws: sources by weight, positions by the source's own shape (\[MH\] Eq. 14–16, \[3DGS\] §5.2).
+//! Random draws of the strategies: sources by weight, positions by the source's own shape (\[MH\] Eq. 14–16, \[3DGS\] §5.2).
 
 use rayon::prelude::*;
 
 use crate::base::rng::Philox;
-use crate::density::SceneState;
+use crate::density::state::{SceneState, gather};
 
-/// Weights per partial sum; fixed, so that sums round alike for any number of threads.
+/// Number of weights per partial sum; fixed, so that sums round alike for any number of threads.
 const CHUNK: usize = 8192;
 
 /// A categorical distribution over N items, by prefix sums in f64.
@@ -13,13 +13,13 @@ const CHUNK: usize = 8192;
 /// Negative and NaN weights count as 0. A total of zero or infinity makes the draw uniform over all items.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Categorical {
-    /// Prefix sums, never falling; empty where the draw is uniform.
+    /// Prefix sums, never falling; empty if the draw is uniform.
     cumulative: Vec<f64>,
     len: usize,
 }
 
 impl Categorical {
-    /// Takes one weight per item.
+    /// The distribution with one weight per item.
     #[must_use]
     pub fn new(weights: &[f64]) -> Self {
         let mut cumulative = vec![0.0; weights.len()];
@@ -57,13 +57,13 @@ impl Categorical {
         }
     }
 
-    /// Whether the weights gave no usable total, so that the draw is uniform.
+    /// True if the weights gave no usable total, so that the draw is uniform.
     #[must_use]
     pub fn is_uniform(&self) -> bool {
         self.cumulative.is_empty()
     }
 
-    /// The item at u ∈ [0, 1); none if there are no items. An item of weight 0 is never drawn (unless uniform).
+    /// The item at u ∈ [0, 1); `None` if there are no items. An item of weight 0 is never drawn (unless uniform).
     #[must_use]
     pub fn draw(&self, u: f64) -> Option<usize> {
         let Some(&total) = self.cumulative.last() else {
@@ -76,7 +76,7 @@ impl Categorical {
         Some(i.min(last))
     }
 
-    /// `draws` draws with replacement, then made unique and sorted (Eq. 14): at most `draws` items.
+    /// Unique items of `draws` draws with replacement, sorted (Eq. 14): at most `draws` of them.
     #[must_use]
     pub fn draw_unique(&self, draws: usize, seed: u64, stream: u64) -> Vec<usize> {
         let mut items: Vec<usize> = (0..draws as u64)
@@ -91,7 +91,7 @@ impl Categorical {
 
 /// Position of a birth: x′ = x + R·(k·s ⊙ ξ), ξ the given standard normal numbers, s the scales of row `row` along its
 /// own axes, R its rotation, k the spread (Eq. 15, 16 with the Gaussian's own covariance, so that births follow its
-/// shape). `log_scale` is given apart because a relocation may have changed it. None if `row` does not exist or the
+/// shape). `log_scale` is given apart because a relocation may have changed it. `None` if `row` does not exist or the
 /// result is not finite in f32.
 #[must_use]
 pub fn birth_position(
@@ -107,26 +107,6 @@ pub fn birth_position(
     let offset = rotate(rotation, own);
     let moved: [f32; 3] = std::array::from_fn(|k| (f64::from(at[k]) + offset[k]) as f32);
     moved.iter().all(|v| v.is_finite()).then_some(moved)
-}
-
-/// One value of each plane at a row.
-pub(super) fn gather<const K: usize>(planes: &[&[f32]; K], row: usize) -> Option<[f32; K]> {
-    let mut values = [0.0; K];
-    for (value, plane) in values.iter_mut().zip(planes) {
-        *value = *plane.get(row)?;
-    }
-    Some(values)
-}
-
-/// Whether every parameter of a row that density control sees is finite.
-pub(super) fn is_finite(scene: &SceneState<'_>, row: usize) -> bool {
-    fn all<const K: usize>(planes: &[&[f32]; K], row: usize) -> bool {
-        gather(planes, row).is_some_and(|values| values.iter().all(|v| v.is_finite()))
-    }
-    all(&[scene.opacity_logits], row)
-        && all(&scene.positions, row)
-        && all(&scene.log_scales, row)
-        && all(&scene.rotations, row)
 }
 
 /// R(q)·v for a quaternion (w, x, y, z) of any norm; a zero or non-finite one is the identity.

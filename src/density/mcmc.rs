@@ -9,14 +9,13 @@ use crate::base::error::Result;
 use crate::base::math::sigmoid;
 use crate::base::rng::{Philox, Purpose};
 use crate::config::McmcConfig;
-use crate::density::draw::{Categorical, gather, is_finite};
-use crate::density::relocate::Relocation;
-use crate::density::relocation::split;
-use crate::density::{
-    DensityControl, DensityStats, Edit, Evidence, NoiseLaw, Outcome, SceneState, StepContext,
-    Wanted, check_lengths, unexpected,
-};
-use crate::scene::OptionalColor;
+use crate::density::control::{DensityControl, NoiseLaw, StepContext};
+use crate::density::draw::Categorical;
+use crate::density::outcome::{DensityStats, Outcome};
+use crate::density::relocation::{Relocation, split};
+use crate::density::state::{SceneState, gather};
+use crate::density::statistics::{Evidence, Wanted, unexpected};
+use crate::scene::{Edit, OptionalColor};
 
 /// Density control by noise, relocation and growth.
 #[derive(Debug, Clone)]
@@ -31,7 +30,7 @@ impl Mcmc {
         Self { config: *config }
     }
 
-    /// How many Gaussians a step adds to `n`: min(cap, ⌊growth·n⌋) − n, none beyond the cap.
+    /// Number of Gaussians that a step adds to `n`: min(cap, ⌊growth·n⌋) − n, at least 0.
     fn births(&self, n: usize, max_gaussians: Option<usize>) -> usize {
         // Rows are named by 32 bits.
         let cap = max_gaussians.unwrap_or(self.config.cap);
@@ -56,7 +55,7 @@ impl DensityControl for Mcmc {
     }
 
     fn step(
-        &mut self,
+        &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Evidence<'_>,
@@ -64,7 +63,7 @@ impl DensityControl for Mcmc {
         let Evidence::Nothing = evidence else {
             return Err(unexpected());
         };
-        check_lengths(scene, [])?;
+        scene.check_lengths([])?;
         let relocation = Relocation::plan(context, scene, self.config.dead_opacity);
         if relocation.alive_rows.is_empty() {
             // Nothing to draw from.
@@ -111,8 +110,8 @@ fn grow(
             })
         })
         .collect();
-    // What growth made of a row replaces what relocation had made of it. A moved row is a copy of its source, so births name
-    // that source and copy nothing from a row that is itself being written.
+    // Growth starts from the result of relocation, and its edit of a row replaces that of relocation. A relocated row is a
+    // copy of its source, so births name that source and copy nothing from a row that is itself being written.
     let split_rows: FxHashSet<u32> = parts.iter().map(|e| e.dst).collect();
     let mut edits = relocation.edits;
     edits.retain(|e| !split_rows.contains(&e.dst));
@@ -127,7 +126,7 @@ fn grow(
     edits
 }
 
-/// Source rows of `births` draws, rising.
+/// Source rows of `births` draws, rising, with repetitions.
 fn draw_sources(
     context: &StepContext<'_>,
     scene: &SceneState<'_>,
@@ -141,9 +140,9 @@ fn draw_sources(
     for edit in &relocation.edits {
         logits[edit.dst as usize] = edit.opacity_logit;
     }
-    // What broke and found no place has nothing to copy.
+    // An invalid row that was not relocated has nothing to copy.
     let weight = |(row, logit): (usize, &f32)| {
-        let whole = is_finite(scene, row) || relocation.edit(row as u32).is_some();
+        let whole = scene.is_finite(row) || relocation.edit(row as u32).is_some();
         if whole {
             sigmoid(f64::from(*logit))
         } else {
@@ -164,7 +163,7 @@ fn draw_sources(
     rows
 }
 
-/// A row as relocation left it, as an edit that writes it.
+/// The edit that writes a row in the state after relocation; `None` if there is no such row.
 fn row_after(scene: &SceneState<'_>, relocation: &Relocation, row: u32) -> Option<Edit> {
     if let Some(edit) = relocation.edit(row) {
         return Some(*edit);

@@ -1,7 +1,10 @@
 //! A fixed set of Gaussians.
 
 use crate::base::error::Result;
-use crate::density::{DensityControl, Evidence, Outcome, SceneState, StepContext, Wanted};
+use crate::density::control::{DensityControl, StepContext};
+use crate::density::outcome::Outcome;
+use crate::density::state::SceneState;
+use crate::density::statistics::{Evidence, Wanted};
 
 /// Density control that never changes the set.
 #[derive(Debug, Clone, Copy, Default)]
@@ -13,7 +16,7 @@ impl DensityControl for Fixed {
     }
 
     fn step(
-        &mut self,
+        &self,
         _context: &StepContext<'_>,
         scene: &SceneState<'_>,
         _evidence: &Evidence<'_>,

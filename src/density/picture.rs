@@ -1,6 +1,6 @@
-//! A training view as density control may see it: pixels and where they look.
+//! A training view for density control: pixels and the camera.
 
-/// A view as it is rendered now, and its photo. Planes are row by row \[height · width\].
+/// A current render of a view, and its photo. Planes are row by row \[height · width\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     /// Width, pixels.
@@ -11,14 +11,14 @@ pub struct Picture {
     pub rotation: [f32; 9],
     /// Centre of projection, local units.
     pub center: [f32; 3],
-    /// The photo's red, green, blue as the scene has them: without a mask on them or a background behind, and without the view's
-    /// exposure, where that is compensated.
+    /// The photo's red, green, blue in the scene's colours: without a mask or a background, and without the view's exposure if
+    /// that is compensated.
     pub photo: [Vec<f32>; 3],
-    /// Mean over the channels of |render − photo|, as far as the pixel counts and is opaque.
+    /// Mean over the channels of |render − photo|, times the photo's mask and opacity.
     pub error: Vec<f32>,
-    /// Mean depth (camera z) of what is rendered, local units; not finite where nothing is.
+    /// Mean depth (camera z) of the render, local units; not finite at empty pixels.
     pub depth: Vec<f32>,
-    /// Transmittance that is left.
+    /// Remaining transmittance.
     pub transmittance: Vec<f32>,
 }
 
@@ -35,7 +35,7 @@ impl Picture {
         })
     }
 
-    /// Length that a pixel covers across the view at depth `z`: the mean of both axes.
+    /// Width of a pixel across the view at depth `z`: the mean of both axes.
     #[must_use]
     pub fn footprint(&self, z: f64) -> f64 {
         let [fx, fy, ..] = self.intrinsics.map(f64::from);

@@ -1,4 +1,5 @@
-//! Splitting one Gaussian into N equal copies that render alike (\[MCMC\] Eq. 9, Kheradmand et al., NeurIPS 2024).
+//! Dead Gaussians take over alive ones (\[MH\] Eq. 17, \[MCMC\] Eq. 9), by splitting one Gaussian into N equal copies that
+//! render alike (Eq. 9 of \[MCMC\] = Kheradmand et al., NeurIPS 2024).
 //!
 //! o′ = 1 − (1−o)^{1/N} and Σ′ = (o/F)²·Σ with F = Σ_{i=1..N} Σ_{k<i} C(i−1,k) (−1)^k o′^{k+1}/√(k+1). The alternating
 //! sum loses every digit of f64 near N = 50; 1/√(k+1) = (2/√π) ∫₀^∞ e^{−(k+1)t²} dt turns it into
@@ -7,32 +8,47 @@
 //!
 //! whose integrand is smooth, positive and falling, for any N.
 
+use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_2_SQRT_PI, PI};
 use std::sync::OnceLock;
 
-use crate::base::math::{ln_sigmoid, softplus};
+use rayon::prelude::*;
 
-/// Gauss–Legendre nodes on the interval in which the integrand is neither 1 nor 0. 40 of them leave a relative error
+use crate::base::math::{ln_sigmoid, logit, sigmoid, softplus};
+use crate::base::rng::{Philox, Purpose};
+use crate::density::control::StepContext;
+use crate::density::draw::Categorical;
+use crate::density::state::{SceneState, gather};
+use crate::scene::{Edit, OptionalColor};
+
+/// Least opacity of copies, relative to the one at which a Gaussian is dead: copies that the next step would find dead spread
+/// until nothing is alive.
+const MIN_OPACITY_FACTOR: f64 = 2.0;
+
+/// Number of rows per task.
+const CHUNK: usize = 16_384;
+
+/// Number of Gauss–Legendre nodes on the interval in which the integrand is neither 1 nor 0. 40 of them leave a relative error
 /// below 1e-10 for N ≤ 10⁵; 32 leave 1e-8.
 const NODES: usize = 40;
-/// The integrand is 1 within e⁻²⁵ ≈ 1e-11 where N·o′·e^{−t²} exceeds this, because (1−z)^N ≤ e^{−Nz}.
+/// Value of N·o′·e^{−t²} above which the integrand is 1 within e⁻²⁵ ≈ 1e-11, because (1−z)^N ≤ e^{−Nz}.
 const SATURATED: f64 = 25.0;
-/// The integrand is negligible where N·o′·e^{−t²} is below e⁻²⁴ ≈ 4e-11 of min(1, N·o′).
+/// Excess of t² over ln max(1, N·o′) from which the integrand is negligible: e⁻²⁴ ≈ 4e-11.
 const NEGLIGIBLE: f64 = 24.0;
-/// Logits are clamped to ± this: e^{−600} is still a normal f64, so every logarithm below stays finite.
+/// Bound of ± logits: e^{−600} is still a normal f64, so every logarithm below stays finite.
 const LOGIT_LIMIT: f64 = 600.0;
 
-/// What each of N copies gets.
+/// Parameters of each of N equal copies.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Split {
     /// Opacity logit of each copy.
     pub opacity_logit: f64,
-    /// To be added to each of the three log-scales: ln o − ln F. Never positive beyond rounding.
+    /// Addend to each of the three log-scales: ln o − ln F. Never positive beyond rounding.
     pub log_scale_offset: f64,
 }
 
-/// Into how many equal copies a Gaussian can be split so that each keeps an opacity of at least `floor` in (0, 1): the
-/// largest N with 1 − (1−o)^{1/N} ≥ floor, 1 where even two are too many.
+/// Number of equal copies that a Gaussian can be split into so that each keeps an opacity of at least `floor` in (0, 1): the
+/// largest N with 1 − (1−o)^{1/N} ≥ floor, 1 if even two are too many.
 #[must_use]
 pub fn most_copies(opacity_logit: f64, floor: f64) -> u32 {
     let copies = softplus(opacity_logit) / -(-floor).ln_1p();
@@ -113,4 +129,204 @@ fn legendre(x: f64) -> (f64, f64) {
     }
     let derivative = NODES as f64 * (x * current - before) / (x * x - 1.0);
     (current, derivative)
+}
+
+/// Alive and dead rows, and the edits of relocation.
+#[derive(Debug, Clone)]
+pub(super) struct Relocation {
+    /// True for each row that was alive before the step.
+    pub alive: Vec<bool>,
+    /// Alive rows, rising.
+    pub alive_rows: Vec<u32>,
+    /// Number of dead rows that were relocated.
+    pub moved: usize,
+    /// One edit per changed row: sources (src == dst, rising), then the relocated rows (rising). No row appears twice as
+    /// `dst`.
+    pub edits: Vec<Edit>,
+    sources: usize,
+}
+
+impl Relocation {
+    /// Finds the dead rows and gives each the place of an alive one, drawn with replacement ∝ opacity. A source that
+    /// was drawn by m dead rows is split into 1 + m equal copies, itself being one.
+    ///
+    /// A row is alive if its opacity is above `dead_opacity` and its position, log-scale and rotation are finite; so a row with
+    /// invalid parameters is relocated like a dead one. If no row is alive, none can be relocated, and there are no edits.
+    #[must_use]
+    pub fn plan(context: &StepContext<'_>, scene: &SceneState<'_>, dead_opacity: f64) -> Self {
+        let (mut plan, dead_rows) = Self::survey(scene, dead_opacity);
+        if !(dead_rows.is_empty() || plan.alive_rows.is_empty()) {
+            plan.assign(context, scene, &dead_rows, dead_opacity.clamp(0.0, 1.0));
+        }
+        plan
+    }
+
+    /// Finds the alive rows like [`Relocation::plan`] and relocates none of the others.
+    #[must_use]
+    pub fn none(scene: &SceneState<'_>, dead_opacity: f64) -> Self {
+        Self::survey(scene, dead_opacity).0
+    }
+
+    /// The rows that were not alive, rising; empty if no row was alive.
+    #[must_use]
+    pub fn dead_rows(&self) -> Vec<u32> {
+        if self.alive_rows.is_empty() {
+            return Vec::new();
+        }
+        let rows = (0u32..).zip(&self.alive);
+        rows.filter_map(|(i, alive)| (!alive).then_some(i))
+            .collect()
+    }
+
+    /// A plan that relocates no row, and the dead rows, rising.
+    fn survey(scene: &SceneState<'_>, dead_opacity: f64) -> (Self, Vec<u32>) {
+        // The logit of the threshold: one logarithm instead of one exponential per row.
+        let threshold = logit(dead_opacity.clamp(0.0, 1.0));
+        let alive: Vec<bool> = (0..scene.len())
+            .into_par_iter()
+            .map(|i| is_alive(scene, i, threshold))
+            .collect();
+        let rows = |state: bool| -> Vec<u32> {
+            let among = |(c, states): (usize, &[bool])| -> Vec<u32> {
+                ((c * CHUNK) as u32..)
+                    .zip(states)
+                    .filter_map(|(i, a)| (*a == state).then_some(i))
+                    .collect()
+            };
+            let parts: Vec<Vec<u32>> = alive.par_chunks(CHUNK).enumerate().map(among).collect();
+            parts.concat()
+        };
+        let (alive_rows, dead_rows) = (rows(true), rows(false));
+        let plan = Self {
+            alive,
+            alive_rows,
+            moved: 0,
+            edits: Vec::new(),
+            sources: 0,
+        };
+        (plan, dead_rows)
+    }
+
+    /// Draws a source for each dead row, and writes the edits.
+    fn assign(
+        &mut self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        dead_rows: &[u32],
+        dead: f64,
+    ) {
+        let logit = |row: u32| f64::from(scene.opacity_logits[row as usize]);
+        let weights: Vec<f64> = self
+            .alive_rows
+            .par_iter()
+            .map(|&r| sigmoid(logit(r)))
+            .collect();
+        let categorical = Categorical::new(&weights);
+        let stream = Purpose::Relocation.stream(context.iteration);
+        // (source, dead row), by source: the dead rows of one source lie side by side.
+        let mut pairs: Vec<(u32, u32)> = dead_rows
+            .par_iter()
+            .filter_map(|&dead| {
+                let u = Philox::uniform_53(context.seed, stream, u64::from(dead))[0];
+                let source = self.alive_rows.get(categorical.draw(u)?)?;
+                Some((*source, dead))
+            })
+            .collect();
+        pairs.par_sort_unstable();
+        // No more of the dead that drew one source than it can be split for.
+        let room = |source| most_copies(logit(source), MIN_OPACITY_FACTOR * dead) as usize - 1;
+        let groups: Vec<&[(u32, u32)]> = pairs
+            .chunk_by(|a, b| a.0 == b.0)
+            .map(|group| &group[..group.len().min(room(group[0].0))])
+            .filter(|group| !group.is_empty())
+            .collect();
+        let split_source = |group: &&[(u32, u32)]| -> Option<Edit> {
+            let source = group.first()?.0;
+            let copies = u32::try_from(group.len())
+                .unwrap_or(u32::MAX)
+                .saturating_add(1);
+            let part = split(logit(source), copies);
+            let log_scale = gather(&scene.log_scales, source as usize)?;
+            Some(Edit {
+                src: source,
+                dst: source,
+                position: gather(&scene.positions, source as usize)?,
+                log_scale: log_scale.map(|s| (f64::from(s) + part.log_scale_offset) as f32),
+                opacity_logit: part.opacity_logit as f32,
+                color: OptionalColor::NONE,
+            })
+        };
+        self.edits = groups.par_iter().filter_map(split_source).collect();
+        self.sources = self.edits.len();
+        let mut moved: Vec<Edit> = self
+            .edits
+            .iter()
+            .zip(&groups)
+            .flat_map(|(edit, group)| group.iter().map(|&(_, dst)| Edit { dst, ..*edit }))
+            .collect();
+        moved.par_sort_unstable_by_key(|e| e.dst);
+        self.moved = moved.len();
+        self.edits.append(&mut moved);
+    }
+
+    /// The edit of an alive row that was split; `None` if it was not.
+    #[must_use]
+    pub fn source(&self, row: u32) -> Option<&Edit> {
+        let sources = self.edits.get(..self.sources)?;
+        let i = sources.binary_search_by_key(&row, |e| e.dst).ok()?;
+        sources.get(i)
+    }
+
+    /// The edit of a row that was split or relocated; `None` if it was neither.
+    #[must_use]
+    pub fn edit(&self, row: u32) -> Option<&Edit> {
+        let moved = self.moved_edits();
+        let at = |i: usize| moved.get(i);
+        let moved = moved.binary_search_by_key(&row, |e| e.dst).ok();
+        self.source(row).or_else(|| moved.and_then(at))
+    }
+
+    /// The edits of the relocated rows.
+    #[must_use]
+    pub fn moved_edits(&self) -> &[Edit] {
+        self.edits.get(self.sources..).unwrap_or_default()
+    }
+}
+
+/// True if a row has an opacity logit above `threshold` and finite parameters.
+fn is_alive(scene: &SceneState<'_>, row: usize, threshold: f64) -> bool {
+    f64::from(scene.opacity_logits[row]) > threshold && scene.is_finite(row)
+}
+
+/// Lets births share opacity and scale with their sources: a source with m births becomes 1 + m equal parts, itself being
+/// one. Changes the births in place and returns the edits of the sources, rising. There is no floor as in relocation: births
+/// are few beside their sources, and a floor halved their number in a scene whose fog has to go first (22.6 against 25.2 dB on
+/// one object after 600 iterations).
+pub(super) fn share(births: &mut [Edit], scene: &SceneState<'_>) -> Vec<Edit> {
+    let mut families: BTreeMap<u32, (u32, Edit)> = BTreeMap::new();
+    for birth in births.iter() {
+        families.entry(birth.src).or_insert((1, *birth)).0 += 1;
+    }
+    let sources: Vec<Edit> = families
+        .into_par_iter()
+        .filter_map(|(source, (copies, one))| {
+            let part = split(f64::from(one.opacity_logit), copies);
+            Some(Edit {
+                dst: source,
+                position: gather(&scene.positions, source as usize)?,
+                log_scale: one
+                    .log_scale
+                    .map(|s| (f64::from(s) + part.log_scale_offset) as f32),
+                opacity_logit: part.opacity_logit as f32,
+                ..one
+            })
+        })
+        .collect();
+    for birth in births {
+        if let Ok(at) = sources.binary_search_by_key(&birth.src, |e| e.dst) {
+            birth.log_scale = sources[at].log_scale;
+            birth.opacity_logit = sources[at].opacity_logit;
+        }
+    }
+    sources
 }

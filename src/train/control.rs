@@ -1,5 +1,6 @@
 //! [`Control`]: density control in the loop. Statistics are gathered on the device, decisions are taken on the host, edits go back.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use crate::base::error::Result;
@@ -56,7 +57,7 @@ pub struct Working<'a> {
 
 /// Density control with the stages that its strategy needs; the others are not built.
 pub struct Control {
-    strategy: Box<dyn DensityControl>,
+    strategy: Arc<dyn DensityControl>,
     plan: Plan,
     schedule: Schedule,
     noise: Option<(Noise, NoiseLaw)>,
@@ -241,7 +242,7 @@ impl Control {
         };
         let cameras: Vec<[f32; 3]> = on.views.set.cameras.iter().map(|c| c.center).collect();
         let pictures = self.pictures(on, iteration, progress)?;
-        let mut context = StepContext {
+        let context = StepContext {
             iteration,
             progress,
             seed: self.plan.config.seed,
@@ -250,7 +251,6 @@ impl Control {
             resets_opacity: self.schedule.resets_opacity(iteration),
             cameras: &cameras,
             pictures: &pictures,
-            changes: &[],
         };
         let rows = on.gaussians.read_statistics()?;
         let row = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
@@ -272,10 +272,9 @@ impl Control {
                 views: &views,
             }),
         };
-        let trials = self.strategy.trials(&context, &state, &evidence)?;
-        let changes = self.estimate(on, iteration, &trials)?;
-        context.changes = &changes;
-        self.strategy.step(&context, &state, &evidence)
+        let strategy = self.strategy.clone();
+        let mut estimate = |trials: &[Trial]| self.estimate(on, iteration, trials);
+        strategy.step_probed(&context, &state, &evidence, &mut estimate)
     }
 
     /// First-order changes of the loss by births; empty if the strategy asks for none.

@@ -19,7 +19,7 @@ fn config() -> MhConfig {
 }
 
 fn step(scene: &Scene, context: &StepContext<'_>) -> Outcome {
-    let mut mh = MetropolisHastings::new(&config());
+    let mh = MetropolisHastings::new(&config());
     let outcome = mh.step(context, &scene.state(), &scene.errors()).unwrap();
     assert_eq!(breaches(scene.logits.len(), &outcome), Vec::<String>::new());
     outcome

@@ -8,7 +8,7 @@ use mhsplat::config::{Acceptance, Birth, MhConfig, Surrogate};
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::mh::accept::{ln_gains, ln_ratio};
 use mhsplat::density::relocation::split;
-use mhsplat::density::{DensityControl, Outcome, StepContext, Trial};
+use mhsplat::density::{DensityControl, Outcome, Trial};
 
 const N: usize = 5000;
 
@@ -20,18 +20,23 @@ fn config() -> MhConfig {
     }
 }
 
-fn trials(config: &MhConfig, scene: &Scene) -> Vec<Trial> {
-    MetropolisHastings::new(config)
-        .trials(&context(700, 0.1, 1), &scene.state(), &scene.errors())
-        .unwrap()
-}
-
-fn step(config: &MhConfig, scene: &Scene, changes: &[f64]) -> mhsplat::Result<Outcome> {
-    let at = StepContext {
-        changes,
-        ..context(700, 0.1, 1)
-    };
-    MetropolisHastings::new(config).step(&at, &scene.state(), &scene.errors())
+/// The births that a step has probed, and its outcome if the probe returns `changes` of them.
+fn probed(
+    config: &MhConfig,
+    scene: &Scene,
+    changes: &dyn Fn(usize) -> Vec<f64>,
+) -> (Vec<Trial>, mhsplat::Result<Outcome>) {
+    let mut tried = Vec::new();
+    let outcome = MetropolisHastings::new(config).step_probed(
+        &context(700, 0.1, 1),
+        &scene.state(),
+        &scene.errors(),
+        &mut |trials| {
+            tried.extend_from_slice(trials);
+            Ok(changes(trials.len()))
+        },
+    );
+    (tried, outcome)
 }
 
 #[test]
@@ -62,12 +67,12 @@ fn gains_by_hand() {
 fn what_a_probe_foretells_decides() {
     let scene = Scene::random(N, 8);
     let config = config();
-    let tried = trials(&config, &scene);
     // Every other one spoils the loss, by as much as the others lower it: ρ is σ(−1) and σ(1) without a voxel prior.
     let spoils = |k: usize| k.is_multiple_of(2);
     let change = |k: usize| if spoils(k) { 1e-7 } else { -1e-7 };
-    let changes: Vec<f64> = (0..tried.len()).map(change).collect();
-    let outcome = step(&config, &scene, &changes).unwrap();
+    let step = || probed(&config, &scene, &|n| (0..n).map(change).collect());
+    let (tried, outcome) = step();
+    let outcome = outcome.unwrap();
     assert_eq!(breaches(N, &outcome), Vec::<String>::new());
     let births = outcome.edits.iter().filter(|e| e.dst as usize >= N);
     let born: HashSet<[u32; 3]> = births.map(|e| e.position.map(f32::to_bits)).collect();
@@ -79,15 +84,15 @@ fn what_a_probe_foretells_decides() {
         // Some thousand proposals: five standard errors.
         assert!((rate - rho).abs() < 0.04, "{rate}");
     }
-    let run = || step(&config, &scene, &changes).unwrap().edits;
+    let run = || step().1.unwrap().edits;
     assert!(on_threads(1, run) == on_threads(3, run));
     // A wanted rate is kept here, too.
     let wanted = MhConfig {
         target_acceptance: [0.3, 0.3],
         ..config
     };
-    let mixed: Vec<f64> = (0..tried.len()).map(|k| (k % 7) as f64).collect();
-    let s = step(&wanted, &scene, &mixed).unwrap().stats;
+    let mixed = |n| (0..n).map(|k| (k % 7) as f64).collect();
+    let s = probed(&wanted, &scene, &mixed).1.unwrap().stats;
     let rate = s.accepted as f64 / s.proposed as f64;
     assert!((rate - 0.3).abs() < 0.03, "{rate}");
 }
@@ -97,7 +102,7 @@ fn a_birth_is_tried_in_the_shape_it_would_have() {
     let scene = Scene::random(N, 8);
     let [copied, shared, faint] = [Birth::Copy, Birth::Split, Birth::Faint].map(|birth| {
         let config = MhConfig { birth, ..config() };
-        trials(&config, &scene)
+        probed(&config, &scene, &|n| vec![0.0; n]).0
     });
     assert!(shared.len() == copied.len() && shared.len() == faint.len());
     let most = (0.1f64 / 0.9).ln() as f32;
@@ -128,10 +133,11 @@ fn nothing_is_tried_where_nothing_is_judged_by_it() {
     };
     for config in [MhConfig::default(), exact] {
         assert_eq!(MetropolisHastings::new(&config).trial_views(), 0);
-        assert!(trials(&config, &scene).is_empty());
-        assert!(step(&config, &scene, &[]).is_ok());
+        let (tried, outcome) = probed(&config, &scene, &|_| Vec::new());
+        assert!(tried.is_empty() && outcome.is_ok());
     }
-    let said = step(&config(), &scene, &[0.0]).unwrap_err().to_string();
+    let (_, outcome) = probed(&config(), &scene, &|_| vec![0.0]);
+    let said = outcome.unwrap_err().to_string();
     assert!(said.contains("1 changes of the loss"), "{said}");
 }
 

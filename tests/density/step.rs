@@ -280,7 +280,7 @@ fn fewer_views_are_wanted_as_the_run_goes_on() {
 #[test]
 fn bad_input_is_an_error_that_names_it() {
     let scene = Scene::random(10, 1);
-    let mut mh = MetropolisHastings::new(&MhConfig::paper());
+    let mh = MetropolisHastings::new(&MhConfig::paper());
     let short = Evidence::Errors(Cues {
         l1: &scene.l1[..9],
         ..scene.cues()

@@ -270,7 +270,7 @@ fn before_births_begin_a_step_relocates_and_no_more() {
     }
     let scene = dying(7000);
     let step = |evidence: &Evidence<'_>, progress: f64| {
-        let mut mh = MetropolisHastings::new(&config);
+        let mh = MetropolisHastings::new(&config);
         mh.step(&context(700, progress, 1), &scene.state(), evidence)
     };
     let early = step(&Evidence::Nothing, 0.2).unwrap();

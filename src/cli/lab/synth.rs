@@ -2,23 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
-
 use crate::cli::{Common, Outcome, output};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
 
-#[derive(Clone, Copy, ValueEnum)]
-enum LayoutFlag {
-    /// images/ and sparse/0/*.bin
-    Colmap,
-    /// images/ and sparse/0/*.txt
-    ColmapTxt,
-    /// transforms_train.json and transforms_test.json
-    Transforms,
-}
-
-/// Arguments.
+/// Arguments of `mhsplat synth`.
 #[derive(clap::Args)]
 pub struct SynthArgs {
     /// Scene: room or object.
@@ -27,34 +15,28 @@ pub struct SynthArgs {
     dir: PathBuf,
     /// Layout of the files [default: colmap for room, transforms for object]
     #[arg(long, value_enum)]
-    layout: Option<LayoutFlag>,
+    layout: Option<SynthLayout>,
     /// Views, held-out ones included [default: 64]
     #[arg(long)]
     views: Option<u32>,
-    /// Image size, WIDTHxHEIGHT pixels.
+    /// Image size, WIDTHxHEIGHT pixels [default: 480x360 for room, 400x400 for object]
     #[arg(long, value_name = "WxH")]
     size: Option<String>,
-    /// Sparse points.
+    /// Sparse points [default: 10000]
     #[arg(long)]
     points: Option<u32>,
-    /// Seed.
+    /// Seed of textures, sub-pixel positions and points [default: 0]
     #[arg(long)]
     seed: Option<u64>,
-    /// Rays per pixel.
+    /// Rays per pixel, rounded up to a square number [default: 16]
     #[arg(long)]
     samples: Option<u32>,
 }
 
-/// Makes the scene.
+/// Writes the dataset and reports it.
 pub fn run(args: &SynthArgs, common: &Common) -> Result<Outcome> {
     let mut options = SynthOptions::for_scene(&args.name);
-    if let Some(layout) = args.layout {
-        options.layout = match layout {
-            LayoutFlag::Colmap => SynthLayout::Colmap,
-            LayoutFlag::ColmapTxt => SynthLayout::ColmapTxt,
-            LayoutFlag::Transforms => SynthLayout::Transforms,
-        };
-    }
+    options.layout = args.layout.unwrap_or(options.layout);
     if let Some(size) = &args.size {
         let wrong = || {
             Error::config(

@@ -9,7 +9,7 @@
 //! `exact-prior` of training, which has births alone and decides many at once on the same counts, it is exact in the
 //! prior's factor and no more.
 //!
-//! Where births are probed, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a
+//! If births are probed, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a
 //! faint birth, over a few views, and of each birth alone.
 //!
 //! A temperature T turns ρ into ρ^{1/T}: the posterior's 1/T-th power for the exact form, a plain knob for the others.
@@ -23,14 +23,14 @@ pub fn voxel_prior(lambda: f64, count: u32) -> f64 {
     1.0 / (1.0 + lambda * f64::from(count))
 }
 
-/// ln ρ of a birth whose source has importance I ∈ [0, 1], in the chosen form; −∞ where ρ is 0.
+/// ln ρ of a birth whose source has importance I ∈ [0, 1], in the chosen form; −∞ if ρ is 0.
 #[must_use]
 pub fn ln_acceptance(form: Acceptance, importance: f64, lambda: f64, count: u32) -> f64 {
     ln_ratio(form, ln_gain(form, importance), lambda, count)
 }
 
-/// The part of ln ρ that stands for the change of the loss, from the importance I ∈ [0, 1] of the source: at most 0, −∞
-/// where it is nothing; 0 in the form without one.
+/// The part of ln ρ that stands for the change of the loss, from the importance I ∈ [0, 1] of the source: at most 0, −∞ if
+/// such a birth is never accepted; 0 in the form without importance.
 #[must_use]
 pub fn ln_gain(form: Acceptance, importance: f64) -> f64 {
     match form {
@@ -52,9 +52,9 @@ pub fn ln_ratio(form: Acceptance, ln_gain: f64, lambda: f64, count: u32) -> f64 
 
 /// The gain's part of ln ρ from first-order changes ΔL of the loss, one per proposal of a step: ln σ(−ΔL/s), Barker's rule
 /// (Barker 1965) at a temperature of s, the mean |ΔL|, so that `temperature` means the same at any size of the loss; z = 0
-/// where s is 0. Metropolis's min(0, −ΔL/s) makes half of the proposals certain, whatever the temperature, so that no share
-/// below theirs can be asked for. Of a proposal that no view saw (NaN) nothing is known, and it gets the mean of the others,
-/// as I has a cue at its mean where no view sees its source.
+/// if s is 0. Metropolis's min(0, −ΔL/s) makes half of the proposals certain, whatever the temperature, so that no share
+/// below theirs can be asked for. A proposal that no view saw (NaN) gets the mean of the others,
+/// like the cues of a source that no view sees.
 #[must_use]
 pub fn ln_gains(changes: &[f64]) -> Vec<f64> {
     let known = || changes.iter().filter(|c| c.is_finite());
@@ -85,13 +85,13 @@ pub fn exact_ln_prior_ratio_of_death(lambda: f64, count: u32) -> f64 {
     })
 }
 
-/// Temperatures that [`temperature_for`] answers.
+/// Least and greatest result of [`temperature_for`].
 const TEMPERATURES: [f64; 2] = [1e-4, 1e4];
-/// Halvings of their logarithms' range: 18.4 / 2⁴⁰ is 2e-11.
+/// Number of halvings of their logarithms' range: 18.4 / 2⁴⁰ is 2e-11.
 const HALVINGS: usize = 40;
 
 /// The T at which the mean of ρ^{1/T} over the proposals is `wanted`, by bisection in ln T between 1e-4 and 1e4; the nearer
-/// end where none is. A function of the proposals alone, so that nothing has to be kept between steps.
+/// end if there is none. A function of the proposals alone, so that nothing has to be kept between steps.
 #[must_use]
 pub fn temperature_for(ln_rhos: &[f64], wanted: f64) -> f64 {
     let [mut low, mut high] = TEMPERATURES.map(f64::ln);

@@ -1,12 +1,14 @@
-//! What becomes of accepted proposals.
+//! Accepted proposals of a step, and the outcome made of them.
 
 use rustc_hash::FxHashSet;
 
 use crate::config::Birth;
+use crate::density::mh::proposal::{Decision, Kind};
 use crate::density::mh::sparsity::VoxelCounts;
-use crate::density::mh::{Decision, Kind};
-use crate::density::relocate::Relocation;
-use crate::density::{DensityStats, Edit, Outcome, SceneState, relocate};
+use crate::density::outcome::{DensityStats, Outcome};
+use crate::density::relocation::{Relocation, share};
+use crate::density::state::SceneState;
+use crate::scene::Edit;
 
 /// The births of a step, in the order of decision.
 pub(super) struct Births {
@@ -14,31 +16,35 @@ pub(super) struct Births {
     edits: Vec<Edit>,
     /// Births with parameters of their own.
     fresh: Vec<Edit>,
+    /// Number of rows so far.
     len: usize,
+    /// Upper limit of `len`.
     limit: usize,
-    /// Rows that go, which are still among `len`.
+    /// Rows to remove, which are still among `len`.
     removed: Vec<u32>,
     stats: DensityStats,
+    /// Sum of D(v′) over the proposals so far.
     prior_sum: f64,
 }
 
 impl Births {
+    /// No births yet, for a scene of `len` rows of which `removed` will go.
     pub(super) fn new(len: usize, max_gaussians: Option<usize>, removed: Vec<u32>) -> Self {
-        let most = max_gaussians.map_or(usize::MAX, |most| most.saturating_add(removed.len()));
+        let max = max_gaussians.map_or(usize::MAX, |max| max.saturating_add(removed.len()));
         Self {
             edits: Vec::new(),
             fresh: Vec::new(),
             len,
             // Rows are named by 32 bits.
-            limit: most.min(u32::MAX as usize),
+            limit: max.min(u32::MAX as usize),
             removed,
             stats: DensityStats::default(),
             prior_sum: 0.0,
         }
     }
 
-    /// Appends the accepted births of a kind. Where there is no room for all, as many as there is room for, by lot: in the
-    /// order of rows they would be those of one corner of the scene. The rest does not count as accepted.
+    /// Appends the accepted births of a kind. If there is not room for all, as many as there is room for are drawn at random: in
+    /// the order of rows they would be those of one corner of the scene. The rest does not count as accepted.
     pub(super) fn take(
         &mut self,
         kind: Kind,
@@ -50,7 +56,7 @@ impl Births {
         let mut born: Vec<(usize, &Decision)> = accepted.collect();
         let room = self.limit.saturating_sub(self.len);
         if born.len() > room {
-            born.sort_by(|a, b| a.1.lot.total_cmp(&b.1.lot));
+            born.sort_by(|a, b| a.1.tie_break.total_cmp(&b.1.tie_break));
             born.truncate(room);
             born.sort_by_key(|(at, _)| *at);
         }
@@ -72,6 +78,7 @@ impl Births {
         self.len += tally[1] as usize;
     }
 
+    /// The outcome of the step: the edits of relocation and births, rows to remove, counters.
     pub(super) fn finish(
         mut self,
         form: Birth,
@@ -89,10 +96,10 @@ impl Births {
             stats.mean_prior = self.prior_sum / stats.proposed as f64;
         }
         if form == Birth::Split {
-            let sources = relocate::share(&mut self.edits, scene);
+            let sources = share(&mut self.edits, scene);
             self.edits.extend(sources);
         }
-        // What birth made of a source replaces what relocation had made of it.
+        // Births start from the result of relocation, and their edit of a source replaces that of relocation.
         let split: FxHashSet<u32> = self
             .edits
             .iter()

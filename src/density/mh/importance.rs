@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use crate::base::math::sigmoid;
-use crate::density::Cues;
+use crate::density::statistics::Cues;
 
-/// Rows per partial sum; fixed, so that sums round alike for any number of threads.
+/// Number of rows per partial sum; fixed, so that sums round alike for any number of threads.
 const CHUNK: usize = 8192;
-/// Added to the standard deviation (the released implementation's value): a constant cue becomes 0, not NaN.
+/// Addend to the standard deviation (the released implementation's value): a constant cue becomes 0, not NaN.
 const STD_FLOOR: f64 = 1e-6;
 
 /// Importance of N Gaussians.
@@ -15,9 +15,9 @@ const STD_FLOOR: f64 = 1e-6;
 pub struct Importance {
     /// I ∈ [0, 1], one per Gaussian.
     pub values: Vec<f64>,
-    /// Gaussians that no view of the subset saw.
+    /// Number of Gaussians that no view of the subset saw.
     pub unseen: usize,
-    /// Gaussians with a non-finite cue or opacity, taken as average in that cue.
+    /// Number of Gaussians with a non-finite cue or opacity, which count as average in that cue.
     pub invalid: usize,
 }
 
@@ -25,7 +25,7 @@ pub struct Importance {
 /// 1 − SSIM and L1 averaged over the views that saw the Gaussian. The hat is (v − mean)/(std + 1e-6).
 ///
 /// Mean and deviation are those of the valid values; a Gaussian that was not seen, or has a non-finite value, gets 0,
-/// the mean. All slices have length N; where they differ the shortest counts.
+/// the mean. All slices have length N; if they differ the shortest counts.
 #[must_use]
 pub fn importance(opacity_logits: &[f32], cues: &Cues<'_>, weights: [f64; 3]) -> Importance {
     let n = [cues.ssim.len(), cues.l1.len(), cues.views.len()]
@@ -35,7 +35,7 @@ pub fn importance(opacity_logits: &[f32], cues: &Cues<'_>, weights: [f64; 3]) ->
         0 => f64::NAN,
         views => f64::from(sums[i]) / f64::from(views),
     };
-    // Opacity, 1 − SSIM, L1 of each Gaussian; what is absent is NaN.
+    // Opacity, 1 − SSIM, L1 of each Gaussian; an absent value is NaN.
     let rows: Vec<[f64; 3]> = (0..n)
         .into_par_iter()
         .map(|i| {
@@ -71,7 +71,7 @@ struct Scale {
 }
 
 impl Scale {
-    /// Of the finite values of each column.
+    /// Scales of the finite values of each column.
     fn of(rows: &[[f64; 3]]) -> [Self; 3] {
         // Relative to a value of the column: the mean of equal values is that value to the last bit.
         let origins: [f64; 3] = std::array::from_fn(|k| {

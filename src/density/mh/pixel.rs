@@ -1,16 +1,20 @@
-//! Births in image space: where photos and renders differ, whether or not a Gaussian is near.
+//! Births in image space, at pixels in which photo and render differ.
 //!
 //! A copy lands a few scales from its source, so that an empty region, the sky above all, is reached by chance alone, if at
-//! all. Here a pixel is drawn ∝ its error; the birth lies beyond what is rendered with a probability that follows the
-//! pixel's remaining transmittance, else at the rendered mean depth. Not in \[MH\]; acceptance is that of the other phases, with the pixel's error in
-//! place of the importance.
+//! all. Here a pixel is drawn ∝ its error; the birth lies beyond the rendered surface with a probability that follows the
+//! pixel's remaining transmittance, else at the rendered mean depth. Not in \[MH\]; acceptance is that of the other phases, with
+//! the pixel's error for the importance.
 
 use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Purpose};
-use crate::density::Edit;
+use crate::config::MhConfig;
+use crate::density::control::StepContext;
 use crate::density::draw::Categorical;
-use crate::density::mh::{MhConfig, Proposal, StepContext, accept, shrinking};
+use crate::density::mh::accept;
+use crate::density::mh::progress::shrinking;
+use crate::density::mh::proposal::Proposal;
 use crate::density::picture::Picture;
+use crate::scene::Edit;
 use crate::scene::OptionalColor;
 use crate::scene::sh::C0;
 
@@ -45,7 +49,7 @@ impl<'a> Pixels<'a> {
         }
     }
 
-    /// The picture that a pixel is of, and its number there.
+    /// The picture that holds a pixel, and the pixel's number there; `None` beyond the last.
     fn find(&self, pixel: usize) -> Option<(&'a Picture, usize)> {
         let k = self
             .starts
@@ -54,14 +58,14 @@ impl<'a> Pixels<'a> {
         Some((self.pictures.get(k)?, pixel - self.starts[k]))
     }
 
-    /// Weights of the draw: e·(τ + s·(1−τ)).
+    /// Weights of the draw, one per pixel: e·(τ + s·(1−τ)).
     fn weights(&self, surface: f64) -> Vec<f64> {
         let left = self.pictures.iter().flat_map(|p| &p.transmittance);
         let seen = left.map(|t| reached(f64::from(*t), surface));
         self.errors.iter().zip(seen).map(|(e, s)| e * s).collect()
     }
 
-    /// Share of all error that the weights leave, Σ e·(τ + s·(1−τ)) / Σ e; 0 where there is no error.
+    /// Share of all error that the weights keep, Σ e·(τ + s·(1−τ)) / Σ e; 0 if there is no error.
     fn share(&self, weights: &[f64]) -> f64 {
         let all = self.mean * self.errors.len() as f64;
         if all > 0.0 {
@@ -71,18 +75,18 @@ impl<'a> Pixels<'a> {
         }
     }
 
-    /// σ of the error's deviation from the mean, in standard deviations, as I is of a Gaussian.
+    /// σ of the error's deviation from the mean, in standard deviations: the counterpart of a Gaussian's I.
     fn importance(&self, pixel: usize) -> f64 {
         sigmoid((self.errors[pixel] - self.mean) / self.deviation)
     }
 }
 
-/// Share of a pixel in which births may lie: beyond what is rendered, and of the rest the part `surface`.
+/// Share of a pixel's light in which births may lie: the remaining transmittance, and the part `surface` of the rest.
 fn reached(left: f64, surface: f64) -> f64 {
     left + surface * (1.0 - left)
 }
 
-/// Proposals at drawn pixels; `src` is the row whose rotation is copied, which does not matter, because a birth is round.
+/// Proposals at drawn pixels; `src` is any row: its rotation is copied, which does not matter, because a birth is round.
 pub(super) fn propose(config: &MhConfig, context: &StepContext<'_>, src: u32) -> Vec<Proposal> {
     let pixels = Pixels::new(context.pictures);
     let weights = pixels.weights(config.pixel_surface);
@@ -104,7 +108,7 @@ pub(super) fn propose(config: &MhConfig, context: &StepContext<'_>, src: u32) ->
     drawn.into_iter().filter_map(proposal).collect()
 }
 
-/// The birth at pixel `at` of a picture; none where its place or size is not finite.
+/// The birth at pixel `at` of a picture; `None` if its position or size is not finite.
 fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32) -> Option<Edit> {
     let [across, down, kind, far] = u;
     let depth = f64::from(*picture.depth.get(at)?);

@@ -1,49 +1,57 @@
 //! Births before they are decided on, and after.
 
 use crate::base::error::Result;
+use crate::density::control::Trial;
 use crate::density::mh::accept;
-use crate::density::relocate::Relocation;
-use crate::density::{Edit, Trial, numerics, relocation};
+use crate::density::relocation::{Relocation, split};
+use crate::density::state::numerics;
+use crate::scene::Edit;
 
-/// How a birth was proposed.
+/// The phase that proposed a birth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
+    /// Births in image space.
     Pixel,
+    /// Births far from their sources.
     Coarse,
+    /// Births near their sources.
     Fine,
 }
 
 /// A birth to be decided on.
 pub(super) struct Proposal {
+    /// The Gaussian to be written; `dst` is set once it is known which births are accepted.
     pub(super) edit: Edit,
     /// The part of ln ρ that stands for the change of the loss.
     pub(super) ln_gain: f64,
-    /// Uniform in [0, 1).
+    /// Uniform random number in [0, 1).
     pub(super) u: f64,
 }
 
 /// A decided proposal.
 pub(super) struct Decision {
-    /// What would be written; `dst` is set once it is known who is born.
+    /// That of the proposal.
     pub(super) edit: Edit,
     /// D(v′).
     pub(super) prior: f64,
+    /// True if ln u < ln ρ^{1/T}.
     pub(super) accepted: bool,
-    /// ln(u/ρ^{1/T}): of accepted ones uniform noise, by which those are drawn that there is room for.
-    pub(super) lot: f64,
+    /// ln(u/ρ^{1/T}): uniform noise among the accepted, which decides if there is not room for all.
+    pub(super) tie_break: f64,
 }
 
-/// What a step knows before it decides: a function of its arguments, so that what is tried is what is decided on.
-pub(super) struct Draft {
+/// The state of a step before the births are decided on.
+pub(super) struct Proposals {
+    /// Alive and dead rows, and the relocation of the dead.
     pub(super) relocation: Relocation,
-    /// The dead, if this step removes them.
+    /// Rows of the dead if this step removes them; else empty.
     pub(super) removed: Vec<u32>,
-    /// In image space, coarse, fine: the order of decision. Where room is short, what errs comes first, wherever it is.
-    pub(super) proposals: [(Kind, Vec<Proposal>); 3],
+    /// Births in image space, coarse, fine, in the order of decision: if room is short, pixels with large errors come first.
+    pub(super) phases: [(Kind, Vec<Proposal>); 3],
 }
 
 impl Proposal {
-    /// The birth as it would be if it were its source's only one in the step.
+    /// The birth to be probed: the one that would be written if it were its source's only one in the step.
     pub(super) fn trial(&self, shares: bool) -> Trial {
         let mut birth = self.edit;
         if !shares {
@@ -53,7 +61,7 @@ impl Proposal {
             };
         }
         let own = f64::from(birth.opacity_logit);
-        let part = relocation::split(own, 2);
+        let part = split(own, 2);
         let widened = part.log_scale_offset;
         birth.log_scale = birth.log_scale.map(|s| (f64::from(s) + widened) as f32);
         birth.opacity_logit = part.opacity_logit as f32;
@@ -64,10 +72,13 @@ impl Proposal {
     }
 }
 
-impl Draft {
-    /// Puts computed changes of the loss, one per proposal, in the place of the importance.
+impl Proposals {
+    /// Replaces the importance by computed changes of the loss, one per proposal.
+    ///
+    /// # Errors
+    /// Another number of changes.
     pub(super) fn weigh(&mut self, changes: &[f64]) -> Result<()> {
-        let proposals = self.proposals.iter_mut().flat_map(|(_, all)| all);
+        let proposals = self.phases.iter_mut().flat_map(|(_, all)| all);
         let mut proposals: Vec<&mut Proposal> = proposals.collect();
         if proposals.len() != changes.len() {
             return Err(numerics(format!(

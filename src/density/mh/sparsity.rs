@@ -1,4 +1,4 @@
-//! How many Gaussian centres each voxel holds: the c(v) of the sparsity prior (\[MH\] Eq. 7).
+//! Numbers of Gaussian centres per voxel: the c(v) of the sparsity prior (\[MH\] Eq. 7).
 //!
 //! The grid is only ever counted, so the store is a hash table of the occupied voxels with exact lattice keys. It is
 //! split into shards by hash: each shard is filled by one task, and counts do not depend on the order of counting, so
@@ -6,22 +6,22 @@
 
 use rayon::prelude::*;
 
-/// Shards, a power of two: enough tasks for any desktop, and each table of a million points
+/// Number of shards, a power of two: enough tasks for any desktop, and each table of a million points
 /// fits a first or second-level cache.
 const SHARDS: usize = 256;
-/// Points per task when keys are computed; a constant, so that the work does not depend on the number of threads.
+/// Number of points per task when keys are computed; a constant, so that the work does not depend on the number of threads.
 const CHUNK: usize = 16_384;
 
 /// Level of a voxel's edge and its lattice coordinates ⌊x/s⌋.
 type Key = [i32; 4];
 
-/// Edges are doubled this often at most.
-const MOST_LEVELS: i32 = 30;
+/// Greatest level: edges are doubled this often at most.
+const MAX_LEVEL: i32 = 30;
 
-/// Which voxel a position is in: cubes whose edge is the same everywhere, or grows with the distance from the cameras.
+/// Division of space into voxels: cubes whose edge is the same everywhere, or grows with the distance from the cameras.
 ///
-/// At distance d from the nearest camera centre the edge is s·2^l with l = ⌊log2(d/d₀)⌋, 0 for d < 2·d₀: what two
-/// Gaussians must be apart to be told apart grows with their distance, and a lattice of one edge s gives the far background
+/// At distance d from the nearest camera centre the edge is s·2^l with l = ⌊log2(d/d₀)⌋, 0 for d < 2·d₀: the distance at
+/// which two Gaussians can be distinguished grows with their depth, and a lattice of one edge s gives the far background
 /// as many voxels per pixel as there are edges to a pixel's footprint. Powers of two keep counting a look-up by (l, ⌊x/s⌋).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lattice<'a> {
@@ -32,13 +32,13 @@ pub struct Lattice<'a> {
 }
 
 impl<'a> Lattice<'a> {
-    /// One edge everywhere (\[MH\] Eq. 7), above 0, local units.
+    /// The lattice of one edge everywhere (\[MH\] Eq. 7), above 0, local units.
     #[must_use]
     pub fn uniform(edge: f64) -> Self {
         Self::growing(edge, 0.0, &[])
     }
 
-    /// The edge grows from distance `from` (d₀, local units) on; 0 or no camera centre means one edge everywhere.
+    /// The lattice whose edge grows from distance `from` (d₀, local units) on; 0 or no camera centre means one edge everywhere.
     #[must_use]
     pub fn growing(edge: f64, from: f64, centres: &'a [[f32; 3]]) -> Self {
         let grows = from > 0.0 && !centres.is_empty();
@@ -49,7 +49,7 @@ impl<'a> Lattice<'a> {
         }
     }
 
-    /// How often the edge is doubled at a position.
+    /// Number of doublings of the edge at a position.
     #[must_use]
     pub fn level(&self, position: [f64; 3]) -> i32 {
         if self.growth == 0.0 {
@@ -63,9 +63,10 @@ impl<'a> Lattice<'a> {
         // ⌊log2(d/d₀)⌋ is half of the exponent of (d/d₀)², rounded down: no logarithm, and exact.
         let ratio = nearest * self.growth;
         let exponent = ((ratio.to_bits() >> 52) & 0x7FF) as i32 - 1023;
-        exponent.div_euclid(2).clamp(0, MOST_LEVELS)
+        exponent.div_euclid(2).clamp(0, MAX_LEVEL)
     }
 
+    /// The key of the voxel around a position; `None` at a non-finite one.
     fn key(&self, position: [f64; 3]) -> Option<Key> {
         let level = self.level(position);
         let edge = self.edge * f64::from(1u32 << level);
@@ -94,7 +95,7 @@ impl<'a> VoxelCounts<'a> {
         Self::count_where(positions, Lattice::uniform(edge), |_| true)
     }
 
-    /// [`VoxelCounts::count`] on any lattice, over the rows that `keep` names.
+    /// [`VoxelCounts::count`] on any lattice, over the rows for which `keep` is true.
     #[must_use]
     pub fn count_where(
         positions: [&[f32]; 3],
@@ -177,6 +178,7 @@ fn hash(key: Key) -> u64 {
     )
 }
 
+/// The shard that holds a key with this hash.
 fn shard_of(hash: u64) -> usize {
     (hash >> 56) as usize & (SHARDS - 1)
 }
@@ -189,7 +191,7 @@ struct Chunk {
 }
 
 impl Chunk {
-    /// `found` is scratch space, kept between chunks.
+    /// Keys of the rows of `range` for which `keep` is true; `found` is scratch space, kept between chunks.
     fn new(
         positions: [&[f32]; 3],
         lattice: &Lattice<'_>,
@@ -233,7 +235,7 @@ struct Shard {
 }
 
 impl Shard {
-    /// Room for that many points if no two share a voxel.
+    /// An empty table with room for so many points if no two share a voxel.
     fn with_points(points: usize) -> Self {
         Self {
             slots: vec![([0; 4], 0); points + points / 4 + 16],

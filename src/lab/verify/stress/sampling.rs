@@ -277,11 +277,11 @@ fn steps() -> Result<Vec<Row>> {
             views: &vec![0; N],
         };
         let config = MhConfig::default();
-        let mut mh = MetropolisHastings::new(&config);
+        let mh = MetropolisHastings::new(&config);
         let context = StepContext::at(10_000, 0.5, 1);
         let outcome = mh.step(&context, &scene, &Evidence::Errors(cues))?;
         let mut written = vec![false; outcome.rows];
-        let error = |e: &crate::density::Edit| {
+        let error = |e: &crate::scene::Edit| {
             let values = e
                 .position
                 .iter()

@@ -1,0 +1,118 @@
+//! The interface of density-control strategies: context and statistics in, edits out.
+
+use crate::base::error::Result;
+use crate::density::outcome::Outcome;
+use crate::density::picture::Picture;
+use crate::density::state::SceneState;
+use crate::density::statistics::{Evidence, Wanted};
+use crate::scene::Edit;
+
+/// Noise on the positions after every optimiser step: x += rate · lr_position · Σ·ξ · σ(−steepness·(o − opacity)),
+/// ξ ~ N(0, I) (\[MCMC\] Eq. 8).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NoiseLaw {
+    /// Factor on the position's learning rate, for Σ in local units.
+    pub rate: f64,
+    /// Steepness of the gate.
+    pub steepness: f64,
+    /// Opacity at which the gate is one half.
+    pub opacity: f64,
+}
+
+/// The circumstances of a density step.
+#[derive(Debug, Clone, Copy)]
+pub struct StepContext<'a> {
+    /// Iteration of the run; with the seed it keys every random number of the step.
+    pub iteration: u32,
+    /// Progress η ∈ [0, 1] over the span of density control.
+    pub progress: f64,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Upper bound of the number of Gaussians; `None` if there is none.
+    pub max_gaussians: Option<usize>,
+    /// Number of scheduled opacity resets before this step.
+    pub opacity_resets: u32,
+    /// True if opacities are reset with this step.
+    pub resets_opacity: bool,
+    /// Centres of the training cameras, local units.
+    pub cameras: &'a [[f32; 3]],
+    /// Current renders of as many views as [`DensityControl::pictures`] names.
+    pub pictures: &'a [Picture],
+}
+
+impl StepContext<'_> {
+    /// A step after so many iterations at progress η, without a bound, resets, cameras or pictures.
+    #[must_use]
+    pub fn at(iteration: u32, progress: f64, seed: u64) -> Self {
+        Self {
+            iteration,
+            progress,
+            seed,
+            max_gaussians: None,
+            opacity_resets: 0,
+            resets_opacity: false,
+            cameras: &[],
+            pictures: &[],
+        }
+    }
+}
+
+/// A birth to be probed for its effect on the loss.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trial {
+    /// The Gaussian to be written; `dst` has no meaning.
+    pub birth: Edit,
+    /// Changes of the source's opacity logit and its three log-scales if birth and source share; else `None`.
+    pub source_change: Option<[f64; 4]>,
+}
+
+/// Returns the first-order change of the loss by each birth, in the order given; NaN for a birth that no view sees.
+pub type Probe<'a> = dyn FnMut(&[Trial]) -> Result<Vec<f64>> + 'a;
+
+/// A strategy of density control. It decides from the arguments of a step and keeps nothing between steps, so that a
+/// checkpoint needs nothing of it.
+pub trait DensityControl: Send + Sync {
+    /// The statistics that a step at this progress reads, for a run of so many training views: nothing, or the kind that a
+    /// step at η = 1 reads.
+    fn wanted(&self, views: usize, progress: f64) -> Wanted;
+
+    /// Number of views that a step at this progress wants rendered, with their photos.
+    fn pictures(&self, _progress: f64) -> usize {
+        0
+    }
+
+    /// Number of views that births are probed in; 0 if none is.
+    fn trial_views(&self) -> usize {
+        0
+    }
+
+    /// Noise on the positions after every optimiser step; `None` if there is none.
+    fn noise(&self) -> Option<NoiseLaw> {
+        None
+    }
+
+    /// Decides on births, relocations and removals.
+    ///
+    /// # Errors
+    /// Statistics that do not match the scene or the strategy, or a scene that cannot be sampled.
+    fn step(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        evidence: &Evidence<'_>,
+    ) -> Result<Outcome>;
+
+    /// [`DensityControl::step`] by a strategy that may ask for `probe` before it decides.
+    ///
+    /// # Errors
+    /// Those of [`DensityControl::step`], and the probe's.
+    fn step_probed(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        evidence: &Evidence<'_>,
+        _probe: &mut Probe<'_>,
+    ) -> Result<Outcome> {
+        self.step(context, scene, evidence)
+    }
+}

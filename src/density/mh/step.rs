@@ -1,0 +1,356 @@
+//! One step of Metropolis–Hastings density control, from statistics to edits.
+
+use rayon::prelude::*;
+
+use crate::base::error::Result;
+use crate::base::math::logit;
+use crate::base::rng::{Philox, Purpose};
+use crate::config::{Birth, MhConfig, ViewSubset};
+use crate::density::control::{DensityControl, NoiseLaw, Probe, StepContext, Trial};
+use crate::density::draw::{Categorical, birth_position};
+use crate::density::mh::births::Births;
+use crate::density::mh::progress::{lerp, shrinking};
+use crate::density::mh::proposal::{Decision, Kind, Proposal, Proposals};
+use crate::density::mh::sparsity::{Lattice, VoxelCounts};
+use crate::density::mh::{accept, importance, pixel};
+use crate::density::outcome::Outcome;
+use crate::density::relocation::Relocation;
+use crate::density::state::{SceneState, gather, numerics};
+use crate::density::statistics::{Cues, Evidence, Wanted, unexpected};
+use crate::scene::{Edit, OptionalColor};
+
+/// k of the noise's gate (\[MCMC\] Eq. 8).
+const NOISE_STEEPNESS: f64 = 100.0;
+
+/// Density control by Metropolis–Hastings births and relocation.
+#[derive(Debug, Clone)]
+pub struct MetropolisHastings {
+    config: MhConfig,
+}
+
+/// A phase of births around Gaussians: coarse or fine.
+struct Phase {
+    /// Number of draws.
+    proposals: usize,
+    /// Standard deviation of the offset, in scales of the source.
+    spread: f64,
+    /// Random streams of source, offset and acceptance.
+    streams: [u64; 3],
+}
+
+/// The input of a phase.
+struct Step<'a> {
+    context: &'a StepContext<'a>,
+    scene: &'a SceneState<'a>,
+    relocation: &'a Relocation,
+    /// Importance of each row.
+    importance: &'a [f64],
+    /// Distribution of sources over `relocation.alive_rows`.
+    sources: Categorical,
+}
+
+impl MetropolisHastings {
+    /// Density control with these settings.
+    #[must_use]
+    pub fn new(config: &MhConfig) -> Self {
+        Self { config: *config }
+    }
+
+    /// The coarse and the fine phase at the progress of a step.
+    fn phases(&self, context: &StepContext<'_>) -> [Phase; 2] {
+        let eta = context.progress;
+        let c = &self.config;
+        let phase = |proposals: u32, spread: [f64; 2], streams: [Purpose; 3]| Phase {
+            proposals: shrinking(proposals as usize, eta),
+            spread: lerp(spread, eta),
+            streams: streams.map(|s| s.stream(context.iteration)),
+        };
+        use Purpose::*;
+        [
+            phase(
+                c.coarse_proposals,
+                c.coarse_spread,
+                [CoarseDraw, CoarseOffset, CoarseAccept],
+            ),
+            phase(
+                c.fine_proposals,
+                c.fine_spread,
+                [FineDraw, FineOffset, FineAccept],
+            ),
+        ]
+    }
+
+    /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are.
+    fn decide(&self, proposals: &[Proposal], counts: &VoxelCounts<'_>, eta: f64) -> Vec<Decision> {
+        let c = &self.config;
+        let count = |p: &Proposal| counts.get(p.edit.position.map(f64::from));
+        let counts: Vec<u32> = proposals.par_iter().map(count).collect();
+        let ln_rhos: Vec<f64> = proposals
+            .iter()
+            .zip(&counts)
+            .map(|(p, n)| accept::ln_ratio(c.acceptance, p.ln_gain, c.lambda_voxel, *n))
+            .collect();
+        let wanted = lerp(c.target_acceptance, eta);
+        let temperature = if wanted > 0.0 {
+            accept::temperature_for(&ln_rhos, wanted)
+        } else {
+            lerp(c.temperature, eta)
+        };
+        let decision = |((p, n), ln_rho): ((&Proposal, &u32), &f64)| {
+            let ln_rho = ln_rho / temperature;
+            Decision {
+                edit: p.edit,
+                prior: accept::voxel_prior(c.lambda_voxel, *n),
+                accepted: accept::accepts(p.u, ln_rho),
+                tie_break: p.u.ln() - ln_rho,
+            }
+        };
+        let pairs = proposals.iter().zip(&counts).zip(&ln_rhos);
+        pairs.map(decision).collect()
+    }
+
+    /// Draws the proposals of a phase. One that would land at a non-finite position is not proposed.
+    fn propose(&self, step: &Step<'_>, phase: &Phase) -> Vec<Proposal> {
+        let [draw, offset, accept] = phase.streams;
+        let seed = step.context.seed;
+        let max_logit = match self.config.birth {
+            Birth::Faint => logit(self.config.birth_opacity) as f32,
+            Birth::Copy | Birth::Split => f32::INFINITY,
+        };
+        step.sources
+            .draw_unique(phase.proposals, seed, draw)
+            .into_par_iter()
+            .filter_map(|drawn| {
+                let row = *step.relocation.alive_rows.get(drawn)?;
+                let i = row as usize;
+                // Opacity and log-scale as relocation left them.
+                let (log_scale, opacity_logit) = match step.relocation.source(row) {
+                    Some(edit) => (edit.log_scale, edit.opacity_logit),
+                    None => (
+                        gather(&step.scene.log_scales, i)?,
+                        *step.scene.opacity_logits.get(i)?,
+                    ),
+                };
+                let [x, y, z, _] = Philox::normal(seed, offset, u64::from(row));
+                let position = birth_position(step.scene, i, log_scale, phase.spread, [x, y, z])?;
+                let importance = *step.importance.get(i)?;
+                Some(Proposal {
+                    edit: Edit {
+                        src: row,
+                        dst: row,
+                        position,
+                        log_scale,
+                        opacity_logit: opacity_logit.min(max_logit),
+                        color: OptionalColor::NONE,
+                    },
+                    ln_gain: accept::ln_gain(self.config.acceptance, importance),
+                    u: Philox::uniform(seed, accept, u64::from(row))[0],
+                })
+            })
+            .collect()
+    }
+
+    /// Checks settings, progress and the lengths of slices.
+    fn check(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        cues: &Cues<'_>,
+    ) -> Result<()> {
+        self.config.validate()?;
+        if !context.progress.is_finite() {
+            return Err(numerics(format!(
+                "progress is {}; 0 to 1 expected",
+                context.progress
+            )));
+        }
+        scene.check_lengths([cues.ssim.len(), cues.l1.len(), cues.views.len()])
+    }
+
+    /// Voxel counts of the state after relocation, in which proposals are made: relocated rows count at their new positions.
+    fn counts<'a>(
+        &self,
+        context: &StepContext<'a>,
+        eta: f64,
+        scene: &SceneState<'_>,
+        relocation: &Relocation,
+    ) -> VoxelCounts<'a> {
+        let edge = lerp(self.config.voxel_edge, eta);
+        let lattice = Lattice::growing(edge, self.config.voxel_growth_from, context.cameras);
+        let mut counts =
+            VoxelCounts::count_where(scene.positions, lattice, |i| relocation.alive[i]);
+        for edit in relocation.moved_edits() {
+            counts.add(edit.position.map(f64::from));
+        }
+        counts
+    }
+
+    /// Relocation of the dead, and the dead rows that are removed instead.
+    fn relocate_or_remove_dead(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+    ) -> (Relocation, Vec<u32>) {
+        let c = &self.config;
+        if c.buries(context.progress) {
+            let relocation = Relocation::none(scene, c.dead_opacity);
+            let removed = relocation.dead_rows();
+            return (relocation, removed);
+        }
+        let relocation = if c.relocation {
+            Relocation::plan(context, scene, c.dead_opacity)
+        } else {
+            Relocation::none(scene, c.dead_opacity)
+        };
+        (relocation, Vec::new())
+    }
+
+    /// Removals, relocation and proposals of a step.
+    fn proposals(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        evidence: &Evidence<'_>,
+    ) -> Result<Proposals> {
+        // Without cues every Gaussian counts as unseen.
+        let unseen = (vec![0.0; scene.len()], vec![0; scene.len()]);
+        let cues = match evidence {
+            Evidence::Errors(cues) => *cues,
+            Evidence::Nothing if !self.wants_errors(context.progress) => Cues {
+                ssim: &unseen.0,
+                l1: &unseen.0,
+                views: &unseen.1,
+            },
+            _ => return Err(unexpected()),
+        };
+        self.check(context, scene, &cues)?;
+        let context = &StepContext {
+            progress: context.progress.clamp(0.0, 1.0),
+            ..*context
+        };
+        let c = &self.config;
+        let (relocation, removed) = self.relocate_or_remove_dead(context, scene);
+        let importance = self.importance(scene, &cues);
+        let alive = relocation.alive_rows.par_iter();
+        let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
+        let step = Step {
+            context,
+            scene,
+            relocation: &relocation,
+            importance: &importance,
+            sources: Categorical::new(&weights),
+        };
+        let room = c.bears(context.progress)
+            && context
+                .max_gaussians
+                .is_none_or(|most| scene.len() - removed.len() < most);
+        let kinds = [Kind::Pixel, Kind::Coarse, Kind::Fine];
+        let mut phases = kinds.map(|kind| (kind, Vec::new()));
+        if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
+            let [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
+            let pixels = if context.pictures.is_empty() {
+                Vec::new()
+            } else {
+                pixel::propose(c, context, row)
+            };
+            for ((_, all), drawn) in phases.iter_mut().zip([pixels, coarse, fine]) {
+                *all = drawn;
+            }
+        }
+        Ok(Proposals {
+            phases,
+            relocation,
+            removed,
+        })
+    }
+
+    /// The births to be probed, in the order of the proposals.
+    fn trials(&self, proposals: &Proposals) -> Vec<Trial> {
+        let trials = |(kind, proposals): &(Kind, Vec<Proposal>)| -> Vec<Trial> {
+            let shares = *kind != Kind::Pixel && self.config.birth == Birth::Split;
+            proposals.iter().map(|p| p.trial(shares)).collect()
+        };
+        proposals.phases.iter().flat_map(trials).collect()
+    }
+
+    /// True if a step at progress η reads error maps.
+    fn wants_errors(&self, progress: f64) -> bool {
+        self.config.wants_errors() && self.config.bears(progress)
+    }
+
+    /// Importance I of every row (Eq. 13); ½ if it is switched off.
+    fn importance(&self, scene: &SceneState<'_>, cues: &Cues<'_>) -> Vec<f64> {
+        let c = &self.config;
+        if !c.importance {
+            return vec![0.5; scene.len()];
+        }
+        let weights = [c.weight_opacity, c.weight_ssim, c.weight_l1];
+        importance::importance(scene.opacity_logits, cues, weights).values
+    }
+}
+
+impl DensityControl for MetropolisHastings {
+    /// The view subset of Eq. 10, or nothing if no cue of errors has a weight.
+    fn wanted(&self, views: usize, progress: f64) -> Wanted {
+        if !self.wants_errors(progress) {
+            return Wanted::Nothing;
+        }
+        let views = match self.config.view_subset {
+            ViewSubset::Shrinking => shrinking(views, progress),
+            ViewSubset::All => views,
+            ViewSubset::Fixed(k) => views.min(k as usize),
+        };
+        Wanted::Errors { views }
+    }
+
+    fn noise(&self) -> Option<NoiseLaw> {
+        (self.config.noise_rate > 0.0).then_some(NoiseLaw {
+            rate: self.config.noise_rate,
+            steepness: NOISE_STEEPNESS,
+            opacity: self.config.dead_opacity,
+        })
+    }
+
+    fn pictures(&self, progress: f64) -> usize {
+        if self.config.pixel_proposals > 0 && self.config.bears(progress) {
+            self.config.pixel_views as usize
+        } else {
+            0
+        }
+    }
+
+    fn trial_views(&self) -> usize {
+        self.config.probed_views()
+    }
+
+    fn step(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        evidence: &Evidence<'_>,
+    ) -> Result<Outcome> {
+        self.step_probed(context, scene, evidence, &mut |_| Ok(Vec::new()))
+    }
+
+    fn step_probed(
+        &self,
+        context: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        evidence: &Evidence<'_>,
+        probe: &mut Probe<'_>,
+    ) -> Result<Outcome> {
+        let mut proposals = self.proposals(context, scene, evidence)?;
+        if self.trial_views() > 0 {
+            let changes = probe(&self.trials(&proposals))?;
+            proposals.weigh(&changes)?;
+        }
+        let (c, eta) = (&self.config, context.progress.clamp(0.0, 1.0));
+        let mut counts = self.counts(context, eta, scene, &proposals.relocation);
+        let mut births = Births::new(scene.len(), context.max_gaussians, proposals.removed);
+        for (kind, proposals) in &proposals.phases {
+            let decisions = self.decide(proposals, &counts, eta);
+            births.take(*kind, &decisions, &mut counts);
+        }
+        Ok(births.finish(c.birth, scene, proposals.relocation, &counts))
+    }
+}
