@@ -16,7 +16,7 @@ use crate::pipeline::stage::loss::{ImagePair, Loss, size_of_image};
 use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::scene::Splats;
 
-/// How an instrument is set up.
+/// Parameters of an instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Setting {
     /// SH degree and background of the renders.
@@ -42,7 +42,7 @@ pub struct CueRows {
 }
 
 impl CueRows {
-    /// As density control takes them.
+    /// The view of them that density control takes.
     #[must_use]
     pub fn cues(&self) -> Cues<'_> {
         Cues {
@@ -62,9 +62,9 @@ pub struct Base {
     pub cues: CueRows,
     /// Derivatives of the mean loss by opacity logit and the three log-scales, of every Gaussian.
     pub gradients: [Vec<f64>; 4],
-    /// Sums of each strip, by view.
+    /// Sums of each strip, view by view.
     pub(super) strips: Vec<Vec<f64>>,
-    /// Whether a view has any pair of a Gaussian, by view.
+    /// View by view, true for each Gaussian with a tile intersection.
     pub(super) touched: Vec<Vec<bool>>,
 }
 
@@ -76,7 +76,7 @@ pub struct Instrument<R: Real> {
     pub(super) views: ViewSet<R>,
     pub(super) splats: Splats,
     pub(super) scene: Scene<R>,
-    /// With the ordinary cut, and with the probes'.
+    /// Passes with the ordinary cut and with the probes'.
     passes: [Pass<R>; 2],
     project_grad: ProjectGrad,
     loss: Loss,
@@ -195,7 +195,7 @@ impl<R: Real> Instrument<R> {
         backward.gradients(&self.scene, camera, &self.dimage, first)
     }
 
-    /// Whether the view rendered last has any pair of the rows.
+    /// For each of the rows, true if the view rendered last has a tile intersection of it.
     pub(super) fn touched(&self, lifted: usize, first: usize, count: usize) -> Result<Vec<bool>> {
         self.passes[lifted].touched(first, count)
     }
