@@ -281,7 +281,8 @@ fn every_output_holds_every_device_and_no_nan() {
             error: "does not start".into(),
         },
     ];
-    let (page, text) = (bench::page(&outcomes), bench::markdown(&outcomes));
+    let report = bench::report(&outcomes);
+    let (page, text) = (report.to_html(), report.to_markdown());
     for words in [
         "Devices side by side",
         "broken",

@@ -4,12 +4,12 @@ mod cli;
 mod curve;
 pub mod made;
 mod paired;
-mod relative;
+mod remarks;
 
 use made::{Made, compared, run};
 
 use mhsplat::base::error::Error;
-use mhsplat::lab::compare::{Clock, Options, Source, compare, finished};
+use mhsplat::lab::compare::{Clock, Options, Source, compare, finished, report};
 
 fn message(error: &Error) -> String {
     error.to_string()
@@ -91,48 +91,12 @@ fn a_cap_that_changes_with_the_seed_is_one_setting() {
 }
 
 #[test]
-fn ratios_need_three_seeds_and_runs_that_arrive() {
-    // `slow` takes twice the time of the first group to the same PSNR; `low` ends below the last threshold.
-    let fast = |seed| run("fast", seed).named("fast");
-    let slow = |seed| run("slow", seed).slower(2.0).named("slow");
-    let low = |seed| run("low", seed).below(3.0).named("low");
-    let options = Options {
-        thresholds: vec![20.0, 24.0],
-        ..Options::default()
-    };
-    let relative = |made: &[Made]| compared(made, &options).unwrap().relative;
-    let three = [0, 1, 2].map(|s| [fast(s), slow(s), low(s)]).concat();
-    let found = relative(&three);
-    assert_eq!(found[0].label, "slow");
-    for time in &found[0].to_psnr {
-        assert!((time.ratio.unwrap().median - 2.0).abs() < 1e-9, "{time:?}");
-    }
-    assert!((found[0].mean.unwrap().median - 2.0).abs() < 1e-9);
-    assert_eq!(found[0].mean_of, 2);
-    assert_eq!(found[1].to_psnr[1].ratio, None);
-    assert_eq!(found[1].to_psnr[1].why.as_deref(), Some("not reached"));
-    assert_eq!(found[1].mean_of, 1, "the mean is of what is reached");
-
-    let refused = |made: &[Made], why: &str| {
-        let found = relative(made);
-        assert_eq!(found[0].to_psnr[0].ratio, None);
-        assert_eq!(found[0].to_psnr[0].why.as_deref(), Some(why));
-        assert_eq!(found[0].mean, None);
-    };
-    refused(&[fast(0), slow(0)], "from one sample");
-    refused(&[fast(0), fast(1), slow(0), slow(1)], "from 2 samples");
-    // Three runs of one seed tell the noise of the clock, not that of the method.
-    let again = [0, 0, 0].map(|s| [fast(s), slow(s)]).concat();
-    refused(&again, "from one sample");
-}
-
-#[test]
 fn unequal_numbers_of_gaussians_are_named() {
     let more = |extra: u64| {
         let mut other = run("b", 0).named("other");
         other.rows[19].gaussians += extra;
         let c = compared(&[run("a", 0), other], &Options::default()).unwrap();
-        let text = mhsplat::lab::compare::markdown(&c);
+        let text = report(&c).to_markdown();
         (c.warnings, text.contains("are equal to 2 %"))
     };
     let (warnings, equal) = more(20);
@@ -167,7 +131,7 @@ fn some_runs_arriving_is_not_all() {
         ..Options::default()
     };
     let c = compared(&made, &options).unwrap();
-    let text = mhsplat::lab::compare::markdown(&c);
+    let text = report(&c).to_markdown();
     assert!(text.contains("| 2 of 3: "), "{text}");
     assert!(text.contains("| not reached |"), "{text}");
     assert!(text.contains("| ≤ 50"), "at the first evaluation: {text}");
@@ -214,7 +178,7 @@ fn what_is_not_comparable_is_refused_by_name() {
             "{:?}",
             c.warnings
         );
-        assert!(mhsplat::lab::compare::page(&c).contains("not comparable: "));
+        assert!(report(&c).to_html().contains("not comparable: "));
     }
     // A dataset that was moved is the same one.
     let moved = [

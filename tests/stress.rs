@@ -3,6 +3,7 @@
 use mhsplat::device::Device;
 use mhsplat::lab::verify::Verification;
 use mhsplat::lab::verify::check::Row;
+use mhsplat::lab::verify::page::report;
 use mhsplat::lab::verify::stress::scenes::families;
 use mhsplat::lab::verify::stress::{Family, beside_scenes, verify_family};
 
@@ -106,14 +107,14 @@ fn a_bound_can_be_missed_and_the_page_says_so() {
         families: vec![narrow.note],
         cases,
     };
-    let page = mhsplat::lab::verify::page::page(std::slice::from_ref(&v));
+    let page = report(std::slice::from_ref(&v)).to_html();
     assert!(page.contains("a device &lt;1&gt;") && page.contains("FAILED"));
     assert!(page.contains("<svg") && page.contains("Failed comparisons"));
     let other = Verification {
         device: "another".into(),
         ..v.clone()
     };
-    let text = mhsplat::lab::verify::page::markdown(&[v, other]);
+    let text = report(&[v, other]).to_markdown();
     assert!(text.contains("FAILED") && text.contains(&format!("{failed} failed")));
     assert!(
         text.contains("| family | a device <1> | another |"),

@@ -1,4 +1,4 @@
-//! Folders of files that a command leaves beside what it prints.
+//! Folders of files that a command writes beside what it prints, and their JSON documents.
 
 use std::path::Path;
 
@@ -6,10 +6,10 @@ use serde::Serialize;
 
 use crate::base::error::{Error, Result};
 
-/// Refuses a folder that holds anything, or a path that is no folder.
+/// Refuses a folder that holds anything, or a path that is not a folder.
 ///
 /// # Errors
-/// As said.
+/// Such a path.
 pub fn check_folder(dir: &Path) -> Result<()> {
     let fix = "choose another with -o";
     match std::fs::read_dir(dir) {
@@ -26,22 +26,29 @@ pub fn check_folder(dir: &Path) -> Result<()> {
     }
 }
 
-/// The JSON document of one device, or of several as an array; `name` is what an error calls it.
+/// A JSON document; `name` is what an error calls it.
 ///
 /// # Errors
 /// None that a user can cause: what is measured can be written.
-pub fn one_or_all<T: Serialize>(name: &str, all: &[T]) -> Result<String> {
-    let text = match all {
-        [one] => serde_json::to_string_pretty(one),
-        all => serde_json::to_string_pretty(all),
-    };
-    text.map_err(|e| Error::Numerics {
+pub fn json(name: &str, value: &impl Serialize) -> Result<String> {
+    serde_json::to_string_pretty(value).map_err(|e| Error::Numerics {
         stage: name.into(),
         what: e.to_string(),
     })
 }
 
-/// Writes the files, each whole or not at all, into a folder that [`check_folder`] accepts, and makes it if need be.
+/// The JSON document of one device, or of several as an array.
+///
+/// # Errors
+/// Those of [`json`].
+pub fn one_or_all<T: Serialize>(name: &str, all: &[T]) -> Result<String> {
+    match all {
+        [one] => json(name, one),
+        all => json(name, &all),
+    }
+}
+
+/// Writes the files, each whole or not at all, into a folder that [`check_folder`] accepts; makes the folder if need be.
 ///
 /// # Errors
 /// A folder that is refused or cannot be written.

@@ -1,4 +1,4 @@
-//! Evidence: what measures, checks and compares. Nothing but the command line uses it.
+//! The laboratory: measuring, checking and comparing. Only the command line uses it.
 
 pub mod bench;
 pub mod cache;
@@ -6,7 +6,7 @@ pub mod compare;
 pub mod error;
 pub mod experiment;
 pub mod folder;
-pub mod page;
+pub mod report;
 pub mod selftest;
 pub mod stats;
 pub mod surrogate;

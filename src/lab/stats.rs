@@ -1,8 +1,8 @@
-//! Several samples of one figure, and what may be said of two of them.
+//! Statistics of repeated measurements: spread, ratio, power law, geometric mean, quantile.
 
 use serde::{Deserialize, Serialize};
 
-/// Samples that a ratio needs on both sides.
+/// Least number of samples that a ratio needs on both sides, and a range that is shown.
 pub const RATIO_SAMPLES: usize = 3;
 
 /// Median and range of repeated measurements.
@@ -19,7 +19,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of finite samples; none of an empty list or one that holds anything else.
+    /// The spread of finite samples; `None` of an empty list or one that holds anything else.
     #[must_use]
     pub fn of(samples: &[f64]) -> Option<Self> {
         if samples.is_empty() || samples.iter().any(|v| !v.is_finite()) {
@@ -36,6 +36,20 @@ impl Spread {
         })
     }
 
+    /// The spread of ratios: the middle two of an even number have their geometric mean between them, so that it does not
+    /// matter which side is below the line.
+    #[must_use]
+    pub fn of_ratios(ratios: &[f64]) -> Option<Self> {
+        let logs: Vec<f64> = ratios.iter().map(|v| v.ln()).collect();
+        let s = Self::of(&logs)?;
+        Some(Self {
+            median: s.median.exp(),
+            min: s.min.exp(),
+            max: s.max.exp(),
+            ..s
+        })
+    }
+
     /// All three figures times a positive factor (a change of unit).
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
@@ -48,7 +62,7 @@ impl Spread {
     }
 }
 
-/// A ratio of medians, and the interval that the samples' ranges allow.
+/// A ratio of medians with the interval that the samples' ranges allow.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Ratio {
     /// Ratio of the medians.
@@ -59,7 +73,7 @@ pub struct Ratio {
     pub high: f64,
 }
 
-/// `a` over `b`; none where either has fewer than [`RATIO_SAMPLES`] samples, or `b` is not positive throughout: a ratio
+/// `a` over `b`; `None` if either has fewer than [`RATIO_SAMPLES`] samples, or `b` is not positive throughout: a ratio
 /// without a spread says nothing.
 #[must_use]
 pub fn ratio(a: &Spread, b: &Spread) -> Option<Ratio> {
@@ -72,7 +86,7 @@ pub fn ratio(a: &Spread, b: &Spread) -> Option<Ratio> {
 }
 
 /// Exponent p of y ∝ xᵖ by least squares in the logarithms, through the medians, and its interval over all y within the
-/// samples' ranges. None with fewer than two different x, or a point of fewer than [`RATIO_SAMPLES`] samples: an exponent
+/// samples' ranges. `None` with fewer than two different x, or a point of fewer than [`RATIO_SAMPLES`] samples: an exponent
 /// is a logarithm of ratios.
 #[must_use]
 pub fn exponent(points: &[(f64, Spread)]) -> Option<Ratio> {
@@ -99,4 +113,22 @@ pub fn exponent(points: &[(f64, Spread)]) -> Option<Ratio> {
         low: slope(&|y, weight| if weight > 0.0 { y.min } else { y.max }),
         high: slope(&|y, weight| if weight > 0.0 { y.max } else { y.min }),
     })
+}
+
+/// Geometric mean; `None` of an empty list or one that holds anything but positive finite numbers.
+#[must_use]
+pub fn geometric_mean(values: &[f64]) -> Option<f64> {
+    let good = |v: &f64| *v > 0.0 && v.is_finite();
+    let logs: f64 = values.iter().map(|v| v.ln()).sum();
+    (!values.is_empty() && values.iter().all(good)).then(|| (logs / values.len() as f64).exp())
+}
+
+/// Quantile of sorted values, linear between them; `None` of an empty list.
+#[must_use]
+pub fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
+    let last = sorted.len().checked_sub(1)?;
+    let at = share.clamp(0.0, 1.0) * last as f64;
+    let below = at.floor() as usize;
+    let above = (below + 1).min(last);
+    Some(sorted[below] + (at - below as f64) * (sorted[above] - sorted[below]))
 }

@@ -1,20 +1,40 @@
-//! Figures as tables of text: the same rows for Markdown and for a page.
+//! Tables of text, and how their figures are spelt.
 
-use std::fmt::Write;
-
-use crate::chart::text::escape;
+use crate::lab::stats::{RATIO_SAMPLES, Ratio, Spread};
 
 /// A table of text.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Table {
     /// Heading.
     pub title: String,
-    /// A sentence on how to read it, may be empty.
+    /// Sentences on how to read it; may be empty.
     pub note: String,
     /// Column names.
     pub columns: Vec<String>,
     /// Cells.
     pub rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// A table of these columns.
+    pub fn new(
+        title: impl Into<String>,
+        note: impl Into<String>,
+        columns: &[&str],
+        rows: impl IntoIterator<Item = Vec<String>>,
+    ) -> Self {
+        Self {
+            title: title.into(),
+            note: note.into(),
+            columns: columns.iter().map(|c| (*c).to_owned()).collect(),
+            rows: rows.into_iter().collect(),
+        }
+    }
+}
+
+/// `text` of a figure; a dash for `None`.
+pub fn or_dash<T>(figure: Option<T>, text: impl FnOnce(T) -> String) -> String {
+    figure.map_or_else(|| "–".into(), text)
 }
 
 /// Three significant digits.
@@ -32,50 +52,34 @@ pub fn digits(value: f64) -> String {
     }
 }
 
-/// `median (min–max)`.
+/// `median (min–max)`, each by `text`.
+pub fn spread(s: &Spread, text: impl Fn(f64) -> String) -> String {
+    format!("{} ({}–{})", text(s.median), text(s.min), text(s.max))
+}
+
+/// [`spread`]; the median alone of fewer than [`RATIO_SAMPLES`] samples.
+pub fn few(s: &Spread, text: impl Fn(f64) -> String) -> String {
+    match s.samples < RATIO_SAMPLES {
+        true => text(s.median),
+        false => spread(s, text),
+    }
+}
+
+/// `median (min–max)` in three digits.
 #[must_use]
 pub fn ranged(median: f64, min: f64, max: f64) -> String {
     format!("{} ({}–{})", digits(median), digits(min), digits(max))
 }
 
-/// The table as HTML, under a heading of this level (`h2`).
-pub fn write_html(out: &mut String, table: &Table, heading: &str) {
-    let title = escape(&table.title);
-    let _ = write!(out, "<{heading}>{title}</{heading}>");
-    if !table.note.is_empty() {
-        let _ = write!(out, "<p class=note>{}</p>", escape(&table.note));
-    }
-    out.push_str("<div class=scroll><table>");
-    let line = |out: &mut String, cells: &[String], tag: &str| {
-        out.push_str("<tr>");
-        for (k, cell) in cells.iter().enumerate() {
-            let class = if k == 0 { "" } else { " class=n" };
-            let _ = write!(out, "<{tag}{class}>{}</{tag}>", escape(cell));
-        }
-        out.push_str("</tr>");
-    };
-    line(out, &table.columns, "th");
-    for row in &table.rows {
-        line(out, row, "td");
-    }
-    out.push_str("</table></div>\n");
+/// `median (low–high)` of a ratio in three digits.
+#[must_use]
+pub fn ratio(r: &Ratio) -> String {
+    ranged(r.median, r.low, r.high)
 }
 
-/// The table as Markdown, under a heading of this level (`##`).
-pub fn write_markdown(out: &mut String, table: &Table, level: &str) {
-    let cell = |text: &str| text.replace('|', "\\|").replace('\n', " ");
-    let line = |cells: &[String]| -> String {
-        let cells: Vec<String> = cells.iter().map(|c| cell(c)).collect();
-        format!("| {} |\n", cells.join(" | "))
-    };
-    let _ = write!(out, "\n{level} {}\n\n", table.title);
-    if !table.note.is_empty() {
-        let _ = write!(out, "{}\n\n", table.note);
-    }
-    out.push_str(&line(&table.columns));
-    let rule = vec!["---:"; table.columns.len().saturating_sub(1)];
-    let _ = writeln!(out, "| --- | {} |", rule.join(" | "));
-    for row in &table.rows {
-        out.push_str(&line(row));
-    }
+/// The last part of a path, by which a dataset or a run is named.
+#[must_use]
+pub fn folder_name(path: &str) -> &str {
+    let name = path.trim_end_matches(['/', '\\']);
+    name.rsplit(['/', '\\']).next().unwrap_or(name)
 }

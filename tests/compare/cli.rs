@@ -23,7 +23,7 @@ fn a_page_tables_and_json() {
     for word in [
         "| mh | 3 | 1200 |",
         "Time to equal PSNR, CPU seconds",
-        "| none | 1.50 (",
+        "| none | 3 seeds | 1.50 (1.50–1.50), 11 of 11 | yes, 11 of 11 | both 11, ",
     ] {
         assert!(tables.contains(word), "{word}: {tables}");
     }
@@ -43,7 +43,7 @@ fn a_page_tables_and_json() {
     fs::write(&page, "mine").unwrap();
     let refused = mhsplat(&all);
     assert_eq!(refused.status.code(), Some(2));
-    assert!(stderr(&refused).contains("no page of a comparison"));
+    assert!(stderr(&refused).contains("not a page that mhsplat wrote"));
     assert_eq!(fs::read_to_string(&page).unwrap(), "mine");
 
     let more = [
@@ -70,7 +70,7 @@ fn a_page_tables_and_json() {
             .len(),
         3
     );
-    assert!(v["relative"][0]["to_psnr"][0]["ratio"]["median"].is_f64());
+    assert!(v["relative"][0]["to_psnr"][0]["spread"]["median"].is_f64());
     assert!(v["groups"][0]["flip"]["median"].is_f64());
     assert_eq!(v["threshold_rule"], "Thresholds as given.");
     let json = done(&[&["compare", "--json"], paths.as_slice()].concat());

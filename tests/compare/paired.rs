@@ -1,15 +1,21 @@
-//! Groups seed by seed.
+//! Groups run by run: the one notion of "sooner".
 
 use super::made::{Made, compared, run};
-use mhsplat::lab::compare::{Bound, Options, Paired, Verdict, few, paired};
+use mhsplat::lab::compare::{Clock, Options, Paired, Verdict, report};
+use mhsplat::lab::stats::{Spread, geometric_mean};
+use mhsplat::lab::table::few;
 
-fn pairs(made: &[Made], reference: &str) -> Vec<Paired> {
-    let options = Options {
-        thresholds: vec![20.0, 24.0],
+fn options(reference: &str, thresholds: &[f64]) -> Options {
+    Options {
+        thresholds: thresholds.to_vec(),
         reference: Some(reference.into()),
         ..Options::default()
-    };
-    paired(&compared(made, &options).unwrap())
+    }
+}
+
+fn pairs(made: &[Made], reference: &str) -> Vec<Paired> {
+    let options = options(reference, &[20.0, 24.0]);
+    compared(made, &options).unwrap().relative
 }
 
 fn fast(seed: u64) -> Made {
@@ -24,6 +30,10 @@ fn low(seed: u64) -> Made {
     run("low", seed).below(3.0).named("low")
 }
 
+fn one(v: f64) -> String {
+    format!("{v:.1}")
+}
+
 #[test]
 fn ratios_and_differences_are_of_each_seed() {
     let made = [0, 1, 2].map(|s| [fast(s), slow(s), low(s)]).concat();
@@ -31,15 +41,16 @@ fn ratios_and_differences_are_of_each_seed() {
     let [slower, lower] = [&found[0], &found[1]];
     // Seeds differ in speed by 2 %, their ratios in nothing.
     let mean = slower.mean.unwrap();
-    assert_eq!(mean.samples, 3);
+    assert_eq!((mean.samples, slower.mean_of), (3, 2));
     assert!((mean.min - 2.0).abs() < 1e-9 && (mean.max - 2.0).abs() < 1e-9);
-    assert_eq!(few(&mean, |v| format!("{v:.1}")), "2.0 (2.0–2.0)");
-    assert!((slower.worst.unwrap().1.value - 2.0).abs() < 1e-9);
+    assert_eq!(few(&mean, one), "2.0 (2.0–2.0)");
+    assert!((slower.worst.unwrap().1.unwrap() - 2.0).abs() < 1e-9);
     assert_eq!(slower.no_later, Verdict { holds: 2, of: 2 });
     assert!(slower.psnr.unwrap().median.abs() < 1e-9 && slower.final_holds == Some(true));
     assert!((lower.psnr.unwrap().min - 3.0).abs() < 1e-9);
+    // What only one side reaches has no ratio and enters no mean, but decides who is sooner.
     assert_eq!((lower.counts.both, lower.counts.only_reference), (1, 1));
-    assert_eq!(lower.to_psnr[1].bound, Bound::AtLeast);
+    assert_eq!((lower.to_psnr[1].spread, lower.mean_of), (None, 1));
     assert_eq!(lower.no_later.text(), "yes, 2 of 2");
 
     let turned = pairs(&made, "slow");
@@ -48,11 +59,7 @@ fn ratios_and_differences_are_of_each_seed() {
     let turned = pairs(&made, "low");
     assert_eq!(turned[0].no_later.all(), Some(false));
     assert_eq!(turned[0].final_holds, Some(false));
-    let (_, worst) = turned[0].worst.unwrap();
-    assert!(
-        worst.value < 1.0 && worst.bound == Bound::AtMost,
-        "{worst:?}"
-    );
+    assert_eq!(turned[0].worst, Some((24.0, None)), "never at 24 dB");
 }
 
 #[test]
@@ -64,29 +71,32 @@ fn of_two_seeds_that_disagree_neither_side_is_favoured() {
     assert_eq!([one.no_later.holds, two.no_later.holds], [0, 0]);
     let ratio = |p: &Paired| p.to_psnr[0].spread.unwrap().median;
     assert!((ratio(&one) * ratio(&two) - 1.0).abs() < 1e-9);
-    assert!(
-        (ratio(&one) - 0.9f64.sqrt()).abs() < 1e-2,
-        "{}",
-        ratio(&one)
-    );
+    let middle = 0.9f64.sqrt();
+    assert!((ratio(&one) - middle).abs() < 1e-2, "{}", ratio(&one));
 }
 
 #[test]
-fn only_seeds_of_both_count() {
-    let found = pairs(&[fast(0), fast(1), slow(1), slow(2)], "fast");
-    assert_eq!(found[0].seeds, [1]);
-    let mean = found[0].mean.unwrap();
-    assert_eq!(
-        few(&mean, |v| format!("{v:.1}")),
-        "2.0",
-        "one seed has no spread"
-    );
-    assert!(pairs(&[fast(0), slow(1)], "fast").is_empty());
+fn pairs_are_of_one_seed_or_else_in_order_and_say_so() {
+    let of = |made: &[Made]| pairs(made, "fast").remove(0);
+    let found = of(&[fast(0), fast(1), slow(1), slow(2)]);
+    assert_eq!((&found.seeds[..], found.same_seeds), (&[1][..], true));
+    assert_eq!(found.pairs_text(), "1 seed");
+    let mean = found.mean.unwrap();
+    assert_eq!(few(&mean, one), "2.0", "one pair has no range");
+    // Repeats of one seed are pairs of their own, but one seed.
+    let again = of(&[0, 0, 0].map(|s| [fast(s), slow(s)]).concat());
+    assert_eq!((again.pairs, again.seeds.len()), (3, 1));
+    assert_eq!(again.pairs_text(), "3 pairs of 1 seed");
+    let apart = of(&[fast(0), fast(1), slow(2), slow(3), slow(4)]);
+    assert_eq!((apart.pairs, apart.same_seeds), (2, false));
+    assert_eq!(apart.pairs_text(), "2 pairs of other seeds");
+    let ratio = apart.to_psnr[0].spread.unwrap();
+    assert!(ratio.min > 1.9 && ratio.max < 2.2, "{ratio:?}");
 }
 
 #[test]
-fn a_seed_that_misses_is_the_latest_of_all() {
-    // Two of three seeds of `other` reach 24 dB sooner, one never does: the median is sooner still.
+fn a_run_that_misses_is_the_latest_of_all() {
+    // Two of three seeds of `other` reach 24 dB sooner, one never does: most are sooner still.
     let other = |s: u64| match s {
         2 => run("other", s).below(3.0).named("other"),
         _ => run("other", s).slower(0.5).named("other"),
@@ -94,9 +104,34 @@ fn a_seed_that_misses_is_the_latest_of_all() {
     let made = [0, 1, 2].map(|s| [fast(s), other(s)]).concat();
     let found = &pairs(&made, "fast")[0];
     let at = &found.to_psnr[1];
-    assert_eq!(at.no_later, Some(false));
-    assert_eq!((at.bound, found.counts.only_reference), (Bound::AtLeast, 1));
+    assert_eq!((at.no_later, at.spread), (Some(false), None));
+    assert_eq!(at.verdict(), Verdict { holds: 1, of: 3 });
     assert_eq!(at.seeds[2].no_later, Some(true));
+    assert_eq!(found.counts.only_reference, 1);
+    let c = compared(&made, &options("fast", &[20.0, 24.0])).unwrap();
+    let text = report(&c).to_markdown();
+    assert!(text.contains("| fast 1 of 3 |"), "{text}");
+}
+
+#[test]
+fn what_is_not_known_decides_nothing() {
+    let at = |made: &[Made], psnr: f64| {
+        let c = compared(made, &options("fast", &[psnr])).unwrap();
+        c.relative[0].to_psnr[0].clone()
+    };
+    let of = |time: &mhsplat::lab::compare::PairedTime| (time.seeds[0].ratio, time.no_later);
+    // At 10 dB both are there at their first evaluations, at 40 dB neither ever is.
+    for psnr in [10.0, 40.0] {
+        assert_eq!(of(&at(&[fast(0), slow(0)], psnr)), (None, None));
+    }
+    // An unfinished run may still come, unless its clock is past the other's time already.
+    let unfinished = |rows: usize, factor: f64| {
+        let cut = fast(0).slower(factor).rows(rows);
+        cut.with(|r| r.iterations = 600)
+    };
+    assert_eq!(of(&at(&[unfinished(4, 1.0), slow(0)], 24.0)), (None, None));
+    let late = at(&[unfinished(4, 100.0), slow(0)], 24.0);
+    assert_eq!(of(&late), (None, Some(false)));
 }
 
 #[test]
@@ -107,4 +142,33 @@ fn the_end_may_be_so_much_lower_and_no_more() {
     };
     assert_eq!(holds(0.04), Some(true));
     assert_eq!(holds(0.06), Some(false));
+}
+
+#[test]
+fn times_are_by_the_clock_that_is_asked_for() {
+    let by = |clock: Clock| {
+        let options = Options {
+            clock: Some(clock),
+            ..options("fast", &[20.0])
+        };
+        let c = compared(&[fast(0), slow(0)], &options).unwrap();
+        c.relative[0].mean.unwrap().median
+    };
+    assert!((by(Clock::Cpu) - 2.0).abs() < 1e-9);
+    assert!((by(Clock::Iterations) - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn means_of_ratios_are_geometric() {
+    let spread = Spread::of_ratios(&[0.5, 8.0]).unwrap();
+    assert!((spread.median - 2.0).abs() < 1e-12);
+    assert!((geometric_mean(&[0.5, 8.0]).unwrap() - 2.0).abs() < 1e-12);
+    for bad in [
+        &[][..],
+        &[1.0, 0.0],
+        &[1.0, f64::NAN],
+        &[1.0, f64::INFINITY],
+    ] {
+        assert_eq!(geometric_mean(bad), None, "{bad:?}");
+    }
 }

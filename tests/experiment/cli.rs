@@ -44,7 +44,7 @@ fn ctrl_c_stops_and_the_same_command_ends_it() {
     assert!(killed.success());
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert_eq!(state(&run, None).unwrap(), State::Begun);
-    assert!(done(&[&args[..], &["--dry-run"]].concat()).contains("goes on from its checkpoint"));
+    assert!(done(&[&args[..], &["--dry-run"]].concat()).contains("resumes from its checkpoint"));
     let summary: serde_json::Value =
         serde_json::from_str(&done(&[&args[..], &["--json"]].concat())).unwrap();
     assert_eq!(

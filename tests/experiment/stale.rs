@@ -45,12 +45,17 @@ fn runs_of_other_options_are_refused_not_counted_and_not_overwritten() {
             .iter()
             .all(|s| s.comparison.is_none() && s.missing == 4)
     );
-    let text = summary.markdown();
+    let text = summary.report().to_markdown();
     assert!(
         text.contains("mh, seed 0: refused: other options"),
         "{text}"
     );
-    assert!(summary.page().contains("refused: other options"));
+    assert!(
+        summary
+            .report()
+            .to_html()
+            .contains("refused: other options")
+    );
     // What fits renews the text.
     let more = TWO.replace("[0, 1]", "[0, 1, 2]");
     let e = experiment(dir.path(), &more).unwrap();

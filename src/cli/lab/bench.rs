@@ -65,7 +65,7 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
     if common.json {
         output::line(&bench::json(&outcomes)?);
     } else {
-        output::line(&bench::markdown(&outcomes));
+        output::line(&bench::report(&outcomes).to_markdown());
     }
     let failed = |o: &Measured| matches!(o, Measured::Failed { .. });
     if outcomes.iter().all(failed) {

@@ -8,8 +8,9 @@ use crate::cli::{Common, Outcome, output};
 use mhsplat::base::error::Result;
 use mhsplat::lab::compare;
 use mhsplat::lab::compare::{Clock, Options, Source};
+use mhsplat::lab::report::check_page;
 
-/// What times are told by.
+/// Clock of the times.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum ClockFlag {
     /// CPU seconds while training.
@@ -54,7 +55,7 @@ pub struct CompareArgs {
     /// PSNR to time the runs to, dB, within ±200; may be repeated [default: every whole dB from the first evaluation to the best]
     #[arg(long, value_name = "DB", value_parser = decibels, value_delimiter = ',', allow_negative_numbers = true)]
     threshold: Vec<f64>,
-    /// Group that ratios are taken against [default: that of the first run]
+    /// Group that the others are compared with [default: that of the first run]
     #[arg(long, value_name = "NAME")]
     reference: Option<String>,
     /// Compare runs of other datasets, resolutions or splits, too; the page says so.
@@ -70,7 +71,7 @@ pub fn run(args: &CompareArgs, common: &Common) -> Result<Outcome> {
         (None, true) => None,
     };
     if let Some(path) = &page {
-        mhsplat::lab::page::check_page(path)?;
+        check_page(path)?;
     }
     let sources: Vec<Source> = args.runs.iter().map(|r| Source::parse(r)).collect();
     let options = Options {
@@ -83,14 +84,15 @@ pub fn run(args: &CompareArgs, common: &Common) -> Result<Outcome> {
     for warning in &comparison.warnings {
         output::note(&format!("warning: {warning}"));
     }
+    let report = compare::report(&comparison);
     if let Some(path) = &page {
-        mhsplat::lab::page::write_page(path, &compare::page(&comparison))?;
+        report.write_page(path)?;
         output::note(&format!("page: {}", path.display()));
     }
     if common.json {
         output::json(&comparison)?;
     } else {
-        output::line(&compare::markdown(&comparison));
+        output::line(&report.to_markdown());
     }
     Ok(Outcome::Done)
 }

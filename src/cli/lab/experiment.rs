@@ -26,7 +26,7 @@ pub struct ExperimentArgs {
     /// Time for this session (90s, 10m, 3h) [default: the file's budget]
     #[arg(long, value_name = "TIME")]
     budget: Option<String>,
-    /// List the runs and what is there of them, and train nothing.
+    /// List the runs with their states, and train nothing.
     #[arg(long)]
     dry_run: bool,
 }
@@ -52,14 +52,14 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     let mut note = |text: &str| output::note(text);
     let ended = experiment::run(&experiment, &mut processes, &stop, &mut note);
     if matches!(ended, Err(Error::Interrupted)) {
-        output::note("stopped; the same command goes on from here");
+        output::note("stopped; run the same command to resume");
     }
     let ended = ended?;
     let summary = experiment::write(&experiment)?;
     if common.json {
         output::json(&summary)?;
     } else {
-        output::line(&summary.markdown());
+        output::line(&summary.report().to_markdown());
     }
     let page = experiment.output.join("summary.html");
     output::note(&format!(
@@ -69,7 +69,7 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     ));
     if ended.left > 0 {
         output::note(&format!(
-            "the budget ended before {} runs; the same command goes on from here",
+            "the budget ended before {} runs; run the same command to resume",
             ended.left
         ));
     }
@@ -86,7 +86,7 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     }
 }
 
-/// A run of the matrix, and what is there of it.
+/// A run of the matrix with its state.
 #[derive(serde::Serialize)]
 struct Listed {
     run: String,
@@ -148,7 +148,7 @@ impl Processes {
         Ok(command)
     }
 
-    /// Waits for the end; where the user asks to stop, tells the process by ending its stdin.
+    /// Waits for the end; if the user asks to stop, ends the stdin of the process, which stops it.
     fn wait(&self, child: &mut Child) -> Result<ExitStatus> {
         loop {
             if self.stop.load(Ordering::Relaxed) {

@@ -1,12 +1,13 @@
 //! `mhsplat surrogate`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::cli::{Common, Outcome, output, scene};
 use mhsplat::base::error::{Error, Result};
-use mhsplat::lab::page::{check_page, write_page};
+use mhsplat::lab::folder::json;
+use mhsplat::lab::report::check_page;
 use mhsplat::lab::surrogate;
-use mhsplat::lab::surrogate::{Options, Report};
+use mhsplat::lab::surrogate::Options;
 use mhsplat::run::{RECORD_FILE, RunRecord};
 
 /// Arguments.
@@ -16,7 +17,7 @@ pub struct SurrogateArgs {
     run: PathBuf,
     /// Its dataset [default: where the run found it]
     dataset: Option<PathBuf>,
-    /// Births to be tried, half of them drawn as the sampler proposes, half evenly over the importance.
+    /// Births to try, half of them drawn as the sampler proposes, half evenly over the importance.
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     candidates: u32,
     /// Training views over which the loss is taken.
@@ -30,7 +31,7 @@ pub struct SurrogateArgs {
     output: Option<PathBuf>,
 }
 
-/// Checks the surrogates; progress goes to stderr, tables to stdout.
+/// Checks importance and probe; progress goes to stderr, tables to stdout.
 pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
     if !args.run.join(RECORD_FILE).exists() {
         return Err(Error::input(
@@ -40,7 +41,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     let record = RunRecord::read(&args.run)?;
-    // Before anything is loaded: a folder without a checkpoint is told at once.
+    // Before anything is loaded: a folder without a checkpoint is refused at once.
     if !mhsplat::run::checkpoint::path(&args.run).exists() {
         mhsplat::run::checkpoint::read(&args.run)?;
     }
@@ -53,7 +54,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
     if folder.join("surrogate.json").exists() && !page.exists() {
         return Err(Error::input(
             &folder,
-            "holds a surrogate.json without its page; nothing else than an earlier check is replaced",
+            "holds a surrogate.json without its page; only an earlier check is replaced",
             "choose another folder with -o",
         ));
     }
@@ -68,32 +69,28 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
         views: args.views as usize,
         seed: args.seed,
     };
-    let mut told = 0;
-    let report = surrogate::check(
+    let mut announced = 0;
+    let checked = surrogate::check(
         &args.run,
         dataset,
         &device,
         &options,
         &mut |done, births| {
-            if 10 * done / births > told {
-                told = 10 * done / births;
+            if 10 * done / births > announced {
+                announced = 10 * done / births;
                 output::note(&format!("{done} of {births} births"));
             }
         },
     )?;
-    write(&folder, &page, &report)?;
-    if common.json {
-        output::json(&report)?;
-    } else {
-        output::line(&surrogate::markdown(&report));
+    let (report, json) = (surrogate::report(&checked), json("surrogate", &checked)?);
+    std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+    report.write_page(&page)?;
+    let file = folder.join("surrogate.json");
+    mhsplat::base::files::write_bytes(&file, format!("{json}\n").as_bytes())?;
+    output::note(&format!("page: {}", page.display()));
+    match common.json {
+        true => output::line(&json),
+        false => output::line(&report.to_markdown()),
     }
     Ok(Outcome::Done)
-}
-
-fn write(folder: &Path, page: &Path, report: &Report) -> Result<()> {
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
-    write_page(page, &surrogate::page(report))?;
-    surrogate::write_json(&folder.join("surrogate.json"), report)?;
-    output::note(&format!("page: {}", page.display()));
-    Ok(())
 }

@@ -8,11 +8,11 @@ use crate::cli::{Common, Outcome, output};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
 use mhsplat::lab::folder::check_folder;
-use mhsplat::lab::verify::page::{json, markdown, write_folder};
+use mhsplat::lab::verify::page::{json, report, write_folder};
 use mhsplat::lab::verify::stress::stress;
 use mhsplat::lab::verify::{Verification, quick, tiny};
 
-/// Which cases.
+/// Suites of cases.
 #[derive(Clone, Copy, ValueEnum)]
 enum Suite {
     /// Three scenes of two tiles, for interpreters of kernels.
@@ -26,7 +26,7 @@ enum Suite {
 /// Arguments.
 #[derive(clap::Args)]
 pub struct VerifyArgs {
-    /// Which cases.
+    /// Cases to check.
     #[arg(long, value_enum, default_value = "quick")]
     suite: Suite,
     /// Folder for verify.html, verify.json and verify.md; must be empty or not exist.
@@ -61,7 +61,7 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     if common.json {
         output::line(&json(&results)?);
     } else {
-        output::line(&markdown(&results));
+        output::line(&report(&results).to_markdown());
     }
     if results.is_empty() {
         return Err(Error::device(

@@ -7,10 +7,11 @@ use crate::base::error::Result;
 use crate::capture::Dataset;
 use crate::config::{AntiAliasing, TrainConfig};
 use crate::device::{Device, DeviceKind};
-use crate::lab::bench::record::{Case, Iteration, Peak, Stage};
+use crate::lab::bench::options::{Options, STAGES};
+use crate::lab::bench::record::{Case, Iteration, Peak, Stage, no_samples};
+use crate::lab::bench::scene;
 use crate::lab::bench::scene::VIEWS;
 use crate::lab::bench::work::{Load, TileWork};
-use crate::lab::bench::{Options, STAGES, no_samples, scene};
 use crate::lab::stats::{Ratio, Spread, ratio};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::run::clock::process_cpu_seconds;
@@ -19,7 +20,7 @@ use crate::scene::{Plane, Splats};
 use crate::train::{Plan, Trainer};
 
 /// Most iterations of a sample: the clock of CPU time has ticks of 10 ms, which is little enough of a sample by then.
-const MOST_ITERATIONS: u32 = 800;
+const MAX_ITERATIONS: u32 = 800;
 
 /// Several iterations, timed. Seconds per iteration.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,17 +52,17 @@ fn sample(trainer: &mut Trainer, iterations: u32) -> Result<Sample> {
     })
 }
 
-/// What is measured.
+/// A scene to measure.
 pub(super) struct Subject<'a> {
     pub name: &'a str,
     pub splats: &'a Splats,
     pub dataset: Dataset,
-    /// Whether the scene was trained with anti-aliasing, so that it is to be rendered with its filters.
+    /// True if the scene was trained with anti-aliasing and has to be rendered with its filters.
     pub anti_alias: bool,
 }
 
 impl Subject<'_> {
-    /// `N Gaussians, W×H`.
+    /// `NAME, N Gaussians, W × H`.
     pub fn title(&self) -> String {
         let camera = &self.dataset.train[0].camera;
         let (n, w, h) = (self.splats.len(), camera.width, camera.height);
@@ -102,7 +103,7 @@ pub(super) fn measure(
     let warm = sample(&mut trainer, VIEWS)?;
     // Whole passes over the views: then every sample holds the same work.
     let passes = options.sample_seconds / (warm.wall * f64::from(VIEWS)).max(1e-9);
-    let iterations = (VIEWS * passes.ceil().clamp(1.0, 1e4) as u32).min(MOST_ITERATIONS);
+    let iterations = (VIEWS * passes.ceil().clamp(1.0, 1e4) as u32).min(MAX_ITERATIONS);
     let samples: Vec<Sample> = (0..options.samples)
         .map(|_| sample(&mut trainer, iterations))
         .collect::<Result<_>>()?;
@@ -193,7 +194,7 @@ fn whole(samples: &[Sample]) -> Result<Iteration> {
     })
 }
 
-/// By which clock lanes are counted, and what they are compared with.
+/// The clock of the lanes, and the peak they are compared with.
 struct Clocks<'a> {
     peak: &'a Peak,
     on_cpu: bool,

@@ -4,9 +4,9 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::base::error::Result;
-use crate::lab::bench::page;
 use crate::lab::bench::record::{BenchRecord, Outcome, Stage};
-use crate::lab::bench::tables::markdown;
+use crate::lab::bench::report::report;
+use crate::lab::bench::tables::done;
 use crate::lab::folder::{one_or_all, write_files};
 
 /// Columns of `bench.csv`: a row per stage of a case, per whole iteration, and per variant of a stage. Cells that do not
@@ -31,7 +31,7 @@ pub const COLUMNS: [&str; 17] = [
     "max_rel_error",
 ];
 
-/// The document of `bench --json`: of one device itself, of several an array.
+/// The document of `bench --json`, of several devices an array.
 ///
 /// # Errors
 /// None that a user can cause: what is measured can be written.
@@ -44,25 +44,26 @@ pub fn json(outcomes: &[Outcome]) -> Result<String> {
 /// # Errors
 /// A folder that is not empty or cannot be written.
 pub fn write_folder(dir: &Path, outcomes: &[Outcome]) -> Result<()> {
+    let report = report(outcomes);
     let files = [
         ("bench.json", json(outcomes)? + "\n"),
         ("bench.csv", csv(outcomes)),
-        ("bench.md", markdown(outcomes)),
-        ("bench.html", page(outcomes)),
+        ("bench.md", report.to_markdown()),
+        ("bench.html", report.to_html()),
     ];
     write_files(dir, &files)
 }
 
-/// A cell of text, quoted as RFC 4180 has it.
+/// A cell of text, quoted by RFC 4180.
 fn quoted(text: &str) -> String {
     format!("\"{}\"", text.replace('"', "\"\""))
 }
 
-/// Every device as one table.
+/// Every device as one table of [`COLUMNS`].
 #[must_use]
 pub fn csv(outcomes: &[Outcome]) -> String {
     let mut out = COLUMNS.join(",") + "\n";
-    for record in crate::lab::bench::tables::done(outcomes) {
+    for record in done(outcomes) {
         cases(&mut out, record);
         for p in &record.precision {
             let _ = writeln!(

@@ -1,9 +1,9 @@
-//! How time and memory grow with the number of Gaussians and of pixels.
+//! Power laws of time and memory over the number of Gaussians and of pixels.
 
 use crate::lab::bench::record::{Case, Growth};
 use crate::lab::stats::{Spread, exponent, ratio};
 
-/// The number of Gaussians that growth is told from, where it was measured.
+/// Number of Gaussians that a ratio starts from, if it was measured.
 const COMMON: f64 = 1e5;
 /// Name of the cases that differ in nothing but their size.
 pub(super) const SYNTHETIC: &str = "synthetic";

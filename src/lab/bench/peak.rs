@@ -1,12 +1,12 @@
-//! The device's own best, measured in the same run as everything else.
+//! The device's peak, measured in the same run as everything else.
 
 use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::device::tuning::Tuning;
 use crate::device::{Array, Defines, Device, DeviceKind, Kernels};
-use crate::lab::bench::record::Peak as Record;
-use crate::lab::bench::{Options, no_samples};
+use crate::lab::bench::options::Options;
+use crate::lab::bench::record::{Peak as Record, no_samples};
 use crate::lab::stats::Spread;
 use crate::pipeline::stage::peak::Peak;
 use crate::run::clock::process_cpu_seconds;
@@ -19,7 +19,7 @@ const COPY_WIDTHS: [(u32, u32); 2] = [(1, 1), (4, 2)];
 /// Factor and term of the multiply-adds; every value stays near 1.
 const FACTORS: [f64; 2] = [0.999, 0.001];
 
-/// Device seconds of what `enqueue` enqueues, and CPU seconds of the process meanwhile.
+/// Device seconds of the launches of `enqueue`, and CPU seconds of the process meanwhile.
 fn time(device: &Device, enqueue: impl FnOnce() -> Result<()>) -> Result<[f64; 2]> {
     device.finish()?;
     device.collect_times(usize::MAX)?;
@@ -60,7 +60,7 @@ pub(super) fn measure(device: &Device, options: &Options) -> Result<Record> {
     })
 }
 
-/// 10⁹ FLOP per second of device time, and per second of CPU time where the device is the CPU.
+/// 10⁹ FLOP per second of device time, and per second of CPU time if the device is the CPU.
 fn fma(device: &Device, peak: &Peak, options: &Options) -> Result<(Spread, Option<Spread>)> {
     let cpu = device.info().kind == DeviceKind::Cpu;
     let items = device.info().compute_units.max(1) as usize * if cpu { 16 } else { 2048 };

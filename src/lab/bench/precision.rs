@@ -7,8 +7,9 @@ use crate::base::constants::{ALPHA_MIN, TILE};
 use crate::base::error::{Error, Result};
 use crate::device::tuning::Tuning;
 use crate::device::{Device, Real};
-use crate::lab::bench::record::{Failure, Precision};
-use crate::lab::bench::{Options, failure, no_samples, scene};
+use crate::lab::bench::options::Options;
+use crate::lab::bench::record::{Failure, Precision, no_samples};
+use crate::lab::bench::scene;
 use crate::lab::error::measure as error;
 use crate::lab::stats::Spread;
 use crate::lab::verify::chain::{Case, Outputs};
@@ -25,7 +26,7 @@ const COMPARED: [(&str, &str); 4] = [
 ];
 /// Stages that the alpha cut reaches.
 const CUT: [&str; 2] = ["splat", "splat_grad"];
-/// Stands for no cut: 10⁵ contributions of this alpha are below f32's resolution.
+/// The cut that stands for none: 10⁵ contributions of this alpha are below f32's resolution.
 const NO_CUT: f64 = 1e-13;
 /// Vector widths, with the width of their blocks of pixels.
 const WIDTHS: [(u32, u32); 4] = [(1, 1), (4, 2), (8, 4), (16, 4)];
@@ -48,8 +49,8 @@ struct Variant {
     against_no_cut: bool,
 }
 
-/// Every vector width in the style of CPUs, the style of GPUs, f64 as the device would have it, and every cut: what the
-/// device can do of it.
+/// Every vector width in the style of CPUs, the style of GPUs, f64 as the device would have it, and every cut: as far as the
+/// device supports them.
 fn variants(device: &Device) -> Vec<Variant> {
     let (info, own) = (device.info(), device.tuning());
     let single = |name: String, tuning: Tuning| Variant {
@@ -90,7 +91,7 @@ fn variants(device: &Device) -> Vec<Variant> {
     all
 }
 
-/// What the variants are measured on.
+/// The scene that the variants are measured on, with its references.
 struct Setup {
     gaussians: usize,
     size: u32,
@@ -125,7 +126,7 @@ pub(super) fn measure(
         note(&what);
         match setup.measure(device, &v, options.samples) {
             Ok(of_variant) => rows.extend(of_variant),
-            Err(e) => failed.push(failure(&what, &e)),
+            Err(e) => failed.push(Failure::new(&what, &e)),
         }
     }
     rows

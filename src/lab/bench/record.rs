@@ -1,7 +1,8 @@
-//! What `bench --json` prints (see the fields' names there) and every table and plot is made of.
+//! The document of `bench --json`, of which every table and chart is made.
 
 use serde::Serialize;
 
+use crate::base::error::Error;
 use crate::device::DeviceInfo;
 use crate::lab::stats::{Ratio, Spread};
 
@@ -12,17 +13,17 @@ pub struct BenchRecord {
     pub device: String,
     /// Version of this package.
     pub version: String,
-    /// What the device says of itself.
+    /// Description by the driver.
     pub about: DeviceInfo,
     /// The device at its best.
     pub peak: Peak,
     /// One entry per scene and resolution.
     pub cases: Vec<Case>,
-    /// How time and memory grow.
+    /// Power laws of time and memory.
     pub growth: Vec<Growth>,
     /// Error against time of every precision, vector width, style and cut-off.
     pub precision: Vec<Precision>,
-    /// What could not be measured, and why.
+    /// Cases and parts that could not be measured.
     pub failed: Vec<Failure>,
 }
 
@@ -139,7 +140,7 @@ pub struct Iteration {
 /// A power law over some of the cases: y ∝ xᵖ.
 #[derive(Debug, Clone, Serialize)]
 pub struct Growth {
-    /// What grows with what, and what stays the same.
+    /// The quantity, what it grows with, and what stays the same.
     pub what: String,
     /// Number of cases.
     pub points: usize,
@@ -177,11 +178,30 @@ pub struct Precision {
 pub struct Failure {
     /// The case or part.
     pub what: String,
-    /// Why.
+    /// The reason.
     pub error: String,
 }
 
-/// What came of one device.
+impl Failure {
+    /// The failure of `what`.
+    pub(super) fn new(what: &str, error: &Error) -> Self {
+        Self {
+            what: what.to_owned(),
+            error: error.to_string(),
+        }
+    }
+}
+
+/// The error of a stage without a sample.
+pub(super) fn no_samples(stage: &str) -> Error {
+    Error::Numerics {
+        stage: stage.into(),
+        what: "no time was measured; the driver's profiling counters or the clock do not advance"
+            .into(),
+    }
+}
+
+/// Result of one device.
 #[derive(Debug, Clone, Serialize)]
 #[serde(untagged)]
 pub enum Outcome {
@@ -191,7 +211,7 @@ pub enum Outcome {
     Failed {
         /// Device name.
         device: String,
-        /// Why.
+        /// The reason.
         error: String,
     },
 }

@@ -1,4 +1,4 @@
-//! What is measured: a seeded cloud of any size, seen from a circle, and an optimiser that changes nothing.
+//! The synthetic case: a seeded cloud of any size, seen from a circle, and an optimiser that changes nothing.
 
 use std::path::PathBuf;
 

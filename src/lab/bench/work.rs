@@ -1,20 +1,20 @@
-//! How much work a view is: pixel lanes counted from the device's own lists, bytes estimated from array shapes.
+//! The amount of work of a view: pixel lanes counted from the device's own lists, bytes estimated from array shapes.
 
 use crate::base::constants::{SUMS, TILE};
 use crate::base::error::Result;
 use crate::device::tuning::{Tuning, status};
 use crate::device::{CameraArg, Real, Record};
-use crate::lab::bench::STAGES;
+use crate::lab::bench::options::STAGES;
 use crate::pipeline::forward::Renderer;
 
 /// FLOP of a lane in the innermost block of `kernels/splat.cl`, a multiply-add counting two and comparisons, selections,
 /// conversions and integers nothing: u 3, exponent 6, 2^x 12, weight 1, three channels 6, transmittance 1.
 pub const SPLAT_FLOP: f64 = 29.0;
-/// The same of `kernels/splat_grad.cl`: u 3, exponent 6, 2^x 12, weight 1, colour along the gradient 5, what is behind 2,
+/// FLOP of a lane of `kernels/splat_grad.cl`, counted alike: u 3, exponent 6, 2^x 12, weight 1, colour along the gradient 5, what is behind 2,
 /// dL/dα 4, transmittance 1, its product with α 1, with u and dy 2, nine sums 15. Not counted: the sums over the lanes.
 pub const SPLAT_GRAD_FLOP: f64 = 52.0;
 
-/// What the splat kernels look at in one view.
+/// Tile lists that the splat kernels read in one view.
 #[derive(Debug, Clone, Default)]
 pub struct TileWork {
     /// Packed pixel bounds in x and y of each Gaussian, as in [`Record`]; of culled ones, anything.
@@ -92,7 +92,7 @@ impl TileWork {
     }
 }
 
-/// What the byte estimates depend on; means over views.
+/// Counts that the byte estimates depend on; means over views.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Load {
     /// Gaussians.
@@ -121,7 +121,7 @@ impl Load {
         bits.map(|b| f64::from(b.div_ceil(tuning.radix_bits).max(1)))
     }
 
-    /// FLOP per lane of a splat stage; none of the others.
+    /// FLOP per lane of a splat stage; `None` of the others.
     #[must_use]
     pub fn flop_per_lane(stage: &str) -> Option<f64> {
         match stage {

@@ -1,17 +1,12 @@
-//! Whether runs may be compared at all.
+//! Refusal of runs that are not comparable.
 
 use crate::base::error::{Error, Result};
 use crate::lab::compare::load::Loaded;
+use crate::lab::table::folder_name;
 use crate::train::schedule::Schedule;
 
 /// Name of the flag that lets incomparable runs pass.
 pub const ALLOW: &str = "--allow-different";
-
-/// Last part of a dataset's path: folders move, their names rarely change.
-fn folder(path: &str) -> &str {
-    let name = path.trim_end_matches(['/', '\\']);
-    name.rsplit(['/', '\\']).next().unwrap_or(name)
-}
 
 /// Names of the held-out views of the last evaluation.
 fn held_out(run: &Loaded) -> Option<Vec<&str>> {
@@ -19,7 +14,7 @@ fn held_out(run: &Loaded) -> Option<Vec<&str>> {
     Some(scores.per_view.iter().map(|v| v.view.as_str()).collect())
 }
 
-/// What makes two runs incomparable; none if nothing does.
+/// The reason why two runs are not comparable; `None` if they are.
 fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
     let (x, y) = (&a.record.dataset, &b.record.dataset);
     if (x.width, x.height) != (y.width, y.height) {
@@ -39,17 +34,17 @@ fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
     }
     match (&x.fingerprint, &y.fingerprint) {
         (Some(p), Some(q)) if p == q => None,
-        // Without a fingerprint (records of earlier versions), the name has to do.
         (Some(_), Some(_)) => Some(format!(
             "another dataset, {} instead of {}: views, cameras, lenses, sizes or masks differ, or one run is of an earlier version",
             y.path, x.path
         )),
-        _ if x.layout == y.layout && folder(&x.path) == folder(&y.path) => None,
+        // Records of earlier versions have no fingerprint. Folders move, their names rarely change.
+        _ if x.layout == y.layout && folder_name(&x.path) == folder_name(&y.path) => None,
         _ => Some(format!("another dataset, {} instead of {}", y.path, x.path)),
     }
 }
 
-/// What a reader should know though it forbids nothing.
+/// A caveat of two runs that are comparable.
 fn remark(a: &Loaded, b: &Loaded) -> Option<String> {
     let (x, y) = (&a.record, &b.record);
     let [p, q] = [x, y].map(|r| Schedule::new(&r.config).fixed_background());
@@ -58,15 +53,15 @@ fn remark(a: &Loaded, b: &Loaded) -> Option<String> {
             "scored over another background, which counts where photos are transparent".into(),
         );
     }
-    let [p, q] = [x, y].map(|r| folder(&r.dataset.path));
+    let [p, q] = [x, y].map(|r| folder_name(&r.dataset.path));
     let other = x.dataset.fingerprint.is_some() && p != q;
     other.then(|| {
         format!("its dataset is named {q} instead of {p}, with the same views and cameras")
     })
 }
 
-/// Refuses runs of another dataset, resolution, split or other held-out views than the first one's, or warns of them where
-/// that is allowed.
+/// Refuses runs of another dataset, resolution, split or other held-out views than the first one's, or warns of them if
+/// `allow` is set.
 ///
 /// # Errors
 /// The first such run.

@@ -11,17 +11,17 @@ const GRID: usize = 120;
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Curve(Vec<(f64, f64)>);
 
-/// When a curve first reached a value.
+/// The time at which a curve first reached a value.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Crossing {
     /// Clock, interpolated between two evaluations.
     pub at: f64,
-    /// Whether it was there at the first evaluation already, so that the true one is `at` or earlier.
+    /// True if it was there at the first evaluation already, so that the true time is `at` or earlier.
     pub at_most: bool,
 }
 
 impl Curve {
-    /// Of points in any order; those that are not finite are left out.
+    /// A curve of points in any order; those that are not finite are left out.
     #[must_use]
     pub fn new(points: impl IntoIterator<Item = (f64, f64)>) -> Self {
         let finite = |p: &(f64, f64)| p.0.is_finite() && p.1.is_finite();
@@ -42,8 +42,8 @@ impl Curve {
         self.0.last().map(|p| p.1)
     }
 
-    /// The first time at which the curve is at `value` or above, straight lines between its points; none where no point is.
-    /// What the curve does later does not matter: one that falls below again has reached it all the same.
+    /// The first time at which the curve is at `value` or above, linear between its points; `None` if no point is.
+    /// A curve that falls below it later has reached it all the same.
     #[must_use]
     pub fn first_reaches(&self, value: f64) -> Option<Crossing> {
         let found = self.0.iter().position(|p| p.1 >= value)?;
@@ -61,7 +61,7 @@ impl Curve {
         })
     }
 
-    /// The value at `at`, straight lines between the points; none outside of them.
+    /// The value at `at`, linear between the points; `None` outside of them.
     #[must_use]
     pub fn value(&self, at: f64) -> Option<f64> {
         let after = self.0.iter().position(|p| p.0 >= at)?;
@@ -75,7 +75,7 @@ impl Curve {
 }
 
 /// Median and range of several curves on a common grid, over the span that all of them cover: (clock, spread), rising. Empty
-/// where there is no such span. One curve is its own points.
+/// if there is no such span. One curve is its own points.
 #[must_use]
 pub fn band(curves: &[Curve]) -> Vec<(f64, Spread)> {
     let spread = |at: f64| -> Option<(f64, Spread)> {

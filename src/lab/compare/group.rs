@@ -1,4 +1,4 @@
-//! Runs that differ in nothing but the seed are samples of one thing.
+//! Grouping: runs that differ in nothing but the seed are samples of one setting.
 
 use std::collections::BTreeSet;
 
@@ -13,11 +13,12 @@ const BESIDE: [&str; 5] = [
     "checkpoint-every",
     "image-budget",
 ];
-/// The cap may change along with the seed, as it does where it is another run's final count; up to this ratio.
+/// Option that may change along with the seed, as it does if it is another run's final count.
 const CAP: &str = "max-gaussians";
+/// Largest ratio of the caps of one setting.
 const CAP_RATIO: f64 = 1.5;
 
-/// What was set and where it ran: name and value.
+/// Options, device and version of a run: name and value.
 pub type Facts = Vec<(String, String)>;
 
 /// Everything that may tell two groups apart.
@@ -43,7 +44,7 @@ pub fn facts(run: &Loaded) -> Facts {
 /// Runs of one kind, by their places in the list.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Group {
-    /// What sets it apart from the others.
+    /// Name, or the options that set it apart from the others.
     pub label: String,
     /// Places of its runs.
     pub runs: Vec<usize>,
@@ -54,7 +55,7 @@ fn without_cap(facts: &Facts) -> Facts {
     facts.iter().filter(other).cloned().collect()
 }
 
-/// Whether caps that change along with the seeds are one setting: one cap per seed, and all of a size.
+/// Returns true if caps that change along with the seeds are one setting: one cap per seed, and all of a size.
 fn one_cap_per_seed(runs: &[&Loaded]) -> bool {
     let seeds: BTreeSet<u64> = runs.iter().map(|r| r.record.seed).collect();
     let caps: Option<Vec<usize>> = runs.iter().map(|r| r.record.config.max_gaussians).collect();
@@ -66,7 +67,7 @@ fn one_cap_per_seed(runs: &[&Loaded]) -> bool {
     seeds.len() == runs.len() && ratio.is_some_and(|r| r <= CAP_RATIO)
 }
 
-/// Sorts runs into groups, in the order of their first runs: by the names that were given, else by what was set.
+/// Sorts runs into groups, in the order of their first runs: by the names that were given, else by their options.
 #[must_use]
 pub fn group(runs: &[Loaded]) -> Vec<Group> {
     let facts: Vec<Facts> = runs.iter().map(facts).collect();
@@ -95,7 +96,7 @@ pub fn group(runs: &[Loaded]) -> Vec<Group> {
     label(groups, runs, &facts)
 }
 
-/// Runs apart by their cap.
+/// The runs, split by their cap.
 fn by_cap(members: &[&Loaded], places: &[usize]) -> Vec<Vec<usize>> {
     let mut kinds: Vec<(Option<usize>, Vec<usize>)> = Vec::new();
     for (run, place) in members.iter().zip(places) {
@@ -108,8 +109,8 @@ fn by_cap(members: &[&Loaded], places: &[usize]) -> Vec<Vec<usize>> {
     kinds.into_iter().map(|(_, list)| list).collect()
 }
 
-/// Names groups that have none by their sampler and, where that does not tell them apart, by what does; the cap only if nothing
-/// else does.
+/// Names unnamed groups by their sampler and, if that does not tell them apart, by the options that do; by the cap only if
+/// nothing else does.
 fn label(
     groups: Vec<(Option<String>, Vec<usize>)>,
     runs: &[Loaded],

@@ -9,11 +9,11 @@ use crate::lab::compare::curve::Curve;
 use crate::run::metrics::METRICS_FILE;
 use crate::run::{MetricsRow, RECORD_FILE, RunRecord, read_rows};
 
-/// What runs are compared over.
+/// A clock to compare runs by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
 #[serde(rename_all = "kebab-case")]
 pub enum Clock {
-    /// CPU seconds of the process while training: the clock to compare by where other programs share the machine.
+    /// CPU seconds of the process while training: the clock to compare by if other programs share the machine.
     #[default]
     Cpu,
     /// Seconds of training; evaluation and export left out.
@@ -28,7 +28,7 @@ impl Clock {
     /// All of them, in the order of the page.
     pub const ALL: [Self; 4] = [Self::Cpu, Self::Train, Self::Wall, Self::Iterations];
 
-    /// What it shows at an evaluation.
+    /// Reading at an evaluation.
     #[must_use]
     pub fn of(self, row: &MetricsRow) -> f64 {
         match self {
@@ -39,7 +39,7 @@ impl Clock {
         }
     }
 
-    /// As text.
+    /// Name and unit.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -54,14 +54,14 @@ impl Clock {
 /// A run to compare, by itself or as a sample of a named group.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Source {
-    /// Group; none to group by what differs.
+    /// Name of its group; `None`: grouped by its options.
     pub group: Option<String>,
     /// Run folder.
     pub path: PathBuf,
 }
 
 impl Source {
-    /// Of `RUN` or `NAME=RUN`; a folder whose own name has the sign is itself.
+    /// Parses `RUN` or `NAME=RUN`; a folder whose own name has the sign is itself.
     #[must_use]
     pub fn parse(text: &str) -> Self {
         let whole = Self {
@@ -81,11 +81,11 @@ impl Source {
 /// A run that was read.
 #[derive(Debug, Clone)]
 pub struct Loaded {
-    /// Where from, as given.
+    /// Path and group as given.
     pub source: Source,
-    /// `run.json`.
+    /// Content of `run.json`.
     pub record: RunRecord,
-    /// `metrics.csv`: evaluations of held-out views, at least one.
+    /// Rows of `metrics.csv` that evaluated held-out views, at least one.
     pub rows: Vec<MetricsRow>,
 }
 
@@ -103,20 +103,20 @@ impl Loaded {
         self.curve(clock, |r| r.psnr)
     }
 
-    /// Whether the clocks of the run tell CPU time.
+    /// Returns true if every row has CPU seconds.
     #[must_use]
     pub fn has_cpu(&self) -> bool {
         self.rows.iter().all(|r| r.cpu_seconds > 0.0)
     }
 
-    /// The scores are those of the end, not of the last evaluation before something stopped the run.
+    /// Returns true if the scores are those of the end, not of the last evaluation before something stopped the run.
     #[must_use]
     pub fn finished(&self) -> bool {
         finished(&self.record)
     }
 }
 
-/// Whether a run came to its end: by its iterations, its time budget or its patience.
+/// Returns true if a run came to its end: by its iterations, its time budget or its patience.
 #[must_use]
 pub fn finished(record: &RunRecord) -> bool {
     let out_of_time = |budget: f64| record.train_seconds >= budget;
@@ -125,7 +125,7 @@ pub fn finished(record: &RunRecord) -> bool {
         || record.config.time_budget.is_some_and(out_of_time)
 }
 
-/// Reads a run; adds to `warnings` what the reader of a comparison has to know. None for one without any evaluation yet.
+/// Reads a run and adds its caveats to `warnings`; `None` for one without any evaluation yet.
 fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
     let dir = &source.path;
     let fix = "give the folder that `mhsplat train -o` wrote";

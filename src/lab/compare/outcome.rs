@@ -9,7 +9,7 @@ use crate::lab::compare::group::Group;
 use crate::lab::compare::load::{Clock, Loaded};
 use crate::lab::stats::Spread;
 
-/// Shares of its own final PSNR that a run is timed to.
+/// Shares of a run's own final PSNR that it is timed to.
 pub const SHARES: [f64; 2] = [0.95, 0.98];
 
 /// One run.
@@ -19,19 +19,19 @@ pub struct RunOutcome {
     pub path: String,
     /// Seed.
     pub seed: u64,
-    /// Whether it came to its end.
+    /// Whether the run came to its end.
     pub finished: bool,
     /// Iterations of the last evaluation.
     pub iterations: u32,
-    /// Gaussians at the last evaluation, with those that were removed before it because no training view shows them.
+    /// Gaussians at the last evaluation, including those removed before it because no training view shows them.
     pub gaussians: u64,
     /// Mean PSNR of the last evaluation, dB.
     pub psnr: f64,
     /// Mean SSIM of the last evaluation.
     pub ssim: Option<f64>,
-    /// Mean FLIP of the end; none of unfinished runs and of earlier versions.
+    /// Mean FLIP of the end; `None` for unfinished runs and those of earlier versions.
     pub flip: Option<f64>,
-    /// Clocks at the last evaluation.
+    /// CPU seconds at the last evaluation.
     pub cpu_seconds: f64,
     /// Seconds of training.
     pub train_seconds: f64,
@@ -40,7 +40,7 @@ pub struct RunOutcome {
 }
 
 impl RunOutcome {
-    /// What a clock shows at the last evaluation.
+    /// Reading of a clock at the last evaluation.
     #[must_use]
     pub fn last(&self, clock: Clock) -> f64 {
         match clock {
@@ -52,19 +52,19 @@ impl RunOutcome {
     }
 }
 
-/// When the runs of a group first had a PSNR, by one clock.
+/// Times at which the runs of a group first had a PSNR, by one clock.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reach {
-    /// What it is told by.
+    /// Clock of the times.
     pub clock: Clock,
-    /// By run; null where it was not reached.
+    /// Run by run; null if it was not reached.
     pub runs: Vec<Option<Crossing>>,
-    /// Over the runs, if all of them reached it.
+    /// Spread over the runs, if all of them reached it.
     pub spread: Option<Spread>,
 }
 
 impl Reach {
-    pub(super) fn new(clock: Clock, runs: Vec<Option<Crossing>>) -> Self {
+    fn new(clock: Clock, runs: Vec<Option<Crossing>>) -> Self {
         let all: Option<Vec<f64>> = runs.iter().map(|r| r.map(|c| c.at)).collect();
         Self {
             clock,
@@ -89,9 +89,9 @@ impl Reach {
 /// Times to one PSNR.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Target {
-    /// dB.
+    /// PSNR, dB.
     pub psnr: f64,
-    /// By clock.
+    /// Clock by clock.
     pub reach: Vec<Reach>,
 }
 
@@ -100,14 +100,14 @@ pub struct Target {
 pub struct Share {
     /// Share of the final PSNR in dB.
     pub share: f64,
-    /// By clock.
+    /// Clock by clock.
     pub reach: Vec<Reach>,
 }
 
 /// Samples of one thing.
 #[derive(Debug, Clone, Serialize)]
 pub struct GroupOutcome {
-    /// What sets it apart.
+    /// Name.
     pub label: String,
     /// Different seeds among its runs.
     pub seeds: usize,

@@ -1,58 +1,21 @@
-//! Two groups seed by seed: for scenes side by side, where the seeds of each are few.
+//! One group against another, run by run: the one notion of "sooner".
 //!
-//! All figures are told for the reference: a time is that of the other group over that of the reference (above 1: the reference
-//! is sooner), a difference is that of the reference less that of the other group.
+//! Runs of one seed are a pair; groups without a common seed are paired in their order. All figures are told for the
+//! reference: a time is that of the other group over that of the reference (above 1: the reference is sooner), a difference
+//! is that of the reference less that of the other group. A PSNR that a run has not reached has no time and enters no mean;
+//! it still decides which of the two is sooner.
 
 use serde::Serialize;
 
-use crate::lab::compare::Comparison;
+use crate::lab::compare::curve::Crossing;
 use crate::lab::compare::load::Clock;
 use crate::lab::compare::outcome::{GroupOutcome, RunOutcome};
-use crate::lab::compare::relative::{Bound, Bounded, Counts, Limit, common, time};
-use crate::lab::stats::{RATIO_SAMPLES, Spread};
+use crate::lab::stats::{Spread, geometric_mean};
 
-/// What the reference may end below the other group, dB.
+/// Largest deficit of the reference's final PSNR that still counts as equal, dB.
 pub const FINAL_BELOW: f64 = 0.05;
 
-/// A ratio of times of one seed.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SeedRatio {
-    /// Seed.
-    pub seed: u64,
-    /// Other over reference; none where neither reached it, or both before their first evaluation.
-    pub ratio: Option<Limit>,
-    /// Whether the reference was no later; a finished run that has not reached a PSNR never does. None where that is not known.
-    pub no_later: Option<bool>,
-}
-
-/// Times to one PSNR.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PairedTime {
-    /// dB.
-    pub psnr: f64,
-    /// By seed.
-    pub seeds: Vec<SeedRatio>,
-    /// Over the seeds with a ratio.
-    pub spread: Option<Spread>,
-    /// On which side of the median the true one is.
-    pub bound: Bound,
-    /// Whether the reference was no later, in the median over the seeds.
-    pub no_later: Option<bool>,
-}
-
-impl PairedTime {
-    /// The median and its bound.
-    #[must_use]
-    pub fn limit(&self) -> Option<Limit> {
-        let bound = self.bound;
-        self.spread.map(|s| Limit {
-            value: s.median,
-            bound,
-        })
-    }
-}
-
-/// In how many cases something holds.
+/// Number of cases in which something holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
 pub struct Verdict {
     /// Cases in which it does.
@@ -62,7 +25,7 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// Of single cases.
+    /// The count over single cases; `None` is one that is not known.
     pub fn count(cases: impl IntoIterator<Item = Option<bool>>) -> Self {
         let mut all = Self::default();
         for case in cases.into_iter().flatten() {
@@ -72,10 +35,16 @@ impl Verdict {
         all
     }
 
-    /// Whether it holds in all of them; none without any.
+    /// Whether it holds in all of them; `None` without any.
     #[must_use]
     pub fn all(&self) -> Option<bool> {
         (self.of > 0).then_some(self.holds == self.of)
+    }
+
+    /// Whether it holds in more than half of them; `None` without any.
+    #[must_use]
+    pub fn most(&self) -> Option<bool> {
+        (self.of > 0).then_some(2 * self.holds > self.of)
     }
 
     /// `yes, 12 of 12`.
@@ -91,79 +60,163 @@ impl Verdict {
     }
 }
 
+/// Number of thresholds that all runs of one side or of both reach.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
+pub struct Counts {
+    /// Both.
+    pub both: usize,
+    /// The reference alone.
+    pub only_reference: usize,
+    /// The group alone.
+    pub only_group: usize,
+    /// Neither.
+    pub neither: usize,
+}
+
+impl Counts {
+    /// Adds those of another scene.
+    pub fn join(&mut self, other: &Self) {
+        self.both += other.both;
+        self.only_reference += other.only_reference;
+        self.only_group += other.only_group;
+        self.neither += other.neither;
+    }
+
+    /// `both 7, only mh 2, only mcmc 0, neither 1`.
+    #[must_use]
+    pub fn text(&self, reference: &str, group: &str) -> String {
+        format!(
+            "both {}, only {reference} {}, only {group} {}, neither {}",
+            self.both, self.only_reference, self.only_group, self.neither
+        )
+    }
+}
+
+/// Times of one pair to one PSNR.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PairRatio {
+    /// Seed of the reference's run.
+    pub seed: u64,
+    /// Other over reference; `None` unless both reached it after their first evaluation.
+    pub ratio: Option<f64>,
+    /// Whether the reference was no later; a finished run that has not reached a PSNR never does. `None` if not known.
+    pub no_later: Option<bool>,
+}
+
+/// Times to one PSNR.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PairedTime {
+    /// PSNR, dB.
+    pub psnr: f64,
+    /// Pair by pair.
+    pub seeds: Vec<PairRatio>,
+    /// Spread of the ratios, if every pair has one.
+    pub spread: Option<Spread>,
+    /// Whether the reference was no later in more than half of the pairs in which that is known.
+    pub no_later: Option<bool>,
+}
+
+impl PairedTime {
+    /// Pairs in which the reference was no later.
+    #[must_use]
+    pub fn verdict(&self) -> Verdict {
+        Verdict::count(self.seeds.iter().map(|s| s.no_later))
+    }
+}
+
 /// One group against the reference.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Paired {
     /// The group.
     pub label: String,
-    /// Seeds that both have.
+    /// Seeds of the pairs (of the reference's runs), each once.
     pub seeds: Vec<u64>,
+    /// Number of pairs.
+    pub pairs: usize,
+    /// Whether the runs of a pair have the same seed; else they are paired in their order.
+    pub same_seeds: bool,
     /// One per threshold.
     pub to_psnr: Vec<PairedTime>,
-    /// How many thresholds which of them reaches, with all seeds.
+    /// Number of thresholds that either side reaches with all runs.
     pub counts: Counts,
-    /// Geometric mean over the thresholds that both reach with all seeds, by seed.
+    /// Geometric mean over the thresholds at which every pair has a ratio, pair by pair.
     pub mean: Option<Spread>,
-    /// Geometric mean over all thresholds that at least one of them reaches, median over the seeds by threshold.
-    pub bounded: Option<Bounded>,
-    /// The threshold at which the reference does worst.
-    pub worst: Option<(f64, Limit)>,
-    /// Final PSNR, dB, differences by seed.
+    /// Number of those thresholds.
+    pub mean_of: usize,
+    /// Threshold at which the reference does worst, and its median ratio; `None` in place of that: only the group reaches it.
+    pub worst: Option<(f64, Option<f64>)>,
+    /// Differences of the final PSNR, dB.
     pub psnr: Option<Spread>,
-    /// Final SSIM.
+    /// Differences of the final SSIM.
     pub ssim: Option<Spread>,
-    /// Final FLIP.
+    /// Differences of the final FLIP.
     pub flip: Option<Spread>,
     /// Gaussians of the reference and of the group.
     pub gaussians: Option<(Spread, Spread)>,
-    /// Whether the reference is no later, threshold by threshold.
+    /// Thresholds at which the reference is no later.
     pub no_later: Verdict,
     /// Whether the reference ends no more than [`FINAL_BELOW`] below.
     pub final_holds: Option<bool>,
 }
 
-/// A run of each side, by their places.
+impl Paired {
+    /// `3 seeds`, `3 pairs of 1 seed`, or `2 pairs of other seeds`.
+    #[must_use]
+    pub fn pairs_text(&self) -> String {
+        let count = |n: usize, what: &str| match n {
+            1 => format!("1 {what}"),
+            n => format!("{n} {what}s"),
+        };
+        let seeds = count(self.seeds.len(), "seed");
+        match (self.same_seeds, self.pairs == self.seeds.len()) {
+            (true, true) => seeds,
+            (true, false) => format!("{} of {seeds}", count(self.pairs, "pair")),
+            (false, _) => format!("{} of other seeds", count(self.pairs, "pair")),
+        }
+    }
+}
+
+/// Places of the runs of a pair.
+#[derive(Clone, Copy)]
 struct Pair {
-    seed: u64,
     own: usize,
     base: usize,
 }
 
-/// All groups against the reference, over the seeds that both have. Groups without such a seed are left out.
+/// Every other group against the reference.
 #[must_use]
-pub fn paired(c: &Comparison) -> Vec<Paired> {
-    let reference = c.reference_place();
-    let Some(base) = c.groups.get(reference) else {
-        return Vec::new();
-    };
-    let others = c.groups.iter().enumerate().filter(|g| g.0 != reference);
+pub fn paired(groups: &[GroupOutcome], reference: usize, clock: Clock) -> Vec<Paired> {
+    let others = groups.iter().enumerate().filter(|g| g.0 != reference);
     others
-        .filter_map(|(_, g)| against(g, base, c.clock))
+        .map(|(_, group)| against(group, &groups[reference], clock))
         .collect()
 }
 
-fn against(group: &GroupOutcome, base: &GroupOutcome, clock: Clock) -> Option<Paired> {
-    let seeds = common(group, base);
-    let place = |g: &GroupOutcome, seed: u64| g.runs.iter().position(|r| r.seed == seed);
-    let pair = |seed: &u64| {
-        Some(Pair {
-            seed: *seed,
-            own: place(group, *seed)?,
-            base: place(base, *seed)?,
-        })
+/// Pairs of one seed, or, if there are none, in the order of the runs; and which of the two.
+fn pair_up(group: &GroupOutcome, base: &GroupOutcome) -> (Vec<Pair>, bool) {
+    let mut free: Vec<usize> = (0..group.runs.len()).collect();
+    let partner = |(place, run): (usize, &RunOutcome)| {
+        let same = |own: &usize| group.runs[*own].seed == run.seed;
+        let own = free.iter().position(same).map(|at| free.remove(at))?;
+        Some(Pair { own, base: place })
     };
-    let pairs: Vec<Pair> = seeds.iter().filter_map(pair).collect();
-    if pairs.is_empty() {
-        return None;
+    let pairs: Vec<Pair> = base.runs.iter().enumerate().filter_map(partner).collect();
+    if !pairs.is_empty() {
+        return (pairs, true);
     }
-    let at = |place: usize| to_psnr(group, base, &pairs, place, clock);
-    let (to_psnr, reached): (Vec<PairedTime>, Vec<[bool; 2]>) =
-        (0..group.to_psnr.len()).filter_map(at).unzip();
+    let count = group.runs.len().min(base.runs.len());
+    let in_order = (0..count).map(|k| Pair { own: k, base: k });
+    (in_order.collect(), false)
+}
+
+fn against(group: &GroupOutcome, base: &GroupOutcome, clock: Clock) -> Paired {
+    let (pairs, same_seeds) = pair_up(group, base);
+    let mut seeds: Vec<u64> = pairs.iter().map(|p| base.runs[p.base].seed).collect();
+    seeds.sort_unstable();
+    seeds.dedup();
     let mut counts = Counts::default();
-    reached.iter().for_each(|r| counts.add(r[0], r[1]));
-    let whole = to_psnr.iter().zip(&reached).filter(|(_, r)| r[0] && r[1]);
-    let whole: Vec<&PairedTime> = whole.map(|(t, _)| t).collect();
-    let limits: Vec<Limit> = to_psnr.iter().filter_map(PairedTime::limit).collect();
+    let at = |place| to_psnr(group, base, &pairs, place, clock, &mut counts);
+    let to_psnr: Vec<PairedTime> = (0..group.to_psnr.len()).filter_map(at).collect();
     let over = |of: &dyn Fn(&Pair) -> Option<f64>| {
         let all: Option<Vec<f64>> = pairs.iter().map(of).collect();
         Spread::of(&all?)
@@ -171,13 +224,16 @@ fn against(group: &GroupOutcome, base: &GroupOutcome, clock: Clock) -> Option<Pa
     let less = |of: &dyn Fn(&RunOutcome) -> Option<f64>| {
         over(&|p| Some(of(&base.runs[p.base])? - of(&group.runs[p.own])?))
     };
+    let whole: Vec<&PairedTime> = to_psnr.iter().filter(|t| t.spread.is_some()).collect();
     let psnr = less(&|r| Some(r.psnr));
     let counted = over(&|p| Some(base.runs[p.base].gaussians as f64));
-    Some(Paired {
+    Paired {
         label: group.label.clone(),
+        pairs: pairs.len(),
+        same_seeds,
         counts,
         mean: means(&whole, pairs.len()),
-        bounded: Bounded::of(&limits),
+        mean_of: whole.len(),
         worst: worst(&to_psnr),
         ssim: less(&|r| r.ssim),
         flip: less(&|r| r.flip),
@@ -187,118 +243,89 @@ fn against(group: &GroupOutcome, base: &GroupOutcome, clock: Clock) -> Option<Pa
         psnr,
         to_psnr,
         seeds,
-    })
+    }
 }
 
-/// Times to one threshold, and whether the group and the reference reach it with all seeds.
+/// Times to one threshold; counts who reaches it with all runs. `None` if a side is not timed by this clock.
 fn to_psnr(
     group: &GroupOutcome,
     base: &GroupOutcome,
     pairs: &[Pair],
     place: usize,
     clock: Clock,
-) -> Option<(PairedTime, [bool; 2])> {
+    counts: &mut Counts,
+) -> Option<PairedTime> {
     let (x, y) = (group.reach(place, clock)?, base.reach(place, clock)?);
-    let there = |p: &Pair| [x.runs[p.own].is_some(), y.runs[p.base].is_some()];
+    let all = |side: &dyn Fn(&Pair) -> bool| pairs.iter().all(side);
+    let own_all = all(&|p| x.runs[p.own].is_some());
+    *match (own_all, all(&|p| y.runs[p.base].is_some())) {
+        (true, true) => &mut counts.both,
+        (false, true) => &mut counts.only_reference,
+        (true, false) => &mut counts.only_group,
+        (false, false) => &mut counts.neither,
+    } += 1;
     let one = |p: &Pair| {
-        let own = time(x, p.own, &group.runs[p.own]);
-        let ratio = own.over(time(y, p.base, &base.runs[p.base]));
-        let ratio = Some(ratio).filter(Limit::tells);
-        SeedRatio {
-            seed: p.seed,
-            ratio: ratio.filter(|_| there(p) != [false, false]),
-            no_later: no_later(there(p), ratio),
+        let own = interval(x.runs[p.own], &group.runs[p.own], clock);
+        let reference = interval(y.runs[p.base], &base.runs[p.base], clock);
+        let exact = own[0] == own[1] && reference[0] == reference[1];
+        let ratio = own[0] / reference[0];
+        PairRatio {
+            seed: base.runs[p.base].seed,
+            ratio: (exact && ratio.is_finite() && ratio > 0.0).then_some(ratio),
+            no_later: no_later(reference, own),
         }
     };
-    let seeds: Vec<SeedRatio> = pairs.iter().map(one).collect();
-    let ratios: Vec<Limit> = seeds.iter().filter_map(|s| s.ratio).collect();
-    let values: Vec<f64> = ratios.iter().map(|r| r.value).collect();
-    let bound = Limit::median(&ratios).map_or(Bound::Unknown, |l| l.bound);
-    let time = PairedTime {
+    let seeds: Vec<PairRatio> = pairs.iter().map(one).collect();
+    let ratios: Option<Vec<f64>> = seeds.iter().map(|s| s.ratio).collect();
+    let mut time = PairedTime {
         psnr: group.to_psnr.get(place)?.psnr,
-        spread: of_ratios(&values),
-        bound,
-        no_later: median_holds(&seeds),
+        spread: ratios.and_then(|r| Spread::of_ratios(&r)),
+        no_later: None,
         seeds,
     };
-    let all = |side: usize| pairs.iter().all(|p| there(p)[side]);
-    Some((time, [all(0), all(1)]))
+    time.no_later = time.verdict().most();
+    Some(time)
 }
 
-/// Whether the reference was no later, from who reached it (group, reference) and the ratio.
-fn no_later(there: [bool; 2], ratio: Option<Limit>) -> Option<bool> {
-    match there {
-        [false, false] => None,
-        [false, true] => Some(true),
-        [true, false] => Some(false),
-        [true, true] => ratio.and_then(|r| match r.bound {
-            Bound::Exact => Some(r.value >= 1.0),
-            Bound::AtLeast => (r.value >= 1.0).then_some(true),
-            Bound::AtMost => (r.value < 1.0).then_some(false),
-            Bound::Unknown => None,
-        }),
+/// The interval in which a run first had a PSNR: a point between two evaluations, before the first evaluation, or after the
+/// end of an unfinished run; of a finished one that has not reached it, infinity.
+fn interval(found: Option<Crossing>, run: &RunOutcome, clock: Clock) -> [f64; 2] {
+    match found {
+        Some(c) if c.at_most => [0.0, c.at],
+        Some(c) => [c.at; 2],
+        None if run.finished => [f64::INFINITY; 2],
+        None => [run.last(clock), f64::INFINITY],
     }
 }
 
-/// Whether the median of the ratios is 1 or more, those of a side that has not reached it being as low or as high as can be.
-fn median_holds(seeds: &[SeedRatio]) -> Option<bool> {
-    let known = seeds.iter().filter_map(|s| {
-        let holds = s.no_later?;
-        let exact = s.ratio.filter(|r| r.bound == Bound::Exact);
-        let far = if holds { 1e9 } else { 1e-9 };
-        Some(exact.map_or(far, |r| r.value))
-    });
-    let mut known: Vec<f64> = known.collect();
-    known.sort_by(f64::total_cmp);
-    // Of an even number the lower of the middle two: the reference has to hold in more than half of the seeds.
-    Some(*known.get(known.len().checked_sub(1)? / 2)? >= 1.0)
+/// Whether the reference is no later than the other; `None` if the intervals leave that open.
+fn no_later(reference: [f64; 2], own: [f64; 2]) -> Option<bool> {
+    if reference[1].is_finite() && reference[1] <= own[0] {
+        return Some(true);
+    }
+    (own[1].is_finite() && own[1] < reference[0]).then_some(false)
 }
 
-/// Geometric means over thresholds that all of so many seeds reach, by seed.
-fn means(whole: &[&PairedTime], seeds: usize) -> Option<Spread> {
-    let of_seed = |k: usize| -> Option<f64> {
-        let all = whole.iter().filter_map(|t| t.seeds.get(k)?.ratio);
-        let limits: Vec<Limit> = all.filter(|l| l.bound == Bound::Exact).collect();
-        Some(Bounded::of(&limits)?.ratio)
+/// Geometric means over thresholds at which every pair has a ratio, pair by pair.
+fn means(whole: &[&PairedTime], pairs: usize) -> Option<Spread> {
+    let of_pair = |k: usize| {
+        let ratios: Option<Vec<f64>> = whole.iter().map(|t| t.seeds.get(k)?.ratio).collect();
+        geometric_mean(&ratios?)
     };
-    let all: Option<Vec<f64>> = (0..seeds).map(of_seed).collect();
-    of_ratios(&all?)
+    let all: Option<Vec<f64>> = (0..pairs).map(of_pair).collect();
+    Spread::of_ratios(&all?)
 }
 
-/// Median and range of ratios. Between the middle two of an even number lies their geometric mean: which side is below the
-/// line must not matter.
-fn of_ratios(values: &[f64]) -> Option<Spread> {
-    let logs: Vec<f64> = values.iter().map(|v| v.ln()).collect();
-    let s = Spread::of(&logs)?;
-    Some(Spread {
-        median: s.median.exp(),
-        min: s.min.exp(),
-        max: s.max.exp(),
-        ..s
-    })
-}
-
-/// The lowest ratio; at most that where any is a bound from above.
-fn worst(times: &[PairedTime]) -> Option<(f64, Limit)> {
-    let all = times.iter().filter_map(|t| Some((t.psnr, t.limit()?)));
-    let all: Vec<(f64, Limit)> = all.collect();
-    let low = all
-        .iter()
-        .min_by(|a, b| a.1.value.total_cmp(&b.1.value))
-        .copied();
-    let open = |l: &Limit| matches!(l.bound, Bound::AtMost | Bound::Unknown);
-    let open = all.iter().any(|(_, l)| open(l));
-    low.map(|(psnr, limit)| {
-        let bound = if open { Bound::AtMost } else { limit.bound };
-        (psnr, Limit { bound, ..limit })
-    })
-}
-
-/// `median (min–max)` by `text`; the median alone of fewer than three seeds.
-#[must_use]
-pub fn few(s: &Spread, text: impl Fn(f64) -> String) -> String {
-    match s.samples < RATIO_SAMPLES {
-        true => text(s.median),
-        false => format!("{} ({}–{})", text(s.median), text(s.min), text(s.max)),
+/// The first threshold that most pairs reach later or never with the reference alone, if any has no ratio for that; else
+/// that of the lowest ratio.
+fn worst(times: &[PairedTime]) -> Option<(f64, Option<f64>)> {
+    let missed = |t: &&PairedTime| t.spread.is_none() && t.no_later == Some(false);
+    if let Some(time) = times.iter().find(missed) {
+        return Some((time.psnr, None));
     }
+    let ratios = times
+        .iter()
+        .filter_map(|t| Some((t.psnr, t.spread?.median)));
+    let low = ratios.min_by(|a, b| a.1.total_cmp(&b.1));
+    low.map(|(psnr, ratio)| (psnr, Some(ratio)))
 }

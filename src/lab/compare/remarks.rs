@@ -1,25 +1,27 @@
-//! What the reader has to know of the groups, and what differs between them.
+//! Caveats of a comparison, and the differences between its groups.
+
+use std::collections::BTreeSet;
 
 use serde::Serialize;
 
 use crate::lab::compare::group::{Facts, Group, facts};
 use crate::lab::compare::load::{Clock, Loaded};
-use crate::lab::compare::outcome::GroupOutcome;
+use crate::lab::compare::outcome::{GroupOutcome, RunOutcome};
 use crate::lab::stats::Spread;
 
-/// A run that ends so much below its best PSNR, dB, has lost what it had reached.
+/// Fall from the best PSNR to the last one that is worth a caveat, dB.
 const FALL: f64 = 0.5;
-/// Numbers of Gaussians within this share of each other are equal.
+/// Relative difference up to which numbers of Gaussians count as equal.
 pub const EQUAL: f64 = 0.02;
-/// Evaluations of two groups may be so many times as far apart before their times are told with different care.
+/// Ratio of the evaluation intervals of two groups that is worth a caveat.
 const SPACING: f64 = 1.5;
-/// What changes how long a second is.
+/// Facts that change how long a second is.
 const MACHINE: [&str; 5] = ["device", "platform", "driver", "version", "commit"];
 
 /// An option, device or version that is not the same everywhere.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
-    /// Its name.
+    /// Name.
     pub what: String,
     /// By group; several values where the runs of a group differ.
     pub values: Vec<String>,
@@ -38,7 +40,7 @@ fn values<'a>(name: &str, members: impl Iterator<Item = &'a Facts>) -> Vec<&'a s
     all
 }
 
-/// What differs between groups or within one.
+/// Facts that differ between groups or within one.
 pub fn differences(groups: &[Group], runs: &[Loaded]) -> Vec<Difference> {
     let mut all: Vec<Facts> = runs.iter().map(facts).collect();
     for (facts, run) in all.iter_mut().zip(runs) {
@@ -57,7 +59,7 @@ pub fn differences(groups: &[Group], runs: &[Loaded]) -> Vec<Difference> {
     names.into_iter().filter(shown).map(row).collect()
 }
 
-/// What the reader has to know of the groups: settings mixed under one name, and what is unequal between them.
+/// Caveats of the groups: settings mixed under one name, and inequalities between them.
 pub fn remarks(
     groups: &[Group],
     runs: &[Loaded],
@@ -91,7 +93,7 @@ pub fn remarks(
     out
 }
 
-/// Settings that are mixed under one name.
+/// The caveat that settings are mixed under one name.
 fn mixed(group: &Group, runs: &[Loaded]) -> Option<String> {
     let all: Vec<Facts> = group.runs.iter().map(|r| facts(&runs[*r])).collect();
     let names = all.first()?.iter().map(|f| f.0.as_str());
@@ -118,24 +120,27 @@ pub fn unequal(outcomes: &[GroupOutcome], reference: usize) -> Vec<&GroupOutcome
     outcomes.iter().filter(other).collect()
 }
 
-/// A group whose seeds are not those of the reference.
+/// The caveat that the seeds of a group are not those of the reference.
 fn other_seeds(group: &GroupOutcome, base: &GroupOutcome) -> Option<String> {
     let [own, all] = [group, base].map(|g| {
-        let mut seeds: Vec<u64> = g.runs.iter().map(|r| r.seed).collect();
-        seeds.sort_unstable();
-        seeds.dedup();
+        let seeds: BTreeSet<u64> = g.runs.iter().map(|r| r.seed).collect();
         let words: Vec<String> = seeds.iter().map(u64::to_string).collect();
         words.join(", ")
     });
+    let common = |r: &RunOutcome| base.runs.iter().any(|b| b.seed == r.seed);
+    let pairs = match group.runs.iter().any(common) {
+        true => "the others are in no pair",
+        false => "pairs are in the order of the runs",
+    };
     (own != all).then(|| {
         format!(
-            "{}: seeds {own}, but {all} of {}; their medians are not of the same seeds",
+            "{}: seeds {own}, but {all} of {}; {pairs}",
             group.label, base.label
         )
     })
 }
 
-/// A group that was trained on another device, or by another version, than the reference.
+/// The caveat that a group was trained on another device, or by another version, than the reference.
 fn other_machine(group: &Group, base: &Group, runs: &[Loaded]) -> Option<String> {
     let all = |g: &Group| -> Vec<Facts> { g.runs.iter().map(|r| facts(&runs[*r])).collect() };
     let (own, base_facts) = (all(group), all(base));
@@ -157,7 +162,7 @@ fn other_machine(group: &Group, base: &Group, runs: &[Loaded]) -> Option<String>
     })
 }
 
-/// How far apart the evaluations of a group are: median over its runs.
+/// Median interval between the evaluations of a group.
 fn spacing(group: &Group, runs: &[Loaded], clock: Clock) -> Option<f64> {
     let gaps = group.runs.iter().flat_map(|r| {
         let rows = runs[*r].rows.windows(2);
@@ -166,7 +171,7 @@ fn spacing(group: &Group, runs: &[Loaded], clock: Clock) -> Option<f64> {
     Some(Spread::of(&gaps.collect::<Vec<_>>())?.median)
 }
 
-/// A group that is evaluated much more or less often than the reference.
+/// The caveat that a group is evaluated much more or less often than the reference.
 fn other_spacing(group: &Group, base: &Group, runs: &[Loaded], clock: Clock) -> Option<String> {
     let (own, other) = (spacing(group, runs, clock)?, spacing(base, runs, clock)?);
     let apart = own.min(other) > 0.0 && own.max(other) > SPACING * own.min(other);
@@ -180,7 +185,7 @@ fn other_spacing(group: &Group, base: &Group, runs: &[Loaded], clock: Clock) -> 
     })
 }
 
-/// What to know of a group whose runs end below what they had reached.
+/// The caveat that runs of a group end below what they had reached.
 fn fallen(group: &Group, runs: &[Loaded]) -> Option<String> {
     let falls = group.runs.iter().map(|r| {
         let curve = runs[*r].psnr(Clock::Iterations);

@@ -1,21 +1,21 @@
-//! The figures as tables of text.
+//! The tables of a comparison.
 
 use crate::chart::text::fixed;
+use crate::lab::compare::comparison::Comparison;
 use crate::lab::compare::load::Clock;
-use crate::lab::compare::outcome::{GroupOutcome, Reach};
-use crate::lab::compare::relative::{Bounded, Limit};
-use crate::lab::compare::{Comparison, outcome, remarks};
-use crate::lab::stats::{Ratio, Spread};
-use crate::lab::table::{Table, digits, write_markdown};
+use crate::lab::compare::outcome::{GroupOutcome, Reach, SHARES};
+use crate::lab::compare::paired::{Paired, PairedTime};
+use crate::lab::compare::remarks::{Difference, unequal};
+use crate::lab::stats::Spread;
+use crate::lab::table::{Table, digits, few, or_dash, spread};
 
-/// `median (min–max)` with so many decimals; the figure alone where all samples are that, a dash of none.
-fn spread(figures: Option<Spread>, decimals: usize) -> String {
+/// `median (min–max)` with so many decimals; the figure alone if all samples are spelt alike, a dash of `None`.
+fn ended(figures: Option<Spread>, decimals: usize) -> String {
     let text = |v: f64| fixed(v, decimals);
-    match figures {
-        None => "–".into(),
-        Some(s) if text(s.min) == text(s.max) => text(s.median),
-        Some(s) => format!("{} ({}–{})", text(s.median), text(s.min), text(s.max)),
-    }
+    or_dash(figures, |s| match text(s.min) == text(s.max) {
+        true => text(s.median),
+        false => spread(&s, text),
+    })
 }
 
 /// Seconds or iterations, to three digits or to the whole.
@@ -29,16 +29,11 @@ fn amount(value: f64) -> String {
 fn amounts(s: &Spread) -> String {
     match s.samples {
         1 => amount(s.median),
-        _ => format!("{} ({}–{})", amount(s.median), amount(s.min), amount(s.max)),
+        _ => spread(s, amount),
     }
 }
 
-fn ratio(r: &Ratio) -> String {
-    let [median, low, high] = [r.median, r.low, r.high].map(|v| fixed(v, 2));
-    format!("{median} ({low}–{high})")
-}
-
-/// When it was reached: by all runs, by some, or not.
+/// The time at which all runs reached it, or some, or "not reached".
 fn reach(r: &Reach) -> String {
     let sign = if r.at_most() { "≤ " } else { "" };
     if let Some(s) = &r.spread {
@@ -59,24 +54,6 @@ fn reach(r: &Reach) -> String {
     }
 }
 
-/// `≥ 1.42`.
-#[must_use]
-pub fn limit(l: &Limit) -> String {
-    format!("{}{}", l.bound.sign(), fixed(l.value, 2))
-}
-
-/// A mean of bounds: what is a bound of both sides is none.
-#[must_use]
-pub fn bounded(b: &Bounded) -> String {
-    let figure = limit(&b.limit());
-    match (b.at_least, b.at_most) {
-        (low, high) if low > 0 && high > 0 => {
-            format!("{figure}, of {}, no bound: {low} ≥, {high} ≤", b.of)
-        }
-        _ => format!("{figure}, of {}", b.of),
-    }
-}
-
 /// A PSNR as a heading.
 #[must_use]
 pub fn decibels(psnr: f64) -> String {
@@ -84,7 +61,7 @@ pub fn decibels(psnr: f64) -> String {
     format!("{} dB", text.trim_end_matches('0').trim_end_matches('.'))
 }
 
-/// `3 runs`, with the seeds where they are fewer.
+/// `3`, or `3 of 2 seeds` if there are fewer seeds than runs.
 fn samples(g: &GroupOutcome) -> String {
     match (g.runs.len(), g.seeds) {
         (runs, seeds) if runs == seeds => runs.to_string(),
@@ -92,161 +69,158 @@ fn samples(g: &GroupOutcome) -> String {
     }
 }
 
-fn strings<const N: usize>(columns: [&str; N]) -> Vec<String> {
-    columns.map(str::to_owned).to_vec()
+/// `first` columns, then one per threshold.
+fn by_threshold<'a>(first: &[&'a str], thresholds: &'a [String]) -> Vec<&'a str> {
+    let own = first.iter().copied();
+    own.chain(thresholds.iter().map(String::as_str)).collect()
 }
 
-/// What every group ends with.
+fn threshold_names(c: &Comparison) -> Vec<String> {
+    c.thresholds.iter().map(|t| decibels(*t)).collect()
+}
+
+/// Final figures of every group.
 #[must_use]
 pub fn finals(c: &Comparison) -> Table {
     let has_cpu = c.groups.iter().all(|g| g.cpu_seconds.is_some());
     let clock = if has_cpu { Clock::Cpu } else { Clock::Train };
     let row = |g: &GroupOutcome| {
+        let seconds = match has_cpu {
+            true => g.cpu_seconds,
+            false => g.train_seconds,
+        };
         vec![
             g.label.clone(),
             samples(g),
-            spread(g.gaussians, 0),
-            spread(g.psnr, 2),
-            spread(g.ssim, 3),
-            spread(g.flip, 3),
-            match has_cpu {
-                true => g.cpu_seconds,
-                false => g.train_seconds,
-            }
-            .as_ref()
-            .map_or_else(|| "–".into(), amounts),
+            ended(g.gaussians, 0),
+            ended(g.psnr, 2),
+            ended(g.ssim, 3),
+            ended(g.flip, 3),
+            or_dash(seconds, |s| amounts(&s)),
         ]
     };
-    Table {
-        title: "At the end".into(),
-        note: format!(
-            "Median (min–max) over the runs of a group; means over the held-out views; {}.",
-            match remarks::unequal(&c.groups, c.reference_place()).is_empty() {
-                true => "numbers of Gaussians are equal to 2 %",
-                false => "numbers of Gaussians are not equal",
-            }
-        ),
-        columns: strings([
-            "group",
-            "runs",
-            "Gaussians",
-            "PSNR, dB",
-            "SSIM",
-            "FLIP",
-            clock.name(),
-        ]),
-        rows: c.groups.iter().map(row).collect(),
-    }
+    let note = format!(
+        "Median (min–max) over the runs of a group; means over the held-out views; {}.",
+        match unequal(&c.groups, c.reference_place()).is_empty() {
+            true => "numbers of Gaussians are equal to 2 %",
+            false => "numbers of Gaussians are not equal",
+        }
+    );
+    let columns = ["group", "runs", "Gaussians", "PSNR, dB", "SSIM", "FLIP"];
+    let columns = [&columns[..], &[clock.name()]].concat();
+    Table::new("At the end", note, &columns, c.groups.iter().map(row))
 }
 
 /// Times to equal PSNR by one clock.
 #[must_use]
 pub fn times(c: &Comparison, clock: Clock) -> Table {
-    let mut columns = vec!["group".to_owned()];
-    columns.extend(c.thresholds.iter().map(|t| decibels(*t)));
     let row = |g: &GroupOutcome| {
-        let cell = |place: usize| g.reach(place, clock).map_or_else(|| "–".into(), reach);
+        let cell = |place: usize| or_dash(g.reach(place, clock), reach);
         let cells = (0..c.thresholds.len()).map(cell);
         std::iter::once(g.label.clone()).chain(cells).collect()
     };
-    Table {
-        title: format!("Time to equal PSNR, {}", clock.name()),
-        note: format!(
+    Table::new(
+        format!("Time to equal PSNR, {}", clock.name()),
+        format!(
             "The first time at which the mean PSNR of the held-out views is that or more, interpolated between \
              evaluations: median (min–max) where all runs reach it, else how many of them and when. {}",
             c.threshold_rule
         ),
-        columns,
-        rows: c.groups.iter().map(row).collect(),
+        &by_threshold(&["group"], &threshold_names(c)),
+        c.groups.iter().map(row),
+    )
+}
+
+/// The ratio of the pairs at one threshold; if not all have one, in how many of them the reference is no later.
+fn ratio(t: &PairedTime, reference: &str) -> String {
+    let known = t.verdict();
+    match (&t.spread, known.of) {
+        (Some(s), _) => few(s, |v| fixed(v, 2)),
+        (None, 0) => "–".into(),
+        (None, _) => format!("{reference} {} of {}", known.holds, known.of),
     }
 }
 
-/// Times over those of the reference.
+/// Times of every other group over those of the reference, pair by pair.
 #[must_use]
 pub fn relative(c: &Comparison) -> Table {
-    let mut columns = strings([
-        "group",
-        "geometric mean",
-        "values reached by",
-        "bounded mean",
-    ]);
-    columns.extend(c.thresholds.iter().map(|t| decibels(*t)));
-    let rows = c.relative.iter().map(|r| {
-        let cell = |t: &crate::lab::compare::relative::RelativeTime| match (&t.ratio, &t.why) {
-            (Some(found), _) => ratio(found),
-            (None, why) => {
-                let why = why.clone().unwrap_or_default();
-                t.limit
-                    .map_or(why.clone(), |l| format!("{}: {why}", limit(&l)))
-            }
-        };
-        let mean = r.mean.as_ref().map_or_else(
-            || "–".into(),
-            |m| format!("{}, {} of {}", ratio(m), r.mean_of, r.to_psnr.len()),
-        );
-        let bounded = r.bounded.as_ref().map_or_else(|| "–".into(), bounded);
-        let counts = r.counts.text(&c.reference, &r.label);
-        let mut row = vec![r.label.clone(), mean, counts, bounded];
-        row.extend(r.to_psnr.iter().map(cell));
+    let row = |p: &Paired| {
+        let mean = or_dash(p.mean.as_ref(), |m| {
+            let of = format!("{} of {}", p.mean_of, p.to_psnr.len());
+            format!("{}, {of}", few(m, |v| fixed(v, 2)))
+        });
+        let counts = p.counts.text(&c.reference, &p.label);
+        let mut row = vec![
+            p.label.clone(),
+            p.pairs_text(),
+            mean,
+            p.no_later.text(),
+            counts,
+        ];
+        row.extend(p.to_psnr.iter().map(|t| ratio(t, &c.reference)));
         row
-    });
-    Table {
-        title: format!("Time over that of {}, {}", c.reference, c.clock.name()),
-        note: format!(
-            "Above 1: later than {}. Ratio of the medians (range that the samples allow); only of runs of three seeds and \
-             more on both sides, of the seeds that both have where these are so many, and where all of them reach it: the \
-             mean is of those alone. In the bounded mean a run that has not reached a value counts with the last reading of \
-             its clock: ≥ where the group has not, ≤ where {} has not; values that neither reaches are left out of it.",
-            c.reference, c.reference
+    };
+    let first = [
+        "group",
+        "pairs",
+        "geometric mean",
+        "no later",
+        "values reached by",
+    ];
+    Table::new(
+        format!("Time over that of {}, {}", c.reference, c.clock.name()),
+        format!(
+            "Above 1: {0} is sooner. Ratios run by run: by seed, or in the order of the runs where the groups have no seed in \
+             common; median, and the range of three pairs and more. \"{0} 2 of 3\": not all pairs have a ratio, because a run has not \
+             reached the value or had it at its first evaluation; {0} is no later in 2 of the 3 in which that is known (a finished run \
+             that has not reached a value never does); –: not known of any. The mean is over the values at which every pair has a \
+             ratio. \"No later\": {0}, at every value at which it is known.",
+            c.reference
         ),
-        columns,
-        rows: rows.collect(),
-    }
+        &by_threshold(&first, &threshold_names(c)),
+        c.relative.iter().map(row),
+    )
 }
 
-fn shares(c: &Comparison) -> Table {
-    let mut columns = vec!["group".to_owned()];
+/// Times to a share of a run's own final PSNR.
+pub(super) fn shares(c: &Comparison) -> Table {
     let mut clocks = vec![c.clock, Clock::Iterations];
     clocks.dedup();
-    for clock in &clocks {
-        for share in outcome::SHARES {
-            columns.push(format!("{:.0} %, {}", 100.0 * share, clock.name()));
-        }
-    }
+    let name = |clock: &Clock, share: f64| format!("{:.0} %, {}", 100.0 * share, clock.name());
+    let names = clocks.iter().flat_map(|k| SHARES.map(|s| name(k, s)));
+    let names: Vec<String> = names.collect();
     let row = |g: &GroupOutcome| {
         let mut row = vec![g.label.clone()];
         for clock in &clocks {
             let of = |r: &&Reach| r.clock == *clock;
             let found = g.to_share.iter().map(|s| s.reach.iter().find(of));
-            row.extend(found.map(|r| r.map_or_else(|| "–".into(), reach)));
+            row.extend(found.map(|r| or_dash(r, reach)));
         }
         row
     };
-    Table {
-        title: "Time to 95 % and 98 % of the final PSNR".into(),
-        note: "Of each run's own final PSNR in dB: how soon it is nearly done, not how good it is."
-            .into(),
-        columns,
-        rows: c.groups.iter().map(row).collect(),
-    }
+    Table::new(
+        "Time to 95 % and 98 % of the final PSNR",
+        "Of each run's own final PSNR in dB: how soon it is nearly done, not how good it is.",
+        &by_threshold(&["group"], &names),
+        c.groups.iter().map(row),
+    )
 }
 
-fn differences(c: &Comparison) -> Table {
-    let mut columns = vec![String::new()];
-    columns.extend(c.groups.iter().map(|g| g.label.clone()));
-    let row = |d: &crate::lab::compare::remarks::Difference| {
-        let cells = d.values.iter().cloned();
-        std::iter::once(d.what.clone()).chain(cells).collect()
-    };
-    Table {
-        title: "What differs".into(),
-        note: "Options, device and version; everything else is the same in all runs.".into(),
-        columns,
-        rows: c.differences.iter().map(row).collect(),
-    }
+/// Options, devices and versions that are not the same everywhere.
+pub(super) fn differences(c: &Comparison) -> Table {
+    let labels = c.groups.iter().map(|g| g.label.as_str());
+    let columns: Vec<&str> = std::iter::once("").chain(labels).collect();
+    let row = |d: &Difference| [std::slice::from_ref(&d.what), &d.values].concat();
+    Table::new(
+        "Differences",
+        "Options, device and version; everything else is the same in all runs.",
+        &columns,
+        c.differences.iter().map(row),
+    )
 }
 
-fn runs(c: &Comparison) -> Table {
+/// Every run at its last evaluation.
+pub(super) fn runs(c: &Comparison) -> Table {
     let rows = c.groups.iter().flat_map(|g| {
         g.runs.iter().map(move |r| {
             let optional = |v: Option<f64>| fixed(v.unwrap_or(f64::NAN), 4);
@@ -266,69 +240,18 @@ fn runs(c: &Comparison) -> Table {
             ]
         })
     });
-    Table {
-        title: "Runs".into(),
-        note: "At the last evaluation.".into(),
-        columns: strings([
-            "group",
-            "run",
-            "seed",
-            "iterations",
-            "Gaussians",
-            "PSNR, dB",
-            "SSIM",
-            "FLIP",
-            "CPU s",
-            "training s",
-            "wall s",
-        ]),
-        rows: rows.collect(),
-    }
-}
-
-/// Clocks that a comparison can tell times by, its own first.
-pub(super) fn clocks(c: &Comparison) -> Vec<Clock> {
-    let has = |clock: &Clock| c.runs.iter().all(|r| *clock != Clock::Cpu || r.has_cpu());
-    let others = Clock::ALL.into_iter().filter(|k| *k != c.clock);
-    std::iter::once(c.clock).chain(others.filter(has)).collect()
-}
-
-/// Every table: the figures by the comparison's own clock, what they rest on, and those for closer looks.
-#[must_use]
-pub fn tables(c: &Comparison) -> [Vec<Table>; 3] {
-    let mut first = vec![finals(c)];
-    let mut more = Vec::new();
-    if !c.thresholds.is_empty() {
-        first.push(times(c, c.clock));
-        first.push(relative(c));
-        more.extend(clocks(c).into_iter().skip(1).map(|k| times(c, k)));
-    }
-    let rest = vec![shares(c), differences(c)];
-    more.push(runs(c));
-    [first, rest, more].map(|mut part| {
-        part.retain(|t| !t.rows.is_empty());
-        part
-    })
-}
-
-/// Everything as Markdown.
-#[must_use]
-pub fn markdown(c: &Comparison) -> String {
-    let d = &c.dataset;
-    let mut out = format!(
-        "# {}\n\n{} × {} px, {} training and {} held-out views; times by {}\n",
-        crate::lab::compare::page::title(c),
-        d.width,
-        d.height,
-        d.train_views,
-        d.test_views,
-        c.clock.name()
-    );
-    for warning in &c.warnings {
-        out.push_str(&format!("\n> {warning}\n"));
-    }
-    for table in tables(c).iter().flatten() {
-        write_markdown(&mut out, table, "##");
-    }
-    out
+    let columns = [
+        "group",
+        "run",
+        "seed",
+        "iterations",
+        "Gaussians",
+        "PSNR, dB",
+        "SSIM",
+        "FLIP",
+        "CPU s",
+        "training s",
+        "wall s",
+    ];
+    Table::new("Runs", "At the last evaluation.", &columns, rows)
 }

@@ -6,20 +6,20 @@ use crate::lab::compare::group::Group;
 use crate::lab::compare::load::{Clock, Loaded};
 use crate::lab::stats::Spread;
 
-/// No picture has a PSNR beyond this, dB.
+/// Largest PSNR that is accepted, dB.
 pub const LIMIT: f64 = 200.0;
-/// Columns that a table can hold.
-const MOST: usize = 24;
-/// Fewer than this many whole values are joined by halves near the end.
-const FEWEST: usize = 4;
-/// Values that were asked for.
+/// Most thresholds that a table can hold.
+const MAX_COUNT: usize = 24;
+/// Fewest whole values that need no halves near the end.
+const MIN_COUNT: usize = 4;
+/// Rule of values that were asked for.
 const GIVEN: &str = "Thresholds as given.";
-/// Values of our own.
+/// Rule of the default values.
 const RULE: &str = "Thresholds: every whole dB above the highest first evaluation of a group and up to the best PSNR of any \
                     (medians over its runs), every other one and so on where they are more than 24; where they are fewer \
                     than four, half dB, too, within the last 1 dB below the best of the reference and below that of the others.";
 
-/// Refuses values that are no PSNR.
+/// Refuses values that cannot be a PSNR.
 ///
 /// # Errors
 /// The first such value.
@@ -41,7 +41,7 @@ fn steps(low: f64, high: f64, step: f64) -> Vec<f64> {
     (0..count).map(|k| (first + k as f64) * step).collect()
 }
 
-/// Values between where groups begin and the best that they reach: `(first, best)` of each group. In no order, and some twice.
+/// Values between the highest first PSNR and the best one: `(first, best)` of each group. In no order, and some twice.
 #[must_use]
 pub fn between(ends: &[(f64, f64)], reference: usize) -> Vec<f64> {
     let highest = |pick: &dyn Fn(usize) -> Option<f64>| {
@@ -53,9 +53,9 @@ pub fn between(ends: &[(f64, f64)], reference: usize) -> Vec<f64> {
     if !(low < best && low.abs() <= LIMIT && best.abs() <= LIMIT) {
         return Vec::new();
     }
-    let step = ((best - low) / MOST as f64).ceil().max(1.0);
+    let step = ((best - low) / MAX_COUNT as f64).ceil().max(1.0);
     let mut all = steps(low, best, step);
-    if all.len() < FEWEST {
+    if all.len() < MIN_COUNT {
         let own = ends.get(reference).map_or(best, |e| e.1);
         let others = highest(&|k| Some(ends[k].1).filter(|_| k != reference));
         for end in [own, others].into_iter().filter(|e| e.is_finite()) {
@@ -65,7 +65,7 @@ pub fn between(ends: &[(f64, f64)], reference: usize) -> Vec<f64> {
     all
 }
 
-/// Thresholds as asked for, or by the rule, and which of the two.
+/// Thresholds as asked for, else by the default rule; and the rule in words.
 ///
 /// # Errors
 /// Values that are no PSNR.

@@ -9,11 +9,12 @@ use crate::config::TrainConfig;
 use crate::lab::experiment::file::Experiment;
 use crate::lab::experiment::plan::{Found, Planned, State, blocks, expected, look, state};
 use crate::lab::experiment::summary;
+use crate::lab::folder::json;
 use crate::run::abandon_folder;
 
-/// The experiment's own text in its output folder, by which the folder is known.
+/// File name of the experiment's own text in its output folder, by which the folder is recognised.
 const MARK: &str = "experiment.toml";
-/// What a run of a given time budget takes beside it: start, evaluations, report.
+/// Whole time of a run over its time budget: start, evaluations and report come on top.
 const BESIDE: f64 = 1.2;
 
 /// A run to train.
@@ -25,28 +26,28 @@ pub struct Job {
     pub dir: PathBuf,
     /// Configuration, as a file for `--config`.
     pub config: PathBuf,
-    /// Whether it goes on from its checkpoint.
+    /// Whether to resume from its checkpoint.
     pub resume: bool,
 }
 
-/// What trains, and what tells the time.
+/// A way to train a run, with a clock.
 pub trait Launch {
     /// Trains to the end.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] where the user stopped it, or whatever failed.
+    /// [`Error::Interrupted`] if the user stopped it, or the failure.
     fn train(&mut self, job: &Job) -> Result<()>;
 
     /// Seconds since some moment before.
     fn seconds(&self) -> f64;
 }
 
-/// How far an experiment came.
+/// Numbers of runs that are done, failed and left.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Outcome {
-    /// Runs that are there, earlier ones included.
+    /// Finished runs, earlier ones included.
     pub done: usize,
-    /// Runs that failed, and why.
+    /// Runs that failed, with the reason.
     pub failed: Vec<(String, String)>,
     /// Runs that the budget left for another time.
     pub left: usize,
@@ -83,7 +84,7 @@ fn claim(e: &Experiment) -> Result<()> {
     }
 }
 
-/// Puts the experiment's present text into its folder, unless a run is there that it does not fit: that one is told by the old.
+/// Puts the experiment's present text into its folder, unless it holds a run that does not fit it: the old text describes that one.
 fn renew_mark(e: &Experiment) -> Result<()> {
     for run in blocks(e).iter().flatten() {
         if matches!(look(e, run)?, Found::Refused(_)) {
@@ -95,7 +96,7 @@ fn renew_mark(e: &Experiment) -> Result<()> {
 
 /// Runs what is missing, as far as the budget goes, and writes the comparisons after every scene of a seed.
 ///
-/// A run that fails is named in the outcome, and the others go on; so does nothing that needs its number of Gaussians.
+/// A run that fails is named in the outcome, as are those that need its number of Gaussians; the others go on.
 ///
 /// # Errors
 /// [`Error::Interrupted`]; scenes that are not there; an output folder, or a run in it, that is something else; files that
@@ -140,7 +141,7 @@ pub fn run(
 }
 
 impl Drive<'_> {
-    /// Runs of a block that are done, and those that are to be trained.
+    /// Numbers of runs of a block that are done, and that are to be trained.
     fn counts(&self, block: &[Planned]) -> Result<[usize; 2]> {
         let mut counts = [0, 0];
         for run in block {
@@ -153,7 +154,7 @@ impl Drive<'_> {
         Ok(counts)
     }
 
-    /// Whether so many runs of a block can be expected to end within the budget.
+    /// Returns true if so many runs of a block can be expected to end within the budget.
     fn fits(&self, block: &[Planned], missing: usize) -> Result<bool> {
         let Some(budget) = self.experiment.budget else {
             return Ok(true);
@@ -163,7 +164,7 @@ impl Drive<'_> {
             let limit = self.config(run)?.time_budget.unwrap_or(0.0);
             longest = longest.max(BESIDE * limit);
         }
-        // What runs took so far tells more than what they may take.
+        // Runs of this session tell more than their limits.
         let (runs, seconds) = self.taken;
         if runs > 0 {
             longest = seconds / runs as f64;
@@ -228,7 +229,7 @@ impl Drive<'_> {
             resume: found == State::Begun,
         };
         let count = self.outcome.done + self.outcome.failed.len() + 1;
-        let verb = if job.resume { "goes on" } else { "starts" };
+        let verb = if job.resume { "resumes" } else { "starts" };
         let name = run.dir.display();
         (self.note)(&format!("[{count}/{}] {name} {verb}", self.runs));
         let before = self.launch.seconds();
@@ -260,15 +261,12 @@ fn write_config(dir: &Path, config: &TrainConfig) -> Result<PathBuf> {
     if let Some(parent) = file.parent() {
         std::fs::create_dir_all(parent).map_err(|e| Error::io(parent, e))?;
     }
-    let text = serde_json::to_string_pretty(config).map_err(|e| Error::Numerics {
-        stage: file.display().to_string(),
-        what: e.to_string(),
-    })?;
+    let text = json(&file.display().to_string(), config)?;
     crate::base::files::write_bytes(&file, (text + "\n").as_bytes())?;
     Ok(file)
 }
 
-/// The last line that tells an error in what a process said, whatever bytes its lines are of: drivers write there, too.
+/// The last line of a process's stderr that begins with `error: `, whatever bytes the lines hold: drivers write there, too.
 pub fn last_error(stderr: impl Read) -> Option<String> {
     let lines = BufReader::new(stderr).split(b'\n');
     let errors = lines

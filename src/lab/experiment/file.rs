@@ -9,14 +9,14 @@ use crate::base::error::{Error, Result};
 use crate::config::{TrainConfig, parse_duration};
 use crate::lab::compare::thresholds;
 
-/// A dataset, and what its runs have in common.
+/// A dataset, and the options that its runs have in common.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Folder name of its runs.
     pub name: String,
     /// Dataset.
     pub path: PathBuf,
-    /// PSNR values that runs are timed to, dB; empty for those of the rule in `compare/thresholds.rs`.
+    /// PSNR values that runs are timed to, dB; empty: by the rule in `compare/thresholds.rs`.
     pub thresholds: Vec<f64>,
     options: Table,
 }
@@ -32,9 +32,9 @@ pub struct Setting {
 /// An experiment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Experiment {
-    /// The file it was read from.
+    /// File that it was read from.
     pub file: PathBuf,
-    /// Its text.
+    /// Text of the file.
     pub text: String,
     /// Folder of all runs.
     pub output: PathBuf,
@@ -46,12 +46,12 @@ pub struct Experiment {
     pub cap_from: Option<usize>,
     /// Scenes.
     pub scenes: Vec<Scene>,
-    /// Settings; the first is what the others are compared with.
+    /// Settings; the others are compared with the first.
     pub settings: Vec<Setting>,
     train: Table,
 }
 
-/// The file as it is written.
+/// The file as TOML.
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct Raw {
@@ -69,7 +69,7 @@ impl Experiment {
     /// Reads a file. Paths of scenes are relative to `data`, else to the file; the output to the working folder.
     ///
     /// # Errors
-    /// A file that cannot be read, or the first thing in it that makes no sense, the configurations of all runs included.
+    /// A file that cannot be read, or the first invalid entry, the configurations of all runs included.
     pub fn read(file: &Path, data: Option<&Path>) -> Result<Self> {
         let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
         let wrong = |what: String| Error::input(file, what, "see data/experiments for examples");
@@ -119,7 +119,7 @@ impl Experiment {
     /// The configuration of a run, without the cap of another one: `[train]`, then the scene's options, then the setting's.
     ///
     /// # Errors
-    /// Options that no configuration has, or values that make no sense.
+    /// Unknown options or invalid values.
     pub fn config(&self, scene: &Scene, setting: &Setting, seed: u64) -> Result<TrainConfig> {
         let mut table = self.train.clone();
         merge(&mut table, &scene.options);
@@ -142,7 +142,7 @@ impl Experiment {
         Ok(config)
     }
 
-    /// Refuses datasets that are not there, before any of them is trained on.
+    /// Refuses missing datasets, before any of them is trained on.
     ///
     /// # Errors
     /// The first such scene.
@@ -183,7 +183,7 @@ fn take_text(table: &mut Table, key: &str) -> Parsed<Option<String>> {
     }
 }
 
-/// A name that is a folder of its own.
+/// A name that can be a folder.
 fn folder(name: String) -> Parsed<String> {
     let plain = |c: char| c.is_alphanumeric() || "-_.+".contains(c);
     if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {

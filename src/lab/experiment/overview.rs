@@ -1,25 +1,22 @@
-//! All scenes side by side: the other settings against the first, seed by seed.
+//! All scenes side by side: the first setting against each other one, run by run.
 
 use serde::Serialize;
 
 use crate::chart::text::fixed;
-use crate::lab::compare;
-use crate::lab::compare::Clock;
-use crate::lab::compare::{Bounded, Counts};
-use crate::lab::compare::{FINAL_BELOW, Paired, Verdict, few};
+use crate::lab::compare::{Clock, Counts, FINAL_BELOW, Paired, Verdict, decibels};
 use crate::lab::experiment::file::Experiment;
-use crate::lab::experiment::summary::SceneSummary;
-use crate::lab::stats::Spread;
-use crate::lab::table::Table;
+use crate::lab::experiment::scene::SceneSummary;
+use crate::lab::stats::{Spread, geometric_mean};
+use crate::lab::table::{Table, few, or_dash};
 
 /// The reference against one other setting in one scene.
 #[derive(Debug, Clone, Serialize)]
 pub struct SceneAgainst {
-    /// The scene.
+    /// Name of the scene.
     pub scene: String,
-    /// What times are told by.
+    /// Clock of the times.
     pub clock: Option<Clock>,
-    /// The figures; none where the two have no seed in common.
+    /// The figures; `None` if one of the two has no run.
     pub figures: Option<Paired>,
 }
 
@@ -28,16 +25,14 @@ pub struct SceneAgainst {
 pub struct Against {
     /// The other setting.
     pub setting: String,
-    /// By scene.
+    /// Scene by scene.
     pub scenes: Vec<SceneAgainst>,
     /// Geometric mean of the scenes' means, of medians and of the ends of their ranges; its samples are the fewest of a scene.
     pub mean: Option<Spread>,
-    /// Of how many scenes.
+    /// Number of scenes in that mean.
     pub mean_of: usize,
     /// Thresholds of all scenes.
     pub counts: Counts,
-    /// Geometric mean of the scenes' bounded means.
-    pub bounded: Option<Bounded>,
     /// Scenes in which the reference is no later at every threshold.
     pub no_later: Verdict,
     /// Scenes in which the reference does not end below.
@@ -50,12 +45,12 @@ pub struct Against {
 pub struct Overview {
     /// The first setting.
     pub reference: String,
-    /// By setting.
+    /// Setting by setting.
     pub against: Vec<Against>,
 }
 
 impl Overview {
-    /// Of all scenes; none without a second setting.
+    /// The overview of all scenes; `None` without a second setting.
     pub(super) fn of(e: &Experiment, scenes: &[SceneSummary]) -> Option<Self> {
         let (first, others) = e.settings.split_first()?;
         let all = others
@@ -75,53 +70,47 @@ impl Overview {
 
     fn table(&self, a: &Against) -> Table {
         let (reference, other) = (&self.reference, &a.setting);
+        let time = format!("time of {other} / {reference}");
+        let below = format!("≥ −{FINAL_BELOW} dB");
         let columns = [
-            "scene".to_owned(),
-            "seeds".into(),
-            format!("time of {other} / {reference}"),
-            "worst".into(),
-            "no later".into(),
-            "Δ PSNR, dB".into(),
-            format!("≥ −{FINAL_BELOW} dB"),
-            "Δ SSIM".into(),
-            "Δ FLIP".into(),
-            "Gaussians".into(),
-            "bounded mean".into(),
-            "values reached by".into(),
+            "scene",
+            "pairs",
+            &time,
+            "worst",
+            "no later",
+            "Δ PSNR, dB",
+            &below,
+            "Δ SSIM",
+            "Δ FLIP",
+            "Gaussians",
+            "values reached by",
         ];
-        let mut rows: Vec<Vec<String>> =
-            a.scenes.iter().map(|s| row(reference, other, s)).collect();
+        let scenes = |v: Verdict| match v.of {
+            0 => "–".into(),
+            _ => format!("{} scenes", v.text()),
+        };
         let mut last = vec!["–".to_owned(); columns.len()];
         "geometric mean".clone_into(&mut last[0]);
-        if let Some(mean) = &a.mean {
-            last[1] = seeds(mean.samples);
-            last[2] = format!(
-                "{}, {} of {} scenes",
-                few(mean, times),
-                a.mean_of,
-                a.scenes.len()
-            );
-        }
-        last[4] = scenes_text(a.no_later);
-        last[6] = scenes_text(a.final_holds);
-        if let Some(mean) = &a.bounded {
-            last[10] = compare::bounded(mean);
-        }
-        last[11] = a.counts.text(reference, other);
-        rows.push(last);
-        Table {
-            title: format!("{reference} against {other}"),
-            note: format!(
-                "Of the seeds that both have, seed by seed; median, and the range where they are three and more. Time to equal \
-                 PSNR of {other} over that of {reference}: above 1, {reference} is sooner; geometric mean over the values that \
-                 both reach with all seeds. In the bounded mean the side that has not reached a value counts with the last \
-                 reading of its clock; values that neither reaches are left out. Worst: the lowest ratio of a value. Δ: final \
-                 figure of {reference} less that of {other} (more PSNR and SSIM, and less FLIP, are better). \"No later\": \
-                 {reference} at every value at which it is known, where a finished run that has not reached a value never does."
+        last[2] = or_dash(a.mean.as_ref(), |mean| {
+            let all = a.scenes.len();
+            format!("{}, {} of {all} scenes", few(mean, times), a.mean_of)
+        });
+        last[4] = scenes(a.no_later);
+        last[6] = scenes(a.final_holds);
+        last[10] = a.counts.text(reference, other);
+        let rows = a.scenes.iter().map(|s| row(reference, other, s));
+        Table::new(
+            format!("{reference} against {other}"),
+            format!(
+                "Run by run, of the seeds that both have; median, and the range of three pairs and more. Time to equal PSNR of \
+                 {other} over that of {reference}: above 1, {reference} is sooner; geometric mean over the values at which every pair \
+                 has a ratio. Worst: the value at which {reference} does worst. Δ: final figure of {reference} less that of {other} \
+                 (more PSNR and SSIM, and less FLIP, are better). \"No later\": {reference} in most pairs, at every value at which that \
+                 is known; a finished run that has not reached a value never does."
             ),
-            columns: columns.to_vec(),
-            rows,
-        }
+            &columns,
+            rows.chain([last]),
+        )
     }
 }
 
@@ -129,121 +118,80 @@ fn times(v: f64) -> String {
     fixed(v, 2)
 }
 
-fn seeds(n: usize) -> String {
-    match n {
-        1 => "1 seed".into(),
-        n => format!("{n} seeds"),
-    }
-}
-
-fn scenes_text(v: Verdict) -> String {
-    match v.of {
-        0 => "–".into(),
-        _ => format!("{} scenes", v.text()),
-    }
-}
-
 fn row(reference: &str, other: &str, s: &SceneAgainst) -> Vec<String> {
     let Some(p) = &s.figures else {
-        let mut row = vec!["–".to_owned(); 12];
+        let mut row = vec!["–".to_owned(); 11];
         row[0].clone_from(&s.scene);
-        "no seed of both".clone_into(&mut row[1]);
+        "not compared".clone_into(&mut row[1]);
         return row;
     };
-    let none = || "–".to_owned();
-    let change = |s: &Option<Spread>, decimals: usize| {
+    let change = |s: Option<Spread>, decimals: usize| {
         let signed = |v: f64| {
             let plus = if v > 0.0 { "+" } else { "" };
             format!("{plus}{}", fixed(v, decimals))
         };
-        s.as_ref().map_or_else(none, |s| few(s, signed))
+        or_dash(s, |s| few(&s, signed))
     };
-    let worst = p.worst.map(|(psnr, limit)| {
-        let at = compare::decibels(psnr);
-        format!("{} at {at}", compare::limit(&limit))
-    });
+    let worst = |(psnr, ratio): (f64, Option<f64>)| match ratio {
+        Some(ratio) => format!("{} at {}", times(ratio), decibels(psnr)),
+        None => format!("later or never at {}", decibels(psnr)),
+    };
     vec![
         s.scene.clone(),
-        seeds(p.seeds.len()),
-        p.mean.as_ref().map_or_else(none, |m| few(m, times)),
-        worst.unwrap_or_else(none),
+        p.pairs_text(),
+        or_dash(p.mean.as_ref(), |m| few(m, times)),
+        or_dash(p.worst, worst),
         p.no_later.text(),
-        change(&p.psnr, 2),
-        match p.final_holds {
-            None => none(),
-            Some(true) => "yes".into(),
-            Some(false) => "no".into(),
-        },
-        change(&p.ssim, 4),
-        change(&p.flip, 4),
-        p.gaussians.as_ref().map_or_else(none, |(own, others)| {
+        change(p.psnr, 2),
+        or_dash(p.final_holds, |holds| {
+            if holds { "yes" } else { "no" }.into()
+        }),
+        change(p.ssim, 4),
+        change(p.flip, 4),
+        or_dash(p.gaussians.as_ref(), |(own, others)| {
             let count = |s: &Spread| few(s, |v| fixed(v, 0));
             format!("{} against {}", count(own), count(others))
         }),
-        p.bounded.as_ref().map_or_else(none, compare::bounded),
         p.counts.text(reference, other),
     ]
 }
 
 fn against(reference: &str, other: &str, scenes: &[SceneSummary]) -> Against {
-    let one = |s: &SceneSummary| SceneAgainst {
-        scene: s.name.clone(),
-        clock: s.comparison.as_ref().map(|c| c.clock),
-        figures: s.against(reference, other).cloned(),
+    let one = |s: &SceneSummary| {
+        let found = s.comparison.as_ref().filter(|c| c.reference == reference);
+        let paired = found.and_then(|c| c.relative.iter().find(|p| p.label == other));
+        SceneAgainst {
+            scene: s.name.clone(),
+            clock: s.comparison.as_ref().map(|c| c.clock),
+            figures: paired.cloned(),
+        }
     };
     let scenes: Vec<SceneAgainst> = scenes.iter().map(one).collect();
     let figures = || scenes.iter().filter_map(|s| s.figures.as_ref());
     let means: Vec<Spread> = figures().filter_map(|p| p.mean).collect();
-    let bounded: Vec<Bounded> = figures().filter_map(|p| p.bounded).collect();
     let mut counts = Counts::default();
     figures().for_each(|p| counts.join(&p.counts));
     Against {
         setting: other.to_owned(),
-        mean: geometric_mean(&means),
+        mean: mean(&means),
         mean_of: means.len(),
         counts,
-        bounded: Bounded::mean(&bounded),
         no_later: Verdict::count(figures().map(|p| p.no_later.all())),
         final_holds: Verdict::count(figures().map(|p| p.final_holds)),
         scenes,
     }
 }
 
-fn geometric_mean(all: &[Spread]) -> Option<Spread> {
-    let samples = all.iter().map(|s| s.samples).min()?;
-    let mean = |pick: fn(&Spread) -> f64| {
-        let logs = all.iter().map(|s| pick(s).ln());
-        (logs.sum::<f64>() / all.len() as f64).exp()
+/// Geometric means of medians and of the ends of the ranges.
+fn mean(all: &[Spread]) -> Option<Spread> {
+    let of = |pick: fn(&Spread) -> f64| {
+        let figures: Vec<f64> = all.iter().map(pick).collect();
+        geometric_mean(&figures)
     };
     Some(Spread {
-        median: mean(|s| s.median),
-        min: mean(|s| s.min),
-        max: mean(|s| s.max),
-        samples,
+        median: of(|s| s.median)?,
+        min: of(|s| s.min)?,
+        max: of(|s| s.max)?,
+        samples: all.iter().map(|s| s.samples).min()?,
     })
-}
-
-/// Ratios of one scene at every threshold.
-pub(super) fn ratios(scene: &SceneSummary, c: &compare::Comparison) -> Table {
-    let mut columns = vec!["setting".to_owned(), "seeds".into()];
-    columns.extend(c.thresholds.iter().map(|t| compare::decibels(*t)));
-    let row = |p: &Paired| {
-        let cell = |t: &compare::PairedTime| match &t.spread {
-            None => "–".to_owned(),
-            Some(s) => format!("{}{}", t.bound.sign(), few(s, times)),
-        };
-        let mut row = vec![p.label.clone(), seeds(p.seeds.len())];
-        row.extend(p.to_psnr.iter().map(cell));
-        row
-    };
-    Table {
-        title: format!("Time over that of {}, {}", c.reference, c.clock.name()),
-        note: format!(
-            "Seed by seed; median, and the range where they are three and more. Above 1: {} is sooner. ≥ and ≤: one side has \
-             not reached it with every seed, and counts with the last reading of its clock; –: neither has.",
-            c.reference
-        ),
-        columns,
-        rows: scene.paired.iter().map(row).collect(),
-    }
 }

@@ -1,4 +1,4 @@
-//! Runs in their order, and what is there of each.
+//! Runs in their order, and the state of each.
 
 use std::path::{Path, PathBuf};
 
@@ -21,20 +21,20 @@ pub struct Planned {
     pub seed: u64,
     /// Run folder.
     pub dir: PathBuf,
-    /// Whether the number of its Gaussians is another run's.
+    /// Whether its cap is the final number of Gaussians of another run.
     pub capped: bool,
 }
 
-/// What is there of a run.
+/// State of a run folder.
 #[derive(Debug, Clone, PartialEq)]
 pub enum State {
-    /// Nothing.
+    /// No folder.
     New,
-    /// A checkpoint to go on from.
+    /// A checkpoint to resume from.
     Begun,
-    /// What a run leaves that ended before its first checkpoint.
+    /// The remains of a run that ended before its first checkpoint.
     Broken,
-    /// All of it.
+    /// A finished run.
     Done(Box<RunRecord>),
 }
 
@@ -80,7 +80,7 @@ fn differences(record: &RunRecord, wanted: &TrainConfig) -> Vec<String> {
         .collect()
 }
 
-/// What is there of a run; `config` none takes any configuration for the right one.
+/// State of a run folder; with `config` `None`, of whatever configuration.
 ///
 /// # Errors
 /// A folder that holds something else, or a run of another configuration.
@@ -108,8 +108,8 @@ pub fn state(dir: &Path, config: Option<&TrainConfig>) -> Result<State> {
             "move it away, or choose another output with -o",
         ));
     }
-    // Record and metrics are all that a comparison needs: whoever deletes what else a run leaves does not want it again. A run
-    // that its time budget ends is not known to be over before the scene is written.
+    // Record and metrics are all that a comparison needs: whoever deletes the rest does not want it again. A run that its time
+    // budget ends is not known to be over before the scene is written.
     let over = record.iterations >= record.config.iterations;
     if over && !dir.join(METRICS_FILE).is_file() {
         return Err(Error::input(
@@ -125,17 +125,17 @@ pub fn state(dir: &Path, config: Option<&TrainConfig>) -> Result<State> {
     })
 }
 
-/// What is there of a run of an experiment.
+/// State of a run of an experiment.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Found {
-    /// This, and by the options that the experiment gives it.
+    /// A run by the options that the experiment gives it.
     Its(State),
-    /// Something that is neither counted nor touched, and why.
+    /// Something that is neither counted nor touched, with the reason.
     Refused(String),
 }
 
 impl Found {
-    /// In a word.
+    /// One word for it.
     #[must_use]
     pub fn word(&self) -> &'static str {
         match self {
@@ -147,12 +147,12 @@ impl Found {
         }
     }
 
-    /// What becomes of it, or why nothing does.
+    /// The next step, or the reason why there is none.
     #[must_use]
     pub fn why(&self) -> &str {
         match self {
-            Self::Its(State::New) => "nothing is there",
-            Self::Its(State::Begun) => "goes on from its checkpoint",
+            Self::Its(State::New) => "not started",
+            Self::Its(State::Begun) => "resumes from its checkpoint",
             Self::Its(State::Broken) => "starts again",
             Self::Its(State::Done(_)) => "complete",
             Self::Refused(why) => why,
@@ -160,10 +160,10 @@ impl Found {
     }
 }
 
-/// The configuration that a run has to have, with the cap of the run that gives it; none while that one is not done.
+/// The configuration that a run has to have, with the cap of the run that gives it; `None` while that one is not done.
 ///
 /// # Errors
-/// Options that make no sense.
+/// Invalid options.
 pub fn expected(e: &Experiment, run: &Planned) -> Result<Option<TrainConfig>> {
     let of = |setting: usize| e.config(&e.scenes[run.scene], &e.settings[setting], run.seed);
     let mut config = of(run.setting)?;
@@ -178,10 +178,10 @@ pub fn expected(e: &Experiment, run: &Planned) -> Result<Option<TrainConfig>> {
     Ok(Some(config))
 }
 
-/// What is there of a run, held against the options that it has to have.
+/// State of a run, checked against the options that it has to have.
 ///
 /// # Errors
-/// Options that make no sense.
+/// Invalid options.
 pub fn look(e: &Experiment, run: &Planned) -> Result<Found> {
     Ok(match expected(e, run)? {
         Some(config) => match state(&run.dir, Some(&config)) {

@@ -1,4 +1,4 @@
-//! Births on the device: their true loss change by rendering again, and what a probe foretells.
+//! Births on the device: their true loss change by rendering again, and its first-order prediction by a probe.
 
 use crate::base::error::Result;
 use crate::device::Real;
@@ -14,16 +14,16 @@ use crate::train::estimates::{change, scaled_logit};
 pub struct Birth {
     /// Row that is copied.
     pub source: u32,
-    /// Where it is born.
+    /// Position of the birth.
     pub position: [f32; 3],
-    /// What it gets.
+    /// Shape of the birth.
     pub shape: Shape,
-    /// Whether the source gets that shape, too.
+    /// True if the source gets that shape, too.
     pub shared: bool,
 }
 
 impl Candidate {
-    /// In each form.
+    /// The birth in each of [`FORMS`].
     pub(super) fn births(&self) -> [Birth; FORMS.len()] {
         [(self.copy, false), (self.split, true), (self.faint, false)].map(|(shape, shared)| Birth {
             source: self.source,
@@ -34,12 +34,12 @@ impl Candidate {
     }
 }
 
-/// What a probe says of a birth.
+/// First-order prediction of a birth.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Probed {
     /// First-order change of the mean loss.
     pub change: f64,
-    /// Whether each view has any pair of it.
+    /// For each view, true if any tile intersection is its own.
     pub touched: Vec<bool>,
 }
 

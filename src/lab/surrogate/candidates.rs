@@ -13,23 +13,23 @@ use crate::density::mh::lerp;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::relocation::split;
 use crate::density::{Cues, SceneState};
-use crate::lab::surrogate::stream;
+use crate::lab::surrogate::stream::{OFFSET, SOURCE, stream};
 use crate::scene::{Plane, Splats};
 
 /// Draws per wanted candidate before fewer have to do: sources are distinct, and few may hold all the weight.
 const PATIENCE: u64 = 50;
 
-/// How the source of a candidate was drawn.
+/// Law by which the source of a candidate was drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Draw {
-    /// In proportion to its importance, as the sampler does.
+    /// Proportional to its importance, like the sampler.
     Proposal,
     /// Evenly over the range of the importance.
     Stratified,
 }
 
-/// Phase whose spread the offset has.
+/// Phase of density control whose spread the offset has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Phase {
@@ -39,7 +39,7 @@ pub enum Phase {
     Fine,
 }
 
-/// What a birth writes: the candidate's own row, and the source's where they share.
+/// Values that a birth writes to its own row, and to that of its source if they share.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shape {
     /// Log-scale of the candidate (and of the source, if that changes).
@@ -53,11 +53,11 @@ pub struct Shape {
 pub struct Candidate {
     /// Row of its source.
     pub source: u32,
-    /// How that was drawn.
+    /// Law of its draw.
     pub draw: Draw,
-    /// Whose spread the offset has.
+    /// Phase of its offset.
     pub phase: Phase,
-    /// Where it would be born, local units.
+    /// Position of the birth, local units.
     pub position: [f32; 3],
     /// I of the source.
     pub importance: f64,
@@ -79,7 +79,7 @@ pub struct Candidate {
     pub(super) faint: Shape,
 }
 
-/// What drawing reads.
+/// State that candidates are drawn from.
 pub(super) struct Ground<'a> {
     pub config: &'a MhConfig,
     pub splats: &'a Splats,
@@ -89,7 +89,7 @@ pub(super) struct Ground<'a> {
     pub seed: u64,
 }
 
-/// The planes of a scene that density control sees.
+/// The planes of a scene that density control reads.
 pub(super) fn state(splats: &Splats) -> SceneState<'_> {
     let slice = |p: usize| splats.planes()[p].as_slice();
     SceneState {
@@ -144,7 +144,7 @@ impl Ground<'_> {
             if rows.len() == wanted {
                 break;
             }
-            let u = Philox::uniform_53(self.seed, stream(stream::SOURCE + group), k)[0];
+            let u = Philox::uniform_53(self.seed, stream(SOURCE + group), k)[0];
             rows.extend(sources.draw(u).map(|i| alive[i]));
         }
         rows.into_iter().collect()
@@ -161,7 +161,7 @@ impl Ground<'_> {
         let (low, high) = (value(first), value(last));
         let mut rows = Vec::with_capacity(wanted);
         for k in 0..wanted.min(free.len()) {
-            let stream = stream(stream::SOURCE + group);
+            let stream = stream(SOURCE + group);
             let u = Philox::uniform_53(self.seed, stream, k as u64)[0];
             let target = low + (high - low) * (k as f64 + u) / wanted as f64;
             let at = free.partition_point(|r| value(*r) < target);
@@ -194,7 +194,7 @@ impl Ground<'_> {
             log_scale: self.splats.gather(Plane::LOG_SCALE, i),
             opacity_logit: scene.opacity_logits[i],
         };
-        let offsets = stream(stream::OFFSET + group);
+        let offsets = stream(OFFSET + group);
         let [x, y, z, _] = Philox::normal(self.seed, offsets, u64::from(source));
         let position = birth_position(scene, i, own.log_scale, spread, [x, y, z])?;
         let count = counts.get(position.map(f64::from));

@@ -2,33 +2,34 @@
 
 use serde::Serialize;
 
+use crate::lab::stats::quantile;
 use crate::lab::surrogate::candidates::{Candidate, Draw, Phase};
-use crate::lab::surrogate::rank::{Estimate, estimate, kendall, quantile, spearman};
-use crate::lab::surrogate::stream;
+use crate::lab::surrogate::rank::{Estimate, estimate, kendall, spearman};
+use crate::lab::surrogate::stream::{RESAMPLE, stream};
 
 /// The forms of a birth, by their names in the configuration.
 pub const FORMS: [&str; 3] = ["copy", "split", "faint"];
 /// Bins of a calibration curve.
 const BINS: usize = 10;
 
-/// A candidate with what became of it in each of [`FORMS`].
+/// A candidate with its true and predicted gain in each of [`FORMS`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Judged {
     /// The candidate.
     #[serde(flatten)]
     pub candidate: Candidate,
-    /// Views in which it has any pixel.
+    /// Number of views in which it has any pixel.
     pub views: usize,
-    /// −ΔL.
+    /// True gain −ΔL.
     pub gain: [f64; FORMS.len()],
-    /// −ΔL as the probe foretells it, to first order.
+    /// First-order prediction of −ΔL by the probe.
     pub probe: [f64; FORMS.len()],
 }
 
-/// What is set beside the true gain: name, and value of a candidate in a form.
+/// A predictor of the true gain: name, and value of a candidate in a form.
 type Predictor = (&'static str, fn(&Judged, usize) -> Option<f64>);
 
-/// In the order of the tables.
+/// Predictors in the order of the tables.
 const PREDICTORS: [Predictor; 6] = [
     ("importance I", |j, _| Some(j.candidate.importance)),
     ("acceptance ρ", |j, _| Some(j.candidate.acceptance)),
@@ -38,7 +39,7 @@ const PREDICTORS: [Predictor; 6] = [
     ("probe", |j, form| Some(j.probe[form])),
 ];
 
-/// Subset of the candidates: name, and whether one is in it.
+/// Subset of the candidates: name, and test of membership.
 type Subset = (&'static str, fn(&Candidate) -> bool);
 
 const SUBSETS: [Subset; 5] = [
@@ -52,21 +53,21 @@ const SUBSETS: [Subset; 5] = [
 /// Rank correlation of a predictor with the true gain.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Correlation {
-    /// What foretells.
+    /// Name of the predictor.
     pub predictor: &'static str,
-    /// Which candidates.
+    /// Name of the subset.
     pub subset: &'static str,
-    /// How many of them have a value.
+    /// Number of candidates that have a value.
     pub count: usize,
-    /// Spearman's ρ; none where a side is constant.
+    /// Spearman's ρ; `None` if a side is constant.
     pub spearman: Option<Estimate>,
     /// Kendall's τ_b.
     pub kendall: Option<Estimate>,
-    /// Mean gain of the tenth that the predictor puts first.
+    /// Mean gain of the tenth with the highest prediction.
     pub top_gain: Option<f64>,
 }
 
-/// The true gain of candidates that a predictor puts side by side.
+/// The true gain of candidates of similar prediction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Calibration {
     /// Candidates.
@@ -79,22 +80,22 @@ pub struct Calibration {
     pub quartiles: [f64; 3],
 }
 
-/// Everything about one form of birth.
+/// Statistics of one form of birth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FormOutcome {
     /// One of [`FORMS`].
     pub birth: &'static str,
     /// Share of the candidates that lower the loss.
     pub lowering: f64,
-    /// The same of those drawn as proposals.
+    /// Share of those drawn as proposals that lower the loss.
     pub lowering_proposals: f64,
-    /// The same of those whose probe foretells a gain, and of those whose probe does not; none where there are none.
+    /// Share of those whose probe predicts a gain, and of those whose probe does not; `None` of an empty set.
     pub lowering_by_probe: [Option<f64>; 2],
     /// Mean gain.
     pub mean_gain: f64,
     /// Quartiles of the gain.
     pub quartiles: Option<[f64; 3]>,
-    /// By predictor and subset.
+    /// Correlations by subset and predictor.
     pub correlations: Vec<Correlation>,
     /// Tenths by importance.
     pub by_importance: Vec<Calibration>,
@@ -137,7 +138,7 @@ fn correlations(form: usize, all: &[Judged], seed: u64) -> Vec<Correlation> {
             let kept = all.iter().filter(|j| keep(&j.candidate));
             let pairs = kept.filter_map(|j| Some((value(j, form)?, j.gain[form])));
             let (x, y): (Vec<f64>, Vec<f64>) = pairs.unzip();
-            let resamples = stream(stream::RESAMPLE + (s * PREDICTORS.len() + p) as u32);
+            let resamples = stream(RESAMPLE + (s * PREDICTORS.len() + p) as u32);
             correlations.push(Correlation {
                 predictor,
                 subset,

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::base::rng::Philox;
+use crate::lab::stats::quantile;
 
 /// Resamples of a bootstrap interval.
 const RESAMPLES: u64 = 1000;
@@ -34,7 +35,7 @@ pub fn ranks(values: &[f64]) -> Vec<f64> {
     ranks
 }
 
-/// Pearson's correlation; none for fewer than two pairs, or where a side is constant or not finite.
+/// Pearson's correlation; `None` for fewer than two pairs, or if a side is constant or not finite.
 fn pearson(x: &[f64], y: &[f64]) -> Option<f64> {
     let n = x.len() as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
@@ -49,14 +50,14 @@ fn pearson(x: &[f64], y: &[f64]) -> Option<f64> {
     (x.len() == y.len() && xx > 0.0 && yy > 0.0 && r.is_finite()).then(|| r.clamp(-1.0, 1.0))
 }
 
-/// Spearman's ρ: Pearson's correlation of the ranks. None where a side is constant, or the lengths differ.
+/// Spearman's ρ: Pearson's correlation of the ranks. `None` if a side is constant, or the lengths differ.
 #[must_use]
 pub fn spearman(x: &[f64], y: &[f64]) -> Option<f64> {
     pearson(&ranks(x), &ranks(y))
 }
 
 /// Kendall's τ_b, which corrects for ties: (concordant − discordant) over the geometric mean of the pairs not tied in x and
-/// those not tied in y. Counted in O(n log n) (Knight 1966). None where a side is constant, or the lengths differ.
+/// those not tied in y. Counted in O(n log n) (Knight 1966). `None` if a side is constant, or the lengths differ.
 #[must_use]
 pub fn kendall(x: &[f64], y: &[f64]) -> Option<f64> {
     if x.len() != y.len() {
@@ -109,7 +110,7 @@ fn inversions(values: &mut [f64]) -> f64 {
 }
 
 /// A statistic of paired values with its bootstrap interval: pairs are drawn with replacement, as many as there are; resamples
-/// in which the statistic does not exist do not count. None where the sample itself has none.
+/// in which the statistic does not exist do not count. `None` if the sample itself has none.
 #[must_use]
 pub fn estimate(
     statistic: fn(&[f64], &[f64]) -> Option<f64>,
@@ -137,14 +138,4 @@ pub fn estimate(
         low: low.unwrap_or(value),
         high: high.unwrap_or(value),
     })
-}
-
-/// Quantile of sorted values, linear between them; none of nothing.
-#[must_use]
-pub fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
-    let last = sorted.len().checked_sub(1)?;
-    let at = share.clamp(0.0, 1.0) * last as f64;
-    let below = at.floor() as usize;
-    let above = (below + 1).min(last);
-    Some(sorted[below] + (at - below as f64) * (sorted[above] - sorted[below]))
 }

@@ -1,20 +1,18 @@
-//! What a verification found, as text, Markdown and a page with the error of each family against its stiffness.
+//! The report of a verification: errors of every family, against its stiffness.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use crate::base::error::Result;
 use crate::chart::loglog::{LogPoint, LogSeries, log_log_chart};
-use crate::chart::text::escape;
 use crate::lab::folder::{one_or_all, write_files};
-use crate::lab::table::{Table, write_html, write_markdown};
+use crate::lab::report::{Report, Section};
+use crate::lab::table::{Table, or_dash};
 use crate::lab::verify::Verification;
 use crate::lab::verify::check::Row;
 use crate::lab::verify::stress::FamilyNote;
-use crate::run::report::page;
 
-/// Errors below this are drawn as this.
-const LEAST_ERROR: f64 = 1e-17;
+/// Least error that is drawn.
+const MIN_ERROR: f64 = 1e-17;
 /// Stages that have a curve of their own in f32, in the order of their colours.
 const CURVES: [&[&str]; 5] = [
     &["project", "dataset", "density"],
@@ -32,15 +30,13 @@ fn worst<'a>(rows: impl Iterator<Item = &'a Row>) -> Option<&'a Row> {
     rows.max_by(|a, b| a.max_rel_error.total_cmp(&b.max_rel_error))
 }
 
-/// A row per family: how many comparisons, the worst in f32 and in f64, and the bound.
-#[must_use]
-pub fn table(v: &Verification) -> Table {
+/// Number of comparisons, worst errors in f32 and in f64, and bound of every family.
+fn table(v: &Verification) -> Table {
     let line = |note: &FamilyNote| {
         let of: Vec<&Row> = v.cases.iter().filter(|r| r.family == note.name).collect();
         let single = worst(of.iter().copied().filter(|r| !is_double(r)));
         let double = worst(of.iter().copied().filter(|r| is_double(r)));
-        let number =
-            |row: Option<&Row>| row.map_or("–".into(), |r| format!("{:.1e}", r.max_rel_error));
+        let number = |row: Option<&Row>| or_dash(row, |r| format!("{:.1e}", r.max_rel_error));
         let failed = of.iter().filter(|r| !r.pass).count();
         vec![
             note.name.to_owned(),
@@ -67,12 +63,13 @@ pub fn table(v: &Verification) -> Table {
         "flips",
         "worst in f32 is of",
     ];
-    Table {
-        title: "Worst of each family".into(),
-        note: "Errors are relative to the largest value of a quantity; flips, elements on the other side of a discontinuity, are counted apart.".into(),
-        columns: columns.map(str::to_owned).to_vec(),
-        rows: v.families.iter().map(line).collect(),
-    }
+    let note = "Errors are relative to the largest value of a quantity; flips, elements on the other side of a discontinuity, are counted apart.";
+    Table::new(
+        "Worst of each family",
+        note,
+        &columns,
+        v.families.iter().map(line),
+    )
 }
 
 /// Error against stiffness of one family: a curve per group of stages in f32, one for all of f64.
@@ -89,7 +86,7 @@ fn chart(v: &Verification, note: &FamilyNote) -> String {
                 .filter(|r| r.stiffness == Some(*at) && takes(r));
             worst(here).map(|r| LogPoint {
                 x: *at,
-                y: r.max_rel_error.max(LEAST_ERROR),
+                y: r.max_rel_error.max(MIN_ERROR),
                 label: String::new(),
                 tip: format!(
                     "{}: {} {}, {:.1e}",
@@ -129,72 +126,76 @@ fn between(all: &[Verification]) -> Table {
         let worst_of = |v: &Verification| {
             let of = v.cases.iter().filter(|r| r.family == **family);
             let single = worst(of.filter(|r| !is_double(r)));
-            single.map_or("–".into(), |r| format!("{:.1e}", r.max_rel_error))
+            or_dash(single, |r| format!("{:.1e}", r.max_rel_error))
         };
         let mut cells = vec![(*family).to_owned()];
         cells.extend(all.iter().map(worst_of));
         cells
     };
-    let devices = all.iter().map(|v| v.device.clone());
-    Table {
-        title: "Devices side by side".into(),
-        note: "Worst error in f32 against one reference.".into(),
-        columns: std::iter::once("family".to_owned())
-            .chain(devices)
-            .collect(),
-        rows: families.iter().map(line).collect(),
+    let devices = all.iter().map(|v| v.device.as_str());
+    let columns: Vec<&str> = std::iter::once("family").chain(devices).collect();
+    let note = "Worst error in f32 against one reference.";
+    Table::new(
+        "Devices side by side",
+        note,
+        &columns,
+        families.iter().map(line),
+    )
+}
+
+/// All devices as a report.
+#[must_use]
+pub fn report(all: &[Verification]) -> Report {
+    let several = (all.len() > 1).then(|| Section::Table(between(all)));
+    let devices = all.iter().map(|v| Section::Part(device(v)));
+    Report {
+        title: "Verification".into(),
+        subtitle: format!(
+            "mhsplat {} · every stage against the f64 reference",
+            env!("CARGO_PKG_VERSION")
+        ),
+        sections: several.into_iter().chain(devices).collect(),
+        ..Report::default()
     }
 }
 
-/// `verify.html`, complete.
-#[must_use]
-pub fn page(all: &[Verification]) -> String {
-    let mut body = format!(
-        "<h1>Verification</h1><p class=sub>mhsplat {} · every stage against the f64 reference</p>\n",
-        env!("CARGO_PKG_VERSION")
-    );
-    if all.len() > 1 {
-        write_html(&mut body, &between(all), "h2");
+fn device(v: &Verification) -> Report {
+    let mut part = Report {
+        title: v.device.clone(),
+        subtitle: format!(
+            "Suite {}: {} comparisons passed, {} failed.",
+            v.suite, v.passed, v.failed
+        ),
+        ..Report::default()
+    };
+    if v.families.is_empty() {
+        part.sections.push(Section::Table(failures(v, true)));
+        return part;
     }
-    for v in all {
-        let _ = writeln!(
-            body,
-            "<h2>{}</h2><p>Suite {}: {} comparisons passed, {} failed.</p>",
-            escape(&v.device),
-            v.suite,
-            v.passed,
-            v.failed
-        );
-        if v.families.is_empty() {
-            write_html(&mut body, &failures(v, true), "h3");
-            continue;
-        }
-        write_html(&mut body, &table(v), "h3");
-        body.push_str("<h3>Error against stiffness</h3><div class=charts>\n");
-        for note in &v.families {
-            body.push_str(&chart(v, note));
-        }
-        body.push_str("</div>\n<h3>Why these bounds</h3><ul>\n");
-        for note in &v.families {
-            let _ = writeln!(
-                body,
-                "<li><b>{}</b>, {:.0e}: {}.</li>",
-                escape(note.name),
-                note.bound,
-                escape(note.reason)
-            );
-        }
-        body.push_str("</ul>\n");
-        if v.failed > 0 {
-            write_html(&mut body, &failures(v, false), "h3");
-        }
-    }
-    page::page("mhsplat verify", &body)
+    let reasons = v.families.iter().map(|note| {
+        Section::Text(format!(
+            "{}, {:.0e}: {}.",
+            note.name, note.bound, note.reason
+        ))
+    });
+    part.sections = vec![
+        Section::Table(table(v)),
+        Section::Charts {
+            title: "Error against stiffness".into(),
+            note: String::new(),
+            figures: v.families.iter().map(|note| chart(v, note)).collect(),
+        },
+        Section::Table(failures(v, false)),
+        Section::Details {
+            summary: "Reasons of the bounds".into(),
+            sections: reasons.collect(),
+        },
+    ];
+    part
 }
 
 /// Rows that failed, or all of them.
-#[must_use]
-pub fn failures(v: &Verification, all: bool) -> Table {
+fn failures(v: &Verification, all: bool) -> Table {
     let rows = v.cases.iter().filter(|r| all || !r.pass);
     let line = |r: &Row| {
         vec![
@@ -226,45 +227,14 @@ pub fn failures(v: &Verification, all: bool) -> Table {
         "not finite",
         "",
     ];
-    Table {
-        title: if all {
-            "Comparisons"
-        } else {
-            "Failed comparisons"
-        }
-        .into(),
-        note: String::new(),
-        columns: columns.map(str::to_owned).to_vec(),
-        rows: rows.map(line).collect(),
-    }
+    let title = match all {
+        true => "Comparisons",
+        false => "Failed comparisons",
+    };
+    Table::new(title, "", &columns, rows.map(line))
 }
 
-/// All devices as Markdown.
-#[must_use]
-pub fn markdown(all: &[Verification]) -> String {
-    let texts: Vec<String> = all.iter().map(device).collect();
-    let mut out = texts.join("\n");
-    if all.len() > 1 {
-        write_markdown(&mut out, &between(all), "##");
-    }
-    out
-}
-
-fn device(v: &Verification) -> String {
-    let mut out = format!("{}: suite {}\n", v.device, v.suite);
-    if v.families.is_empty() {
-        write_markdown(&mut out, &failures(v, true), "##");
-    } else {
-        write_markdown(&mut out, &table(v), "##");
-        if v.failed > 0 {
-            write_markdown(&mut out, &failures(v, false), "##");
-        }
-    }
-    let _ = writeln!(out, "\n{} passed, {} failed", v.passed, v.failed);
-    out
-}
-
-/// The document of `verify --json`: of one device itself, of several an array.
+/// The document of `verify --json`, of several devices an array.
 ///
 /// # Errors
 /// None that a user can cause: what is found can be written.
@@ -277,10 +247,11 @@ pub fn json(all: &[Verification]) -> Result<String> {
 /// # Errors
 /// A folder that is not empty or cannot be written.
 pub fn write_folder(dir: &Path, all: &[Verification]) -> Result<()> {
+    let report = report(all);
     let files = [
-        ("verify.html", page(all)),
+        ("verify.html", report.to_html()),
         ("verify.json", json(all)? + "\n"),
-        ("verify.md", markdown(all)),
+        ("verify.md", report.to_markdown()),
     ];
     write_files(dir, &files)
 }

@@ -1,0 +1,117 @@
+//! The bench of a device, from its peak to its precisions.
+
+use std::path::Path;
+
+use crate::base::error::{Error, Result};
+use crate::capture::{Camera, Frame};
+use crate::device::Device;
+use crate::lab::bench::case::Subject;
+use crate::lab::bench::options::Options;
+use crate::lab::bench::record::{BenchRecord, Failure, Outcome};
+use crate::lab::bench::{case, growth, peak, precision, scene};
+use crate::scene::ply::SceneFile;
+use crate::scene::{Splats, orbit, ply};
+
+/// Width and height at which a scene from a file is seen, pixels.
+const SCENE_SIZE: u32 = 800;
+
+/// Measures one device; `note` receives the name of each case before it is measured. A case that the device cannot hold is listed among the failures.
+///
+/// # Errors
+/// A scene file that cannot be read, a failure of the micro-benchmarks, or no case that could be measured.
+pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Result<BenchRecord> {
+    let trained = options.scene.as_deref().map(read_scene).transpose()?;
+    note("peak");
+    let peak = peak::measure(device, options)?;
+    let (mut cases, mut failed, mut last) = (Vec::new(), Vec::new(), None);
+    let mut measure = |subject: &Subject<'_>| {
+        note(&subject.title());
+        match case::measure(device, &peak, subject, options) {
+            Ok(case) => cases.push(case),
+            Err(e) => {
+                failed.push(Failure::new(&subject.title(), &e));
+                last = Some(e);
+            }
+        }
+    };
+    for (n, size) in &options.cases {
+        measure(&Subject {
+            name: growth::SYNTHETIC,
+            splats: &scene::cloud(*n),
+            dataset: scene::dataset(&scene::circle(*size)),
+            anti_alias: false,
+        });
+    }
+    if let Some((name, splats, anti_alias)) = &trained {
+        measure(&Subject {
+            name,
+            splats,
+            dataset: scene::dataset(&around(splats)),
+            anti_alias: *anti_alias,
+        });
+    }
+    if let (true, Some(error)) = (cases.is_empty(), last) {
+        return Err(error);
+    }
+    let precision = precision::measure(device, options, note, &mut failed);
+    Ok(BenchRecord {
+        device: device.info().name.clone(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        about: device.info().clone(),
+        peak,
+        growth: growth::growth(&cases),
+        cases,
+        precision,
+        failed,
+    })
+}
+
+/// Name and Gaussians of a scene, and whether its header says that it was trained with anti-aliasing.
+fn read_scene(path: &Path) -> Result<(String, Splats, bool)> {
+    let SceneFile {
+        splats,
+        anti_aliased,
+    } = ply::read(path, &Frame::IDENTITY)?;
+    if splats.is_empty() {
+        let fix = "give a scene that `mhsplat train` wrote";
+        return Err(Error::input(path, "holds no Gaussian", fix));
+    }
+    let name = path.file_name().unwrap_or(path.as_os_str());
+    let anti_alias = anti_aliased;
+    let with = if anti_alias {
+        " with anti-aliasing"
+    } else {
+        ""
+    };
+    Ok((
+        format!("{}{with}", name.to_string_lossy()),
+        splats,
+        anti_alias,
+    ))
+}
+
+/// Cameras on a circle around a scene.
+fn around(splats: &Splats) -> Vec<Camera> {
+    let [x, y, z] = [0, 1, 2].map(|k| splats.planes()[k].as_slice());
+    orbit([x, y, z], scene::VIEWS, [SCENE_SIZE; 2])
+}
+
+/// Measures several devices (name, selector for `open`), one after the other. A device that fails does not keep
+/// the others from being measured.
+pub fn run_all(
+    devices: &[(String, Option<String>)],
+    open: impl Fn(Option<&str>) -> Result<Device>,
+    options: &Options,
+    note: &mut dyn FnMut(&str),
+) -> Vec<Outcome> {
+    let measure = |(name, selector): &(String, Option<String>)| match open(selector.as_deref())
+        .and_then(|device| run(&device, options, note))
+    {
+        Ok(record) => Outcome::Done(Box::new(record)),
+        Err(error) => Outcome::Failed {
+            device: name.clone(),
+            error: error.to_string(),
+        },
+    };
+    devices.iter().map(measure).collect()
+}

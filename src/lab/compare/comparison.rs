@@ -1,0 +1,147 @@
+//! A comparison of runs: read, checked, grouped, timed and paired.
+
+use serde::Serialize;
+
+use crate::base::error::{Error, Result};
+use crate::lab::compare::group::group;
+use crate::lab::compare::load::{Clock, Loaded, Source};
+use crate::lab::compare::outcome::GroupOutcome;
+use crate::lab::compare::paired::Paired;
+use crate::lab::compare::remarks::Difference;
+use crate::lab::compare::{check, load, outcome, paired, remarks, thresholds};
+use crate::run::DatasetRecord;
+
+/// How runs are compared.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Options {
+    /// Clock of the times; `None`: CPU seconds if all runs have them, else training seconds.
+    pub clock: Option<Clock>,
+    /// PSNR values that runs are timed to, dB; empty: by the rule in `thresholds.rs`.
+    pub thresholds: Vec<f64>,
+    /// Label of the group that the others are compared with; `None`: the first.
+    pub reference: Option<String>,
+    /// Compare even what is not comparable, with a warning.
+    pub allow_different: bool,
+}
+
+/// Several runs side by side.
+#[derive(Debug, Clone, Serialize)]
+pub struct Comparison {
+    /// Version of this package.
+    pub version: &'static str,
+    /// The dataset of the first run.
+    pub dataset: DatasetRecord,
+    /// Caveats.
+    pub warnings: Vec<String>,
+    /// Clock of the times.
+    pub clock: Clock,
+    /// PSNR values that runs are timed to, dB.
+    pub thresholds: Vec<f64>,
+    /// Rule by which they were chosen.
+    pub threshold_rule: &'static str,
+    /// Label of the group that the others are compared with.
+    pub reference: String,
+    /// The groups, in the order of their first runs.
+    pub groups: Vec<GroupOutcome>,
+    /// Each other group against the reference, run by run.
+    pub relative: Vec<Paired>,
+    /// Options, devices and versions that differ between the groups.
+    pub differences: Vec<Difference>,
+    /// The runs themselves, for the charts.
+    #[serde(skip)]
+    pub(super) runs: Vec<Loaded>,
+}
+
+impl Comparison {
+    /// Place of the reference.
+    #[must_use]
+    pub fn reference_place(&self) -> usize {
+        let own = |g: &GroupOutcome| g.label == self.reference;
+        self.groups.iter().position(own).unwrap_or(0)
+    }
+
+    /// Names of the devices that the runs were trained on.
+    #[must_use]
+    pub fn device(&self) -> String {
+        let mut names: Vec<&str> = Vec::new();
+        for run in &self.runs {
+            let name = run.record.device.name.as_str();
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        names.join(", ")
+    }
+}
+
+/// Reads and compares runs.
+///
+/// # Errors
+/// A folder that is no run, runs that are not comparable, thresholds that are not finite, or a reference that is no group.
+pub fn compare(sources: &[Source], options: &Options) -> Result<Comparison> {
+    let mut warnings = Vec::new();
+    let runs = load::load_all(sources, &mut warnings)?;
+    check::check(&runs, options.allow_different, &mut warnings)?;
+    let clock = choose_clock(&runs, options.clock, &mut warnings)?;
+    let groups = group(&runs);
+    let reference = match &options.reference {
+        None => 0,
+        Some(wanted) => groups
+            .iter()
+            .position(|g| g.label == *wanted)
+            .ok_or_else(|| {
+                let all: Vec<&str> = groups.iter().map(|g| g.label.as_str()).collect();
+                Error::config(
+                    "--reference",
+                    format!("no group {wanted:?}; there are: {}", all.join("; ")),
+                )
+            })?,
+    };
+    let (thresholds, rule) = thresholds::choose(&runs, &groups, reference, &options.thresholds)?;
+    let outcomes: Vec<GroupOutcome> = groups
+        .iter()
+        .map(|g| outcome::of_group(g, &runs, &thresholds))
+        .collect();
+    warnings.extend(remarks::remarks(
+        &groups, &runs, &outcomes, reference, clock,
+    ));
+    Ok(Comparison {
+        version: env!("CARGO_PKG_VERSION"),
+        dataset: runs[0].record.dataset.clone(),
+        warnings,
+        clock,
+        reference: groups[reference].label.clone(),
+        relative: paired::paired(&outcomes, reference, clock),
+        differences: remarks::differences(&groups, &runs),
+        thresholds,
+        threshold_rule: rule,
+        groups: outcomes,
+        runs,
+    })
+}
+
+/// The clock asked for, or the best that all runs have.
+fn choose_clock(
+    runs: &[Loaded],
+    asked: Option<Clock>,
+    warnings: &mut Vec<String>,
+) -> Result<Clock> {
+    let without = runs.iter().find(|r| !r.has_cpu());
+    match (asked, without) {
+        (Some(Clock::Cpu), Some(run)) => Err(Error::config(
+            "--clock",
+            format!(
+                "{} has no CPU seconds; give train, wall or iterations",
+                run.source.path.display()
+            ),
+        )),
+        (None, Some(run)) => {
+            warnings.push(format!(
+                "{}: no CPU seconds; training seconds are the clock",
+                run.source.path.display()
+            ));
+            Ok(Clock::Train)
+        }
+        (asked, _) => Ok(asked.unwrap_or_default()),
+    }
+}
