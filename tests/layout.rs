@@ -251,7 +251,7 @@ fn negated(source: &str) -> Vec<String> {
     names.filter(found).collect()
 }
 
-/// Of a negated vector oclgrind makes 1 where all bits are due.
+/// No kernel negates a mask: oclgrind makes a negated vector 1 where all bits are due.
 #[test]
 fn kernels_negate_no_mask() {
     let kernels = [files("kernels", "cl"), files("kernels", "clh")].concat();

@@ -73,7 +73,7 @@ pub(super) fn select(list: &[DeviceInfo], selector: &str) -> Option<usize> {
         .map(|d| d.index)
 }
 
-/// The devices that were found first. They are enumerated once: some drivers answer wrongly when several threads ask for the first time.
+/// The devices, enumerated once: some drivers answer wrongly when several threads ask for the first time.
 static DEVICES: Mutex<Vec<(DeviceInfo, core::DeviceId)>> = Mutex::new(Vec::new());
 
 /// Every device of every platform, with its handle.

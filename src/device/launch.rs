@@ -181,7 +181,7 @@ impl Launch<'_> {
     /// Enqueues the kernel with a work-item for each vector of `count` Gaussians. Does not wait.
     ///
     /// # Errors
-    /// As [`Launch::run`].
+    /// Those of [`Launch::run`].
     pub fn over_gaussians(self, count: usize) -> Result<()> {
         let (vectors, local) = (
             self.owner.vectors(count),
@@ -193,7 +193,7 @@ impl Launch<'_> {
     /// Enqueues the kernel with a work-item for each batch of `count` Gaussians. Does not wait.
     ///
     /// # Errors
-    /// As [`Launch::run`].
+    /// Those of [`Launch::run`].
     pub fn over_batches(self, count: usize) -> Result<()> {
         let tuning = self.defines().tuning;
         let batches = count.div_ceil(tuning.batch());
@@ -203,7 +203,7 @@ impl Launch<'_> {
     /// Enqueues the kernel with a work-item, or a work-group, for each tile of a camera's image. Does not wait.
     ///
     /// # Errors
-    /// As [`Launch::run`].
+    /// Those of [`Launch::run`].
     pub fn over_tiles<R: Real>(self, camera: &CameraArg<R>) -> Result<()> {
         let group = self.defines().tuning.tile_group();
         self.run([camera.tile_count() * group, 1], [group, 1])
@@ -212,7 +212,7 @@ impl Launch<'_> {
     /// Enqueues the kernel with small work-items, such as one for each Gaussian and plane. Does not wait.
     ///
     /// # Errors
-    /// As [`Launch::run`].
+    /// Those of [`Launch::run`].
     pub fn over_items(self, items: [usize; 2]) -> Result<()> {
         let local = self.defines().tuning.local;
         self.run(items, [local, 1])
@@ -221,7 +221,7 @@ impl Launch<'_> {
     /// Enqueues the kernel with large work-items, such as one for each chunk of an array or row of an image. Does not wait.
     ///
     /// # Errors
-    /// As [`Launch::run`].
+    /// Those of [`Launch::run`].
     pub fn over_chunks(self, chunks: [usize; 2]) -> Result<()> {
         let local = self.defines().tuning.coarse_local();
         self.run(chunks, [local, 1])
@@ -230,7 +230,7 @@ impl Launch<'_> {
     /// Enqueues the kernel with one work-item. Does not wait.
     ///
     /// # Errors
-    /// As [`Launch::run`].
+    /// Those of [`Launch::run`].
     pub fn once(self) -> Result<()> {
         self.run([1, 1], [1, 1])
     }

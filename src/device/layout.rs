@@ -91,7 +91,8 @@ pub struct CameraArg<R> {
 }
 
 impl<R: Real> CameraArg<R> {
-    /// The camera as kernels take it. The field of view is widened by 30 % on each side, as in 3DGS (with the principal point taken into account).
+    /// The camera as kernels take it. The field of view is widened by 30 % on each side, as in 3DGS (with the principal
+    /// point taken into account).
     #[must_use]
     pub fn new(camera: &Camera, near: f64) -> Self {
         let (w, h) = (f64::from(camera.width), f64::from(camera.height));

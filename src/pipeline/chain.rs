@@ -1,4 +1,4 @@
-//! The stages one after the other: loss and gradient of a scene in one view.
+//! The definitions in f64 one after the other: loss and gradient of a scene in one view.
 
 use crate::base::constants::LOG_SCALE;
 use crate::base::math::sigmoid;
@@ -11,7 +11,7 @@ use crate::pipeline::stage::splat::splat;
 use crate::pipeline::stage::splat_grad::splat_grad;
 use crate::scene::Plane;
 
-/// Everything on the way.
+/// Results of every stage.
 #[derive(Debug, Clone)]
 pub struct Passage {
     /// Records.
@@ -51,7 +51,7 @@ pub fn total(scene: &Scene64, l1: f64, ssim: f64, lambdas: [f64; 3]) -> f64 {
 /// Records, Gaussians of each tile, image \[3, height, width\] and transmittance \[height, width\].
 type Forward = (Vec<Option<Record64>>, Vec<Vec<u32>>, Vec<f64>, Vec<f64>);
 
-/// The forward stages.
+/// Results of the forward stages.
 #[must_use]
 pub fn render(scene: &Scene64, camera: &Camera64, options: &Options) -> Forward {
     let records: Vec<_> = (0..scene.len())
@@ -62,7 +62,7 @@ pub fn render(scene: &Scene64, camera: &Camera64, options: &Options) -> Forward 
     (records, tiles, image, transmittance)
 }
 
-/// Loss alone (for finite differences).
+/// Loss alone, for finite differences.
 #[must_use]
 pub fn loss_of(
     scene: &Scene64,
@@ -76,7 +76,7 @@ pub fn loss_of(
     total(scene, l.l1, l.ssim, lambdas)
 }
 
-/// All stages.
+/// Results of all stages.
 #[must_use]
 pub fn run(
     scene: &Scene64,

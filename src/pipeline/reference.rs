@@ -1,6 +1,6 @@
-//! The stages in plain f64 Rust, slow and obvious: the definition of correct.
+//! Types and formulas of the definitions in f64 (`pipeline/stage`): plain Rust, slow and obvious.
 //!
-//! Where the kernels use a stable form of a formula, the twin uses the textbook's, as far as f64 allows: two roads to one
+//! A definition uses the formula of the textbook, as far as f64 allows, where its kernel uses a stable form: two roads to one
 //! number. Images are planar \[channels, height, width\] without padding. Source: 3DGS (Kerbl et al. 2023) and \[MH\]
 //! Eq. 4, 11, 13.
 
@@ -85,7 +85,7 @@ pub struct Scene64 {
     pub sh_degree: u32,
     /// Planes.
     pub planes: Vec<Vec<f64>>,
-    /// Standard deviation of each Gaussian's 3D filter, local units \[N\]; none without anti-aliasing.
+    /// Standard deviation of each Gaussian's 3D filter, local units \[N\]; `None` without anti-aliasing.
     pub filter: Option<Vec<f64>>,
 }
 
@@ -107,7 +107,7 @@ impl Scene64 {
         self.planes[0].len()
     }
 
-    /// Whether there is none.
+    /// True if there is no Gaussian.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
@@ -136,7 +136,7 @@ impl Scene64 {
     }
 }
 
-/// What is not in the scene or the camera.
+/// Options of a render beside scene and camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Contributions below this alpha are dropped.

@@ -23,7 +23,7 @@ fn step(gradient: impl Fn(usize) -> f32, overflow: u32) -> (Vec<f32>, Vec<u32>) 
     step_of(0..256, gradient, overflow)
 }
 
-/// As [`step`], of one block; the gradients are indexed from its start.
+/// [`step`] of one block; the gradients are indexed from its start.
 fn step_of(
     block: std::ops::Range<usize>,
     gradient: impl Fn(usize) -> f32,

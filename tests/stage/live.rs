@@ -7,7 +7,7 @@ use mhsplat::pipeline::buffers::Scene;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
 use mhsplat::pipeline::stage::live::{Live, live};
 
-/// What the kernel says of a mask of this size.
+/// Flags that the kernel gives the tiles of a mask of this size.
 fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
     let device = device();
     let n = size[0] * size[1];

@@ -83,7 +83,7 @@ fn blankish(speck: f64) -> Blankish {
     }
 }
 
-/// What the loss gives of it, the blank parts left out or not: L1 and SSIM, the gradient, and the maps of errors.
+/// Results of the loss stage, the blank parts left out or not: L1 and SSIM, the gradient, and the maps of errors.
 fn of_blankish(
     alpha: Alpha,
     skip_blank: bool,

@@ -91,7 +91,7 @@ fn rejects(stage: &str, spoil: impl Fn(&mut Outputs)) {
     rejects_in(stage, &cases::mild("spoilt", 60, [40, 30], 1, 26), spoil);
 }
 
-/// As [`rejects`], of a case.
+/// [`rejects`] with another case.
 fn rejects_in(stage: &str, case: &Case, spoil: impl Fn(&mut Outputs)) {
     let device = device();
     let good = chain::run::<f32>(&device, Tuning::for_device(device.info()), case).unwrap();

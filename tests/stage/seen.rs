@@ -38,7 +38,7 @@ fn record([x, y]: [f64; 2], reach: u32, sharpness: f64) -> Record<f64> {
     }
 }
 
-/// What is seen of one tile of an image of 5 × 5 pixels with these Gaussians, front to back.
+/// Flags of the Gaussians, front to back, that one tile of an image of 5 × 5 pixels shows.
 fn seen_of(records: &[Record<f64>], before: &[u32], tuning: Tuning) -> Vec<u32> {
     let device = device();
     let n = records.len();
