@@ -1,14 +1,15 @@
-//! What `mhsplat train` says on the way and at the end.
+//! Progress bar and summary of `mhsplat train`.
 
 use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::{Common, output};
+use crate::cli::common::Common;
+use crate::cli::output;
 use mhsplat::base::error::Result;
 use mhsplat::run::{Progress, RunRecord};
 
-/// An empty bar.
+/// Returns an empty progress bar.
 pub fn progress_bar() -> ProgressBar {
     let bar = ProgressBar::new(0);
     let style = "{bar:24} {pos}/{len} {per_sec} {msg} {eta} left";
@@ -18,11 +19,11 @@ pub fn progress_bar() -> ProgressBar {
     bar
 }
 
-/// Shows where training is, and once what was decided on the way.
-pub fn show(bar: &ProgressBar, p: &Progress, told: &mut bool) {
-    if let Some(decision) = p.exposure.filter(|_| !*told) {
-        *told = true;
-        let on = if decision.on { "on" } else { "left out" };
+/// Shows the progress, and once the decision on exposure; `announced` remembers that.
+pub fn show(bar: &ProgressBar, p: &Progress, announced: &mut bool) {
+    if let Some(decision) = p.exposure.filter(|_| !*announced) {
+        *announced = true;
+        let on = if decision.on { "on" } else { "off" };
         let what = format!("per-image exposure is {on}: {}", decision.why());
         bar.suspend(|| output::note(&what));
     }
@@ -37,10 +38,10 @@ pub fn show(bar: &ProgressBar, p: &Progress, told: &mut bool) {
     }
 }
 
-/// Says what came of the run.
+/// Prints the result of a run.
 ///
 /// # Errors
-/// A record that is no JSON.
+/// A record that cannot be written as JSON.
 pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
     if common.json {
         return output::json(record);

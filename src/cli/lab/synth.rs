@@ -2,21 +2,10 @@
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
-
-use crate::cli::{Common, Outcome, output};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
-
-#[derive(Clone, Copy, ValueEnum)]
-enum LayoutFlag {
-    /// images/ and sparse/0/*.bin
-    Colmap,
-    /// images/ and sparse/0/*.txt
-    ColmapTxt,
-    /// transforms_train.json and transforms_test.json
-    Transforms,
-}
 
 /// Arguments.
 #[derive(clap::Args)]
@@ -27,7 +16,7 @@ pub struct SynthArgs {
     dir: PathBuf,
     /// Layout of the files [default: colmap for room, transforms for object]
     #[arg(long, value_enum)]
-    layout: Option<LayoutFlag>,
+    layout: Option<SynthLayout>,
     /// Views, held-out ones included [default: 64]
     #[arg(long)]
     views: Option<u32>,
@@ -48,13 +37,7 @@ pub struct SynthArgs {
 /// Makes the scene.
 pub fn run(args: &SynthArgs, common: &Common) -> Result<Outcome> {
     let mut options = SynthOptions::for_scene(&args.name);
-    if let Some(layout) = args.layout {
-        options.layout = match layout {
-            LayoutFlag::Colmap => SynthLayout::Colmap,
-            LayoutFlag::ColmapTxt => SynthLayout::ColmapTxt,
-            LayoutFlag::Transforms => SynthLayout::Transforms,
-        };
-    }
+    options.layout = args.layout.unwrap_or(options.layout);
     if let Some(size) = &args.size {
         let wrong = || {
             Error::config(

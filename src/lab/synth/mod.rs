@@ -35,14 +35,14 @@ pub const NAMES: [&str; 2] = ["room", "object"];
 pub const CHROME_SPHERE: ([f64; 3], f64) = ([-0.36, -0.42, 0.30], 0.30);
 
 /// In which layout [`generate`] writes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum SynthLayout {
-    /// `images/` and `sparse/0/*.bin` (PINHOLE).
+    /// images/ and sparse/0/*.bin (PINHOLE).
     Colmap,
-    /// `images/` and `sparse/0/*.txt` (PINHOLE).
+    /// images/ and sparse/0/*.txt (PINHOLE).
     ColmapTxt,
-    /// `transforms_train.json`, `transforms_test.json` with every eighth view, and `points3d.ply`.
+    /// transforms_train.json, transforms_test.json with every eighth view, and points3d.ply.
     Transforms,
 }
 
