@@ -43,26 +43,18 @@ fn help_groups_the_commands() {
     }
 }
 
-/// The entry of an option in a help text, in one line.
-fn entry(help: &str, option: &str) -> String {
-    let lines = help.lines().skip_while(|l| {
-        let words = l.split([' ', ',']);
-        !(l.trim_start().starts_with('-') && words.into_iter().any(|w| w == option))
-    });
-    let mut lines = lines.map(str::trim);
-    let first = lines.next().unwrap_or_default();
-    let rest = lines.take_while(|l| !l.starts_with('-') && !l.ends_with(':'));
-    [first]
-        .into_iter()
-        .chain(rest)
-        .collect::<Vec<_>>()
-        .join(" ")
+/// The line of an option in the short help.
+fn entry<'a>(help: &'a str, option: &str) -> &'a str {
+    let mut lines = help.lines();
+    let found = lines.find(|l| l.split([' ', ',']).any(|word| word == option));
+    found.unwrap_or_else(|| panic!("{option} is not in {help}"))
 }
 
 #[test]
 fn help_shows_every_option_and_its_default() {
-    let help = done(&["train", "--help"]);
-    assert!(!help.contains(['`', '\\']), "{help}");
+    let long = done(&["train", "--help"]);
+    assert!(!long.contains(['`', '\\']), "{long}");
+    let help = done(&["train", "-h"]);
     let config = serde_json::to_value(TrainConfig::default()).unwrap();
     for (key, value) in config.as_object().unwrap() {
         let shown = match value {
@@ -72,7 +64,6 @@ fn help_shows_every_option_and_its_default() {
             other => Some(other.to_string()),
         };
         let entry = entry(&help, &format!("--{key}"));
-        assert!(!entry.is_empty(), "--{key} is not in {help}");
         if let Some(default) = shown {
             assert!(entry.contains(&format!("[default: {default}]")), "{entry}");
         }
