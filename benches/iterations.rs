@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use mhsplat::Plan;
 use mhsplat::run::initial_splats;
+use mhsplat::train::Event;
 use mhsplat::{Device, LoadOptions, TrainConfig, Trainer, load_dataset};
 
 fn main() {

@@ -1,6 +1,7 @@
 //! The command line as a contract: run folder, JSON, exit codes, and what a new user gets wrong.
 
 mod init;
+mod options;
 mod refusals;
 mod run_folder;
 

@@ -2,14 +2,15 @@
 
 use serde_json::json;
 
-use super::{Common, Outcome, output};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::output;
 use mhsplat::base::error::Result;
 use mhsplat::device::Device;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::tune;
 use mhsplat::lab::tune::Origin;
 
-/// Lists devices; marks the default and says why.
+/// Lists the devices, with the default marked and explained.
 pub fn run(common: &Common) -> Result<Outcome> {
     let list = Device::list()?;
     let default = Device::default_of(&list).map(|d| d.index);
@@ -48,7 +49,7 @@ pub fn run(common: &Common) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The tuning in the form that `MHSPLAT_TUNING` takes.
+/// Formats a tuning in the syntax of `MHSPLAT_TUNING`.
 fn tuning_line(known: Option<&(Tuning, Origin)>) -> String {
     let Some((t, origin)) = known else {
         return "tuning: measured at first use".into();

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Common, Outcome, output, scene};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Defines;
 use mhsplat::evaluate::color::mean_corrected;
@@ -12,7 +13,7 @@ use mhsplat::evaluate::{Evaluator, mean, mean_flip};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
 
-/// Arguments.
+/// Arguments of `mhsplat eval`.
 #[derive(clap::Args)]
 pub struct EvalArgs {
     /// Scene: a PLY file or a run folder.
@@ -28,7 +29,7 @@ pub struct EvalArgs {
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
-    /// Take the photos' alpha for a mask of what counts, not for transparency (as the run did).
+    /// Take the photos' alpha for a mask of the pixels that count, not for transparency (default: as in the run).
     #[arg(long)]
     alpha_is_mask: bool,
     /// Also score after an affine fit of each render's colours to its photo (gsplat's cc_psnr).
@@ -99,7 +100,7 @@ fn nothing_held_out(dataset: &Path) -> Error {
     Error::input(
         dataset,
         "no held-out view",
-        "hold some out with --test-every; photos of which masks leave nothing do not count",
+        "hold some out with --test-every; photos that are masked out completely do not count",
     )
 }
 

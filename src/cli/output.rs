@@ -1,4 +1,4 @@
-//! Where text goes: results to stdout, everything else to stderr.
+//! Output: results go to stdout, everything else to stderr.
 
 use std::io::Write;
 
@@ -6,17 +6,17 @@ use serde::Serialize;
 
 use mhsplat::base::error::{Error, Result};
 
-/// A line on stderr. A closed stderr is nobody's loss.
+/// Writes a line to stderr; a closed stderr is ignored.
 pub fn note(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// A line on stdout. A closed pipe (`| head`) ends the output, not the program.
+/// Writes a line to stdout. A closed pipe (`| head`) ends the output, not the program.
 pub fn line(text: &str) {
     let _ = writeln!(std::io::stdout(), "{text}");
 }
 
-/// A JSON document on stdout.
+/// Writes a JSON document to stdout.
 pub fn json(value: &impl Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(value).map_err(|e| Error::Numerics {
         stage: "json".into(),
@@ -26,7 +26,7 @@ pub fn json(value: &impl Serialize) -> Result<()> {
     Ok(())
 }
 
-/// A number on the command line; NaN and infinities are none.
+/// Parses a finite number.
 pub fn finite(text: &str) -> std::result::Result<f64, String> {
     match text.parse::<f64>() {
         Ok(v) if v.is_finite() => Ok(v),

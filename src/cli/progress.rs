@@ -1,14 +1,15 @@
-//! What `mhsplat train` says on the way and at the end.
+//! Progress bar and summary of `mhsplat train`.
 
 use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::{Common, output};
+use crate::cli::common::Common;
+use crate::cli::output;
 use mhsplat::base::error::Result;
 use mhsplat::run::{Progress, RunRecord};
 
-/// An empty bar.
+/// Returns an empty progress bar.
 pub fn progress_bar() -> ProgressBar {
     let bar = ProgressBar::new(0);
     let style = "{bar:24} {pos}/{len} {per_sec} {msg} {eta} left";
@@ -34,10 +35,10 @@ pub fn show(bar: &ProgressBar, p: &Progress) {
     }
 }
 
-/// Says what came of the run.
+/// Prints the result of a run.
 ///
 /// # Errors
-/// A record that is no JSON.
+/// A record that cannot be written as JSON.
 pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
     if common.json {
         return output::json(record);

@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::json;
 
-use super::scene::Loaded;
-use super::{Common, Outcome, output, scene};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::scene::Loaded;
+use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{Camera, Dataset, Frame, PhotoSource};
 use mhsplat::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer, to_byte};
 use mhsplat::run::report::gallery::error_map;
 use mhsplat::scene::orbit;
 
-/// What is written.
+/// Quantity that is written.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum What {
     /// View-dependent colour.
@@ -22,16 +23,16 @@ enum What {
     Depth,
     /// Opacity.
     Alpha,
-    /// Difference to the photo as far as its mask counts (needs --dataset).
+    /// Difference to the photo, within its mask (needs --dataset).
     Error,
 }
 
-/// Arguments.
+/// Arguments of `mhsplat render`.
 #[derive(clap::Args)]
 pub struct RenderArgs {
     /// Scene: a PLY file or a run folder.
     scene: PathBuf,
-    /// Render the dataset's held-out views (all views where none is held out).
+    /// Render the dataset's held-out views (all views if none is held out).
     #[arg(long, required_unless_present = "orbit", conflicts_with = "orbit")]
     dataset: Option<PathBuf>,
     /// Render N views on a circle around the scene.
@@ -40,7 +41,7 @@ pub struct RenderArgs {
     /// Folder for the PNG files; must not exist.
     #[arg(short, long)]
     output: PathBuf,
-    /// What to render.
+    /// Quantity to render.
     #[arg(long, value_enum, default_value = "color")]
     what: What,
     /// Longest image side, pixels (the run's, else 1600).
@@ -55,12 +56,12 @@ pub struct RenderArgs {
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
-    /// Take the photos' alpha for a mask of what counts, not for transparency (as the run did).
+    /// Take the photos' alpha for a mask of the pixels that count, not for transparency (default: as in the run).
     #[arg(long, requires = "dataset")]
     alpha_is_mask: bool,
 }
 
-/// A view to render: name, camera, and its photo.
+/// A view to render: its name, camera and photo.
 type Job = (String, Camera, Option<PhotoSource>);
 
 /// Renders views to PNG files.
@@ -125,7 +126,7 @@ fn write_all(
         let rgb = pixels(args.what, loaded, camera, background, photo.as_ref())?;
         let mut file = file_name(name);
         while !taken.insert(file.clone()) {
-            // Two views whose names differ in folder or ending alone.
+            // Two views whose names differ only in folder or ending.
             file = file
                 .with_extension("")
                 .with_extension(format!("{}.png", taken.len()));
@@ -172,7 +173,7 @@ fn dataset_jobs(data: Dataset) -> Vec<Job> {
         .collect()
 }
 
-/// Views on a circle around the scene.
+/// Returns views on a circle around the scene.
 fn orbit_jobs(loaded: &Loaded, n: u32, width: u32, height: u32) -> Result<Vec<Job>> {
     let [x, y, z] = [0, 1, 2].map(|k| loaded.scene.plane(k));
     let cameras = orbit([&x?, &y?, &z?], n, [width, height]);

@@ -1,8 +1,8 @@
-//! What eval and render share: a scene file or run folder with its dataset, on a device.
+//! Scene file or run folder with its dataset, on a device: shared by eval and render.
 
 use std::path::{Path, PathBuf};
 
-use super::output;
+use crate::cli::{common, output};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
 use mhsplat::capture::{Dataset, Frame, LoadOptions};
@@ -20,7 +20,7 @@ pub struct Loaded {
     pub renderer: Renderer,
 }
 
-/// The PLY file that `path` (a file or a run folder) means, and the run's record.
+/// Returns the PLY file at `path` (a file or a run folder), and the run's record.
 pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
     if !path.is_dir() {
         return Ok((path.to_path_buf(), None));
@@ -41,8 +41,8 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
     Ok((ply, record))
 }
 
-/// Reads a dataset at the resolution and split of a run, unless asked otherwise; alpha is a mask where it was one to the run, or
-/// is asked for.
+/// Reads a dataset at the resolution and split of a run, or at those given; alpha is a mask if it was one in the run, or if
+/// `alpha_is_mask` is set.
 pub fn dataset(
     path: &Path,
     record: Option<&RunRecord>,
@@ -66,18 +66,18 @@ pub fn dataset(
     Ok(data)
 }
 
-/// Says which images of a dataset are left out, and why.
+/// Notes the images of a dataset that are left out, and why.
 pub fn note_left_out(data: &Dataset) {
     for (names, one, more) in [
         (
             &data.missing,
-            "image is named by the dataset and not there",
-            "images are named by the dataset and not there",
+            "image is named by the dataset but missing",
+            "images are named by the dataset but missing",
         ),
         (
             &data.masked_out,
-            "image has a mask that leaves nothing of it",
-            "images have masks that leave nothing of them",
+            "image is masked out completely",
+            "images are masked out completely",
         ),
         (
             &data.astray,
@@ -96,10 +96,10 @@ pub fn note_left_out(data: &Dataset) {
     }
 }
 
-/// Uploads a scene in a local frame; its file says whether it is rendered with the 2D filter.
+/// Uploads a scene in a local frame, with the 2D filter if its file asks for it.
 pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
     let file = ply::read(ply, frame)?;
-    let device = super::open_tested(device)?;
+    let device = common::open_tested(device)?;
     let defines = Defines {
         anti_alias: file.anti_aliased,
         ..Defines::new(device.tuning())
@@ -116,7 +116,7 @@ pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
     })
 }
 
-/// The background a run used for evaluation, or the one asked for.
+/// Returns the background that a run used for evaluation, or the given one.
 pub fn background(asked: Option<&str>, record: Option<&RunRecord>) -> Result<[f32; 3]> {
     let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
     if let Some(text) = asked {

@@ -1,8 +1,52 @@
-//! Choices by name among the settings of Metropolis–Hastings density control, each with its equation in \[MH\].
+//! Options that are one of a few names. The documentation of a [`ValueEnum`]'s variants is also what `--help` says about them.
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
-use crate::base::error::{Error, Result};
+use crate::config::values::NumberOrText;
+
+/// Use of Mip-Splatting's filters (Yu et al., CVPR 2024): each Gaussian is widened to the finest detail that the training views
+/// resolve (3D filter), and blurred by a pixel without getting brighter (2D filter).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum AntiAliasing {
+    /// On if the training views' sampling rates differ much.
+    #[default]
+    Auto,
+    /// Mip-Splatting's 2D and 3D filters.
+    On,
+    /// Neither filter.
+    Off,
+}
+
+/// Use of an affine colour transform for every training photo (\[3DGS\], later versions).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum ExposureChoice {
+    /// On if photos differ in brightness by more than their content explains.
+    #[default]
+    Auto,
+    /// A colour transform for every training photo.
+    On,
+    /// No colour transform.
+    Off,
+}
+
+/// Estimate of a birth's loss change in the acceptance ratio ρ. The importance is that of \[MH\] Eq. 18–20; the probe is not in
+/// \[MH\]: σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Sources are drawn by importance
+/// with either.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Surrogate {
+    /// The importance of its source.
+    #[default]
+    Importance,
+    /// Its first-order change of the loss, computed over a few views.
+    Probe,
+}
 
 /// Form of the acceptance ratio ρ; D = 1/(1 + λ_v·c) is the voxel prior's factor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -16,12 +60,12 @@ pub enum Acceptance {
     Alg1,
     /// ρ = σ(I − ½)·D (the released implementation).
     Centred,
-    /// ρ = exp(−λ_v·[ln(2+c) − ln(1+c)]): the ratio of the priors before and after the birth as Eq. 7 has it, neither
-    /// approximated nor weighted. I decides then which sources are drawn, and no more.
+    /// ρ = exp(−λ_v·[ln(2+c) − ln(1+c)]): the ratio of the priors before and after the birth by Eq. 7, neither approximated
+    /// nor weighted. I then decides which sources are drawn, and nothing else.
     ExactPrior,
 }
 
-/// What a birth takes of its source's opacity and scale.
+/// Opacity and scale of a birth and of its source.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -31,29 +75,15 @@ pub enum Birth {
     /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
     /// no opacity to the scene.
     Split,
-    /// The source keeps its own; the birth has its scale, and its opacity or `birth-opacity`, whichever is less. A birth lands
+    /// The source keeps its own; the birth has its scale, and the lesser of its opacity and `birth-opacity`. A birth lands
     /// up to several scales from its source, where it mostly spoils the picture at first: a faint one spoils little.
     #[default]
     Faint,
 }
 
-/// What stands for the loss change of a birth in ρ.
+/// Number of views that a step's error maps are of (\[MH\] Eq. 10); written `"shrinking"`, `"all"` or a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Surrogate {
-    /// The importance I of its source (\[MH\] Eq. 18–20).
-    #[default]
-    Importance,
-    /// Its first-order change ΔL of the loss over a few views, computed for all proposals of a step at once; not in \[MH\].
-    /// σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Which sources are drawn is
-    /// still up to I.
-    Probe,
-}
-
-/// How many views a step judges by (Eq. 10); written `"shrinking"`, `"all"` or a number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(try_from = "WordOrNumber", into = "WordOrNumber")]
+#[serde(try_from = "NumberOrText<u32>", into = "NumberOrText<u32>")]
 #[non_exhaustive]
 pub enum ViewSubset {
     /// k = max(1, ⌊views·(1−η)⌋) (Eq. 10).
@@ -61,37 +91,27 @@ pub enum ViewSubset {
     Shrinking,
     /// Every view.
     All,
-    /// So many, or all if there are fewer.
+    /// This number of views, or all if there are fewer.
     Fixed(u32),
 }
 
-#[derive(Serialize, Deserialize)]
-#[serde(untagged)]
-enum WordOrNumber {
-    Number(u32),
-    Word(String),
-}
-
-impl TryFrom<WordOrNumber> for ViewSubset {
-    type Error = Error;
-    fn try_from(value: WordOrNumber) -> Result<Self> {
+impl TryFrom<NumberOrText<u32>> for ViewSubset {
+    type Error = &'static str;
+    fn try_from(value: NumberOrText<u32>) -> Result<Self, Self::Error> {
         match value {
-            WordOrNumber::Number(k) if k > 0 => Ok(Self::Fixed(k)),
-            WordOrNumber::Word(word) if word == "shrinking" => Ok(Self::Shrinking),
-            WordOrNumber::Word(word) if word == "all" => Ok(Self::All),
-            _ => Err(Error::config(
-                "mh.view-subset",
-                "\"shrinking\", \"all\" or a number of at least 1 expected",
-            )),
+            NumberOrText::Number(k) if k > 0 => Ok(Self::Fixed(k)),
+            NumberOrText::Text(word) if word == "shrinking" => Ok(Self::Shrinking),
+            NumberOrText::Text(word) if word == "all" => Ok(Self::All),
+            _ => Err("mh.view-subset: \"shrinking\", \"all\" or a number of at least 1 expected"),
         }
     }
 }
 
-impl From<ViewSubset> for WordOrNumber {
+impl From<ViewSubset> for NumberOrText<u32> {
     fn from(value: ViewSubset) -> Self {
         match value {
-            ViewSubset::Shrinking => Self::Word("shrinking".into()),
-            ViewSubset::All => Self::Word("all".into()),
+            ViewSubset::Shrinking => Self::Text("shrinking".into()),
+            ViewSubset::All => Self::Text("all".into()),
             ViewSubset::Fixed(k) => Self::Number(k),
         }
     }

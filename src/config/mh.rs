@@ -1,5 +1,6 @@
 //! Settings of Metropolis–Hastings density control, each with its equation in \[MH\].
 
+use clap::{ArgMatches, Command, FromArgMatches};
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
@@ -13,24 +14,25 @@ use crate::config::samplers::DensityTimes;
 pub struct MhConfig {
     /// Form of ρ (Eq. 18–20, Alg. 1).
     pub acceptance: Acceptance,
-    /// What stands for a birth's loss change in ρ.
+    /// Estimate of a birth's loss change in ρ.
     pub surrogate: Surrogate,
-    /// Views that probes are rendered in, those that training takes next (`surrogate = "probe"` alone); all if there are fewer.
+    /// Number of views that probes are rendered in, those that training takes next (only for `surrogate = "probe"`); all if
+    /// there are fewer.
     pub probe_views: u32,
-    /// What a birth takes of its source (§4.3).
+    /// Opacity and scale of a birth (§4.3).
     pub birth: Birth,
-    /// Most opacity of a faint birth.
+    /// Upper bound of the opacity of a faint birth.
     pub birth_opacity: f64,
     /// λ_v of the voxel prior (Eq. 7); 0 switches the prior off: every D and every exact ratio is 1.
     pub lambda_voxel: f64,
     /// Temperature T of the acceptance: a birth is accepted with probability ρ^{1/T}. 1 is the paper's; larger values accept
-    /// more. Of no effect where `target_acceptance` is set.
+    /// more. Of no effect if `target_acceptance` is set.
     pub temperature: [f64; 2],
-    /// Wanted share of accepted births. Each phase then takes the T at which the mean of ρ^{1/T} over its own proposals is
-    /// this, in place of `temperature`. 0: as `temperature` says.
+    /// Target share of accepted births. Each phase then takes the T at which the mean of ρ^{1/T} over its own proposals is
+    /// this share, instead of `temperature`. 0: `temperature` is used.
     pub target_acceptance: [f64; 2],
-    /// Whether sources are drawn by importance and I is in ρ (Eq. 12, 13). If not, sources are drawn uniformly, I = ½, and
-    /// no error map is made.
+    /// Importance sampling: sources are drawn by importance and I is in ρ (Eq. 12, 13). If off, sources are drawn uniformly,
+    /// I = ½, and no error map is made.
     pub importance: bool,
     /// Weight of the robust-normalised opacity in the importance (Eq. 13); 0 leaves the cue out.
     pub weight_opacity: f64,
@@ -38,18 +40,17 @@ pub struct MhConfig {
     pub weight_ssim: f64,
     /// Weight of L1; 0 leaves the cue out.
     pub weight_l1: f64,
-    /// Views that the error maps are of (Eq. 10), as far as there were renders since the last step.
+    /// Views that the error maps are of (Eq. 10), limited to those rendered since the last step.
     pub view_subset: ViewSubset,
-    /// Whether dead Gaussians take the place of alive ones (Eq. 17). If not, they stay where they are, once
-    /// deaths are over.
+    /// Relocation of dead Gaussians to alive ones (Eq. 17). If off, they stay in place once deaths are over.
     pub relocation: bool,
     /// First iteration with density control.
     pub from_iteration: u32,
-    /// Until this iteration dead Gaussians are removed, from it on relocated: what is not seen costs nothing to take away
-    /// (ΔL ≈ 0, and the prior gains), and a fog that is relocated stays as many. 0: never, as in \[MH\].
+    /// Iteration until which dead Gaussians are removed, and from which they are relocated: what is not seen costs nothing to
+    /// take away (ΔL ≈ 0, and the prior gains), while fog that is relocated keeps its number. 0: never removed, as in \[MH\].
     pub deaths_until_iteration: u32,
-    /// First iteration with births: a step before it bears nothing, and costs no error map and no proposal. Gaussians
-    /// born while the photos are coarse and what there is still moves into place cost time in every later iteration.
+    /// First iteration with births: a step before it has none, and costs no error map and no proposal. Gaussians born while
+    /// the photos are coarse and the first ones still move into place cost time in every later iteration.
     pub births_from_iteration: u32,
     /// Last iteration with density control; η runs from 0 to 1 over the span.
     pub until_iteration: u32,
@@ -65,32 +66,32 @@ pub struct MhConfig {
     pub fine_spread: [f64; 2],
     /// Voxel edge s of Eq. 7, in local units (scene extent 1; the papers' scenes have 1–10 units).
     pub voxel_edge: [f64; 2],
-    /// Distance from the nearest camera centre, local units, from which on the voxel edge grows: at distance d it is
+    /// Distance from the nearest camera centre, local units, beyond which the voxel edge grows: at distance d it is
     /// s·2^⌊log2(d / this)⌋. 0: the edge is s everywhere, as in Eq. 7.
     pub voxel_growth_from: f64,
     /// Births proposed in image space per step at η = 0, at pixels drawn ∝ e·(τ + s·(1−τ)) with L1 error e, remaining
     /// transmittance τ and s = `pixel-surface`, times the share Σ e·(τ + s·(1−τ)) / Σ e of the error that is drawn from: all
-    /// of it at s = 1, none at s = 0 in a scene without voids. 0 leaves them out. They reach what is too far from every
+    /// of it at s = 1, none at s = 0 in a scene without voids. 0 leaves them out. They reach places too far from every
     /// Gaussian for a copy of one, and are not in the paper.
     pub pixel_proposals: u32,
-    /// Views whose pixels are drawn from: those that training takes next.
+    /// Number of views whose pixels are drawn from: those that training takes next.
     pub pixel_views: u32,
     /// Standard deviation of such a birth, pixels.
     pub pixel_scale: f64,
-    /// Its opacity.
+    /// Opacity of such a birth.
     pub pixel_opacity: f64,
-    /// s: 1 draws pixels ∝ error alone, 0 only as far as something can be seen beyond what is rendered.
+    /// s: 1 draws pixels ∝ error alone, 0 only in proportion to the transmittance that is left beyond the rendered surface.
     pub pixel_surface: f64,
-    /// Depth of a birth that lies beyond what is rendered, as it does with probability τ/(τ + s·(1−τ)): log-uniform between
-    /// these, local units, and no nearer than the rendered mean depth, which the others have.
+    /// Depth of a birth beyond the rendered surface, where it lies with probability τ/(τ + s·(1−τ)): log-uniform between these
+    /// two, local units, and no nearer than the rendered mean depth, which the other births have.
     pub pixel_far: [f64; 2],
-    /// Least depth of such a birth, local units: one close to a camera is seen by that camera alone, and hides what others
-    /// see.
+    /// Lower bound of the depth of such a birth, local units: one close to a camera is seen by that camera alone, and hides
+    /// what others see.
     pub pixel_near: f64,
-    /// Noise on the positions between the steps, per unit of the position's learning rate, as `mcmc.noise-rate` has it with
-    /// \[MCMC\]'s gate; 0 for none, as in \[MH\]. It moves what is faint, and so clears the fog of a random start.
+    /// Noise on the positions between the steps, per unit of the position's learning rate, with \[MCMC\]'s gate as for
+    /// `mcmc.noise-rate`; 0 for none, as in \[MH\]. It moves faint Gaussians, and so clears the fog of a random start.
     pub noise_rate: f64,
-    /// A Gaussian is dead at or below this opacity.
+    /// Opacity at or below which a Gaussian is dead.
     pub dead_opacity: f64,
 }
 
@@ -135,8 +136,43 @@ impl Default for MhConfig {
     }
 }
 
+/// The options of the table that have a flag.
+#[derive(clap::Args)]
+struct MhFlags {
+    /// Estimate of a birth's loss change, for the mh sampler.
+    #[arg(long, value_enum, default_value_t = MhConfig::default().surrogate)]
+    surrogate: Surrogate,
+}
+
+impl FromArgMatches for MhConfig {
+    fn from_arg_matches(matches: &ArgMatches) -> clap::error::Result<Self> {
+        let mut config = Self::default();
+        config.update_from_arg_matches(matches)?;
+        Ok(config)
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> clap::error::Result<()> {
+        let mut flags = MhFlags {
+            surrogate: self.surrogate,
+        };
+        flags.update_from_arg_matches(matches)?;
+        self.surrogate = flags.surrogate;
+        Ok(())
+    }
+}
+
+impl clap::Args for MhConfig {
+    fn augment_args(command: Command) -> Command {
+        MhFlags::augment_args(command)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        MhFlags::augment_args_for_update(command)
+    }
+}
+
 impl MhConfig {
-    /// The paper's own numbers (\[MH\] §4, Alg. 1), where the defaults are others.
+    /// Returns the defaults with the paper's own numbers (\[MH\] §4, Alg. 1).
     #[must_use]
     pub fn paper() -> Self {
         Self {
@@ -266,7 +302,7 @@ impl MhConfig {
         Ok(())
     }
 
-    /// Views that the births of a step are probed in; 0 where ρ has no use for it.
+    /// Returns the number of views that the births of a step are probed in; 0 if ρ does not use them.
     #[must_use]
     pub fn probed_views(&self) -> usize {
         match (self.surrogate, self.acceptance) {
@@ -275,13 +311,13 @@ impl MhConfig {
         }
     }
 
-    /// Whether a step at progress η has births.
+    /// True if a step at progress η has births.
     #[must_use]
     pub fn bears(&self, progress: f64) -> bool {
         self.passed(self.births_from_iteration, progress)
     }
 
-    /// Whether a step at progress η removes what is dead.
+    /// True if a step at progress η removes dead Gaussians.
     #[must_use]
     pub fn buries(&self, progress: f64) -> bool {
         !self.passed(self.deaths_until_iteration, progress)
@@ -294,12 +330,13 @@ impl MhConfig {
         progress * span + 1e-6 >= start
     }
 
-    /// Whether error maps are of use.
+    /// True if the importance uses error maps.
     #[must_use]
     pub fn wants_errors(&self) -> bool {
         self.importance && (self.weight_ssim != 0.0 || self.weight_l1 != 0.0)
     }
 
+    /// Returns when density control acts.
     pub(super) fn times(&self) -> DensityTimes {
         DensityTimes {
             from: self.from_iteration,

@@ -1,21 +1,20 @@
-//! The samplers and the numbers that are theirs alone. Everything else of a run is the same whichever is chosen.
+//! The samplers and their own settings. Everything else of a run is the same for all of them.
 
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::config::TrainConfig;
 
-/// Density control.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+/// Density control: `mh` is \[MH\] §4, `mcmc` is \[MCMC\] §3, `adc` is \[3DGS\] §5.2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Sampler {
-    /// Metropolis–Hastings births and relocation (\[MH\] §4).
+    /// Metropolis-Hastings births and relocation.
     #[default]
     Mh,
-    /// Noise on the positions, relocation, growth by a fixed rate up to a cap (\[MCMC\] §3).
+    /// Noise on the positions, relocation, 5 % growth per step up to a cap (3DGS-MCMC).
     Mcmc,
-    /// Adaptive density control: clone, split, prune, opacity reset (\[3DGS\] §5.2).
+    /// Clone, split, prune, opacity reset (3DGS).
     Adc,
     /// A fixed set of Gaussians.
     None,
@@ -34,19 +33,20 @@ pub struct McmcConfig {
     /// scenes come to about 5 in theirs (measured on one indoor scene at 1,500 and 3,000 iterations, one run each: 28.8 and
     /// 29.9 dB with 5, 29.3 and 30.0 dB with 1).
     pub world_extent: f64,
-    /// k of the gate σ(−k·(o − x₀)), which spares what is opaque (\[MCMC\] Eq. 8).
+    /// k of the gate σ(−k·(o − x₀)), which spares opaque Gaussians (\[MCMC\] Eq. 8).
     pub noise_steepness: f64,
-    /// x₀ of the gate: the opacity at which it is one half.
+    /// x₀ of the gate, the opacity at which it is one half.
     pub noise_opacity: f64,
-    /// A Gaussian is dead, and relocated, at or below this opacity (\[MCMC\] §3.2).
+    /// Opacity at or below which a Gaussian is dead, and relocated (\[MCMC\] §3.2).
     pub dead_opacity: f64,
     /// Gaussians after a step over those before it, until the cap (\[MCMC\] §4: 5 % more).
     pub growth: f64,
-    /// Most Gaussians where `max-gaussians` does not say. The released code demands a cap; gsplat's default is this.
+    /// Upper bound of the number of Gaussians if `max-gaussians` is not set. The released code demands a cap; gsplat's default
+    /// is this.
     pub cap: usize,
     /// Density steps come after this iteration (released code, `densify_from_iter`).
     pub from_iteration: u32,
-    /// And before this one (`densify_until_iter`); the noise goes on to the end.
+    /// Density steps come before this iteration (`densify_until_iter`); the noise goes on to the end.
     pub until_iteration: u32,
     /// Iterations between two density steps (`densification_interval`).
     pub interval: u32,
@@ -94,7 +94,7 @@ impl McmcConfig {
         self.times().validate("mcmc")
     }
 
-    fn times(&self) -> DensityTimes {
+    pub(super) fn times(&self) -> DensityTimes {
         DensityTimes {
             from: self.from_iteration,
             until: self.until_iteration,
@@ -110,26 +110,26 @@ impl McmcConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct AdcConfig {
-    /// A Gaussian is cloned or split above this mean norm of the gradient of its projected centre, in normalised device
+    /// Threshold above which a Gaussian is cloned or split: the mean norm of the gradient of its projected centre, in normalised device
     /// coordinates (−1 to 1 over the image), over the iterations that saw it (τ_pos, \[3DGS\] §5.2).
     pub grad_threshold: f64,
-    /// Cloned up to this largest scale, split above it (released code, `percent_dense`).
+    /// Largest scale of a Gaussian that is cloned; above it, it is split (released code, `percent_dense`).
     pub clone_scale: f64,
     /// Scale of a Gaussian over that of the two it is split into (φ, \[3DGS\] §5.2).
     pub split_shrink: f64,
-    /// Pruned below this opacity (released code, `min_opacity`).
+    /// Opacity below which a Gaussian is pruned (released code, `min_opacity`).
     pub prune_opacity: f64,
-    /// Pruned, after the first opacity reset, above this largest scale (released code, `big_points_ws`). The released code
+    /// Largest scale that is not pruned after the first opacity reset (released code, `big_points_ws`). The released code
     /// also compares the largest radius in pixels with 20, but sets those radii to zero just before, so that nothing is
     /// pruned by them: they are not kept here.
     pub prune_scale: f64,
-    /// A reset leaves no opacity above this (released code, `reset_opacity`).
+    /// Upper bound of the opacities after a reset (released code, `reset_opacity`).
     pub reset_opacity: f64,
     /// Iterations between two opacity resets (N, \[3DGS\] §5.2), each at the first density step from then on.
     pub reset_interval: u32,
     /// Density steps come after this iteration (released code, `densify_from_iter`).
     pub from_iteration: u32,
-    /// And before this one (`densify_until_iter`).
+    /// Density steps come before this iteration (`densify_until_iter`).
     pub until_iteration: u32,
     /// Iterations between two density steps (`densification_interval`).
     pub interval: u32,
@@ -180,7 +180,7 @@ impl AdcConfig {
         self.times().validate("adc")
     }
 
-    fn times(&self) -> DensityTimes {
+    pub(super) fn times(&self) -> DensityTimes {
         DensityTimes {
             from: self.from_iteration,
             until: self.until_iteration,
@@ -190,7 +190,7 @@ impl AdcConfig {
     }
 }
 
-/// When a sampler acts, for a run of 30,000 iterations.
+/// Iterations at which a sampler acts, for a run of 30,000 iterations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DensityTimes {
     /// First iteration.
@@ -199,7 +199,7 @@ pub struct DensityTimes {
     pub until: u32,
     /// Iterations between two steps.
     pub interval: u32,
-    /// Whether a step at `from` itself is left out, as the released implementations of \[3DGS\] and \[MCMC\] do.
+    /// True if there is no step at `from` itself, as in the released implementations of \[3DGS\] and \[MCMC\].
     pub after_from: bool,
 }
 
@@ -212,18 +212,5 @@ impl DensityTimes {
             ));
         }
         Ok(())
-    }
-}
-
-impl TrainConfig {
-    /// When the chosen sampler acts; none for a fixed set.
-    #[must_use]
-    pub fn density_times(&self) -> Option<DensityTimes> {
-        match self.sampler {
-            Sampler::Mh => Some(self.mh.times()),
-            Sampler::Mcmc => Some(self.mcmc.times()),
-            Sampler::Adc => Some(self.adc.times()),
-            Sampler::None => None,
-        }
     }
 }

@@ -1,4 +1,4 @@
-//! Ways to do less work.
+//! Shortcuts that leave work out.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,25 +7,25 @@ use crate::base::error::{Error, Result};
 /// Iterations of the run that intervals are written for.
 const PAPER_ITERATIONS: u64 = 30_000;
 
-/// Most halvings of the photos.
-const MOST_LEVELS: u32 = 4;
+/// Upper bound of the number of halvings of the photos.
+const MAX_LEVELS: u32 = 4;
 
-/// Ways to do less work for the same scene. Each is an item of the plan; switching one off measures what it saves.
+/// Shortcuts for the same scene with less work. Each is an item of the plan; switching one off measures what it saves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct WorkConfig {
-    /// How often the photos are halved at the start of the run (0: full size throughout; at most 4). Images never get
+    /// Number of times that the photos are halved at the start of the run (0: full size throughout; at most 4). Images never get
     /// narrower or lower than 64 pixels. Two halvings reach every PSNR sooner than none or one on the scenes measured.
     pub resolution_levels: u32,
     /// Iterations at each of the smaller sizes, for a run of 30,000 iterations.
     pub resolution_interval: u32,
-    /// Keep the Gaussians in Morton order, so that neighbours in space are neighbours in memory.
+    /// Morton order of the Gaussians, so that neighbours in space are neighbours in memory.
     pub morton_order: bool,
-    /// Leave neighbours that a view cannot see alone together. Changes no result.
+    /// Culling of whole chunks of neighbouring Gaussians that a view cannot see. Changes no result.
     pub cull_chunks: bool,
-    /// Where photos have alpha or masks: the loss leaves out what is blank in render and photo alike. Changes no bit of the scene.
+    /// Skipping of tiles that are blank in render and photo alike, for photos with alpha or masks. Changes no bit of the scene.
     pub skip_blank: bool,
-    /// At the end, Gaussians that no training view would miss are removed.
+    /// Removal, at the end, of Gaussians that contribute to no training view.
     pub remove_unseen: bool,
 }
 
@@ -45,10 +45,10 @@ impl Default for WorkConfig {
 impl WorkConfig {
     pub(super) fn validate(&self) -> Result<()> {
         let levels = self.resolution_levels;
-        if levels > MOST_LEVELS {
+        if levels > MAX_LEVELS {
             return Err(Error::config(
                 "work.resolution-levels",
-                format!("{levels}; 0 to {MOST_LEVELS} expected"),
+                format!("{levels}; 0 to {MAX_LEVELS} expected"),
             ));
         }
         let coarse = u64::from(levels) * u64::from(self.resolution_interval);

@@ -275,7 +275,7 @@ fn photos_of_which_masks_leave_nothing_are_left_out_by_name() {
     let eval = mhsplat(&["eval", run, data, "--require-psnr", "0"]);
     assert_eq!(eval.status.code(), Some(2), "{}", stderr(&eval));
     for words in [
-        "1 image has a mask that leaves nothing of it: v 00.png",
+        "1 image is masked out completely: v 00.png",
         "no held-out view",
     ] {
         assert!(stderr(&eval).contains(words), "{}", stderr(&eval));

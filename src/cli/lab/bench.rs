@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::cli::{Common, Outcome, output};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
 use mhsplat::lab::bench;
@@ -52,10 +53,15 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
         Some("all") => {
             let all = Device::list()?.into_iter();
             let devices: Vec<_> = all.map(|d| (d.name, Some(d.index.to_string()))).collect();
-            bench::run_all(&devices, crate::cli::open_device, &options, &mut note)
+            bench::run_all(
+                &devices,
+                crate::cli::common::open_device,
+                &options,
+                &mut note,
+            )
         }
         one => {
-            let record = bench::run(&crate::cli::open_device(one)?, &options, &mut note)?;
+            let record = bench::run(&crate::cli::common::open_device(one)?, &options, &mut note)?;
             vec![Measured::Done(Box::new(record))]
         }
     };

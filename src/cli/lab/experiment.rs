@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::cli::{Common, Outcome, output};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::config::parse_duration;
 use mhsplat::lab::experiment;
@@ -24,8 +25,8 @@ pub struct ExperimentArgs {
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Time for this session (90s, 10m, 3h) [default: the file's budget]
-    #[arg(long, value_name = "TIME")]
-    budget: Option<String>,
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    budget: Option<f64>,
     /// List the runs with their states, and train nothing.
     #[arg(long)]
     dry_run: bool,
@@ -37,9 +38,7 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     if let Some(dir) = &args.output {
         experiment.output.clone_from(dir);
     }
-    if let Some(time) = &args.budget {
-        experiment.budget = Some(parse_duration(time)?);
-    }
+    experiment.budget = args.budget.or(experiment.budget);
     if args.dry_run {
         return list(&experiment, common.json);
     }

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::cli::{Common, Outcome, output, scene};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::lab::folder::json;
 use mhsplat::lab::report::check_page;
@@ -63,7 +64,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
         None => PathBuf::from(&record.dataset.path),
     };
     let dataset = scene::dataset(&path, Some(&record), None, None, false)?;
-    let device = crate::cli::open_tested(common.device.as_deref())?;
+    let device = crate::cli::common::open_tested(common.device.as_deref())?;
     let options = Options {
         candidates: args.candidates as usize,
         views: args.views as usize,

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::cli::{Common, Outcome, output};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
 

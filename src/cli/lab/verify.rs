@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use crate::cli::{Common, Outcome, output};
+use crate::cli::common::{Common, Outcome};
+use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
 use mhsplat::lab::folder::check_folder;
@@ -53,7 +54,7 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     };
     let results = selectors
         .iter()
-        .map(|s| suite(&crate::cli::open_device(s.as_deref())?))
+        .map(|s| suite(&crate::cli::common::open_device(s.as_deref())?))
         .collect::<Result<Vec<Verification>>>()?;
     if let Some(dir) = &args.output {
         write_folder(dir, &results)?;

@@ -97,9 +97,11 @@ impl Experiment {
             found.ok_or_else(|| wrong(format!("cap-from: no setting {name:?}")))
         };
         let stem = file.file_stem().unwrap_or_default();
+        let budget = raw.budget.as_deref().map(parse_duration).transpose();
+        let budget = budget.map_err(|what| format!("budget: {what}"));
         let experiment = Self {
             output: raw.output.unwrap_or_else(|| PathBuf::from(stem)),
-            budget: raw.budget.as_deref().map(parse_duration).transpose()?,
+            budget: budget.map_err(wrong)?,
             seeds: raw.seeds,
             cap_from: raw.cap_from.as_ref().map(place).transpose()?,
             train: raw.train,

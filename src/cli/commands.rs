@@ -1,0 +1,119 @@
+//! The commands and their order in `--help`: flat names, grouped by purpose.
+
+use std::fmt::Write;
+
+use clap::{Command, CommandFactory, Parser, Subcommand};
+
+use mhsplat::base::error::Result;
+
+use crate::cli::common::{Common, Outcome};
+use crate::cli::{devices, eval, lab, render, train};
+
+/// Posed photos to a 3D Gaussian scene, on any OpenCL device.
+///
+/// Exit codes: 0 done; 1 ran but missed a requested bar; 2 bad input, device or usage; 130 stopped by Ctrl-C.
+#[derive(Parser)]
+#[command(name = "mhsplat", version, max_term_width = 100)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Group,
+    /// Print one JSON document on stdout and nothing else there.
+    #[arg(long, global = true, display_order = 900)]
+    json: bool,
+    /// OpenCL device: index, part of its name, or cpu, gpu, accelerator (also MHSPLAT_DEVICE).
+    #[arg(long, global = true, value_name = "SEL", display_order = 901)]
+    device: Option<String>,
+}
+
+#[derive(Subcommand)]
+enum Group {
+    #[command(flatten)]
+    Make(Make),
+    #[command(flatten)]
+    Measure(Measure),
+    #[command(flatten)]
+    Tools(Tools),
+}
+
+#[derive(Subcommand)]
+enum Make {
+    /// Train a scene from posed photos.
+    Train(Box<train::TrainArgs>),
+    /// Render a scene to PNG files.
+    Render(render::RenderArgs),
+    /// PSNR, SSIM and FLIP per held-out view and mean.
+    Eval(eval::EvalArgs),
+}
+
+#[derive(Subcommand)]
+enum Measure {
+    /// Time, throughput, share of the measured peak and error of every stage.
+    Bench(lab::bench::BenchArgs),
+    /// Check every stage on a device against the f64 reference.
+    Verify(lab::verify::VerifyArgs),
+    /// Error against run time of several runs, and time to equal error.
+    Compare(lab::compare::CompareArgs),
+    /// Train what is missing of a matrix of scenes, settings and seeds, and compare the runs.
+    Experiment(lab::experiment::ExperimentArgs),
+    /// Rank correlation of the importance of births with their true change of the loss, in a run.
+    Surrogate(lab::surrogate::SurrogateArgs),
+}
+
+#[derive(Subcommand)]
+enum Tools {
+    /// List every OpenCL platform and device.
+    Devices,
+    /// Make a seeded scene with known truth.
+    Synth(lab::synth::SynthArgs),
+}
+
+impl Cli {
+    /// The command line with its help.
+    pub fn grouped() -> Command {
+        Self::command().help_template(format!(
+            "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{}Options:\n{{options}}",
+            groups()
+        ))
+    }
+
+    /// Runs the command.
+    pub fn run(self) -> Result<Outcome> {
+        let variable = || std::env::var("MHSPLAT_DEVICE").ok();
+        let common = Common {
+            json: self.json,
+            device: self.device.or_else(|| variable().filter(|v| !v.is_empty())),
+        };
+        match self.command {
+            Group::Make(Make::Train(args)) => train::run(&args, &common),
+            Group::Make(Make::Render(args)) => render::run(&args, &common),
+            Group::Make(Make::Eval(args)) => eval::run(&args, &common),
+            Group::Measure(Measure::Bench(args)) => lab::bench::run(&args, &common),
+            Group::Measure(Measure::Verify(args)) => lab::verify::run(&args, &common),
+            Group::Measure(Measure::Compare(args)) => lab::compare::run(&args, &common),
+            Group::Measure(Measure::Experiment(args)) => lab::experiment::run(&args, &common),
+            Group::Measure(Measure::Surrogate(args)) => lab::surrogate::run(&args, &common),
+            Group::Tools(Tools::Devices) => devices::run(&common),
+            Group::Tools(Tools::Synth(args)) => lab::synth::run(&args, &common),
+        }
+    }
+}
+
+/// The commands with their own descriptions, group by group.
+fn groups() -> String {
+    let command = || Command::new("group");
+    let groups = [
+        ("Make a scene", Make::augment_subcommands(command())),
+        ("Measure", Measure::augment_subcommands(command())),
+        ("Tools", Tools::augment_subcommands(command())),
+    ];
+    let mut text = String::new();
+    for (title, group) in groups {
+        let _ = writeln!(text, "{title}:");
+        for c in group.get_subcommands() {
+            let about = c.get_about().map(ToString::to_string).unwrap_or_default();
+            let _ = writeln!(text, "  {:<10}  {about}", c.get_name());
+        }
+        text.push('\n');
+    }
+    text
+}

@@ -1,0 +1,47 @@
+//! Options, outcomes and devices that the commands share.
+
+use mhsplat::base::error::Result;
+use mhsplat::device::Device;
+use mhsplat::lab::selftest::self_test;
+use mhsplat::lab::tune;
+
+use crate::cli::output;
+
+/// Options of every command.
+pub struct Common {
+    /// JSON on stdout.
+    pub json: bool,
+    /// Device selector.
+    pub device: Option<String>,
+}
+
+/// Result of a command that ran to its end.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Everything asked for.
+    Done,
+    /// It ran, but missed a bar that was asked for.
+    Missed,
+}
+
+impl Outcome {
+    /// [`Outcome::Missed`] if a bar is set and `psnr` does not reach it.
+    pub fn of(bar: Option<f64>, psnr: Option<f64>) -> Self {
+        match bar {
+            Some(bar) if !psnr.is_some_and(|p| p >= bar) => Self::Missed,
+            _ => Self::Done,
+        }
+    }
+}
+
+/// Opens a device with the tuning that suits it, to measure or check it.
+pub fn open_device(selector: Option<&str>) -> Result<Device> {
+    tune::tuned(Device::open(selector)?, &mut output::note)
+}
+
+/// Opens a device that passes the self-test.
+pub fn open_tested(selector: Option<&str>) -> Result<Device> {
+    let device = open_device(selector)?;
+    self_test(&device)?;
+    Ok(device)
+}

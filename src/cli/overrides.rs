@@ -1,0 +1,57 @@
+//! The options of a configuration that were typed on the command line.
+
+use clap::parser::ValueSource;
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+
+use mhsplat::base::error::{Error, Result};
+use mhsplat::config::{RUN_CONTROL, TrainConfig};
+
+/// Flags of [`TrainConfig`] that win over a configuration file: only those that were typed. Goes with an option `resume`, which
+/// conflicts with all of them but [`RUN_CONTROL`].
+pub struct Overrides(ArgMatches);
+
+impl Overrides {
+    /// Returns `config` with the typed flags in place of its own values.
+    pub fn over(&self, mut config: TrainConfig) -> Result<TrainConfig> {
+        let wrong = |e: clap::Error| Error::config("train", e.to_string());
+        config.update_from_arg_matches(&self.0).map_err(wrong)?;
+        Ok(config)
+    }
+}
+
+impl FromArgMatches for Overrides {
+    fn from_arg_matches(matches: &ArgMatches) -> clap::error::Result<Self> {
+        let mut typed = matches.clone();
+        for id in matches.ids() {
+            // An update takes a default for a value, too.
+            if matches.value_source(id.as_str()) != Some(ValueSource::CommandLine) {
+                let _ = typed.try_clear_id(id.as_str());
+            }
+        }
+        Ok(Self(typed))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> clap::error::Result<()> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl Args for Overrides {
+    fn augment_args(command: Command) -> Command {
+        let before = command.get_arguments().count();
+        let options = TrainConfig::augment_args(Command::new("options"));
+        let fixed_on_resume = |(place, arg): (usize, &Arg)| {
+            let arg = arg.clone().display_order(before + place);
+            match arg.get_help_heading() {
+                Some(RUN_CONTROL) => arg,
+                _ => arg.conflicts_with("resume"),
+            }
+        };
+        command.args(options.get_arguments().enumerate().map(fixed_on_resume))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}

@@ -1,0 +1,191 @@
+//! [`TrainConfig`]: all options of a run.
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::error::{Error, Result};
+use crate::config::choices::{AntiAliasing, ExposureChoice};
+use crate::config::mh::MhConfig;
+use crate::config::optimizer::{LossConfig, OptimizerConfig};
+use crate::config::samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
+use crate::config::values::{Background, Init, parse_bytes, parse_duration};
+use crate::config::values::{image_budget, time_budget};
+use crate::config::work::WorkConfig;
+
+/// Heading of the options in `--help` that a resumed run may change; the others are those of its checkpoint.
+pub const RUN_CONTROL: &str = "Run control (may change with --resume)";
+
+/// Everything a run depends on beside the dataset and the device: the flags of `mhsplat train`, with the documentation of the
+/// fields as their help, and the keys of its configuration files. The tables have no flags, but for `mh.surrogate`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, clap::Args)]
+#[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Density control.
+    #[arg(long, value_enum, default_value_t = Self::default().sampler)]
+    pub sampler: Sampler,
+    /// Iterations; every schedule scales with it.
+    #[arg(long, value_name = "N", default_value_t = Self::default().iterations)]
+    pub iterations: u32,
+    /// Stop after this much training (90s, 10m, 1h30m).
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, help_heading = RUN_CONTROL)]
+    #[serde(deserialize_with = "time_budget")]
+    pub time_budget: Option<f64>,
+    /// Stop when N evaluations in a row found the training loss no lower, by 0.1 % at least [default: never].
+    #[arg(long, value_name = "N", help_heading = RUN_CONTROL)]
+    pub patience: Option<u32>,
+    /// Longest image side, pixels; larger photos are area-filtered down.
+    #[arg(long, value_name = "PX", default_value_t = Self::default().max_size)]
+    pub max_size: u32,
+    /// Memory for decoded photos (512M, 4G, bytes); the rest is decoded on demand, which changes no result
+    /// [default: half of the available memory].
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = RUN_CONTROL)]
+    #[serde(deserialize_with = "image_budget")]
+    pub image_budget: Option<u64>,
+    /// Upper bound of the number of Gaussians, for any sampler [default: none; mcmc: 1000000].
+    #[arg(long, value_name = "N")]
+    pub max_gaussians: Option<usize>,
+    /// SH degree, 0 to 3.
+    #[arg(long, value_name = "D", default_value_t = Self::default().sh_degree)]
+    pub sh_degree: u32,
+    /// Seed of every random number.
+    #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
+    pub seed: u64,
+    /// Iterations between evaluations; 0 for the end only [default: a twentieth of the run].
+    #[arg(long, value_name = "N", help_heading = RUN_CONTROL)]
+    pub eval_every: Option<u32>,
+    /// Every n-th image by name is held out; 0 for none.
+    #[arg(long, value_name = "N", default_value_t = Self::default().test_every)]
+    pub test_every: u32,
+    /// Iterations between exports of scene.ply; 0 for the end only.
+    #[arg(long, value_name = "N", default_value_t = Self::default().export_every, help_heading = RUN_CONTROL)]
+    pub export_every: u32,
+    /// Iterations between checkpoints; 0 for the end and Ctrl-C only.
+    #[arg(long, value_name = "N", default_value_t = Self::default().checkpoint_every, help_heading = RUN_CONTROL)]
+    pub checkpoint_every: u32,
+    /// First Gaussians: points, random or FILE.ply (Gaussians or a point cloud, in the dataset's frame).
+    #[arg(long, default_value_t = Self::default().init)]
+    pub init: Init,
+    /// Take the photos' alpha for a mask of the pixels that count, not for transparency.
+    #[arg(long)]
+    pub alpha_is_mask: bool,
+    /// black, white, R,G,B, random (another colour in each iteration, scored over black), or auto: random if photos are
+    /// transparent, else black.
+    #[arg(long, default_value_t = Self::default().background)]
+    pub background: Background,
+    /// Filters for things seen from near and far, and for views of other sizes than those trained on.
+    #[arg(long, value_enum, default_value_t = Self::default().anti_aliasing)]
+    pub anti_aliasing: AntiAliasing,
+    /// A colour transform for every training photo, for sets whose brightness varies.
+    #[arg(long, value_enum, default_value_t = Self::default().exposure)]
+    pub exposure: ExposureChoice,
+    /// Loss weights.
+    #[arg(skip)]
+    pub loss: LossConfig,
+    /// Optimiser.
+    #[arg(skip)]
+    pub optimizer: OptimizerConfig,
+    /// Metropolis–Hastings density control.
+    #[command(flatten)]
+    pub mh: MhConfig,
+    /// Shortcuts that leave work out.
+    #[arg(skip)]
+    pub work: WorkConfig,
+    /// MCMC density control.
+    #[arg(skip)]
+    pub mcmc: McmcConfig,
+    /// Adaptive density control.
+    #[arg(skip)]
+    pub adc: AdcConfig,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            sampler: Sampler::Mh,
+            iterations: 30_000,
+            time_budget: None,
+            patience: None,
+            max_size: 1600,
+            image_budget: None,
+            max_gaussians: None,
+            sh_degree: 3,
+            seed: 0,
+            eval_every: None,
+            test_every: 8,
+            export_every: 0,
+            checkpoint_every: 1000,
+            init: Init::Points,
+            alpha_is_mask: false,
+            background: Background::Auto,
+            anti_aliasing: AntiAliasing::Auto,
+            exposure: ExposureChoice::Auto,
+            loss: LossConfig::default(),
+            optimizer: OptimizerConfig::default(),
+            mh: MhConfig::default(),
+            work: WorkConfig::default(),
+            mcmc: McmcConfig::default(),
+            adc: AdcConfig::default(),
+        }
+    }
+}
+
+impl TrainConfig {
+    /// Checks every value's domain.
+    ///
+    /// # Errors
+    /// The first option that is out of its domain.
+    pub fn validate(&self) -> Result<()> {
+        let fail = |option: &str, what: String| Err(Error::config(option, what));
+        if self.iterations == 0 {
+            return fail("--iterations", "0; at least 1 expected".into());
+        }
+        if self.sh_degree > 3 {
+            return fail(
+                "--sh-degree",
+                format!("{}; 0 to 3 expected", self.sh_degree),
+            );
+        }
+        if self.max_size < 16 || self.max_size > 65_535 {
+            return fail(
+                "--max-size",
+                format!("{}; 16 to 65535 expected", self.max_size),
+            );
+        }
+        if self.image_budget == Some(0) {
+            return fail("--image-budget", "0; at least 1 byte expected".into());
+        }
+        if self.max_gaussians == Some(0) {
+            return fail("--max-gaussians", "0; at least 1 expected".into());
+        }
+        if let Some(t) = self.time_budget
+            && !(t.is_finite() && t > 0.0)
+        {
+            return fail("--time-budget", format!("{t} s; a positive time expected"));
+        }
+        if self.patience.is_some() && (self.patience == Some(0) || self.eval_every == Some(0)) {
+            let what = "at least 1 evaluation, and some during the run (--eval-every), expected";
+            return fail("--patience", what.into());
+        }
+        if let Background::Color(c) = self.background
+            && !c.iter().all(|v| (0.0..=1.0).contains(v))
+        {
+            return fail("--background", format!("{c:?}; R,G,B in 0 to 1 expected"));
+        }
+        self.work.validate()?;
+        self.optimizer.validate()?;
+        self.loss.validate()?;
+        self.mh.validate()?;
+        self.mcmc.validate()?;
+        self.adc.validate()
+    }
+
+    /// Returns when the chosen sampler acts; `None` for a fixed set of Gaussians.
+    #[must_use]
+    pub fn density_times(&self) -> Option<DensityTimes> {
+        match self.sampler {
+            Sampler::Mh => Some(self.mh.times()),
+            Sampler::Mcmc => Some(self.mcmc.times()),
+            Sampler::Adc => Some(self.adc.times()),
+            Sampler::None => None,
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! One struct for the flags of `train` and the keys of its configuration files; `--help`.
+
+use std::fs;
+
+use serde_json::{Value, json};
+
+use super::{done, mhsplat, room, stderr, text};
+use mhsplat::TrainConfig;
+
+/// Lines of a help text below a heading.
+fn section(help: &str, heading: &str) -> Vec<String> {
+    let after = help
+        .split_once(&format!("{heading}:\n"))
+        .unwrap_or_else(|| panic!("{heading:?} is not in {help}"))
+        .1;
+    let lines = after.lines().take_while(|l| l.starts_with("  "));
+    lines.map(|l| l.trim().to_owned()).collect()
+}
+
+#[test]
+fn help_groups_the_commands() {
+    for flag in ["--help", "-h"] {
+        let help = done(&[flag]);
+        let groups = [
+            ("Make a scene", &["train", "render", "eval"][..]),
+            (
+                "Measure",
+                &["bench", "verify", "compare", "experiment", "surrogate"],
+            ),
+            ("Tools", &["devices", "synth"]),
+        ];
+        for (heading, names) in groups {
+            let lines = section(&help, heading);
+            let found: Vec<&str> = lines.iter().filter_map(|l| l.split(' ').next()).collect();
+            assert_eq!(found, names, "{help}");
+            for line in lines {
+                let (name, about) = line.split_once(' ').unwrap();
+                let own = done(&[name, "-h"]);
+                assert_eq!(own.lines().next(), Some(about.trim()), "{name}");
+            }
+        }
+        assert!(help.contains("Usage: ") && !section(&help, "Options").is_empty());
+    }
+}
+
+/// The line of an option in the short help.
+fn entry<'a>(help: &'a str, option: &str) -> &'a str {
+    let mut lines = help.lines();
+    let found = lines.find(|l| l.split([' ', ',']).any(|word| word == option));
+    found.unwrap_or_else(|| panic!("{option} is not in {help}"))
+}
+
+#[test]
+fn help_shows_every_option_and_its_default() {
+    let long = done(&["train", "--help"]);
+    assert!(!long.contains(['`', '\\']), "{long}");
+    let help = done(&["train", "-h"]);
+    let config = serde_json::to_value(TrainConfig::default()).unwrap();
+    for (key, value) in config.as_object().unwrap() {
+        let shown = match value {
+            Value::Object(_) => continue,
+            Value::Null | Value::Bool(_) => None,
+            Value::String(word) => Some(word.clone()),
+            other => Some(other.to_string()),
+        };
+        let entry = entry(&help, &format!("--{key}"));
+        if let Some(default) = shown {
+            assert!(entry.contains(&format!("[default: {default}]")), "{entry}");
+        }
+    }
+    let surrogate = entry(&help, "--surrogate");
+    assert!(surrogate.contains("[default: importance]"), "{surrogate}");
+}
+
+#[test]
+fn flags_win_over_a_file_and_a_file_over_the_defaults() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, run) = (dir.path().join("config.toml"), dir.path().join("run"));
+    fs::write(
+        &file,
+        "iterations = 1\nmax-size = 32\nseed = 5\nsampler = \"adc\"\nsh-degree = 1\nalpha-is-mask = true\n\
+         time-budget = \"1h\"\nbackground = \"white\"\n[mh]\nsurrogate = \"probe\"\nprobe-views = 2\n[loss]\nlambda-ssim = 0.5\n",
+    )
+    .unwrap();
+    let room = room();
+    let config = ["--config", text(&file), "--json"];
+    // Two of the flags are the defaults, typed.
+    let flags = [
+        "--seed",
+        "7",
+        "--sampler",
+        "mh",
+        "--surrogate",
+        "importance",
+    ];
+    let args = [&["train", &room, "-o", text(&run)], &config[..], &flags].concat();
+    let record: Value = serde_json::from_str(&done(&args)).unwrap();
+    let mut expected = TrainConfig {
+        iterations: 1,
+        max_size: 32,
+        seed: 7,
+        sh_degree: 1,
+        alpha_is_mask: true,
+        time_budget: Some(3600.0),
+        background: "white".parse().unwrap(),
+        ..TrainConfig::default()
+    };
+    expected.mh.probe_views = 2;
+    expected.loss.lambda_ssim = 0.5;
+    assert_eq!(record["config"], json!(expected));
+}
+
+#[test]
+fn only_run_control_may_change_with_resume() {
+    let dir = tempfile::tempdir().unwrap();
+    let (room, folder) = (room(), text(dir.path()).to_owned());
+    let resume = |flags: &[&str]| {
+        let args = [&["train", &room, "--resume", &folder], flags].concat();
+        let output = mhsplat(&args);
+        assert_eq!(output.status.code(), Some(2));
+        stderr(&output)
+    };
+    for flags in [
+        ["--output", "run"],
+        ["--config", "file.toml"],
+        ["--sampler", "mh"],
+        ["--surrogate", "probe"],
+        ["--iterations", "30000"],
+        ["--max-size", "64"],
+        ["--max-gaussians", "9"],
+        ["--sh-degree", "3"],
+        ["--seed", "0"],
+        ["--test-every", "8"],
+        ["--init", "points"],
+        ["--background", "auto"],
+        ["--anti-aliasing", "auto"],
+        ["--exposure", "auto"],
+    ] {
+        let said = resume(&flags);
+        assert!(
+            said.contains("cannot be used with") && said.contains(flags[0]),
+            "{said}"
+        );
+    }
+    let said = resume(&["--seed", "0", "--alpha-is-mask"]);
+    assert!(
+        said.contains("--seed") && said.contains("--alpha-is-mask") && !said.contains("--init"),
+        "{said}"
+    );
+    for flags in [
+        ["--time-budget", "1m"],
+        ["--patience", "3"],
+        ["--image-budget", "1M"],
+        ["--eval-every", "5"],
+        ["--export-every", "5"],
+        ["--checkpoint-every", "5"],
+        ["--require-psnr", "20"],
+    ] {
+        // Accepted: what is wrong is that the folder holds no run.
+        let said = resume(&flags);
+        assert!(said.contains("checkpoint"), "{said}");
+    }
+}
+
+/// A refused value names its option and what is expected, on the command line and in a file.
+#[test]
+fn refused_values_name_their_option() {
+    let dir = tempfile::tempdir().unwrap();
+    let (toml, json) = (dir.path().join("c.toml"), dir.path().join("c.json"));
+    for (option, value, expected) in [
+        ("init", "elsewhere", "points, random or a .ply file"),
+        ("background", "0,0,2", "R,G,B in 0 to 1"),
+        ("time-budget", "soon", "90s, 10m or 1h30m"),
+        ("image-budget", "much", "512M or 4G"),
+        ("sampler", "best", "mcmc"),
+    ] {
+        let flag = format!("--{option}");
+        fs::write(&toml, format!("{option} = {value:?}")).unwrap();
+        fs::write(&json, json!({ "config": { option: value } }).to_string()).unwrap();
+        for args in [
+            [&flag, value],
+            ["--config", text(&toml)],
+            ["--config", text(&json)],
+        ] {
+            let args = [&["train", "nowhere", "-o", text(dir.path())], &args[..]].concat();
+            let output = mhsplat(&args);
+            assert_eq!(output.status.code(), Some(2));
+            let said = stderr(&output);
+            let names = said.contains(option) || option == "sampler";
+            assert!(names && said.contains(expected), "{args:?}: {said}");
+            assert!(said.contains(value), "{said}");
+        }
+    }
+}
