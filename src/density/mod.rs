@@ -22,6 +22,7 @@ pub mod relocation;
 mod state;
 mod statistics;
 
+pub use crate::scene::Edit;
 pub use adc::Adaptive;
 pub use control::{DensityControl, NoiseLaw, Probe, StepContext, Trial};
 pub use mcmc::Mcmc;
