@@ -2,37 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
-
 use crate::cli::{Common, Outcome, output};
 use mhsplat::base::error::Result;
 use mhsplat::lab::compare;
 use mhsplat::lab::compare::{Clock, Options, Source};
 use mhsplat::lab::report::check_page;
-
-/// Clock of the times.
-#[derive(Clone, Copy, ValueEnum)]
-pub enum ClockFlag {
-    /// CPU seconds while training.
-    Cpu,
-    /// Seconds of training.
-    Train,
-    /// Seconds since the start.
-    Wall,
-    /// Iterations.
-    Iterations,
-}
-
-impl From<ClockFlag> for Clock {
-    fn from(flag: ClockFlag) -> Self {
-        match flag {
-            ClockFlag::Cpu => Self::Cpu,
-            ClockFlag::Train => Self::Train,
-            ClockFlag::Wall => Self::Wall,
-            ClockFlag::Iterations => Self::Iterations,
-        }
-    }
-}
 
 fn decibels(text: &str) -> std::result::Result<f64, String> {
     let value = output::finite(text)?;
@@ -51,7 +25,7 @@ pub struct CompareArgs {
     output: Option<PathBuf>,
     /// Clock of the tables; the page has the others, too [default: cpu where all runs have it]
     #[arg(long, value_enum)]
-    clock: Option<ClockFlag>,
+    clock: Option<Clock>,
     /// PSNR to time the runs to, dB, within ±200; may be repeated [default: every whole dB from the first evaluation to the best]
     #[arg(long, value_name = "DB", value_parser = decibels, value_delimiter = ',', allow_negative_numbers = true)]
     threshold: Vec<f64>,
@@ -75,7 +49,7 @@ pub fn run(args: &CompareArgs, common: &Common) -> Result<Outcome> {
     }
     let sources: Vec<Source> = args.runs.iter().map(|r| Source::parse(r)).collect();
     let options = Options {
-        clock: args.clock.map(Clock::from),
+        clock: args.clock,
         thresholds: args.threshold.clone(),
         reference: args.reference.clone(),
         allow_different: args.allow_different,

@@ -10,7 +10,7 @@ use crate::run::metrics::METRICS_FILE;
 use crate::run::{MetricsRow, RECORD_FILE, RunRecord, read_rows};
 
 /// A clock to compare runs by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Clock {
     /// CPU seconds of the process while training: the clock to compare by if other programs share the machine.
