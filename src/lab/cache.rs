@@ -1,4 +1,4 @@
-//! Where small findings about a device are kept between runs: `mhsplat/` under `$XDG_CACHE_HOME` or `~/.cache`.
+//! Files of findings about a device that are kept between runs: `mhsplat/` under `$XDG_CACHE_HOME` or `~/.cache`.
 
 use std::hash::{Hash, Hasher};
 use std::path::PathBuf;
@@ -7,8 +7,8 @@ use rustc_hash::FxHasher;
 
 use crate::device::{DeviceInfo, sources_hash};
 
-/// The file for a finding about a device with its driver and these kernels; `more` is what else the finding depends on. None
-/// where the system has no place for it.
+/// The file for a finding about a device with its driver and these kernels; `more` identifies anything else the finding depends
+/// on. `None` if the system has no place for it.
 #[must_use]
 pub fn file(kind: &str, info: &DeviceInfo, more: impl Hash) -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty());
@@ -22,7 +22,7 @@ pub fn file(kind: &str, info: &DeviceInfo, more: impl Hash) -> Option<PathBuf> {
     Some(cache.join(format!("mhsplat/{kind}-{:016x}.json", hasher.finish())))
 }
 
-/// Keeps a finding. A file that cannot be written is no loss: the next run finds out again.
+/// Writes a finding. A file that cannot be written is no loss: the next run finds out again.
 pub fn keep(file: &std::path::Path, text: &[u8]) {
     if let Some(folder) = file.parent() {
         let _ = std::fs::create_dir_all(folder);

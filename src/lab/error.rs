@@ -1,4 +1,4 @@
-//! How two results are compared: NaN is rejected first, then four numbers, each with a bound.
+//! Comparison of two results: NaN is rejected first, then four numbers, each with a bound.
 
 /// Bounds of a comparison. Errors are relative to the largest wanted value of the array (a scale that does not vanish
 /// where single values do).
@@ -10,9 +10,9 @@ pub struct Tolerance {
     pub l2: f64,
     /// 1 − cosine of the angle between the two.
     pub cosine: f64,
-    /// Elements that may miss the element bound (a decision at a discontinuity fell the other way).
+    /// Number of elements that may miss the element bound (a decision at a discontinuity fell the other way).
     pub flips: usize,
-    /// Errors are relative to no less than this: what an array's values are made of, where in truth they cancel to nothing.
+    /// Least scale of relative errors: the size of the terms of an array's values, for values that cancel to nothing.
     pub floor: f64,
 }
 
@@ -41,7 +41,7 @@ impl Tolerance {
     }
 }
 
-/// What a comparison found.
+/// Numbers of a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Report {
     /// Largest element error that is no flip.
@@ -63,8 +63,8 @@ pub struct Report {
 /// Compares `got` with `want`.
 ///
 /// # Errors
-/// A sentence that says which bound is missed: lengths, values that are not finite, an element, the norm, the angle, or a
-/// result that is zero where something was wanted.
+/// A sentence that names the bound that is missed: lengths, values that are not finite, an element, the norm, the angle, or a
+/// result that is all zero.
 pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report, String> {
     let report = measure(got, want, tolerance.element, tolerance.floor);
     if got.len() != want.len() {
@@ -98,8 +98,7 @@ pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report
     Ok(report)
 }
 
-/// The numbers of a comparison without a verdict; `element` says what counts as a flip, `floor` what errors are relative to at
-/// least.
+/// The numbers of a comparison without a verdict; an error above `element` is a flip, errors are relative to `floor` at least.
 #[must_use]
 pub fn measure(got: &[f64], want: &[f64], element: f64, floor: f64) -> Report {
     let non_finite = got.iter().chain(want).filter(|v| !v.is_finite()).count();

@@ -1,4 +1,4 @@
-//! A quick look at a device before it is trusted with a run: every stage of one scene, in the precision and style of training.
+//! A quick check of a device before it is trusted with a run: every stage of one scene, in the precision and style of training.
 
 use crate::base::error::{Error, Result};
 use crate::device::Device;
@@ -8,7 +8,7 @@ use crate::lab::verify::check::{Row, SINGLE, check};
 use crate::lab::verify::quantities::{device_quantities, reference_quantities};
 use crate::lab::verify::{chain, twin};
 
-/// Refuses a device that computes wrong results. What a device passed once, it is not asked again: that is kept per device,
+/// Refuses a device that computes wrong results. A device that passed is not checked again: that is kept per device,
 /// driver, kernels and tuning.
 ///
 /// # Errors

@@ -73,6 +73,18 @@ pub struct Ratio {
     pub high: f64,
 }
 
+impl Ratio {
+    /// All three figures times a positive factor (a change of unit).
+    #[must_use]
+    pub fn scaled(self, factor: f64) -> Self {
+        Self {
+            median: self.median * factor,
+            low: self.low * factor,
+            high: self.high * factor,
+        }
+    }
+}
+
 /// `a` over `b`; `None` if either has fewer than [`RATIO_SAMPLES`] samples, or `b` is not positive throughout: a ratio
 /// without a spread says nothing.
 #[must_use]

@@ -65,16 +65,11 @@ pub fn few(s: &Spread, text: impl Fn(f64) -> String) -> String {
     }
 }
 
-/// `median (min–max)` in three digits.
-#[must_use]
-pub fn ranged(median: f64, min: f64, max: f64) -> String {
-    format!("{} ({}–{})", digits(median), digits(min), digits(max))
-}
-
 /// `median (low–high)` of a ratio in three digits.
 #[must_use]
 pub fn ratio(r: &Ratio) -> String {
-    ranged(r.median, r.low, r.high)
+    let [median, low, high] = [r.median, r.low, r.high].map(digits);
+    format!("{median} ({low}–{high})")
 }
 
 /// The last part of a path, by which a dataset or a run is named.

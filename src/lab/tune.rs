@@ -1,4 +1,4 @@
-//! How kernels are cut for the device at hand: measured once, kept, and looked up from then on.
+//! The tuning of kernels for the device at hand: measured once, kept, and looked up from then on.
 //!
 //! A choice is kept per platform, device, driver and kernels in `mhsplat/tuning-*.json` under `$XDG_CACHE_HOME` or
 //! `~/.cache`; a file that cannot be read or does not fit the device is measured anew. Which lanes are added in which order
@@ -21,16 +21,16 @@ use crate::lab::cache;
 use crate::lab::stats::Spread;
 use crate::lab::verify::chain;
 
-/// Name of the variable that overrules.
+/// Environment variable that overrides the choice.
 pub const VARIABLE: &str = "MHSPLAT_TUNING";
-/// A candidate takes over where it needs less than this share of the default's time.
+/// Largest share of the default's time with which a candidate replaces it.
 pub const CLEARLY: f64 = 0.85;
 /// Gaussians and picture side of the scene that candidates run on.
 const CASE: (usize, u32) = (10_000, 320);
 /// Passages of every candidate, one after the other in turns.
 const ROUNDS: usize = 7;
 
-/// Where a tuning comes from.
+/// Origin of a tuning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Origin {
@@ -42,7 +42,7 @@ pub enum Origin {
     Given,
 }
 
-/// Measured once; see the module.
+/// A measurement that is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Kept {
     tuning: Tuning,
@@ -54,7 +54,7 @@ struct Kept {
 /// when something is measured.
 ///
 /// # Errors
-/// A value of `MHSPLAT_TUNING` that means nothing. A measurement that fails leaves the default.
+/// An invalid value of `MHSPLAT_TUNING`. A measurement that fails leaves the default.
 pub fn tuned(device: Device, note: &mut dyn FnMut(&str)) -> Result<Device> {
     if let Some((tuning, _)) = known(device.info())? {
         return Ok(device.with_tuning(tuning));
@@ -69,10 +69,10 @@ pub fn tuned(device: Device, note: &mut dyn FnMut(&str)) -> Result<Device> {
     Ok(device.with_tuning(kept.tuning))
 }
 
-/// The tuning of a device without measuring; none where that would be the next thing to do.
+/// The tuning of a device without measuring; `None` if it has to be measured.
 ///
 /// # Errors
-/// A value of `MHSPLAT_TUNING` that means nothing.
+/// An invalid value of `MHSPLAT_TUNING`.
 pub fn known(info: &DeviceInfo) -> Result<Option<(Tuning, Origin)>> {
     let asked = std::env::var(VARIABLE).unwrap_or_default();
     Ok(match asked.as_str() {
@@ -110,12 +110,12 @@ fn given(asked: &str, info: &DeviceInfo) -> Result<Tuning> {
     }
 }
 
-/// The file of a device; none where the system has no place for it.
+/// The file of a device; `None` if the system has no place for it.
 fn file(info: &DeviceInfo) -> Option<PathBuf> {
     cache::file("tuning", info, candidates(info))
 }
 
-/// What a file holds, if that fits the device.
+/// The tuning in a file, if that fits the device.
 #[doc(hidden)]
 #[must_use]
 pub fn read(file: &Path, info: &DeviceInfo) -> Option<Tuning> {
@@ -123,7 +123,7 @@ pub fn read(file: &Path, info: &DeviceInfo) -> Option<Tuning> {
     kept.tuning.fault(info).is_none().then_some(kept.tuning)
 }
 
-/// The class default and what may suit the device better.
+/// The class default and its alternatives.
 fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
     let own = Tuning::for_device(info);
     let others: Vec<Tuning> = if own.group_style {
@@ -151,7 +151,7 @@ fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
         .collect()
 }
 
-/// Runs every candidate in turns; nothing where even the default fails.
+/// Runs every candidate in turns; `None` if even the default fails.
 fn measure(device: &Device) -> Option<Kept> {
     let mut case = scene::case(CASE.0, CASE.1, ALPHA_MIN);
     // Higher bands take most of the compiler's time and change little of what is compared.

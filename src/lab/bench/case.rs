@@ -12,7 +12,7 @@ use crate::lab::bench::record::{Case, Iteration, Peak, Stage, no_samples};
 use crate::lab::bench::scene;
 use crate::lab::bench::scene::VIEWS;
 use crate::lab::bench::work::{Load, TileWork};
-use crate::lab::stats::{Ratio, Spread, ratio};
+use crate::lab::stats::{Spread, ratio};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::run::clock::process_cpu_seconds;
 use crate::scene::without_filter;
@@ -124,13 +124,15 @@ pub(super) fn measure(
         pairs: load.pairs.round() as u64,
         stages: rows.collect::<Result<_>>()?,
         iteration: Iteration {
+            ms: spread(&samples, |s| 1e3 * s.wall)?,
+            cpu_ms: spread(&samples, |s| 1e3 * s.cpu)?,
+            cores_busy: spread(&samples, |s| s.cpu / s.wall)?,
             iterations,
             visible: load.visible.round() as u64,
             used_pairs: work,
             lanes: load.lanes.round() as u64,
             device_bytes: bytes,
             bytes_per_gaussian: bytes as f64 / subject.splats.len() as f64,
-            ..whole(&samples)?
         },
     })
 }
@@ -170,30 +172,6 @@ fn spread(samples: &[Sample], figure: impl Fn(&Sample) -> f64) -> Result<Spread>
     Spread::of(&values).ok_or_else(|| no_samples("bench"))
 }
 
-fn whole(samples: &[Sample]) -> Result<Iteration> {
-    let ms = spread(samples, |s| 1e3 * s.wall)?;
-    let cpu = spread(samples, |s| 1e3 * s.cpu)?;
-    let cores = spread(samples, |s| s.cpu / s.wall)?;
-    Ok(Iteration {
-        median_ms: ms.median,
-        min_ms: ms.min,
-        max_ms: ms.max,
-        cpu_ms: cpu.median,
-        cpu_min_ms: cpu.min,
-        cpu_max_ms: cpu.max,
-        cores_busy: cores.median,
-        cores_busy_min: cores.min,
-        cores_busy_max: cores.max,
-        samples: ms.samples,
-        iterations: 0,
-        visible: 0,
-        used_pairs: 0,
-        lanes: 0,
-        device_bytes: 0,
-        bytes_per_gaussian: 0.0,
-    })
-}
-
 /// The clock of the lanes, and the peak they are compared with.
 struct Clocks<'a> {
     peak: &'a Peak,
@@ -225,23 +203,13 @@ impl Clocks<'_> {
                 (rate, self.peak.copy.scaled(1e9), "bytes/s")
             }
         };
-        let share: Option<Ratio> = ratio(&rate, &best);
         Ok(Stage {
             name,
-            median_ms: ms.median,
-            min_ms: ms.min,
-            max_ms: ms.max,
-            cpu_ms: self.on_cpu.then_some(cpu.median),
-            cpu_min_ms: self.on_cpu.then_some(cpu.min),
-            cpu_max_ms: self.on_cpu.then_some(cpu.max),
-            samples: ms.samples,
-            rate: rate.median,
-            rate_min: rate.min,
-            rate_max: rate.max,
+            ms,
+            cpu_ms: self.on_cpu.then_some(cpu),
+            share: ratio(&rate, &best),
+            rate,
             unit,
-            share_of_peak: share.map(|s| s.median),
-            share_min: share.map(|s| s.low),
-            share_max: share.map(|s| s.high),
         })
     }
 }

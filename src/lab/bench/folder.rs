@@ -4,10 +4,11 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::base::error::Result;
-use crate::lab::bench::record::{BenchRecord, Outcome, Stage};
+use crate::lab::bench::record::Outcome;
 use crate::lab::bench::report::report;
 use crate::lab::bench::tables::done;
 use crate::lab::folder::{one_or_all, write_files};
+use crate::lab::stats::Spread;
 
 /// Columns of `bench.csv`: a row per stage of a case, per whole iteration, and per variant of a stage. Cells that do not
 /// apply are empty.
@@ -59,63 +60,41 @@ fn quoted(text: &str) -> String {
     format!("\"{}\"", text.replace('"', "\"\""))
 }
 
+/// The cells of a time: median, min, max, CPU time, samples.
+fn times(ms: &Spread, cpu: Option<f64>) -> String {
+    let cpu = cpu.map_or_else(String::new, |v| v.to_string());
+    format!("{},{},{},{cpu},{}", ms.median, ms.min, ms.max, ms.samples)
+}
+
 /// Every device as one table of [`COLUMNS`].
 #[must_use]
 pub fn csv(outcomes: &[Outcome]) -> String {
     let mut out = COLUMNS.join(",") + "\n";
     for record in done(outcomes) {
-        cases(&mut out, record);
+        let device = quoted(&record.device);
+        for case in &record.cases {
+            let scene = quoted(&case.scene);
+            let (n, w, h, pairs) = (case.gaussians, case.width, case.height, case.pairs);
+            let prefix = format!("{device},{scene},{n},{w},{h},{pairs}");
+            let i = &case.iteration;
+            let whole = times(&i.ms, Some(i.cpu_ms.median));
+            let _ = writeln!(out, "{prefix},iteration,,{whole},,,,");
+            for s in &case.stages {
+                let times = times(&s.ms, s.cpu_ms.map(|c| c.median));
+                let share = s.share.map_or_else(String::new, |r| r.median.to_string());
+                let (rate, unit) = (s.rate.median, s.unit);
+                let _ = writeln!(out, "{prefix},{},,{times},{rate},{unit},{share},", s.name);
+            }
+        }
         for p in &record.precision {
+            let (variant, times) = (quoted(&p.variant), times(&p.ms, None));
+            let error = p.max_rel_error;
             let _ = writeln!(
                 out,
-                "{},,,,,,{},{},{},{},{},,{},,,,{}",
-                quoted(&record.device),
-                p.stage,
-                quoted(&p.variant),
-                p.median_ms,
-                p.min_ms,
-                p.max_ms,
-                p.samples,
-                p.max_rel_error
+                "{device},,,,,,{},{variant},{times},,,,{error}",
+                p.stage
             );
         }
     }
     out
-}
-
-fn cases(out: &mut String, record: &BenchRecord) {
-    let optional = |v: Option<f64>| v.map_or_else(String::new, |v| v.to_string());
-    for case in &record.cases {
-        let prefix = format!(
-            "{},{},{},{},{},{}",
-            quoted(&record.device),
-            quoted(&case.scene),
-            case.gaussians,
-            case.width,
-            case.height,
-            case.pairs
-        );
-        let i = &case.iteration;
-        let _ = writeln!(
-            out,
-            "{prefix},iteration,,{},{},{},{},{},,,,",
-            i.median_ms, i.min_ms, i.max_ms, i.cpu_ms, i.samples
-        );
-        let stage = |out: &mut String, s: &Stage| {
-            let _ = writeln!(
-                out,
-                "{prefix},{},,{},{},{},{},{},{},{},{},",
-                s.name,
-                s.median_ms,
-                s.min_ms,
-                s.max_ms,
-                optional(s.cpu_ms),
-                s.samples,
-                s.rate,
-                s.unit,
-                optional(s.share_of_peak)
-            );
-        };
-        case.stages.iter().for_each(|s| stage(out, s));
-    }
 }

@@ -13,21 +13,15 @@ type Point = (f64, Spread, Spread);
 
 fn point(case: &Case, x: f64) -> Point {
     let i = &case.iteration;
-    let time = Spread {
-        median: i.median_ms,
-        min: i.min_ms,
-        max: i.max_ms,
-        samples: i.samples,
-    };
     // Memory is known, not sampled.
     let bytes = i.device_bytes as f64;
     let memory = Spread {
         median: bytes,
         min: bytes,
         max: bytes,
-        samples: i.samples,
+        samples: i.ms.samples,
     };
-    (x, time, memory)
+    (x, i.ms, memory)
 }
 
 /// Every power law that two or more of the synthetic cases allow: over N at each resolution, over pixels at each N.

@@ -199,10 +199,7 @@ fn row(
     Ok(Precision {
         stage,
         variant: variant.to_owned(),
-        median_ms: ms.median,
-        min_ms: ms.min,
-        max_ms: ms.max,
-        samples: ms.samples,
+        ms,
         max_rel_error: report.max,
         median_rel_error: report.median,
     })

@@ -1,6 +1,7 @@
 //! The document of `bench --json`, of which every table and chart is made.
 
-use serde::Serialize;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
 
 use crate::base::error::Error;
 use crate::device::DeviceInfo;
@@ -66,63 +67,38 @@ pub struct Case {
 pub struct Stage {
     /// Stem of its kernel file.
     pub name: &'static str,
-    /// Device time.
-    pub median_ms: f64,
-    /// Smallest sample.
-    pub min_ms: f64,
-    /// Largest sample.
-    pub max_ms: f64,
-    /// CPU time: device time × cores busy over the whole iteration (CPU time of the process over wall time). That is too
-    /// much for a stage with launches of a single work-item and too little for one that keeps every core busy, by as much
-    /// as the cores were not all busy. Null where the device is not the CPU.
-    pub cpu_ms: Option<f64>,
-    /// Smallest sample.
-    pub cpu_min_ms: Option<f64>,
-    /// Largest sample.
-    pub cpu_max_ms: Option<f64>,
-    /// Samples.
-    pub samples: usize,
+    /// Device time, milliseconds.
+    #[serde(flatten, serialize_with = "ms")]
+    pub ms: Spread,
+    /// CPU time, milliseconds: device time × cores busy over the whole iteration (CPU time of the process over wall time). That is
+    /// too much for a stage with launches of a single work-item and too little for one that keeps every core busy, by as much
+    /// as the cores were not all busy. Null if the device is not the CPU.
+    #[serde(flatten, serialize_with = "cpu_ms")]
+    pub cpu_ms: Option<Spread>,
     /// Work per second, in `unit`.
-    pub rate: f64,
-    /// Smallest sample.
-    pub rate_min: f64,
-    /// Largest sample.
-    pub rate_max: f64,
-    /// `lanes/core-s` (pixel lanes evaluated per second of CPU time; of device time where the device is not the CPU) or
+    #[serde(flatten, serialize_with = "rate")]
+    pub rate: Spread,
+    /// `lanes/core-s` (pixel lanes evaluated per second of CPU time; of device time if the device is not the CPU) or
     /// `bytes/s` (bytes that must move, per second of device time).
     pub unit: &'static str,
-    /// Share of the measured peak: FLOP of the lanes over the multiply-adds, bytes over the copy. Above 1 where data stay
+    /// Share of the measured peak: FLOP of the lanes over the multiply-adds, bytes over the copy. Above 1 if data stay
     /// in a cache. Null with fewer than three samples.
-    pub share_of_peak: Option<f64>,
-    /// Its lower end over the samples of both.
-    pub share_min: Option<f64>,
-    /// Its upper end.
-    pub share_max: Option<f64>,
+    #[serde(flatten, serialize_with = "share")]
+    pub share: Option<Ratio>,
 }
 
 /// A whole iteration, enqueued and settled.
 #[derive(Debug, Clone, Serialize)]
 pub struct Iteration {
-    /// Wall time.
-    pub median_ms: f64,
-    /// Smallest sample.
-    pub min_ms: f64,
-    /// Largest sample.
-    pub max_ms: f64,
-    /// CPU time of the process (of the host alone where the device is not the CPU).
-    pub cpu_ms: f64,
-    /// Smallest sample.
-    pub cpu_min_ms: f64,
-    /// Largest sample.
-    pub cpu_max_ms: f64,
+    /// Wall time, milliseconds.
+    #[serde(flatten, serialize_with = "ms")]
+    pub ms: Spread,
+    /// CPU time of the process (of the host alone if the device is not the CPU), milliseconds.
+    #[serde(flatten, serialize_with = "some_cpu_ms")]
+    pub cpu_ms: Spread,
     /// CPU time over wall time.
-    pub cores_busy: f64,
-    /// Smallest sample.
-    pub cores_busy_min: f64,
-    /// Largest sample.
-    pub cores_busy_max: f64,
-    /// Samples.
-    pub samples: usize,
+    #[serde(flatten, serialize_with = "cores")]
+    pub cores_busy: Spread,
     /// Iterations of each sample, a multiple of the number of views.
     pub iterations: u32,
     /// Gaussians in the picture.
@@ -133,8 +109,54 @@ pub struct Iteration {
     pub lanes: u64,
     /// Bytes of all arrays on the device, photos included.
     pub device_bytes: u64,
-    /// The same per Gaussian.
+    /// Device bytes per Gaussian.
     pub bytes_per_gaussian: f64,
+}
+
+/// Median and range under the keys of the document, nulls of `None`.
+fn keyed<S: Serializer>(
+    figures: Option<[f64; 3]>,
+    keys: [&'static str; 3],
+    samples: Option<usize>,
+    out: S,
+) -> Result<S::Ok, S::Error> {
+    let mut map = out.serialize_map(None)?;
+    for (k, key) in keys.into_iter().enumerate() {
+        map.serialize_entry(key, &figures.map(|f| f[k]))?;
+    }
+    if let Some(samples) = samples {
+        map.serialize_entry("samples", &samples)?;
+    }
+    map.end()
+}
+
+fn ms<S: Serializer>(s: &Spread, out: S) -> Result<S::Ok, S::Error> {
+    let keys = ["median_ms", "min_ms", "max_ms"];
+    keyed(Some([s.median, s.min, s.max]), keys, Some(s.samples), out)
+}
+
+fn cpu_ms<S: Serializer>(s: &Option<Spread>, out: S) -> Result<S::Ok, S::Error> {
+    let keys = ["cpu_ms", "cpu_min_ms", "cpu_max_ms"];
+    keyed(s.map(|s| [s.median, s.min, s.max]), keys, None, out)
+}
+
+fn some_cpu_ms<S: Serializer>(s: &Spread, out: S) -> Result<S::Ok, S::Error> {
+    cpu_ms(&Some(*s), out)
+}
+
+fn cores<S: Serializer>(s: &Spread, out: S) -> Result<S::Ok, S::Error> {
+    let keys = ["cores_busy", "cores_busy_min", "cores_busy_max"];
+    keyed(Some([s.median, s.min, s.max]), keys, None, out)
+}
+
+fn rate<S: Serializer>(s: &Spread, out: S) -> Result<S::Ok, S::Error> {
+    let keys = ["rate", "rate_min", "rate_max"];
+    keyed(Some([s.median, s.min, s.max]), keys, None, out)
+}
+
+fn share<S: Serializer>(r: &Option<Ratio>, out: S) -> Result<S::Ok, S::Error> {
+    let keys = ["share_of_peak", "share_min", "share_max"];
+    keyed(r.map(|r| [r.median, r.low, r.high]), keys, None, out)
 }
 
 /// A power law over some of the cases: y ∝ xᵖ.
@@ -159,14 +181,9 @@ pub struct Precision {
     pub stage: &'static str,
     /// Precision, vector width, style, cut-off.
     pub variant: String,
-    /// Device time.
-    pub median_ms: f64,
-    /// Smallest sample.
-    pub min_ms: f64,
-    /// Largest sample.
-    pub max_ms: f64,
-    /// Samples.
-    pub samples: usize,
+    /// Device time, milliseconds.
+    #[serde(flatten, serialize_with = "ms")]
+    pub ms: Spread,
     /// Largest error, with elements in which a decision at a discontinuity fell the other way.
     pub max_rel_error: f64,
     /// Median error.

@@ -10,7 +10,7 @@ use crate::lab::bench::record::{BenchRecord, Case, Outcome, Precision, Stage};
 use crate::lab::bench::tables::{case_title, comparison, done, of_record};
 use crate::lab::bench::work::Load;
 use crate::lab::report::{Report, Section};
-use crate::lab::table::{digits, ranged};
+use crate::lab::table::{digits, spread};
 
 /// Least error that is drawn: f64 results may agree to the last bit.
 const MIN_ERROR: f64 = 1e-17;
@@ -73,13 +73,9 @@ fn time_series(record: &BenchRecord, width: u32, name: String) -> LogSeries {
         let i = &c.iteration;
         LogPoint {
             x: c.gaussians as f64,
-            y: i.median_ms,
-            label: digits(i.median_ms),
-            tip: format!(
-                "{}: {} ms",
-                case_title(c),
-                ranged(i.median_ms, i.min_ms, i.max_ms)
-            ),
+            y: i.ms.median,
+            label: digits(i.ms.median),
+            tip: format!("{}: {} ms", case_title(c), spread(&i.ms, digits)),
         }
     };
     LogSeries {
@@ -142,11 +138,11 @@ fn headlines(record: &BenchRecord) -> Vec<Section> {
     let Some(case) = common_case(record) else {
         return vec![Section::Headlines(heads)];
     };
-    heads.push(head("Iteration", case.iteration.median_ms, "ms"));
-    heads.push(head("CPU time", case.iteration.cpu_ms, "ms"));
+    heads.push(head("Iteration", case.iteration.ms.median, "ms"));
+    heads.push(head("CPU time", case.iteration.cpu_ms.median, "ms"));
     let lanes = |s: &&Stage| Load::flop_per_lane(s.name).is_some();
     let rates = case.stages.iter().filter(lanes);
-    heads.extend(rates.map(|s| head(s.name, 1e-9 * s.rate, "G/core-s")));
+    heads.extend(rates.map(|s| head(s.name, 1e-9 * s.rate.median, "G/core-s")));
     let of = format!(
         "Iteration, and lanes of the splat kernels: {}.",
         case_title(case)
@@ -155,17 +151,17 @@ fn headlines(record: &BenchRecord) -> Vec<Section> {
 }
 
 fn stage_shares(case: &Case) -> String {
-    let total: f64 = case.stages.iter().map(|s| s.median_ms).sum();
+    let total: f64 = case.stages.iter().map(|s| s.ms.median).sum();
     let bars: Vec<Bar> = case
         .stages
         .iter()
         .map(|s| Bar {
             name: s.name.to_owned(),
-            value: s.median_ms,
+            value: s.ms.median,
             text: format!(
                 "{} ms · {} %",
-                digits(s.median_ms),
-                fixed(100.0 * s.median_ms / total, 1)
+                digits(s.ms.median),
+                fixed(100.0 * s.ms.median / total, 1)
             ),
         })
         .collect();
@@ -182,13 +178,13 @@ fn by_kind(rows: &[&Precision]) -> Vec<LogSeries> {
         ("alpha cut, against none", "cut ", true),
     ];
     let point = |p: &&&Precision, prefix: &str| LogPoint {
-        x: p.median_ms,
+        x: p.ms.median,
         y: p.max_rel_error.max(MIN_ERROR),
         label: p.variant.strip_prefix(prefix).unwrap_or("").to_owned(),
         tip: format!(
             "{}: {} ms, largest error {:.1e}, median {:.1e}",
             p.variant,
-            ranged(p.median_ms, p.min_ms, p.max_ms),
+            spread(&p.ms, digits),
             p.max_rel_error,
             p.median_rel_error
         ),

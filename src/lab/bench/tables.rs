@@ -3,7 +3,7 @@
 use crate::lab::bench::growth::SYNTHETIC;
 use crate::lab::bench::record::{BenchRecord, Case, Outcome, Stage};
 use crate::lab::stats::Spread;
-use crate::lab::table::{Table, digits, or_dash, ranged, ratio, spread};
+use crate::lab::table::{Table, digits, or_dash, ratio, spread};
 
 /// `N Gaussians, W × H px` of a case, after the name of a scene from a file.
 pub(super) fn case_title(case: &Case) -> String {
@@ -21,20 +21,8 @@ fn rate(stage: &Stage) -> String {
         "bytes/s" => "GB/s",
         _ => "Glanes/core-s",
     };
-    let figure = ranged(
-        1e-9 * stage.rate,
-        1e-9 * stage.rate_min,
-        1e-9 * stage.rate_max,
-    );
+    let figure = spread(&stage.rate.scaled(1e-9), digits);
     format!("{figure} {unit}")
-}
-
-/// `median (min–max)` times `factor`, a dash of `None`.
-fn maybe(figures: [Option<f64>; 3], factor: f64) -> String {
-    match figures {
-        [Some(median), Some(min), Some(max)] => ranged(factor * median, factor * min, factor * max),
-        _ => "–".into(),
-    }
 }
 
 fn peak(record: &BenchRecord) -> Table {
@@ -62,13 +50,13 @@ fn iterations(record: &BenchRecord) -> Table {
         let i = &c.iteration;
         vec![
             case_title(c),
-            ranged(i.median_ms, i.min_ms, i.max_ms),
-            ranged(i.cpu_ms, i.cpu_min_ms, i.cpu_max_ms),
-            ranged(i.cores_busy, i.cores_busy_min, i.cores_busy_max),
+            spread(&i.ms, digits),
+            spread(&i.cpu_ms, digits),
+            spread(&i.cores_busy, digits),
             c.pairs.to_string(),
             digits(1e-6 * i.lanes as f64),
             digits(i.bytes_per_gaussian),
-            format!("{} of {}", i.samples, i.iterations),
+            format!("{} of {}", i.ms.samples, i.iterations),
         ]
     };
     let columns = [
@@ -90,10 +78,10 @@ fn stages(case: &Case) -> Table {
     let row = |s: &Stage| {
         vec![
             s.name.to_owned(),
-            ranged(s.median_ms, s.min_ms, s.max_ms),
-            maybe([s.cpu_ms, s.cpu_min_ms, s.cpu_max_ms], 1.0),
+            spread(&s.ms, digits),
+            or_dash(s.cpu_ms, |s| spread(&s, digits)),
             rate(s),
-            maybe([s.share_of_peak, s.share_min, s.share_max], 100.0),
+            or_dash(s.share, |r| ratio(&r.scaled(100.0))),
         ]
     };
     let note = "Device time per iteration, median (min–max). CPU ms and core-s are device time times the cores busy over the whole \
@@ -129,7 +117,7 @@ fn precision(record: &BenchRecord) -> Table {
         vec![
             p.stage.to_owned(),
             p.variant.clone(),
-            ranged(p.median_ms, p.min_ms, p.max_ms),
+            spread(&p.ms, digits),
             format!("{:.1e}", p.max_rel_error),
             format!("{:.1e}", p.median_rel_error),
         ]
@@ -166,7 +154,7 @@ pub(super) fn comparison(records: &[&BenchRecord]) -> Option<Table> {
     let cell = |title: &str, r: &BenchRecord| {
         let case = r.cases.iter().find(|c| case_title(c) == title);
         let time = case.map(|c| &c.iteration);
-        or_dash(time, |i| ranged(i.median_ms, i.min_ms, i.max_ms))
+        or_dash(time, |i| spread(&i.ms, digits))
     };
     let row = |name: String, cell: &dyn Fn(&BenchRecord) -> String| -> Vec<String> {
         let cells = records.iter().map(|r| cell(r));

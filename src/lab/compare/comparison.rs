@@ -11,7 +11,7 @@ use crate::lab::compare::remarks::Difference;
 use crate::lab::compare::{check, load, outcome, paired, remarks, thresholds};
 use crate::run::DatasetRecord;
 
-/// How runs are compared.
+/// Options of a comparison.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Options {
     /// Clock of the times; `None`: CPU seconds if all runs have them, else training seconds.

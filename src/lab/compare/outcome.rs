@@ -19,7 +19,7 @@ pub struct RunOutcome {
     pub path: String,
     /// Seed.
     pub seed: u64,
-    /// Whether the run came to its end.
+    /// True if the run came to its end.
     pub finished: bool,
     /// Iterations of the last evaluation.
     pub iterations: u32,
@@ -79,7 +79,7 @@ impl Reach {
         self.runs.iter().flatten().count()
     }
 
-    /// Whether a run was there at its first evaluation already.
+    /// Returns true if a run was there at its first evaluation already.
     #[must_use]
     pub fn at_most(&self) -> bool {
         self.runs.iter().flatten().any(|c| c.at_most)

@@ -35,13 +35,13 @@ impl Verdict {
         all
     }
 
-    /// Whether it holds in all of them; `None` without any.
+    /// True if it holds in all of them; `None` without any.
     #[must_use]
     pub fn all(&self) -> Option<bool> {
         (self.of > 0).then_some(self.holds == self.of)
     }
 
-    /// Whether it holds in more than half of them; `None` without any.
+    /// True if it holds in more than half of them; `None` without any.
     #[must_use]
     pub fn most(&self) -> Option<bool> {
         (self.of > 0).then_some(2 * self.holds > self.of)
@@ -99,7 +99,7 @@ pub struct PairRatio {
     pub seed: u64,
     /// Other over reference; `None` unless both reached it after their first evaluation.
     pub ratio: Option<f64>,
-    /// Whether the reference was no later; a finished run that has not reached a PSNR never does. `None` if not known.
+    /// True if the reference was no later; a finished run that has not reached a PSNR never does. `None` if not known.
     pub no_later: Option<bool>,
 }
 
@@ -112,7 +112,7 @@ pub struct PairedTime {
     pub seeds: Vec<PairRatio>,
     /// Spread of the ratios, if every pair has one.
     pub spread: Option<Spread>,
-    /// Whether the reference was no later in more than half of the pairs in which that is known.
+    /// True if the reference was no later in more than half of the pairs in which that is known.
     pub no_later: Option<bool>,
 }
 
@@ -133,7 +133,7 @@ pub struct Paired {
     pub seeds: Vec<u64>,
     /// Number of pairs.
     pub pairs: usize,
-    /// Whether the runs of a pair have the same seed; else they are paired in their order.
+    /// True if the runs of a pair have the same seed; else they are paired in their order.
     pub same_seeds: bool,
     /// One per threshold.
     pub to_psnr: Vec<PairedTime>,
@@ -143,7 +143,8 @@ pub struct Paired {
     pub mean: Option<Spread>,
     /// Number of those thresholds.
     pub mean_of: usize,
-    /// Threshold at which the reference does worst, and its median ratio; `None` in place of that: only the group reaches it.
+    /// Threshold at which the reference does worst, and its median ratio; `None`: it is later or never in most pairs, but not all
+    /// have a ratio.
     pub worst: Option<(f64, Option<f64>)>,
     /// Differences of the final PSNR, dB.
     pub psnr: Option<Spread>,
@@ -155,7 +156,7 @@ pub struct Paired {
     pub gaussians: Option<(Spread, Spread)>,
     /// Thresholds at which the reference is no later.
     pub no_later: Verdict,
-    /// Whether the reference ends no more than [`FINAL_BELOW`] below.
+    /// True if the reference ends no more than [`FINAL_BELOW`] below.
     pub final_holds: Option<bool>,
 }
 
@@ -298,7 +299,7 @@ fn interval(found: Option<Crossing>, run: &RunOutcome, clock: Clock) -> [f64; 2]
     }
 }
 
-/// Whether the reference is no later than the other; `None` if the intervals leave that open.
+/// True if the reference is no later than the other; `None` if the intervals leave that open.
 fn no_later(reference: [f64; 2], own: [f64; 2]) -> Option<bool> {
     if reference[1].is_finite() && reference[1] <= own[0] {
         return Some(true);
@@ -316,8 +317,7 @@ fn means(whole: &[&PairedTime], pairs: usize) -> Option<Spread> {
     Spread::of_ratios(&all?)
 }
 
-/// The first threshold that most pairs reach later or never with the reference alone, if any has no ratio for that; else
-/// that of the lowest ratio.
+/// The first threshold without a ratio at which the reference is later or never; else that of the lowest ratio.
 fn worst(times: &[PairedTime]) -> Option<(f64, Option<f64>)> {
     let missed = |t: &&PairedTime| t.spread.is_none() && t.no_later == Some(false);
     if let Some(time) = times.iter().find(missed) {

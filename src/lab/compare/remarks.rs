@@ -23,7 +23,7 @@ const MACHINE: [&str; 5] = ["device", "platform", "driver", "version", "commit"]
 pub struct Difference {
     /// Name.
     pub what: String,
-    /// By group; several values where the runs of a group differ.
+    /// Group by group; several values if the runs of a group differ.
     pub values: Vec<String>,
 }
 

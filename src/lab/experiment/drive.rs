@@ -26,7 +26,7 @@ pub struct Job {
     pub dir: PathBuf,
     /// Configuration, as a file for `--config`.
     pub config: PathBuf,
-    /// Whether to resume from its checkpoint.
+    /// True to resume from its checkpoint.
     pub resume: bool,
 }
 

@@ -21,7 +21,7 @@ pub struct Planned {
     pub seed: u64,
     /// Run folder.
     pub dir: PathBuf,
-    /// Whether its cap is the final number of Gaussians of another run.
+    /// True if its cap is the final number of Gaussians of another run.
     pub capped: bool,
 }
 

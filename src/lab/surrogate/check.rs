@@ -74,7 +74,7 @@ pub struct Assessment {
     pub loss: f64,
     /// Candidates that no view sees in any pixel; they are left out of everything below.
     pub unseen: usize,
-    /// In the order of [`FORMS`].
+    /// Statistics of each of [`FORMS`].
     pub forms: [FormOutcome; FORMS.len()],
     /// The candidates.
     pub candidates: Vec<Judged>,

@@ -152,15 +152,6 @@ fn correlations(form: usize, all: &[Judged], seed: u64) -> Vec<Correlation> {
     correlations
 }
 
-impl FormOutcome {
-    /// The correlation of a predictor over a subset.
-    #[must_use]
-    pub fn correlation(&self, predictor: &str, subset: &str) -> Option<&Correlation> {
-        let same = |c: &&Correlation| c.predictor == predictor && c.subset == subset;
-        self.correlations.iter().find(same)
-    }
-}
-
 fn quartiles(values: &[f64]) -> Option<[f64; 3]> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
