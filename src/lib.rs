@@ -7,52 +7,48 @@
 //!
 //! # The way of the data
 //!
-//! | step | where | what |
+//! | step | where | content |
 //! |---|---|---|
-//! | read | [`dataset`] | files → posed photos in the local frame |
-//! | start | [`model`] | points → [`Splats`] |
-//! | anti-alias | [`antialias`], `kernels/filter.cl` | whether the views' sampling rates ask for Mip-Splatting's filters; each Gaussian's 3D filter |
-//! | project | `kernels/project.cl` | Gaussians → 2D records of one camera |
-//! | scan, bin, sort | `kernels/{scan,bin,sort}.cl` | records → Gaussians of each tile, front to back |
+//! | read | [`capture`] | files → posed photos in the local frame |
+//! | start | [`scene`] | points → [`Splats`]; scene files |
+//! | plan | [`train::plan`] | every decision about a run, with its reason |
+//! | smoothing filter | `kernels/filter.cl` | Mip-Splatting's 3D filter of each Gaussian |
+//! | project | `kernels/project.cl` | Gaussians → 2D Gaussians of one camera |
+//! | scan, bin, sort | `kernels/{scan,bin,sort}.cl` | 2D Gaussians → tile intersections, front to back |
 //! | splat | `kernels/splat.cl` | tiles → image |
-//! | shrink, loss | `kernels/{shrink,loss}.cl` | early in a run the photo at a fraction of its size; L1 + SSIM and its gradient |
-//! | exposure | `kernels/exposure.cl`, [`exposure`](mod@exposure) | between render and loss an affine colour transform per photo, where photos differ in brightness |
+//! | shrink, loss | `kernels/{shrink,loss}.cl` | photo at a fraction of its size early in a run; L1 + SSIM and its gradient |
+//! | exposure | `kernels/exposure.cl` | affine colour transform per photo, between render and loss |
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
 //! | adam | `kernels/adam.cl` | one step of all parameters |
-//! | noise | `kernels/noise.cl` | a random step of every position (samplers mcmc, mh) |
-//! | live | `kernels/live.cl` | tiles of a masked photo in which any pixel counts, of a transparent one in which any is not clear |
-//! | seen | `kernels/seen.cl` | which Gaussians the views show, for what is removed at the end |
-//! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error cues (sampler mh) or gradients on the screen (adc) of each Gaussian |
-//! | density control | [`density`] | which Gaussians are born, moved or removed, on the host |
-//! | probes | `probe.rs`, `train/probe.rs` | what proposed births would do to the loss, if density control asks |
+//! | noise | `kernels/noise.cl` | random step of every position (mcmc, mh) |
+//! | live | `kernels/live.cl` | active tiles of photos with masks or transparency |
+//! | seen | `kernels/seen.cl` | Gaussians that the training views show; the others are removed at the end |
+//! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error statistics (mh) or screen-space gradients (adc) of each Gaussian |
+//! | density control | [`density`] | births, moves and removals, decided on the host |
 //! | edit | `kernels/edit.cl` | rows written by density control |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
-//! | report | [`report`], [`export`] | run folder, page, scene files, checkpoints |
-//! | compare | [`mod@compare`] | several runs: error against run time, time to equal error |
-//! | surrogate | [`surrogate`] | how well the importance, and probes, order what births truly do to the loss |
-//! | experiment | [`experiment`] | a matrix of runs within a time budget, and its comparison |
-//! | measure | [`bench`](mod@bench), `kernels/peak.cl` | time and error of every stage, against the device's best |
+//! | run | [`run`] | run folder, checkpoints, report |
+//! | measure | [`lab`], `kernels/peak.cl` | verify, bench, compare, experiment, surrogate: nothing else uses it |
 //!
-//! [`train`] and [`render`] alone know the order of the stages. Every stage has a twin in plain f64 Rust in
-//! [`reference`](mod@reference), which defines what is correct; [`verify`] compares the two on a device,
-//! [`bench`](mod@bench) sets their error beside their time, and [`tune`] chooses how kernels are cut for a device.
+//! `pipeline::pass::Pipeline` alone knows the order of the stages, and [`train::step`] the order of an iteration. Every stage file
+//! in `src/pipeline/stage` has the kernel's launcher and its definition in f64, which [`lab::verify`] compares on a device.
 //!
 //! ```no_run
-//! use mhsplat::{Device, LoadOptions, TrainConfig, Trainer, load_dataset, run};
+//! use mhsplat::train::Event;
+//! use mhsplat::{Device, LoadOptions, Plan, TrainConfig, Trainer, load_dataset, run};
 //! # fn main() -> mhsplat::Result<()> {
 //! let dataset = load_dataset("photos".as_ref(), &LoadOptions::default())?;
+//! let plan = Plan::new(&dataset, &TrainConfig { iterations: 3000, ..TrainConfig::default() })?;
 //! let device = Device::open(None)?;
-//! let config = TrainConfig { iterations: 3000, ..TrainConfig::default() };
-//! let splats = run::initial_splats(&dataset, &config)?;
-//! let mut trainer = Trainer::new(&device, &dataset, &config, &splats)?;
-//! while trainer.iteration() < config.iterations {
-//!     trainer.step()?;
-//!     trainer.density_step()?;
-//! }
-//! mhsplat::export::ply::write("scene.ply".as_ref(), &trainer.state()?.splats, &dataset.frame)?;
+//! let splats = run::initial_splats(&dataset, &plan)?;
+//! let mut trainer = Trainer::new(&device, &dataset, &plan, &splats)?;
+//! while trainer.advance()? != Event::Finished {}
+//! mhsplat::scene::ply::write("scene.ply".as_ref(), &trainer.splats()?.0, &dataset.frame)?;
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! `examples/train_and_render.rs` renders a view to a PNG as well.
 
 #[doc(hidden)]
 pub mod base;

@@ -18,7 +18,7 @@ use mhsplat::pipeline::stage::exposure::{exposed, unexposed};
 use mhsplat::run::PlanRecord;
 use mhsplat::run::{Clock, Progress, Run, RunRecord, checkpoint, initial_splats};
 use mhsplat::train::brightness::{GainSpread, compared, gain, spread};
-use mhsplat::train::plan::Why;
+use mhsplat::train::reasons::Why;
 use mhsplat::{TrainConfig, Trainer};
 
 /// Gains of photos: so much as in a set taken with automatic exposure.

@@ -29,6 +29,7 @@ mod hostile;
 mod house;
 mod layout;
 mod learning;
+mod library;
 mod masks;
 mod photos;
 mod plan;

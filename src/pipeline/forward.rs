@@ -9,6 +9,7 @@ use crate::pipeline::buffers::{Frame, Scene};
 use crate::pipeline::stage::bin::Bin;
 use crate::pipeline::stage::project::Project;
 use crate::pipeline::stage::scan::{Count, Scan};
+use crate::pipeline::stage::seen::Seen;
 use crate::pipeline::stage::sort::Sort;
 use crate::pipeline::stage::splat::Splat;
 
@@ -210,6 +211,33 @@ impl<R: Real> Renderer<R> {
     pub fn pairs_per_tile(&self, camera: &CameraArg<R>) -> Result<Vec<u32>> {
         let start = self.frame.tile_start.read(0, camera.tile_count() + 1)?;
         Ok(start.windows(2).map(|w| w[1] - w[0]).collect())
+    }
+
+    /// Flags of the Gaussians that some cameras show, 1 or 0; waits.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn seen(
+        &mut self,
+        stage: &Seen,
+        scene: &Scene<R>,
+        cameras: &[CameraArg<R>],
+    ) -> Result<Vec<u32>> {
+        let seen = Array::zeros(&self.device, "seen", scene.count)?;
+        let mut shown = Array::zeros(&self.device, "shown", 0)?;
+        let options = RenderOptions {
+            sh_degree: scene.sh_degree,
+            ..RenderOptions::default()
+        };
+        for camera in cameras {
+            self.pair(scene, camera, &options)?;
+            let capacity = self.frame.pair_capacity();
+            if shown.len() < capacity {
+                shown = Array::zeros(&self.device, "shown", capacity)?;
+            }
+            stage.run(&self.frame, camera, &shown, &seen)?;
+        }
+        seen.to_vec()
     }
 
     /// Flags of the Gaussians from `first` to `count` that intersect any tile of the view rendered last.

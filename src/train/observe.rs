@@ -1,11 +1,12 @@
 //! Everything that can be asked of a trainer between iterations.
 
 use crate::base::error::Result;
+use crate::capture::Camera;
 use crate::density::{DensityStats, Trial};
 use crate::device::StageTime;
 use crate::device::tuning::Tuning;
 use crate::pipeline::buffers::Scene;
-use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer};
 use crate::pipeline::photos::PhotoStats;
 use crate::scene::Splats;
 use crate::train::control::Working;
@@ -128,6 +129,21 @@ impl Trainer {
             self.gaussians.scene.download()?,
             self.gaussians.read_filter()?,
         ))
+    }
+
+    /// Renders the Gaussians as they are, over the background that does not change.
+    ///
+    /// # Errors
+    /// More than the device can allocate, or the driver's.
+    pub fn render(&mut self, camera: &Camera) -> Result<Rendered> {
+        self.settle()?;
+        let options = RenderOptions {
+            sh_degree: self.gaussians.scene.sh_degree,
+            background: self.schedule.fixed_background(),
+            ..RenderOptions::default()
+        };
+        let forward = &mut self.pipeline.forward;
+        forward.image(&self.gaussians.scene, camera, &options)
     }
 
     /// Density statistics over the run.

@@ -6,7 +6,6 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::capture::photo::colors;
 use crate::capture::{Alpha, Dataset};
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, PendingRead};
@@ -17,7 +16,7 @@ use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::seen::Seen;
 use crate::scene::Splats;
-use crate::train::brightness::{self, GainSpread};
+use crate::train::brightness;
 use crate::train::control::{Control, DensityEvent, Working};
 use crate::train::gaussians::GaussianState;
 use crate::train::optimizer::Optimizer;
@@ -429,7 +428,10 @@ impl Trainer {
         match self.plan.exposure.value {
             Exposure::Compare(from) if from == at => {
                 self.settle()?;
-                self.learned.gains = Some(self.compare_brightness()?);
+                let iterations = self.plan.config.iterations;
+                let (pipeline, scene) = (&mut self.pipeline, &self.gaussians.scene);
+                let gains = brightness::compare(pipeline, scene, &self.views, at, iterations)?;
+                self.learned.gains = Some(gains);
                 let decision = self.plan.learn(&self.learned).into_iter().next();
                 Ok((decision.map(Event::Decided), Next::Exposure))
             }
@@ -439,29 +441,6 @@ impl Trainer {
             }
             _ => Ok((None, Next::Iterate)),
         }
-    }
-
-    /// Gains of some photos over their renders.
-    fn compare_brightness(&mut self) -> Result<GainSpread> {
-        let views = brightness::compared(self.views.len(), self.plan.config.iterations);
-        let mut gains = Vec::with_capacity(views.len());
-        for number in views {
-            let view = self
-                .views
-                .view(self.iteration, self.iteration, number, &[])?;
-            let options = RenderOptions {
-                live_only: false,
-                ..self.options(&view, self.gaussians.scene.sh_degree)
-            };
-            let forward = &mut self.pipeline.forward;
-            forward.render(&self.gaussians.scene, &view.camera, &options)?;
-            let render = forward.read_image(&view.camera)?;
-            let (alpha, pixels) = (self.plan.alpha, render.width * render.height);
-            let bytes = self.views.photo(&view).read(0, alpha.planes() * pixels)?;
-            let photo = colors(alpha, &bytes, view.background);
-            gains.extend(brightness::gain(&render.rgb, &render.transmittance, &photo));
-        }
-        Ok(GainSpread::new(self.iteration, &gains))
     }
 
     /// Compiles the kernels of exposure compensation and runs each once; the transforms are the identity.
@@ -525,24 +504,11 @@ impl Trainer {
         let Some(stage) = &self.seen else {
             return Ok(None);
         };
-        let (scene, forward) = (&self.gaussians.scene, &mut self.pipeline.forward);
-        let seen = Array::zeros(&self.device, "seen", scene.count)?;
-        let mut shown = Array::zeros(&self.device, "shown", 0)?;
-        let options = RenderOptions {
-            sh_degree: scene.sh_degree,
-            background: self.schedule.fixed_background(),
-            quantity: Quantity::Color,
-            live_only: false,
-        };
-        for camera in &self.views.set.cameras[..views] {
-            forward.pair(scene, camera, &options)?;
-            let frame = &forward.frame;
-            if shown.len() < frame.pair_capacity() {
-                shown = Array::zeros(&self.device, "shown", frame.pair_capacity())?;
-            }
-            stage.run(frame, camera, &shown, &seen)?;
-        }
-        seen.to_vec().map(Some)
+        let cameras = &self.views.set.cameras[..views];
+        let forward = &mut self.pipeline.forward;
+        forward
+            .seen(stage, &self.gaussians.scene, cameras)
+            .map(Some)
     }
 
     /// Makes the buffers fit the Gaussians, the largest image, and the tile intersections so far with a quarter to spare.
