@@ -186,9 +186,9 @@ pub fn parse_bytes(s: &str) -> Result<u64, &'static str> {
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum NumberOrText<T> {
-    /// As a number.
+    /// A number.
     Number(T),
-    /// As a text.
+    /// A text.
     Text(String),
 }
 

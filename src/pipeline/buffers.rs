@@ -1,4 +1,4 @@
-//! What lives on the device: the scene, and the arrays of one view's passage through the stages.
+//! Buffers on the device: the Gaussians, one view between the stages, and the photos of a set of views.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::device::{Array, CameraArg, Device, Real, Record};
 use crate::pipeline::photos::Photos;
 use crate::scene::{Plane, Splats};
 
-/// What says where a render and its photo are blank.
+/// Tiles that are blank in a render and its photo.
 #[derive(Debug, Clone, Copy)]
 pub struct Blank<'a> {
     /// Tiles that are neither masked nor clear in the photo \[tiles\] (the live stage's).
@@ -22,8 +22,8 @@ pub struct Blank<'a> {
 
 /// Strides are multiples of this, so that vector loads of a plane never straddle two.
 const ROUND: usize = 256;
-/// Longest side of an image: records hold pixel bounds in 16 bits.
-const MOST_PIXELS: i32 = 1 << 16;
+/// Longest side of an image: projected Gaussians hold pixel bounds in 16 bits.
+const MAX_PIXELS: i32 = 1 << 16;
 
 /// Names of the keys and values that are sorted by depth, and of those sorted by tile.
 const VISIBLE: [&str; 2] = ["visible_keys", "visible"];
@@ -193,7 +193,7 @@ pub struct Frame<R: Real> {
     pub visible: SortBuffers,
     /// Tiles of each visible Gaussian \[stride\].
     pub counts: Array<u32>,
-    /// Which tiles those are, if they are few \[stride, 2\].
+    /// Tiles of each visible Gaussian, if they are few \[stride, 2\].
     pub cover: Array<u32>,
     /// First pair of each visible Gaussian \[stride\].
     pub offsets: Array<u32>,
@@ -267,7 +267,7 @@ impl<R: Real> Frame<R> {
         Ok(())
     }
 
-    /// Where the view enqueued last and a photo whose live tiles were marked are blank.
+    /// Blank tiles of the view enqueued last and of the photo whose active tiles were marked.
     pub(crate) fn blank(&self) -> Blank<'_> {
         Blank {
             live: &self.live,
@@ -314,11 +314,11 @@ impl<R: Real> Frame<R> {
     /// # Errors
     /// More than the device can allocate.
     pub fn fit_image(&mut self, device: &Device, camera: &CameraArg<R>) -> Result<()> {
-        if camera.size.iter().any(|s| *s < 1 || *s > MOST_PIXELS) {
+        if camera.size.iter().any(|s| *s < 1 || *s > MAX_PIXELS) {
             let [w, h] = camera.size;
             return Err(Error::config(
                 "image size",
-                format!("{w} x {h}; 1 to {MOST_PIXELS} pixels a side expected"),
+                format!("{w} x {h}; 1 to {MAX_PIXELS} pixels a side expected"),
             ));
         }
         let tiles = camera.tile_count();
@@ -340,11 +340,11 @@ pub struct ViewSet<R: Real = f32> {
     pub names: Vec<String>,
     /// Cameras.
     pub cameras: Vec<CameraArg<R>>,
-    /// Where the photos come from, shared with other sets.
+    /// Source of the photos, shared with other sets.
     photos: Photos,
     /// The photos' numbers there.
     numbers: Vec<usize>,
-    /// What the photos' alpha plane says.
+    /// Meaning of the photos' alpha plane.
     pub alpha: Alpha,
     /// Largest width and largest height, pixels.
     pub largest: [usize; 2],
@@ -357,7 +357,7 @@ impl<R: Real> ViewSet<R> {
     /// they are uploaded.
     ///
     /// # Errors
-    /// As [`Photos::add`].
+    /// See [`Photos::add`].
     pub fn new(photos: &Photos, views: impl IntoIterator<Item = View>) -> Result<Self> {
         let (mut names, mut cameras, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
         let mut alpha = Alpha::None;
@@ -388,7 +388,7 @@ impl<R: Real> ViewSet<R> {
     /// meanwhile if they are not there yet.
     ///
     /// # Errors
-    /// As [`Photos::get`].
+    /// See [`Photos::get`].
     pub fn photo(&self, view: usize, next: &[usize]) -> Result<Arc<Array<u8>>> {
         let next = next.iter().map(|v| self.numbers[*v]);
         self.photos.get(self.numbers[view], next)
@@ -397,7 +397,7 @@ impl<R: Real> ViewSet<R> {
     /// The photo of a view, read back from the device.
     ///
     /// # Errors
-    /// As [`ViewSet::photo`], or the driver's.
+    /// See [`ViewSet::photo`], or the driver's.
     pub fn read_photo(&self, view: usize) -> Result<Photo> {
         let data = self.photo(view, &[])?.to_vec()?;
         let [width, height] = self.cameras[view].size.map(|s| s as u32);
@@ -409,7 +409,7 @@ impl<R: Real> ViewSet<R> {
         })
     }
 
-    /// Where the photos come from.
+    /// Source of the photos.
     #[must_use]
     pub fn photos(&self) -> &Photos {
         &self.photos
@@ -421,7 +421,7 @@ impl<R: Real> ViewSet<R> {
         self.cameras.len()
     }
 
-    /// Whether there is none.
+    /// True if there is no view.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.cameras.is_empty()

@@ -13,7 +13,7 @@ use crate::pipeline::stage::seen::Seen;
 use crate::pipeline::stage::sort::Sort;
 use crate::pipeline::stage::splat::Splat;
 
-/// What is composited.
+/// Quantity that is composited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Quantity {
     /// View-dependent colour.
@@ -23,16 +23,16 @@ pub enum Quantity {
     Depth,
 }
 
-/// How a view is rendered.
+/// Options of a render.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RenderOptions {
     /// SH degree in use (at most the scene's).
     pub sh_degree: u32,
     /// Background colour.
     pub background: [f32; 3],
-    /// What is composited.
+    /// Quantity that is composited.
     pub quantity: Quantity,
-    /// Only tiles in which a pixel of the photo counts, as [`Renderer::live_tiles`] says; of effect for photos with masks.
+    /// Only the active tiles of the photo ([`Renderer::live_tiles`]); no effect unless photos have masks.
     pub live_only: bool,
 }
 
@@ -280,7 +280,7 @@ impl<R: Real> Renderer<R> {
         self.fitting(scene, camera, |r| r.enqueue(scene, camera, options))
     }
 
-    /// As [`Renderer::render`], up to the sorted pairs: nothing is splatted.
+    /// Runs the stages of [`Renderer::render`] up to the sorted tile intersections; nothing is splatted.
     pub(crate) fn pair(
         &mut self,
         scene: &Scene<R>,
@@ -311,7 +311,7 @@ impl<R: Real> Renderer<R> {
     /// Renders a view and reads the image back.
     ///
     /// # Errors
-    /// As [`Renderer::render`].
+    /// See [`Renderer::render`].
     pub fn image(
         &mut self,
         scene: &Scene<R>,

@@ -1,7 +1,7 @@
 //! [`Photos`]: the photos of a run as device arrays. Those left in their files are decoded ahead of their use by threads of
 //! their own, and the least recently used give way when the budget is used up.
 //!
-//! What counts against the budget is what is held here: a photo that has given way stays on the device until the kernels
+//! Photos held here count against the budget: one that has given way stays on the device until the kernels
 //! already enqueued with it are done, because OpenCL keeps a buffer as long as a command uses it.
 
 use std::collections::VecDeque;
@@ -19,10 +19,10 @@ use crate::device::{Array, Device};
 /// Photos decoded ahead of the one in use, where the budget has room for so many.
 pub const AHEAD: usize = 8;
 
-/// Most decoding threads: more than are looked ahead would have nothing to do.
-const MOST_THREADS: usize = AHEAD;
+/// Largest number of decoding threads: more than are looked ahead would have nothing to do.
+const MAX_THREADS: usize = AHEAD;
 
-/// What became of the budget for photos.
+/// Use of the budget for photos.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PhotoStats {
     /// Bytes of all photos, decoded.
@@ -75,7 +75,7 @@ enum Slot {
 
 #[derive(Debug)]
 struct Entry {
-    /// Where it can be decoded anew; none for photos that stay on the device.
+    /// File to decode it from again; `None` for photos that stay on the device.
     file: Option<PhotoFile>,
     bytes: u64,
     slot: Slot,
@@ -197,7 +197,7 @@ impl Photos {
         found
     }
 
-    /// What became of the budget so far.
+    /// Use of the budget so far.
     #[must_use]
     pub fn stats(&self) -> PhotoStats {
         self.0.shared.lock().stats
@@ -214,7 +214,7 @@ fn too_large(bytes: u64, budget: u64) -> Error {
 impl Pool {
     fn start_threads(&self) -> Result<()> {
         let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
-        let wanted = std::thread::available_parallelism().map_or(1, |n| n.get().min(MOST_THREADS));
+        let wanted = std::thread::available_parallelism().map_or(1, |n| n.get().min(MAX_THREADS));
         while threads.len() < wanted {
             let shared = self.shared.clone();
             let thread = std::thread::Builder::new()
@@ -250,7 +250,7 @@ impl Shared {
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What each thread does until the end.
+    /// Decodes photos of the window until the pool closes; the body of each thread.
     fn decode(&self) {
         let mut state = self.lock();
         while !state.closed {

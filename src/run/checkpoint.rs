@@ -36,7 +36,7 @@ const NAMES: [&str; 7] = [
     "exposures",
 ];
 
-/// What every version's header begins with.
+/// First entry of the header, in every version.
 #[derive(Deserialize)]
 struct Version {
     version: u32,
@@ -69,7 +69,7 @@ pub struct Checkpoint {
     pub clock: Reading,
     /// [`crate::capture::Dataset::fingerprint`] of what it was trained on.
     pub dataset: String,
-    /// How kernels were cut: the last bits depend on it.
+    /// Sizes that the kernels were built for: the last bits depend on them.
     pub tuning: Tuning,
     /// Seconds per stage so far.
     pub stages: Vec<StageRecord>,

@@ -1,4 +1,4 @@
-//! What a run begins with: its folder, the first Gaussians and the record.
+//! Start of a run: its folder, the first Gaussians and the record.
 
 use std::path::Path;
 
@@ -87,7 +87,7 @@ pub fn saved_config(dir: &Path) -> Result<TrainConfig> {
     Ok(checkpoint::read(dir)?.config)
 }
 
-/// Whether a run folder holds a checkpoint.
+/// True if a run folder holds a checkpoint.
 ///
 /// # Errors
 /// A folder that cannot be looked into: that is not the same as no checkpoint.

@@ -40,7 +40,7 @@ pub struct DensityEvent {
     pub stats: DensityStats,
 }
 
-/// What a density step works on.
+/// Parts of a trainer that a density step changes or reads.
 #[derive(Debug)]
 pub struct Working<'a> {
     /// Device.

@@ -1,4 +1,4 @@
-//! What changes over a run: pure functions of the configuration and the iteration.
+//! Schedules of a run: pure functions of the configuration and the iteration. Learning rates decay here.
 
 use crate::base::rng::{Philox, Purpose};
 use crate::config::{Background, ExposureChoice, TrainConfig};
@@ -199,7 +199,7 @@ impl Schedule {
         done.saturating_sub(self.density_interval()) / every
     }
 
-    /// Whether opacity is reset (adc) with the density step at `done`: as it is due by the interval, and before a white
+    /// True if opacity is reset (adc) with the density step at `done`: when the interval is over, and before a white
     /// background at the first step, too (released code: at `densify_from_iter`).
     #[must_use]
     pub fn resets_opacity(&self, done: u32) -> bool {

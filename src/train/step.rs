@@ -128,7 +128,7 @@ impl Trainer {
     /// [`Trainer::new`] with training views whose photos may share their budget with others.
     ///
     /// # Errors
-    /// As [`Trainer::new`].
+    /// See [`Trainer::new`].
     pub fn with_views(set: ViewSet, plan: &Plan, splats: &Splats) -> Result<Self> {
         plan.config.validate()?;
         if splats.is_empty() {
@@ -269,7 +269,7 @@ impl Trainer {
     /// run, too.
     ///
     /// # Errors
-    /// As [`Trainer::advance`].
+    /// See [`Trainer::advance`].
     pub fn advance_to(&mut self, iterations: u32) -> Result<()> {
         loop {
             let due = matches!(self.next, Next::Density | Next::Pause);
@@ -374,7 +374,7 @@ impl Trainer {
     /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed).
     ///
     /// # Errors
-    /// As [`Trainer::advance`].
+    /// See [`Trainer::advance`].
     pub fn settle(&mut self) -> Result<()> {
         let (goal, next) = (self.iteration, self.next);
         loop {

@@ -96,7 +96,7 @@ impl Views {
     /// A view by its number, at the size of iteration `size_of` and over the background of iteration `background_of`.
     ///
     /// # Errors
-    /// As [`Views::at`].
+    /// See [`Views::at`].
     pub fn view(
         &self,
         size_of: u32,

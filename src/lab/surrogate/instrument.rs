@@ -16,7 +16,7 @@ use crate::pipeline::stage::loss::{ImagePair, size_of_image};
 use crate::scene::Splats;
 use crate::train::estimates::FaintPass;
 
-/// How an instrument is set up.
+/// Parameters of an instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Setting {
     /// SH degree and background of the renders.
@@ -42,7 +42,7 @@ pub struct CueRows {
 }
 
 impl CueRows {
-    /// As density control takes them.
+    /// The view of them that density control takes.
     #[must_use]
     pub fn cues(&self) -> Cues<'_> {
         Cues {
@@ -64,7 +64,7 @@ pub struct Base {
     pub gradients: [Vec<f64>; 4],
     /// Sums of each strip, by view.
     pub(super) strips: Vec<Vec<f64>>,
-    /// Whether a view has any pair of a Gaussian, by view.
+    /// View by view, true for each Gaussian with a tile intersection.
     pub(super) touched: Vec<Vec<bool>>,
 }
 

@@ -82,7 +82,7 @@ pub fn stress(device: &Device) -> Result<Verification> {
 /// What is no scene: the count of pairs, the optimiser, world frames, density control.
 ///
 /// # Errors
-/// As [`stress`].
+/// See [`stress`].
 pub fn beside_scenes(device: &Device) -> Result<(Vec<Row>, Vec<FamilyNote>)> {
     let mut rows = vec![more_pairs_than_24_bits(device)?];
     rows.extend(updates::all(device)?);
@@ -94,7 +94,7 @@ pub fn beside_scenes(device: &Device) -> Result<(Vec<Row>, Vec<FamilyNote>)> {
 /// Every case of a family.
 ///
 /// # Errors
-/// As [`stress`].
+/// See [`stress`].
 pub fn verify_family(device: &Device, family: &Family) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for Stiff { stiffness, case } in &family.cases {

@@ -45,7 +45,7 @@ pub fn rows<R: Real>(device: &Device, precision: &str, bound: f64) -> Result<Vec
 /// Both precisions, as far as the device has them.
 ///
 /// # Errors
-/// As [`rows`].
+/// See [`rows`].
 pub fn all(device: &Device) -> Result<Vec<Row>> {
     let mut all = rows::<f32>(device, "f32", SINGLE)?;
     if device.info().fp64 {
