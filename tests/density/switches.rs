@@ -283,7 +283,7 @@ fn before_births_begin_a_step_relocates_and_no_more() {
 
 #[test]
 fn the_readme_has_the_papers_numbers() {
-    let readme = include_str!("../../README.md");
+    let readme = include_str!("../../docs/method.md");
     let (_, after) = readme
         .split_once("The paper's own numbers, as a file")
         .unwrap();
