@@ -5,10 +5,13 @@ use std::path::Path;
 use crate::base::error::{Error, Result};
 use crate::capture::{Camera, Frame};
 use crate::device::Device;
-use crate::lab::bench::case::Subject;
+use crate::lab::bench::case::{Subject, measure as measure_case};
+use crate::lab::bench::growth::{SYNTHETIC, growth};
 use crate::lab::bench::options::Options;
+use crate::lab::bench::peak::measure as measure_peak;
+use crate::lab::bench::precision::measure as measure_precision;
 use crate::lab::bench::record::{BenchRecord, Failure, Outcome};
-use crate::lab::bench::{case, growth, peak, precision, scene};
+use crate::lab::bench::scene;
 use crate::scene::ply::SceneFile;
 use crate::scene::{Splats, orbit, ply};
 
@@ -22,11 +25,11 @@ const SCENE_SIZE: u32 = 800;
 pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Result<BenchRecord> {
     let trained = options.scene.as_deref().map(read_scene).transpose()?;
     note("peak");
-    let peak = peak::measure(device, options)?;
+    let peak = measure_peak(device, options)?;
     let (mut cases, mut failed, mut last) = (Vec::new(), Vec::new(), None);
     let mut measure = |subject: &Subject<'_>| {
         note(&subject.title());
-        match case::measure(device, &peak, subject, options) {
+        match measure_case(device, &peak, subject, options) {
             Ok(case) => cases.push(case),
             Err(e) => {
                 failed.push(Failure::new(&subject.title(), &e));
@@ -36,7 +39,7 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
     };
     for (n, size) in &options.cases {
         measure(&Subject {
-            name: growth::SYNTHETIC,
+            name: SYNTHETIC,
             splats: &scene::cloud(*n),
             dataset: scene::dataset(&scene::circle(*size)),
             anti_alias: false,
@@ -53,13 +56,13 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
     if let (true, Some(error)) = (cases.is_empty(), last) {
         return Err(error);
     }
-    let precision = precision::measure(device, options, note, &mut failed);
+    let precision = measure_precision(device, options, note, &mut failed);
     Ok(BenchRecord {
         device: device.info().name.clone(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         about: device.info().clone(),
         peak,
-        growth: growth::growth(&cases),
+        growth: growth(&cases),
         cases,
         precision,
         failed,

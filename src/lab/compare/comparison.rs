@@ -3,12 +3,13 @@
 use serde::Serialize;
 
 use crate::base::error::{Error, Result};
+use crate::lab::compare::check::check;
 use crate::lab::compare::group::group;
-use crate::lab::compare::load::{Clock, Loaded, Source};
-use crate::lab::compare::outcome::GroupOutcome;
-use crate::lab::compare::paired::Paired;
-use crate::lab::compare::remarks::Difference;
-use crate::lab::compare::{check, load, outcome, paired, remarks, thresholds};
+use crate::lab::compare::load::{Clock, Loaded, Source, load_all};
+use crate::lab::compare::outcome::{GroupOutcome, of_group};
+use crate::lab::compare::paired::{Paired, paired};
+use crate::lab::compare::remarks::{Difference, differences, remarks};
+use crate::lab::compare::thresholds::choose;
 use crate::run::DatasetRecord;
 
 /// Options of a comparison.
@@ -80,8 +81,8 @@ impl Comparison {
 /// A folder that is no run, runs that are not comparable, thresholds that are not finite, or a reference that is no group.
 pub fn compare(sources: &[Source], options: &Options) -> Result<Comparison> {
     let mut warnings = Vec::new();
-    let runs = load::load_all(sources, &mut warnings)?;
-    check::check(&runs, options.allow_different, &mut warnings)?;
+    let runs = load_all(sources, &mut warnings)?;
+    check(&runs, options.allow_different, &mut warnings)?;
     let clock = choose_clock(&runs, options.clock, &mut warnings)?;
     let groups = group(&runs);
     let reference = match &options.reference {
@@ -97,22 +98,20 @@ pub fn compare(sources: &[Source], options: &Options) -> Result<Comparison> {
                 )
             })?,
     };
-    let (thresholds, rule) = thresholds::choose(&runs, &groups, reference, &options.thresholds)?;
+    let (thresholds, rule) = choose(&runs, &groups, reference, &options.thresholds)?;
     let outcomes: Vec<GroupOutcome> = groups
         .iter()
-        .map(|g| outcome::of_group(g, &runs, &thresholds))
+        .map(|g| of_group(g, &runs, &thresholds))
         .collect();
-    warnings.extend(remarks::remarks(
-        &groups, &runs, &outcomes, reference, clock,
-    ));
+    warnings.extend(remarks(&groups, &runs, &outcomes, reference, clock));
     Ok(Comparison {
         version: env!("CARGO_PKG_VERSION"),
         dataset: runs[0].record.dataset.clone(),
         warnings,
         clock,
         reference: groups[reference].label.clone(),
-        relative: paired::paired(&outcomes, reference, clock),
-        differences: remarks::differences(&groups, &runs),
+        relative: paired(&outcomes, reference, clock),
+        differences: differences(&groups, &runs),
         thresholds,
         threshold_rule: rule,
         groups: outcomes,

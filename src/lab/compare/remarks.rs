@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use serde::Serialize;
 
+use crate::chart::text::fixed;
 use crate::lab::compare::group::{Facts, Group, facts};
 use crate::lab::compare::load::{Clock, Loaded};
 use crate::lab::compare::outcome::{GroupOutcome, RunOutcome};
@@ -73,7 +74,7 @@ pub fn remarks(
     if !unequal.is_empty() {
         let count = |g: &GroupOutcome| {
             let gaussians = g.gaussians.map_or(f64::NAN, |s| s.median);
-            format!("{gaussians} ({})", g.label)
+            format!("{} ({})", fixed(gaussians, 0), g.label)
         };
         let others: Vec<String> = unequal.into_iter().map(count).collect();
         out.push(format!(
