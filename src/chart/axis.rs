@@ -28,6 +28,30 @@ pub struct Axis<'a> {
     pub from_zero: bool,
 }
 
+impl<'a> Axis<'a> {
+    /// An axis without a unit that starts at zero.
+    #[must_use]
+    pub const fn from_zero(label: &'a str, scale: Scale) -> Self {
+        Self {
+            label,
+            unit: "",
+            scale,
+            from_zero: true,
+        }
+    }
+
+    /// A linear axis that frames its data.
+    #[must_use]
+    pub const fn framing(label: &'a str, unit: &'a str) -> Self {
+        Self {
+            label,
+            unit,
+            scale: Scale::Number,
+            from_zero: false,
+        }
+    }
+}
+
 /// A range of numbers with round ticks in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ticks {

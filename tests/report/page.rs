@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::samples::*;
 use mhsplat::base::error::Error;
-use mhsplat::chart::axis::{Axis, Scale, ticks};
+use mhsplat::chart::axis::{Axis, ticks};
 use mhsplat::chart::bars::{Bar, bar_chart};
 use mhsplat::chart::svg::{Banded, band_chart};
 use mhsplat::chart::text::{escape, grouped, span};
@@ -59,12 +59,7 @@ fn page(
     text
 }
 
-const X: Axis<'static> = Axis {
-    label: "x",
-    unit: "",
-    scale: Scale::Number,
-    from_zero: false,
-};
+const X: Axis<'static> = Axis::framing("x", "");
 
 fn chart(points: Vec<(f64, f64)>) -> String {
     let text = band_chart("t", &X, &X, &[Banded::line("", points)]);

@@ -12,44 +12,15 @@ use crate::run::density_log::DensityRow;
 use crate::run::metrics::MetricsRow;
 use crate::run::record::RunRecord;
 
-const TIME: Axis<'static> = Axis {
-    label: "training time",
-    unit: "s",
-    scale: Scale::Seconds,
-    from_zero: true,
-};
-const ITERATION: Axis<'static> = Axis {
-    label: "iteration",
-    unit: "",
-    scale: Scale::Number,
-    from_zero: true,
-};
-const PSNR: Axis<'static> = Axis {
-    label: "PSNR",
-    unit: "dB",
-    scale: Scale::Number,
-    from_zero: false,
-};
-const SSIM: Axis<'static> = Axis {
-    label: "SSIM",
-    unit: "",
-    scale: Scale::Number,
-    from_zero: false,
-};
-const SHARE: Axis<'static> = Axis {
-    label: "accepted",
-    unit: "%",
-    scale: Scale::Percent,
-    from_zero: true,
-};
+const TIME: Axis<'static> = Axis::from_zero("training time", Scale::Seconds);
+const ITERATION: Axis<'static> = number("iteration");
+const PSNR: Axis<'static> = Axis::framing("PSNR", "dB");
+const SSIM: Axis<'static> = Axis::framing("SSIM", "");
+const SHARE: Axis<'static> = Axis::from_zero("accepted", Scale::Percent);
+
 /// An axis from zero for a plain number.
-fn number(label: &str) -> Axis<'_> {
-    Axis {
-        label,
-        unit: "",
-        scale: Scale::Number,
-        from_zero: true,
-    }
+const fn number(label: &str) -> Axis<'_> {
+    Axis::from_zero(label, Scale::Number)
 }
 
 fn points<R>(rows: &[R], x: impl Fn(&R) -> f64, y: impl Fn(&R) -> Option<f64>) -> Vec<(f64, f64)> {
@@ -67,30 +38,22 @@ pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityR
     let time = |r: &MetricsRow| r.train_seconds;
     let iteration = |r: &MetricsRow| f64::from(r.iteration);
     out.push_str("<h2>Quality on held-out views</h2><div class=charts>\n");
+    let psnr = |r: &MetricsRow| r.psnr;
+    let ssim = |r: &MetricsRow| r.ssim;
     let charts = [
-        (
-            "PSNR against time",
-            TIME,
-            PSNR,
-            points(rows, time, |r| r.psnr),
-        ),
+        ("PSNR against time", TIME, PSNR, points(rows, time, psnr)),
         (
             "PSNR against iterations",
             ITERATION,
             PSNR,
-            points(rows, iteration, |r| r.psnr),
+            points(rows, iteration, psnr),
         ),
-        (
-            "SSIM against time",
-            TIME,
-            SSIM,
-            points(rows, time, |r| r.ssim),
-        ),
+        ("SSIM against time", TIME, SSIM, points(rows, time, ssim)),
         (
             "SSIM against iterations",
             ITERATION,
             SSIM,
-            points(rows, iteration, |r| r.ssim),
+            points(rows, iteration, ssim),
         ),
     ];
     for (title, x, y, points) in charts {
