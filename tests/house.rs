@@ -80,7 +80,10 @@ fn named(source: &str) -> Vec<Vec<String>> {
         for (at, _) in code.match_indices(word) {
             let end = |c: char| !(c.is_alphanumeric() || c == '_' || c == ':');
             let path = code[at..].split(end).next().unwrap_or_default();
-            paths(&[], path.trim_end_matches(':'), &mut out);
+            // Before a bracket it is the head of a use tree, which was read above.
+            if !path.ends_with("::") {
+                paths(&[], path, &mut out);
+            }
         }
     }
     out
@@ -220,6 +223,10 @@ fn wrong_houses_are_found() {
         ("run", "pub mod start;\npub use start::claim;"),
         ("run::start", "use super::Run;"),
         ("cli", "use mhsplat::run::{self, start as begin};"),
+        ("cli::eval", "use crate::cli::{scene, output};"),
+        ("cli::scene", ""),
+        ("cli::output", ""),
+        ("main", "use crate::cli;"),
     ]);
     assert_eq!(circles(&parent_and_child), ["run", "run::start"]);
     let straight = made(&[
