@@ -5,13 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::error::Result;
 use crate::base::math::median;
-use crate::capture::photo::colors;
-use crate::pipeline::buffers::Scene;
-use crate::pipeline::forward::RenderOptions;
-use crate::pipeline::pass::Pipeline;
-use crate::train::views::Views;
 
 /// Largest number of views compared.
 const MAX_VIEWS: usize = 64;
@@ -66,37 +60,6 @@ pub fn compared(views: usize, iterations: u32) -> Vec<usize> {
     let afford = (iterations / ITERATIONS_PER_VIEW) as usize;
     let count = views.min(MAX_VIEWS).min(afford.max(MIN_VIEWS));
     (0..count).map(|k| k * views / count).collect()
-}
-
-/// Compares some training views with their renders after `iteration` iterations of a run of `iterations`.
-///
-/// # Errors
-/// A photo that cannot be read, more than the device can allocate, or the driver's.
-pub fn compare(
-    pipeline: &mut Pipeline,
-    scene: &Scene,
-    views: &Views,
-    iteration: u32,
-    iterations: u32,
-) -> Result<GainSpread> {
-    let numbers = compared(views.len(), iterations);
-    let mut gains = Vec::with_capacity(numbers.len());
-    for number in numbers {
-        let view = views.view(iteration, iteration, number, &[])?;
-        let options = RenderOptions {
-            sh_degree: scene.sh_degree,
-            background: view.background,
-            ..RenderOptions::default()
-        };
-        let forward = &mut pipeline.forward;
-        forward.render(scene, &view.camera, &options)?;
-        let render = forward.read_image(&view.camera)?;
-        let (alpha, pixels) = (views.set.alpha, render.width * render.height);
-        let bytes = views.photo(&view).read(0, alpha.planes() * pixels)?;
-        let photo = colors(alpha, &bytes, view.background);
-        gains.extend(gain(&render.rgb, &render.transmittance, &photo));
-    }
-    Ok(GainSpread::new(iteration, &gains))
 }
 
 /// Median over the pixels of photo / render by channel; both planar, render \[3, pixels\], transmittance \[pixels\]. `None` if

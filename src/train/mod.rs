@@ -3,6 +3,7 @@
 pub mod brightness;
 pub mod control;
 pub mod estimates;
+mod exposure;
 pub mod gaussians;
 mod observe;
 mod optimizer;

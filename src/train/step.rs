@@ -16,8 +16,8 @@ use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::seen::Seen;
 use crate::scene::Splats;
-use crate::train::brightness;
 use crate::train::control::{Control, DensityEvent, Working};
+use crate::train::exposure::compare;
 use crate::train::gaussians::GaussianState;
 use crate::train::optimizer::Optimizer;
 use crate::train::plan::{Decision, Exposure, Learned, Plan};
@@ -430,7 +430,7 @@ impl Trainer {
                 self.settle()?;
                 let iterations = self.plan.config.iterations;
                 let (pipeline, scene) = (&mut self.pipeline, &self.gaussians.scene);
-                let gains = brightness::compare(pipeline, scene, &self.views, at, iterations)?;
+                let gains = compare(pipeline, scene, &self.views, at, iterations)?;
                 self.learned.gains = Some(gains);
                 let decision = self.plan.learn(&self.learned).into_iter().next();
                 Ok((decision.map(Event::Decided), Next::Exposure))
