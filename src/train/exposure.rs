@@ -104,7 +104,7 @@ impl Trainer {
 
     /// The gradient of the loss by the render (and by the view's transform) of what [`Trainer::pair`] gave.
     pub(super) fn loss_gradient(&self, view: usize, pair: &ImagePair<'_, f32>) -> Result<()> {
-        let lambda = f64::from(self.config.loss.lambda_ssim);
+        let lambda = self.config.loss.lambda_ssim;
         self.loss
             .gradient(pair, lambda, &self.maps, &self.partial, &self.dimage)?;
         let Some(e) = &self.exposure else {
@@ -135,7 +135,7 @@ impl Trainer {
             view,
             views: e.views,
             rate: self.schedule.exposure_rate(iteration),
-            constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
+            constants: [o.beta1, o.beta2, o.epsilon],
             step: iteration.saturating_sub(e.since) + 1,
             exposures: &e.exposures,
             moments: [&e.moments[0], &e.moments[1]],

@@ -35,7 +35,7 @@ impl Trainer {
             return Ok(None);
         }
         let ring = self.losses.to_vec()?;
-        let lambda = f64::from(self.config.loss.lambda_ssim);
+        let lambda = self.config.loss.lambda_ssim;
         let sum: f64 = (0..n)
             .map(|k| {
                 let slot = (self.iteration as usize + LOSS_RING - 1 - k) % LOSS_RING;
@@ -51,7 +51,7 @@ impl Trainer {
         let (n, bands) = (self.views.len(), &self.findings.bands);
         let all: Vec<usize> = (0..n).map(|v| bands.instead(v, n)).collect();
         let (views, sums) = (spread(&all), Array::zeros(&self.device, "loss", 2)?);
-        let lambda = f64::from(self.config.loss.lambda_ssim);
+        let lambda = self.config.loss.lambda_ssim;
         let losses = self.over_views(&views, &[], |t, pair| {
             t.loss.errors(pair, &t.maps, &t.partial)?;
             t.loss.sum(pair, &t.partial, &sums, 0)?;
