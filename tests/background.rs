@@ -169,7 +169,7 @@ fn nothing_is_born_in_image_space_where_there_is_nothing() {
 #[test]
 fn the_loss_does_not_depend_on_chance_backgrounds() {
     let data = holed(0, Alpha::Transparency);
-    let losses = |rate: f32| {
+    let losses = |rate: f64| {
         let mut config = config(Background::Auto);
         config.sampler = Sampler::None;
         let o = &mut config.optimizer;

@@ -222,11 +222,13 @@ fn wrong_houses_are_found() {
     let parent_and_child = made(&[
         ("run", "pub mod start;\npub use start::claim;"),
         ("run::start", "use super::Run;"),
-        ("cli", "use mhsplat::run::{self, start as begin};"),
+        (
+            "cli",
+            "use mhsplat::run::{self, start as begin};\nuse eval::show;",
+        ),
         ("cli::eval", "use crate::cli::{scene, output};"),
         ("cli::scene", ""),
         ("cli::output", ""),
-        ("main", "use crate::cli;"),
     ]);
     assert_eq!(circles(&parent_and_child), ["run", "run::start"]);
     let straight = made(&[

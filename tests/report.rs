@@ -119,7 +119,7 @@ fn run_json_refuses_what_is_not_finite() {
         ("seconds", |r| r.stages[3].seconds = f64::NEG_INFINITY),
         ("mean_prior", |r| r.density.mean_prior = f64::NAN),
         ("time-budget", |r| r.config.time_budget = Some(f64::NAN)),
-        ("lambda-ssim", |r| r.config.loss.lambda_ssim = f32::NAN),
+        ("lambda-ssim", |r| r.config.loss.lambda_ssim = f64::NAN),
     ];
     for (name, spoil) in cases {
         let mut bad = record();

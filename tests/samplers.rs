@@ -310,7 +310,7 @@ fn rates_settle_at_the_end() {
     let mut config = schedule_config(Sampler::None, 3000);
     config.optimizer.lr_settle = 1.0;
     assert_eq!(Schedule::new(&config).rates(3000).scale, first.scale);
-    for bad in [0.0, 1.5, f32::NAN] {
+    for bad in [0.0, 1.5, f64::NAN] {
         config.optimizer.lr_settle = bad;
         let said = config.validate().unwrap_err().to_string();
         assert!(said.contains("lr-settle"), "{said}");

@@ -9,12 +9,12 @@ use crate::base::error::{Error, Result};
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct LossConfig {
     /// λ: share of 1 − SSIM against L1.
-    pub lambda_ssim: f32,
+    pub lambda_ssim: f64,
     /// λ_o: weight of the mean opacity.
-    pub lambda_opacity: f32,
+    pub lambda_opacity: f64,
     /// λ_s: weight of the mean scale, in local units (scene extent 1). The papers' 0.01 is per world unit, and their scenes
     /// have an extent of about five.
-    pub lambda_scale: f32,
+    pub lambda_scale: f64,
 }
 
 impl Default for LossConfig {
@@ -32,35 +32,35 @@ impl Default for LossConfig {
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct OptimizerConfig {
     /// Decay of the first moment.
-    pub beta1: f32,
+    pub beta1: f64,
     /// Decay of the second moment.
-    pub beta2: f32,
+    pub beta2: f64,
     /// ε, added to the root of the second moment.
-    pub epsilon: f32,
+    pub epsilon: f64,
     /// Learning rate of the positions at the start, per unit of scene extent.
-    pub lr_position: f32,
+    pub lr_position: f64,
     /// Learning rate of the positions at the end (log-linear in between).
-    pub lr_position_final: f32,
+    pub lr_position_final: f64,
     /// Learning rate of SH degree 0.
-    pub lr_sh0: f32,
+    pub lr_sh0: f64,
     /// Learning rate of the higher SH bands.
-    pub lr_sh: f32,
+    pub lr_sh: f64,
     /// Learning rate of the opacity logit, for every sampler (\[3DGS\] as published, \[MCMC\]; \[MH\] and later versions of \[3DGS\]: 0.025).
-    pub lr_opacity: f32,
+    pub lr_opacity: f64,
     /// Learning rate of the log-scale.
-    pub lr_scale: f32,
+    pub lr_scale: f64,
     /// Learning rate of the quaternion.
-    pub lr_rotation: f32,
+    pub lr_rotation: f64,
     /// Learning rate of the photos' colour transforms at the start (\[3DGS\], later versions).
-    pub lr_exposure: f32,
+    pub lr_exposure: f64,
     /// Learning rate of the photos' colour transforms at the end (log-linear in between).
-    pub lr_exposure_final: f32,
+    pub lr_exposure_final: f64,
     /// Larger steps in runs shorter than the papers' 30,000 iterations (see `Schedule::rates`).
     pub lr_scales_with_run: bool,
     /// Factor on the rates of all but the positions at the end of a run; 1 for none, as in the papers. It is reached
     /// log-linearly from `lr_settle_from` on: steps as large as in the middle of a run leave a picture that flickers from one
     /// iteration to the next.
-    pub lr_settle: f32,
+    pub lr_settle: f64,
     /// Iteration from which rates settle, of 30,000.
     pub lr_settle_from: u32,
     /// Iterations between two SH bands, for 30,000 iterations (scales with the run).

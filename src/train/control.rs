@@ -287,7 +287,7 @@ impl Control {
         iteration: u32,
         trials: &[Trial],
     ) -> Result<Vec<f64>> {
-        let lambda = f64::from(self.plan.config.loss.lambda_ssim);
+        let lambda = self.plan.config.loss.lambda_ssim;
         match &mut self.estimates {
             Some(estimates) => {
                 estimates.changes(context(on, &self.edit, lambda, iteration), trials)
@@ -359,7 +359,7 @@ impl Control {
             let pair = on.pipeline.pair(camera, target)?;
             self.add_errors(on.pipeline, on.gaussians, camera, &pair, true)?;
         }
-        let lambda = f64::from(self.plan.config.loss.lambda_ssim);
+        let lambda = self.plan.config.loss.lambda_ssim;
         if let Some(estimates) = &mut self.estimates {
             estimates.warm_up(context(on, &self.edit, lambda, 0), sh_degree)?;
         }

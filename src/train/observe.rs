@@ -51,7 +51,7 @@ impl Trainer {
     }
 
     fn total_loss(&self, [l1, ssim]: [f64; 2]) -> f64 {
-        let lambda = f64::from(self.plan.config.loss.lambda_ssim);
+        let lambda = self.plan.config.loss.lambda_ssim;
         (1.0 - lambda) * l1 + lambda * (1.0 - ssim)
     }
 

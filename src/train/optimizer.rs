@@ -36,8 +36,8 @@ impl Optimizer {
         Ok(Self {
             adam: Adam::new::<f32>(kernels)?,
             schedule: Schedule::new(&plan.config),
-            constants: [o.beta1, o.beta2, o.epsilon].map(f64::from),
-            lambdas: [l.lambda_opacity, l.lambda_scale].map(f64::from),
+            constants: [o.beta1, o.beta2, o.epsilon],
+            lambdas: [l.lambda_opacity, l.lambda_scale],
             grads: Array::zeros(kernels.device(), "grads", planes * block)?,
             block,
         })

@@ -94,11 +94,11 @@ impl Schedule {
         let slow = settle * boost.sqrt();
         LearningRates {
             position: boost.powf(1.5) * self.position_rate(iteration),
-            scale: slow * f64::from(o.lr_scale),
-            rotation: slow * f64::from(o.lr_rotation),
-            opacity: slow * f64::from(o.lr_opacity),
-            sh0: slow * f64::from(o.lr_sh0),
-            sh: settle * boost * f64::from(o.lr_sh),
+            scale: slow * o.lr_scale,
+            rotation: slow * o.lr_rotation,
+            opacity: slow * o.lr_opacity,
+            sh0: slow * o.lr_sh0,
+            sh: settle * boost * o.lr_sh,
         }
     }
 
@@ -108,7 +108,7 @@ impl Schedule {
         let paper = f64::from(iteration) / self.scale;
         let from = f64::from(o.lr_settle_from);
         let share = (paper - from) / (PAPER_ITERATIONS - from).max(1.0);
-        f64::from(o.lr_settle).powf(share.clamp(0.0, 1.0))
+        o.lr_settle.powf(share.clamp(0.0, 1.0))
     }
 
     /// Learning rate of the positions without what short runs add to it: log-linear over the run. The noise on positions is
@@ -128,9 +128,8 @@ impl Schedule {
     }
 
     /// Log-linear interpolation over the run; the first value throughout if either is 0.
-    fn log_linear(&self, iteration: u32, [from, to]: [f32; 2]) -> f64 {
+    fn log_linear(&self, iteration: u32, [from, to]: [f64; 2]) -> f64 {
         let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
-        let (from, to) = (f64::from(from), f64::from(to));
         if from > 0.0 && to > 0.0 {
             (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
         } else {

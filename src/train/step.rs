@@ -190,7 +190,7 @@ impl Trainer {
             .enqueue(&self.gaussians.scene, camera, photo, &options)?;
 
         let pair = self.pipeline.pair(camera, self.views.target(&view))?;
-        let lambda = f64::from(self.plan.config.loss.lambda_ssim);
+        let lambda = self.plan.config.loss.lambda_ssim;
         self.pipeline.loss_gradient(view.number, &pair, lambda)?;
         let slot = iteration as usize % LOSS_RING;
         self.pipeline.record_loss(&pair, &self.losses, slot)?;

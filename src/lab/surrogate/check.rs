@@ -152,7 +152,7 @@ impl Subject<'_> {
                 quantity: Quantity::Color,
                 live_only: false,
             },
-            lambda_ssim: f64::from(self.saved.config.loss.lambda_ssim),
+            lambda_ssim: self.saved.config.loss.lambda_ssim,
             alpha_min: ALPHA_MIN,
             probe,
         }

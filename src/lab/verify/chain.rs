@@ -55,8 +55,8 @@ pub struct Case {
     pub error_map_bound: Option<f64>,
 }
 
-/// Adam's constants in every case: β₁, β₂, ε. Exact in f32, as those of a configuration are: 1 − β₂ of a rounded 0.999 is off by
-/// 1.3e-5 of itself, and every second moment with it.
+/// Adam's constants in every case: β₁, β₂, ε. Exact in f32, so that both precisions have the same: 1 − β₂ of a rounded 0.999 is
+/// off by 1.3e-5 of itself, and every second moment with it.
 pub const ADAM: [f64; 3] = [0.9_f32 as f64, 0.999_f32 as f64, 1e-15];
 
 /// What the stages gave, as f64 whatever the precision. Images are without padding.

@@ -34,9 +34,10 @@ pub struct Step<T = f64> {
 }
 
 impl<T> Step<T> {
-    /// β₁, β₂, ε and the two bias corrections, as kernels take them.
-    pub(super) fn arguments(&self) -> [f64; 5] {
-        let [beta1, beta2, epsilon] = self.constants;
+    /// β₁, β₂, ε and the two bias corrections, for kernels of precision `R`. The corrections come from the rounded constants: 1 − β₂
+    /// of 0.999 in f32 is off by 1.3e-5 of itself, and the corrections must be off by the same.
+    pub(super) fn arguments<R: Real>(&self) -> [f64; 5] {
+        let [beta1, beta2, epsilon] = self.constants.map(|c| R::of(c).into());
         let t = f64::from(self.t);
         let first = 1.0 / (1.0 - beta1.powf(t));
         let second = 1.0 / (1.0 - beta2.powf(t)).sqrt();
@@ -70,7 +71,7 @@ impl Adam {
             .array(grads.values, grads.planes * grads.stride)
             .uints([grads.stride, grads.rows.start, vectors, scene.stride])
             .reals::<R>([r.position, r.scale, r.rotation, r.opacity, r.sh0, r.sh])
-            .reals::<R>(step.arguments())
+            .reals::<R>(step.arguments::<R>())
             .state(scene, moments, grads.planes)
             .status(view)
             .over_items([vectors, grads.planes])

@@ -138,7 +138,7 @@ impl Exposure {
             .array(&e.partial, ENTRIES * chunks)
             .uints([chunks, view, e.views])
             .reals::<R>([step.rate])
-            .reals::<R>(step.arguments())
+            .reals::<R>(step.arguments::<R>())
             .array(&e.transforms, len)
             .array(&e.moments[0], len)
             .array(&e.moments[1], len)
