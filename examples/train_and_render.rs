@@ -13,7 +13,7 @@ pub fn train_and_render(photos: &str, iterations: u32, picture: &str) -> Outcome
         ..TrainConfig::default()
     };
     let plan = Plan::new(&dataset, &config)?;
-    let splats = run::initial_splats(&dataset, &plan)?;
+    let splats = run::initial_gaussians(&dataset, &plan)?;
     let mut trainer = Trainer::new(&Device::open(None)?, &dataset, &plan, &splats)?;
     while trainer.advance()? != Event::Finished {}
     let image = trainer.render(&dataset.train[0].camera)?;

@@ -10,7 +10,7 @@
 //! | step | where | content |
 //! |---|---|---|
 //! | read | [`capture`] | files → posed photos in the local frame |
-//! | start | [`scene`] | points → [`Splats`]; scene files |
+//! | start | [`scene`] | points → [`Gaussians`]; scene files |
 //! | plan | [`train::plan`] | every decision about a run, with its reason |
 //! | smoothing filter | `kernels/filter.cl` | Mip-Splatting's 3D filter of each Gaussian |
 //! | project | `kernels/project.cl` | Gaussians → 2D Gaussians of one camera |
@@ -40,7 +40,7 @@
 //! let dataset = load_dataset("photos".as_ref(), &LoadOptions::default())?;
 //! let plan = Plan::new(&dataset, &TrainConfig { iterations: 3000, ..TrainConfig::default() })?;
 //! let device = Device::open(None)?;
-//! let splats = run::initial_splats(&dataset, &plan)?;
+//! let splats = run::initial_gaussians(&dataset, &plan)?;
 //! let mut trainer = Trainer::new(&device, &dataset, &plan, &splats)?;
 //! while trainer.advance()? != Event::Finished {}
 //! mhsplat::scene::ply::write("scene.ply".as_ref(), &trainer.splats()?.0, &dataset.frame)?;
@@ -73,6 +73,6 @@ pub use config::TrainConfig;
 pub use device::Device;
 pub use pipeline::forward::Renderer;
 pub use run::RunRecord;
-pub use scene::Splats;
+pub use scene::Gaussians;
 pub use train::Trainer;
 pub use train::plan::Plan;

@@ -57,7 +57,7 @@ fn tuning_line(known: Option<&(Tuning, Origin)>) -> String {
     let from = match origin {
         Origin::Default => "default of its class",
         Origin::Measured => "measured",
-        Origin::Given => "given",
+        Origin::UserSupplied => "given",
     };
     format!(
         "tuning ({from}): vector-width={},block-width={},group-style={},local={},chunks={},radix-bits={},strip={},update-block={}",

@@ -38,13 +38,13 @@ pub enum Origin {
     Default,
     /// Measured before.
     Measured,
-    /// Given by the user.
-    Given,
+    /// Supplied by the user.
+    UserSupplied,
 }
 
 /// A measurement that is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Kept {
+struct CachedTuning {
     tuning: Tuning,
     /// Milliseconds of a passage through all stages, by candidate; the class default is the first.
     milliseconds: Vec<(Tuning, Spread)>,
@@ -81,7 +81,7 @@ pub fn known(info: &DeviceInfo) -> Result<Option<(Tuning, Origin)>> {
         "" => file(info)
             .and_then(|f| read(&f, info))
             .map(|tuning| (tuning, Origin::Measured)),
-        _ => Some((given(&asked, info)?, Origin::Given)),
+        _ => Some((given(&asked, info)?, Origin::UserSupplied)),
     })
 }
 
@@ -119,7 +119,7 @@ fn file(info: &DeviceInfo) -> Option<PathBuf> {
 #[doc(hidden)]
 #[must_use]
 pub fn read(file: &Path, info: &DeviceInfo) -> Option<Tuning> {
-    let kept: Kept = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
+    let kept: CachedTuning = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
     kept.tuning.fault(info).is_none().then_some(kept.tuning)
 }
 
@@ -152,7 +152,7 @@ fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
 }
 
 /// Runs every candidate in turns; `None` if even the default fails.
-fn measure(device: &Device) -> Option<Kept> {
+fn measure(device: &Device) -> Option<CachedTuning> {
     let mut case = scene::case(CASE.0, CASE.1, ALPHA_MIN);
     // Higher bands take most of the compiler's time and change little of what is compared.
     case.splats = case.splats.with_sh_degree(0).ok()?;
@@ -177,7 +177,7 @@ fn measure(device: &Device) -> Option<Kept> {
         .into_iter()
         .filter_map(|(tuning, samples)| Some((tuning, Spread::of(&samples)?)))
         .collect();
-    Some(Kept {
+    Some(CachedTuning {
         tuning: chosen(&milliseconds, Tuning::for_device(device.info()))?,
         milliseconds,
     })

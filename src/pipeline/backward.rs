@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
-use crate::pipeline::buffers::{GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::forward::Renderer;
 use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::pipeline::stage::splat_grad::SplatGrad;
@@ -75,7 +75,7 @@ impl Backward {
     pub fn parameters<R: Real>(
         &self,
         forward: &Renderer<R>,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         sh_degree: u32,
         lambdas: [f64; 2],
@@ -93,7 +93,7 @@ impl Backward {
     pub fn shape_gradients<R: Real>(
         &self,
         forward: &Renderer<R>,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         dimage: &Array<R>,
         [first, sh_degree]: [usize; 2],

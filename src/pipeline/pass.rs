@@ -4,7 +4,7 @@ use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::pipeline::backward::Backward;
-use crate::pipeline::buffers::{GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::importance::Importance;
@@ -85,7 +85,7 @@ impl<R: Real> Pipeline<R> {
     /// Arrays that do not fit, or the driver's.
     pub fn enqueue(
         &mut self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         photo: &Array<u8>,
         options: &RenderOptions,
@@ -100,7 +100,7 @@ impl<R: Real> Pipeline<R> {
     /// The driver's.
     pub fn mark_tiles(&self, photo: &Array<u8>, camera: &CameraArg<R>) -> Result<()> {
         match &self.live {
-            Some(live) => live.run(photo, camera, self.forward.live_tiles()),
+            Some(live) => live.run(photo, camera, self.forward.active_tiles()),
             None => Ok(()),
         }
     }
@@ -183,7 +183,7 @@ impl<R: Real> Pipeline<R> {
     pub fn add_errors(
         &self,
         stage: &Importance,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         pair: &ImagePair<'_, R>,
         errors: &ErrorSums<'_, R>,
@@ -207,7 +207,7 @@ impl<R: Real> Pipeline<R> {
     /// The driver's.
     pub fn parameter_gradient(
         &self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         sh_degree: u32,
         lambdas: [f64; 2],

@@ -64,12 +64,12 @@ struct Shared {
 
 #[derive(Debug)]
 enum Slot {
-    /// In its file.
-    Absent,
-    /// A thread is at it; its bytes are taken.
+    /// On disk only.
+    OnDisk,
+    /// Being decoded; its bytes count already.
     Decoding,
     Ready(Arc<Array<u8>>),
-    /// Whoever asks for it next is told.
+    /// Decoding failed; the next request returns the error.
     Failed(Error),
 }
 
@@ -143,7 +143,7 @@ impl Photos {
             }
             PhotoSource::File(file) => {
                 self.0.start_threads()?;
-                (Some(file), Slot::Absent)
+                (Some(file), Slot::OnDisk)
             }
         };
         let mut state = self.0.shared.lock();
@@ -299,14 +299,14 @@ impl State {
     /// The first photo of the window that is neither there nor under way, if there is or can be made room for it. Its bytes
     /// are taken.
     fn claim(&mut self) -> Option<(usize, PhotoFile)> {
-        let absent = |i: &&usize| matches!(self.entries[**i].slot, Slot::Absent);
+        let absent = |i: &&usize| matches!(self.entries[**i].slot, Slot::OnDisk);
         let photo = *self.window.iter().find(absent)?;
         let file = self.entries[photo].file.clone()?;
         let bytes = self.entries[photo].bytes;
         while self.bytes + bytes > self.stats.budget_bytes {
             let old = self.least_recent()?;
             self.bytes -= self.entries[old].bytes;
-            self.entries[old].slot = Slot::Absent;
+            self.entries[old].slot = Slot::OnDisk;
         }
         self.bytes += bytes;
         self.note_peak();
@@ -345,14 +345,14 @@ impl State {
         self.clock += 1;
         let entry = &mut self.entries[photo];
         match &entry.slot {
-            Slot::Absent | Slot::Decoding => None,
+            Slot::OnDisk | Slot::Decoding => None,
             Slot::Ready(array) => {
                 entry.used = self.clock;
                 Some(Ok(array.clone()))
             }
             Slot::Failed(_) => {
                 self.window.clear();
-                match std::mem::replace(&mut entry.slot, Slot::Absent) {
+                match std::mem::replace(&mut entry.slot, Slot::OnDisk) {
                     Slot::Failed(error) => Some(Err(error)),
                     _ => None,
                 }

@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::base::error::Result;
-use crate::base::rng::Purpose;
+use crate::base::rng::Stream;
 use crate::capture::Alpha;
 use crate::capture::photo::colors;
 use crate::density::{
-    self, Cues, DensityControl, DensityStats, Evidence, NoiseLaw, Outcome, Picture, SceneState,
-    ScreenGradient, StepContext, Trial, Wanted,
+    self, DensityControl, DensityStats, ErrorStatistics, NoiseLaw, Outcome, Picture, SceneState,
+    ScreenGradient, Statistics, StatisticsKind, StepContext, Trial,
 };
 use crate::device::{CameraArg, Device, Kernels, StageTime};
 use crate::pipeline::forward::{Quantity, RenderOptions};
@@ -84,9 +84,10 @@ impl Control {
             let stage = Noise::new::<f32>(kernels)?;
             Ok((stage, law))
         });
-        let screen = (wanted == Wanted::ScreenGradient).then(|| ScreenGrad::new::<f32>(kernels));
-        let errors =
-            matches!(wanted, Wanted::Errors { .. }).then(|| Importance::new::<f32>(kernels));
+        let screen =
+            (wanted == StatisticsKind::ScreenGradient).then(|| ScreenGrad::new::<f32>(kernels));
+        let errors = matches!(wanted, StatisticsKind::Errors { .. })
+            .then(|| Importance::new::<f32>(kernels));
         let (device, degree) = (kernels.device(), plan.sh_degree.value);
         let defines = *kernels.defines();
         Ok(Self {
@@ -143,7 +144,7 @@ impl Control {
         let Some((due, progress)) = self.schedule.next_density(iteration) else {
             return Ok(());
         };
-        let Wanted::Errors { views } = self.strategy.wanted(views, progress) else {
+        let StatisticsKind::Errors { views } = self.strategy.wanted(views, progress) else {
             return Ok(());
         };
         let since_last = self.schedule.density_interval().min(due);
@@ -195,7 +196,7 @@ impl Control {
                 rate: law.rate * self.schedule.position_rate(iteration),
                 ..*law
             };
-            let stream = Purpose::Noise.stream(iteration);
+            let stream = Stream::Noise.stream(iteration);
             stage.run(scene, frame, &law, self.plan.config.seed, stream)?;
         }
         Ok(())
@@ -256,18 +257,18 @@ impl Control {
         let row = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
         let wanted = self.strategy.wanted(on.views.len(), progress);
         let views: Vec<u32> = match wanted {
-            Wanted::Nothing => Vec::new(),
+            StatisticsKind::Nothing => Vec::new(),
             // The last row counts.
             _ => row(wanted.rows() - 1).iter().map(|v| *v as u32).collect(),
         };
         let evidence = match wanted {
-            Wanted::Nothing => Evidence::Nothing,
-            Wanted::Errors { .. } => Evidence::Errors(Cues {
+            StatisticsKind::Nothing => Statistics::Nothing,
+            StatisticsKind::Errors { .. } => Statistics::Errors(ErrorStatistics {
                 ssim: row(0),
                 l1: row(1),
                 views: &views,
             }),
-            Wanted::ScreenGradient => Evidence::ScreenGradient(ScreenGradient {
+            StatisticsKind::ScreenGradient => Statistics::ScreenGradient(ScreenGradient {
                 norms: row(0),
                 views: &views,
             }),
@@ -398,7 +399,7 @@ fn picture(
         sh_degree: scene.sh_degree,
         background: view.background,
         quantity: Quantity::Color,
-        live_only: false,
+        active_only: false,
     };
     let forward = &mut on.pipeline.forward;
     forward.render(scene, camera, &options)?;

@@ -11,7 +11,7 @@ use crate::base::math::sigmoid;
 use crate::density::{DensityControl, Trial};
 use crate::device::{Array, Defines, Device, StageTime};
 use crate::pipeline::backward::{Backward, GRADIENT_ROWS};
-use crate::pipeline::buffers::{Scene, restride};
+use crate::pipeline::buffers::{GaussianBuffers, restride};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::stage::edit::Edit;
@@ -192,7 +192,7 @@ impl Estimates {
     fn in_view(
         &mut self,
         at: &mut Context<'_>,
-        faint: &Scene,
+        faint: &GaussianBuffers,
         [background_of, number]: [usize; 2],
         sh_degree: u32,
         shared: bool,
@@ -204,7 +204,7 @@ impl Estimates {
             sh_degree,
             background: view.background,
             quantity: Quantity::Color,
-            live_only: false,
+            active_only: false,
         };
         let (scene, camera) = (&at.gaussians.scene, &view.camera);
         at.pipeline.forward.render(scene, camera, &options)?;
@@ -235,13 +235,13 @@ impl Estimates {
 
 impl Context<'_> {
     /// A copy of the scene with a faint copy of every birth after its rows: training's own arrays are left alone.
-    fn with_faint(&self, trials: &[Trial]) -> Result<Scene> {
+    fn with_faint(&self, trials: &[Trial]) -> Result<GaussianBuffers> {
         let (old, device) = (&self.gaussians.scene, self.device);
         let n = old.count;
         let (planes, from) = (old.planes(), old.stride);
-        let stride = Scene::<f32>::grown_stride(n + trials.len()).max(from);
+        let stride = GaussianBuffers::<f32>::grown_stride(n + trials.len()).max(from);
         let smoothed = self.smoothing.map_or(0, |_| stride);
-        let copy = Scene {
+        let copy = GaussianBuffers {
             params: restride(device, &old.params, planes, from, stride)?,
             filter: Array::zeros(device, "filter", smoothed)?,
             stride,

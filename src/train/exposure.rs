@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::capture::photo::colors;
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::Pipeline;
 use crate::train::brightness::{GainSpread, compared, gain};
@@ -14,7 +14,7 @@ use crate::train::views::Views;
 /// A photo that cannot be read, more than the device can allocate, or the driver's.
 pub fn compare(
     pipeline: &mut Pipeline,
-    scene: &Scene,
+    scene: &GaussianBuffers,
     views: &Views,
     iteration: u32,
     iterations: u32,

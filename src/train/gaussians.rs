@@ -2,15 +2,15 @@
 
 use crate::base::error::{Error, Result};
 use crate::device::{Array, Device};
-use crate::pipeline::buffers::{Scene, restride};
+use crate::pipeline::buffers::{GaussianBuffers, restride};
 use crate::pipeline::stage::edit::Edit;
-use crate::scene::{self, Plane, Splats};
+use crate::scene::{self, Gaussians, Plane};
 
 /// Parameters, optimiser moments, 3D smoothing filter and error statistics of all Gaussians on the device.
 #[derive(Debug)]
 pub struct GaussianState {
     /// Parameters and smoothing filter.
-    pub scene: Scene,
+    pub scene: GaussianBuffers,
     /// First and second moments \[planes, stride\].
     pub moments: [Array<f32>; 2],
     /// Statistics that density control has gathered since its last step \[rows, stride\].
@@ -22,7 +22,7 @@ pub struct GaussianState {
 /// Rows of a checkpoint, in the order of the Gaussians.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GaussianRows {
-    /// First moments, planes as in [`Splats`].
+    /// First moments, planes as in [`Gaussians`].
     pub moment1: Vec<Vec<f32>>,
     /// Second moments.
     pub moment2: Vec<Vec<f32>>,
@@ -75,12 +75,12 @@ impl GaussianState {
     /// More than the device can allocate.
     pub fn new(
         device: &Device,
-        splats: &Splats,
+        splats: &Gaussians,
         capacity: usize,
         rows: usize,
         smoothed: bool,
     ) -> Result<Self> {
-        let mut scene = Scene::upload(device, splats, capacity)?;
+        let mut scene = GaussianBuffers::upload(device, splats, capacity)?;
         if smoothed {
             scene = scene.with_filter(device)?;
         }
@@ -102,7 +102,13 @@ impl GaussianState {
     /// More than the device can allocate.
     pub fn empty(&self, device: &Device, sh_degree: u32) -> Result<Self> {
         let smoothed = !self.scene.filter.is_empty();
-        Self::new(device, &Splats::zeros(sh_degree, 0), 0, self.rows, smoothed)
+        Self::new(
+            device,
+            &Gaussians::zeros(sh_degree, 0),
+            0,
+            self.rows,
+            smoothed,
+        )
     }
 
     /// Arrays with a value per Gaussian and plane, each with its number of planes.
@@ -128,7 +134,7 @@ impl GaussianState {
         if rows <= from {
             return Ok(());
         }
-        let to = Scene::<f32>::grown_stride(rows);
+        let to = GaussianBuffers::<f32>::grown_stride(rows);
         for (array, planes) in self.arrays() {
             if planes > 0 {
                 *array = restride(device, array, planes, from, to)?;

@@ -5,10 +5,10 @@ use crate::capture::Camera;
 use crate::density::{DensityStats, Trial};
 use crate::device::StageTime;
 use crate::device::tuning::Tuning;
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer};
 use crate::pipeline::photos::PhotoStats;
-use crate::scene::Splats;
+use crate::scene::Gaussians;
 use crate::train::control::Working;
 use crate::train::plan::{Learned, Plan};
 use crate::train::schedule::Schedule;
@@ -68,7 +68,7 @@ impl Trainer {
                 sh_degree: self.gaussians.scene.sh_degree,
                 background: view.background,
                 quantity: Quantity::Color,
-                live_only: false,
+                active_only: false,
             };
             let pipeline = &mut self.pipeline;
             pipeline
@@ -123,7 +123,7 @@ impl Trainer {
     ///
     /// # Errors
     /// The driver's, or non-finite parameters.
-    pub fn splats(&mut self) -> Result<(Splats, Vec<f32>)> {
+    pub fn splats(&mut self) -> Result<(Gaussians, Vec<f32>)> {
         self.settle()?;
         Ok((
             self.gaussians.scene.download()?,
@@ -186,9 +186,12 @@ impl Trainer {
     /// # Errors
     /// The driver's.
     #[doc(hidden)]
-    pub fn shrink_pairs(&mut self, pairs: usize) -> Result<()> {
+    pub fn shrink_intersections(&mut self, pairs: usize) -> Result<()> {
         self.settle()?;
-        self.pipeline.forward.frame.set_pairs(&self.device, pairs)
+        self.pipeline
+            .forward
+            .frame
+            .set_intersections(&self.device, pairs)
     }
 
     /// First-order changes of the loss by births in the views that training takes next; empty if density control asks for none.
@@ -239,7 +242,7 @@ impl Trainer {
     }
 
     /// The scene on the device and the renderer, for evaluation between iterations.
-    pub fn scene_and_renderer(&mut self) -> (&Scene, &mut Renderer) {
+    pub fn scene_and_renderer(&mut self) -> (&GaussianBuffers, &mut Renderer) {
         (&self.gaussians.scene, &mut self.pipeline.forward)
     }
 }

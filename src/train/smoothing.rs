@@ -3,7 +3,7 @@
 use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernels};
-use crate::pipeline::buffers::{Frame, Scene, ViewSet};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers, ViewSet};
 use crate::pipeline::stage::filter::Filter;
 
 /// Iterations between two looks at the sampling rates (Mip-Splatting, §6); every density step has one as well.
@@ -45,7 +45,7 @@ impl Smoothing {
     ///
     /// # Errors
     /// The driver's.
-    pub fn run(&self, scene: &Scene, view: &Frame<f32>) -> Result<()> {
+    pub fn run(&self, scene: &GaussianBuffers, view: &ViewBuffers<f32>) -> Result<()> {
         self.stage.run(scene, view, &self.cameras, &self.largest)
     }
 }

@@ -179,6 +179,6 @@ impl Views {
 pub fn capacity(config: &TrainConfig, count: usize) -> usize {
     match config.density_times() {
         None => count,
-        Some(_) => crate::pipeline::buffers::Scene::<f32>::grown_stride(count),
+        Some(_) => crate::pipeline::buffers::GaussianBuffers::<f32>::grown_stride(count),
     }
 }

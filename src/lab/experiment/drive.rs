@@ -146,8 +146,8 @@ impl Drive<'_> {
         let mut counts = [0, 0];
         for run in block {
             match look(self.experiment, run)? {
-                Found::Its(State::Done(_)) => counts[0] += 1,
-                Found::Its(_) => counts[1] += 1,
+                Found::Matches(State::Done(_)) => counts[0] += 1,
+                Found::Matches(_) => counts[1] += 1,
                 Found::Refused(_) => (),
             }
         }

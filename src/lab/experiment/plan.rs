@@ -129,7 +129,7 @@ pub fn state(dir: &Path, config: Option<&TrainConfig>) -> Result<State> {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Found {
     /// A run by the options that the experiment gives it.
-    Its(State),
+    Matches(State),
     /// Something that is neither counted nor touched, with the reason.
     Refused(String),
 }
@@ -139,10 +139,10 @@ impl Found {
     #[must_use]
     pub fn word(&self) -> &'static str {
         match self {
-            Self::Its(State::New) => "new",
-            Self::Its(State::Begun) => "begun",
-            Self::Its(State::Broken) => "broken",
-            Self::Its(State::Done(_)) => "done",
+            Self::Matches(State::New) => "new",
+            Self::Matches(State::Begun) => "begun",
+            Self::Matches(State::Broken) => "broken",
+            Self::Matches(State::Done(_)) => "done",
             Self::Refused(_) => "refused",
         }
     }
@@ -151,10 +151,10 @@ impl Found {
     #[must_use]
     pub fn why(&self) -> &str {
         match self {
-            Self::Its(State::New) => "not started",
-            Self::Its(State::Begun) => "resumes from its checkpoint",
-            Self::Its(State::Broken) => "starts again",
-            Self::Its(State::Done(_)) => "complete",
+            Self::Matches(State::New) => "not started",
+            Self::Matches(State::Begun) => "resumes from its checkpoint",
+            Self::Matches(State::Broken) => "starts again",
+            Self::Matches(State::Done(_)) => "complete",
             Self::Refused(why) => why,
         }
     }
@@ -185,11 +185,11 @@ pub fn expected(e: &Experiment, run: &Planned) -> Result<Option<TrainConfig>> {
 pub fn look(e: &Experiment, run: &Planned) -> Result<Found> {
     Ok(match expected(e, run)? {
         Some(config) => match state(&run.dir, Some(&config)) {
-            Ok(state) => Found::Its(state),
+            Ok(state) => Found::Matches(state),
             Err(Error::Input { what, fix, .. }) => Found::Refused(format!("{what}; {fix}")),
             Err(error) => Found::Refused(error.to_string()),
         },
-        None if !run.dir.exists() => Found::Its(State::New),
+        None if !run.dir.exists() => Found::Matches(State::New),
         None => Found::Refused("the run that gives its number of Gaussians is not there".into()),
     })
 }

@@ -32,14 +32,14 @@ fn sources(e: &Experiment, scene: usize) -> Result<(Vec<Source>, Vec<String>)> {
     for run in blocks(e).iter().flatten().filter(|r| r.scene == scene) {
         let setting = &e.settings[run.setting].name;
         match look(e, run)? {
-            Found::Its(State::Done(_)) => done.push((
+            Found::Matches(State::Done(_)) => done.push((
                 run.setting,
                 Source {
                     group: Some(setting.clone()),
                     path: run.dir.clone(),
                 },
             )),
-            Found::Its(_) => (),
+            Found::Matches(_) => (),
             Found::Refused(why) => {
                 refused.push(format!("{setting}, seed {}: refused: {why}", run.seed));
             }

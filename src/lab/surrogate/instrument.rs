@@ -5,15 +5,15 @@
 //! single precision the strips that change still round.
 
 use crate::base::error::Result;
-use crate::density::Cues;
+use crate::density::ErrorStatistics;
 use crate::device::{Array, Defines, Device, Kernels, Real};
 use crate::pipeline::backward::GRADIENT_ROWS;
-use crate::pipeline::buffers::{Scene, ViewSet};
+use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::{ImagePair, size_of_image};
-use crate::scene::Splats;
+use crate::scene::Gaussians;
 use crate::train::estimates::FaintPass;
 
 /// Parameters of an instrument.
@@ -30,7 +30,7 @@ pub struct Setting {
     pub probe: f64,
 }
 
-/// Cues of every Gaussian over the views.
+/// ErrorStatistics of every Gaussian over the views.
 #[derive(Debug, Clone, Default)]
 pub struct CueRows {
     /// Sums of 1 − SSIM.
@@ -44,8 +44,8 @@ pub struct CueRows {
 impl CueRows {
     /// The view of them that density control takes.
     #[must_use]
-    pub fn cues(&self) -> Cues<'_> {
-        Cues {
+    pub fn cues(&self) -> ErrorStatistics<'_> {
+        ErrorStatistics {
             ssim: &self.ssim,
             l1: &self.l1,
             views: &self.views,
@@ -58,7 +58,7 @@ impl CueRows {
 pub struct Base {
     /// Loss of each view.
     pub losses: Vec<f64>,
-    /// Cues of every Gaussian.
+    /// ErrorStatistics of every Gaussian.
     pub cues: CueRows,
     /// Derivatives of the mean loss by opacity logit and the three log-scales, of every Gaussian.
     pub gradients: [Vec<f64>; 4],
@@ -74,8 +74,8 @@ pub struct Instrument<R: Real> {
     pub(super) device: Device,
     pub(super) setting: Setting,
     pub(super) views: ViewSet<R>,
-    pub(super) splats: Splats,
-    pub(super) scene: Scene<R>,
+    pub(super) splats: Gaussians,
+    pub(super) scene: GaussianBuffers<R>,
     pipeline: Pipeline<R>,
     /// Stages with the faint births' cut.
     pub(super) faint: FaintPass<R>,
@@ -91,7 +91,7 @@ impl<R: Real> Instrument<R> {
     pub fn new(
         device: &Device,
         views: ViewSet<R>,
-        splats: Splats,
+        splats: Gaussians,
         setting: Setting,
         births: usize,
     ) -> Result<Self> {
@@ -107,7 +107,7 @@ impl<R: Real> Instrument<R> {
         let cut = setting.alpha_min * setting.probe;
         let room = splats.len() + births.max(1) + 2 * GRADIENT_ROWS;
         Ok(Self {
-            scene: Scene::upload(device, &splats, room)?,
+            scene: GaussianBuffers::upload(device, &splats, room)?,
             faint: FaintPass::new(device, defines, degree, cut, &pipeline)?,
             importance: Importance::new::<R>(&kernels)?,
             pipeline,

@@ -3,9 +3,9 @@
 use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::tuning::status;
-use crate::device::{CameraArg, Real, Record};
+use crate::device::{CameraArg, Projected, Real};
 use crate::lab::verify::chain::Outputs;
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::Renderer;
 
 pub(super) fn widen<R: Real>(values: Vec<R>) -> Vec<f64> {
@@ -14,7 +14,7 @@ pub(super) fn widen<R: Real>(values: Vec<R>) -> Vec<f64> {
 
 pub(super) fn read_forward<R: Real>(
     renderer: &Renderer<R>,
-    scene: &Scene<R>,
+    scene: &GaussianBuffers<R>,
     camera: &CameraArg<R>,
     out: &mut Outputs,
 ) -> Result<()> {
@@ -25,7 +25,7 @@ pub(super) fn read_forward<R: Real>(
         .iter()
         .zip(records)
         .map(|(key, r)| {
-            (*key != crate::device::tuning::KEY_CULLED).then(|| Record {
+            (*key != crate::device::tuning::KEY_CULLED).then(|| Projected {
                 x: r.x.into(),
                 y: r.y.into(),
                 a: r.a.into(),
@@ -39,11 +39,11 @@ pub(super) fn read_forward<R: Real>(
             })
         })
         .collect();
-    let pairs = f.status.read(status::PAIRS as usize, 1)?[0] as usize;
+    let pairs = f.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
     let visible = f.status.read(status::VISIBLE as usize, 1)?[0] as usize;
     out.counted = f.counts.read(0, visible)?.iter().map(|c| *c as usize).sum();
     let order = f.order.sorted_values().read(0, pairs)?;
-    let owner = f.pair_owner.read(0, pairs)?;
+    let owner = f.isect_owner.read(0, pairs)?;
     let start = f.tile_start.read(0, camera.tile_count() + 1)?;
     out.tiles = start
         .windows(2)

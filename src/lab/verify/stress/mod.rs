@@ -26,7 +26,7 @@ use crate::device::{CameraArg, Defines, Device};
 use crate::lab::verify::chain::Case;
 use crate::lab::verify::check::Row;
 use crate::lab::verify::{Verification, verify_case};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 
 /// A case and how stiff it is.
@@ -143,16 +143,19 @@ fn more_pairs_than_24_bits(device: &Device) -> Result<Row> {
 fn forward(device: &Device, case: &Case) -> Result<(Vec<f32>, usize)> {
     let defines = Defines::new(device.tuning());
     let mut renderer = Renderer::<f32>::new(device, defines, case.sh_degree, true)?;
-    let scene = Scene::<f32>::upload(device, &case.splats, 0)?;
+    let scene = GaussianBuffers::<f32>::upload(device, &case.splats, 0)?;
     let camera = CameraArg::<f32>::new(&case.camera, NEAR);
     let options = RenderOptions {
         sh_degree: case.sh_degree,
         background: case.background,
         quantity: Quantity::Color,
-        live_only: false,
+        active_only: false,
     };
     renderer.render(&scene, &camera, &options)?;
-    let pairs = renderer.frame.status.read(status::PAIRS as usize, 1)?[0];
+    let pairs = renderer
+        .frame
+        .status
+        .read(status::INTERSECTIONS as usize, 1)?[0];
     Ok((renderer.read_image(&camera)?.rgb, pairs as usize))
 }
 

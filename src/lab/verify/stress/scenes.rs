@@ -2,13 +2,13 @@
 
 use glam::DVec3;
 
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::lab::verify::cases::mild;
 use crate::lab::verify::chain::Case;
 use crate::lab::verify::stress::places::{aside, depth, inside, near_plane};
 use crate::lab::verify::stress::shapes::{end_on, needles, norms, pancakes, scale_variance};
 use crate::lab::verify::stress::{Family, FamilyNote, Stiff};
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 
 /// f32 rounding through the longest stage, where no term cancels another.
 pub(super) const WELL: f64 = 1e-5;
@@ -18,7 +18,7 @@ pub(super) const MIXED: f64 = 1e-4;
 const CANCELLED: f64 = 1e-3;
 
 pub(super) fn uniform(seed: u64, i: usize) -> [f64; 4] {
-    Philox::uniform(seed, Purpose::Synthetic.stream(1), i as u64)
+    Philox::uniform(seed, Stream::Synthetic.stream(1), i as u64)
 }
 
 /// Changes every Gaussian of a mild scene.
@@ -27,7 +27,7 @@ pub(super) fn each(
     n: usize,
     size: [u32; 2],
     seed: u64,
-    change: impl Fn(&mut Splats, usize, &Case),
+    change: impl Fn(&mut Gaussians, usize, &Case),
 ) -> Case {
     let base = mild(name, n, size, 1, seed);
     let mut case = base.clone();
@@ -65,7 +65,7 @@ pub(super) fn powers(
     range.step_by(step).map(|e| 10f64.powi(e))
 }
 
-pub(super) fn position(s: &Splats, i: usize) -> DVec3 {
+pub(super) fn position(s: &Gaussians, i: usize) -> DVec3 {
     DVec3::from_array(s.gather::<3>(Plane::POSITION, i).map(f64::from))
 }
 

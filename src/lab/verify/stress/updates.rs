@@ -6,7 +6,7 @@ use crate::device::{Array, Defines, Device, Kernels, Real};
 use crate::lab::verify::chain::ADAM;
 use crate::lab::verify::check::{EXACT, Row};
 use crate::lab::verify::stress::{FamilyNote, host_row};
-use crate::pipeline::buffers::{Frame, GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::stage::adam::{Adam, LearningRates, Step, adam};
 use crate::scene::Plane;
 
@@ -91,7 +91,7 @@ fn stepped<R: Real>(device: &Device, gradients: &[R], rate: f64) -> Result<(Vec<
     let stage = Adam::new::<R>(&kernels)?;
     let grads = Array::from_slice(device, "grads", gradients)?;
     let zeros = |name| Array::<R>::zeros(device, name, gradients.len());
-    let scene = Scene {
+    let scene = GaussianBuffers {
         params: zeros("params")?,
         filter: Array::zeros(device, "filter", 0)?,
         stride: N,
@@ -99,7 +99,7 @@ fn stepped<R: Real>(device: &Device, gradients: &[R], rate: f64) -> Result<(Vec<
         sh_degree: 0,
     };
     let [moment1, moment2] = [zeros("moment1")?, zeros("moment2")?];
-    let frame = Frame::new(device, &device.tuning(), false)?;
+    let frame = ViewBuffers::new(device, &device.tuning(), false)?;
     let block = GradientBlock {
         values: &grads,
         planes: scene.planes(),
