@@ -114,7 +114,7 @@ struct Start {
 }
 
 impl Run {
-    /// A new run in an empty folder (see [`claim_folder`]).
+    /// A new run in an empty folder (see [`crate::run::claim_folder`]).
     ///
     /// # Errors
     /// A folder that cannot be written, or as [`Trainer::new`].
@@ -142,7 +142,7 @@ impl Run {
     }
 
     /// Continues the run in `dir` from its checkpoint, or begins it again where it was killed before the first one. `config` is
-    /// that of [`saved_config`], but for what may change on the way:
+    /// that of [`crate::run::saved_config`], but for what may change on the way:
     /// the budgets for time and photos, and how often to evaluate, export and save.
     ///
     /// # Errors

@@ -274,7 +274,7 @@ impl Plan {
     }
 
     fn metropolis_hastings(&mut self) {
-        let mh = self.config.mh.clone();
+        let mh = self.config.mh;
         let sampler = Why::NeededBy("Metropolis-Hastings");
         if mh.wants_errors() {
             self.fact(Part::ErrorDensityControl, true, sampler.clone(), sampler);

@@ -11,7 +11,7 @@ use crate::train::sampling_rates::{MIN_SPREAD, MIN_SPREAD_WITHIN, Spreads};
 pub enum Part {
     /// Compositing of transparent photos.
     Transparency,
-    /// [`Plan::random_background`].
+    /// [`crate::train::Plan::random_background`].
     RandomBackground,
     /// Masks.
     Masks,
@@ -21,15 +21,15 @@ pub enum Part {
     Prefetch,
     /// SH degrees above 0.
     ViewDependentColor,
-    /// [`Plan::anti_aliasing`].
+    /// [`crate::train::Plan::anti_aliasing`].
     AntiAliasing,
-    /// [`Plan::halvings`].
+    /// [`crate::train::Plan::halvings`].
     ProgressiveResolution,
     /// Morton order of the Gaussians.
     MortonOrder,
     /// Culling of whole blocks of neighbours.
     BlockCulling,
-    /// [`Plan::skip_blank`].
+    /// [`crate::train::Plan::skip_blank`].
     SkipBlank,
     /// Error statistics and density control of mh.
     ErrorDensityControl,
@@ -47,7 +47,7 @@ pub enum Part {
     Noise,
     /// Births in image space.
     PixelBirths,
-    /// [`Plan::exposure`].
+    /// [`crate::train::Plan::exposure`].
     Exposure,
     /// Scores of held-out views.
     HeldOut,
@@ -55,7 +55,7 @@ pub enum Part {
     SparsePoints,
     /// Removal of Gaussians that no training view shows.
     RemoveUnseen,
-    /// [`Plan::unseen`].
+    /// [`crate::train::Plan::unseen`].
     Unseen,
 }
 

@@ -1,4 +1,4 @@
-//! [`Trainer`]: the training loop. [`Trainer::iterate`] is one iteration in order; [`Trainer::advance`] goes from one event to the
+//! [`Trainer`]: the training loop. `Trainer::iterate` is one iteration in order; [`Trainer::advance`] goes from one event to the
 //! next.
 
 use std::collections::VecDeque;

@@ -66,7 +66,7 @@ fn times(ms: &Spread, cpu: Option<f64>) -> String {
     format!("{},{},{},{cpu},{}", ms.median, ms.min, ms.max, ms.samples)
 }
 
-/// Every device as one table of [`COLUMNS`].
+/// Every device as one table of `COLUMNS`.
 #[must_use]
 pub fn csv(outcomes: &[Outcome]) -> String {
     let mut out = COLUMNS.join(",") + "\n";

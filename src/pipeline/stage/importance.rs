@@ -1,4 +1,4 @@
-//! Error cues of each Gaussian: the error maps of a view under the projected centre (`kernels/importance.cl`; [MH] eq. 11, 13).
+//! Error cues of each Gaussian: the error maps of a view under the projected centre (`kernels/importance.cl`; \[MH\] Eq. 11, 13).
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
