@@ -48,6 +48,9 @@
 //! # }
 //! ```
 //!
+//! Everything that talks to a device fails with [`Error::Device`] if the driver does, if kernels cannot be built or if memory does not
+//! suffice; "Errors" sections name only what else can go wrong.
+//!
 //! `examples/train_and_render.rs` renders a view to a PNG as well.
 
 #[doc(hidden)]

@@ -52,9 +52,6 @@ pub struct Evaluator {
 
 impl Evaluator {
     /// An evaluator of these views. `defines` must be the renderer's.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(device: &Device, defines: Defines, views: ViewSet) -> Result<Self> {
         let kernels = Kernels::new(
             device,

@@ -61,9 +61,6 @@ pub(crate) fn restride<R: Real>(
 
 impl<R: Real> GaussianBuffers<R> {
     /// Uploads a scene, with room for at least `capacity` Gaussians.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn upload(device: &Device, splats: &Gaussians, capacity: usize) -> Result<Self> {
         let count = splats.len();
         let stride = capacity.max(count).max(1).next_multiple_of(ROUND);
@@ -84,9 +81,6 @@ impl<R: Real> GaussianBuffers<R> {
 
     /// The same with room for the 3D filter: until it is filled in, no Gaussian is filtered, as is right for a scene that has
     /// the filter in its scales and opacities.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn with_filter(self, device: &Device) -> Result<Self> {
         Ok(Self {
             filter: Array::zeros(device, "filter", self.stride)?,
@@ -101,9 +95,6 @@ impl<R: Real> GaussianBuffers<R> {
     }
 
     /// Reads the first `count` values of one plane.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn plane(&self, plane: usize) -> Result<Vec<f32>> {
         let values = self.params.read(plane * self.stride, self.count)?;
         Ok(values.into_iter().map(|v| v.into() as f32).collect())
@@ -153,9 +144,6 @@ pub struct SortBuffers {
 
 impl SortBuffers {
     /// Room for `len` elements.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn new(device: &Device, names: [&'static str; 2], len: usize) -> Result<Self> {
         let zeros = |name| Array::zeros(device, name, len);
         Ok(Self {
@@ -220,9 +208,6 @@ pub struct ViewBuffers<R: Real> {
 
 impl<R: Real> ViewBuffers<R> {
     /// Arrays for `stride` Gaussians, `pairs` pairs and a padded image of `tiles` tiles.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn new(device: &Device, tuning: &Tuning, gradients: bool) -> Result<Self> {
         let ints = |name| Array::<u32>::zeros(device, name, 0);
         Ok(Self {
@@ -248,9 +233,6 @@ impl<R: Real> ViewBuffers<R> {
     }
 
     /// Makes room for a scene of `stride` Gaussians. Contents are lost.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn fit_gaussians(&mut self, device: &Device, stride: usize) -> Result<()> {
         if self.keys.len() >= stride {
             return Ok(());
@@ -282,9 +264,6 @@ impl<R: Real> ViewBuffers<R> {
     }
 
     /// Makes room for `pairs` pairs. Contents are lost.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn fit_intersections(&mut self, device: &Device, pairs: usize) -> Result<()> {
         if self.intersection_capacity() >= pairs {
             return Ok(());
@@ -293,9 +272,6 @@ impl<R: Real> ViewBuffers<R> {
     }
 
     /// Room for `pairs` pairs, rounded up, whatever there was before.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn set_intersections(&mut self, device: &Device, pairs: usize) -> Result<()> {
         // Slots are numbered by 32 bits.
         let most = u32::MAX as usize - (ROUND - 1);
@@ -310,9 +286,6 @@ impl<R: Real> ViewBuffers<R> {
     }
 
     /// Makes room for a camera's image. Contents are lost.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn fit_image(&mut self, device: &Device, camera: &CameraArg<R>) -> Result<()> {
         if camera.size.iter().any(|s| *s < 1 || *s > MAX_PIXELS) {
             let [w, h] = camera.size;

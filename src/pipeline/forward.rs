@@ -80,9 +80,6 @@ pub struct Renderer<R: Real = f32> {
 
 impl<R: Real> Renderer<R> {
     /// Builds the kernels for SH degrees 0 to `sh_degree`; `gradients` also allocates what the backward stages need.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new(device: &Device, defines: Defines, sh_degree: u32, gradients: bool) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let project = (0..=sh_degree)
@@ -108,9 +105,6 @@ impl<R: Real> Renderer<R> {
     }
 
     /// A renderer with the device's default tuning, for display.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn for_display(device: &Device, sh_degree: u32) -> Result<Self> {
         let defines = Defines::new(device.tuning());
         Self::new(device, defines, sh_degree, false)
@@ -128,9 +122,6 @@ impl<R: Real> Renderer<R> {
     }
 
     /// Makes the arrays large enough for a scene and a camera (pairs grow on demand).
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn fit(&mut self, scene: &GaussianBuffers<R>, camera: &CameraArg<R>) -> Result<()> {
         self.frame.fit_gaussians(&self.device, scene.stride)?;
         self.frame
@@ -210,9 +201,6 @@ impl<R: Real> Renderer<R> {
     }
 
     /// Pairs of each tile of the view rendered last.
-    ///
-    /// # Errors
-    /// The driver's.
     #[doc(hidden)]
     pub fn intersections_per_tile(&self, camera: &CameraArg<R>) -> Result<Vec<u32>> {
         let start = self.frame.tile_start.read(0, camera.tile_count() + 1)?;
@@ -220,9 +208,6 @@ impl<R: Real> Renderer<R> {
     }
 
     /// Flags of the Gaussians that some cameras show, 1 or 0; waits.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn seen(
         &mut self,
         stage: &Seen,
@@ -247,18 +232,12 @@ impl<R: Real> Renderer<R> {
     }
 
     /// Flags of the Gaussians from `first` to `count` that intersect any tile of the view rendered last.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn intersected(&self, first: usize, count: usize) -> Result<Vec<bool>> {
         let counts = self.frame.isect_counts.read(first, count - first)?;
         Ok(counts.into_iter().map(|n| n > 0).collect())
     }
 
     /// Makes room for the pairs that did not fit and clears the flag.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub(crate) fn grow_intersections(&mut self, needed: u32) -> Result<()> {
         let needed = needed as usize;
         if needed >= u32::MAX as usize {
@@ -275,9 +254,6 @@ impl<R: Real> Renderer<R> {
     }
 
     /// Renders a view and waits; grows the pair arrays as needed.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn render(
         &mut self,
         scene: &GaussianBuffers<R>,
@@ -333,9 +309,6 @@ impl<R: Real> Renderer<R> {
     }
 
     /// The image of the view rendered last, without its padding.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn read_image(&self, camera: &CameraArg<R>) -> Result<Rendered> {
         let [width, height] = camera.size.map(|s| s as usize);
         let stride = camera.tiles[0] as usize * crate::base::constants::TILE as usize;

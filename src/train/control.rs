@@ -74,9 +74,6 @@ pub struct Control {
 
 impl Control {
     /// Builds the stages of the plan's strategy.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new(kernels: &Kernels, plan: &Plan, pipeline: &Pipeline) -> Result<Self> {
         let strategy = density::make(&plan.config);
         let wanted = strategy.wanted(1, 1.0);
@@ -129,9 +126,6 @@ impl Control {
     /// The last k renders before a step serve as its view subset (\[MH\] Eq. 10), as many as there are since the last step at
     /// most. Training takes the views in random order, so that they are a random subset (of two epochs where one ends
     /// between: a view may then count twice), and no view is rendered for density control alone.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn observe(
         &self,
         iteration: u32,
@@ -175,9 +169,6 @@ impl Control {
 
     /// The strategy's part of an iteration, after the optimiser: screen-space gradients are added up until the last density
     /// step; noise goes on to the end.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn perturb(
         &self,
         iteration: u32,
@@ -203,9 +194,6 @@ impl Control {
     }
 
     /// Decides from the statistics, edits the Gaussians and puts them in Morton order.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn step(
         &mut self,
         mut on: Working<'_>,
@@ -279,9 +267,6 @@ impl Control {
     }
 
     /// First-order changes of the loss by births; empty if the strategy asks for none.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn estimate(
         &mut self,
         on: &mut Working<'_>,
@@ -346,9 +331,6 @@ impl Control {
     }
 
     /// Runs the kernels once that do not run in every iteration: errors, edits and estimates.
-    ///
-    /// # Errors
-    /// A build failure, or the driver's.
     pub fn warm_up(
         &mut self,
         on: &mut Working<'_>,

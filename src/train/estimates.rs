@@ -53,9 +53,6 @@ pub struct FaintPass<R: crate::device::Real> {
 
 impl<R: crate::device::Real> FaintPass<R> {
     /// Builds the stages for contributions from `alpha_min` on; gradients of parameters share `pipeline`'s kernels.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new(
         device: &Device,
         defines: Defines,
@@ -107,9 +104,6 @@ pub struct Estimates {
 
 impl Estimates {
     /// Builds the stages if this density control asks for estimates.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new(
         device: &Device,
         defines: Defines,
@@ -131,9 +125,6 @@ impl Estimates {
 
     /// First-order change of the loss by each birth, mean over the views that training takes next, at the size that they
     /// have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn changes(&mut self, mut at: Context<'_>, trials: &[Trial]) -> Result<Vec<f64>> {
         if trials.is_empty() {
             return Ok(Vec::new());
@@ -150,9 +141,6 @@ impl Estimates {
     }
 
     /// Runs every kernel once on no Gaussians.
-    ///
-    /// # Errors
-    /// A build failure, or the driver's.
     pub fn warm_up(&mut self, mut at: Context<'_>, sh_degree: u32) -> Result<()> {
         let scene = at.with_faint(&[])?;
         self.in_view(&mut at, &scene, [0, 0], sh_degree, true)?;

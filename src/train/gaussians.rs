@@ -70,9 +70,6 @@ fn mismatch(what: String) -> Error {
 
 impl GaussianState {
     /// Uploads Gaussians with room for `capacity`; moments and statistics are zero.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn new(
         device: &Device,
         splats: &Gaussians,
@@ -97,9 +94,6 @@ impl GaussianState {
     }
 
     /// A state of no Gaussians with the same planes and rows, for kernels that are only to be built.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn empty(&self, device: &Device, sh_degree: u32) -> Result<Self> {
         let smoothed = !self.scene.filter.is_empty();
         Self::new(
@@ -126,9 +120,6 @@ impl GaussianState {
     }
 
     /// Makes room for `rows` Gaussians; the new ones are zero.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn grow(&mut self, device: &Device, rows: usize) -> Result<()> {
         let from = self.scene.stride;
         if rows <= from {
@@ -145,9 +136,6 @@ impl GaussianState {
     }
 
     /// Applies the edits of a density step, which leave `rows` rows, and starts the statistics anew.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn edit(
         &mut self,
         device: &Device,
@@ -169,9 +157,6 @@ impl GaussianState {
     }
 
     /// Keeps the Gaussians of `order`, in that order.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn reorder(&mut self, device: &Device, stage: &Edit, order: &[u32]) -> Result<()> {
         let (stride, count) = (self.scene.stride, order.len());
         let order = Array::from_slice(device, "order", order)?;
@@ -187,9 +172,6 @@ impl GaussianState {
     }
 
     /// Makes room for the coefficients of a higher SH degree, which are zero, as are their moments.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn raise_sh_degree(&mut self, device: &Device, degree: u32) -> Result<()> {
         let stride = self.scene.stride;
         let [from, to] = [self.scene.sh_degree, degree].map(|d| Plane::count(d) * stride);
@@ -204,9 +186,6 @@ impl GaussianState {
     }
 
     /// Reads position, scale, rotation and opacity in one transfer.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn geometry(&self) -> Result<Geometry> {
         Ok(Geometry {
             values: self.scene.params.read(0, Plane::SH * self.scene.stride)?,
@@ -216,17 +195,11 @@ impl GaussianState {
     }
 
     /// Reads the statistics \[rows\]\[N\].
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn read_statistics(&self) -> Result<Vec<Vec<f32>>> {
         self.planes(&self.statistics, self.rows)
     }
 
     /// Reads the smoothing filter \[N\]; empty without anti-aliasing.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn read_filter(&self) -> Result<Vec<f32>> {
         match self.scene.filter.is_empty() {
             true => Ok(Vec::new()),
@@ -241,9 +214,6 @@ impl GaussianState {
     }
 
     /// Reads everything but the parameters.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn rows(&self) -> Result<GaussianRows> {
         let planes = self.scene.planes();
         Ok(GaussianRows {

@@ -21,9 +21,6 @@ impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
     /// more than there are views); `None` before the first iteration. If every iteration has a background of its own, that
     /// of at most 32 views, rendered over the background that does not change.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn recent_loss(&mut self) -> Result<Option<f64>> {
         self.settle()?;
         if self.iteration > 0 && self.plan.random_background.value {
@@ -132,9 +129,6 @@ impl Trainer {
     }
 
     /// Renders the Gaussians as they are, over the background that does not change.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn render(&mut self, camera: &Camera) -> Result<Rendered> {
         self.settle()?;
         let options = RenderOptions {
@@ -171,9 +165,6 @@ impl Trainer {
     }
 
     /// Transforms, first and second moments \[3\]\[views · 12\]; empty unless exposure is compensated.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn exposures(&self) -> Result<Vec<Vec<f32>>> {
         match &self.pipeline.exposure {
             Some(model) => model.rows(),
@@ -182,9 +173,6 @@ impl Trainer {
     }
 
     /// Leaves room for no more than `pairs` tile intersections, so that a test can see what happens then.
-    ///
-    /// # Errors
-    /// The driver's.
     #[doc(hidden)]
     pub fn shrink_intersections(&mut self, pairs: usize) -> Result<()> {
         self.settle()?;
@@ -195,9 +183,6 @@ impl Trainer {
     }
 
     /// First-order changes of the loss by births in the views that training takes next; empty if density control asks for none.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     #[doc(hidden)]
     pub fn estimate(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
         let mut on = Working {

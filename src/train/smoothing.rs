@@ -20,9 +20,6 @@ pub struct Smoothing {
 
 impl Smoothing {
     /// Builds the kernel if the kernels are built with anti-aliasing.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(kernels: &Kernels, views: &ViewSet) -> Result<Option<Self>> {
         if !kernels.defines().anti_alias {
             return Ok(None);
@@ -42,9 +39,6 @@ impl Smoothing {
     }
 
     /// Recomputes the filter of a scene from its positions, without waiting.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn run(&self, scene: &GaussianBuffers, view: &ViewBuffers<f32>) -> Result<()> {
         self.stage.run(scene, view, &self.cameras, &self.largest)
     }

@@ -471,9 +471,6 @@ impl Trainer {
     }
 
     /// Ends the run: removes the Gaussians that no training view shows, if the configuration says so. Once per run.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn finish(&mut self) -> Result<()> {
         self.settle()?;
         if self.learned.finished == Some(self.iteration) {

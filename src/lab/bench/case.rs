@@ -88,9 +88,6 @@ fn trainer(device: &Device, subject: &Subject<'_>) -> Result<Trainer> {
 }
 
 /// Times every stage and the whole iteration.
-///
-/// # Errors
-/// A build failure, more than the device can allocate, or the driver's.
 pub(super) fn measure(
     device: &Device,
     peak: &Peak,

@@ -31,9 +31,6 @@ pub struct TileWork {
 
 impl TileWork {
     /// Reads the lists of the view that `renderer` rendered last (of `count` Gaussians) back from the device.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn read<R: Real>(
         renderer: &Renderer<R>,
         camera: &CameraArg<R>,

@@ -85,9 +85,6 @@ pub struct Instrument<R: Real> {
 
 impl<R: Real> Instrument<R> {
     /// Uploads the scene, with room for `births` more, and builds the kernels.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(
         device: &Device,
         views: ViewSet<R>,
@@ -187,9 +184,6 @@ impl<R: Real> Instrument<R> {
     }
 
     /// Losses, cues and gradients of the scene as it is.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn base(&mut self) -> Result<Base> {
         let n = self.splats.len();
         let cues = Array::zeros(&self.device, "cues", 3 * self.scene.stride)?;

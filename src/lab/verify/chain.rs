@@ -143,9 +143,6 @@ impl Stages {
 }
 
 /// Runs every stage in precision `R` on `case`.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outputs> {
     let defines = Defines {
         alpha_min: case.alpha_min,

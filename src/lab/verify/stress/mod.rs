@@ -61,9 +61,6 @@ pub struct Family {
 }
 
 /// The whole suite on one device.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn stress(device: &Device) -> Result<Verification> {
     let (mut rows, mut notes) = (Vec::new(), Vec::new());
     for family in scenes::families() {

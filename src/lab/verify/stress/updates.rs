@@ -23,9 +23,6 @@ const SINGLE: f64 = 2e-3;
 const N: usize = 32;
 
 /// Every row of one precision.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn rows<R: Real>(device: &Device, precision: &str, bound: f64) -> Result<Vec<Row>> {
     let sizes = [-30, -25, -20, -18, -15, -10, -5, 0, 5, 10, 17, 19, 25, 30];
     let mut rows = Vec::new();
