@@ -1,6 +1,6 @@
 //! How even the iterations are: `cargo bench --bench iterations [-- DATASET MAX_SIZE ITERATIONS]`.
 //!
-//! Prints quantiles of the time between two returns of `Trainer::step`, after the first 100 iterations and without those
+//! Prints quantiles of the time between two returns of `Trainer::advance`, after the first 100 iterations and without those
 //! next to a density step, and the slowest ones with what happened there. The bundled scene is the default.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 

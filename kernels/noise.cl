@@ -1,6 +1,6 @@
 // noise: a random step of every position after the optimiser's: x += rate * Sigma * xi * sigmoid(-steepness * (o - x0)),
 // xi ~ N(0, I), so that Gaussians that hardly show explore along their own shape and opaque ones stay.
-// Launch: one work-item per VW Gaussians. Numbers are keyed by (seed, stream, index) like the host's (src/rng.rs), whatever
+// Launch: one work-item per VW Gaussians. Numbers are keyed by (seed, stream, index) like the host's (src/base/rng.rs), whatever
 // the launch; a step to a non-finite position is not taken. Nothing is changed after a pair overflow: the host repeats
 // the iteration. Source: [MCMC] Eq. 8; Philox4x32-10 of Salmon et al., SC 2011; Box and Muller 1958.
 

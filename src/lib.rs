@@ -28,9 +28,9 @@
 //! | edit | `kernels/edit.cl` | rows written by density control |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | run | [`run`] | run folder, checkpoints, report |
-//! | measure | [`lab`], `kernels/peak.cl` | verify, bench, compare, experiment, surrogate: nothing else uses it |
+//! | measure | [`lab`], `kernels/peak.cl` | verify, bench, compare, experiment, surrogate: only the command line uses it |
 //!
-//! `pipeline::pass::Pipeline` alone knows the order of the stages, and [`train::step`] the order of an iteration. Every stage file
+//! `pipeline` alone (`forward.rs`, `backward.rs`, `pass.rs`) knows the order of the stages, and [`train::step`] the order of an iteration. Every stage file
 //! in `src/pipeline/stage` has the kernel's launcher and its definition in f64, which [`lab::verify`] compares on a device.
 //!
 //! ```no_run

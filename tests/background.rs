@@ -47,7 +47,10 @@ fn config(background: Background) -> TrainConfig {
 fn the_schedule_changes_it_where_photos_are_transparent() {
     let of = |background| {
         let schedule = Schedule::new(&config(background));
-        let over = |transparent| [0, 1, 2].map(|i| schedule.background(i, transparent));
+        let over = |transparent| {
+            let random = background.changes(transparent);
+            [0, 1, 2].map(|i| schedule.background(i, random))
+        };
         (over(false), over(true), schedule.fixed_background())
     };
     let (black, white, grey) = ([0.0; 3], [1.0; 3], [0.5; 3]);

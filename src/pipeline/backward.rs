@@ -59,7 +59,7 @@ impl Backward {
         self.splat_grad.run(&forward.frame, camera, dimage)
     }
 
-    /// Takes those sums back to the raw parameters of a block of Gaussians; `lambdas` weigh the regularisers on opacity and scale.
+    /// Takes the sums per tile intersection back to the raw parameters of a block of Gaussians; `lambdas` weigh the regularisers on opacity and scale.
     pub fn parameters<R: Real>(
         &self,
         forward: &Renderer<R>,

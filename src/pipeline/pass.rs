@@ -174,7 +174,7 @@ impl<R: Real> Pipeline<R> {
         self.backward.splats(&self.forward, camera, &self.dimage)
     }
 
-    /// Takes those sums back to the raw parameters of a block of Gaussians.
+    /// Takes the sums per tile intersection back to the raw parameters of a block of Gaussians.
     pub fn parameter_gradient(
         &self,
         scene: &GaussianBuffers<R>,

@@ -20,7 +20,7 @@ fn wrong_sums_are_rejected() {
     rejects("screen_grad", |out| out.screen_grad[1][5] += 1.0);
 }
 
-/// ErrorStatistics after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
+/// Statistics after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
 /// second pair of the second Gaussian holds for the sums by u and dy.
 fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
     let device = device();

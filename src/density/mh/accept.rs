@@ -4,9 +4,9 @@
 //! multiplies the prior by ((1+c)/(2+c))^λ_v exactly: [`exact_ln_prior_ratio`]. The paper replaces that factor by
 //! D = 1/(1 + λ_v·c) and the loss change by the importance I of the source; three forms of the product are on record
 //! ([`Acceptance`]). These surrogates are not Metropolis–Hastings ratios: neither the loss nor the density of the proposal
-//! nor that of the way back is in them, and there are no deaths. With [`exact_ln_prior_ratio`], its inverse for deaths and
+//! nor that of the way back is in them, and deaths go by opacity alone. With [`exact_ln_prior_ratio`], its inverse for deaths and
 //! the true change of the loss the chain has the posterior of Eq. 7 (`tests/density/chain.rs`); as the form
-//! `exact-prior` of training, which has births alone and decides many at once on the same counts, it is exact in the
+//! `exact-prior` of training, which applies it to births alone and decides many at once on the same counts, it is exact in the
 //! prior's factor and no more.
 //!
 //! If births are probed, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a

@@ -30,7 +30,7 @@ pub struct Setting {
     pub probe: f64,
 }
 
-/// ErrorStatistics of every Gaussian over the views.
+/// Error statistics of every Gaussian over the views.
 #[derive(Debug, Clone, Default)]
 pub struct CueRows {
     /// Sums of 1 − SSIM.
@@ -58,7 +58,7 @@ impl CueRows {
 pub struct Base {
     /// Loss of each view.
     pub losses: Vec<f64>,
-    /// ErrorStatistics of every Gaussian.
+    /// Error statistics of every Gaussian.
     pub cues: CueRows,
     /// Derivatives of the mean loss by opacity logit and the three log-scales, of every Gaussian.
     pub gradients: [Vec<f64>; 4],

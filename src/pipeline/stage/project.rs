@@ -216,7 +216,7 @@ pub fn color(
     (rgb, dir, length)
 }
 
-/// Projected of Gaussian `i`; `None` if it is culled.
+/// Projection of Gaussian `i`; `None` if it is culled.
 #[must_use]
 pub fn project(
     scene: &Scene64,
