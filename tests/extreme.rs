@@ -4,7 +4,7 @@ use mhsplat::device::Device;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::verify::cases::mild;
 use mhsplat::lab::verify::chain::{Case, Outputs, run};
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::scene::{Gaussians, Plane};
 
 /// A plane of every parameter group: x, a log-scale, w and z of the quaternion, opacity, SH degree 0 and 3.
 const ONE_OF_EACH: [usize; 7] = [0, 4, 6, 9, Plane::OPACITY, Plane::SH, Plane::SH + 40];
@@ -34,7 +34,7 @@ fn render(case: &Case) -> Outputs {
 }
 
 /// `case` with its first Gaussian changed.
-fn with_first(case: &Case, name: &str, change: impl Fn(&mut Splats)) -> Case {
+fn with_first(case: &Case, name: &str, change: impl Fn(&mut Gaussians)) -> Case {
     let mut case = case.clone();
     case.name = name.into();
     change(&mut case.splats);

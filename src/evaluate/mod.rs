@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::Result;
 use crate::device::{Array, Defines, Device, Kernels};
-use crate::pipeline::buffers::{Scene, ViewSet};
+use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics::Metrics;
@@ -52,9 +52,6 @@ pub struct Evaluator {
 
 impl Evaluator {
     /// An evaluator of these views. `defines` must be the renderer's.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(device: &Device, defines: Defines, views: ViewSet) -> Result<Self> {
         let kernels = Kernels::new(
             device,
@@ -91,7 +88,7 @@ impl Evaluator {
         &self,
         view: usize,
         next: &[usize],
-        scene: &Scene,
+        scene: &GaussianBuffers,
         renderer: &mut Renderer,
         background: [f32; 3],
     ) -> Result<Option<ViewScore>> {
@@ -101,7 +98,7 @@ impl Evaluator {
             sh_degree: scene.sh_degree,
             background,
             quantity: Quantity::Color,
-            live_only: false,
+            active_only: false,
         };
         renderer.render(scene, camera, &options)?;
         let pair = ImagePair::new(&renderer.frame.image, &photo, camera, background);
@@ -148,7 +145,7 @@ impl Evaluator {
     /// Those of [`Renderer::render`] and [`ViewSet::photo`].
     pub fn score_all(
         &self,
-        scene: &Scene,
+        scene: &GaussianBuffers,
         renderer: &mut Renderer,
         background: [f32; 3],
         with_flip: bool,

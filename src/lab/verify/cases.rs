@@ -3,16 +3,16 @@
 use glam::{DMat3, DVec3};
 
 use crate::base::constants::ALPHA_MIN;
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::capture::{Alpha, Camera, Photo};
 use crate::lab::verify::chain::Case;
 use crate::pipeline::stage::adam::LearningRates;
-use crate::scene::{Edit, OptionalColor, Plane, Splats};
+use crate::scene::{Edit, Gaussians, OptionalColor, Plane};
 
 fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
     Philox::uniform(
         seed,
-        Purpose::Synthetic.stream(0),
+        Stream::Synthetic.stream(0),
         (index as u64) << 8 | what,
     )
 }
@@ -32,8 +32,8 @@ fn camera(size: [u32; 2]) -> Camera {
     }
 }
 
-fn cloud(n: usize, sh_degree: u32, seed: u64) -> Splats {
-    let mut s = Splats::zeros(sh_degree, n);
+fn cloud(n: usize, sh_degree: u32, seed: u64) -> Gaussians {
+    let mut s = Gaussians::zeros(sh_degree, n);
     for i in 0..n {
         let [x, y, z, far] = uniform(seed, i, 0);
         let scale = uniform(seed, i, 1);

@@ -4,9 +4,9 @@ use crate::base::constants::{FILTER_CHUNKS, NEAR, SUMS};
 use crate::base::error::Result;
 use crate::capture::{Camera, Photo};
 use crate::device::tuning::{Tuning, status};
-use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real, Record};
+use crate::device::{Array, CameraArg, Defines, Device, Kernels, Projected, Real};
 use crate::lab::verify::readback::{crop, widen};
-use crate::pipeline::buffers::{GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::stage::adam::{Adam, LearningRates, Step};
 use crate::pipeline::stage::edit::Edit;
@@ -21,15 +21,15 @@ use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::pipeline::stage::screen_grad::ScreenGrad;
 use crate::pipeline::stage::seen::Seen;
 use crate::pipeline::stage::splat_grad::SplatGrad;
-use crate::scene::{self, Plane, Splats};
+use crate::scene::{self, Gaussians, Plane};
 
 /// Inputs of a passage through all stages.
 #[derive(Debug, Clone)]
 pub struct Case {
     /// Name of the case.
     pub name: String,
-    /// Scene (f32 values, so that both precisions start from the same numbers).
-    pub splats: Splats,
+    /// GaussianBuffers (f32 values, so that both precisions start from the same numbers).
+    pub splats: Gaussians,
     /// Camera.
     pub camera: Camera,
     /// Photo, of the camera's size.
@@ -62,7 +62,7 @@ pub const ADAM: [f64; 3] = [0.9_f32 as f64, 0.999_f32 as f64, 1e-15];
 #[derive(Debug, Clone, Default)]
 pub struct Outputs {
     /// project: record of each Gaussian, none when culled.
-    pub records: Vec<Option<Record<f64>>>,
+    pub records: Vec<Option<Projected<f64>>>,
     /// filter: standard deviation of each Gaussian; empty without anti-aliasing.
     pub filter: Vec<f64>,
     /// bin, scan and sort: Gaussians of each tile, front to back.
@@ -155,9 +155,6 @@ impl Stages {
 }
 
 /// Runs every stage in precision `R` on `case`.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outputs> {
     let defines = Defines {
         alpha_min: case.alpha_min,
@@ -168,7 +165,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
     };
     let stages = Stages::new::<R>(&Kernels::new(device, defines))?;
     let mut renderer = Renderer::<R>::new(device, defines, case.sh_degree, true)?;
-    let mut scene = Scene::<R>::upload(device, &case.splats, 0)?;
+    let mut scene = GaussianBuffers::<R>::upload(device, &case.splats, 0)?;
     if defines.anti_alias {
         scene = scene.with_filter(device)?;
     }
@@ -178,7 +175,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
         sh_degree: case.sh_degree,
         background: case.background,
         quantity: Quantity::Color,
-        live_only: false,
+        active_only: false,
     };
     // The first pass may be repeated with more room for pairs; times are of one that is not.
     if defines.anti_alias {
@@ -220,7 +217,7 @@ pub fn run<R: Real>(device: &Device, tuning: Tuning, case: &Case) -> Result<Outp
 /// Fills in the 3D filter of the scene.
 fn filter<R: Real>(
     kernels: &Kernels,
-    scene: &Scene<R>,
+    scene: &GaussianBuffers<R>,
     renderer: &Renderer<R>,
     case: &Case,
 ) -> Result<()> {
@@ -240,7 +237,7 @@ pub(super) struct Run<'a, R: Real> {
     pub(super) device: &'a Device,
     pub(super) stages: Stages,
     pub(super) renderer: Renderer<R>,
-    pub(super) scene: Scene<R>,
+    pub(super) scene: GaussianBuffers<R>,
     photo: Array<u8>,
     pub(super) camera: CameraArg<R>,
     case: &'a Case,
@@ -257,11 +254,11 @@ impl<R: Real> Run<'_, R> {
     }
 
     /// The scene again, so that its parameters can be changed.
-    pub(super) fn copy_of_scene(&self) -> Result<Scene<R>> {
+    pub(super) fn copy_of_scene(&self) -> Result<GaussianBuffers<R>> {
         let params = &self.scene.params;
         let copy = Array::zeros(self.device, "params", params.len())?;
         copy.copy_from(0, params, 0, params.len())?;
-        Ok(Scene {
+        Ok(GaussianBuffers {
             params: copy,
             filter: Array::zeros(self.device, "filter", 0)?,
             ..self.scene
@@ -277,7 +274,7 @@ impl<R: Real> Run<'_, R> {
     fn loss_and_gradient(&mut self, out: &mut Outputs) -> Result<()> {
         let (device, s, case) = (self.device, &self.stages, self.case);
         if let Some(live) = &s.live {
-            live.run(&self.photo, &self.camera, self.renderer.live_tiles())?;
+            live.run(&self.photo, &self.camera, self.renderer.active_tiles())?;
         }
         let pair = self.pair();
         let ([w, h], plane) = (pair.size, pair.plane());
@@ -303,8 +300,8 @@ impl<R: Real> Run<'_, R> {
     fn read_sums(&self) -> Result<Vec<[f64; SUMS]>> {
         let f = &self.renderer.frame;
         let (counts, starts) = (
-            f.pair_counts.read(0, self.scene.count)?,
-            f.pair_start.read(0, self.scene.count)?,
+            f.isect_counts.read(0, self.scene.count)?,
+            f.isect_start.read(0, self.scene.count)?,
         );
         let all = widen(f.sums.to_vec()?);
         Ok(counts
@@ -370,7 +367,7 @@ impl<R: Real> Run<'_, R> {
 
 fn read_forward<R: Real>(
     renderer: &Renderer<R>,
-    scene: &Scene<R>,
+    scene: &GaussianBuffers<R>,
     camera: &CameraArg<R>,
     out: &mut Outputs,
 ) -> Result<()> {
@@ -381,7 +378,7 @@ fn read_forward<R: Real>(
         .iter()
         .zip(records)
         .map(|(key, r)| {
-            (*key != crate::device::tuning::KEY_CULLED).then(|| Record {
+            (*key != crate::device::tuning::KEY_CULLED).then(|| Projected {
                 x: r.x.into(),
                 y: r.y.into(),
                 a: r.a.into(),
@@ -395,11 +392,11 @@ fn read_forward<R: Real>(
             })
         })
         .collect();
-    let pairs = f.status.read(status::PAIRS as usize, 1)?[0] as usize;
+    let pairs = f.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
     let visible = f.status.read(status::VISIBLE as usize, 1)?[0] as usize;
     out.counted = f.counts.read(0, visible)?.iter().map(|c| *c as usize).sum();
     let order = f.order.sorted_values().read(0, pairs)?;
-    let owner = f.pair_owner.read(0, pairs)?;
+    let owner = f.isect_owner.read(0, pairs)?;
     let start = f.tile_start.read(0, camera.tile_count() + 1)?;
     out.tiles = start
         .windows(2)

@@ -77,7 +77,7 @@ impl<R: Real> Run<'_, R> {
         let (s, f, count) = (&self.stages, &self.renderer.frame, self.scene.count);
         let before: Vec<u32> = seen_before(count).collect();
         let seen = Array::from_slice(self.device, "seen", &before)?;
-        let shown = Array::zeros(self.device, "shown", f.pair_capacity())?;
+        let shown = Array::zeros(self.device, "shown", f.intersection_capacity())?;
         s.seen.run(f, &self.camera, &shown, &seen)?;
         out.seen = seen.to_vec()?.into_iter().map(f64::from).collect();
         Ok(())
