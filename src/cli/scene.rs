@@ -1,4 +1,4 @@
-//! Scene file or run folder with its dataset, on a device: shared by eval and render.
+//! GaussianBuffers file or run folder with its dataset, on a device: shared by eval and render.
 
 use std::path::{Path, PathBuf};
 

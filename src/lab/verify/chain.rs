@@ -5,8 +5,7 @@ use crate::base::error::Result;
 use crate::capture::{Camera, Photo};
 use crate::device::tuning::{Tuning, status};
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Projected, Real};
-use crate::lab::verify::exposure::ExposureOutputs;
-use crate::lab::verify::readback::{crop, read_forward, widen};
+use crate::lab::verify::readback::{crop, widen};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::stage::adam::{Adam, LearningRates, Step};
@@ -55,8 +54,8 @@ pub struct Case {
     pub error_map_bound: Option<f64>,
 }
 
-/// Adam's constants in every case: β₁, β₂, ε. Exact in f32, so that both precisions have the same: 1 − β₂ of a rounded 0.999 is
-/// off by 1.3e-5 of itself, and every second moment with it.
+/// Adam's constants in every case: β₁, β₂, ε. Exact in f32, as those of a configuration are: 1 − β₂ of a rounded 0.999 is off by
+/// 1.3e-5 of itself, and every second moment with it.
 pub const ADAM: [f64; 3] = [0.9_f32 as f64, 0.999_f32 as f64, 1e-15];
 
 /// What the stages gave, as f64 whatever the precision. Images are without padding.
@@ -106,6 +105,19 @@ pub struct Outputs {
     pub edited: [Vec<Vec<f64>>; 3],
     /// Seconds of device time per stage.
     pub seconds: Vec<(&'static str, f64)>,
+}
+
+/// What the exposure stage gave, as f64 whatever the precision. Images are without padding.
+#[derive(Debug, Clone, Default)]
+pub struct ExposureOutputs {
+    /// A x + b \[3, height, width\].
+    pub image: Vec<f64>,
+    /// dL/dx \[3, height, width\], the loss stage's gradient being that by the corrected image.
+    pub dimage: Vec<f64>,
+    /// dL/d\[A | b\].
+    pub grads: Vec<f64>,
+    /// Transforms and moments \[views · 12\] after two steps with the same gradient.
+    pub adam: [Vec<f64>; 3],
 }
 
 pub(super) struct Stages {
@@ -351,4 +363,52 @@ impl<R: Real> Run<'_, R> {
         out.edited = state()?;
         Ok(())
     }
+}
+
+fn read_forward<R: Real>(
+    renderer: &Renderer<R>,
+    scene: &GaussianBuffers<R>,
+    camera: &CameraArg<R>,
+    out: &mut Outputs,
+) -> Result<()> {
+    let f = &renderer.frame;
+    let keys = f.keys.read(0, scene.count)?;
+    let records = f.records.read(0, scene.count)?;
+    out.records = keys
+        .iter()
+        .zip(records)
+        .map(|(key, r)| {
+            (*key != crate::device::tuning::KEY_CULLED).then(|| Projected {
+                x: r.x.into(),
+                y: r.y.into(),
+                a: r.a.into(),
+                r: r.r.into(),
+                c: r.c.into(),
+                lo: r.lo.into(),
+                rgb: r.rgb.map(Into::into),
+                depth: r.depth.into(),
+                bx: r.bx,
+                by: r.by,
+            })
+        })
+        .collect();
+    let pairs = f.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
+    let visible = f.status.read(status::VISIBLE as usize, 1)?[0] as usize;
+    out.counted = f.counts.read(0, visible)?.iter().map(|c| *c as usize).sum();
+    let order = f.order.sorted_values().read(0, pairs)?;
+    let owner = f.isect_owner.read(0, pairs)?;
+    let start = f.tile_start.read(0, camera.tile_count() + 1)?;
+    out.tiles = start
+        .windows(2)
+        .map(|w| {
+            order[w[0] as usize..w[1] as usize]
+                .iter()
+                .map(|slot| owner[*slot as usize])
+                .collect()
+        })
+        .collect();
+    let planes = widen(f.image.read(0, 4 * camera.plane())?);
+    out.image = crop(&planes, camera, 0..3);
+    out.transmittance = crop(&planes, camera, 3..4);
+    Ok(())
 }

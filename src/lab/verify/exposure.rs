@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::device::{Array, Real};
-use crate::lab::verify::chain::{ADAM, Outputs, Run};
+use crate::lab::verify::chain::{ADAM, ExposureOutputs, Outputs, Run};
 use crate::lab::verify::readback::{crop, widen};
 use crate::pipeline::stage::adam::{Step, adam};
 use crate::pipeline::stage::exposure::{ENTRIES, Exposures, IDENTITY, apply, backward, center};
@@ -20,19 +20,6 @@ pub const EXPOSURES: [[f64; 12]; 3] = [
 const VIEW: usize = 1;
 /// Learning rate of both steps.
 const RATE: f64 = 0.01;
-
-/// What the exposure stage gave, as f64 whatever the precision. Images are without padding.
-#[derive(Debug, Clone, Default)]
-pub struct ExposureOutputs {
-    /// A x + b \[3, height, width\].
-    pub image: Vec<f64>,
-    /// dL/dx \[3, height, width\], the loss stage's gradient being that by the corrected image.
-    pub dimage: Vec<f64>,
-    /// dL/d\[A | b\].
-    pub grads: Vec<f64>,
-    /// Transforms and moments \[views · 12\] after two steps with the same gradient.
-    pub adam: [Vec<f64>; 3],
-}
 
 impl<R: Real> Run<'_, R> {
     /// The stage on copies of the image's transform and of the gradient `dimage`.

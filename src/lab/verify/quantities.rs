@@ -3,8 +3,8 @@
 use std::collections::HashSet;
 
 use crate::base::constants::LOG_SCALE;
-use crate::lab::verify::chain::{ADAM, Case, Outputs};
-use crate::lab::verify::exposure::{ExposureOutputs, largest_sum};
+use crate::lab::verify::chain::{ADAM, Case, ExposureOutputs, Outputs};
+use crate::lab::verify::exposure::largest_sum;
 use crate::lab::verify::sampler::{NOISE, NOISE_KEYS, seen_before};
 use crate::lab::verify::{exposure, twin};
 use crate::pipeline::chain::Passage;

@@ -5,7 +5,8 @@ use glam::DVec3;
 use crate::base::rng::{Philox, Stream};
 use crate::capture::Frame;
 use crate::lab::verify::check::Row;
-use crate::lab::verify::stress::{FamilyNote, host_row};
+use crate::lab::verify::stress::family::host_row;
+use crate::lab::verify::verification::FamilyNote;
 
 /// What the family is about.
 pub const NOTE: FamilyNote = FamilyNote {

@@ -5,8 +5,9 @@ use glam::{DMat3, DVec3};
 use crate::base::constants::NEAR;
 use crate::lab::verify::cases::mild;
 use crate::lab::verify::chain::Case;
-use crate::lab::verify::stress::Family;
-use crate::lab::verify::stress::scenes::{MIXED, WELL, each, family, position, powers, uniform};
+use crate::lab::verify::stress::family::{
+    Family, MIXED, WELL, each, family, position, powers, uniform,
+};
 use crate::scene::Plane;
 
 /// The whole scene, camera included, `by` times as large.

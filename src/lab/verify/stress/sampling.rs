@@ -14,7 +14,8 @@ use crate::density::mh::sparsity::VoxelCounts;
 use crate::density::relocation::{ln_coefficient, split};
 use crate::density::{DensityControl, ErrorStatistics, SceneState, Statistics, StepContext};
 use crate::lab::verify::check::{EXACT, Row};
-use crate::lab::verify::stress::{FamilyNote, host_row};
+use crate::lab::verify::stress::family::host_row;
+use crate::lab::verify::verification::FamilyNote;
 
 /// What the family is about.
 pub const NOTE: FamilyNote = FamilyNote {

@@ -1,73 +1,14 @@
 //! Families of stiff scenes: seeded, exact in f32, each along a measure of stiffness.
 
-use glam::DVec3;
-
-use crate::base::rng::{Philox, Stream};
 use crate::lab::verify::cases::mild;
 use crate::lab::verify::chain::Case;
+use crate::lab::verify::stress::family::{Family, MIXED, WELL, each, family};
 use crate::lab::verify::stress::places::{aside, depth, inside, near_plane};
 use crate::lab::verify::stress::shapes::{end_on, needles, norms, pancakes, scale_variance};
-use crate::lab::verify::stress::{Family, FamilyNote, Stiff};
-use crate::scene::{Gaussians, Plane};
+use crate::scene::Plane;
 
-/// f32 rounding through the longest stage, where no term cancels another.
-pub(super) const WELL: f64 = 1e-5;
-/// With the small differences that positions and scales of several sizes beside each other leave.
-pub(super) const MIXED: f64 = 1e-4;
 /// Where terms cancel, so that what is left is rounding of something larger.
 const CANCELLED: f64 = 1e-3;
-
-pub(super) fn uniform(seed: u64, i: usize) -> [f64; 4] {
-    Philox::uniform(seed, Stream::Synthetic.stream(1), i as u64)
-}
-
-/// Changes every Gaussian of a mild scene.
-pub(super) fn each(
-    name: &str,
-    n: usize,
-    size: [u32; 2],
-    seed: u64,
-    change: impl Fn(&mut Gaussians, usize, &Case),
-) -> Case {
-    let base = mild(name, n, size, 1, seed);
-    let mut case = base.clone();
-    for i in 0..n {
-        change(&mut case.splats, i, &base);
-    }
-    case
-}
-
-pub(super) fn family(
-    name: &'static str,
-    axis: &'static str,
-    bound: f64,
-    reason: &'static str,
-    cases: impl IntoIterator<Item = (f64, Case)>,
-) -> Family {
-    Family {
-        note: FamilyNote {
-            name,
-            axis,
-            bound,
-            reason,
-        },
-        cases: cases
-            .into_iter()
-            .map(|(stiffness, case)| Stiff { stiffness, case })
-            .collect(),
-    }
-}
-
-pub(super) fn powers(
-    range: std::ops::RangeInclusive<i32>,
-    step: usize,
-) -> impl Iterator<Item = f64> {
-    range.step_by(step).map(|e| 10f64.powi(e))
-}
-
-pub(super) fn position(s: &Gaussians, i: usize) -> DVec3 {
-    DVec3::from_array(s.gather::<3>(Plane::POSITION, i).map(f64::from))
-}
 
 fn opacities() -> Family {
     let case = |logit: f64| {

@@ -3,8 +3,7 @@
 use glam::{DQuat, DVec3};
 
 use crate::lab::verify::chain::Case;
-use crate::lab::verify::stress::Family;
-use crate::lab::verify::stress::scenes::{MIXED, each, family, position, powers, uniform};
+use crate::lab::verify::stress::family::{Family, MIXED, each, family, position, powers, uniform};
 use crate::scene::{Gaussians, Plane};
 
 fn set_rotation(s: &mut Gaussians, i: usize, q: DQuat) {

@@ -5,7 +5,8 @@ use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, Real};
 use crate::lab::verify::chain::ADAM;
 use crate::lab::verify::check::{EXACT, Row};
-use crate::lab::verify::stress::{FamilyNote, host_row};
+use crate::lab::verify::stress::family::host_row;
+use crate::lab::verify::verification::FamilyNote;
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::stage::adam::{Adam, LearningRates, Step, adam};
 use crate::scene::Plane;
@@ -42,7 +43,7 @@ pub fn rows<R: Real>(device: &Device, precision: &str, bound: f64) -> Result<Vec
 /// Both precisions, as far as the device has them.
 ///
 /// # Errors
-/// See [`rows`].
+/// As [`rows`].
 pub fn all(device: &Device) -> Result<Vec<Row>> {
     let mut all = rows::<f32>(device, "f32", SINGLE)?;
     if device.info().fp64 {
