@@ -222,4 +222,10 @@ impl<R: Real> Pipeline<R> {
     pub fn image_gradient(&self) -> &Array<R> {
         &self.dimage
     }
+
+    /// Channel means of 1 − SSIM and |x − y| of the pair whose errors were added last \[2, rows, stride\].
+    #[must_use]
+    pub fn error_maps(&self) -> &Array<R> {
+        &self.maps
+    }
 }

@@ -3,8 +3,7 @@
 use glam::DVec3;
 
 use crate::base::rng::{Philox, Purpose};
-use crate::lab::verify::cases::mild;
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::{Case, mild};
 use crate::lab::verify::check::Row;
 use crate::lab::verify::verification::FamilyNote;
 use crate::scene::{Plane, Splats};

@@ -3,8 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use crate::base::constants::NEAR;
-use crate::lab::verify::cases::mild;
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::{Case, mild};
 use crate::lab::verify::stress::family::{
     Family, MIXED, WELL, each, family, position, powers, uniform,
 };

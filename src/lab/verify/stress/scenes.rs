@@ -1,7 +1,6 @@
 //! Families of stiff scenes: seeded, exact in f32, each along a measure of stiffness.
 
-use crate::lab::verify::cases::mild;
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::{Case, mild};
 use crate::lab::verify::stress::family::{Family, MIXED, WELL, each, family};
 use crate::lab::verify::stress::places::{aside, depth, inside, near_plane};
 use crate::lab::verify::stress::shapes::{end_on, needles, norms, pancakes, scale_variance};
@@ -190,7 +189,7 @@ fn broken() -> Family {
         case.edits.clear();
         for (i, plane) in SPOILT.into_iter().enumerate() {
             case.splats.plane_mut(plane)[3 * i + 2] = value;
-            case.spoilt.push(3 * i + 2);
+            case.invalid.push(3 * i + 2);
         }
         (1.0 + k as f64, case)
     };

@@ -4,7 +4,7 @@ use crate::base::constants::{NEAR, TILE};
 use crate::base::error::Result;
 use crate::device::tuning::status;
 use crate::device::{CameraArg, Defines, Device};
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::Case;
 use crate::lab::verify::check::Row;
 use crate::lab::verify::stress::family::{Family, Stiff, host_row};
 use crate::lab::verify::stress::{frames, sampling, scenes, updates};

@@ -3,7 +3,7 @@
 use crate::base::error::Result;
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, Real};
-use crate::lab::verify::chain::ADAM;
+use crate::lab::verify::cases::ADAM;
 use crate::lab::verify::check::{EXACT, Row};
 use crate::lab::verify::stress::family::host_row;
 use crate::lab::verify::verification::FamilyNote;
