@@ -38,7 +38,7 @@ pub struct ViewScore {
 /// PSNR of two equal images (mean squared error below 1e-10).
 pub const MAX_PSNR: f64 = 100.0;
 
-/// Scores views.
+/// Held-out views and the stages that score them.
 #[derive(Debug)]
 pub struct Evaluator {
     views: ViewSet,
@@ -85,7 +85,7 @@ impl Evaluator {
         let errors = self
             .scoring
             .view(renderer, scene, camera, &photo, background)?;
-        let [psnr, ssim] = scores(&errors);
+        let [psnr, ssim] = psnr_and_ssim(&errors);
         let score = ViewScore {
             view: self.views.names[view].clone(),
             psnr,
@@ -136,7 +136,7 @@ impl Evaluator {
 }
 
 /// PSNR and SSIM of a pair; those of equal images if no pixel counts.
-fn scores(errors: &PairErrors) -> [f64; 2] {
+fn psnr_and_ssim(errors: &PairErrors) -> [f64; 2] {
     let counted = errors.counted;
     let each = if counted > 0.0 { 1.0 / counted } else { 0.0 };
     let ssim = 1.0 - errors.dissimilarity * each;

@@ -56,7 +56,7 @@ impl Scoring {
         &self,
         renderer: &mut Renderer,
         scene: &Scene,
-        camera: &CameraArg,
+        camera: &CameraArg<f32>,
         photo: &Array<u8>,
         background: [f32; 3],
     ) -> Result<PairErrors> {
