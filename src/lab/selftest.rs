@@ -1,4 +1,4 @@
-//! A quick check of a device before it is trusted with a run: every stage of one scene, in the precision and style of training.
+//! A quick check of a device before a run: every stage of one scene, in the precision and style of training.
 
 use crate::base::error::{Error, Result};
 use crate::device::Device;
@@ -8,8 +8,8 @@ use crate::lab::verify::check::{Row, SINGLE, check};
 use crate::lab::verify::definition::Reference;
 use crate::lab::verify::pass;
 
-/// Refuses a device that computes wrong results. A device that passed is not checked again: that is kept per device,
-/// driver, kernels and tuning.
+/// Refuses a device that computes wrong results. A device that passed is not checked again: the result is kept per
+/// device, driver, kernels and tuning.
 ///
 /// # Errors
 /// [`Error::Device`] that names the stage and its error; a build failure, or the driver's.
@@ -26,7 +26,7 @@ pub fn self_test(device: &Device) -> Result<()> {
     Ok(())
 }
 
-/// The comparisons.
+/// Comparisons of every stage of one scene.
 ///
 /// # Errors
 /// A build failure, or the driver's.
@@ -38,7 +38,7 @@ pub fn rows(device: &Device) -> Result<Vec<Row>> {
     Ok(check("self-test", &case, &out, "f32", SINGLE))
 }
 
-/// The verdict on the comparisons.
+/// Fails if a comparison failed.
 ///
 /// # Errors
 /// [`Error::Device`] for the first that failed.

@@ -1,4 +1,4 @@
-//! Stage by stage, quantity by quantity: device against reference.
+//! Comparison of every quantity of a pass with the reference.
 
 use std::collections::HashSet;
 
@@ -8,20 +8,20 @@ use crate::lab::error::{Report, Tolerance, compare, measure};
 use crate::lab::verify::cases::Case;
 use crate::lab::verify::outcome::{Outcome, Quantity};
 
-/// f64 kernels against the f64 reference: rounding of f64 through the longest stage, with room for its condition.
+/// Bound on f64 kernels: rounding of f64 through the longest stage, with room for its condition.
 pub const EXACT: f64 = 1e-10;
-/// f32 kernels against the reference on well-conditioned scenes.
+/// Bound on f32 kernels on well-conditioned scenes.
 pub const SINGLE: f64 = 1e-5;
-/// f32 kernels on needles 1000 times longer than thick.
+/// Bound on f32 kernels on needles 1000 times longer than thick.
 pub const SINGLE_NEEDLES: f64 = 1e-4;
-/// f32 kernels, 1 − SSIM of the tiny suite's masked photo, half of which is black in render and photo alike: variances of black
-/// cancel, the images being shifted by a half (1.8e-5 was measured; in larger masked photos such values are few enough to be
-/// counted as flips).
+/// Bound on f32 kernels, 1 − SSIM of the tiny suite's masked photo. Half of it is black in render and photo alike: variances of
+/// black cancel, as the images are shifted by a half (1.8e-5 was measured; in larger masked photos such values are few enough
+/// to be counted as flips).
 pub const SINGLE_MASKED_MAP: f64 = 1e-4;
 /// Share of elements that may fall on the other side of a discontinuity in f32 (the alpha cut, tile edges, a sign).
 pub const FLIP_SHARE: f64 = 0.01;
-/// Gaussians that may be taken for seen or unseen in f32, in scenes of which the share is none: one may be shown by a single
-/// pixel, at the alpha cut.
+/// Gaussians that may be flagged wrongly as seen or unseen in f32, in scenes too small for [`FLIP_SHARE`]: a single pixel at the
+/// alpha cut may show one.
 pub const FLAG_FLIPS: usize = 1;
 
 /// One line of the table.
@@ -33,9 +33,9 @@ pub struct Row {
     pub case: String,
     /// Stage.
     pub stage: &'static str,
-    /// What is compared, and in which precision.
+    /// Quantity and precision.
     pub quantity: String,
-    /// How stiff the case is, in the unit of its family (suite "stress").
+    /// Stiffness of the case in the unit of its family (suite "stress").
     pub stiffness: Option<f64>,
     /// Largest error (flips left out) over the largest wanted value.
     pub max_rel_error: f64,
@@ -47,7 +47,7 @@ pub struct Row {
     pub non_finite: usize,
     /// Elements beyond the bound that a discontinuity excuses.
     pub flips: usize,
-    /// Whether every bound was kept.
+    /// True if every bound was kept.
     pub pass: bool,
 }
 
@@ -62,8 +62,8 @@ fn has_flips(stage: &str, name: &str) -> bool {
     }
 }
 
-/// Tile lists one after the other, each closed by −1: pairs that one side alone has, and places at which the common ones are in another
-/// order.
+/// Number of differences of tile lists, each closed by −1: pairs that only one side has, and places at which the common ones
+/// are in another order.
 fn list_flips(got: &[f64], want: &[f64]) -> usize {
     let tiles = |v: &[f64]| -> Vec<Vec<i64>> {
         v.split(|g| *g < 0.0)
@@ -83,7 +83,7 @@ fn list_flips(got: &[f64], want: &[f64]) -> usize {
     a.iter().zip(&b).map(in_tile).sum::<usize>() + a.len().abs_diff(b.len())
 }
 
-/// Places at which two lists of flags differ.
+/// Number of places at which two lists of flags differ.
 fn mismatches(got: &[f64], want: &[f64]) -> usize {
     let differ = got.iter().zip(want).filter(|(g, w)| g != w).count();
     differ + got.len().abs_diff(want.len())
@@ -110,7 +110,7 @@ fn counted(
     }
 }
 
-/// Numbers of a quantity without those of the invalid ones of `n` Gaussians.
+/// Numbers of a quantity without those of invalid Gaussians; the case has `n`.
 fn valid(q: &Quantity, values: &[f64], n: usize, invalid: &[usize]) -> Vec<f64> {
     let per = values.len() / n.max(1);
     let owner = |at: usize| match q.stage {

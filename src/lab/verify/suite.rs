@@ -10,7 +10,7 @@ use crate::lab::verify::pass;
 use crate::lab::verify::verification::Verification;
 use crate::scene::Plane;
 
-/// The quick suite: a few small scenes, both precisions, the device's own style and the other one.
+/// Runs the quick suite: a few small scenes, both precisions, the device's own style and the other one.
 ///
 /// # Errors
 /// A build failure, or the driver's.
@@ -18,7 +18,7 @@ pub fn quick(device: &Device) -> Result<Verification> {
     suite(device, "quick", quick_cases())
 }
 
-/// The tiny suite, for interpreters such as oclgrind: every stage of three scenes of two tiles, both precisions, both styles.
+/// Runs the tiny suite, for interpreters such as oclgrind: every stage of three scenes of two tiles, both precisions, both styles.
 ///
 /// # Errors
 /// A build failure, or the driver's.
@@ -102,7 +102,7 @@ fn quick_cases() -> Vec<(&'static str, Case, f64)> {
     ]
 }
 
-/// Every stage of one case: f64 and f32 in the device's style, f32 in the other style.
+/// Rows of every stage of one case: f64 and f32 in the device's style, f32 in the other style.
 ///
 /// # Errors
 /// A build failure, or the driver's.

@@ -1,4 +1,4 @@
-//! [`Family`]: cases along one measure of stiffness, and what all families are made with.
+//! [`Family`]: cases along one measure of stiffness, and the parts that all families share.
 
 use glam::DVec3;
 

@@ -9,7 +9,7 @@ use crate::lab::verify::stress::family::{
 };
 use crate::scene::Plane;
 
-/// The whole scene, camera included, `by` times as large.
+/// A case whose scene and camera distance are `by` times as large.
 fn scaled(mut case: Case, by: f64) -> Case {
     case.camera.translation *= by;
     for i in 0..case.splats.len() {
@@ -41,7 +41,7 @@ pub(super) fn depth() -> Family {
     )
 }
 
-/// A camera at the origin that looks along z, so that depths are exact.
+/// A case whose camera looks along z from the origin, so that depths are exact.
 fn straight(mut case: Case) -> Case {
     case.camera.rotation = DMat3::IDENTITY;
     case.camera.translation = DVec3::ZERO;
