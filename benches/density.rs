@@ -5,18 +5,18 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 
-use mhsplat::base::rng::{Philox, Purpose};
+use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::config::MhConfig;
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::mh::importance::importance;
 use mhsplat::density::mh::sparsity::VoxelCounts;
 use mhsplat::density::relocation::split;
-use mhsplat::density::{Cues, DensityControl, Evidence, SceneState, StepContext};
+use mhsplat::density::{DensityControl, ErrorStatistics, SceneState, Statistics, StepContext};
 
 const N: usize = 1_000_000;
 
 fn plane(k: u64, scale: f64, shift: f64) -> Vec<f32> {
-    let stream = Purpose::Synthetic.stream(0) + k;
+    let stream = Stream::Synthetic.stream(0) + k;
     (0..N as u64)
         .map(|i| (shift + scale * Philox::normal(1, stream, i)[0]) as f32)
         .collect()
@@ -36,7 +36,7 @@ fn density(c: &mut Criterion) {
         rotations: rotations.each_ref().map(Vec::as_slice),
         opacity_logits: &logits,
     };
-    let cues = Cues {
+    let cues = ErrorStatistics {
         ssim: &planes[0],
         l1: &planes[1],
         views: &views,
@@ -52,7 +52,7 @@ fn density(c: &mut Criterion) {
         b.iter(|| importance(black_box(&logits), &cues, [0.8, 0.5, 0.5]));
     });
     let context = StepContext::at(500, 0.0, 0);
-    let errors = Evidence::Errors(cues);
+    let errors = Statistics::Errors(cues);
     let mh = MetropolisHastings::new(&MhConfig::paper());
     // The difference of the two is what proposing and deciding costs.
     let still = MetropolisHastings::new(&MhConfig {

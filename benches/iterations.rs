@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use mhsplat::Plan;
-use mhsplat::run::initial_splats;
+use mhsplat::run::initial_gaussians;
 use mhsplat::train::Event;
 use mhsplat::{Device, LoadOptions, TrainConfig, Trainer, load_dataset};
 
@@ -37,7 +37,7 @@ fn main() {
         ..TrainConfig::default()
     };
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut trainer =
         Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
     let times = measure(&mut trainer, iterations);

@@ -3,7 +3,7 @@
 // The minimum over the tile's pixel centres' rectangle of the record's quadratic form, against its reach: exact for a
 // convex form, whose minimum lies at the mean or on an edge that faces the mean (StopThePop, Speedy-Splat intersect
 // likewise). TILE_SLACK covers f32 rounding: a pair too many costs time, a pair too few costs a pixel.
-static inline int touches_tile(const Record *g, real slope, real reach, int tx, int ty) {
+static inline int touches_tile(const Projected *g, real slope, real reach, int tx, int ty) {
   const real x0 = (real)(tx * TILE) + R(0.5) - g->x, x1 = x0 + (real)(TILE - 1);
   const real y0 = (real)(ty * TILE) + R(0.5) - g->y, y1 = y0 + (real)(TILE - 1);
   const int right = x0 > R(0.0), left = x1 < R(0.0), below = y0 > R(0.0), above = y1 < R(0.0);
@@ -29,7 +29,7 @@ static inline int touches_tile(const Record *g, real slope, real reach, int tx, 
 #define MASKED 32
 
 // Whether a box is small enough for a mask.
-static inline int is_masked(const Record *g) {
+static inline int is_masked(const Projected *g) {
   const int w = BOUND_HI(g->bx) / TILE - BOUND_LO(g->bx) / TILE + 1;
   const int h = BOUND_HI(g->by) / TILE - BOUND_LO(g->by) / TILE + 1;
   return w <= MASKED && h <= MASKED && w * h <= MASKED;
@@ -37,9 +37,9 @@ static inline int is_masked(const Record *g) {
 
 // Photos with masks have tiles in which nothing counts; they get no pairs where `masked` says so.
 #if HAS_MASK
-#define LIVE_TILES __global const uint *live_tiles, int masked
-#define LIVE_ARGUMENTS live_tiles, masked
-#define IS_LIVE(tile) (!masked || live_tiles[tile])
+#define LIVE_TILES __global const uint *active_tiles, int masked
+#define LIVE_ARGUMENTS active_tiles, masked
+#define IS_LIVE(tile) (!masked || active_tiles[tile])
 #else
 #define LIVE_TILES int unmasked
 #define LIVE_ARGUMENTS 0
@@ -47,7 +47,7 @@ static inline int is_masked(const Record *g) {
 #endif
 
 // Counts the tiles touched, remembers them in *mask if they fit, and writes them where `keys` is given.
-static inline uint walk_tiles(const Record *g, uint *mask, uint tiles_x, LIVE_TILES, __global uint *keys) {
+static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, LIVE_TILES, __global uint *keys) {
   const int tx0 = BOUND_LO(g->bx) / TILE, tx1 = BOUND_HI(g->bx) / TILE;
   const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
   const real slope = g->a * g->r / fma(g->a * g->r, g->r, g->c); // dy of the minimum along a vertical line, per dx
@@ -107,23 +107,23 @@ __kernel void bin_compact(__global const uint *keys, uint count, // in [count]
 
 // Launch: one work-item per BATCH visible Gaussians, whose records are fetched together; those past the visible ones
 // have nothing to do.
-__kernel void bin_count(__global const Record *records, __global const uint *visible, // in, in depth order
+__kernel void bin_count(__global const Projected *records, __global const uint *visible, // in, in depth order
                         __global const uint *status, uint tiles_x,
 #if HAS_MASK
                         LIVE_TILES, // in [tiles]
 #endif
                         __global uint *counts,  // out [visible] tiles touched
                         __global uint *cover,   // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
-                        __global uint *pair_counts) { // out [count] the same counts by Gaussian
+                        __global uint *isect_counts) { // out [count] the same counts by Gaussian
   const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
   if (first >= visible_count) return;
   const uint n = min((uint)BATCH, visible_count - first);
-  Record staged[BATCH];
+  Projected staged[BATCH];
   for (uint j = 0; j < n; j++) staged[j] = records[visible[first + j]];
   for (uint j = 0; j < n; j++) {
-    const Record *g = &staged[j];
+    const Projected *g = &staged[j];
     uint mask;
-    counts[first + j] = pair_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, LIVE_ARGUMENTS, 0);
+    counts[first + j] = isect_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, LIVE_ARGUMENTS, 0);
     const uint tx0 = BOUND_LO(g->bx) / TILE, ty0 = BOUND_LO(g->by) / TILE, width = BOUND_HI(g->bx) / TILE - tx0 + 1;
     cover[2 * (first + j)] = mask;
     cover[2 * (first + j) + 1] = is_masked(g) ? tx0 | ty0 << 12 | width << 24 : 0;
@@ -133,34 +133,34 @@ __kernel void bin_count(__global const Record *records, __global const uint *vis
 // Launch: as bin_count. Pairs are written in depth order, for the stable sort; each is known by its slot, and slots are
 // given out by Gaussian, so that project_grad finds a Gaussian's sums in one place and its neighbours' beside them.
 // Emits nothing when the pairs did not fit.
-__kernel void bin_emit(__global const Record *records, __global const uint *visible,
+__kernel void bin_emit(__global const Projected *records, __global const uint *visible,
                        __global const uint *status, uint tiles_x,
 #if HAS_MASK
                        LIVE_TILES, // in [tiles]
 #endif
                        __global const uint *cover,      // in, as bin_count wrote it
                        __global const uint *offsets,    // in [visible] exclusive sums of counts
-                       __global const uint *pair_start, // in [count] exclusive sums of pair_counts
+                       __global const uint *isect_start, // in [count] exclusive sums of isect_counts
                        __global uint *tile_keys,        // out [pairs] tile, row major
                        __global uint *slots,            // out [pairs] slot
-                       __global uint *pair_owner) {     // out [pairs] Gaussian index, by slot
+                       __global uint *isect_owner) {     // out [pairs] Gaussian index, by slot
   const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
   if (first >= visible_count || status[S_OVERFLOW] != 0) return;
   const uint n = min((uint)BATCH, visible_count - first);
   for (uint j = first; j < first + n; j++) {
-    const uint i = visible[j], at = offsets[j], slot = pair_start[i], box = cover[2 * j + 1];
+    const uint i = visible[j], at = offsets[j], slot = isect_start[i], box = cover[2 * j + 1];
     __global uint *keys = tile_keys + at;
     uint emitted;
     if (box) {
       emitted = emit_mask(cover[2 * j], box & 0xfffu, box >> 12 & 0xfffu, box >> 24, tiles_x, keys);
     } else {
-      const Record g = records[i];
+      const Projected g = records[i];
       uint mask;
       emitted = walk_tiles(&g, &mask, tiles_x, LIVE_ARGUMENTS, keys);
     }
     for (uint k = 0; k < emitted; k++) {
       slots[at + k] = slot + k;
-      pair_owner[slot + k] = i;
+      isect_owner[slot + k] = i;
     }
   }
 }
@@ -171,7 +171,7 @@ __kernel void bin_ranges(__global const uint *tile_keys, // in [pairs] sorted
                          __global uint *tile_start) { // out [tiles + 1]
   const uint t = get_global_id(0);
   if (t > tiles) return;
-  uint lo = 0, hi = status[S_PAIRS];
+  uint lo = 0, hi = status[S_INTERSECTIONS];
   while (lo < hi) {
     const uint mid = lo + (hi - lo) / 2;
     if (tile_keys[mid] < t) lo = mid + 1;

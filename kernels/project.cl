@@ -63,15 +63,15 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
 #endif
                       const Camera cam,              // in camera
                       int depth_as_color,            // 1: the colour is the depth (for depth images)
-                      __global Record *records,      // out [stride]
+                      __global Projected *records,      // out [stride]
                       __global uint *keys,           // out [stride] bits of the f32 depth, or KEY_CULLED
-                      __global uint *pair_counts) {  // out [stride] 0: no pair of this Gaussian yet
+                      __global uint *isect_counts) {  // out [stride] 0: no pair of this Gaussian yet
   const uint i = get_global_id(0) * VW;
   if (i >= count) return;
   const uint n = min((uint)VW, count - i);
   for (uint l = 0; l < n; l++) {
     keys[i + l] = KEY_CULLED;
-    pair_counts[i + l] = 0;
+    isect_counts[i + l] = 0;
   }
   realV x[3], ls[3], q[4];
   for (int k = 0; k < 3; k++) {
@@ -110,7 +110,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
   sh_basis(dir, basis);
   seen &= sh_color(params, stride, i, basis, rgb);
   if (depth_as_color) rgb[0] = rgb[1] = rgb[2] = o.t[2];
-  Record g[VW];
+  Projected g[VW];
   EACH_LANE(x, px);
   EACH_LANE(y, py);
   EACH_LANE(a, a);

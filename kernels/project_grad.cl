@@ -155,8 +155,8 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
                            __global const real *filter,                          // in [stride] see project
 #endif
                            uint first, uint grad_stride,                         // block: first Gaussian, room
-                           const Camera cam, __global const uint *pair_start,    // in [count] first emission slot
-                           __global const uint *pair_counts,                     // in [count]; counted only
+                           const Camera cam, __global const uint *isect_start,    // in [count] first emission slot
+                           __global const uint *isect_counts,                     // in [count]; counted only
                            __global const uint *status,                          // unless S_OVERFLOW: then nothing was emitted
                            __global const real *sums,                            // in [pairs, SUMS]
                            real weight_opacity, // lambda_o / N
@@ -167,13 +167,13 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
   const realV zero = V(R(0.0));
   real lane[VW][SUMS], paired[VW], row[VW];
   for (uint l = 0; l < VW; l++) {
-    const uint pairs = i + l < count && status[S_OVERFLOW] == 0 ? pair_counts[i + l] : 0;
+    const uint pairs = i + l < count && status[S_OVERFLOW] == 0 ? isect_counts[i + l] : 0;
     row[l] = i + l < count ? R(1.0) : R(0.0);
     paired[l] = pairs > 0 ? R(1.0) : R(0.0);
     real8 eight = (real8)(R(0.0)); // in registers over the pairs
     real ninth = R(0.0);
     if (pairs > 0) {
-      __global const real *from = sums + (size_t)pair_start[i + l] * SUMS;
+      __global const real *from = sums + (size_t)isect_start[i + l] * SUMS;
       for (uint p = 0; p < pairs; p++, from += SUMS) {
         eight += vload8(0, from);
         ninth += from[8];

@@ -6,19 +6,19 @@
 
 #define TWO_LN2 R(1.3862943611198906)
 
-__kernel void screen_grad(__global const Record *records, uint stride, uint count, // in [stride]
-                          __global const uint *pair_start,  // in [count] first emission slot
-                          __global const uint *pair_counts, // in [count]
+__kernel void screen_grad(__global const Projected *records, uint stride, uint count, // in [stride]
+                          __global const uint *isect_start,  // in [count] first emission slot
+                          __global const uint *isect_counts, // in [count]
                           __global const real *sums,        // in [pairs, SUMS]
                           int width, int height,            // pixels
                           __global const uint *status,      // in S_OVERFLOW
                           __global real *cues) { // in/out [2, stride] sum of the norms, iterations that saw the Gaussian
   const uint i = get_global_id(0);
   if (i >= count || status[S_OVERFLOW] != 0) return;
-  const uint pairs = pair_counts[i];
+  const uint pairs = isect_counts[i];
   if (pairs == 0) return;
   real first = R(0.0), second = R(0.0);
-  __global const real *from = sums + (size_t)pair_start[i] * SUMS;
+  __global const real *from = sums + (size_t)isect_start[i] * SUMS;
   for (uint p = 0; p < pairs; p++, from += SUMS) {
     first += from[1];
     second += from[2];

@@ -4,7 +4,7 @@
 
 // Launch: as splat. Writes `shown` at the emission slots of the pairs whose Gaussian was not seen before.
 #if !GROUP_STYLE
-__kernel void seen_pairs(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+__kernel void seen_pairs(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
                          __global const uint *order,                       // in [pairs] sorted: emission slot of each pair
                          __global const uint *tile_start,                  // in [tiles + 1]
                          int tiles_x, int tiles, int width, int height,    // pixels of the image
@@ -17,7 +17,7 @@ __kernel void seen_pairs(__global const Record *records, __global const uint *pa
   uint last = start;
   for (uint p = start; p < end; p++) {
     const uint slot = order[p];
-    if (seen[pair_owner[slot]]) continue;
+    if (seen[isect_owner[slot]]) continue;
     shown[slot] = 0;
     last = p + 1;
   }
@@ -31,15 +31,15 @@ __kernel void seen_pairs(__global const Record *records, __global const uint *pa
     const realV y = lane_y + (real)(k / BLOCKS_X * BLOCK_H);
     T[k] = choose((px[k % BLOCKS_X] < right) & (y < below), one, zero); // what is opaque shows nothing
   }
-  Record staged[STAGE];
+  Projected staged[STAGE];
   for (uint p = start; p < last; p += STAGE) {
     realV most = T[0];
     for (int k = 1; k < BLOCKS; k++) most = max(most, T[k]);
     if (!any_lane(most >= (realV)T_MIN)) break;
     const uint n = min((uint)STAGE, last - p);
-    for (uint j = 0; j < n; j++) staged[j] = records[pair_owner[order[p + j]]];
+    for (uint j = 0; j < n; j++) staged[j] = records[isect_owner[order[p + j]]];
     for (uint j = 0; j < n; j++) {
-      const Record *g = &staged[j];
+      const Projected *g = &staged[j];
       const real gx = g->x - (real)tile_x - R(0.5), gy = g->y - (real)tile_y - R(0.5);
       int x0, x1, y0, y1;
       block_range(g->bx, tile_x, BLOCK_W, &x0, &x1);
@@ -64,7 +64,7 @@ __kernel void seen_pairs(__global const Record *records, __global const uint *pa
 }
 #else
 __kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
-seen_pairs(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+seen_pairs(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
            __global const uint *order,                    // in [pairs] sorted: emission slot of each pair
            __global const uint *tile_start,               // in [tiles + 1]
            int tiles_x, int tiles, int width, int height, // pixels of the image
@@ -74,7 +74,7 @@ seen_pairs(__global const Record *records, __global const uint *pair_owner, // i
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int x = l % TILE, y = l / TILE;
   const uint start = tile_start[tile], end = tile_start[tile + 1];
-  __local Record staged[STAGE];
+  __local Projected staged[STAGE];
   __local uint hit[STAGE];
   __local uint last;
   __local int open;
@@ -82,7 +82,7 @@ seen_pairs(__global const Record *records, __global const uint *pair_owner, // i
   barrier(CLK_LOCAL_MEM_FENCE);
   for (uint p = start + l; p < end; p += TILE * TILE) {
     const uint slot = order[p];
-    if (seen[pair_owner[slot]]) continue;
+    if (seen[isect_owner[slot]]) continue;
     shown[slot] = 0;
     atomic_max(&last, p + 1); // of integers: the same in any order
   }
@@ -95,13 +95,13 @@ seen_pairs(__global const Record *records, __global const uint *pair_owner, // i
     if (T >= (real)T_MIN) open = 1; // every writer writes the same value
     const uint n = min((uint)STAGE, stop - p);
     if ((uint)l < n) {
-      staged[l] = records[pair_owner[order[p + l]]];
+      staged[l] = records[isect_owner[order[p + l]]];
       hit[l] = 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     if (!open) break;
     for (uint j = 0; j < n; j++) {
-      const Record g = staged[j];
+      const Projected g = staged[j];
       const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
       const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
       const real alpha = min(effective_alpha(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T), (real)ALPHA_MAX);
@@ -116,13 +116,13 @@ seen_pairs(__global const Record *records, __global const uint *pair_owner, // i
 #endif
 
 // Launch: one work-item per Gaussian, after seen_pairs of each view.
-__kernel void seen_gather(uint count, __global const uint *pair_start, // in [count] first emission slot
-                          __global const uint *pair_counts,            // in [count]
+__kernel void seen_gather(uint count, __global const uint *isect_start, // in [count] first emission slot
+                          __global const uint *isect_counts,            // in [count]
                           __global const uchar *shown,                 // in [pairs]
                           __global uint *seen) {                       // in/out [count] 1: by some view
   const uint i = get_global_id(0);
   if (i >= count || seen[i]) return;
-  const uint first = pair_start[i], pairs = pair_counts[i];
+  const uint first = isect_start[i], pairs = isect_counts[i];
   for (uint p = 0; p < pairs; p++)
     if (shown[first + p]) seen[i] = 1;
 }

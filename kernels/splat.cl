@@ -6,7 +6,7 @@
 
 #if !GROUP_STYLE
 // Launch: one work-item per tile, local size 1.
-__kernel void splat(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+__kernel void splat(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
                     __global const uint *order,      // in [pairs] sorted: emission slot of each pair
                     __global const uint *tile_start, // in [tiles + 1]
                     int tiles_x, int tiles, real bg_red, real bg_green, real bg_blue,
@@ -24,16 +24,16 @@ __kernel void splat(__global const Record *records, __global const uint *pair_ow
     T[k] = (realV)(R(1.0));
     red[k] = green[k] = blue[k] = (realV)(R(0.0));
   }
-  Record staged[STAGE];
+  Projected staged[STAGE];
   uint p = start;
   while (p < end) {
     realV most = T[0];
     for (int k = 1; k < BLOCKS; k++) most = max(most, T[k]);
     if (!any_lane(most >= (realV)T_MIN)) break;
     const uint n = min((uint)STAGE, end - p);
-    for (uint j = 0; j < n; j++) staged[j] = records[pair_owner[order[p + j]]];
+    for (uint j = 0; j < n; j++) staged[j] = records[isect_owner[order[p + j]]];
     for (uint j = 0; j < n; j++) {
-      const Record *g = &staged[j];
+      const Projected *g = &staged[j];
       const real gx = g->x - (real)tile_x - R(0.5), gy = g->y - (real)tile_y - R(0.5);
       int x0, x1, y0, y1;
       block_range(g->bx, tile_x, BLOCK_W, &x0, &x1);
@@ -70,7 +70,7 @@ __kernel void splat(__global const Record *records, __global const uint *pair_ow
 #else
 // Launch: one work-group of TILE x TILE work-items per tile.
 __kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
-splat(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+splat(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
       __global const uint *order,      // in [pairs] sorted: emission slot of each pair
       __global const uint *tile_start, // in [tiles + 1]
       int tiles_x, int tiles, real bg_red, real bg_green, real bg_blue,
@@ -81,7 +81,7 @@ splat(__global const Record *records, __global const uint *pair_owner, // in [co
   const int x = l % TILE, y = l / TILE;
   const uint start = tile_start[tile], end = tile_start[tile + 1];
   real T = R(1.0), red = R(0.0), green = R(0.0), blue = R(0.0);
-  __local Record staged[STAGE];
+  __local Projected staged[STAGE];
   __local int open;
   uint p = start;
   for (;;) {
@@ -90,11 +90,11 @@ splat(__global const Record *records, __global const uint *pair_owner, // in [co
     barrier(CLK_LOCAL_MEM_FENCE);
     if (T >= (real)T_MIN) open = 1; // every writer writes the same value
     const uint n = min((uint)STAGE, end - p);
-    if ((uint)l < n) staged[l] = records[pair_owner[order[p + l]]];
+    if ((uint)l < n) staged[l] = records[isect_owner[order[p + l]]];
     barrier(CLK_LOCAL_MEM_FENCE);
     if (n == 0 || !open) break;
     for (uint j = 0; j < n; j++) {
-      const Record g = staged[j];
+      const Projected g = staged[j];
       const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
       const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
       const real alpha = min(effective_alpha(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T), (real)ALPHA_MAX);

@@ -7,7 +7,7 @@
 // the final colour (1 - alpha >= 1 - ALPHA_MAX). Source: 3DGS backward; front to back as in Faster-GS.
 
 // Adds one block's contributions. s: the nine sums, d*: dL/dC, T and behind are advanced.
-static inline void grad_block(const Record *g, realV u, realV dy, realV dred, realV dgreen, realV dblue, realV *T,
+static inline void grad_block(const Projected *g, realV u, realV dy, realV dred, realV dgreen, realV dblue, realV *T,
                               realV *behind, realV s[SUMS]) {
   const realV free_alpha =
       effective_alpha(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), *T);
@@ -54,7 +54,7 @@ static inline void lane_sums(realV s[SUMS], __global real *out) {
 }
 
 // Launch: one work-item per tile, local size 1.
-__kernel void splat_grad(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+__kernel void splat_grad(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
                          __global const uint *order, __global const uint *tile_start, // in [pairs], [tiles + 1]
                          __global const uint *tile_used, int tiles_x, int tiles,      // in [tiles]
                          __global const real *image,  // in [4, rows, stride] as splat left it
@@ -78,16 +78,16 @@ __kernel void splat_grad(__global const Record *records, __global const uint *pa
     behind[k] = dred[k] * load_block(image + at, stride) + dgreen[k] * load_block(image + plane + at, stride) +
                 dblue[k] * load_block(image + 2 * plane + at, stride);
   }
-  Record staged[STAGE];
+  Projected staged[STAGE];
   uint slot[STAGE];
   for (uint p = start; p < used; p += STAGE) {
     const uint n = min((uint)STAGE, used - p);
     for (uint j = 0; j < n; j++) {
       slot[j] = order[p + j];
-      staged[j] = records[pair_owner[slot[j]]];
+      staged[j] = records[isect_owner[slot[j]]];
     }
     for (uint j = 0; j < n; j++) {
-      const Record *g = &staged[j];
+      const Projected *g = &staged[j];
       const real gx = g->x - (real)tile_x - R(0.5), gy = g->y - (real)tile_y - R(0.5);
       int x0, x1, y0, y1;
       block_range(g->bx, tile_x, BLOCK_W, &x0, &x1);
@@ -112,7 +112,7 @@ __kernel void splat_grad(__global const Record *records, __global const uint *pa
 // Launch: one work-group of TILE x TILE work-items per tile; sums over the group in a fixed order (two stages through
 // local memory), no assumption on sub-groups.
 __kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
-splat_grad(__global const Record *records, __global const uint *pair_owner, // in [count], [pairs]
+splat_grad(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
            __global const uint *order, __global const uint *tile_start,     // in [pairs], [tiles + 1]
            __global const uint *tile_used, int tiles_x, int tiles,          // in [tiles]
            __global const real *image,  // in [4, rows, stride] as splat left it
@@ -130,7 +130,7 @@ splat_grad(__global const Record *records, __global const uint *pair_owner, // i
   __local real row[SUMS][TILE];
   for (uint p = start; p < used; p++) {
     const uint slot = order[p];
-    const Record g = records[pair_owner[slot]];
+    const Projected g = records[isect_owner[slot]];
     const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
     const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
     real s[SUMS];

@@ -10,7 +10,7 @@
 //! | step | where | what |
 //! |---|---|---|
 //! | read | [`dataset`] | files → posed photos in the local frame |
-//! | start | [`model`] | points → [`Splats`] |
+//! | start | [`model`] | points → [`Gaussians`] |
 //! | anti-alias | [`antialias`], `kernels/filter.cl` | whether the views' sampling rates ask for Mip-Splatting's filters; each Gaussian's 3D filter |
 //! | project | `kernels/project.cl` | Gaussians → 2D records of one camera |
 //! | scan, bin, sort | `kernels/{scan,bin,sort}.cl` | records → Gaussians of each tile, front to back |
@@ -43,7 +43,7 @@
 //! let dataset = load_dataset("photos".as_ref(), &LoadOptions::default())?;
 //! let device = Device::open(None)?;
 //! let config = TrainConfig { iterations: 3000, ..TrainConfig::default() };
-//! let splats = run::initial_splats(&dataset, &config)?;
+//! let splats = run::initial_gaussians(&dataset, &config)?;
 //! let mut trainer = Trainer::new(&device, &dataset, &config, &splats)?;
 //! while trainer.iteration() < config.iterations {
 //!     trainer.step()?;
@@ -77,6 +77,6 @@ pub use config::TrainConfig;
 pub use device::Device;
 pub use pipeline::forward::Renderer;
 pub use run::RunRecord;
-pub use scene::Splats;
+pub use scene::Gaussians;
 pub use train::Trainer;
 pub use train::plan::Plan;

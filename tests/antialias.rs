@@ -11,10 +11,10 @@ use mhsplat::capture::{Alpha, Camera, Frame, Photo};
 use mhsplat::config::{AntiAliasing, Init, Sampler};
 use mhsplat::device::{Defines, Device};
 use mhsplat::lab::verify::{cases, definition::Reference, pass};
-use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Rendered, Renderer};
-use mhsplat::run::{checkpoint, initial_splats};
-use mhsplat::scene::{Plane, Splats, ply};
+use mhsplat::run::{checkpoint, initial_gaussians};
+use mhsplat::scene::{Gaussians, Plane, ply};
 use mhsplat::train::Trainer;
 
 /// True if the plan has the filters.
@@ -56,7 +56,7 @@ fn brightness_at(middle: f64, zoom: u32, anti_aliased: bool) -> f64 {
         data: vec![0; (3 * (256 / zoom) * (256 / zoom)) as usize],
     };
     case.background = [0.0; 3];
-    case.splats = Splats::zeros(0, 1);
+    case.splats = Gaussians::zeros(0, 1);
     let scale = (1.5 * 2.0 / 300.0f32).ln();
     case.splats.scatter(Plane::LOG_SCALE, 0, [scale; 3]);
     case.splats.scatter(Plane::OPACITY, 0, [4.0]);
@@ -153,18 +153,18 @@ fn too_little_room_for_pairs_changes_nothing() {
     let config = config(AntiAliasing::On, Sampler::Mh);
     let (_, whole) = trained(&data, &config, 130);
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut tight =
         Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
     for until in [99, 104, 130] {
-        tight.shrink_pairs(256).unwrap();
+        tight.shrink_intersections(256).unwrap();
         drive(&mut tight, until).unwrap();
     }
     assert!(tight.overflows() > 0);
     assert!(tight.state().unwrap().splats == whole);
 }
 
-fn shown(splats: &Splats, camera: &Camera, anti_alias: bool) -> Rendered {
+fn shown(splats: &Gaussians, camera: &Camera, anti_alias: bool) -> Rendered {
     let device = Device::open(None).unwrap();
     let defines = Defines {
         anti_alias,
@@ -172,7 +172,7 @@ fn shown(splats: &Splats, camera: &Camera, anti_alias: bool) -> Rendered {
     };
     let degree = splats.sh_degree();
     let mut renderer = Renderer::<f32>::new(&device, defines, degree, false).unwrap();
-    let mut scene = Scene::upload(&device, splats, 0).unwrap();
+    let mut scene = GaussianBuffers::upload(&device, splats, 0).unwrap();
     if anti_alias {
         scene = scene.with_filter(&device).unwrap();
     }
@@ -249,7 +249,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
         sh_degree: 1,
         ..start
     };
-    let splats = initial_splats(&data, &Plan::new(&data, &start).unwrap()).unwrap();
+    let splats = initial_gaussians(&data, &Plan::new(&data, &start).unwrap()).unwrap();
     let device = Device::open(None).unwrap();
     let mut again =
         Trainer::new(&device, &data, &Plan::new(&data, &start).unwrap(), &splats).unwrap();
@@ -261,7 +261,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
 
 #[test]
 fn a_filter_of_nothing_changes_no_bit_and_a_wide_one_dims_and_widens() {
-    let mut splats = Splats::zeros(0, 2);
+    let mut splats = Gaussians::zeros(0, 2);
     for i in 0..2 {
         splats.scatter(Plane::LOG_SCALE, i, [-3.0, -4.0, -5.0f32]);
         splats.scatter(Plane::OPACITY, i, [1.25f32]);
@@ -285,7 +285,7 @@ fn a_filter_of_nothing_changes_no_bit_and_a_wide_one_dims_and_widens() {
 fn what_is_filtered_can_be_taken_back() {
     let data = room(64);
     let splats =
-        initial_splats(&data, &Plan::new(&data, &TrainConfig::default()).unwrap()).unwrap();
+        initial_gaussians(&data, &Plan::new(&data, &TrainConfig::default()).unwrap()).unwrap();
     let sigma: Vec<f32> = splats.planes()[Plane::LOG_SCALE]
         .iter()
         .enumerate()

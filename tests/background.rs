@@ -7,8 +7,8 @@ use mhsplat::capture::{Alpha, Dataset, Photo, PhotoSource};
 use mhsplat::config::{Background, Sampler, TrainConfig};
 use mhsplat::device::{CameraArg, Device};
 use mhsplat::pipeline::forward::RenderOptions;
-use mhsplat::run::{checkpoint, initial_splats};
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::run::{checkpoint, initial_gaussians};
+use mhsplat::scene::{Gaussians, Plane};
 use mhsplat::train::Trainer;
 use mhsplat::train::schedule::Schedule;
 
@@ -107,7 +107,7 @@ fn a_resumed_run_over_changing_backgrounds_ends_with_the_same_bits() {
 }
 
 /// Photos in which there is nothing, and black fog before them.
-fn fog(background: Background) -> (Dataset, TrainConfig, Splats) {
+fn fog(background: Background) -> (Dataset, TrainConfig, Gaussians) {
     let mut data = room(64);
     for view in &mut data.train {
         let (w, h) = (view.camera.width, view.camera.height);
@@ -122,7 +122,7 @@ fn fog(background: Background) -> (Dataset, TrainConfig, Splats) {
         ..config(background)
     };
     (config.loss.lambda_opacity, config.loss.lambda_scale) = (0.0, 0.0);
-    let mut splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let mut splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     for c in 0..3 {
         // Far below black, so that no gradient of the colour moves it.
         splats.plane_mut(Plane::SH + c).fill(-4.0);
@@ -152,7 +152,7 @@ fn fog_of_the_backgrounds_colour_does_not_last() {
 /// Where a photo is clear no error brings a Gaussian of the background's colour into being there.
 #[test]
 fn nothing_is_born_in_image_space_where_there_is_nothing() {
-    let born = |data: &Dataset, config: &TrainConfig, splats: &Splats| {
+    let born = |data: &Dataset, config: &TrainConfig, splats: &Gaussians| {
         let device = Device::open(None).unwrap();
         let mut trainer =
             Trainer::new(&device, data, &Plan::new(data, config).unwrap(), splats).unwrap();
@@ -176,7 +176,7 @@ fn the_loss_does_not_depend_on_chance_backgrounds() {
         (o.lr_position, o.lr_position_final) = (0.0, 0.0);
         (o.lr_sh0, o.lr_sh, o.lr_opacity) = (rate, 0.0, 0.0);
         (o.lr_scale, o.lr_rotation) = (0.0, 0.0);
-        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
         let device = Device::open(None).unwrap();
         let mut trainer =
             Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
@@ -192,8 +192,8 @@ fn the_loss_does_not_depend_on_chance_backgrounds() {
 }
 
 /// Gaussians in the middle of the room alone, so that tiles of every photo have none.
-fn small(data: &Dataset, config: &TrainConfig) -> Splats {
-    let mut splats = initial_splats(data, &Plan::new(data, config).unwrap()).unwrap();
+fn small(data: &Dataset, config: &TrainConfig) -> Gaussians {
+    let mut splats = initial_gaussians(data, &Plan::new(data, config).unwrap()).unwrap();
     for p in 0..3 {
         let position = splats.plane_mut(Plane::POSITION + p);
         position.iter_mut().for_each(|x| *x *= 0.1);
@@ -239,7 +239,7 @@ fn skipping_what_is_blank_changes_no_bit() {
         renderer
             .render(scene, &camera, &RenderOptions::default())
             .unwrap();
-        let pairs = renderer.pairs_per_tile(&camera).unwrap();
+        let pairs = renderer.intersections_per_tile(&camera).unwrap();
         let across = camera.tiles[0] as usize;
         let clear = |t: &usize| t % across < across / 2 && pairs[*t] == 0;
         assert!((0..pairs.len()).any(|t| clear(&t)), "nothing was blank");

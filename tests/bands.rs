@@ -6,8 +6,8 @@ use mhsplat::capture::Dataset;
 use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::device::Device;
 use mhsplat::pipeline::forward::RenderOptions;
-use mhsplat::run::initial_splats;
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::run::initial_gaussians;
+use mhsplat::scene::{Gaussians, Plane};
 use mhsplat::train::Trainer;
 
 /// A fixed set, with a band more every 40 iterations.
@@ -25,7 +25,7 @@ fn config() -> TrainConfig {
     config
 }
 
-fn trainer(data: &Dataset, config: &TrainConfig, splats: &Splats) -> Trainer {
+fn trainer(data: &Dataset, config: &TrainConfig, splats: &Gaussians) -> Trainer {
     Trainer::new(
         &Device::open(None).unwrap(),
         data,
@@ -39,7 +39,7 @@ fn trainer(data: &Dataset, config: &TrainConfig, splats: &Splats) -> Trainer {
 fn one_band_after_the_other_comes_at_its_interval() {
     let data = room(64);
     let config = config();
-    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut trained = trainer(&data, &config, &splats);
     let mut degrees = Vec::new();
     for until in [40, 41, 80, 81, 200] {
@@ -60,7 +60,7 @@ fn one_band_after_the_other_comes_at_its_interval() {
 #[test]
 fn what_no_training_view_shows_goes_at_the_end_and_nothing_else() {
     let data = room(64);
-    let seen = initial_splats(&data, &Plan::new(&data, &config()).unwrap()).unwrap();
+    let seen = initial_gaussians(&data, &Plan::new(&data, &config()).unwrap()).unwrap();
     let n = seen.len();
     let mut planes = seen.planes().to_vec();
     // Three that are too faint to be seen.
@@ -78,7 +78,7 @@ fn what_no_training_view_shows_goes_at_the_end_and_nothing_else() {
             });
         }
     }
-    let more = Splats::new(0, planes).unwrap();
+    let more = Gaussians::new(0, planes).unwrap();
     let mut untrained = trainer(&data, &config(), &more);
     let images = |t: &mut Trainer| {
         let (scene, renderer) = t.scene_and_renderer();
@@ -113,7 +113,7 @@ fn what_was_gathered_of_a_gaussian_stays_with_it() {
         sampler: Sampler::Adc,
         ..config()
     };
-    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut stopped = trainer(&data, &config, &splats);
     drive(&mut stopped, 90).unwrap();
     let of = |t: &mut Trainer| {

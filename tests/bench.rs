@@ -14,7 +14,7 @@ use mhsplat::lab::bench::record::{BenchRecord, Case, Failure, Iteration, Outcome
 use mhsplat::lab::bench::work::{Load, TileWork};
 use mhsplat::lab::bench::{Options, STAGES, scene};
 use mhsplat::lab::stats::{Spread, exponent, ratio};
-use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
 
 fn spread(samples: &[f64]) -> Spread {
@@ -140,7 +140,7 @@ fn lanes_are_those_of_a_brute_force_count() {
     for tuning in [Tuning::CPU, eight] {
         let mut renderer =
             Renderer::<f32>::new(&device, Defines::new(tuning), scene::SH_DEGREE, false).unwrap();
-        let on_device = Scene::upload(&device, &splats, 0).unwrap();
+        let on_device = GaussianBuffers::upload(&device, &splats, 0).unwrap();
         let arg = Renderer::<f32>::camera(&camera);
         renderer
             .render(&on_device, &arg, &RenderOptions::default())

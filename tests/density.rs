@@ -12,8 +12,8 @@ mod step;
 mod switches;
 mod voxels;
 
-use mhsplat::base::rng::{Philox, Purpose};
-use mhsplat::density::{Cues, Evidence, SceneState};
+use mhsplat::base::rng::{Philox, Stream};
+use mhsplat::density::{ErrorStatistics, SceneState, Statistics};
 
 /// A scene and its cues, owned.
 #[derive(Clone)]
@@ -30,7 +30,7 @@ pub struct Scene {
 impl Scene {
     /// `n` Gaussians around the origin, opacities around ½, every third one unseen.
     pub fn random(n: usize, seed: u64) -> Self {
-        let stream = Purpose::Synthetic.stream(0);
+        let stream = Stream::Synthetic.stream(0);
         let plane = |k: u64, scale: f64, shift: f64| -> Vec<f32> {
             (0..n as u64)
                 .map(|i| (shift + scale * Philox::normal(seed, stream + k, i)[0]) as f32)
@@ -57,16 +57,16 @@ impl Scene {
         }
     }
 
-    pub fn cues(&self) -> Cues<'_> {
-        Cues {
+    pub fn cues(&self) -> ErrorStatistics<'_> {
+        ErrorStatistics {
             ssim: &self.ssim,
             l1: &self.l1,
             views: &self.views,
         }
     }
 
-    pub fn errors(&self) -> Evidence<'_> {
-        Evidence::Errors(self.cues())
+    pub fn errors(&self) -> Statistics<'_> {
+        Statistics::Errors(self.cues())
     }
 }
 

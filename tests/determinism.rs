@@ -5,8 +5,8 @@ use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::Sampler;
 use mhsplat::device::Device;
 use mhsplat::run::checkpoint::Checkpoint;
-use mhsplat::run::{Reading, checkpoint, initial_splats};
-use mhsplat::scene::Splats;
+use mhsplat::run::{Reading, checkpoint, initial_gaussians};
+use mhsplat::scene::Gaussians;
 use mhsplat::train::Event;
 use mhsplat::train::Trainer;
 use mhsplat::train::schedule::Schedule;
@@ -56,9 +56,9 @@ pub fn drive(trainer: &mut Trainer, until: u32) -> Result<()> {
     trainer.advance_to(until)
 }
 
-pub fn trained(dataset: &Dataset, config: &TrainConfig, until: u32) -> (Trainer, Splats) {
+pub fn trained(dataset: &Dataset, config: &TrainConfig, until: u32) -> (Trainer, Gaussians) {
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(dataset, &Plan::new(dataset, config).unwrap()).unwrap();
+    let splats = initial_gaussians(dataset, &Plan::new(dataset, config).unwrap()).unwrap();
     let mut trainer = Trainer::new(
         &device,
         dataset,
@@ -228,10 +228,10 @@ fn pairs_that_do_not_fit_are_repeated_not_lost() {
     for config in SAMPLERS.map(sampled) {
         let (_, roomy) = trained(&data, &config, 60);
         let device = Device::open(None).unwrap();
-        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
         let mut tight =
             Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
-        tight.shrink_pairs(1024).unwrap();
+        tight.shrink_intersections(1024).unwrap();
         drive(&mut tight, 60).unwrap();
         assert!(
             tight.overflows() > 0,
@@ -251,14 +251,14 @@ fn an_overflow_right_after_density_control_does_not_repeat_it() {
     for config in SAMPLERS.map(sampled) {
         let (roomy, whole) = trained(&data, &config, 120);
         let device = Device::open(None).unwrap();
-        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
         let mut tight =
             Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         let mut shrunk = 0;
         while tight.iteration() < 120 {
             if let Event::Density(_) = tight.advance().unwrap() {
                 // The next iteration finds no room, and the trainer comes back to this one.
-                tight.shrink_pairs(1024).unwrap();
+                tight.shrink_intersections(1024).unwrap();
                 shrunk += 1;
             }
         }
@@ -294,7 +294,7 @@ fn making_a_trainer_changes_no_gaussian() {
             max_gaussians: Some(256),
             ..config(60)
         };
-        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
         assert_eq!(splats.len(), 256);
         let mut trainer =
             Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();

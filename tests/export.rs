@@ -9,16 +9,16 @@ use crate::dataset::{assert_refused, data};
 use mhsplat::base::error::Error;
 use mhsplat::base::rng::Philox;
 use mhsplat::capture::{Frame, Points, point_cloud};
-use mhsplat::scene::{Plane, Splats, ply};
+use mhsplat::scene::{Gaussians, Plane, ply};
 
-fn splats(n: usize, sh_degree: u32) -> Splats {
+fn splats(n: usize, sh_degree: u32) -> Gaussians {
     let planes = (0..Plane::count(sh_degree) as u64)
         .map(|p| {
             let value = |i: u64| (Philox::uniform(9, p, i)[0] * 8.0 - 4.0) as f32;
             (0..n as u64).map(value).collect()
         })
         .collect();
-    Splats::new(sh_degree, planes).unwrap()
+    Gaussians::new(sh_degree, planes).unwrap()
 }
 
 fn property_values(path: &Path, names: &[&str], row: usize) -> Vec<f32> {
@@ -58,7 +58,7 @@ fn round_trip_keeps_every_bit() {
         ply::read(&file, &Frame::IDENTITY).unwrap().splats,
         splats(18, 3)
     );
-    ply::write(&file, &Splats::zeros(1, 0), &Frame::IDENTITY).unwrap();
+    ply::write(&file, &Gaussians::zeros(1, 0), &Frame::IDENTITY).unwrap();
     assert!(
         ply::read(&file, &Frame::IDENTITY)
             .unwrap()

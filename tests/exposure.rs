@@ -16,7 +16,7 @@ use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
 use mhsplat::pipeline::stage::exposure::{exposed, unexposed};
 use mhsplat::run::PlanRecord;
-use mhsplat::run::{Clock, Progress, Run, RunRecord, checkpoint, initial_splats};
+use mhsplat::run::{Clock, Progress, Run, RunRecord, checkpoint, initial_gaussians};
 use mhsplat::train::brightness::{GainSpread, compared, gain, spread};
 use mhsplat::train::plan::Why;
 use mhsplat::{TrainConfig, Trainer};
@@ -94,7 +94,7 @@ fn config(iterations: u32, exposure: ExposureChoice) -> TrainConfig {
 
 fn trainer(data: &Dataset, config: &TrainConfig) -> Trainer {
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(data, &Plan::new(data, config).unwrap()).unwrap();
+    let splats = initial_gaussians(data, &Plan::new(data, config).unwrap()).unwrap();
     Trainer::new(&device, data, &Plan::new(data, config).unwrap(), &splats).unwrap()
 }
 
@@ -323,7 +323,7 @@ fn pairs_that_do_not_fit_step_no_exposure_twice() {
     let config = config(60, ExposureChoice::On);
     let mut roomy = trained(&data, &config, 40);
     let mut tight = trainer(&data, &config);
-    tight.shrink_pairs(1024).unwrap();
+    tight.shrink_intersections(1024).unwrap();
     drive(&mut tight, 40).unwrap();
     assert!(tight.overflows() > 0);
     assert!(roomy.exposures().unwrap() == tight.exposures().unwrap());

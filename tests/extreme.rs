@@ -5,7 +5,7 @@ use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::verify::cases::{Case, mild};
 use mhsplat::lab::verify::outcome::Outcome;
 use mhsplat::lab::verify::pass::run;
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::scene::{Gaussians, Plane};
 
 /// A plane of every parameter group: x, a log-scale, w and z of the quaternion, opacity, SH degree 0 and 3.
 const ONE_OF_EACH: [usize; 7] = [0, 4, 6, 9, Plane::OPACITY, Plane::SH, Plane::SH + 40];
@@ -45,7 +45,7 @@ fn tiles(out: &Outcome) -> Vec<&[f64]> {
 }
 
 /// `case` with its first Gaussian changed.
-fn with_first(case: &Case, name: &str, change: impl Fn(&mut Splats)) -> Case {
+fn with_first(case: &Case, name: &str, change: impl Fn(&mut Gaussians)) -> Case {
     let mut case = case.clone();
     case.name = name.into();
     change(&mut case.splats);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Array, CameraArg, Defines, Device, Kernels, Record};
+use mhsplat::device::{Array, CameraArg, Defines, Device, Kernels, Projected};
 use mhsplat::scene::Edit;
 
 fn probe<R: mhsplat::device::Real>() -> Vec<u32> {
@@ -23,10 +23,10 @@ fn probe<R: mhsplat::device::Real>() -> Vec<u32> {
 macro_rules! layout {
     ($real:ty) => {
         [
-            size_of::<Record<$real>>(),
-            std::mem::offset_of!(Record<$real>, lo),
-            std::mem::offset_of!(Record<$real>, depth),
-            std::mem::offset_of!(Record<$real>, by),
+            size_of::<Projected<$real>>(),
+            std::mem::offset_of!(Projected<$real>, lo),
+            std::mem::offset_of!(Projected<$real>, depth),
+            std::mem::offset_of!(Projected<$real>, by),
             size_of::<CameraArg<$real>>(),
             std::mem::offset_of!(CameraArg<$real>, intrinsics),
             std::mem::offset_of!(CameraArg<$real>, near),

@@ -9,13 +9,13 @@ use mhsplat::device::{Defines, Device};
 use mhsplat::evaluate::{Evaluator, mean};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
-use mhsplat::run::initial_splats;
+use mhsplat::run::initial_gaussians;
 use mhsplat::train::Trainer;
 
 /// Held-out PSNR before and after training.
 fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(data, &Plan::new(data, config).unwrap()).unwrap();
+    let splats = initial_gaussians(data, &Plan::new(data, config).unwrap()).unwrap();
     let mut trainer =
         Trainer::new(&device, data, &Plan::new(data, config).unwrap(), &splats).unwrap();
     let views = ViewSet::new(&Photos::new(&device, data.image_budget), data.test.clone()).unwrap();

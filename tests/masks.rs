@@ -205,7 +205,7 @@ fn births(data: &Dataset) -> f64 {
     config.mh.noise_rate = 0.0;
     config.work.morton_order = false;
     config.work.resolution_levels = 0;
-    let before = mhsplat::run::initial_splats(data, &Plan::new(data, &config).unwrap())
+    let before = mhsplat::run::initial_gaussians(data, &Plan::new(data, &config).unwrap())
         .unwrap()
         .len();
     let (_, splats) = trained(data, &config, 51);

@@ -20,8 +20,8 @@ use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::{PhotoStats, Photos};
 use mhsplat::pipeline::stage::loss::ImagePair;
 use mhsplat::pipeline::stage::metrics::Metrics;
-use mhsplat::run::initial_splats;
-use mhsplat::scene::Splats;
+use mhsplat::run::initial_gaussians;
+use mhsplat::scene::Gaussians;
 use mhsplat::train::schedule::Schedule;
 use mhsplat::{TrainConfig, Trainer};
 
@@ -194,7 +194,7 @@ fn a_budget_below_one_photo_is_refused() {
 }
 
 /// Parameters, scores of the held-out views and use of the budget after 60 iterations.
-fn trained(budget: u64) -> (Splats, Vec<ViewScore>, PhotoStats) {
+fn trained(budget: u64) -> (Gaussians, Vec<ViewScore>, PhotoStats) {
     let data = room_within(64, Some(budget));
     let config = TrainConfig {
         iterations: 60,
@@ -204,7 +204,7 @@ fn trained(budget: u64) -> (Splats, Vec<ViewScore>, PhotoStats) {
     };
     let device = Device::open(None).unwrap();
     let plan = Plan::new(&data, &config).unwrap();
-    let splats = initial_splats(&data, &plan).unwrap();
+    let splats = initial_gaussians(&data, &plan).unwrap();
     let photos = Photos::new(&device, data.image_budget);
     let train = ViewSet::new(&photos, data.train).unwrap();
     let test = ViewSet::new(&photos, data.test).unwrap();
@@ -261,7 +261,7 @@ fn a_photo_that_goes_missing_is_named() {
             ..TrainConfig::default()
         };
         let device = Device::open(None).unwrap();
-        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
         let mut trainer =
             Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         trainer.advance_to(8).unwrap();

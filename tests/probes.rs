@@ -13,7 +13,7 @@ use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::forward::{Quantity, RenderOptions};
 use mhsplat::pipeline::photos::Photos;
 use mhsplat::run::checkpoint;
-use mhsplat::scene::{OptionalColor, Plane, Splats};
+use mhsplat::scene::{Gaussians, OptionalColor, Plane};
 use mhsplat::train::Trainer;
 
 fn config() -> TrainConfig {
@@ -30,7 +30,7 @@ fn config() -> TrainConfig {
 }
 
 /// Copies of rows spread over the scene, beside their sources; every other one shares.
-fn trials(splats: &Splats) -> Vec<Trial> {
+fn trials(splats: &Gaussians) -> Vec<Trial> {
     let stride = splats.len() as u32 / 80;
     let trial = |k: u32| {
         let src = k * stride;
@@ -57,7 +57,7 @@ fn trials(splats: &Splats) -> Vec<Trial> {
 
 /// What the instrument of the surrogate's check, which is itself held against differences of the loss, says of them in double
 /// precision over the views that training takes next.
-fn foretold(trainer: &Trainer, splats: &Splats, trials: &[Trial]) -> Vec<f64> {
+fn foretold(trainer: &Trainer, splats: &Gaussians, trials: &[Trial]) -> Vec<f64> {
     let data = room(64);
     let device = Device::open(None).unwrap();
     let (schedule, done) = (trainer.schedule(), trainer.iteration());
@@ -70,7 +70,7 @@ fn foretold(trainer: &Trainer, splats: &Splats, trials: &[Trial]) -> Vec<f64> {
             sh_degree: splats.sh_degree(),
             background: [0.0; 3],
             quantity: Quantity::Color,
-            live_only: false,
+            active_only: false,
         },
         lambda_ssim: 0.2,
         alpha_min: ALPHA_MIN,
@@ -164,11 +164,12 @@ fn runs_with_probes_repeat_and_resume() {
     assert!(whole == resumed.state().unwrap().splats);
 
     // Pairs that do not fit are repeated in the pass of probes as elsewhere.
-    let splats = mhsplat::run::initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let splats =
+        mhsplat::run::initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut tight =
         Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
     while tight.iteration() < 120 {
-        tight.shrink_pairs(1024).unwrap();
+        tight.shrink_intersections(1024).unwrap();
         let next = tight.iteration() + 20;
         drive(&mut tight, next).unwrap();
     }

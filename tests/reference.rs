@@ -8,11 +8,11 @@ use mhsplat::pipeline::stage::bin::bin;
 use mhsplat::pipeline::stage::loss::loss;
 use mhsplat::pipeline::stage::project::project;
 use mhsplat::pipeline::stage::splat;
-use mhsplat::scene::{Plane, Splats, sh};
+use mhsplat::scene::{Gaussians, Plane, sh};
 
 /// One Gaussian of the given log-scale in front of a camera that looks along z from the origin.
 fn alone(log_scale: f32, logit: f32, depth: f32) -> (Scene64, Camera64, Options) {
-    let mut splats = Splats::zeros(0, 1);
+    let mut splats = Gaussians::zeros(0, 1);
     splats.scatter(Plane::POSITION, 0, [0.0, 0.0, depth]);
     splats.scatter(Plane::LOG_SCALE, 0, [log_scale; 3]);
     splats.scatter(Plane::ROTATION, 0, [1.0, 0.0, 0.0, 0.0]);

@@ -7,8 +7,8 @@ use mhsplat::config::{
     AdcConfig, Background, Birth, McmcConfig, MhConfig, OptimizerConfig, Sampler,
 };
 use mhsplat::device::Device;
-use mhsplat::run::initial_splats;
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::run::initial_gaussians;
+use mhsplat::scene::{Gaussians, Plane};
 use mhsplat::train::Event;
 use mhsplat::train::schedule::Schedule;
 use mhsplat::train::{DensityEvent, Trainer};
@@ -35,7 +35,7 @@ fn still(sampler: Sampler) -> TrainConfig {
     }
 }
 
-fn train(config: &TrainConfig, splats: &Splats) -> (Vec<DensityEvent>, Splats) {
+fn train(config: &TrainConfig, splats: &Gaussians) -> (Vec<DensityEvent>, Gaussians) {
     let device = Device::open(None).unwrap();
     let mut trainer = Trainer::new(
         &device,
@@ -58,7 +58,7 @@ fn train(config: &TrainConfig, splats: &Splats) -> (Vec<DensityEvent>, Splats) {
 }
 
 /// Rows as bits, sorted: the set without its order.
-fn rows(splats: &Splats, keep: impl Fn(usize) -> bool) -> Vec<Vec<u32>> {
+fn rows(splats: &Gaussians, keep: impl Fn(usize) -> bool) -> Vec<Vec<u32>> {
     let row = |i: usize| splats.planes().iter().map(|p| p[i].to_bits()).collect();
     let mut rows: Vec<Vec<u32>> = (0..splats.len()).filter(|i| keep(*i)).map(row).collect();
     rows.sort();
@@ -76,7 +76,7 @@ fn pruned_gaussians_are_gone_and_the_others_unchanged() {
         },
         ..still(Sampler::Adc)
     };
-    let mut splats = initial_splats(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
+    let mut splats = initial_gaussians(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
     let n = splats.len();
     for i in (0..n).step_by(3) {
         splats.plane_mut(Plane::OPACITY)[i] = -6.0;
@@ -97,7 +97,7 @@ fn a_reset_lowers_every_opacity() {
         },
         ..still(Sampler::Adc)
     };
-    let splats = initial_splats(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
+    let splats = initial_gaussians(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
     let (events, left) = train(&config, &splats);
     assert!(events.iter().any(|e| e.stats.opacity_resets == 1));
     let limit = (0.01f32 / 0.99).ln();
@@ -120,7 +120,7 @@ fn noise_moves_positions_alone_and_only_where_asked_for() {
         },
         ..still(Sampler::Mcmc)
     };
-    let splats = initial_splats(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
+    let splats = initial_gaussians(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
     assert!(train(&config, &splats).1 == splats, "no rate, no noise");
     let moving = TrainConfig {
         optimizer: OptimizerConfig {
@@ -152,7 +152,7 @@ fn noise_moves_positions_alone_and_only_where_asked_for() {
         ..moving.clone()
     };
     assert!(train(&mh(5e5), &splats).1 != train(&mh(0.0), &splats).1);
-    let sorted = |s: &Splats, p: usize| {
+    let sorted = |s: &Gaussians, p: usize| {
         let mut bits: Vec<u32> = s.planes()[p].iter().map(|v| v.to_bits()).collect();
         bits.sort_unstable();
         bits
@@ -172,7 +172,7 @@ fn no_sampler_exceeds_the_bound() {
         sh_degree: 0,
         ..TrainConfig::default()
     };
-    let splats = initial_splats(&room(64), &Plan::new(&room(64), &free).unwrap()).unwrap();
+    let splats = initial_gaussians(&room(64), &Plan::new(&room(64), &free).unwrap()).unwrap();
     let n = splats.len();
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None] {
         let run = |max_gaussians| {
@@ -200,7 +200,7 @@ fn all_dead_scenes_are_survived() {
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
         let config = still(sampler);
         let mut splats =
-            initial_splats(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
+            initial_gaussians(&room(64), &Plan::new(&room(64), &config).unwrap()).unwrap();
         splats.plane_mut(Plane::OPACITY).fill(-9.0);
         let (events, left) = train(&config, &splats);
         assert!(!events.is_empty());

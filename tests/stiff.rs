@@ -2,12 +2,12 @@
 
 use crate::determinism::room;
 use mhsplat::Plan;
-use mhsplat::base::rng::{Philox, Purpose};
+use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::capture::Dataset;
 use mhsplat::config::{AdcConfig, Sampler, TrainConfig};
 use mhsplat::device::Device;
-use mhsplat::run::initial_splats;
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::run::initial_gaussians;
+use mhsplat::scene::{Gaussians, Plane};
 use mhsplat::train::Trainer;
 
 const ITERATIONS: u32 = 240;
@@ -29,7 +29,7 @@ fn config(sampler: Sampler) -> TrainConfig {
 }
 
 /// Losses after every tenth of the run, and the scene at its end.
-fn train(data: &Dataset, config: &TrainConfig, start: &Splats) -> (Vec<f64>, Splats) {
+fn train(data: &Dataset, config: &TrainConfig, start: &Gaussians) -> (Vec<f64>, Gaussians) {
     let device = Device::open(None).unwrap();
     let mut trainer =
         Trainer::new(&device, data, &Plan::new(data, config).unwrap(), start).unwrap();
@@ -44,10 +44,10 @@ fn train(data: &Dataset, config: &TrainConfig, start: &Splats) -> (Vec<f64>, Spl
 
 /// Trains with every sampler; every loss is finite, the last is close to the best, and less than the first where there is
 /// something to learn from.
-fn survives(name: &str, data: &Dataset, change: impl Fn(&mut Splats)) {
+fn survives(name: &str, data: &Dataset, change: impl Fn(&mut Gaussians)) {
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None] {
         let config = config(sampler);
-        let mut start = initial_splats(data, &Plan::new(data, &config).unwrap()).unwrap();
+        let mut start = initial_gaussians(data, &Plan::new(data, &config).unwrap()).unwrap();
         change(&mut start);
         let (losses, scene) = train(data, &config, &start);
         let finite = |p: &Vec<f32>| p.iter().all(|v| v.is_finite());
@@ -65,8 +65,8 @@ fn survives(name: &str, data: &Dataset, change: impl Fn(&mut Splats)) {
     }
 }
 
-fn shift_scales(by: f64) -> impl Fn(&mut Splats) {
-    move |s: &mut Splats| {
+fn shift_scales(by: f64) -> impl Fn(&mut Gaussians) {
+    move |s: &mut Gaussians| {
         for p in Plane::LOG_SCALE..Plane::ROTATION {
             s.plane_mut(p).iter_mut().for_each(|l| *l += by.ln() as f32);
         }
@@ -83,7 +83,7 @@ fn initial_scales_wrong_by_a_hundred() {
 fn scales_over_six_orders_of_magnitude() {
     survives("scale variance 1e6", &room(64), |s| {
         for i in 0..s.len() {
-            let u = Philox::uniform(3, Purpose::Synthetic.stream(5), i as u64);
+            let u = Philox::uniform(3, Stream::Synthetic.stream(5), i as u64);
             let scale = |k: usize| (3e-7f64.ln() + u[k] * 1e6f64.ln()) as f32;
             s.scatter(Plane::LOG_SCALE, i, [scale(0), scale(1), scale(2)]);
         }

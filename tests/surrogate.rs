@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use crate::cli::{done, mhsplat, room, stderr, text};
 use crate::determinism;
 use mhsplat::Plan;
-use mhsplat::base::rng::{Philox, Purpose};
+use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::config::TrainConfig;
 use mhsplat::device::Device;
 use mhsplat::lab::stats::quantile;
@@ -15,9 +15,9 @@ use mhsplat::lab::surrogate::{Base, Birth, Instrument, Setting, Shape};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::forward::{Quantity, RenderOptions};
 use mhsplat::pipeline::photos::Photos;
-use mhsplat::run::initial_splats;
+use mhsplat::run::initial_gaussians;
 use mhsplat::scene::Plane;
-use mhsplat::{Splats, Trainer};
+use mhsplat::{Gaussians, Trainer};
 
 fn close(a: Option<f64>, b: f64) -> bool {
     a.is_some_and(|a| (a - b).abs() < 1e-12)
@@ -71,7 +71,7 @@ fn kendall_by_pairs(x: &[f64], y: &[f64]) -> f64 {
 #[test]
 fn kendall_counts_as_its_definition_does() {
     let values = |stream: u32, levels: f64| -> Vec<f64> {
-        let stream = Purpose::Synthetic.stream(stream);
+        let stream = Stream::Synthetic.stream(stream);
         let draw = |i: u64| (levels * Philox::uniform(5, stream, i)[0]).floor();
         (0..97).map(draw).collect()
     };
@@ -85,7 +85,7 @@ fn kendall_counts_as_its_definition_does() {
 
 #[test]
 fn an_interval_holds_its_value_and_repeats() {
-    let stream = Purpose::Synthetic.stream(42);
+    let stream = Stream::Synthetic.stream(42);
     let draw = |i: u64| Philox::normal(3, stream, i);
     let (x, y): (Vec<f64>, Vec<f64>) = (0..200).map(draw).map(|v| (v[0], v[0] + v[1])).unzip();
     let e = estimate(spearman, &x, &y, 1, 2).unwrap();
@@ -98,7 +98,7 @@ fn an_interval_holds_its_value_and_repeats() {
 }
 
 /// A room half-way learned, and an instrument over three of its views with a cut so low that the loss is smooth.
-fn instrument() -> (Instrument<f64>, Base, Splats) {
+fn instrument() -> (Instrument<f64>, Base, Gaussians) {
     let data = determinism::room(64);
     let config = TrainConfig {
         iterations: 300,
@@ -106,7 +106,7 @@ fn instrument() -> (Instrument<f64>, Base, Splats) {
         ..TrainConfig::default()
     };
     let device = Device::open(None).unwrap();
-    let first = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let first = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut trainer =
         Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &first).unwrap();
     trainer.advance_to(config.iterations).unwrap();
@@ -118,7 +118,7 @@ fn instrument() -> (Instrument<f64>, Base, Splats) {
             sh_degree: 1,
             background: [0.1, 0.2, 0.3],
             quantity: Quantity::Color,
-            live_only: false,
+            active_only: false,
         },
         lambda_ssim: 0.2,
         alpha_min: 1e-9,
@@ -129,7 +129,7 @@ fn instrument() -> (Instrument<f64>, Base, Splats) {
     (instrument, base, splats)
 }
 
-fn own(splats: &Splats, source: u32) -> Shape {
+fn own(splats: &Gaussians, source: u32) -> Shape {
     Shape {
         log_scale: splats.gather(Plane::LOG_SCALE, source as usize),
         opacity_logit: splats.planes()[Plane::OPACITY][source as usize],

@@ -8,7 +8,7 @@ use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::device::Device;
 use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
 use mhsplat::lab::verify::tiny;
-use mhsplat::run::initial_splats;
+use mhsplat::run::initial_gaussians;
 use mhsplat::train::Trainer;
 
 /// Iterations, with density control after every third.
@@ -61,7 +61,7 @@ fn every_sampler_trains() {
     let device = Device::open(None).unwrap();
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc, Sampler::None] {
         let config = config(sampler);
-        let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+        let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
         let mut trainer =
             Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
         drive(&mut trainer, ITERATIONS).unwrap();

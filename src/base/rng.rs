@@ -1,7 +1,7 @@
 //! Counter-based random numbers: Philox4x32-10 (Salmon et al., *Parallel Random Numbers: As Easy as 1, 2, 3*, SC 2011).
 //!
 //! A number is a pure function of (seed, stream, index), so a result does not depend on who draws first or on how many
-//! threads draw. The stream holds the purpose and the iteration (see [`Purpose::stream`]); the index counts within it.
+//! threads draw. The stream holds the purpose and the iteration (see [`Stream::stream`]); the index counts within it.
 
 use std::f64::consts::TAU;
 
@@ -19,7 +19,7 @@ const UNIT_53: f64 = 1.0 / 9_007_199_254_740_992.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u32)]
 #[non_exhaustive]
-pub enum Purpose {
+pub enum Stream {
     /// The first Gaussians.
     Init = 1,
     /// Order of the training views.
@@ -60,7 +60,7 @@ pub enum Purpose {
     Surrogate = 32,
 }
 
-impl Purpose {
+impl Stream {
     /// The stream of this purpose at an iteration: purpose in the upper 32 bits, iteration in the lower.
     #[must_use]
     pub const fn stream(self, iteration: u32) -> u64 {

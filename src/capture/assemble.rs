@@ -127,7 +127,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     missing.sort();
     refuse_if_none(path, &scene.train, &missing)?;
     let (train, test) = split(path, scene.train, scene.test, &missing, options.test_every)?;
-    let (train, test, astray) = without_outliers(train, test);
+    let (train, test, outliers) = without_outliers(train, test);
     let centers: Vec<DVec3> = train
         .iter()
         .chain(&test)
@@ -179,7 +179,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         frame,
         undistorted,
         missing,
-        astray,
+        outliers,
         masked_out,
         image_budget: budget,
     })
@@ -258,17 +258,17 @@ fn without_outliers(
     let distance = |v: &RawView| v.camera.center().distance(middle);
     let usual = quantile(&mut centers.iter().map(|c| c.distance(middle)), 0.9);
     let far = |v: &RawView| usual > 0.0 && distance(v) > ASTRAY * usual;
-    let astray: Vec<String> = train
+    let outliers: Vec<String> = train
         .iter()
         .chain(&test)
         .filter(|v| far(v))
         .map(|v| v.name.clone())
         .collect();
-    if 20 * astray.len() > centers.len() || train.iter().all(far) {
+    if 20 * outliers.len() > centers.len() || train.iter().all(far) {
         return (train, test, Vec::new());
     }
     let near = |views: Vec<RawView>| views.into_iter().filter(|v| !far(v)).collect();
-    (near(train), near(test), astray)
+    (near(train), near(test), outliers)
 }
 
 /// Views that their masks do not blacken, and the names of the others.

@@ -65,7 +65,7 @@ pub struct Dataset {
     /// Names of views that were left out because their images are missing, sorted.
     pub missing: Vec<String>,
     /// Names of views that were left out as outliers: their cameras are at least 20 times as far from the median as 9 of 10 are.
-    pub astray: Vec<String>,
+    pub outliers: Vec<String>,
     /// Names of views that were left out because their masks are 0 everywhere: training views, then held-out ones. Their
     /// cameras count for the frame.
     pub masked_out: Vec<String>,

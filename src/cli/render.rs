@@ -194,7 +194,7 @@ fn pixels(
         sh_degree: loaded.scene.sh_degree,
         background,
         quantity: Quantity::Color,
-        live_only: false,
+        active_only: false,
     };
     let renderer: &mut Renderer = &mut loaded.renderer;
     match what {

@@ -1,4 +1,4 @@
-//! Scene file or run folder with its dataset, on a device: shared by eval and render.
+//! GaussianBuffers file or run folder with its dataset, on a device: shared by eval and render.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use mhsplat::capture;
 use mhsplat::capture::{Dataset, Frame, LoadOptions};
 use mhsplat::config::Background;
 use mhsplat::device::{Defines, Device};
-use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::Renderer;
 use mhsplat::run::{RECORD_FILE, RunRecord};
 use mhsplat::scene::ply;
@@ -16,7 +16,7 @@ use mhsplat::scene::ply;
 /// A scene ready to be rendered.
 pub struct Loaded {
     pub device: Device,
-    pub scene: Scene,
+    pub scene: GaussianBuffers,
     pub renderer: Renderer,
 }
 
@@ -80,7 +80,7 @@ pub fn note_left_out(data: &Dataset) {
             "images are masked out completely",
         ),
         (
-            &data.astray,
+            &data.outliers,
             "image has a camera far from all others (a wrong pose?)",
             "images have cameras far from all others (wrong poses?)",
         ),
@@ -105,7 +105,7 @@ pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
         ..Defines::new(device.tuning())
     };
     let renderer = Renderer::new(&device, defines, file.splats.sh_degree(), false)?;
-    let mut scene = Scene::upload(&device, &file.splats, 0)?;
+    let mut scene = GaussianBuffers::upload(&device, &file.splats, 0)?;
     if defines.anti_alias {
         scene = scene.with_filter(&device)?;
     }

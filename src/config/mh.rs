@@ -313,13 +313,13 @@ impl MhConfig {
 
     /// True if a step at progress η has births.
     #[must_use]
-    pub fn bears(&self, progress: f64) -> bool {
+    pub fn births_enabled(&self, progress: f64) -> bool {
         self.passed(self.births_from_iteration, progress)
     }
 
     /// True if a step at progress η removes dead Gaussians.
     #[must_use]
-    pub fn buries(&self, progress: f64) -> bool {
+    pub fn removes_dead(&self, progress: f64) -> bool {
         !self.passed(self.deaths_until_iteration, progress)
     }
 

@@ -7,13 +7,13 @@ use rayon::prelude::*;
 
 use crate::base::error::Result;
 use crate::base::math::{logit, sigmoid};
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::config::AdcConfig;
 use crate::density::control::{DensityControl, StepContext};
 use crate::density::draw::birth_position;
 use crate::density::outcome::{DensityStats, Outcome};
 use crate::density::state::{SceneState, gather};
-use crate::density::statistics::{Evidence, ScreenGradient, Wanted, unexpected};
+use crate::density::statistics::{ScreenGradient, Statistics, StatisticsKind, unexpected};
 use crate::scene::{Edit, OptionalColor};
 
 /// Density control by thresholds on gradient, size and opacity.
@@ -122,7 +122,7 @@ impl Adaptive {
             edits.push(copy);
             return true;
         }
-        let stream = Purpose::Split.stream(context.iteration);
+        let stream = Stream::Split.stream(context.iteration);
         let sample = |k: u64| {
             let index = 2 * u64::from(birth.row) + k;
             let [x, y, z, _] = Philox::normal(context.seed, stream, index);
@@ -172,17 +172,17 @@ fn bounded(births: &mut Vec<Birth>, room: usize) -> Vec<Birth> {
 }
 
 impl DensityControl for Adaptive {
-    fn wanted(&self, _views: usize, _progress: f64) -> Wanted {
-        Wanted::ScreenGradient
+    fn wanted(&self, _views: usize, _progress: f64) -> StatisticsKind {
+        StatisticsKind::ScreenGradient
     }
 
     fn step(
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        evidence: &Evidence<'_>,
+        evidence: &Statistics<'_>,
     ) -> Result<Outcome> {
-        let Evidence::ScreenGradient(gradient) = evidence else {
+        let Statistics::ScreenGradient(gradient) = evidence else {
             return Err(unexpected());
         };
         scene.check_lengths([gradient.norms.len(), gradient.views.len()])?;

@@ -4,7 +4,7 @@ use crate::base::error::Result;
 use crate::density::outcome::Outcome;
 use crate::density::picture::Picture;
 use crate::density::state::SceneState;
-use crate::density::statistics::{Evidence, Wanted};
+use crate::density::statistics::{Statistics, StatisticsKind};
 use crate::scene::Edit;
 
 /// Noise on the positions after every optimiser step: x += rate · lr_position · Σ·ξ · σ(−steepness·(o − opacity)),
@@ -74,7 +74,7 @@ pub type Probe<'a> = dyn FnMut(&[Trial]) -> Result<Vec<f64>> + 'a;
 pub trait DensityControl: Send + Sync {
     /// The statistics that a step at this progress reads, for a run of so many training views: nothing, or the kind that a
     /// step at η = 1 reads.
-    fn wanted(&self, views: usize, progress: f64) -> Wanted;
+    fn wanted(&self, views: usize, progress: f64) -> StatisticsKind;
 
     /// Number of views that a step at this progress wants rendered, with their photos.
     fn pictures(&self, _progress: f64) -> usize {
@@ -99,7 +99,7 @@ pub trait DensityControl: Send + Sync {
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        evidence: &Evidence<'_>,
+        evidence: &Statistics<'_>,
     ) -> Result<Outcome>;
 
     /// [`DensityControl::step`] by a strategy that may ask for `probe` before it decides.
@@ -110,7 +110,7 @@ pub trait DensityControl: Send + Sync {
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        evidence: &Evidence<'_>,
+        evidence: &Statistics<'_>,
         _probe: &mut Probe<'_>,
     ) -> Result<Outcome> {
         self.step(context, scene, evidence)

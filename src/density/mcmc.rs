@@ -7,14 +7,14 @@ use rustc_hash::FxHashSet;
 
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::config::McmcConfig;
 use crate::density::control::{DensityControl, NoiseLaw, StepContext};
 use crate::density::draw::Categorical;
 use crate::density::outcome::{DensityStats, Outcome};
 use crate::density::relocation::{Relocation, split};
 use crate::density::state::{SceneState, gather};
-use crate::density::statistics::{Evidence, Wanted, unexpected};
+use crate::density::statistics::{Statistics, StatisticsKind, unexpected};
 use crate::scene::{Edit, OptionalColor};
 
 /// Density control by noise, relocation and growth.
@@ -41,8 +41,8 @@ impl Mcmc {
 }
 
 impl DensityControl for Mcmc {
-    fn wanted(&self, _views: usize, _progress: f64) -> Wanted {
-        Wanted::Nothing
+    fn wanted(&self, _views: usize, _progress: f64) -> StatisticsKind {
+        StatisticsKind::Nothing
     }
 
     fn noise(&self) -> Option<NoiseLaw> {
@@ -58,9 +58,9 @@ impl DensityControl for Mcmc {
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        evidence: &Evidence<'_>,
+        evidence: &Statistics<'_>,
     ) -> Result<Outcome> {
-        let Evidence::Nothing = evidence else {
+        let Statistics::Nothing = evidence else {
             return Err(unexpected());
         };
         scene.check_lengths([])?;
@@ -151,7 +151,7 @@ fn draw_sources(
     };
     let weights: Vec<f64> = logits.par_iter().enumerate().map(weight).collect();
     let categorical = Categorical::new(&weights);
-    let stream = Purpose::Growth.stream(context.iteration);
+    let stream = Stream::Growth.stream(context.iteration);
     let mut rows: Vec<u32> = (0..births as u64)
         .into_par_iter()
         .filter_map(|k| {

@@ -30,7 +30,7 @@ pub use none::Fixed;
 pub use outcome::{DensityStats, Outcome};
 pub use picture::Picture;
 pub use state::SceneState;
-pub use statistics::{Cues, Evidence, ScreenGradient, Wanted};
+pub use statistics::{ErrorStatistics, ScreenGradient, Statistics, StatisticsKind};
 
 use std::sync::Arc;
 

@@ -15,7 +15,7 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use crate::base::math::{ln_sigmoid, logit, sigmoid, softplus};
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::density::control::StepContext;
 use crate::density::draw::Categorical;
 use crate::density::state::{SceneState, gather};
@@ -222,7 +222,7 @@ impl Relocation {
             .map(|&r| sigmoid(logit(r)))
             .collect();
         let categorical = Categorical::new(&weights);
-        let stream = Purpose::Relocation.stream(context.iteration);
+        let stream = Stream::Relocation.stream(context.iteration);
         // (source, dead row), by source: the dead rows of one source lie side by side.
         let mut pairs: Vec<(u32, u32)> = dead_rows
             .par_iter()

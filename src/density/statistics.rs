@@ -5,7 +5,7 @@ use crate::density::state::numerics;
 
 /// Error cues of each Gaussian over the view subset (\[MH\] Eq. 11, 13), each slice of length N.
 #[derive(Debug, Clone, Copy)]
-pub struct Cues<'a> {
+pub struct ErrorStatistics<'a> {
     /// Sum over the seeing views of 1 − SSIM at the pixel under the projected centre.
     pub ssim: &'a [f32],
     /// Sum over the seeing views of the L1 error there.
@@ -26,10 +26,10 @@ pub struct ScreenGradient<'a> {
 
 /// The kind of statistics that a strategy reads in a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Wanted {
+pub enum StatisticsKind {
     /// None: it decides from the parameters alone.
     Nothing,
-    /// [`Cues`] of the last so many renders of training.
+    /// [`ErrorStatistics`] of the last so many renders of training.
     Errors {
         /// Number of renders.
         views: usize,
@@ -38,7 +38,7 @@ pub enum Wanted {
     ScreenGradient,
 }
 
-impl Wanted {
+impl StatisticsKind {
     /// Number of values per Gaussian that are gathered on the device.
     #[must_use]
     pub fn rows(self) -> usize {
@@ -52,11 +52,11 @@ impl Wanted {
 
 /// Gathered statistics, of the kind that [`DensityControl::wanted`](crate::density::DensityControl::wanted) names.
 #[derive(Debug, Clone, Copy)]
-pub enum Evidence<'a> {
+pub enum Statistics<'a> {
     /// None.
     Nothing,
     /// Errors under the projected centres.
-    Errors(Cues<'a>),
+    Errors(ErrorStatistics<'a>),
     /// Gradients of the projected centres.
     ScreenGradient(ScreenGradient<'a>),
 }

@@ -38,9 +38,6 @@ impl<T> Drop for Array<T> {
 
 impl<T: Element> PendingRead<T> {
     /// Waits for the data.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn wait(mut self) -> Result<Vec<T>> {
         core::wait_for_event(&self.event)
             .map_err(|e| device_error(&format!("read {}", self.name), &e, LOST))?;
@@ -59,9 +56,6 @@ impl<T> Drop for PendingRead<T> {
 
 impl<T: Element> Array<T> {
     /// An array of `len` zeros.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn zeros(device: &Device, name: &'static str, len: usize) -> Result<Self> {
         let array = Self::create(device, name, len, None)?;
         array.clear()?;
@@ -69,9 +63,6 @@ impl<T: Element> Array<T> {
     }
 
     /// A copy of `data`, made at once: it waits for nothing that is enqueued, and any thread may make one.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn from_slice(device: &Device, name: &'static str, data: &[T]) -> Result<Self> {
         Self::create(device, name, data.len(), Some(data))
     }
@@ -141,9 +132,6 @@ impl<T: Element> Array<T> {
     }
 
     /// Sets every byte to zero. Does not wait.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn clear(&self) -> Result<()> {
         // By bytes: the pattern of a fill must have a power-of-two size, which the structs do not have.
         core::enqueue_fill_buffer(
@@ -192,9 +180,6 @@ impl<T: Element> Array<T> {
     }
 
     /// All values; see [`Array::read`].
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn to_vec(&self) -> Result<Vec<T>> {
         self.read(0, self.len)
     }

@@ -121,17 +121,11 @@ impl Device {
     }
 
     /// Hands everything enqueued so far to the device without waiting.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn flush(&self) -> Result<()> {
         core::flush(&self.inner.queue).map_err(|e| device_error("flush", &e, LOST))
     }
 
     /// Waits until everything enqueued is done.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn finish(&self) -> Result<()> {
         core::finish(&self.inner.queue).map_err(|e| device_error("finish", &e, LOST))
     }
@@ -143,9 +137,6 @@ impl Device {
     }
 
     /// Adds up the device time of the oldest `launches` launches; waits for them if they are not done.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn collect_times(&self, launches: usize) -> Result<()> {
         self.inner.profile.collect(launches)
     }

@@ -95,7 +95,7 @@ impl Defines {
         int("P_SH", Plane::SH as u64);
         int("STATUS_SLOTS", status::SLOTS as u64);
         int("S_VISIBLE", u64::from(status::VISIBLE));
-        int("S_PAIRS", u64::from(status::PAIRS));
+        int("S_INTERSECTIONS", u64::from(status::INTERSECTIONS));
         int("S_OVERFLOW", u64::from(status::OVERFLOW));
         int("S_NON_FINITE", u64::from(status::NON_FINITE));
         if self.layout_probe {

@@ -42,10 +42,10 @@ impl Real for f64 {
     }
 }
 
-/// A projected Gaussian (`Record` in `kernels/common.clh`).
+/// A projected Gaussian (`Projected` in `kernels/common.clh`).
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Record<R> {
+pub struct Projected<R> {
     /// Mean x, pixels.
     pub x: R,
     /// Mean y, pixels.
@@ -153,14 +153,14 @@ impl<R: Real> CameraArg<R> {
 }
 
 // SAFETY: plain old data, any bit pattern is a value, no padding that is read.
-unsafe impl<R: Real> OclPrm for Record<R> {}
+unsafe impl<R: Real> OclPrm for Projected<R> {}
 // SAFETY: as above.
 unsafe impl<R: Real> OclPrm for CameraArg<R> {}
 // SAFETY: as above.
 unsafe impl OclPrm for Edit {}
 
-impl<R: Real> Element for Record<R> {
-    const NAME: &'static str = "Record";
+impl<R: Real> Element for Projected<R> {
+    const NAME: &'static str = "Projected";
 }
 impl<R: Real> Element for CameraArg<R> {
     const NAME: &'static str = "Camera";

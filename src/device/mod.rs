@@ -17,6 +17,6 @@ pub use crate::device::context::Device;
 pub use crate::device::defines::Defines;
 pub use crate::device::info::{DeviceInfo, DeviceKind};
 pub use crate::device::launch::{Kernel, Launch};
-pub use crate::device::layout::{CameraArg, Element, Real, Record};
+pub use crate::device::layout::{CameraArg, Element, Projected, Real};
 pub use crate::device::profile::StageTime;
 pub use crate::device::program::{Kernels, sources_hash};

@@ -13,7 +13,7 @@ pub mod status {
     /// Visible Gaussians.
     pub const VISIBLE: u32 = 0;
     /// Pairs (0 after an overflow).
-    pub const PAIRS: u32 = 1;
+    pub const INTERSECTIONS: u32 = 1;
     /// Pairs needed when they did not fit; sticky until the host clears it.
     pub const OVERFLOW: u32 = 2;
     /// Gradient values that were not finite.

@@ -6,7 +6,7 @@ use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::Array;
 use crate::evaluate::{Evaluator, ViewScore, psnr_and_ssim};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::Renderer;
 use crate::pipeline::stage::exposure::exposed;
 use crate::pipeline::stage::loss::{ImagePair, size_of_image};
@@ -80,7 +80,7 @@ impl Evaluator {
     pub fn add_color_corrected(
         &self,
         scores: &mut [ViewScore],
-        scene: &Scene,
+        scene: &GaussianBuffers,
         renderer: &mut Renderer,
         background: [f32; 3],
     ) -> Result<()> {

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::Result;
 use crate::device::{Defines, Device};
-use crate::pipeline::buffers::{Scene, ViewSet};
+use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::Renderer;
 use crate::pipeline::scoring::{PairErrors, Scoring};
 
@@ -47,9 +47,6 @@ pub struct Evaluator {
 
 impl Evaluator {
     /// An evaluator of these views. `defines` must be the renderer's.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(device: &Device, defines: Defines, views: ViewSet) -> Result<Self> {
         let defines = Defines {
             alpha: views.alpha,
@@ -76,7 +73,7 @@ impl Evaluator {
         &self,
         view: usize,
         next: &[usize],
-        scene: &Scene,
+        scene: &GaussianBuffers,
         renderer: &mut Renderer,
         background: [f32; 3],
     ) -> Result<Option<ViewScore>> {
@@ -114,7 +111,7 @@ impl Evaluator {
     /// Those of [`Renderer::render`] and [`ViewSet::photo`].
     pub fn score_all(
         &self,
-        scene: &Scene,
+        scene: &GaussianBuffers,
         renderer: &mut Renderer,
         background: [f32; 3],
         with_flip: bool,

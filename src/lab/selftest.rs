@@ -27,9 +27,6 @@ pub fn self_test(device: &Device) -> Result<()> {
 }
 
 /// Comparisons of every stage of one scene.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn rows(device: &Device) -> Result<Vec<Row>> {
     // The SH degree of training, whose kernels are needed anyway.
     let case = mild("self-test", 300, [75, 50], 3, 7);

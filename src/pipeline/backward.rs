@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
-use crate::pipeline::buffers::{GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::forward::Renderer;
 use crate::pipeline::stage::project_grad::ProjectGrad;
 use crate::pipeline::stage::splat_grad::SplatGrad;
@@ -24,9 +24,6 @@ pub struct Backward {
 
 impl Backward {
     /// Builds the kernels for a range of SH degrees.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new<R: Real>(device: &Device, defines: Defines, degrees: [u32; 2]) -> Result<Self> {
         let build = |sh_degree| {
             let defines = Defines {
@@ -44,9 +41,6 @@ impl Backward {
     }
 
     /// The same stages for renders with another alpha cut.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn with_cut<R: Real>(&self, device: &Device, defines: Defines) -> Result<Self> {
         Ok(Self {
             splat_grad: SplatGrad::new::<R>(&Kernels::new(device, defines))?,
@@ -56,9 +50,6 @@ impl Backward {
     }
 
     /// Takes the image gradient \[3, rows, stride\] of the view rendered last back to sums per tile intersection.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn splats<R: Real>(
         &self,
         forward: &Renderer<R>,
@@ -69,13 +60,10 @@ impl Backward {
     }
 
     /// Takes those sums back to the raw parameters of a block of Gaussians; `lambdas` weigh the regularisers on opacity and scale.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn parameters<R: Real>(
         &self,
         forward: &Renderer<R>,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         sh_degree: u32,
         lambdas: [f64; 2],
@@ -87,13 +75,10 @@ impl Backward {
 
     /// Derivatives of the loss by opacity logit and the three log-scales, from the image gradient of the view rendered last,
     /// of the Gaussians from `first` (a multiple of [`GRADIENT_ROWS`]) on.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn shape_gradients<R: Real>(
         &self,
         forward: &Renderer<R>,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         dimage: &Array<R>,
         [first, sh_degree]: [usize; 2],

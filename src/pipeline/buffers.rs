@@ -7,9 +7,9 @@ use crate::base::constants::{NEAR, SUMS, TILE};
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
-use crate::device::{Array, CameraArg, Device, Real, Record};
+use crate::device::{Array, CameraArg, Device, Projected, Real};
 use crate::pipeline::photos::Photos;
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 
 /// What says where a render and its photo are blank.
 #[derive(Debug, Clone, Copy)]
@@ -31,7 +31,7 @@ const ORDER: [&str; 2] = ["tile_keys", "order"];
 
 /// Raw parameters of a scene on the device.
 #[derive(Debug)]
-pub struct Scene<R: Real = f32> {
+pub struct GaussianBuffers<R: Real = f32> {
     /// Planes in the order of [`Plane`] \[planes, stride\].
     pub params: Array<R>,
     /// Standard deviations of the 3D filter, local units \[stride\]; empty without anti-aliasing.
@@ -59,12 +59,9 @@ pub(crate) fn restride<R: Real>(
     Ok(new)
 }
 
-impl<R: Real> Scene<R> {
+impl<R: Real> GaussianBuffers<R> {
     /// Uploads a scene, with room for at least `capacity` Gaussians.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
-    pub fn upload(device: &Device, splats: &Splats, capacity: usize) -> Result<Self> {
+    pub fn upload(device: &Device, splats: &Gaussians, capacity: usize) -> Result<Self> {
         let count = splats.len();
         let stride = capacity.max(count).max(1).next_multiple_of(ROUND);
         let mut host = vec![R::of(0.0); splats.planes().len() * stride];
@@ -84,9 +81,6 @@ impl<R: Real> Scene<R> {
 
     /// The same with room for the 3D filter: until it is filled in, no Gaussian is filtered, as is right for a scene that has
     /// the filter in its scales and opacities.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn with_filter(self, device: &Device) -> Result<Self> {
         Ok(Self {
             filter: Array::zeros(device, "filter", self.stride)?,
@@ -101,9 +95,6 @@ impl<R: Real> Scene<R> {
     }
 
     /// Reads the first `count` values of one plane.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn plane(&self, plane: usize) -> Result<Vec<f32>> {
         let values = self.params.read(plane * self.stride, self.count)?;
         Ok(values.into_iter().map(|v| v.into() as f32).collect())
@@ -113,11 +104,11 @@ impl<R: Real> Scene<R> {
     ///
     /// # Errors
     /// The driver's, or non-finite parameters.
-    pub fn download(&self) -> Result<Splats> {
+    pub fn download(&self) -> Result<Gaussians> {
         let planes = (0..self.planes())
             .map(|p| self.plane(p))
             .collect::<Result<_>>()?;
-        Splats::new(self.sh_degree, planes)
+        Gaussians::new(self.sh_degree, planes)
     }
 
     /// A stride for at least `capacity` Gaussians, with a quarter as many again to grow into.
@@ -153,9 +144,6 @@ pub struct SortBuffers {
 
 impl SortBuffers {
     /// Room for `len` elements.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn new(device: &Device, names: [&'static str; 2], len: usize) -> Result<Self> {
         let zeros = |name| Array::zeros(device, name, len);
         Ok(Self {
@@ -180,15 +168,15 @@ impl SortBuffers {
 
 /// Arrays of one view's passage from records to the image; they grow and never shrink.
 #[derive(Debug)]
-pub struct Frame<R: Real> {
+pub struct ViewBuffers<R: Real> {
     /// Records \[stride\].
-    pub records: Array<Record<R>>,
+    pub records: Array<Projected<R>>,
     /// Depth bits or culled \[stride\].
     pub keys: Array<u32>,
     /// Pairs of each Gaussian \[stride\].
-    pub pair_counts: Array<u32>,
+    pub isect_counts: Array<u32>,
     /// First pair of each Gaussian \[stride\].
-    pub pair_start: Array<u32>,
+    pub isect_start: Array<u32>,
     /// Visible Gaussians by depth.
     pub visible: SortBuffers,
     /// Tiles of each visible Gaussian \[stride\].
@@ -202,7 +190,7 @@ pub struct Frame<R: Real> {
     /// Emission slots of the pairs by tile.
     pub order: SortBuffers,
     /// Gaussian of each pair, by emission slot \[pairs\].
-    pub pair_owner: Array<u32>,
+    pub isect_owner: Array<u32>,
     /// Sums of splat_grad \[pairs, 9\]; empty when only rendering.
     pub sums: Array<R>,
     /// First pair of each tile \[tiles + 1\].
@@ -218,25 +206,22 @@ pub struct Frame<R: Real> {
     gradients: bool,
 }
 
-impl<R: Real> Frame<R> {
+impl<R: Real> ViewBuffers<R> {
     /// Arrays for `stride` Gaussians, `pairs` pairs and a padded image of `tiles` tiles.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn new(device: &Device, tuning: &Tuning, gradients: bool) -> Result<Self> {
         let ints = |name| Array::<u32>::zeros(device, name, 0);
         Ok(Self {
             records: Array::zeros(device, "records", 0)?,
             keys: ints("keys")?,
-            pair_counts: ints("pair_counts")?,
-            pair_start: ints("pair_start")?,
+            isect_counts: ints("isect_counts")?,
+            isect_start: ints("isect_start")?,
             visible: SortBuffers::new(device, VISIBLE, 0)?,
             counts: ints("counts")?,
             cover: ints("cover")?,
             offsets: ints("offsets")?,
             chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
             order: SortBuffers::new(device, ORDER, 0)?,
-            pair_owner: ints("pair_owner")?,
+            isect_owner: ints("isect_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
             tile_start: ints("tile_start")?,
             live: ints("live")?,
@@ -248,9 +233,6 @@ impl<R: Real> Frame<R> {
     }
 
     /// Makes room for a scene of `stride` Gaussians. Contents are lost.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn fit_gaussians(&mut self, device: &Device, stride: usize) -> Result<()> {
         if self.keys.len() >= stride {
             return Ok(());
@@ -258,8 +240,8 @@ impl<R: Real> Frame<R> {
         let ints = |name| Array::<u32>::zeros(device, name, stride);
         self.records = Array::zeros(device, "records", stride)?;
         self.keys = ints("keys")?;
-        self.pair_counts = ints("pair_counts")?;
-        self.pair_start = ints("pair_start")?;
+        self.isect_counts = ints("isect_counts")?;
+        self.isect_start = ints("isect_start")?;
         self.visible = SortBuffers::new(device, VISIBLE, stride)?;
         self.counts = ints("counts")?;
         self.cover = Array::zeros(device, "cover", 2 * stride)?;
@@ -277,26 +259,20 @@ impl<R: Real> Frame<R> {
 
     /// Pairs there is room for.
     #[must_use]
-    pub fn pair_capacity(&self) -> usize {
-        self.pair_owner.len()
+    pub fn intersection_capacity(&self) -> usize {
+        self.isect_owner.len()
     }
 
     /// Makes room for `pairs` pairs. Contents are lost.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
-    pub fn fit_pairs(&mut self, device: &Device, pairs: usize) -> Result<()> {
-        if self.pair_capacity() >= pairs {
+    pub fn fit_intersections(&mut self, device: &Device, pairs: usize) -> Result<()> {
+        if self.intersection_capacity() >= pairs {
             return Ok(());
         }
-        self.set_pairs(device, pairs)
+        self.set_intersections(device, pairs)
     }
 
     /// Room for `pairs` pairs, rounded up, whatever there was before.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
-    pub fn set_pairs(&mut self, device: &Device, pairs: usize) -> Result<()> {
+    pub fn set_intersections(&mut self, device: &Device, pairs: usize) -> Result<()> {
         // Slots are numbered by 32 bits.
         let most = u32::MAX as usize - (ROUND - 1);
         let pairs = pairs.min(most).next_multiple_of(ROUND);
@@ -305,14 +281,11 @@ impl<R: Real> Frame<R> {
         if self.gradients {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
         }
-        self.pair_owner = ints("pair_owner")?;
+        self.isect_owner = ints("isect_owner")?;
         Ok(())
     }
 
     /// Makes room for a camera's image. Contents are lost.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn fit_image(&mut self, device: &Device, camera: &CameraArg<R>) -> Result<()> {
         if camera.size.iter().any(|s| *s < 1 || *s > MOST_PIXELS) {
             let [w, h] = camera.size;

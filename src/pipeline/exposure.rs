@@ -30,9 +30,6 @@ pub struct ExposureModel<R: Real = f32> {
 
 impl<R: Real> ExposureModel<R> {
     /// The identity for every view; `plane` is the padded size of the largest view, pixels.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(kernels: &Kernels, views: usize, plane: usize, since: u32) -> Result<Self> {
         let stage = Exposure::new::<R>(kernels)?;
         Ok(Self {
@@ -43,18 +40,12 @@ impl<R: Real> ExposureModel<R> {
     }
 
     /// The render of a view under its transform; `plane` is the padded size of the image, pixels.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn apply(&self, image: &Array<R>, plane: usize, view: usize) -> Result<&Array<R>> {
         self.stage.apply(image, plane, &self.buffers, view)?;
         Ok(&self.buffers.corrected)
     }
 
     /// Takes the gradient by the transformed image back to the render, in place, and to the view's transform.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn backward(
         &self,
         image: &Array<R>,
@@ -67,9 +58,6 @@ impl<R: Real> ExposureModel<R> {
     }
 
     /// Optimiser's step of a view's transform; changes nothing after an overflow.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn step(&self, step: TransformStep, status: &Array<u32>) -> Result<()> {
         let adam = Step {
             rate: step.rate,
@@ -80,17 +68,11 @@ impl<R: Real> ExposureModel<R> {
     }
 
     /// Gradient by the transform stepped last, row-major \[A | b\].
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn gradient(&self) -> Result<Vec<R>> {
         self.buffers.grads.to_vec()
     }
 
     /// Runs every kernel once and changes no transform, so that no iteration waits for a compiler.
-    ///
-    /// # Errors
-    /// A build failure, or the driver's.
     pub fn warm_up(
         &self,
         device: &Device,
@@ -116,9 +98,6 @@ impl<R: Real> ExposureModel<R> {
     }
 
     /// Transforms, first and second moments \[3\]\[views · 12\].
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn rows(&self) -> Result<Vec<Vec<R>>> {
         self.arrays().into_iter().map(Array::to_vec).collect()
     }
@@ -145,9 +124,6 @@ impl<R: Real> ExposureModel<R> {
 
 impl ExposureModel {
     /// Transforms a render (planar RGB) as its view's transform says, and takes that transform out of the photo's planes.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn exchange(
         &self,
         view: usize,

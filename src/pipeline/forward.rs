@@ -5,7 +5,7 @@ use crate::base::error::{Error, Result};
 use crate::capture::Camera;
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
-use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::stage::bin::Bin;
 use crate::pipeline::stage::project::Project;
 use crate::pipeline::stage::scan::{Count, Scan};
@@ -31,8 +31,8 @@ pub struct RenderOptions {
     pub background: [f32; 3],
     /// What is composited.
     pub quantity: Quantity,
-    /// Only tiles in which a pixel of the photo counts, as [`Renderer::live_tiles`] says; of effect for photos with masks.
-    pub live_only: bool,
+    /// Only tiles in which a pixel of the photo counts, as [`Renderer::active_tiles`] says; of effect for photos with masks.
+    pub active_only: bool,
 }
 
 /// A rendered image.
@@ -74,14 +74,11 @@ pub struct Renderer<R: Real = f32> {
     bin: Bin,
     sort: Sort,
     splat: Splat,
-    pub(crate) frame: Frame<R>,
+    pub(crate) frame: ViewBuffers<R>,
 }
 
 impl<R: Real> Renderer<R> {
     /// Builds the kernels for SH degrees 0 to `sh_degree`; `gradients` also allocates what the backward stages need.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new(device: &Device, defines: Defines, sh_degree: u32, gradients: bool) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let project = (0..=sh_degree)
@@ -102,14 +99,11 @@ impl<R: Real> Renderer<R> {
             bin: Bin::new::<R>(&kernels)?,
             sort: Sort::new::<R>(&kernels)?,
             splat: Splat::new::<R>(&kernels)?,
-            frame: Frame::new(device, &defines.tuning, gradients)?,
+            frame: ViewBuffers::new(device, &defines.tuning, gradients)?,
         })
     }
 
     /// A renderer with the device's default tuning, for display.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn for_display(device: &Device, sh_degree: u32) -> Result<Self> {
         let defines = Defines::new(device.tuning());
         Self::new(device, defines, sh_degree, false)
@@ -127,13 +121,10 @@ impl<R: Real> Renderer<R> {
     }
 
     /// Makes the arrays large enough for a scene and a camera (pairs grow on demand).
-    ///
-    /// # Errors
-    /// More than the device can allocate.
-    pub fn fit(&mut self, scene: &Scene<R>, camera: &CameraArg<R>) -> Result<()> {
+    pub fn fit(&mut self, scene: &GaussianBuffers<R>, camera: &CameraArg<R>) -> Result<()> {
         self.frame.fit_gaussians(&self.device, scene.stride)?;
         self.frame
-            .fit_pairs(&self.device, 4 * scene.count.max(1024))?;
+            .fit_intersections(&self.device, 4 * scene.count.max(1024))?;
         self.frame.fit_image(&self.device, camera)
     }
 
@@ -143,18 +134,18 @@ impl<R: Real> Renderer<R> {
     /// Arrays that were not made to fit, or the driver's.
     pub fn enqueue(
         &mut self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
-        self.enqueue_pairs(scene, camera, options)?;
+        self.enqueue_intersections(scene, camera, options)?;
         self.splat.run(&self.frame, camera, options.background)
     }
 
     /// Enqueues the forward stages up to the sorted pairs.
-    fn enqueue_pairs(
+    fn enqueue_intersections(
         &mut self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
@@ -169,7 +160,7 @@ impl<R: Real> Renderer<R> {
         let depth_as_color = options.quantity == Quantity::Depth;
         project.run(scene, &self.frame, camera, depth_as_color)?;
         self.sort_visible(scene.count)?;
-        self.pair_up(scene.count, camera, options.live_only)?;
+        self.intersect_tiles(scene.count, camera, options.active_only)?;
         self.bin.ranges(&self.frame, camera)
     }
 
@@ -184,48 +175,45 @@ impl<R: Real> Renderer<R> {
     }
 
     /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile.
-    fn pair_up(&mut self, count: usize, camera: &CameraArg<R>, live_only: bool) -> Result<()> {
+    fn intersect_tiles(
+        &mut self,
+        count: usize,
+        camera: &CameraArg<R>,
+        active_only: bool,
+    ) -> Result<()> {
         let f = &mut self.frame;
-        self.bin.count(f, camera, count, live_only)?;
+        self.bin.count(f, camera, count, active_only)?;
         let visible = Count::Slot(status::VISIBLE);
         self.scan.pairs(f, &f.counts, visible, &f.offsets)?;
         let all = Count::Known(count);
-        self.scan.pairs(f, &f.pair_counts, all, &f.pair_start)?;
-        self.bin.emit(f, camera, count, live_only)?;
+        self.scan.pairs(f, &f.isect_counts, all, &f.isect_start)?;
+        self.bin.emit(f, camera, count, active_only)?;
         let bits = usize::BITS - camera.tile_count().leading_zeros();
-        self.sort.run(&mut f.order, &f.status, status::PAIRS, bits)
+        self.sort
+            .run(&mut f.order, &f.status, status::INTERSECTIONS, bits)
     }
 
     /// Tiles in which a pixel of the photo counts, or is not clear \[tiles\]: written by the live stage.
     #[must_use]
-    pub fn live_tiles(&self) -> &Array<u32> {
+    pub fn active_tiles(&self) -> &Array<u32> {
         &self.frame.live
     }
 
     /// Pairs of each tile of the view rendered last.
-    ///
-    /// # Errors
-    /// The driver's.
     #[doc(hidden)]
-    pub fn pairs_per_tile(&self, camera: &CameraArg<R>) -> Result<Vec<u32>> {
+    pub fn intersections_per_tile(&self, camera: &CameraArg<R>) -> Result<Vec<u32>> {
         let start = self.frame.tile_start.read(0, camera.tile_count() + 1)?;
         Ok(start.windows(2).map(|w| w[1] - w[0]).collect())
     }
 
     /// Flags of the Gaussians from `first` to `count` that intersect any tile of the view rendered last.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn intersected(&self, first: usize, count: usize) -> Result<Vec<bool>> {
-        let counts = self.frame.pair_counts.read(first, count - first)?;
+        let counts = self.frame.isect_counts.read(first, count - first)?;
         Ok(counts.into_iter().map(|n| n > 0).collect())
     }
 
     /// Makes room for the pairs that did not fit and clears the flag.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
-    pub(crate) fn grow_pairs(&mut self, needed: u32) -> Result<()> {
+    pub(crate) fn grow_intersections(&mut self, needed: u32) -> Result<()> {
         let needed = needed as usize;
         if needed >= u32::MAX as usize {
             return Err(Error::device(
@@ -235,17 +223,15 @@ impl<R: Real> Renderer<R> {
             ));
         }
         self.device.finish()?;
-        self.frame.fit_pairs(&self.device, needed + needed / 2)?;
+        self.frame
+            .fit_intersections(&self.device, needed + needed / 2)?;
         self.frame.status.write(status::OVERFLOW as usize, &[0])
     }
 
     /// Renders a view and waits; grows the pair arrays as needed.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn render(
         &mut self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
@@ -255,17 +241,19 @@ impl<R: Real> Renderer<R> {
     /// As [`Renderer::render`], up to the sorted pairs: nothing is splatted.
     pub(crate) fn pair(
         &mut self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
-        self.fitting(scene, camera, |r| r.enqueue_pairs(scene, camera, options))
+        self.fitting(scene, camera, |r| {
+            r.enqueue_intersections(scene, camera, options)
+        })
     }
 
     /// Enqueues something and waits, until the pairs fit.
     fn fitting(
         &mut self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         enqueue: impl Fn(&mut Self) -> Result<()>,
     ) -> Result<()> {
@@ -274,7 +262,7 @@ impl<R: Real> Renderer<R> {
             enqueue(self)?;
             let counters = self.frame.status.to_vec()?;
             match counters.get(status::OVERFLOW as usize) {
-                Some(&needed) if needed > 0 => self.grow_pairs(needed)?,
+                Some(&needed) if needed > 0 => self.grow_intersections(needed)?,
                 _ => return Ok(()),
             }
         }
@@ -286,7 +274,7 @@ impl<R: Real> Renderer<R> {
     /// As [`Renderer::render`].
     pub fn image(
         &mut self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &Camera,
         options: &RenderOptions,
     ) -> Result<Rendered> {
@@ -296,9 +284,6 @@ impl<R: Real> Renderer<R> {
     }
 
     /// The image of the view rendered last, without its padding.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn read_image(&self, camera: &CameraArg<R>) -> Result<Rendered> {
         let [width, height] = camera.size.map(|s| s as usize);
         let stride = camera.tiles[0] as usize * crate::base::constants::TILE as usize;

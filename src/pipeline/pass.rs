@@ -4,7 +4,7 @@ use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::pipeline::backward::Backward;
-use crate::pipeline::buffers::{GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::importance::Importance;
@@ -53,9 +53,6 @@ pub struct Pipeline<R: Real = f32> {
 
 impl<R: Real> Pipeline<R> {
     /// Builds the kernels for a range of SH degrees and images of at most `largest` (width, height) pixels.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(
         device: &Device,
         defines: Defines,
@@ -85,7 +82,7 @@ impl<R: Real> Pipeline<R> {
     /// Arrays that do not fit, or the driver's.
     pub fn enqueue(
         &mut self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         photo: &Array<u8>,
         options: &RenderOptions,
@@ -95,20 +92,14 @@ impl<R: Real> Pipeline<R> {
     }
 
     /// Marks the tiles of a photo in which a pixel counts.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn mark_tiles(&self, photo: &Array<u8>, camera: &CameraArg<R>) -> Result<()> {
         match &self.live {
-            Some(live) => live.run(photo, camera, self.forward.live_tiles()),
+            Some(live) => live.run(photo, camera, self.forward.active_tiles()),
             None => Ok(()),
         }
     }
 
     /// The render made last and its photo as the loss compares them: the render under its view's exposure transform.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn pair<'a>(
         &'a self,
         camera: &CameraArg<R>,
@@ -125,9 +116,6 @@ impl<R: Real> Pipeline<R> {
     }
 
     /// Takes (1 − λ)·L1 + λ·(1 − SSIM) of a view's pair back to its render, and to its exposure transform.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn loss_gradient(&self, view: usize, pair: &ImagePair<'_, R>, lambda: f64) -> Result<()> {
         self.loss
             .gradient(pair, lambda, &self.maps, &self.partial, &self.dimage)?;
@@ -141,9 +129,6 @@ impl<R: Real> Pipeline<R> {
     }
 
     /// Writes mean |x − y| and mean SSIM of the pair compared last into a slot of `losses`.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn record_loss(
         &self,
         pair: &ImagePair<'_, R>,
@@ -154,9 +139,6 @@ impl<R: Real> Pipeline<R> {
     }
 
     /// Mean |x − y| and mean SSIM of a pair; waits.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn loss(&self, pair: &ImagePair<'_, R>) -> Result<[f64; 2]> {
         let sums = Array::zeros(&self.device, "loss", 2)?;
         self.loss.errors(pair, &self.maps, &self.partial)?;
@@ -166,9 +148,6 @@ impl<R: Real> Pipeline<R> {
     }
 
     /// Sums of |x − y| and SSIM of each strip of a pair, in turn; waits.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn strips(&self, pair: &ImagePair<'_, R>) -> Result<Vec<f64>> {
         self.loss.errors(pair, &self.maps, &self.partial)?;
         let [w, h] = pair.size;
@@ -177,13 +156,10 @@ impl<R: Real> Pipeline<R> {
     }
 
     /// Adds a pair's errors at the projected centres of the Gaussians to their statistics.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn add_errors(
         &self,
         stage: &Importance,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         pair: &ImagePair<'_, R>,
         errors: &ErrorSums<'_, R>,
@@ -194,20 +170,14 @@ impl<R: Real> Pipeline<R> {
     }
 
     /// Takes the image gradient back to sums per tile intersection.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn splat_gradient(&self, camera: &CameraArg<R>) -> Result<()> {
         self.backward.splats(&self.forward, camera, &self.dimage)
     }
 
     /// Takes those sums back to the raw parameters of a block of Gaussians.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn parameter_gradient(
         &self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         sh_degree: u32,
         lambdas: [f64; 2],

@@ -7,7 +7,7 @@
 pub use crate::base::constants::{ALPHA_MAX, COLOR_MAX, LOG_SCALE, T_MIN, blur};
 
 use crate::capture::Camera;
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 
 /// Edge of a tile, pixels.
 pub const TILE: i32 = crate::base::constants::TILE as i32;
@@ -92,7 +92,7 @@ pub struct Scene64 {
 impl Scene64 {
     /// Widens a scene.
     #[must_use]
-    pub fn new(splats: &Splats) -> Self {
+    pub fn new(splats: &Gaussians) -> Self {
         let widen = |p: &Vec<f32>| p.iter().map(|v| f64::from(*v)).collect();
         Self {
             sh_degree: splats.sh_degree(),

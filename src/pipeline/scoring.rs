@@ -3,7 +3,7 @@
 use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics::Metrics;
@@ -31,9 +31,6 @@ pub struct Scoring {
 
 impl Scoring {
     /// Builds the kernels for images of at most `largest` (width, height) pixels.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(device: &Device, defines: Defines, largest: [usize; 2]) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let loss = Loss::new::<f32>(&kernels)?;
@@ -55,7 +52,7 @@ impl Scoring {
     pub fn view(
         &self,
         renderer: &mut Renderer,
-        scene: &Scene,
+        scene: &GaussianBuffers,
         camera: &CameraArg<f32>,
         photo: &Array<u8>,
         background: [f32; 3],
@@ -64,7 +61,7 @@ impl Scoring {
             sh_degree: scene.sh_degree,
             background,
             quantity: Quantity::Color,
-            live_only: false,
+            active_only: false,
         };
         renderer.render(scene, camera, &options)?;
         let image = &renderer.frame.image;
@@ -72,9 +69,6 @@ impl Scoring {
     }
 
     /// Clamps a render in place and compares it with its photo; waits.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn pair(&self, pair: &ImagePair<'_, f32>) -> Result<PairErrors> {
         self.metrics.run(pair, &self.rows)?;
         self.loss.errors(pair, &self.maps, &self.partial)?;

@@ -19,7 +19,7 @@ use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
 use crate::run::clock::Reading;
 use crate::run::record::StageRecord;
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 use crate::train::gaussians::GaussianRows;
 use crate::train::{Learned, Next, TrainerState};
 
@@ -202,7 +202,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     let header: Header = serde_json::from_str(written).map_err(|e| text(&e))?;
     let expected = Plane::count(header.sh_degree.min(3));
     let params = planes(&tensors, "params", expected)?;
-    let splats = Splats::new(header.sh_degree, params).map_err(|e| text(&e))?;
+    let splats = Gaussians::new(header.sh_degree, params).map_err(|e| text(&e))?;
     let beside = |name, rows| beside(&tensors, name, rows, splats.len());
     let (moment1, moment2) = (beside("moment1", expected)?, beside("moment2", expected)?);
     let cues = match density::make(&header.config).wanted(1, 1.0).rows() {

@@ -21,7 +21,7 @@ use crate::run::record::{FinalRecord, RunRecord, StageRecord};
 use crate::run::report::gallery::{GalleryItem, error_map};
 use crate::run::report::page::write_report;
 use crate::run::start;
-use crate::scene::{Splats, ply};
+use crate::scene::{Gaussians, ply};
 use crate::train::plan::Decision;
 use crate::train::{DensityEvent, Event, Plan, Trainer};
 
@@ -80,7 +80,7 @@ struct Prepared {
 impl Prepared {
     /// Moves the photos to the device one by one, so that nobody holds their pixels on the host from then on, and makes the
     /// trainer and, for held-out views, the evaluator.
-    fn new(dataset: Dataset, plan: &Plan, device: &Device, splats: &Splats) -> Result<Self> {
+    fn new(dataset: Dataset, plan: &Plan, device: &Device, splats: &Gaussians) -> Result<Self> {
         let record = start::record(&dataset, plan, device);
         let (frame, fingerprint) = (dataset.frame, dataset.fingerprint());
         let photos = Photos::new(device, dataset.image_budget);
@@ -126,7 +126,7 @@ impl Run {
         clock: Clock,
     ) -> Result<Self> {
         let plan = Plan::new(&dataset, &config)?;
-        let splats = start::initial_splats(&dataset, &plan)?;
+        let splats = start::initial_gaussians(&dataset, &plan)?;
         let prepared = Prepared::new(dataset, &plan, device, &splats)?;
         // The record first: a folder with one can be gone on with.
         prepared.record.write(dir)?;
@@ -458,7 +458,7 @@ impl Run {
         Ok(())
     }
 
-    fn export(&self, splats: &Splats, filter: &[f32]) -> Result<()> {
+    fn export(&self, splats: &Gaussians, filter: &[f32]) -> Result<()> {
         ply::write_filtered(&self.dir.join("scene.ply"), splats, filter, &self.frame)
     }
 

@@ -32,4 +32,4 @@ pub use plan_record::{Item, PlanRecord};
 pub use record::{DatasetRecord, DeviceRecord, FinalRecord, RECORD_FILE, RunRecord, StageRecord};
 pub use report::gallery::{GalleryItem, error_map};
 pub use report::page::write_report;
-pub use start::{abandon_folder, claim_folder, initial_splats, saved_config};
+pub use start::{abandon_folder, claim_folder, initial_gaussians, saved_config};

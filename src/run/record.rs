@@ -31,7 +31,8 @@ pub struct DatasetRecord {
     pub missing: Vec<String>,
     /// Images that were left out because their cameras are far from all others.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub astray: Vec<String>,
+    #[serde(rename = "astray")]
+    pub outliers: Vec<String>,
     /// Images that were left out because their masks leave no pixel of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub masked_out: Vec<String>,

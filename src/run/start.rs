@@ -11,7 +11,7 @@ use crate::run::plan_record::PlanRecord;
 use crate::run::record::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
 use crate::scene::ply::{Contents, SceneFile};
 use crate::scene::without_filter;
-use crate::scene::{Splats, init, ply};
+use crate::scene::{Gaussians, init, ply};
 use crate::train::Plan;
 
 /// Gaussians of a random initialisation.
@@ -24,7 +24,7 @@ const RANDOM_GAUSSIANS: usize = 20_000;
 ///
 /// # Errors
 /// A PLY file that cannot be read, holds nothing, or too many Gaussians.
-pub fn initial_splats(dataset: &Dataset, plan: &Plan) -> Result<Splats> {
+pub fn initial_gaussians(dataset: &Dataset, plan: &Plan) -> Result<Gaussians> {
     let config = &plan.config;
     let most = config.max_gaussians.unwrap_or(usize::MAX);
     let splats = match &config.init {
@@ -46,7 +46,7 @@ pub fn initial_splats(dataset: &Dataset, plan: &Plan) -> Result<Splats> {
 }
 
 /// The Gaussians of a PLY file, or one for each point of a plain cloud.
-fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result<Splats> {
+fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result<Gaussians> {
     let empty = || Error::input(path, "no vertex", "give a PLY file that holds some");
     let SceneFile {
         splats,
@@ -129,7 +129,7 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
             train_views: dataset.train.len(),
             test_views: dataset.test.len(),
             missing: dataset.missing.clone(),
-            astray: dataset.astray.clone(),
+            outliers: dataset.outliers.clone(),
             masked_out: dataset.masked_out.clone(),
             width: largest(|c| c.width),
             height: largest(|c| c.height),

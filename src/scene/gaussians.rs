@@ -1,4 +1,4 @@
-//! [`Splats`]: struct of arrays of raw parameters, in the very order the device keeps them.
+//! [`Gaussians`]: struct of arrays of raw parameters, in the very order the device keeps them.
 
 use rayon::prelude::*;
 
@@ -40,12 +40,12 @@ impl Plane {
 /// N Gaussians in raw form (see the crate documentation for the activations): `planes[p][i]` is parameter `p` (see
 /// [`Plane`]) of Gaussian `i`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Splats {
+pub struct Gaussians {
     sh_degree: u32,
     planes: Vec<Vec<f32>>,
 }
 
-impl Splats {
+impl Gaussians {
     /// Gaussians from planes of equal length.
     ///
     /// # Errors

@@ -2,9 +2,9 @@
 
 use crate::base::error::{Error, Result};
 use crate::base::math::logit;
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::capture::{Dataset, Points};
-use crate::scene::gaussians::{Plane, Splats};
+use crate::scene::gaussians::{Gaussians, Plane};
 use crate::scene::knn::mean_squared_distances;
 use crate::scene::sh::C0;
 
@@ -30,7 +30,7 @@ const THINNEST_SIDE: f64 = 0.1;
 /// # Errors
 /// [`Error::Numerics`] for no points, another number of colours, or positions that are not finite;
 /// [`Error::Config`] for an SH degree above 3.
-pub fn from_points(points: &Points, sh_degree: u32) -> Result<Splats> {
+pub fn from_points(points: &Points, sh_degree: u32) -> Result<Gaussians> {
     if points.positions.len() != points.colors.len() {
         return Err(numerics(format!(
             "{} points with {} colours; one each expected",
@@ -53,7 +53,7 @@ pub fn subset(points: &Points, most: usize, seed: u64) -> Points {
     if n <= most {
         return points.clone();
     }
-    let key = |i: &usize| Philox::uniform(seed, Purpose::Subset.stream(0), *i as u64)[0].to_bits();
+    let key = |i: &usize| Philox::uniform(seed, Stream::Subset.stream(0), *i as u64)[0].to_bits();
     let mut rows: Vec<usize> = (0..n).collect();
     rows.sort_by_key(key);
     rows.truncate(most);
@@ -70,7 +70,7 @@ pub fn subset(points: &Points, most: usize, seed: u64) -> Points {
 ///
 /// # Errors
 /// [`Error::Config`] for `count` 0 or an SH degree above 3; [`Error::Numerics`] for a dataset without views.
-pub fn random(dataset: &Dataset, count: usize, sh_degree: u32, seed: u64) -> Result<Splats> {
+pub fn random(dataset: &Dataset, count: usize, sh_degree: u32, seed: u64) -> Result<Gaussians> {
     if count == 0 {
         return Err(Error::config(
             "init",
@@ -80,7 +80,7 @@ pub fn random(dataset: &Dataset, count: usize, sh_degree: u32, seed: u64) -> Res
     let centers = dataset.train.iter().chain(&dataset.test);
     let centers: Vec<[f64; 3]> = centers.map(|v| v.camera.center().to_array()).collect();
     let (middle, half) = camera_box(&centers).ok_or_else(|| numerics("no views".into()))?;
-    let draw = |i: u64| Philox::uniform(seed, Purpose::Init.stream(0), i);
+    let draw = |i: u64| Philox::uniform(seed, Stream::Init.stream(0), i);
     let positions: Vec<[f32; 3]> = (0..count as u64)
         .map(|i| {
             let u = draw(2 * i);
@@ -118,7 +118,7 @@ fn camera_box(centers: &[[f64; 3]]) -> Option<([f64; 3], [f64; 3])> {
 }
 
 /// Gaussians at positions (local units) with colours (RGB in [0, 1]).
-fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<Splats> {
+fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<Gaussians> {
     if sh_degree > 3 {
         return Err(Error::config(
             "sh-degree",
@@ -137,7 +137,7 @@ fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<
     {
         return Err(numerics(format!("point {i} lies at {:?}", positions[i])));
     }
-    let mut splats = Splats::zeros(sh_degree, positions.len());
+    let mut splats = Gaussians::zeros(sh_degree, positions.len());
     splats.plane_mut(Plane::OPACITY).fill(logit(OPACITY) as f32);
     let distances = mean_squared_distances::<3>(positions);
     for (i, ((&p, c), d)) in positions.iter().zip(colors).zip(distances).enumerate() {

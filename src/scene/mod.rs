@@ -11,6 +11,6 @@ pub mod sh;
 mod smoothing;
 
 pub use crate::scene::edit::{Edit, OptionalColor};
-pub use crate::scene::gaussians::{Plane, Splats, sh_coefficients};
+pub use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 pub use crate::scene::orbit::orbit;
 pub use crate::scene::smoothing::{filters, without_filter};

@@ -11,7 +11,7 @@ use glam::DVec3;
 use crate::base::error::{Error, Result};
 use crate::base::ply::{Table, read_comments};
 use crate::capture::{Frame, Points, point_cloud};
-use crate::scene::gaussians::{Plane, Splats, sh_coefficients};
+use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// Beginning of the comment on the filters of a scene.
 const MARK: &str = "mhsplat anti-aliasing:";
@@ -26,7 +26,7 @@ pub const ANTI_ALIASED: &str =
 ///
 /// # Errors
 /// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
-pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
+pub fn write(path: &Path, splats: &Gaussians, frame: &Frame) -> Result<()> {
     write_rows(path, splats, frame, "")
 }
 
@@ -36,7 +36,12 @@ pub fn write(path: &Path, splats: &Splats, frame: &Frame) -> Result<()> {
 ///
 /// # Errors
 /// Those of [`write()`]; [`Error::Numerics`] for a filter of another length.
-pub fn write_filtered(path: &Path, splats: &Splats, filter: &[f32], frame: &Frame) -> Result<()> {
+pub fn write_filtered(
+    path: &Path,
+    splats: &Gaussians,
+    filter: &[f32],
+    frame: &Frame,
+) -> Result<()> {
     if filter.is_empty() {
         return write(path, splats, frame);
     }
@@ -57,7 +62,7 @@ fn mark(comments: &[String]) -> Option<&str> {
     texts.find(|comment| comment.starts_with(MARK))
 }
 
-fn write_rows(path: &Path, splats: &Splats, frame: &Frame, comment: &str) -> Result<()> {
+fn write_rows(path: &Path, splats: &Gaussians, frame: &Frame, comment: &str) -> Result<()> {
     let rows = to_rows(splats, frame)?;
     let mut header = format!(
         "ply\nformat binary_little_endian 1.0\n{comment}element vertex {}\n",
@@ -96,7 +101,7 @@ fn rest_planes(sh_degree: u32) -> impl Iterator<Item = usize> {
 }
 
 /// The rows of the file, `[N][properties]`, checked.
-fn to_rows(splats: &Splats, frame: &Frame) -> Result<Vec<f32>> {
+fn to_rows(splats: &Gaussians, frame: &Frame) -> Result<Vec<f32>> {
     let names = property_names(splats.sh_degree());
     let stretch = frame.scale.ln();
     let rest: Vec<usize> = rest_planes(splats.sh_degree()).collect();
@@ -126,7 +131,7 @@ fn to_rows(splats: &Splats, frame: &Frame) -> Result<Vec<f32>> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneFile {
     /// The Gaussians.
-    pub splats: Splats,
+    pub splats: Gaussians,
     /// True if they were trained with anti-aliasing and are to be rendered with the 2D filter; their scales and opacities
     /// then include the 3D filter.
     pub anti_aliased: bool,
@@ -221,7 +226,7 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
         fill(plane, format!("f_rest_{i}"), &|v| v)?;
     }
     Ok(SceneFile {
-        splats: Splats::new(sh_degree, planes)?,
+        splats: Gaussians::new(sh_degree, planes)?,
         anti_aliased: mark.is_some(),
     })
 }

@@ -7,14 +7,14 @@ use crate::base::constants::{FILTER_VARIANCE, LOG_SCALE};
 use crate::base::error::{Error, Result};
 use crate::base::math::ln_sigmoid;
 use crate::capture::{Camera, Dataset};
-use crate::scene::gaussians::{Plane, Splats};
+use crate::scene::gaussians::{Gaussians, Plane};
 
 /// The Gaussians of a PLY file without the 3D filter that it includes, computed from the training views of this dataset; training
 /// filters them itself.
 ///
 /// # Errors
 /// A value that is then not finite.
-pub fn without_filter(splats: &Splats, dataset: &Dataset) -> Result<Splats> {
+pub fn without_filter(splats: &Gaussians, dataset: &Dataset) -> Result<Gaussians> {
     let positions =
         (0..splats.len()).map(|i| splats.gather::<3>(Plane::POSITION, i).map(f64::from));
     let sigma = filters(
@@ -53,7 +53,7 @@ pub fn filters(positions: impl Iterator<Item = [f64; 3]>, cameras: &[Camera]) ->
     own.into_iter().map(|v| v.unwrap_or(largest)).collect()
 }
 
-impl Splats {
+impl Gaussians {
     /// The same Gaussians after a 3D filter of standard deviations `sigma` \[N\], of the scales' unit: scales √(s² + σ²), opacities
     /// times √(Π s² / Π (s² + σ²)). A Gaussian whose σ is 0 keeps its bits.
     ///
@@ -66,11 +66,11 @@ impl Splats {
         })
     }
 
-    /// The approximate inverse of [`Splats::filtered`]: a squared scale keeps at least 1e-4 of its value, and no opacity is raised
+    /// The approximate inverse of [`Gaussians::filtered`]: a squared scale keeps at least 1e-4 of its value, and no opacity is raised
     /// above 0.999. Training on from a filtered scene, which filters it again, starts here.
     ///
     /// # Errors
-    /// Those of [`Splats::filtered`].
+    /// Those of [`Gaussians::filtered`].
     pub fn unfiltered(&self, sigma: &[f32]) -> Result<Self> {
         self.changed(sigma, |wide, sigma| {
             let own = 1.0 - (sigma * (-wide).exp()).powi(2);

@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::base::error::Result;
-use crate::base::rng::Purpose;
+use crate::base::rng::Stream;
 use crate::capture::Alpha;
 use crate::capture::photo::colors;
 use crate::density::{
-    self, Cues, DensityControl, DensityStats, Evidence, NoiseLaw, Outcome, Picture, SceneState,
-    ScreenGradient, StepContext, Trial, Wanted,
+    self, DensityControl, DensityStats, ErrorStatistics, NoiseLaw, Outcome, Picture, SceneState,
+    ScreenGradient, Statistics, StatisticsKind, StepContext, Trial,
 };
 use crate::device::{CameraArg, Device, Kernels, StageTime};
 use crate::pipeline::forward::{Quantity, RenderOptions};
@@ -74,9 +74,6 @@ pub struct Control {
 
 impl Control {
     /// Builds the stages of the plan's strategy.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new(kernels: &Kernels, plan: &Plan, pipeline: &Pipeline) -> Result<Self> {
         let strategy = density::make(&plan.config);
         let wanted = strategy.wanted(1, 1.0);
@@ -84,9 +81,10 @@ impl Control {
             let stage = Noise::new::<f32>(kernels)?;
             Ok((stage, law))
         });
-        let screen = (wanted == Wanted::ScreenGradient).then(|| ScreenGrad::new::<f32>(kernels));
-        let errors =
-            matches!(wanted, Wanted::Errors { .. }).then(|| Importance::new::<f32>(kernels));
+        let screen =
+            (wanted == StatisticsKind::ScreenGradient).then(|| ScreenGrad::new::<f32>(kernels));
+        let errors = matches!(wanted, StatisticsKind::Errors { .. })
+            .then(|| Importance::new::<f32>(kernels));
         let (device, degree) = (kernels.device(), plan.sh_degree.value);
         let defines = *kernels.defines();
         Ok(Self {
@@ -128,9 +126,6 @@ impl Control {
     /// The last k renders before a step serve as its view subset (\[MH\] Eq. 10), as many as there are since the last step at
     /// most. Training takes the views in random order, so that they are a random subset (of two epochs where one ends
     /// between: a view may then count twice), and no view is rendered for density control alone.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn observe(
         &self,
         iteration: u32,
@@ -143,7 +138,7 @@ impl Control {
         let Some((due, progress)) = self.schedule.next_density(iteration) else {
             return Ok(());
         };
-        let Wanted::Errors { views } = self.strategy.wanted(views, progress) else {
+        let StatisticsKind::Errors { views } = self.strategy.wanted(views, progress) else {
             return Ok(());
         };
         let since_last = self.schedule.density_interval().min(due);
@@ -174,9 +169,6 @@ impl Control {
 
     /// The strategy's part of an iteration, after the optimiser: screen-space gradients are added up until the last density
     /// step; noise goes on to the end.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn perturb(
         &self,
         iteration: u32,
@@ -195,16 +187,13 @@ impl Control {
                 rate: law.rate * self.schedule.position_rate(iteration),
                 ..*law
             };
-            let stream = Purpose::Noise.stream(iteration);
+            let stream = Stream::Noise.stream(iteration);
             stage.run(scene, frame, &law, self.plan.config.seed, stream)?;
         }
         Ok(())
     }
 
     /// Decides from the statistics, edits the Gaussians and puts them in Morton order.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn step(
         &mut self,
         mut on: Working<'_>,
@@ -256,18 +245,18 @@ impl Control {
         let row = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
         let wanted = self.strategy.wanted(on.views.len(), progress);
         let views: Vec<u32> = match wanted {
-            Wanted::Nothing => Vec::new(),
+            StatisticsKind::Nothing => Vec::new(),
             // The last row counts.
             _ => row(wanted.rows() - 1).iter().map(|v| *v as u32).collect(),
         };
         let evidence = match wanted {
-            Wanted::Nothing => Evidence::Nothing,
-            Wanted::Errors { .. } => Evidence::Errors(Cues {
+            StatisticsKind::Nothing => Statistics::Nothing,
+            StatisticsKind::Errors { .. } => Statistics::Errors(ErrorStatistics {
                 ssim: row(0),
                 l1: row(1),
                 views: &views,
             }),
-            Wanted::ScreenGradient => Evidence::ScreenGradient(ScreenGradient {
+            StatisticsKind::ScreenGradient => Statistics::ScreenGradient(ScreenGradient {
                 norms: row(0),
                 views: &views,
             }),
@@ -278,9 +267,6 @@ impl Control {
     }
 
     /// First-order changes of the loss by births; empty if the strategy asks for none.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn estimate(
         &mut self,
         on: &mut Working<'_>,
@@ -345,9 +331,6 @@ impl Control {
     }
 
     /// Runs the kernels once that do not run in every iteration: errors, edits and estimates.
-    ///
-    /// # Errors
-    /// A build failure, or the driver's.
     pub fn warm_up(
         &mut self,
         on: &mut Working<'_>,
@@ -398,7 +381,7 @@ fn picture(
         sh_degree: scene.sh_degree,
         background: view.background,
         quantity: Quantity::Color,
-        live_only: false,
+        active_only: false,
     };
     let forward = &mut on.pipeline.forward;
     forward.render(scene, camera, &options)?;

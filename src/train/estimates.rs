@@ -11,7 +11,7 @@ use crate::base::math::sigmoid;
 use crate::density::{DensityControl, Trial};
 use crate::device::{Array, Defines, Device, StageTime};
 use crate::pipeline::backward::{Backward, GRADIENT_ROWS};
-use crate::pipeline::buffers::{Scene, restride};
+use crate::pipeline::buffers::{GaussianBuffers, restride};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::stage::edit::Edit;
@@ -53,9 +53,6 @@ pub struct FaintPass<R: crate::device::Real> {
 
 impl<R: crate::device::Real> FaintPass<R> {
     /// Builds the stages for contributions from `alpha_min` on; gradients of parameters share `pipeline`'s kernels.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new(
         device: &Device,
         defines: Defines,
@@ -107,9 +104,6 @@ pub struct Estimates {
 
 impl Estimates {
     /// Builds the stages if this density control asks for estimates.
-    ///
-    /// # Errors
-    /// A build failure.
     pub fn new(
         device: &Device,
         defines: Defines,
@@ -131,9 +125,6 @@ impl Estimates {
 
     /// First-order change of the loss by each birth, mean over the views that training takes next, at the size that they
     /// have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn changes(&mut self, mut at: Context<'_>, trials: &[Trial]) -> Result<Vec<f64>> {
         if trials.is_empty() {
             return Ok(Vec::new());
@@ -150,9 +141,6 @@ impl Estimates {
     }
 
     /// Runs every kernel once on no Gaussians.
-    ///
-    /// # Errors
-    /// A build failure, or the driver's.
     pub fn warm_up(&mut self, mut at: Context<'_>, sh_degree: u32) -> Result<()> {
         let scene = at.with_faint(&[])?;
         self.in_view(&mut at, &scene, [0, 0], sh_degree, true)?;
@@ -192,7 +180,7 @@ impl Estimates {
     fn in_view(
         &mut self,
         at: &mut Context<'_>,
-        faint: &Scene,
+        faint: &GaussianBuffers,
         [background_of, number]: [usize; 2],
         sh_degree: u32,
         shared: bool,
@@ -204,7 +192,7 @@ impl Estimates {
             sh_degree,
             background: view.background,
             quantity: Quantity::Color,
-            live_only: false,
+            active_only: false,
         };
         let (scene, camera) = (&at.gaussians.scene, &view.camera);
         at.pipeline.forward.render(scene, camera, &options)?;
@@ -235,13 +223,13 @@ impl Estimates {
 
 impl Context<'_> {
     /// A copy of the scene with a faint copy of every birth after its rows: training's own arrays are left alone.
-    fn with_faint(&self, trials: &[Trial]) -> Result<Scene> {
+    fn with_faint(&self, trials: &[Trial]) -> Result<GaussianBuffers> {
         let (old, device) = (&self.gaussians.scene, self.device);
         let n = old.count;
         let (planes, from) = (old.planes(), old.stride);
-        let stride = Scene::<f32>::grown_stride(n + trials.len()).max(from);
+        let stride = GaussianBuffers::<f32>::grown_stride(n + trials.len()).max(from);
         let smoothed = self.smoothing.map_or(0, |_| stride);
-        let copy = Scene {
+        let copy = GaussianBuffers {
             params: restride(device, &old.params, planes, from, stride)?,
             filter: Array::zeros(device, "filter", smoothed)?,
             stride,

@@ -2,15 +2,15 @@
 
 use crate::base::error::{Error, Result};
 use crate::device::{Array, Device};
-use crate::pipeline::buffers::{Scene, restride};
+use crate::pipeline::buffers::{GaussianBuffers, restride};
 use crate::pipeline::stage::edit::Edit;
-use crate::scene::{self, Plane, Splats};
+use crate::scene::{self, Gaussians, Plane};
 
 /// Parameters, optimiser moments, 3D smoothing filter and error statistics of all Gaussians on the device.
 #[derive(Debug)]
 pub struct GaussianState {
     /// Parameters and smoothing filter.
-    pub scene: Scene,
+    pub scene: GaussianBuffers,
     /// First and second moments \[planes, stride\].
     pub moments: [Array<f32>; 2],
     /// Statistics that density control has gathered since its last step \[rows, stride\].
@@ -22,7 +22,7 @@ pub struct GaussianState {
 /// Rows of a checkpoint, in the order of the Gaussians.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GaussianRows {
-    /// First moments, planes as in [`Splats`].
+    /// First moments, planes as in [`Gaussians`].
     pub moment1: Vec<Vec<f32>>,
     /// Second moments.
     pub moment2: Vec<Vec<f32>>,
@@ -70,17 +70,14 @@ fn mismatch(what: String) -> Error {
 
 impl GaussianState {
     /// Uploads Gaussians with room for `capacity`; moments and statistics are zero.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn new(
         device: &Device,
-        splats: &Splats,
+        splats: &Gaussians,
         capacity: usize,
         rows: usize,
         smoothed: bool,
     ) -> Result<Self> {
-        let mut scene = Scene::upload(device, splats, capacity)?;
+        let mut scene = GaussianBuffers::upload(device, splats, capacity)?;
         if smoothed {
             scene = scene.with_filter(device)?;
         }
@@ -97,12 +94,15 @@ impl GaussianState {
     }
 
     /// A state of no Gaussians with the same planes and rows, for kernels that are only to be built.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn empty(&self, device: &Device, sh_degree: u32) -> Result<Self> {
         let smoothed = !self.scene.filter.is_empty();
-        Self::new(device, &Splats::zeros(sh_degree, 0), 0, self.rows, smoothed)
+        Self::new(
+            device,
+            &Gaussians::zeros(sh_degree, 0),
+            0,
+            self.rows,
+            smoothed,
+        )
     }
 
     /// Arrays with a value per Gaussian and plane, each with its number of planes.
@@ -120,15 +120,12 @@ impl GaussianState {
     }
 
     /// Makes room for `rows` Gaussians; the new ones are zero.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn grow(&mut self, device: &Device, rows: usize) -> Result<()> {
         let from = self.scene.stride;
         if rows <= from {
             return Ok(());
         }
-        let to = Scene::<f32>::grown_stride(rows);
+        let to = GaussianBuffers::<f32>::grown_stride(rows);
         for (array, planes) in self.arrays() {
             if planes > 0 {
                 *array = restride(device, array, planes, from, to)?;
@@ -139,9 +136,6 @@ impl GaussianState {
     }
 
     /// Applies the edits of a density step, which leave `rows` rows, and starts the statistics anew.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn edit(
         &mut self,
         device: &Device,
@@ -163,9 +157,6 @@ impl GaussianState {
     }
 
     /// Keeps the Gaussians of `order`, in that order.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn reorder(&mut self, device: &Device, stage: &Edit, order: &[u32]) -> Result<()> {
         let (stride, count) = (self.scene.stride, order.len());
         let order = Array::from_slice(device, "order", order)?;
@@ -181,9 +172,6 @@ impl GaussianState {
     }
 
     /// Makes room for the coefficients of a higher SH degree, which are zero, as are their moments.
-    ///
-    /// # Errors
-    /// More than the device can allocate.
     pub fn raise_sh_degree(&mut self, device: &Device, degree: u32) -> Result<()> {
         let stride = self.scene.stride;
         let [from, to] = [self.scene.sh_degree, degree].map(|d| Plane::count(d) * stride);
@@ -198,9 +186,6 @@ impl GaussianState {
     }
 
     /// Reads position, scale, rotation and opacity in one transfer.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn geometry(&self) -> Result<Geometry> {
         Ok(Geometry {
             values: self.scene.params.read(0, Plane::SH * self.scene.stride)?,
@@ -210,17 +195,11 @@ impl GaussianState {
     }
 
     /// Reads the statistics \[rows\]\[N\].
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn read_statistics(&self) -> Result<Vec<Vec<f32>>> {
         self.planes(&self.statistics, self.rows)
     }
 
     /// Reads the smoothing filter \[N\]; empty without anti-aliasing.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn read_filter(&self) -> Result<Vec<f32>> {
         match self.scene.filter.is_empty() {
             true => Ok(Vec::new()),
@@ -235,9 +214,6 @@ impl GaussianState {
     }
 
     /// Reads everything but the parameters.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn rows(&self) -> Result<GaussianRows> {
         let planes = self.scene.planes();
         Ok(GaussianRows {

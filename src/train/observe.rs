@@ -4,10 +4,10 @@ use crate::base::error::Result;
 use crate::density::{DensityStats, Trial};
 use crate::device::StageTime;
 use crate::device::tuning::Tuning;
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::photos::PhotoStats;
-use crate::scene::Splats;
+use crate::scene::Gaussians;
 use crate::train::control::Working;
 use crate::train::plan::{Learned, Plan};
 use crate::train::schedule::Schedule;
@@ -20,9 +20,6 @@ impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
     /// more than there are views); `None` before the first iteration. If every iteration has a background of its own, that
     /// of at most 32 views, rendered over the background that does not change.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn recent_loss(&mut self) -> Result<Option<f64>> {
         self.settle()?;
         if self.iteration > 0 && self.plan.random_background.value {
@@ -67,7 +64,7 @@ impl Trainer {
                 sh_degree: self.gaussians.scene.sh_degree,
                 background: view.background,
                 quantity: Quantity::Color,
-                live_only: false,
+                active_only: false,
             };
             let pipeline = &mut self.pipeline;
             pipeline
@@ -122,7 +119,7 @@ impl Trainer {
     ///
     /// # Errors
     /// The driver's, or non-finite parameters.
-    pub fn splats(&mut self) -> Result<(Splats, Vec<f32>)> {
+    pub fn splats(&mut self) -> Result<(Gaussians, Vec<f32>)> {
         self.settle()?;
         Ok((
             self.gaussians.scene.download()?,
@@ -155,9 +152,6 @@ impl Trainer {
     }
 
     /// Transforms, first and second moments \[3\]\[views · 12\]; empty unless exposure is compensated.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn exposures(&self) -> Result<Vec<Vec<f32>>> {
         match &self.pipeline.exposure {
             Some(model) => model.rows(),
@@ -166,19 +160,16 @@ impl Trainer {
     }
 
     /// Leaves room for no more than `pairs` tile intersections, so that a test can see what happens then.
-    ///
-    /// # Errors
-    /// The driver's.
     #[doc(hidden)]
-    pub fn shrink_pairs(&mut self, pairs: usize) -> Result<()> {
+    pub fn shrink_intersections(&mut self, pairs: usize) -> Result<()> {
         self.settle()?;
-        self.pipeline.forward.frame.set_pairs(&self.device, pairs)
+        self.pipeline
+            .forward
+            .frame
+            .set_intersections(&self.device, pairs)
     }
 
     /// First-order changes of the loss by births in the views that training takes next; empty if density control asks for none.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     #[doc(hidden)]
     pub fn estimate(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
         let mut on = Working {
@@ -223,7 +214,7 @@ impl Trainer {
     }
 
     /// The scene on the device and the renderer, for evaluation between iterations.
-    pub fn scene_and_renderer(&mut self) -> (&Scene, &mut Renderer) {
+    pub fn scene_and_renderer(&mut self) -> (&GaussianBuffers, &mut Renderer) {
         (&self.gaussians.scene, &mut self.pipeline.forward)
     }
 }

@@ -26,9 +26,6 @@ pub struct Optimizer {
 
 impl Optimizer {
     /// Builds the kernel.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(kernels: &Kernels, plan: &Plan) -> Result<Self> {
         let (o, l) = (&plan.config.optimizer, &plan.config.loss);
         let block = kernels.defines().tuning.update_block;
@@ -51,9 +48,6 @@ impl Optimizer {
 
     /// Takes the view's gradients back to the parameters and updates them, block by block: a block's gradients are used while
     /// they are still in cache.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn step(
         &self,
         pipeline: &Pipeline,

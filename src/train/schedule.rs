@@ -1,6 +1,6 @@
 //! What changes over a run: pure functions of the configuration and the iteration.
 
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::config::{Background, ExposureChoice, TrainConfig};
 use crate::pipeline::stage::adam::LearningRates;
 
@@ -253,8 +253,7 @@ impl Schedule {
     fn permutation(&self, epoch: u32, views: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..views.max(1)).collect();
         for i in (1..order.len()).rev() {
-            let u =
-                Philox::uniform(self.config.seed, Purpose::ViewOrder.stream(epoch), i as u64)[0];
+            let u = Philox::uniform(self.config.seed, Stream::ViewOrder.stream(epoch), i as u64)[0];
             order.swap(i, (u * (i + 1) as f64) as usize);
         }
         order
@@ -266,7 +265,7 @@ impl Schedule {
         if !random {
             return self.fixed_background();
         }
-        let stream = Purpose::Background.stream(0);
+        let stream = Stream::Background.stream(0);
         let u = Philox::uniform(self.config.seed, stream, u64::from(iteration));
         [u[0] as f32, u[1] as f32, u[2] as f32]
     }

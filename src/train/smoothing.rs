@@ -3,7 +3,7 @@
 use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernels};
-use crate::pipeline::buffers::{Frame, Scene, ViewSet};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers, ViewSet};
 use crate::pipeline::stage::filter::Filter;
 
 /// Iterations between two looks at the sampling rates (Mip-Splatting, §6); every density step has one as well.
@@ -20,9 +20,6 @@ pub struct Smoothing {
 
 impl Smoothing {
     /// Builds the kernel if the kernels are built with anti-aliasing.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(kernels: &Kernels, views: &ViewSet) -> Result<Option<Self>> {
         if !kernels.defines().anti_alias {
             return Ok(None);
@@ -42,10 +39,7 @@ impl Smoothing {
     }
 
     /// Recomputes the filter of a scene from its positions, without waiting.
-    ///
-    /// # Errors
-    /// The driver's.
-    pub fn run(&self, scene: &Scene, view: &Frame<f32>) -> Result<()> {
+    pub fn run(&self, scene: &GaussianBuffers, view: &ViewBuffers<f32>) -> Result<()> {
         self.stage.run(scene, view, &self.cameras, &self.largest)
     }
 }

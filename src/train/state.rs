@@ -3,7 +3,7 @@
 use crate::base::error::{Error, Result};
 use crate::density::DensityStats;
 use crate::device::tuning::status;
-use crate::scene::Splats;
+use crate::scene::Gaussians;
 use crate::train::gaussians::GaussianRows;
 use crate::train::plan::{Exposure, Learned};
 use crate::train::step::{Next, Trainer};
@@ -16,7 +16,7 @@ pub struct TrainerState {
     /// The next thing to do.
     pub next: Next,
     /// Parameters.
-    pub splats: Splats,
+    pub splats: Gaussians,
     /// Moments, statistics and smoothing filter.
     pub rows: GaussianRows,
     /// Statistics of density control so far.

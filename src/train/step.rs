@@ -16,7 +16,7 @@ use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::seen::Seen;
-use crate::scene::Splats;
+use crate::scene::Gaussians;
 use crate::train::brightness::{self, GainSpread};
 use crate::train::control::{Control, DensityEvent, Working};
 use crate::train::gaussians::GaussianState;
@@ -120,7 +120,12 @@ impl Trainer {
     ///
     /// # Errors
     /// A bad configuration, a build failure, or more than the device can allocate.
-    pub fn new(device: &Device, dataset: &Dataset, plan: &Plan, splats: &Splats) -> Result<Self> {
+    pub fn new(
+        device: &Device,
+        dataset: &Dataset,
+        plan: &Plan,
+        splats: &Gaussians,
+    ) -> Result<Self> {
         let photos = Photos::new(device, dataset.image_budget);
         let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
         Self::with_views(views, plan, splats)
@@ -130,7 +135,7 @@ impl Trainer {
     ///
     /// # Errors
     /// As [`Trainer::new`].
-    pub fn with_views(set: ViewSet, plan: &Plan, splats: &Splats) -> Result<Self> {
+    pub fn with_views(set: ViewSet, plan: &Plan, splats: &Gaussians) -> Result<Self> {
         plan.config.validate()?;
         if splats.is_empty() {
             return Err(Error::Numerics {
@@ -230,7 +235,7 @@ impl Trainer {
             sh_degree,
             background: view.background,
             quantity: Quantity::Color,
-            live_only: self.plan.alpha == Alpha::Mask,
+            active_only: self.plan.alpha == Alpha::Mask,
         }
     }
 
@@ -357,14 +362,14 @@ impl Trainer {
             later.launches -= done.launches.min(later.launches);
         }
         let max = &mut self.counters.max_intersections;
-        *max = (*max).max(counters[status::PAIRS as usize] as usize);
+        *max = (*max).max(counters[status::INTERSECTIONS as usize] as usize);
         self.counters.non_finite = u64::from(counters[status::NON_FINITE as usize]);
         let needed = counters[status::OVERFLOW as usize];
         if needed > 0 {
             self.in_flight.clear();
             self.counters.overflows += 1;
             *max = (*max).max(needed as usize);
-            self.pipeline.forward.grow_pairs(needed)?;
+            self.pipeline.forward.grow_intersections(needed)?;
             // Everything due before that iteration was done before it was enqueued.
             self.iteration = done.iteration;
             self.next = Next::Iterate;
@@ -450,7 +455,7 @@ impl Trainer {
                 .views
                 .view(self.iteration, self.iteration, number, &[])?;
             let options = RenderOptions {
-                live_only: false,
+                active_only: false,
                 ..self.options(&view, self.gaussians.scene.sh_degree)
             };
             let forward = &mut self.pipeline.forward;
@@ -487,9 +492,6 @@ impl Trainer {
     }
 
     /// Ends the run: removes the Gaussians that no training view shows, if the configuration says so. Once per run.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn finish(&mut self) -> Result<()> {
         self.settle()?;
         if self.learned.finished == Some(self.iteration) {
@@ -532,13 +534,13 @@ impl Trainer {
             sh_degree: scene.sh_degree,
             background: self.schedule.fixed_background(),
             quantity: Quantity::Color,
-            live_only: false,
+            active_only: false,
         };
         for camera in &self.views.set.cameras[..views] {
             forward.pair(scene, camera, &options)?;
             let frame = &forward.frame;
-            if shown.len() < frame.pair_capacity() {
-                shown = Array::zeros(&self.device, "shown", frame.pair_capacity())?;
+            if shown.len() < frame.intersection_capacity() {
+                shown = Array::zeros(&self.device, "shown", frame.intersection_capacity())?;
             }
             stage.run(frame, camera, &shown, &seen)?;
         }
@@ -552,7 +554,7 @@ impl Trainer {
         frame.fit_image(&self.device, &self.views.set.largest_camera)?;
         let max = self.counters.max_intersections;
         let least = 4 * self.gaussians.scene.count.max(1024);
-        frame.fit_pairs(&self.device, (max + max / 4).max(least))
+        frame.fit_intersections(&self.device, (max + max / 4).max(least))
     }
 
     /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the buffers of tile intersections by rendering
@@ -585,7 +587,10 @@ impl Trainer {
             };
             let (scene, forward) = (&self.gaussians.scene, &mut self.pipeline.forward);
             forward.render(scene, &self.views.set.cameras[number], &options)?;
-            let found = forward.frame.status.read(status::PAIRS as usize, 1)?[0];
+            let found = forward
+                .frame
+                .status
+                .read(status::INTERSECTIONS as usize, 1)?[0];
             let max = &mut self.counters.max_intersections;
             *max = (*max).max(found as usize);
         }

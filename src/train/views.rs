@@ -44,9 +44,6 @@ pub struct Views {
 
 impl Views {
     /// Builds the kernel that shrinks photos if the plan asks for it.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(kernels: &Kernels, set: ViewSet, plan: &Plan) -> Result<Self> {
         let halvings = plan.halvings.value;
         let [w, h] = set.largest;
@@ -154,9 +151,6 @@ impl Views {
     }
 
     /// Runs the shrinking kernel once, if there is one.
-    ///
-    /// # Errors
-    /// A build failure, or the driver's.
     pub fn warm_up(&self) -> Result<()> {
         let photo = self.set.photo(0, &[])?;
         let size = size_of_image(&self.set.cameras[0]);
@@ -179,6 +173,6 @@ impl Views {
 pub fn capacity(config: &TrainConfig, count: usize) -> usize {
     match config.density_times() {
         None => count,
-        Some(_) => crate::pipeline::buffers::Scene::<f32>::grown_stride(count),
+        Some(_) => crate::pipeline::buffers::GaussianBuffers::<f32>::grown_stride(count),
     }
 }

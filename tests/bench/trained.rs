@@ -5,19 +5,19 @@ use mhsplat::device::{Defines, Device};
 use mhsplat::lab::bench;
 use mhsplat::lab::bench::work::TileWork;
 use mhsplat::lab::bench::{Options, scene};
-use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
-use mhsplat::scene::{Plane, Splats, orbit, ply};
+use mhsplat::scene::{Gaussians, Plane, orbit, ply};
 
 /// The mean number of pairs over the circle of views around a scene, rendered with the 2D filter or without.
-fn pairs_of(splats: &Splats, anti_alias: bool) -> f64 {
+fn pairs_of(splats: &Gaussians, anti_alias: bool) -> f64 {
     let device = Device::open(None).unwrap();
     let defines = Defines {
         anti_alias,
         ..Defines::new(device.tuning())
     };
     let mut renderer = Renderer::new(&device, defines, 0, false).unwrap();
-    let mut scene = Scene::upload(&device, splats, 0).unwrap();
+    let mut scene = GaussianBuffers::upload(&device, splats, 0).unwrap();
     if anti_alias {
         scene = scene.with_filter(&device).unwrap();
     }

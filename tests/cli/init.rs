@@ -11,8 +11,8 @@ use mhsplat::TrainConfig;
 use mhsplat::capture::{Dataset, LoadOptions, load, point_cloud};
 use mhsplat::config::Init;
 use mhsplat::lab::synth::SynthLayout;
-use mhsplat::run::initial_splats;
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::run::initial_gaussians;
+use mhsplat::scene::{Gaussians, Plane};
 
 const SH_0: f64 = 0.282_094_791_773_878_14;
 
@@ -49,14 +49,14 @@ fn write_points(file: &Path, ascii: bool, colored: bool) {
     fs::write(file, out).unwrap();
 }
 
-fn first(data: &Dataset, file: &Path, more: impl FnOnce(&mut TrainConfig)) -> Splats {
+fn first(data: &Dataset, file: &Path, more: impl FnOnce(&mut TrainConfig)) -> Gaussians {
     let mut config = TrainConfig {
         init: Init::File(file.to_path_buf()),
         ..TrainConfig::default()
     };
     config.work.morton_order = false;
     more(&mut config);
-    initial_splats(data, &Plan::new(data, &config).unwrap()).unwrap()
+    initial_gaussians(data, &Plan::new(data, &config).unwrap()).unwrap()
 }
 
 #[test]
@@ -83,7 +83,8 @@ fn a_point_cloud_of_any_form_gives_its_points() {
     }
     // The dataset's own points, written and read, are the same start as the dataset's.
     point_cloud::write(&file, &data.points, &data.frame).unwrap();
-    let own = initial_splats(&data, &Plan::new(&data, &TrainConfig::default()).unwrap()).unwrap();
+    let own =
+        initial_gaussians(&data, &Plan::new(&data, &TrainConfig::default()).unwrap()).unwrap();
     let read = first(&data, &file, |c| c.work.morton_order = true);
     assert_eq!(own.len(), read.len());
     let pairs = own

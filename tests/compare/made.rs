@@ -50,7 +50,7 @@ pub fn run(name: &str, seed: u64) -> Made {
         width: 96,
         height: 72,
         missing: Vec::new(),
-        astray: Vec::new(),
+        outliers: Vec::new(),
         masked_out: Vec::new(),
         fingerprint: Some("0123456789abcdef".into()),
     };

@@ -10,7 +10,7 @@ use mhsplat::TrainConfig;
 use mhsplat::capture::colmap::{ColmapModel, read_bin, write_bin};
 use mhsplat::capture::{LoadOptions, load};
 use mhsplat::device::Device;
-use mhsplat::run::initial_splats;
+use mhsplat::run::initial_gaussians;
 use mhsplat::train::Trainer;
 
 /// The bundled scene, every position x as scale·x + offset.
@@ -50,7 +50,7 @@ fn trained(scale: f64, offset: DVec3) -> (Vec<f32>, f64) {
         ..TrainConfig::default()
     };
     let device = Device::open(None).unwrap();
-    let splats = initial_splats(&data, &Plan::new(&data, &config).unwrap()).unwrap();
+    let splats = initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut trainer =
         Trainer::new(&device, &data, &Plan::new(&data, &config).unwrap(), &splats).unwrap();
     trainer.advance_to(config.iterations).unwrap();
@@ -99,26 +99,26 @@ fn ring_with(moved: impl Fn(usize) -> Option<DVec3>) -> (Vec<String>, f64) {
     .unwrap();
     super::write_images(&dir.path().join("images"), &views);
     let data = load(dir.path(), &LoadOptions::default()).unwrap();
-    (data.astray, data.frame.scale)
+    (data.outliers, data.frame.scale)
 }
 
 #[test]
 fn cameras_astray_are_left_out_by_name() {
-    let (astray, whole) = ring_with(|_| None);
-    assert!(astray.is_empty());
-    let (astray, scale) = ring_with(|k| [3, 8].contains(&k).then(|| DVec3::new(5e3, -2e4, 1e3)));
-    assert_eq!(astray, ["v 03.png", "v 08.png"]);
+    let (outliers, whole) = ring_with(|_| None);
+    assert!(outliers.is_empty());
+    let (outliers, scale) = ring_with(|k| [3, 8].contains(&k).then(|| DVec3::new(5e3, -2e4, 1e3)));
+    assert_eq!(outliers, ["v 03.png", "v 08.png"]);
     assert!((scale / whole - 1.0).abs() < 0.1, "{scale} {whole}");
     // Three of forty are part of the scene, and so is a wide ring about a close one.
-    let (astray, scale) = ring_with(|k| (k < 3).then(|| DVec3::new(5e3, -2e4, 1e3)));
-    assert!(astray.is_empty() && scale > 1e4);
-    let (astray, _) =
+    let (outliers, scale) = ring_with(|k| (k < 3).then(|| DVec3::new(5e3, -2e4, 1e3)));
+    assert!(outliers.is_empty() && scale > 1e4);
+    let (outliers, _) =
         ring_with(|k| (k == 5).then(|| DVec3::splat(7.0) + DVec3::new(30.0, 0.0, 9.0)));
-    assert!(astray.is_empty());
+    assert!(outliers.is_empty());
     // Two of three views from a tripod that shakes a little say nothing against the others.
     let shaken = |k: usize| {
         (!k.is_multiple_of(3)).then(|| DVec3::splat(7.0) + DVec3::splat(1e-3 * k as f64))
     };
-    let (astray, scale) = ring_with(shaken);
-    assert!(astray.is_empty() && scale > 2.0, "{astray:?} {scale}");
+    let (outliers, scale) = ring_with(shaken);
+    assert!(outliers.is_empty() && scale > 2.0, "{outliers:?} {scale}");
 }

@@ -6,7 +6,7 @@ use super::{colmap_scene, load_every};
 use mhsplat::base::rng::Philox;
 use mhsplat::capture::Points;
 use mhsplat::scene::knn::mean_squared_distances;
-use mhsplat::scene::{Plane, Splats, init};
+use mhsplat::scene::{Gaussians, Plane, init};
 
 fn cloud(n: u64, seed: u64) -> Vec<[f32; 3]> {
     (0..n)
@@ -103,7 +103,7 @@ fn few_points_and_bad_ones() {
         positions: (0..n).map(|i| [i as f32, 0.0, 0.0]).collect(),
         colors: vec![[0; 3]; n],
     };
-    let scale = |s: &Splats| s.planes()[Plane::LOG_SCALE][0].exp();
+    let scale = |s: &Gaussians| s.planes()[Plane::LOG_SCALE][0].exp();
     assert!((scale(&init::from_points(&points(1), 0).unwrap()) - 0.01).abs() < 1e-6);
     assert!((scale(&init::from_points(&points(2), 0).unwrap()) - 1.0).abs() < 1e-6);
     let three = 2.5_f32.sqrt();

@@ -1,6 +1,6 @@
 //! Order along the Z curve.
 
-use mhsplat::scene::{Plane, Splats, morton};
+use mhsplat::scene::{Gaussians, Plane, morton};
 
 #[test]
 fn corners_of_a_cube_in_z_order() {
@@ -12,7 +12,7 @@ fn corners_of_a_cube_in_z_order() {
 
 #[test]
 fn neighbours_lie_together_and_nothing_is_lost() {
-    let mut splats = Splats::zeros(1, 64 * 64);
+    let mut splats = Gaussians::zeros(1, 64 * 64);
     for i in 0..64 * 64 {
         let shuffled = i * 2731 % (64 * 64);
         let at = [(shuffled % 64) as f32, (shuffled / 64) as f32, 0.5];

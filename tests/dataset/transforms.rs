@@ -216,5 +216,5 @@ fn the_only_training_view_is_never_astray() {
     });
     let d = load_every(dir.path(), 8).unwrap();
     assert_eq!((d.train.len(), d.test.len()), (1, 24));
-    assert!(d.astray.is_empty());
+    assert!(d.outliers.is_empty());
 }

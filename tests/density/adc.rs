@@ -4,7 +4,9 @@ use super::Scene;
 use super::step::{breaches, context};
 use mhsplat::base::math::sigmoid;
 use mhsplat::config::AdcConfig;
-use mhsplat::density::{Adaptive, DensityControl, Evidence, Outcome, ScreenGradient, StepContext};
+use mhsplat::density::{
+    Adaptive, DensityControl, Outcome, ScreenGradient, Statistics, StepContext,
+};
 
 /// (largest scale, opacity, sum of norms, iterations); τ = 2e-4, clones up to 0.01, prunes below 0.005 and, after the first
 /// reset, above 0.1.
@@ -38,7 +40,11 @@ fn step_on(toy: &(Scene, Vec<f32>, Vec<u32>), context: &StepContext) -> Outcome 
     let (scene, norms, views) = toy;
     let gradient = ScreenGradient { norms, views };
     Adaptive::new(&AdcConfig::default())
-        .step(context, &scene.state(), &Evidence::ScreenGradient(gradient))
+        .step(
+            context,
+            &scene.state(),
+            &Statistics::ScreenGradient(gradient),
+        )
         .unwrap()
 }
 
@@ -211,7 +217,7 @@ fn evidence_of_another_length_is_refused() {
     let result = Adaptive::new(&AdcConfig::default()).step(
         &context(600, 0.0, 0),
         &scene.state(),
-        &Evidence::ScreenGradient(short),
+        &Statistics::ScreenGradient(short),
     );
     let said = result.unwrap_err().to_string();
     assert!(said.contains("9 values; 10 expected"), "{said}");

@@ -1,7 +1,7 @@
 //! Acceptance: frequencies against ρ, and a chain against the exact distribution of a toy target.
 
 use super::total_variation;
-use mhsplat::base::rng::{Philox, Purpose};
+use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::config::Acceptance;
 use mhsplat::density::mh::accept::{
     accepts, exact_ln_prior_ratio, exact_ln_prior_ratio_of_death, ln_acceptance, temperature_for,
@@ -45,7 +45,7 @@ fn chain(birth: impl Fn(u32) -> f64, death: impl Fn(u32) -> f64) -> Vec<f64> {
     let mut counts = [0u32; 3];
     let mut visits = vec![0.0; STATES];
     for k in 0..steps {
-        let [voxel, kind, u, _] = Philox::uniform(11, Purpose::Synthetic.stream(2), k);
+        let [voxel, kind, u, _] = Philox::uniform(11, Stream::Synthetic.stream(2), k);
         let v = ((voxel * 3.0) as usize).min(2);
         let c = counts[v];
         if kind < 0.5 {
@@ -137,7 +137,7 @@ fn births_are_accepted_as_often_as_each_form_says() {
     for (f, form) in forms.into_iter().enumerate() {
         for (c, importance) in [(0, 0.5), (0, 0.95), (1, 0.7), (3, 0.2)] {
             let ln_rho = ln_acceptance(form, importance, 5.0, c);
-            let stream = Purpose::Synthetic.stream(3 + f as u32);
+            let stream = Stream::Synthetic.stream(3 + f as u32);
             let hits = (0..n)
                 .filter(|k| accepts(Philox::uniform(5, stream, *k)[0], ln_rho))
                 .count();
@@ -174,7 +174,7 @@ fn nothing_is_accepted_by_mistake() {
 
 #[test]
 fn a_temperature_gives_the_wanted_rate() {
-    let draw = |k: u64| Philox::uniform(3, Purpose::Synthetic.stream(9), k);
+    let draw = |k: u64| Philox::uniform(3, Stream::Synthetic.stream(9), k);
     let ln_rhos: Vec<f64> = (0..5000)
         .map(|k| {
             let [i, c, ..] = draw(k);

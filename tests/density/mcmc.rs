@@ -7,11 +7,11 @@ use super::step::{breaches, context, dying};
 use super::{Scene, on_threads};
 use mhsplat::base::math::sigmoid;
 use mhsplat::config::McmcConfig;
-use mhsplat::density::{DensityControl, Edit, Evidence, Mcmc, Outcome, StepContext};
+use mhsplat::density::{DensityControl, Edit, Mcmc, Outcome, Statistics, StepContext};
 
 fn step_of(config: &McmcConfig, scene: &Scene, context: &StepContext) -> Outcome {
     Mcmc::new(config)
-        .step(context, &scene.state(), &Evidence::Nothing)
+        .step(context, &scene.state(), &Statistics::Nothing)
         .unwrap()
 }
 

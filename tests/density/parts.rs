@@ -2,8 +2,8 @@
 
 use super::{Scene, on_threads};
 use mhsplat::base::math::sigmoid;
-use mhsplat::base::rng::{Philox, Purpose};
-use mhsplat::density::Cues;
+use mhsplat::base::rng::{Philox, Stream};
+use mhsplat::density::ErrorStatistics;
 use mhsplat::density::draw::{Categorical, birth_position, rotate};
 use mhsplat::density::mh::importance::importance;
 use mhsplat::density::mh::sparsity::VoxelCounts;
@@ -39,7 +39,7 @@ fn philox_gives_the_published_words() {
 
 #[test]
 fn uniform_and_normal_have_their_moments() {
-    let stream = Purpose::Synthetic.stream(7);
+    let stream = Stream::Synthetic.stream(7);
     let moments = |draw: &dyn Fn(u64) -> Vec<f64>| {
         let values: Vec<f64> = (0..50_000).flat_map(draw).collect();
         let n = values.len() as f64;
@@ -65,10 +65,10 @@ fn uniform_and_normal_have_their_moments() {
 
 #[test]
 fn streams_of_two_purposes_never_meet() {
-    let a = Purpose::CoarseOffset.stream(u32::MAX);
-    let b = Purpose::FineDraw.stream(0);
+    let a = Stream::CoarseOffset.stream(u32::MAX);
+    let b = Stream::FineDraw.stream(0);
     assert_ne!(a, b);
-    assert_eq!(a >> 32, Purpose::CoarseOffset as u64);
+    assert_eq!(a >> 32, Stream::CoarseOffset as u64);
     assert_ne!(Philox::words(1, a, 5), Philox::words(1, b, 5));
 }
 
@@ -238,7 +238,7 @@ fn importance_follows_its_equation() {
 
 #[test]
 fn importance_survives_broken_and_constant_cues() {
-    let cues = Cues {
+    let cues = ErrorStatistics {
         ssim: &[f32::NAN, 1.0, 1.0, 3.0],
         l1: &[1.0, f32::INFINITY, 1.0, 1.0],
         views: &[1, 1, 1, 0],
@@ -251,7 +251,7 @@ fn importance_survives_broken_and_constant_cues() {
         "{:?}",
         i.values
     );
-    let empty = Cues {
+    let empty = ErrorStatistics {
         ssim: &[],
         l1: &[],
         views: &[],
@@ -266,7 +266,7 @@ fn categorical_draws_follow_the_weights() {
     let mut tally = [0.0; 4];
     let n = 100_000;
     for k in 0..n {
-        let u = Philox::uniform_53(1, Purpose::Synthetic.stream(1), k)[0];
+        let u = Philox::uniform_53(1, Stream::Synthetic.stream(1), k)[0];
         tally[c.draw(u).unwrap() % 4] += 1.0;
     }
     // Chi-square over three categories, 99.9 % quantile of 2 degrees of freedom: 13.8.

@@ -7,7 +7,8 @@ use mhsplat::base::math::sigmoid;
 use mhsplat::config::{Birth, MhConfig, Sampler, TrainConfig};
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::{
-    Cues, DensityControl, DensityStats, Edit, Evidence, Fixed, Outcome, StepContext, Wanted, make,
+    DensityControl, DensityStats, Edit, ErrorStatistics, Fixed, Outcome, Statistics,
+    StatisticsKind, StepContext, make,
 };
 
 pub fn context(iteration: u32, progress: f64, seed: u64) -> StepContext<'static> {
@@ -273,15 +274,18 @@ fn proposals_fade_with_progress() {
 fn fewer_views_are_wanted_as_the_run_goes_on() {
     let mh = MetropolisHastings::new(&MhConfig::paper());
     let wanted = [0.0, 0.5, 0.6, 1.0].map(|eta| mh.wanted(10, eta));
-    assert_eq!(wanted, [10, 5, 4, 1].map(|views| Wanted::Errors { views }));
-    assert_eq!(mh.wanted(0, 0.5), Wanted::Errors { views: 0 });
+    assert_eq!(
+        wanted,
+        [10, 5, 4, 1].map(|views| StatisticsKind::Errors { views })
+    );
+    assert_eq!(mh.wanted(0, 0.5), StatisticsKind::Errors { views: 0 });
 }
 
 #[test]
 fn bad_input_is_an_error_that_names_it() {
     let scene = Scene::random(10, 1);
     let mh = MetropolisHastings::new(&MhConfig::paper());
-    let short = Evidence::Errors(Cues {
+    let short = Statistics::Errors(ErrorStatistics {
         l1: &scene.l1[..9],
         ..scene.cues()
     });
@@ -312,7 +316,7 @@ fn a_fixed_set_stays() {
         .step(&context(1, 0.0, 0), &scene.state(), &scene.errors())
         .unwrap();
     assert!(outcome.edits.is_empty() && outcome.rows == 100);
-    assert_eq!(Fixed.wanted(9, 0.0), Wanted::Nothing);
+    assert_eq!(Fixed.wanted(9, 0.0), StatisticsKind::Nothing);
 }
 
 #[test]
@@ -325,17 +329,20 @@ fn a_configuration_names_its_strategy() {
         let made = make(&config);
         (made.wanted(4, 0.0), made.noise().is_some())
     };
-    assert_eq!(of(Sampler::Mh), (Wanted::Nothing, true));
+    assert_eq!(of(Sampler::Mh), (StatisticsKind::Nothing, true));
     let paper = TrainConfig {
         mh: MhConfig::paper(),
         ..TrainConfig::default()
     };
     assert!(make(&paper).noise().is_none());
-    assert_eq!(make(&paper).wanted(4, 0.0), Wanted::Errors { views: 4 });
-    assert_eq!(of(Sampler::Mcmc), (Wanted::Nothing, true));
-    assert_eq!(of(Sampler::Adc), (Wanted::ScreenGradient, false));
-    assert_eq!(of(Sampler::None), (Wanted::Nothing, false));
-    // Evidence of another kind is refused, not guessed at.
+    assert_eq!(
+        make(&paper).wanted(4, 0.0),
+        StatisticsKind::Errors { views: 4 }
+    );
+    assert_eq!(of(Sampler::Mcmc), (StatisticsKind::Nothing, true));
+    assert_eq!(of(Sampler::Adc), (StatisticsKind::ScreenGradient, false));
+    assert_eq!(of(Sampler::None), (StatisticsKind::Nothing, false));
+    // Statistics of another kind is refused, not guessed at.
     let scene = dying(10);
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
         let config = TrainConfig {
@@ -343,7 +350,7 @@ fn a_configuration_names_its_strategy() {
             ..TrainConfig::default()
         };
         let evidence = match sampler {
-            Sampler::Mh => Evidence::Nothing,
+            Sampler::Mh => Statistics::Nothing,
             _ => scene.errors(),
         };
         let result = make(&config).step(&context(600, 0.5, 0), &scene.state(), &evidence);

@@ -4,7 +4,7 @@ use super::step::{breaches, context, dying};
 use super::{Scene, on_threads};
 use mhsplat::config::{Acceptance, MhConfig, ViewSubset};
 use mhsplat::density::mh::MetropolisHastings;
-use mhsplat::density::{DensityControl, Evidence, Outcome, StepContext, Wanted};
+use mhsplat::density::{DensityControl, Outcome, Statistics, StatisticsKind, StepContext};
 
 const N: usize = 20_000;
 
@@ -72,12 +72,12 @@ fn without_importance_sources_are_uniform_and_nothing_is_watched() {
         ..MhConfig::paper()
     };
     let mh = MetropolisHastings::new(&off);
-    assert_eq!(mh.wanted(10, 0.0), Wanted::Nothing);
+    assert_eq!(mh.wanted(10, 0.0), StatisticsKind::Nothing);
     let mut scene = Scene::random(N, 4);
     for (i, l) in scene.logits.iter_mut().enumerate() {
         *l = [-3.0, 3.0][i % 2];
     }
-    let share = |config: &MhConfig, evidence: &Evidence<'_>| {
+    let share = |config: &MhConfig, evidence: &Statistics<'_>| {
         let outcome = MetropolisHastings::new(config)
             .step(&context(700, 0.5, 1), &scene.state(), evidence)
             .unwrap();
@@ -90,7 +90,7 @@ fn without_importance_sources_are_uniform_and_nothing_is_watched() {
         sources.iter().sum::<u32>() as f64 / sources.len() as f64
     };
     // Some thousand births: five standard errors are 0.05.
-    let uniform = share(&off, &Evidence::Nothing);
+    let uniform = share(&off, &Statistics::Nothing);
     assert!((uniform - 0.5).abs() < 0.05, "{uniform}");
     assert!(share(&MhConfig::paper(), &scene.errors()) > 0.55);
     // The opacity alone needs no error maps; with an error's weight they are not to be missing.
@@ -99,10 +99,10 @@ fn without_importance_sources_are_uniform_and_nothing_is_watched() {
         weight_l1: 0.0,
         ..MhConfig::paper()
     };
-    assert!(share(&opacity, &Evidence::Nothing) > 0.55);
+    assert!(share(&opacity, &Statistics::Nothing) > 0.55);
     assert!(
         MetropolisHastings::new(&MhConfig::paper())
-            .step(&context(700, 0.5, 1), &scene.state(), &Evidence::Nothing)
+            .step(&context(700, 0.5, 1), &scene.state(), &Statistics::Nothing)
             .is_err()
     );
 }
@@ -149,7 +149,7 @@ fn the_view_subset_is_the_one_asked_for() {
             ..MhConfig::paper()
         };
         match MetropolisHastings::new(&config).wanted(10, eta) {
-            Wanted::Errors { views } => views,
+            StatisticsKind::Errors { views } => views,
             _ => 0,
         }
     };
@@ -254,8 +254,8 @@ fn before_births_begin_a_step_relocates_and_no_more() {
     };
     let mh = MetropolisHastings::new(&config);
     for (progress, bears) in [(0.0, false), (0.49, false), (0.5, true), (1.0, true)] {
-        assert_eq!(config.bears(progress), bears);
-        assert_eq!(mh.wanted(8, progress) != Wanted::Nothing, bears);
+        assert_eq!(config.births_enabled(progress), bears);
+        assert_eq!(mh.wanted(8, progress) != StatisticsKind::Nothing, bears);
         assert_eq!(mh.pictures(progress) > 0, bears);
     }
     // Whatever the first iteration, births begin with the step there and not the one after.
@@ -265,18 +265,21 @@ fn before_births_begin_a_step_relocates_and_no_more() {
             ..MhConfig::default()
         };
         let eta = |done: u32| f64::from(done - 500) / 19_500.0;
-        assert!(config.bears(eta(first)), "{first}");
-        assert!(first == 500 || !config.bears(eta(first - 100)), "{first}");
+        assert!(config.births_enabled(eta(first)), "{first}");
+        assert!(
+            first == 500 || !config.births_enabled(eta(first - 100)),
+            "{first}"
+        );
     }
     let scene = dying(7000);
-    let step = |evidence: &Evidence<'_>, progress: f64| {
+    let step = |evidence: &Statistics<'_>, progress: f64| {
         let mh = MetropolisHastings::new(&config);
         mh.step(&context(700, progress, 1), &scene.state(), evidence)
     };
-    let early = step(&Evidence::Nothing, 0.2).unwrap();
+    let early = step(&Statistics::Nothing, 0.2).unwrap();
     assert_eq!((early.rows, early.stats.proposed), (7000, 0));
     assert!(early.stats.relocated > 0);
-    assert!(step(&Evidence::Nothing, 0.6).is_err());
+    assert!(step(&Statistics::Nothing, 0.6).is_err());
     let late = step(&scene.errors(), 0.6).unwrap();
     assert!(late.rows > 7000 && late.stats.relocated == early.stats.relocated);
 }

@@ -73,7 +73,7 @@ pub fn record() -> RunRecord {
             width: 640,
             height: 478,
             missing: Vec::new(),
-            astray: Vec::new(),
+            outliers: Vec::new(),
             masked_out: Vec::new(),
             fingerprint: Some("0123456789abcdef".into()),
         },

@@ -3,7 +3,7 @@
 use super::*;
 use mhsplat::device::Array;
 use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW};
-use mhsplat::pipeline::buffers::{Frame, GradientBlock, Scene};
+use mhsplat::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use mhsplat::pipeline::stage::adam::{Adam, Step};
 
 #[test]
@@ -35,7 +35,7 @@ fn step_of(
     let array = |name, v: f32| Array::from_slice(&device, name, &vec![v; planes * stride]).unwrap();
     let grads: Vec<f32> = (0..planes * stride).map(|k| gradient(k % stride)).collect();
     let grads = Array::from_slice(&device, "grads", &grads).unwrap();
-    let scene = Scene {
+    let scene = GaussianBuffers {
         params: array("params", 1.0),
         filter: Array::zeros(&device, "filter", 0).unwrap(),
         stride,
@@ -43,7 +43,7 @@ fn step_of(
         sh_degree: 0,
     };
     let (m, v) = (array("m", 0.0), array("v", 0.0));
-    let frame = Frame::new(&device, &kernels.defines().tuning, false).unwrap();
+    let frame = ViewBuffers::new(&device, &kernels.defines().tuning, false).unwrap();
     frame.status.write(OVERFLOW as usize, &[overflow]).unwrap();
     let case = cases::mild("rates", 1, [1, 1], 0, 1);
     Adam::new::<f32>(&kernels)

@@ -2,7 +2,7 @@
 
 use super::*;
 use mhsplat::device::Array;
-use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::scene::{Edit, OptionalColor, Plane};
 
 #[test]
@@ -116,7 +116,7 @@ fn an_opacity_reset_lowers_what_is_above_and_forgets_the_moments() {
     let edit = mhsplat::pipeline::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
     let (planes, stride, count) = (Plane::count(0), 256, 5);
     let array = |name| Array::from_slice(&device, name, &vec![1.5f32; planes * stride]).unwrap();
-    let scene = Scene {
+    let scene = GaussianBuffers {
         params: array("params"),
         filter: Array::zeros(&device, "filter", 0).unwrap(),
         stride,

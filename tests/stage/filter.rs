@@ -7,10 +7,10 @@ use mhsplat::base::constants::{FILTER_CHUNKS, NEAR};
 use mhsplat::capture::Camera;
 use mhsplat::device::tuning::status;
 use mhsplat::device::{Array, CameraArg};
-use mhsplat::pipeline::buffers::{Frame, Scene};
+use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use mhsplat::pipeline::stage::filter::Filter;
 use mhsplat::scene::filters;
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::scene::{Gaussians, Plane};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -46,20 +46,20 @@ fn camera(z: f64, focal: f64) -> Camera {
     }
 }
 
-fn at(positions: &[[f32; 3]]) -> Splats {
-    let mut splats = Splats::zeros(0, positions.len());
+fn at(positions: &[[f32; 3]]) -> Gaussians {
+    let mut splats = Gaussians::zeros(0, positions.len());
     for (i, p) in positions.iter().enumerate() {
         splats.scatter(Plane::POSITION, i, *p);
     }
     splats
 }
 
-fn filtered(splats: &Splats, cameras: &[Camera], overflow: u32) -> Vec<f32> {
+fn filtered(splats: &Gaussians, cameras: &[Camera], overflow: u32) -> Vec<f32> {
     let device = device();
     let kernels = kernels(&device);
-    let mut scene = Scene::<f32>::upload(&device, splats, 0).unwrap();
+    let mut scene = GaussianBuffers::<f32>::upload(&device, splats, 0).unwrap();
     let args: Vec<_> = cameras.iter().map(|c| CameraArg::new(c, NEAR)).collect();
-    let frame = Frame::new(&device, &kernels.defines().tuning, false).unwrap();
+    let frame = ViewBuffers::new(&device, &kernels.defines().tuning, false).unwrap();
     let flag = status::OVERFLOW as usize;
     frame.status.write(flag, &[overflow]).unwrap();
     scene.filter = Array::from_slice(&device, "filter", &vec![7.0f32; scene.stride]).unwrap();

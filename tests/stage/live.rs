@@ -3,7 +3,7 @@
 use super::*;
 use mhsplat::base::constants::NEAR;
 use mhsplat::device::{Array, CameraArg};
-use mhsplat::pipeline::buffers::Scene;
+use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
 use mhsplat::pipeline::stage::live::{Live, live};
 
@@ -56,7 +56,7 @@ fn one_pixel_wakes_its_tile_alone() {
 }
 
 /// Pairs per tile and the image of a masked case, with the tiles that no pixel wakes left out, or not.
-fn rendered(live_only: bool) -> (Vec<u32>, Vec<f32>) {
+fn rendered(active_only: bool) -> (Vec<u32>, Vec<f32>) {
     let device = device();
     let case = cases::mild("mask", 90, [170, 40], 0, 26).with_mask();
     let defines = Defines {
@@ -64,19 +64,19 @@ fn rendered(live_only: bool) -> (Vec<u32>, Vec<f32>) {
         ..Defines::new(Tuning::for_device(device.info()))
     };
     let mut renderer = Renderer::<f32>::new(&device, defines, 0, false).unwrap();
-    let scene = Scene::upload(&device, &case.splats, 0).unwrap();
+    let scene = GaussianBuffers::upload(&device, &case.splats, 0).unwrap();
     let camera = CameraArg::new(&case.camera, NEAR);
     renderer.fit(&scene, &camera).unwrap();
     let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
     let stage = Live::new::<f32>(&Kernels::new(&device, defines)).unwrap();
-    stage.run(&photo, &camera, renderer.live_tiles()).unwrap();
+    stage.run(&photo, &camera, renderer.active_tiles()).unwrap();
     let options = RenderOptions {
-        live_only,
+        active_only,
         ..RenderOptions::default()
     };
     renderer.render(&scene, &camera, &options).unwrap();
     let image = renderer.read_image(&camera).unwrap();
-    (renderer.pairs_per_tile(&camera).unwrap(), image.rgb)
+    (renderer.intersections_per_tile(&camera).unwrap(), image.rgb)
 }
 
 #[test]

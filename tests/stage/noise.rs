@@ -3,12 +3,12 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::*;
-use mhsplat::base::rng::{Philox, Purpose};
+use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::density::NoiseLaw;
 use mhsplat::device::tuning::status::OVERFLOW;
-use mhsplat::pipeline::buffers::{Frame, Scene};
+use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use mhsplat::pipeline::stage::noise::Noise;
-use mhsplat::scene::{Plane, Splats};
+use mhsplat::scene::{Gaussians, Plane};
 
 /// [MCMC]'s gate: k = 100, x₀ = 0.005.
 const PUBLISHED: [f64; 2] = [100.0, 0.005];
@@ -24,8 +24,8 @@ fn a_wrong_step_is_rejected() {
 }
 
 /// `n` Gaussians at the origin with these scales, this rotation and this opacity.
-fn alike(n: usize, scale: [f64; 3], rotation: [f32; 4], opacity: f64) -> Splats {
-    let mut s = Splats::zeros(0, n);
+fn alike(n: usize, scale: [f64; 3], rotation: [f32; 4], opacity: f64) -> Gaussians {
+    let mut s = Gaussians::zeros(0, n);
     for i in 0..n {
         s.scatter(Plane::LOG_SCALE, i, scale.map(|v| v.ln() as f32));
         s.scatter(Plane::ROTATION, i, rotation);
@@ -54,11 +54,11 @@ impl Draw {
     }
 
     /// Positions x, y, z of all rows of the stride, after one step in f64.
-    fn positions(&self, splats: &Splats) -> [Vec<f64>; 3] {
+    fn positions(&self, splats: &Gaussians) -> [Vec<f64>; 3] {
         let device = device();
         let kernels = Kernels::new(&device, Defines::new(self.tuning));
-        let scene = Scene::<f64>::upload(&device, splats, 0).unwrap();
-        let frame = Frame::new(&device, &self.tuning, false).unwrap();
+        let scene = GaussianBuffers::<f64>::upload(&device, splats, 0).unwrap();
+        let frame = ViewBuffers::new(&device, &self.tuning, false).unwrap();
         let flag = OVERFLOW as usize;
         frame.status.write(flag, &[self.overflow]).unwrap();
         let law = NoiseLaw {
@@ -66,7 +66,7 @@ impl Draw {
             steepness: PUBLISHED[0],
             opacity: PUBLISHED[1],
         };
-        let stream = Purpose::Noise.stream(self.iteration);
+        let stream = Stream::Noise.stream(self.iteration);
         Noise::new::<f64>(&kernels)
             .unwrap()
             .run(&scene, &frame, &law, self.seed, stream)
@@ -92,7 +92,7 @@ fn the_step_is_the_published_one() {
     let gate = 1.0 / (1.0 + (-100.0 * ((1.0 - o) - 0.995)).exp());
     let steps = xs.iter().zip(&ys).zip(&zs).take(33);
     for (i, ((x, y), z)) in steps.enumerate() {
-        let [a, b, c, _] = Philox::normal(9, Purpose::Noise.stream(41), i as u64);
+        let [a, b, c, _] = Philox::normal(9, Stream::Noise.stream(41), i as u64);
         let want = l * l.transpose() * DVec3::new(a, b, c) * gate * rate;
         let step = DVec3::new(*x, *y, *z);
         assert!(

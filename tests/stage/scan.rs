@@ -2,8 +2,8 @@
 
 use super::*;
 use mhsplat::device::Array;
-use mhsplat::device::tuning::status::{OVERFLOW, PAIRS, VISIBLE};
-use mhsplat::pipeline::buffers::Frame;
+use mhsplat::device::tuning::status::{INTERSECTIONS, OVERFLOW, VISIBLE};
+use mhsplat::pipeline::buffers::ViewBuffers;
 use mhsplat::pipeline::stage::scan::{Count, Scan, scan as definition};
 
 #[test]
@@ -30,8 +30,8 @@ fn scanned_by(n: Count, values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>)
     let input = Array::zeros(&device, "values", room).unwrap();
     input.write(0, values).unwrap();
     let out = Array::zeros(&device, "out", room).unwrap();
-    let mut frame = Frame::<f32>::new(&device, &kernels.defines().tuning, false).unwrap();
-    frame.pair_owner = Array::zeros(&device, "pair_owner", capacity).unwrap();
+    let mut frame = ViewBuffers::<f32>::new(&device, &kernels.defines().tuning, false).unwrap();
+    frame.isect_owner = Array::zeros(&device, "isect_owner", capacity).unwrap();
     let visible = [values.len() as u32];
     frame.status.write(VISIBLE as usize, &visible).unwrap();
     let scan = Scan::new::<f32>(&kernels).unwrap();
@@ -47,7 +47,7 @@ fn sums_of_every_length() {
         let (sums, total) = definition(&values);
         let (got, status) = scanned(&values, 1 << 20);
         assert_eq!(got, sums, "{n} values");
-        assert_eq!(u64::from(status[PAIRS as usize]), total);
+        assert_eq!(u64::from(status[INTERSECTIONS as usize]), total);
         assert_eq!(status[OVERFLOW as usize], 0);
     }
 }
@@ -55,9 +55,9 @@ fn sums_of_every_length() {
 #[test]
 fn a_total_beyond_the_capacity_raises_the_flag() {
     let values = vec![3u32; 100];
-    assert_eq!(scanned(&values, 300).1[PAIRS as usize], 300);
+    assert_eq!(scanned(&values, 300).1[INTERSECTIONS as usize], 300);
     let (_, status) = scanned(&values, 299);
-    assert_eq!(status[PAIRS as usize], 0, "nothing is left to do");
+    assert_eq!(status[INTERSECTIONS as usize], 0, "nothing is left to do");
     assert_eq!(
         status[OVERFLOW as usize], 300,
         "what would have been needed"

@@ -3,8 +3,8 @@
 use super::*;
 use mhsplat::base::constants::SUMS;
 use mhsplat::device::tuning::status::OVERFLOW;
-use mhsplat::device::{Array, CameraArg, Record};
-use mhsplat::pipeline::buffers::{Frame, Scene};
+use mhsplat::device::{Array, CameraArg, Projected};
+use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use mhsplat::pipeline::chain::loss_of;
 use mhsplat::pipeline::reference::Camera64;
 use mhsplat::pipeline::stage::screen_grad::ScreenGrad;
@@ -20,15 +20,15 @@ fn wrong_sums_are_rejected() {
     rejects("screen_grad", "iterations", |n| n[5] += 1.0);
 }
 
-/// Cues after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
+/// ErrorStatistics after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
 /// second pair of the second Gaussian holds for the sums by u and dy.
 fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
     let device = device();
     // a = c = log2(e)/2 for the unit matrix.
-    let record = Record {
+    let record = Projected {
         a: std::f64::consts::LOG2_E / 2.0,
         c: std::f64::consts::LOG2_E / 2.0,
-        ..Record::default()
+        ..Projected::default()
     };
     let mut sums = vec![7.0; 4 * SUMS];
     for (pair, by) in [[1.0, 0.5], [2.0, 0.5], [10.0, 0.0], second]
@@ -39,13 +39,13 @@ fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
     }
     let kernels = kernels(&device);
     let ints = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
-    let mut frame = Frame::new(&device, &kernels.defines().tuning, false).unwrap();
+    let mut frame = ViewBuffers::new(&device, &kernels.defines().tuning, false).unwrap();
     frame.records = Array::from_slice(&device, "records", &[record; 2]).unwrap();
-    frame.pair_start = ints("pair_start", &[0, 2]);
-    frame.pair_counts = ints("pair_counts", &pairs);
+    frame.isect_start = ints("isect_start", &[0, 2]);
+    frame.isect_counts = ints("isect_counts", &pairs);
     frame.sums = Array::from_slice(&device, "sums", &sums).unwrap();
     frame.status.write(OVERFLOW as usize, &[overflow]).unwrap();
-    let scene = Scene {
+    let scene = GaussianBuffers {
         params: Array::zeros(&device, "params", 0).unwrap(),
         filter: Array::zeros(&device, "filter", 0).unwrap(),
         stride: 2,

@@ -2,8 +2,8 @@
 
 use super::*;
 use mhsplat::base::constants::STAGE;
-use mhsplat::device::{Array, CameraArg, Record};
-use mhsplat::pipeline::buffers::Frame;
+use mhsplat::device::{Array, CameraArg, Projected};
+use mhsplat::pipeline::buffers::ViewBuffers;
 use mhsplat::pipeline::stage::seen::Seen;
 
 #[test]
@@ -21,12 +21,12 @@ fn two_gaussians_taken_for_the_other_are_rejected() {
 }
 
 /// A record at (x, y), of alpha 0.97, within so many pixels.
-fn record([x, y]: [f64; 2], reach: u32, sharpness: f64) -> Record<f64> {
+fn record([x, y]: [f64; 2], reach: u32, sharpness: f64) -> Projected<f64> {
     let bounds = |at: f64| {
         let at = at as u32;
         at.saturating_sub(reach) | ((at + reach).min(15) << 16)
     };
-    Record {
+    Projected {
         x,
         y,
         a: sharpness,
@@ -34,12 +34,12 @@ fn record([x, y]: [f64; 2], reach: u32, sharpness: f64) -> Record<f64> {
         lo: 0.97_f64.log2(),
         bx: bounds(x),
         by: bounds(y),
-        ..Record::default()
+        ..Projected::default()
     }
 }
 
 /// Flags of the Gaussians, front to back, that one tile of an image of 5 × 5 pixels shows.
-fn seen_of(records: &[Record<f64>], before: &[u32], tuning: Tuning) -> Vec<u32> {
+fn seen_of(records: &[Projected<f64>], before: &[u32], tuning: Tuning) -> Vec<u32> {
     let device = device();
     let n = records.len();
     let array = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
@@ -47,12 +47,12 @@ fn seen_of(records: &[Record<f64>], before: &[u32], tuning: Tuning) -> Vec<u32> 
     let seen = array("seen", before);
     // Left over from another view.
     let shown = Array::from_slice(&device, "shown", &vec![1; n]).unwrap();
-    let mut frame = Frame::new(&device, &tuning, false).unwrap();
+    let mut frame = ViewBuffers::new(&device, &tuning, false).unwrap();
     frame.records = Array::from_slice(&device, "records", records).unwrap();
-    frame.pair_owner = array("pair_owner", &order);
+    frame.isect_owner = array("isect_owner", &order);
     frame.tile_start = array("tile_start", &[0, n as u32]);
-    frame.pair_start = array("pair_start", &order);
-    frame.pair_counts = array("pair_counts", &vec![1; n]);
+    frame.isect_start = array("isect_start", &order);
+    frame.isect_counts = array("isect_counts", &vec![1; n]);
     frame.order.values[0] = array("order", &order);
     let camera = CameraArg {
         size: [5, 5],
@@ -91,7 +91,7 @@ fn what_is_hidden_or_beside_the_image_is_not_seen() {
 /// A tile with more pairs than are staged at once, each in a pixel of its own or, the last two, before and behind what is opaque.
 #[test]
 fn long_lists_are_looked_at_as_far_as_there_is_anything_unseen() {
-    let faint = Record {
+    let faint = Projected {
         lo: 0.01_f64.log2(),
         ..record([1.5, 1.5], 1, 10.0)
     };

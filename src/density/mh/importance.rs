@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::base::math::sigmoid;
-use crate::density::statistics::Cues;
+use crate::density::statistics::ErrorStatistics;
 
 /// Number of rows per partial sum; fixed, so that sums round alike for any number of threads.
 const CHUNK: usize = 8192;
@@ -27,7 +27,11 @@ pub struct Importance {
 /// Mean and deviation are those of the valid values; a Gaussian that was not seen, or has a non-finite value, gets 0,
 /// the mean. All slices have length N; if they differ the shortest counts.
 #[must_use]
-pub fn importance(opacity_logits: &[f32], cues: &Cues<'_>, weights: [f64; 3]) -> Importance {
+pub fn importance(
+    opacity_logits: &[f32],
+    cues: &ErrorStatistics<'_>,
+    weights: [f64; 3],
+) -> Importance {
     let n = [cues.ssim.len(), cues.l1.len(), cues.views.len()]
         .into_iter()
         .fold(opacity_logits.len(), usize::min);

@@ -6,7 +6,7 @@
 //! the pixel's error for the importance.
 
 use crate::base::math::{logit, sigmoid};
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::config::MhConfig;
 use crate::density::control::StepContext;
 use crate::density::draw::Categorical;
@@ -92,10 +92,10 @@ pub(super) fn propose(config: &MhConfig, context: &StepContext<'_>, src: u32) ->
     let weights = pixels.weights(config.pixel_surface);
     let all = shrinking(config.pixel_proposals as usize, context.progress);
     let wanted = (all as f64 * pixels.share(&weights)).round() as usize;
-    let stream = |purpose: Purpose| purpose.stream(context.iteration);
-    let (place, accept) = (stream(Purpose::PixelPlace), stream(Purpose::PixelAccept));
+    let stream = |purpose: Stream| purpose.stream(context.iteration);
+    let (place, accept) = (stream(Stream::PixelPlace), stream(Stream::PixelAccept));
     let drawn =
-        Categorical::new(&weights).draw_unique(wanted, context.seed, stream(Purpose::PixelDraw));
+        Categorical::new(&weights).draw_unique(wanted, context.seed, stream(Stream::PixelDraw));
     let proposal = |pixel: usize| {
         let (picture, at) = pixels.find(pixel)?;
         let u = Philox::uniform(context.seed, place, pixel as u64);

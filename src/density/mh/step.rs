@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::base::error::Result;
 use crate::base::math::logit;
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::config::{Birth, MhConfig, ViewSubset};
 use crate::density::control::{DensityControl, NoiseLaw, Probe, StepContext, Trial};
 use crate::density::draw::{Categorical, birth_position};
@@ -16,7 +16,7 @@ use crate::density::mh::{accept, importance, pixel};
 use crate::density::outcome::Outcome;
 use crate::density::relocation::Relocation;
 use crate::density::state::{SceneState, gather, numerics};
-use crate::density::statistics::{Cues, Evidence, Wanted, unexpected};
+use crate::density::statistics::{ErrorStatistics, Statistics, StatisticsKind, unexpected};
 use crate::scene::{Edit, OptionalColor};
 
 /// k of the noise's gate (\[MCMC\] Eq. 8).
@@ -60,12 +60,12 @@ impl MetropolisHastings {
     fn phases(&self, context: &StepContext<'_>) -> [Phase; 2] {
         let eta = context.progress;
         let c = &self.config;
-        let phase = |proposals: u32, spread: [f64; 2], streams: [Purpose; 3]| Phase {
+        let phase = |proposals: u32, spread: [f64; 2], streams: [Stream; 3]| Phase {
             proposals: shrinking(proposals as usize, eta),
             spread: lerp(spread, eta),
             streams: streams.map(|s| s.stream(context.iteration)),
         };
-        use Purpose::*;
+        use Stream::*;
         [
             phase(
                 c.coarse_proposals,
@@ -155,7 +155,7 @@ impl MetropolisHastings {
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        cues: &Cues<'_>,
+        cues: &ErrorStatistics<'_>,
     ) -> Result<()> {
         self.config.validate()?;
         if !context.progress.is_finite() {
@@ -192,7 +192,7 @@ impl MetropolisHastings {
         scene: &SceneState<'_>,
     ) -> (Relocation, Vec<u32>) {
         let c = &self.config;
-        if c.buries(context.progress) {
+        if c.removes_dead(context.progress) {
             let relocation = Relocation::none(scene, c.dead_opacity);
             let removed = relocation.dead_rows();
             return (relocation, removed);
@@ -210,13 +210,13 @@ impl MetropolisHastings {
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        evidence: &Evidence<'_>,
+        evidence: &Statistics<'_>,
     ) -> Result<Proposals> {
         // Without cues every Gaussian counts as unseen.
         let unseen = (vec![0.0; scene.len()], vec![0; scene.len()]);
         let cues = match evidence {
-            Evidence::Errors(cues) => *cues,
-            Evidence::Nothing if !self.wants_errors(context.progress) => Cues {
+            Statistics::Errors(cues) => *cues,
+            Statistics::Nothing if !self.wants_errors(context.progress) => ErrorStatistics {
                 ssim: &unseen.0,
                 l1: &unseen.0,
                 views: &unseen.1,
@@ -240,7 +240,7 @@ impl MetropolisHastings {
             importance: &importance,
             sources: Categorical::new(&weights),
         };
-        let room = c.bears(context.progress)
+        let room = c.births_enabled(context.progress)
             && context
                 .max_gaussians
                 .is_none_or(|most| scene.len() - removed.len() < most);
@@ -275,11 +275,11 @@ impl MetropolisHastings {
 
     /// True if a step at progress η reads error maps.
     fn wants_errors(&self, progress: f64) -> bool {
-        self.config.wants_errors() && self.config.bears(progress)
+        self.config.wants_errors() && self.config.births_enabled(progress)
     }
 
     /// Importance I of every row (Eq. 13); ½ if it is switched off.
-    fn importance(&self, scene: &SceneState<'_>, cues: &Cues<'_>) -> Vec<f64> {
+    fn importance(&self, scene: &SceneState<'_>, cues: &ErrorStatistics<'_>) -> Vec<f64> {
         let c = &self.config;
         if !c.importance {
             return vec![0.5; scene.len()];
@@ -291,16 +291,16 @@ impl MetropolisHastings {
 
 impl DensityControl for MetropolisHastings {
     /// The view subset of Eq. 10, or nothing if no cue of errors has a weight.
-    fn wanted(&self, views: usize, progress: f64) -> Wanted {
+    fn wanted(&self, views: usize, progress: f64) -> StatisticsKind {
         if !self.wants_errors(progress) {
-            return Wanted::Nothing;
+            return StatisticsKind::Nothing;
         }
         let views = match self.config.view_subset {
             ViewSubset::Shrinking => shrinking(views, progress),
             ViewSubset::All => views,
             ViewSubset::Fixed(k) => views.min(k as usize),
         };
-        Wanted::Errors { views }
+        StatisticsKind::Errors { views }
     }
 
     fn noise(&self) -> Option<NoiseLaw> {
@@ -312,7 +312,7 @@ impl DensityControl for MetropolisHastings {
     }
 
     fn pictures(&self, progress: f64) -> usize {
-        if self.config.pixel_proposals > 0 && self.config.bears(progress) {
+        if self.config.pixel_proposals > 0 && self.config.births_enabled(progress) {
             self.config.pixel_views as usize
         } else {
             0
@@ -327,7 +327,7 @@ impl DensityControl for MetropolisHastings {
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        evidence: &Evidence<'_>,
+        evidence: &Statistics<'_>,
     ) -> Result<Outcome> {
         self.step_probed(context, scene, evidence, &mut |_| Ok(Vec::new()))
     }
@@ -336,7 +336,7 @@ impl DensityControl for MetropolisHastings {
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        evidence: &Evidence<'_>,
+        evidence: &Statistics<'_>,
         probe: &mut Probe<'_>,
     ) -> Result<Outcome> {
         let mut proposals = self.proposals(context, scene, evidence)?;

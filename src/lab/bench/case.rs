@@ -16,7 +16,7 @@ use crate::lab::stats::{Spread, ratio};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::run::clock::process_cpu_seconds;
 use crate::scene::without_filter;
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 use crate::train::{Plan, Trainer};
 
 /// Most iterations of a sample: the clock of CPU time has ticks of 10 ms, which is little enough of a sample by then.
@@ -55,7 +55,7 @@ fn sample(trainer: &mut Trainer, iterations: u32) -> Result<Sample> {
 /// A scene to measure.
 pub(super) struct Subject<'a> {
     pub name: &'a str,
-    pub splats: &'a Splats,
+    pub splats: &'a Gaussians,
     pub dataset: Dataset,
     /// True if the scene was trained with anti-aliasing and has to be rendered with its filters.
     pub anti_alias: bool,
@@ -88,9 +88,6 @@ fn trainer(device: &Device, subject: &Subject<'_>) -> Result<Trainer> {
 }
 
 /// Times every stage and the whole iteration.
-///
-/// # Errors
-/// A build failure, more than the device can allocate, or the driver's.
 pub(super) fn measure(
     device: &Device,
     peak: &Peak,
@@ -145,7 +142,7 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
         sh_degree: subject.splats.sh_degree(),
         background: [0.0; 3],
         quantity: Quantity::Color,
-        live_only: false,
+        active_only: false,
     };
     let views = &subject.dataset.train;
     let each = 1.0 / views.len() as f64;

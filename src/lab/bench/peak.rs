@@ -36,9 +36,6 @@ fn time(device: &Device, enqueue: impl FnOnce() -> Result<()>) -> Result<[f64; 2
 }
 
 /// Runs both micro-benchmarks.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub(super) fn measure(device: &Device, options: &Options) -> Result<Record> {
     let own = device.tuning();
     let build = |tuning| Peak::new::<f32>(&Kernels::new(device, Defines::new(tuning)));

@@ -10,7 +10,7 @@ use crate::lab::bench::options::Options;
 use crate::lab::bench::record::{BenchRecord, Failure, Outcome};
 use crate::lab::bench::{case, growth, peak, precision, scene};
 use crate::scene::ply::SceneFile;
-use crate::scene::{Splats, orbit, ply};
+use crate::scene::{Gaussians, orbit, ply};
 
 /// Width and height at which a scene from a file is seen, pixels.
 const SCENE_SIZE: u32 = 800;
@@ -67,7 +67,7 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
 }
 
 /// Name and Gaussians of a scene, and whether its header says that it was trained with anti-aliasing.
-fn read_scene(path: &Path) -> Result<(String, Splats, bool)> {
+fn read_scene(path: &Path) -> Result<(String, Gaussians, bool)> {
     let SceneFile {
         splats,
         anti_aliased,
@@ -91,7 +91,7 @@ fn read_scene(path: &Path) -> Result<(String, Splats, bool)> {
 }
 
 /// Cameras on a circle around a scene.
-fn around(splats: &Splats) -> Vec<Camera> {
+fn around(splats: &Gaussians) -> Vec<Camera> {
     let [x, y, z] = [0, 1, 2].map(|k| splats.planes()[k].as_slice());
     orbit([x, y, z], scene::VIEWS, [SCENE_SIZE; 2])
 }

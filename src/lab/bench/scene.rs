@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
 
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::capture::{Alpha, Camera, Dataset, Frame, Layout, Lens, Photo, Points, View};
 use crate::config::{AntiAliasing, OptimizerConfig, Sampler, TrainConfig, WorkConfig};
 use crate::lab::verify::cases::Case;
 use crate::pipeline::stage::adam::LearningRates;
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 
 /// Views of every case.
 pub const VIEWS: u32 = 8;
@@ -17,14 +17,14 @@ pub const VIEWS: u32 = 8;
 pub const SH_DEGREE: u32 = 3;
 
 fn uniform(i: usize, what: u64) -> [f64; 4] {
-    Philox::uniform(7, Purpose::Synthetic.stream(1), (i as u64) << 4 | what)
+    Philox::uniform(7, Stream::Synthetic.stream(1), (i as u64) << 4 | what)
 }
 
 /// `n` Gaussians in a unit cube. Their size falls as 1/√n, so that they cover the picture alike for every `n`; at 100,000
 /// and 800 pixels each touches about three tiles.
 #[must_use]
-pub fn cloud(n: usize) -> Splats {
-    let mut s = Splats::zeros(SH_DEGREE, n);
+pub fn cloud(n: usize) -> Gaussians {
+    let mut s = Gaussians::zeros(SH_DEGREE, n);
     let scale = (1.0 / (n as f64).sqrt()).ln();
     for i in 0..n {
         let [x, y, z, opacity] = uniform(i, 0);
@@ -98,7 +98,7 @@ pub fn dataset(cameras: &[Camera]) -> Dataset {
         frame: Frame::IDENTITY,
         undistorted: 0,
         missing: Vec::new(),
-        astray: Vec::new(),
+        outliers: Vec::new(),
         masked_out: Vec::new(),
         image_budget: u64::MAX,
     }

@@ -3,7 +3,7 @@
 use crate::base::constants::{SUMS, TILE};
 use crate::base::error::Result;
 use crate::device::tuning::{Tuning, status};
-use crate::device::{CameraArg, Real, Record};
+use crate::device::{CameraArg, Projected, Real};
 use crate::lab::bench::options::STAGES;
 use crate::pipeline::forward::Renderer;
 
@@ -17,7 +17,7 @@ pub const SPLAT_GRAD_FLOP: f64 = 52.0;
 /// Tile lists that the splat kernels read in one view.
 #[derive(Debug, Clone, Default)]
 pub struct TileWork {
-    /// Packed pixel bounds in x and y of each Gaussian, as in [`Record`]; of culled ones, anything.
+    /// Packed pixel bounds in x and y of each Gaussian, as in [`Projected`]; of culled ones, anything.
     pub bounds: Vec<[u32; 2]>,
     /// Gaussians of each tile up to the last one looked at, front to back.
     pub tiles: Vec<Vec<u32>>,
@@ -31,9 +31,6 @@ pub struct TileWork {
 
 impl TileWork {
     /// Reads the lists of the view that `renderer` rendered last (of `count` Gaussians) back from the device.
-    ///
-    /// # Errors
-    /// The driver's.
     pub fn read<R: Real>(
         renderer: &Renderer<R>,
         camera: &CameraArg<R>,
@@ -41,17 +38,17 @@ impl TileWork {
     ) -> Result<Self> {
         let frame = &renderer.frame;
         let counters = frame.status.to_vec()?;
-        let pairs = counters[status::PAIRS as usize] as usize;
+        let pairs = counters[status::INTERSECTIONS as usize] as usize;
         let [tiles_x, tiles] = [camera.tiles[0] as usize, camera.tile_count()];
         let order = frame.order.sorted_values().read(0, pairs)?;
-        let owner = frame.pair_owner.read(0, pairs)?;
+        let owner = frame.isect_owner.read(0, pairs)?;
         let start = frame.tile_start.read(0, tiles)?;
         let used = frame.tile_used.read(0, tiles)?;
         let of_tile = |(first, n): (&u32, &u32)| {
             let slots = &order[*first as usize..(*first + *n) as usize];
             slots.iter().map(|slot| owner[*slot as usize]).collect()
         };
-        let bounds = |r: &Record<R>| [r.bx, r.by];
+        let bounds = |r: &Projected<R>| [r.bx, r.by];
         Ok(Self {
             bounds: frame.records.read(0, count)?.iter().map(bounds).collect(),
             tiles: start.iter().zip(&used).map(of_tile).collect(),
@@ -137,7 +134,7 @@ impl Load {
     pub fn bytes(&self, stage: &str) -> f64 {
         debug_assert!(STAGES.contains(&stage));
         let (real, uint) = (size_of::<f32>() as f64, size_of::<u32>() as f64);
-        let record = size_of::<Record<f32>>() as f64;
+        let record = size_of::<Projected<f32>>() as f64;
         let (n, v, p) = (self.gaussians, self.visible, self.pairs);
         match stage {
             // Geometry of all, colour of the visible; keys and pair counts of all, records of the visible.

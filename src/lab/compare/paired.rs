@@ -194,7 +194,7 @@ pub fn paired(groups: &[GroupOutcome], reference: usize, clock: Clock) -> Vec<Pa
 }
 
 /// Pairs of one seed, or, if there are none, in the order of the runs; and which of the two.
-fn pair_up(group: &GroupOutcome, base: &GroupOutcome) -> (Vec<Pair>, bool) {
+fn pair_runs(group: &GroupOutcome, base: &GroupOutcome) -> (Vec<Pair>, bool) {
     let mut free: Vec<usize> = (0..group.runs.len()).collect();
     let partner = |(place, run): (usize, &RunOutcome)| {
         let same = |own: &usize| group.runs[*own].seed == run.seed;
@@ -211,7 +211,7 @@ fn pair_up(group: &GroupOutcome, base: &GroupOutcome) -> (Vec<Pair>, bool) {
 }
 
 fn against(group: &GroupOutcome, base: &GroupOutcome, clock: Clock) -> Paired {
-    let (pairs, same_seeds) = pair_up(group, base);
+    let (pairs, same_seeds) = pair_runs(group, base);
     let mut seeds: Vec<u64> = pairs.iter().map(|p| base.runs[p.base].seed).collect();
     seeds.sort_unstable();
     seeds.dedup();

@@ -80,9 +80,6 @@ impl<R: Real> Instrument<R> {
     /// First-order changes of the loss by births (method: a birth of opacity → 0 changes nothing, but has a derivative). All are
     /// in the scene at once, ε as opaque as they would be, and one backward pass per view tells the derivatives; dL/dC is that
     /// of the ordinary render. A source that shares adds its own gradient times its change of opacity logit and log-scale.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn probe(&mut self, base: &Base, births: &[Birth]) -> Result<Vec<Probed>> {
         let (n, epsilon) = (self.splats.len(), self.setting.probe);
         self.insert(n, births, epsilon)?;
@@ -125,9 +122,6 @@ impl<R: Real> Instrument<R> {
 
     /// The true change of the mean loss by one birth; views that neither it nor a source that shares touches are left out,
     /// because nothing changes there.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn change(&mut self, base: &Base, birth: &Birth, touched: &[bool]) -> Result<f64> {
         let n = self.splats.len();
         let own = self.own_shape(birth.source);

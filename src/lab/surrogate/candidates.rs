@@ -12,9 +12,9 @@ use crate::density::mh::accept::{ln_acceptance, voxel_prior};
 use crate::density::mh::lerp;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::relocation::split;
-use crate::density::{Cues, SceneState};
+use crate::density::{ErrorStatistics, SceneState};
 use crate::lab::surrogate::stream::{OFFSET, SOURCE, stream};
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 
 /// Draws per wanted candidate before fewer have to do: sources are distinct, and few may hold all the weight.
 const PATIENCE: u64 = 50;
@@ -82,15 +82,15 @@ pub struct Candidate {
 /// State that candidates are drawn from.
 pub(super) struct Ground<'a> {
     pub config: &'a MhConfig,
-    pub splats: &'a Splats,
-    pub cues: Cues<'a>,
+    pub splats: &'a Gaussians,
+    pub cues: ErrorStatistics<'a>,
     pub importance: &'a [f64],
     pub progress: f64,
     pub seed: u64,
 }
 
 /// The planes of a scene that density control reads.
-pub(super) fn state(splats: &Splats) -> SceneState<'_> {
+pub(super) fn state(splats: &Gaussians) -> SceneState<'_> {
     let slice = |p: usize| splats.planes()[p].as_slice();
     SceneState {
         positions: std::array::from_fn(|k| slice(Plane::POSITION + k)),

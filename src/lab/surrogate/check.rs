@@ -150,7 +150,7 @@ impl Subject<'_> {
                 sh_degree: self.saved.state.splats.sh_degree(),
                 background: schedule.fixed_background(),
                 quantity: Quantity::Color,
-                live_only: false,
+                active_only: false,
             },
             lambda_ssim: f64::from(self.saved.config.loss.lambda_ssim),
             alpha_min: ALPHA_MIN,

@@ -5,15 +5,15 @@
 //! single precision the strips that change still round.
 
 use crate::base::error::Result;
-use crate::density::Cues;
+use crate::density::ErrorStatistics;
 use crate::device::{Array, Defines, Device, Kernels, Real};
 use crate::pipeline::backward::GRADIENT_ROWS;
-use crate::pipeline::buffers::{Scene, ViewSet};
+use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::{ImagePair, size_of_image};
-use crate::scene::Splats;
+use crate::scene::Gaussians;
 use crate::train::estimates::FaintPass;
 
 /// How an instrument is set up.
@@ -30,7 +30,7 @@ pub struct Setting {
     pub probe: f64,
 }
 
-/// Cues of every Gaussian over the views.
+/// ErrorStatistics of every Gaussian over the views.
 #[derive(Debug, Clone, Default)]
 pub struct CueRows {
     /// Sums of 1 − SSIM.
@@ -44,8 +44,8 @@ pub struct CueRows {
 impl CueRows {
     /// As density control takes them.
     #[must_use]
-    pub fn cues(&self) -> Cues<'_> {
-        Cues {
+    pub fn cues(&self) -> ErrorStatistics<'_> {
+        ErrorStatistics {
             ssim: &self.ssim,
             l1: &self.l1,
             views: &self.views,
@@ -58,7 +58,7 @@ impl CueRows {
 pub struct Base {
     /// Loss of each view.
     pub losses: Vec<f64>,
-    /// Cues of every Gaussian.
+    /// ErrorStatistics of every Gaussian.
     pub cues: CueRows,
     /// Derivatives of the mean loss by opacity logit and the three log-scales, of every Gaussian.
     pub gradients: [Vec<f64>; 4],
@@ -74,8 +74,8 @@ pub struct Instrument<R: Real> {
     pub(super) device: Device,
     pub(super) setting: Setting,
     pub(super) views: ViewSet<R>,
-    pub(super) splats: Splats,
-    pub(super) scene: Scene<R>,
+    pub(super) splats: Gaussians,
+    pub(super) scene: GaussianBuffers<R>,
     pipeline: Pipeline<R>,
     /// Stages with the faint births' cut.
     pub(super) faint: FaintPass<R>,
@@ -85,13 +85,10 @@ pub struct Instrument<R: Real> {
 
 impl<R: Real> Instrument<R> {
     /// Uploads the scene, with room for `births` more, and builds the kernels.
-    ///
-    /// # Errors
-    /// A build failure, or more than the device can allocate.
     pub fn new(
         device: &Device,
         views: ViewSet<R>,
-        splats: Splats,
+        splats: Gaussians,
         setting: Setting,
         births: usize,
     ) -> Result<Self> {
@@ -107,7 +104,7 @@ impl<R: Real> Instrument<R> {
         let cut = setting.alpha_min * setting.probe;
         let room = splats.len() + births.max(1) + 2 * GRADIENT_ROWS;
         Ok(Self {
-            scene: Scene::upload(device, &splats, room)?,
+            scene: GaussianBuffers::upload(device, &splats, room)?,
             faint: FaintPass::new(device, defines, degree, cut, &pipeline)?,
             importance: Importance::new::<R>(&kernels)?,
             pipeline,
@@ -187,9 +184,6 @@ impl<R: Real> Instrument<R> {
     }
 
     /// Losses, cues and gradients of the scene as it is.
-    ///
-    /// # Errors
-    /// More than the device can allocate, or the driver's.
     pub fn base(&mut self) -> Result<Base> {
         let n = self.splats.len();
         let cues = Array::zeros(&self.device, "cues", 3 * self.scene.stride)?;

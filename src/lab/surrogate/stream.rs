@@ -1,6 +1,6 @@
 //! Streams of the check's random numbers.
 
-use crate::base::rng::Purpose;
+use crate::base::rng::Stream;
 
 /// Choice of the views.
 pub(super) const VIEWS: u32 = 0;
@@ -13,5 +13,5 @@ pub(super) const RESAMPLE: u32 = 30;
 
 /// The key of a stream.
 pub(super) fn stream(which: u32) -> u64 {
-    Purpose::Surrogate.stream(which)
+    Stream::Surrogate.stream(which)
 }

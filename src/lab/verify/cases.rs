@@ -3,10 +3,10 @@
 use glam::{DMat3, DVec3};
 
 use crate::base::constants::ALPHA_MIN;
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::capture::{Alpha, Camera, Photo};
 use crate::pipeline::stage::adam::LearningRates;
-use crate::scene::{Edit, OptionalColor, Plane, Splats};
+use crate::scene::{Edit, Gaussians, OptionalColor, Plane};
 
 /// Inputs of a pass through all stages.
 #[derive(Debug, Clone)]
@@ -14,7 +14,7 @@ pub struct Case {
     /// Name of the case.
     pub name: String,
     /// Scene (f32 values, so that both precisions start from the same numbers).
-    pub splats: Splats,
+    pub splats: Gaussians,
     /// Camera.
     pub camera: Camera,
     /// Photo, of the camera's size.
@@ -46,7 +46,7 @@ pub const ADAM: [f64; 3] = [0.9_f32 as f64, 0.999_f32 as f64, 1e-15];
 fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
     Philox::uniform(
         seed,
-        Purpose::Synthetic.stream(0),
+        Stream::Synthetic.stream(0),
         (index as u64) << 8 | what,
     )
 }
@@ -66,8 +66,8 @@ fn camera(size: [u32; 2]) -> Camera {
     }
 }
 
-fn cloud(n: usize, sh_degree: u32, seed: u64) -> Splats {
-    let mut s = Splats::zeros(sh_degree, n);
+fn cloud(n: usize, sh_degree: u32, seed: u64) -> Gaussians {
+    let mut s = Gaussians::zeros(sh_degree, n);
     for i in 0..n {
         let [x, y, z, far] = uniform(seed, i, 0);
         let scale = uniform(seed, i, 1);

@@ -13,7 +13,7 @@ use crate::lab::verify::definition::{
 };
 use crate::lab::verify::outcome::Outcome;
 use crate::lab::verify::readback::{counted, crop, records, sums, tiles, widen};
-use crate::pipeline::buffers::{GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::exposure::{ExposureModel, TransformStep};
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
@@ -30,9 +30,6 @@ use crate::pipeline::stage::seen::Seen;
 use crate::scene::Plane;
 
 /// Runs every stage in precision `R` on a case, and its definition if there is a reference.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn run<R: Real>(
     device: &Device,
     tuning: Tuning,
@@ -65,7 +62,7 @@ type State = [Vec<Vec<f64>>; 3];
 
 /// Copy of the scene with its moments, after the optimiser's steps.
 struct Optimised<R: Real> {
-    scene: Scene<R>,
+    scene: GaussianBuffers<R>,
     moments: [Array<R>; 2],
     /// State of the reference.
     want: State,
@@ -76,7 +73,7 @@ struct Pass<'a, R: Real> {
     device: &'a Device,
     kernels: Kernels,
     pipeline: Pipeline<R>,
-    scene: Scene<R>,
+    scene: GaussianBuffers<R>,
     photo: Array<u8>,
     camera: CameraArg<R>,
     case: &'a Case,
@@ -97,7 +94,7 @@ impl<'a, R: Real> Pass<'a, R> {
             anti_alias: !case.filter_views.is_empty(),
             ..Defines::new(tuning)
         };
-        let mut scene = Scene::<R>::upload(device, &case.splats, 0)?;
+        let mut scene = GaussianBuffers::<R>::upload(device, &case.splats, 0)?;
         if defines.anti_alias {
             scene = scene.with_filter(device)?;
         }
@@ -138,8 +135,8 @@ impl<'a, R: Real> Pass<'a, R> {
     }
 
     /// The scene again, so that its parameters can be changed.
-    fn copy_of_scene(&self) -> Result<Scene<R>> {
-        Ok(Scene {
+    fn copy_of_scene(&self) -> Result<GaussianBuffers<R>> {
+        Ok(GaussianBuffers {
             params: self.copy(&self.scene.params)?,
             filter: Array::zeros(self.device, "filter", 0)?,
             ..self.scene
@@ -161,7 +158,7 @@ impl<'a, R: Real> Pass<'a, R> {
             sh_degree: self.case.sh_degree,
             background: self.case.background,
             quantity: Quantity::Color,
-            live_only: false,
+            active_only: false,
         };
         forward.render(&self.scene, &self.camera, &options)?;
         device.collect_times(usize::MAX)?;
@@ -318,7 +315,7 @@ impl<'a, R: Real> Pass<'a, R> {
             &self.pipeline.forward.frame,
         );
         stage.run(&moved, frame, &NOISE, NOISE_KEYS[0], NOISE_KEYS[1])?;
-        let position = |scene: &Scene<R>| -> Result<Vec<f64>> {
+        let position = |scene: &GaussianBuffers<R>| -> Result<Vec<f64>> {
             Ok(flat(&self.planes(&scene.params)?[..Plane::LOG_SCALE]))
         };
         let (before, after) = (position(&self.scene)?, position(&moved)?);
@@ -356,7 +353,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let frame = &self.pipeline.forward.frame;
         let before: Vec<u32> = seen_before(self.scene.count).collect();
         let seen = Array::from_slice(self.device, "seen", &before)?;
-        let shown = Array::zeros(self.device, "shown", frame.pair_capacity())?;
+        let shown = Array::zeros(self.device, "shown", frame.intersection_capacity())?;
         Seen::new::<R>(&self.kernels)?.run(frame, &self.camera, &shown, &seen)?;
         let got = seen.to_vec()?.into_iter().map(f64::from).collect();
         out.add("seen", "Gaussians", got, self.want(Reference::seen));

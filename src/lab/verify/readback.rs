@@ -6,7 +6,7 @@ use crate::base::constants::{SUMS, TILE};
 use crate::base::error::Result;
 use crate::device::tuning::{KEY_CULLED, status};
 use crate::device::{CameraArg, Real};
-use crate::pipeline::buffers::Frame;
+use crate::pipeline::buffers::ViewBuffers;
 
 /// Numbers in f64.
 pub(super) fn widen<R: Real>(values: Vec<R>) -> Vec<f64> {
@@ -28,11 +28,11 @@ pub(super) fn crop<R: Real>(
 }
 
 /// Projected Gaussians as numbers: mean, quadratic form, opacity, depth, colour, pixel bounds; zeros when culled.
-pub(super) fn records<R: Real>(f: &Frame<R>, count: usize) -> Result<Vec<[f64; 14]>> {
+pub(super) fn records<R: Real>(f: &ViewBuffers<R>, count: usize) -> Result<Vec<[f64; 14]>> {
     let keys = f.keys.read(0, count)?;
     let records = f.records.read(0, count)?;
     let bounds = |b: u32| [f64::from(b & 0xffff), f64::from(b >> 16)];
-    let of = |(key, r): (&u32, &crate::device::Record<R>)| {
+    let of = |(key, r): (&u32, &crate::device::Projected<R>)| {
         if *key == KEY_CULLED {
             return [0.0; 14];
         }
@@ -45,17 +45,17 @@ pub(super) fn records<R: Real>(f: &Frame<R>, count: usize) -> Result<Vec<[f64; 1
 }
 
 /// Sum of the tile counts of the visible Gaussians.
-pub(super) fn counted<R: Real>(f: &Frame<R>) -> Result<f64> {
+pub(super) fn counted<R: Real>(f: &ViewBuffers<R>) -> Result<f64> {
     let visible = f.status.read(status::VISIBLE as usize, 1)?[0] as usize;
     let counts = f.counts.read(0, visible)?;
     Ok(counts.into_iter().map(f64::from).sum())
 }
 
 /// Gaussians of each tile from front to back.
-pub(super) fn tiles<R: Real>(f: &Frame<R>, camera: &CameraArg<R>) -> Result<Vec<Vec<u32>>> {
-    let pairs = f.status.read(status::PAIRS as usize, 1)?[0] as usize;
+pub(super) fn tiles<R: Real>(f: &ViewBuffers<R>, camera: &CameraArg<R>) -> Result<Vec<Vec<u32>>> {
+    let pairs = f.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
     let order = f.order.sorted_values().read(0, pairs)?;
-    let owner = f.pair_owner.read(0, pairs)?;
+    let owner = f.isect_owner.read(0, pairs)?;
     let start = f.tile_start.read(0, camera.tile_count() + 1)?;
     let tile = |w: &[u32]| {
         let slots = &order[w[0] as usize..w[1] as usize];
@@ -65,9 +65,9 @@ pub(super) fn tiles<R: Real>(f: &Frame<R>, camera: &CameraArg<R>) -> Result<Vec<
 }
 
 /// Nine sums of each Gaussian over its tile intersections \[N, 9\].
-pub(super) fn sums<R: Real>(f: &Frame<R>, count: usize) -> Result<Vec<f64>> {
-    let counts = f.pair_counts.read(0, count)?;
-    let starts = f.pair_start.read(0, count)?;
+pub(super) fn sums<R: Real>(f: &ViewBuffers<R>, count: usize) -> Result<Vec<f64>> {
+    let counts = f.isect_counts.read(0, count)?;
+    let starts = f.isect_start.read(0, count)?;
     let all = widen(f.sums.to_vec()?);
     let of = |(n, first): (&u32, &u32)| {
         let mut total = [0.0; SUMS];

@@ -11,17 +11,11 @@ use crate::lab::verify::verification::Verification;
 use crate::scene::Plane;
 
 /// Runs the quick suite: a few small scenes, both precisions, the device's own style and the other one.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn quick(device: &Device) -> Result<Verification> {
     suite(device, "quick", quick_cases())
 }
 
 /// Runs the tiny suite, for interpreters such as oclgrind: every stage of three scenes of two tiles, both precisions, both styles.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn tiny(device: &Device) -> Result<Verification> {
     let mild = |name, sh_degree, seed| cases::mild(name, 12, [20, 10], sh_degree, seed);
     let alpha = mild("12 Gaussians, 20x10, SH 2, alpha", 2, 31).with_alpha();
@@ -103,9 +97,6 @@ fn quick_cases() -> Vec<(&'static str, Case, f64)> {
 }
 
 /// Rows of every stage of one case: f64 and f32 in the device's style, f32 in the other style.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn verify_case(device: &Device, family: &str, case: &Case, bound: f64) -> Result<Vec<Row>> {
     let own = device.tuning();
     let other = if own.group_style {

@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::device::{Array, Kernel, Kernels, Real};
-use crate::pipeline::buffers::{Frame, GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 
 /// Learning rates of one iteration.
@@ -57,11 +57,11 @@ impl Adam {
     /// Enqueues one step of the Gaussians of a block; after an overflow in the view nothing changes.
     pub fn run<R: Real>(
         &self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         moments: [&Array<R>; 2],
         grads: &GradientBlock<'_, R>,
         step: &Step<LearningRates>,
-        view: &Frame<R>,
+        view: &ViewBuffers<R>,
     ) -> Result<()> {
         let vectors = self.0.vectors(grads.rows.len());
         let r = &step.rate;

@@ -3,7 +3,7 @@
 use crate::base::constants::TILE_SLACK;
 use crate::base::error::Result;
 use crate::device::{CameraArg, Kernel, Kernels, Launch, Real};
-use crate::pipeline::buffers::Frame;
+use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, TILE};
 use crate::pipeline::stage::project::Record64;
@@ -39,7 +39,7 @@ impl Bin {
     }
 
     /// Counts the visible ones of `count` Gaussians in each chunk.
-    pub fn visible<R: Real>(&self, view: &Frame<R>, count: usize) -> Result<()> {
+    pub fn visible<R: Real>(&self, view: &ViewBuffers<R>, count: usize) -> Result<()> {
         let chunks = self.visible.chunks();
         self.visible
             .launch()
@@ -50,7 +50,7 @@ impl Bin {
     }
 
     /// Writes keys and indices of the visible ones of `count` Gaussians.
-    pub fn compact<R: Real>(&self, view: &Frame<R>, count: usize) -> Result<()> {
+    pub fn compact<R: Real>(&self, view: &ViewBuffers<R>, count: usize) -> Result<()> {
         let chunks = self.compact.chunks();
         self.compact
             .launch()
@@ -62,41 +62,41 @@ impl Bin {
             .over_chunks([chunks, 1])
     }
 
-    /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `live_only`.
+    /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`.
     pub fn count<R: Real>(
         &self,
-        view: &Frame<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         count: usize,
-        live_only: bool,
+        active_only: bool,
     ) -> Result<()> {
-        with_records(&self.count, view, camera, count, live_only)
+        with_records(&self.count, view, camera, count, active_only)
             .array(&view.counts, count)
             .array(&view.cover, 2 * count)
-            .array(&view.pair_counts, count)
+            .array(&view.isect_counts, count)
             .over_batches(count)
     }
 
     /// Writes the pairs that [`Bin::count`] counted.
     pub fn emit<R: Real>(
         &self,
-        view: &Frame<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         count: usize,
-        live_only: bool,
+        active_only: bool,
     ) -> Result<()> {
-        with_records(&self.emit, view, camera, count, live_only)
+        with_records(&self.emit, view, camera, count, active_only)
             .array(&view.cover, 2 * count)
             .array(&view.offsets, count)
-            .array(&view.pair_start, count)
+            .array(&view.isect_start, count)
             .array(&view.order.keys[0], 1)
             .array(&view.order.values[0], 1)
-            .array(&view.pair_owner, 1)
+            .array(&view.isect_owner, 1)
             .over_batches(count)
     }
 
     /// Finds the first of the sorted pairs of each tile.
-    pub fn ranges<R: Real>(&self, view: &Frame<R>, camera: &CameraArg<R>) -> Result<()> {
+    pub fn ranges<R: Real>(&self, view: &ViewBuffers<R>, camera: &CameraArg<R>) -> Result<()> {
         let tiles = camera.tile_count();
         self.ranges
             .launch()
@@ -111,10 +111,10 @@ impl Bin {
 /// The arguments that both walks over tiles begin with.
 fn with_records<'k, R: Real>(
     kernel: &'k Kernel,
-    view: &Frame<R>,
+    view: &ViewBuffers<R>,
     camera: &CameraArg<R>,
     count: usize,
-    live_only: bool,
+    active_only: bool,
 ) -> Launch<'k> {
     let launch = kernel
         .launch()
@@ -125,8 +125,12 @@ fn with_records<'k, R: Real>(
     if !kernel.defines().masked() {
         return launch;
     }
-    let live = if live_only { &view.live } else { &view.status };
-    launch.array(live, 1).value(i32::from(live_only))
+    let live = if active_only {
+        &view.live
+    } else {
+        &view.status
+    };
+    launch.array(live, 1).value(i32::from(active_only))
 }
 
 // Definition in f64.

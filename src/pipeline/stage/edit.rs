@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::device::{Array, Kernel, Kernels, Real};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::scene::{self, Plane};
 
@@ -29,7 +29,7 @@ impl Edit {
     /// Writes rows of parameters and moments.
     pub fn run<R: Real>(
         &self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         moments: [&Array<R>; 2],
         edits: &Array<scene::Edit>,
     ) -> Result<()> {
@@ -47,7 +47,7 @@ impl Edit {
     /// Lowers the opacity logits to `limit` at most and clears their moments.
     pub fn limit_opacity<R: Real>(
         &self,
-        scene: &Scene<R>,
+        scene: &GaussianBuffers<R>,
         moments: [&Array<R>; 2],
         limit: f64,
     ) -> Result<()> {

@@ -3,7 +3,7 @@
 use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
-use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::scene::Plane;
 
@@ -31,8 +31,8 @@ impl Filter {
     /// the view nothing changes.
     pub fn run<R: Real>(
         &self,
-        scene: &Scene<R>,
-        view: &Frame<R>,
+        scene: &GaussianBuffers<R>,
+        view: &ViewBuffers<R>,
         cameras: &Array<CameraArg<R>>,
         largest: &Array<R>,
     ) -> Result<()> {

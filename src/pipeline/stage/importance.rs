@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
-use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
 
@@ -20,8 +20,8 @@ impl Importance {
     /// [`crate::pipeline::stage::loss::Loss::errors`]. After an overflow in the view nothing changes.
     pub fn run<R: Real>(
         &self,
-        scene: &Scene<R>,
-        view: &Frame<R>,
+        scene: &GaussianBuffers<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         maps: &Array<R>,
         first_view: bool,

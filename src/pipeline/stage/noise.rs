@@ -6,7 +6,7 @@ use crate::base::math::sigmoid;
 use crate::base::rng::Philox;
 use crate::density::NoiseLaw;
 use crate::device::{Kernel, Kernels, Real};
-use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Scene64, product, rotation, transpose, unit_quaternion};
 use crate::scene::Plane;
@@ -22,11 +22,11 @@ impl Noise {
     }
 
     /// Moves the positions by the law, whose rate is in local units here; random numbers are keyed by the seed of the run
-    /// and a stream (see `Purpose::stream`). After an overflow in the view nothing changes.
+    /// and a stream (see `Stream::stream`). After an overflow in the view nothing changes.
     pub fn run<R: Real>(
         &self,
-        scene: &Scene<R>,
-        view: &Frame<R>,
+        scene: &GaussianBuffers<R>,
+        view: &ViewBuffers<R>,
         law: &NoiseLaw,
         seed: u64,
         stream: u64,

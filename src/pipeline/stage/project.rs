@@ -5,7 +5,7 @@ use crate::base::constants::{COLOR_MAX, LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
 use crate::device::{CameraArg, Kernel, Kernels, Real};
-use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{
     Camera64, Options, Scene64, product, rotation, transpose, unit_quaternion,
@@ -26,8 +26,8 @@ impl Project {
     /// of the colour.
     pub fn run<R: Real>(
         &self,
-        scene: &Scene<R>,
-        view: &Frame<R>,
+        scene: &GaussianBuffers<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         depth_as_color: bool,
     ) -> Result<()> {
@@ -38,7 +38,7 @@ impl Project {
             .value(i32::from(depth_as_color))
             .array(&view.records, scene.count)
             .array(&view.keys, scene.count)
-            .array(&view.pair_counts, scene.count)
+            .array(&view.isect_counts, scene.count)
             .over_gaussians(scene.count)
     }
 }
@@ -216,7 +216,7 @@ pub fn color(
     (rgb, dir, length)
 }
 
-/// Record of Gaussian `i`; `None` if it is culled.
+/// Projected of Gaussian `i`; `None` if it is culled.
 #[must_use]
 pub fn project(
     scene: &Scene64,

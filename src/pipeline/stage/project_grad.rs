@@ -4,7 +4,7 @@ use crate::base::constants::{LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
 use crate::device::{CameraArg, Kernel, Kernels, Real};
-use crate::pipeline::buffers::{Frame, GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options, Scene64, product, transpose, unit_quaternion};
 use crate::pipeline::stage::project::{Area64, Shape64, color, cross, shape};
@@ -25,8 +25,8 @@ impl ProjectGrad {
     /// in the view no Gaussian has pairs.
     pub fn run<R: Real>(
         &self,
-        scene: &Scene<R>,
-        view: &Frame<R>,
+        scene: &GaussianBuffers<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         [lambda_opacity, lambda_scale]: [f64; 2],
         grads: &GradientBlock<'_, R>,
@@ -38,7 +38,7 @@ impl ProjectGrad {
             .gaussians(scene)
             .uints([grads.rows.start, grads.stride])
             .value(*camera)
-            .pair_ranges(view, scene.count)
+            .intersection_ranges(view, scene.count)
             .status(view)
             .array(&view.sums, 1)
             .reals::<R>([lambda_opacity / n, lambda_scale / (3.0 * n)])

@@ -1,9 +1,9 @@
 //! Exclusive prefix sums (`kernels/scan.cl`).
 
 use crate::base::error::Result;
-use crate::device::tuning::status::{PAIRS, SLOTS, VISIBLE};
+use crate::device::tuning::status::{INTERSECTIONS, SLOTS, VISIBLE};
 use crate::device::{Array, Kernel, Kernels, Launch, Real};
-use crate::pipeline::buffers::Frame;
+use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 
 /// The kernels.
@@ -39,7 +39,7 @@ impl Scan {
     /// than there is room for raise the overflow flag.
     pub fn pairs<R: Real>(
         &self,
-        view: &Frame<R>,
+        view: &ViewBuffers<R>,
         values: &Array<u32>,
         n: Count,
         out: &Array<u32>,
@@ -49,18 +49,18 @@ impl Scan {
             Count::Known(n) => (SLOTS, n),
         };
         with_values(&self.sums, view, values, slot, known).over_chunks([self.sums.chunks(), 1])?;
-        self.totals(view, PAIRS, view.pair_capacity())?;
+        self.totals(view, INTERSECTIONS, view.intersection_capacity())?;
         with_values(&self.write, view, values, slot, known)
             .array(out, 1)
             .over_chunks([self.write.chunks(), 1])
     }
 
     /// Writes the sums of the visible Gaussians before each chunk and their number to the status.
-    pub fn visible<R: Real>(&self, view: &Frame<R>) -> Result<()> {
+    pub fn visible<R: Real>(&self, view: &ViewBuffers<R>) -> Result<()> {
         self.totals(view, VISIBLE, view.keys.len())
     }
 
-    fn totals<R: Real>(&self, view: &Frame<R>, slot: u32, capacity: usize) -> Result<()> {
+    fn totals<R: Real>(&self, view: &ViewBuffers<R>, slot: u32, capacity: usize) -> Result<()> {
         let chunks = self.chunks.chunks();
         self.chunks
             .launch()
@@ -75,7 +75,7 @@ impl Scan {
 /// The arguments that both sweeps over the values begin with.
 fn with_values<'k, R: Real>(
     kernel: &'k Kernel,
-    view: &Frame<R>,
+    view: &ViewBuffers<R>,
     values: &Array<u32>,
     slot: usize,
     known: usize,

@@ -4,7 +4,7 @@
 use crate::base::constants::SUMS;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
-use crate::pipeline::buffers::{Frame, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
 use crate::pipeline::stage::project::{Shape64, shape};
@@ -22,8 +22,8 @@ impl ScreenGrad {
     /// Adds the norms of one iteration to `cues`; after an overflow in the view nothing changes.
     pub fn run<R: Real>(
         &self,
-        scene: &Scene<R>,
-        view: &Frame<R>,
+        scene: &GaussianBuffers<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         cues: &Array<R>,
     ) -> Result<()> {
@@ -31,7 +31,7 @@ impl ScreenGrad {
             .launch()
             .array(&view.records, scene.count)
             .uints([scene.stride, scene.count])
-            .pair_ranges(view, scene.count)
+            .intersection_ranges(view, scene.count)
             .array(&view.sums, SUMS)
             .ints(camera.size.map(|s| s as usize))
             .status(view)

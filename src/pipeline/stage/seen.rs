@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
-use crate::pipeline::buffers::Frame;
+use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::Camera64;
 use crate::pipeline::stage::project::Record64;
@@ -26,7 +26,7 @@ impl Seen {
     /// one for each pair.
     pub fn run<R: Real>(
         &self,
-        view: &Frame<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         shown: &Array<u8>,
         seen: &Array<u32>,
@@ -38,12 +38,12 @@ impl Seen {
             .tiles(camera)
             .ints(camera.size.map(|s| s as usize))
             .array(seen, count)
-            .array(shown, view.pair_owner.len())
+            .array(shown, view.isect_owner.len())
             .over_tiles(camera)?;
         self.gather
             .launch()
             .uints([count])
-            .pair_ranges(view, count)
+            .intersection_ranges(view, count)
             .array(shown, 1)
             .array(seen, count)
             .over_items([count, 1])

@@ -3,7 +3,7 @@
 use crate::base::constants::{ALPHA_MAX, T_MIN};
 use crate::base::error::Result;
 use crate::device::{CameraArg, Kernel, Kernels, Real};
-use crate::pipeline::buffers::Frame;
+use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options, TILE};
 use crate::pipeline::stage::project::Record64;
@@ -21,7 +21,7 @@ impl Splat {
     /// Composites the sorted pairs of a view over a background colour.
     pub fn run<R: Real>(
         &self,
-        view: &Frame<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         background: [f32; 3],
     ) -> Result<()> {

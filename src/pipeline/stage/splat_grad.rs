@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
-use crate::pipeline::buffers::Frame;
+use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options};
 use crate::pipeline::stage::project::Record64;
@@ -21,7 +21,7 @@ impl SplatGrad {
     /// Writes nine sums for each pair of the view composited last, from the gradient of the loss by its image.
     pub fn run<R: Real>(
         &self,
-        view: &Frame<R>,
+        view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
         dimage: &Array<R>,
     ) -> Result<()> {

@@ -2,11 +2,11 @@
 
 use glam::DVec3;
 
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::lab::verify::cases::{Case, mild};
 use crate::lab::verify::check::Row;
 use crate::lab::verify::verification::FamilyNote;
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 
 /// A case and its stiffness.
 #[derive(Debug, Clone)]
@@ -33,7 +33,7 @@ pub const MIXED: f64 = 1e-4;
 
 /// Four uniform numbers of Gaussian `i`.
 pub fn uniform(seed: u64, i: usize) -> [f64; 4] {
-    Philox::uniform(seed, Purpose::Synthetic.stream(1), i as u64)
+    Philox::uniform(seed, Stream::Synthetic.stream(1), i as u64)
 }
 
 /// A mild scene of which every Gaussian is changed.
@@ -42,7 +42,7 @@ pub fn each(
     n: usize,
     size: [u32; 2],
     seed: u64,
-    change: impl Fn(&mut Splats, usize, &Case),
+    change: impl Fn(&mut Gaussians, usize, &Case),
 ) -> Case {
     let base = mild(name, n, size, 1, seed);
     let mut case = base.clone();
@@ -80,7 +80,7 @@ pub fn powers(range: std::ops::RangeInclusive<i32>, step: usize) -> impl Iterato
 }
 
 /// Position of Gaussian `i`.
-pub fn position(s: &Splats, i: usize) -> DVec3 {
+pub fn position(s: &Gaussians, i: usize) -> DVec3 {
     DVec3::from_array(s.gather::<3>(Plane::POSITION, i).map(f64::from))
 }
 

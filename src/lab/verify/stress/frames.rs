@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::capture::Frame;
 use crate::lab::verify::check::Row;
 use crate::lab::verify::stress::family::host_row;
@@ -23,7 +23,7 @@ fn scene() -> [Vec<DVec3>; 2] {
     let place = |k: u64, n: u64| -> Vec<DVec3> {
         (0..n)
             .map(|i| {
-                let [x, y, z, _] = Philox::uniform(k, Purpose::Synthetic.stream(3), i);
+                let [x, y, z, _] = Philox::uniform(k, Stream::Synthetic.stream(3), i);
                 6.0 * (DVec3::new(x, y, z) - 0.5)
             })
             .collect()

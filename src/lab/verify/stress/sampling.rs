@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::base::error::Result;
 use crate::base::math::{logit, sigmoid};
-use crate::base::rng::{Philox, Purpose};
+use crate::base::rng::{Philox, Stream};
 use crate::config::{Acceptance, MhConfig};
 use crate::density::draw::Categorical;
 use crate::density::mh::MetropolisHastings;
@@ -12,7 +12,7 @@ use crate::density::mh::accept::{accepts, exact_ln_prior_ratio, ln_acceptance};
 use crate::density::mh::importance::importance;
 use crate::density::mh::sparsity::VoxelCounts;
 use crate::density::relocation::{ln_coefficient, split};
-use crate::density::{Cues, DensityControl, Evidence, SceneState, StepContext};
+use crate::density::{DensityControl, ErrorStatistics, SceneState, Statistics, StepContext};
 use crate::lab::verify::check::{EXACT, Row};
 use crate::lab::verify::stress::family::host_row;
 use crate::lab::verify::verification::FamilyNote;
@@ -96,7 +96,7 @@ fn importances() -> Vec<Row> {
     const N: usize = 1000;
     let of = |cue: &dyn Fn(usize) -> f32| {
         let values: Vec<f32> = (0..N).map(cue).collect();
-        let cues = Cues {
+        let cues = ErrorStatistics {
             ssim: &values,
             l1: &values,
             views: &[1; N],
@@ -258,7 +258,7 @@ fn acceptance() -> Vec<Row> {
 /// Whole steps on scenes of one extreme: every edit is finite, names a row that is there and writes none twice.
 fn steps() -> Result<Vec<Row>> {
     const N: usize = 5000;
-    let stream = Purpose::Synthetic.stream(2);
+    let stream = Stream::Synthetic.stream(2);
     let normal = |k: u64, i: usize| Philox::normal(k, stream, i as u64)[0] as f32;
     let step = |case: &str, at: &dyn Fn(usize) -> [f32; 3], opacity_logit: f32| -> Result<Row> {
         let positions: Vec<[f32; 3]> = (0..N).map(at).collect();
@@ -272,7 +272,7 @@ fn steps() -> Result<Vec<Row>> {
             rotations: [&ones, &zeros, &zeros, &zeros],
             opacity_logits: &logits,
         };
-        let cues = Cues {
+        let cues = ErrorStatistics {
             ssim: &zeros,
             l1: &zeros,
             views: &vec![0; N],
@@ -280,7 +280,7 @@ fn steps() -> Result<Vec<Row>> {
         let config = MhConfig::default();
         let mh = MetropolisHastings::new(&config);
         let context = StepContext::at(10_000, 0.5, 1);
-        let outcome = mh.step(&context, &scene, &Evidence::Errors(cues))?;
+        let outcome = mh.step(&context, &scene, &Statistics::Errors(cues))?;
         let mut written = vec![false; outcome.rows];
         let error = |e: &crate::scene::Edit| {
             let values = e

@@ -4,14 +4,14 @@ use glam::{DQuat, DVec3};
 
 use crate::lab::verify::cases::Case;
 use crate::lab::verify::stress::family::{Family, MIXED, each, family, position, powers, uniform};
-use crate::scene::{Plane, Splats};
+use crate::scene::{Gaussians, Plane};
 
-fn set_rotation(s: &mut Splats, i: usize, q: DQuat) {
+fn set_rotation(s: &mut Gaussians, i: usize, q: DQuat) {
     s.scatter(Plane::ROTATION, i, [q.w, q.x, q.y, q.z].map(|v| v as f32));
 }
 
 /// Direction from the camera to a Gaussian.
-fn sight(s: &Splats, i: usize, case: &Case) -> DVec3 {
+fn sight(s: &Gaussians, i: usize, case: &Case) -> DVec3 {
     (position(s, i) - case.camera.center()).normalize_or(DVec3::Z)
 }
 

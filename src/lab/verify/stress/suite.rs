@@ -10,13 +10,10 @@ use crate::lab::verify::stress::family::{Family, Stiff, host_row};
 use crate::lab::verify::stress::{frames, sampling, scenes, updates};
 use crate::lab::verify::suite::verify_case;
 use crate::lab::verify::verification::{FamilyNote, Verification};
-use crate::pipeline::buffers::Scene;
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 
 /// Runs the stress suite on one device.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn stress(device: &Device) -> Result<Verification> {
     let (mut rows, mut notes) = (Vec::new(), Vec::new());
     for family in scenes::families() {
@@ -96,15 +93,18 @@ fn more_pairs_than_24_bits(device: &Device) -> Result<Row> {
 fn forward(device: &Device, case: &Case) -> Result<(Vec<f32>, usize)> {
     let defines = Defines::new(device.tuning());
     let mut renderer = Renderer::<f32>::new(device, defines, case.sh_degree, true)?;
-    let scene = Scene::<f32>::upload(device, &case.splats, 0)?;
+    let scene = GaussianBuffers::<f32>::upload(device, &case.splats, 0)?;
     let camera = CameraArg::<f32>::new(&case.camera, NEAR);
     let options = RenderOptions {
         sh_degree: case.sh_degree,
         background: case.background,
         quantity: Quantity::Color,
-        live_only: false,
+        active_only: false,
     };
     renderer.render(&scene, &camera, &options)?;
-    let pairs = renderer.frame.status.read(status::PAIRS as usize, 1)?[0];
+    let pairs = renderer
+        .frame
+        .status
+        .read(status::INTERSECTIONS as usize, 1)?[0];
     Ok((renderer.read_image(&camera)?.rgb, pairs as usize))
 }

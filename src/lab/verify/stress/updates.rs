@@ -7,7 +7,7 @@ use crate::lab::verify::cases::ADAM;
 use crate::lab::verify::check::{EXACT, Row};
 use crate::lab::verify::stress::family::host_row;
 use crate::lab::verify::verification::FamilyNote;
-use crate::pipeline::buffers::{Frame, GradientBlock, Scene};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::stage::adam::{Adam, LearningRates, Step, adam};
 use crate::scene::Plane;
 
@@ -24,9 +24,6 @@ const SINGLE: f64 = 2e-3;
 const N: usize = 32;
 
 /// Rows of one precision.
-///
-/// # Errors
-/// A build failure, or the driver's.
 pub fn rows<R: Real>(device: &Device, precision: &str, bound: f64) -> Result<Vec<Row>> {
     let sizes = [-30, -25, -20, -18, -15, -10, -5, 0, 5, 10, 17, 19, 25, 30];
     let mut rows = Vec::new();
@@ -92,7 +89,7 @@ fn stepped<R: Real>(device: &Device, gradients: &[R], rate: f64) -> Result<(Vec<
     let stage = Adam::new::<R>(&kernels)?;
     let grads = Array::from_slice(device, "grads", gradients)?;
     let zeros = |name| Array::<R>::zeros(device, name, gradients.len());
-    let scene = Scene {
+    let scene = GaussianBuffers {
         params: zeros("params")?,
         filter: Array::zeros(device, "filter", 0)?,
         stride: N,
@@ -100,7 +97,7 @@ fn stepped<R: Real>(device: &Device, gradients: &[R], rate: f64) -> Result<(Vec<
         sh_degree: 0,
     };
     let [moment1, moment2] = [zeros("moment1")?, zeros("moment2")?];
-    let frame = Frame::new(device, &device.tuning(), false)?;
+    let frame = ViewBuffers::new(device, &device.tuning(), false)?;
     let block = GradientBlock {
         values: &grads,
         planes: scene.planes(),
