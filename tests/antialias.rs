@@ -10,7 +10,7 @@ use mhsplat::base::constants::blur;
 use mhsplat::capture::{Alpha, Camera, Frame, Photo};
 use mhsplat::config::{AntiAliasing, Init, Sampler};
 use mhsplat::device::{Defines, Device};
-use mhsplat::lab::verify::{cases, chain, twin};
+use mhsplat::lab::verify::{cases, definition::Reference, pass};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Rendered, Renderer};
 use mhsplat::run::{checkpoint, initial_gaussians};
@@ -65,11 +65,11 @@ fn brightness_at(middle: f64, zoom: u32, anti_aliased: bool) -> f64 {
         case.filter_views = vec![full];
     }
     let device = Device::open(None).unwrap();
-    let out = chain::run::<f32>(&device, device.tuning(), &case).unwrap();
-    let by_twin = twin::run(&case).image;
+    let out = pass::run::<f32>(&device, device.tuning(), &case, None).unwrap();
+    let (image, want) = (out.got("splat", "image"), Reference::new(&case).pass.image);
     let mean = |image: &[f64]| image.iter().sum::<f64>() / image.len() as f64;
-    assert!((mean(&out.image) - mean(&by_twin)).abs() < 1e-4 * mean(&by_twin));
-    mean(&out.image)
+    assert!((mean(image) - mean(&want)).abs() < 1e-4 * mean(&want));
+    mean(image)
 }
 
 /// The mean over a Gaussian that projects, at a quarter of the size, to a corner of four pixels and to the centre of one: what

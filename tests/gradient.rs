@@ -1,4 +1,4 @@
-//! Gradients of the whole chain against finite differences of the reference's loss.
+//! Gradients of the whole pass against finite differences of the reference's loss.
 //!
 //! The alpha cut is a discontinuity at which finite differences disagree even in sign, so it lies at 1e-7 here; the bounds
 //! of the ellipses move with it.
@@ -6,8 +6,9 @@
 use mhsplat::device::Device;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::error::{Tolerance, compare};
-use mhsplat::lab::verify::chain::Case;
-use mhsplat::lab::verify::{cases, chain, twin};
+use mhsplat::lab::verify::cases::{self, Case};
+use mhsplat::lab::verify::definition::{Reference, inputs, photo};
+use mhsplat::lab::verify::pass;
 use mhsplat::pipeline::chain::loss_of;
 use mhsplat::pipeline::reference::Scene64;
 use mhsplat::scene::Plane;
@@ -52,8 +53,8 @@ fn thin(name: &str, log_scales: [f32; 3], seed: u64) -> Case {
 }
 
 fn differences(case: &Case) -> Vec<Vec<f64>> {
-    let (scene, camera, options) = twin::inputs(case);
-    let photo = twin::photo(case);
+    let (scene, camera, options) = inputs(case);
+    let photo = photo(case);
     let loss = |scene: &Scene64| loss_of(scene, &camera, &options, &photo, case.lambdas);
     let mut moved = scene.clone();
     (0..scene.planes.len())
@@ -119,7 +120,7 @@ fn cases() -> Vec<(Case, Tolerance)> {
 #[test]
 fn the_reference_is_the_derivative_of_its_own_loss() {
     for (case, tolerance) in cases() {
-        let reference = twin::run(&case);
+        let reference = Reference::new(&case).pass;
         assert_same(
             &case.name,
             &reference.grads.planes,
@@ -138,16 +139,19 @@ fn the_f64_kernels_are_the_derivative_of_the_reference_loss() {
     }
     let tuning = Tuning::for_device(device.info());
     for (case, tolerance) in cases() {
-        let out = chain::run::<f64>(&device, tuning, &case).unwrap();
-        assert_same(&case.name, &out.grads, &differences(&case), tolerance);
+        let out = pass::run::<f64>(&device, tuning, &case, None).unwrap();
+        let grads = out.quantities.iter().filter(|q| q.stage == "project_grad");
+        let planes = grads.flat_map(|q| q.got.chunks(case.splats.len()).map(<[f64]>::to_vec));
+        let planes: Vec<Vec<f64>> = planes.collect();
+        assert_same(&case.name, &planes, &differences(&case), tolerance);
     }
 }
 
 #[test]
 fn a_wrong_sign_a_zero_and_a_lost_factor_are_noticed() {
-    let case = case("spoilt", [40, 30], 1, 35);
+    let case = case("wrong", [40, 30], 1, 35);
     let want = differences(&case);
-    let good = twin::run(&case).grads.planes;
+    let good = Reference::new(&case).pass.grads.planes;
     let noticed = |spoil: &dyn Fn(&mut Vec<f64>)| {
         groups(good.len()).iter().all(|(_, planes)| {
             let mut bad = good.clone();

@@ -2,7 +2,7 @@
 
 use mhsplat::base::math::sigmoid;
 use mhsplat::lab::error::{Tolerance, compare};
-use mhsplat::lab::verify::{cases, twin};
+use mhsplat::lab::verify::{cases, definition};
 use mhsplat::pipeline::reference::{Camera64, Options, Scene64, rotation, unit_quaternion};
 use mhsplat::pipeline::stage::bin::bin;
 use mhsplat::pipeline::stage::loss::loss;
@@ -24,7 +24,7 @@ fn alone(log_scale: f32, logit: f32, depth: f32) -> (Scene64, Camera64, Options)
     camera.rotation = glam::DMat3::IDENTITY;
     camera.translation = glam::DVec3::ZERO;
     (camera.cx, camera.cy, camera.fx, camera.fy) = (16.5, 16.5, 40.0, 40.0);
-    twin::inputs(&case)
+    definition::inputs(&case)
 }
 
 #[test]

@@ -10,11 +10,10 @@ pub mod flip;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::Result;
-use crate::device::{Array, Defines, Device, Kernels};
+use crate::device::{Defines, Device};
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
-use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
-use crate::pipeline::stage::loss::{ImagePair, Loss};
-use crate::pipeline::stage::metrics::Metrics;
+use crate::pipeline::forward::Renderer;
+use crate::pipeline::scoring::{PairErrors, Scoring};
 
 /// Scores of one held-out view.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -39,36 +38,22 @@ pub struct ViewScore {
 /// PSNR of two equal images (mean squared error below 1e-10).
 pub const MAX_PSNR: f64 = 100.0;
 
-/// Scores views with the metrics and loss stages.
+/// Held-out views and the stages that score them.
 #[derive(Debug)]
 pub struct Evaluator {
     views: ViewSet,
-    metrics: Metrics,
-    loss: Loss,
-    maps: Array<f32>,
-    partial: Array<f32>,
-    rows: Array<f32>,
+    scoring: Scoring,
 }
 
 impl Evaluator {
     /// An evaluator of these views. `defines` must be the renderer's.
     pub fn new(device: &Device, defines: Defines, views: ViewSet) -> Result<Self> {
-        let kernels = Kernels::new(
-            device,
-            Defines {
-                alpha: views.alpha,
-                ..defines
-            },
-        );
-        let loss = Loss::new::<f32>(&kernels)?;
-        let [w, h] = views.largest;
-        let plane = w.next_multiple_of(16) * h.next_multiple_of(16);
+        let defines = Defines {
+            alpha: views.alpha,
+            ..defines
+        };
         Ok(Self {
-            metrics: Metrics::new::<f32>(&kernels)?,
-            maps: Array::zeros(device, "error maps", 2 * plane)?,
-            partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
-            rows: Array::zeros(device, "score", 3 * h)?,
-            loss,
+            scoring: Scoring::new(device, defines, views.largest)?,
             views,
         })
     }
@@ -94,36 +79,17 @@ impl Evaluator {
     ) -> Result<Option<ViewScore>> {
         let photo = self.views.photo(view, next)?;
         let camera = &self.views.cameras[view];
-        let options = RenderOptions {
-            sh_degree: scene.sh_degree,
-            background,
-            quantity: Quantity::Color,
-            active_only: false,
-        };
-        renderer.render(scene, camera, &options)?;
-        let pair = ImagePair::new(&renderer.frame.image, &photo, camera, background);
-        let [psnr, ssim, counted] = self.measure(&pair)?;
+        let errors = self
+            .scoring
+            .view(renderer, scene, camera, &photo, background)?;
+        let [psnr, ssim] = psnr_and_ssim(&errors);
         let score = ViewScore {
             view: self.views.names[view].clone(),
             psnr,
             ssim,
             ..ViewScore::default()
         };
-        Ok((counted > 0.0).then_some(score))
-    }
-
-    /// PSNR and SSIM of an image, which is clamped in place, and the sum of its mask. An empty mask gives the best scores.
-    fn measure(&self, pair: &ImagePair<'_, f32>) -> Result<[f64; 3]> {
-        self.metrics.run(pair, &self.rows)?;
-        self.loss.errors(pair, &self.maps, &self.partial)?;
-        self.metrics.dissimilarity(pair, &self.maps, &self.rows)?;
-        let h = pair.size[1];
-        let rows = self.rows.read(0, 3 * h)?;
-        let sum = |k: usize| -> f64 { rows[k * h..][..h].iter().map(|v| f64::from(*v)).sum() };
-        let [squared, counted, dissimilarity] = [0, 1, 2].map(sum);
-        let each = if counted > 0.0 { 1.0 / counted } else { 0.0 };
-        let ssim = 1.0 - dissimilarity * each;
-        Ok([psnr(squared * each / 3.0), ssim, counted])
+        Ok((errors.counted > 0.0).then_some(score))
     }
 
     /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
@@ -164,6 +130,14 @@ impl Evaluator {
         }
         Ok(scores)
     }
+}
+
+/// PSNR and SSIM of a pair; those of equal images if no pixel counts.
+fn psnr_and_ssim(errors: &PairErrors) -> [f64; 2] {
+    let counted = errors.counted;
+    let each = if counted > 0.0 { 1.0 / counted } else { 0.0 };
+    let ssim = 1.0 - errors.dissimilarity * each;
+    [psnr(errors.squared * each / 3.0), ssim]
 }
 
 /// Multiplies planes by a mask, if there is any.

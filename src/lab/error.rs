@@ -29,7 +29,7 @@ impl Tolerance {
         }
     }
 
-    /// The same with some flips, which then also count in the norm and the angle.
+    /// The same bounds with some flips, which then also count in the norm and the angle.
     #[must_use]
     pub const fn with_flips(self, flips: usize, l2: f64) -> Self {
         Self {
@@ -60,7 +60,7 @@ pub struct Report {
     pub non_finite: usize,
 }
 
-/// Compares `got` with `want`.
+/// Compares `got` with `want` and judges the difference.
 ///
 /// # Errors
 /// A sentence that names the bound that is missed: lengths, values that are not finite, an element, the norm, the angle, or a
@@ -98,7 +98,7 @@ pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report
     Ok(report)
 }
 
-/// The numbers of a comparison without a verdict; an error above `element` is a flip, errors are relative to `floor` at least.
+/// Numbers of a comparison without a verdict; an error above `element` is a flip, errors are relative to `floor` at least.
 #[must_use]
 pub fn measure(got: &[f64], want: &[f64], element: f64, floor: f64) -> Report {
     let non_finite = got.iter().chain(want).filter(|v| !v.is_finite()).count();

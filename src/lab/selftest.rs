@@ -1,15 +1,15 @@
-//! A quick check of a device before it is trusted with a run: every stage of one scene, in the precision and style of training.
+//! A quick check of a device before a run: every stage of one scene, in the precision and style of training.
 
 use crate::base::error::{Error, Result};
 use crate::device::Device;
 use crate::lab::cache;
 use crate::lab::verify::cases::mild;
 use crate::lab::verify::check::{Row, SINGLE, check};
-use crate::lab::verify::quantities::{device_quantities, reference_quantities};
-use crate::lab::verify::{chain, twin};
+use crate::lab::verify::definition::Reference;
+use crate::lab::verify::pass;
 
-/// Refuses a device that computes wrong results. A device that passed is not checked again: that is kept per device,
-/// driver, kernels and tuning.
+/// Refuses a device that computes wrong results. A device that passed is not checked again: the result is kept per
+/// device, driver, kernels and tuning.
 ///
 /// # Errors
 /// [`Error::Device`] that names the stage and its error; a build failure, or the driver's.
@@ -26,17 +26,16 @@ pub fn self_test(device: &Device) -> Result<()> {
     Ok(())
 }
 
-/// The comparisons.
+/// Comparisons of every stage of one scene.
 pub fn rows(device: &Device) -> Result<Vec<Row>> {
     // The SH degree of training, whose kernels are needed anyway.
     let case = mild("self-test", 300, [75, 50], 3, 7);
-    let out = chain::run::<f32>(device, device.tuning(), &case)?;
-    let want = reference_quantities(&case, &twin::run(&case), &out);
-    let got = device_quantities(&out);
-    Ok(check("self-test", &case, &got, &want, "f32", SINGLE))
+    let reference = Reference::new(&case);
+    let out = pass::run::<f32>(device, device.tuning(), &case, Some(&reference))?;
+    Ok(check("self-test", &case, &out, "f32", SINGLE))
 }
 
-/// The verdict on the comparisons.
+/// Fails if a comparison failed.
 ///
 /// # Errors
 /// [`Error::Device`] for the first that failed.

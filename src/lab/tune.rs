@@ -19,7 +19,7 @@ use crate::device::{Device, DeviceInfo};
 use crate::lab::bench::scene;
 use crate::lab::cache;
 use crate::lab::stats::Spread;
-use crate::lab::verify::chain;
+use crate::lab::verify::pass;
 
 /// Environment variable that overrides the choice.
 pub const VARIABLE: &str = "MHSPLAT_TUNING";
@@ -158,7 +158,7 @@ fn measure(device: &Device) -> Option<CachedTuning> {
     case.splats = case.splats.with_sh_degree(0).ok()?;
     case.sh_degree = 0;
     let milliseconds = |tuning: Tuning| {
-        let out = chain::run::<f32>(device, tuning, &case).ok()?;
+        let out = pass::run::<f32>(device, tuning, &case, None).ok()?;
         Some(1e3 * out.seconds.iter().map(|(_, s)| s).sum::<f64>())
     };
     let mut measured: Vec<(Tuning, Vec<f64>)> = Vec::new();

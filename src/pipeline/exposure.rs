@@ -67,6 +67,11 @@ impl<R: Real> ExposureModel<R> {
         self.stage.step(&self.buffers, step.view, &adam, status)
     }
 
+    /// Gradient by the transform stepped last, row-major \[A | b\].
+    pub fn gradient(&self) -> Result<Vec<R>> {
+        self.buffers.grads.to_vec()
+    }
+
     /// Runs every kernel once and changes no transform, so that no iteration waits for a compiler.
     pub fn warm_up(
         &self,

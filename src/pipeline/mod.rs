@@ -9,4 +9,5 @@ mod launch;
 pub mod pass;
 pub mod photos;
 pub mod reference;
+pub mod scoring;
 pub mod stage;

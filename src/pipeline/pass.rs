@@ -187,6 +187,12 @@ impl<R: Real> Pipeline<R> {
             .parameters(&self.forward, scene, camera, sh_degree, lambdas, grads)
     }
 
+    /// Error maps of the pair compared last \[2, rows, stride\].
+    #[must_use]
+    pub fn error_maps(&self) -> &Array<R> {
+        &self.maps
+    }
+
     /// Image gradient of the pair compared last \[3, rows, stride\].
     #[must_use]
     pub fn image_gradient(&self) -> &Array<R> {

@@ -202,9 +202,7 @@ fn a_small_image_budget_ends_with_the_same_scene_and_says_so() {
     assert_eq!(all["final"], some["final"]);
     let ahead = |record: &Value, list: &str| {
         let items = record["plan"][list].as_array().unwrap().clone();
-        let found = items
-            .into_iter()
-            .find(|i| i["what"] == "photo prefetch");
+        let found = items.into_iter().find(|i| i["what"] == "photo prefetch");
         found.map(|i| i["why"].as_str().unwrap().to_owned())
     };
     assert!(ahead(&all, "left_out").unwrap().contains("fit in memory"));

@@ -1,7 +1,7 @@
 //! bin: pairs of tiles and Gaussians.
 
 use super::*;
-use mhsplat::lab::verify::twin::inputs;
+use mhsplat::lab::verify::definition::inputs;
 use mhsplat::pipeline::stage::project::project;
 
 #[test]
@@ -11,20 +11,24 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn a_lost_pair_is_rejected() {
-    rejects("bin", |out| {
-        for list in &mut out.tiles {
-            list.truncate(1);
-        }
+    rejects("bin", "pairs emitted", |pairs| pairs[0] -= 1.0);
+    rejects("sort", "tile lists", |lists| {
+        let at = lists.iter().position(|g| *g >= 0.0).unwrap();
+        lists.remove(at);
     });
 }
 
 #[test]
 fn emitted_pairs_are_the_counted_ones_and_no_pixel_is_missed() {
-    let device = device();
     for (case, _) in scenes() {
-        let out = chain::run::<f32>(&device, Tuning::for_device(device.info()), &case).unwrap();
-        let emitted: usize = out.tiles.iter().map(Vec::len).sum();
-        assert_eq!(emitted, out.counted, "{}", case.name);
+        let out = run(Tuning::for_device(device().info()), &case);
+        let (emitted, counted) = (
+            out.got("bin", "pairs emitted"),
+            out.got("scan", "pairs counted"),
+        );
+        assert_eq!(emitted, counted, "{}", case.name);
+        let lists = out.got("sort", "tile lists").split(|g| *g < 0.0);
+        let tiles: Vec<&[f64]> = lists.collect();
         let (scene, camera, options) = inputs(&case);
         let tiles_x = camera.tiles()[0];
         for i in 0..scene.len() {
@@ -37,7 +41,7 @@ fn emitted_pairs_are_the_counted_ones_and_no_pixel_is_missed() {
                     if g.log2_alpha(x, y) > case.alpha_min.log2() + 1e-4 {
                         let tile = (y / 16 * tiles_x + x / 16) as usize;
                         assert!(
-                            out.tiles[tile].contains(&(i as u32)),
+                            tiles[tile].contains(&(i as f64)),
                             "{}: Gaussian {i} at {x}, {y}",
                             case.name
                         );

@@ -12,14 +12,27 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn a_wrong_row_is_rejected() {
-    rejects("edit", |out| {
-        out.edited[0][Plane::SH].iter_mut().for_each(|v| *v += 1.0)
+    rejects("edit", "rows", |rows| {
+        rows[60 * Plane::SH..][..60]
+            .iter_mut()
+            .for_each(|v| *v += 1.0)
     });
+}
+
+/// Planes of the parameters after the optimiser's steps.
+fn stepped(out: &Outcome, sh_degree: u32) -> Vec<Vec<f64>> {
+    planes(out, "adam", "parameters", Plane::count(sh_degree))
+}
+
+/// Planes of the parameters and of both moments after the edits.
+fn edited(out: &Outcome, sh_degree: u32) -> [Vec<Vec<f64>>; 3] {
+    let n = Plane::count(sh_degree);
+    let all = planes(out, "edit", "rows", 3 * n);
+    [0, 1, 2].map(|k| all[k * n..(k + 1) * n].to_vec())
 }
 
 #[test]
 fn a_copy_takes_everything_but_what_is_replaced() {
-    let device = device();
     let mut case = cases::mild("copy", 6, [20, 20], 1, 36);
     let row = Edit {
         src: 2,
@@ -30,25 +43,25 @@ fn a_copy_takes_everything_but_what_is_replaced() {
         color: OptionalColor::NONE,
     };
     case.edits = vec![row];
-    let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
+    let out = run(Tuning::CPU, &case);
+    let (before, after) = (stepped(&out, 1), edited(&out, 1));
     for p in 0..Plane::count(1) {
         let want = match p {
             0..3 => f64::from(row.position[p]),
             3..6 => -1.0,
             10 => 0.25,
-            _ => out.adam[0][p][2],
+            _ => before[p][2],
         };
-        assert_eq!(out.edited[0][p][4], want, "plane {p}");
+        assert_eq!(after[0][p][4], want, "plane {p}");
         for i in [0, 1, 2, 3, 5] {
-            assert_eq!(out.edited[0][p][i], out.adam[0][p][i], "plane {p}, row {i}");
+            assert_eq!(after[0][p][i], before[p][i], "plane {p}, row {i}");
         }
-        assert_eq!([out.edited[1][p][4], out.edited[2][p][4]], [0.0; 2]);
+        assert_eq!([after[1][p][4], after[2][p][4]], [0.0; 2]);
     }
 }
 
 #[test]
 fn a_coloured_row_has_its_own_colour_and_no_higher_bands() {
-    let device = device();
     let mut case = cases::mild("coloured", 6, [20, 20], 2, 36);
     case.edits = vec![Edit {
         src: 2,
@@ -58,13 +71,14 @@ fn a_coloured_row_has_its_own_colour_and_no_higher_bands() {
         opacity_logit: 0.25,
         color: OptionalColor::some([0.5, -0.25, 1.5]),
     }];
-    let out = chain::run::<f32>(&device, Tuning::CPU, &case).unwrap();
-    let sh = out.edited[0][Plane::SH..].iter().map(|plane| plane[4]);
+    let out = run(Tuning::CPU, &case);
+    let (before, after) = (stepped(&out, 2), edited(&out, 2));
+    let sh = after[0][Plane::SH..].iter().map(|plane| plane[4]);
     let mut want = vec![0.0; 27];
     want[..3].copy_from_slice(&[0.5, -0.25, 1.5]);
     assert_eq!(sh.collect::<Vec<f64>>(), want);
     for p in Plane::ROTATION..Plane::OPACITY {
-        assert_eq!(out.edited[0][p][4], out.adam[0][p][2]);
+        assert_eq!(after[0][p][4], before[p][2]);
     }
 }
 

@@ -4,7 +4,7 @@ use super::*;
 use mhsplat::device::Array;
 use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
 use mhsplat::lab::error::{Tolerance, compare};
-use mhsplat::lab::verify::exposure::EXPOSURES;
+use mhsplat::lab::verify::definition::{EXPOSURES, photo};
 use mhsplat::pipeline::stage::adam::Step;
 use mhsplat::pipeline::stage::exposure::{ENTRIES, Exposure, Exposures, IDENTITY, apply, backward};
 use mhsplat::pipeline::stage::loss::loss;
@@ -16,19 +16,19 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn wrong_images_gradients_and_steps_are_rejected() {
-    rejects("exposure", |out| out.exposure.image[5] += 1e-3);
-    rejects("exposure", |out| {
-        out.exposure.dimage.iter_mut().for_each(|d| *d *= 1.01)
+    rejects("exposure", "image", |image| image[5] += 1e-3);
+    rejects("exposure", "gradient by the render", |d| {
+        d.iter_mut().for_each(|d| *d *= 1.01)
     });
-    rejects("exposure", |out| out.exposure.grads[7] *= -1.0);
-    rejects("exposure", |out| out.exposure.adam[0][13] += 1e-3);
-    rejects("exposure", |out| out.exposure.adam[0][0] += 1e-3);
+    rejects("exposure", "gradient by the transform", |grads| {
+        grads[7] *= -1.0
+    });
+    rejects("exposure", "transforms", |e| e[13] += 1e-3);
+    rejects("exposure", "transforms", |e| e[0] += 1e-3);
     // Moments are far smaller than the transforms, and the second ones than the first.
-    for moment in [1, 2] {
-        rejects("exposure", |out| {
-            out.exposure.adam[moment]
-                .iter_mut()
-                .for_each(|m| *m *= 1.001)
+    for moments in ["first moments", "second moments"] {
+        rejects("exposure", moments, |m| {
+            m.iter_mut().for_each(|m| *m *= 1.001)
         });
     }
 }
@@ -53,8 +53,8 @@ fn differences(at: &[f64], loss: impl Fn(&[f64]) -> f64) -> Vec<f64> {
 #[test]
 fn the_reference_is_the_derivative_of_the_loss() {
     let case = cases::mild("differences", 30, [21, 13], 1, 41);
-    let (photo, lambda, size) = (twin::photo(&case), case.lambdas[0], [21, 13]);
-    let image = twin::run(&case).image;
+    let (photo, lambda, size) = (photo(&case), case.lambdas[0], [21, 13]);
+    let image = Reference::new(&case).pass.image;
     let exposure = EXPOSURES[1];
     let of = |image: &[f64], exposure: &[f64; 12]| {
         let l = loss(&apply(image, exposure), &photo, size, lambda);

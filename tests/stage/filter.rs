@@ -27,7 +27,9 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn a_wrong_filter_is_rejected() {
-    rejects_in("filter", &anti_aliased(), |out| out.filter[3] *= 1.001);
+    rejects_in("filter", "standard deviation", &anti_aliased(), |s| {
+        s[3] *= 1.001
+    });
 }
 
 /// Looks along z from `z` with 100 × 80 pixels.
@@ -94,10 +96,10 @@ fn the_finest_view_that_sees_a_centre_decides() {
         .collect();
     let splats = at(&positions);
     let got = filtered(&splats, &cameras, 0);
-    let twin = filters(positions.iter().map(|p| p.map(f64::from)), &cameras);
-    for ((got, twin), want) in got.iter().zip(&twin).zip(&want) {
+    let host = filters(positions.iter().map(|p| p.map(f64::from)), &cameras);
+    for ((got, host), want) in got.iter().zip(&host).zip(&want) {
         assert!((f64::from(*got) - want).abs() < 1e-6 * want, "{got} {want}");
-        assert!((twin - want).abs() < 1e-6 * want, "{twin} {want}");
+        assert!((host - want).abs() < 1e-6 * want, "{host} {want}");
     }
 }
 

@@ -25,10 +25,11 @@ use std::sync::LazyLock;
 
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Defines, Device, Kernels};
-use mhsplat::lab::verify::chain::{Case, Outputs};
+use mhsplat::lab::verify::cases::{self, Case};
 use mhsplat::lab::verify::check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check};
-use mhsplat::lab::verify::quantities::{device_quantities, reference_quantities};
-use mhsplat::lab::verify::{cases, chain, twin, verify_case};
+use mhsplat::lab::verify::definition::Reference;
+use mhsplat::lab::verify::outcome::Outcome;
+use mhsplat::lab::verify::{pass, verify_case};
 
 fn device() -> Device {
     Device::open(None).unwrap()
@@ -86,32 +87,37 @@ fn agrees(stage: &str) {
     }
 }
 
-/// Asserts that the check of a stage rejects outputs that `spoil` has changed.
-fn rejects(stage: &str, spoil: impl Fn(&mut Outputs)) {
-    rejects_in(stage, &cases::mild("spoilt", 60, [40, 30], 1, 26), spoil);
+/// A pass in f32, without a reference.
+fn run(tuning: Tuning, case: &Case) -> Outcome {
+    pass::run::<f32>(&device(), tuning, case, None).unwrap()
+}
+
+/// Numbers of a quantity in `n` planes.
+fn planes(out: &Outcome, stage: &str, name: &str, n: usize) -> Vec<Vec<f64>> {
+    let got = out.got(stage, name);
+    got.chunks(got.len() / n).map(<[f64]>::to_vec).collect()
+}
+
+/// Asserts that the check of a stage rejects a quantity of 60 Gaussians that `spoil` has changed.
+fn rejects(stage: &str, name: &str, spoil: impl Fn(&mut Vec<f64>)) {
+    let case = cases::mild("changed", 60, [40, 30], 1, 26);
+    rejects_in(stage, name, &case, spoil);
 }
 
 /// [`rejects`] with another case.
-fn rejects_in(stage: &str, case: &Case, spoil: impl Fn(&mut Outputs)) {
-    let device = device();
-    let good = chain::run::<f32>(&device, Tuning::for_device(device.info()), case).unwrap();
-    let mut bad = good.clone();
-    spoil(&mut bad);
-    let want = reference_quantities(case, &twin::run(case), &good);
-    let fails = |out: &Outputs| {
-        check(
-            "spoilt",
-            case,
-            &device_quantities(out),
-            &want,
-            "f32",
-            SINGLE,
-        )
-        .iter()
-        .any(|r| r.stage == stage && !r.pass)
+fn rejects_in(stage: &str, name: &str, case: &Case, spoil: impl Fn(&mut Vec<f64>)) {
+    let (device, reference) = (device(), Reference::new(case));
+    let tuning = Tuning::for_device(device.info());
+    let mut out = pass::run::<f32>(&device, tuning, case, Some(&reference)).unwrap();
+    let fails = |out: &Outcome| {
+        let rows = check("changed", case, out, "f32", SINGLE);
+        rows.iter().any(|r| r.stage == stage && !r.pass)
     };
-    assert!(!fails(&good));
-    assert!(fails(&bad), "{stage}: a wrong result went through");
+    assert!(!fails(&out));
+    let mut all = out.quantities.iter_mut();
+    let quantity = all.find(|q| q.stage == stage && q.name == name).unwrap();
+    spoil(&mut quantity.got);
+    assert!(fails(&out), "{stage}, {name}: a wrong result went through");
 }
 
 #[test]

@@ -20,7 +20,7 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn a_wrong_step_is_rejected() {
-    rejects("noise", |out| out.noise[1][7] *= 1.001);
+    rejects("noise", "displacement", |moved| moved[67] *= 1.001);
 }
 
 /// `n` Gaussians at the origin with these scales, this rotation and this opacity.

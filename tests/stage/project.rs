@@ -10,10 +10,8 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn a_wrong_record_is_rejected() {
-    rejects("project", |out| {
-        for r in out.records.iter_mut().flatten() {
-            r.a *= 1.001;
-        }
+    rejects("project", "quadratic form", |form| {
+        form.iter_mut().step_by(3).for_each(|a| *a *= 1.001)
     });
 }
 
@@ -34,17 +32,13 @@ fn culls_what_is_behind_faint_or_not_finite() {
         .scatter(Plane::ROTATION, 5, [f32::INFINITY, 0.0, 0.0, 0.0]);
     case.splats.scatter(Plane::OPACITY, 6, [f32::NAN]);
     case.splats.scatter(Plane::SH, 7, [f32::NAN, 0.0, 0.0]);
-    let device = device();
-    let out = chain::run::<f32>(&device, Tuning::for_device(device.info()), &case).unwrap();
-    let visible: Vec<bool> = out.records.iter().map(Option::is_some).collect();
+    let out = run(Tuning::for_device(device().info()), &case);
+    let forms = out.got("project", "quadratic form").chunks(3);
+    let visible: Vec<bool> = forms.map(|form| form != [0.0; 3]).collect();
     assert_eq!(
         visible[..7],
         [true, false, false, false, false, false, false]
     );
-    assert!(
-        out.image
-            .iter()
-            .chain(&out.transmittance)
-            .all(|v| v.is_finite())
-    );
+    let mut splat = out.quantities.iter().filter(|q| q.stage == "splat");
+    assert!(splat.all(|q| q.got.iter().all(|v| v.is_finite())));
 }

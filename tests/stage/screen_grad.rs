@@ -5,7 +5,7 @@ use mhsplat::base::constants::SUMS;
 use mhsplat::device::tuning::status::OVERFLOW;
 use mhsplat::device::{Array, CameraArg, Projected};
 use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
-use mhsplat::pipeline::chain;
+use mhsplat::pipeline::chain::loss_of;
 use mhsplat::pipeline::reference::Camera64;
 use mhsplat::pipeline::stage::screen_grad::ScreenGrad;
 
@@ -16,11 +16,11 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn wrong_sums_are_rejected() {
-    rejects("screen_grad", |out| out.screen_grad[0][3] += 1e-3);
-    rejects("screen_grad", |out| out.screen_grad[1][5] += 1.0);
+    rejects("screen_grad", "norms", |norms| norms[3] += 1e-3);
+    rejects("screen_grad", "iterations", |n| n[5] += 1.0);
 }
 
-/// Statistics after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
+/// ErrorStatistics after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
 /// second pair of the second Gaussian holds for the sums by u and dy.
 fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
     let device = device();
@@ -91,13 +91,18 @@ fn the_gradient_by_the_mean_is_a_finite_difference() {
     case.alpha_min = 1e-12;
     case.splats.scatter(0, 0, [0.1f32, 0.05, 0.2]);
     case.splats.scatter(3, 0, [-1.6f32, -1.2, -2.0]);
-    let (scene, camera, options) = twin::inputs(&case);
-    let passage = twin::run(&case);
-    let sums = passage.sums[0].unwrap();
+    let Reference {
+        scene,
+        camera,
+        options,
+        photo,
+        pass,
+        ..
+    } = Reference::new(&case);
+    let sums = pass.sums[0].unwrap();
     let shape = mhsplat::pipeline::stage::project::shape(&scene, 0, &camera).unwrap();
     let got = mhsplat::pipeline::stage::screen_grad::mean_gradient(&shape, &sums);
-    let photo = twin::photo(&case);
-    let loss = |camera: &Camera64| chain::loss_of(&scene, camera, &options, &photo, case.lambdas);
+    let loss = |camera: &Camera64| loss_of(&scene, camera, &options, &photo, case.lambdas);
     for (k, got) in got.into_iter().enumerate() {
         let shifted = |by: f64| {
             let mut camera = camera;

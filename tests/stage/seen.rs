@@ -13,9 +13,9 @@ fn agrees_with_the_reference() {
 
 #[test]
 fn two_gaussians_taken_for_the_other_are_rejected() {
-    rejects("seen", |out| {
-        for i in [0, 1] {
-            out.seen[i] = 1.0 - out.seen[i];
+    rejects("seen", "Gaussians", |seen| {
+        for flag in &mut seen[..2] {
+            *flag = 1.0 - *flag;
         }
     });
 }

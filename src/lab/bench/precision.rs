@@ -12,12 +12,12 @@ use crate::lab::bench::record::{Failure, Precision, no_samples};
 use crate::lab::bench::scene;
 use crate::lab::error::measure as error;
 use crate::lab::stats::Spread;
-use crate::lab::verify::chain::{Case, Outputs};
-use crate::lab::verify::quantities::{Quantity, device_quantities, reference_quantities};
-use crate::lab::verify::{chain, twin};
-use crate::pipeline::chain::Passage;
+use crate::lab::verify::cases::Case;
+use crate::lab::verify::definition::Reference;
+use crate::lab::verify::outcome::Outcome;
+use crate::lab::verify::pass;
 
-/// Stages and the quantities of them that are compared. Stages that run more than once in a passage are left out.
+/// Stages and the quantities of them that are compared. Stages that run more than once in a pass are left out.
 const COMPARED: [(&str, &str); 4] = [
     ("project", "quadratic form"),
     ("splat", "image"),
@@ -95,8 +95,8 @@ fn variants(device: &Device) -> Vec<Variant> {
 struct Setup {
     gaussians: usize,
     size: u32,
-    same_cut: Passage,
-    no_cut: Passage,
+    same_cut: Reference,
+    no_cut: Reference,
 }
 
 /// Runs every variant; one that fails is listed among the failures.
@@ -117,8 +117,8 @@ pub(super) fn measure(
     let setup = Setup {
         gaussians,
         size,
-        same_cut: twin::run(&scene::case(gaussians, size, ALPHA_MIN)),
-        no_cut: twin::run(&scene::case(gaussians, size, NO_CUT)),
+        same_cut: Reference::new(&scene::case(gaussians, size, ALPHA_MIN)),
+        no_cut: Reference::new(&scene::case(gaussians, size, NO_CUT)),
     };
     let mut rows = Vec::new();
     for v in all {
@@ -135,52 +135,43 @@ pub(super) fn measure(
 impl Setup {
     fn measure(&self, device: &Device, v: &Variant, samples: usize) -> Result<Vec<Precision>> {
         let case = scene::case(self.gaussians, self.size, v.alpha_min);
-        let runs = if v.double {
-            passages::<f64>(device, v.tuning, &case, samples)?
-        } else {
-            passages::<f32>(device, v.tuning, &case, samples)?
-        };
         let reference = if v.against_no_cut {
             &self.no_cut
         } else {
             &self.same_cut
         };
-        let want = reference_quantities(&case, reference, &runs[0]);
+        let runs = if v.double {
+            passes::<f64>(device, v.tuning, &case, reference, samples)?
+        } else {
+            passes::<f32>(device, v.tuning, &case, reference, samples)?
+        };
         COMPARED
             .iter()
             .filter(|(stage, _)| !v.against_no_cut || CUT.contains(stage))
-            .map(|(stage, quantity)| row(stage, quantity, &v.name, &runs, &want))
+            .map(|(stage, quantity)| row(stage, quantity, &v.name, &runs))
             .collect()
     }
 }
 
-/// Passages through all stages; the first one, which may wait for the compiler, is not among them.
-fn passages<R: Real>(
+/// Passes through all stages, the first of them with the reference; an earlier one, which may wait for the compiler, is left out.
+fn passes<R: Real>(
     device: &Device,
     tuning: Tuning,
     case: &Case,
+    reference: &Reference,
     samples: usize,
-) -> Result<Vec<Outputs>> {
-    chain::run::<R>(device, tuning, case)?;
+) -> Result<Vec<Outcome>> {
+    pass::run::<R>(device, tuning, case, None)?;
     (0..samples.max(1))
-        .map(|_| chain::run::<R>(device, tuning, case))
+        .map(|k| pass::run::<R>(device, tuning, case, (k == 0).then_some(reference)))
         .collect()
 }
 
-fn row(
-    stage: &'static str,
-    quantity: &str,
-    variant: &str,
-    runs: &[Outputs],
-    want: &[Quantity],
-) -> Result<Precision> {
-    let got = device_quantities(&runs[0]);
-    let of = |all: &[Quantity]| -> Vec<f64> {
-        let found = all.iter().find(|q| q.stage == stage && q.name == quantity);
-        found.map(|q| q.values.clone()).unwrap_or_default()
-    };
-    let (got, want) = (of(&got), of(want));
-    let report = error(&got, &want, f64::INFINITY, 0.0);
+fn row(stage: &'static str, quantity: &str, variant: &str, runs: &[Outcome]) -> Result<Precision> {
+    let mut all = runs.iter().flat_map(|r| &r.quantities);
+    let found = all.find(|q| q.stage == stage && q.name == quantity);
+    let (got, want) = found.map_or((&[][..], &[][..]), |q| (&q.got, &q.want));
+    let report = error(got, want, f64::INFINITY, 0.0);
     if report.non_finite > 0 || got.len() != want.len() || got.is_empty() {
         let (n, wanted, bad) = (got.len(), want.len(), report.non_finite);
         return Err(Error::Numerics {

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use crate::base::rng::{Philox, Stream};
 use crate::capture::{Alpha, Camera, Dataset, Frame, Layout, Lens, Photo, Points, View};
 use crate::config::{AntiAliasing, OptimizerConfig, Sampler, TrainConfig, WorkConfig};
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::Case;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::scene::{Gaussians, Plane};
 
@@ -154,7 +154,7 @@ pub fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
             sh: 0.0,
         },
         edits: Vec::new(),
-        spoilt: Vec::new(),
+        invalid: Vec::new(),
         error_map_bound: None,
     }
 }

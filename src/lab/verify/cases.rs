@@ -1,13 +1,47 @@
-//! Scenes that the stages are checked on: seeded, exact in f32.
+//! [`Case`]: inputs of a pass through all stages; seeded scenes, exact in f32.
 
 use glam::{DMat3, DVec3};
 
 use crate::base::constants::ALPHA_MIN;
 use crate::base::rng::{Philox, Stream};
 use crate::capture::{Alpha, Camera, Photo};
-use crate::lab::verify::chain::Case;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::scene::{Edit, Gaussians, OptionalColor, Plane};
+
+/// Inputs of a pass through all stages.
+#[derive(Debug, Clone)]
+pub struct Case {
+    /// Name of the case.
+    pub name: String,
+    /// Scene (f32 values, so that both precisions start from the same numbers).
+    pub splats: Gaussians,
+    /// Camera.
+    pub camera: Camera,
+    /// Photo, of the camera's size.
+    pub photo: Photo,
+    /// Cameras whose sampling rates limit the 3D filter; no anti-aliasing if empty.
+    pub filter_views: Vec<Camera>,
+    /// Background colour.
+    pub background: [f32; 3],
+    /// Contributions below this alpha are dropped.
+    pub alpha_min: f64,
+    /// SH degree in use.
+    pub sh_degree: u32,
+    /// λ, λ_o, λ_s.
+    pub lambdas: [f64; 3],
+    /// Learning rates of the optimiser step.
+    pub rates: LearningRates,
+    /// Rows written after the step.
+    pub edits: Vec<Edit>,
+    /// Gaussians with broken parameters, whose own numbers are not compared; their effect on others is.
+    pub invalid: Vec<usize>,
+    /// Bound on the loss's error maps in f32; `None` if it is that of the case.
+    pub error_map_bound: Option<f64>,
+}
+
+/// Adam's constants in every case: β₁, β₂, ε. They are exact in f32, like those of a configuration: 1 − β₂ of a rounded 0.999
+/// is off by 1.3e-5 of itself, and every second moment with it.
+pub const ADAM: [f64; 3] = [0.9_f32 as f64, 0.999_f32 as f64, 1e-15];
 
 fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
     Philox::uniform(
@@ -115,7 +149,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         } else {
             vec![edit(0, 0)]
         },
-        spoilt: Vec::new(),
+        invalid: Vec::new(),
         error_map_bound: None,
     }
 }
@@ -133,9 +167,9 @@ pub fn needles(n: usize, size: [u32; 2], seed: u64) -> Case {
 }
 
 impl Case {
-    /// The same with anti-aliasing: the 3D filter goes by the case's camera, by one of a third of its focal length, nearer,
-    /// and by one that sees the scene from the side, all with `finer` times the pixels in width and height: where that is much,
-    /// the 3D filter leaves even thin Gaussians what they are, and the 2D filter has them to itself.
+    /// The same with anti-aliasing. The 3D filter follows the case's camera, a nearer one of a third of its focal length, and
+    /// one that sees the scene from the side, all with `finer` times the pixels in width and height: if that is much, the 3D
+    /// filter hardly changes even thin Gaussians, and the 2D filter acts alone.
     #[must_use]
     pub fn anti_aliased(mut self, finer: u32) -> Self {
         let [w, h] = [self.camera.width, self.camera.height];
@@ -178,7 +212,7 @@ impl Case {
         self
     }
 
-    /// The same with a mask: the photo's right half counts, its left does not, and between them it does in part.
+    /// The same with a mask: 1 in the photo's right half, 0 in its left, in between at the border.
     #[must_use]
     pub fn with_mask(mut self) -> Self {
         let photo = &mut self.photo;

@@ -1,27 +1,27 @@
-//! Stage by stage, quantity by quantity: device against reference.
+//! Comparison of every quantity of a pass with the reference.
 
 use std::collections::HashSet;
 
 use serde::Serialize;
 
 use crate::lab::error::{Report, Tolerance, compare, measure};
-use crate::lab::verify::chain::Case;
-use crate::lab::verify::quantities::Quantity;
+use crate::lab::verify::cases::Case;
+use crate::lab::verify::outcome::{Outcome, Quantity};
 
-/// f64 kernels against the f64 reference: rounding of f64 through the longest stage, with room for its condition.
+/// Bound on f64 kernels: rounding of f64 through the longest stage, with room for its condition.
 pub const EXACT: f64 = 1e-10;
-/// f32 kernels against the reference on well-conditioned scenes.
+/// Bound on f32 kernels on well-conditioned scenes.
 pub const SINGLE: f64 = 1e-5;
-/// f32 kernels on needles 1000 times longer than thick.
+/// Bound on f32 kernels on needles 1000 times longer than thick.
 pub const SINGLE_NEEDLES: f64 = 1e-4;
-/// f32 kernels, 1 − SSIM of the tiny suite's masked photo, half of which is black in render and photo alike: variances of black
-/// cancel, the images being shifted by a half (1.8e-5 was measured; in larger masked photos such values are few enough to be
-/// counted as flips).
+/// Bound on f32 kernels, 1 − SSIM of the tiny suite's masked photo. Half of it is black in render and photo alike: variances of
+/// black cancel, as the images are shifted by a half (1.8e-5 was measured; in larger masked photos such values are few enough
+/// to be counted as flips).
 pub const SINGLE_MASKED_MAP: f64 = 1e-4;
 /// Share of elements that may fall on the other side of a discontinuity in f32 (the alpha cut, tile edges, a sign).
 pub const FLIP_SHARE: f64 = 0.01;
-/// Gaussians that may be taken for seen or unseen in f32, in scenes of which the share is none: one may be shown by a single
-/// pixel, at the alpha cut.
+/// Gaussians that may be flagged wrongly as seen or unseen in f32, in scenes too small for [`FLIP_SHARE`]: a single pixel at the
+/// alpha cut may show one.
 pub const FLAG_FLIPS: usize = 1;
 
 /// One line of the table.
@@ -33,9 +33,9 @@ pub struct Row {
     pub case: String,
     /// Stage.
     pub stage: &'static str,
-    /// What is compared, and in which precision.
+    /// Quantity and precision.
     pub quantity: String,
-    /// How stiff the case is, in the unit of its family (suite "stress").
+    /// Stiffness of the case in the unit of its family (suite "stress").
     pub stiffness: Option<f64>,
     /// Largest error (flips left out) over the largest wanted value.
     pub max_rel_error: f64,
@@ -47,11 +47,11 @@ pub struct Row {
     pub non_finite: usize,
     /// Elements beyond the bound that a discontinuity excuses.
     pub flips: usize,
-    /// Whether every bound was kept.
+    /// True if every bound was kept.
     pub pass: bool,
 }
 
-/// Whether decisions at a discontinuity (the alpha cut, the last layer of a pixel, a tile's edge, the sign in L1) reach a
+/// True if decisions at a discontinuity (the alpha cut, the last layer of a pixel, a tile's edge, the sign in L1) reach a
 /// quantity, so that in f32 a few of its elements may differ by more than rounding.
 fn has_flips(stage: &str, name: &str) -> bool {
     match stage {
@@ -62,8 +62,8 @@ fn has_flips(stage: &str, name: &str) -> bool {
     }
 }
 
-/// Tile lists one after the other, each closed by −1: pairs that one side alone has, and places at which the common ones are in another
-/// order.
+/// Number of differences of tile lists, each closed by −1: pairs that only one side has, and places at which the common ones
+/// are in another order.
 fn list_flips(got: &[f64], want: &[f64]) -> usize {
     let tiles = |v: &[f64]| -> Vec<Vec<i64>> {
         v.split(|g| *g < 0.0)
@@ -83,20 +83,20 @@ fn list_flips(got: &[f64], want: &[f64]) -> usize {
     a.iter().zip(&b).map(in_tile).sum::<usize>() + a.len().abs_diff(b.len())
 }
 
-/// Places at which two lists of flags differ.
+/// Number of places at which two lists of flags differ.
 fn mismatches(got: &[f64], want: &[f64]) -> usize {
     let differ = got.iter().zip(want).filter(|(g, w)| g != w).count();
     differ + got.len().abs_diff(want.len())
 }
 
-/// Of lists and flags, which are right or wrong: how many differ, and how many may.
+/// Number of elements of lists and flags that differ, and the largest that may; `None` for other quantities.
 fn counted(
-    g: &Quantity,
+    q: &Quantity,
     [got, want]: [&[f64]; 2],
     flips: usize,
     bound: f64,
 ) -> Option<(usize, usize)> {
-    match (g.stage, g.name) {
+    match (q.stage, q.name) {
         (_, "tile lists") => Some((list_flips(got, want), flips)),
         ("seen", _) => Some((
             mismatches(got, want),
@@ -110,9 +110,9 @@ fn counted(
     }
 }
 
-/// A quantity without what belongs to the spoilt ones of `n` Gaussians.
-fn sound(q: &Quantity, n: usize, spoilt: &[usize]) -> Vec<f64> {
-    let per = q.values.len() / n.max(1);
+/// Numbers of a quantity without those of invalid Gaussians; the case has `n`.
+fn valid(q: &Quantity, values: &[f64], n: usize, invalid: &[usize]) -> Vec<f64> {
+    let per = values.len() / n.max(1);
     let owner = |at: usize| match q.stage {
         // One Gaussian after the other.
         "filter" | "project" | "splat_grad" => Some(at / per.max(1)),
@@ -122,71 +122,65 @@ fn sound(q: &Quantity, n: usize, spoilt: &[usize]) -> Vec<f64> {
         }
         _ => None,
     };
-    let kept = |at: &usize| !owner(*at).is_some_and(|i| spoilt.contains(&i));
-    let places = (0..q.values.len()).filter(kept);
-    places.map(|at| q.values[at]).collect()
+    let kept = |at: &usize| !owner(*at).is_some_and(|i| invalid.contains(&i));
+    (0..values.len())
+        .filter(kept)
+        .map(|at| values[at])
+        .collect()
 }
 
-/// Compares every quantity of one run with the reference. `bound` applies to each, but for [`Case::error_map_bound`]; in f32 a share
+/// Compares every quantity of one pass with the reference. `bound` applies to each, but for [`Case::error_map_bound`]; in f32 a share
 /// of the elements behind a discontinuity (of flags at least [`FLAG_FLIPS`]) may be flips, in f64 none.
 #[must_use]
-pub fn check(
-    family: &str,
-    case: &Case,
-    got: &[Quantity],
-    want: &[Quantity],
-    precision: &str,
-    bound: f64,
-) -> Vec<Row> {
-    got.iter()
-        .zip(want)
-        .map(|(g, w)| {
-            let of = |q: &Quantity| sound(q, case.splats.len(), &case.spoilt);
-            let (got, want) = (of(g), of(w));
-            let bound = match case.error_map_bound {
-                Some(own) if bound > EXACT && g.name == "error maps" => own,
-                _ => bound,
-            };
-            let flips = if bound > EXACT && has_flips(g.stage, g.name) {
-                (FLIP_SHARE * want.len() as f64) as usize
-            } else {
-                0
-            };
-            let (pass, report) =
-                if let Some((found, most)) = counted(g, [&got, &want], flips, bound) {
-                    let report = Report {
-                        flips: found,
-                        ..Report::default()
-                    };
-                    (found <= most, report)
-                } else {
-                    let strict = Tolerance::all(bound);
-                    let strict = Tolerance {
-                        floor: w.floor,
-                        ..strict
-                    };
-                    let tolerance = if flips > 0 {
-                        strict.with_flips(flips, 0.05_f64.max(bound))
-                    } else {
-                        strict
-                    };
-                    let verdict = compare(&got, &want, tolerance);
-                    (verdict.is_ok(), measure(&got, &want, bound, w.floor))
-                };
-            Row {
-                family: family.into(),
-                case: case.name.clone(),
-                stage: g.stage,
-                quantity: format!("{} ({precision})", g.name),
-                stiffness: None,
-                // What is no excused flip is an error, however large.
-                max_rel_error: if pass { report.max } else { report.largest },
-                median_rel_error: report.median,
-                bound,
-                non_finite: report.non_finite,
-                flips: report.flips,
-                pass,
-            }
-        })
-        .collect()
+pub fn check(family: &str, case: &Case, out: &Outcome, precision: &str, bound: f64) -> Vec<Row> {
+    let row = |q: &Quantity| row(case, q, bound, precision, family);
+    out.quantities.iter().map(row).collect()
+}
+
+/// The comparison of one quantity.
+fn row(case: &Case, q: &Quantity, bound: f64, precision: &str, family: &str) -> Row {
+    let of = |values: &[f64]| valid(q, values, case.splats.len(), &case.invalid);
+    let (got, want) = (of(&q.got), of(&q.want));
+    let bound = match case.error_map_bound {
+        Some(own) if bound > EXACT && q.name == "error maps" => own,
+        _ => bound,
+    };
+    let flips = if bound > EXACT && has_flips(q.stage, q.name) {
+        (FLIP_SHARE * want.len() as f64) as usize
+    } else {
+        0
+    };
+    let (pass, report) = if let Some((found, most)) = counted(q, [&got, &want], flips, bound) {
+        let report = Report {
+            flips: found,
+            ..Report::default()
+        };
+        (found <= most, report)
+    } else {
+        let strict = Tolerance {
+            floor: q.floor,
+            ..Tolerance::all(bound)
+        };
+        let tolerance = if flips > 0 {
+            strict.with_flips(flips, 0.05_f64.max(bound))
+        } else {
+            strict
+        };
+        let verdict = compare(&got, &want, tolerance);
+        (verdict.is_ok(), measure(&got, &want, bound, q.floor))
+    };
+    Row {
+        family: family.into(),
+        case: case.name.clone(),
+        stage: q.stage,
+        quantity: format!("{} ({precision})", q.name),
+        stiffness: None,
+        // An error that no flip excuses counts, however large.
+        max_rel_error: if pass { report.max } else { report.largest },
+        median_rel_error: report.median,
+        bound,
+        non_finite: report.non_finite,
+        flips: report.flips,
+        pass,
+    }
 }

@@ -4,16 +4,14 @@
 //! and through the kernels in f32 (rounding alone).
 
 pub mod cases;
-pub mod chain;
 pub mod check;
-pub mod exposure;
+pub mod definition;
+pub mod outcome;
 pub mod page;
-pub mod quantities;
+pub mod pass;
 mod readback;
-pub mod sampler;
 pub mod stress;
 mod suite;
-pub mod twin;
 mod verification;
 
 pub use suite::{quick, tiny, verify_case};

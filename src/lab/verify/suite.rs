@@ -3,19 +3,19 @@
 use crate::base::error::Result;
 use crate::device::Device;
 use crate::device::tuning::Tuning;
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::{self, Case};
 use crate::lab::verify::check::{EXACT, Row, SINGLE, SINGLE_MASKED_MAP, SINGLE_NEEDLES, check};
-use crate::lab::verify::quantities::{device_quantities, reference_quantities};
+use crate::lab::verify::definition::Reference;
+use crate::lab::verify::pass;
 use crate::lab::verify::verification::Verification;
-use crate::lab::verify::{cases, chain, twin};
 use crate::scene::Plane;
 
-/// The quick suite: a few small scenes, both precisions, the device's own style and the other one.
+/// Runs the quick suite: a few small scenes, both precisions, the device's own style and the other one.
 pub fn quick(device: &Device) -> Result<Verification> {
     suite(device, "quick", quick_cases())
 }
 
-/// The tiny suite, for interpreters such as oclgrind: every stage of three scenes of two tiles, both precisions, both styles.
+/// Runs the tiny suite, for interpreters such as oclgrind: every stage of three scenes of two tiles, both precisions, both styles.
 pub fn tiny(device: &Device) -> Result<Verification> {
     let mild = |name, sh_degree, seed| cases::mild(name, 12, [20, 10], sh_degree, seed);
     let alpha = mild("12 Gaussians, 20x10, SH 2, alpha", 2, 31).with_alpha();
@@ -96,7 +96,7 @@ fn quick_cases() -> Vec<(&'static str, Case, f64)> {
     ]
 }
 
-/// Every stage of one case: f64 and f32 in the device's style, f32 in the other style.
+/// Rows of every stage of one case: f64 and f32 in the device's style, f32 in the other style.
 pub fn verify_case(device: &Device, family: &str, case: &Case, bound: f64) -> Result<Vec<Row>> {
     let own = device.tuning();
     let other = if own.group_style {
@@ -107,31 +107,15 @@ pub fn verify_case(device: &Device, family: &str, case: &Case, bound: f64) -> Re
             ..Tuning::GPU
         }
     };
-    let reference = twin::run(case);
+    let reference = Reference::new(case);
     let mut rows = Vec::new();
     if device.info().fp64 {
-        let out = chain::run::<f64>(device, own, case)?;
-        let want = reference_quantities(case, &reference, &out);
-        rows.extend(check(
-            family,
-            case,
-            &device_quantities(&out),
-            &want,
-            "f64",
-            EXACT,
-        ));
+        let out = pass::run::<f64>(device, own, case, Some(&reference))?;
+        rows.extend(check(family, case, &out, "f64", EXACT));
     }
     for (tuning, name) in [(own, "f32"), (other, "f32, other style")] {
-        let out = chain::run::<f32>(device, tuning, case)?;
-        let want = reference_quantities(case, &reference, &out);
-        rows.extend(check(
-            family,
-            case,
-            &device_quantities(&out),
-            &want,
-            name,
-            bound,
-        ));
+        let out = pass::run::<f32>(device, tuning, case, Some(&reference))?;
+        rows.extend(check(family, case, &out, name, bound));
     }
     Ok(rows)
 }

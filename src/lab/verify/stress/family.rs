@@ -1,10 +1,9 @@
-//! [`Family`]: cases along one measure of stiffness, and what all families are made with.
+//! [`Family`]: cases along one measure of stiffness, and the parts that all families share.
 
 use glam::DVec3;
 
 use crate::base::rng::{Philox, Stream};
-use crate::lab::verify::cases::mild;
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::{Case, mild};
 use crate::lab::verify::check::Row;
 use crate::lab::verify::verification::FamilyNote;
 use crate::scene::{Gaussians, Plane};

@@ -8,14 +8,14 @@ use crate::lab::verify::check::Row;
 use crate::lab::verify::stress::family::host_row;
 use crate::lab::verify::verification::FamilyNote;
 
-/// What the family is about.
+/// Name, axis and bound of the family.
 pub const NOTE: FamilyNote = FamilyNote {
     name: "world frames",
     axis: "offset or unit",
     bound: BOUND,
     reason: "f64 coordinates at 1e7 units resolve 2e-9 of them, and local ones are rounded to f32",
 };
-/// f64 coordinates at 10⁷ units resolve 2e-9 units, and local coordinates are rounded to f32.
+/// Bound on the errors: f64 coordinates at 10⁷ units resolve 2e-9 units, and local coordinates are rounded to f32.
 const BOUND: f64 = 1e-6;
 
 /// Cameras and points in a cube of edge 6.
@@ -39,7 +39,7 @@ fn local(cameras: &[DVec3], points: &[DVec3]) -> Vec<f64> {
         .collect()
 }
 
-/// Every row.
+/// Rows of all offsets and units.
 pub fn rows() -> Vec<Row> {
     let [cameras, points] = scene();
     let want = local(&cameras, &points);

@@ -3,14 +3,13 @@
 use glam::{DMat3, DVec3};
 
 use crate::base::constants::NEAR;
-use crate::lab::verify::cases::mild;
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::{Case, mild};
 use crate::lab::verify::stress::family::{
     Family, MIXED, WELL, each, family, position, powers, uniform,
 };
 use crate::scene::Plane;
 
-/// The whole scene, camera included, `by` times as large.
+/// A case whose scene and camera distance are `by` times as large.
 fn scaled(mut case: Case, by: f64) -> Case {
     case.camera.translation *= by;
     for i in 0..case.splats.len() {
@@ -42,7 +41,7 @@ pub(super) fn depth() -> Family {
     )
 }
 
-/// A camera at the origin that looks along z, so that depths are exact.
+/// A case whose camera looks along z from the origin, so that depths are exact.
 fn straight(mut case: Case) -> Case {
     case.camera.rotation = DMat3::IDENTITY;
     case.camera.translation = DVec3::ZERO;

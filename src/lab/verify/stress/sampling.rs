@@ -17,7 +17,7 @@ use crate::lab::verify::check::{EXACT, Row};
 use crate::lab::verify::stress::family::host_row;
 use crate::lab::verify::verification::FamilyNote;
 
-/// What the family is about.
+/// Name, axis and bound of the family.
 pub const NOTE: FamilyNote = FamilyNote {
     name: "density control",
     axis: "size of the extreme",
@@ -35,10 +35,10 @@ fn yes(good: bool) -> f64 {
     if good { 0.0 } else { 1.0 }
 }
 
-/// Every row.
+/// Rows of all extremes.
 ///
 /// # Errors
-/// As a density step.
+/// Those of a density step.
 pub fn rows() -> Result<Vec<Row>> {
     let mut rows = draws();
     rows.extend(importances());
@@ -91,7 +91,7 @@ fn draws() -> Vec<Row> {
     ]
 }
 
-/// Importance where cues say nothing, are alone or of any size: finite, between 0 and 1, and ½ where all are equal.
+/// Importance from cues that are equal, alone or of any size: finite, between 0 and 1, and ½ if all are equal.
 fn importances() -> Vec<Row> {
     const N: usize = 1000;
     let of = |cue: &dyn Fn(usize) -> f32| {
@@ -141,7 +141,7 @@ fn importances() -> Vec<Row> {
     ]
 }
 
-/// Voxels beyond 32 bits merge, and are counted as brute force counts them.
+/// Counts of voxels with indices beyond 32 bits, which merge, against brute force.
 fn voxels() -> Row {
     let spread = [
         0.0f32,
@@ -185,7 +185,7 @@ fn voxels() -> Row {
     )
 }
 
-/// N copies keep the opacity, and F is that of an independent quadrature.
+/// Opacity of N copies, which stays the same, and F against an independent quadrature.
 fn relocations() -> Vec<Row> {
     let opacities = [1e-6, 0.005, 0.1, 0.5, 0.99, 1.0 - 1e-9];
     let case = |copies: u32| {
@@ -216,7 +216,7 @@ fn coefficient(opacity: f64, copies: u32) -> f64 {
     std::f64::consts::FRAC_2_SQRT_PI * step * (0.5 * value(0) + inner)
 }
 
-/// ρ of 0 is never accepted and ρ of 1 always; crowded voxels and λ of any size keep ρ within 0 and 1.
+/// Acceptance at its ends: ρ of 0 never, ρ of 1 always; ρ stays within 0 and 1 for crowded voxels and λ of any size.
 fn acceptance() -> Vec<Row> {
     let us = [0.0, f64::MIN_POSITIVE, 0.5, 1.0 - f64::EPSILON / 2.0];
     let never = us.map(|u| yes(!accepts(u, f64::NEG_INFINITY) && !accepts(u, f64::NAN)));
@@ -295,7 +295,7 @@ fn steps() -> Result<Vec<Row>> {
         };
         let mut errors: Vec<f64> = outcome.edits.iter().map(error).collect();
         errors.push(yes(outcome.gaussians() > 0));
-        // What is not wholly dead has births.
+        // Scenes that are not wholly dead have births.
         errors.push(yes(opacity_logit < -10.0 || outcome.stats.accepted > 0));
         Ok(row(case, N as f64, "edits", &errors, EXACT))
     };

@@ -1,13 +1,12 @@
 //! Families of stiff scenes: seeded, exact in f32, each along a measure of stiffness.
 
-use crate::lab::verify::cases::mild;
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::{Case, mild};
 use crate::lab::verify::stress::family::{Family, MIXED, WELL, each, family};
 use crate::lab::verify::stress::places::{aside, depth, inside, near_plane};
 use crate::lab::verify::stress::shapes::{end_on, needles, norms, pancakes, scale_variance};
 use crate::scene::Plane;
 
-/// Where terms cancel, so that what is left is rounding of something larger.
+/// f32 rounding of differences of larger terms that cancel.
 const CANCELLED: f64 = 1e-3;
 
 fn opacities() -> Family {
@@ -169,11 +168,11 @@ pub fn families() -> Vec<Family> {
     ]
 }
 
-/// Parameter planes of which the broken cases spoil one value each: a position, a log-scale, w of the quaternion, the opacity,
-/// a colour and a coefficient of a higher band.
-const SPOILT: [usize; 6] = [0, 4, 6, Plane::OPACITY, Plane::SH, Plane::SH + 4];
+/// Parameter planes with one broken value each: a position, a log-scale, w of the quaternion, the opacity, a colour and a
+/// coefficient of a higher band.
+const BROKEN: [usize; 6] = [0, 4, 6, Plane::OPACITY, Plane::SH, Plane::SH + 4];
 
-/// Scenes in which one Gaussian of each kind is spoilt by a value; what is broken is culled and disturbs nobody.
+/// Scenes with one broken value in each of [`BROKEN`]; those Gaussians are culled and disturb no other.
 fn broken() -> Family {
     let values = [
         ("NaN", f32::NAN),
@@ -188,9 +187,9 @@ fn broken() -> Family {
         let mut case = mild(&format!("{name} in every parameter"), 40, [40, 32], 1, 77);
         // Edits name rows that may be among them.
         case.edits.clear();
-        for (i, plane) in SPOILT.into_iter().enumerate() {
+        for (i, plane) in BROKEN.into_iter().enumerate() {
             case.splats.plane_mut(plane)[3 * i + 2] = value;
-            case.spoilt.push(3 * i + 2);
+            case.invalid.push(3 * i + 2);
         }
         (1.0 + k as f64, case)
     };
@@ -199,10 +198,10 @@ fn broken() -> Family {
     family("broken values", "case", MIXED, why, cases)
 }
 
-/// Edge of the picture of [`many_pairs`], pixels: 16,384 tiles.
+/// Edge of the image of [`many_pairs`], pixels: 16,384 tiles.
 pub const MANY_SIDE: u32 = 2048;
 
-/// `n` opaque Gaussians one behind the other, each over the whole picture.
+/// `n` opaque Gaussians one behind the other, each over the whole image.
 pub fn many_pairs(n: usize) -> Case {
     let mut case = each("more than 2^24 pairs", n, [MANY_SIDE; 2], 78, |s, i, _| {
         s.scatter(Plane::POSITION, i, [0.0, 0.0, 1e-3 * i as f32]);

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::Case;
 use crate::lab::verify::stress::family::{Family, MIXED, each, family, position, powers, uniform};
 use crate::scene::{Gaussians, Plane};
 

@@ -4,7 +4,7 @@ use crate::base::constants::{NEAR, TILE};
 use crate::base::error::Result;
 use crate::device::tuning::status;
 use crate::device::{CameraArg, Defines, Device};
-use crate::lab::verify::chain::Case;
+use crate::lab::verify::cases::Case;
 use crate::lab::verify::check::Row;
 use crate::lab::verify::stress::family::{Family, Stiff, host_row};
 use crate::lab::verify::stress::{frames, sampling, scenes, updates};
@@ -13,7 +13,7 @@ use crate::lab::verify::verification::{FamilyNote, Verification};
 use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 
-/// The whole suite on one device.
+/// Runs the stress suite on one device.
 pub fn stress(device: &Device) -> Result<Verification> {
     let (mut rows, mut notes) = (Vec::new(), Vec::new());
     for family in scenes::families() {
@@ -29,10 +29,10 @@ pub fn stress(device: &Device) -> Result<Verification> {
     })
 }
 
-/// What is no scene: the count of pairs, the optimiser, world frames, density control.
+/// Rows and families without a scene: the count of pairs, the optimiser, world frames, density control.
 ///
 /// # Errors
-/// As [`stress`].
+/// Those of [`stress`].
 pub fn beside_scenes(device: &Device) -> Result<(Vec<Row>, Vec<FamilyNote>)> {
     let mut rows = vec![more_pairs_than_24_bits(device)?];
     rows.extend(updates::all(device)?);
@@ -41,10 +41,10 @@ pub fn beside_scenes(device: &Device) -> Result<(Vec<Row>, Vec<FamilyNote>)> {
     Ok((rows, vec![updates::NOTE, frames::NOTE, sampling::NOTE]))
 }
 
-/// Every case of a family.
+/// Rows of every case of a family.
 ///
 /// # Errors
-/// As [`stress`].
+/// Those of [`stress`].
 pub fn verify_family(device: &Device, family: &Family) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for Stiff { stiffness, case } in &family.cases {
@@ -57,7 +57,7 @@ pub fn verify_family(device: &Device, family: &Family) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// A picture of 18 million pairs, of which the first layers hide the rest: it is that of those layers alone.
+/// Row of an image of 18 million pairs whose first layers hide the rest: it must be the image of those layers alone.
 fn more_pairs_than_24_bits(device: &Device) -> Result<Row> {
     const LAYERS: [usize; 2] = [1100, 30];
     let mut images = Vec::new();

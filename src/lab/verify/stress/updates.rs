@@ -3,7 +3,7 @@
 use crate::base::error::Result;
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, Real};
-use crate::lab::verify::chain::ADAM;
+use crate::lab::verify::cases::ADAM;
 use crate::lab::verify::check::{EXACT, Row};
 use crate::lab::verify::stress::family::host_row;
 use crate::lab::verify::verification::FamilyNote;
@@ -11,7 +11,7 @@ use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::stage::adam::{Adam, LearningRates, Step, adam};
 use crate::scene::Plane;
 
-/// What the family is about.
+/// Name, axis and bound of the family.
 pub const NOTE: FamilyNote = FamilyNote {
     name: "optimiser",
     axis: "size of the gradients",
@@ -23,7 +23,7 @@ const SINGLE: f64 = 2e-3;
 /// Gaussians: one vector of the widest kind and one more.
 const N: usize = 32;
 
-/// Every row of one precision.
+/// Rows of one precision.
 pub fn rows<R: Real>(device: &Device, precision: &str, bound: f64) -> Result<Vec<Row>> {
     let sizes = [-30, -25, -20, -18, -15, -10, -5, 0, 5, 10, 17, 19, 25, 30];
     let mut rows = Vec::new();
@@ -40,10 +40,10 @@ pub fn rows<R: Real>(device: &Device, precision: &str, bound: f64) -> Result<Vec
     Ok(rows)
 }
 
-/// Both precisions, as far as the device has them.
+/// Rows of both precisions, if the device has f64.
 ///
 /// # Errors
-/// As [`rows`].
+/// Those of [`rows`].
 pub fn all(device: &Device) -> Result<Vec<Row>> {
     let mut all = rows::<f32>(device, "f32", SINGLE)?;
     if device.info().fp64 {
@@ -52,10 +52,10 @@ pub fn all(device: &Device) -> Result<Vec<Row>> {
     Ok(all)
 }
 
-/// Steps that are taken.
+/// Number of steps.
 const STEPS: u32 = 3;
 
-/// Errors of the parameters after the steps from 0, over the largest wanted one, and of the count of gradients that are none.
+/// Errors of the parameters after the steps from 0, over the largest wanted one, and of the count of non-finite gradients.
 fn errors<R: Real>(device: &Device, size: f64, rate: f64) -> Result<Vec<f64>> {
     let planes = Plane::count(0);
     let sign = |i: usize| if i.is_multiple_of(3) { -1.0 } else { 1.0 };
@@ -83,7 +83,7 @@ fn errors<R: Real>(device: &Device, size: f64, rate: f64) -> Result<Vec<f64>> {
     Ok(errors)
 }
 
-/// Parameters and both moments after the steps from 0 with the same gradients, and how many of those counted as none.
+/// Parameters and both moments after the steps from 0 with the same gradients, and number of non-finite ones among those.
 fn stepped<R: Real>(device: &Device, gradients: &[R], rate: f64) -> Result<(Vec<f64>, u32)> {
     let kernels = Kernels::new(device, Defines::new(device.tuning()));
     let stage = Adam::new::<R>(&kernels)?;

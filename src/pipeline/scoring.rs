@@ -1,0 +1,85 @@
+//! [`Scoring`]: a rendered view held against its photo.
+
+use crate::base::constants::TILE;
+use crate::base::error::Result;
+use crate::device::{Array, CameraArg, Defines, Device, Kernels};
+use crate::pipeline::buffers::GaussianBuffers;
+use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::stage::loss::{ImagePair, Loss};
+use crate::pipeline::stage::metrics::Metrics;
+
+/// Sums over the pixels of a pair, as far as they count.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PairErrors {
+    /// Squared error of the clamped render, all channels.
+    pub squared: f64,
+    /// Pixels that count: the sum of the mask.
+    pub counted: f64,
+    /// 1 − SSIM of the clamped render.
+    pub dissimilarity: f64,
+}
+
+/// Stages that score a render, with what lies between them.
+#[derive(Debug)]
+pub struct Scoring {
+    metrics: Metrics,
+    loss: Loss,
+    maps: Array<f32>,
+    partial: Array<f32>,
+    rows: Array<f32>,
+}
+
+impl Scoring {
+    /// Builds the kernels for images of at most `largest` (width, height) pixels.
+    pub fn new(device: &Device, defines: Defines, largest: [usize; 2]) -> Result<Self> {
+        let kernels = Kernels::new(device, defines);
+        let loss = Loss::new::<f32>(&kernels)?;
+        let [w, h] = largest;
+        let [stride, rows] = largest.map(|side| side.next_multiple_of(TILE as usize));
+        Ok(Self {
+            metrics: Metrics::new::<f32>(&kernels)?,
+            maps: Array::zeros(device, "error maps", 2 * stride * rows)?,
+            partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
+            rows: Array::zeros(device, "score", 3 * h)?,
+            loss,
+        })
+    }
+
+    /// Renders a view and compares it with its photo; the clamped image stays in the renderer.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::render`].
+    pub fn view(
+        &self,
+        renderer: &mut Renderer,
+        scene: &GaussianBuffers,
+        camera: &CameraArg<f32>,
+        photo: &Array<u8>,
+        background: [f32; 3],
+    ) -> Result<PairErrors> {
+        let options = RenderOptions {
+            sh_degree: scene.sh_degree,
+            background,
+            quantity: Quantity::Color,
+            active_only: false,
+        };
+        renderer.render(scene, camera, &options)?;
+        let image = &renderer.frame.image;
+        self.pair(&ImagePair::new(image, photo, camera, background))
+    }
+
+    /// Clamps a render in place and compares it with its photo; waits.
+    pub fn pair(&self, pair: &ImagePair<'_, f32>) -> Result<PairErrors> {
+        self.metrics.run(pair, &self.rows)?;
+        self.loss.errors(pair, &self.maps, &self.partial)?;
+        self.metrics.dissimilarity(pair, &self.maps, &self.rows)?;
+        let h = pair.size[1];
+        let rows = self.rows.read(0, 3 * h)?;
+        let sum = |k: usize| -> f64 { rows[k * h..][..h].iter().map(|v| f64::from(*v)).sum() };
+        Ok(PairErrors {
+            squared: sum(0),
+            counted: sum(1),
+            dissimilarity: sum(2),
+        })
+    }
+}
