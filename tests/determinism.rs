@@ -149,7 +149,10 @@ fn cues_of_another_sampler_are_refused() {
     let state = adc.state().unwrap();
     let (mut mh, _) = trained(&data, &sampled(Sampler::Mh), 0);
     let said = mh.restore(&state).unwrap_err().to_string();
-    assert!(said.contains("2 rows of cues; 3 expected"), "{said}");
+    assert!(
+        said.contains("2 rows of error statistics; 3 expected"),
+        "{said}"
+    );
 }
 
 #[test]

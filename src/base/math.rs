@@ -44,7 +44,7 @@ pub fn upper_median(values: impl Iterator<Item = f64>) -> Option<f64> {
     sorted.get(sorted.len() / 2).copied()
 }
 
-/// The values in ascending order; NaN of either sign at its end.
+/// The values in ascending order (`f64::total_cmp`).
 #[must_use]
 pub fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.collect();

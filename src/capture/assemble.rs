@@ -167,7 +167,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         return Err(Error::input(
             path,
             "the masks leave no pixel of any training photo",
-            "masks are white where a photo counts: turn them round, or take them away",
+            "masks are white where a photo counts: invert or remove them",
         ));
     }
     Ok(Dataset {

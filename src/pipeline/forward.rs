@@ -104,12 +104,6 @@ impl<R: Real> Renderer<R> {
         })
     }
 
-    /// A renderer with the device's default tuning, for display.
-    pub fn for_display(device: &Device, sh_degree: u32) -> Result<Self> {
-        let defines = Defines::new(device.tuning());
-        Self::new(device, defines, sh_degree, false)
-    }
-
     /// The camera as the kernels take it.
     #[must_use]
     pub fn camera(camera: &Camera) -> CameraArg<R> {

@@ -47,6 +47,7 @@ struct Header {
     version: u32,
     iteration: u32,
     next: Next,
+    halvings: u32,
     sh_degree: u32,
     config: TrainConfig,
     clock: [f64; 3],
@@ -105,6 +106,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         version: VERSION,
         iteration: state.iteration,
         next: state.next,
+        halvings: state.halvings,
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
@@ -216,6 +218,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
         state: TrainerState {
             iteration: header.iteration,
             next: header.next,
+            halvings: header.halvings,
             splats,
             rows: GaussianRows {
                 moment1,

@@ -13,8 +13,8 @@ use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{self, Clock};
-use crate::run::density_log::{DensityRow, DensityWriter, read_density};
-use crate::run::metrics::{MetricsRow, MetricsWriter, read_rows};
+use crate::run::density_log::{DENSITY_FILE, DensityRow, DensityWriter, read_density};
+use crate::run::metrics::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::run::patience;
 use crate::run::plan_record::PlanRecord;
 use crate::run::record::{FinalRecord, RunRecord, StageRecord};
@@ -64,6 +64,8 @@ pub struct Run {
     /// Seconds per stage of the sessions before this one.
     stages: Vec<StageRecord>,
     psnr: Option<f64>,
+    /// Iterations of the last row of metrics.csv.
+    evaluated: Option<u32>,
     /// Iterations of the checkpoint in the folder.
     saved: Option<u32>,
 }
@@ -110,6 +112,8 @@ struct Start {
     metrics: MetricsWriter,
     density: DensityWriter,
     stages: Vec<StageRecord>,
+    /// Iterations of the last row of metrics.csv.
+    evaluated: Option<u32>,
     saved: Option<u32>,
 }
 
@@ -133,9 +137,10 @@ impl Run {
         let start = Start {
             losses: Vec::new(),
             clock,
-            metrics: MetricsWriter::create(dir.join("metrics.csv"))?,
-            density: DensityWriter::create(dir.join("density.csv"))?,
+            metrics: MetricsWriter::create(dir.join(METRICS_FILE))?,
+            density: DensityWriter::create(dir.join(DENSITY_FILE))?,
             stages: Vec::new(),
+            evaluated: None,
             saved: None,
         };
         Self::assemble(dir, config, prepared, start)
@@ -186,18 +191,21 @@ impl Run {
         let device = device.clone().with_tuning(saved.tuning);
         let state = &saved.state;
         let smoothed = !state.rows.filter.is_empty();
-        let plan = Plan::new(&dataset, &config)?.with_anti_aliasing(smoothed);
+        let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, state.halvings);
         let mut prepared = Prepared::new(dataset, &plan, &device, &state.splats)?;
         prepared.trainer.restore(state)?;
         let full_from = prepared.trainer.full_size_from();
-        let losses = patience::losses(dir, state.iteration, full_from)?;
+        let mut rows = read_rows(dir.join(METRICS_FILE))?;
+        rows.retain(|row| row.iteration <= state.iteration);
+        let losses = patience::losses(&rows, full_from);
         patience::check(&config, &losses)?;
         let start = Start {
             losses,
             clock: Clock::resume_from(saved.clock),
-            metrics: MetricsWriter::append(dir.join("metrics.csv"), state.iteration)?,
-            density: DensityWriter::append(dir.join("density.csv"), state.iteration)?,
+            metrics: MetricsWriter::append(dir.join(METRICS_FILE), state.iteration)?,
+            density: DensityWriter::append(dir.join(DENSITY_FILE), state.iteration)?,
             stages: saved.stages,
+            evaluated: rows.last().map(|row| row.iteration),
             saved: Some(state.iteration),
         };
         Self::assemble(dir, config, prepared, start)
@@ -219,6 +227,7 @@ impl Run {
             density: start.density,
             stages: start.stages,
             psnr: None,
+            evaluated: start.evaluated,
         };
         run.write_record()?;
         Ok(run)
@@ -268,7 +277,12 @@ impl Run {
                 Event::Iteration { .. } => progress(&self.progress(None)),
                 Event::Decided(decision) => progress(&self.progress(Some(&decision))),
                 Event::Density(event) => self.log_density(&event)?,
-                Event::Settled(done) => self.pause(done)?,
+                Event::Settled(done) => {
+                    if let Err(error) = self.pause(done) {
+                        self.trainer.repeat_pause();
+                        return Err(error);
+                    }
+                }
                 Event::Compiling => self.clock.pause(),
                 Event::Compiled => self.clock.resume(),
             }
@@ -302,7 +316,7 @@ impl Run {
             self.config.export_every,
         ]
         .map(due);
-        if evaluate {
+        if evaluate && self.evaluated != Some(done) {
             self.evaluate(false)?;
         }
         self.save(save, export)
@@ -356,6 +370,7 @@ impl Run {
         self.record.final_scores = scores.or_else(|| self.record.final_scores.take());
         let now = self.clock.reading();
         let stats = *self.trainer.stats();
+        self.evaluated = Some(done);
         self.metrics.write(&MetricsRow {
             iteration: done,
             train_seconds: now.train_seconds,
@@ -465,8 +480,8 @@ impl Run {
     fn report(&mut self) -> Result<()> {
         self.clock.pause();
         let gallery = self.gallery()?;
-        let rows = read_rows(self.dir.join("metrics.csv"))?;
-        let density = read_density(self.dir.join("density.csv"))?;
+        let rows = read_rows(self.dir.join(METRICS_FILE))?;
+        let density = read_density(self.dir.join(DENSITY_FILE))?;
         write_report(&self.dir, &self.record, &rows, &density, &gallery)?;
         self.clock.resume();
         Ok(())

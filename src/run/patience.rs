@@ -1,10 +1,8 @@
 //! The end of a run whose loss has stopped improving.
 
-use std::path::Path;
-
 use crate::base::error::{Error, Result};
 use crate::config::TrainConfig;
-use crate::run::metrics::read_rows;
+use crate::run::metrics::MetricsRow;
 
 /// Share of the loss by which it must fall to have improved.
 const IMPROVEMENT: f64 = 1e-3;
@@ -22,18 +20,18 @@ pub(super) fn stalled(losses: &[f64], patience: Option<u32>) -> bool {
     best(last) > best(before) * (1.0 - IMPROVEMENT)
 }
 
-/// Training losses at the evaluations of a run up to an iteration, of photos of full size.
-pub(super) fn losses(dir: &Path, iteration: u32, full_from: u32) -> Result<Vec<f64>> {
-    let mut rows = read_rows(dir.join("metrics.csv"))?;
-    rows.retain(|row| row.iteration <= iteration && row.iteration > full_from);
+/// Training losses at the evaluations of a run (its rows of metrics.csv), of photos of full size.
+pub(super) fn losses(rows: &[MetricsRow], full_from: u32) -> Vec<f64> {
+    let mut rows: Vec<&MetricsRow> = rows.iter().filter(|r| r.iteration > full_from).collect();
     rows.dedup_by_key(|row| row.iteration);
-    Ok(rows.into_iter().filter_map(|row| row.loss).collect())
+    rows.into_iter().filter_map(|row| row.loss).collect()
 }
 
 /// Refuses to go on with a run whose patience is used up.
 pub(super) fn check(config: &TrainConfig, losses: &[f64]) -> Result<()> {
     if stalled(losses, config.patience) {
-        let what = "the training loss has not fallen for so many evaluations already; give more";
+        let what =
+            "the training loss has not fallen for so many evaluations already; raise --patience";
         return Err(Error::config("--patience", what));
     }
     Ok(())

@@ -7,6 +7,8 @@ use crate::capture::{Camera, Dataset};
 use crate::config::{Init, TrainConfig};
 use crate::device::Device;
 use crate::run::checkpoint;
+use crate::run::density_log::DENSITY_FILE;
+use crate::run::metrics::METRICS_FILE;
 use crate::run::plan_record::PlanRecord;
 use crate::run::record::{DatasetRecord, DeviceRecord, RECORD_FILE, RunRecord};
 use crate::scene::ply::{Contents, SceneFile};
@@ -104,7 +106,7 @@ pub(super) fn check_unfinished(dir: &Path, dataset: &Dataset) -> Result<()> {
     let record = RunRecord::read(dir)?;
     let fix = "start anew with -o NEW_FOLDER";
     if dir.join("scene.ply").exists() {
-        let what = "holds a scene and no checkpoint to go on from; nothing is overwritten";
+        let what = "holds a scene and no checkpoint to resume from; nothing is overwritten";
         return Err(Error::input(dir, what, fix));
     }
     if record.dataset.fingerprint.as_deref() != Some(&dataset.fingerprint()) {
@@ -175,7 +177,7 @@ pub fn abandon_folder(dir: &Path) {
         crate::base::files::sweep(folder);
     }
     let _ = std::fs::remove_dir(saved);
-    for name in ["run.json", "metrics.csv", "density.csv"] {
+    for name in [RECORD_FILE, METRICS_FILE, DENSITY_FILE] {
         let _ = std::fs::remove_file(dir.join(name));
     }
     let _ = std::fs::remove_dir(dir);

@@ -232,7 +232,9 @@ impl GaussianState {
         let (stride, count) = (self.scene.stride, self.scene.count);
         if rows.cues.len() != self.rows {
             let (found, wanted) = (rows.cues.len(), self.rows);
-            return Err(mismatch(format!("{found} rows of cues; {wanted} expected")));
+            return Err(mismatch(format!(
+                "{found} rows of error statistics; {wanted} expected"
+            )));
         }
         let wanted = match self.scene.filter.is_empty() {
             true => 0,

@@ -130,11 +130,14 @@ impl Plan {
         Ok(plan)
     }
 
-    /// The plan with anti-aliasing as a checkpoint was written: sampling rates decide once per run.
+    /// The plan with anti-aliasing and progressive resolution as the run began: both are decided once per run.
     #[must_use]
-    pub fn with_anti_aliasing(mut self, on: bool) -> Self {
-        if self.anti_aliasing.value != on {
-            self.anti_aliasing = Decided::new(on, Why::Checkpoint);
+    pub fn begun_with(mut self, anti_aliasing: bool, halvings: u32) -> Self {
+        if self.anti_aliasing.value != anti_aliasing {
+            self.anti_aliasing = Decided::new(anti_aliasing, Why::Checkpoint);
+        }
+        if self.halvings.value != halvings {
+            self.halvings = Decided::new(halvings, Why::Checkpoint);
         }
         self
     }

@@ -15,6 +15,8 @@ pub struct TrainerState {
     pub iteration: u32,
     /// The next thing to do.
     pub next: Next,
+    /// Halvings of the photos at the start of the run.
+    pub halvings: u32,
     /// Parameters.
     pub splats: Gaussians,
     /// Moments, statistics and smoothing filter.
@@ -47,7 +49,12 @@ impl Trainer {
         self.settle()?;
         Ok(TrainerState {
             iteration: self.iteration,
-            next: self.next,
+            // Kernels are announced and compiled again, so that the clock stands meanwhile.
+            next: match self.next {
+                Next::Compile => Next::Exposure,
+                next => next,
+            },
+            halvings: self.plan.halvings.value,
             splats: self.gaussians.scene.download()?,
             rows: self.gaussians.rows()?,
             stats: self.control.stats,

@@ -142,6 +142,13 @@ impl Trainer {
                 what: "no Gaussian to start from".into(),
             });
         }
+        if plan.alpha != set.alpha {
+            let what = format!(
+                "photos with {:?}; the plan is for {:?}",
+                set.alpha, plan.alpha
+            );
+            return Err(Error::config("plan", what));
+        }
         let device = &set.photos().device().clone();
         let (config, degree) = (&plan.config, plan.sh_degree.value);
         let defines = Defines {
@@ -255,14 +262,14 @@ impl Trainer {
     /// [`Event::Iteration`] comes before all iterations so far have settled, so that no other event comes twice.
     ///
     /// # Errors
-    /// More than the device can allocate, a photo that cannot be read, or the driver's. What failed is tried again by the next
-    /// call.
+    /// More than the device can allocate, a photo that cannot be read, or the driver's. After a photo could not be read the next
+    /// call tries again.
     pub fn advance(&mut self) -> Result<Event> {
         loop {
             let done = self.iteration >= self.plan.config.iterations;
             if done && !matches!(self.next, Next::Density | Next::Pause) {
-                self.finish()?;
-                return Ok(Event::Finished);
+                let decision = self.finish()?;
+                return Ok(decision.map_or(Event::Finished, Event::Decided));
             }
             if let Some(event) = self.advance_once()? {
                 return Ok(event);
@@ -283,6 +290,11 @@ impl Trainer {
             }
             self.advance_once()?;
         }
+    }
+
+    /// Makes the pause of the last [`Event::Settled`] come again, if it could not be used.
+    pub fn repeat_pause(&mut self) {
+        self.next = Next::Pause;
     }
 
     /// True if density control, an evaluation, a checkpoint or an export is due before the next iteration.
@@ -368,10 +380,10 @@ impl Trainer {
             self.in_flight.clear();
             self.counters.overflows += 1;
             *max = (*max).max(needed as usize);
-            self.pipeline.forward.grow_intersections(needed)?;
             // Everything due before that iteration was done before it was enqueued.
             self.iteration = done.iteration;
             self.next = Next::Iterate;
+            self.pipeline.forward.grow_intersections(needed)?;
         }
         Ok(())
     }
@@ -471,16 +483,17 @@ impl Trainer {
     }
 
     /// Ends the run: removes the Gaussians that no training view shows, if the configuration says so. Once per run.
-    pub fn finish(&mut self) -> Result<()> {
+    pub fn finish(&mut self) -> Result<Option<Decision>> {
         self.settle()?;
         if self.learned.finished == Some(self.iteration) {
-            return Ok(());
+            return Ok(None);
         }
         self.learned.removed = 0;
         self.remove_unseen()?;
         self.learned.finished = Some(self.iteration);
-        self.plan.learn(&self.learned);
-        self.fit_views()
+        let decision = self.plan.learn(&self.learned).pop();
+        self.fit_views()?;
+        Ok(decision)
     }
 
     /// Removes the Gaussians that no pixel of any training view shows: behind, beyond, below the cut or hidden in all of them.
