@@ -23,7 +23,7 @@ pub mod status {
 }
 
 /// Sizes that kernels are built with. The defaults of its class were measured for CPUs and are conservative for GPUs; a
-/// choice for the device at hand is measured by [`crate::lab::tune`].
+/// choice for the device at hand can be measured and passed with `Device::with_tuning`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Tuning {
