@@ -2,14 +2,14 @@
 
 use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
-use mhsplat::config::Sampler;
+use mhsplat::config::{ExposureChoice, Sampler};
 use mhsplat::device::Device;
 use mhsplat::run::checkpoint::Checkpoint;
 use mhsplat::run::{Reading, checkpoint, initial_gaussians};
 use mhsplat::scene::Gaussians;
 use mhsplat::train::Event;
-use mhsplat::train::Trainer;
 use mhsplat::train::schedule::Schedule;
+use mhsplat::train::{Trainer, TrainerState};
 use mhsplat::{Result, TrainConfig};
 
 /// The bundled scene.
@@ -139,6 +139,59 @@ fn a_resumed_run_ends_with_the_same_bits() {
             "{:?}",
             config.sampler
         );
+    }
+}
+
+/// Advances to the end and keeps the state after the first event of each kind and after every density step and pause.
+fn states_at_events(trainer: &mut Trainer) -> Vec<(Event, TrainerState)> {
+    let mut kept: Vec<(Event, TrainerState)> = Vec::new();
+    loop {
+        let event = trainer.advance().unwrap();
+        let kind = std::mem::discriminant(&event);
+        let known = kept.iter().any(|(e, _)| std::mem::discriminant(e) == kind);
+        if !known || matches!(event, Event::Density(_) | Event::Settled(_)) {
+            kept.push((event.clone(), trainer.state().unwrap()));
+        }
+        if event == Event::Finished {
+            return kept;
+        }
+    }
+}
+
+#[test]
+fn a_run_goes_on_from_every_event_with_the_same_bits() {
+    let data = room(64);
+    let config = TrainConfig {
+        exposure: ExposureChoice::On,
+        eval_every: Some(40),
+        export_every: 50,
+        ..config(100)
+    };
+    let (mut straight, _) = trained(&data, &config, 0);
+    let states = states_at_events(&mut straight);
+    let kinds = |of: fn(&Event) -> bool| states.iter().filter(|(e, _)| of(e)).count();
+    assert!(kinds(|e| matches!(e, Event::Density(_))) > 1);
+    assert!(kinds(|e| matches!(e, Event::Settled(_))) > 2);
+    for one in [
+        kinds(|e| matches!(e, Event::Iteration { .. })),
+        kinds(|e| matches!(e, Event::Compiling)),
+        kinds(|e| matches!(e, Event::Compiled)),
+        kinds(|e| matches!(e, Event::Decided(_))),
+        kinds(|e| matches!(e, Event::Finished)),
+    ] {
+        assert_eq!(one, 1);
+    }
+    let end = straight.state().unwrap();
+    let device = Device::open(None).unwrap();
+    let plan = Plan::new(&data, &config).unwrap();
+    for (event, state) in &states {
+        let mut resumed = Trainer::new(&device, &data, &plan, &state.splats).unwrap();
+        resumed.restore(state).unwrap();
+        while resumed.advance().unwrap() != Event::Finished {}
+        let state = resumed.state().unwrap();
+        assert!(end.splats == state.splats, "{event:?}");
+        assert!(end.losses == state.losses, "{event:?}");
+        assert_eq!(end.learned, state.learned, "{event:?}");
     }
 }
 

@@ -285,12 +285,11 @@ impl Control {
     fn apply(&self, on: &mut Working<'_>, geometry: &Geometry, outcome: &Outcome) -> Result<()> {
         let edits = &outcome.edits;
         let (device, rows) = (on.device, outcome.rows);
+        let reordered = self.plan.config.work.morton_order || !outcome.removed.is_empty();
+        let order = reordered.then(|| self.order(geometry, outcome));
+        let (limit, order) = (outcome.logit_limit, order.as_deref());
         on.gaussians
-            .edit(device, &self.edit, edits, rows, outcome.logit_limit)?;
-        if self.plan.config.work.morton_order || !outcome.removed.is_empty() {
-            let order = self.order(geometry, outcome);
-            on.gaussians.reorder(device, &self.edit, &order)?;
-        }
+            .edit(device, &self.edit, edits, rows, limit, order)?;
         match on.smoothing {
             Some(s) => s.run(&on.gaussians.scene, &on.pipeline.forward.frame),
             None => Ok(()),

@@ -6,6 +6,9 @@ use crate::pipeline::buffers::{GaussianBuffers, restride};
 use crate::pipeline::stage::edit::Edit;
 use crate::scene::{self, Gaussians, Plane};
 
+/// Number of arrays of parameters and their moments.
+const OPTIMIZED: usize = 3;
+
 /// Parameters, optimiser moments, 3D smoothing filter and error statistics of all Gaussians on the device.
 #[derive(Debug)]
 pub struct GaussianState {
@@ -105,7 +108,8 @@ impl GaussianState {
         )
     }
 
-    /// Arrays with a value per Gaussian and plane, each with its number of planes.
+    /// Arrays with a value per Gaussian and plane, each with its number of planes; the first [`OPTIMIZED`] are parameters and
+    /// moments.
     fn arrays(&mut self) -> [(&mut Array<f32>, usize); 5] {
         let planes = self.scene.planes();
         let smoothed = usize::from(!self.scene.filter.is_empty());
@@ -135,7 +139,8 @@ impl GaussianState {
         Ok(())
     }
 
-    /// Applies the edits of a density step, which leave `rows` rows, and starts the statistics anew.
+    /// Applies the edits of a density step, which leave `rows` rows, and puts them in `order` if there is one. The statistics start
+    /// anew, and the smoothing filter is to be computed again.
     pub fn edit(
         &mut self,
         device: &Device,
@@ -143,6 +148,7 @@ impl GaussianState {
         edits: &[scene::Edit],
         rows: usize,
         logit_limit: Option<f32>,
+        order: Option<&[u32]>,
     ) -> Result<()> {
         self.grow(device, rows)?;
         self.statistics.clear()?;
@@ -150,17 +156,30 @@ impl GaussianState {
         self.scene.count = rows;
         let [moment1, moment2] = &self.moments;
         stage.run(&self.scene, [moment1, moment2], &edits)?;
-        match logit_limit {
-            Some(limit) => stage.limit_opacity(&self.scene, [moment1, moment2], f64::from(limit)),
+        if let Some(limit) = logit_limit {
+            stage.limit_opacity(&self.scene, [moment1, moment2], f64::from(limit))?;
+        }
+        match order {
+            Some(order) => self.gather(device, stage, order, OPTIMIZED),
             None => Ok(()),
         }
     }
 
-    /// Keeps the Gaussians of `order`, in that order.
+    /// Keeps the Gaussians of `order`, in that order, with everything that belongs to them.
     pub fn reorder(&mut self, device: &Device, stage: &Edit, order: &[u32]) -> Result<()> {
+        self.gather(device, stage, order, usize::MAX)
+    }
+
+    fn gather(
+        &mut self,
+        device: &Device,
+        stage: &Edit,
+        order: &[u32],
+        arrays: usize,
+    ) -> Result<()> {
         let (stride, count) = (self.scene.stride, order.len());
         let order = Array::from_slice(device, "order", order)?;
-        for (array, planes) in self.arrays() {
+        for (array, planes) in self.arrays().into_iter().take(arrays) {
             if planes > 0 {
                 let to = Array::zeros(device, array.name(), planes * stride)?;
                 stage.reorder(&order, [planes, stride], array, &to)?;

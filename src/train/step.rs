@@ -192,7 +192,8 @@ impl Trainer {
 
     /// One iteration, enqueued and not waited for.
     fn iterate(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
-        if Smoothing::due(iteration) {
+        // A density step has computed the filter already.
+        if Smoothing::due(iteration) && self.schedule.density_due(iteration).is_none() {
             self.smooth()?;
         }
         let view = self.views.at(iteration)?;
@@ -552,8 +553,7 @@ impl Trainer {
         let edits = [crate::scene::Edit::default()];
         let mut scratch = self.gaussians.empty(&self.device, highest)?;
         let edit = self.control.edit();
-        scratch.edit(&self.device, edit, &edits, 1, Some(0.0))?;
-        scratch.reorder(&self.device, edit, &[0])?;
+        scratch.edit(&self.device, edit, &edits, 1, Some(0.0), Some(&[0]))?;
         self.gaussians = gaussians;
         self.fit_views()?;
         self.smooth()?;
