@@ -28,7 +28,7 @@ use mhsplat::device::{Defines, Device, Kernels};
 use mhsplat::lab::verify::cases::{self, Case};
 use mhsplat::lab::verify::check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check};
 use mhsplat::lab::verify::definition::Reference;
-use mhsplat::lab::verify::outcome::Outcome;
+use mhsplat::lab::verify::pass::Outcome;
 use mhsplat::lab::verify::{pass, verify_case};
 
 fn device() -> Device {

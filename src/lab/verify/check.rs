@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::lab::error::{Report, Tolerance, compare, measure};
 use crate::lab::verify::cases::Case;
-use crate::lab::verify::outcome::{Outcome, Quantity};
+use crate::lab::verify::pass::{Outcome, Quantity};
 
 /// Bound on f64 kernels: rounding of f64 through the longest stage, with room for its condition.
 pub const EXACT: f64 = 1e-10;

@@ -6,10 +6,8 @@
 pub mod cases;
 pub mod check;
 pub mod definition;
-pub mod outcome;
 pub mod page;
 pub mod pass;
-mod readback;
 pub mod stress;
 mod suite;
 mod verification;
