@@ -1,9 +1,10 @@
-//! Comparison of every quantity of a pass with the reference.
+//! Comparison of every quantity of a pass with the reference, and [`Verification`], the outcome of a suite.
 
 use std::collections::HashSet;
 
 use serde::Serialize;
 
+use crate::device::Device;
 use crate::lab::error::{Report, Tolerance, compare, measure};
 use crate::lab::verify::cases::Case;
 use crate::lab::verify::pass::{Outcome, Quantity};
@@ -49,6 +50,77 @@ pub struct Row {
     pub flips: usize,
     /// True if every bound was kept.
     pub pass: bool,
+}
+
+impl Row {
+    /// Numbers that were compared on the host: family, case and quantity; `errors` are relative already.
+    pub(super) fn of_errors(
+        [family, case, quantity]: [&str; 3],
+        stage: &'static str,
+        stiffness: f64,
+        errors: &[f64],
+        bound: f64,
+    ) -> Self {
+        let report = measure(errors, &vec![0.0; errors.len()], bound, 0.0);
+        Self {
+            family: family.into(),
+            case: case.into(),
+            stage,
+            quantity: quantity.into(),
+            stiffness: Some(stiffness),
+            max_rel_error: report.largest,
+            median_rel_error: report.median,
+            bound,
+            non_finite: report.non_finite,
+            flips: 0,
+            pass: report.non_finite + report.flips == 0 && !errors.is_empty(),
+        }
+    }
+}
+
+/// Name, axis and bound of a family of cases.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FamilyNote {
+    /// Name.
+    pub name: &'static str,
+    /// Measure of the stiffness.
+    pub axis: &'static str,
+    /// Bound on the f32 errors, relative to the largest value of a quantity.
+    pub bound: f64,
+    /// Reason for that bound.
+    pub reason: &'static str,
+}
+
+/// Outcome of a suite on one device.
+#[derive(Debug, Clone, Serialize)]
+pub struct Verification {
+    /// Device name.
+    pub device: String,
+    /// Suite.
+    pub suite: &'static str,
+    /// Families of the cases (suite "stress").
+    pub families: Vec<FamilyNote>,
+    /// One row per case, stage and quantity.
+    pub cases: Vec<Row>,
+    /// Rows within their bounds.
+    pub passed: usize,
+    /// Rows that missed a bound.
+    pub failed: usize,
+}
+
+impl Verification {
+    /// A verification without families.
+    pub(super) fn new(device: &Device, suite: &'static str, cases: Vec<Row>) -> Self {
+        let failed = cases.iter().filter(|r| !r.pass).count();
+        Self {
+            device: device.info().name.clone(),
+            suite,
+            passed: cases.len() - failed,
+            failed,
+            families: Vec::new(),
+            cases,
+        }
+    }
 }
 
 /// True if decisions at a discontinuity (the alpha cut, the last layer of a pixel, a tile's edge, the sign in L1) reach a

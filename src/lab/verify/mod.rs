@@ -10,7 +10,6 @@ pub mod page;
 pub mod pass;
 pub mod stress;
 mod suite;
-mod verification;
 
+pub use check::{FamilyNote, Verification};
 pub use suite::{quick, tiny, verify_case};
-pub use verification::{FamilyNote, Verification};

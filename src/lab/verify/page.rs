@@ -7,8 +7,7 @@ use crate::chart::loglog::{LogPoint, LogSeries, log_log_chart};
 use crate::lab::folder::{one_or_all, write_files};
 use crate::lab::report::{Report, Section};
 use crate::lab::table::{Table, or_dash};
-use crate::lab::verify::check::Row;
-use crate::lab::verify::verification::{FamilyNote, Verification};
+use crate::lab::verify::check::{FamilyNote, Row, Verification};
 
 /// Least error that is drawn.
 const MIN_ERROR: f64 = 1e-17;

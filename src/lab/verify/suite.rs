@@ -4,10 +4,11 @@ use crate::base::error::Result;
 use crate::device::Device;
 use crate::device::tuning::Tuning;
 use crate::lab::verify::cases::{self, Case};
-use crate::lab::verify::check::{EXACT, Row, SINGLE, SINGLE_MASKED_MAP, SINGLE_NEEDLES, check};
+use crate::lab::verify::check::{
+    EXACT, Row, SINGLE, SINGLE_MASKED_MAP, SINGLE_NEEDLES, Verification, check,
+};
 use crate::lab::verify::definition::Reference;
 use crate::lab::verify::pass;
-use crate::lab::verify::verification::Verification;
 use crate::scene::Plane;
 
 /// Runs the quick suite: a few small scenes, both precisions, the device's own style and the other one.
@@ -42,7 +43,7 @@ fn suite(
     for (family, case, bound) in cases {
         rows.extend(verify_case(device, family, &case, bound)?);
     }
-    Ok(Verification::of(device, name, rows))
+    Ok(Verification::new(device, name, rows))
 }
 
 fn quick_cases() -> Vec<(&'static str, Case, f64)> {

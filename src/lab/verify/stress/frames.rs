@@ -4,20 +4,15 @@ use glam::DVec3;
 
 use crate::base::rng::{Philox, Stream};
 use crate::capture::Frame;
-use crate::lab::verify::check::Row;
-use crate::lab::verify::stress::family::host_row;
-use crate::lab::verify::verification::FamilyNote;
+use crate::lab::verify::check::{FamilyNote, Row};
 
 /// Name, axis and bound of the family.
 pub const NOTE: FamilyNote = FamilyNote {
     name: "world frames",
     axis: "offset or unit",
-    bound: BOUND,
+    bound: 1e-6,
     reason: "f64 coordinates at 1e7 units resolve 2e-9 of them, and local ones are rounded to f32",
 };
-/// Bound on the errors: f64 coordinates at 10⁷ units resolve 2e-9 units, and local coordinates are rounded to f32.
-const BOUND: f64 = 1e-6;
-
 /// Cameras and points in a cube of edge 6.
 fn scene() -> [Vec<DVec3>; 2] {
     let place = |k: u64, n: u64| -> Vec<DVec3> {
@@ -52,15 +47,8 @@ pub fn rows() -> Vec<Row> {
             .zip(&want)
             .map(|(g, w)| (g - w).abs() / largest)
             .collect();
-        host_row(
-            NOTE.name,
-            case,
-            "dataset",
-            "local positions",
-            stiffness,
-            &errors,
-            BOUND,
-        )
+        let names = [NOTE.name, case, "local positions"];
+        Row::of_errors(names, "dataset", stiffness, &errors, NOTE.bound)
     };
     let offset = |e: i32| {
         let by = 10f64.powi(e);

@@ -13,9 +13,7 @@ use crate::density::mh::importance::importance;
 use crate::density::mh::sparsity::VoxelCounts;
 use crate::density::relocation::{ln_coefficient, split};
 use crate::density::{DensityControl, ErrorStatistics, SceneState, Statistics, StepContext};
-use crate::lab::verify::check::{EXACT, Row};
-use crate::lab::verify::stress::family::host_row;
-use crate::lab::verify::verification::FamilyNote;
+use crate::lab::verify::check::{EXACT, FamilyNote, Row};
 
 /// Name, axis and bound of the family.
 pub const NOTE: FamilyNote = FamilyNote {
@@ -26,9 +24,8 @@ pub const NOTE: FamilyNote = FamilyNote {
 };
 
 fn row(case: &str, stiffness: f64, quantity: &str, errors: &[f64], bound: f64) -> Row {
-    host_row(
-        NOTE.name, case, "density", quantity, stiffness, errors, bound,
-    )
+    let names = [NOTE.name, case, quantity];
+    Row::of_errors(names, "density", stiffness, errors, bound)
 }
 
 fn yes(good: bool) -> f64 {
