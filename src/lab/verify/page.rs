@@ -116,13 +116,13 @@ fn chart(v: &Verification, note: &FamilyNote) -> String {
 fn between(all: &[Verification]) -> Table {
     let mut families: Vec<&str> = Vec::new();
     for row in all.iter().flat_map(|v| &v.cases) {
-        if !families.contains(&row.family.as_str()) {
-            families.push(&row.family);
+        if !families.contains(&row.family) {
+            families.push(row.family);
         }
     }
     let line = |family: &&str| {
         let worst_of = |v: &Verification| {
-            let of = v.cases.iter().filter(|r| r.family == **family);
+            let of = v.cases.iter().filter(|r| r.family == *family);
             let single = worst(of.filter(|r| !is_double(r)));
             or_dash(single, |r| format!("{:.1e}", r.max_rel_error))
         };
@@ -197,7 +197,7 @@ fn failures(v: &Verification, all: bool) -> Table {
     let rows = v.cases.iter().filter(|r| all || !r.pass);
     let line = |r: &Row| {
         vec![
-            r.family.clone(),
+            r.family.to_owned(),
             r.case.clone(),
             r.stage.to_owned(),
             r.quantity.clone(),

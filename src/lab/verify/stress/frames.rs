@@ -47,8 +47,8 @@ pub fn rows() -> Vec<Row> {
             .zip(&want)
             .map(|(g, w)| (g - w).abs() / largest)
             .collect();
-        let names = [NOTE.name, case, "local positions"];
-        Row::of_errors(names, "dataset", stiffness, &errors, NOTE.bound)
+        let (of, names) = ([NOTE.name, "dataset"], [case, "local positions"]);
+        Row::of_errors(of, names, stiffness, &errors, NOTE.bound)
     };
     let offset = |e: i32| {
         let by = 10f64.powi(e);

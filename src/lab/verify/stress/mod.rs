@@ -19,6 +19,7 @@ use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::tuning::status;
 use crate::device::{Defines, Device};
+use crate::lab::verify::cases::Case;
 use crate::lab::verify::check::{EXACT, FamilyNote, Row, Verification};
 use crate::lab::verify::suite::verify_case;
 use crate::pipeline::buffers::GaussianBuffers;
@@ -65,8 +66,12 @@ pub fn beside_scenes(device: &Device) -> Result<(Vec<Row>, Vec<FamilyNote>)> {
 pub fn verify_family(device: &Device, family: &Family) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for (index, stiffness) in family.stiffness.iter().enumerate() {
-        let case = (family.case)(index, *stiffness);
-        let of_case = verify_case(device, family.name, &case, family.bound)?;
+        let case = Case {
+            family: family.name,
+            bound: family.bound,
+            ..(family.case)(index, *stiffness)
+        };
+        let of_case = verify_case(device, &case)?;
         rows.extend(of_case.into_iter().map(|row| Row {
             stiffness: Some(*stiffness),
             ..row
@@ -108,10 +113,7 @@ fn more_pairs_than_24_bits(device: &Device) -> Result<Row> {
     let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs() / largest);
     let mut errors: Vec<f64> = all.iter().zip(&first).map(apart).collect();
     errors.push((pairs as usize).abs_diff(wanted) as f64);
-    let names = [
-        "crowds and ties",
-        "more than 2^24 pairs",
-        "image, pairs (f32)",
-    ];
-    Ok(Row::of_errors(names, "splat", wanted as f64, &errors, 0.0))
+    let names = ["more than 2^24 pairs", "image, pairs (f32)"];
+    let of = ["crowds and ties", "splat"];
+    Ok(Row::of_errors(of, names, wanted as f64, &errors, 0.0))
 }

@@ -24,8 +24,8 @@ pub const NOTE: FamilyNote = FamilyNote {
 };
 
 fn row(case: &str, stiffness: f64, quantity: &str, errors: &[f64], bound: f64) -> Row {
-    let names = [NOTE.name, case, quantity];
-    Row::of_errors(names, "density", stiffness, errors, bound)
+    let (of, names) = ([NOTE.name, "density"], [case, quantity]);
+    Row::of_errors(of, names, stiffness, errors, bound)
 }
 
 fn yes(good: bool) -> f64 {

@@ -30,8 +30,9 @@ pub fn rows<R: Real>(device: &Device, precision: &str, bound: f64) -> Result<Vec
         for (rate, what) in [(1e-2, "steps"), (0.0, "steps at rate 0")] {
             let errors = errors::<R>(device, size, rate)?;
             let case = format!("gradients of {size:.0e}");
-            let names = [NOTE.name, &case, &format!("{what} ({precision})")];
-            rows.push(Row::of_errors(names, "adam", size, &errors, bound));
+            let names = [case.as_str(), &format!("{what} ({precision})")];
+            let of = [NOTE.name, "adam"];
+            rows.push(Row::of_errors(of, names, size, &errors, bound));
         }
     }
     Ok(rows)
