@@ -13,7 +13,7 @@ use crate::lab::verify::check::{FamilyNote, Row, Verification};
 const MIN_ERROR: f64 = 1e-17;
 /// Stages that have a curve of their own in f32, in the order of their colours.
 const CURVES: [&[&str]; 5] = [
-    &["project", "dataset", "density"],
+    &["project"],
     &["splat", "scan", "bin", "sort"],
     &["loss", "metrics", "importance"],
     &["exposure", "splat_grad", "screen_grad", "seen"],

@@ -7,12 +7,8 @@
 //! |---|---|
 //! | `families.rs` | families of scenes through all stages |
 //! | `updates.rs` | the optimiser under extreme gradients |
-//! | `frames.rs` | datasets far from the origin or in extreme units |
-//! | `sampling.rs` | density control on the host at its extremes |
 
 mod families;
-mod frames;
-mod sampling;
 mod updates;
 
 use crate::base::constants::TILE;
@@ -20,7 +16,7 @@ use crate::base::error::Result;
 use crate::device::tuning::status;
 use crate::device::{Defines, Device};
 use crate::lab::verify::cases::Case;
-use crate::lab::verify::check::{EXACT, FamilyNote, Row, Verification};
+use crate::lab::verify::check::{EXACT, Row, Verification};
 use crate::lab::verify::suite::verify_case;
 use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{RenderOptions, Renderer};
@@ -30,33 +26,29 @@ pub use families::{FAMILIES, Family};
 
 /// Runs the stress suite on one device.
 pub fn stress(device: &Device) -> Result<Verification> {
-    let (mut rows, mut notes) = (Vec::new(), Vec::new());
+    let mut rows = Vec::new();
     for family in FAMILIES {
         rows.extend(verify_family(device, &family)?);
-        notes.push(family.note());
     }
-    let others = beside_scenes(device)?;
-    rows.extend(others.0);
-    notes.extend(others.1);
+    rows.extend(beside_scenes(device)?);
+    let notes = FAMILIES.iter().map(Family::note);
     Ok(Verification {
-        families: notes,
+        families: notes.chain([updates::NOTE]).collect(),
         ..Verification::new(device, "stress", rows)
     })
 }
 
-/// Rows and families without a scene: the count of pairs, the optimiser, world frames, density control.
+/// Rows without a scene: the count of pairs and the optimiser.
 ///
 /// # Errors
 /// Those of [`stress`].
-pub fn beside_scenes(device: &Device) -> Result<(Vec<Row>, Vec<FamilyNote>)> {
+pub fn beside_scenes(device: &Device) -> Result<Vec<Row>> {
     let mut rows = vec![more_pairs_than_24_bits(device)?];
     rows.extend(updates::rows::<f32>(device, "f32", updates::NOTE.bound)?);
     if device.info().fp64 {
         rows.extend(updates::rows::<f64>(device, "f64", EXACT)?);
     }
-    rows.extend(frames::rows());
-    rows.extend(sampling::rows()?);
-    Ok((rows, vec![updates::NOTE, frames::NOTE, sampling::NOTE]))
+    Ok(rows)
 }
 
 /// Rows of every case of a family.
