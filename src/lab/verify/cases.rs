@@ -53,11 +53,8 @@ pub struct Case {
 pub const ADAM: [f64; 3] = [0.9_f32 as f64, 0.999_f32 as f64, 1e-15];
 
 fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
-    Philox::uniform(
-        seed,
-        Stream::Synthetic.stream(0),
-        (index as u64) << 8 | what,
-    )
+    let at = (index as u64) << 8 | what;
+    Philox::uniform(seed, Stream::Synthetic.stream(0), at)
 }
 
 fn camera(size: [u32; 2]) -> Camera {
@@ -81,28 +78,16 @@ fn cloud(n: usize, sh_degree: u32, seed: u64) -> Gaussians {
         let [x, y, z, far] = uniform(seed, i, 0);
         let scale = uniform(seed, i, 1);
         let spread = if far > 0.9 { 8.0 } else { 2.0 };
-        s.scatter(
-            Plane::POSITION,
-            i,
-            [x, y, z].map(|v| (spread * (v - 0.5)) as f32),
-        );
-        s.scatter(
-            Plane::LOG_SCALE,
-            i,
-            [0, 1, 2].map(|k| (2.0 * scale[k] - 3.2) as f32),
-        );
-        s.scatter(
-            Plane::ROTATION,
-            i,
-            uniform(seed, i, 2).map(|v| (v - 0.5) as f32),
-        );
+        let position = [x, y, z].map(|v| (spread * (v - 0.5)) as f32);
+        let log_scale = [0, 1, 2].map(|k| (2.0 * scale[k] - 3.2) as f32);
+        let rotation = uniform(seed, i, 2).map(|v| (v - 0.5) as f32);
+        s.scatter(Plane::POSITION, i, position);
+        s.scatter(Plane::LOG_SCALE, i, log_scale);
+        s.scatter(Plane::ROTATION, i, rotation);
         s.scatter(Plane::OPACITY, i, [(6.0 * scale[3] - 2.0) as f32]);
         for p in Plane::SH..Plane::count(sh_degree) {
-            s.scatter(
-                p,
-                i,
-                [(1.2 * uniform(seed, i, 3 + p as u64)[0] - 0.4) as f32],
-            );
+            let [u, ..] = uniform(seed, i, 3 + p as u64);
+            s.scatter(p, i, [(1.2 * u - 0.4) as f32]);
         }
     }
     s
@@ -122,12 +107,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         position: [0.25, -0.5, 0.75],
         log_scale: [-3.0, -2.0, -1.0],
         opacity_logit: 0.5,
-        // The appended row has a colour of its own.
-        color: if dst > last {
-            OptionalColor::some([0.5, -0.25, 1.5])
-        } else {
-            OptionalColor::NONE
-        },
+        color: OptionalColor::NONE,
     };
     Case {
         family: "mild",

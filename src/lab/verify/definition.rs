@@ -60,14 +60,6 @@ pub fn photo(case: &Case) -> Vec<f64> {
         .collect()
 }
 
-/// Mask of a case \[height, width\]; `None` if its photo has none.
-fn mask(case: &Case) -> Option<Vec<f64>> {
-    let p = &case.photo;
-    let n = (p.width * p.height) as usize;
-    let value = |m: &u8| f64::from(*m) / 255.0;
-    (p.alpha == Alpha::Mask).then(|| p.data[3 * n..].iter().map(value).collect())
-}
-
 /// Scene, camera and options of a case.
 #[must_use]
 pub fn inputs(case: &Case) -> (Scene64, Camera64, Options) {
@@ -150,8 +142,10 @@ impl Reference {
     #[must_use]
     pub fn new(case: &Case) -> Self {
         let (scene, camera, options) = inputs(case);
-        let (photo, mask) = (photo(case), mask(case));
-        let weights = case.lambdas;
+        let (photo, weights) = (photo(case), case.lambdas);
+        let fourth = &case.photo.data[photo.len()..];
+        let mask: Option<Vec<f64>> = (case.photo.alpha == Alpha::Mask)
+            .then(|| fourth.iter().map(|m| f64::from(*m) / 255.0).collect());
         Self {
             pass: run(&scene, &camera, &options, &photo, mask.as_deref(), weights),
             scene,

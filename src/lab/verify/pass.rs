@@ -267,13 +267,10 @@ impl<'a, R: Real> Pass<'a, R> {
             ("opacity, depth, colour", 5..10),
             ("pixel bounds", 10..14),
         ] {
-            let part = |all: Vec<Record>| -> Vec<f64> {
-                let part = |r: Record| r[numbers.clone()].to_vec();
-                all.into_iter().flat_map(part).collect()
-            };
-            self.add("project", name, part(records.clone()), |r, _| {
-                part(r.records())
-            });
+            let part = |r: &Record| r[numbers.clone()].to_vec();
+            let got = records.iter().flat_map(part).collect();
+            let want = |r: &Reference, _: &Outcome| r.records().iter().flat_map(part).collect();
+            self.add("project", name, got, want);
         }
         let pairs = |r: &Reference, _: &Outcome| {
             vec![r.pass.tiles.iter().map(Vec::len).sum::<usize>() as f64]

@@ -17,7 +17,7 @@ use crate::device::tuning::status;
 use crate::device::{Defines, Device};
 use crate::lab::verify::cases::Case;
 use crate::lab::verify::check::{EXACT, Row, Verification};
-use crate::lab::verify::suite::verify_case;
+use crate::lab::verify::verify_case;
 use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::scene::Plane;
