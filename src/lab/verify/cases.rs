@@ -183,7 +183,10 @@ impl Case {
     /// The same with a photo that has a premultiplied alpha plane.
     #[must_use]
     pub fn with_alpha(self) -> Self {
-        let alpha = |i: usize| if i % 3 == 0 { 255 } else { i * 37 % 256 };
+        let alpha = |i: usize| match i % 3 {
+            0 => 255,
+            _ => i * 37 % 256,
+        };
         self.with_plane("alpha", Alpha::Transparency, alpha)
     }
 

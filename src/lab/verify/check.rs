@@ -193,7 +193,7 @@ fn row(case: &Case, q: &Quantity, bound: f64, precision: &str) -> Row {
     } else {
         0
     };
-    // Of lists and flags, the number that differ and the largest that may.
+    // Number of elements of lists and flags that differ, and the largest that may.
     let counted = match (q.stage, q.name) {
         (_, "tile lists") => Some((list_flips(&got, &want), flips)),
         ("seen", _) if single => Some((mismatches(&got, &want), flips.max(FLAG_FLIPS))),

@@ -525,7 +525,7 @@ impl<'a, R: Real> Pass<'a, R> {
             let map = &out.got("loss", "error maps")[..r.camera.pixels()];
             vec![sum_counted(map, r.mask.as_deref())]
         });
-        // Of pictures that agree it is nothing but rounding.
+        // It is nothing but rounding where pictures agree.
         *floor = 1e-3 * (w * h) as f64;
         Ok(())
     }
