@@ -3,6 +3,7 @@
 mod adc;
 mod chain;
 mod deaths;
+mod extremes;
 mod mcmc;
 mod parts;
 mod pixels;

@@ -3,7 +3,7 @@
 use mhsplat::device::Device;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::verify::cases::{Case, mild};
-use mhsplat::lab::verify::outcome::Outcome;
+use mhsplat::lab::verify::pass::Outcome;
 use mhsplat::lab::verify::pass::run;
 use mhsplat::scene::{Gaussians, Plane};
 

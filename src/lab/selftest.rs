@@ -4,7 +4,7 @@ use crate::base::error::{Error, Result};
 use crate::device::Device;
 use crate::lab::cache;
 use crate::lab::verify::cases::mild;
-use crate::lab::verify::check::{Row, SINGLE, check};
+use crate::lab::verify::check::{Row, check};
 use crate::lab::verify::definition::Reference;
 use crate::lab::verify::pass;
 
@@ -29,10 +29,11 @@ pub fn self_test(device: &Device) -> Result<()> {
 /// Comparisons of every stage of one scene.
 pub fn rows(device: &Device) -> Result<Vec<Row>> {
     // The SH degree of training, whose kernels are needed anyway.
-    let case = mild("self-test", 300, [75, 50], 3, 7);
+    let mut case = mild("self-test", 300, [75, 50], 3, 7);
+    case.family = "self-test";
     let reference = Reference::new(&case);
     let out = pass::run::<f32>(device, device.tuning(), &case, Some(&reference))?;
-    Ok(check("self-test", &case, &out, "f32", SINGLE))
+    Ok(check(&case, &out, "f32", case.bound))
 }
 
 /// Fails if a comparison failed.

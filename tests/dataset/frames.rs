@@ -7,8 +7,9 @@ use glam::{DMat3, DQuat, DVec3};
 
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
+use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::capture::colmap::{ColmapModel, read_bin, write_bin};
-use mhsplat::capture::{LoadOptions, load};
+use mhsplat::capture::{Frame, LoadOptions, load};
 use mhsplat::device::Device;
 use mhsplat::run::initial_gaussians;
 use mhsplat::train::Trainer;
@@ -121,4 +122,41 @@ fn cameras_astray_are_left_out_by_name() {
     };
     let (outliers, scale) = ring_with(shaken);
     assert!(outliers.is_empty() && scale > 2.0, "{outliers:?} {scale}");
+}
+
+/// Cameras and points in a cube of edge 6, moved or scaled: f64 coordinates at 10⁷ units resolve 2e-9 units, and local ones are
+/// rounded to f32.
+#[test]
+fn far_offsets_and_extreme_units_leave_the_local_frame() {
+    let place = |seed: u64, n: u64| -> Vec<DVec3> {
+        let at = |i| {
+            let [x, y, z, _] = Philox::uniform(seed, Stream::Synthetic.stream(3), i);
+            6.0 * (DVec3::new(x, y, z) - 0.5)
+        };
+        (0..n).map(at).collect()
+    };
+    let (cameras, points) = (place(1, 40), place(2, 1000));
+    let local = |change: &dyn Fn(DVec3) -> DVec3| -> Vec<f32> {
+        let moved = |all: &[DVec3]| all.iter().map(|p| change(*p)).collect::<Vec<_>>();
+        let (cameras, points) = (moved(&cameras), moved(&points));
+        let frame = Frame::fit(&cameras, &points);
+        let all = cameras.iter().chain(&points);
+        all.flat_map(|p| frame.to_local(*p).as_vec3().to_array())
+            .collect()
+    };
+    let want = local(&|p| p);
+    let largest = want.iter().fold(0.0f32, |l, w| l.max(w.abs()));
+    let assert_same = |got: Vec<f32>, case: String| {
+        let apart = |(g, w): (&f32, &f32)| f64::from(*g) - f64::from(*w);
+        let mut errors = got.iter().zip(&want).map(apart);
+        let bound = 1e-6 * f64::from(largest);
+        assert!(errors.all(|e| e.abs() <= bound), "{case}");
+    };
+    for by in [1e3, 1e4, 1e5, 1e6, 1e7] {
+        let to = DVec3::new(by, -0.7 * by, 0.4 * by);
+        assert_same(local(&|p| p + to), format!("offset {by:e}"));
+    }
+    for by in [1e-6, 1e-3, 1.0, 1e3, 1e6] {
+        assert_same(local(&|p| p * by), format!("unit {by:e}"));
+    }
 }

@@ -20,7 +20,7 @@ fn a_lost_pair_is_rejected() {
 
 #[test]
 fn emitted_pairs_are_the_counted_ones_and_no_pixel_is_missed() {
-    for (case, _) in scenes() {
+    for case in scenes() {
         let out = run(Tuning::for_device(device().info()), &case);
         let (emitted, counted) = (
             out.got("bin", "pairs emitted"),

@@ -25,10 +25,10 @@ use std::sync::LazyLock;
 
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Defines, Device, Kernels};
-use mhsplat::lab::verify::cases::{self, Case};
-use mhsplat::lab::verify::check::{EXACT, Row, SINGLE, SINGLE_NEEDLES, check};
+use mhsplat::lab::verify::cases::{self, Case, SINGLE};
+use mhsplat::lab::verify::check::{EXACT, Row, check};
 use mhsplat::lab::verify::definition::Reference;
-use mhsplat::lab::verify::outcome::Outcome;
+use mhsplat::lab::verify::pass::Outcome;
 use mhsplat::lab::verify::{pass, verify_case};
 
 fn device() -> Device {
@@ -40,25 +40,16 @@ fn kernels(device: &Device) -> Kernels {
 }
 
 /// The cases of the stage tests; every image has parts of tiles.
-fn scenes() -> Vec<(Case, f64)> {
+fn scenes() -> Vec<Case> {
     vec![
-        (cases::mild("SH 3", 200, [75, 50], 3, 21), SINGLE),
-        (
-            cases::mild("SH 2, alpha", 50, [33, 17], 2, 22).with_alpha(),
-            SINGLE,
-        ),
-        (
-            cases::mild("SH 1, mask", 90, [170, 40], 1, 26).with_mask(),
-            SINGLE,
-        ),
-        (cases::mild("SH 1", 1, [1, 1], 1, 23), SINGLE),
-        (cases::mild("SH 0, wide", 80, [130, 20], 0, 24), SINGLE),
-        (cases::needles(40, [64, 48], 25), SINGLE_NEEDLES),
-        (anti_aliased(), SINGLE),
-        (
-            cases::needles(40, [64, 48], 28).anti_aliased(30),
-            SINGLE_NEEDLES,
-        ),
+        cases::mild("SH 3", 200, [75, 50], 3, 21),
+        cases::mild("SH 2, alpha", 50, [33, 17], 2, 22).with_alpha(),
+        cases::mild("SH 1, mask", 90, [170, 40], 1, 26).with_mask(),
+        cases::mild("SH 1", 1, [1, 1], 1, 23),
+        cases::mild("SH 0, wide", 80, [130, 20], 0, 24),
+        cases::needles(40, [64, 48], 25),
+        anti_aliased(),
+        cases::needles(40, [64, 48], 28).anti_aliased(30),
     ]
 }
 
@@ -70,7 +61,7 @@ static ROWS: LazyLock<Vec<Row>> = LazyLock::new(|| {
     let device = device();
     scenes()
         .iter()
-        .flat_map(|(case, bound)| verify_case(&device, "stage", case, *bound).unwrap())
+        .flat_map(|case| verify_case(&device, case).unwrap())
         .collect()
 });
 
@@ -110,7 +101,7 @@ fn rejects_in(stage: &str, name: &str, case: &Case, spoil: impl Fn(&mut Vec<f64>
     let tuning = Tuning::for_device(device.info());
     let mut out = pass::run::<f32>(&device, tuning, case, Some(&reference)).unwrap();
     let fails = |out: &Outcome| {
-        let rows = check("changed", case, out, "f32", SINGLE);
+        let rows = check(case, out, "f32", case.bound);
         rows.iter().any(|r| r.stage == stage && !r.pass)
     };
     assert!(!fails(&out));

@@ -14,8 +14,8 @@ use crate::lab::error::measure as error;
 use crate::lab::stats::Spread;
 use crate::lab::verify::cases::Case;
 use crate::lab::verify::definition::Reference;
-use crate::lab::verify::outcome::Outcome;
 use crate::lab::verify::pass;
+use crate::lab::verify::pass::Outcome;
 
 /// Stages and the quantities of them that are compared. Stages that run more than once in a pass are left out.
 const COMPARED: [(&str, &str); 4] = [

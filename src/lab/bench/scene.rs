@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use crate::base::rng::{Philox, Stream};
 use crate::capture::{Alpha, Camera, Dataset, Frame, Layout, Lens, Photo, Points, View};
 use crate::config::{AntiAliasing, OptimizerConfig, Sampler, TrainConfig, WorkConfig};
-use crate::lab::verify::cases::Case;
+use crate::lab::verify::cases::{Case, SINGLE};
 use crate::pipeline::stage::adam::LearningRates;
 use crate::scene::{Gaussians, Plane};
 
@@ -136,7 +136,9 @@ pub fn still(sh_degree: u32) -> TrainConfig {
 pub fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
     let camera = circle(size)[0];
     Case {
+        family: "precision",
         name: "precision".into(),
+        bound: SINGLE,
         splats: cloud(gaussians),
         photo: photo(&camera),
         camera,

@@ -8,11 +8,20 @@ use crate::capture::{Alpha, Camera, Photo};
 use crate::pipeline::stage::adam::LearningRates;
 use crate::scene::{Edit, Gaussians, OptionalColor, Plane};
 
+/// Bound on f32 kernels on well-conditioned scenes.
+pub const SINGLE: f64 = 1e-5;
+/// Bound on f32 kernels on needles 1000 times longer than thick.
+pub const SINGLE_NEEDLES: f64 = 1e-4;
+
 /// Inputs of a pass through all stages.
 #[derive(Debug, Clone)]
 pub struct Case {
+    /// Family of cases that it belongs to.
+    pub family: &'static str,
     /// Name of the case.
     pub name: String,
+    /// Bound on the errors of f32 kernels, relative to the largest value of a quantity.
+    pub bound: f64,
     /// Scene (f32 values, so that both precisions start from the same numbers).
     pub splats: Gaussians,
     /// Camera.
@@ -44,11 +53,8 @@ pub struct Case {
 pub const ADAM: [f64; 3] = [0.9_f32 as f64, 0.999_f32 as f64, 1e-15];
 
 fn uniform(seed: u64, index: usize, what: u64) -> [f64; 4] {
-    Philox::uniform(
-        seed,
-        Stream::Synthetic.stream(0),
-        (index as u64) << 8 | what,
-    )
+    let at = (index as u64) << 8 | what;
+    Philox::uniform(seed, Stream::Synthetic.stream(0), at)
 }
 
 fn camera(size: [u32; 2]) -> Camera {
@@ -72,28 +78,16 @@ fn cloud(n: usize, sh_degree: u32, seed: u64) -> Gaussians {
         let [x, y, z, far] = uniform(seed, i, 0);
         let scale = uniform(seed, i, 1);
         let spread = if far > 0.9 { 8.0 } else { 2.0 };
-        s.scatter(
-            Plane::POSITION,
-            i,
-            [x, y, z].map(|v| (spread * (v - 0.5)) as f32),
-        );
-        s.scatter(
-            Plane::LOG_SCALE,
-            i,
-            [0, 1, 2].map(|k| (2.0 * scale[k] - 3.2) as f32),
-        );
-        s.scatter(
-            Plane::ROTATION,
-            i,
-            uniform(seed, i, 2).map(|v| (v - 0.5) as f32),
-        );
+        let position = [x, y, z].map(|v| (spread * (v - 0.5)) as f32);
+        let log_scale = [0, 1, 2].map(|k| (2.0 * scale[k] - 3.2) as f32);
+        let rotation = uniform(seed, i, 2).map(|v| (v - 0.5) as f32);
+        s.scatter(Plane::POSITION, i, position);
+        s.scatter(Plane::LOG_SCALE, i, log_scale);
+        s.scatter(Plane::ROTATION, i, rotation);
         s.scatter(Plane::OPACITY, i, [(6.0 * scale[3] - 2.0) as f32]);
         for p in Plane::SH..Plane::count(sh_degree) {
-            s.scatter(
-                p,
-                i,
-                [(1.2 * uniform(seed, i, 3 + p as u64)[0] - 0.4) as f32],
-            );
+            let [u, ..] = uniform(seed, i, 3 + p as u64);
+            s.scatter(p, i, [(1.2 * u - 0.4) as f32]);
         }
     }
     s
@@ -102,7 +96,6 @@ fn cloud(n: usize, sh_degree: u32, seed: u64) -> Gaussians {
 /// Well-conditioned Gaussians in front of the camera, some beside and behind it; a noisy photo; two edits.
 #[must_use]
 pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> Case {
-    let s = cloud(n, sh_degree, seed);
     let [w, h] = size;
     let data = (0..3 * (w * h) as usize)
         .map(|i| (255.0 * uniform(seed, i, 255)[0]) as u8)
@@ -114,16 +107,13 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         position: [0.25, -0.5, 0.75],
         log_scale: [-3.0, -2.0, -1.0],
         opacity_logit: 0.5,
-        // The appended row has a colour of its own.
-        color: if dst > last {
-            OptionalColor::some([0.5, -0.25, 1.5])
-        } else {
-            OptionalColor::NONE
-        },
+        color: OptionalColor::NONE,
     };
     Case {
+        family: "mild",
         name: name.into(),
-        splats: s,
+        bound: SINGLE,
+        splats: cloud(n, sh_degree, seed),
         camera: camera(size),
         photo: Photo {
             width: w,
@@ -158,6 +148,7 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
 #[must_use]
 pub fn needles(n: usize, size: [u32; 2], seed: u64) -> Case {
     let mut case = mild("needles 1000:1", n, size, 1, seed);
+    (case.family, case.bound) = ("needles", SINGLE_NEEDLES);
     for i in 0..n {
         let long = uniform(seed, i, 4)[0] as f32;
         case.splats
@@ -185,47 +176,43 @@ impl Case {
             ..camera
         };
         self.filter_views = vec![camera, near, side];
+        self.family = "anti-aliasing";
         self
     }
 
     /// The same with a photo that has a premultiplied alpha plane.
     #[must_use]
-    pub fn with_alpha(mut self) -> Self {
-        let photo = &mut self.photo;
-        let n = (photo.width * photo.height) as usize;
-        let alpha: Vec<u8> = (0..n)
-            .map(|i| {
-                if i % 3 == 0 {
-                    255
-                } else {
-                    (i * 37 % 256) as u8
-                }
-            })
-            .collect();
-        for c in 0..3 {
-            for (v, a) in photo.data[c * n..].iter_mut().zip(&alpha) {
-                *v = (u32::from(*v) * u32::from(*a) / 255) as u8;
-            }
-        }
-        photo.data.extend(alpha);
-        photo.alpha = Alpha::Transparency;
-        self
+    pub fn with_alpha(self) -> Self {
+        let alpha = |i: usize| match i % 3 {
+            0 => 255,
+            _ => i * 37 % 256,
+        };
+        self.with_plane("alpha", Alpha::Transparency, alpha)
     }
 
     /// The same with a mask: 1 in the photo's right half, 0 in its left, in between at the border.
     #[must_use]
-    pub fn with_mask(mut self) -> Self {
-        let photo = &mut self.photo;
-        let (w, n) = (photo.width as usize, photo.data.len() / 3);
+    pub fn with_mask(self) -> Self {
+        let w = self.photo.width as usize;
         let slope = |i: usize| (i % w * 8).saturating_sub(4 * w).min(w) * 255 / w.max(1);
-        let mask: Vec<u8> = (0..n).map(|i| slope(i) as u8).collect();
-        for c in 0..3 {
-            for (v, m) in photo.data[c * n..].iter_mut().zip(&mask) {
-                *v = (u32::from(*v) * u32::from(*m) / 255) as u8;
-            }
+        self.with_plane("mask", Alpha::Mask, slope)
+    }
+
+    /// The same with a fourth plane of the photo, by which the others are multiplied.
+    fn with_plane(
+        mut self,
+        family: &'static str,
+        alpha: Alpha,
+        value: impl Fn(usize) -> usize,
+    ) -> Self {
+        let photo = &mut self.photo;
+        let n = (photo.width * photo.height) as usize;
+        let plane: Vec<u8> = (0..n).map(|i| value(i) as u8).collect();
+        for (at, v) in photo.data.iter_mut().enumerate() {
+            *v = (u32::from(*v) * u32::from(plane[at % n]) / 255) as u8;
         }
-        photo.data.extend(mask);
-        photo.alpha = Alpha::Mask;
+        photo.data.extend(plane);
+        (photo.alpha, self.family) = (alpha, family);
         self
     }
 }

@@ -1,23 +1,16 @@
-//! Comparison of every quantity of a pass with the reference.
+//! Comparison of every quantity of a pass with the reference, and [`Verification`], the outcome of a suite.
 
 use std::collections::HashSet;
 
 use serde::Serialize;
 
+use crate::device::Device;
 use crate::lab::error::{Report, Tolerance, compare, measure};
 use crate::lab::verify::cases::Case;
-use crate::lab::verify::outcome::{Outcome, Quantity};
+use crate::lab::verify::pass::{Outcome, Quantity};
 
 /// Bound on f64 kernels: rounding of f64 through the longest stage, with room for its condition.
 pub const EXACT: f64 = 1e-10;
-/// Bound on f32 kernels on well-conditioned scenes.
-pub const SINGLE: f64 = 1e-5;
-/// Bound on f32 kernels on needles 1000 times longer than thick.
-pub const SINGLE_NEEDLES: f64 = 1e-4;
-/// Bound on f32 kernels, 1 − SSIM of the tiny suite's masked photo. Half of it is black in render and photo alike: variances of
-/// black cancel, as the images are shifted by a half (1.8e-5 was measured; in larger masked photos such values are few enough
-/// to be counted as flips).
-pub const SINGLE_MASKED_MAP: f64 = 1e-4;
 /// Share of elements that may fall on the other side of a discontinuity in f32 (the alpha cut, tile edges, a sign).
 pub const FLIP_SHARE: f64 = 0.01;
 /// Gaussians that may be flagged wrongly as seen or unseen in f32, in scenes too small for [`FLIP_SHARE`]: a single pixel at the
@@ -28,7 +21,7 @@ pub const FLAG_FLIPS: usize = 1;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// Family of cases.
-    pub family: String,
+    pub family: &'static str,
     /// Case.
     pub case: String,
     /// Stage.
@@ -49,6 +42,77 @@ pub struct Row {
     pub flips: usize,
     /// True if every bound was kept.
     pub pass: bool,
+}
+
+impl Row {
+    /// Numbers that were compared on the host: family and stage, case and quantity; `errors` are relative already.
+    pub(super) fn of_errors(
+        [family, stage]: [&'static str; 2],
+        [case, quantity]: [&str; 2],
+        stiffness: f64,
+        errors: &[f64],
+        bound: f64,
+    ) -> Self {
+        let report = measure(errors, &vec![0.0; errors.len()], bound, 0.0);
+        Self {
+            family,
+            case: case.into(),
+            stage,
+            quantity: quantity.into(),
+            stiffness: Some(stiffness),
+            max_rel_error: report.largest,
+            median_rel_error: report.median,
+            bound,
+            non_finite: report.non_finite,
+            flips: 0,
+            pass: report.non_finite + report.flips == 0 && !errors.is_empty(),
+        }
+    }
+}
+
+/// Name, axis and bound of a family of cases.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FamilyNote {
+    /// Name.
+    pub name: &'static str,
+    /// Measure of the stiffness.
+    pub axis: &'static str,
+    /// Bound on the f32 errors, relative to the largest value of a quantity.
+    pub bound: f64,
+    /// Reason for that bound.
+    pub reason: &'static str,
+}
+
+/// Outcome of a suite on one device.
+#[derive(Debug, Clone, Serialize)]
+pub struct Verification {
+    /// Device name.
+    pub device: String,
+    /// Suite.
+    pub suite: &'static str,
+    /// Families of the cases (suite "stress").
+    pub families: Vec<FamilyNote>,
+    /// One row per case, stage and quantity.
+    pub cases: Vec<Row>,
+    /// Rows within their bounds.
+    pub passed: usize,
+    /// Rows that missed a bound.
+    pub failed: usize,
+}
+
+impl Verification {
+    /// A verification without families.
+    pub(super) fn new(device: &Device, suite: &'static str, cases: Vec<Row>) -> Self {
+        let failed = cases.iter().filter(|r| !r.pass).count();
+        Self {
+            device: device.info().name.clone(),
+            suite,
+            passed: cases.len() - failed,
+            failed,
+            families: Vec::new(),
+            cases,
+        }
+    }
 }
 
 /// True if decisions at a discontinuity (the alpha cut, the last layer of a pixel, a tile's edge, the sign in L1) reach a
@@ -89,27 +153,6 @@ fn mismatches(got: &[f64], want: &[f64]) -> usize {
     differ + got.len().abs_diff(want.len())
 }
 
-/// Number of elements of lists and flags that differ, and the largest that may; `None` for other quantities.
-fn counted(
-    q: &Quantity,
-    [got, want]: [&[f64]; 2],
-    flips: usize,
-    bound: f64,
-) -> Option<(usize, usize)> {
-    match (q.stage, q.name) {
-        (_, "tile lists") => Some((list_flips(got, want), flips)),
-        ("seen", _) => Some((
-            mismatches(got, want),
-            if bound > EXACT {
-                flips.max(FLAG_FLIPS)
-            } else {
-                0
-            },
-        )),
-        _ => None,
-    }
-}
-
 /// Numbers of a quantity without those of invalid Gaussians; the case has `n`.
 fn valid(q: &Quantity, values: &[f64], n: usize, invalid: &[usize]) -> Vec<f64> {
     let per = values.len() / n.max(1);
@@ -132,45 +175,50 @@ fn valid(q: &Quantity, values: &[f64], n: usize, invalid: &[usize]) -> Vec<f64> 
 /// Compares every quantity of one pass with the reference. `bound` applies to each, but for [`Case::error_map_bound`]; in f32 a share
 /// of the elements behind a discontinuity (of flags at least [`FLAG_FLIPS`]) may be flips, in f64 none.
 #[must_use]
-pub fn check(family: &str, case: &Case, out: &Outcome, precision: &str, bound: f64) -> Vec<Row> {
-    let row = |q: &Quantity| row(case, q, bound, precision, family);
+pub fn check(case: &Case, out: &Outcome, precision: &str, bound: f64) -> Vec<Row> {
+    let row = |q: &Quantity| row(case, q, bound, precision);
     out.quantities.iter().map(row).collect()
 }
 
 /// The comparison of one quantity.
-fn row(case: &Case, q: &Quantity, bound: f64, precision: &str, family: &str) -> Row {
+fn row(case: &Case, q: &Quantity, bound: f64, precision: &str) -> Row {
     let of = |values: &[f64]| valid(q, values, case.splats.len(), &case.invalid);
-    let (got, want) = (of(&q.got), of(&q.want));
+    let (got, want, single) = (of(&q.got), of(&q.want), bound > EXACT);
     let bound = match case.error_map_bound {
-        Some(own) if bound > EXACT && q.name == "error maps" => own,
+        Some(own) if single && q.name == "error maps" => own,
         _ => bound,
     };
-    let flips = if bound > EXACT && has_flips(q.stage, q.name) {
+    let flips = if single && has_flips(q.stage, q.name) {
         (FLIP_SHARE * want.len() as f64) as usize
     } else {
         0
     };
-    let (pass, report) = if let Some((found, most)) = counted(q, [&got, &want], flips, bound) {
+    // Number of elements of lists and flags that differ, and the largest that may.
+    let counted = match (q.stage, q.name) {
+        (_, "tile lists") => Some((list_flips(&got, &want), flips)),
+        ("seen", _) if single => Some((mismatches(&got, &want), flips.max(FLAG_FLIPS))),
+        ("seen", _) => Some((mismatches(&got, &want), 0)),
+        _ => None,
+    };
+    let (pass, report) = if let Some((found, most)) = counted {
         let report = Report {
             flips: found,
             ..Report::default()
         };
         (found <= most, report)
     } else {
-        let strict = Tolerance {
+        let mut tolerance = Tolerance {
             floor: q.floor,
             ..Tolerance::all(bound)
         };
-        let tolerance = if flips > 0 {
-            strict.with_flips(flips, 0.05_f64.max(bound))
-        } else {
-            strict
-        };
-        let verdict = compare(&got, &want, tolerance);
-        (verdict.is_ok(), measure(&got, &want, bound, q.floor))
+        if flips > 0 {
+            tolerance = tolerance.with_flips(flips, 0.05_f64.max(bound));
+        }
+        let report = measure(&got, &want, bound, q.floor);
+        (compare(&got, &want, tolerance).is_ok(), report)
     };
     Row {
-        family: family.into(),
+        family: case.family,
         case: case.name.clone(),
         stage: q.stage,
         quantity: format!("{} ({precision})", q.name),

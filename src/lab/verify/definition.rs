@@ -1,7 +1,6 @@
 //! [`Reference`]: the definitions in f64, applied to a case.
 
 use std::collections::HashSet;
-use std::ops::Range;
 
 use crate::base::constants::{LOG_SCALE, NEAR, SUMS};
 use crate::capture::Alpha;
@@ -61,14 +60,6 @@ pub fn photo(case: &Case) -> Vec<f64> {
         .collect()
 }
 
-/// Mask of a case \[height, width\]; `None` if its photo has none.
-fn mask(case: &Case) -> Option<Vec<f64>> {
-    let p = &case.photo;
-    let n = (p.width * p.height) as usize;
-    let value = |m: &u8| f64::from(*m) / 255.0;
-    (p.alpha == Alpha::Mask).then(|| p.data[3 * n..].iter().map(value).collect())
-}
-
 /// Scene, camera and options of a case.
 #[must_use]
 pub fn inputs(case: &Case) -> (Scene64, Camera64, Options) {
@@ -90,11 +81,6 @@ pub fn seen_before(count: usize) -> impl Iterator<Item = u32> {
     (0..count).map(|i| u32::from(i % 3 == 2))
 }
 
-/// Planes one after the other.
-pub fn flat(planes: &[Vec<f64>]) -> Vec<f64> {
-    planes.concat()
-}
-
 /// Lists of all tiles one after the other, closed by −1 each.
 pub fn lists(tiles: &[Vec<u32>]) -> Vec<f64> {
     let list = |t: &Vec<u32>| -> Vec<f64> {
@@ -104,8 +90,33 @@ pub fn lists(tiles: &[Vec<u32>]) -> Vec<f64> {
     tiles.iter().flat_map(list).collect()
 }
 
-/// Parameters or transforms and both moments, after two steps of the optimiser with the same gradients.
+/// Projected Gaussian as numbers: mean, quadratic form, opacity, depth, colour, pixel bounds.
+pub(super) type Record = [f64; 14];
+
+/// Parameters or transforms and both moments after some steps of the optimiser with the same gradients.
 type Stepped<T> = [T; 3];
+
+/// Numbers after `count` steps of the optimiser from moments of 0, `after` each of which the parameters are changed once more;
+/// and number of gradients that are not finite.
+pub(super) fn steps(
+    mut params: Vec<f64>,
+    grads: &[f64],
+    (rate, count): (f64, u32),
+    after: impl Fn(&mut [f64]),
+) -> (Stepped<Vec<f64>>, u32) {
+    let zeros = vec![0.0; params.len()];
+    let (mut m, mut v, mut bad) = (zeros.clone(), zeros, 0);
+    for t in 1..=count {
+        let step = Step {
+            rate,
+            constants: ADAM,
+            t,
+        };
+        bad += adam(grads, &step, &mut params, &mut m, &mut v);
+        after(&mut params);
+    }
+    ([params, m, v], bad)
+}
 
 /// A case and the result of every stage.
 ///
@@ -131,8 +142,10 @@ impl Reference {
     #[must_use]
     pub fn new(case: &Case) -> Self {
         let (scene, camera, options) = inputs(case);
-        let (photo, mask) = (photo(case), mask(case));
-        let weights = case.lambdas;
+        let (photo, weights) = (photo(case), case.lambdas);
+        let fourth = &case.photo.data[photo.len()..];
+        let mask: Option<Vec<f64>> = (case.photo.alpha == Alpha::Mask)
+            .then(|| fourth.iter().map(|m| f64::from(*m) / 255.0).collect());
         Self {
             pass: run(&scene, &camera, &options, &photo, mask.as_deref(), weights),
             scene,
@@ -143,8 +156,8 @@ impl Reference {
         }
     }
 
-    /// Projected Gaussians as numbers: mean, quadratic form, opacity, depth, colour, pixel bounds; zeros when culled.
-    pub(super) fn records(&self) -> Vec<[f64; 14]> {
+    /// Projected Gaussians; zeros when culled.
+    pub(super) fn records(&self) -> Vec<Record> {
         let of = |r: &crate::pipeline::stage::project::Record64| {
             let [[x0, x1], [y0, y1]] = r.bounds.map(|b| b.map(f64::from));
             let [red, green, blue] = r.rgb;
@@ -154,12 +167,8 @@ impl Reference {
             ]
         };
         let all = self.pass.records.iter();
-        all.map(|r| r.as_ref().map_or([0.0; 14], of)).collect()
-    }
-
-    /// Number of tile intersections.
-    pub(super) fn pairs(&self) -> f64 {
-        self.pass.tiles.iter().map(Vec::len).sum::<usize>() as f64
+        all.map(|r| r.as_ref().map_or_else(Record::default, of))
+            .collect()
     }
 
     /// Sums of each Gaussian \[N, 9\].
@@ -168,55 +177,38 @@ impl Reference {
         sums.flat_map(|s| s.unwrap_or([0.0; SUMS])).collect()
     }
 
-    /// Gradients of a range of planes.
-    pub(super) fn gradient(&self, planes: Range<usize>) -> Vec<f64> {
-        flat(&self.pass.grads.planes[planes])
-    }
-
     /// Size of the terms of a rotation's gradient: those of the scales over the quaternion's norm. A round Gaussian, or one
     /// seen along its axis, does not change when it turns, and the terms cancel.
+    ///
+    /// The largest term is the one that the longest axis of a Gaussian would have across the line of sight. It is the gradient
+    /// by the log-scale of axis k without the regulariser, 2 s_k² times the covariance's along that axis, times (s_max/s_k)².
     pub(super) fn turn_floor(&self) -> f64 {
-        self.largest_turn() / self.largest_norm()
-    }
-
-    /// Largest term of a rotation's gradient: the one that the longest axis of a Gaussian would have across the line of sight.
-    /// It is the gradient by the log-scale of axis k without the regulariser, 2 s_k² times the covariance's along that axis,
-    /// times (s_max/s_k)².
-    fn largest_turn(&self) -> f64 {
         let (scene, sums) = (&self.scene, &self.pass.sums);
         let pulls = project_grad(scene, &self.camera, &self.options, sums, [0.0; 2]);
-        let of = |i: usize| -> f64 {
+        let largest = |values: &mut dyn Iterator<Item = f64>| {
+            values.filter(|v| v.is_finite()).fold(0.0, f64::max)
+        };
+        let turn = |i: usize| -> f64 {
             let axes = scene
                 .gather::<3>(Plane::LOG_SCALE, i)
                 .map(|l| l.clamp(LOG_SCALE[0], LOG_SCALE[1]));
             let longest = axes.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             let pulls = pulls.gather::<3>(Plane::LOG_SCALE, i);
             let term = |k: usize| pulls[k].abs() * (2.0 * (longest - axes[k])).exp();
-            (0..3)
-                .map(term)
-                .filter(|t| t.is_finite())
-                .fold(0.0, f64::max)
+            largest(&mut (0..3).map(term))
         };
-        (0..scene.len()).map(of).fold(0.0, f64::max)
-    }
-
-    /// Largest norm of a quaternion; 1 if there is none.
-    fn largest_norm(&self) -> f64 {
-        let norm = |i: usize| unit_quaternion(self.scene.gather(Plane::ROTATION, i)).1;
-        let norms = (0..self.scene.len()).map(norm);
-        match norms.filter(|n| n.is_finite()).fold(0.0, f64::max) {
+        let norm = |i: usize| unit_quaternion(scene.gather(Plane::ROTATION, i)).1;
+        let norm = match largest(&mut (0..scene.len()).map(norm)) {
             0.0 => 1.0,
             norm => norm,
-        }
+        };
+        largest(&mut (0..scene.len()).map(turn)) / norm
     }
 
-    /// Parameters and moments after two steps of the optimiser with these gradients.
-    pub(super) fn optimised(&self, case: &Case, grads: &[Vec<f64>]) -> Stepped<Vec<Vec<f64>>> {
-        let r = &case.rates;
-        let mut params = self.scene.planes.clone();
-        let zeros = self.scene.zeros_like().planes;
-        let (mut m, mut v) = (zeros.clone(), zeros);
-        for p in 0..Plane::count(case.sh_degree) {
+    /// Planes of the parameters and moments after two steps of the optimiser with these gradients.
+    pub(super) fn optimised(&self, case: &Case, grads: &[f64]) -> Stepped<Vec<Vec<f64>>> {
+        let (r, n) = (&case.rates, self.scene.len());
+        let of = |(p, plane): (usize, &Vec<f64>)| {
             let rate = match p {
                 _ if p < Plane::LOG_SCALE => r.position,
                 _ if p < Plane::ROTATION => r.scale,
@@ -225,16 +217,12 @@ impl Reference {
                 _ if p < Plane::SH + 3 => r.sh0,
                 _ => r.sh,
             };
-            for t in 1..=2 {
-                let step = Step {
-                    rate,
-                    constants: ADAM,
-                    t,
-                };
-                adam(&grads[p], &step, &mut params[p], &mut m[p], &mut v[p]);
-            }
-        }
-        [params, m, v]
+            let count = 2 * u32::from(p < Plane::count(case.sh_degree));
+            let grads = &grads[p * n..(p + 1) * n];
+            steps(plane.clone(), grads, (rate, count), |_| ()).0
+        };
+        let planes: Vec<_> = self.scene.planes.iter().enumerate().map(of).collect();
+        [0, 1, 2].map(|k| planes.iter().map(|p| p[k].clone()).collect())
     }
 
     /// Displacement of every Gaussian by the noise: all x, all y, all z.
@@ -287,28 +275,18 @@ impl Reference {
 
     /// Transforms and moments \[views · 12\] after two steps with this gradient of the case's transform.
     pub(super) fn transforms(&self, gradient: &[f64]) -> Stepped<Vec<f64>> {
-        let mut params = EXPOSURES.as_flattened().to_vec();
-        let zeros = vec![0.0; params.len()];
-        let (mut m, mut v, mut grads) = (zeros.clone(), zeros.clone(), zeros);
+        let params = EXPOSURES.as_flattened().to_vec();
+        let mut grads = vec![0.0; params.len()];
         grads[VIEW * ENTRIES..(VIEW + 1) * ENTRIES].copy_from_slice(gradient);
-        for t in 1..=2 {
-            let step = Step {
-                rate: EXPOSURE_RATE,
-                constants: ADAM,
-                t,
-            };
-            adam(&grads, &step, &mut params, &mut m, &mut v);
-            center(&mut params);
-        }
-        [params, m, v]
+        steps(params, &grads, (EXPOSURE_RATE, 2), center).0
     }
 }
 
-/// Parameters and moments after the edits of a case, one after the other.
-pub(super) fn edited(case: &Case, state: &Stepped<Vec<Vec<f64>>>) -> Vec<f64> {
-    let [mut rows, mut first, mut second] = state.clone();
+/// Planes of the parameters and moments after the edits of a case, one after the other.
+pub(super) fn edited(case: &Case, state: Stepped<Vec<Vec<f64>>>) -> Vec<f64> {
+    let [mut rows, mut first, mut second] = state;
     edit(&case.edits, &mut rows, [&mut first, &mut second]);
-    [flat(&rows), flat(&first), flat(&second)].concat()
+    [rows, first, second].concat().concat()
 }
 
 /// Largest sum of magnitudes of the terms of dL/d\[A | b\].

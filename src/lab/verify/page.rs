@@ -7,14 +7,13 @@ use crate::chart::loglog::{LogPoint, LogSeries, log_log_chart};
 use crate::lab::folder::{one_or_all, write_files};
 use crate::lab::report::{Report, Section};
 use crate::lab::table::{Table, or_dash};
-use crate::lab::verify::check::Row;
-use crate::lab::verify::verification::{FamilyNote, Verification};
+use crate::lab::verify::check::{FamilyNote, Row, Verification};
 
 /// Least error that is drawn.
 const MIN_ERROR: f64 = 1e-17;
 /// Stages that have a curve of their own in f32, in the order of their colours.
 const CURVES: [&[&str]; 5] = [
-    &["project", "dataset", "density"],
+    &["project"],
     &["splat", "scan", "bin", "sort"],
     &["loss", "metrics", "importance"],
     &["exposure", "splat_grad", "screen_grad", "seen"],
@@ -29,68 +28,71 @@ fn worst<'a>(rows: impl Iterator<Item = &'a Row>) -> Option<&'a Row> {
     rows.max_by(|a, b| a.max_rel_error.total_cmp(&b.max_rel_error))
 }
 
+/// Worst of some rows in f64, or in f32, as text.
+fn worst_in(double: bool, rows: &[&Row], text: impl Fn(&Row) -> String) -> String {
+    let of = rows.iter().copied().filter(|r| is_double(r) == double);
+    or_dash(worst(of), text)
+}
+
+fn error(row: &Row) -> String {
+    format!("{:.1e}", row.max_rel_error)
+}
+
+fn quantity(row: &Row) -> String {
+    format!("{}: {} {}", row.case, row.stage, row.quantity)
+}
+
+fn rows_of<'a>(v: &'a Verification, family: &str) -> Vec<&'a Row> {
+    v.cases.iter().filter(|r| r.family == family).collect()
+}
+
+/// Column of a table: its name and the cell of a row.
+type Column<T> = (&'static str, fn(&T) -> String);
+
+fn table<T>(title: &str, note: &str, columns: &[Column<T>], rows: Vec<T>) -> Section {
+    let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
+    let line = |row: &T| columns.iter().map(|(_, cell)| cell(row)).collect();
+    Section::Table(Table::new(title, note, &names, rows.iter().map(line)))
+}
+
+fn sum(rows: &[&Row], of: fn(&Row) -> usize) -> String {
+    rows.iter().map(|r| of(r)).sum::<usize>().to_string()
+}
+
 /// Number of comparisons, worst errors in f32 and in f64, and bound of every family.
-fn table(v: &Verification) -> Table {
-    let line = |note: &FamilyNote| {
-        let of: Vec<&Row> = v.cases.iter().filter(|r| r.family == note.name).collect();
-        let single = worst(of.iter().copied().filter(|r| !is_double(r)));
-        let double = worst(of.iter().copied().filter(|r| is_double(r)));
-        let number = |row: Option<&Row>| or_dash(row, |r| format!("{:.1e}", r.max_rel_error));
-        let failed = of.iter().filter(|r| !r.pass).count();
-        vec![
-            note.name.to_owned(),
-            format!("{}", of.len()),
-            format!("{failed}"),
-            format!("{}", of.iter().map(|r| r.non_finite).sum::<usize>()),
-            number(single),
-            format!("{:.0e}", note.bound),
-            number(double),
-            format!("{}", of.iter().map(|r| r.flips).sum::<usize>()),
-            single.map_or(String::new(), |r| {
-                format!("{}: {} {}", r.case, r.stage, r.quantity)
-            }),
-        ]
-    };
-    let columns = [
-        "family",
-        "comparisons",
-        "failed",
-        "not finite",
-        "worst in f32",
-        "bound",
-        "worst in f64",
-        "flips",
-        "worst in f32 is of",
+fn families(v: &Verification) -> Section {
+    let columns: [Column<(&FamilyNote, Vec<&Row>)>; 9] = [
+        ("family", |(f, _)| f.name.into()),
+        ("comparisons", |(_, of)| of.len().to_string()),
+        ("failed", |(_, of)| sum(of, |r| usize::from(!r.pass))),
+        ("not finite", |(_, of)| sum(of, |r| r.non_finite)),
+        ("worst in f32", |(_, of)| worst_in(false, of, error)),
+        ("bound", |(f, _)| format!("{:.0e}", f.bound)),
+        ("worst in f64", |(_, of)| worst_in(true, of, error)),
+        ("flips", |(_, of)| sum(of, |r| r.flips)),
+        ("worst in f32 is of", |(_, of)| {
+            worst_in(false, of, quantity)
+        }),
     ];
     let note = "Errors are relative to the largest value of a quantity; flips, elements on the other side of a discontinuity, are counted apart.";
-    Table::new(
-        "Worst of each family",
-        note,
-        &columns,
-        v.families.iter().map(line),
-    )
+    let rows = v.families.iter().map(|f| (f, rows_of(v, f.name)));
+    table("Worst of each family", note, &columns, rows.collect())
 }
 
 /// Error against stiffness of one family: a curve per group of stages in f32, one for all of f64.
 fn chart(v: &Verification, note: &FamilyNote) -> String {
-    let of: Vec<&Row> = v.cases.iter().filter(|r| r.family == note.name).collect();
+    let of = rows_of(v, note.name);
     let mut stiffness: Vec<f64> = of.iter().filter_map(|r| r.stiffness).collect();
     stiffness.sort_by(f64::total_cmp);
     stiffness.dedup();
     let series = |name: String, takes: &dyn Fn(&Row) -> bool| {
         let point = |at: &f64| {
-            let here = of
-                .iter()
-                .copied()
-                .filter(|r| r.stiffness == Some(*at) && takes(r));
-            worst(here).map(|r| LogPoint {
+            let here = |r: &&Row| r.stiffness == Some(*at) && takes(r);
+            worst(of.iter().copied().filter(here)).map(|r| LogPoint {
                 x: *at,
                 y: r.max_rel_error.max(MIN_ERROR),
                 label: String::new(),
-                tip: format!(
-                    "{}: {} {}, {:.1e}",
-                    r.case, r.stage, r.quantity, r.max_rel_error
-                ),
+                tip: format!("{}, {}", quantity(r), error(r)),
             })
         };
         LogSeries {
@@ -99,14 +101,11 @@ fn chart(v: &Verification, note: &FamilyNote) -> String {
             line: true,
         }
     };
-    let mut all: Vec<LogSeries> = CURVES
-        .iter()
-        .map(|stages| {
-            series(stages.join(", "), &|r: &Row| {
-                !is_double(r) && stages.contains(&r.stage)
-            })
-        })
-        .collect();
+    let curve = |stages: &&[&str]| {
+        let takes = |r: &Row| !is_double(r) && stages.contains(&r.stage);
+        series(stages.join(", "), &takes)
+    };
+    let mut all: Vec<LogSeries> = CURVES.iter().map(curve).collect();
     all.push(series("all stages, f64".into(), &is_double));
     all.retain(|s| !s.points.is_empty());
     log_log_chart(note.name, note.axis, "largest relative error", &all)
@@ -117,19 +116,14 @@ fn chart(v: &Verification, note: &FamilyNote) -> String {
 fn between(all: &[Verification]) -> Table {
     let mut families: Vec<&str> = Vec::new();
     for row in all.iter().flat_map(|v| &v.cases) {
-        if !families.contains(&row.family.as_str()) {
-            families.push(&row.family);
+        if !families.contains(&row.family) {
+            families.push(row.family);
         }
     }
     let line = |family: &&str| {
-        let worst_of = |v: &Verification| {
-            let of = v.cases.iter().filter(|r| r.family == **family);
-            let single = worst(of.filter(|r| !is_double(r)));
-            or_dash(single, |r| format!("{:.1e}", r.max_rel_error))
-        };
-        let mut cells = vec![(*family).to_owned()];
-        cells.extend(all.iter().map(worst_of));
-        cells
+        let of = |v: &Verification| worst_in(false, &rows_of(v, family), error);
+        let name = (*family).to_owned();
+        std::iter::once(name).chain(all.iter().map(of)).collect()
     };
     let devices = all.iter().map(|v| v.device.as_str());
     let columns: Vec<&str> = std::iter::once("family").chain(devices).collect();
@@ -168,7 +162,7 @@ fn device(v: &Verification) -> Report {
         ..Report::default()
     };
     if v.families.is_empty() {
-        part.sections.push(Section::Table(failures(v, true)));
+        part.sections.push(comparisons(v, true));
         return part;
     }
     let reasons = v.families.iter().map(|note| {
@@ -178,13 +172,13 @@ fn device(v: &Verification) -> Report {
         ))
     });
     part.sections = vec![
-        Section::Table(table(v)),
+        families(v),
         Section::Charts {
             title: "Error against stiffness".into(),
             note: String::new(),
             figures: v.families.iter().map(|note| chart(v, note)).collect(),
         },
-        Section::Table(failures(v, false)),
+        comparisons(v, false),
         Section::Details {
             summary: "Reasons of the bounds".into(),
             sections: reasons.collect(),
@@ -194,43 +188,25 @@ fn device(v: &Verification) -> Report {
 }
 
 /// Rows that failed, or all of them.
-fn failures(v: &Verification, all: bool) -> Table {
-    let rows = v.cases.iter().filter(|r| all || !r.pass);
-    let line = |r: &Row| {
-        vec![
-            r.family.clone(),
-            r.case.clone(),
-            r.stage.to_owned(),
-            r.quantity.clone(),
-            format!("{:.1e}", r.max_rel_error),
-            format!("{:.1e}", r.median_rel_error),
-            format!("{:.0e}", r.bound),
-            format!("{}", r.flips),
-            format!("{}", r.non_finite),
-            if r.pass {
-                String::new()
-            } else {
-                "FAILED".into()
-            },
-        ]
-    };
-    let columns = [
-        "family",
-        "case",
-        "stage",
-        "quantity",
-        "max",
-        "median",
-        "bound",
-        "flips",
-        "not finite",
-        "",
+fn comparisons(v: &Verification, all: bool) -> Section {
+    let columns: [Column<&Row>; 10] = [
+        ("family", |r| r.family.into()),
+        ("case", |r| r.case.clone()),
+        ("stage", |r| r.stage.into()),
+        ("quantity", |r| r.quantity.clone()),
+        ("max", |r| error(r)),
+        ("median", |r| format!("{:.1e}", r.median_rel_error)),
+        ("bound", |r| format!("{:.0e}", r.bound)),
+        ("flips", |r| r.flips.to_string()),
+        ("not finite", |r| r.non_finite.to_string()),
+        ("", |r| if r.pass { "" } else { "FAILED" }.into()),
     ];
     let title = match all {
         true => "Comparisons",
         false => "Failed comparisons",
     };
-    Table::new(title, "", &columns, rows.map(line))
+    let rows = v.cases.iter().filter(|r| all || !r.pass);
+    table(title, "", &columns, rows.collect())
 }
 
 /// The document of `verify --json`, of several devices an array.

@@ -2,22 +2,22 @@
 //!
 //! A quantity is named here and nowhere else: with what the device computed, what the reference did, and the floor of its errors.
 
-use crate::base::constants::{FILTER_CHUNKS, NEAR};
+use std::ops::Range;
+
+use crate::base::constants::{FILTER_CHUNKS, NEAR, SUMS, TILE};
 use crate::base::error::Result;
-use crate::device::tuning::{Tuning, status};
+use crate::device::tuning::{KEY_CULLED, Tuning, status};
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::lab::verify::cases::{ADAM, Case};
 use crate::lab::verify::definition::{
-    EXPOSURE_RATE, EXPOSURES, NOISE, NOISE_KEYS, Reference, VIEW, edited, flat, largest_sum, lists,
-    seen_before,
+    EXPOSURE_RATE, EXPOSURES, NOISE, NOISE_KEYS, Record, Reference, VIEW, edited, largest_sum,
+    lists, seen_before,
 };
-use crate::lab::verify::outcome::Outcome;
-use crate::lab::verify::readback::{counted, crop, records, sums, tiles, widen};
-use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::exposure::{ExposureModel, TransformStep};
-use crate::pipeline::forward::{Quantity, RenderOptions};
+use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
-use crate::pipeline::stage::adam::{Adam, Step};
+use crate::pipeline::stage::adam::{Adam, LearningRates, Step};
 use crate::pipeline::stage::edit::Edit;
 use crate::pipeline::stage::exposure::{apply, backward};
 use crate::pipeline::stage::filter::Filter;
@@ -29,6 +29,48 @@ use crate::pipeline::stage::screen_grad::ScreenGrad;
 use crate::pipeline::stage::seen::Seen;
 use crate::scene::Plane;
 
+/// A named array of numbers.
+#[derive(Debug, Clone)]
+pub struct Quantity {
+    /// Stage that computed it.
+    pub stage: &'static str,
+    /// Name.
+    pub name: &'static str,
+    /// Numbers of the device.
+    pub got: Vec<f64>,
+    /// Numbers of the reference; empty after a pass without one.
+    pub want: Vec<f64>,
+    /// Least scale of relative errors.
+    pub floor: f64,
+}
+
+/// Quantities and times of one pass.
+#[derive(Debug, Clone, Default)]
+pub struct Outcome {
+    /// Quantities in the order of the stages.
+    pub quantities: Vec<Quantity>,
+    /// Non-finite gradients that the optimiser counted.
+    pub non_finite: u32,
+    /// Seconds of device time per stage.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+impl Outcome {
+    /// Numbers of the device; empty if there is no such quantity.
+    #[must_use]
+    pub fn got(&self, stage: &str, name: &str) -> &[f64] {
+        let mut all = self.quantities.iter();
+        all.find(|q| q.stage == stage && q.name == name)
+            .map_or(&[], |q| &q.got)
+    }
+
+    /// Gradients of all planes, one after the other.
+    fn gradients(&self) -> Vec<f64> {
+        let of = self.quantities.iter().filter(|q| q.stage == "project_grad");
+        of.flat_map(|q| q.got.iter().copied()).collect()
+    }
+}
+
 /// Runs every stage in precision `R` on a case, and its definition if there is a reference.
 pub fn run<R: Real>(
     device: &Device,
@@ -38,34 +80,56 @@ pub fn run<R: Real>(
 ) -> Result<Outcome> {
     let mut pass = Pass::<R>::new(device, tuning, case, reference)?;
     pass.render()?;
-    let mut out = Outcome::default();
-    pass.forward(&mut out)?;
-    let error_sums = pass.loss(&mut out)?;
-    let grads = pass.gradients(&mut out)?;
-    let state = pass.optimiser(&grads, &mut out)?;
-    pass.noise(&mut out)?;
-    pass.screen_gradients(&mut out)?;
-    pass.seen(&mut out)?;
-    pass.importance(&error_sums, &mut out)?;
-    pass.edit(state, &mut out)?;
-    pass.metrics(&mut out)?;
-    pass.filter(&mut out)?;
-    pass.exposure(&mut out)?;
+    pass.forward()?;
+    let error_sums = pass.loss()?;
+    let grads = pass.gradients()?;
+    let (scene, moments) = pass.optimiser(&grads)?;
+    pass.noise()?;
+    pass.screen_gradients()?;
+    pass.seen()?;
+    let got = pass.planes(&error_sums, 3)?;
+    pass.add("importance", "cues", got, |r, out| {
+        r.error_sums(out.got("loss", "error maps"))
+    });
+    pass.edit(&scene, &moments)?;
+    pass.metrics()?;
+    if pass.kernels.defines().anti_alias {
+        let got = widen(pass.scene.filter.read(0, pass.scene.count)?);
+        let want = |r: &Reference, _: &Outcome| r.scene.filter.clone().unwrap_or_default();
+        pass.add("filter", "standard deviation", got, want);
+    }
+    pass.exposure()?;
     device.collect_times(usize::MAX)?;
     let times = device.times().into_iter();
-    out.seconds = times.map(|(stage, t)| (stage, t.seconds)).collect();
-    Ok(out)
+    pass.out.seconds = times.map(|(stage, t)| (stage, t.seconds)).collect();
+    Ok(pass.out)
 }
 
-/// Parameters and both moments.
-type State = [Vec<Vec<f64>>; 3];
+/// Both moments after steps of the optimiser with the same gradients, which change the scene.
+pub(super) fn optimise<R: Real>(
+    kernels: &Kernels,
+    scene: &GaussianBuffers<R>,
+    block: &GradientBlock<'_, R>,
+    (rate, steps): (LearningRates, u32),
+    frame: &ViewBuffers<R>,
+) -> Result<[Array<R>; 2]> {
+    let stage = Adam::new::<R>(kernels)?;
+    let zeros = |name| Array::zeros(kernels.device(), name, scene.params.len());
+    let [m, v] = [zeros("moment1")?, zeros("moment2")?];
+    for t in 1..=steps {
+        let step = Step {
+            rate,
+            constants: ADAM,
+            t,
+        };
+        stage.run(scene, [&m, &v], block, &step, frame)?;
+    }
+    Ok([m, v])
+}
 
-/// Copy of the scene with its moments, after the optimiser's steps.
-struct Optimised<R: Real> {
-    scene: GaussianBuffers<R>,
-    moments: [Array<R>; 2],
-    /// State of the reference.
-    want: State,
+/// Numbers in f64.
+pub(super) fn widen<R: Real>(values: Vec<R>) -> Vec<f64> {
+    values.into_iter().map(Into::into).collect()
 }
 
 /// A pass under way.
@@ -78,6 +142,7 @@ struct Pass<'a, R: Real> {
     camera: CameraArg<R>,
     case: &'a Case,
     reference: Option<&'a Reference>,
+    out: Outcome,
 }
 
 impl<'a, R: Real> Pass<'a, R> {
@@ -109,23 +174,52 @@ impl<'a, R: Real> Pass<'a, R> {
             camera,
             case,
             reference,
+            out: Outcome::default(),
         })
     }
 
-    /// A value of the reference; empty without one.
-    fn want<T: Default>(&self, of: impl FnOnce(&Reference) -> T) -> T {
-        self.reference.map(of).unwrap_or_default()
+    /// Value of the reference, which may begin with the device's numbers so far; the default without a reference.
+    fn want<T: Default>(&self, of: impl FnOnce(&Reference, &Outcome) -> T) -> T {
+        self.reference.map(|r| of(r, &self.out)).unwrap_or_default()
     }
 
-    fn image(&self, planes: &Array<R>, of: std::ops::Range<usize>) -> Result<Vec<f64>> {
-        Ok(crop(&widen(planes.to_vec()?), &self.camera, of))
+    /// Adds a quantity and returns the floor of its errors, which is 0 until it is set.
+    fn add(
+        &mut self,
+        stage: &'static str,
+        name: &'static str,
+        got: Vec<f64>,
+        want: impl FnOnce(&Reference, &Outcome) -> Vec<f64>,
+    ) -> &mut f64 {
+        let (at, want) = (self.out.quantities.len(), self.want(want));
+        self.out.quantities.push(Quantity {
+            stage,
+            name,
+            got,
+            want,
+            floor: 0.0,
+        });
+        &mut self.out.quantities[at].floor
     }
 
-    /// Planes of an array of the scene's shape.
-    fn planes(&self, array: &Array<R>) -> Result<Vec<Vec<f64>>> {
-        (0..self.scene.planes())
-            .map(|p| Ok(widen(array.read(p * self.scene.stride, self.scene.count)?)))
-            .collect()
+    fn frame(&self) -> &ViewBuffers<R> {
+        &self.pipeline.forward.frame
+    }
+
+    /// Planes of a padded image, without the padding.
+    fn image(&self, image: &Array<R>, planes: Range<usize>) -> Result<Vec<f64>> {
+        let padded = widen(image.to_vec()?);
+        let [w, h] = self.camera.size.map(|s| s as usize);
+        let [stride, rows] = self.camera.tiles.map(|t| t as usize * TILE as usize);
+        let starts = planes.flat_map(|c| (0..h).map(move |y| (c * rows + y) * stride));
+        let row = |from: usize| padded[from..from + w].iter().copied();
+        Ok(starts.flat_map(row).collect())
+    }
+
+    /// The first planes of an array of the scene's stride, one after the other.
+    fn planes(&self, array: &Array<R>, planes: usize) -> Result<Vec<f64>> {
+        let plane = |p| Ok(widen(array.read(p * self.scene.stride, self.scene.count)?));
+        Ok((0..planes).map(plane).collect::<Result<Vec<_>>>()?.concat())
     }
 
     fn copy(&self, array: &Array<R>) -> Result<Array<R>> {
@@ -157,8 +251,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let options = RenderOptions {
             sh_degree: self.case.sh_degree,
             background: self.case.background,
-            quantity: Quantity::Color,
-            active_only: false,
+            ..RenderOptions::default()
         };
         forward.render(&self.scene, &self.camera, &options)?;
         device.collect_times(usize::MAX)?;
@@ -166,35 +259,72 @@ impl<'a, R: Real> Pass<'a, R> {
         forward.render(&self.scene, &self.camera, &options)
     }
 
-    fn forward(&self, out: &mut Outcome) -> Result<()> {
-        let f = &self.pipeline.forward.frame;
-        let got = records(f, self.scene.count)?;
-        let want = self.want(Reference::records);
+    fn forward(&mut self) -> Result<()> {
+        let records = self.records()?;
         for (name, numbers) in [
             ("mean", 0..2),
             ("quadratic form", 2..5),
             ("opacity, depth, colour", 5..10),
             ("pixel bounds", 10..14),
         ] {
-            let part = |all: &[[f64; 14]]| -> Vec<f64> {
-                all.iter()
-                    .flat_map(|r| r[numbers.clone()].to_vec())
-                    .collect()
-            };
-            out.add("project", name, part(&got), part(&want));
+            let part = |r: &Record| r[numbers.clone()].to_vec();
+            let got = records.iter().flat_map(part).collect();
+            let want = |r: &Reference, _: &Outcome| r.records().iter().flat_map(part).collect();
+            self.add("project", name, got, want);
         }
-        let tiles = tiles(f, &self.camera)?;
+        let pairs = |r: &Reference, _: &Outcome| {
+            vec![r.pass.tiles.iter().map(Vec::len).sum::<usize>() as f64]
+        };
+        let visible = self.frame().status.read(status::VISIBLE as usize, 1)?[0] as usize;
+        let counts = self.frame().counts.read(0, visible)?;
+        let counted = counts.into_iter().map(f64::from).sum();
+        let tiles = self.tiles()?;
         let emitted: usize = tiles.iter().map(Vec::len).sum();
-        let pairs = self.want(|r| vec![r.pairs()]);
-        out.add("scan", "pairs counted", vec![counted(f)?], pairs.clone());
-        out.add("bin", "pairs emitted", vec![emitted as f64], pairs);
-        let want = self.want(|r| lists(&r.pass.tiles));
-        out.add("sort", "tile lists", lists(&tiles), want);
-        let want = self.want(|r| r.pass.image.clone());
-        out.add("splat", "image", self.image(&f.image, 0..3)?, want);
-        let want = self.want(|r| r.pass.transmittance.clone());
-        out.add("splat", "transmittance", self.image(&f.image, 3..4)?, want);
+        self.add("scan", "pairs counted", vec![counted], pairs);
+        self.add("bin", "pairs emitted", vec![emitted as f64], pairs);
+        self.add("sort", "tile lists", lists(&tiles), |r, _| {
+            lists(&r.pass.tiles)
+        });
+        let got = self.image(&self.frame().image, 0..3)?;
+        self.add("splat", "image", got, |r, _| r.pass.image.clone());
+        let got = self.image(&self.frame().image, 3..4)?;
+        self.add("splat", "transmittance", got, |r, _| {
+            r.pass.transmittance.clone()
+        });
         Ok(())
+    }
+
+    /// Projected Gaussians; zeros when culled.
+    fn records(&self) -> Result<Vec<Record>> {
+        let (frame, count) = (self.frame(), self.scene.count);
+        let keys = frame.keys.read(0, count)?;
+        let records = frame.records.read(0, count)?;
+        let bounds = |b: u32| [f64::from(b & 0xffff), f64::from(b >> 16)];
+        let of = |(key, r): (&u32, &crate::device::Projected<R>)| {
+            if *key == KEY_CULLED {
+                return Record::default();
+            }
+            let ([x0, x1], [y0, y1]) = (bounds(r.bx), bounds(r.by));
+            let [red, green, blue] = r.rgb.map(Into::into);
+            let [x, y, a, rho, c, lo, depth] =
+                [r.x, r.y, r.a, r.r, r.c, r.lo, r.depth].map(Into::into);
+            [x, y, a, rho, c, lo, depth, red, green, blue, x0, x1, y0, y1]
+        };
+        Ok(keys.iter().zip(&records).map(of).collect())
+    }
+
+    /// Gaussians of each tile from front to back.
+    fn tiles(&self) -> Result<Vec<Vec<u32>>> {
+        let frame = self.frame();
+        let pairs = frame.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
+        let order = frame.order.sorted_values().read(0, pairs)?;
+        let owner = frame.isect_owner.read(0, pairs)?;
+        let start = frame.tile_start.read(0, self.camera.tile_count() + 1)?;
+        let tile = |w: &[u32]| {
+            let slots = &order[w[0] as usize..w[1] as usize];
+            slots.iter().map(|slot| owner[*slot as usize]).collect()
+        };
+        Ok(start.windows(2).map(tile).collect())
     }
 
     fn pair(&self) -> Result<ImagePair<'_, R>> {
@@ -208,21 +338,14 @@ impl<'a, R: Real> Pass<'a, R> {
     }
 
     /// Loss, its gradient and the error maps; returns the error statistics of the Gaussians after the same view twice.
-    fn loss(&self, out: &mut Outcome) -> Result<Array<R>> {
+    fn loss(&mut self) -> Result<Array<R>> {
         let pipeline = &self.pipeline;
         pipeline.mark_tiles(&self.photo, &self.camera)?;
         let pair = self.pair()?;
         let losses = Array::zeros(self.device, "losses", 2)?;
         pipeline.loss_gradient(0, &pair, self.case.lambdas[0])?;
         pipeline.record_loss(&pair, &losses, 0)?;
-        let want = self.want(|r| vec![r.pass.loss.l1, r.pass.loss.ssim]);
-        out.add("loss", "L1, SSIM", widen(losses.to_vec()?), want);
-        let got = self.image(pipeline.image_gradient(), 0..3)?;
-        // Where render and photo agree it is nothing, of terms of this size: the sign of L1 over all values.
-        let floor = 1.0 / got.len() as f64;
-        let want = self.want(|r| r.pass.loss.gradient.clone());
-        out.add_floored("loss", "gradient", got, (want, floor));
-
+        let gradient = self.image(pipeline.image_gradient(), 0..3)?;
         let stage = Importance::new::<R>(&self.kernels)?;
         let sums = Array::zeros(self.device, "cues", 3 * self.scene.stride)?;
         for first_view in [true, false] {
@@ -232,42 +355,71 @@ impl<'a, R: Real> Pass<'a, R> {
             };
             pipeline.add_errors(&stage, &self.scene, &self.camera, &pair, &errors)?;
         }
-        let want = self.want(|r| {
+        let maps = self.image(pipeline.error_maps(), 0..2)?;
+        self.add("loss", "L1, SSIM", widen(losses.to_vec()?), |r, _| {
+            vec![r.pass.loss.l1, r.pass.loss.ssim]
+        });
+        // Where render and photo agree it is nothing, of terms of this size: the sign of L1 over all values.
+        let floor = 1.0 / gradient.len() as f64;
+        let want = |r: &Reference, _: &Outcome| r.pass.loss.gradient.clone();
+        *self.add("loss", "gradient", gradient, want) = floor;
+        self.add("loss", "error maps", maps, |r, _| {
             let loss = &r.pass.loss;
             [loss.ssim_error.as_slice(), &loss.l1_error].concat()
         });
-        let got = self.image(pipeline.error_maps(), 0..2)?;
-        out.add("loss", "error maps", got, want);
         Ok(sums)
     }
 
     /// Sums of the Gaussians and the gradients of their parameters, which are returned.
-    fn gradients(&self, out: &mut Outcome) -> Result<Gradients<R>> {
-        let (pipeline, scene, case) = (&self.pipeline, &self.scene, self.case);
-        pipeline.splat_gradient(&self.camera)?;
-        let got = sums(&pipeline.forward.frame, scene.count)?;
-        out.add("splat_grad", "sums", got, self.want(Reference::sums));
+    fn gradients(&mut self) -> Result<Array<R>> {
+        self.pipeline.splat_gradient(&self.camera)?;
+        let got = self.sums()?;
+        self.add("splat_grad", "sums", got, |r, _| r.sums());
 
-        let values = Array::zeros(self.device, "grads", scene.planes() * scene.stride)?;
-        let [_, opacity, scale] = case.lambdas;
-        let degree = case.sh_degree;
-        let block = self.block(&values);
-        pipeline.parameter_gradient(scene, &self.camera, degree, [opacity, scale], &block)?;
-        let planes = self.planes(&values)?;
+        let values = Array::zeros(self.device, "grads", self.scene.params.len())?;
+        let [_, opacity, scale] = self.case.lambdas;
+        self.pipeline.parameter_gradient(
+            &self.scene,
+            &self.camera,
+            self.case.sh_degree,
+            [opacity, scale],
+            &self.block(&values),
+        )?;
+        let (n, planes) = (self.scene.count, self.scene.planes());
+        let all = self.planes(&values, planes)?;
         // A saturated opacity has no gradient; the regulariser's alone is up to λ_o/4N.
-        let saturated = 0.25 * opacity / scene.count.max(1) as f64;
-        let turn = self.want(Reference::turn_floor);
+        let saturated = 0.25 * opacity / n.max(1) as f64;
+        let turn = self.want(|r, _| r.turn_floor());
         for (name, of, floor) in [
             ("position", Plane::POSITION..Plane::LOG_SCALE, 0.0),
             ("log-scale", Plane::LOG_SCALE..Plane::ROTATION, 0.0),
             ("rotation", Plane::ROTATION..Plane::OPACITY, turn),
             ("opacity", Plane::OPACITY..Plane::SH, saturated),
-            ("SH", Plane::SH..planes.len(), 0.0),
+            ("SH", Plane::SH..planes, 0.0),
         ] {
-            let want = self.want(|r| r.gradient(of.clone()));
-            out.add_floored("project_grad", name, flat(&planes[of]), (want, floor));
+            let got = all[of.start * n..of.end * n].to_vec();
+            let want = |r: &Reference, _: &Outcome| r.pass.grads.planes[of].concat();
+            *self.add("project_grad", name, got, want) = floor;
         }
-        Ok(Gradients { values, planes })
+        Ok(values)
+    }
+
+    /// Nine sums of each Gaussian over its tile intersections \[N, 9\].
+    fn sums(&self) -> Result<Vec<f64>> {
+        let (frame, count) = (self.frame(), self.scene.count);
+        let counts = frame.isect_counts.read(0, count)?;
+        let starts = frame.isect_start.read(0, count)?;
+        let all = widen(frame.sums.to_vec()?);
+        let of = |(n, first): (&u32, &u32)| {
+            let mut total = [0.0; SUMS];
+            for p in 0..*n as usize {
+                for (k, t) in total.iter_mut().enumerate() {
+                    *t += all[(*first as usize + p) * SUMS + k];
+                }
+            }
+            total
+        };
+        Ok(counts.iter().zip(&starts).flat_map(of).collect())
     }
 
     fn block<'b>(&self, values: &'b Array<R>) -> GradientBlock<'b, R> {
@@ -279,147 +431,108 @@ impl<'a, R: Real> Pass<'a, R> {
         }
     }
 
-    /// Two steps with the same gradients, on a copy of the scene.
-    fn optimiser(&self, grads: &Gradients<R>, out: &mut Outcome) -> Result<Optimised<R>> {
-        let frame = &self.pipeline.forward.frame;
-        let stage = Adam::new::<R>(&self.kernels)?;
-        let zeros = |name| Array::zeros(self.device, name, grads.values.len());
-        let state = Optimised {
-            scene: self.copy_of_scene()?,
-            moments: [zeros("moment1")?, zeros("moment2")?],
-            want: self.want(|r| r.optimised(self.case, &grads.planes)),
-        };
-        let ([m, v], block) = (&state.moments, self.block(&grads.values));
-        for t in 1..=2 {
-            let step = Step {
-                rate: self.case.rates,
-                constants: ADAM,
-                t,
-            };
-            stage.run(&state.scene, [m, v], &block, &step, frame)?;
-        }
+    /// Two steps with the same gradients; returns the copy of the scene that they changed, and its moments.
+    fn optimiser(&mut self, grads: &Array<R>) -> Result<(GaussianBuffers<R>, [Array<R>; 2])> {
+        let scene = self.copy_of_scene()?;
+        let (block, steps) = (self.block(grads), (self.case.rates, 2));
+        let moments = optimise(&self.kernels, &scene, &block, steps, self.frame())?;
+        let want = self.want(|r, out| r.optimised(self.case, &out.gradients()));
         let names = ["parameters", "first moments", "second moments"];
-        let got = [&state.scene.params, m, v];
-        for ((name, got), want) in names.into_iter().zip(got).zip(&state.want) {
-            out.add("adam", name, flat(&self.planes(got)?), flat(want));
+        let arrays = [&scene.params, &moments[0], &moments[1]];
+        for ((name, array), want) in names.into_iter().zip(arrays).zip(want) {
+            let got = self.planes(array, scene.planes())?;
+            self.add("adam", name, got, |_, _| want.concat());
         }
-        out.non_finite = frame.status.read(status::NON_FINITE as usize, 1)?[0];
-        Ok(state)
+        self.out.non_finite = self.frame().status.read(status::NON_FINITE as usize, 1)?[0];
+        Ok((scene, moments))
     }
 
     /// Displacements by the noise, on a copy of the scene.
-    fn noise(&self, out: &mut Outcome) -> Result<()> {
+    fn noise(&mut self) -> Result<()> {
         let moved = self.copy_of_scene()?;
-        let (stage, frame) = (
-            Noise::new::<R>(&self.kernels)?,
-            &self.pipeline.forward.frame,
-        );
-        stage.run(&moved, frame, &NOISE, NOISE_KEYS[0], NOISE_KEYS[1])?;
-        let position = |scene: &GaussianBuffers<R>| -> Result<Vec<f64>> {
-            Ok(flat(&self.planes(&scene.params)?[..Plane::LOG_SCALE]))
-        };
-        let (before, after) = (position(&self.scene)?, position(&moved)?);
+        let stage = Noise::new::<R>(&self.kernels)?;
+        stage.run(&moved, self.frame(), &NOISE, NOISE_KEYS[0], NOISE_KEYS[1])?;
+        let before = self.planes(&self.scene.params, Plane::LOG_SCALE)?;
+        let after = self.planes(&moved.params, Plane::LOG_SCALE)?;
         let got = after.iter().zip(&before).map(|(a, b)| a - b).collect();
-        out.add(
-            "noise",
-            "displacement",
-            got,
-            self.want(Reference::displacements),
-        );
+        self.add("noise", "displacement", got, |r, _| r.displacements());
         Ok(())
     }
 
-    fn screen_gradients(&self, out: &mut Outcome) -> Result<()> {
-        let (stage, frame) = (
-            ScreenGrad::new::<R>(&self.kernels)?,
-            &self.pipeline.forward.frame,
-        );
-        let (stride, count) = (self.scene.stride, self.scene.count);
-        let sums = Array::zeros(self.device, "cues", 2 * stride)?;
+    fn screen_gradients(&mut self) -> Result<()> {
+        let stage = ScreenGrad::new::<R>(&self.kernels)?;
+        let sums = Array::zeros(self.device, "cues", 2 * self.scene.stride)?;
         for _ in 0..2 {
-            stage.run(&self.scene, frame, &self.camera, &sums)?;
+            stage.run(&self.scene, self.frame(), &self.camera, &sums)?;
         }
-        let [norms, iterations] = self.want(|r| {
+        let mut norms = self.planes(&sums, 2)?;
+        let iterations = norms.split_off(self.scene.count);
+        let want = self.want(|r, out| {
             r.screen_gradients(out.got("splat_grad", "sums"), out.got("sort", "tile lists"))
         });
-        let row = |k: usize| Ok(widen(sums.read(k * stride, count)?));
-        out.add("screen_grad", "norms", row(0)?, norms);
-        out.add("screen_grad", "iterations", row(1)?, iterations);
+        let [norms_want, iterations_want] = want;
+        self.add("screen_grad", "norms", norms, |_, _| norms_want);
+        self.add("screen_grad", "iterations", iterations, |_, _| {
+            iterations_want
+        });
         Ok(())
     }
 
     /// Flags of the Gaussians that the view shows, if some were seen before.
-    fn seen(&self, out: &mut Outcome) -> Result<()> {
-        let frame = &self.pipeline.forward.frame;
+    fn seen(&mut self) -> Result<()> {
+        let frame = self.frame();
         let before: Vec<u32> = seen_before(self.scene.count).collect();
         let seen = Array::from_slice(self.device, "seen", &before)?;
         let shown = Array::zeros(self.device, "shown", frame.intersection_capacity())?;
         Seen::new::<R>(&self.kernels)?.run(frame, &self.camera, &shown, &seen)?;
         let got = seen.to_vec()?.into_iter().map(f64::from).collect();
-        out.add("seen", "Gaussians", got, self.want(Reference::seen));
+        self.add("seen", "Gaussians", got, |r, _| r.seen());
         Ok(())
     }
 
-    fn importance(&self, sums: &Array<R>, out: &mut Outcome) -> Result<()> {
-        let (stride, count) = (self.scene.stride, self.scene.count);
-        let row = |k: usize| Ok(widen(sums.read(k * stride, count)?));
-        let got = [row(0)?, row(1)?, row(2)?].concat();
-        let want = self.want(|r| r.error_sums(out.got("loss", "error maps")));
-        out.add("importance", "cues", got, want);
-        Ok(())
-    }
-
-    fn edit(&self, state: Optimised<R>, out: &mut Outcome) -> Result<()> {
-        let (scene, [m, v]) = (&state.scene, &state.moments);
+    /// Edits of the rows after the optimiser's steps.
+    fn edit(&mut self, scene: &GaussianBuffers<R>, [m, v]: &[Array<R>; 2]) -> Result<()> {
         let edits = Array::from_slice(self.device, "edits", &self.case.edits)?;
         Edit::new::<R>(&self.kernels)?.run(scene, [m, v], &edits)?;
-        let planes = |a: &Array<R>| Ok(flat(&self.planes(a)?));
+        let planes = |a: &Array<R>| self.planes(a, scene.planes());
         let got = [planes(&scene.params)?, planes(m)?, planes(v)?].concat();
-        let want = self.want(|_| edited(self.case, &state.want));
-        out.add("edit", "rows", got, want);
+        let case = self.case;
+        self.add("edit", "rows", got, |r, out| {
+            edited(case, r.optimised(case, &out.gradients()))
+        });
         Ok(())
     }
 
     /// Scores of the render; 1 − SSIM is the sum of the device's own error map.
-    fn metrics(&self, out: &mut Outcome) -> Result<()> {
+    fn metrics(&mut self) -> Result<()> {
         let stage = Metrics::new::<R>(&self.kernels)?;
         // The stage clamps the render in place.
-        let image = self.copy(&self.pipeline.forward.frame.image)?;
+        let image = self.copy(&self.frame().image)?;
         let pair = ImagePair {
             image: &image,
             ..self.pair()?
         };
-        let h = pair.size[1];
+        let [w, h] = pair.size;
         let rows = Array::zeros(self.device, "score", 3 * h)?;
         stage.dissimilarity(&pair, self.pipeline.error_maps(), &rows)?;
         stage.run(&pair, &rows)?;
-        let sum =
-            |k: usize| -> Result<Vec<f64>> { Ok(vec![widen(rows.read(k * h, h)?).iter().sum()]) };
-        let want = self.want(|r| vec![squared_error(&r.pass.image, &r.photo, r.mask.as_deref())]);
-        out.add("metrics", "squared error", sum(0)?, want);
-        let want = self.want(|r| {
+        let sum = |k: usize| Ok(vec![widen(rows.read(k * h, h)?).iter().sum::<f64>()]);
+        self.add("metrics", "squared error", sum(0)?, |r, _| {
+            let mask = r.mask.as_deref();
+            vec![squared_error(&r.pass.image, &r.photo, mask)]
+        });
+        let floor = self.add("metrics", "1 - SSIM", sum(2)?, |r, out| {
             let map = &out.got("loss", "error maps")[..r.camera.pixels()];
             vec![sum_counted(map, r.mask.as_deref())]
         });
-        // Of pictures that agree it is nothing but rounding.
-        let [w, h] = pair.size;
-        let floor = 1e-3 * (w * h) as f64;
-        out.add_floored("metrics", "1 - SSIM", sum(2)?, (want, floor));
-        Ok(())
-    }
-
-    fn filter(&self, out: &mut Outcome) -> Result<()> {
-        if self.kernels.defines().anti_alias {
-            let got = widen(self.scene.filter.read(0, self.scene.count)?);
-            let want = self.want(|r| r.scene.filter.clone().unwrap_or_default());
-            out.add("filter", "standard deviation", got, want);
-        }
+        // It is nothing but rounding where pictures agree.
+        *floor = 1e-3 * (w * h) as f64;
         Ok(())
     }
 
     /// Exposure of the render and of the loss gradient, as the stages before gave them.
-    fn exposure(&self, out: &mut Outcome) -> Result<()> {
-        let (frame, plane) = (&self.pipeline.forward.frame, self.camera.plane());
+    fn exposure(&mut self) -> Result<()> {
+        let (frame, plane) = (self.frame(), self.camera.plane());
         let model = ExposureModel::<R>::new(&self.kernels, EXPOSURES.len(), plane, 0)?;
         let start: Vec<R> = EXPOSURES.as_flattened().iter().map(|v| R::of(*v)).collect();
         let zeros = vec![R::of(0.0); start.len()];
@@ -436,30 +549,25 @@ impl<'a, R: Real> Pass<'a, R> {
             };
             model.step(step, &frame.status)?;
         }
-        let transform = widen(model.gradient()?);
-        let (image, dimage) = (out.got("splat", "image"), out.got("loss", "gradient"));
-        let exposed = self.want(|_| apply(image, &EXPOSURES[VIEW]));
-        let ((by_render, by_transform), floor) = self.want(|_| {
+        let exposed = self.image(corrected, 0..3)?;
+        self.add("exposure", "image", exposed, |_, out| {
+            apply(out.got("splat", "image"), &EXPOSURES[VIEW])
+        });
+        let (by_render, by_transform, floor) = self.want(|_, out| {
+            let (image, dimage) = (out.got("splat", "image"), out.got("loss", "gradient"));
             let (by_render, by_transform) = backward(image, &EXPOSURES[VIEW], dimage);
             let floor = largest_sum(image, dimage);
-            ((by_render, by_transform.to_vec()), floor)
+            (by_render, by_transform.to_vec(), floor)
         });
-        let steps = self.want(|r| r.transforms(&transform));
-        out.add("exposure", "image", self.image(corrected, 0..3)?, exposed);
         let got = self.image(&gradient, 0..3)?;
-        out.add("exposure", "gradient by the render", got, by_render);
-        let want = (by_transform, floor);
-        out.add_floored("exposure", "gradient by the transform", transform, want);
+        self.add("exposure", "gradient by the render", got, |_, _| by_render);
+        let (got, name) = (widen(model.gradient()?), "gradient by the transform");
+        let steps = self.want(|r, _| r.transforms(&got));
+        *self.add("exposure", name, got, |_, _| by_transform) = floor;
         let names = ["transforms", "first moments", "second moments"];
         for ((name, got), want) in names.into_iter().zip(model.rows()?).zip(steps) {
-            out.add("exposure", name, widen(got), want);
+            self.add("exposure", name, widen(got), |_, _| want);
         }
         Ok(())
     }
-}
-
-/// Gradients of the raw parameters, on the device and as planes.
-struct Gradients<R: Real> {
-    values: Array<R>,
-    planes: Vec<Vec<f64>>,
 }
