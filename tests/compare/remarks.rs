@@ -87,7 +87,7 @@ fn every_group_is_held_against_the_numbers_of_the_reference() {
 }
 
 #[test]
-fn other_machines_and_other_spacing_of_evaluations_are_named() {
+fn other_machines_are_named() {
     let warnings = |other: Made, clock: Clock| {
         let options = Options {
             clock: Some(clock),
@@ -106,13 +106,5 @@ fn other_machines_and_other_spacing_of_evaluations_are_named() {
         warnings(device(), Clock::Iterations).is_empty(),
         "iterations are the same everywhere"
     );
-    assert!(warnings(run("b", 0).slower(1.4), Clock::Cpu).is_empty());
-    let named = warnings(run("b", 0).slower(2.0), Clock::Cpu);
-    assert_eq!(
-        named,
-        [
-            "b: evaluations are 5.0 CPU seconds apart, those of a 2.5: times may be late by up to as much"
-        ]
-    );
-    assert!(warnings(run("b", 0).slower(2.0), Clock::Iterations).is_empty());
+    assert!(warnings(run("b", 0).slower(2.0), Clock::Cpu).is_empty());
 }

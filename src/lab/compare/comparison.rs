@@ -3,10 +3,8 @@
 use serde::Serialize;
 
 use crate::base::error::{Error, Result};
-use crate::lab::compare::check::check;
-use crate::lab::compare::group::group;
-use crate::lab::compare::load::{Clock, Loaded, Source, load_all};
-use crate::lab::compare::outcome::{GroupOutcome, of_group};
+use crate::lab::compare::group::{Group, group};
+use crate::lab::compare::load::{Clock, Loaded, Source, check_comparable, load_all};
 use crate::lab::compare::paired::{Paired, paired};
 use crate::lab::compare::remarks::{Difference, differences, remarks};
 use crate::lab::compare::thresholds::choose;
@@ -43,35 +41,17 @@ pub struct Comparison {
     /// Label of the group that the others are compared with.
     pub reference: String,
     /// The groups, in the order of their first runs.
-    pub groups: Vec<GroupOutcome>,
+    pub groups: Vec<Group>,
     /// Each other group against the reference, run by run.
     pub relative: Vec<Paired>,
     /// Options, devices and versions that differ between the groups.
     pub differences: Vec<Difference>,
-    /// The runs themselves, for the charts.
-    #[serde(skip)]
-    pub(super) runs: Vec<Loaded>,
 }
 
 impl Comparison {
-    /// Place of the reference.
-    #[must_use]
-    pub fn reference_place(&self) -> usize {
-        let own = |g: &GroupOutcome| g.label == self.reference;
-        self.groups.iter().position(own).unwrap_or(0)
-    }
-
-    /// Names of the devices that the runs were trained on.
-    #[must_use]
-    pub fn device(&self) -> String {
-        let mut names: Vec<&str> = Vec::new();
-        for run in &self.runs {
-            let name = run.record.device.name.as_str();
-            if !names.contains(&name) {
-                names.push(name);
-            }
-        }
-        names.join(", ")
+    /// All runs, group by group.
+    pub fn runs(&self) -> impl Iterator<Item = &Loaded> {
+        self.groups.iter().flat_map(|g| &g.runs)
     }
 }
 
@@ -82,9 +62,10 @@ impl Comparison {
 pub fn compare(sources: &[Source], options: &Options) -> Result<Comparison> {
     let mut warnings = Vec::new();
     let runs = load_all(sources, &mut warnings)?;
-    check(&runs, options.allow_different, &mut warnings)?;
+    check_comparable(&runs, options.allow_different, &mut warnings)?;
     let clock = choose_clock(&runs, options.clock, &mut warnings)?;
-    let groups = group(&runs);
+    let dataset = runs[0].record.dataset.clone();
+    let mut groups = group(runs);
     let reference = match &options.reference {
         None => 0,
         Some(wanted) => groups
@@ -98,24 +79,23 @@ pub fn compare(sources: &[Source], options: &Options) -> Result<Comparison> {
                 )
             })?,
     };
-    let (thresholds, rule) = choose(&runs, &groups, reference, &options.thresholds)?;
-    let outcomes: Vec<GroupOutcome> = groups
-        .iter()
-        .map(|g| of_group(g, &runs, &thresholds))
-        .collect();
-    warnings.extend(remarks(&groups, &runs, &outcomes, reference, clock));
+    let (thresholds, rule) = choose(&groups, reference, &options.thresholds)?;
+    for group in &mut groups {
+        group.to_psnr = thresholds.iter().map(|t| group.target(*t)).collect();
+    }
+    let base = &groups[reference];
+    warnings.extend(remarks(&groups, base, clock));
     Ok(Comparison {
         version: env!("CARGO_PKG_VERSION"),
-        dataset: runs[0].record.dataset.clone(),
+        dataset,
         warnings,
         clock,
-        reference: groups[reference].label.clone(),
-        relative: paired(&outcomes, reference, clock),
-        differences: differences(&groups, &runs),
+        reference: base.label.clone(),
+        relative: paired(&groups, base, clock),
+        differences: differences(&groups),
         thresholds,
         threshold_rule: rule,
-        groups: outcomes,
-        runs,
+        groups,
     })
 }
 
@@ -125,19 +105,15 @@ fn choose_clock(
     asked: Option<Clock>,
     warnings: &mut Vec<String>,
 ) -> Result<Clock> {
-    let without = runs.iter().find(|r| !r.has_cpu());
+    let without = runs.iter().find(|r| !r.has(Clock::Cpu));
     match (asked, without) {
-        (Some(Clock::Cpu), Some(run)) => Err(Error::config(
+        (Some(Clock::Cpu), Some(Loaded { path, .. })) => Err(Error::config(
             "--clock",
-            format!(
-                "{} has no CPU seconds; give train, wall or iterations",
-                run.source.path.display()
-            ),
+            format!("{path} has no CPU seconds; give train, wall or iterations"),
         )),
-        (None, Some(run)) => {
+        (None, Some(Loaded { path, .. })) => {
             warnings.push(format!(
-                "{}: no CPU seconds; training seconds are the clock",
-                run.source.path.display()
+                "{path}: no CPU seconds; training seconds are the clock"
             ));
             Ok(Clock::Train)
         }

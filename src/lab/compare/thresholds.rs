@@ -1,9 +1,8 @@
 //! PSNR values that runs are timed to.
 
 use crate::base::error::{Error, Result};
-use crate::lab::compare::curve::Curve;
 use crate::lab::compare::group::Group;
-use crate::lab::compare::load::{Clock, Loaded};
+use crate::lab::compare::load::Loaded;
 use crate::lab::stats::Spread;
 
 /// Largest PSNR that is accepted, dB.
@@ -70,26 +69,22 @@ pub fn between(ends: &[(f64, f64)], reference: usize) -> Vec<f64> {
 /// # Errors
 /// Values that are no PSNR.
 pub fn choose(
-    runs: &[Loaded],
     groups: &[Group],
     reference: usize,
     asked: &[f64],
 ) -> Result<(Vec<f64>, &'static str)> {
     check(asked)?;
-    let median = |g: &Group, of: fn(&Curve) -> Option<f64>| -> Option<f64> {
-        let curves = g.runs.iter().map(|r| runs[*r].psnr(Clock::Iterations));
-        let values: Vec<f64> = curves.filter_map(|c| of(&c)).collect();
+    let median = |g: &Group, of: fn(&Loaded) -> Option<f64>| -> Option<f64> {
+        let values: Vec<f64> = g.runs.iter().filter_map(of).collect();
         Some(Spread::of(&values)?.median)
     };
-    let first = |c: &Curve| c.points().first().map(|p| p.1);
-    let best = |c: &Curve| c.points().iter().map(|p| p.1).reduce(f64::max);
+    let first = |r: &Loaded| r.rows.first()?.psnr;
+    let best = |r: &Loaded| r.rows.iter().filter_map(|row| row.psnr).reduce(f64::max);
     let (mut all, rule) = match asked.is_empty() {
         false => (asked.to_vec(), GIVEN),
         true => {
-            let end = |g: &Group| {
-                let ends = median(g, first).zip(median(g, best));
-                ends.unwrap_or((f64::NEG_INFINITY, f64::NEG_INFINITY))
-            };
+            let none = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+            let end = |g: &Group| median(g, first).zip(median(g, best)).unwrap_or(none);
             let ends: Vec<_> = groups.iter().map(end).collect();
             (between(&ends, reference), RULE)
         }
