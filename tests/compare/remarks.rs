@@ -4,29 +4,22 @@ use super::made::{Made, compared, run};
 use mhsplat::lab::compare::thresholds::between;
 use mhsplat::lab::compare::{Clock, Comparison, Options, report};
 
-fn sorted(ends: &[(f64, f64)], reference: usize) -> Vec<f64> {
-    let mut all = between(ends, reference);
-    all.sort_by(f64::total_cmp);
-    all.dedup();
-    all
-}
-
 #[test]
 fn default_thresholds_are_whole_decibels_from_the_first_evaluation_to_the_best() {
-    let all = sorted(&[(12.3, 18.2), (14.0, 19.0), (11.0, 17.0)], 0);
+    let all = between(&[(12.3, 18.2), (14.0, 19.0), (11.0, 17.0)]);
     assert_eq!(all, [15.0, 16.0, 17.0, 18.0, 19.0]);
-    // Fewer than four: halves within the last 1 dB of the reference (24.6) and of the others (23.9).
+    // Fewer than four: halves.
     let ends = [(22.7, 24.6), (22.0, 23.9)];
-    assert_eq!(sorted(&ends, 0), [23.0, 23.5, 24.0, 24.5]);
-    assert_eq!(sorted(&[(20.1, 20.4)], 0), [0.0; 0]);
-    assert_eq!(sorted(&[(20.0, 20.0)], 0), [0.0; 0]);
-    let wide = sorted(&[(0.5, 60.0)], 0);
+    assert_eq!(between(&ends), [23.0, 23.5, 24.0, 24.5]);
+    assert_eq!(between(&[(20.1, 20.4)]), [0.0; 0]);
+    assert_eq!(between(&[(20.0, 20.0)]), [0.0; 0]);
+    let wide = between(&[(0.5, 60.0)]);
     assert!((18..=24).contains(&wide.len()), "{wide:?}");
     for bad in [f64::NAN, f64::NEG_INFINITY, 1e300] {
-        assert!(sorted(&[(bad, 30.0)], 0).len() < 25);
-        assert!(sorted(&[(10.0, bad)], 0).len() < 25);
+        assert!(between(&[(bad, 30.0)]).len() < 25);
+        assert!(between(&[(10.0, bad)]).len() < 25);
     }
-    assert!(between(&[], 0).is_empty());
+    assert!(between(&[]).is_empty());
 }
 
 #[test]

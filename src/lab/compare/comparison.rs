@@ -1,14 +1,19 @@
-//! A comparison of runs: read, checked, grouped, timed and paired.
+//! A comparison of runs: read, checked, grouped, timed and paired, with caveats and differences.
 
 use serde::Serialize;
 
 use crate::base::error::{Error, Result};
+use crate::chart::text::fixed;
 use crate::lab::compare::group::{Group, group};
 use crate::lab::compare::load::{Clock, Loaded, Source, check_comparable, load_all};
 use crate::lab::compare::paired::{Paired, paired};
-use crate::lab::compare::remarks::{Difference, differences, remarks};
 use crate::lab::compare::thresholds::choose;
 use crate::run::DatasetRecord;
+
+/// Relative difference up to which numbers of Gaussians count as equal.
+const EQUAL: f64 = 0.02;
+/// Facts that change how long a second is.
+const MACHINE: [&str; 5] = ["device", "platform", "driver", "version", "commit"];
 
 /// Options of a comparison.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -21,6 +26,15 @@ pub struct Options {
     pub reference: Option<String>,
     /// Compare even what is not comparable, with a warning.
     pub allow_different: bool,
+}
+
+/// An option, device or version that is not the same everywhere.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Difference {
+    /// Name.
+    pub what: String,
+    /// Group by group; several values if the runs of a group differ.
+    pub values: Vec<String>,
 }
 
 /// Several runs side by side.
@@ -66,24 +80,16 @@ pub fn compare(sources: &[Source], options: &Options) -> Result<Comparison> {
     let clock = choose_clock(&runs, options.clock, &mut warnings)?;
     let dataset = runs[0].record.dataset.clone();
     let mut groups = group(runs);
-    let reference = match &options.reference {
-        None => 0,
-        Some(wanted) => groups
-            .iter()
-            .position(|g| g.label == *wanted)
-            .ok_or_else(|| {
-                let all: Vec<&str> = groups.iter().map(|g| g.label.as_str()).collect();
-                Error::config(
-                    "--reference",
-                    format!("no group {wanted:?}; there are: {}", all.join("; ")),
-                )
-            })?,
-    };
-    let (thresholds, rule) = choose(&groups, reference, &options.thresholds)?;
+    let (thresholds, rule) = choose(&groups, &options.thresholds)?;
     for group in &mut groups {
         group.to_psnr = thresholds.iter().map(|t| group.target(*t)).collect();
     }
-    let base = &groups[reference];
+    let wanted = options.reference.as_ref().unwrap_or(&groups[0].label);
+    let base = groups.iter().find(|g| g.label == *wanted).ok_or_else(|| {
+        let all: Vec<&str> = groups.iter().map(|g| g.label.as_str()).collect();
+        let what = format!("no group {wanted:?}; there are: {}", all.join("; "));
+        Error::config("--reference", what)
+    })?;
     warnings.extend(remarks(&groups, base, clock));
     Ok(Comparison {
         version: env!("CARGO_PKG_VERSION"),
@@ -119,4 +125,82 @@ fn choose_clock(
         }
         (asked, _) => Ok(asked.unwrap_or_default()),
     }
+}
+
+/// Different values of a fact among runs, in their order.
+pub fn values<'a>(name: &str, runs: impl IntoIterator<Item = &'a Loaded>) -> Vec<&'a str> {
+    let mut all = Vec::new();
+    for value in runs.into_iter().map(|r| r.fact(name)) {
+        if !all.contains(&value) {
+            all.push(value);
+        }
+    }
+    all
+}
+
+/// Facts that differ between groups or within one.
+fn differences(groups: &[Group]) -> Vec<Difference> {
+    let names = groups[0].runs[0].facts.iter().map(|f| f.0.as_str());
+    let shown = |name: &&str| {
+        *name == "seed" || values(name, groups.iter().flat_map(|g| &g.runs)).len() > 1
+    };
+    let row = |name: &str| Difference {
+        what: name.to_owned(),
+        values: groups
+            .iter()
+            .map(|g| values(name, &g.runs).join("; "))
+            .collect(),
+    };
+    names.filter(shown).map(row).collect()
+}
+
+/// Caveats of the groups: settings mixed under one name, and other seeds, machines or numbers of Gaussians than the reference has.
+fn remarks(groups: &[Group], base: &Group, clock: Clock) -> Vec<String> {
+    let mut out = Vec::new();
+    let gaussians = |g: &Group| g.end.get("gaussians").map_or(f64::NAN, |s| s.median);
+    let count = |g: &Group| format!("{} ({})", fixed(gaussians(g), 0), g.label);
+    let unequal = groups.iter().filter(|g| {
+        let (a, b) = (gaussians(g), gaussians(base));
+        a.max(b) > a.min(b) * (1.0 + EQUAL)
+    });
+    let unequal = unequal.map(count).collect::<Vec<_>>().join(", ");
+    if !unequal.is_empty() {
+        out.push(format!(
+            "not at equal numbers of Gaussians: {} to {unequal}; --max-gaussians makes them equal",
+            count(base)
+        ));
+    }
+    let reference = &base.label;
+    for group in groups {
+        let label = &group.label;
+        let names = group.runs[0].setting().iter().map(|f| f.0.as_str());
+        let mixed = names.filter(|n| *n != "max-gaussians" && values(n, &group.runs).len() > 1);
+        let mixed = mixed.collect::<Vec<_>>().join(", ");
+        if !mixed.is_empty() {
+            out.push(format!(
+                "{label}: its runs differ in more than the seed: {mixed}"
+            ));
+        }
+        let [own, other] = [group, base].map(|g| {
+            let mut seeds = values("seed", &g.runs);
+            seeds.sort_unstable();
+            seeds.join(", ")
+        });
+        if own != other {
+            out.push(format!(
+                "{label}: seeds {own}, but {other} of {reference}; only those of both are compared"
+            ));
+        }
+        let machine = MACHINE.iter().filter_map(|name| {
+            let [own, other] = [group, base].map(|g| values(name, &g.runs).join("; "));
+            (own != other).then(|| format!("{name} {own} instead of {other}"))
+        });
+        let machine = machine.collect::<Vec<_>>().join(", ");
+        if clock != Clock::Iterations && !machine.is_empty() {
+            out.push(format!(
+                "{label}: {machine} of {reference}: seconds are not those of the same machine and program"
+            ));
+        }
+    }
+    out
 }

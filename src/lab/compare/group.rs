@@ -1,6 +1,6 @@
 //! Groups: runs that differ in nothing but the seed are samples of one setting.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use serde::Serialize;
 
@@ -84,8 +84,6 @@ pub fn spreads(samples: impl Fn(fn(&Loaded) -> Option<f64>) -> Option<Vec<f64>>)
 pub struct Group {
     /// Name, or the options that set it apart from the others.
     pub label: String,
-    /// Different seeds among its runs.
-    pub seeds: usize,
     /// Spreads at the end, by the keys of [`FIGURES`]; those that all runs have.
     #[serde(flatten)]
     pub end: Spreads,
@@ -96,16 +94,6 @@ pub struct Group {
 }
 
 impl Group {
-    fn new(label: String, runs: Vec<Loaded>) -> Self {
-        Self {
-            label,
-            seeds: runs.iter().map(|r| r.seed).collect::<BTreeSet<_>>().len(),
-            end: spreads(|of| runs.iter().map(of).collect()),
-            to_psnr: Vec::new(),
-            runs,
-        }
-    }
-
     /// Times to a PSNR by every clock that all runs have.
     pub(super) fn target(&self, psnr: f64) -> Target {
         let reach = |clock: Clock| {
@@ -166,7 +154,12 @@ pub fn group(runs: Vec<Loaded>) -> Vec<Group> {
         if out.iter().any(|g| g.label == label) {
             label = format!("{label}, {}", part[0].path);
         }
-        out.push(Group::new(label, part));
+        out.push(Group {
+            label,
+            end: spreads(|of| part.iter().map(of).collect()),
+            to_psnr: Vec::new(),
+            runs: part,
+        });
     }
     out
 }

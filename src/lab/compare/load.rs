@@ -22,6 +22,11 @@ const BESIDE: [&str; 5] = [
     "image-budget",
 ];
 
+const CPU_NOTE: &str = "Times are CPU seconds of the process while training, loading included, evaluations and kernels \
+                        compiled in mid-run left out: other programs on the machine change them least.";
+const TRAIN_NOTE: &str = "Times are seconds of training, loading included, evaluations and kernels compiled in mid-run \
+                          left out; other programs on the machine delay them.";
+
 /// A clock to compare runs by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -58,28 +63,14 @@ impl Clock {
     #[must_use]
     pub fn words(self) -> [&'static str; 3] {
         match self {
-            Self::Cpu => [
-                "CPU seconds",
-                "CPU time",
-                "Times are CPU seconds of the process while training, loading included, evaluations and kernels compiled in \
-                 mid-run left out: other programs on the machine change them least.",
-            ],
-            Self::Train => [
-                "training seconds",
-                "training time",
-                "Times are seconds of training, loading included, evaluations and kernels compiled in mid-run left out; other \
-                 programs on the machine delay them.",
-            ],
+            Self::Cpu => ["CPU seconds", "CPU time", CPU_NOTE],
+            Self::Train => ["training seconds", "training time", TRAIN_NOTE],
             Self::Wall => [
                 "wall seconds",
                 "wall time",
                 "Times are seconds since the start, evaluations included.",
             ],
-            Self::Iterations => [
-                "iterations",
-                "iterations",
-                "Times are iterations, whatever one of them takes.",
-            ],
+            Self::Iterations => ["iterations", "iterations", ""],
         }
     }
 }
@@ -143,24 +134,6 @@ pub struct Loaded {
 }
 
 impl Loaded {
-    fn new(source: &Source, record: RunRecord, rows: Vec<MetricsRow>) -> Self {
-        let mut last = rows.last().copied().unwrap_or_default();
-        last.gaussians += record.removed;
-        let finished = finished(&record);
-        let scores = record.final_scores.as_ref().filter(|_| finished);
-        Self {
-            path: source.path.display().to_string(),
-            group: source.group.clone(),
-            seed: record.seed,
-            finished,
-            last,
-            flip: scores.and_then(|f| f.flip),
-            facts: facts(&record),
-            record,
-            rows,
-        }
-    }
-
     /// A quantity of every evaluation over a clock.
     #[must_use]
     pub fn curve(&self, clock: Clock, of: impl Fn(&MetricsRow) -> Option<f64>) -> Curve {
@@ -219,40 +192,51 @@ pub fn finished(record: &RunRecord) -> bool {
 /// Reads a run and adds its caveats to `warnings`; `None` for one without any evaluation yet.
 fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
     let dir = &source.path;
-    let fix = "give the folder that `mhsplat train -o` wrote";
-    let missing = |name: &str| -> Result<()> {
-        if dir.join(name).is_file() {
-            return Ok(());
+    for name in [RECORD_FILE, METRICS_FILE] {
+        if !dir.join(name).is_file() {
+            let what = match dir.exists() {
+                true => format!("holds no {name}"),
+                false => "no such folder".to_owned(),
+            };
+            let fix = "give the folder that `mhsplat train -o` wrote";
+            return Err(Error::input(dir, what, fix));
         }
-        let what = match dir.exists() {
-            true => format!("holds no {name}"),
-            false => "no such folder".to_owned(),
-        };
-        Err(Error::input(dir, what, fix))
-    };
-    missing(RECORD_FILE)?;
-    missing(METRICS_FILE)?;
+    }
     let record = RunRecord::read(dir)?;
     let rows = read_rows(dir.join(METRICS_FILE))?;
     let rows: Vec<_> = rows.into_iter().filter(|r| r.psnr.is_some()).collect();
-    let name = dir.display();
-    if rows.is_empty() {
+    let name = dir.display().to_string();
+    let Some(last) = rows.last().copied() else {
         let why = match record.dataset.test_views {
             0 => "no view was held out",
             _ => "not evaluated yet",
         };
         warnings.push(format!("{name}: left out, {why}"));
         return Ok(None);
-    }
-    let run = Loaded::new(source, record, rows);
-    if !run.finished {
-        let (done, all) = (run.record.iterations, run.record.config.iterations);
-        let last = run.last.iteration;
+    };
+    let finished = finished(&record);
+    if !finished {
+        let (done, all) = (record.iterations, record.config.iterations);
         warnings.push(format!(
-            "{name}: unfinished, {done} of {all} iterations; its evaluation after {last} stands for its end"
+            "{name}: unfinished, {done} of {all} iterations; its evaluation after {} stands for its end",
+            last.iteration
         ));
     }
-    Ok(Some(run))
+    let scores = record.final_scores.as_ref().filter(|_| finished);
+    Ok(Some(Loaded {
+        path: name,
+        group: source.group.clone(),
+        seed: record.seed,
+        finished,
+        last: MetricsRow {
+            gaussians: last.gaussians + record.removed,
+            ..last
+        },
+        flip: scores.and_then(|f| f.flip),
+        facts: facts(&record),
+        record,
+        rows,
+    }))
 }
 
 /// Reads all runs. A folder that is given twice counts once.
@@ -264,12 +248,10 @@ pub fn load_all(sources: &[Source], warnings: &mut Vec<String>) -> Result<Vec<Lo
     let mut runs = Vec::new();
     for source in sources {
         let real = std::fs::canonicalize(&source.path).unwrap_or_else(|_| source.path.clone());
-        if seen.contains(&real) {
-            warnings.push(format!("{}: given twice", source.path.display()));
-            continue;
+        if !seen.contains(&real) {
+            seen.push(real);
+            runs.extend(load(source, warnings)?);
         }
-        seen.push(real);
-        runs.extend(load(source, warnings)?);
     }
     if runs.is_empty() {
         let first = sources.first().map_or(Path::new("."), |s| s.path.as_path());
@@ -306,16 +288,17 @@ fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
     {
         return Some("other held-out views".into());
     }
-    match (&x.fingerprint, &y.fingerprint) {
-        (Some(p), Some(q)) if p == q => None,
-        (Some(_), Some(_)) => Some(format!(
+    let same = match (&x.fingerprint, &y.fingerprint) {
+        (Some(p), Some(q)) => p == q,
+        // Records of earlier versions have no fingerprint. Folders move, their names rarely change.
+        _ => x.layout == y.layout && folder_name(&x.path) == folder_name(&y.path),
+    };
+    (!same).then(|| {
+        format!(
             "another dataset, {} instead of {}: views, cameras, lenses, sizes or masks differ, or one run is of an earlier version",
             y.path, x.path
-        )),
-        // Records of earlier versions have no fingerprint. Folders move, their names rarely change.
-        _ if x.layout == y.layout && folder_name(&x.path) == folder_name(&y.path) => None,
-        _ => Some(format!("another dataset, {} instead of {}", y.path, x.path)),
-    }
+        )
+    })
 }
 
 /// Refuses runs of another dataset, resolution, split or other held-out views than the first one's, or warns of them if
@@ -324,11 +307,9 @@ fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
 /// # Errors
 /// The first such run.
 pub fn check_comparable(runs: &[Loaded], allow: bool, warnings: &mut Vec<String>) -> Result<()> {
-    let Some((first, others)) = runs.split_first() else {
-        return Ok(());
-    };
     let background = |r: &Loaded| Schedule::new(&r.record.config).fixed_background();
-    for run in others {
+    let first = &runs[0];
+    for run in &runs[1..] {
         let (path, against) = (&run.path, &first.path);
         if let Some(what) = difference(first, run) {
             if !allow {

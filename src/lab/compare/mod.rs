@@ -11,8 +11,7 @@
 //! | `group.rs` | runs that are samples of one setting, and their figures |
 //! | `thresholds.rs` | PSNR values that runs are timed to |
 //! | `paired.rs` | one group against another, run by run |
-//! | `remarks.rs` | caveats and differences |
-//! | `comparison.rs` | the whole of it |
+//! | `comparison.rs` | the whole of it, with caveats and differences |
 //! | `report.rs` | tables and charts |
 //!
 //! Tests: compare.
@@ -22,13 +21,11 @@ pub mod curve;
 mod group;
 mod load;
 mod paired;
-mod remarks;
 mod report;
 pub mod thresholds;
 
-pub use crate::lab::compare::comparison::{Comparison, Options, compare};
+pub use crate::lab::compare::comparison::{Comparison, Difference, Options, compare};
 pub use crate::lab::compare::group::{Group, Reach, Target};
 pub use crate::lab::compare::load::{Clock, Loaded, Source, finished};
 pub use crate::lab::compare::paired::{Counts, Paired, PairedTime};
-pub use crate::lab::compare::remarks::Difference;
 pub use crate::lab::compare::report::{against, brief, ratios, report};

@@ -5,6 +5,8 @@
 //! that a run has not reached, or had at its first evaluation, has no time and enters no ratio; how many runs reach it is told
 //! beside the ratios.
 
+use std::collections::BTreeSet;
+
 use serde::Serialize;
 
 use crate::lab::compare::curve::Crossing;
@@ -85,17 +87,11 @@ impl Paired {
     /// `3 seeds`, or `3 pairs of 1 seed`.
     #[must_use]
     pub fn pairs_text(&self) -> String {
-        let count = |n: usize, what: &str| match n {
-            1 => format!("1 {what}"),
-            n => format!("{n} {what}s"),
-        };
-        let mut seeds = self.seeds.clone();
-        seeds.sort_unstable();
-        seeds.dedup();
-        let pairs = self.seeds.len();
-        match (count(seeds.len(), "seed"), pairs == seeds.len()) {
-            (seeds, true) => seeds,
-            (seeds, false) => format!("{} of {seeds}", count(pairs, "pair")),
+        let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+        let seeds = self.seeds.iter().collect::<BTreeSet<_>>().len();
+        match self.seeds.len() {
+            pairs if pairs == seeds => count(seeds, "seed"),
+            pairs => format!("{} of {}", count(pairs, "pair"), count(seeds, "seed")),
         }
     }
 }

@@ -3,12 +3,11 @@
 use crate::chart::axis::{Axis, Scale};
 use crate::chart::svg::{Banded, band_chart};
 use crate::chart::text::fixed;
-use crate::lab::compare::comparison::Comparison;
+use crate::lab::compare::comparison::{Comparison, Difference, values};
 use crate::lab::compare::curve::{Curve, band};
 use crate::lab::compare::group::{FIGURES, Group, Reach};
-use crate::lab::compare::load::{Clock, Loaded};
+use crate::lab::compare::load::Clock;
 use crate::lab::compare::paired::{Paired, PairedTime};
-use crate::lab::compare::remarks::{Difference, values};
 use crate::lab::report::{Report, Section};
 use crate::lab::stats::Spread;
 use crate::lab::table::{Table, digits, few, folder_name, or_dash, spread};
@@ -58,8 +57,6 @@ pub fn report(c: &Comparison) -> Report {
     let clocks = [&[c.clock], &others[..]].concat();
     let rows = c.relative.iter().map(|p| (p.label.clone(), Some(p)));
     let title = format!("{} against the others", c.reference);
-    let timed = others.iter().filter(|_| !c.thresholds.is_empty());
-    let more = timed.map(|k| times(c, *k)).chain([runs(c)]);
     let mut report = brief(c);
     let pairs = against(title, "group", &c.reference, rows);
     report.sections.push(Section::Table(pairs));
@@ -68,10 +65,13 @@ pub fn report(c: &Comparison) -> Report {
         .sections
         .extend(drawn.map(|(axis, of)| charts(c, axis, *of, &clocks)));
     report.sections.push(Section::Table(differences(c)));
-    report.sections.push(Section::Details {
-        summary: "Other clocks, and every run".into(),
-        sections: more.map(Section::Table).collect(),
-    });
+    if !c.thresholds.is_empty() {
+        let times = others.iter().map(|k| Section::Table(times(c, *k)));
+        report.sections.push(Section::Details {
+            summary: "Other clocks".into(),
+            sections: times.collect(),
+        });
+    }
     report
 }
 
@@ -130,26 +130,18 @@ fn by_threshold(
     Table::new(title, note, &columns, rows)
 }
 
-/// `first` columns, and one for each figure.
-fn with_figures<'a>(first: &[&'a str]) -> Vec<&'a str> {
-    let names = FIGURES.iter().map(|f| f.1);
-    first.iter().copied().chain(names).collect()
-}
-
 /// Final figures of every group.
 fn finals(c: &Comparison) -> Table {
     let row = |g: &Group| {
-        let runs = match (g.runs.len(), g.seeds) {
-            (runs, seeds) if runs == seeds => runs.to_string(),
-            (runs, seeds) => format!("{runs} of {seeds} seeds"),
-        };
         let figures = FIGURES.iter().map(|(key, _, decimals, _)| {
             or_dash(g.end.get(key), |s| range(s, |v| amount(v, *decimals)))
         });
-        [g.label.clone(), runs].into_iter().chain(figures).collect()
+        let runs = [g.label.clone(), g.runs.len().to_string()];
+        runs.into_iter().chain(figures).collect()
     };
+    let names = FIGURES.iter().map(|f| f.1);
+    let columns: Vec<&str> = ["group", "runs"].into_iter().chain(names).collect();
     let note = "Median (min–max) over the runs of a group; means over the held-out views.";
-    let columns = with_figures(&["group", "runs"]);
     Table::new("At the end", note, &columns, c.groups.iter().map(row))
 }
 
@@ -268,26 +260,6 @@ fn differences(c: &Comparison) -> Table {
     )
 }
 
-/// Every run at its last evaluation.
-fn runs(c: &Comparison) -> Table {
-    let row = |(g, r): (&Group, &Loaded)| {
-        let end = if r.finished { "" } else { ", unfinished" };
-        let figures = FIGURES.iter();
-        let figures = figures.map(|(_, _, decimals, of)| or_dash(of(r), |v| amount(v, *decimals)));
-        let run = [
-            g.label.clone(),
-            format!("{}{end}", r.path),
-            r.seed.to_string(),
-            r.last.iteration.to_string(),
-        ];
-        run.into_iter().chain(figures).collect()
-    };
-    let all = c.groups.iter();
-    let all = all.flat_map(|g| g.runs.iter().map(move |r| (g, r)));
-    let columns = with_figures(&["group", "run", "seed", "iterations"]);
-    Table::new("Runs", "At the last evaluation.", &columns, all.map(row))
-}
-
 /// A group as a line: the median of its runs, the range around it, and each run.
 fn line(g: &Group, clock: Clock, of: fn(&MetricsRow) -> Option<f64>) -> Banded {
     let curves: Vec<Curve> = g.runs.iter().map(|r| r.curve(clock, of)).collect();
@@ -322,16 +294,11 @@ fn charts(
         let name = format!("{} against {label}", axis.label);
         band_chart(&name, &Axis::from_zero(label, scale), axis, &lines)
     };
-    let note = match c.groups.iter().any(|g| g.runs.len() > 1) {
-        true => {
-            "Line: median of the runs, as far as all of them go; band: their range; thin: each run to its end. The figure is the \
-             median of the ends."
-        }
-        false => "",
-    };
     Section::Charts {
         title: axis.label.into(),
-        note: note.into(),
+        note: "Line: median of the runs of a group, as far as all of them go; band: their range; thin: each run to its end. The \
+               figure is the median of the ends."
+            .into(),
         figures: clocks.iter().map(figure).collect(),
     }
 }

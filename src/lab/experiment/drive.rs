@@ -137,15 +137,12 @@ impl Drive<'_> {
         let Some(budget) = self.experiment.budget.filter(|_| missing > 0) else {
             return Ok(true);
         };
-        let mut longest: f64 = 0.0;
-        for run in block {
-            let limit = run.config(self.experiment)?.time_budget.unwrap_or(0.0);
-            longest = longest.max(BESIDE * limit);
-        }
         // Runs of this session tell more than their limits.
         let (runs, seconds) = self.taken;
-        if runs > 0 {
-            longest = seconds / runs as f64;
+        let mut longest = if runs > 0 { seconds / runs as f64 } else { 0.0 };
+        for run in block.iter().filter(|_| runs == 0) {
+            let limit = run.config(self.experiment)?.time_budget.unwrap_or(0.0);
+            longest = longest.max(BESIDE * limit);
         }
         let used = self.launch.seconds() - self.began;
         Ok(used < budget && used + missing as f64 * longest <= budget)

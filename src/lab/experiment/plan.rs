@@ -84,15 +84,14 @@ impl State {
 pub fn blocks(e: &Experiment) -> Vec<Vec<Planned>> {
     let mut settings: Vec<usize> = (0..e.settings.len()).collect();
     settings.sort_by_key(|s| e.cap_from.as_ref() != Some(&e.settings[*s].name));
-    let block = |(seed, scene): (u64, usize)| -> Vec<Planned> {
-        let run = |setting: &usize| Planned::new(e, scene, *setting, seed);
-        settings.iter().map(run).collect()
-    };
-    let scenes = |seed: &u64| {
-        let seed = *seed;
-        (0..e.scenes.len()).map(move |scene| (seed, scene))
-    };
-    e.seeds.iter().flat_map(scenes).map(block).collect()
+    let mut blocks = Vec::new();
+    for seed in &e.seeds {
+        for scene in 0..e.scenes.len() {
+            let run = |setting: &usize| Planned::new(e, scene, *setting, *seed);
+            blocks.push(settings.iter().map(run).collect());
+        }
+    }
+    blocks
 }
 
 /// State of a run folder; with `config` `None`, of whatever configuration.

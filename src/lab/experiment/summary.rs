@@ -91,24 +91,20 @@ impl SceneSummary {
 
     /// Its part of the summary; `None` if there is nothing to say but that runs are missing.
     fn part(&self) -> Option<Report> {
-        let mut part = Report {
-            title: self.name.clone(),
-            warnings: self.problem.iter().cloned().collect(),
+        let alone = || Report {
+            warnings: self.refused.clone(),
             ..Report::default()
         };
-        let Some(c) = &self.comparison else {
-            part.warnings.extend(self.refused.iter().cloned());
-            return (!part.warnings.is_empty()).then_some(part);
-        };
-        let brief = compare::brief(c);
-        part.warnings.extend(brief.warnings);
-        (part.subtitle, part.note) = (brief.subtitle, brief.note);
-        part.sections = brief.sections;
-        part.sections.push(Section::Link {
-            text: format!("{}: curves and every run", self.name),
+        let compared = self.comparison.as_ref();
+        let mut part = compared.map_or_else(alone, compare::brief);
+        part.title.clone_from(&self.name);
+        part.warnings.splice(0..0, self.problem.clone());
+        let link = compared.map(|_| Section::Link {
+            text: format!("{}: curves", self.name),
             to: format!("{}/{PAGE}", self.name),
         });
-        Some(part)
+        part.sections.extend(link);
+        (!part.sections.is_empty() || !part.warnings.is_empty()).then_some(part)
     }
 }
 
