@@ -264,12 +264,6 @@ pub fn load_all(sources: &[Source], warnings: &mut Vec<String>) -> Result<Vec<Lo
     Ok(runs)
 }
 
-/// Names of the held-out views of the last evaluation.
-fn held_out(run: &Loaded) -> Option<Vec<&str>> {
-    let scores = run.record.final_scores.as_ref()?;
-    Some(scores.per_view.iter().map(|v| v.view.as_str()).collect())
-}
-
 /// The reason why two runs are not comparable; `None` if they are.
 fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
     let (x, y) = (&a.record.dataset, &b.record.dataset);
@@ -283,9 +277,9 @@ fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
             "another split, {to} instead of {from} training and held-out views"
         ));
     }
-    if let (Some(p), Some(q)) = (held_out(a), held_out(b))
-        && p != q
-    {
+    let scores = [a, b].map(|r| r.record.final_scores.iter().flat_map(|f| &f.per_view));
+    let [p, q] = scores.map(|views| views.map(|v| &v.view).collect::<Vec<_>>());
+    if p != q && !p.is_empty() && !q.is_empty() {
         return Some("other held-out views".into());
     }
     let same = match (&x.fingerprint, &y.fingerprint) {

@@ -13,8 +13,11 @@ use crate::lab::stats::Spread;
 use crate::lab::table::{Table, digits, few, folder_name, or_dash, spread};
 use crate::run::MetricsRow;
 
+/// A quantity of an evaluation with its axis.
+type Quantity = (Axis<'static>, fn(&MetricsRow) -> Option<f64>);
+
 /// Quantities that are drawn.
-const QUANTITIES: [(Axis<'static>, fn(&MetricsRow) -> Option<f64>); 3] = [
+const QUANTITIES: [Quantity; 3] = [
     (Axis::framing("PSNR", "dB"), |r| r.psnr),
     (Axis::framing("SSIM", ""), |r| r.ssim),
     (Axis::from_zero("Gaussians", Scale::Number), |r| {
@@ -60,10 +63,8 @@ pub fn report(c: &Comparison) -> Report {
     let mut report = brief(c);
     let pairs = against(title, "group", &c.reference, rows);
     report.sections.push(Section::Table(pairs));
-    let drawn = QUANTITIES.iter();
-    report
-        .sections
-        .extend(drawn.map(|(axis, of)| charts(c, axis, *of, &clocks)));
+    let drawn = QUANTITIES.iter().map(|q| charts(c, q, &clocks));
+    report.sections.extend(drawn);
     report.sections.push(Section::Table(differences(c)));
     if !c.thresholds.is_empty() {
         let times = others.iter().map(|k| Section::Table(times(c, *k)));
@@ -278,19 +279,14 @@ fn line(g: &Group, clock: Clock, of: fn(&MetricsRow) -> Option<f64>) -> Banded {
 }
 
 /// One quantity against each clock.
-fn charts(
-    c: &Comparison,
-    axis: &Axis<'_>,
-    of: fn(&MetricsRow) -> Option<f64>,
-    clocks: &[Clock],
-) -> Section {
+fn charts(c: &Comparison, (axis, of): &Quantity, clocks: &[Clock]) -> Section {
     let figure = |clock: &Clock| {
         let label = clock.words()[1];
         let scale = match clock {
             Clock::Iterations => Scale::Number,
             _ => Scale::Seconds,
         };
-        let lines: Vec<Banded> = c.groups.iter().map(|g| line(g, *clock, of)).collect();
+        let lines: Vec<Banded> = c.groups.iter().map(|g| line(g, *clock, *of)).collect();
         let name = format!("{} against {label}", axis.label);
         band_chart(&name, &Axis::from_zero(label, scale), axis, &lines)
     };

@@ -43,9 +43,8 @@ fn steps(low: f64, high: f64, step: f64) -> Vec<f64> {
 /// Values between the highest first PSNR and the best one, rising: `(first, best)` of each group.
 #[must_use]
 pub fn between(ends: &[(f64, f64)]) -> Vec<f64> {
-    let highest = |all: &mut dyn Iterator<Item = f64>| all.fold(f64::NEG_INFINITY, f64::max);
-    let low = highest(&mut ends.iter().map(|e| e.0));
-    let best = highest(&mut ends.iter().map(|e| e.1));
+    let low = ends.iter().map(|e| e.0).fold(f64::NEG_INFINITY, f64::max);
+    let best = ends.iter().map(|e| e.1).fold(f64::NEG_INFINITY, f64::max);
     if !(low < best && low.abs() <= LIMIT && best.abs() <= LIMIT) {
         return Vec::new();
     }
