@@ -40,12 +40,12 @@ fn seeds_are_samples_of_one_group_and_everything_else_sets_apart() {
             ("mh, iterations 500".into(), 3)
         ]
     );
-    // Only what tells groups of one sampler apart is in their names, and the cap only if nothing else does.
+    // Only what tells groups of one sampler apart is in their names.
     let capped = |m: Made| m.with(|r| r.config.max_gaussians = Some(900));
     let three = [
         run("a", 0),
         run("b", 0).sampler_none(),
-        capped(run("c", 0).iterations(500)),
+        run("c", 0).iterations(500),
     ];
     let names: Vec<String> = labels(&three).into_iter().map(|l| l.0).collect();
     assert_eq!(names, ["mh, iterations 1000", "none", "mh, iterations 500"]);
@@ -73,53 +73,22 @@ fn seeds_are_samples_of_one_group_and_everything_else_sets_apart() {
 }
 
 #[test]
-fn a_cap_that_changes_with_the_seed_is_one_setting() {
-    let cap = |seed, cap| run("r", seed).with(|r| r.config.max_gaussians = Some(cap));
-    let groups = |made: &[Made]| compared(made, &Options::default()).unwrap().groups.len();
-    assert_eq!(groups(&[cap(0, 1000), cap(1, 1100), cap(2, 980)]), 1);
-    assert_eq!(
-        groups(&[cap(0, 1000), cap(0, 1100)]),
-        2,
-        "one seed, two caps"
-    );
-    assert_eq!(
-        groups(&[cap(0, 1000), cap(1, 5000)]),
-        2,
-        "caps of another size"
-    );
-    assert_eq!(groups(&[cap(0, 1000), run("r", 1)]), 2, "capped or not");
-}
-
-#[test]
 fn unequal_numbers_of_gaussians_are_named() {
     let more = |extra: u64| {
         let mut other = run("b", 0).named("other");
         other.rows[19].gaussians += extra;
         let c = compared(&[run("a", 0), other], &Options::default()).unwrap();
-        let text = report(&c).to_markdown();
-        (c.warnings, text.contains("are equal to 2 %"))
+        assert!(
+            c.warnings
+                .iter()
+                .all(|w| report(&c).to_markdown().contains(w))
+        );
+        c.warnings
     };
-    let (warnings, equal) = more(20);
-    assert!(warnings.is_empty() && equal, "{warnings:?}");
-    let (warnings, equal) = more(200);
+    assert!(more(20).is_empty(), "equal to 2 %");
+    let warnings = more(200);
     let named = "not at equal numbers of Gaussians: 1200 (mh) to 1400 (other)";
-    assert!(warnings[0].starts_with(named) && !equal, "{warnings:?}");
-}
-
-#[test]
-fn runs_that_lose_what_they_reached_are_named() {
-    let ends_lower = |by: f64| {
-        let mut run = run("a", 0);
-        run.rows[19].psnr = run.rows[18].psnr.map(|p| p - by);
-        compared(&[run], &Options::default()).unwrap().warnings
-    };
-    assert!(ends_lower(0.4).is_empty());
-    let named = "mh: 1 of 1 runs end up to 2.0 dB below their best";
-    assert!(
-        ends_lower(2.0)[0].starts_with(named),
-        "{:?}",
-        ends_lower(2.0)
-    );
+    assert!(warnings[0].starts_with(named), "{warnings:?}");
 }
 
 #[test]
@@ -210,9 +179,9 @@ fn unfinished_runs_count_with_a_warning() {
         |w: &String| w.contains("unfinished, 600 of 1000 iterations") && w.contains("after 600");
     assert!(c.warnings.iter().any(unfinished), "{:?}", c.warnings);
     let run_of_it = &c.groups[0].runs[1];
-    assert!(!run_of_it.finished && run_of_it.flip.is_none() && run_of_it.iterations == 600);
+    assert!(!run_of_it.finished && run_of_it.flip.is_none() && run_of_it.last.iteration == 600);
     assert!(
-        c.groups[0].flip.is_none(),
+        !c.groups[0].end.contains_key("flip"),
         "no FLIP of a group without that of every run"
     );
     // A time budget ends a run as well as its iterations do.
@@ -280,7 +249,7 @@ fn without_cpu_seconds_training_seconds_are_the_clock() {
 fn default_thresholds_lie_where_runs_can_be_told_apart() {
     let c = compared(&[run("a", 0), run("b", 1).below(2.0)], &Options::default()).unwrap();
     assert!((3..=12).contains(&c.thresholds.len()), "{:?}", c.thresholds);
-    let best = c.groups[0].psnr.unwrap().max;
+    let best = c.groups[0].end["psnr"].max;
     assert!(
         c.thresholds.iter().all(|t| *t <= best && *t > 12.0),
         "{:?}",

@@ -1,7 +1,7 @@
 //! Groups run by run: the one notion of "sooner".
 
 use super::made::{Made, compared, run};
-use mhsplat::lab::compare::{Clock, Options, Paired, Verdict, report};
+use mhsplat::lab::compare::{Clock, Options, Paired, report};
 use mhsplat::lab::stats::{Spread, geometric_mean};
 use mhsplat::lab::table::few;
 
@@ -44,22 +44,24 @@ fn ratios_and_differences_are_of_each_seed() {
     assert_eq!((mean.samples, slower.mean_of), (3, 2));
     assert!((mean.min - 2.0).abs() < 1e-9 && (mean.max - 2.0).abs() < 1e-9);
     assert_eq!(few(&mean, one), "2.0 (2.0–2.0)");
-    assert!((slower.worst.unwrap().1.unwrap() - 2.0).abs() < 1e-9);
-    assert_eq!(slower.no_later, Verdict { holds: 2, of: 2 });
-    assert!(slower.psnr.unwrap().median.abs() < 1e-9 && slower.final_holds == Some(true));
-    assert!((lower.psnr.unwrap().min - 3.0).abs() < 1e-9);
-    // What only one side reaches has no ratio and enters no mean, but decides who is sooner.
+    assert!((slower.worst.unwrap().1 - 2.0).abs() < 1e-9);
+    assert_eq!((slower.no_later, slower.mean_of), (2, 2));
+    assert!(slower.change["psnr"].median.abs() < 1e-9);
+    assert!((lower.change["psnr"].min - 3.0).abs() < 1e-9);
+    // What only one side reaches has no ratio and enters no mean, but is counted.
     assert_eq!((lower.counts.both, lower.counts.only_reference), (1, 1));
     assert_eq!((lower.to_psnr[1].spread, lower.mean_of), (None, 1));
-    assert_eq!(lower.no_later.text(), "yes, 2 of 2");
+    assert_eq!(lower.to_psnr[1].reached, [3, 0]);
 
     let turned = pairs(&made, "slow");
-    assert_eq!(turned[0].no_later.text(), "no, 0 of 2");
-    assert_eq!(turned[0].final_holds, Some(true), "late, but as good");
+    assert_eq!((turned[0].no_later, turned[0].mean_of), (0, 2));
+    assert!(
+        turned[0].change["psnr"].median.abs() < 1e-9,
+        "late, but as good"
+    );
     let turned = pairs(&made, "low");
-    assert_eq!(turned[0].no_later.all(), Some(false));
-    assert_eq!(turned[0].final_holds, Some(false));
-    assert_eq!(turned[0].worst, Some((24.0, None)), "never at 24 dB");
+    assert!((turned[0].change["psnr"].max + 3.0).abs() < 1e-9);
+    assert_eq!(turned[0].counts.only_group, 1, "never at 24 dB");
 }
 
 #[test]
@@ -68,7 +70,7 @@ fn of_two_seeds_that_disagree_neither_side_is_favoured() {
     let made = [0, 1].map(|s| [fast(s), other(s).named("other")]).concat();
     let of = |reference: &str| pairs(&made, reference).remove(0);
     let (one, two) = (of("fast"), of("other"));
-    assert_eq!([one.no_later.holds, two.no_later.holds], [0, 0]);
+    assert_eq!([one.no_later, two.no_later], [0, 2]);
     let ratio = |p: &Paired| p.to_psnr[0].spread.unwrap().median;
     assert!((ratio(&one) * ratio(&two) - 1.0).abs() < 1e-9);
     let middle = 0.9f64.sqrt();
@@ -76,27 +78,29 @@ fn of_two_seeds_that_disagree_neither_side_is_favoured() {
 }
 
 #[test]
-fn pairs_are_of_one_seed_or_else_in_order_and_say_so() {
+fn pairs_are_of_one_seed_and_say_so() {
     let of = |made: &[Made]| pairs(made, "fast").remove(0);
     let found = of(&[fast(0), fast(1), slow(1), slow(2)]);
-    assert_eq!((&found.seeds[..], found.same_seeds), (&[1][..], true));
-    assert_eq!(found.pairs_text(), "1 seed");
+    assert_eq!(
+        (found.seeds.as_slice(), found.pairs_text()),
+        (&[1][..], "1 seed".into())
+    );
     let mean = found.mean.unwrap();
     assert_eq!(few(&mean, one), "2.0", "one pair has no range");
     // Repeats of one seed are pairs of their own, but one seed.
     let again = of(&[0, 0, 0].map(|s| [fast(s), slow(s)]).concat());
-    assert_eq!((again.pairs, again.seeds.len()), (3, 1));
+    assert_eq!(again.seeds, [0, 0, 0]);
     assert_eq!(again.pairs_text(), "3 pairs of 1 seed");
-    let apart = of(&[fast(0), fast(1), slow(2), slow(3), slow(4)]);
-    assert_eq!((apart.pairs, apart.same_seeds), (2, false));
-    assert_eq!(apart.pairs_text(), "2 pairs of other seeds");
-    let ratio = apart.to_psnr[0].spread.unwrap();
-    assert!(ratio.min > 1.9 && ratio.max < 2.2, "{ratio:?}");
+    // Without a common seed there is nothing to compare, and the caveat says so.
+    let apart = [fast(0), fast(1), slow(2), slow(3), slow(4)];
+    let c = compared(&apart, &options("fast", &[20.0])).unwrap();
+    assert!(c.relative.is_empty());
+    let caveat = "slow: seeds 2, 3, 4, but 0, 1 of fast; only those of both are compared";
+    assert!(c.warnings.iter().any(|w| w == caveat), "{:?}", c.warnings);
 }
 
 #[test]
-fn a_run_that_misses_is_the_latest_of_all() {
-    // Two of three seeds of `other` reach 24 dB sooner, one never does: most are sooner still.
+fn a_run_that_misses_is_counted_and_has_no_ratio() {
     let other = |s: u64| match s {
         2 => run("other", s).below(3.0).named("other"),
         _ => run("other", s).slower(0.5).named("other"),
@@ -104,44 +108,28 @@ fn a_run_that_misses_is_the_latest_of_all() {
     let made = [0, 1, 2].map(|s| [fast(s), other(s)]).concat();
     let found = &pairs(&made, "fast")[0];
     let at = &found.to_psnr[1];
-    assert_eq!((at.no_later, at.spread), (Some(false), None));
-    assert_eq!(at.verdict(), Verdict { holds: 1, of: 3 });
-    assert_eq!(at.seeds[2].no_later, Some(true));
+    assert_eq!((at.spread, at.reached), (None, [3, 2]));
+    assert_eq!(at.ratios[2], None);
+    assert!((at.ratios[0].unwrap() - 0.5).abs() < 1e-9);
     assert_eq!(found.counts.only_reference, 1);
     let c = compared(&made, &options("fast", &[20.0, 24.0])).unwrap();
     let text = report(&c).to_markdown();
-    assert!(text.contains("| fast 1 of 3 |"), "{text}");
+    assert!(text.contains("| fast 3, other 2 of 3 |"), "{text}");
 }
 
 #[test]
-fn what_is_not_known_decides_nothing() {
+fn a_time_that_is_not_known_has_no_ratio() {
     let at = |made: &[Made], psnr: f64| {
         let c = compared(made, &options("fast", &[psnr])).unwrap();
-        c.relative[0].to_psnr[0].clone()
+        let time = &c.relative[0].to_psnr[0];
+        (time.ratios[0], time.reached)
     };
-    let of = |time: &mhsplat::lab::compare::PairedTime| (time.seeds[0].ratio, time.no_later);
     // At 10 dB both are there at their first evaluations, at 40 dB neither ever is.
-    for psnr in [10.0, 40.0] {
-        assert_eq!(of(&at(&[fast(0), slow(0)], psnr)), (None, None));
-    }
-    // An unfinished run may still come, unless its clock is past the other's time already.
-    let unfinished = |rows: usize, factor: f64| {
-        let cut = fast(0).slower(factor).rows(rows);
-        cut.with(|r| r.iterations = 600)
-    };
-    assert_eq!(of(&at(&[unfinished(4, 1.0), slow(0)], 24.0)), (None, None));
-    let late = at(&[unfinished(4, 100.0), slow(0)], 24.0);
-    assert_eq!(of(&late), (None, Some(false)));
-}
-
-#[test]
-fn the_end_may_be_so_much_lower_and_no_more() {
-    let holds = |by: f64| {
-        let made = [fast(0).below(by), run("b", 0).named("b")];
-        pairs(&made, "fast")[0].final_holds
-    };
-    assert_eq!(holds(0.04), Some(true));
-    assert_eq!(holds(0.06), Some(false));
+    assert_eq!(at(&[fast(0), slow(0)], 10.0), (None, [1, 1]));
+    assert_eq!(at(&[fast(0), slow(0)], 40.0), (None, [0, 0]));
+    // An unfinished run may still come.
+    let cut = fast(0).rows(4).with(|r| r.iterations = 600);
+    assert_eq!(at(&[cut, slow(0)], 24.0), (None, [0, 1]));
 }
 
 #[test]

@@ -8,8 +8,9 @@ use mhsplat::lab::experiment::*;
 fn states(e: &Experiment) -> Vec<String> {
     let all = blocks(e).into_iter().flatten();
     all.map(|run| {
-        let found = look(e, &run).unwrap();
-        format!("{}: {}", found.word(), found.why())
+        let found = look(e, &run);
+        let (word, why) = found.words();
+        format!("{word}: {why}")
     })
     .collect()
 }
@@ -100,7 +101,7 @@ fn record_and_metrics_are_all_that_a_finished_run_needs() {
     drive(&e, &mut Fake::default()).unwrap();
     let lean = e.output.join("a/mh/seed-0");
     fs::remove_file(lean.join("scene.ply")).unwrap();
-    assert!(matches!(state(&lean, None).unwrap(), State::Done(_)));
+    assert!(matches!(state(&lean, None), State::Done(_)));
     // A checkpoint that is left is no reason to go on.
     let saved = e.output.join("b/mh/seed-0");
     fs::remove_file(saved.join("scene.ply")).unwrap();

@@ -97,11 +97,12 @@ fn list(experiment: &Experiment, json: bool) -> Result<Outcome> {
     experiment.check_scenes()?;
     let mut all = Vec::new();
     for run in experiment::blocks(experiment).iter().flatten() {
-        let found = experiment::look(experiment, run)?;
+        let found = experiment::look(experiment, run);
+        let (state, why) = found.words();
         all.push(Listed {
             run: run.dir.display().to_string(),
-            state: found.word(),
-            why: found.why().to_owned(),
+            state,
+            why: why.to_owned(),
         });
     }
     if json {

@@ -1,16 +1,19 @@
-//! A comparison of runs: read, checked, grouped, timed and paired.
+//! A comparison of runs: read, checked, grouped, timed and paired, with caveats and differences.
 
 use serde::Serialize;
 
 use crate::base::error::{Error, Result};
-use crate::lab::compare::check::check;
-use crate::lab::compare::group::group;
-use crate::lab::compare::load::{Clock, Loaded, Source, load_all};
-use crate::lab::compare::outcome::{GroupOutcome, of_group};
+use crate::chart::text::fixed;
+use crate::lab::compare::group::{Group, group};
+use crate::lab::compare::load::{Clock, Loaded, Source, check_comparable, load_all};
 use crate::lab::compare::paired::{Paired, paired};
-use crate::lab::compare::remarks::{Difference, differences, remarks};
 use crate::lab::compare::thresholds::choose;
 use crate::run::DatasetRecord;
+
+/// Relative difference up to which numbers of Gaussians count as equal.
+const EQUAL: f64 = 0.02;
+/// Facts that change how long a second is.
+const MACHINE: [&str; 5] = ["device", "platform", "driver", "version", "commit"];
 
 /// Options of a comparison.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -23,6 +26,15 @@ pub struct Options {
     pub reference: Option<String>,
     /// Compare even what is not comparable, with a warning.
     pub allow_different: bool,
+}
+
+/// An option, device or version that is not the same everywhere.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Difference {
+    /// Name.
+    pub what: String,
+    /// Group by group; several values if the runs of a group differ.
+    pub values: Vec<String>,
 }
 
 /// Several runs side by side.
@@ -43,35 +55,17 @@ pub struct Comparison {
     /// Label of the group that the others are compared with.
     pub reference: String,
     /// The groups, in the order of their first runs.
-    pub groups: Vec<GroupOutcome>,
+    pub groups: Vec<Group>,
     /// Each other group against the reference, run by run.
     pub relative: Vec<Paired>,
     /// Options, devices and versions that differ between the groups.
     pub differences: Vec<Difference>,
-    /// The runs themselves, for the charts.
-    #[serde(skip)]
-    pub(super) runs: Vec<Loaded>,
 }
 
 impl Comparison {
-    /// Place of the reference.
-    #[must_use]
-    pub fn reference_place(&self) -> usize {
-        let own = |g: &GroupOutcome| g.label == self.reference;
-        self.groups.iter().position(own).unwrap_or(0)
-    }
-
-    /// Names of the devices that the runs were trained on.
-    #[must_use]
-    pub fn device(&self) -> String {
-        let mut names: Vec<&str> = Vec::new();
-        for run in &self.runs {
-            let name = run.record.device.name.as_str();
-            if !names.contains(&name) {
-                names.push(name);
-            }
-        }
-        names.join(", ")
+    /// All runs, group by group.
+    pub fn runs(&self) -> impl Iterator<Item = &Loaded> {
+        self.groups.iter().flat_map(|g| &g.runs)
     }
 }
 
@@ -82,40 +76,32 @@ impl Comparison {
 pub fn compare(sources: &[Source], options: &Options) -> Result<Comparison> {
     let mut warnings = Vec::new();
     let runs = load_all(sources, &mut warnings)?;
-    check(&runs, options.allow_different, &mut warnings)?;
+    check_comparable(&runs, options.allow_different, &mut warnings)?;
     let clock = choose_clock(&runs, options.clock, &mut warnings)?;
-    let groups = group(&runs);
-    let reference = match &options.reference {
-        None => 0,
-        Some(wanted) => groups
-            .iter()
-            .position(|g| g.label == *wanted)
-            .ok_or_else(|| {
-                let all: Vec<&str> = groups.iter().map(|g| g.label.as_str()).collect();
-                Error::config(
-                    "--reference",
-                    format!("no group {wanted:?}; there are: {}", all.join("; ")),
-                )
-            })?,
-    };
-    let (thresholds, rule) = choose(&runs, &groups, reference, &options.thresholds)?;
-    let outcomes: Vec<GroupOutcome> = groups
-        .iter()
-        .map(|g| of_group(g, &runs, &thresholds))
-        .collect();
-    warnings.extend(remarks(&groups, &runs, &outcomes, reference, clock));
+    let dataset = runs[0].record.dataset.clone();
+    let mut groups = group(runs);
+    let (thresholds, rule) = choose(&groups, &options.thresholds)?;
+    for group in &mut groups {
+        group.to_psnr = thresholds.iter().map(|t| group.target(*t)).collect();
+    }
+    let wanted = options.reference.as_ref().unwrap_or(&groups[0].label);
+    let base = groups.iter().find(|g| g.label == *wanted).ok_or_else(|| {
+        let all: Vec<&str> = groups.iter().map(|g| g.label.as_str()).collect();
+        let what = format!("no group {wanted:?}; there are: {}", all.join("; "));
+        Error::config("--reference", what)
+    })?;
+    warnings.extend(remarks(&groups, base, clock));
     Ok(Comparison {
         version: env!("CARGO_PKG_VERSION"),
-        dataset: runs[0].record.dataset.clone(),
+        dataset,
         warnings,
         clock,
-        reference: groups[reference].label.clone(),
-        relative: paired(&outcomes, reference, clock),
-        differences: differences(&groups, &runs),
+        reference: base.label.clone(),
+        relative: paired(&groups, base, clock),
+        differences: differences(&groups),
         thresholds,
         threshold_rule: rule,
-        groups: outcomes,
-        runs,
+        groups,
     })
 }
 
@@ -125,22 +111,96 @@ fn choose_clock(
     asked: Option<Clock>,
     warnings: &mut Vec<String>,
 ) -> Result<Clock> {
-    let without = runs.iter().find(|r| !r.has_cpu());
+    let without = runs.iter().find(|r| !r.has(Clock::Cpu));
     match (asked, without) {
-        (Some(Clock::Cpu), Some(run)) => Err(Error::config(
+        (Some(Clock::Cpu), Some(Loaded { path, .. })) => Err(Error::config(
             "--clock",
-            format!(
-                "{} has no CPU seconds; give train, wall or iterations",
-                run.source.path.display()
-            ),
+            format!("{path} has no CPU seconds; give train, wall or iterations"),
         )),
-        (None, Some(run)) => {
+        (None, Some(Loaded { path, .. })) => {
             warnings.push(format!(
-                "{}: no CPU seconds; training seconds are the clock",
-                run.source.path.display()
+                "{path}: no CPU seconds; training seconds are the clock"
             ));
             Ok(Clock::Train)
         }
         (asked, _) => Ok(asked.unwrap_or_default()),
     }
+}
+
+/// Different values of a fact among runs, in their order.
+pub fn values<'a>(name: &str, runs: impl IntoIterator<Item = &'a Loaded>) -> Vec<&'a str> {
+    let mut all = Vec::new();
+    for value in runs.into_iter().map(|r| r.fact(name)) {
+        if !all.contains(&value) {
+            all.push(value);
+        }
+    }
+    all
+}
+
+/// Facts that differ between groups or within one.
+fn differences(groups: &[Group]) -> Vec<Difference> {
+    let names = groups[0].runs[0].facts.iter().map(|f| f.0.as_str());
+    let shown = |name: &&str| {
+        *name == "seed" || values(name, groups.iter().flat_map(|g| &g.runs)).len() > 1
+    };
+    let row = |name: &str| Difference {
+        what: name.to_owned(),
+        values: groups
+            .iter()
+            .map(|g| values(name, &g.runs).join("; "))
+            .collect(),
+    };
+    names.filter(shown).map(row).collect()
+}
+
+/// Caveats of the groups: settings mixed under one name, and other seeds, machines or numbers of Gaussians than the reference has.
+fn remarks(groups: &[Group], base: &Group, clock: Clock) -> Vec<String> {
+    let mut out = Vec::new();
+    let gaussians = |g: &Group| g.end.get("gaussians").map_or(f64::NAN, |s| s.median);
+    let count = |g: &Group| format!("{} ({})", fixed(gaussians(g), 0), g.label);
+    let unequal = groups.iter().filter(|g| {
+        let (a, b) = (gaussians(g), gaussians(base));
+        a.max(b) > a.min(b) * (1.0 + EQUAL)
+    });
+    let unequal = unequal.map(count).collect::<Vec<_>>().join(", ");
+    if !unequal.is_empty() {
+        out.push(format!(
+            "not at equal numbers of Gaussians: {} to {unequal}; --max-gaussians makes them equal",
+            count(base)
+        ));
+    }
+    let reference = &base.label;
+    for group in groups {
+        let label = &group.label;
+        let names = group.runs[0].setting().iter().map(|f| f.0.as_str());
+        let mixed = names.filter(|n| *n != "max-gaussians" && values(n, &group.runs).len() > 1);
+        let mixed = mixed.collect::<Vec<_>>().join(", ");
+        if !mixed.is_empty() {
+            out.push(format!(
+                "{label}: its runs differ in more than the seed: {mixed}"
+            ));
+        }
+        let [own, other] = [group, base].map(|g| {
+            let mut seeds = values("seed", &g.runs);
+            seeds.sort_unstable();
+            seeds.join(", ")
+        });
+        if own != other {
+            out.push(format!(
+                "{label}: seeds {own}, but {other} of {reference}; only those of both are compared"
+            ));
+        }
+        let machine = MACHINE.iter().filter_map(|name| {
+            let [own, other] = [group, base].map(|g| values(name, &g.runs).join("; "));
+            (own != other).then(|| format!("{name} {own} instead of {other}"))
+        });
+        let machine = machine.collect::<Vec<_>>().join(", ");
+        if clock != Clock::Iterations && !machine.is_empty() {
+            out.push(format!(
+                "{label}: {machine} of {reference}: seconds are not those of the same machine and program"
+            ));
+        }
+    }
+    out
 }

@@ -85,15 +85,12 @@ pub fn band(curves: &[Curve]) -> Vec<(f64, Spread)> {
     if let [one] = curves {
         return one.0.iter().filter_map(|p| spread(p.0)).collect();
     }
-    let edge =
-        |pick: fn(&Curve) -> Option<f64>| curves.iter().map(pick).collect::<Option<Vec<_>>>();
-    let firsts = edge(|c| c.0.first().map(|p| p.0));
-    let lasts = edge(|c| c.0.last().map(|p| p.0));
-    let (Some(firsts), Some(lasts)) = (firsts, lasts) else {
+    let span = |c: &Curve| Some((c.0.first()?.0, c.0.last()?.0));
+    let Some(spans) = curves.iter().map(span).collect::<Option<Vec<_>>>() else {
         return Vec::new();
     };
-    let from = firsts.into_iter().fold(f64::NEG_INFINITY, f64::max);
-    let to = lasts.into_iter().fold(f64::INFINITY, f64::min);
+    let from = spans.iter().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
+    let to = spans.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
     if !(from < to && from.is_finite() && to.is_finite()) {
         return Vec::new();
     }

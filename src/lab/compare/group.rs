@@ -1,153 +1,164 @@
-//! Grouping: runs that differ in nothing but the seed are samples of one setting.
+//! Groups: runs that differ in nothing but the seed are samples of one setting.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
-use crate::lab::compare::load::Loaded;
-use crate::run::report::settings::flatten;
+use serde::Serialize;
 
-/// Options that change no result, or only by chance.
-const BESIDE: [&str; 5] = [
-    "seed",
-    "eval-every",
-    "export-every",
-    "checkpoint-every",
-    "image-budget",
-];
-/// Option that may change along with the seed, as it does if it is another run's final count.
-const CAP: &str = "max-gaussians";
-/// Largest ratio of the caps of one setting.
-const CAP_RATIO: f64 = 1.5;
+use crate::lab::compare::curve::Crossing;
+use crate::lab::compare::load::{Clock, Fact, Loaded};
+use crate::lab::stats::Spread;
 
-/// Options, device and version of a run: name and value.
-pub type Facts = Vec<(String, String)>;
-
-/// Everything that may tell two groups apart.
-#[must_use]
-pub fn facts(run: &Loaded) -> Facts {
-    let r = &run.record;
-    let mut facts: Facts = flatten(&r.config)
-        .into_iter()
-        .filter(|(name, _)| !BESIDE.contains(&name.as_str()))
-        .collect();
-    let d = &r.device;
-    let own = [
-        ("device", &d.name),
-        ("platform", &d.platform),
-        ("driver", &d.driver),
-        ("version", &r.version),
-        ("commit", &r.commit),
-    ];
-    facts.extend(own.map(|(name, value)| (name.to_owned(), value.clone())));
-    facts
+/// Times at which the runs of a group first had a PSNR, by one clock.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Reach {
+    /// Clock of the times.
+    pub clock: Clock,
+    /// Run by run; null if it was not reached.
+    pub runs: Vec<Option<Crossing>>,
+    /// Spread over the runs, if all of them reached it.
+    pub spread: Option<Spread>,
 }
 
-/// Runs of one kind, by their places in the list.
-#[derive(Debug, Clone, PartialEq)]
+impl Reach {
+    /// Number of runs that reached it.
+    #[must_use]
+    pub fn reached(&self) -> usize {
+        self.runs.iter().flatten().count()
+    }
+
+    /// Returns true if a run was there at its first evaluation already.
+    #[must_use]
+    pub fn at_most(&self) -> bool {
+        self.runs.iter().flatten().any(|c| c.at_most)
+    }
+}
+
+/// Times to one PSNR.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Target {
+    /// PSNR, dB.
+    pub psnr: f64,
+    /// Clock by clock.
+    pub reach: Vec<Reach>,
+}
+
+/// A figure of a run at its last evaluation: key in JSON, column name, decimals in tables (`None`: three digits), and the value.
+pub type Figure = (
+    &'static str,
+    &'static str,
+    Option<usize>,
+    fn(&Loaded) -> Option<f64>,
+);
+
+/// Figures of every run, in the order of the tables.
+pub const FIGURES: [Figure; 7] = [
+    ("gaussians", "Gaussians", Some(0), |r| {
+        Some(r.last.gaussians as f64)
+    }),
+    ("psnr", "PSNR, dB", Some(2), |r| r.last.psnr),
+    ("ssim", "SSIM", Some(4), |r| r.last.ssim),
+    ("flip", "FLIP", Some(4), |r| r.flip),
+    ("cpu_seconds", "CPU s", None, |r| {
+        Some(r.last.cpu_seconds).filter(|s| *s > 0.0)
+    }),
+    ("train_seconds", "training s", None, |r| {
+        Some(r.last.train_seconds)
+    }),
+    ("wall_seconds", "wall s", None, |r| {
+        Some(r.last.wall_seconds)
+    }),
+];
+
+/// Spreads of [`FIGURES`] by their keys.
+pub type Spreads = BTreeMap<&'static str, Spread>;
+
+/// Spreads of every figure of which `samples` are known and finite.
+pub fn spreads(samples: impl Fn(fn(&Loaded) -> Option<f64>) -> Option<Vec<f64>>) -> Spreads {
+    let all = FIGURES.iter();
+    all.filter_map(|(key, _, _, of)| Some((*key, Spread::of(&samples(*of)?)?)))
+        .collect()
+}
+
+/// Samples of one setting.
+#[derive(Debug, Clone, Serialize)]
 pub struct Group {
     /// Name, or the options that set it apart from the others.
     pub label: String,
-    /// Places of its runs.
-    pub runs: Vec<usize>,
+    /// Spreads at the end, by the keys of [`FIGURES`]; those that all runs have.
+    #[serde(flatten)]
+    pub end: Spreads,
+    /// Times to equal PSNR, threshold by threshold.
+    pub to_psnr: Vec<Target>,
+    /// The runs, in their order.
+    pub runs: Vec<Loaded>,
 }
 
-fn without_cap(facts: &Facts) -> Facts {
-    let other = |f: &&(String, String)| f.0 != CAP;
-    facts.iter().filter(other).cloned().collect()
-}
-
-/// Returns true if caps that change along with the seeds are one setting: one cap per seed, and all of a size.
-fn one_cap_per_seed(runs: &[&Loaded]) -> bool {
-    let seeds: BTreeSet<u64> = runs.iter().map(|r| r.record.seed).collect();
-    let caps: Option<Vec<usize>> = runs.iter().map(|r| r.record.config.max_gaussians).collect();
-    let Some(caps) = caps else {
-        return false;
-    };
-    let (low, high) = (caps.iter().min(), caps.iter().max());
-    let ratio = low.zip(high).map(|(l, h)| *h as f64 / *l as f64);
-    seeds.len() == runs.len() && ratio.is_some_and(|r| r <= CAP_RATIO)
-}
-
-/// Sorts runs into groups, in the order of their first runs: by the names that were given, else by their options.
-#[must_use]
-pub fn group(runs: &[Loaded]) -> Vec<Group> {
-    let facts: Vec<Facts> = runs.iter().map(facts).collect();
-    // Key of a group, and whether the key is a name that was given.
-    let mut kinds: Vec<(Result<&str, Facts>, Vec<usize>)> = Vec::new();
-    for (place, run) in runs.iter().enumerate() {
-        let key = match &run.source.group {
-            Some(name) => Ok(name.as_str()),
-            None => Err(without_cap(&facts[place])),
+impl Group {
+    /// Times to a PSNR by every clock that all runs have.
+    pub(super) fn target(&self, psnr: f64) -> Target {
+        let reach = |clock: Clock| {
+            let first = |r: &Loaded| r.curve(clock, |row| row.psnr).first_reaches(psnr);
+            let runs: Vec<Option<Crossing>> = self.runs.iter().map(first).collect();
+            let all: Option<Vec<f64>> = runs.iter().map(|r| r.map(|c| c.at)).collect();
+            Reach {
+                clock,
+                spread: all.and_then(|v| Spread::of(&v)),
+                runs,
+            }
         };
-        match kinds.iter_mut().find(|(k, _)| *k == key) {
-            Some((_, places)) => places.push(place),
-            None => kinds.push((key, vec![place])),
+        let has = |clock: &Clock| self.runs.iter().all(|r| r.has(*clock));
+        Target {
+            psnr,
+            reach: Clock::all().filter(has).map(reach).collect(),
         }
     }
-    let mut groups = Vec::new();
-    for (key, places) in kinds {
-        let members: Vec<&Loaded> = places.iter().map(|p| &runs[*p]).collect();
-        match key {
-            Ok(name) => groups.push((Some(name.to_owned()), places)),
-            Err(_) if one_cap_per_seed(&members) => groups.push((None, places)),
-            Err(_) => groups.extend(by_cap(&members, &places).into_iter().map(|g| (None, g))),
-        }
+
+    /// Times to the threshold at `place`, by a clock.
+    #[must_use]
+    pub fn reach(&self, place: usize, clock: Clock) -> Option<&Reach> {
+        let target = self.to_psnr.get(place)?;
+        target.reach.iter().find(|r| r.clock == clock)
     }
-    groups.sort_by_key(|(_, places)| places.first().copied());
-    label(groups, runs, &facts)
 }
 
-/// The runs, split by their cap.
-fn by_cap(members: &[&Loaded], places: &[usize]) -> Vec<Vec<usize>> {
-    let mut kinds: Vec<(Option<usize>, Vec<usize>)> = Vec::new();
-    for (run, place) in members.iter().zip(places) {
-        let cap = run.record.config.max_gaussians;
-        match kinds.iter_mut().find(|(c, _)| *c == cap) {
-            Some((_, list)) => list.push(*place),
-            None => kinds.push((cap, vec![*place])),
+/// Sorts runs into groups, in the order of their first runs: by the names that were given, else by their options. Unnamed groups
+/// are named by their sampler and, if that does not tell them apart, by the options that do.
+#[must_use]
+pub fn group(runs: Vec<Loaded>) -> Vec<Group> {
+    let mut parts: Vec<Vec<Loaded>> = Vec::new();
+    for run in runs {
+        let alike = |part: &&mut Vec<Loaded>| match &run.group {
+            None => part[0].group.is_none() && part[0].setting() == run.setting(),
+            named => part[0].group == *named,
+        };
+        match parts.iter_mut().find(alike) {
+            Some(part) => part.push(run),
+            None => parts.push(vec![run]),
         }
     }
-    kinds.into_iter().map(|(_, list)| list).collect()
-}
-
-/// Names unnamed groups by their sampler and, if that does not tell them apart, by the options that do; by the cap only if
-/// nothing else does.
-fn label(
-    groups: Vec<(Option<String>, Vec<usize>)>,
-    runs: &[Loaded],
-    facts: &[Facts],
-) -> Vec<Group> {
-    let of = |place: usize, name: &str| -> &str {
-        let found = facts[place].iter().find(|f| f.0 == name);
-        found.map_or("none", |f| f.1.as_str())
+    let name = |part: &Vec<Loaded>| -> String {
+        let run = &part[0];
+        let sampler = run.fact("sampler");
+        let firsts = parts.iter().map(|part| &part[0]);
+        let alike = firsts.filter(|r| r.group.is_none() && r.fact("sampler") == sampler);
+        let alike: Vec<&Loaded> = alike.collect();
+        let differs = |f: &&Fact| alike.iter().any(|r| r.fact(&f.0) != f.1);
+        let differing = run.setting().iter().filter(differs);
+        let more = differing.map(|(name, value)| format!(", {name} {value}"));
+        let own = || sampler.to_owned() + &more.collect::<String>();
+        run.group.clone().unwrap_or_else(own)
     };
-    let first = |places: &[usize]| places.first().copied().unwrap_or(0);
-    let unnamed = groups.iter().filter(|g| g.0.is_none());
-    let unnamed: Vec<usize> = unnamed.map(|g| first(&g.1)).collect();
-    let own = |place: usize| -> String {
-        let sampler = of(place, "sampler");
-        let alike = unnamed.iter().filter(|p| of(**p, "sampler") == sampler);
-        let alike: Vec<usize> = alike.copied().collect();
-        let names = facts[place].iter().map(|f| f.0.as_str());
-        let mut differing: Vec<&str> = names
-            .filter(|n| alike.iter().any(|p| of(*p, n) != of(place, n)))
-            .collect();
-        if differing.len() > 1 {
-            differing.retain(|n| *n != CAP);
-        }
-        let more = differing.iter().map(|n| format!("{n} {}", of(place, n)));
-        let parts: Vec<String> = std::iter::once(sampler.to_owned()).chain(more).collect();
-        parts.join(", ")
-    };
+    let names: Vec<String> = parts.iter().map(name).collect();
     let mut out: Vec<Group> = Vec::new();
-    for (name, places) in groups {
-        let place = first(&places);
-        let mut label = name.unwrap_or_else(|| own(place));
+    for (part, mut label) in parts.into_iter().zip(names) {
         if out.iter().any(|g| g.label == label) {
-            label = format!("{label}, {}", runs[place].source.path.display());
+            label = format!("{label}, {}", part[0].path);
         }
         out.push(Group {
             label,
-            runs: places,
+            end: spreads(|of| part.iter().map(of).collect()),
+            to_psnr: Vec::new(),
+            runs: part,
         });
     }
     out

@@ -1,16 +1,34 @@
-//! Run folders as they are compared.
+//! Run folders as they are compared, and the refusal of those that are not comparable.
 
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use serde::Serialize;
 
 use crate::base::error::{Error, Result};
 use crate::lab::compare::curve::Curve;
+use crate::lab::table::folder_name;
 use crate::run::metrics::METRICS_FILE;
+use crate::run::report::settings::flatten;
 use crate::run::{MetricsRow, RECORD_FILE, RunRecord, read_rows};
+use crate::train::schedule::Schedule;
+
+/// Options that change no result, or only by chance.
+const BESIDE: [&str; 5] = [
+    "seed",
+    "eval-every",
+    "export-every",
+    "checkpoint-every",
+    "image-budget",
+];
+
+const CPU_NOTE: &str = "Times are CPU seconds of the process while training, loading included, evaluations and kernels \
+                        compiled in mid-run left out: other programs on the machine change them least.";
+const TRAIN_NOTE: &str = "Times are seconds of training, loading included, evaluations and kernels compiled in mid-run \
+                          left out; other programs on the machine delay them.";
 
 /// A clock to compare runs by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Clock {
     /// CPU seconds of the process while training: the clock to compare by if other programs share the machine.
@@ -26,7 +44,9 @@ pub enum Clock {
 
 impl Clock {
     /// All of them, in the order of the page.
-    pub const ALL: [Self; 4] = [Self::Cpu, Self::Train, Self::Wall, Self::Iterations];
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::value_variants().iter().copied()
+    }
 
     /// Reading at an evaluation.
     #[must_use]
@@ -39,14 +59,18 @@ impl Clock {
         }
     }
 
-    /// Name and unit.
+    /// Name with its unit, quantity on an axis, and what the times include.
     #[must_use]
-    pub fn name(self) -> &'static str {
+    pub fn words(self) -> [&'static str; 3] {
         match self {
-            Self::Cpu => "CPU seconds",
-            Self::Train => "training seconds",
-            Self::Wall => "wall seconds",
-            Self::Iterations => "iterations",
+            Self::Cpu => ["CPU seconds", "CPU time", CPU_NOTE],
+            Self::Train => ["training seconds", "training time", TRAIN_NOTE],
+            Self::Wall => [
+                "wall seconds",
+                "wall time",
+                "Times are seconds since the start, evaluations included.",
+            ],
+            Self::Iterations => ["iterations", "iterations", ""],
         }
     }
 }
@@ -78,15 +102,35 @@ impl Source {
     }
 }
 
-/// A run that was read.
-#[derive(Debug, Clone)]
+/// Name and value of a fact that may tell a run from others.
+pub type Fact = (String, String);
+
+/// A run that was read; as JSON, its last evaluation.
+#[derive(Debug, Clone, Serialize)]
 pub struct Loaded {
-    /// Path and group as given.
-    pub source: Source,
+    /// Folder.
+    pub path: String,
+    /// Name of its group as given.
+    #[serde(skip)]
+    pub group: Option<String>,
+    /// Seed.
+    pub seed: u64,
+    /// True if the scores are those of the end, not of the last evaluation before something stopped the run.
+    pub finished: bool,
+    /// Its last evaluation; the Gaussians include those removed after it because no training view shows them.
+    #[serde(flatten)]
+    pub last: MetricsRow,
+    /// Mean FLIP of the end; `None` for unfinished runs and those of earlier versions.
+    pub flip: Option<f64>,
     /// Content of `run.json`.
+    #[serde(skip)]
     pub record: RunRecord,
     /// Rows of `metrics.csv` that evaluated held-out views, at least one.
+    #[serde(skip)]
     pub rows: Vec<MetricsRow>,
+    /// Dataset, seed, and [`Loaded::setting`].
+    #[serde(skip)]
+    pub facts: Vec<Fact>,
 }
 
 impl Loaded {
@@ -97,23 +141,43 @@ impl Loaded {
         Curve::new(self.rows.iter().filter_map(point))
     }
 
-    /// PSNR over a clock.
+    /// Returns true if every row has a reading of the clock.
     #[must_use]
-    pub fn psnr(&self, clock: Clock) -> Curve {
-        self.curve(clock, |r| r.psnr)
+    pub fn has(&self, clock: Clock) -> bool {
+        clock != Clock::Cpu || self.rows.iter().all(|r| r.cpu_seconds > 0.0)
     }
 
-    /// Returns true if every row has CPU seconds.
+    /// Value of a fact.
     #[must_use]
-    pub fn has_cpu(&self) -> bool {
-        self.rows.iter().all(|r| r.cpu_seconds > 0.0)
+    pub fn fact(&self, name: &str) -> &str {
+        let found = self.facts.iter().find(|f| f.0 == name);
+        found.map_or("none", |f| f.1.as_str())
     }
 
-    /// Returns true if the scores are those of the end, not of the last evaluation before something stopped the run.
+    /// Options that change a result by more than chance, device and version.
     #[must_use]
-    pub fn finished(&self) -> bool {
-        finished(&self.record)
+    pub fn setting(&self) -> &[Fact] {
+        &self.facts[2..]
     }
+}
+
+/// Everything that may tell two runs apart.
+fn facts(record: &RunRecord) -> Vec<Fact> {
+    let fact = |(name, value): (&str, &str)| (name.to_owned(), value.to_owned());
+    let seed = record.seed.to_string();
+    let run = [("dataset", record.dataset.path.as_str()), ("seed", &seed)];
+    let options = flatten(&record.config).into_iter();
+    let options = options.filter(|(name, _)| !BESIDE.contains(&name.as_str()));
+    let device = &record.device;
+    let machine = [
+        ("device", device.name.as_str()),
+        ("platform", &device.platform),
+        ("driver", &device.driver),
+        ("version", &record.version),
+        ("commit", &record.commit),
+    ];
+    let run = run.map(fact).into_iter();
+    run.chain(options).chain(machine.map(fact)).collect()
 }
 
 /// Returns true if a run came to its end: by its iterations, its time budget or its patience.
@@ -128,44 +192,51 @@ pub fn finished(record: &RunRecord) -> bool {
 /// Reads a run and adds its caveats to `warnings`; `None` for one without any evaluation yet.
 fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
     let dir = &source.path;
-    let fix = "give the folder that `mhsplat train -o` wrote";
-    let missing = |name: &str| -> Result<()> {
-        if dir.join(name).is_file() {
-            return Ok(());
+    for name in [RECORD_FILE, METRICS_FILE] {
+        if !dir.join(name).is_file() {
+            let what = match dir.exists() {
+                true => format!("holds no {name}"),
+                false => "no such folder".to_owned(),
+            };
+            let fix = "give the folder that `mhsplat train -o` wrote";
+            return Err(Error::input(dir, what, fix));
         }
-        let what = match dir.exists() {
-            true => format!("holds no {name}"),
-            false => "no such folder".to_owned(),
-        };
-        Err(Error::input(dir, what, fix))
-    };
-    missing(RECORD_FILE)?;
-    missing(METRICS_FILE)?;
+    }
     let record = RunRecord::read(dir)?;
     let rows = read_rows(dir.join(METRICS_FILE))?;
     let rows: Vec<_> = rows.into_iter().filter(|r| r.psnr.is_some()).collect();
-    let name = dir.display();
-    if rows.is_empty() {
+    let name = dir.display().to_string();
+    let Some(last) = rows.last().copied() else {
         let why = match record.dataset.test_views {
             0 => "no view was held out",
             _ => "not evaluated yet",
         };
         warnings.push(format!("{name}: left out, {why}"));
         return Ok(None);
-    }
-    let run = Loaded {
-        source: source.clone(),
-        record,
-        rows,
     };
-    if !run.finished() {
-        let (done, all) = (run.record.iterations, run.record.config.iterations);
-        let last = run.rows.last().map_or(0, |r| r.iteration);
+    let finished = finished(&record);
+    if !finished {
+        let (done, all) = (record.iterations, record.config.iterations);
         warnings.push(format!(
-            "{name}: unfinished, {done} of {all} iterations; its evaluation after {last} stands for its end"
+            "{name}: unfinished, {done} of {all} iterations; its evaluation after {} stands for its end",
+            last.iteration
         ));
     }
-    Ok(Some(run))
+    let scores = record.final_scores.as_ref().filter(|_| finished);
+    Ok(Some(Loaded {
+        path: name,
+        group: source.group.clone(),
+        seed: record.seed,
+        finished,
+        last: MetricsRow {
+            gaussians: last.gaussians + record.removed,
+            ..last
+        },
+        flip: scores.and_then(|f| f.flip),
+        facts: facts(&record),
+        record,
+        rows,
+    }))
 }
 
 /// Reads all runs. A folder that is given twice counts once.
@@ -177,12 +248,10 @@ pub fn load_all(sources: &[Source], warnings: &mut Vec<String>) -> Result<Vec<Lo
     let mut runs = Vec::new();
     for source in sources {
         let real = std::fs::canonicalize(&source.path).unwrap_or_else(|_| source.path.clone());
-        if seen.contains(&real) {
-            warnings.push(format!("{}: given twice", source.path.display()));
-            continue;
+        if !seen.contains(&real) {
+            seen.push(real);
+            runs.extend(load(source, warnings)?);
         }
-        seen.push(real);
-        runs.extend(load(source, warnings)?);
     }
     if runs.is_empty() {
         let first = sources.first().map_or(Path::new("."), |s| s.path.as_path());
@@ -193,4 +262,63 @@ pub fn load_all(sources: &[Source], warnings: &mut Vec<String>) -> Result<Vec<Lo
         ));
     }
     Ok(runs)
+}
+
+/// The reason why two runs are not comparable; `None` if they are.
+fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
+    let (x, y) = (&a.record.dataset, &b.record.dataset);
+    if (x.width, x.height) != (y.width, y.height) {
+        let [from, to] = [x, y].map(|d| format!("{} × {}", d.width, d.height));
+        return Some(format!("another resolution, {to} instead of {from} pixels"));
+    }
+    if (x.train_views, x.test_views) != (y.train_views, y.test_views) {
+        let [from, to] = [x, y].map(|d| format!("{} + {}", d.train_views, d.test_views));
+        return Some(format!(
+            "another split, {to} instead of {from} training and held-out views"
+        ));
+    }
+    let scores = [a, b].map(|r| r.record.final_scores.iter().flat_map(|f| &f.per_view));
+    let [p, q] = scores.map(|views| views.map(|v| &v.view).collect::<Vec<_>>());
+    if p != q && !p.is_empty() && !q.is_empty() {
+        return Some("other held-out views".into());
+    }
+    let same = match (&x.fingerprint, &y.fingerprint) {
+        (Some(p), Some(q)) => p == q,
+        // Records of earlier versions have no fingerprint. Folders move, their names rarely change.
+        _ => x.layout == y.layout && folder_name(&x.path) == folder_name(&y.path),
+    };
+    (!same).then(|| {
+        format!(
+            "another dataset, {} instead of {}: views, cameras, lenses, sizes or masks differ, or one run is of an earlier version",
+            y.path, x.path
+        )
+    })
+}
+
+/// Refuses runs of another dataset, resolution, split or other held-out views than the first one's, or warns of them if
+/// `allow` is set.
+///
+/// # Errors
+/// The first such run.
+pub fn check_comparable(runs: &[Loaded], allow: bool, warnings: &mut Vec<String>) -> Result<()> {
+    let background = |r: &Loaded| Schedule::new(&r.record.config).fixed_background();
+    let first = &runs[0];
+    for run in &runs[1..] {
+        let (path, against) = (&run.path, &first.path);
+        if let Some(what) = difference(first, run) {
+            if !allow {
+                return Err(Error::input(
+                    path,
+                    format!("{what} (of {against}): not comparable"),
+                    "leave it out, or give --allow-different",
+                ));
+            }
+            warnings.push(format!("not comparable: {path} has {what} (of {against})"));
+        } else if background(run) != background(first) {
+            warnings.push(format!(
+                "{path}: scored over another background, which counts where photos are transparent (of {against})"
+            ));
+        }
+    }
+    Ok(())
 }

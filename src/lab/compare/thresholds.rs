@@ -1,23 +1,22 @@
 //! PSNR values that runs are timed to.
 
 use crate::base::error::{Error, Result};
-use crate::lab::compare::curve::Curve;
 use crate::lab::compare::group::Group;
-use crate::lab::compare::load::{Clock, Loaded};
+use crate::lab::compare::load::Loaded;
 use crate::lab::stats::Spread;
 
 /// Largest PSNR that is accepted, dB.
 pub const LIMIT: f64 = 200.0;
 /// Most thresholds that a table can hold.
 const MAX_COUNT: usize = 24;
-/// Fewest whole values that need no halves near the end.
+/// Fewest whole values that need no halves.
 const MIN_COUNT: usize = 4;
 /// Rule of values that were asked for.
 const GIVEN: &str = "Thresholds as given.";
 /// Rule of the default values.
 const RULE: &str = "Thresholds: every whole dB above the highest first evaluation of a group and up to the best PSNR of any \
-                    (medians over its runs), every other one and so on where they are more than 24; where they are fewer \
-                    than four, half dB, too, within the last 1 dB below the best of the reference and below that of the others.";
+                    (medians over its runs), every other one and so on where they are more than 24, every half dB where they \
+                    are fewer than four.";
 
 /// Refuses values that cannot be a PSNR.
 ///
@@ -41,60 +40,40 @@ fn steps(low: f64, high: f64, step: f64) -> Vec<f64> {
     (0..count).map(|k| (first + k as f64) * step).collect()
 }
 
-/// Values between the highest first PSNR and the best one: `(first, best)` of each group. In no order, and some twice.
+/// Values between the highest first PSNR and the best one, rising: `(first, best)` of each group.
 #[must_use]
-pub fn between(ends: &[(f64, f64)], reference: usize) -> Vec<f64> {
-    let highest = |pick: &dyn Fn(usize) -> Option<f64>| {
-        let all = (0..ends.len()).filter_map(pick);
-        all.fold(f64::NEG_INFINITY, f64::max)
-    };
-    let low = highest(&|k| Some(ends[k].0));
-    let best = highest(&|k| Some(ends[k].1));
+pub fn between(ends: &[(f64, f64)]) -> Vec<f64> {
+    let low = ends.iter().map(|e| e.0).fold(f64::NEG_INFINITY, f64::max);
+    let best = ends.iter().map(|e| e.1).fold(f64::NEG_INFINITY, f64::max);
     if !(low < best && low.abs() <= LIMIT && best.abs() <= LIMIT) {
         return Vec::new();
     }
     let step = ((best - low) / MAX_COUNT as f64).ceil().max(1.0);
-    let mut all = steps(low, best, step);
-    if all.len() < MIN_COUNT {
-        let own = ends.get(reference).map_or(best, |e| e.1);
-        let others = highest(&|k| Some(ends[k].1).filter(|_| k != reference));
-        for end in [own, others].into_iter().filter(|e| e.is_finite()) {
-            all.extend(steps(low.max(end - 1.0), end, 0.5));
-        }
+    let whole = steps(low, best, step);
+    match whole.len() < MIN_COUNT {
+        true => steps(low, best, 0.5),
+        false => whole,
     }
-    all
 }
 
 /// Thresholds as asked for, else by the default rule; and the rule in words.
 ///
 /// # Errors
 /// Values that are no PSNR.
-pub fn choose(
-    runs: &[Loaded],
-    groups: &[Group],
-    reference: usize,
-    asked: &[f64],
-) -> Result<(Vec<f64>, &'static str)> {
+pub fn choose(groups: &[Group], asked: &[f64]) -> Result<(Vec<f64>, &'static str)> {
     check(asked)?;
-    let median = |g: &Group, of: fn(&Curve) -> Option<f64>| -> Option<f64> {
-        let curves = g.runs.iter().map(|r| runs[*r].psnr(Clock::Iterations));
-        let values: Vec<f64> = curves.filter_map(|c| of(&c)).collect();
-        Some(Spread::of(&values)?.median)
+    if !asked.is_empty() {
+        let mut all = asked.to_vec();
+        all.sort_by(f64::total_cmp);
+        all.dedup();
+        return Ok((all, GIVEN));
+    }
+    let median = |g: &Group, of: fn(&Loaded) -> Option<f64>| -> f64 {
+        let values: Vec<f64> = g.runs.iter().filter_map(of).collect();
+        Spread::of(&values).map_or(f64::NEG_INFINITY, |s| s.median)
     };
-    let first = |c: &Curve| c.points().first().map(|p| p.1);
-    let best = |c: &Curve| c.points().iter().map(|p| p.1).reduce(f64::max);
-    let (mut all, rule) = match asked.is_empty() {
-        false => (asked.to_vec(), GIVEN),
-        true => {
-            let end = |g: &Group| {
-                let ends = median(g, first).zip(median(g, best));
-                ends.unwrap_or((f64::NEG_INFINITY, f64::NEG_INFINITY))
-            };
-            let ends: Vec<_> = groups.iter().map(end).collect();
-            (between(&ends, reference), RULE)
-        }
-    };
-    all.sort_by(f64::total_cmp);
-    all.dedup();
-    Ok((all, rule))
+    let first = |r: &Loaded| r.rows.first()?.psnr;
+    let best = |r: &Loaded| r.rows.iter().filter_map(|row| row.psnr).reduce(f64::max);
+    let ends = groups.iter().map(|g| (median(g, first), median(g, best)));
+    Ok((between(&ends.collect::<Vec<_>>()), RULE))
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::base::error::{Error, Result};
 use crate::config::TrainConfig;
 use crate::lab::experiment::file::Experiment;
-use crate::lab::experiment::plan::{Found, Planned, State, blocks, expected, look, state};
+use crate::lab::experiment::plan::{Planned, State, blocks, expected, look, state};
 use crate::lab::experiment::summary;
 use crate::lab::folder::json;
 use crate::run::abandon_folder;
@@ -65,8 +65,9 @@ struct Drive<'a> {
     runs: usize,
 }
 
-/// Makes the output folder; refuses one that holds something else.
-fn claim(e: &Experiment) -> Result<()> {
+/// Makes the output folder and puts the experiment's present text into it, unless it holds a run that does not fit: the old
+/// text describes that one. Refuses a folder that holds something else.
+fn claim(e: &Experiment, blocks: &[Vec<Planned>]) -> Result<()> {
     let dir = &e.output;
     let empty = std::fs::read_dir(dir).map_or(!dir.exists(), |mut d| d.next().is_none());
     let mark = dir.join(MARK);
@@ -78,20 +79,11 @@ fn claim(e: &Experiment) -> Result<()> {
         ));
     }
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
-    match mark.is_file() {
-        false => crate::base::files::write_bytes(&mark, e.text.as_bytes()),
+    let refused = |run: &Planned| matches!(look(e, run), State::Refused(_));
+    match blocks.iter().flatten().any(refused) {
         true => Ok(()),
+        false => crate::base::files::write_bytes(&mark, e.text.as_bytes()),
     }
-}
-
-/// Puts the experiment's present text into its folder, unless it holds a run that does not fit it: the old text describes that one.
-fn renew_mark(e: &Experiment) -> Result<()> {
-    for run in blocks(e).iter().flatten() {
-        if matches!(look(e, run)?, Found::Refused(_)) {
-            return Ok(());
-        }
-    }
-    crate::base::files::write_bytes(&e.output.join(MARK), e.text.as_bytes())
 }
 
 /// Runs what is missing, as far as the budget goes, and writes the comparisons after every scene of a seed.
@@ -108,9 +100,8 @@ pub fn run(
     note: &mut dyn FnMut(&str),
 ) -> Result<Outcome> {
     experiment.check_scenes()?;
-    claim(experiment)?;
-    renew_mark(experiment)?;
     let all = blocks(experiment);
+    claim(experiment, &all)?;
     let mut drive = Drive {
         experiment,
         began: launch.seconds(),
@@ -122,12 +113,12 @@ pub fn run(
         runs: all.iter().map(Vec::len).sum(),
     };
     for (place, block) in all.iter().enumerate() {
-        let [_, missing] = drive.counts(block)?;
-        if missing > 0 && !drive.fits(block, missing)? {
-            for block in &all[place..] {
-                let [done, left] = drive.counts(block)?;
-                drive.outcome.done += done;
-                drive.outcome.left += left;
+        let missing = block.iter().filter(|r| look(experiment, r).is_open());
+        if !drive.fits(block, missing.count())? {
+            for run in all[place..].iter().flatten() {
+                let state = look(experiment, run);
+                drive.outcome.left += usize::from(state.is_open());
+                drive.outcome.done += usize::from(matches!(state, State::Done(_)));
             }
             break;
         }
@@ -141,41 +132,20 @@ pub fn run(
 }
 
 impl Drive<'_> {
-    /// Numbers of runs of a block that are done, and that are to be trained.
-    fn counts(&self, block: &[Planned]) -> Result<[usize; 2]> {
-        let mut counts = [0, 0];
-        for run in block {
-            match look(self.experiment, run)? {
-                Found::Matches(State::Done(_)) => counts[0] += 1,
-                Found::Matches(_) => counts[1] += 1,
-                Found::Refused(_) => (),
-            }
-        }
-        Ok(counts)
-    }
-
     /// Returns true if so many runs of a block can be expected to end within the budget.
     fn fits(&self, block: &[Planned], missing: usize) -> Result<bool> {
-        let Some(budget) = self.experiment.budget else {
+        let Some(budget) = self.experiment.budget.filter(|_| missing > 0) else {
             return Ok(true);
         };
-        let mut longest: f64 = 0.0;
-        for run in block {
-            let limit = self.config(run)?.time_budget.unwrap_or(0.0);
-            longest = longest.max(BESIDE * limit);
-        }
         // Runs of this session tell more than their limits.
         let (runs, seconds) = self.taken;
-        if runs > 0 {
-            longest = seconds / runs as f64;
+        let mut longest = if runs > 0 { seconds / runs as f64 } else { 0.0 };
+        for run in block.iter().filter(|_| runs == 0) {
+            let limit = run.config(self.experiment)?.time_budget.unwrap_or(0.0);
+            longest = longest.max(BESIDE * limit);
         }
         let used = self.launch.seconds() - self.began;
         Ok(used < budget && used + missing as f64 * longest <= budget)
-    }
-
-    fn config(&self, run: &Planned) -> Result<TrainConfig> {
-        let e = self.experiment;
-        e.config(&e.scenes[run.scene], &e.settings[run.setting], run.seed)
     }
 
     fn block(&mut self, block: &[Planned]) -> Result<()> {
@@ -183,21 +153,11 @@ impl Drive<'_> {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(Error::Interrupted);
             }
-            let name = run.dir.display().to_string();
-            let failed = match expected(self.experiment, run)? {
-                None => Some(
-                    "its number of Gaussians is that of a run that failed or is of other options"
-                        .to_owned(),
-                ),
-                Some(config) => match self.one(run, &config) {
-                    Ok(()) => None,
-                    Err(Error::Interrupted) => return Err(Error::Interrupted),
-                    Err(error) => Some(error.to_string()),
-                },
-            };
-            match failed {
-                None => self.outcome.done += 1,
-                Some(why) => {
+            match self.one(run) {
+                Ok(()) => self.outcome.done += 1,
+                Err(Error::Interrupted) => return Err(Error::Interrupted),
+                Err(error) => {
+                    let (name, why) = (run.dir.display().to_string(), error.to_string());
                     (self.note)(&format!("{name}: failed: {why}"));
                     self.outcome.failed.push((name, why));
                 }
@@ -207,25 +167,32 @@ impl Drive<'_> {
     }
 
     /// Brings one run to its end.
-    fn one(&mut self, run: &Planned, config: &TrainConfig) -> Result<()> {
-        let found = state(&run.dir, Some(config))?;
-        if matches!(found, State::Done(_)) {
-            return Ok(());
-        }
-        if found == State::Broken {
-            abandon_folder(&run.dir);
-            if run.dir.exists() {
-                return Err(Error::input(
-                    &run.dir,
-                    "holds part of a run and other files",
-                    "move it away",
-                ));
+    fn one(&mut self, run: &Planned) -> Result<()> {
+        let wrong = |what: &str, fix: &str| Err(Error::input(&run.dir, what, fix));
+        let Some(config) = expected(self.experiment, run)? else {
+            return wrong(
+                "its number of Gaussians is that of a run that failed or is of other options",
+                "mend that one first",
+            );
+        };
+        let found = state(&run.dir, Some(&config));
+        match &found {
+            State::Done(_) => return Ok(()),
+            State::Refused(why) => {
+                return wrong(why, "move it away, or choose another output with -o");
             }
+            State::Broken => {
+                abandon_folder(&run.dir);
+                if run.dir.exists() {
+                    return wrong("holds part of a run and other files", "move it away");
+                }
+            }
+            State::New | State::Begun => (),
         }
         let job = Job {
             dataset: self.experiment.scenes[run.scene].path.clone(),
             dir: run.dir.clone(),
-            config: write_config(&run.dir, config)?,
+            config: write_config(&run.dir, &config)?,
             resume: found == State::Begun,
         };
         let count = self.outcome.done + self.outcome.failed.len() + 1;
@@ -236,21 +203,18 @@ impl Drive<'_> {
         self.launch.train(&job)?;
         self.taken.0 += 1;
         self.taken.1 += self.launch.seconds() - before;
-        match state(&run.dir, Some(config))? {
-            State::Done(record) => {
-                let psnr = record.final_scores.as_ref().map_or(f64::NAN, |f| f.psnr);
-                (self.note)(&format!(
-                    "    {psnr:.2} dB, {} Gaussians, {:.0} s ({:.0} CPU s)",
-                    record.gaussians, record.train_seconds, record.cpu_seconds
-                ));
-                Ok(())
-            }
-            _ => Err(Error::input(
-                &run.dir,
+        let State::Done(record) = state(&run.dir, Some(&config)) else {
+            return wrong(
                 "training ended, but the run is not complete",
                 "run `mhsplat train` on it by hand to see why",
-            )),
-        }
+            );
+        };
+        let psnr = record.final_scores.as_ref().map_or(f64::NAN, |f| f.psnr);
+        (self.note)(&format!(
+            "    {psnr:.2} dB, {} Gaussians, {:.0} s ({:.0} CPU s)",
+            record.gaussians, record.train_seconds, record.cpu_seconds
+        ));
+        Ok(())
     }
 }
 

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 use toml::{Table, Value};
 
 use crate::base::error::{Error, Result};
@@ -10,59 +11,62 @@ use crate::config::{TrainConfig, parse_duration};
 use crate::lab::compare::thresholds;
 
 /// A dataset, and the options that its runs have in common.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
 pub struct Scene {
-    /// Folder name of its runs.
+    /// Folder name of its runs; in the file, that of the dataset unless given.
     pub name: String,
     /// Dataset.
     pub path: PathBuf,
     /// PSNR values that runs are timed to, dB; empty: by the rule in `compare/thresholds.rs`.
     pub thresholds: Vec<f64>,
+    #[serde(flatten)]
     options: Table,
 }
 
 /// One way to train.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Setting {
     /// Folder name of its runs.
     pub name: String,
+    #[serde(flatten)]
     options: Table,
 }
 
 /// An experiment.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Experiment {
     /// File that it was read from.
+    #[serde(skip)]
     pub file: PathBuf,
     /// Text of the file.
+    #[serde(skip)]
     pub text: String,
-    /// Folder of all runs.
+    /// Folder of all runs; in the file, its own name unless given.
+    #[serde(default)]
     pub output: PathBuf,
     /// Seconds after which no further scene of a seed is begun.
+    #[serde(default, deserialize_with = "duration")]
     pub budget: Option<f64>,
     /// Seeds.
     pub seeds: Vec<u64>,
-    /// Place of the setting whose final number of Gaussians is the cap of the others.
-    pub cap_from: Option<usize>,
-    /// Scenes.
-    pub scenes: Vec<Scene>,
-    /// Settings; the others are compared with the first.
-    pub settings: Vec<Setting>,
-    train: Table,
-}
-
-/// The file as TOML.
-#[derive(Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-struct Raw {
-    output: Option<PathBuf>,
-    budget: Option<String>,
-    seeds: Vec<u64>,
-    cap_from: Option<String>,
+    /// Setting whose final number of Gaussians is the cap of the others.
+    pub cap_from: Option<String>,
     #[serde(default)]
     train: Table,
-    scene: Vec<Table>,
-    setting: Vec<Table>,
+    /// Scenes.
+    #[serde(rename = "scene")]
+    pub scenes: Vec<Scene>,
+    /// Settings; the others are compared with the first.
+    #[serde(rename = "setting")]
+    pub settings: Vec<Setting>,
+}
+
+fn duration<'de, D: Deserializer<'de>>(d: D) -> std::result::Result<Option<f64>, D::Error> {
+    let text = Option::<String>::deserialize(d)?;
+    let seconds = text.as_deref().map(parse_duration).transpose();
+    seconds.map_err(|what| D::Error::custom(format!("budget: {what}")))
 }
 
 impl Experiment {
@@ -72,50 +76,53 @@ impl Experiment {
     /// A file that cannot be read, or the first invalid entry, the configurations of all runs included.
     pub fn read(file: &Path, data: Option<&Path>) -> Result<Self> {
         let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
-        let wrong = |what: String| Error::input(file, what, "see data/experiments for examples");
-        let raw: Raw = toml::from_str(&text).map_err(|e| wrong(one_line(&e.to_string())))?;
-        let base = data.or(file.parent()).unwrap_or(Path::new(""));
-        let scenes = raw.scene.into_iter().map(|t| scene(t, base));
-        let scenes = scenes
-            .collect::<std::result::Result<Vec<_>, _>>()
-            .map_err(wrong)?;
-        let settings = raw.setting.into_iter().map(setting);
-        let settings = settings
-            .collect::<std::result::Result<Vec<_>, _>>()
-            .map_err(wrong)?;
-        distinct(scenes.iter().map(|s| s.name.as_str())).map_err(wrong)?;
-        distinct(settings.iter().map(|s| s.name.as_str())).map_err(wrong)?;
-        let seeds: Vec<String> = raw.seeds.iter().map(u64::to_string).collect();
-        distinct(seeds.iter().map(String::as_str)).map_err(wrong)?;
-        if raw.seeds.is_empty() || scenes.is_empty() || settings.is_empty() {
-            return Err(wrong(
-                "seeds, [[scene]] and [[setting]]: one of each at least".into(),
-            ));
+        let wrong =
+            |what: String| Error::input(file, one_line(&what), "see data/experiments for examples");
+        let mut e: Self = toml::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+        e.file = file.to_path_buf();
+        e.text = text;
+        if e.output.as_os_str().is_empty() {
+            e.output = file.file_stem().unwrap_or_default().into();
         }
-        let place = |name: &String| {
-            let found = settings.iter().position(|s| s.name == *name);
-            found.ok_or_else(|| wrong(format!("cap-from: no setting {name:?}")))
-        };
-        let stem = file.file_stem().unwrap_or_default();
-        let budget = raw.budget.as_deref().map(parse_duration).transpose();
-        let budget = budget.map_err(|what| format!("budget: {what}"));
-        let experiment = Self {
-            output: raw.output.unwrap_or_else(|| PathBuf::from(stem)),
-            budget: budget.map_err(wrong)?,
-            seeds: raw.seeds,
-            cap_from: raw.cap_from.as_ref().map(place).transpose()?,
-            train: raw.train,
-            file: file.to_path_buf(),
-            text,
-            scenes,
-            settings,
-        };
-        for scene in &experiment.scenes {
-            for setting in &experiment.settings {
-                experiment.config(scene, setting, experiment.seeds[0])?;
+        let base = data.or(file.parent()).unwrap_or(Path::new(""));
+        e.complete(base).map_err(wrong)?;
+        for scene in &e.scenes {
+            for setting in &e.settings {
+                e.config(scene, setting, e.seeds[0])?;
             }
         }
-        Ok(experiment)
+        Ok(e)
+    }
+
+    /// Checks the entries, and places the scenes below `base`.
+    fn complete(&mut self, base: &Path) -> Parsed<()> {
+        for scene in &mut self.scenes {
+            if scene.path.as_os_str().is_empty() {
+                return Err("a [[scene]] without a path".into());
+            }
+            if scene.name.is_empty() {
+                let last = scene.path.file_name().unwrap_or_default();
+                scene.name = last.to_string_lossy().into_owned();
+            }
+            scene.path = base.join(&scene.path);
+            thresholds::check(&scene.thresholds)
+                .map_err(|e| format!("thresholds of {}: {e}", scene.name))?;
+        }
+        let scenes = || self.scenes.iter().map(|s| &s.name);
+        let settings = || self.settings.iter().map(|s| &s.name);
+        scenes().chain(settings()).try_for_each(|n| folder(n))?;
+        distinct(scenes())?;
+        distinct(settings())?;
+        distinct(self.seeds.iter())?;
+        if self.seeds.is_empty() || self.scenes.is_empty() || self.settings.is_empty() {
+            return Err("seeds, [[scene]] and [[setting]]: one of each at least".into());
+        }
+        match &self.cap_from {
+            Some(name) if settings().all(|s| s != name) => {
+                Err(format!("cap-from: no setting {name:?}"))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The configuration of a run, without the cap of another one: `[train]`, then the scene's options, then the setting's.
@@ -177,54 +184,18 @@ fn merge(into: &mut Table, from: &Table) {
 
 type Parsed<T> = std::result::Result<T, String>;
 
-fn take_text(table: &mut Table, key: &str) -> Parsed<Option<String>> {
-    match table.remove(key) {
-        None => Ok(None),
-        Some(Value::String(text)) => Ok(Some(text)),
-        Some(other) => Err(format!("{key} = {other}; text expected")),
-    }
-}
-
-/// A name that can be a folder.
-fn folder(name: String) -> Parsed<String> {
+/// Refuses a name that cannot be a folder.
+fn folder(name: &str) -> Parsed<()> {
     let plain = |c: char| c.is_alphanumeric() || "-_.+".contains(c);
     if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
         return Err(format!(
             "name {name:?}; letters, digits and -_.+ expected, for it names a folder"
         ));
     }
-    Ok(name)
+    Ok(())
 }
 
-fn scene(mut table: Table, base: &Path) -> Parsed<Scene> {
-    let path = take_text(&mut table, "path")?.ok_or("a [[scene]] without a path")?;
-    let last = Path::new(&path).file_name().unwrap_or_default();
-    let name = take_text(&mut table, "name")?;
-    let name = folder(name.unwrap_or_else(|| last.to_string_lossy().into_owned()))?;
-    let thresholds: Vec<f64> = match table.remove("thresholds") {
-        None => Vec::new(),
-        Some(list) => list
-            .try_into()
-            .map_err(|e| format!("thresholds of {name}: {e}"))?,
-    };
-    thresholds::check(&thresholds).map_err(|e| format!("thresholds of {name}: {e}"))?;
-    Ok(Scene {
-        path: base.join(path),
-        name,
-        thresholds,
-        options: table,
-    })
-}
-
-fn setting(mut table: Table) -> Parsed<Setting> {
-    let name = take_text(&mut table, "name")?.ok_or("a [[setting]] without a name")?;
-    Ok(Setting {
-        name: folder(name)?,
-        options: table,
-    })
-}
-
-fn distinct<'a>(names: impl Iterator<Item = &'a str>) -> Parsed<()> {
+fn distinct<T: PartialEq + std::fmt::Display>(names: impl Iterator<Item = T>) -> Parsed<()> {
     let mut seen = Vec::new();
     for name in names {
         if seen.contains(&name) {

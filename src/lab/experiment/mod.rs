@@ -10,22 +10,16 @@
 //! | `file.rs` | the TOML file |
 //! | `plan.rs` | runs in their order, and the state of each |
 //! | `drive.rs` | runs them within the budget |
-//! | `scene.rs` | the runs of a scene side by side |
-//! | `overview.rs` | all scenes side by side |
-//! | `summary.rs` | pages and files |
+//! | `summary.rs` | the runs of each scene and all scenes side by side |
 //!
 //! Tests: experiment.
 
 mod drive;
 mod file;
-mod overview;
 mod plan;
-mod scene;
 mod summary;
 
 pub use crate::lab::experiment::drive::{Job, Launch, Outcome, last_error, run};
 pub use crate::lab::experiment::file::{Experiment, Scene, Setting};
-pub use crate::lab::experiment::overview::{Against, Overview, SceneAgainst};
-pub use crate::lab::experiment::plan::{Found, Planned, State, blocks, expected, look, state};
-pub use crate::lab::experiment::scene::SceneSummary;
-pub use crate::lab::experiment::summary::{Summary, write};
+pub use crate::lab::experiment::plan::{Planned, State, blocks, expected, look, state};
+pub use crate::lab::experiment::summary::{Against, SceneSummary, Summary, write};

@@ -4,11 +4,172 @@ use serde::Serialize;
 
 use crate::base::error::Result;
 use crate::lab::compare;
+use crate::lab::compare::{Comparison, Counts, Options, Paired, Source};
 use crate::lab::experiment::file::Experiment;
-use crate::lab::experiment::overview::Overview;
-use crate::lab::experiment::scene::{PAGE, SceneSummary};
+use crate::lab::experiment::plan::{State, blocks, look};
 use crate::lab::folder::json;
 use crate::lab::report::{Report, Section};
+use crate::lab::stats::{Spread, geometric_mean};
+use crate::lab::table::{Table, or_dash};
+
+/// Name of a scene's page in its folder.
+const PAGE: &str = "compare.html";
+
+/// One scene.
+#[derive(Debug, Serialize)]
+pub struct SceneSummary {
+    /// Name.
+    pub name: String,
+    /// Number of runs that are missing.
+    pub missing: usize,
+    /// Runs that are not counted, with the reason: those of other options, say.
+    pub refused: Vec<String>,
+    /// The reason why its runs cannot be compared.
+    pub problem: Option<String>,
+    /// Its runs side by side; `None` without any.
+    pub comparison: Option<Comparison>,
+}
+
+impl SceneSummary {
+    /// Compares the runs that are there, and writes their page. A scene that cannot be compared says why.
+    fn write(e: &Experiment, place: usize) -> Self {
+        let scene = &e.scenes[place];
+        let (mut done, mut refused) = (Vec::new(), Vec::new());
+        for run in blocks(e).iter().flatten().filter(|r| r.scene == place) {
+            let setting = e.settings[run.setting].name.clone();
+            match look(e, run) {
+                State::Done(_) => {
+                    let (group, path) = (Some(setting), run.dir.clone());
+                    done.push((run.setting, Source { group, path }));
+                }
+                State::Refused(why) => {
+                    refused.push(format!("{setting}, seed {}: refused: {why}", run.seed));
+                }
+                _ => (),
+            }
+        }
+        // Settings in the order of the file, whichever was trained first.
+        done.sort_by_key(|(setting, _)| *setting);
+        let sources: Vec<Source> = done.into_iter().map(|d| d.1).collect();
+        let options = Options {
+            thresholds: scene.thresholds.clone(),
+            ..Options::default()
+        };
+        let mut summary = Self {
+            name: scene.name.clone(),
+            missing: e.settings.len() * e.seeds.len() - sources.len(),
+            refused,
+            problem: None,
+            comparison: None,
+        };
+        if sources.is_empty() {
+            return summary;
+        }
+        match compare::compare(&sources, &options) {
+            Err(error) => summary.problem = Some(format!("not compared: {error}")),
+            Ok(mut c) => {
+                c.warnings.splice(0..0, summary.refused.iter().cloned());
+                if summary.missing > 0 {
+                    let text = format!("{} runs of this scene are missing", summary.missing);
+                    c.warnings.insert(0, text);
+                }
+                let file = e.output.join(&scene.name).join(PAGE);
+                let written = compare::report(&c).write_page(&file);
+                summary.problem = written.err().map(|error| error.to_string());
+                summary.comparison = Some(c);
+            }
+        }
+        summary
+    }
+
+    /// The figures of the reference against another setting; `None` if one of the two has no run.
+    fn pairs(&self, reference: &str, other: &str) -> Option<&Paired> {
+        let compared = self.comparison.as_ref();
+        let found = compared.filter(|c| c.reference == reference)?;
+        found.relative.iter().find(|p| p.label == other)
+    }
+
+    /// Its part of the summary; `None` if there is nothing to say but that runs are missing.
+    fn part(&self) -> Option<Report> {
+        let alone = || Report {
+            warnings: self.refused.clone(),
+            ..Report::default()
+        };
+        let compared = self.comparison.as_ref();
+        let mut part = compared.map_or_else(alone, compare::brief);
+        part.title.clone_from(&self.name);
+        part.warnings.splice(0..0, self.problem.clone());
+        let link = compared.map(|_| Section::Link {
+            text: format!("{}: curves", self.name),
+            to: format!("{}/{PAGE}", self.name),
+        });
+        part.sections.extend(link);
+        (!part.sections.is_empty() || !part.warnings.is_empty()).then_some(part)
+    }
+}
+
+/// The first setting against one other, over all scenes.
+#[derive(Debug, Serialize)]
+pub struct Against {
+    /// The first setting.
+    pub reference: String,
+    /// The other setting.
+    pub setting: String,
+    /// Geometric mean of the scenes' means, of medians and of the ends of their ranges; its samples are the fewest of a scene.
+    pub mean: Option<Spread>,
+    /// Number of scenes in that mean.
+    pub mean_of: usize,
+    /// Thresholds of all scenes.
+    pub counts: Counts,
+}
+
+impl Against {
+    fn new(reference: &str, setting: &str, scenes: &[SceneSummary]) -> Self {
+        let pairs = || scenes.iter().filter_map(|s| s.pairs(reference, setting));
+        let means: Vec<Spread> = pairs().filter_map(|p| p.mean).collect();
+        let of = |pick: fn(&Spread) -> f64| {
+            let figures: Vec<f64> = means.iter().map(pick).collect();
+            geometric_mean(&figures)
+        };
+        let mean = || {
+            Some(Spread {
+                median: of(|s| s.median)?,
+                min: of(|s| s.min)?,
+                max: of(|s| s.max)?,
+                samples: means.iter().map(|s| s.samples).min()?,
+            })
+        };
+        let mut counts = Counts::default();
+        pairs().for_each(|p| counts.join(&p.counts));
+        Self {
+            reference: reference.to_owned(),
+            setting: setting.to_owned(),
+            mean: mean(),
+            mean_of: means.len(),
+            counts,
+        }
+    }
+
+    /// A row per scene, and one of all.
+    fn table(&self, scenes: &[SceneSummary]) -> Table {
+        let (reference, other) = (&self.reference, &self.setting);
+        let rows = scenes.iter();
+        let rows = rows.map(|s| (s.name.clone(), s.pairs(reference, other)));
+        let title = format!("{reference} against {other}");
+        let mut table = compare::against(title, "scene", reference, rows);
+        let mut last = vec!["–".to_owned(); table.columns.len()];
+        "geometric mean".clone_into(&mut last[0]);
+        last[2] = or_dash(self.mean.as_ref(), |mean| {
+            let (some, all) = (self.mean_of, scenes.len());
+            format!("{}, {some} of {all} scenes", compare::ratios(mean))
+        });
+        if let Some(cell) = last.last_mut() {
+            *cell = self.counts.text(reference, other);
+        }
+        table.rows.push(last);
+        table
+    }
+}
 
 /// All scenes.
 #[derive(Debug, Serialize)]
@@ -17,8 +178,8 @@ pub struct Summary {
     pub experiment: String,
     /// Version of this package.
     pub version: &'static str,
-    /// The first setting against the others; `None` without others.
-    pub overview: Option<Overview>,
+    /// The first setting against each other one.
+    pub overview: Vec<Against>,
     /// The scenes.
     pub scenes: Vec<SceneSummary>,
 }
@@ -29,21 +190,17 @@ pub struct Summary {
 /// # Errors
 /// Files that cannot be written.
 pub fn write(e: &Experiment) -> Result<Summary> {
-    let scenes = (0..e.scenes.len()).map(|s| SceneSummary::of(e, s));
-    let mut scenes: Vec<SceneSummary> = scenes.collect();
-    for scene in &mut scenes {
-        if let Some(c) = &scene.comparison {
-            let file = e.output.join(&scene.name).join(PAGE);
-            if let Err(error) = compare::report(c).write_page(&file) {
-                scene.problem = Some(error.to_string());
-            }
-        }
-    }
+    let scenes = (0..e.scenes.len()).map(|s| SceneSummary::write(e, s));
+    let scenes: Vec<SceneSummary> = scenes.collect();
+    let reference = &e.settings[0].name;
+    let others = e.settings.iter().skip(1);
     let file = e.file.file_name().unwrap_or_default();
     let summary = Summary {
         experiment: file.to_string_lossy().into_owned(),
         version: env!("CARGO_PKG_VERSION"),
-        overview: Overview::of(e, &scenes),
+        overview: others
+            .map(|s| Against::new(reference, &s.name, &scenes))
+            .collect(),
         scenes,
     };
     let report = summary.report();
@@ -66,7 +223,7 @@ impl Summary {
         let missing = some.map(|s| format!("{}: {} runs are missing", s.name, s.missing));
         let compared = self.scenes.iter().any(|s| s.comparison.is_some());
         let overview = self.overview.iter().filter(|_| compared);
-        let overview = overview.flat_map(Overview::tables).map(Section::Table);
+        let overview = overview.map(|a| Section::Table(a.table(&self.scenes)));
         let scenes = self.scenes.iter().filter_map(SceneSummary::part);
         Report {
             title: self.experiment.clone(),
