@@ -42,16 +42,21 @@ fn series(k: &[f64], x: f64) -> f64 {
 }
 
 impl Lens {
-    /// The lens, or [`Lens::Pinhole`] if all its coefficients are 0.
+    /// The lens of coefficients in OpenCV's order, k1 k2 p1 p2 k3 k4 k5 k6, or k1 to k4 of a fisheye; missing ones are 0.
+    /// Without distortion it is [`Lens::Pinhole`].
     #[must_use]
-    pub fn simplified(self) -> Self {
-        match self {
-            Self::Perspective { radial, tangential }
-                if radial.iter().chain(&tangential).all(|k| *k == 0.0) =>
-            {
-                Self::Pinhole
-            }
-            other => other,
+    pub fn of_coefficients(coefficients: &[f64], fisheye: bool) -> Self {
+        let k: [f64; 8] = std::array::from_fn(|i| coefficients.get(i).copied().unwrap_or(0.0));
+        if fisheye {
+            let radial = [k[0], k[1], k[2], k[3]];
+            return Self::Fisheye { radial };
+        }
+        if k == [0.0; 8] {
+            return Self::Pinhole;
+        }
+        Self::Perspective {
+            radial: [k[0], k[1], k[4], k[5], k[6], k[7]],
+            tangential: [k[2], k[3]],
         }
     }
 

@@ -24,21 +24,9 @@ const CORRECT: &str = "correct the file";
 /// Coefficients of a fisheye lens, in order.
 const FISHEYE: [&str; 4] = ["k1", "k2", "k3", "k4"];
 /// Coefficients of a perspective lens, in order; the last three in `FULL_OPENCV` alone.
-const PERSPECTIVE: [&str; 8] = ["k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6"];
-/// All coefficients that a file may have.
-const COEFFICIENTS: [&str; 11] = [
-    "k1",
-    "k2",
-    "k3",
-    "k4",
-    "k5",
-    "k6",
-    "p1",
-    "p2",
-    "p3",
-    "p4",
-    "is_fisheye",
-];
+const PERSPECTIVE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
+/// Keys of distortion that have a place in none of these.
+const OTHERS: [&str; 3] = ["p3", "p4", "is_fisheye"];
 
 #[derive(Deserialize)]
 struct File {
@@ -206,7 +194,7 @@ impl Place<'_> {
             }
         };
         let fisheye = used == FISHEYE;
-        for key in COEFFICIENTS {
+        for key in PERSPECTIVE.into_iter().chain(OTHERS) {
             let v = value(key)?;
             let right = used.contains(&key) || (fisheye && key == "is_fisheye");
             if v != 0.0 && !right {
@@ -214,22 +202,9 @@ impl Place<'_> {
                 return Err(self.bad(&what, fix));
             }
         }
-        let k = used
-            .iter()
-            .map(|n| value(n))
-            .collect::<Result<Vec<f64>>>()?;
-        let at = |i: usize| k.get(i).copied().unwrap_or(0.0);
-        let lens = if fisheye {
-            Lens::Fisheye {
-                radial: std::array::from_fn(at),
-            }
-        } else {
-            Lens::Perspective {
-                radial: [at(0), at(1), at(2), at(5), at(6), at(7)],
-                tangential: [at(3), at(4)],
-            }
-        };
-        Ok(lens.simplified())
+        let used = used.iter().map(|key| value(key));
+        let coefficients: Vec<f64> = used.collect::<Result<_>>()?;
+        Ok(Lens::of_coefficients(&coefficients, fisheye))
     }
 
     /// Intrinsics from the frame, then the file, then defaults: the image's size, its centre, fy = fx.
