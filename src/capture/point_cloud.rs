@@ -68,15 +68,9 @@ pub fn write(path: &Path, points: &Points, frame: &Frame) -> Result<()> {
             what: format!("{n} points, not all finite or not matched by {colors} colours"),
         });
     }
-    crate::base::files::write(path, |out| {
-        let (xyz, rgb) = (["x", "y", "z"], ["red", "green", "blue"]);
-        let line = |scalar: &str, name: &str| format!("property {scalar} {name}\n");
-        let coordinates: String = xyz.iter().map(|c| line("double", c)).collect();
-        let channels: String = rgb.iter().map(|c| line("uchar", c)).collect();
-        write!(
-            out,
-            "ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{coordinates}{channels}end_header\n"
-        )?;
+    let xyz = ["x", "y", "z"].map(|name| ("double", name));
+    let rgb = ["red", "green", "blue"].map(|name| ("uchar", name));
+    ply::write(path, "", n, xyz.into_iter().chain(rgb), |out| {
         for (p, color) in points.positions.iter().zip(&points.colors) {
             let p = frame.to_dataset(DVec3::from_array(p.map(f64::from)));
             for v in p.to_array() {

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::base::error::{Error, Result};
-use crate::base::ply;
+use crate::base::ply::Table;
 use crate::capture::assemble::{RawScene, RawView, find_mask, inside, locate};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::Layout;
@@ -84,7 +84,7 @@ pub(super) fn load(root: &Path, file: &Path) -> Result<RawScene> {
         None
     };
     let (positions, colors) = match points {
-        Some(name) => ply::read_points(&inside(root, &name)?)?,
+        Some(name) => Table::read(&inside(root, &name)?)?.points()?,
         None => (Vec::new(), Vec::new()),
     };
     Ok(RawScene {
