@@ -10,12 +10,11 @@ use crate::base::error::{Error, Result};
 use crate::base::math::{order_statistic, sorted};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
-use crate::capture::decode::header;
 use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
-use crate::capture::source::{PhotoFile, automatic_budget, read};
+use crate::capture::source::{PhotoFile, automatic_budget, header, read};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
 pub(super) struct RawView {

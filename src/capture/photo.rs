@@ -1,4 +1,4 @@
-//! 8-bit photos, planar.
+//! 8-bit photos, planar, and the exact area filter.
 
 use serde::{Deserialize, Serialize};
 
@@ -167,4 +167,110 @@ pub fn colors(alpha: Alpha, planes: &[u8], background: [f32; 3]) -> [Vec<f32>; 3
         Alpha::Mask => 0.0,
     };
     std::array::from_fn(|c| (0..n).map(|i| pixel(c, i)).collect())
+}
+
+/// Area filter: each target pixel is the mean of the source over exactly the rectangle it covers, with colours
+/// premultiplied by alpha before averaging. `bytes` is interleaved with straight alpha; sums are f32, rounded once.
+///
+/// # Errors
+/// Those of [`Photo::from_interleaved`]; also a target of 0 pixels or one larger than the source.
+pub fn shrink(
+    width: u32,
+    height: u32,
+    alpha: Alpha,
+    bytes: &[u8],
+    to_width: u32,
+    to_height: u32,
+) -> Result<Photo> {
+    let numerics = |what: String| Error::Numerics {
+        stage: "area filter".into(),
+        what,
+    };
+    if to_width == 0 || to_height == 0 || to_width > width || to_height > height {
+        return Err(numerics(format!(
+            "{width}×{height} to {to_width}×{to_height}; a smaller, non-empty target expected"
+        )));
+    }
+    let (w, h, c) = (width as usize, height as usize, alpha.planes());
+    let (tw, th) = (to_width as usize, to_height as usize);
+    if bytes.len() != w * h * c {
+        return Err(numerics(format!(
+            "{} bytes for {width}×{height}×{c}",
+            bytes.len()
+        )));
+    }
+    let columns = Coverage::new(w, tw);
+    let rows = Coverage::new(h, th);
+    let mut data = vec![0_u8; tw * th * c];
+    let mut line = vec![0.0_f32; tw * c];
+    for ty in 0..th {
+        let mut sum = vec![0.0_f32; tw * c];
+        for (y, weight) in rows.of(ty) {
+            shrink_row(&bytes[y * w * c..(y + 1) * w * c], c, &columns, &mut line);
+            for (s, v) in sum.iter_mut().zip(&line) {
+                *s += weight * v;
+            }
+        }
+        for (i, s) in sum.iter().enumerate() {
+            let (tx, k) = (i / c, i % c);
+            data[(k * th + ty) * tw + tx] = s.round().clamp(0.0, 255.0) as u8;
+        }
+    }
+    Ok(Photo {
+        width: to_width,
+        height: to_height,
+        alpha,
+        data,
+    })
+}
+
+/// Averages one source row: premultiplied means over each target column, `[target width][channels]`.
+fn shrink_row(row: &[u8], c: usize, columns: &Coverage, out: &mut [f32]) {
+    for (tx, target) in out.chunks_exact_mut(c).enumerate() {
+        target.fill(0.0);
+        for (x, weight) in columns.of(tx) {
+            let pixel = &row[x * c..(x + 1) * c];
+            let alpha = if c == 4 {
+                f32::from(pixel[3]) / 255.0
+            } else {
+                1.0
+            };
+            for (k, t) in target.iter_mut().enumerate() {
+                let v = f32::from(pixel[k]);
+                *t += weight * if k == 3 { v } else { v * alpha };
+            }
+        }
+    }
+}
+
+/// Source pixels that each target pixel covers along one axis, and the share of the target that each makes up.
+struct Coverage {
+    spans: Vec<(usize, Vec<f32>)>,
+}
+
+impl Coverage {
+    /// Coverage of `from` pixels by `to`. Overlaps are counted in integers of 1/(from·to), so that no rounding decides whether a pixel is covered.
+    fn new(from: usize, to: usize) -> Self {
+        let spans = (0..to)
+            .map(|t| {
+                let (start, end) = (t * from, (t + 1) * from);
+                let first = start / to;
+                let last = end.div_ceil(to);
+                let share = |s: usize| {
+                    let overlap = end.min((s + 1) * to) - start.max(s * to);
+                    (overlap as f64 / from as f64) as f32
+                };
+                (first, (first..last).map(share).collect())
+            })
+            .collect();
+        Self { spans }
+    }
+
+    fn of(&self, t: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let (first, weights) = &self.spans[t];
+        weights
+            .iter()
+            .enumerate()
+            .map(move |(k, &w)| (first + k, w))
+    }
 }

@@ -15,8 +15,8 @@ use crate::base::ply::Table;
 use crate::capture::assemble::{RawScene, RawView, find_mask, inside, locate};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::Layout;
-use crate::capture::decode;
 use crate::capture::lens::Lens;
+use crate::capture::source;
 
 /// Remedy for an unusable value.
 const CORRECT: &str = "correct the file";
@@ -213,7 +213,7 @@ impl Place<'_> {
         let (width, height) = match (own.w.or(file.w), own.h.or(file.h)) {
             (Some(w), Some(h)) => (self.pixels("w", w)?, self.pixels("h", h)?),
             _ => {
-                let header = decode::header(image)?;
+                let header = source::header(image)?;
                 (header.width, header.height)
             }
         };
