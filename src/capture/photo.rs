@@ -54,13 +54,9 @@ impl Photo {
         let n = width as usize * height as usize;
         let c = alpha.planes();
         if n == 0 || n.checked_mul(c) != Some(bytes.len()) {
-            return Err(Error::Numerics {
-                stage: "photo".into(),
-                what: format!(
-                    "{} bytes; {width}×{height} pixels of {c} channels expected",
-                    bytes.len()
-                ),
-            });
+            let found = bytes.len();
+            let what = format!("{found} bytes; {width}×{height} pixels of {c} channels expected");
+            return Err(Error::numerics("photo", what));
         }
         let mut data = vec![0; bytes.len()];
         for (i, pixel) in bytes.chunks_exact(c).enumerate() {
@@ -109,7 +105,9 @@ impl Photo {
     /// Weight of each pixel by the mask, in [0, 1]; empty without a mask.
     #[must_use]
     pub fn counts(&self) -> Vec<f32> {
-        counts(self.alpha, &self.data)
+        let value = |m: &u8| f32::from(*m) / 255.0;
+        let mask = self.mask_plane().unwrap_or_default();
+        mask.iter().map(value).collect()
     }
 
     /// A render (interleaved RGB8, of the photo's size) times the photo's mask: the counterpart of [`Photo::rgb_over`].
@@ -144,16 +142,6 @@ impl Photo {
     }
 }
 
-/// Weight of each pixel by the mask among a photo's planes (laid out as in [`Photo`]), in [0, 1]; empty without a mask.
-#[must_use]
-pub fn counts(alpha: Alpha, planes: &[u8]) -> Vec<f32> {
-    let pixels = planes.len() / alpha.planes();
-    let mask = planes.get(3 * pixels..).unwrap_or_default();
-    let value = |m: &u8| f32::from(*m) / 255.0;
-    let masked = alpha == Alpha::Mask;
-    mask.iter().filter(|_| masked).map(value).collect()
-}
-
 /// Red, green and blue in [0, 1] of a photo's planes (laid out as in [`Photo`]): over the background (RGB in [0, 1]) if they
 /// are transparent; as without the mask if they have one, but black where the mask is 0.
 #[must_use]
@@ -182,22 +170,17 @@ pub fn shrink(
     to_width: u32,
     to_height: u32,
 ) -> Result<Photo> {
-    let numerics = |what: String| Error::Numerics {
-        stage: "area filter".into(),
-        what,
-    };
+    let bad = |what: String| Err(Error::numerics("area filter", what));
     if to_width == 0 || to_height == 0 || to_width > width || to_height > height {
-        return Err(numerics(format!(
+        return bad(format!(
             "{width}×{height} to {to_width}×{to_height}; a smaller, non-empty target expected"
-        )));
+        ));
     }
     let (w, h, c) = (width as usize, height as usize, alpha.planes());
     let (tw, th) = (to_width as usize, to_height as usize);
     if bytes.len() != w * h * c {
-        return Err(numerics(format!(
-            "{} bytes for {width}×{height}×{c}",
-            bytes.len()
-        )));
+        let found = bytes.len();
+        return bad(format!("{found} bytes for {width}×{height}×{c}"));
     }
     let columns = Coverage::new(w, tw);
     let rows = Coverage::new(h, th);

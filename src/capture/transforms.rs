@@ -307,10 +307,8 @@ pub fn write_transforms(
             || !camera.rotation.is_finite()
             || intrinsics.iter().any(|v| !v.is_finite())
         {
-            return Err(Error::Numerics {
-                stage: "transforms".into(),
-                what: format!("the camera of {name} is not finite"),
-            });
+            let what = format!("the camera of {name} is not finite");
+            return Err(Error::numerics("transforms", what));
         }
         let row = |k: usize, c: f64| json!([x[k], -y[k], -z[k], c]);
         frames.push(json!({

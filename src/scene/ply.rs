@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use crate::base::error::{Error, Result};
 use crate::base::ply::{self as table, Table};
-use crate::capture::{Frame, Points, point_cloud};
+use crate::capture::{Frame, Points};
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// Beginning of the comment on the filters of a scene.
@@ -105,10 +105,8 @@ fn to_rows(splats: &Gaussians, frame: &Frame, names: &[String]) -> Result<Vec<f3
         rows.extend(scales.map(|s| (f64::from(s) + stretch) as f32));
         rows.extend(splats.gather::<4>(Plane::ROTATION, i));
         if let Some(k) = rows[start..].iter().position(|v| !v.is_finite()) {
-            return Err(Error::Numerics {
-                stage: "export".into(),
-                what: format!("{} of Gaussian {i} is {}", names[k], rows[start + k]),
-            });
+            let what = format!("{} of Gaussian {i} is {}", names[k], rows[start + k]);
+            return Err(Error::numerics("export", what));
         }
     }
     Ok(rows)
@@ -136,13 +134,13 @@ pub enum Contents {
 /// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise).
 ///
 /// # Errors
-/// Those of [`read`] and [`point_cloud::read`].
+/// Those of [`read`] and [`crate::capture::point_cloud::read`].
 pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
     let table = Table::read(path)?;
-    if is_plain(&table) {
-        point_cloud::from_table(path, &table, frame).map(Contents::Points)
-    } else {
+    if table.has("opacity") || table.has("f_dc_0") {
         from_table(path, &table, frame).map(Contents::Scene)
+    } else {
+        Points::local(path, frame, table.points()?).map(Contents::Points)
     }
 }
 
@@ -153,19 +151,14 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
 /// [`Error::Input`] for a file of another format, a truncated one, a missing property, a value that is not finite (named by
 /// row and property), or a scene trained with other filters; [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
-    let table = Table::read(path)?;
-    if is_plain(&table) {
-        return Err(Error::input(
+    match read_either(path, frame)? {
+        Contents::Scene(file) => Ok(file),
+        Contents::Points(_) => Err(Error::input(
             path,
             "no 3DGS properties (f_dc_0, opacity, …): a plain point cloud",
             "give a PLY of Gaussians",
-        ));
+        )),
     }
-    from_table(path, &table, frame)
-}
-
-fn is_plain(table: &Table) -> bool {
-    !table.has("opacity") && !table.has("f_dc_0")
 }
 
 fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
