@@ -5,7 +5,7 @@ use std::fs;
 use serde_json::{Value, json};
 
 use super::data;
-use mhsplat::capture::colmap::read_txt;
+use mhsplat::capture::colmap::ColmapModel;
 use mhsplat::capture::transforms::write_transforms;
 use mhsplat::capture::{Camera, Lens, LoadOptions, PhotoSource, Undistortion, load};
 
@@ -188,7 +188,7 @@ fn colmap_lens(line: &str) -> ([f64; 4], Lens) {
     let dir = super::colmap_scene(3, glam::DVec3::ZERO, false);
     let sparse = dir.path().join("sparse/0");
     fs::write(sparse.join("cameras.txt"), format!("1 {line}\n")).unwrap();
-    let camera = read_txt(&sparse).unwrap().cameras[0];
+    let camera = ColmapModel::read(&sparse, false).unwrap().cameras[0];
     (camera.params, camera.lens)
 }
 

@@ -21,38 +21,6 @@ use crate::capture::assemble::{RawScene, RawView, find_mask, locate};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::Layout;
 
-/// Reads `cameras.bin`, `images.bin` and, if there is one, `points3D.bin` in `dir`.
-///
-/// # Errors
-/// A missing, truncated or overlong file; a camera model that is not read; a number that is not finite; no image.
-pub fn read_bin(dir: &Path) -> Result<ColmapModel> {
-    ColmapModel::read(dir, true)
-}
-
-/// The same as [`read_bin`] of `cameras.txt`, `images.txt` and `points3D.txt`.
-///
-/// # Errors
-/// Those of [`read_bin`], and a line that cannot be read.
-pub fn read_txt(dir: &Path) -> Result<ColmapModel> {
-    ColmapModel::read(dir, false)
-}
-
-/// Writes `cameras.bin`, `images.bin` and `points3D.bin` into `dir`, which is created where needed.
-///
-/// # Errors
-/// [`Error::Io`] if the system refuses.
-pub fn write_bin(dir: &Path, model: &ColmapModel) -> Result<()> {
-    model.write(dir, true)
-}
-
-/// The same as [`write_bin`] for text files, with as many digits as it takes to read the same bits back.
-///
-/// # Errors
-/// [`Error::Io`] if the system refuses.
-pub fn write_txt(dir: &Path, model: &ColmapModel) -> Result<()> {
-    model.write(dir, false)
-}
-
 /// The folder below `root` that holds a sparse model, and its layout. `sparse/` itself is accepted too, because
 /// `colmap image_undistorter` writes there.
 pub(in crate::capture) fn find(root: &Path) -> Option<(PathBuf, Layout)> {
@@ -71,7 +39,7 @@ pub(in crate::capture) fn find(root: &Path) -> Option<(PathBuf, Layout)> {
 /// The views and points of the model in `dir`, with photos in `root/images`.
 ///
 /// # Errors
-/// See [`read_bin`] and [`read_txt`]; also a missing `images` folder or image names that leave it.
+/// See [`ColmapModel::read`]; also a missing `images` folder or image names that leave it.
 pub(in crate::capture) fn load(root: &Path, dir: &Path, layout: Layout) -> Result<RawScene> {
     let model = ColmapModel::read(dir, layout == Layout::ColmapBin)?;
     let folder = root.join("images");

@@ -156,8 +156,11 @@ fn point(from: &mut Fields<'_>) -> Result<ColmapPoint> {
 }
 
 impl ColmapModel {
-    /// Reads `cameras`, `images` and, if there is one, `points3D` in `dir`, of the extension `.bin` or `.txt`.
-    pub(super) fn read(dir: &Path, binary: bool) -> Result<Self> {
+    /// Reads `cameras`, `images` and, if there is one, `points3D` in `dir`, of the ending `.bin` or `.txt`.
+    ///
+    /// # Errors
+    /// A missing, truncated or overlong file or line; a camera model that is not read; a number that is not finite; no image.
+    pub fn read(dir: &Path, binary: bool) -> Result<Self> {
         let ending = if binary { "bin" } else { "txt" };
         let file = |stem: &str| dir.join(format!("{stem}.{ending}"));
         let points = file("points3D");
@@ -175,7 +178,10 @@ impl ColmapModel {
     }
 
     /// Writes `cameras`, `images` and `points3D` into `dir`, which is created where needed.
-    pub(super) fn write(&self, dir: &Path, binary: bool) -> Result<()> {
+    ///
+    /// # Errors
+    /// [`Error::Io`] if the system refuses.
+    pub fn write(&self, dir: &Path, binary: bool) -> Result<()> {
         let start = |count: usize, comment: &str| Output::new(binary, count, comment);
         let mut cameras = start(
             self.cameras.len(),
