@@ -12,56 +12,24 @@ use glam::DVec3;
 use crate::base::error::{Error, Result};
 use crate::base::files;
 
-/// A scalar type of the format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
+/// A scalar type of the format: its two names, its size in bytes, and the little-endian value at the start of some bytes.
+type Scalar = ([&'static str; 2], usize, fn(&[u8]) -> Option<f64>);
 
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
+const SCALARS: [Scalar; 8] = [
+    (["char", "int8"], 1, |b| first(b, i8::from_le_bytes)),
+    (["uchar", "uint8"], 1, |b| first(b, u8::from_le_bytes)),
+    (["short", "int16"], 2, |b| first(b, i16::from_le_bytes)),
+    (["ushort", "uint16"], 2, |b| first(b, u16::from_le_bytes)),
+    (["int", "int32"], 4, |b| first(b, i32::from_le_bytes)),
+    (["uint", "uint32"], 4, |b| first(b, u32::from_le_bytes)),
+    (["float", "float32"], 4, |b| first(b, f32::from_le_bytes)),
+    DOUBLE,
+];
+const DOUBLE: Scalar = (["double", "float64"], 8, |b| first(b, f64::from_le_bytes));
 
-    const fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// The little-endian value at the start of `bytes`; `None` if they are too few.
-    fn read(self, bytes: &[u8]) -> Option<f64> {
-        Some(match self {
-            Self::I8 => f64::from(i8::from_le_bytes(*bytes.first_chunk()?)),
-            Self::U8 => f64::from(*bytes.first()?),
-            Self::I16 => f64::from(i16::from_le_bytes(*bytes.first_chunk()?)),
-            Self::U16 => f64::from(u16::from_le_bytes(*bytes.first_chunk()?)),
-            Self::I32 => f64::from(i32::from_le_bytes(*bytes.first_chunk()?)),
-            Self::U32 => f64::from(u32::from_le_bytes(*bytes.first_chunk()?)),
-            Self::F32 => f64::from(f32::from_le_bytes(*bytes.first_chunk()?)),
-            Self::F64 => f64::from_le_bytes(*bytes.first_chunk()?),
-        })
-    }
+/// The value at the start of `bytes`; `None` if they are too few.
+fn first<T: Into<f64>, const K: usize>(bytes: &[u8], from: fn([u8; K]) -> T) -> Option<f64> {
+    Some(from(*bytes.first_chunk()?).into())
 }
 
 /// A column of the table.
@@ -69,7 +37,7 @@ impl Scalar {
 struct Property {
     name: String,
     scalar: Scalar,
-    /// Type of the values in memory: `scalar` of a binary file, doubles of an ASCII one.
+    /// Type of the values in memory: `scalar` of a binary file, [`DOUBLE`] of an ASCII one.
     stored: Scalar,
     /// Bytes from the start of a row.
     offset: usize,
@@ -142,7 +110,7 @@ impl Table {
             let values = ascii_values(path, &bytes[header.data..], before, &vertex)?;
             vertex.stride = 8 * vertex.properties.len();
             for (k, property) in vertex.properties.iter_mut().enumerate() {
-                (property.stored, property.offset) = (Scalar::F64, 8 * k);
+                (property.stored, property.offset) = (DOUBLE, 8 * k);
             }
             (values, 0)
         } else {
@@ -181,8 +149,8 @@ impl Table {
         Ok(self.typed_column(name)?.1)
     }
 
-    /// A property's type and values.
-    fn typed_column(&self, name: &str) -> Result<(Scalar, Vec<f64>)> {
+    /// The first name of a property's type, and its values.
+    fn typed_column(&self, name: &str) -> Result<(&'static str, Vec<f64>)> {
         let Element {
             properties, stride, ..
         } = &self.vertex;
@@ -193,7 +161,7 @@ impl Table {
             let bytes = self
                 .bytes
                 .get(self.start + row * stride + property.offset..);
-            let found = bytes.and_then(|b| property.stored.read(b));
+            let found = bytes.and_then(|b| property.stored.2(b));
             let found = found.unwrap_or(f64::NAN);
             found.is_finite().then_some(found).ok_or_else(|| {
                 let what = format!("{name} of vertex {row} is {found}; a finite number expected");
@@ -201,15 +169,15 @@ impl Table {
             })
         };
         let values: Result<Vec<f64>> = (0..self.vertex.count as usize).map(value).collect();
-        Ok((property.scalar, values?))
+        Ok((property.scalar.0[0], values?))
     }
 
     /// A colour channel in 0…255. Floats within [0, 1] are taken as fractions, 16-bit integers as 0…65535.
     fn color(&self, name: &str) -> Result<Vec<u8>> {
         let (scalar, values) = self.typed_column(name)?;
         let factor = match scalar {
-            Scalar::F32 | Scalar::F64 if values.iter().all(|&v| v <= 1.0) => 255.0,
-            Scalar::U16 => 255.0 / 65535.0,
+            "float" | "double" if values.iter().all(|&v| v <= 1.0) => 255.0,
+            "ushort" => 255.0 / 65535.0,
             _ => 1.0,
         };
         let byte = |v: f64| (v * factor).round().clamp(0.0, 255.0) as u8;
@@ -328,7 +296,7 @@ fn add_property(path: &Path, element: &mut Element, words: &[&str]) -> Result<()
     match words {
         ["list", ..] => element.has_list = true,
         [scalar, name] => {
-            let Some(scalar) = Scalar::parse(scalar) else {
+            let Some(scalar) = SCALARS.into_iter().find(|s| s.0.contains(scalar)) else {
                 let what = format!("property {name} has the unknown type {scalar}");
                 return Err(bad(path, what));
             };
@@ -338,7 +306,7 @@ fn add_property(path: &Path, element: &mut Element, words: &[&str]) -> Result<()
                 stored: scalar,
                 offset: element.stride,
             });
-            element.stride += scalar.size();
+            element.stride += scalar.1;
         }
         _ => return Err(bad(path, format!("property {words:?} is not understood"))),
     }

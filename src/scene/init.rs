@@ -70,8 +70,8 @@ pub fn random(dataset: &Dataset, count: usize, sh_degree: u32, seed: u64) -> Res
         let what = "0 random points; at least 1 expected";
         return Err(Error::config("init", what));
     }
-    let centers = dataset.train.iter().chain(&dataset.test);
-    let centers: Vec<[f64; 3]> = centers.map(|v| v.camera.center().to_array()).collect();
+    let centers = dataset.views().map(|v| v.camera.center().to_array());
+    let centers: Vec<[f64; 3]> = centers.collect();
     let (middle, half) = camera_box(&centers).ok_or_else(|| numerics("no views".into()))?;
     let draw = |i: u64| Philox::uniform(seed, Stream::Init.stream(0), i);
     let (positions, colors): (Vec<[f32; 3]>, Vec<[f64; 3]>) = (0..count as u64)
