@@ -301,25 +301,18 @@ impl Undistortion {
         for (x, y, weight) in corners {
             let pixel = &bytes[(y * w + x) * channels..][..channels];
             // Colours count as far as they are opaque.
-            let opaque = if channels == 4 {
-                f64::from(pixel[3]) / 255.0
-            } else {
-                1.0
-            };
+            let opaque = pixel.get(3).map_or(1.0, |a| f64::from(*a) / 255.0);
             for (s, v) in sum.iter_mut().zip(pixel).take(3) {
                 *s += weight * opaque * f64::from(*v);
             }
             weights += weight * opaque;
         }
         for (o, s) in out.iter_mut().zip(sum).take(3) {
-            *o = if weights > 0.0 {
-                (s / weights).round() as u8
-            } else {
-                0
-            };
+            // A cast of 0/0 is 0.
+            *o = (s / weights).round() as u8;
         }
-        if channels == 4 {
-            out[3] = (255.0 * weights).round().clamp(0.0, 255.0) as u8;
+        if let Some(alpha) = out.get_mut(3) {
+            *alpha = (255.0 * weights).round() as u8;
         }
     }
 }

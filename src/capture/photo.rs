@@ -60,7 +60,7 @@ impl Photo {
         }
         let mut data = vec![0; bytes.len()];
         for (i, pixel) in bytes.chunks_exact(c).enumerate() {
-            let opacity = if c == 4 { u32::from(pixel[3]) } else { 255 };
+            let opacity = pixel.get(3).map_or(255, |a| u32::from(*a));
             for (k, &v) in pixel.iter().enumerate() {
                 // Rounded to nearest; exact where alpha is 0 or 255.
                 data[k * n + i] = if k == 3 {
@@ -182,13 +182,12 @@ pub fn shrink(
         let found = bytes.len();
         return bad(format!("{found} bytes for {width}×{height}×{c}"));
     }
-    let columns = Coverage::new(w, tw);
-    let rows = Coverage::new(h, th);
+    let (columns, rows) = (coverage(w, tw), coverage(h, th));
     let mut data = vec![0_u8; tw * th * c];
     let mut line = vec![0.0_f32; tw * c];
-    for ty in 0..th {
+    for (ty, covered) in rows.iter().enumerate() {
         let mut sum = vec![0.0_f32; tw * c];
-        for (y, weight) in rows.of(ty) {
+        for (y, weight) in covered {
             shrink_row(&bytes[y * w * c..(y + 1) * w * c], c, &columns, &mut line);
             for (s, v) in sum.iter_mut().zip(&line) {
                 *s += weight * v;
@@ -208,16 +207,12 @@ pub fn shrink(
 }
 
 /// Averages one source row: premultiplied means over each target column, `[target width][channels]`.
-fn shrink_row(row: &[u8], c: usize, columns: &Coverage, out: &mut [f32]) {
-    for (tx, target) in out.chunks_exact_mut(c).enumerate() {
+fn shrink_row(row: &[u8], c: usize, columns: &[Vec<(usize, f32)>], out: &mut [f32]) {
+    for (target, covered) in out.chunks_exact_mut(c).zip(columns) {
         target.fill(0.0);
-        for (x, weight) in columns.of(tx) {
+        for (x, weight) in covered {
             let pixel = &row[x * c..(x + 1) * c];
-            let alpha = if c == 4 {
-                f32::from(pixel[3]) / 255.0
-            } else {
-                1.0
-            };
+            let alpha = pixel.get(3).map_or(1.0, |a| f32::from(*a) / 255.0);
             for (k, t) in target.iter_mut().enumerate() {
                 let v = f32::from(pixel[k]);
                 *t += weight * if k == 3 { v } else { v * alpha };
@@ -226,34 +221,16 @@ fn shrink_row(row: &[u8], c: usize, columns: &Coverage, out: &mut [f32]) {
     }
 }
 
-/// Source pixels that each target pixel covers along one axis, and the share of the target that each makes up.
-struct Coverage {
-    spans: Vec<(usize, Vec<f32>)>,
-}
-
-impl Coverage {
-    /// Coverage of `from` pixels by `to`. Overlaps are counted in integers of 1/(from·to), so that no rounding decides whether a pixel is covered.
-    fn new(from: usize, to: usize) -> Self {
-        let spans = (0..to)
-            .map(|t| {
-                let (start, end) = (t * from, (t + 1) * from);
-                let first = start / to;
-                let last = end.div_ceil(to);
-                let share = |s: usize| {
-                    let overlap = end.min((s + 1) * to) - start.max(s * to);
-                    (overlap as f64 / from as f64) as f32
-                };
-                (first, (first..last).map(share).collect())
-            })
-            .collect();
-        Self { spans }
-    }
-
-    fn of(&self, t: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
-        let (first, weights) = &self.spans[t];
-        weights
-            .iter()
-            .enumerate()
-            .map(move |(k, &w)| (first + k, w))
-    }
+/// Source pixels that each of `to` target pixels covers along an axis of `from`, and the share of the target that each makes up.
+/// Overlaps are counted in integers of 1/(from·to), so that no rounding decides whether a pixel is covered.
+fn coverage(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
+    let span = |t: usize| {
+        let (start, end) = (t * from, (t + 1) * from);
+        let share = |s: usize| {
+            let overlap = end.min((s + 1) * to) - start.max(s * to);
+            (s, (overlap as f64 / from as f64) as f32)
+        };
+        (start / to..end.div_ceil(to)).map(share).collect()
+    };
+    (0..to).map(span).collect()
 }
