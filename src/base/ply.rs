@@ -64,7 +64,8 @@ struct Header {
 /// The `vertex` element of a file.
 pub(crate) struct Table {
     path: PathBuf,
-    comments: Vec<String>,
+    /// Comments of the header, in the file's order.
+    pub(crate) comments: Vec<String>,
     vertex: Element,
     bytes: Vec<u8>,
     /// Offset of the first row in `bytes`.
@@ -124,11 +125,6 @@ impl Table {
             bytes,
             start,
         })
-    }
-
-    /// Comments of the header, in the file's order.
-    pub(crate) fn comments(&self) -> &[String] {
-        &self.comments
     }
 
     /// True if there is a property of that name.

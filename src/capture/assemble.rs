@@ -276,33 +276,26 @@ fn place(
     max_size: u32,
     meaning: Alpha,
 ) -> Result<(Camera, PhotoFile)> {
-    let header = header(&view.file)?;
-    let original = (header.width, header.height);
-    let camera = &view.camera;
-    let expected = (f64::from(camera.width), f64::from(camera.height));
-    let aspect = f64::from(original.0) * expected.1 / (f64::from(original.1) * expected.0);
+    let (header, camera) = (header(&view.file)?, &view.camera);
+    let [w, h] = [header.width, header.height].map(f64::from);
+    let aspect = w * f64::from(camera.height) / (h * f64::from(camera.width));
     // Resampled copies round their sides to whole pixels; half a pixel on each side is no other shape either.
-    let slack = 0.5 / f64::from(original.0) + 0.5 / f64::from(original.1);
+    let slack = 0.5 / w + 0.5 / h;
     if (aspect - 1.0).abs() > slack.max(0.01) {
-        return Err(Error::input(
-            &view.file,
-            format!(
-                "{}×{} pixels, but its camera says {}×{}, another shape",
-                original.0, original.1, camera.width, camera.height
-            ),
-            "use the photos that the camera parameters were computed for",
-        ));
+        let what = format!(
+            "{w}×{h} pixels, but its camera says {}×{}, another shape",
+            camera.width, camera.height
+        );
+        let fix = "use the photos that the camera parameters were computed for";
+        return Err(Error::input(&view.file, what, fix));
     }
+    let own_size = camera.scaled_to(header.width, header.height);
     let undistortion = match view.lens {
         Lens::Pinhole => None,
-        lens => Some(
-            Undistortion::new(lens, &camera.scaled_to(header.width, header.height)).ok_or_else(
-                || {
-                    let what = format!("its lens ({lens:?}) leaves no pinhole image of the photo");
-                    Error::input(&view.file, what, "check the camera's distortion parameters")
-                },
-            )?,
-        ),
+        lens => Some(Undistortion::new(lens, &own_size).ok_or_else(|| {
+            let what = format!("its lens ({lens:?}) leaves no pinhole image of the photo");
+            Error::input(&view.file, what, "check the camera's distortion parameters")
+        })?),
     };
     let pinhole = undistortion.map_or(*camera, |u| u.target);
     let (path, mask) = (view.file.clone(), view.mask.clone());

@@ -78,21 +78,29 @@ impl Photo {
         })
     }
 
+    /// Number of pixels.
+    fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// The alpha plane, if it has this meaning.
+    fn plane(&self, meaning: Alpha) -> Option<&[u8]> {
+        let plane = self.data.get(3 * self.pixels()..);
+        plane.filter(|_| self.alpha == meaning && meaning != Alpha::None)
+    }
+
     /// The alpha plane, if it is a mask.
     pub(super) fn mask_plane(&self) -> Option<&[u8]> {
-        let pixels = self.width as usize * self.height as usize;
-        let plane = self.data.get(3 * pixels..4 * pixels);
-        plane.filter(|_| self.alpha == Alpha::Mask)
+        self.plane(Alpha::Mask)
     }
 
     /// The photo that a render is compared with, interleaved RGB8 `[height][width][3]`: over a background (RGB in [0, 1]) if it
     /// is transparent; times the mask if it has one, independent of the background.
     #[must_use]
     pub fn rgb_over(&self, background: [f32; 3]) -> Vec<u8> {
-        let n = self.width as usize * self.height as usize;
+        let n = self.pixels();
         let mut out = vec![0; 3 * n];
-        let transparency = self.alpha == Alpha::Transparency;
-        let alpha = self.data.get(3 * n..4 * n).filter(|_| transparency);
+        let alpha = self.plane(Alpha::Transparency);
         for (c, (plane, b)) in self.data.chunks_exact(n.max(1)).zip(background).enumerate() {
             for (i, &v) in plane.iter().enumerate() {
                 let behind = alpha.map_or(0.0, |a| f32::from(255 - a[i]) * b);
@@ -125,17 +133,15 @@ impl Photo {
     #[must_use]
     pub fn shown(&self, background: [f32; 3]) -> Vec<u8> {
         let planes = colors(self.alpha, &self.data, background);
-        let n = self.width as usize * self.height as usize;
         let pixel = |i: usize| [0, 1, 2].map(|c| (255.0 * planes[c][i]).round() as u8);
-        (0..n).flat_map(pixel).collect()
+        (0..self.pixels()).flat_map(pixel).collect()
     }
 
     /// The same photo with an alpha plane of this meaning if it has none: 255 everywhere.
     #[must_use]
     pub fn with_alpha(mut self, alpha: Alpha) -> Self {
         if self.alpha == Alpha::None {
-            let n = self.width as usize * self.height as usize;
-            self.data.resize(alpha.planes() * n, 255);
+            self.data.resize(alpha.planes() * self.pixels(), 255);
             self.alpha = alpha;
         }
         self

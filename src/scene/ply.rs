@@ -162,7 +162,7 @@ pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
 }
 
 fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
-    let mark = mark(table.comments());
+    let mark = mark(&table.comments);
     if let Some(other) = mark.filter(|mark| *mark != ANTI_ALIASED) {
         return Err(Error::input(
             path,
