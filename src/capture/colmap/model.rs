@@ -10,24 +10,23 @@ use crate::capture::camera::Camera;
 use crate::capture::colmap::form::{Fields, Output, REBUILD, records};
 use crate::capture::lens::Lens;
 
-/// Names of COLMAP's camera models in the order of its identifiers (`src/colmap/sensor/models.h`), and of those that are read,
-/// their focal lengths (f, or fx and fy), their distortion coefficients in the order of [`Lens::of_coefficients`], and if these
-/// are a fisheye's.
-const MODELS: [(&str, Option<(usize, usize, bool)>); 14] = [
-    ("SIMPLE_PINHOLE", Some((1, 0, false))),
-    ("PINHOLE", Some((2, 0, false))),
-    ("SIMPLE_RADIAL", Some((1, 1, false))),
-    ("RADIAL", Some((1, 2, false))),
-    ("OPENCV", Some((2, 4, false))),
-    ("OPENCV_FISHEYE", Some((2, 4, true))),
-    ("FULL_OPENCV", Some((2, 8, false))),
-    ("FOV", None),
-    ("SIMPLE_RADIAL_FISHEYE", Some((1, 1, true))),
-    ("RADIAL_FISHEYE", Some((1, 2, true))),
-    ("THIN_PRISM_FISHEYE", None),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", None),
-    ("SIMPLE_DIVISION", None),
-    ("DIVISION", None),
+/// Names of COLMAP's camera models in the order of its identifiers (`src/colmap/sensor/models.h`), their focal lengths (f, or fx
+/// and fy; none: not read), their distortion coefficients in the order of [`Lens::of_coefficients`], and if these are a fisheye's.
+const MODELS: [(&str, usize, usize, bool); 14] = [
+    ("SIMPLE_PINHOLE", 1, 0, false),
+    ("PINHOLE", 2, 0, false),
+    ("SIMPLE_RADIAL", 1, 1, false),
+    ("RADIAL", 1, 2, false),
+    ("OPENCV", 2, 4, false),
+    ("OPENCV_FISHEYE", 2, 4, true),
+    ("FULL_OPENCV", 2, 8, false),
+    ("FOV", 0, 0, false),
+    ("SIMPLE_RADIAL_FISHEYE", 1, 1, true),
+    ("RADIAL_FISHEYE", 1, 2, true),
+    ("THIN_PRISM_FISHEYE", 0, 0, false),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 0, 0, false),
+    ("SIMPLE_DIVISION", 0, 0, false),
+    ("DIVISION", 0, 0, false),
 ];
 
 /// A camera of a COLMAP model (a `SIMPLE_PINHOLE` has `fx == fy`).
@@ -98,7 +97,7 @@ fn camera(from: &mut Fields<'_>) -> Result<ColmapCamera> {
     };
     let size = from.array(["WIDTH", "HEIGHT"], u64::from_le_bytes)?;
     let name = known.map_or_else(|| format!("{found} (unknown)"), |m| m.0.to_owned());
-    let Some((focals, coefficients, fisheye)) = known.and_then(|m| m.1) else {
+    let Some(&(_, focals, coefficients, fisheye)) = known.filter(|m| m.1 > 0) else {
         return Err(Error::input(
             from.path,
             format!("camera {id} has the model {name}, which is not read"),
