@@ -20,7 +20,7 @@ use std::path::Path;
 use glam::{DMat3, DQuat, DVec3};
 
 use mhsplat::base::error::Error;
-use mhsplat::capture::colmap::{ColmapModel, ColmapPoint, write_bin, write_txt};
+use mhsplat::capture::colmap::{ColmapModel, ColmapPoint};
 use mhsplat::capture::{Camera, Dataset, LoadOptions, load};
 
 /// Cameras on a ring around `middle`, radius 3, each turned its own way; images named so that the order given is not the
@@ -76,8 +76,7 @@ pub fn colmap_scene(count: usize, middle: DVec3, binary: bool) -> tempfile::Temp
     let dir = tempfile::tempdir().unwrap();
     let views = ring(count, middle);
     let model = ColmapModel::from_views(&views, three_points(middle));
-    let write = if binary { write_bin } else { write_txt };
-    write(&dir.path().join("sparse/0"), &model).unwrap();
+    model.write(&dir.path().join("sparse/0"), binary).unwrap();
     write_images(&dir.path().join("images"), &views);
     dir
 }

@@ -7,12 +7,12 @@ use glam::DVec3;
 use crate::dataset::{assert_refused, load_every, ring, three_points, write_images};
 use crate::determinism::trained;
 use mhsplat::capture::Camera;
-use mhsplat::capture::colmap::{ColmapModel, ColmapPoint, write_bin};
+use mhsplat::capture::colmap::{ColmapModel, ColmapPoint};
 use mhsplat::config::TrainConfig;
 
 fn written(dir: &Path, views: &[(String, Camera)], points: Vec<ColmapPoint>) {
     let model = ColmapModel::from_views(views, points);
-    write_bin(&dir.join("sparse/0"), &model).unwrap();
+    model.write(&dir.join("sparse/0"), true).unwrap();
     write_images(&dir.join("images"), views);
 }
 

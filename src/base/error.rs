@@ -79,6 +79,14 @@ impl Error {
         }
     }
 
+    /// An [`Error::Numerics`] found in `stage`.
+    pub fn numerics(stage: impl Into<String>, what: impl Into<String>) -> Self {
+        Self::Numerics {
+            stage: stage.into(),
+            what: what.into(),
+        }
+    }
+
     /// An [`Error::Device`] raised in `stage`.
     pub fn device(
         stage: impl Into<String>,

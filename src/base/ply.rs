@@ -2,70 +2,43 @@
 //!
 //! Format: Turk, "The PLY polygon file format" (1994). ASCII and binary little endian; lists and big endian are refused.
 
-use std::io::Read;
+use std::collections::HashSet;
+use std::fs::File;
+use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
 use crate::base::error::{Error, Result};
+use crate::base::files;
 
-/// A scalar type of the format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
+/// A scalar type of the format: its two names, its size in bytes, and the little-endian value at the start of some bytes.
+type Scalar = ([&'static str; 2], usize, fn(&[u8]) -> Option<f64>);
 
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
+const SCALARS: [Scalar; 8] = [
+    (["char", "int8"], 1, |b| first(b, i8::from_le_bytes)),
+    (["uchar", "uint8"], 1, |b| first(b, u8::from_le_bytes)),
+    (["short", "int16"], 2, |b| first(b, i16::from_le_bytes)),
+    (["ushort", "uint16"], 2, |b| first(b, u16::from_le_bytes)),
+    (["int", "int32"], 4, |b| first(b, i32::from_le_bytes)),
+    (["uint", "uint32"], 4, |b| first(b, u32::from_le_bytes)),
+    (["float", "float32"], 4, |b| first(b, f32::from_le_bytes)),
+    DOUBLE,
+];
+const DOUBLE: Scalar = (["double", "float64"], 8, |b| first(b, f64::from_le_bytes));
 
-    const fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// The little-endian value at the start of `bytes`; `None` if they are too few.
-    fn read(self, bytes: &[u8]) -> Option<f64> {
-        Some(match self {
-            Self::I8 => f64::from(i8::from_le_bytes(*bytes.first_chunk()?)),
-            Self::U8 => f64::from(*bytes.first()?),
-            Self::I16 => f64::from(i16::from_le_bytes(*bytes.first_chunk()?)),
-            Self::U16 => f64::from(u16::from_le_bytes(*bytes.first_chunk()?)),
-            Self::I32 => f64::from(i32::from_le_bytes(*bytes.first_chunk()?)),
-            Self::U32 => f64::from(u32::from_le_bytes(*bytes.first_chunk()?)),
-            Self::F32 => f64::from(f32::from_le_bytes(*bytes.first_chunk()?)),
-            Self::F64 => f64::from_le_bytes(*bytes.first_chunk()?),
-        })
-    }
+/// The value at the start of `bytes`; `None` if they are too few.
+fn first<T: Into<f64>, const K: usize>(bytes: &[u8], from: fn([u8; K]) -> T) -> Option<f64> {
+    Some(from(*bytes.first_chunk()?).into())
 }
 
 /// A column of the table.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 struct Property {
     name: String,
     scalar: Scalar,
+    /// Type of the values in memory: `scalar` of a binary file, [`DOUBLE`] of an ASCII one.
+    stored: Scalar,
     /// Bytes from the start of a row.
     offset: usize,
 }
@@ -91,19 +64,12 @@ struct Header {
 /// The `vertex` element of a file.
 pub(crate) struct Table {
     path: PathBuf,
-    comments: Vec<String>,
-    rows: usize,
-    properties: Vec<Property>,
-    stride: usize,
-    body: Body,
-}
-
-/// The values of a table.
-enum Body {
-    /// The file's bytes, and the offset of the first row.
-    Binary(Vec<u8>, usize),
-    /// Values, row by row.
-    Ascii(Vec<f64>),
+    /// Comments of the header, in the file's order.
+    pub(crate) comments: Vec<String>,
+    vertex: Element,
+    bytes: Vec<u8>,
+    /// Offset of the first row in `bytes`.
+    start: usize,
 }
 
 /// An [`Error::Input`] about a damaged file.
@@ -118,60 +84,57 @@ impl Table {
     /// A file of another format, big endian, a list among the vertex's properties, a file shorter than its header says.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
-        let header = parse_header(path, &bytes)?;
+        let mut header = parse_header(path, &bytes)?;
         let Some(at) = header.elements.iter().position(|e| e.name == "vertex") else {
             return Err(bad(path, "no element 'vertex' in the header"));
         };
-        let (before, vertex) = (&header.elements[..at], &header.elements[at]);
+        let mut vertex = header.elements.remove(at);
+        let before = &header.elements[..at];
         if vertex.has_list {
-            return Err(bad(
-                path,
-                "a list among the vertex properties; scalars expected",
-            ));
+            let what = "a list among the vertex properties; scalars expected";
+            return Err(bad(path, what));
         }
-        let names = || vertex.properties.iter().map(|p| p.name.as_str());
-        if names().any(|n| n == "packed_position") {
-            return Err(Error::input(
-                path,
-                "a compressed PLY (packed_position); plain 3DGS properties expected",
-                "decompress it (SuperSplat: export as uncompressed PLY)",
-            ));
+        let mut seen = HashSet::new();
+        for Property { name, .. } in &vertex.properties {
+            if name == "packed_position" {
+                return Err(Error::input(
+                    path,
+                    "a compressed PLY (packed_position); plain 3DGS properties expected",
+                    "decompress it (SuperSplat: export as uncompressed PLY)",
+                ));
+            }
+            if !seen.insert(name) {
+                return Err(bad(path, format!("property {name} is declared twice")));
+            }
         }
-        if let Some(twice) = names()
-            .enumerate()
-            .find(|(i, n)| names().take(*i).any(|m| m == *n))
-        {
-            return Err(bad(path, format!("property {} is declared twice", twice.1)));
-        }
-        let (rows, body) = if header.ascii {
-            ascii_body(path, &bytes[header.data..], before, vertex)?
+        let (bytes, start) = if header.ascii {
+            let values = ascii_values(path, &bytes[header.data..], before, &vertex)?;
+            vertex.stride = 8 * vertex.properties.len();
+            for (k, property) in vertex.properties.iter_mut().enumerate() {
+                (property.stored, property.offset) = (DOUBLE, 8 * k);
+            }
+            (values, 0)
         } else {
-            let (rows, start) = binary_start(path, bytes.len(), header.data, before, vertex)?;
-            (rows, Body::Binary(bytes, start))
+            let start = binary_start(path, bytes.len(), header.data, before, &vertex)?;
+            (bytes, start)
         };
         Ok(Self {
             path: path.to_path_buf(),
             comments: header.comments,
-            rows,
-            properties: vertex.properties.clone(),
-            stride: vertex.stride,
-            body,
+            vertex,
+            bytes,
+            start,
         })
-    }
-
-    /// Comments of the header, in the file's order.
-    pub(crate) fn comments(&self) -> &[String] {
-        &self.comments
     }
 
     /// True if there is a property of that name.
     pub(crate) fn has(&self, name: &str) -> bool {
-        self.properties.iter().any(|p| p.name == name)
+        self.names().any(|n| n == name)
     }
 
     /// Names of the properties, in the file's order.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.properties.iter().map(|p| p.name.as_str())
+        self.vertex.properties.iter().map(|p| p.name.as_str())
     }
 
     /// The values of a property, one per vertex.
@@ -179,38 +142,38 @@ impl Table {
     /// # Errors
     /// A missing property; a value that is not finite.
     pub(crate) fn column(&self, name: &str) -> Result<Vec<f64>> {
-        let Some(k) = self.properties.iter().position(|p| p.name == name) else {
+        Ok(self.typed_column(name)?.1)
+    }
+
+    /// The first name of a property's type, and its values.
+    fn typed_column(&self, name: &str) -> Result<(&'static str, Vec<f64>)> {
+        let Element {
+            properties, stride, ..
+        } = &self.vertex;
+        let Some(property) = properties.iter().find(|p| p.name == name) else {
             return Err(bad(&self.path, format!("the property {name} is missing")));
         };
-        let property = &self.properties[k];
-        let value = |row: usize| match &self.body {
-            Body::Binary(bytes, start) => bytes
-                .get(start + row * self.stride + property.offset..)
-                .and_then(|b| property.scalar.read(b)),
-            Body::Ascii(values) => values.get(row * self.properties.len() + k).copied(),
+        let value = |row: usize| {
+            let bytes = self
+                .bytes
+                .get(self.start + row * stride + property.offset..);
+            let found = bytes.and_then(|b| property.stored.2(b));
+            let found = found.unwrap_or(f64::NAN);
+            found.is_finite().then_some(found).ok_or_else(|| {
+                let what = format!("{name} of vertex {row} is {found}; a finite number expected");
+                bad(&self.path, what)
+            })
         };
-        let mut out = Vec::with_capacity(self.rows);
-        for row in 0..self.rows {
-            match value(row).filter(|v| v.is_finite()) {
-                Some(v) => out.push(v),
-                None => {
-                    let found = value(row).unwrap_or(f64::NAN);
-                    let what =
-                        format!("{name} of vertex {row} is {found}; a finite number expected");
-                    return Err(bad(&self.path, what));
-                }
-            }
-        }
-        Ok(out)
+        let values: Result<Vec<f64>> = (0..self.vertex.count as usize).map(value).collect();
+        Ok((property.scalar.0[0], values?))
     }
 
     /// A colour channel in 0…255. Floats within [0, 1] are taken as fractions, 16-bit integers as 0…65535.
     fn color(&self, name: &str) -> Result<Vec<u8>> {
-        let values = self.column(name)?;
-        let scalar = self.properties.iter().find(|p| p.name == name);
-        let factor = match scalar.map(|p| p.scalar) {
-            Some(Scalar::F32 | Scalar::F64) if values.iter().all(|&v| v <= 1.0) => 255.0,
-            Some(Scalar::U16) => 255.0 / 65535.0,
+        let (scalar, values) = self.typed_column(name)?;
+        let factor = match scalar {
+            "float" | "double" if values.iter().all(|&v| v <= 1.0) => 255.0,
+            "ushort" => 255.0 / 65535.0,
             _ => 1.0,
         };
         let byte = |v: f64| (v * factor).round().clamp(0.0, 255.0) as u8;
@@ -223,28 +186,17 @@ impl Table {
     /// A missing or non-finite coordinate.
     pub(crate) fn points(&self) -> Result<(Vec<DVec3>, Vec<[u8; 3]>)> {
         let [x, y, z] = [self.column("x")?, self.column("y")?, self.column("z")?];
-        let row = |i: usize| DVec3::new(x[i], y[i], z[i]);
-        let positions = (0..self.rows).map(row).collect();
+        let rows = 0..x.len();
+        let positions = rows.clone().map(|i| DVec3::new(x[i], y[i], z[i]));
         let colors = if ["red", "green", "blue"].iter().all(|c| self.has(c)) {
-            let [r, g, b] = [
-                self.color("red")?,
-                self.color("green")?,
-                self.color("blue")?,
-            ];
-            (0..self.rows).map(|i| [r[i], g[i], b[i]]).collect()
+            let [r, g, b] = ["red", "green", "blue"].map(|c| self.color(c));
+            let (r, g, b) = (r?, g?, b?);
+            rows.map(|i| [r[i], g[i], b[i]]).collect()
         } else {
-            vec![[128; 3]; self.rows]
+            vec![[128; 3]; x.len()]
         };
-        Ok((positions, colors))
+        Ok((positions.collect(), colors))
     }
-}
-
-/// Positions and colours of a plain point cloud, in the file's own frame.
-///
-/// # Errors
-/// Those of [`Table::read`] and [`Table::points`].
-pub(crate) fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>)> {
-    Table::read(path)?.points()
 }
 
 /// Comments in the header of a file, whose data is not read.
@@ -257,6 +209,30 @@ pub(crate) fn read_comments(path: &Path) -> Result<Vec<String>> {
         .and_then(|file| file.take(HEADER_LIMIT as u64).read_to_end(&mut bytes))
         .map_err(|e| Error::io(path, e))?;
     Ok(parse_header(path, &bytes)?.comments)
+}
+
+/// Writes a binary file of `count` vertices atomically: `header` is a comment line or empty, `properties` are types and names,
+/// and `rows` writes the values.
+///
+/// # Errors
+/// [`Error::Io`].
+pub(crate) fn write<'a>(
+    path: &Path,
+    header: &str,
+    count: usize,
+    properties: impl Iterator<Item = (&'a str, &'a str)>,
+    rows: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
+    let lines: String = properties
+        .map(|(scalar, name)| format!("property {scalar} {name}\n"))
+        .collect();
+    files::write(path, |out| {
+        write!(
+            out,
+            "ply\nformat binary_little_endian 1.0\n{header}element vertex {count}\n{lines}end_header\n"
+        )?;
+        rows(out)
+    })
 }
 
 /// Largest header that is read, bytes.
@@ -316,99 +292,85 @@ fn add_property(path: &Path, element: &mut Element, words: &[&str]) -> Result<()
     match words {
         ["list", ..] => element.has_list = true,
         [scalar, name] => {
-            let Some(scalar) = Scalar::parse(scalar) else {
+            let Some(scalar) = SCALARS.into_iter().find(|s| s.0.contains(scalar)) else {
                 let what = format!("property {name} has the unknown type {scalar}");
                 return Err(bad(path, what));
             };
             element.properties.push(Property {
                 name: (*name).to_string(),
                 scalar,
+                stored: scalar,
                 offset: element.stride,
             });
-            element.stride += scalar.size();
+            element.stride += scalar.1;
         }
         _ => return Err(bad(path, format!("property {words:?} is not understood"))),
     }
     Ok(())
 }
 
-/// Number of vertices and offset of the first one, after checking that the file is long enough.
+/// Offset of the first vertex, after checking that the file is long enough.
 fn binary_start(
     path: &Path,
     length: usize,
     data: usize,
     before: &[Element],
     vertex: &Element,
-) -> Result<(usize, usize)> {
-    if let Some(e) = before.iter().find(|e| e.has_list) {
-        let what = format!(
-            "element {} holds lists and comes before the vertices",
-            e.name
-        );
+) -> Result<usize> {
+    if let Some(Element { name, .. }) = before.iter().find(|e| e.has_list) {
+        let what = format!("element {name} holds lists and comes before the vertices");
         return Err(bad(path, what));
     }
     let size = |e: &Element| u128::from(e.count) * e.stride as u128;
     let start = data as u128 + before.iter().map(size).sum::<u128>();
     let end = start + size(vertex);
     if end > length as u128 || (vertex.stride == 0 && vertex.count > 0) {
-        return Err(bad(
-            path,
-            format!(
-                "the header announces {} vertices of {} bytes, {end} bytes in all; the file has {length}",
-                vertex.count, vertex.stride
-            ),
-        ));
+        let (count, stride) = (vertex.count, vertex.stride);
+        let what = format!(
+            "the header announces {count} vertices of {stride} bytes, {end} bytes in all; the file has {length}"
+        );
+        return Err(bad(path, what));
     }
-    Ok((vertex.count as usize, start as usize))
+    Ok(start as usize)
 }
 
-/// The values of an ASCII file, one vertex a line.
-fn ascii_body(
+/// The values of an ASCII file, one vertex a line, as doubles.
+fn ascii_values(
     path: &Path,
     bytes: &[u8],
     before: &[Element],
     vertex: &Element,
-) -> Result<(usize, Body)> {
-    let columns = vertex.properties.len();
+) -> Result<Vec<u8>> {
+    let (columns, count, length) = (vertex.properties.len(), vertex.count, bytes.len());
     // A value takes two bytes at least, its separator included.
-    let least = u128::from(vertex.count) * columns as u128 * 2;
-    if least > bytes.len() as u128 + 1 || (columns == 0 && vertex.count > 0) {
+    let least = u128::from(count) * columns as u128 * 2;
+    if least > length as u128 + 1 || (columns == 0 && count > 0) {
         let what = format!(
-            "the header announces {} vertices of {columns} values; {} bytes follow",
-            vertex.count,
-            bytes.len()
+            "the header announces {count} vertices of {columns} values; {length} bytes follow"
         );
         return Err(bad(path, what));
     }
-    let Ok(text) = std::str::from_utf8(bytes) else {
-        return Err(bad(path, "an ascii PLY with bytes that are no text"));
-    };
+    let text = std::str::from_utf8(bytes)
+        .map_err(|_| bad(path, "an ascii PLY with bytes that are no text"))?;
     let mut lines = text.lines().filter(|l| !l.trim().is_empty());
-    for e in before {
-        for _ in 0..e.count {
+    for Element { name, count, .. } in before {
+        for _ in 0..*count {
             if lines.next().is_none() {
-                return Err(bad(
-                    path,
-                    format!("the file ends within element {}", e.name),
-                ));
+                return Err(bad(path, format!("the file ends within element {name}")));
             }
         }
     }
-    let rows = vertex.count as usize;
-    let mut values = Vec::with_capacity(rows * columns);
-    for row in 0..rows {
+    let mut values = Vec::with_capacity(8 * count as usize * columns);
+    for row in 0..count {
         let mut words = lines.next().unwrap_or_default().split_whitespace();
-        for property in &vertex.properties {
+        for Property { name, .. } in &vertex.properties {
             let word = words.next().unwrap_or_default();
-            let value = word.parse::<f64>().map_err(|_| {
-                let what = format!(
-                    "{} of vertex {row} is '{word}'; a number expected",
-                    property.name
-                );
+            let value: f64 = word.parse().map_err(|_| {
+                let what = format!("{name} of vertex {row} is '{word}'; a number expected");
                 bad(path, what)
             })?;
-            values.push(value);
+            values.extend(value.to_le_bytes());
         }
     }
-    Ok((rows, Body::Ascii(values)))
+    Ok(values)
 }

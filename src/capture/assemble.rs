@@ -10,12 +10,11 @@ use crate::base::error::{Error, Result};
 use crate::base::math::{order_statistic, sorted};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
-use crate::capture::decode::header;
 use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
-use crate::capture::source::{PhotoFile, automatic_budget, read};
+use crate::capture::source::{PhotoFile, automatic_budget, header, read};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
 pub(super) struct RawView {
@@ -72,29 +71,32 @@ const ASTRAY: f64 = 20.0;
 /// Extensions of the image formats that are read.
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
 
+/// A path with another extension added to it.
+fn with_added(path: &Path, extension: &str) -> PathBuf {
+    let mut longer = path.to_path_buf().into_os_string();
+    longer.push(".");
+    longer.push(extension);
+    longer.into()
+}
+
+/// A path with another extension in the place of its own; `None` for an ending that is no image extension, but part of the name.
+fn with_swapped(path: &Path, extension: &str) -> Option<PathBuf> {
+    let ending = path.extension().and_then(|e| e.to_str());
+    ending
+        .is_some_and(|e| EXTENSIONS.contains(&e))
+        .then(|| path.with_extension(extension))
+}
+
 /// The image file that a dataset names: as it is, with an extension added, or with another one; `None` if there is none.
 ///
 /// # Errors
 /// A name that leads out of the folder.
 pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
     let exact = inside(folder, name)?;
-    if exact.is_file() {
-        return Ok(Some(exact));
-    }
-    let longer = EXTENSIONS.iter().map(|extension| {
-        let mut longer = exact.clone().into_os_string();
-        longer.push(".");
-        longer.push(extension);
-        PathBuf::from(longer)
-    });
-    // An ending that is no image extension is part of the name.
-    let ends = exact.extension().and_then(|e| e.to_str());
-    let swaps = ends.is_some_and(|e| EXTENSIONS.contains(&e));
-    let other = EXTENSIONS
-        .iter()
-        .filter(|_| swaps)
-        .map(|e| exact.with_extension(e));
-    Ok(longer.chain(other).find(|candidate| candidate.is_file()))
+    let longer = EXTENSIONS.iter().map(|e| with_added(&exact, e));
+    let other = EXTENSIONS.iter().filter_map(|e| with_swapped(&exact, e));
+    let mut all = std::iter::once(exact.clone()).chain(longer).chain(other);
+    Ok(all.find(|candidate| candidate.is_file()))
 }
 
 /// The mask of an image: in the folder `masks`, under the image's name or file name, with `.png` added (COLMAP) or replacing
@@ -103,17 +105,11 @@ pub(super) fn find_mask(root: &Path, name: &str) -> Option<PathBuf> {
     let folder = root.join("masks");
     let whole = inside(&folder, name).ok()?;
     let short = folder.join(whole.file_name()?);
-    let named = |path: &PathBuf| {
-        let mut added = path.clone().into_os_string();
-        added.push(".png");
-        // An ending that is no image extension is part of the name.
-        let ends = path.extension().and_then(|e| e.to_str());
-        let swaps = ends.is_some_and(|e| EXTENSIONS.contains(&e));
-        let swapped = swaps.then(|| path.with_extension("png"));
-        [Some(PathBuf::from(added)), swapped, Some(path.clone())]
+    let named = |path: PathBuf| {
+        let swapped = with_swapped(&path, "png");
+        [Some(with_added(&path, "png")), swapped, Some(path)]
     };
-    let candidates = [whole, short];
-    let mut names = candidates.iter().flat_map(named).flatten();
+    let mut names = [whole, short].into_iter().flat_map(named).flatten();
     names.find(|p| p.is_file())
 }
 
@@ -125,19 +121,21 @@ pub(super) fn find_mask(root: &Path, name: &str) -> Option<PathBuf> {
 pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> Result<Dataset> {
     let mut missing = scene.missing;
     missing.sort();
-    refuse_if_none(path, &scene.train, &missing)?;
     let (train, test) = split(path, scene.train, scene.test, &missing, options.test_every)?;
     let (train, test, outliers) = without_outliers(train, test);
-    let centers: Vec<DVec3> = train
-        .iter()
-        .chain(&test)
-        .map(|v| v.camera.center())
-        .collect();
-    let frame = local_frame(path, &centers, &scene.positions)?;
-    let points = Points::local(path, &frame, (scene.positions, scene.colors))?;
-    let budget = options.image_budget.unwrap_or_else(automatic_budget);
     let first_held_out = train.len();
     let raw: Vec<RawView> = train.into_iter().chain(test).collect();
+    let centers: Vec<DVec3> = raw.iter().map(|v| v.camera.center()).collect();
+    let frame = Frame::fit(&centers, &scene.positions);
+    if !frame.center.is_finite() || !frame.scale.is_normal() {
+        let what = format!(
+            "the cameras' mean centre is {} and their extent {}; finite, non-zero numbers expected",
+            frame.center, frame.scale
+        );
+        return Err(Error::input(path, what, "check the poses"));
+    }
+    let points = Points::local(path, &frame, (scene.positions, scene.colors))?;
+    let budget = options.image_budget.unwrap_or_else(automatic_budget);
     let meaning = if options.alpha_is_mask || raw.iter().any(|v| v.mask.is_some()) {
         Alpha::Mask
     } else {
@@ -158,9 +156,12 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
             lens: raw.lens,
             photo,
         });
-    let (train, mut masked_out) = shown(views.by_ref().take(first_held_out));
-    let (test, held_out) = shown(views);
-    masked_out.extend(held_out);
+    let shown = |views: &mut dyn Iterator<Item = View>| -> (Vec<View>, Vec<View>) {
+        views.partition(|v| !v.photo.masked_out())
+    };
+    let (train, mut black) = shown(&mut views.by_ref().take(first_held_out));
+    let (test, held_out) = shown(&mut views);
+    black.extend(held_out);
     let of_lenses = train.iter().chain(&test);
     let undistorted = of_lenses.filter(|v| v.lens != Lens::Pinhole).count();
     if train.is_empty() {
@@ -180,7 +181,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         undistorted,
         missing,
         outliers,
-        masked_out,
+        masked_out: black.into_iter().map(|v| v.name).collect(),
         image_budget: budget,
     })
 }
@@ -194,6 +195,13 @@ fn split(
     missing: &[String],
     test_every: u32,
 ) -> Result<(Vec<RawView>, Vec<RawView>)> {
+    if let (Some(first), true) = (missing.first(), train.is_empty()) {
+        let what = format!(
+            "none of the image files to train on is there; {} are missing, the first is {first} (as it is, or with .png, .jpg, .jpeg or .webp)",
+            missing.len()
+        );
+        return Err(Error::input(path, what, "copy the images to their places"));
+    }
     train.sort_by(|a, b| a.name.cmp(&b.name));
     let (train, test) = match test {
         Some(mut test) => {
@@ -210,18 +218,13 @@ fn split(
             })
         }
     };
-    let mut seen = HashSet::new();
-    if let Some(twice) = train
-        .iter()
-        .chain(&test)
-        .find(|v| !seen.insert(v.name.as_str()))
-    {
-        let what = format!("the image {} is given twice", twice.name);
-        let fix = "remove one of the entries (a view cannot be both trained on and held out)";
-        return Err(Error::input(path, what, fix));
-    }
-    let mut files = HashMap::new();
+    let (mut names, mut files) = (HashSet::new(), HashMap::new());
     for view in train.iter().chain(&test) {
+        if !names.insert(view.name.as_str()) {
+            let what = format!("the image {} is given twice", view.name);
+            let fix = "remove one of the entries (a view cannot be both trained on and held out)";
+            return Err(Error::input(path, what, fix));
+        }
         if let Some(other) = files.insert(&view.file, &view.name) {
             let what = format!("the image of two views, {other} and {}", view.name);
             let fix = "remove one of the entries";
@@ -255,57 +258,15 @@ fn without_outliers(
     };
     let axis = |k: usize| quantile(&mut centers.iter().map(|c| c[k]), 0.5);
     let middle = DVec3::new(axis(0), axis(1), axis(2));
-    let distance = |v: &RawView| v.camera.center().distance(middle);
     let usual = quantile(&mut centers.iter().map(|c| c.distance(middle)), 0.9);
-    let far = |v: &RawView| usual > 0.0 && distance(v) > ASTRAY * usual;
-    let outliers: Vec<String> = train
-        .iter()
-        .chain(&test)
-        .filter(|v| far(v))
-        .map(|v| v.name.clone())
-        .collect();
+    let far = |v: &RawView| usual > 0.0 && v.camera.center().distance(middle) > ASTRAY * usual;
+    let outliers = train.iter().chain(&test).filter(|v| far(v));
+    let outliers: Vec<String> = outliers.map(|v| v.name.clone()).collect();
     if 20 * outliers.len() > centers.len() || train.iter().all(far) {
         return (train, test, Vec::new());
     }
     let near = |views: Vec<RawView>| views.into_iter().filter(|v| !far(v)).collect();
     (near(train), near(test), outliers)
-}
-
-/// Views that their masks do not blacken, and the names of the others.
-fn shown(views: impl Iterator<Item = View>) -> (Vec<View>, Vec<String>) {
-    let (black, shown): (Vec<View>, Vec<View>) = views.partition(|v| v.photo.masked_out());
-    (shown, black.into_iter().map(|v| v.name).collect())
-}
-
-/// Refuses a dataset all of whose training photos are missing.
-fn refuse_if_none(path: &Path, train: &[RawView], missing: &[String]) -> Result<()> {
-    match missing.first() {
-        Some(first) if train.is_empty() => Err(Error::input(
-            path,
-            format!(
-                "none of the image files to train on is there; {} are missing, the first is {first} (as it is, or with .png, .jpg, .jpeg or .webp)",
-                missing.len()
-            ),
-            "copy the images to their places",
-        )),
-        _ => Ok(()),
-    }
-}
-
-/// [`Frame::fit`]; refuses poses without a finite centre and extent.
-fn local_frame(path: &Path, centers: &[DVec3], points: &[DVec3]) -> Result<Frame> {
-    let frame = Frame::fit(centers, points);
-    let Frame { center, scale } = frame;
-    if center.is_finite() && scale.is_normal() {
-        return Ok(frame);
-    }
-    Err(Error::input(
-        path,
-        format!(
-            "the cameras' mean centre is {center} and their extent {scale}; finite, non-zero numbers expected"
-        ),
-        "check the poses",
-    ))
 }
 
 /// The photo file of a view, and its camera: in the local frame, a pinhole, at the resolution of the decoded photo.
@@ -315,33 +276,26 @@ fn place(
     max_size: u32,
     meaning: Alpha,
 ) -> Result<(Camera, PhotoFile)> {
-    let header = header(&view.file)?;
-    let original = (header.width, header.height);
-    let camera = &view.camera;
-    let expected = (f64::from(camera.width), f64::from(camera.height));
-    let aspect = f64::from(original.0) * expected.1 / (f64::from(original.1) * expected.0);
+    let (header, camera) = (header(&view.file)?, &view.camera);
+    let [w, h] = [header.width, header.height].map(f64::from);
+    let aspect = w * f64::from(camera.height) / (h * f64::from(camera.width));
     // Resampled copies round their sides to whole pixels; half a pixel on each side is no other shape either.
-    let slack = 0.5 / f64::from(original.0) + 0.5 / f64::from(original.1);
+    let slack = 0.5 / w + 0.5 / h;
     if (aspect - 1.0).abs() > slack.max(0.01) {
-        return Err(Error::input(
-            &view.file,
-            format!(
-                "{}×{} pixels, but its camera says {}×{}, another shape",
-                original.0, original.1, camera.width, camera.height
-            ),
-            "use the photos that the camera parameters were computed for",
-        ));
+        let what = format!(
+            "{w}×{h} pixels, but its camera says {}×{}, another shape",
+            camera.width, camera.height
+        );
+        let fix = "use the photos that the camera parameters were computed for";
+        return Err(Error::input(&view.file, what, fix));
     }
+    let own_size = camera.scaled_to(header.width, header.height);
     let undistortion = match view.lens {
         Lens::Pinhole => None,
-        lens => Some(
-            Undistortion::new(lens, &camera.scaled_to(header.width, header.height)).ok_or_else(
-                || {
-                    let what = format!("its lens ({lens:?}) leaves no pinhole image of the photo");
-                    Error::input(&view.file, what, "check the camera's distortion parameters")
-                },
-            )?,
-        ),
+        lens => Some(Undistortion::new(lens, &own_size).ok_or_else(|| {
+            let what = format!("its lens ({lens:?}) leaves no pinhole image of the photo");
+            Error::input(&view.file, what, "check the camera's distortion parameters")
+        })?),
     };
     let pinhole = undistortion.map_or(*camera, |u| u.target);
     let (path, mask) = (view.file.clone(), view.mask.clone());

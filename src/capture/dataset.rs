@@ -74,6 +74,11 @@ pub struct Dataset {
 }
 
 impl Dataset {
+    /// Training views, then held-out ones.
+    pub fn views(&self) -> impl Iterator<Item = &View> {
+        self.train.iter().chain(&self.test)
+    }
+
     /// Fingerprint of 16 hexadecimal digits that tells datasets, splits and resolutions apart: from layout, names, sizes, cameras
     /// and lenses of the views, their masks and their split, not from the photos' colours.
     #[must_use]
@@ -116,8 +121,7 @@ impl Dataset {
     /// Meaning of the photos' alpha planes, the same for all of them.
     #[must_use]
     pub fn alpha(&self) -> Alpha {
-        let views = self.train.iter().chain(&self.test);
-        Alpha::common(views.map(|v| v.photo.alpha()))
+        Alpha::common(self.views().map(|v| v.photo.alpha()))
     }
 
     /// True if photos are transparent, so that the background matters.
@@ -129,15 +133,14 @@ impl Dataset {
     /// Bytes of all photos, decoded.
     #[must_use]
     pub fn photo_bytes(&self) -> u64 {
-        let views = self.train.iter().chain(&self.test);
-        views.map(|view| view.photo.bytes()).sum()
+        self.views().map(|view| view.photo.bytes()).sum()
     }
 
     /// True if photos are decoded on demand, because not all fit into the budget at one time.
     #[must_use]
     pub fn photos_on_demand(&self) -> bool {
-        let mut views = self.train.iter().chain(&self.test);
-        views.any(|view| matches!(view.photo, PhotoSource::File(_)))
+        let on_demand = |view: &View| matches!(view.photo, PhotoSource::File(_));
+        self.views().any(on_demand)
     }
 }
 

@@ -42,16 +42,21 @@ fn series(k: &[f64], x: f64) -> f64 {
 }
 
 impl Lens {
-    /// The lens, or [`Lens::Pinhole`] if all its coefficients are 0.
+    /// The lens of coefficients in OpenCV's order, k1 k2 p1 p2 k3 k4 k5 k6, or k1 to k4 of a fisheye; missing ones are 0.
+    /// Without distortion it is [`Lens::Pinhole`].
     #[must_use]
-    pub fn simplified(self) -> Self {
-        match self {
-            Self::Perspective { radial, tangential }
-                if radial.iter().chain(&tangential).all(|k| *k == 0.0) =>
-            {
-                Self::Pinhole
-            }
-            other => other,
+    pub fn of_coefficients(coefficients: &[f64], fisheye: bool) -> Self {
+        let k: [f64; 8] = std::array::from_fn(|i| coefficients.get(i).copied().unwrap_or(0.0));
+        if fisheye {
+            let radial = [k[0], k[1], k[2], k[3]];
+            return Self::Fisheye { radial };
+        }
+        if k == [0.0; 8] {
+            return Self::Pinhole;
+        }
+        Self::Perspective {
+            radial: [k[0], k[1], k[4], k[5], k[6], k[7]],
+            tangential: [k[2], k[3]],
         }
     }
 
@@ -296,25 +301,18 @@ impl Undistortion {
         for (x, y, weight) in corners {
             let pixel = &bytes[(y * w + x) * channels..][..channels];
             // Colours count as far as they are opaque.
-            let opaque = if channels == 4 {
-                f64::from(pixel[3]) / 255.0
-            } else {
-                1.0
-            };
+            let opaque = pixel.get(3).map_or(1.0, |a| f64::from(*a) / 255.0);
             for (s, v) in sum.iter_mut().zip(pixel).take(3) {
                 *s += weight * opaque * f64::from(*v);
             }
             weights += weight * opaque;
         }
         for (o, s) in out.iter_mut().zip(sum).take(3) {
-            *o = if weights > 0.0 {
-                (s / weights).round() as u8
-            } else {
-                0
-            };
+            // A cast of 0/0 is 0.
+            *o = (s / weights).round() as u8;
         }
-        if channels == 4 {
-            out[3] = (255.0 * weights).round().clamp(0.0, 255.0) as u8;
+        if let Some(alpha) = out.get_mut(3) {
+            *alpha = (255.0 * weights).round() as u8;
         }
     }
 }

@@ -4,7 +4,6 @@ mod assemble;
 pub mod camera;
 pub mod colmap;
 mod dataset;
-mod decode;
 pub mod frame;
 pub mod lens;
 pub mod photo;
@@ -14,10 +13,10 @@ pub mod transforms;
 
 pub use crate::capture::camera::Camera;
 pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
-#[doc(hidden)]
-pub use crate::capture::decode::shrink;
 pub use crate::capture::frame::Frame;
 pub use crate::capture::lens::{Lens, Undistortion};
+#[doc(hidden)]
+pub use crate::capture::photo::shrink;
 pub use crate::capture::photo::{Alpha, Photo};
 pub use crate::capture::point_cloud::Points;
 pub use crate::capture::source::{PhotoFile, PhotoSource};

@@ -23,7 +23,7 @@ impl Points {
     ///
     /// # Errors
     /// [`Error::Input`] for a position beyond single precision.
-    pub(super) fn local(
+    pub(crate) fn local(
         path: &Path,
         frame: &Frame,
         (positions, colors): (Vec<DVec3>, Vec<[u8; 3]>),
@@ -44,15 +44,7 @@ impl Points {
 /// # Errors
 /// [`Error::Input`] for a file of another format, a truncated one or a value that is not finite; [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<Points> {
-    from_table(path, &ply::Table::read(path)?, frame)
-}
-
-/// The same as [`read`], from a table in memory.
-///
-/// # Errors
-/// A missing or non-finite coordinate.
-pub(crate) fn from_table(path: &Path, table: &ply::Table, frame: &Frame) -> Result<Points> {
-    Points::local(path, frame, table.points()?)
+    Points::local(path, frame, ply::Table::read(path)?.points()?)
 }
 
 /// Writes a plain point cloud (`x y z red green blue`, double precision) in the dataset's frame, atomically.
@@ -63,20 +55,12 @@ pub fn write(path: &Path, points: &Points, frame: &Frame) -> Result<()> {
     let (n, colors) = (points.positions.len(), points.colors.len());
     let finite = |p: &[f32; 3]| p.iter().all(|v| v.is_finite());
     if n != colors || !points.positions.iter().all(finite) {
-        return Err(Error::Numerics {
-            stage: "export".into(),
-            what: format!("{n} points, not all finite or not matched by {colors} colours"),
-        });
+        let what = format!("{n} points, not all finite or not matched by {colors} colours");
+        return Err(Error::numerics("export", what));
     }
-    crate::base::files::write(path, |out| {
-        let (xyz, rgb) = (["x", "y", "z"], ["red", "green", "blue"]);
-        let line = |scalar: &str, name: &str| format!("property {scalar} {name}\n");
-        let coordinates: String = xyz.iter().map(|c| line("double", c)).collect();
-        let channels: String = rgb.iter().map(|c| line("uchar", c)).collect();
-        write!(
-            out,
-            "ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{coordinates}{channels}end_header\n"
-        )?;
+    let xyz = ["x", "y", "z"].map(|name| ("double", name));
+    let rgb = ["red", "green", "blue"].map(|name| ("uchar", name));
+    ply::write(path, "", n, xyz.into_iter().chain(rgb), |out| {
         for (p, color) in points.positions.iter().zip(&points.colors) {
             let p = frame.to_dataset(DVec3::from_array(p.map(f64::from)));
             for v in p.to_array() {

@@ -1,18 +1,72 @@
 //! Sources of photos: memory, or an image file that is decoded on demand.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use image::{DynamicImage, ImageDecoder, ImageReader};
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
 use crate::base::hash::Fnv;
-use crate::capture::decode::{Header, decode, fitted};
 use crate::capture::lens::Undistortion;
-use crate::capture::photo::{Alpha, Photo};
+use crate::capture::photo::{Alpha, Photo, shrink};
 
 /// Bytes that photos may take if the system does not report its memory.
 const UNKNOWN_MEMORY: u64 = 4 << 30;
+
+/// A decoder for an image file by its content. EXIF orientation is ignored, as COLMAP and the NeRF tools ignore it, so that
+/// pixels stay where the poses expect them.
+fn open(file: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
+    ImageReader::open(file)
+        .and_then(ImageReader::with_guessed_format)
+        .map_err(|source| Error::io(file, source))
+}
+
+fn decoded(file: &Path) -> Result<DynamicImage> {
+    open(file)?.decode().map_err(|e| not_an_image(file, &e))
+}
+
+fn not_an_image(file: &Path, reason: &image::ImageError) -> Error {
+    Error::input(
+        file,
+        format!("not a readable image ({reason}); PNG, JPEG or WebP expected"),
+        "replace the file or remove its entry from the dataset",
+    )
+}
+
+/// Size and channels of an image file, from its header.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Header {
+    /// Width, pixels, ≥ 1.
+    pub width: u32,
+    /// Height, pixels, ≥ 1.
+    pub height: u32,
+    /// True if pixels may be transparent.
+    pub has_alpha: bool,
+}
+
+/// Reads an image file's header.
+///
+/// # Errors
+/// A file that cannot be opened, is no image, or has no pixel.
+pub(crate) fn header(file: &Path) -> Result<Header> {
+    let decoder = open(file)?
+        .into_decoder()
+        .map_err(|e| not_an_image(file, &e))?;
+    let (width, height) = decoder.dimensions();
+    if width == 0 || height == 0 {
+        return Err(Error::input(
+            file,
+            format!("{width}×{height} pixels; at least 1×1 expected"),
+            "replace the file or remove its entry from the dataset",
+        ));
+    }
+    Ok(Header {
+        width,
+        height,
+        has_alpha: decoder.color_type().has_alpha(),
+    })
+}
 
 /// A view's photo.
 #[derive(Debug, Clone)]
@@ -93,15 +147,9 @@ impl PhotoSource {
     /// True if the photo's mask is 0 everywhere.
     #[must_use]
     pub fn masked_out(&self) -> bool {
-        match self {
-            Self::Memory(photo) => photo
-                .mask_plane()
-                .is_some_and(|mask| mask.iter().all(|m| *m == 0)),
-            Self::File(file) => {
-                let black = || vec![0; file.width as usize * file.height as usize];
-                file.alpha == Alpha::Mask && file.mask_digest == digest(&black())
-            }
-        }
+        let pixels = self.bytes() as usize / self.alpha().planes();
+        self.mask_digest()
+            .is_some_and(|found| found == digest(&vec![0; pixels]))
     }
 
     /// Size of the decoded photo in bytes.
@@ -114,6 +162,34 @@ impl PhotoSource {
     }
 }
 
+/// Multiplies a mask file into the alpha of RGBA bytes: black excludes a pixel, white includes it.
+fn apply_mask(file: &Path, rgba: &mut [u8], [width, height]: [u32; 2]) -> Result<()> {
+    let mask = decoded(file)?;
+    if (mask.width(), mask.height()) != (width, height) {
+        let (w, h) = (mask.width(), mask.height());
+        let what = format!("{w}×{h} pixels; its photo has {width}×{height}");
+        let fix = "give a mask of the photo's size, or remove it";
+        return Err(Error::input(file, what, fix));
+    }
+    for (pixel, m) in rgba.chunks_exact_mut(4).zip(mask.into_luma8().into_raw()) {
+        pixel[3] = ((u32::from(pixel[3]) * u32::from(m) + 127) / 255) as u8;
+    }
+    Ok(())
+}
+
+/// The largest size of the same shape whose longest side is at most `max_size` (never larger than the original).
+fn fitted([width, height]: [u32; 2], max_size: u32) -> [u32; 2] {
+    let longest = width.max(height);
+    [width, height].map(|s| {
+        let exact = f64::from(s) * f64::from(max_size) / f64::from(longest);
+        if longest <= max_size {
+            s
+        } else {
+            (exact.round() as u32).max(1)
+        }
+    })
+}
+
 impl PhotoFile {
     /// The photo of an image file with an optional mask file; `meaning` is that of alpha in the whole dataset.
     pub(super) fn new(
@@ -124,33 +200,20 @@ impl PhotoFile {
         mask: Option<PathBuf>,
         meaning: Alpha,
     ) -> Self {
-        let (width, height) = undistortion.map_or((header.width, header.height), |u| {
-            (u.target.width, u.target.height)
+        let size = undistortion.map_or([header.width, header.height], |u| {
+            [u.target.width, u.target.height]
         });
-        let (width, height) = fitted(width, height, max_size);
+        let [width, height] = fitted(size, max_size);
+        let has_alpha = header.has_alpha || mask.is_some();
         Self {
             path,
             max_size,
             undistortion: undistortion.map(Box::new),
-            alpha: if header.has_alpha || mask.is_some() {
-                meaning
-            } else {
-                Alpha::None
-            },
+            alpha: if has_alpha { meaning } else { Alpha::None },
             mask,
             width,
             height,
             mask_digest: 0,
-        }
-    }
-
-    /// [`digest`] of a photo's mask, an all-white one if it has none; 0 without masks.
-    fn mask_digest_of(&self, photo: &Photo) -> u64 {
-        let white = || vec![255; photo.width as usize * photo.height as usize];
-        match (self.alpha, photo.mask_plane()) {
-            (Alpha::Mask, Some(plane)) => digest(plane),
-            (Alpha::Mask, None) => digest(&white()),
-            _ => 0,
         }
     }
 
@@ -163,32 +226,59 @@ impl PhotoFile {
         u64::from(self.width) * u64::from(self.height) * self.alpha.planes() as u64
     }
 
-    /// The photo as decoded, with an alpha plane only if some pixel is not opaque.
+    /// The decoded photo, its mask multiplied into its alpha, without lens distortion, shrunk to its size. It has an alpha plane
+    /// only if some pixel is not opaque.
     fn decoded(&self) -> Result<Photo> {
-        let photo = decode(
-            &self.path,
-            self.max_size,
-            self.undistortion.as_deref(),
-            self.mask.as_deref(),
-            self.alpha,
-        )?;
-        let known = photo.alpha == Alpha::None || photo.alpha == self.alpha;
-        if (photo.width, photo.height) == self.size() && known {
-            return Ok(photo);
+        let changed = |what: String| {
+            let fix = "leave the photos as they are during a run, and start again";
+            Err(Error::input(&self.path, what, fix))
+        };
+        let image = decoded(&self.path)?;
+        let (mut width, mut height) = (image.width(), image.height());
+        let has_alpha = image.color().has_alpha() || self.mask.is_some();
+        let mut bytes = if has_alpha {
+            image.into_rgba8().into_raw()
+        } else {
+            image.into_rgb8().into_raw()
+        };
+        if let Some(mask) = &self.mask {
+            apply_mask(mask, &mut bytes, [width, height])?;
         }
-        Err(Error::input(
-            &self.path,
-            format!(
-                "{}×{} pixels in {} channels; {}×{} in {} were there when the dataset was read",
-                photo.width,
-                photo.height,
-                photo.alpha.planes(),
+        if let Some(undistortion) = &self.undistortion {
+            if (width, height) != undistortion.source_size() {
+                return changed(format!(
+                    "{width}×{height} pixels; another size was there when the dataset was read"
+                ));
+            }
+            bytes = undistortion.apply(&bytes, if has_alpha { 4 } else { 3 });
+            (width, height) = (undistortion.target.width, undistortion.target.height);
+        }
+        let mut alpha = Alpha::None;
+        if has_alpha && bytes.chunks_exact(4).any(|p| p[3] < 255) {
+            alpha = match self.alpha {
+                Alpha::None => Alpha::Transparency,
+                meaning => meaning,
+            };
+        } else if has_alpha {
+            let rgb = bytes.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]);
+            bytes = rgb.collect();
+        }
+        let [w, h] = fitted([width, height], self.max_size);
+        let known = alpha == Alpha::None || alpha == self.alpha;
+        if (w, h) != self.size() || !known {
+            return changed(format!(
+                "{w}×{h} pixels in {} channels; {}×{} in {} were there when the dataset was read",
+                alpha.planes(),
                 self.width,
                 self.height,
                 self.alpha.planes()
-            ),
-            "leave the photos as they are during a run, and start again",
-        ))
+            ));
+        }
+        if (w, h) == (width, height) {
+            Photo::from_interleaved(w, h, alpha, &bytes)
+        } else {
+            shrink(width, height, alpha, &bytes, w, h)
+        }
     }
 
     /// The photo with the alpha plane that all photos of its dataset have.
@@ -224,8 +314,9 @@ pub(super) fn read(mut files: Vec<PhotoFile>, budget: u64) -> Result<Vec<PhotoSo
         .par_iter_mut()
         .map(|f| {
             let photo = f.decoded()?;
-            if !fits {
-                f.mask_digest = f.mask_digest_of(&photo);
+            if !fits && f.alpha == Alpha::Mask {
+                let white = || vec![255; photo.data.len() / 3];
+                f.mask_digest = photo.mask_plane().map_or_else(|| digest(&white()), digest);
             }
             Ok((photo.alpha, fits.then_some(photo)))
         })

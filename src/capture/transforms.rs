@@ -11,12 +11,12 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::base::error::{Error, Result};
-use crate::base::ply;
+use crate::base::ply::Table;
 use crate::capture::assemble::{RawScene, RawView, find_mask, inside, locate};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::Layout;
-use crate::capture::decode;
 use crate::capture::lens::Lens;
+use crate::capture::source;
 
 /// Remedy for an unusable value.
 const CORRECT: &str = "correct the file";
@@ -24,21 +24,9 @@ const CORRECT: &str = "correct the file";
 /// Coefficients of a fisheye lens, in order.
 const FISHEYE: [&str; 4] = ["k1", "k2", "k3", "k4"];
 /// Coefficients of a perspective lens, in order; the last three in `FULL_OPENCV` alone.
-const PERSPECTIVE: [&str; 8] = ["k1", "k2", "k3", "p1", "p2", "k4", "k5", "k6"];
-/// All coefficients that a file may have.
-const COEFFICIENTS: [&str; 11] = [
-    "k1",
-    "k2",
-    "k3",
-    "k4",
-    "k5",
-    "k6",
-    "p1",
-    "p2",
-    "p3",
-    "p4",
-    "is_fisheye",
-];
+const PERSPECTIVE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
+/// Keys of distortion that have a place in none of these.
+const OTHERS: [&str; 3] = ["p3", "p4", "is_fisheye"];
 
 #[derive(Deserialize)]
 struct File {
@@ -96,7 +84,7 @@ pub(super) fn load(root: &Path, file: &Path) -> Result<RawScene> {
         None
     };
     let (positions, colors) = match points {
-        Some(name) => ply::read_points(&inside(root, &name)?)?,
+        Some(name) => Table::read(&inside(root, &name)?)?.points()?,
         None => (Vec::new(), Vec::new()),
     };
     Ok(RawScene {
@@ -129,15 +117,19 @@ fn read(
     }
     let mut views = Vec::with_capacity(parsed.frames.len());
     for frame in &parsed.frames {
-        let at = Place { file, frame };
+        let at = Place {
+            file,
+            frame,
+            lenses: [&frame.lens, &parsed.lens],
+        };
         let Some(image) = locate(root, &frame.file_path)? else {
             missing.push(normal_name(&frame.file_path));
             continue;
         };
         views.push(RawView {
             name: normal_name(&frame.file_path),
-            camera: at.camera(&parsed.lens, &image)?,
-            lens: at.lens(&parsed.lens)?,
+            camera: at.camera(&image)?,
+            lens: at.lens()?,
             mask: at.mask(root)?,
             file: image,
         });
@@ -149,10 +141,12 @@ fn normal_name(name: &str) -> String {
     name.trim_start_matches("./").to_string()
 }
 
-/// A frame of a file, for messages.
+/// A frame of a file.
 struct Place<'a> {
     file: &'a Path,
     frame: &'a Frame,
+    /// Its own intrinsics, and those of the file.
+    lenses: [&'a Intrinsics; 2],
 }
 
 impl Place<'_> {
@@ -174,26 +168,26 @@ impl Place<'_> {
         Ok(found)
     }
 
+    /// A value from the frame, else from the file.
+    fn find<T>(&self, of: impl Fn(&'_ Intrinsics) -> Option<T>) -> Option<T> {
+        self.lenses.iter().find_map(|l| of(l))
+    }
+
     /// Distortion from the frame, then the file; zero by default.
-    fn lens(&self, file: &Intrinsics) -> Result<Lens> {
-        let own = &self.frame.lens;
-        let own_or_file = |key: &str| {
-            let all = [own, file].into_iter().filter_map(|i| i.other.get(key));
-            all.into_iter().find(|v| !v.is_null())
-        };
-        let value = |key: &str| -> Result<f64> {
-            match own_or_file(key) {
-                None | Some(Value::Bool(false)) => Ok(0.0),
-                Some(Value::Bool(true)) => Ok(1.0),
-                Some(v) => v
-                    .as_f64()
-                    .filter(|k| k.is_finite())
-                    .ok_or_else(|| self.bad(&format!("{key} = {v}; a number expected"), CORRECT)),
-            }
+    fn lens(&self) -> Result<Lens> {
+        let value = |key: &str| {
+            let found = self.find(|l| l.other.get(key).filter(|v| !v.is_null()).cloned());
+            let number = match &found {
+                None | Some(Value::Bool(false)) => Some(0.0),
+                Some(Value::Bool(true)) => Some(1.0),
+                Some(v) => v.as_f64().filter(|k| k.is_finite()),
+            };
+            let found = found.unwrap_or_default();
+            number.ok_or_else(|| self.bad(&format!("{key} = {found}; a number expected"), CORRECT))
         };
         let fix = "undistort the photos first (colmap image_undistorter, for example)";
-        let model = own.camera_model.as_deref().or(file.camera_model.as_deref());
-        let used: &[&str] = match model {
+        let model = self.find(|l| l.camera_model.clone());
+        let used: &[&str] = match model.as_deref() {
             Some("OPENCV_FISHEYE" | "FISHEYE") => &FISHEYE,
             None | Some("OPENCV") if value("is_fisheye")? != 0.0 => &FISHEYE,
             None | Some("PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "SIMPLE_RADIAL" | "RADIAL") => {
@@ -206,7 +200,7 @@ impl Place<'_> {
             }
         };
         let fisheye = used == FISHEYE;
-        for key in COEFFICIENTS {
+        for key in PERSPECTIVE.into_iter().chain(OTHERS) {
             let v = value(key)?;
             let right = used.contains(&key) || (fisheye && key == "is_fisheye");
             if v != 0.0 && !right {
@@ -214,31 +208,17 @@ impl Place<'_> {
                 return Err(self.bad(&what, fix));
             }
         }
-        let k = used
-            .iter()
-            .map(|n| value(n))
-            .collect::<Result<Vec<f64>>>()?;
-        let at = |i: usize| k.get(i).copied().unwrap_or(0.0);
-        let lens = if fisheye {
-            Lens::Fisheye {
-                radial: std::array::from_fn(at),
-            }
-        } else {
-            Lens::Perspective {
-                radial: [at(0), at(1), at(2), at(5), at(6), at(7)],
-                tangential: [at(3), at(4)],
-            }
-        };
-        Ok(lens.simplified())
+        let used = used.iter().map(|key| value(key));
+        let coefficients: Vec<f64> = used.collect::<Result<_>>()?;
+        Ok(Lens::of_coefficients(&coefficients, fisheye))
     }
 
     /// Intrinsics from the frame, then the file, then defaults: the image's size, its centre, fy = fx.
-    fn camera(&self, file: &Intrinsics, image: &Path) -> Result<Camera> {
-        let own = &self.frame.lens;
-        let (width, height) = match (own.w.or(file.w), own.h.or(file.h)) {
+    fn camera(&self, image: &Path) -> Result<Camera> {
+        let (width, height) = match (self.find(|l| l.w), self.find(|l| l.h)) {
             (Some(w), Some(h)) => (self.pixels("w", w)?, self.pixels("h", h)?),
             _ => {
-                let header = decode::header(image)?;
+                let header = source::header(image)?;
                 (header.width, header.height)
             }
         };
@@ -247,16 +227,14 @@ impl Place<'_> {
         // A frame's field of view wins over the file's focal length, hence frame by frame.
         let focal_x = |l: &Intrinsics| l.fl_x.or(l.camera_angle_x.map(|a| from_angle(w, a)));
         let focal_y = |l: &Intrinsics| l.fl_y.or(l.camera_angle_y.map(|a| from_angle(h, a)));
-        let Some(fx) = focal_x(own).or_else(|| focal_x(file)) else {
-            return Err(self.bad(
-                "neither fl_x nor camera_angle_x is given",
-                "add one of them",
-            ));
+        let Some(fx) = self.find(focal_x) else {
+            let what = "neither fl_x nor camera_angle_x is given";
+            return Err(self.bad(what, "add one of them"));
         };
-        let own_fy = focal_y(own).or_else(|| focal_x(own));
-        let fy = own_fy.or_else(|| focal_y(file)).unwrap_or(fx);
-        let cx = own.cx.or(file.cx).unwrap_or(w / 2.0);
-        let cy = own.cy.or(file.cy).unwrap_or(h / 2.0);
+        let fy = self.find(|l| focal_y(l).or_else(|| focal_x(l)));
+        let fy = fy.unwrap_or(fx);
+        let cx = self.find(|l| l.cx).unwrap_or(w / 2.0);
+        let cy = self.find(|l| l.cy).unwrap_or(h / 2.0);
         let good = fx > 0.0 && fy > 0.0 && [fx, fy, cx, cy].iter().all(|v| v.is_finite());
         if !good || width == 0 || height == 0 {
             let what = format!(
@@ -289,20 +267,17 @@ impl Place<'_> {
     /// a scaled camera object; a result that is no rotation within 1 % is refused.
     fn pose(&self) -> Result<(DMat3, DVec3)> {
         let m = &self.frame.transform_matrix;
-        let shaped = (m.len() == 3 || m.len() == 4) && m.iter().all(|row| row.len() == 4);
-        if !shaped {
-            let what = "transform_matrix is not 4×4 (or 3×4)";
-            return Err(self.bad(what, CORRECT));
+        if !matches!(m.len(), 3 | 4) || m.iter().any(|row| row.len() != 4) {
+            return Err(self.bad("transform_matrix is not 4×4 (or 3×4)", CORRECT));
         }
         let column = |k: usize| DVec3::new(m[0][k], m[1][k], m[2][k]);
         let [x, y, z] = [column(0), -column(1), -column(2)].map(DVec3::normalize_or_zero);
         let center = column(3);
-        let raw = DMat3::from_cols(x, y, z);
-        let rigid = (raw.determinant() - 1.0).abs() < 0.01;
+        let determinant = DMat3::from_cols(x, y, z).determinant();
+        let rigid = (determinant - 1.0).abs() < 0.01;
         if !rigid || !center.is_finite() {
             let what = format!(
-                "transform_matrix is no rigid pose (determinant of its axes {}, centre {center})",
-                raw.determinant()
+                "transform_matrix is no rigid pose (determinant of its axes {determinant}, centre {center})"
             );
             return Err(self.bad(&what, CORRECT));
         }
@@ -328,14 +303,10 @@ pub fn write_transforms(
         let c = camera.center();
         let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
         let intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
-        if !c.is_finite()
-            || !camera.rotation.is_finite()
-            || intrinsics.iter().any(|v| !v.is_finite())
-        {
-            return Err(Error::Numerics {
-                stage: "transforms".into(),
-                what: format!("the camera of {name} is not finite"),
-            });
+        let finite = c.is_finite() && camera.rotation.is_finite();
+        if !finite || intrinsics.iter().any(|v| !v.is_finite()) {
+            let what = format!("the camera of {name} is not finite");
+            return Err(Error::numerics("transforms", what));
         }
         let row = |k: usize, c: f64| json!([x[k], -y[k], -z[k], c]);
         frames.push(json!({

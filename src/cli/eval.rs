@@ -8,8 +8,7 @@ use crate::cli::common::{Common, Outcome};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Defines;
-use mhsplat::evaluate::color::mean_corrected;
-use mhsplat::evaluate::{Evaluator, mean, mean_flip};
+use mhsplat::evaluate::{Evaluator, mean, mean_corrected, mean_flip};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
 

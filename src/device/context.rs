@@ -1,15 +1,24 @@
 //! [`Device`]: choosing one and opening it.
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use ocl_core::{self as core, CommandQueueProperties};
+use ocl_core::{self as core, CommandQueueProperties, Event, ProfilingInfo};
 
 use crate::base::error::{Error, Result};
 use crate::device::error::{LOST, device_error};
-use crate::device::info::{DeviceInfo, DeviceKind, INSTALL, enumerate, select};
-use crate::device::profile::{Profile, StageTime};
+use crate::device::info::{DeviceInfo, enumerate, select};
 use crate::device::tuning::Tuning;
+
+/// Device time of one stage.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct StageTime {
+    /// Seconds between start and end, by the device's profiling counters.
+    pub seconds: f64,
+    /// Number of launches.
+    pub calls: u64,
+}
 
 /// An open device with one in-order queue. Cheap to clone.
 #[derive(Clone, Debug)]
@@ -24,9 +33,26 @@ pub(super) struct Inner {
     pub id: core::DeviceId,
     pub context: core::Context,
     pub queue: core::CommandQueue,
-    pub profile: Profile,
+    /// Stages and events of the launches whose profiling counters have not been read yet.
+    pending: Mutex<Vec<(&'static str, Event)>>,
+    times: Mutex<BTreeMap<&'static str, StageTime>>,
     /// Bytes of the buffers that are alive.
     pub allocated: AtomicU64,
+}
+
+impl Inner {
+    fn pending(&self) -> MutexGuard<'_, Vec<(&'static str, Event)>> {
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn times(&self) -> MutexGuard<'_, BTreeMap<&'static str, StageTime>> {
+        self.times.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds a launch.
+    pub(super) fn add_launch(&self, stage: &'static str, event: Event) {
+        self.pending().push((stage, event));
+    }
 }
 
 impl Device {
@@ -41,12 +67,7 @@ impl Device {
     /// The device that [`Device::open`] takes without a selector: the first GPU, then accelerator, then CPU.
     #[must_use]
     pub fn default_of(list: &[DeviceInfo]) -> Option<&DeviceInfo> {
-        let rank = |d: &DeviceInfo| match d.kind {
-            DeviceKind::Gpu => 0,
-            DeviceKind::Accelerator => 1,
-            DeviceKind::Cpu => 2,
-        };
-        list.iter().min_by_key(|d| (rank(d), d.index))
+        list.iter().min_by_key(|d| (d.kind, d.index))
     }
 
     /// Opens the device named by an index, a part of its name or platform, or a type (cpu, gpu, accelerator).
@@ -54,26 +75,19 @@ impl Device {
     /// # Errors
     /// No device, or none that matches.
     pub fn open(selector: Option<&str>) -> Result<Self> {
-        let all = enumerate()?;
-        let infos: Vec<DeviceInfo> = all.iter().map(|(i, _)| i.clone()).collect();
-        let index = match selector {
-            None => Self::default_of(&infos).map(|d| d.index),
+        let (infos, ids): (Vec<DeviceInfo>, Vec<core::DeviceId>) = enumerate()?.into_iter().unzip();
+        let found = match selector {
+            None => Self::default_of(&infos),
             Some(s) => select(&infos, s),
         };
-        let Some(index) = index else {
+        let Some(info) = found.cloned() else {
             return Err(Error::device(
                 "device",
                 format!("no device matches {:?}", selector.unwrap_or("")),
                 "`mhsplat devices` lists what can be selected",
             ));
         };
-        let Some((info, id)) = all.into_iter().nth(index) else {
-            return Err(Error::device(
-                "device",
-                "the list of devices changed",
-                INSTALL,
-            ));
-        };
+        let id = ids[info.index];
         let fail = |e: core::Error| device_error("open device", &e, "select another with --device");
         let context = core::create_context(None, &[id], None, None).map_err(fail)?;
         let queue = core::create_command_queue(
@@ -89,7 +103,8 @@ impl Device {
                 id,
                 context,
                 queue,
-                profile: Profile::default(),
+                pending: Mutex::default(),
+                times: Mutex::default(),
                 allocated: AtomicU64::new(0),
             }),
         })
@@ -133,27 +148,45 @@ impl Device {
     /// Number of launches so far whose device time has not been read.
     #[must_use]
     pub fn launches(&self) -> usize {
-        self.inner.profile.launches()
+        self.inner.pending().len()
     }
 
     /// Adds up the device time of the oldest `launches` launches; waits for them if they are not done.
     pub fn collect_times(&self, launches: usize) -> Result<()> {
-        self.inner.profile.collect(launches)
+        let drained: Vec<(&'static str, Event)> = {
+            let mut pending = self.inner.pending();
+            let n = launches.min(pending.len());
+            pending.drain(..n).collect()
+        };
+        let mut times = self.inner.times();
+        for (stage, event) in drained {
+            core::wait_for_event(&event).map_err(|e| device_error(stage, &e, LOST))?;
+            let ask = |info| {
+                let counter = core::get_event_profiling_info(&event, info);
+                counter.ok().and_then(|t| t.time().ok())
+            };
+            let entry = times.entry(stage).or_default();
+            entry.calls += 1;
+            if let (Some(start), Some(end)) = (ask(ProfilingInfo::Start), ask(ProfilingInfo::End)) {
+                entry.seconds += end.saturating_sub(start) as f64 * 1e-9;
+            }
+        }
+        Ok(())
     }
 
     /// Leaves the launches whose device time has not been read out of all stages, for callers that time them otherwise.
     pub fn forget_launches(&self) {
-        self.inner.profile.forget();
+        self.inner.pending().clear();
     }
 
     /// Device time per stage since the device was opened (or [`Device::reset_times`]).
     #[must_use]
     pub fn times(&self) -> Vec<(&'static str, StageTime)> {
-        self.inner.profile.times()
+        self.inner.times().iter().map(|(k, v)| (*k, *v)).collect()
     }
 
     /// Sets the times to zero.
     pub fn reset_times(&self) {
-        self.inner.profile.reset();
+        self.inner.times().clear();
     }
 }

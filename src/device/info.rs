@@ -8,16 +8,16 @@ use serde::Serialize;
 use crate::base::error::{Error, Result};
 use crate::device::error::device_error;
 
-/// Kind of a device, as OpenCL classes it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+/// Kind of a device, as OpenCL classes it, the preferred one first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DeviceKind {
-    /// A CPU.
-    Cpu,
     /// A GPU.
     Gpu,
     /// Any other accelerator.
     Accelerator,
+    /// A CPU.
+    Cpu,
 }
 
 /// Properties that a device reports.
@@ -50,27 +50,24 @@ pub struct DeviceInfo {
 }
 
 /// Advice for a system without a device.
-pub(super) const INSTALL: &str = "install an OpenCL driver (on Debian/Ubuntu: `apt-get install ocl-icd-libopencl1 pocl-opencl-icd`) \
+const INSTALL: &str = "install an OpenCL driver (on Debian/Ubuntu: `apt-get install ocl-icd-libopencl1 pocl-opencl-icd`) \
      or point OCL_ICD_VENDORS at one";
 
-/// Index of the device named by an index, a part of its name or platform, or a kind; `None` if nothing matches.
-pub(super) fn select(list: &[DeviceInfo], selector: &str) -> Option<usize> {
+/// The device named by an index, a part of its name or platform, or a kind; `None` if nothing matches.
+pub(super) fn select<'a>(list: &'a [DeviceInfo], selector: &str) -> Option<&'a DeviceInfo> {
     let s = selector.to_lowercase();
-    let kind = match s.as_str() {
-        "cpu" => Some(DeviceKind::Cpu),
-        "gpu" => Some(DeviceKind::Gpu),
-        "accelerator" => Some(DeviceKind::Accelerator),
-        _ => None,
-    };
-    if let Some(kind) = kind {
-        return list.iter().find(|d| d.kind == kind).map(|d| d.index);
+    let of_kind = |kind: DeviceKind| list.iter().find(|d| d.kind == kind);
+    match s.as_str() {
+        "cpu" => return of_kind(DeviceKind::Cpu),
+        "gpu" => return of_kind(DeviceKind::Gpu),
+        "accelerator" => return of_kind(DeviceKind::Accelerator),
+        _ => {}
     }
     if let Ok(index) = s.parse::<usize>() {
-        return list.get(index).map(|d| d.index);
+        return list.get(index);
     }
     list.iter()
         .find(|d| d.name.to_lowercase().contains(&s) || d.platform.to_lowercase().contains(&s))
-        .map(|d| d.index)
 }
 
 /// The devices, enumerated once: some drivers answer wrongly when several threads ask for the first time.

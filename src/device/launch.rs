@@ -263,7 +263,7 @@ impl Launch<'_> {
             )
         }
         .map_err(|e| device_error(self.owner.name, &e, LOST))?;
-        self.owner.device.profile.add(self.owner.stage, event);
+        self.owner.device.add_launch(self.owner.stage, event);
         Ok(())
     }
 }

@@ -8,15 +8,13 @@ mod error;
 mod info;
 mod launch;
 pub mod layout;
-mod profile;
 mod program;
 pub mod tuning;
 
 pub use crate::device::array::{Array, PendingRead};
-pub use crate::device::context::Device;
+pub use crate::device::context::{Device, StageTime};
 pub use crate::device::defines::Defines;
 pub use crate::device::info::{DeviceInfo, DeviceKind};
 pub use crate::device::launch::{Kernel, Launch};
 pub use crate::device::layout::{CameraArg, Element, Projected, Real};
-pub use crate::device::profile::StageTime;
 pub use crate::device::program::{Kernels, sources_hash};

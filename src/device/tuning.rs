@@ -92,11 +92,7 @@ impl Tuning {
     /// The first rule that these sizes break for a device; `None` if kernels can be built with them.
     #[must_use]
     pub fn fault(&self, info: &DeviceInfo) -> Option<&'static str> {
-        let Self {
-            vector_width: lanes,
-            block_width: block,
-            ..
-        } = *self;
+        let (lanes, block) = (self.vector_width, self.block_width);
         let tile = TILE as usize;
         let checks = [
             (

@@ -92,12 +92,7 @@ impl Evaluator {
             self.score(view, &[], scene, renderer, background)?;
             let camera = &self.views.cameras[view];
             let image = renderer.read_image(camera)?;
-            let photo = self.views.read_photo(view)?;
-            let mask = photo.counts();
-            let bytes = photo.rgb_over(background);
-            let channel = |c: usize| bytes.iter().skip(c).step_by(3);
-            let photo = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
-            let photo: Vec<f32> = photo.collect();
+            let (photo, mask) = self.compared(view, background)?;
             let values = corrected(&image.rgb, &fit(&image.rgb, &photo, &mask));
             let [w, h] = size_of_image(camera);
             let [stride, rows] = [w, h].map(|s| s.next_multiple_of(TILE as usize));
@@ -114,15 +109,4 @@ impl Evaluator {
         }
         Ok(())
     }
-}
-
-/// Mean colour-corrected PSNR and SSIM; `None` if a view has none.
-#[must_use]
-pub fn mean_corrected(scores: &[ViewScore]) -> Option<(f64, f64)> {
-    let all: Option<Vec<(f64, f64)>> = scores.iter().map(|s| s.cc_psnr.zip(s.cc_ssim)).collect();
-    let n = scores.len() as f64;
-    all.filter(|v| !v.is_empty()).map(|v| {
-        let sum = |of: fn(&(f64, f64)) -> f64| v.iter().map(of).sum::<f64>() / n;
-        (sum(|s| s.0), sum(|s| s.1))
-    })
 }

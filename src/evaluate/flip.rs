@@ -70,10 +70,7 @@ pub fn error_map(
     height: usize,
     pixels_per_degree: f64,
 ) -> Result<Vec<f64>> {
-    let wrong = |what: String| Error::Numerics {
-        stage: "flip".into(),
-        what,
-    };
+    let wrong = |what: String| Error::numerics("flip", what);
     let n = width * height;
     if n == 0 || reference.len() != 3 * n || test.len() != 3 * n {
         let (a, b) = (reference.len(), test.len());

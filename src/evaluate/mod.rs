@@ -92,17 +92,25 @@ impl Evaluator {
         Ok((errors.counted > 0.0).then_some(score))
     }
 
+    /// The photo that a view's render is compared with, planar \[3, pixels\] in \[0, 1\], and its mask (empty without one).
+    fn compared(&self, view: usize, background: [f32; 3]) -> Result<(Vec<f32>, Vec<f32>)> {
+        let photo = self.views.read_photo(view)?;
+        let bytes = photo.rgb_over(background);
+        let channel = |c: usize| bytes.iter().skip(c).step_by(3);
+        let planes = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
+        Ok((planes.collect(), photo.counts()))
+    }
+
     /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
     fn flip(&self, view: usize, renderer: &Renderer, background: [f32; 3]) -> Result<f64> {
         let mut image = renderer.read_image(&self.views.cameras[view])?;
-        let photo = self.views.read_photo(view)?;
-        let mask = photo.counts();
-        counting(&mask, &mut image.rgb);
-        let photo = photo.rgb_over(background);
-        let channel = |c: usize| photo.iter().skip(c).step_by(3);
-        let planes = (0..3).flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0));
-        let planes: Vec<f32> = planes.collect();
-        flip::flip(&planes, &image.rgb, image.width, image.height, &mask)
+        let (photo, mask) = self.compared(view, background)?;
+        if !mask.is_empty() {
+            for plane in image.rgb.chunks_exact_mut(mask.len()) {
+                plane.iter_mut().zip(&mask).for_each(|(v, m)| *v *= m);
+            }
+        }
+        flip::flip(&photo, &image.rgb, image.width, image.height, &mask)
     }
 
     /// Scores all views whose masks are not 0 everywhere by PSNR and SSIM and, if `with_flip`, by ꟻLIP, computed on the host.
@@ -140,37 +148,33 @@ fn psnr_and_ssim(errors: &PairErrors) -> [f64; 2] {
     [psnr(errors.squared * each / 3.0), ssim]
 }
 
-/// Multiplies planes by a mask, if there is any.
-fn counting(mask: &[f32], planes: &mut [f32]) {
-    if !mask.is_empty() {
-        for plane in planes.chunks_exact_mut(mask.len()) {
-            plane.iter_mut().zip(mask).for_each(|(v, m)| *v *= m);
-        }
-    }
-}
-
 /// PSNR of a mean squared error of values in [0, 1].
 #[must_use]
 pub fn psnr(mse: f64) -> f64 {
     (-10.0 * mse.log10()).min(MAX_PSNR)
 }
 
+/// Mean of a score over views; `None` without views, or if a view has none.
+fn mean_of(scores: &[ViewScore], score: impl Fn(&ViewScore) -> Option<f64>) -> Option<f64> {
+    let all: Option<Vec<f64>> = scores.iter().map(score).collect();
+    all.filter(|v| !v.is_empty())
+        .map(|v| v.iter().sum::<f64>() / v.len() as f64)
+}
+
 /// Mean PSNR and mean SSIM; `None` without views.
 #[must_use]
 pub fn mean(scores: &[ViewScore]) -> Option<(f64, f64)> {
-    let n = scores.len() as f64;
-    (!scores.is_empty()).then(|| {
-        (
-            scores.iter().map(|s| s.psnr).sum::<f64>() / n,
-            scores.iter().map(|s| s.ssim).sum::<f64>() / n,
-        )
-    })
+    mean_of(scores, |s| Some(s.psnr)).zip(mean_of(scores, |s| Some(s.ssim)))
 }
 
 /// Mean ꟻLIP; `None` without views, or if a view has none.
 #[must_use]
 pub fn mean_flip(scores: &[ViewScore]) -> Option<f64> {
-    let all: Option<Vec<f64>> = scores.iter().map(|s| s.flip).collect();
-    all.filter(|v| !v.is_empty())
-        .map(|v| v.iter().sum::<f64>() / v.len() as f64)
+    mean_of(scores, |s| s.flip)
+}
+
+/// Mean colour-corrected PSNR and SSIM; `None` without views, or if a view has none.
+#[must_use]
+pub fn mean_corrected(scores: &[ViewScore]) -> Option<(f64, f64)> {
+    mean_of(scores, |s| s.cc_psnr).zip(mean_of(scores, |s| s.cc_ssim))
 }

@@ -51,33 +51,24 @@ impl Gaussians {
     /// # Errors
     /// A degree above 3, a wrong number of planes, unequal lengths, or a non-finite value.
     pub fn new(sh_degree: u32, planes: Vec<Vec<f32>>) -> Result<Self> {
-        let numerics = |what: String| Error::Numerics {
-            stage: "splats".into(),
-            what,
-        };
+        let bad = |what: String| Err(Error::numerics("splats", what));
         if sh_degree > 3 {
-            return Err(numerics(format!("SH degree {sh_degree}; 0 to 3 expected")));
+            return bad(format!("SH degree {sh_degree}; 0 to 3 expected"));
         }
-        if planes.len() != Plane::count(sh_degree) {
-            return Err(numerics(format!(
-                "{} parameter planes; {} expected for SH degree {sh_degree}",
-                planes.len(),
-                Plane::count(sh_degree)
-            )));
+        let (found, expected) = (planes.len(), Plane::count(sh_degree));
+        if found != expected {
+            return bad(format!(
+                "{found} parameter planes; {expected} expected for SH degree {sh_degree}"
+            ));
         }
         let n = planes[0].len();
         for (p, plane) in planes.iter().enumerate() {
-            if plane.len() != n {
-                return Err(numerics(format!(
-                    "plane {p} holds {} values; {n} expected",
-                    plane.len()
-                )));
+            let found = plane.len();
+            if found != n {
+                return bad(format!("plane {p} holds {found} values; {n} expected"));
             }
-            if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
-                return Err(numerics(format!(
-                    "plane {p} of Gaussian {i} is {}",
-                    plane[i]
-                )));
+            if let Some((i, v)) = plane.iter().enumerate().find(|(_, v)| !v.is_finite()) {
+                return bad(format!("plane {p} of Gaussian {i} is {v}"));
             }
         }
         Ok(Self { sh_degree, planes })

@@ -31,18 +31,13 @@ const THINNEST_SIDE: f64 = 0.1;
 /// [`Error::Numerics`] for no points, another number of colours, or positions that are not finite;
 /// [`Error::Config`] for an SH degree above 3.
 pub fn from_points(points: &Points, sh_degree: u32) -> Result<Gaussians> {
-    if points.positions.len() != points.colors.len() {
-        return Err(numerics(format!(
-            "{} points with {} colours; one each expected",
-            points.positions.len(),
-            points.colors.len()
-        )));
+    let (n, colors) = (points.positions.len(), points.colors.len());
+    if n != colors {
+        let what = format!("{n} points with {colors} colours; one each expected");
+        return Err(numerics(what));
     }
-    let colors: Vec<[f64; 3]> = points
-        .colors
-        .iter()
-        .map(|c| c.map(|v| f64::from(v) / 255.0))
-        .collect();
+    let unit = |c: &[u8; 3]| c.map(|v| f64::from(v) / 255.0);
+    let colors: Vec<[f64; 3]> = points.colors.iter().map(unit).collect();
     build(&points.positions, &colors, sh_degree)
 }
 
@@ -72,27 +67,21 @@ pub fn subset(points: &Points, most: usize, seed: u64) -> Points {
 /// [`Error::Config`] for `count` 0 or an SH degree above 3; [`Error::Numerics`] for a dataset without views.
 pub fn random(dataset: &Dataset, count: usize, sh_degree: u32, seed: u64) -> Result<Gaussians> {
     if count == 0 {
-        return Err(Error::config(
-            "init",
-            "0 random points; at least 1 expected",
-        ));
+        let what = "0 random points; at least 1 expected";
+        return Err(Error::config("init", what));
     }
-    let centers = dataset.train.iter().chain(&dataset.test);
-    let centers: Vec<[f64; 3]> = centers.map(|v| v.camera.center().to_array()).collect();
+    let centers = dataset.views().map(|v| v.camera.center().to_array());
+    let centers: Vec<[f64; 3]> = centers.collect();
     let (middle, half) = camera_box(&centers).ok_or_else(|| numerics("no views".into()))?;
     let draw = |i: u64| Philox::uniform(seed, Stream::Init.stream(0), i);
-    let positions: Vec<[f32; 3]> = (0..count as u64)
+    let (positions, colors): (Vec<[f32; 3]>, Vec<[f64; 3]>) = (0..count as u64)
         .map(|i| {
-            let u = draw(2 * i);
-            std::array::from_fn(|k| (middle[k] + half[k] * (2.0 * u[k] - 1.0)) as f32)
+            let (u, c) = (draw(2 * i), draw(2 * i + 1));
+            let place = |k: usize| (middle[k] + half[k] * (2.0 * u[k] - 1.0)) as f32;
+            let position = std::array::from_fn(place);
+            (position, std::array::from_fn(|k| 0.25 + 0.5 * c[k]))
         })
-        .collect();
-    let colors: Vec<[f64; 3]> = (0..count as u64)
-        .map(|i| {
-            let u = draw(2 * i + 1);
-            std::array::from_fn(|k| 0.25 + 0.5 * u[k])
-        })
-        .collect();
+        .unzip();
     build(&positions, &colors, sh_degree)
 }
 
@@ -120,21 +109,15 @@ fn camera_box(centers: &[[f64; 3]]) -> Option<([f64; 3], [f64; 3])> {
 /// Gaussians at positions (local units) with colours (RGB in [0, 1]).
 fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<Gaussians> {
     if sh_degree > 3 {
-        return Err(Error::config(
-            "sh-degree",
-            format!("{sh_degree}; 0 to 3 expected"),
-        ));
+        let what = format!("{sh_degree}; 0 to 3 expected");
+        return Err(Error::config("sh-degree", what));
     }
-    if positions.is_empty() || u32::try_from(positions.len()).is_err() {
-        return Err(numerics(format!(
-            "{} points; 1 to 4294967295 expected",
-            positions.len()
-        )));
+    let n = positions.len();
+    if n == 0 || u32::try_from(n).is_err() {
+        return Err(numerics(format!("{n} points; 1 to 4294967295 expected")));
     }
-    if let Some(i) = positions
-        .iter()
-        .position(|p| !p.iter().all(|v| v.is_finite()))
-    {
+    let astray = |p: &[f32; 3]| p.iter().any(|v| !v.is_finite());
+    if let Some(i) = positions.iter().position(astray) {
         return Err(numerics(format!("point {i} lies at {:?}", positions[i])));
     }
     let mut splats = Gaussians::zeros(sh_degree, positions.len());
@@ -154,8 +137,5 @@ fn build(positions: &[[f32; 3]], colors: &[[f64; 3]], sh_degree: u32) -> Result<
 }
 
 fn numerics(what: String) -> Error {
-    Error::Numerics {
-        stage: "initialisation".into(),
-        what,
-    }
+    Error::numerics("initialisation", what)
 }

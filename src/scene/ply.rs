@@ -9,8 +9,8 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::base::error::{Error, Result};
-use crate::base::ply::{Table, read_comments};
-use crate::capture::{Frame, Points, point_cloud};
+use crate::base::ply::{self as table, Table};
+use crate::capture::{Frame, Points};
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// Beginning of the comment on the filters of a scene.
@@ -27,7 +27,7 @@ pub const ANTI_ALIASED: &str =
 /// # Errors
 /// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
 pub fn write(path: &Path, splats: &Gaussians, frame: &Frame) -> Result<()> {
-    write_rows(path, splats, frame, "")
+    write_filtered(path, splats, &[], frame)
 }
 
 /// Writes a scene trained with anti-aliasing: each Gaussian's 3D filter (standard deviations `filter` \[N\], local units) is
@@ -42,43 +42,31 @@ pub fn write_filtered(
     filter: &[f32],
     frame: &Frame,
 ) -> Result<()> {
-    if filter.is_empty() {
-        return write(path, splats, frame);
-    }
-    let comment = format!("comment {ANTI_ALIASED}\n");
-    write_rows(path, &splats.filtered(filter)?, frame, &comment)
+    let names = property_names(splats.sh_degree());
+    let properties = names.iter().map(|name| ("float", name.as_str()));
+    let (rows, comment) = if filter.is_empty() {
+        (to_rows(splats, frame, &names)?, String::new())
+    } else {
+        let rows = to_rows(&splats.filtered(filter)?, frame, &names)?;
+        (rows, format!("comment {ANTI_ALIASED}\n"))
+    };
+    table::write(path, &comment, splats.len(), properties, |out| {
+        rows.iter()
+            .try_for_each(|v| out.write_all(&v.to_le_bytes()))
+    })
 }
 
 /// True if the header of a PLY file marks its scene as anti-aliased, so that it is to be rendered with the 2D filter. False for
 /// a file that cannot be read. [`read`] returns the same with the Gaussians.
 #[must_use]
 pub fn is_anti_aliased(path: &Path) -> bool {
-    read_comments(path).is_ok_and(|all| mark(&all) == Some(ANTI_ALIASED))
+    table::read_comments(path).is_ok_and(|all| mark(&all) == Some(ANTI_ALIASED))
 }
 
 /// The comment on filters among those of a header.
 fn mark(comments: &[String]) -> Option<&str> {
     let mut texts = comments.iter().map(String::as_str);
     texts.find(|comment| comment.starts_with(MARK))
-}
-
-fn write_rows(path: &Path, splats: &Gaussians, frame: &Frame, comment: &str) -> Result<()> {
-    let rows = to_rows(splats, frame)?;
-    let mut header = format!(
-        "ply\nformat binary_little_endian 1.0\n{comment}element vertex {}\n",
-        splats.len()
-    );
-    for name in property_names(splats.sh_degree()) {
-        header.push_str("property float ");
-        header.push_str(&name);
-        header.push('\n');
-    }
-    header.push_str("end_header\n");
-    crate::base::files::write(path, |out| {
-        out.write_all(header.as_bytes())?;
-        rows.iter()
-            .try_for_each(|v| out.write_all(&v.to_le_bytes()))
-    })
 }
 
 fn property_names(sh_degree: u32) -> Vec<String> {
@@ -101,8 +89,7 @@ fn rest_planes(sh_degree: u32) -> impl Iterator<Item = usize> {
 }
 
 /// The rows of the file, `[N][properties]`, checked.
-fn to_rows(splats: &Gaussians, frame: &Frame) -> Result<Vec<f32>> {
-    let names = property_names(splats.sh_degree());
+fn to_rows(splats: &Gaussians, frame: &Frame, names: &[String]) -> Result<Vec<f32>> {
     let stretch = frame.scale.ln();
     let rest: Vec<usize> = rest_planes(splats.sh_degree()).collect();
     let mut rows = Vec::with_capacity(splats.len() * names.len());
@@ -118,10 +105,8 @@ fn to_rows(splats: &Gaussians, frame: &Frame) -> Result<Vec<f32>> {
         rows.extend(scales.map(|s| (f64::from(s) + stretch) as f32));
         rows.extend(splats.gather::<4>(Plane::ROTATION, i));
         if let Some(k) = rows[start..].iter().position(|v| !v.is_finite()) {
-            return Err(Error::Numerics {
-                stage: "export".into(),
-                what: format!("{} of Gaussian {i} is {}", names[k], rows[start + k]),
-            });
+            let what = format!("{} of Gaussian {i} is {}", names[k], rows[start + k]);
+            return Err(Error::numerics("export", what));
         }
     }
     Ok(rows)
@@ -149,13 +134,13 @@ pub enum Contents {
 /// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise).
 ///
 /// # Errors
-/// Those of [`read`] and [`point_cloud::read`].
+/// Those of [`read`] and [`crate::capture::point_cloud::read`].
 pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
     let table = Table::read(path)?;
-    if is_plain(&table) {
-        point_cloud::from_table(path, &table, frame).map(Contents::Points)
-    } else {
+    if table.has("opacity") || table.has("f_dc_0") {
         from_table(path, &table, frame).map(Contents::Scene)
+    } else {
+        Points::local(path, frame, table.points()?).map(Contents::Points)
     }
 }
 
@@ -166,23 +151,18 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
 /// [`Error::Input`] for a file of another format, a truncated one, a missing property, a value that is not finite (named by
 /// row and property), or a scene trained with other filters; [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
-    let table = Table::read(path)?;
-    if is_plain(&table) {
-        return Err(Error::input(
+    match read_either(path, frame)? {
+        Contents::Scene(file) => Ok(file),
+        Contents::Points(_) => Err(Error::input(
             path,
             "no 3DGS properties (f_dc_0, opacity, …): a plain point cloud",
             "give a PLY of Gaussians",
-        ));
+        )),
     }
-    from_table(path, &table, frame)
-}
-
-fn is_plain(table: &Table) -> bool {
-    !table.has("opacity") && !table.has("f_dc_0")
 }
 
 fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
-    let mark = mark(table.comments());
+    let mark = mark(&table.comments);
     if let Some(other) = mark.filter(|mark| *mark != ANTI_ALIASED) {
         return Err(Error::input(
             path,

@@ -1,8 +1,6 @@
 //! Mip-Splatting's 3D smoothing filter (Yu et al., CVPR 2024): its size (Eq. 6 to 8), its application to scales and opacities
 //! (Eq. 9), and its removal.
 
-use glam::DVec3;
-
 use crate::base::constants::{FILTER_VARIANCE, LOG_SCALE};
 use crate::base::error::{Error, Result};
 use crate::base::math::ln_sigmoid;
@@ -15,12 +13,9 @@ use crate::scene::gaussians::{Gaussians, Plane};
 /// # Errors
 /// A value that is then not finite.
 pub fn without_filter(splats: &Gaussians, dataset: &Dataset) -> Result<Gaussians> {
-    let positions =
-        (0..splats.len()).map(|i| splats.gather::<3>(Plane::POSITION, i).map(f64::from));
-    let sigma = filters(
-        positions,
-        &dataset.train.iter().map(|v| v.camera).collect::<Vec<_>>(),
-    );
+    let position = |i: usize| splats.gather::<3>(Plane::POSITION, i).map(f64::from);
+    let cameras: Vec<Camera> = dataset.train.iter().map(|v| v.camera).collect();
+    let sigma = filters((0..splats.len()).map(position), &cameras);
     splats.unfiltered(&sigma.iter().map(|s| *s as f32).collect::<Vec<_>>())
 }
 
@@ -39,16 +34,12 @@ fn logit_of(ln_o: f64) -> f64 {
 /// if none is seen.
 #[must_use]
 pub fn filters(positions: impl Iterator<Item = [f64; 3]>, cameras: &[Camera]) -> Vec<f64> {
-    let own: Vec<Option<f64>> = positions
-        .map(|x| {
-            let rates = cameras
-                .iter()
-                .filter_map(|c| c.sampling_rate(DVec3::from_array(x)));
-            rates
-                .reduce(f64::max)
-                .map(|rate| FILTER_VARIANCE.sqrt() / rate)
-        })
-        .collect();
+    let of_one = |x: [f64; 3]| {
+        let rates = cameras.iter().filter_map(|c| c.sampling_rate(x.into()));
+        let highest = rates.reduce(f64::max);
+        highest.map(|rate| FILTER_VARIANCE.sqrt() / rate)
+    };
+    let own: Vec<Option<f64>> = positions.map(of_one).collect();
     let largest = own.iter().flatten().copied().fold(0.0, f64::max);
     own.into_iter().map(|v| v.unwrap_or(largest)).collect()
 }
@@ -81,10 +72,8 @@ impl Gaussians {
     /// New log-scales from the old ones and σ, and opacities so that their product with the three scales stays.
     fn changed(&self, sigma: &[f32], scale: impl Fn(f64, f64) -> f64) -> Result<Self> {
         if sigma.len() != self.len() {
-            return Err(Error::Numerics {
-                stage: "filter".into(),
-                what: format!("{} values; {} expected", sigma.len(), self.len()),
-            });
+            let what = format!("{} values; {} expected", sigma.len(), self.len());
+            return Err(Error::numerics("filter", what));
         }
         let mut planes = self.planes().to_vec();
         for (i, sigma) in sigma.iter().enumerate().filter(|(_, s)| **s != 0.0) {

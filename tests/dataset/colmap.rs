@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::{assert_refused, assert_ring, colmap_scene, load_every, ring, three_points};
 use mhsplat::capture::Layout;
-use mhsplat::capture::colmap::{ColmapModel, read_bin, read_txt, write_bin, write_txt};
+use mhsplat::capture::colmap::ColmapModel;
 
 fn model() -> ColmapModel {
     let middle = DVec3::new(0.1, 1.0 / 3.0, -7.0);
@@ -17,10 +17,10 @@ fn model() -> ColmapModel {
 fn models_survive_both_formats_bit_for_bit() {
     let dir = tempfile::tempdir().unwrap();
     let model = model();
-    write_bin(dir.path(), &model).unwrap();
-    write_txt(dir.path(), &model).unwrap();
-    assert_eq!(read_bin(dir.path()).unwrap(), model);
-    assert_eq!(read_txt(dir.path()).unwrap(), model);
+    model.write(dir.path(), true).unwrap();
+    model.write(dir.path(), false).unwrap();
+    assert_eq!(ColmapModel::read(dir.path(), true).unwrap(), model);
+    assert_eq!(ColmapModel::read(dir.path(), false).unwrap(), model);
     assert_eq!(model.cameras.len(), 1, "equal intrinsics share a camera");
 }
 
@@ -37,27 +37,27 @@ fn cameras_arrive_where_they_were_put() {
 #[test]
 fn every_truncation_is_an_error() {
     let dir = tempfile::tempdir().unwrap();
-    write_bin(dir.path(), &model()).unwrap();
+    model().write(dir.path(), true).unwrap();
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
         let file = dir.path().join(name);
         let whole = fs::read(&file).unwrap();
         for length in 0..whole.len() {
             fs::write(&file, &whole[..length]).unwrap();
-            assert_refused(read_bin(dir.path()), &[name]);
+            assert_refused(ColmapModel::read(dir.path(), true), &[name]);
         }
         let mut longer = whole.clone();
         longer.push(0);
         fs::write(&file, longer).unwrap();
-        assert_refused(read_bin(dir.path()), &[name, "follow after"]);
+        assert_refused(ColmapModel::read(dir.path(), true), &[name, "follow after"]);
         fs::write(&file, &whole).unwrap();
-        assert!(read_bin(dir.path()).is_ok());
+        assert!(ColmapModel::read(dir.path(), true).is_ok());
     }
 }
 
 #[test]
 fn absurd_counts_are_refused_before_allocating() {
     let dir = tempfile::tempdir().unwrap();
-    write_bin(dir.path(), &model()).unwrap();
+    model().write(dir.path(), true).unwrap();
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
         let file = dir.path().join(name);
         let whole = fs::read(&file).unwrap();
@@ -65,7 +65,7 @@ fn absurd_counts_are_refused_before_allocating() {
             let mut bytes = whole.clone();
             bytes[..8].copy_from_slice(&u64::to_le_bytes(count));
             fs::write(&file, bytes).unwrap();
-            assert_refused(read_bin(dir.path()), &[name]);
+            assert_refused(ColmapModel::read(dir.path(), true), &[name]);
         }
         fs::write(&file, &whole).unwrap();
     }
@@ -75,14 +75,17 @@ fn absurd_counts_are_refused_before_allocating() {
     let end = bytes.len();
     bytes[end - 8..].copy_from_slice(&u64::MAX.to_le_bytes());
     fs::write(&file, bytes).unwrap();
-    assert_refused(read_bin(dir.path()), &["images.bin", "image 2 of 3"]);
+    assert_refused(
+        ColmapModel::read(dir.path(), true),
+        &["images.bin", "image 2 of 3"],
+    );
 }
 
 #[test]
 fn models_that_are_not_read_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
-    write_bin(dir.path(), &model()).unwrap();
-    write_txt(dir.path(), &model()).unwrap();
+    model().write(dir.path(), true).unwrap();
+    model().write(dir.path(), false).unwrap();
     let (bin, txt) = (
         dir.path().join("cameras.bin"),
         dir.path().join("cameras.txt"),
@@ -92,46 +95,70 @@ fn models_that_are_not_read_are_refused_by_name() {
         let mut bytes = whole.clone();
         bytes[12..16].copy_from_slice(&i32::to_le_bytes(id));
         fs::write(&bin, bytes).unwrap();
-        assert_refused(read_bin(dir.path()), &[name, "image_undistorter"]);
+        assert_refused(
+            ColmapModel::read(dir.path(), true),
+            &[name, "image_undistorter"],
+        );
         fs::write(&txt, format!("1 {name} 16 12 20 8 6 0.1\n")).unwrap();
-        assert_refused(read_txt(dir.path()), &[name, "image_undistorter"]);
+        assert_refused(
+            ColmapModel::read(dir.path(), false),
+            &[name, "image_undistorter"],
+        );
     }
     let mut bytes = whole.clone();
     bytes[12..16].copy_from_slice(&(-1_i32).to_le_bytes());
     fs::write(&bin, bytes).unwrap();
-    assert_refused(read_bin(dir.path()), &["-1"]);
+    assert_refused(ColmapModel::read(dir.path(), true), &["-1"]);
     fs::write(&txt, "1 SIMPLE_PINHOLE 16 12 20 8 6\n").unwrap();
-    let read = read_txt(dir.path()).unwrap();
+    let read = ColmapModel::read(dir.path(), false).unwrap();
     assert_eq!(read.cameras[0].params, [20.0, 20.0, 8.0, 6.0]);
     fs::write(&txt, "1 PINHOLE 16 12 20 8 6\n").unwrap();
-    assert_refused(read_txt(dir.path()), &["3 parameters", "4 expected"]);
+    assert_refused(
+        ColmapModel::read(dir.path(), false),
+        &["3 parameters", "4 expected"],
+    );
 }
 
 #[test]
 fn non_finite_numbers_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let write_both = |model: &ColmapModel| {
-        write_bin(dir.path(), model).unwrap();
-        write_txt(dir.path(), model).unwrap();
+        model.write(dir.path(), true).unwrap();
+        model.write(dir.path(), false).unwrap();
     };
     for bad in [f64::NAN, f64::INFINITY] {
         let mut broken = model();
         broken.points[2].position[1] = bad;
         write_both(&broken);
-        assert_refused(read_bin(dir.path()), &["points3D.bin", "point 2"]);
-        assert_refused(read_txt(dir.path()), &["points3D.txt", "point 2"]);
+        assert_refused(
+            ColmapModel::read(dir.path(), true),
+            &["points3D.bin", "point 2"],
+        );
+        assert_refused(
+            ColmapModel::read(dir.path(), false),
+            &["points3D.txt", "point 2"],
+        );
         broken = model();
         broken.images[1].translation[0] = bad;
         write_both(&broken);
-        assert_refused(read_bin(dir.path()), &["images.bin", "image 1"]);
+        assert_refused(
+            ColmapModel::read(dir.path(), true),
+            &["images.bin", "image 1"],
+        );
         broken = model();
         broken.images[1].rotation = [0.0; 4];
         write_both(&broken);
-        assert_refused(read_txt(dir.path()), &["images.txt", "image 1"]);
+        assert_refused(
+            ColmapModel::read(dir.path(), false),
+            &["images.txt", "image 1"],
+        );
         broken = model();
         broken.cameras[0].params[0] = bad;
         write_both(&broken);
-        assert_refused(read_bin(dir.path()), &["cameras.bin", "camera 1"]);
+        assert_refused(
+            ColmapModel::read(dir.path(), true),
+            &["cameras.bin", "camera 1"],
+        );
     }
 }
 
@@ -140,25 +167,31 @@ fn inconsistent_models_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let mut broken = model();
     broken.images.clear();
-    write_bin(dir.path(), &broken).unwrap();
-    assert_refused(read_bin(dir.path()), &["no registered image"]);
+    broken.write(dir.path(), true).unwrap();
+    assert_refused(
+        ColmapModel::read(dir.path(), true),
+        &["no registered image"],
+    );
     broken = model();
     broken.images[2].camera_id = 77;
-    write_bin(dir.path(), &broken).unwrap();
-    assert_refused(read_bin(dir.path()), &["camera 77"]);
+    broken.write(dir.path(), true).unwrap();
+    assert_refused(ColmapModel::read(dir.path(), true), &["camera 77"]);
     broken = model();
     broken.images[2].name = broken.images[0].name.clone();
-    write_bin(dir.path(), &broken).unwrap();
-    assert_refused(read_bin(dir.path()), &["given twice"]);
+    broken.write(dir.path(), true).unwrap();
+    assert_refused(ColmapModel::read(dir.path(), true), &["given twice"]);
     fs::write(
         dir.path().join("images.txt"),
         "1 1 0 0 0 0 zero 0 1 a.png\n\n",
     )
     .unwrap();
     write_txt_cameras(dir.path());
-    assert_refused(read_txt(dir.path()), &["line 1", "TY", "zero"]);
+    assert_refused(
+        ColmapModel::read(dir.path(), false),
+        &["line 1", "TY", "zero"],
+    );
     fs::write(dir.path().join("images.txt"), "# x\n1 1 0 0 0 0 0 0 1\n\n").unwrap();
-    assert_refused(read_txt(dir.path()), &["line 2", "NAME"]);
+    assert_refused(ColmapModel::read(dir.path(), false), &["line 2", "NAME"]);
 }
 
 fn write_txt_cameras(dir: &std::path::Path) {
@@ -171,7 +204,7 @@ fn image_names_cannot_leave_the_dataset() {
         let dir = colmap_scene(2, DVec3::ZERO, true);
         let mut broken = ColmapModel::from_views(&ring(2, DVec3::ZERO), Vec::new());
         broken.images[0].name = name.into();
-        write_bin(&dir.path().join("sparse/0"), &broken).unwrap();
+        broken.write(&dir.path().join("sparse/0"), true).unwrap();
         assert_refused(load_every(dir.path(), 0), &["not below this folder"]);
     }
 }

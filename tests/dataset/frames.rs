@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::base::rng::{Philox, Stream};
-use mhsplat::capture::colmap::{ColmapModel, read_bin, write_bin};
+use mhsplat::capture::colmap::ColmapModel;
 use mhsplat::capture::{Frame, LoadOptions, load};
 use mhsplat::device::Device;
 use mhsplat::run::initial_gaussians;
@@ -17,7 +17,7 @@ use mhsplat::train::Trainer;
 /// The bundled scene, every position x as scale·x + offset.
 fn moved(dir: &Path, scale: f64, offset: DVec3) {
     let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
-    let mut model: ColmapModel = read_bin(&room.join("sparse/0")).unwrap();
+    let mut model: ColmapModel = ColmapModel::read(&room.join("sparse/0"), true).unwrap();
     for image in &mut model.images {
         let [w, x, y, z] = image.rotation;
         let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
@@ -28,7 +28,7 @@ fn moved(dir: &Path, scale: f64, offset: DVec3) {
         point.position = (scale * DVec3::from_array(point.position) + offset).to_array();
     }
     fs::create_dir_all(dir.join("sparse/0")).unwrap();
-    write_bin(&dir.join("sparse/0"), &model).unwrap();
+    model.write(&dir.join("sparse/0"), true).unwrap();
     fs::create_dir_all(dir.join("images")).unwrap();
     for entry in fs::read_dir(room.join("images")).unwrap() {
         let entry = entry.unwrap();
@@ -93,11 +93,9 @@ fn ring_with(moved: impl Fn(usize) -> Option<DVec3>) -> (Vec<String>, f64) {
             camera.translation = -(camera.rotation * center);
         }
     }
-    write_bin(
-        &dir.path().join("sparse/0"),
-        &ColmapModel::from_views(&views, Vec::new()),
-    )
-    .unwrap();
+    ColmapModel::from_views(&views, Vec::new())
+        .write(&dir.path().join("sparse/0"), true)
+        .unwrap();
     super::write_images(&dir.path().join("images"), &views);
     let data = load(dir.path(), &LoadOptions::default()).unwrap();
     (data.outliers, data.frame.scale)

@@ -5,7 +5,7 @@ use std::fs;
 use serde_json::{Value, json};
 
 use super::data;
-use mhsplat::capture::colmap::read_txt;
+use mhsplat::capture::colmap::ColmapModel;
 use mhsplat::capture::transforms::write_transforms;
 use mhsplat::capture::{Camera, Lens, LoadOptions, PhotoSource, Undistortion, load};
 
@@ -94,13 +94,8 @@ fn there_and_back_again() {
         .unwrap();
     assert!((back[0] - ray[0]).abs() < 1e-9);
     // Nothing but zeros is no lens; an equidistant fisheye without coefficients is one.
-    let zeros = Lens::Perspective {
-        radial: [0.0; 6],
-        tangential: [0.0; 2],
-    };
-    assert_eq!(zeros.simplified(), Lens::Pinhole);
-    let bare = Lens::Fisheye { radial: [0.0; 4] };
-    assert_ne!(bare.simplified(), Lens::Pinhole);
+    assert_eq!(Lens::of_coefficients(&[0.0; 8], false), Lens::Pinhole);
+    assert_ne!(Lens::of_coefficients(&[0.0; 4], true), Lens::Pinhole);
 }
 
 /// A photo of a smooth picture on the plane at depth 1, taken through a lens.
@@ -193,7 +188,7 @@ fn colmap_lens(line: &str) -> ([f64; 4], Lens) {
     let dir = super::colmap_scene(3, glam::DVec3::ZERO, false);
     let sparse = dir.path().join("sparse/0");
     fs::write(sparse.join("cameras.txt"), format!("1 {line}\n")).unwrap();
-    let camera = read_txt(&sparse).unwrap().cameras[0];
+    let camera = ColmapModel::read(&sparse, false).unwrap().cameras[0];
     (camera.params, camera.lens)
 }
 

@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use super::{load_every, write_images};
 use mhsplat::capture::Layout;
 use mhsplat::capture::camera::Camera;
-use mhsplat::capture::colmap::{read_bin, read_txt};
+use mhsplat::capture::colmap::ColmapModel;
 
 fn stored(form: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -84,8 +84,8 @@ fn dataset(form: &str) -> TempDir {
 #[test]
 fn images_of_a_rig_carry_their_whole_poses() {
     let models = [
-        read_bin(&stored("bin")).unwrap(),
-        read_txt(&stored("txt")).unwrap(),
+        ColmapModel::read(&stored("bin"), true).unwrap(),
+        ColmapModel::read(&stored("txt"), false).unwrap(),
     ];
     assert_eq!(models[0], models[1]);
     let poses = composed();

@@ -7,7 +7,7 @@ use image::{GrayImage, Luma, Rgb, imageops};
 
 use crate::determinism::{room, trained};
 use mhsplat::TrainConfig;
-use mhsplat::capture::colmap::{ColmapModel, read_bin, write_bin};
+use mhsplat::capture::colmap::ColmapModel;
 use mhsplat::capture::transforms::write_transforms;
 use mhsplat::capture::{Alpha, Camera, Dataset, LoadOptions, View, load, point_cloud};
 use mhsplat::config::Sampler;
@@ -87,10 +87,10 @@ fn write_photos(dir: &Path, views: &[(String, Camera)], masks: bool) {
 /// The set as a COLMAP model.
 fn colmap(dir: &Path, views: &[(String, Camera)], masks: bool) -> PathBuf {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny/sparse/0");
-    let points = read_bin(&source).unwrap().points;
+    let points = ColmapModel::read(&source, true).unwrap().points;
     let model = ColmapModel::from_views(views, points);
     assert_eq!(model.cameras.len(), 3);
-    write_bin(&dir.join("sparse/0"), &model).unwrap();
+    model.write(&dir.join("sparse/0"), true).unwrap();
     write_photos(dir, views, masks);
     dir.to_path_buf()
 }

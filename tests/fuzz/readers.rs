@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use tempfile::TempDir;
 
-use mhsplat::capture::colmap::{read_bin, read_txt, write_txt};
+use mhsplat::capture::colmap::ColmapModel;
 use mhsplat::capture::{Frame, LoadOptions, load, point_cloud};
 use mhsplat::config::ExposureChoice;
 use mhsplat::lab::experiment::Experiment;
@@ -85,24 +85,25 @@ fn colmap(name: &str) -> Reader {
     let model = dir.path().join("sparse/0");
     if form == "bin" {
         let file = model.join(format!("{stem}.bin"));
-        return of_file(dir, file, move |_| read_bin(&model).is_ok());
+        return of_file(dir, file, move |_| ColmapModel::read(&model, true).is_ok());
     }
     let text = dir.path().join("text");
     fs::create_dir(&text).unwrap();
-    write_txt(&text, &read_bin(&model).unwrap()).unwrap();
+    let read = ColmapModel::read(&model, true).unwrap();
+    read.write(&text, false).unwrap();
     let file = text.join(format!("{stem}.txt"));
-    of_file(dir, file, move |_| read_txt(&text).is_ok())
+    of_file(dir, file, move |_| ColmapModel::read(&text, false).is_ok())
 }
 
 /// Cameras of a whole dataset, of every lens that photos are undistorted from.
 fn lenses() -> Reader {
     let dir = dataset(SynthLayout::Colmap);
     let model = dir.path().join("sparse/0");
-    let text = read_bin(&model).unwrap();
+    let text = ColmapModel::read(&model, true).unwrap();
     for stem in ["cameras", "images", "points3D"] {
         fs::remove_file(model.join(format!("{stem}.bin"))).unwrap();
     }
-    write_txt(&model, &text).unwrap();
+    text.write(&model, false).unwrap();
     let file = model.join("cameras.txt");
     let mut reader = of_file(dir, file, |dir| load(dir, &LoadOptions::default()).is_ok());
     let cameras = [

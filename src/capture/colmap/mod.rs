@@ -6,14 +6,10 @@
 //! COLMAP 3.12 and later also write `rigs` and `frames`, which are not read: `images` still has the registered images alone,
 //! each with its whole pose, sensor_from_rig ∘ rig_from_world.
 
-mod bin;
+mod form;
 mod model;
-mod models;
-mod txt;
 
-pub use crate::capture::colmap::bin::{read_bin, write_bin};
 pub use crate::capture::colmap::model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
-pub use crate::capture::colmap::txt::{read_txt, write_txt};
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -43,13 +39,9 @@ pub(in crate::capture) fn find(root: &Path) -> Option<(PathBuf, Layout)> {
 /// The views and points of the model in `dir`, with photos in `root/images`.
 ///
 /// # Errors
-/// See [`read_bin`] and [`read_txt`]; also a missing `images` folder or image names that leave it.
+/// See [`ColmapModel::read`]; also a missing `images` folder or image names that leave it.
 pub(in crate::capture) fn load(root: &Path, dir: &Path, layout: Layout) -> Result<RawScene> {
-    let model = if layout == Layout::ColmapBin {
-        read_bin(dir)?
-    } else {
-        read_txt(dir)?
-    };
+    let model = ColmapModel::read(dir, layout == Layout::ColmapBin)?;
     let folder = root.join("images");
     if !folder.is_dir() {
         return Err(Error::input(

@@ -1,16 +1,33 @@
 //! Cameras, images and points of a COLMAP sparse model.
 
 use std::collections::HashSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::DQuat;
 
 use crate::base::error::{Error, Result};
 use crate::capture::camera::Camera;
+use crate::capture::colmap::form::{Fields, Output, REBUILD, records};
 use crate::capture::lens::Lens;
 
-/// Fix in the messages about damaged model files.
-pub(super) const REBUILD: &str = "export the COLMAP model again";
+/// Names of COLMAP's camera models in the order of its identifiers (`src/colmap/sensor/models.h`), their focal lengths (f, or fx
+/// and fy; none: not read), their distortion coefficients in the order of [`Lens::of_coefficients`], and if these are a fisheye's.
+const MODELS: [(&str, usize, usize, bool); 14] = [
+    ("SIMPLE_PINHOLE", 1, 0, false),
+    ("PINHOLE", 2, 0, false),
+    ("SIMPLE_RADIAL", 1, 1, false),
+    ("RADIAL", 1, 2, false),
+    ("OPENCV", 2, 4, false),
+    ("OPENCV_FISHEYE", 2, 4, true),
+    ("FULL_OPENCV", 2, 8, false),
+    ("FOV", 0, 0, false),
+    ("SIMPLE_RADIAL_FISHEYE", 1, 1, true),
+    ("RADIAL_FISHEYE", 1, 2, true),
+    ("THIN_PRISM_FISHEYE", 0, 0, false),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 0, 0, false),
+    ("SIMPLE_DIVISION", 0, 0, false),
+    ("DIVISION", 0, 0, false),
+];
 
 /// A camera of a COLMAP model (a `SIMPLE_PINHOLE` has `fx == fy`).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,7 +83,156 @@ pub struct ColmapModel {
     pub points: Vec<ColmapPoint>,
 }
 
+/// Reads a camera.
+fn camera(from: &mut Fields<'_>) -> Result<ColmapCamera> {
+    let id = from.number("CAMERA_ID", u32::from_le_bytes)?;
+    let (found, known) = if from.binary {
+        let number = from.number("MODEL", i32::from_le_bytes)?;
+        let known = usize::try_from(number).ok().and_then(|i| MODELS.get(i));
+        (format!("number {number}"), known)
+    } else {
+        let name = from.word("MODEL")?;
+        let known = MODELS.iter().find(|m| m.0 == name);
+        (format!("'{name}'"), known)
+    };
+    let size = from.array(["WIDTH", "HEIGHT"], u64::from_le_bytes)?;
+    let name = known.map_or_else(|| format!("{found} (unknown)"), |m| m.0.to_owned());
+    let Some(&(_, focals, coefficients, fisheye)) = known.filter(|m| m.1 > 0) else {
+        return Err(Error::input(
+            from.path,
+            format!("camera {id} has the model {name}, which is not read"),
+            "undistort first: colmap image_undistorter --image_path <photos> --input_path <this folder> --output_path <new dataset>",
+        ));
+    };
+    let expected = focals + 2 + coefficients;
+    let params = from.params(expected)?;
+    let found = params.len();
+    if found != expected {
+        let what = format!("camera {id} ({name}) has {found} parameters; {expected} expected");
+        return Err(Error::input(from.path, what, REBUILD));
+    }
+    let [Ok(width), Ok(height)] = size.map(u32::try_from) else {
+        let what = format!("camera {id} is {}×{} pixels", size[0], size[1]);
+        return Err(Error::input(from.path, what, REBUILD));
+    };
+    Ok(ColmapCamera {
+        id,
+        width,
+        height,
+        params: [
+            params[0],
+            params[focals - 1],
+            params[focals],
+            params[focals + 1],
+        ],
+        lens: Lens::of_coefficients(&params[focals + 2..], fisheye),
+    })
+}
+
+/// Reads an image; its observations are skipped.
+fn image(from: &mut Fields<'_>) -> Result<ColmapImage> {
+    let image = ColmapImage {
+        id: from.number("IMAGE_ID", u32::from_le_bytes)?,
+        rotation: from.array(["QW", "QX", "QY", "QZ"], f64::from_le_bytes)?,
+        translation: from.array(["TX", "TY", "TZ"], f64::from_le_bytes)?,
+        camera_id: from.number("CAMERA_ID", u32::from_le_bytes)?,
+        name: from.name()?,
+    };
+    from.skip_list(24)?; // x, y: f64; point: u64
+    Ok(image)
+}
+
+/// Reads a point; its track is skipped.
+fn point(from: &mut Fields<'_>) -> Result<ColmapPoint> {
+    let point = ColmapPoint {
+        id: from.number("POINT3D_ID", u64::from_le_bytes)?,
+        position: from.array(["X", "Y", "Z"], f64::from_le_bytes)?,
+        color: from.array(["R", "G", "B"], u8::from_le_bytes)?,
+        error: from.number("ERROR", f64::from_le_bytes)?,
+    };
+    from.skip_list(8)?; // image, observation: u32
+    Ok(point)
+}
+
 impl ColmapModel {
+    /// Reads `cameras`, `images` and, if there is one, `points3D` in `dir`, of the ending `.bin` or `.txt`.
+    ///
+    /// # Errors
+    /// A missing, truncated or overlong file or line; a camera model that is not read; a number that is not finite; no image.
+    pub fn read(dir: &Path, binary: bool) -> Result<Self> {
+        let ending = if binary { "bin" } else { "txt" };
+        let file = |stem: &str| dir.join(format!("{stem}.{ending}"));
+        let points = file("points3D");
+        let model = Self {
+            cameras: records(&file("cameras"), binary, ("camera", 24, false), camera)?,
+            images: records(&file("images"), binary, ("image", 73, true), image)?,
+            points: if points.is_file() {
+                records(&points, binary, ("point", 51, false), point)?
+            } else {
+                Vec::new()
+            },
+        };
+        model.validate(file)?;
+        Ok(model)
+    }
+
+    /// Writes `cameras`, `images` and `points3D` into `dir`, which is created where needed.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if the system refuses.
+    pub fn write(&self, dir: &Path, binary: bool) -> Result<()> {
+        let start = |count: usize, comment: &str| Output::new(binary, count, comment);
+        let mut cameras = start(
+            self.cameras.len(),
+            "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n",
+        );
+        for c in &self.cameras {
+            cameras.numbers(&[c.id], u32::to_le_bytes);
+            if binary {
+                cameras.numbers(&[1], i32::to_le_bytes);
+            } else {
+                cameras.name("PINHOLE");
+            }
+            cameras.numbers(&[c.width, c.height].map(u64::from), u64::to_le_bytes);
+            cameras.numbers(&c.params, f64::to_le_bytes);
+            cameras.end(&[], "\n");
+        }
+        let mut images = start(
+            self.images.len(),
+            "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[]\n",
+        );
+        for i in &self.images {
+            images.numbers(&[i.id], u32::to_le_bytes);
+            images.numbers(&i.rotation, f64::to_le_bytes);
+            images.numbers(&i.translation, f64::to_le_bytes);
+            images.numbers(&[i.camera_id], u32::to_le_bytes);
+            images.name(&i.name);
+            images.end(&[0; 8], "\n\n");
+        }
+        let mut points = start(
+            self.points.len(),
+            "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n",
+        );
+        for p in &self.points {
+            points.numbers(&[p.id], u64::to_le_bytes);
+            points.numbers(&p.position, f64::to_le_bytes);
+            points.numbers(&p.color, u8::to_le_bytes);
+            points.numbers(&[p.error], f64::to_le_bytes);
+            points.end(&[0; 8], "\n");
+        }
+        std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
+        let ending = if binary { "bin" } else { "txt" };
+        for (stem, output) in [
+            ("cameras", cameras),
+            ("images", images),
+            ("points3D", points),
+        ] {
+            let file = dir.join(format!("{stem}.{ending}"));
+            std::fs::write(&file, output.bytes).map_err(|e| Error::io(&file, e))?;
+        }
+        Ok(())
+    }
+
     /// A model of named cameras in the dataset's frame; images with equal intrinsics share a camera. Identifiers count
     /// from 1.
     #[must_use]
@@ -104,20 +270,18 @@ impl ColmapModel {
 
     /// Refuses non-finite numbers, unusable intrinsics, repeated identifiers and unknown cameras. `file` gives the path of each
     /// of the three files by its stem.
-    pub(super) fn validate(&self, file: impl Fn(&str) -> PathBuf) -> Result<()> {
+    fn validate(&self, file: impl Fn(&str) -> PathBuf) -> Result<()> {
         let bad = |stem: &str, what: String| Err(Error::input(file(stem), what, REBUILD));
         let mut ids = HashSet::new();
         for c in &self.cameras {
             let [fx, fy, cx, cy] = c.params;
             let finite = c.lens.is_finite() && c.params.iter().all(|v| v.is_finite());
             if !(finite && fx > 0.0 && fy > 0.0 && c.width > 0 && c.height > 0) {
-                return bad(
-                    "cameras",
-                    format!(
-                        "camera {} is {}×{} with fx {fx}, fy {fy}, cx {cx}, cy {cy}, {:?}; positive sizes and focal lengths expected",
-                        c.id, c.width, c.height, c.lens
-                    ),
+                let what = format!(
+                    "camera {} is {}×{} with fx {fx}, fy {fy}, cx {cx}, cy {cy}, {:?}; positive sizes and focal lengths expected",
+                    c.id, c.width, c.height, c.lens
                 );
+                return bad("cameras", what);
             }
             if !ids.insert(c.id) {
                 return bad("cameras", format!("camera {} is given twice", c.id));
@@ -129,13 +293,11 @@ impl ColmapModel {
             let norm = (w * w + x * x + y * y + z * z).sqrt();
             let good = norm > 1e-6 && norm < 1e6 && image.translation.iter().all(|v| v.is_finite());
             if !good {
-                return bad(
-                    "images",
-                    format!(
-                        "image {i} ({}) has the pose q = {:?}, t = {:?}; finite numbers and a non-zero quaternion expected",
-                        image.name, image.rotation, image.translation
-                    ),
+                let what = format!(
+                    "image {i} ({}) has the pose q = {:?}, t = {:?}; finite numbers and a non-zero quaternion expected",
+                    image.name, image.rotation, image.translation
                 );
+                return bad("images", what);
             }
             if !ids.contains(&image.camera_id) {
                 let what = format!("{} uses camera {}, which", image.name, image.camera_id);
@@ -145,22 +307,15 @@ impl ColmapModel {
                 return bad("images", format!("image {} is given twice", image.name));
             }
         }
-        for (i, p) in self.points.iter().enumerate() {
-            if !p.position.iter().all(|v| v.is_finite()) {
-                return bad(
-                    "points3D",
-                    format!(
-                        "point {i} lies at {:?}; finite numbers expected",
-                        p.position
-                    ),
-                );
-            }
+        let far = |p: &ColmapPoint| p.position.iter().any(|v| !v.is_finite());
+        if let Some(i) = self.points.iter().position(far) {
+            let place = self.points[i].position;
+            let what = format!("point {i} lies at {place:?}; finite numbers expected");
+            return bad("points3D", what);
         }
         if self.images.is_empty() {
-            return bad(
-                "images",
-                "no registered image; at least one expected".into(),
-            );
+            let what = "no registered image; at least one expected";
+            return bad("images", what.into());
         }
         Ok(())
     }

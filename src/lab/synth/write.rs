@@ -7,7 +7,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
 use crate::base::error::{Error, Result};
-use crate::capture::colmap::{ColmapModel, ColmapPoint, write_bin, write_txt};
+use crate::capture::colmap::{ColmapModel, ColmapPoint};
 use crate::capture::transforms::write_transforms;
 use crate::capture::{Camera, Frame, Points, point_cloud};
 use crate::lab::synth::options::SynthLayout;
@@ -67,11 +67,7 @@ pub(super) fn model(
         error: 0.0,
     });
     let model = ColmapModel::from_views(&views, points.collect());
-    if layout == SynthLayout::ColmapTxt {
-        write_txt(&folder, &model)
-    } else {
-        write_bin(&folder, &model)
-    }
+    model.write(&folder, layout != SynthLayout::ColmapTxt)
 }
 
 /// Writes `transforms_train.json`, `transforms_test.json` and `points3d.ply`.
