@@ -1,36 +1,17 @@
 //! The files of `mhsplat bench -o DIR`.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use crate::base::error::Result;
 use crate::lab::bench::record::Outcome;
 use crate::lab::bench::report::report;
-use crate::lab::bench::tables::done;
 use crate::lab::folder::{one_or_all, write_files};
 use crate::lab::stats::Spread;
 
-/// Columns of `bench.csv`: a row per stage of a case, per whole iteration, and per variant of a stage. Cells that do not
+/// Header of `bench.csv`: a row per stage of a case, per whole iteration, and per variant of a stage. Cells that do not
 /// apply are empty.
-pub const COLUMNS: [&str; 17] = [
-    "device",
-    "scene",
-    "gaussians",
-    "width",
-    "height",
-    "pairs",
-    "stage",
-    "variant",
-    "median_ms",
-    "min_ms",
-    "max_ms",
-    "cpu_ms",
-    "samples",
-    "rate",
-    "unit",
-    "share_of_peak",
-    "max_rel_error",
-];
+const HEADER: &str = "device,scene,gaussians,width,height,pairs,stage,variant,median_ms,min_ms,max_ms,cpu_ms,samples,\
+     rate,unit,share_of_peak,max_rel_error\n";
 
 /// The document of `bench --json`, of several devices an array.
 ///
@@ -61,39 +42,37 @@ fn quoted(text: &str) -> String {
 }
 
 /// The cells of a time: median, min, max, CPU time, samples.
-fn times(ms: &Spread, cpu: Option<f64>) -> String {
-    let cpu = cpu.map_or_else(String::new, |v| v.to_string());
+fn times(ms: &Spread, cpu: Option<Spread>) -> String {
+    let cpu = cell(cpu.map(|s| s.median));
     format!("{},{},{},{cpu},{}", ms.median, ms.min, ms.max, ms.samples)
 }
 
-/// Every device as one table of `COLUMNS`.
+fn cell(value: Option<f64>) -> String {
+    value.map_or_else(String::new, |v| v.to_string())
+}
+
+/// Every device as one table, as in [`write_folder`].
 #[must_use]
 pub fn csv(outcomes: &[Outcome]) -> String {
-    let mut out = COLUMNS.join(",") + "\n";
-    for record in done(outcomes) {
+    let mut out = HEADER.to_owned();
+    for record in outcomes.iter().filter_map(Outcome::record) {
         let device = quoted(&record.device);
         for case in &record.cases {
             let scene = quoted(&case.scene);
             let (n, w, h, pairs) = (case.gaussians, case.width, case.height, case.pairs);
             let prefix = format!("{device},{scene},{n},{w},{h},{pairs}");
-            let i = &case.iteration;
-            let whole = times(&i.ms, Some(i.cpu_ms.median));
-            let _ = writeln!(out, "{prefix},iteration,,{whole},,,,");
+            let whole = times(&case.iteration.ms, Some(case.iteration.cpu_ms));
+            out += &format!("{prefix},iteration,,{whole},,,,\n");
             for s in &case.stages {
-                let times = times(&s.ms, s.cpu_ms.map(|c| c.median));
-                let share = s.share.map_or_else(String::new, |r| r.median.to_string());
-                let (rate, unit) = (s.rate.median, s.unit);
-                let _ = writeln!(out, "{prefix},{},,{times},{rate},{unit},{share},", s.name);
+                let (times, share) = (times(&s.ms, s.cpu_ms), cell(s.share.map(|r| r.median)));
+                let (name, rate, unit) = (s.name, s.rate.median, s.unit);
+                out += &format!("{prefix},{name},,{times},{rate},{unit},{share},\n");
             }
         }
         for p in &record.precision {
             let (variant, times) = (quoted(&p.variant), times(&p.ms, None));
-            let error = p.max_rel_error;
-            let _ = writeln!(
-                out,
-                "{device},,,,,,{},{variant},{times},,,,{error}",
-                p.stage
-            );
+            let (stage, error) = (p.stage, p.max_rel_error);
+            out += &format!("{device},,,,,,{stage},{variant},{times},,,,{error}\n");
         }
     }
     out

@@ -11,6 +11,8 @@ use crate::lab::verify::cases::Case;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::scene::{Gaussians, Plane};
 
+/// Name of the cases that differ in nothing but their size.
+pub(super) const SYNTHETIC: &str = "synthetic";
 /// Views of every case.
 pub const VIEWS: u32 = 8;
 /// SH degree of the cloud.
