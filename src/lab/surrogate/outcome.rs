@@ -2,40 +2,26 @@
 
 use serde::Serialize;
 
+use crate::base::rng::Stream;
 use crate::lab::stats::quantile;
-use crate::lab::surrogate::candidates::{Candidate, Draw, Phase};
+use crate::lab::surrogate::births::{Candidate, Draw, FORMS, Phase};
 use crate::lab::surrogate::rank::{Estimate, estimate, kendall, spearman};
-use crate::lab::surrogate::stream::{RESAMPLE, stream};
 
-/// The forms of a birth, by their names in the configuration.
-pub const FORMS: [&str; 3] = ["copy", "split", "faint"];
 /// Bins of a calibration curve.
 const BINS: usize = 10;
-
-/// A candidate with its true and predicted gain in each of [`FORMS`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Judged {
-    /// The candidate.
-    #[serde(flatten)]
-    pub candidate: Candidate,
-    /// Number of views in which it has any pixel.
-    pub views: usize,
-    /// True gain −ΔL.
-    pub gain: [f64; FORMS.len()],
-    /// First-order prediction of −ΔL by the probe.
-    pub probe: [f64; FORMS.len()],
-}
+/// Random stream of the first bootstrap; one per predictor and subset.
+const RESAMPLE: u32 = 30;
 
 /// A predictor of the true gain: name, and value of a candidate in a form.
-type Predictor = (&'static str, fn(&Judged, usize) -> Option<f64>);
+type Predictor = (&'static str, fn(&Candidate, usize) -> Option<f64>);
 
 /// Predictors in the order of the tables.
 const PREDICTORS: [Predictor; 6] = [
-    ("importance I", |j, _| Some(j.candidate.importance)),
-    ("acceptance ρ", |j, _| Some(j.candidate.acceptance)),
-    ("opacity alone", |j, _| Some(j.candidate.opacity)),
-    ("1 − SSIM alone", |j, _| j.candidate.ssim),
-    ("L1 alone", |j, _| j.candidate.l1),
+    ("importance I", |j, _| Some(j.importance)),
+    ("acceptance ρ", |j, _| Some(j.acceptance)),
+    ("opacity alone", |j, _| Some(j.opacity)),
+    ("1 − SSIM alone", |j, _| j.ssim),
+    ("L1 alone", |j, _| j.l1),
     ("probe", |j, form| Some(j.probe[form])),
 ];
 
@@ -103,21 +89,21 @@ pub struct FormOutcome {
     pub by_probe: Vec<Calibration>,
 }
 
-pub(super) fn of_form(form: usize, all: &[Judged], seed: u64) -> FormOutcome {
+pub(super) fn of_form(form: usize, all: &[Candidate], seed: u64) -> FormOutcome {
     let gains: Vec<f64> = all.iter().map(|j| j.gain[form]).collect();
-    let share = |keep: &dyn Fn(&Judged) -> bool| {
+    let share = |keep: &dyn Fn(&Candidate) -> bool| {
         let kept = || all.iter().filter(|j| keep(j));
         let good = kept().filter(|j| j.gain[form] > 0.0).count();
         (kept().count() > 0).then(|| good as f64 / kept().count() as f64)
     };
-    let along = |of: &dyn Fn(&Judged) -> f64| {
+    let along = |of: &dyn Fn(&Candidate) -> f64| {
         let x: Vec<f64> = all.iter().map(of).collect();
-        bins(&x, &gains, BINS)
+        bins(&x, &gains)
     };
     FormOutcome {
         birth: FORMS[form],
         lowering: share(&|_| true).unwrap_or(0.0),
-        lowering_proposals: share(&|j| j.candidate.draw == Draw::Proposal).unwrap_or(0.0),
+        lowering_proposals: share(&|j| j.draw == Draw::Proposal).unwrap_or(0.0),
         lowering_by_probe: [
             share(&|j| j.probe[form] > 0.0),
             share(&|j| j.probe[form] <= 0.0),
@@ -125,27 +111,28 @@ pub(super) fn of_form(form: usize, all: &[Judged], seed: u64) -> FormOutcome {
         mean_gain: gains.iter().sum::<f64>() / gains.len().max(1) as f64,
         quartiles: quartiles(&gains),
         correlations: correlations(form, all, seed),
-        by_importance: along(&|j| j.candidate.importance),
+        by_importance: along(&|j| j.importance),
         by_probe: along(&|j| j.probe[form]),
     }
 }
 
 /// Every predictor over every subset.
-fn correlations(form: usize, all: &[Judged], seed: u64) -> Vec<Correlation> {
+fn correlations(form: usize, all: &[Candidate], seed: u64) -> Vec<Correlation> {
     let mut correlations = Vec::new();
     for (s, (subset, keep)) in SUBSETS.into_iter().enumerate() {
         for (p, (predictor, value)) in PREDICTORS.into_iter().enumerate() {
-            let kept = all.iter().filter(|j| keep(&j.candidate));
+            let kept = all.iter().filter(|j| keep(j));
             let pairs = kept.filter_map(|j| Some((value(j, form)?, j.gain[form])));
             let (x, y): (Vec<f64>, Vec<f64>) = pairs.unzip();
-            let resamples = stream(RESAMPLE + (s * PREDICTORS.len() + p) as u32);
+            let resamples = RESAMPLE + (s * PREDICTORS.len() + p) as u32;
+            let resamples = Stream::Surrogate.stream(resamples);
             correlations.push(Correlation {
                 predictor,
                 subset,
                 count: x.len(),
                 spearman: estimate(spearman, &x, &y, seed, resamples),
                 kendall: estimate(kendall, &x, &y, seed, resamples),
-                top_gain: bins(&x, &y, BINS).last().map(|b| b.mean),
+                top_gain: bins(&x, &y).last().map(|b| b.mean),
             });
         }
     }
@@ -160,12 +147,11 @@ fn quartiles(values: &[f64]) -> Option<[f64; 3]> {
 }
 
 /// Bins of (nearly) equal count along a predictor, rising; fewer where there are fewer values.
-#[must_use]
-pub(super) fn bins(predicted: &[f64], gains: &[f64], count: usize) -> Vec<Calibration> {
+fn bins(predicted: &[f64], gains: &[f64]) -> Vec<Calibration> {
     let n = predicted.len();
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by(|a, b| predicted[*a].total_cmp(&predicted[*b]));
-    let count = count.min(n);
+    let count = BINS.min(n);
     let bin = |k: usize| {
         let rows = &order[n * k / count..n * (k + 1) / count];
         let mean = |v: &[f64]| rows.iter().map(|i| v[*i]).sum::<f64>() / rows.len() as f64;

@@ -57,7 +57,7 @@ pub fn spearman(x: &[f64], y: &[f64]) -> Option<f64> {
 }
 
 /// Kendall's τ_b, which corrects for ties: (concordant − discordant) over the geometric mean of the pairs not tied in x and
-/// those not tied in y. Counted in O(n log n) (Knight 1966). `None` if a side is constant, or the lengths differ.
+/// those not tied in y. `None` if a side is constant, or the lengths differ.
 #[must_use]
 pub fn kendall(x: &[f64], y: &[f64]) -> Option<f64> {
     if x.len() != y.len() {
@@ -71,8 +71,13 @@ pub fn kendall(x: &[f64], y: &[f64]) -> Option<f64> {
     let all = choose_two(pairs.len());
     let tied_x = tied(&mut pairs.chunk_by(|a, b| a.0 == b.0).map(<[_]>::len));
     let tied_both = tied(&mut pairs.chunk_by(|a, b| a == b).map(<[_]>::len));
-    let mut ys: Vec<f64> = pairs.into_iter().map(|p| p.1).collect();
-    let swaps = inversions(&mut ys);
+    // Every y goes to its place among the ones before it: those that it passes are out of order.
+    let (mut ys, mut swaps): (Vec<f64>, f64) = (Vec::with_capacity(pairs.len()), 0.0);
+    for (_, y) in pairs {
+        let at = ys.partition_point(|before| *before <= y);
+        swaps += (ys.len() - at) as f64;
+        ys.insert(at, y);
+    }
     let tied_y = tied(&mut ys.chunk_by(|a, b| a == b).map(<[_]>::len));
     let score = all - tied_x - tied_y + tied_both - 2.0 * swaps;
     let tau = score / ((all - tied_x) * (all - tied_y)).sqrt();
@@ -81,32 +86,6 @@ pub fn kendall(x: &[f64], y: &[f64]) -> Option<f64> {
 
 fn choose_two(n: usize) -> f64 {
     n as f64 * (n as f64 - 1.0) / 2.0
-}
-
-/// Number of pairs out of order; sorts on the way.
-fn inversions(values: &mut [f64]) -> f64 {
-    let half = values.len() / 2;
-    if half == 0 {
-        return 0.0;
-    }
-    let (left, right) = values.split_at_mut(half);
-    let mut count = inversions(left) + inversions(right);
-    let mut merged = Vec::with_capacity(left.len() + right.len());
-    let (mut l, mut r) = (0, 0);
-    while l < left.len() && r < right.len() {
-        if right[r] < left[l] {
-            count += (left.len() - l) as f64;
-            merged.push(right[r]);
-            r += 1;
-        } else {
-            merged.push(left[l]);
-            l += 1;
-        }
-    }
-    merged.extend_from_slice(&left[l..]);
-    merged.extend_from_slice(&right[r..]);
-    values.copy_from_slice(&merged);
-    count
 }
 
 /// A statistic of paired values with its bootstrap interval: pairs are drawn with replacement, as many as there are; resamples
