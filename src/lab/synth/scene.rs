@@ -1,8 +1,25 @@
 //! Solids, their materials and the lamp, and the light along a ray.
+//!
+//! IEEE 754 fixes the result of + − × ÷ and √, and Rust never contracts them; `sin`, `powf` and their kin come from the
+//! platform's libm and may differ in the last bit. No scene uses libm.
 
 use glam::{DVec3, dvec3};
 
-use crate::lab::synth::numbers::random;
+/// SplitMix64's finaliser (Steele, Lea & Flood 2014, "Fast splittable pseudorandom number generators").
+fn mix(mut x: u64) -> u64 {
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+/// Random number in [0, 1) keyed by `words`; their order counts.
+pub(super) fn random(words: &[u64]) -> f64 {
+    const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+    let hash = words
+        .iter()
+        .fold(STEP, |h, w| mix(h.wrapping_add(STEP) ^ mix(w ^ STEP)));
+    (hash >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
+}
 
 /// A solid about its centre, axis-aligned. Lengths in scene units.
 #[derive(Debug, Clone, Copy)]
