@@ -23,24 +23,17 @@ use crate::train::estimates::{EPSILON_DOUBLE, EPSILON_SINGLE};
 use crate::train::schedule::Schedule;
 
 /// Size and seed of a check.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::Args)]
 pub struct Options {
-    /// Candidates.
-    pub candidates: usize,
-    /// Training views.
-    pub views: usize,
-    /// Seed of views, candidates and resamples.
+    /// Births to try, half of them drawn as the sampler proposes, half evenly over the importance.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub candidates: u32,
+    /// Training views over which the loss is taken.
+    #[arg(long, value_name = "K", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    pub views: u32,
+    /// Seed of views, candidates and bootstrap.
+    #[arg(long, default_value_t = 0)]
     pub seed: u64,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            candidates: 200,
-            views: 8,
-            seed: 0,
-        }
-    }
 }
 
 /// Result of a check.
@@ -82,7 +75,7 @@ pub struct Assessment {
 /// done and of all births.
 ///
 /// # Errors
-/// No usable checkpoint, another dataset, no candidates or views, or the device's.
+/// No usable checkpoint, another dataset, or the device's.
 pub fn check(
     run: &Path,
     dataset: Dataset,
@@ -90,14 +83,6 @@ pub fn check(
     options: &Options,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Assessment> {
-    for (name, value) in [
-        ("--candidates", options.candidates),
-        ("--views", options.views),
-    ] {
-        if value == 0 {
-            return Err(Error::config(name, "0; at least 1 expected"));
-        }
-    }
     let saved = checkpoint::read(run)?;
     if saved.dataset != dataset.fingerprint() {
         return Err(Error::input(
@@ -167,8 +152,9 @@ impl Subject<'_> {
         let photos = Photos::new(device, self.dataset.image_budget);
         let views = ViewSet::<R>::new(&photos, chosen.iter().map(|v| train[*v].clone()))?;
         let (names, size) = (views.names.clone(), views.largest);
-        let room = 2 * options.candidates;
-        let mut instrument = Instrument::new(device, views, splats.clone(), setting, room)?;
+        let candidates = options.candidates as usize;
+        let mut instrument =
+            Instrument::new(device, views, splats.clone(), setting, 2 * candidates)?;
         let base = instrument.base()?;
         let c = &config.mh;
         let weights = [c.weight_opacity, c.weight_ssim, c.weight_l1];
@@ -181,7 +167,7 @@ impl Subject<'_> {
             progress: eta(&schedule, done),
             seed: options.seed,
         };
-        let mut judged = ground.draw(options.candidates);
+        let mut judged = ground.draw(candidates);
         judge(&mut instrument, &base, &mut judged, progress)?;
         let all = judged.len();
         judged.retain(|c| c.views > 0);
@@ -221,7 +207,7 @@ fn choose_views(count: usize, options: &Options) -> Vec<usize> {
         let u = Philox::uniform(options.seed, Stream::Surrogate.stream(0), i as u64)[0];
         order.swap(i, (u * (i + 1) as f64) as usize);
     }
-    order.truncate(options.views);
+    order.truncate(options.views as usize);
     order.sort_unstable();
     order
 }
