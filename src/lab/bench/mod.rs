@@ -7,7 +7,6 @@
 //! CPU time is the clock to compare by on machines that others share: wall time and device time include the waiting.
 
 mod case;
-mod folder;
 mod peak;
 mod precision;
 pub mod record;
@@ -16,8 +15,7 @@ mod run;
 pub mod scene;
 pub mod work;
 
-pub use crate::lab::bench::folder::{csv, json, write_folder};
 pub use crate::lab::bench::record::{BenchRecord, Outcome};
-pub use crate::lab::bench::report::report;
+pub use crate::lab::bench::report::{csv, json, report, write_folder};
 pub use crate::lab::bench::run::{Options, run, run_all};
 pub use crate::lab::bench::work::STAGES;

@@ -12,7 +12,7 @@ use crate::density::mh::importance::importance;
 use crate::device::{Device, Real};
 use crate::lab::surrogate::births::{Birth, Candidate, FORMS, Ground};
 use crate::lab::surrogate::instrument::{Base, Instrument, Setting};
-use crate::lab::surrogate::outcome::{FormOutcome, of_form};
+use crate::lab::surrogate::rank::{FormOutcome, of_form};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::photos::Photos;

@@ -11,12 +11,11 @@
 mod births;
 mod check;
 mod instrument;
-mod outcome;
 pub mod rank;
 mod report;
 
 pub use crate::lab::surrogate::births::{Birth, Candidate, Draw, FORMS, Phase, Shape};
 pub use crate::lab::surrogate::check::{Assessment, Options, check};
 pub use crate::lab::surrogate::instrument::{Base, Instrument, Probed, Setting};
-pub use crate::lab::surrogate::outcome::{Calibration, Correlation, FormOutcome};
+pub use crate::lab::surrogate::rank::{Calibration, Correlation, FormOutcome};
 pub use crate::lab::surrogate::report::report;

@@ -6,8 +6,7 @@ use crate::chart::text::{fixed, grouped};
 use crate::lab::report::{Report, Section};
 use crate::lab::surrogate::births::Draw;
 use crate::lab::surrogate::check::Assessment;
-use crate::lab::surrogate::outcome::{Calibration, FormOutcome};
-use crate::lab::surrogate::rank::Estimate;
+use crate::lab::surrogate::rank::{Calibration, Estimate, FormOutcome};
 use crate::lab::table::{Table, digits, folder_name, or_dash};
 
 /// Unit of the gains, millionths: one birth of many thousands changes little.

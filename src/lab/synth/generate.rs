@@ -117,7 +117,7 @@ pub struct SynthReport {
 /// folder, [`Error::Io`] if the system refuses to write.
 pub fn generate(name: &str, dir: &Path, options: &SynthOptions) -> Result<SynthReport> {
     options.validate()?;
-    let place = named(name, options.seed).ok_or_else(|| {
+    let scene = named(name, options.seed).ok_or_else(|| {
         let known = NAMES.join(", ");
         Error::config("name", format!("no scene `{name}`; there are {known}"))
     })?;
@@ -131,18 +131,18 @@ pub fn generate(name: &str, dir: &Path, options: &SynthOptions) -> Result<SynthR
     };
     let mut views = Vec::with_capacity(options.views as usize);
     for i in 0..options.views as usize {
-        let (at, target) = (place.camera)(i as u32, options.views);
-        let camera = render::look_at(at, target, size, place.tan);
+        let (at, target) = (scene.camera)(i as u32, options.views);
+        let camera = render::look_at(at, target, size, scene.tan);
         let file = match (transforms, i.is_multiple_of(TEST_EVERY)) {
             (true, true) => format!("test/r_{i:04}.png"),
             (true, false) => format!("train/r_{i:04}.png"),
             (false, _) => format!("view_{i:04}.png"),
         };
-        let pixels = render::photo(&place.scene, &camera, i as u64, grid, place.transparent);
-        png(&photos.join(&file), &pixels, size, place.transparent)?;
+        let pixels = render::photo(&scene, &camera, i as u64, grid);
+        png(&photos.join(&file), &pixels, size, scene.transparent)?;
         views.push((file, camera));
     }
-    let points = render::points(&place.scene, &views, options.points);
+    let points = render::points(&scene, &views, options.points);
     let points_written = points.len() as u32;
     match transforms {
         true => write_blender(dir, &views, &points)?,

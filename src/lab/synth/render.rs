@@ -49,12 +49,12 @@ fn bytes(toned: DVec3) -> [u8; 3] {
         .map(|x| (255.0 * x.sqrt() + 0.5).floor().clamp(0.0, 255.0) as u8)
 }
 
-/// One photo: `height × width × 3` bytes, or × 4 with straight alpha if `alpha`.
+/// One photo: `height × width × 3` bytes, or × 4 with straight alpha of a transparent scene.
 ///
 /// Each pixel averages `grid²` rays, one from each cell of a grid over it, at a position in it that depends on nothing but
 /// (seed, view, pixel, cell): the result does not depend on the number of threads.
-pub(super) fn photo(scene: &Scene, camera: &Camera, view: u64, grid: u32, alpha: bool) -> Vec<u8> {
-    let channels = if alpha { 4 } else { 3 };
+pub(super) fn photo(scene: &Scene, camera: &Camera, view: u64, grid: u32) -> Vec<u8> {
+    let channels = if scene.transparent { 4 } else { 3 };
     let row_bytes = camera.width as usize * channels;
     let mut image = vec![0u8; row_bytes * camera.height as usize];
     image

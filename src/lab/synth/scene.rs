@@ -162,7 +162,7 @@ pub(super) struct Surface {
     pub finish: Finish,
 }
 
-/// Solids and the light on them. Rays that hit none leave the scene.
+/// Solids, the light on them and the cameras that look at them. Rays that hit none leave the scene.
 #[derive(Debug)]
 pub(super) struct Scene {
     /// Solids, in any order.
@@ -175,6 +175,12 @@ pub(super) struct Scene {
     pub ambient: [DVec3; 2],
     /// Seed of the checkerboards' tones.
     pub seed: u64,
+    /// Position and target of camera `index` of `views`.
+    pub camera: fn(index: u32, views: u32) -> (DVec3, DVec3),
+    /// Tangent of half the horizontal field of view.
+    pub tan: f64,
+    /// True if rays may leave the scene, so that photos have transparent pixels.
+    pub transparent: bool,
 }
 
 /// Distance between a surface and the start of the rays that leave it.

@@ -10,20 +10,8 @@ pub const NAMES: [&str; 2] = ["room", "object"];
 /// Centre and radius of the chrome sphere of `object`, scene units: its colour depends on the view.
 pub const CHROME_SPHERE: ([f64; 3], f64) = ([-0.36, -0.42, 0.30], 0.30);
 
-/// A scene and the cameras that look at it.
-pub(super) struct Place {
-    /// The scene.
-    pub scene: Scene,
-    /// Position and target of camera `index` of `views`.
-    pub camera: fn(index: u32, views: u32) -> (DVec3, DVec3),
-    /// Tangent of half the horizontal field of view.
-    pub tan: f64,
-    /// True if rays may leave the scene, so that photos have transparent pixels.
-    pub transparent: bool,
-}
-
 /// The scene of a name; `None` if there is none.
-pub(super) fn named(name: &str, seed: u64) -> Option<Place> {
+pub(super) fn named(name: &str, seed: u64) -> Option<Scene> {
     match name {
         "room" => Some(room(seed)),
         "object" => Some(object(seed)),
@@ -51,7 +39,7 @@ fn sphere(center: impl Into<DVec3>, radius: f64, material: Material) -> Solid {
 
 /// A room of 6 × 4.6 × 2.7 m, its origin in a corner: floor, ceiling, four walls and a picture on each, a table with a still
 /// life, a chest, a shelf and a ball.
-fn room(seed: u64) -> Place {
+fn room(seed: u64) -> Scene {
     let lamp = dvec3(3.0, 2.3, 2.15);
     let globe = Material {
         finish: Finish::Lamp,
@@ -104,14 +92,12 @@ fn room(seed: u64) -> Place {
         solids.push(block([4.9, 0.17, z], [0.6, 0.17, 0.02], dark));
         solids.push(block([x, 0.17, z + 0.15], [0.08, 0.1, 0.13], toy));
     }
-    Place {
-        scene: Scene {
-            solids,
-            lamp,
-            intensity: dvec3(3.4, 3.1, 2.6),
-            ambient: [dvec3(0.50, 0.52, 0.57), dvec3(0.44, 0.39, 0.35)],
-            seed,
-        },
+    Scene {
+        solids,
+        lamp,
+        intensity: dvec3(3.4, 3.1, 2.6),
+        ambient: [dvec3(0.50, 0.52, 0.57), dvec3(0.44, 0.39, 0.35)],
+        seed,
         camera: room_camera,
         tan: 0.72,
         transparent: false,
@@ -137,7 +123,7 @@ fn room_camera(index: u32, views: u32) -> (DVec3, DVec3) {
 }
 
 /// A still life on a plate: a chrome sphere, a ball and boxes, and a cage of wires about as thin as a pixel.
-fn object(seed: u64) -> Place {
+fn object(seed: u64) -> Scene {
     let checker = Material::checker;
     let plate = checker(rgb(0.78, 0.56, 0.36), rgb(0.56, 0.36, 0.22), 0.16);
     let tiles = checker(rgb(0.94, 0.90, 0.80), rgb(0.14, 0.38, 0.46), 0.09);
@@ -167,14 +153,12 @@ fn object(seed: u64) -> Place {
         }
     }
     solids.push(sphere(cage + dvec3(0.0, 0.0, -0.1), 0.15, spots));
-    Place {
-        scene: Scene {
-            solids,
-            lamp: dvec3(3.3, -2.4, 3.1),
-            intensity: dvec3(19.0, 18.0, 16.0),
-            ambient: [dvec3(0.52, 0.55, 0.60), dvec3(0.25, 0.22, 0.20)],
-            seed,
-        },
+    Scene {
+        solids,
+        lamp: dvec3(3.3, -2.4, 3.1),
+        intensity: dvec3(19.0, 18.0, 16.0),
+        ambient: [dvec3(0.52, 0.55, 0.60), dvec3(0.25, 0.22, 0.20)],
+        seed,
         camera: object_camera,
         tan: 0.305,
         transparent: true,
