@@ -127,7 +127,11 @@ fn a_resumed_run_ends_with_the_same_bits() {
         drive(&mut resumed, 130).unwrap();
         assert!(resumed.state().unwrap().splats == whole, "{sampler:?}");
         // Its renders would lack the filters.
-        let options = mhsplat::lab::surrogate::Options::default();
+        let options = mhsplat::lab::surrogate::Options {
+            candidates: 200,
+            views: 8,
+            seed: 0,
+        };
         let refused = mhsplat::lab::surrogate::check(
             folder.path(),
             data.clone(),

@@ -31,7 +31,7 @@ fn dataset() -> Dataset {
         height: 16,
         points: 30,
         samples: 1,
-        ..SynthOptions::default()
+        ..SynthOptions::for_scene("room")
     };
     generate("room", dir.path(), &options).unwrap();
     load(dir.path(), &LoadOptions::default()).unwrap()

@@ -83,17 +83,13 @@ pub fn compare(got: &[f64], want: &[f64], tolerance: Tolerance) -> Result<Report
     if want.iter().any(counts) && got.iter().all(|v| *v == 0.0) {
         return Err("silently zero".into());
     }
-    if report.l2 > tolerance.l2 {
-        return Err(format!(
-            "relative L2 error {:e}; {:e} allowed",
-            report.l2, tolerance.l2
-        ));
-    }
-    if report.cosine > tolerance.cosine {
-        return Err(format!(
-            "1 - cosine {:e}; {:e} allowed",
-            report.cosine, tolerance.cosine
-        ));
+    for (name, value, allowed) in [
+        ("relative L2 error", report.l2, tolerance.l2),
+        ("1 - cosine", report.cosine, tolerance.cosine),
+    ] {
+        if value > allowed {
+            return Err(format!("{name} {value:e}; {allowed:e} allowed"));
+        }
     }
     Ok(report)
 }
@@ -112,13 +108,9 @@ pub fn measure(got: &[f64], want: &[f64], element: f64, floor: f64) -> Report {
     let l2 = errors.iter().map(|e| e * e).sum::<f64>().sqrt();
     // Half of the squared distance of the unit vectors: 1 − their product would lose every small angle.
     let apart = pairs().map(|(g, w)| (g / a - w / b).powi(2)).sum::<f64>();
+    let within = |e: &&f64| **e <= element;
     Report {
-        max: errors
-            .iter()
-            .rev()
-            .find(|e| **e <= element)
-            .copied()
-            .unwrap_or(0.0),
+        max: errors.iter().rfind(within).copied().unwrap_or(0.0),
         largest: errors.last().copied().unwrap_or(0.0),
         median: errors.get(errors.len() / 2).copied().unwrap_or(0.0),
         l2: l2 / if b > 0.0 { b.max(floor / scale) } else { 1.0 },
@@ -128,10 +120,7 @@ pub fn measure(got: &[f64], want: &[f64], element: f64, floor: f64) -> Report {
         } else {
             0.0
         },
-        flips: errors
-            .iter()
-            .filter(|e| e.is_nan() || **e > element)
-            .count(),
+        flips: errors.iter().filter(|e| !within(e)).count(),
         non_finite,
     }
 }

@@ -11,7 +11,7 @@ use crate::base::error::{Error, Result};
 /// # Errors
 /// Such a path.
 pub fn check_folder(dir: &Path) -> Result<()> {
-    let fix = "choose another with -o";
+    let fix = "choose another folder";
     match std::fs::read_dir(dir) {
         Ok(mut entries) => match entries.next() {
             None => Ok(()),

@@ -42,8 +42,6 @@ pub enum Section {
         /// One figure each.
         figures: Vec<String>,
     },
-    /// Name, value and unit of the main figures, which tables repeat; pages only.
-    Headlines(Vec<[String; 3]>),
     /// A paragraph.
     Text(String),
     /// A link to a file beside the report.
@@ -155,7 +153,7 @@ fn markdown(out: &mut String, sections: &[Section], level: usize) {
                 let _ = writeln!(out, "\n{} {summary}", "#".repeat(level));
                 markdown(out, sections, level + 1);
             }
-            Section::Charts { .. } | Section::Headlines(_) => (),
+            Section::Charts { .. } => (),
         }
     }
 }
@@ -200,15 +198,6 @@ fn html(out: &mut String, sections: &[Section], level: usize) {
                 }
                 paragraph(out, "note", note);
                 let _ = writeln!(out, "<div class=charts>\n{}</div>", figures.concat());
-            }
-            Section::Headlines(heads) => {
-                out.push_str("<dl class=heads>");
-                for head in heads {
-                    let [name, value, unit] = head.each_ref().map(|t| escape(t));
-                    let value = format!("{value} <small>{unit}</small>");
-                    let _ = write!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
-                }
-                out.push_str("</dl>\n");
             }
             Section::Text(text) => {
                 let _ = writeln!(out, "<p>{}</p>", escape(text));

@@ -1,4 +1,4 @@
-//! Statistics of repeated measurements: spread, ratio, power law, geometric mean, quantile.
+//! Statistics of repeated measurements: spread, ratio, geometric mean, quantile.
 
 use serde::{Deserialize, Serialize};
 
@@ -94,36 +94,6 @@ pub fn ratio(a: &Spread, b: &Spread) -> Option<Ratio> {
         median: a.median / b.median,
         low: a.min / b.max,
         high: a.max / b.min,
-    })
-}
-
-/// Exponent p of y ∝ xᵖ by least squares in the logarithms, through the medians, and its interval over all y within the
-/// samples' ranges. `None` with fewer than two different x, or a point of fewer than [`RATIO_SAMPLES`] samples: an exponent
-/// is a logarithm of ratios.
-#[must_use]
-pub fn exponent(points: &[(f64, Spread)]) -> Option<Ratio> {
-    let usable = |(x, y): &(f64, Spread)| *x > 0.0 && y.min > 0.0 && y.samples >= RATIO_SAMPLES;
-    if !points.iter().all(usable) {
-        return None;
-    }
-    let mean = points.iter().map(|(x, _)| x.ln()).sum::<f64>() / points.len() as f64;
-    let square: f64 = points.iter().map(|(x, _)| (x.ln() - mean).powi(2)).sum();
-    if points.len() < 2 || square < 1e-12 {
-        return None;
-    }
-    let slope = |pick: &dyn Fn(&Spread, f64) -> f64| -> f64 {
-        points
-            .iter()
-            .map(|(x, y)| {
-                let weight = (x.ln() - mean) / square;
-                weight * pick(y, weight).ln()
-            })
-            .sum()
-    };
-    Some(Ratio {
-        median: slope(&|y, _| y.median),
-        low: slope(&|y, weight| if weight > 0.0 { y.min } else { y.max }),
-        high: slope(&|y, weight| if weight > 0.0 { y.max } else { y.min }),
     })
 }
 

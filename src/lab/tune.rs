@@ -126,22 +126,18 @@ pub fn read(file: &Path, info: &DeviceInfo) -> Option<Tuning> {
 /// The class default and its alternatives.
 fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
     let own = Tuning::for_device(info);
-    let others: Vec<Tuning> = if own.group_style {
-        let sizes = [(64, 2048), (256, 2048), (128, 512), (128, 8192)];
-        let sized = sizes.map(|(local, chunks)| Tuning {
+    let others = if own.group_style {
+        [(64, 2048), (256, 2048), (128, 512), (128, 8192)].map(|(local, chunks)| Tuning {
             local,
             chunks,
             ..own
-        });
-        sized.into()
+        })
     } else {
-        let shapes = [(16, 4), (16, 8), (8, 4), (4, 4)];
-        let shaped = shapes.map(|(vector_width, block_width)| Tuning {
+        [(16, 4), (16, 8), (8, 4), (4, 4)].map(|(vector_width, block_width)| Tuning {
             vector_width,
             block_width,
             ..own
-        });
-        shaped.into()
+        })
     };
     // Half the width can win where wide units are slow; a quarter never did.
     let fits =
@@ -161,21 +157,18 @@ fn measure(device: &Device) -> Option<CachedTuning> {
         let out = pass::run::<f32>(device, tuning, &case, None).ok()?;
         Some(1e3 * out.seconds.iter().map(|(_, s)| s).sum::<f64>())
     };
-    let mut measured: Vec<(Tuning, Vec<f64>)> = Vec::new();
-    for tuning in candidates(device.info()) {
-        // The first passage may wait for the compiler.
-        if milliseconds(tuning).is_some() {
-            measured.push((tuning, Vec::new()));
-        }
-    }
+    // The first passage may wait for the compiler.
+    let all = candidates(device.info()).into_iter();
+    let all: Vec<Tuning> = all.filter(|t| milliseconds(*t).is_some()).collect();
+    let mut samples = vec![Vec::new(); all.len()];
     for _ in 0..ROUNDS {
-        for (tuning, samples) in &mut measured {
+        for (tuning, samples) in all.iter().zip(&mut samples) {
             samples.extend(milliseconds(*tuning));
         }
     }
-    let milliseconds: Vec<(Tuning, Spread)> = measured
-        .into_iter()
-        .filter_map(|(tuning, samples)| Some((tuning, Spread::of(&samples)?)))
+    let spreads = all.into_iter().zip(&samples);
+    let milliseconds: Vec<(Tuning, Spread)> = spreads
+        .filter_map(|(tuning, samples)| Some((tuning, Spread::of(samples)?)))
         .collect();
     Some(CachedTuning {
         tuning: chosen(&milliseconds, Tuning::for_device(device.info()))?,

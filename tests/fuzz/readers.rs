@@ -72,7 +72,7 @@ fn dataset(layout: SynthLayout) -> TempDir {
         height: 16,
         points: 20,
         samples: 1,
-        ..SynthOptions::default()
+        ..SynthOptions::for_scene("room")
     };
     generate("room", dir.path(), &options).unwrap();
     dir

@@ -5,14 +5,14 @@ use std::time::Instant;
 use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::capture::Dataset;
-use crate::config::{AntiAliasing, TrainConfig};
-use crate::device::{Device, DeviceKind};
-use crate::lab::bench::options::{Options, STAGES};
-use crate::lab::bench::record::{Case, Iteration, Peak, Stage, no_samples};
+use crate::config::AntiAliasing;
+use crate::device::Device;
+use crate::lab::bench::record::{Case, Iteration, Peak, Stage, spread};
+use crate::lab::bench::run::Options;
 use crate::lab::bench::scene;
 use crate::lab::bench::scene::VIEWS;
-use crate::lab::bench::work::{Load, TileWork};
-use crate::lab::stats::{Spread, ratio};
+use crate::lab::bench::work::{Load, STAGES, TileWork};
+use crate::lab::stats::ratio;
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::run::clock::process_cpu_seconds;
 use crate::scene::without_filter;
@@ -73,18 +73,16 @@ impl Subject<'_> {
 /// A trainer that changes nothing. Of a scene with anti-aliasing it takes the 3D filter out first, which training puts in again
 /// by the views at hand: those of the bench, so that the filter is theirs and not the training views'.
 fn trainer(device: &Device, subject: &Subject<'_>) -> Result<Trainer> {
-    let still = scene::still(subject.splats.sh_degree());
-    if !subject.anti_alias {
-        let plan = Plan::new(&subject.dataset, &still)?;
-        return Trainer::new(device, &subject.dataset, &plan, subject.splats);
+    let mut config = scene::still(subject.splats.sh_degree());
+    let unfiltered;
+    let mut splats = subject.splats;
+    if subject.anti_alias {
+        config.anti_aliasing = AntiAliasing::On;
+        unfiltered = without_filter(splats, &subject.dataset)?;
+        splats = &unfiltered;
     }
-    let config = TrainConfig {
-        anti_aliasing: AntiAliasing::On,
-        ..still
-    };
-    let splats = without_filter(subject.splats, &subject.dataset)?;
     let plan = Plan::new(&subject.dataset, &config)?;
-    Trainer::new(device, &subject.dataset, &plan, &splats)
+    Trainer::new(device, &subject.dataset, &plan, splats)
 }
 
 /// Times every stage and the whole iteration.
@@ -106,13 +104,9 @@ pub(super) fn measure(
         .collect::<Result<_>>()?;
     let bytes = device.allocated_bytes().saturating_sub(idle);
     let (load, work) = load(device, &mut trainer, subject)?;
-    let on_cpu = device.info().kind == DeviceKind::Cpu;
-    let clocks = Clocks { peak, on_cpu };
     let camera = &subject.dataset.train[0].camera;
-    let rows = STAGES
-        .iter()
-        .enumerate()
-        .map(|(k, name)| clocks.stage(name, k, &samples, &load));
+    let of = |figure: fn(&Sample) -> f64| spread("bench", samples.iter().map(figure));
+    let rows = (0..STAGES.len()).map(|k| stage(k, &samples, &load, peak));
     Ok(Case {
         scene: subject.name.to_owned(),
         gaussians: subject.splats.len(),
@@ -121,9 +115,9 @@ pub(super) fn measure(
         pairs: load.pairs.round() as u64,
         stages: rows.collect::<Result<_>>()?,
         iteration: Iteration {
-            ms: spread(&samples, |s| 1e3 * s.wall)?,
-            cpu_ms: spread(&samples, |s| 1e3 * s.cpu)?,
-            cores_busy: spread(&samples, |s| s.cpu / s.wall)?,
+            ms: of(|s| 1e3 * s.wall)?,
+            cpu_ms: of(|s| 1e3 * s.cpu)?,
+            cores_busy: of(|s| s.cpu / s.wall)?,
             iterations,
             visible: load.visible.round() as u64,
             used_pairs: work,
@@ -164,49 +158,31 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
     Ok((load, used.round() as u64))
 }
 
-fn spread(samples: &[Sample], figure: impl Fn(&Sample) -> f64) -> Result<Spread> {
-    let values: Vec<f64> = samples.iter().map(figure).collect();
-    Spread::of(&values).ok_or_else(|| no_samples("bench"))
-}
-
-/// The clock of the lanes, and the peak they are compared with.
-struct Clocks<'a> {
-    peak: &'a Peak,
-    on_cpu: bool,
-}
-
-impl Clocks<'_> {
-    fn stage(
-        &self,
-        name: &'static str,
-        k: usize,
-        samples: &[Sample],
-        load: &Load,
-    ) -> Result<Stage> {
-        let ms = spread(samples, |s| 1e3 * s.stages[k])?;
-        let cpu = spread(samples, |s| 1e3 * s.stages[k] * s.cpu / s.wall)?;
-        let core = self.peak.fma_core.filter(|_| self.on_cpu && cpu.min > 0.0);
-        let (rate, best, unit) = match Load::flop_per_lane(name) {
-            Some(flop) => {
-                let rate = spread(samples, |s| {
-                    let cores = if core.is_some() { s.cpu / s.wall } else { 1.0 };
-                    load.lanes / (s.stages[k] * cores)
-                })?;
-                let best = core.unwrap_or(self.peak.fma).scaled(1e9 / flop);
-                (rate, best, "lanes/core-s")
-            }
-            None => {
-                let rate = spread(samples, |s| load.bytes(name) / s.stages[k])?;
-                (rate, self.peak.copy.scaled(1e9), "bytes/s")
-            }
-        };
-        Ok(Stage {
-            name,
-            ms,
-            cpu_ms: self.on_cpu.then_some(cpu),
-            share: ratio(&rate, &best),
-            rate,
-            unit,
-        })
-    }
+/// Times of a stage and its rate beside the peak, by the clock of CPU time where the device is the CPU.
+fn stage(k: usize, samples: &[Sample], load: &Load, peak: &Peak) -> Result<Stage> {
+    let name = STAGES[k];
+    let of = |figure: &dyn Fn(&Sample) -> f64| spread(name, samples.iter().map(figure));
+    let ms = of(&|s| 1e3 * s.stages[k])?;
+    let cpu = of(&|s| 1e3 * s.stages[k] * s.cpu / s.wall)?;
+    let core = peak.fma_core.filter(|_| cpu.min > 0.0);
+    let (rate, best, unit) = match Load::flop_per_lane(name) {
+        Some(flop) => {
+            let cores = |s: &Sample| if core.is_some() { s.cpu / s.wall } else { 1.0 };
+            let rate = of(&|s| load.lanes / (s.stages[k] * cores(s)))?;
+            let best = core.unwrap_or(peak.fma).scaled(1e9 / flop);
+            (rate, best, "lanes/core-s")
+        }
+        None => {
+            let rate = of(&|s| load.bytes(name) / s.stages[k])?;
+            (rate, peak.copy.scaled(1e9), "bytes/s")
+        }
+    };
+    Ok(Stage {
+        name,
+        ms,
+        cpu_ms: peak.fma_core.map(|_| cpu),
+        share: ratio(&rate, &best),
+        rate,
+        unit,
+    })
 }

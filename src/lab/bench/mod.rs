@@ -7,21 +7,15 @@
 //! CPU time is the clock to compare by on machines that others share: wall time and device time include the waiting.
 
 mod case;
-mod folder;
-mod growth;
-mod options;
 mod peak;
 mod precision;
 pub mod record;
 mod report;
 mod run;
 pub mod scene;
-mod tables;
 pub mod work;
 
-pub use crate::lab::bench::folder::{csv, json, write_folder};
-pub use crate::lab::bench::growth::growth;
-pub use crate::lab::bench::options::{Options, STAGES};
 pub use crate::lab::bench::record::{BenchRecord, Outcome};
-pub use crate::lab::bench::report::report;
-pub use crate::lab::bench::run::{run, run_all};
+pub use crate::lab::bench::report::{csv, json, report, write_folder};
+pub use crate::lab::bench::run::{Options, run, run_all};
+pub use crate::lab::bench::work::STAGES;

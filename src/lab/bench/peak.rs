@@ -5,8 +5,8 @@ use std::time::Instant;
 use crate::base::error::Result;
 use crate::device::tuning::Tuning;
 use crate::device::{Array, Defines, Device, DeviceKind, Kernels};
-use crate::lab::bench::options::Options;
-use crate::lab::bench::record::{Peak as Record, no_samples};
+use crate::lab::bench::record::{Peak as Record, spread};
+use crate::lab::bench::run::Options;
 use crate::lab::stats::Spread;
 use crate::pipeline::stage::peak::Peak;
 use crate::run::clock::process_cpu_seconds;
@@ -39,21 +39,23 @@ fn time(device: &Device, enqueue: impl FnOnce() -> Result<()>) -> Result<[f64; 2
 pub(super) fn measure(device: &Device, options: &Options) -> Result<Record> {
     let own = device.tuning();
     let build = |tuning| Peak::new::<f32>(&Kernels::new(device, Defines::new(tuning)));
-    let (fma, core) = fma(device, &build(own)?, options)?;
-    let widths = COPY_WIDTHS.map(|(vector_width, block_width)| Tuning {
-        vector_width,
-        block_width,
-        ..own
+    let kernels = build(own)?;
+    let (fma, fma_core) = fma(device, &kernels, options)?;
+    let narrow = COPY_WIDTHS.map(|(vector_width, block_width)| {
+        build(Tuning {
+            vector_width,
+            block_width,
+            ..own
+        })
     });
-    let kernels = std::iter::once(own).chain(widths);
-    let kernels: Vec<Peak> = kernels.map(build).collect::<Result<_>>()?;
-    let copy = copy(device, &kernels, options.samples)?;
+    let [one, four] = narrow;
+    let copy = copy(device, [kernels, one?, four?], options.samples)?;
     Ok(Record {
         fma_gflops: fma.median,
         copy_gbs: copy.median,
         fma,
         copy,
-        fma_core: core,
+        fma_core,
     })
 }
 
@@ -77,14 +79,12 @@ fn fma(device: &Device, peak: &Peak, options: &Options) -> Result<(Spread, Optio
     let times: Vec<[f64; 2]> = (0..options.samples)
         .map(|_| launch(steps))
         .collect::<Result<_>>()?;
-    let rates = |k: usize| -> Vec<f64> { times.iter().map(|t| giga / t[k]).collect() };
-    let wall = Spread::of(&rates(0)).ok_or_else(|| no_samples("peak"))?;
-    let core = cpu.then(|| Spread::of(&rates(1))).flatten();
-    Ok((wall, core))
+    let rates = |k: usize| spread("peak", times.iter().map(move |t| giga / t[k]));
+    Ok((rates(0)?, rates(1).ok().filter(|_| cpu)))
 }
 
 /// 10⁹ bytes read and written per second of device time, by the fastest of the kernels.
-fn copy(device: &Device, kernels: &[Peak], samples: usize) -> Result<Spread> {
+fn copy(device: &Device, kernels: [Peak; 3], samples: usize) -> Result<Spread> {
     let info = device.info();
     let bytes = COPY_BYTES.min(info.max_alloc).min(info.global_memory / 8) as usize;
     let lanes = kernels.iter().map(Peak::lanes).max().unwrap_or(1);
@@ -94,17 +94,19 @@ fn copy(device: &Device, kernels: &[Peak], samples: usize) -> Result<Spread> {
         Array::<f32>::zeros(device, "peak copy", len)?,
     ];
     let giga = 2.0 * (len * size_of::<f32>()) as f64 * 1e-9;
-    let mut best: Option<Spread> = None;
-    for kernel in kernels {
+    let rate = |kernel: &Peak| {
         let launch = || time(device, || kernel.copy(&from, &to));
         launch()?;
-        let rates: Vec<f64> = (0..samples)
-            .map(|_| Ok(giga / launch()?[0]))
-            .collect::<Result<_>>()?;
-        let found = Spread::of(&rates);
-        if best.is_none_or(|b| found.is_some_and(|f| f.median > b.median)) {
+        let times: Vec<[f64; 2]> = (0..samples).map(|_| launch()).collect::<Result<_>>()?;
+        spread("peak", times.iter().map(|[seconds, _]| giga / seconds))
+    };
+    let [own, narrow @ ..] = &kernels;
+    let mut best = rate(own)?;
+    for kernel in narrow {
+        let found = rate(kernel)?;
+        if found.median > best.median {
             best = found;
         }
     }
-    best.ok_or_else(|| no_samples("peak"))
+    Ok(best)
 }

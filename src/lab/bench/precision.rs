@@ -7,11 +7,10 @@ use crate::base::constants::{ALPHA_MIN, TILE};
 use crate::base::error::{Error, Result};
 use crate::device::tuning::Tuning;
 use crate::device::{Device, Real};
-use crate::lab::bench::options::Options;
-use crate::lab::bench::record::{Failure, Precision, no_samples};
+use crate::lab::bench::record::{Failure, Precision, spread};
+use crate::lab::bench::run::Options;
 use crate::lab::bench::scene;
 use crate::lab::error::measure as error;
-use crate::lab::stats::Spread;
 use crate::lab::verify::cases::Case;
 use crate::lab::verify::definition::Reference;
 use crate::lab::verify::pass;
@@ -45,8 +44,8 @@ struct Variant {
     double: bool,
     /// Alpha cut.
     alpha_min: f64,
-    /// Compared with the reference that cuts nothing instead of the one with the same cut.
-    against_no_cut: bool,
+    /// True if the cut is what is compared: with the reference that cuts nothing, instead of the one with the same cut.
+    cut: bool,
 }
 
 /// Every vector width in the style of CPUs, the style of GPUs, f64 as the device would have it, and every cut: as far as the
@@ -58,7 +57,7 @@ fn variants(device: &Device) -> Vec<Variant> {
         tuning,
         double: false,
         alpha_min: ALPHA_MIN,
-        against_no_cut: false,
+        cut: false,
     };
     let by_width = |(vector_width, block_width): (u32, u32)| {
         let tuning = Tuning {
@@ -85,18 +84,10 @@ fn variants(device: &Device) -> Vec<Variant> {
     }
     all.extend(CUTS.map(|(name, alpha_min)| Variant {
         alpha_min,
-        against_no_cut: true,
+        cut: true,
         ..single(name.into(), own)
     }));
     all
-}
-
-/// The scene that the variants are measured on, with its references.
-struct Setup {
-    gaussians: usize,
-    size: u32,
-    same_cut: Reference,
-    no_cut: Reference,
 }
 
 /// Runs every variant; one that fails is listed among the failures.
@@ -114,43 +105,30 @@ pub(super) fn measure(
         let own = device.tuning();
         all.retain(|v| v.tuning == own && v.alpha_min == ALPHA_MIN);
     }
-    let setup = Setup {
-        gaussians,
-        size,
-        same_cut: Reference::new(&scene::case(gaussians, size, ALPHA_MIN)),
-        no_cut: Reference::new(&scene::case(gaussians, size, NO_CUT)),
-    };
+    let case = |alpha_min: f64| scene::case(gaussians, size, alpha_min);
+    let [same_cut, no_cut] = [ALPHA_MIN, NO_CUT].map(|cut| Reference::new(&case(cut)));
     let mut rows = Vec::new();
     for v in all {
         let what = format!("precision: {}", v.name);
         note(&what);
-        match setup.measure(device, &v, options.samples) {
+        let case = case(v.alpha_min);
+        let reference = if v.cut { &no_cut } else { &same_cut };
+        let runs = match v.double {
+            true => passes::<f64>(device, v.tuning, &case, reference, options.samples),
+            false => passes::<f32>(device, v.tuning, &case, reference, options.samples),
+        };
+        let stages = COMPARED.iter().filter(|(s, _)| !v.cut || CUT.contains(s));
+        let of_variant = runs.and_then(|runs| {
+            let row =
+                |(stage, quantity): &(&'static str, &str)| row(stage, quantity, &v.name, &runs);
+            stages.map(row).collect::<Result<Vec<_>>>()
+        });
+        match of_variant {
             Ok(of_variant) => rows.extend(of_variant),
             Err(e) => failed.push(Failure::new(&what, &e)),
         }
     }
     rows
-}
-
-impl Setup {
-    fn measure(&self, device: &Device, v: &Variant, samples: usize) -> Result<Vec<Precision>> {
-        let case = scene::case(self.gaussians, self.size, v.alpha_min);
-        let reference = if v.against_no_cut {
-            &self.no_cut
-        } else {
-            &self.same_cut
-        };
-        let runs = if v.double {
-            passes::<f64>(device, v.tuning, &case, reference, samples)?
-        } else {
-            passes::<f32>(device, v.tuning, &case, reference, samples)?
-        };
-        COMPARED
-            .iter()
-            .filter(|(stage, _)| !v.against_no_cut || CUT.contains(stage))
-            .map(|(stage, quantity)| row(stage, quantity, &v.name, &runs))
-            .collect()
-    }
 }
 
 /// Passes through all stages, the first of them with the reference; an earlier one, which may wait for the compiler, is left out.
@@ -181,16 +159,12 @@ fn row(stage: &'static str, quantity: &str, variant: &str, runs: &[Outcome]) -> 
             ),
         });
     }
-    let ms: Vec<f64> = runs
-        .iter()
-        .flat_map(|out| out.seconds.iter().filter(|(name, _)| *name == stage))
-        .map(|(_, seconds)| 1e3 * seconds)
-        .collect();
-    let ms = Spread::of(&ms).ok_or_else(|| no_samples(stage))?;
+    let times = runs.iter().flat_map(|r| &r.seconds);
+    let times = times.filter(|(name, _)| *name == stage);
     Ok(Precision {
         stage,
         variant: variant.to_owned(),
-        ms,
+        ms: spread(stage, times.map(|(_, seconds)| 1e3 * seconds))?,
         max_rel_error: report.max,
         median_rel_error: report.median,
     })

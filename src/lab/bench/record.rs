@@ -20,8 +20,6 @@ pub struct BenchRecord {
     pub peak: Peak,
     /// One entry per scene and resolution.
     pub cases: Vec<Case>,
-    /// Power laws of time and memory.
-    pub growth: Vec<Growth>,
     /// Error against time of every precision, vector width, style and cut-off.
     pub precision: Vec<Precision>,
     /// Cases and parts that could not be measured.
@@ -159,21 +157,6 @@ fn share<S: Serializer>(r: &Option<Ratio>, out: S) -> Result<S::Ok, S::Error> {
     keyed(r.map(|r| [r.median, r.low, r.high]), keys, None, out)
 }
 
-/// A power law over some of the cases: y ∝ xᵖ.
-#[derive(Debug, Clone, Serialize)]
-pub struct Growth {
-    /// The quantity, what it grows with, and what stays the same.
-    pub what: String,
-    /// Number of cases.
-    pub points: usize,
-    /// The exponent p and its range.
-    pub exponent: Ratio,
-    /// Smaller and larger x of `ratio`.
-    pub between: [f64; 2],
-    /// y of the larger over y of the smaller.
-    pub ratio: Ratio,
-}
-
 /// Error of a stage in one variant against the f64 reference, relative to the largest wanted value, and its time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Precision {
@@ -209,13 +192,14 @@ impl Failure {
     }
 }
 
-/// The error of a stage without a sample.
-pub(super) fn no_samples(stage: &str) -> Error {
-    Error::Numerics {
+/// The spread of a stage's samples; an error if there are none, or any that is no number.
+pub(super) fn spread(stage: &str, samples: impl Iterator<Item = f64>) -> Result<Spread, Error> {
+    let samples: Vec<f64> = samples.collect();
+    Spread::of(&samples).ok_or_else(|| Error::Numerics {
         stage: stage.into(),
         what: "no time was measured; the driver's profiling counters or the clock do not advance"
             .into(),
-    }
+    })
 }
 
 /// Result of one device.
@@ -231,4 +215,14 @@ pub enum Outcome {
         /// The reason.
         error: String,
     },
+}
+
+impl Outcome {
+    /// The record of a device that was measured.
+    pub(super) fn record(&self) -> Option<&BenchRecord> {
+        match self {
+            Self::Done(record) => Some(record),
+            Self::Failed { .. } => None,
+        }
+    }
 }

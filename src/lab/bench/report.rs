@@ -1,37 +1,35 @@
-//! The report of a bench: every device, and several side by side.
+//! The report of a bench: every device with its tables and charts, and several side by side; and the files of `-o DIR`.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
+use crate::base::error::Result;
 use crate::chart::bars::{Bar, bar_chart};
 use crate::chart::loglog::{LogPoint, LogSeries, log_log_chart};
 use crate::chart::text::fixed;
-use crate::lab::bench::growth::SYNTHETIC;
-use crate::lab::bench::record::{BenchRecord, Case, Outcome, Precision, Stage};
-use crate::lab::bench::tables::{case_title, comparison, done, of_record};
-use crate::lab::bench::work::Load;
+use crate::lab::bench::record::{BenchRecord, Case, Outcome, Stage};
+use crate::lab::bench::scene::SYNTHETIC;
+use crate::lab::folder::{one_or_all, write_files};
 use crate::lab::report::{Report, Section};
-use crate::lab::table::{digits, spread};
+use crate::lab::stats::Spread;
+use crate::lab::table::{Table, digits, or_dash, ratio, spread};
 
 /// Least error that is drawn: f64 results may agree to the last bit.
 const MIN_ERROR: f64 = 1e-17;
-/// Case that devices are compared by: Gaussians and pixels.
+/// Header of `bench.csv`: a row per stage of a case, per whole iteration, and per variant of a stage. Cells that do not
+/// apply are empty.
+const HEADER: &str = "device,scene,gaussians,width,height,pairs,stage,variant,median_ms,min_ms,max_ms,cpu_ms,samples,\
+     rate,unit,share_of_peak,max_rel_error\n";
+/// Case whose stages are drawn: Gaussians and pixels.
 const COMMON: (usize, u32) = (100_000, 800);
 
 /// All devices as a report.
 #[must_use]
 pub fn report(outcomes: &[Outcome]) -> Report {
-    let records = done(outcomes);
+    let records: Vec<&BenchRecord> = outcomes.iter().filter_map(Outcome::record).collect();
     let mut sections = Vec::new();
-    if let Some(side_by_side) = comparison(&records) {
-        sections.push(Section::Table(side_by_side));
-        let each = |width: u32| {
-            let series = |r: &&BenchRecord| time_series(r, width, r.device.clone());
-            let series: Vec<LogSeries> = records.iter().map(series).collect();
-            let title = format!("Iteration at {width} × {width} px");
-            log_log_chart(&title, "Gaussians", "ms", &series)
-        };
-        let widths = widths(records.iter().flat_map(|r| &r.cases));
-        sections.push(charts("", widths.into_iter().map(each).collect()));
+    if records.len() > 1 {
+        sections.push(Section::Table(comparison(&records)));
     }
     sections.extend(outcomes.iter().map(|outcome| {
         Section::Part(match outcome {
@@ -54,155 +52,284 @@ pub fn report(outcomes: &[Outcome]) -> Report {
     }
 }
 
-fn charts(title: &str, figures: Vec<String>) -> Section {
-    Section::Charts {
-        title: title.into(),
-        note: String::new(),
-        figures,
-    }
-}
-
-/// Iteration times against N of the synthetic cases at one width, as a series.
-fn time_series(record: &BenchRecord, width: u32, name: String) -> LogSeries {
-    let cases = record.cases.iter();
-    let mut cases: Vec<&Case> = cases
-        .filter(|c| c.scene == SYNTHETIC && c.width == width)
-        .collect();
-    cases.sort_by_key(|c| c.gaussians);
-    let point = |c: &&Case| {
-        let i = &c.iteration;
-        LogPoint {
-            x: c.gaussians as f64,
-            y: i.ms.median,
-            label: digits(i.ms.median),
-            tip: format!("{}: {} ms", case_title(c), spread(&i.ms, digits)),
+/// Peaks and iteration times of several devices side by side.
+fn comparison(records: &[&BenchRecord]) -> Table {
+    let mut titles: Vec<String> = Vec::new();
+    for title in records.iter().flat_map(|r| &r.cases).map(title) {
+        if !titles.contains(&title) {
+            titles.push(title);
         }
-    };
-    LogSeries {
-        name,
-        points: cases.iter().map(point).collect(),
-        line: true,
     }
-}
-
-/// Widths of the synthetic cases, rising.
-fn widths<'a>(cases: impl Iterator<Item = &'a Case>) -> Vec<u32> {
-    let synthetic = cases.filter(|c| c.scene == SYNTHETIC);
-    let all: BTreeSet<u32> = synthetic.map(|c| c.width).collect();
-    all.into_iter().collect()
+    let row = |name: String, cell: &dyn Fn(&BenchRecord) -> String| -> Vec<String> {
+        let cells = records.iter().map(|r| cell(r));
+        std::iter::once(name).chain(cells).collect()
+    };
+    let mut rows = vec![
+        row("multiply-adds, GFLOP/s".into(), &|r| figure(&r.peak.fma)),
+        row("copy, GB/s".into(), &|r| figure(&r.peak.copy)),
+    ];
+    rows.extend(titles.into_iter().map(|of| {
+        row(format!("{of}, ms"), &|r| {
+            let case = r.cases.iter().find(|c| title(c) == of);
+            or_dash(case, |c| figure(&c.iteration.ms))
+        })
+    }));
+    Table {
+        title: "Devices side by side".into(),
+        note: "Measured peaks, and wall time of one iteration, median (min–max).".into(),
+        columns: row(String::new(), &|r| r.device.clone()),
+        rows,
+    }
 }
 
 fn device(record: &BenchRecord) -> Report {
     let a = &record.about;
-    let widths = widths(record.cases.iter());
-    let series = widths
-        .iter()
-        .map(|w| time_series(record, *w, format!("{w} px")));
-    let series: Vec<LogSeries> = series.collect();
-    let title = "Iteration against size";
-    let mut figures = vec![log_log_chart(title, "Gaussians", "ms", &series)];
-    figures.extend(common_case(record).map(stage_shares));
-    for stage in ["splat", "splat_grad"] {
-        let rows = record.precision.iter().filter(|p| p.stage == stage);
-        let series = by_kind(&rows.collect::<Vec<_>>());
-        let title = format!("Work and precision of {stage}");
-        figures.push(log_log_chart(&title, "ms", "largest error", &series));
-    }
-    let mut sections = headlines(record);
-    sections.push(charts("Charts", figures));
-    sections.extend(of_record(record).into_iter().map(Section::Table));
+    let mut tables = vec![peak(record), iterations(record)];
+    tables.extend(record.cases.iter().map(stages));
+    tables.extend([precision(record), failures(record)]);
+    let common = |c: &&Case| c.scene == SYNTHETIC && (c.gaussians, c.width) == COMMON;
+    let common = record.cases.iter().find(common).or(record.cases.last());
+    let mut figures = vec![growth_chart(record), precision_chart(record)];
+    figures.extend(common.map(stage_chart));
+    let charts = Section::Charts {
+        title: "Charts".into(),
+        note: String::new(),
+        figures,
+    };
+    let tables = tables.into_iter().map(Section::Table);
     Report {
         title: record.device.clone(),
         subtitle: format!(
             "{}, driver {}, {} compute units",
             a.platform, a.driver, a.compute_units
         ),
-        sections,
+        sections: std::iter::once(charts).chain(tables).collect(),
         ..Report::default()
     }
 }
 
-/// The case of [`COMMON`] size, else the last.
-fn common_case(record: &BenchRecord) -> Option<&Case> {
-    let common = |c: &&Case| c.scene == SYNTHETIC && (c.gaussians, c.width) == COMMON;
-    record.cases.iter().find(common).or(record.cases.last())
-}
-
-fn headlines(record: &BenchRecord) -> Vec<Section> {
-    let p = &record.peak;
-    let head = |name: &str, value: f64, unit: &str| [name.into(), digits(value), unit.into()];
-    let mut heads = vec![
-        head("Multiply-adds", p.fma_gflops, "GFLOP/s"),
-        head("Copy", p.copy_gbs, "GB/s"),
-    ];
-    let Some(case) = common_case(record) else {
-        return vec![Section::Headlines(heads)];
+/// `N Gaussians, W × H px` of a case, after the name of a scene from a file.
+fn title(case: &Case) -> String {
+    let name = match case.scene.as_str() {
+        SYNTHETIC => String::new(),
+        other => format!("{other}, "),
     };
-    heads.push(head("Iteration", case.iteration.ms.median, "ms"));
-    heads.push(head("CPU time", case.iteration.cpu_ms.median, "ms"));
-    let lanes = |s: &&Stage| Load::flop_per_lane(s.name).is_some();
-    let rates = case.stages.iter().filter(lanes);
-    heads.extend(rates.map(|s| head(s.name, 1e-9 * s.rate.median, "G/core-s")));
-    let of = format!(
-        "Iteration, and lanes of the splat kernels: {}.",
-        case_title(case)
-    );
-    vec![Section::Headlines(heads), Section::Text(of)]
+    let (n, w, h) = (case.gaussians, case.width, case.height);
+    format!("{name}{n} Gaussians, {w} × {h} px")
 }
 
-fn stage_shares(case: &Case) -> String {
+fn figure(s: &Spread) -> String {
+    spread(s, digits)
+}
+
+fn peak(record: &BenchRecord) -> Table {
+    let p = &record.peak;
+    let row = |name: &str, s: &Spread, unit: &str| {
+        let samples = s.samples.to_string();
+        vec![name.to_owned(), figure(s), unit.to_owned(), samples]
+    };
+    let per_core = "multiply-adds in f32, per second of CPU time";
+    let core = p.fma_core.iter().map(|c| row(per_core, c, "GFLOP/core-s"));
+    let mut rows = vec![row("multiply-adds in f32, whole device", &p.fma, "GFLOP/s")];
+    rows.extend(core);
+    rows.push(row("copy, read and written", &p.copy, "GB/s"));
+    let columns = ["peak", "median (min–max)", "unit", "samples"];
+    Table::new("Measured peak", "", &columns, rows)
+}
+
+fn iterations(record: &BenchRecord) -> Table {
+    let row = |c: &Case| {
+        let i = &c.iteration;
+        vec![
+            title(c),
+            figure(&i.ms),
+            figure(&i.cpu_ms),
+            figure(&i.cores_busy),
+            c.pairs.to_string(),
+            digits(1e-6 * i.lanes as f64),
+            digits(i.bytes_per_gaussian),
+            format!("{} of {}", i.ms.samples, i.iterations),
+        ]
+    };
+    let columns = [
+        "case",
+        "ms",
+        "CPU ms",
+        "cores busy",
+        "pairs",
+        "M lanes",
+        "B/Gaussian",
+        "samples",
+    ];
+    let note = "Wall time of one iteration, median (min–max) of so many samples of so many iterations. Where other programs share the machine, compare by CPU ms.";
+    let rows = record.cases.iter().map(row);
+    Table::new("Whole iteration", note, &columns, rows)
+}
+
+fn stages(case: &Case) -> Table {
+    let row = |s: &Stage| {
+        // Lanes in 10⁹, bytes in GB.
+        let unit = match s.unit {
+            "bytes/s" => "GB/s",
+            _ => "Glanes/core-s",
+        };
+        vec![
+            s.name.to_owned(),
+            figure(&s.ms),
+            or_dash(s.cpu_ms, |s| figure(&s)),
+            format!("{} {unit}", figure(&s.rate.scaled(1e-9))),
+            or_dash(s.share, |r| ratio(&r.scaled(100.0))),
+        ]
+    };
+    let note = "Device time per iteration, median (min–max). CPU ms and core-s are device time times the cores busy over the whole \
+         iteration, so they are too low by what other stages leave idle (see above). Share of the measured peak: FLOP of the lanes over the multiply-adds, \
+         bytes over the copy; above 100 % where data stay in a cache.";
+    let columns = ["stage", "ms", "CPU ms", "rate", "% of peak"];
+    Table::new(title(case), note, &columns, case.stages.iter().map(row))
+}
+
+fn precision(record: &BenchRecord) -> Table {
+    let rows = record.precision.iter().map(|p| {
+        vec![
+            p.stage.to_owned(),
+            p.variant.clone(),
+            figure(&p.ms),
+            format!("{:.1e}", p.max_rel_error),
+            format!("{:.1e}", p.median_rel_error),
+        ]
+    });
+    let note = "Error over the largest value of the f64 reference, which has the same alpha cut, but for the rows named `cut`: \
+         there it has none. The largest error counts values in which a contribution at the cut fell to the other side.";
+    let columns = ["stage", "variant", "ms", "largest error", "median error"];
+    Table::new("Work and precision", note, &columns, rows)
+}
+
+fn failures(record: &BenchRecord) -> Table {
+    let rows = record.failed.iter();
+    let rows = rows.map(|f| vec![f.what.clone(), f.error.clone()]);
+    Table::new("Not measured", "", &["case", "reason"], rows)
+}
+
+/// Iteration times of the synthetic cases against the number of Gaussians, a line per resolution.
+fn growth_chart(record: &BenchRecord) -> String {
+    let cases = || record.cases.iter().filter(|c| c.scene == SYNTHETIC);
+    let widths: BTreeSet<u32> = cases().map(|c| c.width).collect();
+    let series = widths.into_iter().map(|width| {
+        let mut cases: Vec<&Case> = cases().filter(|c| c.width == width).collect();
+        cases.sort_by_key(|c| c.gaussians);
+        let point = |c: &&Case| LogPoint {
+            x: c.gaussians as f64,
+            y: c.iteration.ms.median,
+            label: digits(c.iteration.ms.median),
+            tip: format!("{}: {} ms", title(c), figure(&c.iteration.ms)),
+        };
+        LogSeries {
+            name: format!("{width} px"),
+            points: cases.iter().map(point).collect(),
+            line: true,
+        }
+    });
+    let series: Vec<LogSeries> = series.collect();
+    log_log_chart("Iteration against size", "Gaussians", "ms", &series)
+}
+
+/// Error against time of every variant of the splat stages.
+fn precision_chart(record: &BenchRecord) -> String {
+    let series = ["splat", "splat_grad"].map(|stage| {
+        let rows = record.precision.iter().filter(|p| p.stage == stage);
+        let point = rows.map(|p| LogPoint {
+            x: p.ms.median,
+            y: p.max_rel_error.max(MIN_ERROR),
+            label: p.variant.clone(),
+            tip: format!(
+                "{stage}, {}: {} ms, largest error {:.1e}, median {:.1e}",
+                p.variant,
+                figure(&p.ms),
+                p.max_rel_error,
+                p.median_rel_error
+            ),
+        });
+        LogSeries {
+            name: stage.to_owned(),
+            points: point.collect(),
+            line: false,
+        }
+    });
+    log_log_chart("Work and precision", "ms", "largest error", &series)
+}
+
+fn stage_chart(case: &Case) -> String {
     let total: f64 = case.stages.iter().map(|s| s.ms.median).sum();
-    let bars: Vec<Bar> = case
-        .stages
-        .iter()
-        .map(|s| Bar {
+    let bar = |s: &Stage| {
+        let (ms, share) = (digits(s.ms.median), 100.0 * s.ms.median / total);
+        Bar {
             name: s.name.to_owned(),
             value: s.ms.median,
-            text: format!(
-                "{} ms · {} %",
-                digits(s.ms.median),
-                fixed(100.0 * s.ms.median / total, 1)
-            ),
-        })
-        .collect();
-    let title = format!("Stages, {} Gaussians, {} px", case.gaussians, case.width);
-    bar_chart(&title, &bars)
+            text: format!("{ms} ms · {} %", fixed(share, 1)),
+        }
+    };
+    let bars: Vec<Bar> = case.stages.iter().map(bar).collect();
+    bar_chart(&format!("Stages, {}", title(case)), &bars)
 }
 
-/// Variants of a kind share a colour: vector widths, style, precision, cut-offs.
-fn by_kind(rows: &[&Precision]) -> Vec<LogSeries> {
-    let kinds = [
-        ("f32, lanes", "f32 × ", true),
-        ("f32, group per tile", "f32, group", false),
-        ("f64", "f64", false),
-        ("alpha cut, against none", "cut ", true),
+/// The document of `bench --json`, of several devices an array.
+///
+/// # Errors
+/// None that a user can cause: what is measured can be written.
+pub fn json(outcomes: &[Outcome]) -> Result<String> {
+    one_or_all("bench.json", outcomes)
+}
+
+/// Writes `bench.json`, `bench.csv`, `bench.md` and `bench.html`.
+///
+/// # Errors
+/// A folder that is not empty or cannot be written.
+pub fn write_folder(dir: &Path, outcomes: &[Outcome]) -> Result<()> {
+    let report = report(outcomes);
+    let files = [
+        ("bench.json", json(outcomes)? + "\n"),
+        ("bench.csv", csv(outcomes)),
+        ("bench.md", report.to_markdown()),
+        ("bench.html", report.to_html()),
     ];
-    let point = |p: &&&Precision, prefix: &str| LogPoint {
-        x: p.ms.median,
-        y: p.max_rel_error.max(MIN_ERROR),
-        label: p.variant.strip_prefix(prefix).unwrap_or("").to_owned(),
-        tip: format!(
-            "{}: {} ms, largest error {:.1e}, median {:.1e}",
-            p.variant,
-            spread(&p.ms, digits),
-            p.max_rel_error,
-            p.median_rel_error
-        ),
-    };
-    let of_kind = |(name, prefix, labelled): (&str, &'static str, bool)| LogSeries {
-        name: name.to_owned(),
-        points: rows
-            .iter()
-            .filter(|p| p.variant.starts_with(prefix))
-            .map(|p| {
-                let point = point(&p, prefix);
-                LogPoint {
-                    label: if labelled { point.label } else { String::new() },
-                    ..point
-                }
-            })
-            .collect(),
-        line: labelled,
-    };
-    kinds.into_iter().map(of_kind).collect()
+    write_files(dir, &files)
+}
+
+/// A cell of text, quoted by RFC 4180.
+fn quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('"', "\"\""))
+}
+
+/// The cells of a time: median, min, max, CPU time, samples.
+fn times(ms: &Spread, cpu: Option<Spread>) -> String {
+    let cpu = cpu.map_or_else(String::new, |s| s.median.to_string());
+    format!("{},{},{},{cpu},{}", ms.median, ms.min, ms.max, ms.samples)
+}
+
+/// Every device as one table, as in [`write_folder`].
+#[must_use]
+pub fn csv(outcomes: &[Outcome]) -> String {
+    let mut out = HEADER.to_owned();
+    for record in outcomes.iter().filter_map(Outcome::record) {
+        let device = quoted(&record.device);
+        for case in &record.cases {
+            let scene = quoted(&case.scene);
+            let (n, w, h, pairs) = (case.gaussians, case.width, case.height, case.pairs);
+            let prefix = format!("{device},{scene},{n},{w},{h},{pairs}");
+            let whole = times(&case.iteration.ms, Some(case.iteration.cpu_ms));
+            out += &format!("{prefix},iteration,,{whole},,,,\n");
+            for s in &case.stages {
+                let times = times(&s.ms, s.cpu_ms);
+                let share = s.share.map_or_else(String::new, |r| r.median.to_string());
+                let (name, rate, unit) = (s.name, s.rate.median, s.unit);
+                out += &format!("{prefix},{name},,{times},{rate},{unit},{share},\n");
+            }
+        }
+        for p in &record.precision {
+            let (variant, times) = (quoted(&p.variant), times(&p.ms, None));
+            let (stage, error) = (p.stage, p.max_rel_error);
+            out += &format!("{device},,,,,,{stage},{variant},{times},,,,{error}\n");
+        }
+    }
+    out
 }

@@ -1,13 +1,11 @@
 //! The bench of a device, from its peak to its precisions.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Camera, Frame};
 use crate::device::Device;
 use crate::lab::bench::case::{Subject, measure as measure_case};
-use crate::lab::bench::growth::{SYNTHETIC, growth};
-use crate::lab::bench::options::Options;
 use crate::lab::bench::peak::measure as measure_peak;
 use crate::lab::bench::precision::measure as measure_precision;
 use crate::lab::bench::record::{BenchRecord, Failure, Outcome};
@@ -18,6 +16,71 @@ use crate::scene::{Gaussians, orbit, ply};
 /// Width and height at which a scene from a file is seen, pixels.
 const SCENE_SIZE: u32 = 800;
 
+/// The cases to measure, and how long.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Synthetic cases: Gaussians, width and height in pixels.
+    pub cases: Vec<(usize, u32)>,
+    /// A trained scene to measure besides.
+    pub scene: Option<PathBuf>,
+    /// Samples of every figure.
+    pub samples: usize,
+    /// Least duration of a sample, seconds.
+    pub sample_seconds: f64,
+    /// Gaussians and pixels of the scene on which precisions are compared.
+    pub precision: Option<(usize, u32)>,
+    /// Compare the precisions of the device's own tuning and cut only, which other runs have built already.
+    #[doc(hidden)]
+    pub own_build_only: bool,
+}
+
+impl Default for Options {
+    /// Cases that end within three minutes on two cores.
+    fn default() -> Self {
+        Self {
+            cases: vec![
+                (10_000, 400),
+                (100_000, 400),
+                (100_000, 800),
+                (500_000, 800),
+                (100_000, 1600),
+            ],
+            scene: None,
+            samples: 7,
+            sample_seconds: 0.6,
+            precision: Some((2000, 160)),
+            own_build_only: false,
+        }
+    }
+}
+
+impl Options {
+    /// Every number of Gaussians at every resolution.
+    #[must_use]
+    pub fn full() -> Self {
+        let numbers = [10_000, 100_000, 500_000, 1_000_000];
+        let at_size = |size| numbers.map(|n| (n, size));
+        Self {
+            cases: [400, 800, 1600].map(at_size).concat(),
+            ..Self::default()
+        }
+    }
+
+    /// These cases in the shortest time that still fills every field; the figures mean nothing.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn brief(cases: Vec<(usize, u32)>) -> Self {
+        Self {
+            cases,
+            samples: 3,
+            sample_seconds: 0.02,
+            precision: Some((60, 32)),
+            own_build_only: true,
+            ..Self::default()
+        }
+    }
+}
+
 /// Measures one device; `note` receives the name of each case before it is measured. A case that the device cannot hold is listed among the failures.
 ///
 /// # Errors
@@ -27,9 +90,15 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
     note("peak");
     let peak = measure_peak(device, options)?;
     let (mut cases, mut failed, mut last) = (Vec::new(), Vec::new(), None);
-    let mut measure = |subject: &Subject<'_>| {
+    let mut measure = |name: &str, splats: &Gaussians, cameras: &[Camera], anti_alias: bool| {
+        let subject = Subject {
+            name,
+            splats,
+            dataset: scene::dataset(cameras),
+            anti_alias,
+        };
         note(&subject.title());
-        match measure_case(device, &peak, subject, options) {
+        match measure_case(device, &peak, &subject, options) {
             Ok(case) => cases.push(case),
             Err(e) => {
                 failed.push(Failure::new(&subject.title(), &e));
@@ -38,20 +107,13 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
         }
     };
     for (n, size) in &options.cases {
-        measure(&Subject {
-            name: SYNTHETIC,
-            splats: &scene::cloud(*n),
-            dataset: scene::dataset(&scene::circle(*size)),
-            anti_alias: false,
-        });
+        let circle = scene::circle(*size);
+        measure(scene::SYNTHETIC, &scene::cloud(*n), &circle, false);
     }
     if let Some((name, splats, anti_alias)) = &trained {
-        measure(&Subject {
-            name,
-            splats,
-            dataset: scene::dataset(&around(splats)),
-            anti_alias: *anti_alias,
-        });
+        let [x, y, z] = [0, 1, 2].map(|k| splats.planes()[k].as_slice());
+        let around = orbit([x, y, z], scene::VIEWS, [SCENE_SIZE; 2]);
+        measure(name, splats, &around, *anti_alias);
     }
     if let (true, Some(error)) = (cases.is_empty(), last) {
         return Err(error);
@@ -62,7 +124,6 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
         version: env!("CARGO_PKG_VERSION").to_owned(),
         about: device.info().clone(),
         peak,
-        growth: growth(&cases),
         cases,
         precision,
         failed,
@@ -80,23 +141,12 @@ fn read_scene(path: &Path) -> Result<(String, Gaussians, bool)> {
         return Err(Error::input(path, "holds no Gaussian", fix));
     }
     let name = path.file_name().unwrap_or(path.as_os_str());
-    let anti_alias = anti_aliased;
-    let with = if anti_alias {
-        " with anti-aliasing"
-    } else {
-        ""
+    let name = name.to_string_lossy();
+    let name = match anti_aliased {
+        true => format!("{name} with anti-aliasing"),
+        false => name.into_owned(),
     };
-    Ok((
-        format!("{}{with}", name.to_string_lossy()),
-        splats,
-        anti_alias,
-    ))
-}
-
-/// Cameras on a circle around a scene.
-fn around(splats: &Gaussians) -> Vec<Camera> {
-    let [x, y, z] = [0, 1, 2].map(|k| splats.planes()[k].as_slice());
-    orbit([x, y, z], scene::VIEWS, [SCENE_SIZE; 2])
+    Ok((name, splats, anti_aliased))
 }
 
 /// Measures several devices (name, selector for `open`), one after the other. A device that fails does not keep

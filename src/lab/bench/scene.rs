@@ -7,10 +7,11 @@ use glam::{DMat3, DVec3};
 use crate::base::rng::{Philox, Stream};
 use crate::capture::{Alpha, Camera, Dataset, Frame, Layout, Lens, Photo, Points, View};
 use crate::config::{AntiAliasing, OptimizerConfig, Sampler, TrainConfig, WorkConfig};
-use crate::lab::verify::cases::{Case, SINGLE};
-use crate::pipeline::stage::adam::LearningRates;
+use crate::lab::verify::cases::{Case, mild};
 use crate::scene::{Gaussians, Plane};
 
+/// Name of the cases that differ in nothing but their size.
+pub(super) const SYNTHETIC: &str = "synthetic";
 /// Views of every case.
 pub const VIEWS: u32 = 8;
 /// SH degree of the cloud.
@@ -137,26 +138,10 @@ pub fn case(gaussians: usize, size: u32, alpha_min: f64) -> Case {
     let camera = circle(size)[0];
     Case {
         family: "precision",
-        name: "precision".into(),
-        bound: SINGLE,
         splats: cloud(gaussians),
         photo: photo(&camera),
         camera,
-        filter_views: Vec::new(),
-        background: [0.2, 0.5, 0.1],
         alpha_min,
-        sh_degree: SH_DEGREE,
-        lambdas: [0.2, 0.01, 0.01],
-        rates: LearningRates {
-            position: 0.0,
-            scale: 0.0,
-            rotation: 0.0,
-            opacity: 0.0,
-            sh0: 0.0,
-            sh: 0.0,
-        },
-        edits: Vec::new(),
-        invalid: Vec::new(),
-        error_map_bound: None,
+        ..mild("precision", 1, [size; 2], SH_DEGREE, 0)
     }
 }

@@ -4,8 +4,20 @@ use crate::base::constants::{SUMS, TILE};
 use crate::base::error::Result;
 use crate::device::tuning::{Tuning, status};
 use crate::device::{CameraArg, Projected, Real};
-use crate::lab::bench::options::STAGES;
 use crate::pipeline::forward::Renderer;
+
+/// The stages of an iteration, in the order of the tables.
+pub const STAGES: [&str; 9] = [
+    "project",
+    "bin",
+    "scan",
+    "sort",
+    "splat",
+    "loss",
+    "splat_grad",
+    "project_grad",
+    "adam",
+];
 
 /// FLOP of a lane in the innermost block of `kernels/splat.cl`, a multiply-add counting two and comparisons, selections,
 /// conversions and integers nothing: u 3, exponent 6, 2^x 12, weight 1, three channels 6, transmittance 1.

@@ -1,16 +1,50 @@
-//! Births on the device: their true loss change by rendering again, and its first-order prediction by a probe.
+//! Births to be judged: drawn as the sampler draws them, and evenly over the range of the importance.
 
-use crate::base::error::Result;
-use crate::device::Real;
-use crate::lab::surrogate::candidates::{Candidate, Shape};
-use crate::lab::surrogate::instrument::{Base, Instrument};
-use crate::lab::surrogate::outcome::FORMS;
-use crate::pipeline::backward::GRADIENT_ROWS;
-use crate::scene::Plane;
-use crate::train::estimates::{change, scaled_logit};
+use std::collections::BTreeSet;
+
+use serde::Serialize;
+
+use crate::base::math::{logit, sigmoid};
+use crate::base::rng::{Philox, Stream};
+use crate::config::MhConfig;
+use crate::density::draw::{Categorical, birth_position};
+use crate::density::mh::accept::{ln_acceptance, voxel_prior};
+use crate::density::mh::lerp;
+use crate::density::mh::sparsity::{Lattice, VoxelCounts};
+use crate::density::relocation::split;
+use crate::density::{ErrorStatistics, SceneState};
+use crate::scene::{Gaussians, Plane};
+
+/// Draws per wanted candidate before fewer have to do: sources are distinct, and few may hold all the weight.
+const PATIENCE: u64 = 50;
+/// Random streams of sources and of offsets, one per group of candidates.
+const STREAMS: [u32; 2] = [10, 20];
+
+/// The forms of a birth, by their names in the configuration.
+pub const FORMS: [&str; 3] = ["copy", "split", "faint"];
+
+/// Values that a birth writes to its own row, and to that of its source if they share.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shape {
+    /// Log-scale of the candidate (and of the source, if that changes).
+    pub log_scale: [f32; 3],
+    /// Opacity logit of the candidate (and of the source, if that changes).
+    pub opacity_logit: f32,
+}
+
+impl Shape {
+    /// The shape of a row.
+    #[must_use]
+    pub fn of(splats: &Gaussians, row: u32) -> Self {
+        Self {
+            log_scale: splats.gather(Plane::LOG_SCALE, row as usize),
+            opacity_logit: splats.planes()[Plane::OPACITY][row as usize],
+        }
+    }
+}
 
 /// A birth as it is to be measured.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Birth {
     /// Row that is copied.
     pub source: u32,
@@ -22,131 +56,196 @@ pub struct Birth {
     pub shared: bool,
 }
 
-impl Candidate {
-    /// The birth in each of [`FORMS`].
-    pub(super) fn births(&self) -> [Birth; FORMS.len()] {
-        [(self.copy, false), (self.split, true), (self.faint, false)].map(|(shape, shared)| Birth {
-            source: self.source,
-            position: self.position,
-            shape,
-            shared,
-        })
-    }
+/// Law by which the source of a candidate was drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Draw {
+    /// Proportional to its importance, like the sampler.
+    Proposal,
+    /// Evenly over the range of the importance.
+    Stratified,
 }
 
-/// First-order prediction of a birth.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Probed {
-    /// First-order change of the mean loss.
-    pub change: f64,
-    /// For each view, true if any tile intersection is its own.
-    pub touched: Vec<bool>,
+/// Phase of density control whose spread the offset has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Phase {
+    /// Far from the source.
+    Coarse,
+    /// Near it.
+    Fine,
 }
 
-impl<R: Real> Instrument<R> {
-    /// Writes births to the rows from `first` on, their opacities times `factor`.
-    fn insert(&self, first: usize, births: &[Birth], factor: f64) -> Result<()> {
-        let value = |plane: usize, b: &Birth| {
-            let shape = &b.shape;
-            match plane {
-                0..3 => f64::from(b.position[plane]),
-                Plane::LOG_SCALE..Plane::ROTATION => {
-                    f64::from(shape.log_scale[plane - Plane::LOG_SCALE])
-                }
-                Plane::OPACITY => scaled_logit(f64::from(shape.opacity_logit), factor),
-                _ => f64::from(self.splats.planes()[plane][b.source as usize]),
-            }
+/// One candidate with its true and predicted gain in each of [`FORMS`].
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Candidate {
+    /// Row of its source.
+    pub source: u32,
+    /// Law of its draw.
+    pub draw: Draw,
+    /// Phase of its offset.
+    pub phase: Phase,
+    /// Position of the birth, local units.
+    pub position: [f32; 3],
+    /// I of the source.
+    pub importance: f64,
+    /// D(v′) of the voxel of birth, all voxels being of one size.
+    pub prior: f64,
+    /// ρ in the run's form at T = 1.
+    pub acceptance: f64,
+    /// Opacity of the source.
+    pub opacity: f64,
+    /// 1 − SSIM under the source, mean of the views that see it.
+    pub ssim: Option<f64>,
+    /// L1 error there.
+    pub l1: Option<f64>,
+    /// Number of views in which it has any pixel.
+    pub views: usize,
+    /// True gain −ΔL; 0 before it is measured.
+    pub gain: [f64; FORMS.len()],
+    /// First-order prediction of −ΔL by the probe.
+    pub probe: [f64; FORMS.len()],
+    #[serde(skip)]
+    pub(super) births: [Birth; FORMS.len()],
+}
+
+/// State that candidates are drawn from.
+pub(super) struct Ground<'a> {
+    pub config: &'a MhConfig,
+    pub splats: &'a Gaussians,
+    pub cues: ErrorStatistics<'a>,
+    pub importance: &'a [f64],
+    pub progress: f64,
+    pub seed: u64,
+}
+
+impl Ground<'_> {
+    /// About `count` candidates: half of them drawn as proposals, half evenly over the importance, and of each half one half
+    /// with the coarse spread. Sources are distinct within each of the four groups. Dead Gaussians are no sources.
+    pub fn draw(&self, count: usize) -> Vec<Candidate> {
+        let slice = |p: usize| self.splats.planes()[p].as_slice();
+        let scene = SceneState {
+            positions: std::array::from_fn(|k| slice(Plane::POSITION + k)),
+            log_scales: std::array::from_fn(|k| slice(Plane::LOG_SCALE + k)),
+            rotations: std::array::from_fn(|k| slice(Plane::ROTATION + k)),
+            opacity_logits: slice(Plane::OPACITY),
         };
-        for plane in 0..self.scene.planes() {
-            let values: Vec<R> = births.iter().map(|b| R::of(value(plane, b))).collect();
-            self.scene
-                .params
-                .write(plane * self.scene.stride + first, &values)?;
+        let is_alive =
+            |i: usize| sigmoid(f64::from(scene.opacity_logits[i])) > self.config.dead_opacity;
+        let rows = 0..self.splats.len() as u32;
+        let alive: Vec<u32> = rows.filter(|i| is_alive(*i as usize)).collect();
+        let edge = lerp(self.config.voxel_edge, self.progress);
+        let counts = VoxelCounts::count_where(scene.positions, Lattice::uniform(edge), is_alive);
+        let groups = [
+            (Draw::Proposal, Phase::Coarse),
+            (Draw::Proposal, Phase::Fine),
+            (Draw::Stratified, Phase::Coarse),
+            (Draw::Stratified, Phase::Fine),
+        ];
+        let mut all = Vec::with_capacity(count);
+        for (k, (draw, phase)) in groups.into_iter().enumerate() {
+            let wanted = count * (k + 1) / 4 - count * k / 4;
+            let [sources, offsets] =
+                STREAMS.map(|first| Stream::Surrogate.stream(first + k as u32));
+            let uniform = |k: u64| Philox::uniform_53(self.seed, sources, k)[0];
+            let rows = match draw {
+                Draw::Proposal => self.by_weight(&alive, wanted, uniform),
+                Draw::Stratified => self.evenly(alive.clone(), wanted, uniform),
+            };
+            let (coarse, fine) = (self.config.coarse_spread, self.config.fine_spread);
+            let spread = lerp(
+                if phase == Phase::Coarse { coarse } else { fine },
+                self.progress,
+            );
+            all.extend(rows.into_iter().filter_map(|row| {
+                let [x, y, z, _] = Philox::normal(self.seed, offsets, u64::from(row));
+                let own = Shape::of(self.splats, row).log_scale;
+                let position = birth_position(&scene, row as usize, own, spread, [x, y, z])?;
+                let count = counts.get(position.map(f64::from));
+                Some(self.candidate(row, draw, phase, position, count))
+            }));
         }
-        Ok(())
+        all
     }
 
-    /// Gives a source the shape of its birth, or its own back.
-    fn reshape(&self, source: u32, shape: Shape) -> Result<()> {
-        let at = |plane: usize| plane * self.scene.stride + source as usize;
-        let write =
-            |plane: usize, v: f32| self.scene.params.write(at(plane), &[R::of(f64::from(v))]);
-        for k in 0..3 {
-            write(Plane::LOG_SCALE + k, shape.log_scale[k])?;
-        }
-        write(Plane::OPACITY, shape.opacity_logit)
-    }
-
-    /// First-order changes of the loss by births (method: a birth of opacity → 0 changes nothing, but has a derivative). All are
-    /// in the scene at once, ε as opaque as they would be, and one backward pass per view tells the derivatives; dL/dC is that
-    /// of the ordinary render. A source that shares adds its own gradient times its change of opacity logit and log-scale.
-    pub fn probe(&mut self, base: &Base, births: &[Birth]) -> Result<Vec<Probed>> {
-        let (n, epsilon) = (self.splats.len(), self.setting.probe);
-        self.insert(n, births, epsilon)?;
-        let mut probed = vec![Probed::default(); births.len()];
-        let (first, count) = (n / GRADIENT_ROWS * GRADIENT_ROWS, n + births.len());
-        for view in 0..self.view_count() {
-            self.render(false, view, n)?;
-            self.image_gradient(view)?;
-            self.render(true, view, count)?;
-            let [slopes, ..] = self.gradients(true, view, first)?;
-            let touched = self.faint.forward.intersected(n, count)?;
-            for (k, (p, b)) in probed.iter_mut().zip(births).enumerate() {
-                let logit = f64::from(b.shape.opacity_logit);
-                let change = change(slopes[n - first + k], logit, epsilon);
-                p.change += change / self.view_count() as f64;
-                p.touched.push(touched[k]);
+    fn by_weight(&self, alive: &[u32], wanted: usize, uniform: impl Fn(u64) -> f64) -> Vec<u32> {
+        let weight = |r: &u32| self.importance[*r as usize];
+        let weights: Vec<f64> = alive.iter().map(weight).collect();
+        let sources = Categorical::new(&weights);
+        let mut rows = BTreeSet::new();
+        for k in 0..PATIENCE * wanted as u64 {
+            if rows.len() == wanted {
+                break;
             }
+            rows.extend(sources.draw(uniform(k)).map(|i| alive[i]));
         }
-        for (p, b) in probed.iter_mut().zip(births).filter(|(_, b)| b.shared) {
-            p.change += self.source_change(base, b);
-        }
-        Ok(probed)
+        rows.into_iter().collect()
     }
 
-    fn own_shape(&self, source: u32) -> Shape {
-        Shape {
-            log_scale: self.splats.gather(Plane::LOG_SCALE, source as usize),
-            opacity_logit: self.splats.planes()[Plane::OPACITY][source as usize],
+    /// One row per equal interval of the importance: the one nearest to a point drawn in it that is still free.
+    fn evenly(&self, mut free: Vec<u32>, wanted: usize, uniform: impl Fn(u64) -> f64) -> Vec<u32> {
+        let value = |r: u32| self.importance[r as usize];
+        free.sort_by(|a, b| value(*a).total_cmp(&value(*b)).then(a.cmp(b)));
+        let (Some(&first), Some(&last)) = (free.first(), free.last()) else {
+            return Vec::new();
+        };
+        let (low, high) = (value(first), value(last));
+        let mut rows = Vec::with_capacity(wanted);
+        for k in 0..wanted.min(free.len()) {
+            let target = low + (high - low) * (k as f64 + uniform(k as u64)) / wanted as f64;
+            let at = free.partition_point(|r| value(*r) < target);
+            let nearer = |i: &usize| (value(free[*i]) - target).abs();
+            let around = at.saturating_sub(1)..(at + 1).min(free.len());
+            let best = around.min_by(|a, b| nearer(a).total_cmp(&nearer(b)));
+            rows.extend(best.map(|i| free.remove(i)));
         }
+        rows
     }
 
-    fn source_change(&self, base: &Base, b: &Birth) -> f64 {
-        let (own, i) = (self.own_shape(b.source), b.source as usize);
-        let change = |new: f32, old: f32| f64::from(new) - f64::from(old);
-        let scales = (0..3)
-            .map(|k| change(b.shape.log_scale[k], own.log_scale[k]) * base.gradients[1 + k][i]);
-        change(b.shape.opacity_logit, own.opacity_logit) * base.gradients[0][i]
-            + scales.sum::<f64>()
-    }
-
-    /// The true change of the mean loss by one birth; views that neither it nor a source that shares touches are left out,
-    /// because nothing changes there.
-    pub fn change(&mut self, base: &Base, birth: &Birth, touched: &[bool]) -> Result<f64> {
-        let n = self.splats.len();
-        let own = self.own_shape(birth.source);
-        self.insert(n, &[*birth], 1.0)?;
-        if birth.shared {
-            self.reshape(birth.source, birth.shape)?;
+    fn candidate(
+        &self,
+        source: u32,
+        draw: Draw,
+        phase: Phase,
+        position: [f32; 3],
+        count: u32,
+    ) -> Candidate {
+        let (i, c) = (source as usize, self.config);
+        let own = Shape::of(self.splats, source);
+        let part = split(f64::from(own.opacity_logit), 2);
+        let half = Shape {
+            log_scale: own
+                .log_scale
+                .map(|s| (f64::from(s) + part.log_scale_offset) as f32),
+            opacity_logit: part.opacity_logit as f32,
+        };
+        let faint = Shape {
+            opacity_logit: own.opacity_logit.min(logit(c.birth_opacity) as f32),
+            ..own
+        };
+        let seen = self.cues.views[i];
+        let mean = |sums: &[f32]| (seen > 0).then(|| f64::from(sums[i]) / f64::from(seen));
+        let importance = self.importance[i];
+        Candidate {
+            source,
+            draw,
+            phase,
+            position,
+            importance,
+            prior: voxel_prior(c.lambda_voxel, count),
+            acceptance: ln_acceptance(c.acceptance, importance, c.lambda_voxel, count).exp(),
+            opacity: sigmoid(f64::from(own.opacity_logit)),
+            ssim: mean(self.cues.ssim),
+            l1: mean(self.cues.l1),
+            views: 0,
+            gain: [0.0; FORMS.len()],
+            probe: [0.0; FORMS.len()],
+            births: [(own, false), (half, true), (faint, false)].map(|(shape, shared)| Birth {
+                source,
+                position,
+                shape,
+                shared,
+            }),
         }
-        let mut sum = 0.0;
-        for (view, seen) in touched.iter().enumerate() {
-            let changes = birth.shared && base.touched[view][birth.source as usize];
-            if !(*seen || changes) {
-                continue;
-            }
-            self.render(false, view, n + 1)?;
-            let strips = self.strips(view)?;
-            let before = base.strips[view].chunks_exact(2);
-            let differences = strips.chunks_exact(2).zip(before);
-            let (l1, ssim) = differences.fold((0.0, 0.0), |(l1, ssim), (new, old)| {
-                (l1 + (new[0] - old[0]), ssim + (new[1] - old[1]))
-            });
-            sum += self.weigh(view, l1, ssim);
-        }
-        if birth.shared {
-            self.reshape(birth.source, own)?;
-        }
-        Ok(sum / self.view_count() as f64)
     }
 }

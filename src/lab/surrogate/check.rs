@@ -6,15 +6,13 @@ use serde::Serialize;
 
 use crate::base::constants::ALPHA_MIN;
 use crate::base::error::{Error, Result};
-use crate::base::rng::Philox;
+use crate::base::rng::{Philox, Stream};
 use crate::capture::Dataset;
 use crate::density::mh::importance::importance;
 use crate::device::{Device, Real};
-use crate::lab::surrogate::births::Birth;
-use crate::lab::surrogate::candidates::{Candidate, Ground};
+use crate::lab::surrogate::births::{Birth, Candidate, FORMS, Ground};
 use crate::lab::surrogate::instrument::{Base, Instrument, Setting};
-use crate::lab::surrogate::outcome::{FORMS, FormOutcome, Judged, of_form};
-use crate::lab::surrogate::stream::{VIEWS, stream};
+use crate::lab::surrogate::rank::{FormOutcome, of_form};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::photos::Photos;
@@ -25,24 +23,17 @@ use crate::train::estimates::{EPSILON_DOUBLE, EPSILON_SINGLE};
 use crate::train::schedule::Schedule;
 
 /// Size and seed of a check.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::Args)]
 pub struct Options {
-    /// Candidates.
-    pub candidates: usize,
-    /// Training views.
-    pub views: usize,
-    /// Seed of views, candidates and resamples.
+    /// Births to try, half of them drawn as the sampler proposes, half evenly over the importance.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub candidates: u32,
+    /// Training views over which the loss is taken.
+    #[arg(long, value_name = "K", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    pub views: u32,
+    /// Seed of views, candidates and bootstrap.
+    #[arg(long, default_value_t = 0)]
     pub seed: u64,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            candidates: 200,
-            views: 8,
-            seed: 0,
-        }
-    }
 }
 
 /// Result of a check.
@@ -77,14 +68,14 @@ pub struct Assessment {
     /// Statistics of each of [`FORMS`].
     pub forms: [FormOutcome; FORMS.len()],
     /// The candidates.
-    pub candidates: Vec<Judged>,
+    pub candidates: Vec<Candidate>,
 }
 
 /// Checks the surrogates on the checkpoint in the folder `run`, trained on `dataset`. `progress` receives the numbers of births
 /// done and of all births.
 ///
 /// # Errors
-/// No usable checkpoint, another dataset, no candidates or views, or the device's.
+/// No usable checkpoint, another dataset, or the device's.
 pub fn check(
     run: &Path,
     dataset: Dataset,
@@ -92,14 +83,6 @@ pub fn check(
     options: &Options,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Assessment> {
-    for (name, value) in [
-        ("--candidates", options.candidates),
-        ("--views", options.views),
-    ] {
-        if value == 0 {
-            return Err(Error::config(name, "0; at least 1 expected"));
-        }
-    }
     let saved = checkpoint::read(run)?;
     if saved.dataset != dataset.fingerprint() {
         return Err(Error::input(
@@ -108,30 +91,30 @@ pub fn check(
             "give the dataset of that run",
         ));
     }
-    if !saved.state.rows.filter.is_empty() {
-        return Err(Error::input(
-            run,
-            "was trained with anti-aliasing, which the check's renders do not have",
-            "give a run trained with --anti-aliasing off",
-        ));
-    }
-    if !saved.state.exposures.is_empty() {
-        return Err(Error::input(
-            run,
-            "was trained with per-image exposure, which the check's renders do not have",
-            "give a run trained with --exposure off",
-        ));
+    let (filter, exposures) = (&saved.state.rows.filter, &saved.state.exposures);
+    for (with, option, absent) in [
+        ("anti-aliasing", "--anti-aliasing", filter.is_empty()),
+        ("per-image exposure", "--exposure", exposures.is_empty()),
+    ] {
+        if !absent {
+            return Err(Error::input(
+                run,
+                format!("was trained with {with}, which the check's renders do not have"),
+                format!("give a run trained with {option} off"),
+            ));
+        }
     }
     let subject = Subject {
         run,
         dataset,
         saved,
         options,
+        device,
     };
     if device.info().fp64 {
-        subject.check::<f64>(device, EPSILON_DOUBLE, progress)
+        subject.check::<f64>(EPSILON_DOUBLE, progress)
     } else {
-        subject.check::<f32>(device, EPSILON_SINGLE, progress)
+        subject.check::<f32>(EPSILON_SINGLE, progress)
     }
 }
 
@@ -140,58 +123,54 @@ struct Subject<'a> {
     dataset: Dataset,
     saved: Checkpoint,
     options: &'a Options,
+    device: &'a Device,
 }
 
 impl Subject<'_> {
-    /// The renders and the loss of training at the checkpoint, over the background of evaluation.
-    fn setting(&self, schedule: &Schedule, probe: f64) -> Setting {
-        Setting {
+    fn check<R: Real>(
+        self,
+        probe: f64,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Assessment> {
+        let (config, options, device) = (&self.saved.config, self.options, self.device);
+        let (splats, done) = (&self.saved.state.splats, self.saved.state.iteration);
+        let schedule = Schedule::new(config);
+        // The renders and the loss of training, over the background of evaluation.
+        let setting = Setting {
             render: RenderOptions {
-                sh_degree: self.saved.state.splats.sh_degree(),
+                sh_degree: splats.sh_degree(),
                 background: schedule.fixed_background(),
                 quantity: Quantity::Color,
                 active_only: false,
             },
-            lambda_ssim: self.saved.config.loss.lambda_ssim,
+            lambda_ssim: config.loss.lambda_ssim,
             alpha_min: ALPHA_MIN,
             probe,
-        }
-    }
-
-    fn check<R: Real>(
-        self,
-        device: &Device,
-        probe: f64,
-        progress: &mut dyn FnMut(usize, usize),
-    ) -> Result<Assessment> {
-        let (config, done) = (&self.saved.config, self.saved.state.iteration);
-        let schedule = Schedule::new(config);
-        let setting = self.setting(&schedule, probe);
-        let chosen = choose_views(self.dataset.train.len(), self.options);
-        let photos = Photos::new(device, self.dataset.image_budget);
+        };
         let train = &self.dataset.train;
+        let chosen = choose_views(train.len(), options);
+        let photos = Photos::new(device, self.dataset.image_budget);
         let views = ViewSet::<R>::new(&photos, chosen.iter().map(|v| train[*v].clone()))?;
         let (names, size) = (views.names.clone(), views.largest);
-        let splats = &self.saved.state.splats;
-        let room = 2 * self.options.candidates;
-        let mut instrument = Instrument::new(device, views, splats.clone(), setting, room)?;
+        let candidates = options.candidates as usize;
+        let mut instrument =
+            Instrument::new(device, views, splats.clone(), setting, 2 * candidates)?;
         let base = instrument.base()?;
         let c = &config.mh;
         let weights = [c.weight_opacity, c.weight_ssim, c.weight_l1];
         let logits = &splats.planes()[Plane::OPACITY];
-        let values = importance(logits, &base.cues.cues(), weights).values;
         let ground = Ground {
             config: c,
             splats,
-            cues: base.cues.cues(),
-            importance: &values,
+            cues: base.cues(),
+            importance: &importance(logits, &base.cues(), weights).values,
             progress: eta(&schedule, done),
-            seed: self.options.seed,
+            seed: options.seed,
         };
-        let drawn = ground.draw(self.options.candidates);
-        let judged = judge(&mut instrument, &base, &drawn, progress)?;
+        let mut judged = ground.draw(candidates);
+        judge(&mut instrument, &base, &mut judged, progress)?;
         let all = judged.len();
-        let seen: Vec<Judged> = judged.into_iter().filter(|j| j.views > 0).collect();
+        judged.retain(|c| c.views > 0);
         Ok(Assessment {
             version: env!("CARGO_PKG_VERSION"),
             run: self.run.display().to_string(),
@@ -201,34 +180,34 @@ impl Subject<'_> {
             progress: ground.progress,
             gaussians: splats.len(),
             views: names,
-            seed: self.options.seed,
+            seed: options.seed,
             device: device.info().name.clone(),
             bits: if R::IS_DOUBLE { 64 } else { 32 },
             loss: base.losses.iter().sum::<f64>() / base.losses.len() as f64,
-            unseen: all - seen.len(),
-            forms: std::array::from_fn(|form| of_form(form, &seen, self.options.seed)),
-            candidates: seen,
+            unseen: all - judged.len(),
+            forms: std::array::from_fn(|form| of_form(form, &judged, options.seed)),
+            candidates: judged,
         })
     }
 }
 
 /// Progress η of density control after so many iterations; 1 without density control.
 fn eta(schedule: &Schedule, done: u32) -> f64 {
-    let [from, until] = schedule.density_span();
-    if from >= until {
-        return 1.0;
+    let [from, until] = schedule.density_span().map(f64::from);
+    match from < until {
+        true => ((f64::from(done) - from) / (until - from)).clamp(0.0, 1.0),
+        false => 1.0,
     }
-    ((f64::from(done) - f64::from(from)) / f64::from(until - from)).clamp(0.0, 1.0)
 }
 
 /// Some of `count` views, keyed by the seed, in their order.
 fn choose_views(count: usize, options: &Options) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     for i in (1..order.len()).rev() {
-        let u = Philox::uniform(options.seed, stream(VIEWS), i as u64)[0];
+        let u = Philox::uniform(options.seed, Stream::Surrogate.stream(0), i as u64)[0];
         order.swap(i, (u * (i + 1) as f64) as usize);
     }
-    order.truncate(options.views);
+    order.truncate(options.views as usize);
     order.sort_unstable();
     order
 }
@@ -237,29 +216,19 @@ fn choose_views(count: usize, options: &Options) -> Vec<usize> {
 fn judge<R: Real>(
     instrument: &mut Instrument<R>,
     base: &Base,
-    drawn: &[Candidate],
+    candidates: &mut [Candidate],
     progress: &mut dyn FnMut(usize, usize),
-) -> Result<Vec<Judged>> {
-    let births: Vec<Birth> = drawn.iter().flat_map(Candidate::births).collect();
+) -> Result<()> {
+    let births: Vec<Birth> = candidates.iter().flat_map(|c| c.births).collect();
     let probed = instrument.probe(base, &births)?;
-    let mut gains = Vec::with_capacity(births.len());
     for (k, (birth, probe)) in births.iter().zip(&probed).enumerate() {
-        gains.push([
-            -instrument.change(base, birth, &probe.touched)?,
-            -probe.change,
-        ]);
+        let (candidate, form) = (&mut candidates[k / FORMS.len()], k % FORMS.len());
+        candidate.gain[form] = -instrument.change(base, birth, &probe.touched)?;
+        candidate.probe[form] = -probe.change;
+        if form == 0 {
+            candidate.views = probe.touched.iter().filter(|t| **t).count();
+        }
         progress(k + 1, births.len());
     }
-    const N: usize = FORMS.len();
-    let views = |k: usize| probed[N * k].touched.iter().filter(|t| **t).count();
-    Ok(drawn
-        .iter()
-        .enumerate()
-        .map(|(k, candidate)| Judged {
-            candidate: *candidate,
-            views: views(k),
-            gain: std::array::from_fn(|form| gains[N * k + form][0]),
-            probe: std::array::from_fn(|form| gains[N * k + form][1]),
-        })
-        .collect())
+    Ok(())
 }

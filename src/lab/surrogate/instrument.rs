@@ -1,4 +1,5 @@
-//! The device side of the check: a scene over some views, its losses, cues and gradients.
+//! The device side of the check: a scene over some views, its losses, cues and gradients; the true loss changes of births by
+//! rendering again, and their first-order predictions by a probe.
 //!
 //! Losses are compared strip by strip: the sums that the loss stage leaves for every strip are subtracted on the host in f64, so
 //! that what a candidate does not touch cancels exactly. Where the device has double precision all kernels run in it; in
@@ -7,14 +8,15 @@
 use crate::base::error::Result;
 use crate::density::ErrorStatistics;
 use crate::device::{Array, Defines, Device, Kernels, Real};
+use crate::lab::surrogate::births::{Birth, Shape};
 use crate::pipeline::backward::GRADIENT_ROWS;
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::{ImagePair, size_of_image};
-use crate::scene::Gaussians;
-use crate::train::estimates::FaintPass;
+use crate::scene::{Gaussians, Plane};
+use crate::train::estimates::{FaintPass, change, scaled_logit};
 
 /// Parameters of an instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,55 +32,55 @@ pub struct Setting {
     pub probe: f64,
 }
 
-/// Error statistics of every Gaussian over the views.
-#[derive(Debug, Clone, Default)]
-pub struct CueRows {
-    /// Sums of 1 − SSIM.
-    pub ssim: Vec<f32>,
-    /// Sums of L1.
-    pub l1: Vec<f32>,
-    /// Views that see the centre.
-    pub views: Vec<u32>,
-}
-
-impl CueRows {
-    /// The view of them that density control takes.
-    #[must_use]
-    pub fn cues(&self) -> ErrorStatistics<'_> {
-        ErrorStatistics {
-            ssim: &self.ssim,
-            l1: &self.l1,
-            views: &self.views,
-        }
-    }
-}
-
 /// The scene as it is, over all views.
 #[derive(Debug, Clone, Default)]
 pub struct Base {
     /// Loss of each view.
     pub losses: Vec<f64>,
-    /// Error statistics of every Gaussian.
-    pub cues: CueRows,
+    /// Sums of 1 − SSIM and of L1 at the centre of every Gaussian, over the views that see it.
+    errors: [Vec<f32>; 2],
+    /// Number of views that see the centre of every Gaussian.
+    seen: Vec<u32>,
     /// Derivatives of the mean loss by opacity logit and the three log-scales, of every Gaussian.
     pub gradients: [Vec<f64>; 4],
     /// Sums of each strip, by view.
-    pub(super) strips: Vec<Vec<f64>>,
+    strips: Vec<Vec<f64>>,
     /// View by view, true for each Gaussian with a tile intersection.
-    pub(super) touched: Vec<Vec<bool>>,
+    touched: Vec<Vec<bool>>,
+}
+
+impl Base {
+    /// The errors as density control takes them.
+    pub(super) fn cues(&self) -> ErrorStatistics<'_> {
+        let [ssim, l1] = &self.errors;
+        ErrorStatistics {
+            ssim,
+            l1,
+            views: &self.seen,
+        }
+    }
+}
+
+/// First-order prediction of a birth.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Probed {
+    /// First-order change of the mean loss.
+    pub change: f64,
+    /// For each view, true if any tile intersection is its own.
+    pub touched: Vec<bool>,
 }
 
 /// Renders, losses and gradients of one scene over some views.
 #[derive(Debug)]
 pub struct Instrument<R: Real> {
-    pub(super) device: Device,
-    pub(super) setting: Setting,
-    pub(super) views: ViewSet<R>,
-    pub(super) splats: Gaussians,
-    pub(super) scene: GaussianBuffers<R>,
+    device: Device,
+    setting: Setting,
+    views: ViewSet<R>,
+    splats: Gaussians,
+    scene: GaussianBuffers<R>,
     pipeline: Pipeline<R>,
     /// Stages with the faint births' cut.
-    pub(super) faint: FaintPass<R>,
+    faint: FaintPass<R>,
     importance: Importance,
     degree: u32,
 }
@@ -116,13 +118,8 @@ impl<R: Real> Instrument<R> {
         })
     }
 
-    /// Number of views.
-    pub(super) fn view_count(&self) -> usize {
-        self.views.len()
-    }
-
     /// Renders a view, with the ordinary cut or that of faint births.
-    pub(super) fn render(&mut self, faint: bool, view: usize, count: usize) -> Result<()> {
+    fn render(&mut self, faint: bool, view: usize, count: usize) -> Result<()> {
         self.scene.count = count;
         let camera = &self.views.cameras[view];
         let forward = match faint {
@@ -149,31 +146,26 @@ impl<R: Real> Instrument<R> {
     }
 
     /// Sums of each strip of the render made last: |x − y| and SSIM in turn.
-    pub(super) fn strips(&self, view: usize) -> Result<Vec<f64>> {
+    fn strips(&self, view: usize) -> Result<Vec<f64>> {
         self.with_pair(view, |pair| self.pipeline.strips(pair))
     }
 
     /// The loss of these strips, without its constant, and the number of pixel values.
-    pub(super) fn weigh(&self, view: usize, l1: f64, ssim: f64) -> f64 {
+    fn weigh(&self, view: usize, l1: f64, ssim: f64) -> f64 {
         let [w, h] = size_of_image(&self.views.cameras[view]);
         let lambda = self.setting.lambda_ssim;
         ((1.0 - lambda) * l1 - lambda * ssim) / (3 * w * h) as f64
     }
 
     /// Takes the loss of the render made last with the ordinary cut back to the image.
-    pub(super) fn image_gradient(&self, view: usize) -> Result<()> {
+    fn image_gradient(&self, view: usize) -> Result<()> {
         let lambda = self.setting.lambda_ssim;
         self.with_pair(view, |pair| self.pipeline.loss_gradient(view, pair, lambda))
     }
 
     /// Gradients of the rows from `first` (a multiple of 16) on from the render made last, ordinary or faint: opacity logit and
     /// log-scales.
-    pub(super) fn gradients(
-        &self,
-        faint: bool,
-        view: usize,
-        first: usize,
-    ) -> Result<[Vec<f64>; 4]> {
+    fn gradients(&self, faint: bool, view: usize, first: usize) -> Result<[Vec<f64>; 4]> {
         let (camera, dimage) = (&self.views.cameras[view], self.pipeline.image_gradient());
         let (backward, forward) = match faint {
             true => (&self.faint.backward, &self.faint.forward),
@@ -191,8 +183,8 @@ impl<R: Real> Instrument<R> {
             gradients: std::array::from_fn(|_| vec![0.0; n]),
             ..Base::default()
         };
-        let k = self.view_count() as f64;
-        for view in 0..self.view_count() {
+        let k = self.views.len() as f64;
+        for view in 0..self.views.len() {
             self.render(false, view, n)?;
             let strips = self.strips(view)?;
             let sum = |at: usize| strips[at..].iter().step_by(2).sum::<f64>();
@@ -217,11 +209,102 @@ impl<R: Real> Instrument<R> {
         }
         let row = |r: usize| cues.read(r * self.scene.stride, n);
         let narrow = |v: Vec<R>| v.into_iter().map(|v| v.into() as f32).collect();
-        base.cues = CueRows {
-            ssim: narrow(row(0)?),
-            l1: narrow(row(1)?),
-            views: row(2)?.into_iter().map(|v| v.into() as u32).collect(),
-        };
+        base.errors = [narrow(row(0)?), narrow(row(1)?)];
+        base.seen = row(2)?.into_iter().map(|v| v.into() as u32).collect();
         Ok(base)
+    }
+
+    /// Writes births to the rows from `first` on, their opacities times `factor`.
+    fn insert(&self, first: usize, births: &[Birth], factor: f64) -> Result<()> {
+        let value = |plane: usize, b: &Birth| match plane {
+            0..3 => f64::from(b.position[plane]),
+            Plane::LOG_SCALE..Plane::ROTATION => {
+                f64::from(b.shape.log_scale[plane - Plane::LOG_SCALE])
+            }
+            Plane::OPACITY => scaled_logit(f64::from(b.shape.opacity_logit), factor),
+            _ => f64::from(self.splats.planes()[plane][b.source as usize]),
+        };
+        for plane in 0..self.scene.planes() {
+            let values: Vec<R> = births.iter().map(|b| R::of(value(plane, b))).collect();
+            let at = plane * self.scene.stride + first;
+            self.scene.params.write(at, &values)?;
+        }
+        Ok(())
+    }
+
+    /// Gives the source of a birth that shares this shape.
+    fn reshape(&self, birth: &Birth, shape: Shape) -> Result<()> {
+        if !birth.shared {
+            return Ok(());
+        }
+        let row = birth.source as usize;
+        let position = self.splats.gather(Plane::POSITION, row);
+        let source = Birth {
+            position,
+            shape,
+            ..*birth
+        };
+        self.insert(row, &[source], 1.0)
+    }
+
+    /// First-order changes of the loss by births (method: a birth of opacity → 0 changes nothing, but has a derivative). All are
+    /// in the scene at once, ε as opaque as they would be, and one backward pass per view tells the derivatives; dL/dC is that
+    /// of the ordinary render. A source that shares adds its own gradient times its change of opacity logit and log-scale.
+    pub fn probe(&mut self, base: &Base, births: &[Birth]) -> Result<Vec<Probed>> {
+        let (n, epsilon) = (self.splats.len(), self.setting.probe);
+        self.insert(n, births, epsilon)?;
+        let mut probed = vec![Probed::default(); births.len()];
+        let (first, count) = (n / GRADIENT_ROWS * GRADIENT_ROWS, n + births.len());
+        for view in 0..self.views.len() {
+            self.render(false, view, n)?;
+            self.image_gradient(view)?;
+            self.render(true, view, count)?;
+            let [slopes, ..] = self.gradients(true, view, first)?;
+            let touched = self.faint.forward.intersected(n, count)?;
+            for (k, (p, b)) in probed.iter_mut().zip(births).enumerate() {
+                let logit = f64::from(b.shape.opacity_logit);
+                let change = change(slopes[n - first + k], logit, epsilon);
+                p.change += change / self.views.len() as f64;
+                p.touched.push(touched[k]);
+            }
+        }
+        for (p, b) in probed.iter_mut().zip(births).filter(|(_, b)| b.shared) {
+            p.change += self.source_change(base, b);
+        }
+        Ok(probed)
+    }
+
+    fn source_change(&self, base: &Base, b: &Birth) -> f64 {
+        let (own, i) = (Shape::of(&self.splats, b.source), b.source as usize);
+        let change = |new: f32, old: f32| f64::from(new) - f64::from(old);
+        let scales = (0..3)
+            .map(|k| change(b.shape.log_scale[k], own.log_scale[k]) * base.gradients[1 + k][i]);
+        change(b.shape.opacity_logit, own.opacity_logit) * base.gradients[0][i]
+            + scales.sum::<f64>()
+    }
+
+    /// The true change of the mean loss by one birth; views that neither it nor a source that shares touches are left out,
+    /// because nothing changes there.
+    pub fn change(&mut self, base: &Base, birth: &Birth, touched: &[bool]) -> Result<f64> {
+        let n = self.splats.len();
+        self.insert(n, &[*birth], 1.0)?;
+        self.reshape(birth, birth.shape)?;
+        let mut sum = 0.0;
+        for (view, seen) in touched.iter().enumerate() {
+            let changes = birth.shared && base.touched[view][birth.source as usize];
+            if !(*seen || changes) {
+                continue;
+            }
+            self.render(false, view, n + 1)?;
+            let strips = self.strips(view)?;
+            let before = base.strips[view].chunks_exact(2);
+            let differences = strips.chunks_exact(2).zip(before);
+            let (l1, ssim) = differences.fold((0.0, 0.0), |(l1, ssim), (new, old)| {
+                (l1 + (new[0] - old[0]), ssim + (new[1] - old[1]))
+            });
+            sum += self.weigh(view, l1, ssim);
+        }
+        self.reshape(birth, Shape::of(&self.splats, birth.source))?;
+        Ok(sum / self.views.len() as f64)
     }
 }

@@ -6,31 +6,16 @@
 //! derivative of the loss by the opacity of a birth that is not there yet, which one more render and backward pass per view
 //! gives for all candidates together.
 //!
-//! | file | content |
-//! |---|---|
-//! | `check.rs` | the check from checkpoint to result |
-//! | `candidates.rs` | the births to be judged |
-//! | `instrument.rs` | losses, cues and gradients of the scene on the device |
-//! | `births.rs` | true loss changes and probes of births |
-//! | `rank.rs` | rank correlations, bootstrap intervals |
-//! | `outcome.rs` | correlations and calibration of a form of birth |
-//! | `stream.rs` | streams of random numbers |
-//! | `report.rs` | tables and charts |
-//!
 //! Tests: surrogate.
 
 mod births;
-mod candidates;
 mod check;
 mod instrument;
-mod outcome;
 pub mod rank;
 mod report;
-mod stream;
 
-pub use crate::lab::surrogate::births::{Birth, Probed};
-pub use crate::lab::surrogate::candidates::{Candidate, Draw, Phase, Shape};
+pub use crate::lab::surrogate::births::{Birth, Candidate, Draw, FORMS, Phase, Shape};
 pub use crate::lab::surrogate::check::{Assessment, Options, check};
-pub use crate::lab::surrogate::instrument::{Base, CueRows, Instrument, Setting};
-pub use crate::lab::surrogate::outcome::{Calibration, Correlation, FORMS, FormOutcome, Judged};
+pub use crate::lab::surrogate::instrument::{Base, Instrument, Probed, Setting};
+pub use crate::lab::surrogate::rank::{Calibration, Correlation, FormOutcome};
 pub use crate::lab::surrogate::report::report;

@@ -4,21 +4,17 @@ use crate::chart::axis::{Axis, Scale};
 use crate::chart::svg::{Banded, band_chart};
 use crate::chart::text::{fixed, grouped};
 use crate::lab::report::{Report, Section};
-use crate::lab::surrogate::candidates::Draw;
+use crate::lab::surrogate::births::Draw;
 use crate::lab::surrogate::check::Assessment;
-use crate::lab::surrogate::outcome::{Calibration, Correlation, FormOutcome};
-use crate::lab::surrogate::rank::{Estimate, ranks};
+use crate::lab::surrogate::rank::{Calibration, Estimate, FormOutcome};
 use crate::lab::table::{Table, digits, folder_name, or_dash};
 
 /// Unit of the gains, millionths: one birth of many thousands changes little.
 const MILLION: f64 = 1e6;
-/// Subset of the tables that are shown first.
-const ALL: &str = "all";
 
 /// State of the run and size of the check in one line.
 fn headline(r: &Assessment) -> String {
-    let proposals = r.candidates.iter();
-    let proposals = proposals.filter(|j| j.candidate.draw == Draw::Proposal);
+    let proposals = r.candidates.iter().filter(|c| c.draw == Draw::Proposal);
     format!(
         "{} of {} iterations, {} Gaussians, {} views of up to {} × {} px, loss {} · {} candidates ({} drawn as proposals, the \
          others evenly over I), {} more that no view sees · seed {} · {}-bit kernels on {} · mhsplat {}",
@@ -55,133 +51,86 @@ fn gain(value: f64) -> String {
     digits(MILLION * value).replace('-', "−")
 }
 
-/// Correlations of a form, over all candidates or over each of the other subsets.
-fn correlations(form: &FormOutcome, all: bool) -> Table {
-    let subset = |c: &&Correlation| (c.subset == ALL) == all;
-    let rows = form.correlations.iter().filter(subset).map(|c| {
-        let top = or_dash(c.top_gain, gain);
-        let name = match all {
-            true => c.predictor.to_owned(),
-            false => format!("{}: {}", c.subset, c.predictor),
-        };
-        let figures = [estimate(c.spearman), estimate(c.kendall), top];
-        [vec![name, c.count.to_string()], figures.to_vec()].concat()
+/// Correlations of a form by subset and predictor.
+fn correlations(form: &FormOutcome) -> Table {
+    let rows = form.correlations.iter().map(|c| {
+        vec![
+            c.predictor.to_owned(),
+            c.subset.to_owned(),
+            c.count.to_string(),
+            estimate(c.spearman),
+            estimate(c.kendall),
+            or_dash(c.top_gain, gain),
+        ]
     });
     let [q1, q2, q3] = form.quartiles.unwrap_or([f64::NAN; 3]).map(gain);
-    let columns = ["predictor", "candidates", "ρ_S", "τ_b", "best tenth, 10⁻⁶"];
     let percent = |share: f64| fixed(100.0 * share, 0);
     let [good, bad] = form.lowering_by_probe.map(|share| or_dash(share, percent));
-    let (title, note) = match all {
-        true => (
-            format!("Birth {}", form.birth),
-            format!(
-                "{} % of the candidates lower the loss ({} % of those drawn as proposals): {good} % of those for which the probe \
-                 predicts a gain, {bad} % of the others. Gain in millionths: mean {}, quartiles {q1}, {q2}, {q3}.",
-                percent(form.lowering),
-                percent(form.lowering_proposals),
-                gain(form.mean_gain),
-            ),
-        ),
-        false => (format!("Birth {}, by subset", form.birth), String::new()),
-    };
-    Table::new(title, note, &columns, rows)
-}
-
-fn calibration(name: &str, axis: &Axis<'_>, unit: f64, bins: &[Calibration]) -> String {
-    let x = |b: &Calibration| unit * b.predicted;
-    let y = |v: f64| MILLION * v;
-    let series = [
-        Banded {
-            name: "mean".into(),
-            line: bins.iter().map(|b| (x(b), y(b.mean))).collect(),
-            ..Banded::default()
-        },
-        Banded {
-            name: "median and quartiles".into(),
-            line: bins.iter().map(|b| (x(b), y(b.quartiles[1]))).collect(),
-            band: bins
-                .iter()
-                .map(|b| (x(b), y(b.quartiles[0]), y(b.quartiles[2])))
-                .collect(),
-            ..Banded::default()
-        },
+    let note = format!(
+        "{} % of the candidates lower the loss ({} % of those drawn as proposals): {good} % of those for which the probe \
+         predicts a gain, {bad} % of the others. Gain in millionths: mean {}, quartiles {q1}, {q2}, {q3}.",
+        percent(form.lowering),
+        percent(form.lowering_proposals),
+        gain(form.mean_gain),
+    );
+    let columns = [
+        "predictor",
+        "subset",
+        "candidates",
+        "ρ_S",
+        "τ_b",
+        "best tenth, 10⁻⁶",
     ];
-    let gains = Axis {
-        label: "true gain −ΔL",
-        unit: "10⁻⁶",
-        scale: Scale::Number,
-        from_zero: true,
-    };
-    band_chart(name, axis, &gains, &series)
+    Table::new(format!("Birth {}", form.birth), note, &columns, rows)
 }
 
-/// Every candidate by the ranks of its predicted and of its true gain.
-fn scatter(report: &Assessment, form: usize, name: &str, of: &dyn Fn(usize) -> f64) -> String {
-    let n = report.candidates.len();
-    let x: Vec<f64> = (0..n).map(of).collect();
-    let y: Vec<f64> = report.candidates.iter().map(|j| j.gain[form]).collect();
-    let ranks = ranks(&x).into_iter().zip(ranks(&y));
-    let series = Banded {
-        name: format!("{n} candidates"),
-        samples: ranks.map(|p| vec![p]).collect(),
-        ..Banded::default()
-    };
-    let axis = |label| Axis {
-        label,
-        unit: "",
-        scale: Scale::Number,
-        from_zero: true,
-    };
-    band_chart(
-        name,
-        &axis("rank of the prediction"),
-        &axis("rank of the true gain"),
-        &[series],
-    )
-}
-
-/// Calibration and ranks of a form, by importance and by probe.
-fn charts(report: &Assessment, form: usize) -> Section {
-    let (f, c) = (&report.forms[form], &report.candidates);
-    let axis = |label, unit| Axis {
+/// The true gain along a predictor of this label and unit, of which `scale` are one.
+fn calibration(
+    name: &str,
+    (label, unit, scale): (&str, &str, f64),
+    bins: &[Calibration],
+) -> String {
+    let axis = |label, unit, from_zero| Axis {
         label,
         unit,
         scale: Scale::Number,
-        from_zero: false,
+        from_zero,
     };
-    let birth = f.birth;
-    let importance = axis("importance I", "");
-    let tenths = |of: &str| format!("{birth}: gain by tenths of {of}");
-    let ranks = |of: &str| format!("{birth}: ranks, {of}");
-    let probe = axis("predicted gain", "10⁻⁶");
-    let figures = vec![
-        calibration(&tenths("I"), &importance, 1.0, &f.by_importance),
-        calibration(&tenths("the probe"), &probe, MILLION, &f.by_probe),
-        scatter(report, form, &ranks("importance I"), &|k| {
-            c[k].candidate.importance
-        }),
-        scatter(report, form, &ranks("probe"), &|k| c[k].probe[form]),
+    let x = |b: &Calibration| scale * b.predicted;
+    let band = |b: &Calibration| (x(b), MILLION * b.quartiles[0], MILLION * b.quartiles[2]);
+    let mean = bins.iter().map(|b| (x(b), MILLION * b.mean));
+    let median = bins.iter().map(|b| (x(b), MILLION * b.quartiles[1]));
+    let series = [
+        Banded::line("mean", mean.collect()),
+        Banded {
+            band: bins.iter().map(band).collect(),
+            ..Banded::line("median and quartiles", median.collect())
+        },
     ];
+    let gains = axis("true gain −ΔL", "10⁻⁶", true);
+    band_chart(name, &axis(label, unit, false), &gains, &series)
+}
+
+/// Calibration of a form, by importance and by probe.
+fn charts(form: &FormOutcome) -> Section {
+    let tenths = |of: &str| format!("{}: gain by tenths of {of}", form.birth);
+    let importance = ("importance I", "", 1.0);
+    let probe = ("predicted gain", "10⁻⁶", MILLION);
     Section::Charts {
         title: String::new(),
         note: String::new(),
-        figures,
+        figures: vec![
+            calibration(&tenths("I"), importance, &form.by_importance),
+            calibration(&tenths("the probe"), probe, &form.by_probe),
+        ],
     }
 }
 
 /// The whole check as a report.
 #[must_use]
 pub fn report(check: &Assessment) -> Report {
-    let mut sections = Vec::new();
-    for (k, form) in check.forms.iter().enumerate() {
-        sections.push(Section::Table(correlations(form, true)));
-        sections.push(charts(check, k));
-    }
-    let subsets = check.forms.iter().map(|f| correlations(f, false));
-    sections.push(Section::Details {
-        summary: "By draw and by phase".into(),
-        sections: subsets.map(Section::Table).collect(),
-    });
+    let of_form = |form| [Section::Table(correlations(form)), charts(form)];
+    let mut sections: Vec<Section> = check.forms.iter().flat_map(of_form).collect();
     let views = check.views.join(", ");
     sections.push(Section::Text(format!("Run {}. Views: {views}.", check.run)));
     let name = folder_name(&check.dataset);

@@ -5,13 +5,9 @@
 //! bit, so this holds across machines too.
 
 mod generate;
-mod numbers;
-mod options;
 mod render;
 mod scene;
 mod scenes;
-mod write;
 
-pub use crate::lab::synth::generate::{SynthReport, generate};
-pub use crate::lab::synth::options::{SynthLayout, SynthOptions};
+pub use crate::lab::synth::generate::{SynthLayout, SynthOptions, SynthReport, generate};
 pub use crate::lab::synth::scenes::{CHROME_SPHERE, NAMES};

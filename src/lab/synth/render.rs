@@ -4,20 +4,11 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::capture::Camera;
-use crate::lab::synth::numbers::random;
-use crate::lab::synth::scene::{Finish, Scene};
-
-/// A sparse point on a surface, as structure from motion would have found it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
-    /// Position, scene units.
-    pub position: DVec3,
-    /// Display colour.
-    pub color: [u8; 3],
-}
+use crate::capture::colmap::ColmapPoint;
+use crate::lab::synth::scene::{Finish, Scene, random};
 
 /// A camera at `at` that looks at `target`, z up in the scene, with a horizontal field of view whose half has tangent `tan`.
-pub(super) fn look_at(at: DVec3, target: DVec3, width: u32, height: u32, tan: f64) -> Camera {
+pub(super) fn look_at(at: DVec3, target: DVec3, [width, height]: [u32; 2], tan: f64) -> Camera {
     let forward = (target - at).normalize_or_zero();
     let right = forward.cross(DVec3::Z).normalize_or_zero();
     let down = forward.cross(right);
@@ -58,12 +49,12 @@ fn bytes(toned: DVec3) -> [u8; 3] {
         .map(|x| (255.0 * x.sqrt() + 0.5).floor().clamp(0.0, 255.0) as u8)
 }
 
-/// One photo: `height × width × 3` bytes, or × 4 with straight alpha if `alpha`.
+/// One photo: `height × width × 3` bytes, or × 4 with straight alpha of a transparent scene.
 ///
 /// Each pixel averages `grid²` rays, one from each cell of a grid over it, at a position in it that depends on nothing but
 /// (seed, view, pixel, cell): the result does not depend on the number of threads.
-pub(super) fn photo(scene: &Scene, camera: &Camera, view: u64, grid: u32, alpha: bool) -> Vec<u8> {
-    let channels = if alpha { 4 } else { 3 };
+pub(super) fn photo(scene: &Scene, camera: &Camera, view: u64, grid: u32) -> Vec<u8> {
+    let channels = if scene.transparent { 4 } else { 3 };
     let row_bytes = camera.width as usize * channels;
     let mut image = vec![0u8; row_bytes * camera.height as usize];
     image
@@ -100,30 +91,36 @@ fn pixel(scene: &Scene, camera: &Camera, key: [u64; 3], grid: u32) -> (DVec3, f6
     (sum / f64::from(hits.max(1)), share)
 }
 
-/// Up to `count` surface samples, each seen by at least one camera: random pixels of random cameras. The lamp and mirrors have
-/// none, because features on them have no fixed position. Fewer are returned only if most pixels see nothing.
-pub(super) fn points(scene: &Scene, cameras: &[Camera], count: u32) -> Vec<Sample> {
+/// Up to `count` sparse points on surfaces, as structure from motion would have found them, each seen by at least one of the
+/// cameras: random pixels of random cameras. The lamp and mirrors have none, because features on them have no fixed position.
+/// Fewer are returned only if most pixels see nothing.
+pub(super) fn points(scene: &Scene, views: &[(String, Camera)], count: u32) -> Vec<ColmapPoint> {
     const KEY: u64 = 0x706f_696e_7473;
     let wanted = count as usize;
-    let mut samples: Vec<Sample> = Vec::with_capacity(wanted);
+    let mut points: Vec<ColmapPoint> = Vec::with_capacity(wanted);
     // An object fills a third of its photos or so; eight rounds give up only on scenes that are nearly empty.
     for round in 0..8 {
-        let missing = wanted - samples.len();
-        let found: Vec<Option<Sample>> = (0..2 * missing as u64)
+        let missing = wanted - points.len();
+        let found: Vec<_> = (0..2 * missing as u64)
             .into_par_iter()
             .map(|i| {
                 let pick = |j: u64| random(&[scene.seed, KEY, round, i, j]);
-                let camera = cameras.get((pick(0) * cameras.len() as f64) as usize)?;
+                let (_, camera) = views.get((pick(0) * views.len() as f64) as usize)?;
                 let x = pick(1) * f64::from(camera.width);
                 let y = pick(2) * f64::from(camera.height);
                 let s = scene.hit(camera.center(), direction(camera, x, y))?;
-                (s.finish == Finish::Matt).then(|| Sample {
-                    position: s.point,
-                    color: bytes(tone(scene.diffuse(&s))),
-                })
+                let color = bytes(tone(scene.diffuse(&s)));
+                (s.finish == Finish::Matt).then_some((s.point.to_array(), color))
             })
             .collect();
-        samples.extend(found.into_iter().flatten().take(missing));
+        for (position, color) in found.into_iter().flatten().take(missing) {
+            points.push(ColmapPoint {
+                id: points.len() as u64 + 1,
+                position,
+                color,
+                error: 0.0,
+            });
+        }
     }
-    samples
+    points
 }

@@ -1,8 +1,25 @@
 //! Solids, their materials and the lamp, and the light along a ray.
+//!
+//! IEEE 754 fixes the result of + − × ÷ and √, and Rust never contracts them; `sin`, `powf` and their kin come from the
+//! platform's libm and may differ in the last bit. No scene uses libm.
 
 use glam::{DVec3, dvec3};
 
-use crate::lab::synth::numbers::random;
+/// SplitMix64's finaliser (Steele, Lea & Flood 2014, "Fast splittable pseudorandom number generators").
+fn mix(mut x: u64) -> u64 {
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+/// Random number in [0, 1) keyed by `words`; their order counts.
+pub(super) fn random(words: &[u64]) -> f64 {
+    const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+    let hash = words
+        .iter()
+        .fold(STEP, |h, w| mix(h.wrapping_add(STEP) ^ mix(w ^ STEP)));
+    (hash >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
+}
 
 /// A solid about its centre, axis-aligned. Lengths in scene units.
 #[derive(Debug, Clone, Copy)]
@@ -145,7 +162,7 @@ pub(super) struct Surface {
     pub finish: Finish,
 }
 
-/// Solids and the light on them. Rays that hit none leave the scene.
+/// Solids, the light on them and the cameras that look at them. Rays that hit none leave the scene.
 #[derive(Debug)]
 pub(super) struct Scene {
     /// Solids, in any order.
@@ -158,6 +175,12 @@ pub(super) struct Scene {
     pub ambient: [DVec3; 2],
     /// Seed of the checkerboards' tones.
     pub seed: u64,
+    /// Position and target of camera `index` of `views`.
+    pub camera: fn(index: u32, views: u32) -> (DVec3, DVec3),
+    /// Tangent of half the horizontal field of view.
+    pub tan: f64,
+    /// True if rays may leave the scene, so that photos have transparent pixels.
+    pub transparent: bool,
 }
 
 /// Distance between a surface and the start of the rays that leave it.
