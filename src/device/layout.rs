@@ -132,23 +132,40 @@ impl<R: Real> CameraArg<R> {
         }
     }
 
-    /// Width and height of the image with its padding to whole tiles, pixels.
+    /// Width and height of the image.
     #[must_use]
-    pub fn padded(&self) -> [usize; 2] {
-        self.tiles.map(|t| t as usize * TILE as usize)
-    }
-
-    /// Pixels of a padded plane of the image.
-    #[must_use]
-    pub fn plane(&self) -> usize {
-        let [width, height] = self.padded();
-        width * height
+    pub fn image(&self) -> ImageSize {
+        ImageSize(self.size.map(|s| s as usize))
     }
 
     /// Number of tiles.
     #[must_use]
     pub fn tile_count(&self) -> usize {
         (self.tiles[0] * self.tiles[1]) as usize
+    }
+}
+
+/// Width and height of an image without its padding, pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ImageSize(pub [usize; 2]);
+
+impl ImageSize {
+    /// Width and height with the padding to whole tiles, pixels.
+    #[must_use]
+    pub fn padded(self) -> [usize; 2] {
+        self.0.map(|s| s.next_multiple_of(TILE as usize))
+    }
+
+    /// Pixels of a padded plane.
+    #[must_use]
+    pub fn plane(self) -> usize {
+        self.padded().iter().product()
+    }
+
+    /// Number of tiles.
+    #[must_use]
+    pub fn tile_count(self) -> usize {
+        self.plane() / (TILE * TILE) as usize
     }
 }
 

@@ -3,11 +3,11 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::base::constants::{NEAR, SUMS, TILE};
+use crate::base::constants::{NEAR, SUMS};
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
-use crate::device::{Array, CameraArg, Device, Projected, Real};
+use crate::device::{Array, CameraArg, Device, ImageSize, Projected, Real};
 use crate::pipeline::photos::Photos;
 use crate::scene::{Gaussians, Plane};
 
@@ -23,7 +23,7 @@ pub struct Blank<'a> {
 /// Strides are multiples of this, so that vector loads of a plane never straddle two.
 const ROUND: usize = 256;
 /// Longest side of an image: projected Gaussians hold pixel bounds in 16 bits.
-const MAX_PIXELS: i32 = 1 << 16;
+const MAX_PIXELS: usize = 1 << 16;
 
 /// Names of the keys and values that are sorted by depth, and of those sorted by tile.
 const VISIBLE: [&str; 2] = ["visible_keys", "visible"];
@@ -285,21 +285,21 @@ impl<R: Real> ViewBuffers<R> {
         Ok(())
     }
 
-    /// Makes room for a camera's image. Contents are lost.
-    pub fn fit_image(&mut self, device: &Device, camera: &CameraArg<R>) -> Result<()> {
-        if camera.size.iter().any(|s| *s < 1 || *s > MAX_PIXELS) {
-            let [w, h] = camera.size;
+    /// Makes room for an image. Contents are lost.
+    pub fn fit_image(&mut self, device: &Device, size: ImageSize) -> Result<()> {
+        if size.0.iter().any(|s| *s < 1 || *s > MAX_PIXELS) {
+            let [w, h] = size.0;
             return Err(Error::config(
                 "image size",
                 format!("{w} x {h}; 1 to {MAX_PIXELS} pixels a side expected"),
             ));
         }
-        let tiles = camera.tile_count();
+        let tiles = size.tile_count();
         if self.tile_used.len() >= tiles {
             return Ok(());
         }
         self.tile_start = Array::zeros(device, "tile_start", tiles + 1)?;
-        self.image = Array::zeros(device, "image", 4 * tiles * (TILE * TILE) as usize)?;
+        self.image = Array::zeros(device, "image", 4 * size.plane())?;
         self.live = Array::zeros(device, "live", tiles)?;
         self.tile_used = Array::zeros(device, "tile_used", tiles)?;
         Ok(())
@@ -319,10 +319,8 @@ pub struct ViewSet<R: Real = f32> {
     numbers: Vec<usize>,
     /// Meaning of the photos' alpha plane.
     pub alpha: Alpha,
-    /// Largest width and largest height, pixels.
-    pub largest: [usize; 2],
-    /// A camera with as many tiles as any view needs.
-    pub largest_camera: CameraArg<R>,
+    /// Largest width and largest height.
+    pub largest: ImageSize,
 }
 
 impl<R: Real> ViewSet<R> {
@@ -343,9 +341,7 @@ impl<R: Real> ViewSet<R> {
             numbers.push(photos.add(view.photo)?);
         }
         let most = |k: usize| cameras.iter().map(|c| c.size[k].max(1)).max().unwrap_or(1) as usize;
-        let largest = [most(0), most(1)];
-        let mut largest_camera = cameras.first().copied().unwrap_or_default();
-        largest_camera.tiles = largest.map(|s| s.div_ceil(TILE as usize) as i32);
+        let largest = ImageSize([most(0), most(1)]);
         Ok(Self {
             names,
             alpha,
@@ -353,7 +349,6 @@ impl<R: Real> ViewSet<R> {
             photos: photos.clone(),
             numbers,
             largest,
-            largest_camera,
         })
     }
 

@@ -120,7 +120,7 @@ impl<R: Real> Renderer<R> {
         self.frame.fit_gaussians(&self.device, scene.stride)?;
         self.frame
             .fit_intersections(&self.device, 4 * scene.count.max(1024))?;
-        self.frame.fit_image(&self.device, camera)
+        self.frame.fit_image(&self.device, camera.image())
     }
 
     /// Enqueues the forward stages. Does not wait; an overflow of the pairs is told by the status array.
@@ -304,9 +304,8 @@ impl<R: Real> Renderer<R> {
 
     /// The image of the view rendered last, without its padding.
     pub fn read_image(&self, camera: &CameraArg<R>) -> Result<Rendered> {
-        let [width, height] = camera.size.map(|s| s as usize);
-        let stride = camera.tiles[0] as usize * crate::base::constants::TILE as usize;
-        let plane = camera.plane();
+        let (size, plane) = (camera.image(), camera.image().plane());
+        let ([width, height], [stride, _]) = (size.0, size.padded());
         let padded = self.frame.image.read(0, 4 * plane)?;
         let cut = |c: usize| {
             (0..height).flat_map(move |y| {

@@ -1,8 +1,7 @@
 //! [`Pipeline`]: all stages of one view, forward and backward. Nothing else knows their order.
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
+use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Real};
 use crate::pipeline::backward::Backward;
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::exposure::ExposureModel;
@@ -52,25 +51,25 @@ pub struct Pipeline<R: Real = f32> {
 }
 
 impl<R: Real> Pipeline<R> {
-    /// Builds the kernels for a range of SH degrees and images of at most `largest` (width, height) pixels.
+    /// Builds the kernels for a range of SH degrees and images of at most `largest` pixels.
     pub fn new(
         device: &Device,
         defines: Defines,
         degrees: [u32; 2],
-        largest: [usize; 2],
+        largest: ImageSize,
     ) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let loss = Loss::new::<R>(&kernels)?;
-        let [w, h] = largest.map(|side| side.next_multiple_of(TILE as usize));
-        let zeros = |name, planes: usize| Array::zeros(device, name, planes * w * h);
+        let zeros = |name, planes| Array::zeros(device, name, planes * largest.plane());
+        let live = defines.masked() || defines.skips_blank();
         Ok(Self {
             forward: Renderer::new(device, defines, degrees[1], true)?,
             backward: Backward::new::<R>(device, defines, degrees)?,
-            live: Live::if_asked::<R>(&kernels)?,
+            live: live.then(|| Live::new::<R>(&kernels)).transpose()?,
             exposure: None,
             maps: zeros("maps", 3)?,
             dimage: zeros("dimage", 3)?,
-            partial: Array::zeros(device, "partial", loss.partial_len(largest[0], largest[1]))?,
+            partial: Array::zeros(device, "partial", loss.partial_len(largest))?,
             loss,
             device: device.clone(),
         })
@@ -110,7 +109,9 @@ impl<R: Real> Pipeline<R> {
         let mut pair = ImagePair::new(image, target.photo, camera, target.background);
         pair.blank = skips.then(|| self.forward.frame.blank());
         if let Some(exposure) = &self.exposure {
-            pair.image = exposure.apply(pair.image, pair.plane(), target.view)?;
+            let stage = &exposure.stage;
+            stage.apply(pair.image, pair.size.plane(), target.view)?;
+            pair.image = &stage.corrected;
         }
         Ok(pair)
     }
@@ -122,7 +123,8 @@ impl<R: Real> Pipeline<R> {
         match &self.exposure {
             Some(exposure) => {
                 let image = &self.forward.frame.image;
-                exposure.backward(image, pair.plane(), view, &self.dimage)
+                let plane = pair.size.plane();
+                exposure.stage.backward(image, plane, view, &self.dimage)
             }
             None => Ok(()),
         }
@@ -150,8 +152,7 @@ impl<R: Real> Pipeline<R> {
     /// Sums of |x − y| and SSIM of each strip of a pair, in turn; waits.
     pub fn strips(&self, pair: &ImagePair<'_, R>) -> Result<Vec<f64>> {
         self.loss.errors(pair, &self.maps, &self.partial)?;
-        let [w, h] = pair.size;
-        let sums = self.partial.read(0, self.loss.partial_len(w, h))?;
+        let sums = self.partial.read(0, self.loss.partial_len(pair.size))?;
         Ok(sums.into_iter().map(Into::into).collect())
     }
 

@@ -339,7 +339,7 @@ impl Control {
         sh_degree: u32,
     ) -> Result<()> {
         if self.importance.is_some() {
-            let pair = on.pipeline.pair(camera, target)?;
+            let pair = on.pipeline.pair(camera, target)?.everywhere();
             self.add_errors(on.pipeline, on.gaussians, camera, &pair, true)?;
         }
         let lambda = self.plan.config.loss.lambda_ssim;

@@ -530,7 +530,7 @@ impl Trainer {
     pub(super) fn fit_views(&mut self) -> Result<()> {
         let frame = &mut self.pipeline.forward.frame;
         frame.fit_gaussians(&self.device, self.gaussians.scene.stride)?;
-        frame.fit_image(&self.device, &self.views.set.largest_camera)?;
+        frame.fit_image(&self.device, self.views.set.largest)?;
         let max = self.counters.max_intersections;
         let least = 4 * self.gaussians.scene.count.max(1024);
         frame.fit_intersections(&self.device, (max + max / 4).max(least))
@@ -582,8 +582,7 @@ impl Trainer {
 
     fn warm_up_control(&mut self, sh_degree: u32) -> Result<()> {
         let view = self.views.at(0)?;
-        let mut target = self.views.target(&view);
-        target.skip_blank = false;
+        let target = self.views.target(&view);
         let mut on = Working {
             device: &self.device,
             pipeline: &mut self.pipeline,

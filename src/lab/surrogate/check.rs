@@ -171,7 +171,7 @@ impl Subject<'_> {
         let photos = Photos::new(device, self.dataset.image_budget);
         let train = &self.dataset.train;
         let views = ViewSet::<R>::new(&photos, chosen.iter().map(|v| train[*v].clone()))?;
-        let (names, size) = (views.names.clone(), views.largest);
+        let (names, size) = (views.names.clone(), views.largest.0);
         let splats = &self.saved.state.splats;
         let room = 2 * self.options.candidates;
         let mut instrument = Instrument::new(device, views, splats.clone(), setting, room)?;

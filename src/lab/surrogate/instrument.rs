@@ -12,7 +12,7 @@ use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
 use crate::pipeline::stage::importance::Importance;
-use crate::pipeline::stage::loss::{ImagePair, size_of_image};
+use crate::pipeline::stage::loss::ImagePair;
 use crate::scene::Gaussians;
 use crate::train::estimates::FaintPass;
 
@@ -155,7 +155,7 @@ impl<R: Real> Instrument<R> {
 
     /// The loss of these strips, without its constant, and the number of pixel values.
     pub(super) fn weigh(&self, view: usize, l1: f64, ssim: f64) -> f64 {
-        let [w, h] = size_of_image(&self.views.cameras[view]);
+        let [w, h] = self.views.cameras[view].image().0;
         let lambda = self.setting.lambda_ssim;
         ((1.0 - lambda) * l1 - lambda * ssim) / (3 * w * h) as f64
     }

@@ -99,9 +99,8 @@ impl<'a, R: Real> Pass<'a, R> {
             scene = scene.with_filter(device)?;
         }
         let camera = CameraArg::<R>::new(&case.camera, NEAR);
-        let size = camera.size.map(|s| s as usize);
         Ok(Self {
-            pipeline: Pipeline::new(device, defines, [case.sh_degree; 2], size)?,
+            pipeline: Pipeline::new(device, defines, [case.sh_degree; 2], camera.image())?,
             kernels: Kernels::new(device, defines),
             photo: Array::from_slice(device, "photo", &case.photo.data)?,
             device,
@@ -389,7 +388,7 @@ impl<'a, R: Real> Pass<'a, R> {
             image: &image,
             ..self.pair()?
         };
-        let h = pair.size[1];
+        let [w, h] = pair.size.0;
         let rows = Array::zeros(self.device, "score", 3 * h)?;
         stage.dissimilarity(&pair, self.pipeline.error_maps(), &rows)?;
         stage.run(&pair, &rows)?;
@@ -402,7 +401,6 @@ impl<'a, R: Real> Pass<'a, R> {
             vec![sum_counted(map, r.mask.as_deref())]
         });
         // Of pictures that agree it is nothing but rounding.
-        let [w, h] = pair.size;
         let floor = 1e-3 * (w * h) as f64;
         out.add_floored("metrics", "1 - SSIM", sum(2)?, (want, floor));
         Ok(())
@@ -419,14 +417,14 @@ impl<'a, R: Real> Pass<'a, R> {
 
     /// Exposure of the render and of the loss gradient, as the stages before gave them.
     fn exposure(&self, out: &mut Outcome) -> Result<()> {
-        let (frame, plane) = (&self.pipeline.forward.frame, self.camera.plane());
+        let (frame, plane) = (&self.pipeline.forward.frame, self.camera.image().plane());
         let model = ExposureModel::<R>::new(&self.kernels, EXPOSURES.len(), plane, 0)?;
         let start: Vec<R> = EXPOSURES.as_flattened().iter().map(|v| R::of(*v)).collect();
         let zeros = vec![R::of(0.0); start.len()];
         model.restore(&[start, zeros.clone(), zeros])?;
         let gradient = self.copy(self.pipeline.image_gradient())?;
-        let corrected = model.apply(&frame.image, plane, VIEW)?;
-        model.backward(&frame.image, plane, VIEW, &gradient)?;
+        model.stage.apply(&frame.image, plane, VIEW)?;
+        model.stage.backward(&frame.image, plane, VIEW, &gradient)?;
         for iteration in 0..2 {
             let step = TransformStep {
                 view: VIEW,
@@ -445,7 +443,12 @@ impl<'a, R: Real> Pass<'a, R> {
             ((by_render, by_transform.to_vec()), floor)
         });
         let steps = self.want(|r| r.transforms(&transform));
-        out.add("exposure", "image", self.image(corrected, 0..3)?, exposed);
+        out.add(
+            "exposure",
+            "image",
+            self.image(&model.stage.corrected, 0..3)?,
+            exposed,
+        );
         let got = self.image(&gradient, 0..3)?;
         out.add("exposure", "gradient by the render", got, by_render);
         let want = (by_transform, floor);
