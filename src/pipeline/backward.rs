@@ -49,7 +49,7 @@ impl Backward {
         })
     }
 
-    /// Takes the image gradient \[3, rows, stride\] of the view rendered last back to sums per tile intersection.
+    /// Takes the image gradient of the view rendered last back to sums per tile intersection.
     pub fn splats<R: Real>(
         &self,
         forward: &Renderer<R>,

@@ -1,4 +1,5 @@
-//! Buffers on the device: the Gaussians, one view between the stages, and the photos of a set of views.
+//! Buffers on the device: the Gaussians, one view between the stages, and the photos of a set of views. `kernels/README.md`
+//! has the shapes.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,9 +15,9 @@ use crate::scene::{Gaussians, Plane};
 /// Tiles that are blank in a render and its photo.
 #[derive(Debug, Clone, Copy)]
 pub struct Blank<'a> {
-    /// Tiles that are neither masked nor clear in the photo \[tiles\] (the live stage's).
+    /// Tiles that are neither masked nor clear in the photo (the live stage's).
     pub live: &'a Array<u32>,
-    /// First pair of each tile of the render \[tiles + 1\]; not read where photos have masks.
+    /// First pair of each tile of the render; not read where photos have masks.
     pub tile_start: &'a Array<u32>,
 }
 
@@ -32,9 +33,9 @@ const ORDER: [&str; 2] = ["tile_keys", "order"];
 /// Raw parameters of a scene on the device.
 #[derive(Debug)]
 pub struct GaussianBuffers<R: Real = f32> {
-    /// Planes in the order of [`Plane`] \[planes, stride\].
+    /// Planes in the order of [`Plane`].
     pub params: Array<R>,
-    /// Standard deviations of the 3D filter, local units \[stride\]; empty without anti-aliasing.
+    /// Standard deviations of the 3D filter, local units; empty without anti-aliasing.
     pub filter: Array<R>,
     /// Gaussians allocated.
     pub stride: usize,
@@ -169,37 +170,37 @@ impl SortBuffers {
 /// Arrays of one view's passage from records to the image; they grow and never shrink.
 #[derive(Debug)]
 pub struct ViewBuffers<R: Real> {
-    /// Records \[stride\].
+    /// Records.
     pub records: Array<Projected<R>>,
-    /// Depth bits or culled \[stride\].
+    /// Depth bits or culled.
     pub keys: Array<u32>,
-    /// Pairs of each Gaussian \[stride\].
+    /// Pairs of each Gaussian.
     pub isect_counts: Array<u32>,
-    /// First pair of each Gaussian \[stride\].
+    /// First pair of each Gaussian.
     pub isect_start: Array<u32>,
     /// Visible Gaussians by depth.
     pub visible: SortBuffers,
-    /// Tiles of each visible Gaussian \[stride\].
+    /// Tiles of each visible Gaussian.
     pub counts: Array<u32>,
-    /// Tiles of each visible Gaussian, if they are few \[stride, 2\].
+    /// Tiles of each visible Gaussian, if they are few.
     pub cover: Array<u32>,
-    /// First pair of each visible Gaussian \[stride\].
+    /// First pair of each visible Gaussian.
     pub offsets: Array<u32>,
-    /// Sums per chunk \[chunks\].
+    /// Sums per chunk.
     pub chunk_sums: Array<u32>,
     /// Emission slots of the pairs by tile.
     pub order: SortBuffers,
-    /// Gaussian of each pair, by emission slot \[pairs\].
+    /// Gaussian of each pair, by emission slot.
     pub isect_owner: Array<u32>,
-    /// Sums of splat_grad \[pairs, 9\]; empty when only rendering.
+    /// Sums of splat_grad; empty when only rendering.
     pub sums: Array<R>,
-    /// First pair of each tile \[tiles + 1\].
+    /// First pair of each tile.
     pub tile_start: Array<u32>,
-    /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear \[tiles\].
+    /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear.
     pub live: Array<u32>,
-    /// Pairs used of each tile \[tiles\].
+    /// Pairs used of each tile.
     pub tile_used: Array<u32>,
-    /// Red, green, blue, transmittance \[4, rows, stride of the image\].
+    /// Red, green, blue, transmittance.
     pub image: Array<R>,
     /// Counters; see [`status`].
     pub status: Array<u32>,
@@ -207,7 +208,7 @@ pub struct ViewBuffers<R: Real> {
 }
 
 impl<R: Real> ViewBuffers<R> {
-    /// Arrays for `stride` Gaussians, `pairs` pairs and a padded image of `tiles` tiles.
+    /// Empty arrays; `gradients` says whether the sums of splat_grad will be needed.
     pub fn new(device: &Device, tuning: &Tuning, gradients: bool) -> Result<Self> {
         let ints = |name| Array::<u32>::zeros(device, name, 0);
         Ok(Self {

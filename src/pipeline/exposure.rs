@@ -6,19 +6,6 @@ use crate::device::{Array, Device, Kernels, Real};
 use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::exposure::{ENTRIES, Exposures, exposed, unexposed};
 
-/// Optimiser step of one view's transform.
-#[derive(Debug, Clone, Copy)]
-pub struct TransformStep {
-    /// View.
-    pub view: usize,
-    /// Learning rate.
-    pub rate: f64,
-    /// β₁, β₂, ε.
-    pub constants: [f64; 3],
-    /// Iteration of the run.
-    pub iteration: u32,
-}
-
 /// Transforms of the training views on the device.
 #[derive(Debug)]
 pub struct ExposureModel<R: Real = f32> {
@@ -37,14 +24,10 @@ impl<R: Real> ExposureModel<R> {
         })
     }
 
-    /// Optimiser's step of a view's transform; changes nothing after an overflow.
-    pub fn step(&self, step: TransformStep, status: &Array<u32>) -> Result<()> {
-        let adam = Step {
-            rate: step.rate,
-            constants: step.constants,
-            t: step.iteration.saturating_sub(self.since) + 1,
-        };
-        self.stage.step(step.view, &adam, status)
+    /// Optimiser's step of a view's transform, `step.t` being the iteration of the run; changes nothing after an overflow.
+    pub fn step(&self, view: usize, step: Step, status: &Array<u32>) -> Result<()> {
+        let t = step.t.saturating_sub(self.since) + 1;
+        self.stage.step(view, &Step { t, ..step }, status)
     }
 
     /// Gradient by the transform stepped last, row-major \[A | b\].
@@ -58,7 +41,7 @@ impl<R: Real> ExposureModel<R> {
         device: &Device,
         image: &Array<R>,
         dimage: &Array<R>,
-        step: TransformStep,
+        step: Step,
     ) -> Result<()> {
         let plane = dimage.len() / 3;
         self.stage.apply(image, plane, 0)?;
@@ -66,7 +49,7 @@ impl<R: Real> ExposureModel<R> {
         // After an overflow the step changes nothing.
         let status = Array::zeros(device, "status", SLOTS)?;
         status.write(OVERFLOW as usize, &[1])?;
-        self.step(step, &status)
+        self.step(0, step, &status)
     }
 
     fn arrays(&self) -> [&Array<R>; 3] {

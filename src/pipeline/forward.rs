@@ -188,7 +188,7 @@ impl<R: Real> Renderer<R> {
             .run(&mut f.order, &f.status, status::INTERSECTIONS, bits)
     }
 
-    /// Tiles in which a pixel of the photo counts, or is not clear \[tiles\]: written by the live stage.
+    /// Tiles in which a pixel of the photo counts, or is not clear: written by the live stage.
     #[must_use]
     pub fn active_tiles(&self) -> &Array<u32> {
         &self.frame.live

@@ -23,15 +23,6 @@ pub struct Target<'a> {
     pub skip_blank: bool,
 }
 
-/// Error statistics of Gaussians: where they are added up.
-#[derive(Debug)]
-pub struct ErrorSums<'a, R: Real> {
-    /// Sums \[3, stride\].
-    pub sums: &'a Array<R>,
-    /// True if the sums start anew.
-    pub first_view: bool,
-}
-
 /// Stages of one view, with what lies between them.
 #[derive(Debug)]
 pub struct Pipeline<R: Real = f32> {
@@ -156,18 +147,19 @@ impl<R: Real> Pipeline<R> {
         Ok(sums.into_iter().map(Into::into).collect())
     }
 
-    /// Adds a pair's errors at the projected centres of the Gaussians to their statistics.
+    /// Adds a pair's errors at the projected centres of the Gaussians to their statistics, which `first_view` starts anew.
     pub fn add_errors(
         &self,
         stage: &Importance,
         scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         pair: &ImagePair<'_, R>,
-        errors: &ErrorSums<'_, R>,
+        first_view: bool,
+        cues: &Array<R>,
     ) -> Result<()> {
         self.loss.errors(pair, &self.maps, &self.partial)?;
-        let (frame, first) = (&self.forward.frame, errors.first_view);
-        stage.run(scene, frame, camera, &self.maps, first, errors.sums)
+        let view = &self.forward.frame;
+        stage.run(scene, view, camera, &self.maps, first_view, cues)
     }
 
     /// Takes the image gradient back to sums per tile intersection.
@@ -188,13 +180,13 @@ impl<R: Real> Pipeline<R> {
             .parameters(&self.forward, scene, camera, sh_degree, lambdas, grads)
     }
 
-    /// Error maps of the pair compared last \[2, rows, stride\].
+    /// Error maps of the pair compared last.
     #[must_use]
     pub fn error_maps(&self) -> &Array<R> {
         &self.maps
     }
 
-    /// Image gradient of the pair compared last \[3, rows, stride\].
+    /// Image gradient of the pair compared last.
     #[must_use]
     pub fn image_gradient(&self) -> &Array<R> {
         &self.dimage

@@ -10,10 +10,11 @@ use crate::capture::{Alpha, Dataset};
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, PendingRead};
 use crate::pipeline::buffers::ViewSet;
-use crate::pipeline::exposure::{ExposureModel, TransformStep};
+use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
+use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::seen::Seen;
 use crate::scene::Gaussians;
 use crate::train::control::{Control, DensityEvent, Working};
@@ -222,7 +223,7 @@ impl Trainer {
 
         if let Some(exposure) = &self.pipeline.exposure {
             let status = &self.pipeline.forward.frame.status;
-            exposure.step(self.transform_step(iteration, view.number), status)?;
+            exposure.step(view.number, self.transform_step(iteration), status)?;
         }
         self.pipeline.splat_gradient(camera)?;
         self.optimizer.step(
@@ -245,12 +246,11 @@ impl Trainer {
         }
     }
 
-    fn transform_step(&self, iteration: u32, view: usize) -> TransformStep {
-        TransformStep {
-            view,
+    fn transform_step(&self, iteration: u32) -> Step {
+        Step {
             rate: self.schedule.exposure_rate(iteration),
             constants: self.optimizer.constants(),
-            iteration,
+            t: iteration,
         }
     }
 
@@ -467,7 +467,7 @@ impl Trainer {
         let (views, plane) = (self.views.len(), dimage.len() / 3);
         let built = ExposureModel::new(&kernels, views, plane, self.schedule.exposure_from())?;
         let image = &self.pipeline.forward.frame.image;
-        let step = self.transform_step(self.iteration, 0);
+        let step = self.transform_step(self.iteration);
         built.warm_up(&self.device, image, dimage, step)?;
         self.device.finish()?;
         self.pipeline.exposure = Some(built);

@@ -10,7 +10,7 @@ use crate::device::{Array, Defines, Device, Kernels, Real};
 use crate::pipeline::backward::GRADIENT_ROWS;
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
-use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
+use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::ImagePair;
 use crate::scene::Gaussians;
@@ -200,14 +200,11 @@ impl<R: Real> Instrument<R> {
             base.losses.push(loss);
             base.strips.push(strips);
             base.touched.push(self.pipeline.forward.intersected(0, n)?);
-            let errors = ErrorSums {
-                sums: &cues,
-                first_view: view == 0,
-            };
             self.with_pair(view, |pair| {
-                let camera = &self.views.cameras[view];
+                let (stage, camera) = (&self.importance, &self.views.cameras[view]);
+                let first = view == 0;
                 self.pipeline
-                    .add_errors(&self.importance, &self.scene, camera, pair, &errors)
+                    .add_errors(stage, &self.scene, camera, pair, first, &cues)
             })?;
             self.image_gradient(view)?;
             let gradients = self.gradients(false, view, 0)?;

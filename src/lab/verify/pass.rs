@@ -14,9 +14,9 @@ use crate::lab::verify::definition::{
 use crate::lab::verify::outcome::Outcome;
 use crate::lab::verify::readback::{counted, crop, records, sums, tiles, widen};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
-use crate::pipeline::exposure::{ExposureModel, TransformStep};
+use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{Quantity, RenderOptions};
-use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
+use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::adam::{Adam, Step};
 use crate::pipeline::stage::edit::Edit;
 use crate::pipeline::stage::exposure::{apply, backward};
@@ -225,11 +225,8 @@ impl<'a, R: Real> Pass<'a, R> {
         let stage = Importance::new::<R>(&self.kernels)?;
         let sums = Array::zeros(self.device, "cues", 3 * self.scene.stride)?;
         for first_view in [true, false] {
-            let errors = ErrorSums {
-                sums: &sums,
-                first_view,
-            };
-            pipeline.add_errors(&stage, &self.scene, &self.camera, &pair, &errors)?;
+            let (scene, camera) = (&self.scene, &self.camera);
+            pipeline.add_errors(&stage, scene, camera, &pair, first_view, &sums)?;
         }
         let want = self.want(|r| {
             let loss = &r.pass.loss;
@@ -426,13 +423,12 @@ impl<'a, R: Real> Pass<'a, R> {
         model.stage.apply(&frame.image, plane, VIEW)?;
         model.stage.backward(&frame.image, plane, VIEW, &gradient)?;
         for iteration in 0..2 {
-            let step = TransformStep {
-                view: VIEW,
+            let step = Step {
                 rate: EXPOSURE_RATE,
                 constants: ADAM,
-                iteration,
+                t: iteration,
             };
-            model.step(step, &frame.status)?;
+            model.step(VIEW, step, &frame.status)?;
         }
         let transform = widen(model.gradient()?);
         let (image, dimage) = (out.got("splat", "image"), out.got("loss", "gradient"));
