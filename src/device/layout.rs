@@ -5,7 +5,7 @@ use std::fmt::Debug;
 
 use ocl_core::OclPrm;
 
-use crate::base::constants::TILE;
+use crate::base::constants::{NEAR, TILE};
 use crate::capture::Camera;
 use crate::scene::Edit;
 
@@ -94,7 +94,7 @@ impl<R: Real> CameraArg<R> {
     /// The camera as kernels take it. The field of view is widened by 30 % on each side, as in 3DGS (with the principal
     /// point taken into account).
     #[must_use]
-    pub fn new(camera: &Camera, near: f64) -> Self {
+    pub fn new(camera: &Camera) -> Self {
         let (w, h) = (f64::from(camera.width), f64::from(camera.height));
         let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
         let (mx, my) = (0.3 * w / (2.0 * fx), 0.3 * h / (2.0 * fy));
@@ -111,7 +111,7 @@ impl<R: Real> CameraArg<R> {
                 (h - cy) / fy + my,
             ]
             .map(R::of),
-            near: R::of(near),
+            near: R::of(NEAR),
             size: [camera.width as i32, camera.height as i32],
             tiles: [
                 camera.width.div_ceil(TILE) as i32,

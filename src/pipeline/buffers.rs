@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::base::constants::{NEAR, SUMS};
+use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
@@ -338,7 +338,7 @@ impl<R: Real> ViewSet<R> {
                 alpha = view.photo.alpha();
             }
             names.push(view.name);
-            cameras.push(CameraArg::<R>::new(&view.camera, NEAR));
+            cameras.push(CameraArg::<R>::new(&view.camera));
             numbers.push(photos.add(view.photo)?);
         }
         let most = |k: usize| cameras.iter().map(|c| c.size[k].max(1)).max().unwrap_or(1) as usize;

@@ -1,6 +1,5 @@
 //! [`Renderer`]: the forward stages, in order.
 
-use crate::base::constants::NEAR;
 use crate::base::error::{Error, Result};
 use crate::capture::Camera;
 use crate::device::tuning::status;
@@ -102,12 +101,6 @@ impl<R: Real> Renderer<R> {
             splat: Splat::new::<R>(&kernels)?,
             frame: ViewBuffers::new(device, &defines.tuning, gradients)?,
         })
-    }
-
-    /// The camera as the kernels take it.
-    #[must_use]
-    pub fn camera(camera: &Camera) -> CameraArg<R> {
-        CameraArg::new(camera, NEAR)
     }
 
     /// The device.
@@ -297,7 +290,7 @@ impl<R: Real> Renderer<R> {
         camera: &Camera,
         options: &RenderOptions,
     ) -> Result<Rendered> {
-        let arg = Self::camera(camera);
+        let arg = CameraArg::new(camera);
         self.render(scene, &arg, options)?;
         self.read_image(&arg)
     }

@@ -6,14 +6,14 @@ use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::capture::Dataset;
 use crate::config::{AntiAliasing, TrainConfig};
-use crate::device::{Device, DeviceKind};
+use crate::device::{CameraArg, Device, DeviceKind};
 use crate::lab::bench::options::{Options, STAGES};
 use crate::lab::bench::record::{Case, Iteration, Peak, Stage, no_samples};
 use crate::lab::bench::scene;
 use crate::lab::bench::scene::VIEWS;
 use crate::lab::bench::work::{Load, TileWork};
 use crate::lab::stats::{Spread, ratio};
-use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::run::clock::process_cpu_seconds;
 use crate::scene::without_filter;
 use crate::scene::{Gaussians, Plane};
@@ -148,7 +148,7 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
     let each = 1.0 / views.len() as f64;
     let (mut load, mut used) = (Load::default(), 0.0);
     for view in views {
-        let camera = Renderer::<f32>::camera(&view.camera);
+        let camera = CameraArg::<f32>::new(&view.camera);
         renderer.render(scene, &camera, &options)?;
         let work = TileWork::read(renderer, &camera, scene.count)?;
         load.visible += each * work.visible as f64;

@@ -2,7 +2,7 @@
 //!
 //! A quantity is named here and nowhere else: with what the device computed, what the reference did, and the floor of its errors.
 
-use crate::base::constants::{FILTER_CHUNKS, NEAR};
+use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
 use crate::device::tuning::{Tuning, status};
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
@@ -98,7 +98,7 @@ impl<'a, R: Real> Pass<'a, R> {
         if defines.anti_alias {
             scene = scene.with_filter(device)?;
         }
-        let camera = CameraArg::<R>::new(&case.camera, NEAR);
+        let camera = CameraArg::<R>::new(&case.camera);
         Ok(Self {
             pipeline: Pipeline::new(device, defines, [case.sh_degree; 2], camera.image())?,
             kernels: Kernels::new(device, defines),
@@ -147,7 +147,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let (device, forward) = (self.device, &mut self.pipeline.forward);
         if self.kernels.defines().anti_alias {
             let views = self.case.filter_views.iter();
-            let cameras: Vec<_> = views.map(|c| CameraArg::<R>::new(c, NEAR)).collect();
+            let cameras: Vec<_> = views.map(|c| CameraArg::<R>::new(c)).collect();
             let cameras = Array::from_slice(device, "cameras", &cameras)?;
             let largest = Array::zeros(device, "largest", FILTER_CHUNKS as usize)?;
             let stage = Filter::new::<R>(&self.kernels)?;

@@ -1,6 +1,6 @@
 //! The stress suite: families of scenes, the optimiser, world frames, density control.
 
-use crate::base::constants::{NEAR, TILE};
+use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::tuning::status;
 use crate::device::{CameraArg, Defines, Device};
@@ -94,7 +94,7 @@ fn forward(device: &Device, case: &Case) -> Result<(Vec<f32>, usize)> {
     let defines = Defines::new(device.tuning());
     let mut renderer = Renderer::<f32>::new(device, defines, case.sh_degree, true)?;
     let scene = GaussianBuffers::<f32>::upload(device, &case.splats, 0)?;
-    let camera = CameraArg::<f32>::new(&case.camera, NEAR);
+    let camera = CameraArg::<f32>::new(&case.camera);
     let options = RenderOptions {
         sh_degree: case.sh_degree,
         background: case.background,
