@@ -69,6 +69,14 @@ impl Kernels {
         }
     }
 
+    /// The same for another SH degree.
+    #[must_use]
+    pub fn of_degree(&self, sh_degree: u32) -> Self {
+        let mut kernels = self.clone();
+        kernels.defines.sh_degree = sh_degree;
+        kernels
+    }
+
     /// The device.
     #[must_use]
     pub fn device(&self) -> &Device {

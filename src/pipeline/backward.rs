@@ -25,16 +25,11 @@ pub struct Backward {
 impl Backward {
     /// Builds the kernels for a range of SH degrees.
     pub fn new<R: Real>(device: &Device, defines: Defines, degrees: [u32; 2]) -> Result<Self> {
-        let build = |sh_degree| {
-            let defines = Defines {
-                sh_degree,
-                ..defines
-            };
-            ProjectGrad::new::<R>(&Kernels::new(device, defines))
-        };
+        let kernels = Kernels::new(device, defines);
+        let build = |degree| ProjectGrad::new::<R>(&kernels.of_degree(degree));
         let [lowest, highest] = degrees;
         Ok(Self {
-            splat_grad: SplatGrad::new::<R>(&Kernels::new(device, defines))?,
+            splat_grad: SplatGrad::new::<R>(&kernels)?,
             project_grad: Arc::new((lowest..=highest).map(build).collect::<Result<_>>()?),
             lowest,
         })

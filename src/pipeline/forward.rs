@@ -82,15 +82,7 @@ impl<R: Real> Renderer<R> {
     pub fn new(device: &Device, defines: Defines, sh_degree: u32, gradients: bool) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let project = (0..=sh_degree)
-            .map(|d| {
-                Project::new::<R>(&Kernels::new(
-                    device,
-                    Defines {
-                        sh_degree: d,
-                        ..defines
-                    },
-                ))
-            })
+            .map(|d| Project::new::<R>(&kernels.of_degree(d)))
             .collect::<Result<_>>()?;
         Ok(Self {
             device: device.clone(),

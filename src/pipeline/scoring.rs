@@ -3,7 +3,7 @@
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels};
 use crate::pipeline::buffers::GaussianBuffers;
-use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics::Metrics;
 
@@ -57,8 +57,7 @@ impl Scoring {
         let options = RenderOptions {
             sh_degree: scene.sh_degree,
             background,
-            quantity: Quantity::Color,
-            active_only: false,
+            ..RenderOptions::default()
         };
         renderer.render(scene, camera, &options)?;
         let image = &renderer.frame.image;
