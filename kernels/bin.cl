@@ -112,8 +112,8 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
 #if HAS_MASK
                         LIVE_TILES, // in [tiles]
 #endif
-                        __global uint *counts,  // out [visible] tiles touched
                         __global uint *cover,   // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
+                        __global uint *counts,  // out [visible] tiles touched
                         __global uint *isect_counts) { // out [count] the same counts by Gaussian
   const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
   if (first >= visible_count) return;

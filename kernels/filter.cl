@@ -42,8 +42,8 @@ __kernel void filter_largest(uint count, __global const uint *status, // in S_OV
 }
 
 __kernel void filter_unseen(uint count, __global const uint *status, // in S_OVERFLOW
-                            __global const real *largest,            // in [FILTER_CHUNKS]
-                            __global real *filter) {                 // in/out [stride]
+                            __global real *filter,                   // in/out [stride]
+                            __global const real *largest) {          // in [FILTER_CHUNKS]
   const uint i = get_global_id(0) * VW;
   if (i >= count || status[S_OVERFLOW] != 0) return;
   const realV own = vload_real(0, filter + i);

@@ -176,7 +176,7 @@ static inline realV ssim_of(realV mx, realV my, realV squares, realV xy, realV *
 // the padding.
 __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, stride]
                            __global const uchar *photo, // in [3 or 4, height, width]
-                           int channel, real background, int width, int height, int stride, int rows,
+                           int width, int height, int stride, int rows, int channel, real background,
 #if SKIP_BLANK
                            int skip,                       // 1: leave out what is blank
                            __global const uint *live,       // in [tiles] 0: masked or clear
@@ -254,7 +254,7 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
 
 // Launch: as loss_forward. dL/dx of the channel, zero in the padding.
 __kernel void loss_backward(__global const real *image, __global const uchar *photo, // in, as loss_forward
-                            int channel, real background, int width, int height, int stride, int rows,
+                            int width, int height, int stride, int rows, int channel, real background,
 #if SKIP_BLANK
                             int skip,                       // 1: leave out what is blank
                             __global const uint *live,       // in [tiles] 0: masked or clear

@@ -5,7 +5,7 @@
 
 __kernel void metrics(__global real *image,               // in/out [>= 3, rows, stride]
                       __global const uchar *photo,        // in [3 or 4, height, width]
-                      real bg_red, real bg_green, real bg_blue, int width, int height, int stride, int rows,
+                      int width, int height, int stride, int rows, real bg_red, real bg_green, real bg_blue,
                       __global real *score) { // out [>= 2, height]: 0 sum over the row and the channels, 1 pixels that count
   const int y = get_global_id(0);
   if (y >= height) return;

@@ -52,9 +52,10 @@ __kernel void sort_offsets(__global uint *histogram, uint chunks, uint bins, // 
 }
 
 // Launch: one work-item per chunk.
-__kernel void sort_scatter(__global const uint *keys, __global const uint *values, // in [n]
+__kernel void sort_scatter(__global const uint *keys, // in [n]
                            __global const uint *status, uint n_slot, uint chunks, uint shift, uint bins,
-                           __global uint *histogram, // in/out [chunks, bins] next position
+                           __global uint *histogram,    // in/out [chunks, bins] next position
+                           __global const uint *values, // in [n]
                            __global uint *keys_out, __global uint *values_out) { // out [n]
   const uint c = get_global_id(0);
   if (c >= chunks) return;

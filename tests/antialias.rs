@@ -9,7 +9,7 @@ use mhsplat::TrainConfig;
 use mhsplat::base::constants::blur;
 use mhsplat::capture::{Alpha, Camera, Frame, Photo};
 use mhsplat::config::{AntiAliasing, Init, Sampler};
-use mhsplat::device::{Defines, Device};
+use mhsplat::device::{CameraArg, Defines, Device};
 use mhsplat::lab::verify::{cases, definition::Reference, pass};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Rendered, Renderer};
@@ -221,7 +221,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     assert!(ply::write_filtered(&plain, &state.splats, &[1.0], &Frame::IDENTITY).is_err());
 
     let camera = data.train[0].camera;
-    let arg = Renderer::<f32>::camera(&camera);
+    let arg = CameraArg::<f32>::new(&camera);
     let options = RenderOptions {
         sh_degree: 1,
         ..RenderOptions::default()

@@ -2,7 +2,6 @@
 
 use crate::determinism::{drive, room, saved, trained};
 use mhsplat::Plan;
-use mhsplat::base::constants::NEAR;
 use mhsplat::capture::{Alpha, Dataset, Photo, PhotoSource};
 use mhsplat::config::{Background, Sampler, TrainConfig};
 use mhsplat::device::{CameraArg, Device};
@@ -237,7 +236,7 @@ fn skipping_what_is_blank_changes_no_bit() {
             of(&config).state().unwrap().splats != whole,
             "{meaning:?} {sampler:?}"
         );
-        let camera = CameraArg::new(&data.train[0].camera, NEAR);
+        let camera = CameraArg::new(&data.train[0].camera);
         let (scene, renderer) = skipped.scene_and_renderer();
         renderer
             .render(scene, &camera, &RenderOptions::default())

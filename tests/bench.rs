@@ -8,7 +8,7 @@ use super::cli;
 use mhsplat::base::constants::TILE;
 use mhsplat::chart::axis::decades;
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Array, Defines, Device};
+use mhsplat::device::{Array, CameraArg, Defines, Device};
 use mhsplat::lab::bench;
 use mhsplat::lab::bench::record::{BenchRecord, Failure, Outcome};
 use mhsplat::lab::bench::work::{Load, TileWork};
@@ -70,7 +70,7 @@ fn lanes_are_those_of_a_brute_force_count() {
         let mut renderer =
             Renderer::<f32>::new(&device, Defines::new(tuning), scene::SH_DEGREE, false).unwrap();
         let on_device = GaussianBuffers::upload(&device, &splats, 0).unwrap();
-        let arg = Renderer::<f32>::camera(&camera);
+        let arg = CameraArg::<f32>::new(&camera);
         renderer
             .render(&on_device, &arg, &RenderOptions::default())
             .unwrap();

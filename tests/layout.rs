@@ -12,11 +12,12 @@ fn probe<R: mhsplat::device::Real>() -> Vec<u32> {
         layout_probe: true,
         ..Defines::new(Tuning::CPU)
     };
-    let [kernel] = Kernels::new(&device, defines)
-        .build::<R, 1>("project", ["layout_probe"])
+    let program = Kernels::new(&device, defines)
+        .build::<R>("project")
         .unwrap();
     let out = Array::zeros(&device, "layout", 12).unwrap();
-    kernel.launch().array(&out, 12).run([1, 1], [1, 1]).unwrap();
+    let launch = program.launch("layout_probe");
+    launch.array(&out, 12).run([1, 1], [1, 1]).unwrap();
     out.to_vec().unwrap()
 }
 

@@ -14,7 +14,7 @@ use mhsplat::capture::source::parse_available;
 use mhsplat::capture::{Alpha, Dataset, LoadOptions, PhotoSource, load};
 use mhsplat::config::parse_bytes;
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Array, Defines, Device, Kernels};
+use mhsplat::device::{Array, Defines, Device, ImageSize, Kernels};
 use mhsplat::evaluate::{Evaluator, ViewScore};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::{PhotoStats, Photos};
@@ -282,7 +282,7 @@ fn rows_against(device: &Device, photo: Array<u8>, side: usize, drop_early: bool
         image: &image,
         photo: &photo,
         background: [0.0; 3],
-        size: [side, side],
+        size: ImageSize([side, side]),
         blank: None,
     };
     for _ in 0..20 {

@@ -6,38 +6,40 @@ use ocl_core::{self as core, ArgVal, Event, KernelArgInfo, KernelInfo, KernelInf
 
 use crate::base::error::{Error, Result};
 use crate::device::array::Array;
-use crate::device::context::{Device, Inner};
+use crate::device::context::Inner;
 use crate::device::defines::Defines;
 use crate::device::error::{BUG, LOST, device_error};
 use crate::device::layout::{CameraArg, Element, Real};
 
-/// A compiled kernel and the choices that it was compiled with.
+/// The kernels of one stage and the choices that they were compiled with.
 #[derive(Debug)]
-pub struct Kernel {
-    device: Arc<Inner>,
+pub struct Program {
+    pub(super) device: Arc<Inner>,
+    pub(super) defines: Defines,
+    pub(super) stage: &'static str,
+    pub(super) kernels: Vec<Kernel>,
+}
+
+/// A compiled kernel.
+#[derive(Debug)]
+pub(super) struct Kernel {
     kernel: Mutex<core::Kernel>,
-    defines: Defines,
-    stage: &'static str,
-    name: &'static str,
+    name: String,
     types: Vec<String>,
 }
 
-/// Argument list under construction; see [`Kernel::launch`].
+/// Argument list under construction; see [`Program::launch`].
 pub struct Launch<'a> {
-    owner: &'a Kernel,
-    kernel: MutexGuard<'a, core::Kernel>,
+    owner: &'a Program,
+    name: &'static str,
+    counted_as: &'static str,
+    types: &'a [String],
+    kernel: Result<MutexGuard<'a, core::Kernel>>,
     next: u32,
-    error: Option<Error>,
 }
 
 impl Kernel {
-    pub(super) fn new(
-        device: &Device,
-        defines: Defines,
-        program: &core::Program,
-        stage: &'static str,
-        name: &'static str,
-    ) -> Result<Self> {
+    pub(super) fn new(program: &core::Program, name: &str) -> Result<Self> {
         let fail = |e: core::Error| device_error(name, &e, BUG);
         let kernel = core::create_kernel(program, name).map_err(fail)?;
         let KernelInfoResult::NumArgs(n) =
@@ -57,22 +59,15 @@ impl Kernel {
             })
             .collect();
         Ok(Self {
-            device: device.inner.clone(),
             kernel: Mutex::new(kernel),
-            defines,
-            stage,
-            name,
+            name: name.to_owned(),
             types,
         })
     }
+}
 
-    /// The same kernel with its time counted under another stage's name.
-    #[must_use]
-    pub fn counted_as(self, stage: &'static str) -> Self {
-        Self { stage, ..self }
-    }
-
-    /// Choices that the kernel was compiled with.
+impl Program {
+    /// Choices that the kernels were compiled with.
     #[must_use]
     pub fn defines(&self) -> &Defines {
         &self.defines
@@ -90,27 +85,40 @@ impl Kernel {
         count.div_ceil(self.defines.tuning.vector_width as usize)
     }
 
-    /// An empty argument list; arguments follow in the order of the kernel's signature.
-    pub fn launch(&self) -> Launch<'_> {
+    /// An empty argument list of the kernel of this name; arguments follow in the order of its signature.
+    pub fn launch(&self, name: &'static str) -> Launch<'_> {
+        let found = self.kernels.iter().find(|k| k.name == name);
+        let guard = found.map(|k| k.kernel.lock().unwrap_or_else(PoisonError::into_inner));
         Launch {
             owner: self,
-            kernel: self.kernel.lock().unwrap_or_else(PoisonError::into_inner),
+            name,
+            counted_as: self.stage,
+            types: found.map_or(&[], |k| &k.types),
+            kernel: guard.ok_or_else(|| Error::device(name, "no such kernel", BUG)),
             next: 0,
-            error: None,
         }
     }
 }
 
 impl Launch<'_> {
+    /// Counts the time under another stage's name.
+    #[must_use]
+    pub fn counted_as(self, stage: &'static str) -> Self {
+        Self {
+            counted_as: stage,
+            ..self
+        }
+    }
+
     fn fail(&mut self, what: String) {
-        self.error = Some(Error::device(self.owner.name, what, BUG));
+        self.kernel = Err(Error::device(self.name, what, BUG));
     }
 
     fn set(mut self, type_name: &str, pointer: bool, value: ArgVal<'_>) -> Self {
-        if self.error.is_some() {
+        let Ok(kernel) = &self.kernel else {
             return self;
-        }
-        let found = self.owner.types.get(self.next as usize).map(String::as_str);
+        };
+        let found = self.types.get(self.next as usize).map(String::as_str);
         let matches = match found {
             None => false,
             Some("") => true,
@@ -125,8 +133,8 @@ impl Launch<'_> {
             ));
             return self;
         }
-        if let Err(e) = core::set_kernel_arg(&self.kernel, self.next, value) {
-            self.error = Some(device_error(self.owner.name, &e, BUG));
+        if let Err(e) = core::set_kernel_arg(kernel, self.next, value) {
+            self.kernel = Err(device_error(self.name, &e, BUG));
         }
         self.next += 1;
         self
@@ -141,11 +149,17 @@ impl Launch<'_> {
     /// Adds a device array of at least `len` values.
     #[must_use]
     pub fn array<T: Element>(mut self, array: &Array<T>, len: usize) -> Self {
-        if self.error.is_none() && array.len() < len {
+        if self.kernel.is_ok() && array.len() < len {
             let (name, has) = (array.name(), array.len());
             self.fail(format!("{name} holds {has} values; {len} are needed"));
         }
         self.set(T::NAME, true, ArgVal::mem(&array.mem))
+    }
+
+    /// Adds device arrays of at least `len` values each.
+    #[must_use]
+    pub fn arrays<T: Element, const K: usize>(self, arrays: [&Array<T>; K], len: usize) -> Self {
+        arrays.into_iter().fold(self, |l, a| l.array(a, len))
     }
 
     /// Adds a value.
@@ -240,20 +254,18 @@ impl Launch<'_> {
     /// # Errors
     /// A wrong argument, or the driver's.
     pub fn run(mut self, global: [usize; 2], local: [usize; 2]) -> Result<()> {
-        let (given, expected) = (self.next as usize, self.owner.types.len());
-        if self.error.is_none() && given != expected {
+        let (given, expected) = (self.next as usize, self.types.len());
+        if self.kernel.is_ok() && given != expected {
             self.fail(format!("{given} arguments given; {expected} expected"));
         }
-        if let Some(error) = self.error {
-            return Err(error);
-        }
+        let kernel = self.kernel?;
         let size = |k: usize| global[k].max(1).next_multiple_of(local[k]);
         let mut event = Event::null();
         // SAFETY: every argument has been set with its own type; kernels check their bounds against the counts given.
         unsafe {
             core::enqueue_kernel(
                 &self.owner.device.queue,
-                &self.kernel,
+                &kernel,
                 2,
                 None,
                 &[size(0), size(1), 1],
@@ -262,8 +274,8 @@ impl Launch<'_> {
                 Some(&mut event),
             )
         }
-        .map_err(|e| device_error(self.owner.name, &e, LOST))?;
-        self.owner.device.add_launch(self.owner.stage, event);
+        .map_err(|e| device_error(self.name, &e, LOST))?;
+        self.owner.device.add_launch(self.counted_as, event);
         Ok(())
     }
 }

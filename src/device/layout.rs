@@ -5,7 +5,7 @@ use std::fmt::Debug;
 
 use ocl_core::OclPrm;
 
-use crate::base::constants::TILE;
+use crate::base::constants::{NEAR, TILE};
 use crate::capture::Camera;
 use crate::scene::Edit;
 
@@ -94,7 +94,7 @@ impl<R: Real> CameraArg<R> {
     /// The camera as kernels take it. The field of view is widened by 30 % on each side, as in 3DGS (with the principal
     /// point taken into account).
     #[must_use]
-    pub fn new(camera: &Camera, near: f64) -> Self {
+    pub fn new(camera: &Camera) -> Self {
         let (w, h) = (f64::from(camera.width), f64::from(camera.height));
         let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
         let (mx, my) = (0.3 * w / (2.0 * fx), 0.3 * h / (2.0 * fy));
@@ -111,7 +111,7 @@ impl<R: Real> CameraArg<R> {
                 (h - cy) / fy + my,
             ]
             .map(R::of),
-            near: R::of(near),
+            near: R::of(NEAR),
             size: [camera.width as i32, camera.height as i32],
             tiles: [
                 camera.width.div_ceil(TILE) as i32,
@@ -132,23 +132,40 @@ impl<R: Real> CameraArg<R> {
         }
     }
 
-    /// Width and height of the image with its padding to whole tiles, pixels.
+    /// Width and height of the image.
     #[must_use]
-    pub fn padded(&self) -> [usize; 2] {
-        self.tiles.map(|t| t as usize * TILE as usize)
-    }
-
-    /// Pixels of a padded plane of the image.
-    #[must_use]
-    pub fn plane(&self) -> usize {
-        let [width, height] = self.padded();
-        width * height
+    pub fn image(&self) -> ImageSize {
+        ImageSize(self.size.map(|s| s as usize))
     }
 
     /// Number of tiles.
     #[must_use]
     pub fn tile_count(&self) -> usize {
         (self.tiles[0] * self.tiles[1]) as usize
+    }
+}
+
+/// Width and height of an image without its padding, pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ImageSize(pub [usize; 2]);
+
+impl ImageSize {
+    /// Width and height with the padding to whole tiles, pixels.
+    #[must_use]
+    pub fn padded(self) -> [usize; 2] {
+        self.0.map(|s| s.next_multiple_of(TILE as usize))
+    }
+
+    /// Pixels of a padded plane.
+    #[must_use]
+    pub fn plane(self) -> usize {
+        self.padded().iter().product()
+    }
+
+    /// Number of tiles.
+    #[must_use]
+    pub fn tile_count(self) -> usize {
+        self.plane() / (TILE * TILE) as usize
     }
 }
 

@@ -15,6 +15,6 @@ pub use crate::device::array::{Array, PendingRead};
 pub use crate::device::context::{Device, StageTime};
 pub use crate::device::defines::Defines;
 pub use crate::device::info::{DeviceInfo, DeviceKind};
-pub use crate::device::launch::{Kernel, Launch};
-pub use crate::device::layout::{CameraArg, Element, Projected, Real};
+pub use crate::device::launch::{Launch, Program};
+pub use crate::device::layout::{CameraArg, Element, ImageSize, Projected, Real};
 pub use crate::device::program::{Kernels, sources_hash};

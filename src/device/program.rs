@@ -3,14 +3,16 @@
 use std::ffi::CString;
 use std::hash::{Hash, Hasher};
 
-use ocl_core::{self as core, ProgramBuildInfo, ProgramBuildInfoResult, ProgramBuildStatus};
+use ocl_core::{
+    self as core, ProgramBuildInfo, ProgramBuildInfoResult, ProgramBuildStatus, ProgramInfo,
+};
 use rustc_hash::FxHasher;
 
 use crate::base::error::{Error, Result};
 use crate::device::context::Device;
 use crate::device::defines::Defines;
 use crate::device::error::device_error;
-use crate::device::launch::Kernel;
+use crate::device::launch::{Kernel, Program};
 use crate::device::layout::Real;
 
 const COMMON: &str = include_str!("../../kernels/common.clh");
@@ -67,6 +69,14 @@ impl Kernels {
         }
     }
 
+    /// The same for another SH degree.
+    #[must_use]
+    pub fn of_degree(&self, sh_degree: u32) -> Self {
+        let mut kernels = self.clone();
+        kernels.defines.sh_degree = sh_degree;
+        kernels
+    }
+
     /// The device.
     #[must_use]
     pub fn device(&self) -> &Device {
@@ -79,24 +89,11 @@ impl Kernels {
         &self.defines
     }
 
-    /// Builds `kernels/<stage>.cl`, whose only kernel has the name of the stage.
+    /// Builds `kernels/<stage>.cl`.
     ///
     /// # Errors
     /// A build failure, with the compiler's log.
-    pub fn one<R: Real>(&self, stage: &'static str) -> Result<Kernel> {
-        let [kernel] = self.build::<R, 1>(stage, [stage])?;
-        Ok(kernel)
-    }
-
-    /// Builds `kernels/<stage>.cl` and takes kernels out of it by name.
-    ///
-    /// # Errors
-    /// A build failure, with the compiler's log.
-    pub fn build<R: Real, const K: usize>(
-        &self,
-        stage: &'static str,
-        names: [&'static str; K],
-    ) -> Result<[Kernel; K]> {
+    pub fn build<R: Real>(&self, stage: &'static str) -> Result<Program> {
         let source = SOURCES
             .iter()
             .find(|(s, _)| *s == stage)
@@ -132,18 +129,17 @@ impl Kernels {
                 bug,
             ));
         }
-        let mut built = Vec::with_capacity(K);
-        for name in names {
-            built.push(Kernel::new(
-                &self.device,
-                self.defines,
-                &program,
-                stage,
-                name,
-            )?);
-        }
-        built
-            .try_into()
-            .map_err(|_| Error::device(stage, "kernels missing", bug))
+        let names = core::get_program_info(&program, ProgramInfo::KernelNames)
+            .map_err(|e| device_error(stage, &e, bug))?
+            .to_string();
+        let names = names.trim_end_matches('\0').split(';');
+        Ok(Program {
+            device: inner.clone(),
+            defines: self.defines,
+            stage,
+            kernels: names
+                .map(|name| Kernel::new(&program, name.trim()))
+                .collect::<Result<_>>()?,
+        })
     }
 }

@@ -2,14 +2,13 @@
 //! no transform of its own, and if training compensates exposure, plain scores also measure its photo's exposure. gsplat
 //! calls the PSNR after such a fit `cc_psnr`.
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::Array;
 use crate::evaluate::{Evaluator, ViewScore, psnr_and_ssim};
 use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::Renderer;
 use crate::pipeline::stage::exposure::exposed;
-use crate::pipeline::stage::loss::{ImagePair, size_of_image};
+use crate::pipeline::stage::loss::ImagePair;
 
 /// Weight of the identity per pixel, which decides if the pixels do not, say in a picture of one colour.
 const RIDGE: f64 = 1e-6;
@@ -94,8 +93,7 @@ impl Evaluator {
             let image = renderer.read_image(camera)?;
             let (photo, mask) = self.compared(view, background)?;
             let values = corrected(&image.rgb, &fit(&image.rgb, &photo, &mask));
-            let [w, h] = size_of_image(camera);
-            let [stride, rows] = [w, h].map(|s| s.next_multiple_of(TILE as usize));
+            let ([w, h], [stride, rows]) = (camera.image().0, camera.image().padded());
             let mut padded = vec![0.0; 3 * stride * rows];
             for (k, row) in values.chunks_exact(w).enumerate() {
                 let at = (k / h * rows + k % h) * stride;

@@ -25,16 +25,11 @@ pub struct Backward {
 impl Backward {
     /// Builds the kernels for a range of SH degrees.
     pub fn new<R: Real>(device: &Device, defines: Defines, degrees: [u32; 2]) -> Result<Self> {
-        let build = |sh_degree| {
-            let defines = Defines {
-                sh_degree,
-                ..defines
-            };
-            ProjectGrad::new::<R>(&Kernels::new(device, defines))
-        };
+        let kernels = Kernels::new(device, defines);
+        let build = |degree| ProjectGrad::new::<R>(&kernels.of_degree(degree));
         let [lowest, highest] = degrees;
         Ok(Self {
-            splat_grad: SplatGrad::new::<R>(&Kernels::new(device, defines))?,
+            splat_grad: SplatGrad::new::<R>(&kernels)?,
             project_grad: Arc::new((lowest..=highest).map(build).collect::<Result<_>>()?),
             lowest,
         })
@@ -49,7 +44,7 @@ impl Backward {
         })
     }
 
-    /// Takes the image gradient \[3, rows, stride\] of the view rendered last back to sums per tile intersection.
+    /// Takes the image gradient of the view rendered last back to sums per tile intersection.
     pub fn splats<R: Real>(
         &self,
         forward: &Renderer<R>,

@@ -1,29 +1,30 @@
-//! Buffers on the device: the Gaussians, one view between the stages, and the photos of a set of views.
+//! Buffers on the device: the Gaussians, one view between the stages, and the photos of a set of views. `kernels/README.md`
+//! has the shapes.
 
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::base::constants::{NEAR, SUMS, TILE};
+use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
-use crate::device::{Array, CameraArg, Device, Projected, Real};
+use crate::device::{Array, CameraArg, Device, ImageSize, Projected, Real};
 use crate::pipeline::photos::Photos;
 use crate::scene::{Gaussians, Plane};
 
 /// Tiles that are blank in a render and its photo.
 #[derive(Debug, Clone, Copy)]
 pub struct Blank<'a> {
-    /// Tiles that are neither masked nor clear in the photo \[tiles\] (the live stage's).
+    /// Tiles that are neither masked nor clear in the photo (the live stage's).
     pub live: &'a Array<u32>,
-    /// First pair of each tile of the render \[tiles + 1\]; not read where photos have masks.
+    /// First pair of each tile of the render; not read where photos have masks.
     pub tile_start: &'a Array<u32>,
 }
 
 /// Strides are multiples of this, so that vector loads of a plane never straddle two.
 const ROUND: usize = 256;
 /// Longest side of an image: projected Gaussians hold pixel bounds in 16 bits.
-const MAX_PIXELS: i32 = 1 << 16;
+const MAX_PIXELS: usize = 1 << 16;
 
 /// Names of the keys and values that are sorted by depth, and of those sorted by tile.
 const VISIBLE: [&str; 2] = ["visible_keys", "visible"];
@@ -32,9 +33,9 @@ const ORDER: [&str; 2] = ["tile_keys", "order"];
 /// Raw parameters of a scene on the device.
 #[derive(Debug)]
 pub struct GaussianBuffers<R: Real = f32> {
-    /// Planes in the order of [`Plane`] \[planes, stride\].
+    /// Planes in the order of [`Plane`].
     pub params: Array<R>,
-    /// Standard deviations of the 3D filter, local units \[stride\]; empty without anti-aliasing.
+    /// Standard deviations of the 3D filter, local units; empty without anti-aliasing.
     pub filter: Array<R>,
     /// Gaussians allocated.
     pub stride: usize,
@@ -169,37 +170,37 @@ impl SortBuffers {
 /// Arrays of one view's passage from records to the image; they grow and never shrink.
 #[derive(Debug)]
 pub struct ViewBuffers<R: Real> {
-    /// Records \[stride\].
+    /// Records.
     pub records: Array<Projected<R>>,
-    /// Depth bits or culled \[stride\].
+    /// Depth bits or culled.
     pub keys: Array<u32>,
-    /// Pairs of each Gaussian \[stride\].
+    /// Pairs of each Gaussian.
     pub isect_counts: Array<u32>,
-    /// First pair of each Gaussian \[stride\].
+    /// First pair of each Gaussian.
     pub isect_start: Array<u32>,
     /// Visible Gaussians by depth.
     pub visible: SortBuffers,
-    /// Tiles of each visible Gaussian \[stride\].
+    /// Tiles of each visible Gaussian.
     pub counts: Array<u32>,
-    /// Tiles of each visible Gaussian, if they are few \[stride, 2\].
+    /// Tiles of each visible Gaussian, if they are few.
     pub cover: Array<u32>,
-    /// First pair of each visible Gaussian \[stride\].
+    /// First pair of each visible Gaussian.
     pub offsets: Array<u32>,
-    /// Sums per chunk \[chunks\].
+    /// Sums per chunk.
     pub chunk_sums: Array<u32>,
     /// Emission slots of the pairs by tile.
     pub order: SortBuffers,
-    /// Gaussian of each pair, by emission slot \[pairs\].
+    /// Gaussian of each pair, by emission slot.
     pub isect_owner: Array<u32>,
-    /// Sums of splat_grad \[pairs, 9\]; empty when only rendering.
+    /// Sums of splat_grad; empty when only rendering.
     pub sums: Array<R>,
-    /// First pair of each tile \[tiles + 1\].
+    /// First pair of each tile.
     pub tile_start: Array<u32>,
-    /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear \[tiles\].
+    /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear.
     pub live: Array<u32>,
-    /// Pairs used of each tile \[tiles\].
+    /// Pairs used of each tile.
     pub tile_used: Array<u32>,
-    /// Red, green, blue, transmittance \[4, rows, stride of the image\].
+    /// Red, green, blue, transmittance.
     pub image: Array<R>,
     /// Counters; see [`status`].
     pub status: Array<u32>,
@@ -207,7 +208,7 @@ pub struct ViewBuffers<R: Real> {
 }
 
 impl<R: Real> ViewBuffers<R> {
-    /// Arrays for `stride` Gaussians, `pairs` pairs and a padded image of `tiles` tiles.
+    /// Empty arrays; `gradients` says whether the sums of splat_grad will be needed.
     pub fn new(device: &Device, tuning: &Tuning, gradients: bool) -> Result<Self> {
         let ints = |name| Array::<u32>::zeros(device, name, 0);
         Ok(Self {
@@ -285,21 +286,21 @@ impl<R: Real> ViewBuffers<R> {
         Ok(())
     }
 
-    /// Makes room for a camera's image. Contents are lost.
-    pub fn fit_image(&mut self, device: &Device, camera: &CameraArg<R>) -> Result<()> {
-        if camera.size.iter().any(|s| *s < 1 || *s > MAX_PIXELS) {
-            let [w, h] = camera.size;
+    /// Makes room for an image. Contents are lost.
+    pub fn fit_image(&mut self, device: &Device, size: ImageSize) -> Result<()> {
+        if size.0.iter().any(|s| *s < 1 || *s > MAX_PIXELS) {
+            let [w, h] = size.0;
             return Err(Error::config(
                 "image size",
                 format!("{w} x {h}; 1 to {MAX_PIXELS} pixels a side expected"),
             ));
         }
-        let tiles = camera.tile_count();
+        let tiles = size.tile_count();
         if self.tile_used.len() >= tiles {
             return Ok(());
         }
         self.tile_start = Array::zeros(device, "tile_start", tiles + 1)?;
-        self.image = Array::zeros(device, "image", 4 * tiles * (TILE * TILE) as usize)?;
+        self.image = Array::zeros(device, "image", 4 * size.plane())?;
         self.live = Array::zeros(device, "live", tiles)?;
         self.tile_used = Array::zeros(device, "tile_used", tiles)?;
         Ok(())
@@ -319,10 +320,8 @@ pub struct ViewSet<R: Real = f32> {
     numbers: Vec<usize>,
     /// Meaning of the photos' alpha plane.
     pub alpha: Alpha,
-    /// Largest width and largest height, pixels.
-    pub largest: [usize; 2],
-    /// A camera with as many tiles as any view needs.
-    pub largest_camera: CameraArg<R>,
+    /// Largest width and largest height.
+    pub largest: ImageSize,
 }
 
 impl<R: Real> ViewSet<R> {
@@ -339,13 +338,11 @@ impl<R: Real> ViewSet<R> {
                 alpha = view.photo.alpha();
             }
             names.push(view.name);
-            cameras.push(CameraArg::<R>::new(&view.camera, NEAR));
+            cameras.push(CameraArg::<R>::new(&view.camera));
             numbers.push(photos.add(view.photo)?);
         }
         let most = |k: usize| cameras.iter().map(|c| c.size[k].max(1)).max().unwrap_or(1) as usize;
-        let largest = [most(0), most(1)];
-        let mut largest_camera = cameras.first().copied().unwrap_or_default();
-        largest_camera.tiles = largest.map(|s| s.div_ceil(TILE as usize) as i32);
+        let largest = ImageSize([most(0), most(1)]);
         Ok(Self {
             names,
             alpha,
@@ -353,7 +350,6 @@ impl<R: Real> ViewSet<R> {
             photos: photos.clone(),
             numbers,
             largest,
-            largest_camera,
         })
     }
 

@@ -4,26 +4,13 @@ use crate::base::error::{Error, Result};
 use crate::device::tuning::status::{OVERFLOW, SLOTS};
 use crate::device::{Array, Device, Kernels, Real};
 use crate::pipeline::stage::adam::Step;
-use crate::pipeline::stage::exposure::{ENTRIES, Exposure, Exposures, exposed, unexposed};
-
-/// Optimiser step of one view's transform.
-#[derive(Debug, Clone, Copy)]
-pub struct TransformStep {
-    /// View.
-    pub view: usize,
-    /// Learning rate.
-    pub rate: f64,
-    /// β₁, β₂, ε.
-    pub constants: [f64; 3],
-    /// Iteration of the run.
-    pub iteration: u32,
-}
+use crate::pipeline::stage::exposure::{ENTRIES, Exposures, exposed, unexposed};
 
 /// Transforms of the training views on the device.
 #[derive(Debug)]
 pub struct ExposureModel<R: Real = f32> {
-    stage: Exposure,
-    buffers: Exposures<R>,
+    /// Kernels and arrays.
+    pub stage: Exposures<R>,
     /// Iterations done when it was switched on.
     since: u32,
 }
@@ -31,45 +18,21 @@ pub struct ExposureModel<R: Real = f32> {
 impl<R: Real> ExposureModel<R> {
     /// The identity for every view; `plane` is the padded size of the largest view, pixels.
     pub fn new(kernels: &Kernels, views: usize, plane: usize, since: u32) -> Result<Self> {
-        let stage = Exposure::new::<R>(kernels)?;
         Ok(Self {
-            buffers: Exposures::new(kernels.device(), &stage, views, plane)?,
-            stage,
+            stage: Exposures::new(kernels, views, plane)?,
             since,
         })
     }
 
-    /// The render of a view under its transform; `plane` is the padded size of the image, pixels.
-    pub fn apply(&self, image: &Array<R>, plane: usize, view: usize) -> Result<&Array<R>> {
-        self.stage.apply(image, plane, &self.buffers, view)?;
-        Ok(&self.buffers.corrected)
-    }
-
-    /// Takes the gradient by the transformed image back to the render, in place, and to the view's transform.
-    pub fn backward(
-        &self,
-        image: &Array<R>,
-        plane: usize,
-        view: usize,
-        dimage: &Array<R>,
-    ) -> Result<()> {
-        self.stage
-            .backward(image, plane, &self.buffers, view, dimage)
-    }
-
-    /// Optimiser's step of a view's transform; changes nothing after an overflow.
-    pub fn step(&self, step: TransformStep, status: &Array<u32>) -> Result<()> {
-        let adam = Step {
-            rate: step.rate,
-            constants: step.constants,
-            t: step.iteration.saturating_sub(self.since) + 1,
-        };
-        self.stage.step(&self.buffers, step.view, &adam, status)
+    /// Optimiser's step of a view's transform, `step.t` being the iteration of the run; changes nothing after an overflow.
+    pub fn step(&self, view: usize, step: Step, status: &Array<u32>) -> Result<()> {
+        let t = step.t.saturating_sub(self.since) + 1;
+        self.stage.step(view, &Step { t, ..step }, status)
     }
 
     /// Gradient by the transform stepped last, row-major \[A | b\].
     pub fn gradient(&self) -> Result<Vec<R>> {
-        self.buffers.grads.to_vec()
+        self.stage.grads.to_vec()
     }
 
     /// Runs every kernel once and changes no transform, so that no iteration waits for a compiler.
@@ -78,22 +41,22 @@ impl<R: Real> ExposureModel<R> {
         device: &Device,
         image: &Array<R>,
         dimage: &Array<R>,
-        step: TransformStep,
+        step: Step,
     ) -> Result<()> {
         let plane = dimage.len() / 3;
-        self.apply(image, plane, 0)?;
-        self.backward(image, plane, 0, dimage)?;
+        self.stage.apply(image, plane, 0)?;
+        self.stage.backward(image, plane, 0, dimage)?;
         // After an overflow the step changes nothing.
         let status = Array::zeros(device, "status", SLOTS)?;
         status.write(OVERFLOW as usize, &[1])?;
-        self.step(step, &status)
+        self.step(0, step, &status)
     }
 
     fn arrays(&self) -> [&Array<R>; 3] {
         [
-            &self.buffers.transforms,
-            &self.buffers.moments[0],
-            &self.buffers.moments[1],
+            &self.stage.transforms,
+            &self.stage.moments[0],
+            &self.stage.moments[1],
         ]
     }
 
@@ -130,7 +93,7 @@ impl ExposureModel {
         render: &mut [f32],
         photo: &mut [Vec<f32>; 3],
     ) -> Result<()> {
-        let e = self.buffers.transforms.read(ENTRIES * view, ENTRIES)?;
+        let e = self.stage.transforms.read(ENTRIES * view, ENTRIES)?;
         let pixels = render.len() / 3;
         for i in 0..pixels {
             let x = exposed(&e, [0, 1, 2].map(|c| render[c * pixels + i]));

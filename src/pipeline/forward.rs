@@ -1,6 +1,5 @@
 //! [`Renderer`]: the forward stages, in order.
 
-use crate::base::constants::NEAR;
 use crate::base::error::{Error, Result};
 use crate::capture::Camera;
 use crate::device::tuning::status;
@@ -83,15 +82,7 @@ impl<R: Real> Renderer<R> {
     pub fn new(device: &Device, defines: Defines, sh_degree: u32, gradients: bool) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let project = (0..=sh_degree)
-            .map(|d| {
-                Project::new::<R>(&Kernels::new(
-                    device,
-                    Defines {
-                        sh_degree: d,
-                        ..defines
-                    },
-                ))
-            })
+            .map(|d| Project::new::<R>(&kernels.of_degree(d)))
             .collect::<Result<_>>()?;
         Ok(Self {
             device: device.clone(),
@@ -104,12 +95,6 @@ impl<R: Real> Renderer<R> {
         })
     }
 
-    /// The camera as the kernels take it.
-    #[must_use]
-    pub fn camera(camera: &Camera) -> CameraArg<R> {
-        CameraArg::new(camera, NEAR)
-    }
-
     /// The device.
     pub(crate) fn device(&self) -> &Device {
         &self.device
@@ -120,7 +105,7 @@ impl<R: Real> Renderer<R> {
         self.frame.fit_gaussians(&self.device, scene.stride)?;
         self.frame
             .fit_intersections(&self.device, 4 * scene.count.max(1024))?;
-        self.frame.fit_image(&self.device, camera)
+        self.frame.fit_image(&self.device, camera.image())
     }
 
     /// Enqueues the forward stages. Does not wait; an overflow of the pairs is told by the status array.
@@ -188,7 +173,7 @@ impl<R: Real> Renderer<R> {
             .run(&mut f.order, &f.status, status::INTERSECTIONS, bits)
     }
 
-    /// Tiles in which a pixel of the photo counts, or is not clear \[tiles\]: written by the live stage.
+    /// Tiles in which a pixel of the photo counts, or is not clear: written by the live stage.
     #[must_use]
     pub fn active_tiles(&self) -> &Array<u32> {
         &self.frame.live
@@ -297,16 +282,15 @@ impl<R: Real> Renderer<R> {
         camera: &Camera,
         options: &RenderOptions,
     ) -> Result<Rendered> {
-        let arg = Self::camera(camera);
+        let arg = CameraArg::new(camera);
         self.render(scene, &arg, options)?;
         self.read_image(&arg)
     }
 
     /// The image of the view rendered last, without its padding.
     pub fn read_image(&self, camera: &CameraArg<R>) -> Result<Rendered> {
-        let [width, height] = camera.size.map(|s| s as usize);
-        let stride = camera.tiles[0] as usize * crate::base::constants::TILE as usize;
-        let plane = camera.plane();
+        let (size, plane) = (camera.image(), camera.image().plane());
+        let ([width, height], [stride, _]) = (size.0, size.padded());
         let padded = self.frame.image.read(0, 4 * plane)?;
         let cut = |c: usize| {
             (0..height).flat_map(move |y| {

@@ -1,8 +1,7 @@
 //! [`Pipeline`]: all stages of one view, forward and backward. Nothing else knows their order.
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
+use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Real};
 use crate::pipeline::backward::Backward;
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::exposure::ExposureModel;
@@ -24,15 +23,6 @@ pub struct Target<'a> {
     pub skip_blank: bool,
 }
 
-/// Error statistics of Gaussians: where they are added up.
-#[derive(Debug)]
-pub struct ErrorSums<'a, R: Real> {
-    /// Sums \[3, stride\].
-    pub sums: &'a Array<R>,
-    /// True if the sums start anew.
-    pub first_view: bool,
-}
-
 /// Stages of one view, with what lies between them.
 #[derive(Debug)]
 pub struct Pipeline<R: Real = f32> {
@@ -52,25 +42,25 @@ pub struct Pipeline<R: Real = f32> {
 }
 
 impl<R: Real> Pipeline<R> {
-    /// Builds the kernels for a range of SH degrees and images of at most `largest` (width, height) pixels.
+    /// Builds the kernels for a range of SH degrees and images of at most `largest` pixels.
     pub fn new(
         device: &Device,
         defines: Defines,
         degrees: [u32; 2],
-        largest: [usize; 2],
+        largest: ImageSize,
     ) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let loss = Loss::new::<R>(&kernels)?;
-        let [w, h] = largest.map(|side| side.next_multiple_of(TILE as usize));
-        let zeros = |name, planes: usize| Array::zeros(device, name, planes * w * h);
+        let zeros = |name, planes| Array::zeros(device, name, planes * largest.plane());
+        let live = defines.masked() || defines.skips_blank();
         Ok(Self {
             forward: Renderer::new(device, defines, degrees[1], true)?,
             backward: Backward::new::<R>(device, defines, degrees)?,
-            live: Live::if_asked::<R>(&kernels)?,
+            live: live.then(|| Live::new::<R>(&kernels)).transpose()?,
             exposure: None,
             maps: zeros("maps", 3)?,
             dimage: zeros("dimage", 3)?,
-            partial: Array::zeros(device, "partial", loss.partial_len(largest[0], largest[1]))?,
+            partial: Array::zeros(device, "partial", loss.partial_len(largest))?,
             loss,
             device: device.clone(),
         })
@@ -110,7 +100,9 @@ impl<R: Real> Pipeline<R> {
         let mut pair = ImagePair::new(image, target.photo, camera, target.background);
         pair.blank = skips.then(|| self.forward.frame.blank());
         if let Some(exposure) = &self.exposure {
-            pair.image = exposure.apply(pair.image, pair.plane(), target.view)?;
+            let stage = &exposure.stage;
+            stage.apply(pair.image, pair.size.plane(), target.view)?;
+            pair.image = &stage.corrected;
         }
         Ok(pair)
     }
@@ -122,7 +114,8 @@ impl<R: Real> Pipeline<R> {
         match &self.exposure {
             Some(exposure) => {
                 let image = &self.forward.frame.image;
-                exposure.backward(image, pair.plane(), view, &self.dimage)
+                let plane = pair.size.plane();
+                exposure.stage.backward(image, plane, view, &self.dimage)
             }
             None => Ok(()),
         }
@@ -150,23 +143,23 @@ impl<R: Real> Pipeline<R> {
     /// Sums of |x − y| and SSIM of each strip of a pair, in turn; waits.
     pub fn strips(&self, pair: &ImagePair<'_, R>) -> Result<Vec<f64>> {
         self.loss.errors(pair, &self.maps, &self.partial)?;
-        let [w, h] = pair.size;
-        let sums = self.partial.read(0, self.loss.partial_len(w, h))?;
+        let sums = self.partial.read(0, self.loss.partial_len(pair.size))?;
         Ok(sums.into_iter().map(Into::into).collect())
     }
 
-    /// Adds a pair's errors at the projected centres of the Gaussians to their statistics.
+    /// Adds a pair's errors at the projected centres of the Gaussians to their statistics, which `first_view` starts anew.
     pub fn add_errors(
         &self,
         stage: &Importance,
         scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         pair: &ImagePair<'_, R>,
-        errors: &ErrorSums<'_, R>,
+        first_view: bool,
+        cues: &Array<R>,
     ) -> Result<()> {
         self.loss.errors(pair, &self.maps, &self.partial)?;
-        let (frame, first) = (&self.forward.frame, errors.first_view);
-        stage.run(scene, frame, camera, &self.maps, first, errors.sums)
+        let view = &self.forward.frame;
+        stage.run(scene, view, camera, &self.maps, first_view, cues)
     }
 
     /// Takes the image gradient back to sums per tile intersection.
@@ -187,13 +180,13 @@ impl<R: Real> Pipeline<R> {
             .parameters(&self.forward, scene, camera, sh_degree, lambdas, grads)
     }
 
-    /// Error maps of the pair compared last \[2, rows, stride\].
+    /// Error maps of the pair compared last.
     #[must_use]
     pub fn error_maps(&self) -> &Array<R> {
         &self.maps
     }
 
-    /// Image gradient of the pair compared last \[3, rows, stride\].
+    /// Image gradient of the pair compared last.
     #[must_use]
     pub fn image_gradient(&self) -> &Array<R> {
         &self.dimage

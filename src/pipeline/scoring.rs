@@ -1,10 +1,9 @@
 //! [`Scoring`]: a rendered view held against its photo.
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Defines, Device, Kernels};
+use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels};
 use crate::pipeline::buffers::GaussianBuffers;
-use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics::Metrics;
 
@@ -30,17 +29,15 @@ pub struct Scoring {
 }
 
 impl Scoring {
-    /// Builds the kernels for images of at most `largest` (width, height) pixels.
-    pub fn new(device: &Device, defines: Defines, largest: [usize; 2]) -> Result<Self> {
+    /// Builds the kernels for images of at most `largest` pixels.
+    pub fn new(device: &Device, defines: Defines, largest: ImageSize) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let loss = Loss::new::<f32>(&kernels)?;
-        let [w, h] = largest;
-        let [stride, rows] = largest.map(|side| side.next_multiple_of(TILE as usize));
         Ok(Self {
             metrics: Metrics::new::<f32>(&kernels)?,
-            maps: Array::zeros(device, "error maps", 2 * stride * rows)?,
-            partial: Array::zeros(device, "partial", loss.partial_len(w, h))?,
-            rows: Array::zeros(device, "score", 3 * h)?,
+            maps: Array::zeros(device, "error maps", 2 * largest.plane())?,
+            partial: Array::zeros(device, "partial", loss.partial_len(largest))?,
+            rows: Array::zeros(device, "score", 3 * largest.0[1])?,
             loss,
         })
     }
@@ -60,8 +57,7 @@ impl Scoring {
         let options = RenderOptions {
             sh_degree: scene.sh_degree,
             background,
-            quantity: Quantity::Color,
-            active_only: false,
+            ..RenderOptions::default()
         };
         renderer.render(scene, camera, &options)?;
         let image = &renderer.frame.image;
@@ -73,7 +69,7 @@ impl Scoring {
         self.metrics.run(pair, &self.rows)?;
         self.loss.errors(pair, &self.maps, &self.partial)?;
         self.metrics.dissimilarity(pair, &self.maps, &self.rows)?;
-        let h = pair.size[1];
+        let h = pair.size.0[1];
         let rows = self.rows.read(0, 3 * h)?;
         let sum = |k: usize| -> f64 { rows[k * h..][..h].iter().map(|v| f64::from(*v)).sum() };
         Ok(PairErrors {

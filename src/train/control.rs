@@ -13,7 +13,7 @@ use crate::density::{
 };
 use crate::device::{CameraArg, Device, Kernels, StageTime};
 use crate::pipeline::forward::{Quantity, RenderOptions};
-use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
+use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::edit::Edit;
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::ImagePair;
@@ -160,11 +160,8 @@ impl Control {
         let Some(importance) = &self.importance else {
             return Ok(());
         };
-        let errors = ErrorSums {
-            sums: &gaussians.statistics,
-            first_view,
-        };
-        pipeline.add_errors(importance, &gaussians.scene, camera, pair, &errors)
+        let (scene, cues) = (&gaussians.scene, &gaussians.statistics);
+        pipeline.add_errors(importance, scene, camera, pair, first_view, cues)
     }
 
     /// The strategy's part of an iteration, after the optimiser: screen-space gradients are added up until the last density
@@ -338,7 +335,7 @@ impl Control {
         sh_degree: u32,
     ) -> Result<()> {
         if self.importance.is_some() {
-            let pair = on.pipeline.pair(camera, target)?;
+            let pair = on.pipeline.pair(camera, target)?.everywhere();
             self.add_errors(on.pipeline, on.gaussians, camera, &pair, true)?;
         }
         let lambda = self.plan.config.loss.lambda_ssim;

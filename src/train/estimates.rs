@@ -196,9 +196,8 @@ impl Estimates {
         };
         let (scene, camera) = (&at.gaussians.scene, &view.camera);
         at.pipeline.forward.render(scene, camera, &options)?;
-        let mut target = at.views.target(&view);
-        target.skip_blank = false;
-        let pair = at.pipeline.pair(camera, target)?;
+        let pair = at.pipeline.pair(camera, at.views.target(&view))?;
+        let pair = pair.everywhere();
         at.pipeline
             .loss_gradient(view.number, &pair, at.lambda_ssim)?;
         let (dimage, degree) = (at.pipeline.image_gradient(), sh_degree as usize);

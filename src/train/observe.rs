@@ -71,10 +71,8 @@ impl Trainer {
             pipeline
                 .forward
                 .render(&self.gaussians.scene, &view.camera, &options)?;
-            let mut target = self.views.target(&view);
-            target.skip_blank = false;
-            let pair = pipeline.pair(&view.camera, target)?;
-            let parts = pipeline.loss(&pair)?;
+            let pair = pipeline.pair(&view.camera, self.views.target(&view))?;
+            let parts = pipeline.loss(&pair.everywhere())?;
             sum += self.total_loss(parts);
         }
         Ok(sum / count as f64)

@@ -10,10 +10,11 @@ use crate::capture::{Alpha, Dataset};
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, PendingRead};
 use crate::pipeline::buffers::ViewSet;
-use crate::pipeline::exposure::{ExposureModel, TransformStep};
+use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
+use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::seen::Seen;
 use crate::scene::Gaussians;
 use crate::train::control::{Control, DensityEvent, Working};
@@ -223,7 +224,7 @@ impl Trainer {
 
         if let Some(exposure) = &self.pipeline.exposure {
             let status = &self.pipeline.forward.frame.status;
-            exposure.step(self.transform_step(iteration, view.number), status)?;
+            exposure.step(view.number, self.transform_step(iteration), status)?;
         }
         self.pipeline.splat_gradient(camera)?;
         self.optimizer.step(
@@ -246,12 +247,11 @@ impl Trainer {
         }
     }
 
-    fn transform_step(&self, iteration: u32, view: usize) -> TransformStep {
-        TransformStep {
-            view,
+    fn transform_step(&self, iteration: u32) -> Step {
+        Step {
             rate: self.schedule.exposure_rate(iteration),
             constants: self.optimizer.constants(),
-            iteration,
+            t: iteration,
         }
     }
 
@@ -468,7 +468,7 @@ impl Trainer {
         let (views, plane) = (self.views.len(), dimage.len() / 3);
         let built = ExposureModel::new(&kernels, views, plane, self.schedule.exposure_from())?;
         let image = &self.pipeline.forward.frame.image;
-        let step = self.transform_step(self.iteration, 0);
+        let step = self.transform_step(self.iteration);
         built.warm_up(&self.device, image, dimage, step)?;
         self.device.finish()?;
         self.pipeline.exposure = Some(built);
@@ -531,7 +531,7 @@ impl Trainer {
     pub(super) fn fit_views(&mut self) -> Result<()> {
         let frame = &mut self.pipeline.forward.frame;
         frame.fit_gaussians(&self.device, self.gaussians.scene.stride)?;
-        frame.fit_image(&self.device, &self.views.set.largest_camera)?;
+        frame.fit_image(&self.device, self.views.set.largest)?;
         let max = self.counters.max_intersections;
         let least = 4 * self.gaussians.scene.count.max(1024);
         frame.fit_intersections(&self.device, (max + max / 4).max(least))
@@ -582,8 +582,7 @@ impl Trainer {
 
     fn warm_up_control(&mut self, sh_degree: u32) -> Result<()> {
         let view = self.views.at(0)?;
-        let mut target = self.views.target(&view);
-        target.skip_blank = false;
+        let target = self.views.target(&view);
         let mut on = Working {
             device: &self.device,
             pipeline: &mut self.pipeline,

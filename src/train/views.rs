@@ -8,7 +8,6 @@ use crate::device::{Array, CameraArg, Kernels};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::pass::Target;
 use crate::pipeline::photos::AHEAD;
-use crate::pipeline::stage::loss::size_of_image;
 use crate::pipeline::stage::shrink::Shrink;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
@@ -46,7 +45,7 @@ impl Views {
     /// Builds the kernel that shrinks photos if the plan asks for it.
     pub fn new(kernels: &Kernels, set: ViewSet, plan: &Plan) -> Result<Self> {
         let halvings = plan.halvings.value;
-        let [w, h] = set.largest;
+        let [w, h] = set.largest.0;
         let pixels = match halvings {
             0 => 0,
             _ => (w / 2) * (h / 2),
@@ -103,7 +102,7 @@ impl Views {
     ) -> Result<TrainingView> {
         let photo = self.set.photo(number, next)?;
         let full = self.set.cameras[number];
-        let size = size_of_image(&full);
+        let size = full.image().0;
         let divisor = self.schedule.shrink_factor(self.halvings, size_of, size);
         if let Some(shrink) = &self.shrink
             && divisor > 1
@@ -153,7 +152,7 @@ impl Views {
     /// Runs the shrinking kernel once, if there is one.
     pub fn warm_up(&self) -> Result<()> {
         let photo = self.set.photo(0, &[])?;
-        let size = size_of_image(&self.set.cameras[0]);
+        let size = self.set.cameras[0].image().0;
         match &self.shrink {
             Some(shrink) if size.iter().all(|s| *s > 1) => shrink.run(&photo, size, 2, &self.small),
             _ => Ok(()),
@@ -164,7 +163,7 @@ impl Views {
     #[must_use]
     pub fn full_size_from(&self) -> u32 {
         self.schedule
-            .full_size_from(self.halvings, self.set.largest)
+            .full_size_from(self.halvings, self.set.largest.0)
     }
 }
 

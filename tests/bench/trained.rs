@@ -1,7 +1,7 @@
 //! `mhsplat bench --scene`: a scene trained with anti-aliasing is rendered with both filters, the 3D one by the bench's own views.
 
 use mhsplat::capture::Frame;
-use mhsplat::device::{Defines, Device};
+use mhsplat::device::{CameraArg, Defines, Device};
 use mhsplat::lab::bench;
 use mhsplat::lab::bench::work::TileWork;
 use mhsplat::lab::bench::{Options, scene};
@@ -24,7 +24,7 @@ fn pairs_of(splats: &Gaussians, anti_alias: bool) -> f64 {
     let [x, y, z] = [0, 1, 2].map(|k| splats.planes()[k].as_slice());
     let cameras = orbit([x, y, z], scene::VIEWS, [800; 2]);
     let pairs = cameras.iter().map(|camera| {
-        let camera = Renderer::<f32>::camera(camera);
+        let camera = CameraArg::<f32>::new(camera);
         renderer
             .render(&scene, &camera, &RenderOptions::default())
             .unwrap();

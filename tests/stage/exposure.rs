@@ -6,7 +6,7 @@ use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
 use mhsplat::lab::error::{Tolerance, compare};
 use mhsplat::lab::verify::definition::{EXPOSURES, photo};
 use mhsplat::pipeline::stage::adam::Step;
-use mhsplat::pipeline::stage::exposure::{ENTRIES, Exposure, Exposures, IDENTITY, apply, backward};
+use mhsplat::pipeline::stage::exposure::{ENTRIES, Exposures, IDENTITY, apply, backward};
 use mhsplat::pipeline::stage::loss::loss;
 
 #[test]
@@ -77,8 +77,7 @@ fn the_reference_is_the_derivative_of_the_loss() {
 /// Transforms of three views and the status after one step of the second with the same sum everywhere.
 fn stepped(sum: f32, overflow: u32) -> (Vec<f32>, Vec<u32>) {
     let device = device();
-    let stage = Exposure::new::<f32>(&kernels(&device)).unwrap();
-    let exposures = Exposures::<f32>::new(&device, &stage, 3, 0).unwrap();
+    let exposures = Exposures::<f32>::new(&kernels(&device), 3, 0).unwrap();
     let mut partial = vec![0.0; exposures.partial.len()];
     let chunks = partial.len() / ENTRIES;
     partial.iter_mut().step_by(chunks).for_each(|p| *p = sum);
@@ -90,7 +89,7 @@ fn stepped(sum: f32, overflow: u32) -> (Vec<f32>, Vec<u32>) {
         constants: [0.9, 0.999, 1e-15],
         t: 1,
     };
-    stage.step(&exposures, 1, &step, &status).unwrap();
+    exposures.step(1, &step, &status).unwrap();
     let transforms = exposures.transforms.to_vec().unwrap();
     (transforms, status.to_vec().unwrap())
 }

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::*;
-use mhsplat::base::constants::{FILTER_CHUNKS, NEAR};
+use mhsplat::base::constants::FILTER_CHUNKS;
 use mhsplat::capture::Camera;
 use mhsplat::device::tuning::status;
 use mhsplat::device::{Array, CameraArg};
@@ -58,7 +58,7 @@ fn filtered(splats: &Gaussians, cameras: &[Camera], overflow: u32) -> Vec<f32> {
     let device = device();
     let kernels = kernels(&device);
     let mut scene = GaussianBuffers::<f32>::upload(&device, splats, 0).unwrap();
-    let args: Vec<_> = cameras.iter().map(|c| CameraArg::new(c, NEAR)).collect();
+    let args: Vec<_> = cameras.iter().map(CameraArg::new).collect();
     let frame = ViewBuffers::new(&device, &kernels.defines().tuning, false).unwrap();
     let flag = status::OVERFLOW as usize;
     frame.status.write(flag, &[overflow]).unwrap();

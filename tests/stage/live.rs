@@ -1,7 +1,6 @@
 //! live: tiles of a masked photo in which any pixel counts get pairs, the others do not.
 
 use super::*;
-use mhsplat::base::constants::NEAR;
 use mhsplat::device::{Array, CameraArg};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
@@ -13,10 +12,8 @@ fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
     let n = size[0] * size[1];
     let mut photo = vec![9; 3 * n];
     photo.extend(mask);
-    let camera = CameraArg::<f32>::new(
-        &cases::mild("size", 1, size.map(|s| s as u32), 0, 1).camera,
-        NEAR,
-    );
+    let camera =
+        CameraArg::<f32>::new(&cases::mild("size", 1, size.map(|s| s as u32), 0, 1).camera);
     let out = Array::zeros(&device, "live", camera.tile_count()).unwrap();
     Live::new::<f32>(&kernels(&device))
         .unwrap()
@@ -65,7 +62,7 @@ fn rendered(active_only: bool) -> (Vec<u32>, Vec<f32>) {
     };
     let mut renderer = Renderer::<f32>::new(&device, defines, 0, false).unwrap();
     let scene = GaussianBuffers::upload(&device, &case.splats, 0).unwrap();
-    let camera = CameraArg::new(&case.camera, NEAR);
+    let camera = CameraArg::new(&case.camera);
     renderer.fit(&scene, &camera).unwrap();
     let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
     let stage = Live::new::<f32>(&Kernels::new(&device, defines)).unwrap();

@@ -2,7 +2,7 @@
 
 use super::*;
 use mhsplat::capture::Alpha;
-use mhsplat::device::Array;
+use mhsplat::device::{Array, ImageSize};
 use mhsplat::pipeline::buffers::Blank;
 use mhsplat::pipeline::stage::loss::{ImagePair, Loss};
 
@@ -101,7 +101,7 @@ fn of_blankish(
     // What another view has left there.
     let used = |name, len| Array::from_slice(&device, name, &vec![7.0; len]).unwrap();
     let [maps, dimage] = ["maps", "dimage"].map(|name| used(name, 3 * STRIDE * ROWS));
-    let partial = used("partial", loss.partial_len(W, H));
+    let partial = used("partial", loss.partial_len(ImageSize([W, H])));
     let out = used("losses", 2);
     let flags = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
     let (live, tile_start) = (
@@ -112,7 +112,7 @@ fn of_blankish(
         image: &Array::from_slice(&device, "image", &picture.image).unwrap(),
         photo: &Array::from_slice(&device, "photo", &picture.photo).unwrap(),
         background: BACKGROUND,
-        size: [W, H],
+        size: ImageSize([W, H]),
         blank: Some(Blank {
             live: &live,
             tile_start: &tile_start,

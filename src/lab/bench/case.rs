@@ -6,14 +6,14 @@ use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::capture::Dataset;
 use crate::config::AntiAliasing;
-use crate::device::Device;
+use crate::device::{CameraArg, Device};
 use crate::lab::bench::record::{Case, Iteration, Peak, Stage, spread};
 use crate::lab::bench::run::Options;
 use crate::lab::bench::scene;
 use crate::lab::bench::scene::VIEWS;
 use crate::lab::bench::work::{Load, STAGES, TileWork};
 use crate::lab::stats::ratio;
-use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
+use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::run::clock::process_cpu_seconds;
 use crate::scene::without_filter;
 use crate::scene::{Gaussians, Plane};
@@ -142,7 +142,7 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
     let each = 1.0 / views.len() as f64;
     let (mut load, mut used) = (Load::default(), 0.0);
     for view in views {
-        let camera = Renderer::<f32>::camera(&view.camera);
+        let camera = CameraArg::<f32>::new(&view.camera);
         renderer.render(scene, &camera, &options)?;
         let work = TileWork::read(renderer, &camera, scene.count)?;
         load.visible += each * work.visible as f64;

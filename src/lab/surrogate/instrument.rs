@@ -12,9 +12,9 @@ use crate::lab::surrogate::births::{Birth, Shape};
 use crate::pipeline::backward::GRADIENT_ROWS;
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
-use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
+use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::importance::Importance;
-use crate::pipeline::stage::loss::{ImagePair, size_of_image};
+use crate::pipeline::stage::loss::ImagePair;
 use crate::scene::{Gaussians, Plane};
 use crate::train::estimates::{FaintPass, change, scaled_logit};
 
@@ -152,7 +152,7 @@ impl<R: Real> Instrument<R> {
 
     /// The loss of these strips, without its constant, and the number of pixel values.
     fn weigh(&self, view: usize, l1: f64, ssim: f64) -> f64 {
-        let [w, h] = size_of_image(&self.views.cameras[view]);
+        let [w, h] = self.views.cameras[view].image().0;
         let lambda = self.setting.lambda_ssim;
         ((1.0 - lambda) * l1 - lambda * ssim) / (3 * w * h) as f64
     }
@@ -192,14 +192,11 @@ impl<R: Real> Instrument<R> {
             base.losses.push(loss);
             base.strips.push(strips);
             base.touched.push(self.pipeline.forward.intersected(0, n)?);
-            let errors = ErrorSums {
-                sums: &cues,
-                first_view: view == 0,
-            };
             self.with_pair(view, |pair| {
-                let camera = &self.views.cameras[view];
+                let (stage, camera) = (&self.importance, &self.views.cameras[view]);
+                let first = view == 0;
                 self.pipeline
-                    .add_errors(&self.importance, &self.scene, camera, pair, &errors)
+                    .add_errors(stage, &self.scene, camera, pair, first, &cues)
             })?;
             self.image_gradient(view)?;
             let gradients = self.gradients(false, view, 0)?;

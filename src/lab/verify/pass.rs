@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use crate::base::constants::{FILTER_CHUNKS, NEAR, SUMS, TILE};
+use crate::base::constants::{FILTER_CHUNKS, SUMS, TILE};
 use crate::base::error::Result;
 use crate::device::tuning::{KEY_CULLED, Tuning, status};
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
@@ -14,9 +14,9 @@ use crate::lab::verify::definition::{
     lists, seen_before,
 };
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
-use crate::pipeline::exposure::{ExposureModel, TransformStep};
+use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::RenderOptions;
-use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
+use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::adam::{Adam, LearningRates, Step};
 use crate::pipeline::stage::edit::Edit;
 use crate::pipeline::stage::exposure::{apply, backward};
@@ -163,10 +163,9 @@ impl<'a, R: Real> Pass<'a, R> {
         if defines.anti_alias {
             scene = scene.with_filter(device)?;
         }
-        let camera = CameraArg::<R>::new(&case.camera, NEAR);
-        let size = camera.size.map(|s| s as usize);
+        let camera = CameraArg::<R>::new(&case.camera);
         Ok(Self {
-            pipeline: Pipeline::new(device, defines, [case.sh_degree; 2], size)?,
+            pipeline: Pipeline::new(device, defines, [case.sh_degree; 2], camera.image())?,
             kernels: Kernels::new(device, defines),
             photo: Array::from_slice(device, "photo", &case.photo.data)?,
             device,
@@ -242,7 +241,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let (device, forward) = (self.device, &mut self.pipeline.forward);
         if self.kernels.defines().anti_alias {
             let views = self.case.filter_views.iter();
-            let cameras: Vec<_> = views.map(|c| CameraArg::<R>::new(c, NEAR)).collect();
+            let cameras: Vec<_> = views.map(|c| CameraArg::<R>::new(c)).collect();
             let cameras = Array::from_slice(device, "cameras", &cameras)?;
             let largest = Array::zeros(device, "largest", FILTER_CHUNKS as usize)?;
             let stage = Filter::new::<R>(&self.kernels)?;
@@ -349,11 +348,8 @@ impl<'a, R: Real> Pass<'a, R> {
         let stage = Importance::new::<R>(&self.kernels)?;
         let sums = Array::zeros(self.device, "cues", 3 * self.scene.stride)?;
         for first_view in [true, false] {
-            let errors = ErrorSums {
-                sums: &sums,
-                first_view,
-            };
-            pipeline.add_errors(&stage, &self.scene, &self.camera, &pair, &errors)?;
+            let (scene, camera) = (&self.scene, &self.camera);
+            pipeline.add_errors(&stage, scene, camera, &pair, first_view, &sums)?;
         }
         let maps = self.image(pipeline.error_maps(), 0..2)?;
         self.add("loss", "L1, SSIM", widen(losses.to_vec()?), |r, _| {
@@ -512,7 +508,7 @@ impl<'a, R: Real> Pass<'a, R> {
             image: &image,
             ..self.pair()?
         };
-        let [w, h] = pair.size;
+        let [w, h] = pair.size.0;
         let rows = Array::zeros(self.device, "score", 3 * h)?;
         stage.dissimilarity(&pair, self.pipeline.error_maps(), &rows)?;
         stage.run(&pair, &rows)?;
@@ -532,24 +528,23 @@ impl<'a, R: Real> Pass<'a, R> {
 
     /// Exposure of the render and of the loss gradient, as the stages before gave them.
     fn exposure(&mut self) -> Result<()> {
-        let (frame, plane) = (self.frame(), self.camera.plane());
+        let (frame, plane) = (self.frame(), self.camera.image().plane());
         let model = ExposureModel::<R>::new(&self.kernels, EXPOSURES.len(), plane, 0)?;
         let start: Vec<R> = EXPOSURES.as_flattened().iter().map(|v| R::of(*v)).collect();
         let zeros = vec![R::of(0.0); start.len()];
         model.restore(&[start, zeros.clone(), zeros])?;
         let gradient = self.copy(self.pipeline.image_gradient())?;
-        let corrected = model.apply(&frame.image, plane, VIEW)?;
-        model.backward(&frame.image, plane, VIEW, &gradient)?;
+        model.stage.apply(&frame.image, plane, VIEW)?;
+        model.stage.backward(&frame.image, plane, VIEW, &gradient)?;
         for iteration in 0..2 {
-            let step = TransformStep {
-                view: VIEW,
+            let step = Step {
                 rate: EXPOSURE_RATE,
                 constants: ADAM,
-                iteration,
+                t: iteration,
             };
-            model.step(step, &frame.status)?;
+            model.step(VIEW, step, &frame.status)?;
         }
-        let exposed = self.image(corrected, 0..3)?;
+        let exposed = self.image(&model.stage.corrected, 0..3)?;
         self.add("exposure", "image", exposed, |_, out| {
             apply(out.got("splat", "image"), &EXPOSURES[VIEW])
         });

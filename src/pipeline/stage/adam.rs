@@ -1,7 +1,7 @@
 //! Optimiser of the raw parameters (`kernels/adam.cl`): Adam, Kingma and Ba 2015, algorithm 1.
 
 use crate::base::error::Result;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::{Array, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 
@@ -47,19 +47,19 @@ impl<T> Step<T> {
 
 /// The kernel.
 #[derive(Debug)]
-pub struct Adam(Kernel);
+pub struct Adam(Program);
 
 impl Adam {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("adam").map(Self)
+        kernels.build::<R>("adam").map(Self)
     }
 
     /// Enqueues one step of the Gaussians of a block; after an overflow in the view nothing changes.
     pub fn run<R: Real>(
         &self,
         scene: &GaussianBuffers<R>,
-        moments: [&Array<R>; 2],
+        [m, v]: [&Array<R>; 2],
         grads: &GradientBlock<'_, R>,
         step: &Step<LearningRates>,
         view: &ViewBuffers<R>,
@@ -67,12 +67,12 @@ impl Adam {
         let vectors = self.0.vectors(grads.rows.len());
         let r = &step.rate;
         self.0
-            .launch()
+            .launch("adam")
             .array(grads.values, grads.planes * grads.stride)
             .uints([grads.stride, grads.rows.start, vectors, scene.stride])
             .reals::<R>([r.position, r.scale, r.rotation, r.opacity, r.sh0, r.sh])
             .reals::<R>(step.arguments::<R>())
-            .state(scene, moments, grads.planes)
+            .arrays([&scene.params, m, v], grads.planes * scene.stride)
             .status(view)
             .over_items([vectors, grads.planes])
     }

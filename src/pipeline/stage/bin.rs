@@ -2,7 +2,7 @@
 
 use crate::base::constants::TILE_SLACK;
 use crate::base::error::Result;
-use crate::device::{CameraArg, Kernel, Kernels, Launch, Real};
+use crate::device::{CameraArg, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, TILE};
@@ -10,56 +10,25 @@ use crate::pipeline::stage::project::Record64;
 
 /// The kernels.
 #[derive(Debug)]
-pub struct Bin {
-    visible: Kernel,
-    compact: Kernel,
-    count: Kernel,
-    emit: Kernel,
-    ranges: Kernel,
-}
+pub struct Bin(Program);
 
 impl Bin {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let names = [
-            "bin_visible",
-            "bin_compact",
-            "bin_count",
-            "bin_emit",
-            "bin_ranges",
-        ];
-        let [visible, compact, count, emit, ranges] = kernels.build::<R, 5>("bin", names)?;
-        Ok(Self {
-            visible,
-            compact,
-            count,
-            emit,
-            ranges,
-        })
+        kernels.build::<R>("bin").map(Self)
     }
 
     /// Counts the visible ones of `count` Gaussians in each chunk.
     pub fn visible<R: Real>(&self, view: &ViewBuffers<R>, count: usize) -> Result<()> {
-        let chunks = self.visible.chunks();
-        self.visible
-            .launch()
-            .array(&view.keys, count)
-            .uints([count, chunks])
-            .array(&view.chunk_sums, chunks)
-            .over_chunks([chunks, 1])
+        self.over_keys("bin_visible", view, count)
+            .over_chunks([self.0.chunks(), 1])
     }
 
     /// Writes keys and indices of the visible ones of `count` Gaussians.
     pub fn compact<R: Real>(&self, view: &ViewBuffers<R>, count: usize) -> Result<()> {
-        let chunks = self.compact.chunks();
-        self.compact
-            .launch()
-            .array(&view.keys, count)
-            .uints([count, chunks])
-            .array(&view.chunk_sums, chunks)
-            .array(&view.visible.keys[0], count)
-            .array(&view.visible.values[0], count)
-            .over_chunks([chunks, 1])
+        self.over_keys("bin_compact", view, count)
+            .arrays([&view.visible.keys[0], &view.visible.values[0]], count)
+            .over_chunks([self.0.chunks(), 1])
     }
 
     /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`.
@@ -70,10 +39,8 @@ impl Bin {
         count: usize,
         active_only: bool,
     ) -> Result<()> {
-        with_records(&self.count, view, camera, count, active_only)
-            .array(&view.counts, count)
-            .array(&view.cover, 2 * count)
-            .array(&view.isect_counts, count)
+        self.over_records("bin_count", view, camera, count, active_only)
+            .arrays([&view.counts, &view.isect_counts], count)
             .over_batches(count)
     }
 
@@ -85,12 +52,9 @@ impl Bin {
         count: usize,
         active_only: bool,
     ) -> Result<()> {
-        with_records(&self.emit, view, camera, count, active_only)
-            .array(&view.cover, 2 * count)
-            .array(&view.offsets, count)
-            .array(&view.isect_start, count)
-            .array(&view.order.keys[0], 1)
-            .array(&view.order.values[0], 1)
+        self.over_records("bin_emit", view, camera, count, active_only)
+            .arrays([&view.offsets, &view.isect_start], count)
+            .arrays([&view.order.keys[0], &view.order.values[0]], 1)
             .array(&view.isect_owner, 1)
             .over_batches(count)
     }
@@ -98,39 +62,56 @@ impl Bin {
     /// Finds the first of the sorted pairs of each tile.
     pub fn ranges<R: Real>(&self, view: &ViewBuffers<R>, camera: &CameraArg<R>) -> Result<()> {
         let tiles = camera.tile_count();
-        self.ranges
-            .launch()
+        self.0
+            .launch("bin_ranges")
             .array(view.order.sorted_keys(), 1)
             .status(view)
             .uints([tiles])
             .array(&view.tile_start, tiles + 1)
             .over_items([tiles + 1, 1])
     }
-}
 
-/// The arguments that both walks over tiles begin with.
-fn with_records<'k, R: Real>(
-    kernel: &'k Kernel,
-    view: &ViewBuffers<R>,
-    camera: &CameraArg<R>,
-    count: usize,
-    active_only: bool,
-) -> Launch<'k> {
-    let launch = kernel
-        .launch()
-        .array(&view.records, count)
-        .array(view.visible.sorted_values(), count)
-        .status(view)
-        .uints([camera.tiles[0] as usize]);
-    if !kernel.defines().masked() {
-        return launch;
+    /// A sweep over the keys of all Gaussians.
+    fn over_keys<R: Real>(
+        &self,
+        kernel: &'static str,
+        view: &ViewBuffers<R>,
+        count: usize,
+    ) -> Launch<'_> {
+        let chunks = self.0.chunks();
+        self.0
+            .launch(kernel)
+            .array(&view.keys, count)
+            .uints([count, chunks])
+            .array(&view.chunk_sums, chunks)
     }
-    let live = if active_only {
-        &view.live
-    } else {
-        &view.status
-    };
-    launch.array(live, 1).value(i32::from(active_only))
+
+    /// A walk over the tiles of the visible Gaussians.
+    fn over_records<R: Real>(
+        &self,
+        kernel: &'static str,
+        view: &ViewBuffers<R>,
+        camera: &CameraArg<R>,
+        count: usize,
+        active_only: bool,
+    ) -> Launch<'_> {
+        let mut launch = self
+            .0
+            .launch(kernel)
+            .array(&view.records, count)
+            .array(view.visible.sorted_values(), count)
+            .status(view)
+            .uints([camera.tiles[0] as usize]);
+        if self.0.defines().masked() {
+            let live = if active_only {
+                &view.live
+            } else {
+                &view.status
+            };
+            launch = launch.array(live, 1).value(i32::from(active_only));
+        }
+        launch.array(&view.cover, 2 * count)
+    }
 }
 
 // Definition in f64.

@@ -1,46 +1,35 @@
 //! Changes of the set of Gaussians: rows that density control writes, an opacity reset, another order (`kernels/edit.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::{Array, Kernels, Program, Real};
 use crate::pipeline::buffers::GaussianBuffers;
-use crate::pipeline::launch::Arguments;
 use crate::scene::{self, Plane};
 
 /// The kernels.
 #[derive(Debug)]
-pub struct Edit {
-    rows: Kernel,
-    limit_opacity: Kernel,
-    reorder: Kernel,
-}
+pub struct Edit(Program);
 
 impl Edit {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let names = ["edit", "edit_limit_opacity", "edit_reorder"];
-        let [rows, limit_opacity, reorder] = kernels.build::<R, 3>("edit", names)?;
-        Ok(Self {
-            rows,
-            limit_opacity,
-            reorder,
-        })
+        kernels.build::<R>("edit").map(Self)
     }
 
     /// Writes rows of parameters and moments.
     pub fn run<R: Real>(
         &self,
         scene: &GaussianBuffers<R>,
-        moments: [&Array<R>; 2],
+        [m, v]: [&Array<R>; 2],
         edits: &Array<scene::Edit>,
     ) -> Result<()> {
         if edits.is_empty() {
             return Ok(());
         }
-        self.rows
-            .launch()
+        self.0
+            .launch("edit")
             .array(edits, edits.len())
             .uints([edits.len(), scene.stride])
-            .state(scene, moments, scene.planes())
+            .arrays([&scene.params, m, v], scene.planes() * scene.stride)
             .over_items([edits.len(), scene.planes()])
     }
 
@@ -48,14 +37,14 @@ impl Edit {
     pub fn limit_opacity<R: Real>(
         &self,
         scene: &GaussianBuffers<R>,
-        moments: [&Array<R>; 2],
+        [m, v]: [&Array<R>; 2],
         limit: f64,
     ) -> Result<()> {
-        self.limit_opacity
-            .launch()
+        self.0
+            .launch("edit_limit_opacity")
             .uints([scene.count, scene.stride])
             .reals::<R>([limit])
-            .state(scene, moments, Plane::OPACITY + 1)
+            .arrays([&scene.params, m, v], (Plane::OPACITY + 1) * scene.stride)
             .over_items([scene.count, 1])
     }
 
@@ -67,12 +56,11 @@ impl Edit {
         from: &Array<R>,
         to: &Array<R>,
     ) -> Result<()> {
-        self.reorder
-            .launch()
+        self.0
+            .launch("edit_reorder")
             .array(order, order.len())
             .uints([order.len(), stride])
-            .array(from, planes * stride)
-            .array(to, planes * stride)
+            .arrays([from, to], planes * stride)
             .over_items([order.len(), planes])
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, Device, Kernel, Kernels, Launch, Real};
+use crate::device::{Array, Kernels, Launch, Program, Real};
 use crate::pipeline::stage::adam::Step;
 
 /// Entries of \[A | b\], row-major 3 × 4.
@@ -30,9 +30,10 @@ pub fn unexposed(e: &[f32], y: [f32; 3]) -> [f32; 3] {
     (a.inverse() * from).to_array()
 }
 
-/// Transforms of the training views and the arrays of their steps.
+/// The kernels, the transforms of the training views and the arrays of their steps.
 #[derive(Debug)]
 pub struct Exposures<R: Real> {
+    program: Program,
     /// Transforms.
     pub transforms: Array<R>,
     /// First and second moments of the transforms.
@@ -43,131 +44,87 @@ pub struct Exposures<R: Real> {
     pub partial: Array<R>,
     /// Gradient of the transform of one view.
     pub grads: Array<R>,
-    /// Number of views.
-    pub views: usize,
 }
 
 impl<R: Real> Exposures<R> {
-    /// Transforms that change nothing; `plane` is the number of pixels of the largest padded plane.
-    pub fn new(device: &Device, stage: &Exposure, views: usize, plane: usize) -> Result<Self> {
-        let chunks = stage.step.chunks();
+    /// Builds the kernels; the transforms change nothing. `plane` is the number of pixels of the largest padded plane.
+    pub fn new(kernels: &Kernels, views: usize, plane: usize) -> Result<Self> {
+        let program = kernels.build::<R>("exposure")?;
         let start = IDENTITY.map(R::of).repeat(views);
-        let zeros = |name, len| Array::zeros(device, name, len);
+        let zeros = |name, len| Array::zeros(kernels.device(), name, len);
         Ok(Self {
-            transforms: Array::from_slice(device, "exposures", &start)?,
+            transforms: Array::from_slice(kernels.device(), "exposures", &start)?,
             moments: [
-                zeros("moment1", start.len())?,
-                zeros("moment2", start.len())?,
+                zeros("exposure moment1", start.len())?,
+                zeros("exposure moment2", start.len())?,
             ],
             corrected: zeros("corrected", 3 * plane)?,
-            partial: zeros("exposure partial", ENTRIES * chunks)?,
+            partial: zeros("exposure partial", ENTRIES * program.chunks())?,
             grads: zeros("exposure grads", ENTRIES)?,
-            views,
-        })
-    }
-}
-
-/// The kernels.
-#[derive(Debug)]
-pub struct Exposure {
-    apply: Kernel,
-    backward: Kernel,
-    step: Kernel,
-    center: Kernel,
-}
-
-impl Exposure {
-    /// Builds the kernels.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let names = [
-            "exposure_apply",
-            "exposure_backward",
-            "exposure_step",
-            "exposure_center",
-        ];
-        let [apply, backward, step, center] = kernels.build::<R, 4>("exposure", names)?;
-        Ok(Self {
-            apply,
-            backward,
-            step,
-            center,
+            program,
         })
     }
 
     /// Writes A x + b of every pixel of a view's render to `corrected`; `plane` is the number of pixels of a padded plane.
-    pub fn apply<R: Real>(
-        &self,
-        image: &Array<R>,
-        plane: usize,
-        e: &Exposures<R>,
-        view: usize,
-    ) -> Result<()> {
-        with_image(&self.apply, image, plane, e, view)
-            .array(&e.corrected, 3 * plane)
-            .over_chunks([self.apply.chunks(), 1])
+    pub fn apply(&self, image: &Array<R>, plane: usize, view: usize) -> Result<()> {
+        self.over_image("exposure_apply", image, plane, view)
+            .array(&self.corrected, 3 * plane)
+            .over_chunks([self.program.chunks(), 1])
     }
 
     /// Turns the gradient by the corrected image in `dimage` into that by the render, and leaves the sums for
-    /// [`Exposure::step`].
-    pub fn backward<R: Real>(
+    /// [`Exposures::step`].
+    pub fn backward(
         &self,
         image: &Array<R>,
         plane: usize,
-        e: &Exposures<R>,
         view: usize,
         dimage: &Array<R>,
     ) -> Result<()> {
-        let chunks = self.backward.chunks();
-        with_image(&self.backward, image, plane, e, view)
+        let chunks = self.program.chunks();
+        self.over_image("exposure_backward", image, plane, view)
             .array(dimage, 3 * plane)
-            .array(&e.partial, ENTRIES * chunks)
+            .array(&self.partial, ENTRIES * chunks)
             .over_chunks([chunks, 1])
     }
 
     /// Enqueues one step of the transforms of all views, whose mean stays the identity; after an overflow nothing changes.
-    pub fn step<R: Real>(
-        &self,
-        e: &Exposures<R>,
-        view: usize,
-        step: &Step,
-        status: &Array<u32>,
-    ) -> Result<()> {
-        let (len, chunks) = (ENTRIES * e.views, self.step.chunks());
-        self.step
-            .launch()
-            .array(&e.partial, ENTRIES * chunks)
-            .uints([chunks, view, e.views])
+    pub fn step(&self, view: usize, step: &Step, status: &Array<u32>) -> Result<()> {
+        let (len, chunks) = (self.transforms.len(), self.program.chunks());
+        let ([m, v], views) = (&self.moments, len / ENTRIES);
+        self.program
+            .launch("exposure_step")
+            .array(&self.partial, ENTRIES * chunks)
+            .uints([chunks, view, views])
             .reals::<R>([step.rate])
             .reals::<R>(step.arguments::<R>())
-            .array(&e.transforms, len)
-            .array(&e.moments[0], len)
-            .array(&e.moments[1], len)
-            .array(&e.grads, ENTRIES)
+            .arrays([&self.transforms, m, v], len)
+            .array(&self.grads, ENTRIES)
             .array(status, SLOTS)
-            .run([ENTRIES, e.views], [1, 1])?;
-        self.center
-            .launch()
-            .uints([e.views])
-            .array(&e.transforms, len)
+            .run([ENTRIES, views], [1, 1])?;
+        self.program
+            .launch("exposure_center")
+            .uints([views])
+            .array(&self.transforms, len)
             .array(status, SLOTS)
             .run([ENTRIES, 1], [1, 1])
     }
-}
 
-/// The arguments that both passes over the image begin with.
-fn with_image<'k, R: Real>(
-    kernel: &'k Kernel,
-    image: &Array<R>,
-    plane: usize,
-    e: &Exposures<R>,
-    view: usize,
-) -> Launch<'k> {
-    kernel
-        .launch()
-        .array(image, 3 * plane)
-        .uints([plane, kernel.chunks()])
-        .array(&e.transforms, ENTRIES * (view + 1))
-        .uints([view])
+    /// A sweep over the image.
+    fn over_image(
+        &self,
+        kernel: &'static str,
+        image: &Array<R>,
+        plane: usize,
+        view: usize,
+    ) -> Launch<'_> {
+        self.program
+            .launch(kernel)
+            .array(image, 3 * plane)
+            .uints([plane, self.program.chunks()])
+            .array(&self.transforms, ENTRIES * (view + 1))
+            .uints([view])
+    }
 }
 
 // Definition in f64.

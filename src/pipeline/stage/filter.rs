@@ -2,29 +2,19 @@
 
 use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::device::{Array, CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::scene::Plane;
 
 /// The kernels.
 #[derive(Debug)]
-pub struct Filter {
-    views: Kernel,
-    largest: Kernel,
-    unseen: Kernel,
-}
+pub struct Filter(Program);
 
 impl Filter {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let names = ["filter_views", "filter_largest", "filter_unseen"];
-        let [views, largest, unseen] = kernels.build::<R, 3>("filter", names)?;
-        Ok(Self {
-            views,
-            largest,
-            unseen,
-        })
+        kernels.build::<R>("filter").map(Self)
     }
 
     /// Fills in the filter of a scene from the cameras of the training views; `largest` is scratch. After an overflow in
@@ -37,28 +27,24 @@ impl Filter {
         largest: &Array<R>,
     ) -> Result<()> {
         let chunks = FILTER_CHUNKS as usize;
-        self.views
-            .launch()
+        self.0
+            .launch("filter_views")
             .scene(scene, Plane::LOG_SCALE)
             .array(cameras, cameras.len())
             .uints([cameras.len()])
             .status(view)
             .array(&scene.filter, scene.stride)
             .over_gaussians(scene.count)?;
-        self.largest
-            .launch()
-            .uints([scene.count])
-            .status(view)
-            .array(&scene.filter, scene.stride)
-            .array(largest, chunks)
-            .over_chunks([chunks, 1])?;
-        self.unseen
-            .launch()
-            .uints([scene.count])
-            .status(view)
-            .array(largest, chunks)
-            .array(&scene.filter, scene.stride)
-            .over_gaussians(scene.count)
+        let rest = |kernel| {
+            self.0
+                .launch(kernel)
+                .uints([scene.count])
+                .status(view)
+                .array(&scene.filter, scene.stride)
+                .array(largest, chunks)
+        };
+        rest("filter_largest").over_chunks([chunks, 1])?;
+        rest("filter_unseen").over_gaussians(scene.count)
     }
 }
 

@@ -1,19 +1,19 @@
 //! Error cues of each Gaussian: the error maps of a view under the projected centre (`kernels/importance.cl`; \[MH\] Eq. 11, 13).
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::device::{Array, CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
 
 /// The kernel.
 #[derive(Debug)]
-pub struct Importance(Kernel);
+pub struct Importance(Program);
 
 impl Importance {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("importance").map(Self)
+        kernels.build::<R>("importance").map(Self)
     }
 
     /// Adds the errors of a view to `cues`, which `first_view` sets to zero before; `maps` are those of
@@ -28,11 +28,11 @@ impl Importance {
         cues: &Array<R>,
     ) -> Result<()> {
         self.0
-            .launch()
+            .launch("importance")
             .scene(scene, 3)
             .value(*camera)
-            .array(maps, 2 * camera.plane())
-            .ints(camera.padded())
+            .array(maps, 2 * camera.image().plane())
+            .ints(camera.image().padded())
             .value(i32::from(first_view))
             .status(view)
             .array(cues, 3 * scene.stride)

@@ -1,24 +1,17 @@
 //! Tiles of a masked photo in which any pixel counts, or of a transparent one in which any is not clear (`kernels/live.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::device::{Array, CameraArg, Kernels, Program, Real};
 use crate::pipeline::reference::TILE;
 
 /// The kernel.
 #[derive(Debug)]
-pub struct Live(Kernel);
+pub struct Live(Program);
 
 impl Live {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("live").map(Self)
-    }
-
-    /// Builds the kernel if photos have masks, or if they are transparent and what is blank is skipped.
-    pub fn if_asked<R: Real>(kernels: &Kernels) -> Result<Option<Self>> {
-        let defines = kernels.defines();
-        let asked = defines.masked() || defines.skips_blank();
-        asked.then(|| Self::new::<R>(kernels)).transpose()
+        kernels.build::<R>("live").map(Self)
     }
 
     /// Marks the live tiles of a photo of a camera's size.
@@ -28,10 +21,9 @@ impl Live {
         camera: &CameraArg<R>,
         live: &Array<u32>,
     ) -> Result<()> {
-        let [w, h] = camera.size.map(|s| s as usize);
-        let tiles = camera.tile_count();
+        let ([w, h], tiles) = (camera.image().0, camera.tile_count());
         self.0
-            .launch()
+            .launch("live")
             .array(photo, 4 * w * h)
             .ints([w, h])
             .tiles(camera)

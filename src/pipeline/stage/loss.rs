@@ -1,18 +1,15 @@
 //! L1 + SSIM and its gradient (`kernels/loss.cl`): 3DGS, Kerbl et al. 2023, eq. 7; SSIM, Wang et al. 2004.
 
-use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS, TILE};
+use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS};
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Launch, Real};
+use crate::device::{Array, CameraArg, ImageSize, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::Blank;
+use crate::pipeline::launch::Arguments;
 
 /// The kernels.
 #[derive(Debug)]
 pub struct Loss {
-    forward: Kernel,
-    /// The same kernel for density control; its time is counted as importance's.
-    errors: Kernel,
-    backward: Kernel,
-    sum: Kernel,
+    program: Program,
     /// An array for the arguments that say what is blank, when nothing does.
     nowhere: Array<u32>,
 }
@@ -26,8 +23,8 @@ pub struct ImagePair<'a, R: Real> {
     pub photo: &'a Array<u8>,
     /// Background under the photo's alpha.
     pub background: [f32; 3],
-    /// Width and height, pixels.
-    pub size: [usize; 2],
+    /// Size of both.
+    pub size: ImageSize,
     /// Arrays that say what is blank in both, for kernels that skip it; `None` if nothing is to be skipped.
     pub blank: Option<Blank<'a>>,
 }
@@ -45,22 +42,9 @@ impl<'a, R: Real> ImagePair<'a, R> {
             image,
             photo,
             background,
-            size: size_of_image(camera),
+            size: camera.image(),
             blank: None,
         }
-    }
-
-    /// Padded width and height of a plane.
-    #[must_use]
-    pub fn padded(&self) -> [usize; 2] {
-        self.size.map(|s| s.next_multiple_of(TILE as usize))
-    }
-
-    /// Pixels of a padded plane.
-    #[must_use]
-    pub fn plane(&self) -> usize {
-        let [w, h] = self.padded();
-        w * h
     }
 
     /// The pair with nothing skipped.
@@ -71,41 +55,35 @@ impl<'a, R: Real> ImagePair<'a, R> {
             ..self
         }
     }
-}
 
-/// Width and height of a camera's image, pixels.
-#[must_use]
-pub fn size_of_image<R: Real>(camera: &CameraArg<R>) -> [usize; 2] {
-    camera.size.map(|s| s as usize)
+    /// Adds render and photo, with their size and the padded size.
+    pub(super) fn images<'k>(&self, launch: Launch<'k>) -> Launch<'k> {
+        launch
+            .array(self.image, 3 * self.size.plane())
+            .photo(self.photo, self.size)
+            .ints(self.size.padded())
+    }
 }
 
 impl Loss {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let names = ["loss_forward", "loss_forward", "loss_backward", "loss_sum"];
-        let [forward, errors, backward, sum] = kernels.build::<R, 4>("loss", names)?;
         Ok(Self {
-            forward,
-            errors: errors.counted_as("importance"),
-            backward,
-            sum,
+            program: kernels.build::<R>("loss")?,
             nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
         })
     }
 
-    /// Work-items (columns, groups of rows) over a padded image.
-    fn strips(&self, padded: [usize; 2]) -> [usize; 2] {
-        let strip = self.forward.defines().tuning.strip as usize;
-        [
-            padded[0].div_ceil(strip),
-            padded[1].div_ceil(LOSS_ROWS as usize),
-        ]
+    /// Work-items (columns, groups of rows) over an image.
+    fn strips(&self, size: ImageSize) -> [usize; 2] {
+        let ([w, h], strip) = (size.padded(), self.program.defines().tuning.strip);
+        [w.div_ceil(strip as usize), h.div_ceil(LOSS_ROWS as usize)]
     }
 
     /// Length of `partial` for an image: two values for each strip and channel.
     #[must_use]
-    pub fn partial_len(&self, width: usize, height: usize) -> usize {
-        let [x, y] = self.strips([width, height].map(|s| s.next_multiple_of(TILE as usize)));
+    pub fn partial_len(&self, size: ImageSize) -> usize {
+        let [x, y] = self.strips(size);
         3 * 2 * x * y
     }
 
@@ -119,78 +97,62 @@ impl Loss {
         partial: &Array<R>,
         dimage: &Array<R>,
     ) -> Result<()> {
-        let n = (3 * pair.size[0] * pair.size[1]) as f64;
+        let ([w, h], values) = (pair.size.0, 3 * pair.size.plane());
+        let n = (3 * w * h) as f64;
         for channel in 0..3 {
-            self.forward(pair, channel, false, maps, partial)?;
-            self.with_images(&self.backward, pair, channel)
-                .array(maps, 3 * pair.plane())
+            self.channel("loss_forward", pair, channel)
+                .ints([0])
+                .array(maps, values)
+                .array(partial, self.partial_len(pair.size))
+                .over_chunks(self.strips(pair.size))?;
+            self.channel("loss_backward", pair, channel)
+                .array(maps, values)
                 .reals::<R>([(1.0 - lambda_ssim) / n, lambda_ssim / n])
-                .array(dimage, 3 * pair.plane())
-                .over_chunks(self.strips(pair.padded()))?;
+                .array(dimage, values)
+                .over_chunks(self.strips(pair.size))?;
         }
         Ok(())
     }
 
-    /// Writes the channel means of 1 − SSIM and |x − y| to `maps` and the sums for [`Loss::sum`] to `partial`.
+    /// Writes the channel means of 1 − SSIM and |x − y| to `maps` and the sums for [`Loss::sum`] to `partial`; the time is
+    /// counted as importance's.
     pub fn errors<R: Real>(
         &self,
         pair: &ImagePair<'_, R>,
         maps: &Array<R>,
         partial: &Array<R>,
     ) -> Result<()> {
-        (0..3).try_for_each(|channel| self.forward(pair, channel, true, maps, partial))
+        (0..3).try_for_each(|channel| {
+            self.channel("loss_forward", pair, channel)
+                .counted_as("importance")
+                .ints([1])
+                .array(maps, 2 * pair.size.plane())
+                .array(partial, self.partial_len(pair.size))
+                .over_chunks(self.strips(pair.size))
+        })
     }
 
-    fn forward<R: Real>(
+    /// A sweep over a channel of both images.
+    fn channel<R: Real>(
         &self,
+        kernel: &'static str,
         pair: &ImagePair<'_, R>,
         channel: usize,
-        write_error: bool,
-        maps: &Array<R>,
-        partial: &Array<R>,
-    ) -> Result<()> {
-        let [w, h] = pair.size;
-        let (kernel, planes) = if write_error {
-            (&self.errors, 2)
-        } else {
-            (&self.forward, 3)
-        };
-        self.with_images(kernel, pair, channel)
-            .value(i32::from(write_error))
-            .array(maps, planes * pair.plane())
-            .array(partial, self.partial_len(w, h))
-            .over_chunks(self.strips(pair.padded()))
-    }
-
-    /// The arguments that both sweeps begin with.
-    fn with_images<'k, R: Real>(
-        &self,
-        kernel: &'k Kernel,
-        pair: &ImagePair<'_, R>,
-        channel: usize,
-    ) -> Launch<'k> {
-        let ([w, h], [stride, rows]) = (pair.size, pair.padded());
-        let defines = kernel.defines();
-        let launch = kernel
-            .launch()
-            .array(pair.image, 3 * pair.plane())
-            .array(pair.photo, defines.photo_planes() * w * h)
+    ) -> Launch<'_> {
+        let launch = pair
+            .images(self.program.launch(kernel))
             .ints([channel])
-            .reals::<R>([f64::from(pair.background[channel])])
-            .ints([w, h, stride, rows]);
-        if !defines.skips_blank() {
+            .reals::<R>([f64::from(pair.background[channel])]);
+        if !self.program.defines().skips_blank() {
             return launch;
         }
-        let tiles = pair.plane() / (TILE * TILE) as usize;
+        let tiles = pair.size.tile_count();
         match pair.blank {
             Some(b) => launch
-                .value(1)
+                .ints([1])
                 .array(b.live, tiles)
                 .array(b.tile_start, tiles + 1),
-            None => launch
-                .value(0)
-                .array(&self.nowhere, 1)
-                .array(&self.nowhere, 1),
+            None => launch.ints([0]).arrays([&self.nowhere; 2], 1),
         }
     }
 
@@ -202,10 +164,9 @@ impl Loss {
         out: &Array<R>,
         slot: usize,
     ) -> Result<()> {
-        let [w, h] = pair.size;
-        let len = self.partial_len(w, h);
-        self.sum
-            .launch()
+        let ([w, h], len) = (pair.size.0, self.partial_len(pair.size));
+        self.program
+            .launch("loss_sum")
             .array(partial, len)
             .uints([len / 2])
             .reals::<R>([1.0 / (3 * w * h) as f64])

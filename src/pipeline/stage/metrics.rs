@@ -1,34 +1,26 @@
 //! Squared error and SSIM of a clamped render (`kernels/metrics.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::{Array, Kernels, Program, Real};
+use crate::pipeline::launch::Arguments;
 use crate::pipeline::stage::loss::ImagePair;
 
 /// The kernels.
 #[derive(Debug)]
-pub struct Metrics {
-    squared: Kernel,
-    ssim: Kernel,
-}
+pub struct Metrics(Program);
 
 impl Metrics {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [squared, ssim] = kernels.build::<R, 2>("metrics", ["metrics", "metrics_ssim"])?;
-        Ok(Self { squared, ssim })
+        kernels.build::<R>("metrics").map(Self)
     }
 
     /// Clamps the render in place and writes the squared error of each row (all channels) and the number of its pixels
     /// that count to rows 0 and 1 of `score`.
     pub fn run<R: Real>(&self, pair: &ImagePair<'_, R>, score: &Array<R>) -> Result<()> {
-        let ([w, h], [stride, rows]) = (pair.size, pair.padded());
-        let planes = self.squared.defines().photo_planes();
-        self.squared
-            .launch()
-            .array(pair.image, 3 * pair.plane())
-            .array(pair.photo, planes * w * h)
+        let [_, h] = pair.size.0;
+        pair.images(self.0.launch("metrics"))
             .reals::<R>(pair.background.map(f64::from))
-            .ints([w, h, stride, rows])
             .array(score, 2 * h)
             .over_chunks([h, 1])
     }
@@ -41,13 +33,12 @@ impl Metrics {
         maps: &Array<R>,
         score: &Array<R>,
     ) -> Result<()> {
-        let ([w, h], [stride, _]) = (pair.size, pair.padded());
-        let planes = self.ssim.defines().photo_planes();
-        self.ssim
-            .launch()
-            .array(maps, pair.plane())
-            .array(pair.photo, planes * w * h)
-            .ints([w, h, stride])
+        let ([_, h], [stride, _]) = (pair.size.0, pair.size.padded());
+        self.0
+            .launch("metrics_ssim")
+            .array(maps, pair.size.plane())
+            .photo(pair.photo, pair.size)
+            .ints([stride])
             .array(score, 3 * h)
             .over_chunks([h, 1])
     }

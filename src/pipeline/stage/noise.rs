@@ -5,7 +5,7 @@ use crate::base::error::Result;
 use crate::base::math::sigmoid;
 use crate::base::rng::Philox;
 use crate::density::NoiseLaw;
-use crate::device::{Kernel, Kernels, Real};
+use crate::device::{Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Scene64, product, rotation, transpose, unit_quaternion};
@@ -13,12 +13,12 @@ use crate::scene::Plane;
 
 /// The kernel.
 #[derive(Debug)]
-pub struct Noise(Kernel);
+pub struct Noise(Program);
 
 impl Noise {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("noise").map(Self)
+        kernels.build::<R>("noise").map(Self)
     }
 
     /// Moves the positions by the law, whose rate is in local units here; random numbers are keyed by the seed of the run
@@ -32,12 +32,9 @@ impl Noise {
         stream: u64,
     ) -> Result<()> {
         self.0
-            .launch()
+            .launch("noise")
             .uints([scene.stride, scene.count])
-            .value(seed as u32)
-            .value((seed >> 32) as u32)
-            .value(stream as u32)
-            .value((stream >> 32) as u32)
+            .uints([seed, seed >> 32, stream, stream >> 32].map(|word| word as usize))
             .reals::<R>([law.rate, law.steepness, law.opacity])
             .status(view)
             .array(&scene.params, (Plane::OPACITY + 1) * scene.stride)

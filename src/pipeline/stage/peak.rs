@@ -2,7 +2,7 @@
 
 use crate::base::constants::PEAK_CHAINS;
 use crate::base::error::Result;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::{Array, Kernels, Program, Real};
 
 /// Smallest number of values that a group of the copy moves on a CPU.
 const GROUP_LANES: usize = 1024;
@@ -10,15 +10,13 @@ const GROUP_LANES: usize = 1024;
 /// The kernels.
 #[derive(Debug)]
 pub struct Peak {
-    fma: Kernel,
-    copy: Kernel,
+    program: Program,
     copy_local: usize,
 }
 
 impl Peak {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [fma, copy] = kernels.build::<R, 2>("peak", ["peak_fma", "peak_copy"])?;
         let tuning = kernels.defines().tuning;
         // A CPU's thread takes a whole group: one large enough that starting it costs nothing.
         let group = tuning.local.max(GROUP_LANES / tuning.vector_width as usize);
@@ -28,8 +26,7 @@ impl Peak {
             group.min(kernels.device().info().max_work_group.max(1))
         };
         Ok(Self {
-            fma,
-            copy,
+            program: kernels.build::<R>("peak")?,
             copy_local,
         })
     }
@@ -37,7 +34,7 @@ impl Peak {
     /// Lanes of a vector.
     #[must_use]
     pub fn lanes(&self) -> usize {
-        self.fma.defines().tuning.vector_width as usize
+        self.program.defines().tuning.vector_width as usize
     }
 
     /// FLOP of one launch of [`Peak::fma`] (a multiply-add is two).
@@ -55,9 +52,9 @@ impl Peak {
         out: &Array<R>,
     ) -> Result<()> {
         // A CPU's thread takes one work-item at a time, as in the splat kernels.
-        let local = self.fma.defines().tuning.batch_local();
-        self.fma
-            .launch()
+        let local = self.program.defines().tuning.batch_local();
+        self.program
+            .launch("peak_fma")
             .uints([items, steps as usize])
             .reals::<R>([a, b])
             .array(out, items * self.lanes())
@@ -67,8 +64,8 @@ impl Peak {
     /// Copies as many whole vectors as `from` holds.
     pub fn copy<R: Real>(&self, from: &Array<R>, to: &Array<R>) -> Result<()> {
         let vectors = from.len() / self.lanes();
-        self.copy
-            .launch()
+        self.program
+            .launch("peak_copy")
             .array(from, vectors * self.lanes())
             .uints([vectors])
             .array(to, vectors * self.lanes())

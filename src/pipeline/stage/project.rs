@@ -4,7 +4,7 @@
 use crate::base::constants::{COLOR_MAX, LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
-use crate::device::{CameraArg, Kernel, Kernels, Real};
+use crate::device::{CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{
@@ -14,12 +14,12 @@ use crate::scene::{Plane, sh, sh_coefficients};
 
 /// The kernel, specialised for one SH degree.
 #[derive(Debug)]
-pub struct Project(Kernel);
+pub struct Project(Program);
 
 impl Project {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("project").map(Self)
+        kernels.build::<R>("project").map(Self)
     }
 
     /// Writes records and keys and zeroes the numbers of pairs; `depth_as_color` composites the depth (local units) in place
@@ -32,13 +32,12 @@ impl Project {
         depth_as_color: bool,
     ) -> Result<()> {
         self.0
-            .launch()
+            .launch("project")
             .gaussians(scene)
             .value(*camera)
             .value(i32::from(depth_as_color))
             .array(&view.records, scene.count)
-            .array(&view.keys, scene.count)
-            .array(&view.isect_counts, scene.count)
+            .arrays([&view.keys, &view.isect_counts], scene.count)
             .over_gaussians(scene.count)
     }
 }

@@ -3,7 +3,7 @@
 use crate::base::constants::{LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
-use crate::device::{CameraArg, Kernel, Kernels, Real};
+use crate::device::{CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options, Scene64, product, transpose, unit_quaternion};
@@ -13,12 +13,12 @@ use crate::scene::{Plane, sh, sh_coefficients};
 
 /// The kernel, specialised for one SH degree.
 #[derive(Debug)]
-pub struct ProjectGrad(Kernel);
+pub struct ProjectGrad(Program);
 
 impl ProjectGrad {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("project_grad").map(Self)
+        kernels.build::<R>("project_grad").map(Self)
     }
 
     /// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included. After an overflow
@@ -34,11 +34,11 @@ impl ProjectGrad {
         let n = scene.count.max(1) as f64;
         let planes = Plane::count(self.0.defines().sh_degree);
         self.0
-            .launch()
+            .launch("project_grad")
             .gaussians(scene)
             .uints([grads.rows.start, grads.stride])
             .value(*camera)
-            .intersection_ranges(view, scene.count)
+            .arrays([&view.isect_start, &view.isect_counts], scene.count)
             .status(view)
             .array(&view.sums, 1)
             .reals::<R>([lambda_opacity / n, lambda_scale / (3.0 * n)])

@@ -2,17 +2,13 @@
 
 use crate::base::error::Result;
 use crate::device::tuning::status::{INTERSECTIONS, SLOTS, VISIBLE};
-use crate::device::{Array, Kernel, Kernels, Launch, Real};
+use crate::device::{Array, Kernels, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 
 /// The kernels.
 #[derive(Debug)]
-pub struct Scan {
-    sums: Kernel,
-    chunks: Kernel,
-    write: Kernel,
-}
+pub struct Scan(Program);
 
 /// Number of elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,13 +22,7 @@ pub enum Count {
 impl Scan {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let names = ["scan_sums", "scan_chunks", "scan_write"];
-        let [sums, chunks, write] = kernels.build::<R, 3>("scan", names)?;
-        Ok(Self {
-            sums,
-            chunks,
-            write,
-        })
+        kernels.build::<R>("scan").map(Self)
     }
 
     /// Writes the sums of the pairs before each of `n` elements to `out` and the number of pairs to the status; more pairs
@@ -44,15 +34,24 @@ impl Scan {
         n: Count,
         out: &Array<u32>,
     ) -> Result<()> {
-        let (slot, known) = match n {
-            Count::Slot(slot) => (slot as usize, 0),
-            Count::Known(n) => (SLOTS, n),
+        let chunks = self.0.chunks();
+        let [slot, known] = match n {
+            Count::Slot(slot) => [slot as usize, 0],
+            Count::Known(n) => [SLOTS, n],
         };
-        with_values(&self.sums, view, values, slot, known).over_chunks([self.sums.chunks(), 1])?;
+        let over_values = |kernel| {
+            self.0
+                .launch(kernel)
+                .array(values, 1)
+                .status(view)
+                .uints([slot, known, chunks])
+                .array(&view.chunk_sums, chunks)
+        };
+        over_values("scan_sums").over_chunks([chunks, 1])?;
         self.totals(view, INTERSECTIONS, view.intersection_capacity())?;
-        with_values(&self.write, view, values, slot, known)
+        over_values("scan_write")
             .array(out, 1)
-            .over_chunks([self.write.chunks(), 1])
+            .over_chunks([chunks, 1])
     }
 
     /// Writes the sums of the visible Gaussians before each chunk and their number to the status.
@@ -61,32 +60,14 @@ impl Scan {
     }
 
     fn totals<R: Real>(&self, view: &ViewBuffers<R>, slot: u32, capacity: usize) -> Result<()> {
-        let chunks = self.chunks.chunks();
-        self.chunks
-            .launch()
-            .array(&view.chunk_sums, chunks)
-            .uints([chunks])
+        self.0
+            .launch("scan_chunks")
+            .array(&view.chunk_sums, self.0.chunks())
+            .uints([self.0.chunks()])
             .status(view)
             .uints([slot as usize, capacity])
             .once()
     }
-}
-
-/// The arguments that both sweeps over the values begin with.
-fn with_values<'k, R: Real>(
-    kernel: &'k Kernel,
-    view: &ViewBuffers<R>,
-    values: &Array<u32>,
-    slot: usize,
-    known: usize,
-) -> Launch<'k> {
-    let chunks = kernel.chunks();
-    kernel
-        .launch()
-        .array(values, 1)
-        .status(view)
-        .uints([slot, known, chunks])
-        .array(&view.chunk_sums, chunks)
 }
 
 // Definition in f64.

@@ -3,7 +3,7 @@
 
 use crate::base::constants::SUMS;
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::device::{Array, CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
@@ -11,12 +11,12 @@ use crate::pipeline::stage::project::{Shape64, shape};
 
 /// The kernel.
 #[derive(Debug)]
-pub struct ScreenGrad(Kernel);
+pub struct ScreenGrad(Program);
 
 impl ScreenGrad {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("screen_grad").map(Self)
+        kernels.build::<R>("screen_grad").map(Self)
     }
 
     /// Adds the norms of one iteration to `cues`; after an overflow in the view nothing changes.
@@ -28,12 +28,12 @@ impl ScreenGrad {
         cues: &Array<R>,
     ) -> Result<()> {
         self.0
-            .launch()
+            .launch("screen_grad")
             .array(&view.records, scene.count)
             .uints([scene.stride, scene.count])
-            .intersection_ranges(view, scene.count)
+            .arrays([&view.isect_start, &view.isect_counts], scene.count)
             .array(&view.sums, SUMS)
-            .ints(camera.size.map(|s| s as usize))
+            .ints(camera.image().0)
             .status(view)
             .array(cues, 2 * scene.stride)
             .over_items([scene.count, 1])

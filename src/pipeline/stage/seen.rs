@@ -1,7 +1,7 @@
 //! Gaussians that any pixel of a view shows (`kernels/seen.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::device::{Array, CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::Camera64;
@@ -10,16 +10,12 @@ use crate::pipeline::stage::splat::{contributions, list_at};
 
 /// The kernels.
 #[derive(Debug)]
-pub struct Seen {
-    pairs: Kernel,
-    gather: Kernel,
-}
+pub struct Seen(Program);
 
 impl Seen {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let [pairs, gather] = kernels.build::<R, 2>("seen", ["seen_pairs", "seen_gather"])?;
-        Ok(Self { pairs, gather })
+        kernels.build::<R>("seen").map(Self)
     }
 
     /// Marks the Gaussians that a view with sorted pairs shows in `seen`, which has a value for each; `shown` is scratch with
@@ -32,18 +28,18 @@ impl Seen {
         seen: &Array<u32>,
     ) -> Result<()> {
         let count = seen.len();
-        self.pairs
-            .launch()
+        self.0
+            .launch("seen_pairs")
             .tile_lists(view, camera)
             .tiles(camera)
-            .ints(camera.size.map(|s| s as usize))
+            .ints(camera.image().0)
             .array(seen, count)
             .array(shown, view.isect_owner.len())
             .over_tiles(camera)?;
-        self.gather
-            .launch()
+        self.0
+            .launch("seen_gather")
             .uints([count])
-            .intersection_ranges(view, count)
+            .arrays([&view.isect_start, &view.isect_counts], count)
             .array(shown, 1)
             .array(seen, count)
             .over_items([count, 1])

@@ -3,32 +3,33 @@
 use crate::base::constants::SHRINK_RUN;
 use crate::base::error::Result;
 use crate::capture::Photo;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::{Array, ImageSize, Kernels, Program, Real};
+use crate::pipeline::launch::Arguments;
 
 /// The kernel.
 #[derive(Debug)]
-pub struct Shrink(Kernel);
+pub struct Shrink(Program);
 
 impl Shrink {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("shrink").map(Self)
+        kernels.build::<R>("shrink").map(Self)
     }
 
     /// Writes a photo at 1/`factor` of its size to `small`.
     pub fn run(
         &self,
         photo: &Array<u8>,
-        [width, height]: [usize; 2],
+        size: [usize; 2],
         factor: usize,
         small: &Array<u8>,
     ) -> Result<()> {
-        let [w, h] = [width / factor, height / factor];
+        let [w, h] = size.map(|s| s / factor);
         let planes = self.0.defines().photo_planes();
         self.0
-            .launch()
-            .array(photo, planes * width * height)
-            .ints([width, height, planes, factor])
+            .launch("shrink")
+            .photo(photo, ImageSize(size))
+            .ints([planes, factor])
             .array(small, planes * w * h)
             .over_chunks([w.div_ceil(SHRINK_RUN as usize), planes * h])
     }

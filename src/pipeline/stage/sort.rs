@@ -2,48 +2,32 @@
 
 use crate::base::error::Result;
 use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, Kernel, Kernels, Real};
+use crate::device::{Array, Kernels, Program, Real};
 use crate::pipeline::buffers::SortBuffers;
 
 /// The kernels and their scratch.
 #[derive(Debug)]
 pub struct Sort {
-    histogram: Kernel,
-    totals: Kernel,
-    bins: Kernel,
-    offsets: Kernel,
-    scatter: Kernel,
-    counts: Array<u32>,
-    sums: Array<u32>,
+    program: Program,
+    histogram: Array<u32>,
+    totals: Array<u32>,
 }
 
 impl Sort {
     /// Builds the kernels.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        let names = [
-            "sort_histogram",
-            "sort_totals",
-            "sort_bins",
-            "sort_offsets",
-            "sort_scatter",
-        ];
-        let [histogram, totals, bins, offsets, scatter] = kernels.build::<R, 5>("sort", names)?;
         let (device, tuning) = (kernels.device(), kernels.defines().tuning);
         let max_bins = 1usize << tuning.radix_bits;
         Ok(Self {
-            histogram,
-            totals,
-            bins,
-            offsets,
-            scatter,
-            counts: Array::zeros(device, "sort histogram", max_bins * tuning.chunks)?,
-            sums: Array::zeros(device, "sort totals", max_bins)?,
+            program: kernels.build::<R>("sort")?,
+            histogram: Array::zeros(device, "sort histogram", max_bins * tuning.chunks)?,
+            totals: Array::zeros(device, "sort totals", max_bins)?,
         })
     }
 
     /// Number of passes for keys of `bits` bits: the one of the fewest bins and sweeps over at most `n` elements together.
     fn passes(&self, bits: u32, n: usize) -> u32 {
-        let tuning = self.scatter.defines().tuning;
+        let tuning = self.program.defines().tuning;
         let min = bits.div_ceil(tuning.radix_bits).max(1);
         let cost = |passes: u32| {
             let bins = 1usize << bits.div_ceil(passes);
@@ -66,57 +50,49 @@ impl Sort {
         let passes = self.passes(bits, elements.keys[0].len());
         let per_pass = bits.div_ceil(passes).max(1);
         for pass in 0..passes {
-            self.pass(elements, status, n_slot, pass, per_pass)?;
+            elements.sorted = pass as usize % 2;
+            let shift = (pass * per_pass) as usize;
+            self.pass(elements, status, n_slot, shift, 1 << per_pass)?;
         }
         elements.sorted = passes as usize % 2;
         Ok(())
     }
 
+    /// Sorts by the bits from `shift` on that `bins` values have, out of the sorted arrays into the others.
     fn pass(
         &self,
-        SortBuffers { keys, values, .. }: &SortBuffers,
+        elements: &SortBuffers,
         status: &Array<u32>,
         n_slot: u32,
-        pass: u32,
-        bits: u32,
+        shift: usize,
+        bins: usize,
     ) -> Result<()> {
-        let (from, to) = (pass as usize % 2, (pass as usize + 1) % 2);
-        let (shift, bins) = ((pass * bits) as usize, 1usize << bits);
-        let (n_slot, chunks) = (n_slot as usize, self.scatter.chunks());
-        let cells = chunks * bins;
-        self.histogram
-            .launch()
-            .array(&keys[from], 1)
-            .array(status, SLOTS)
-            .uints([n_slot, chunks, shift, bins])
-            .array(&self.counts, cells)
-            .over_chunks([chunks, 1])?;
-        self.totals
-            .launch()
-            .array(&self.counts, cells)
-            .uints([chunks, bins])
-            .array(&self.sums, bins)
-            .over_items([bins, 1])?;
-        self.bins
-            .launch()
-            .array(&self.sums, bins)
-            .uints([bins])
-            .once()?;
-        self.offsets
-            .launch()
-            .array(&self.counts, cells)
-            .uints([chunks, bins])
-            .array(&self.sums, bins)
-            .over_items([bins, 1])?;
-        self.scatter
-            .launch()
-            .array(&keys[from], 1)
-            .array(&values[from], 1)
-            .array(status, SLOTS)
-            .uints([n_slot, chunks, shift, bins])
-            .array(&self.counts, cells)
-            .array(&keys[to], 1)
-            .array(&values[to], 1)
+        let (program, chunks) = (&self.program, self.program.chunks());
+        let to = 1 - elements.sorted;
+        let over_keys = |kernel| {
+            program
+                .launch(kernel)
+                .array(elements.sorted_keys(), 1)
+                .array(status, SLOTS)
+                .uints([n_slot as usize, chunks, shift, bins])
+                .array(&self.histogram, chunks * bins)
+        };
+        let over_bins = |kernel| {
+            program
+                .launch(kernel)
+                .array(&self.histogram, chunks * bins)
+                .uints([chunks, bins])
+                .array(&self.totals, bins)
+                .over_items([bins, 1])
+        };
+        over_keys("sort_histogram").over_chunks([chunks, 1])?;
+        over_bins("sort_totals")?;
+        let totals = program.launch("sort_bins").array(&self.totals, bins);
+        totals.uints([bins]).once()?;
+        over_bins("sort_offsets")?;
+        over_keys("sort_scatter")
+            .array(elements.sorted_values(), 1)
+            .arrays([&elements.keys[to], &elements.values[to]], 1)
             .over_chunks([chunks, 1])
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::base::constants::{ALPHA_MAX, T_MIN};
 use crate::base::error::Result;
-use crate::device::{CameraArg, Kernel, Kernels, Real};
+use crate::device::{CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options, TILE};
@@ -10,12 +10,12 @@ use crate::pipeline::stage::project::Record64;
 
 /// The kernel.
 #[derive(Debug)]
-pub struct Splat(Kernel);
+pub struct Splat(Program);
 
 impl Splat {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("splat").map(Self)
+        kernels.build::<R>("splat").map(Self)
     }
 
     /// Composites the sorted pairs of a view over a background colour.
@@ -26,11 +26,11 @@ impl Splat {
         background: [f32; 3],
     ) -> Result<()> {
         self.0
-            .launch()
+            .launch("splat")
             .tile_lists(view, camera)
             .tiles(camera)
             .reals::<R>(background.map(f64::from))
-            .array(&view.image, 4 * camera.plane())
+            .array(&view.image, 4 * camera.image().plane())
             .array(&view.tile_used, camera.tile_count())
             .over_tiles(camera)
     }

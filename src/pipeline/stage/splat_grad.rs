@@ -1,7 +1,7 @@
 //! Derivative of the compositing (`kernels/splat_grad.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernel, Kernels, Real};
+use crate::device::{Array, CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options};
@@ -10,12 +10,12 @@ use crate::pipeline::stage::splat::{contributions, list_at};
 
 /// The kernel.
 #[derive(Debug)]
-pub struct SplatGrad(Kernel);
+pub struct SplatGrad(Program);
 
 impl SplatGrad {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.one::<R>("splat_grad").map(Self)
+        kernels.build::<R>("splat_grad").map(Self)
     }
 
     /// Writes nine sums for each pair of the view composited last, from the gradient of the loss by its image.
@@ -26,12 +26,12 @@ impl SplatGrad {
         dimage: &Array<R>,
     ) -> Result<()> {
         self.0
-            .launch()
+            .launch("splat_grad")
             .tile_lists(view, camera)
             .array(&view.tile_used, camera.tile_count())
             .tiles(camera)
-            .array(&view.image, 4 * camera.plane())
-            .array(dimage, 3 * camera.plane())
+            .array(&view.image, 4 * camera.image().plane())
+            .array(dimage, 3 * camera.image().plane())
             .array(&view.sums, 1)
             .over_tiles(camera)
     }
