@@ -22,7 +22,7 @@ use crate::run::report::gallery::{GalleryItem, error_map};
 use crate::run::report::page::write_report;
 use crate::run::start;
 use crate::scene::{Gaussians, ply};
-use crate::train::plan::Decision;
+use crate::train::plan::Part;
 use crate::train::{DensityEvent, Event, Plan, Trainer};
 
 /// Held-out views shown in the report.
@@ -296,7 +296,7 @@ impl Run {
         self.report()
     }
 
-    fn progress(&self, decision: Option<&Decision>) -> Progress {
+    fn progress(&self, decision: Option<&Part>) -> Progress {
         Progress {
             iteration: self.trainer.iteration(),
             iterations: self.config.iterations,

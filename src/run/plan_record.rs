@@ -27,14 +27,14 @@ impl PlanRecord {
     #[must_use]
     pub fn of(plan: &Plan) -> Self {
         let mut record = Self::default();
-        for (part, kept, why) in plan.parts() {
-            let list = match kept {
+        for part in plan.parts() {
+            let list = match part.kept {
                 true => &mut record.kept,
                 false => &mut record.left_out,
             };
             list.push(Item {
-                what: part.to_string(),
-                why: why.to_string(),
+                what: part.name.to_owned(),
+                why: part.why.clone(),
             });
         }
         record
@@ -54,7 +54,7 @@ impl PlanRecord {
             some.then(|| format!("{label}: {}", items.join("; ")))
         };
         let lines = [line("kept", &kept), line("left out", &out)];
-        let lines: Vec<String> = lines.into_iter().flatten().collect();
+        let lines = lines.into_iter().flatten().collect::<Vec<_>>();
         (!lines.is_empty()).then(|| format!("found in training: {}", lines.join("; ")))
     }
 
