@@ -6,8 +6,7 @@ use serde::Serialize;
 
 use crate::base::error::{Error, Result};
 use crate::lab::compare::curve::Curve;
-use crate::run::metrics::METRICS_FILE;
-use crate::run::{MetricsRow, RECORD_FILE, RunRecord, read_rows};
+use crate::run::{METRICS_FILE, MetricsRow, RECORD_FILE, RunRecord, read_rows};
 
 /// A clock to compare runs by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Default, clap::ValueEnum)]
@@ -142,7 +141,7 @@ fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
     missing(RECORD_FILE)?;
     missing(METRICS_FILE)?;
     let record = RunRecord::read(dir)?;
-    let rows = read_rows(dir.join(METRICS_FILE))?;
+    let rows = read_rows::<MetricsRow>(dir.join(METRICS_FILE))?;
     let rows: Vec<_> = rows.into_iter().filter(|r| r.psnr.is_some()).collect();
     let name = dir.display();
     if rows.is_empty() {

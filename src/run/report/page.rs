@@ -8,11 +8,10 @@ use std::path::Path;
 
 use crate::base::error::Result;
 use crate::chart::text::{escape, fixed, grouped, span};
-use crate::run::density_log::DensityRow;
-use crate::run::metrics::MetricsRow;
 use crate::run::record::{FinalRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use crate::run::report::{panels, settings};
+use crate::run::table::{DensityRow, MetricsRow};
 
 /// Name of the page in the run folder.
 pub const REPORT_FILE: &str = "report.html";

@@ -8,9 +8,8 @@ use crate::chart::svg::{Banded, band_chart};
 use crate::chart::text::{escape, fixed, grouped, span};
 use crate::config::Sampler;
 use crate::density::DensityStats;
-use crate::run::density_log::DensityRow;
-use crate::run::metrics::MetricsRow;
 use crate::run::record::RunRecord;
+use crate::run::table::{DensityRow, MetricsRow};
 
 const TIME: Axis<'static> = Axis::from_zero("training time", Scale::Seconds);
 const ITERATION: Axis<'static> = number("iteration");
