@@ -110,7 +110,7 @@ fn page_shows_the_run() {
         "fine",
         "splat_grad",
         "IMG_0008.jpg",
-        "mhsplat train scenes/plush --iterations 7000 --seed 18446744073709551615 --time-budget 600s --init &#39;a b/scene.ply&#39; --background white",
+        "mhsplat train scenes/plush --background white --init &#39;a b/scene.ply&#39; --iterations 7000 --seed 18446744073709551615 --time-budget 600.0",
     ];
     for text_shown in shown {
         assert!(text.contains(text_shown), "{text_shown}");

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use crate::base::error::Result;
 use crate::chart::text::{escape, fixed, grouped, span};
+use crate::run::plan_record::{Item, PlanRecord};
 use crate::run::record::{FinalRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use crate::run::report::{panels, settings};
@@ -33,7 +34,7 @@ pub fn write_report(
     panels::quality(&mut body, rows, density);
     panels::density_control(&mut body, record.config.sampler, density);
     panels::stages(&mut body, record);
-    plan(&mut body, record);
+    plan(&mut body, &record.plan);
     views(&mut body, gallery)?;
     scores(&mut body, record.final_scores.as_ref());
     settings::section(&mut body, record, run_dir);
@@ -120,16 +121,12 @@ fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'stat
     let decibels = |v: f64| format!("{} <small>dB</small>", fixed(v, 2));
     let last = scores.map(|f| (f.psnr, f.ssim));
     let last = last.or_else(|| rows.iter().rev().find_map(|r| r.psnr.zip(r.ssim)));
-    let (psnr, ssim) = last.map_or_else(
-        || ("–".to_owned(), "–".to_owned()),
-        |(p, s)| (decibels(p), fixed(s, 4)),
-    );
     let flip = scores.and_then(|f| f.flip);
-    let flip = flip.map_or_else(|| "–".to_owned(), |v| fixed(v, 4));
+    let dash = || "–".to_owned();
     let mut heads = vec![
-        ("PSNR, held-out", psnr),
-        ("SSIM, held-out", ssim),
-        ("FLIP, held-out", flip),
+        ("PSNR, held-out", last.map_or_else(dash, |l| decibels(l.0))),
+        ("SSIM, held-out", last.map_or_else(dash, |l| fixed(l.1, 4))),
+        ("FLIP, held-out", flip.map_or_else(dash, |v| fixed(v, 4))),
     ];
     if let Some((psnr, ssim)) = scores.and_then(|f| f.cc_psnr.zip(f.cc_ssim)) {
         heads.push(("PSNR, colour-corrected", decibels(psnr)));
@@ -138,29 +135,20 @@ fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'stat
     heads
 }
 
-fn plan(out: &mut String, record: &RunRecord) {
-    let table = |out: &mut String, items: &[crate::run::plan_record::Item]| {
-        out.push_str("<table>");
-        for item in items {
-            let (what, why) = (escape(&item.what), escape(&item.why));
-            let _ = write!(out, "<tr><th>{what}</th><td>{why}</td></tr>");
-        }
-        out.push_str("</table>");
-    };
-    let plan = &record.plan;
+fn plan(out: &mut String, plan: &PlanRecord) {
+    fn rows(items: &[Item]) -> impl Iterator<Item = (&str, &str)> {
+        items.iter().map(|i| (&*i.what, &*i.why))
+    }
     out.push_str("<h2>Left out, and why</h2>\n");
     if plan.left_out.is_empty() {
         out.push_str("<p class=note>Nothing.</p>");
     } else {
-        table(out, &plan.left_out);
+        settings::table(out, rows(&plan.left_out));
     }
     if !plan.kept.is_empty() {
-        let _ = write!(
-            out,
-            "<details><summary>Kept ({})</summary>",
-            plan.kept.len()
-        );
-        table(out, &plan.kept);
+        let count = plan.kept.len();
+        let _ = write!(out, "<details><summary>Kept ({count})</summary>");
+        settings::table(out, rows(&plan.kept));
         out.push_str("</details>");
     }
     out.push('\n');

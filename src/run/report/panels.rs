@@ -28,8 +28,9 @@ fn points<R>(rows: &[R], x: impl Fn(&R) -> f64, y: impl Fn(&R) -> Option<f64>) -
         .collect()
 }
 
-fn single(points: Vec<(f64, f64)>) -> [Banded; 1] {
-    [Banded::line("", points)]
+/// Writes a chart of a single line.
+fn line(out: &mut String, title: &str, x: Axis<'_>, y: Axis<'_>, points: Vec<(f64, f64)>) {
+    out.push_str(&band_chart(title, &x, &y, &[Banded::line("", points)]));
 }
 
 /// Charts of scores, number of Gaussians and loss.
@@ -37,49 +38,33 @@ pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityR
     let time = |r: &MetricsRow| r.train_seconds;
     let iteration = |r: &MetricsRow| f64::from(r.iteration);
     out.push_str("<h2>Quality on held-out views</h2><div class=charts>\n");
-    let psnr = |r: &MetricsRow| r.psnr;
-    let ssim = |r: &MetricsRow| r.ssim;
-    let charts = [
-        ("PSNR against time", TIME, PSNR, points(rows, time, psnr)),
-        (
-            "PSNR against iterations",
+    type Score = fn(&MetricsRow) -> Option<f64>;
+    let scores: [(&str, Axis<'_>, Score); 2] =
+        [("PSNR", PSNR, |r| r.psnr), ("SSIM", SSIM, |r| r.ssim)];
+    for (name, y, score) in scores {
+        let [over_time, over_steps] = ["time", "iterations"].map(|x| format!("{name} against {x}"));
+        line(out, &over_time, TIME, y, points(rows, time, score));
+        line(
+            out,
+            &over_steps,
             ITERATION,
-            PSNR,
-            points(rows, iteration, psnr),
-        ),
-        ("SSIM against time", TIME, SSIM, points(rows, time, ssim)),
-        (
-            "SSIM against iterations",
-            ITERATION,
-            SSIM,
-            points(rows, iteration, ssim),
-        ),
-    ];
-    for (title, x, y, points) in charts {
-        out.push_str(&band_chart(title, &x, &y, &single(points)));
+            y,
+            points(rows, iteration, score),
+        );
     }
     out.push_str("</div>\n<h2>Gaussians and loss</h2><div class=charts>\n");
     // Density steps come more often than evaluations; evaluations also cover the time without density control.
     let mut counts = points(rows, time, |r| Some(r.gaussians as f64));
-    counts.extend(points(
-        density,
-        |r| r.train_seconds,
-        |r| Some(r.gaussians as f64),
-    ));
+    counts.extend(
+        density
+            .iter()
+            .map(|r| (r.train_seconds, r.gaussians as f64)),
+    );
     counts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    out.push_str(&band_chart(
-        "Gaussians against time",
-        &TIME,
-        &number("Gaussians"),
-        &single(counts),
-    ));
+    let gaussians = number("Gaussians");
+    line(out, "Gaussians against time", TIME, gaussians, counts);
     let loss = points(rows, time, |r| r.loss);
-    out.push_str(&band_chart(
-        "Training loss",
-        &TIME,
-        &number("loss"),
-        &single(loss),
-    ));
+    line(out, "Training loss", TIME, number("loss"), loss);
     out.push_str("</div>\n");
 }
 
@@ -139,37 +124,23 @@ fn acceptance(out: &mut String, density: &[DensityRow]) {
 
 fn voxels(out: &mut String, density: &[DensityRow]) {
     let voxels = points(density, step_of, |r| Some(r.stats.occupied_voxels as f64));
-    out.push_str(&band_chart(
-        "Occupied voxels",
-        &ITERATION,
-        &number("voxels"),
-        &single(voxels),
-    ));
+    let unit = number("voxels");
+    line(out, "Occupied voxels", ITERATION, unit, voxels);
     // D is the mean over the proposals, so a step without proposals has none.
     let prior = points(density, step_of, |r| {
         (r.stats.proposed > 0).then_some(r.stats.mean_prior)
     });
-    out.push_str(&band_chart(
-        "Mean voxel prior D",
-        &ITERATION,
-        &number("D"),
-        &single(prior),
-    ));
+    line(out, "Mean voxel prior D", ITERATION, number("D"), prior);
 }
 
 fn resets(out: &mut String, density: &[DensityRow]) {
     let mut sum = 0;
-    let so_far = points(density, step_of, |r| Some(r.stats.opacity_resets as f64));
-    let so_far = so_far.into_iter().map(|(at, n)| {
-        sum += n as u64;
-        (at, sum as f64)
+    let so_far = density.iter().map(|r| {
+        sum += r.stats.opacity_resets;
+        (step_of(r), sum as f64)
     });
-    out.push_str(&band_chart(
-        "Opacity resets so far",
-        &ITERATION,
-        &number("resets"),
-        &single(so_far.collect()),
-    ));
+    let (so_far, unit) = (so_far.collect(), number("resets"));
+    line(out, "Opacity resets so far", ITERATION, unit, so_far);
 }
 
 /// Chart and table of the time by stage.
