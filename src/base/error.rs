@@ -71,11 +71,30 @@ impl Error {
         }
     }
 
+    /// An [`Error::Config`] about `option` unless `good`.
+    ///
+    /// # Errors
+    /// That one.
+    pub fn unless(good: bool, option: &str, what: &str) -> Result<()> {
+        match good {
+            true => Ok(()),
+            false => Err(Self::config(option, what)),
+        }
+    }
+
     /// An [`Error::Io`] about `path`.
     pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
         Self::Io {
             path: path.as_ref().to_path_buf(),
             source,
+        }
+    }
+
+    /// An [`Error::Numerics`] noticed in `stage`.
+    pub fn numerics(stage: impl Into<String>, what: impl fmt::Display) -> Self {
+        Self::Numerics {
+            stage: stage.into(),
+            what: what.to_string(),
         }
     }
 
