@@ -99,7 +99,7 @@ fn is_zero(n: &u64) -> bool {
 }
 
 /// The whole of `run.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct RunRecord {
     /// Version of this package.
     pub version: String,
@@ -165,19 +165,8 @@ impl RunRecord {
             config,
             dataset,
             device,
-            stalled: None,
             plan,
-            iterations: 0,
-            gaussians: 0,
-            removed: 0,
-            train_seconds: 0.0,
-            wall_seconds: 0.0,
-            cpu_seconds: 0.0,
-            peak_rss_bytes: 0,
-            photos: PhotoStats::default(),
-            stages: Vec::new(),
-            density: DensityStats::default(),
-            final_scores: None,
+            ..Self::default()
         }
     }
 
@@ -186,10 +175,7 @@ impl RunRecord {
     /// # Errors
     /// [`Error::Numerics`] when a number is not finite.
     pub fn to_json(&self) -> Result<String> {
-        let numerics = |what: String| Error::Numerics {
-            stage: RECORD_FILE.to_owned(),
-            what,
-        };
+        let numerics = |what: String| Error::numerics(RECORD_FILE, what);
         let scores = self.final_scores.iter();
         let of_views = scores.flat_map(|f| {
             let views = f.per_view.iter().map(|v| [v.flip, v.cc_psnr, v.cc_ssim]);

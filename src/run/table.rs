@@ -178,10 +178,7 @@ pub fn read_rows<R: Row>(path: impl AsRef<Path>) -> Result<Vec<R>> {
 
 /// The line of a row. Numbers are written as `Display` spells them: the shortest digits that read back as the same bits.
 fn line<R: Row>(path: &Path, row: &R) -> Result<String> {
-    let refused = |what: String| Error::Numerics {
-        stage: path.display().to_string(),
-        what,
-    };
+    let refused = |what: String| Error::numerics(path.display().to_string(), what);
     let mut writer = WriterBuilder::new()
         .has_headers(false)
         .from_writer(Vec::new());
