@@ -6,7 +6,7 @@ use crate::cli::{common, output};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
 use mhsplat::capture::{Dataset, Frame, LoadOptions};
-use mhsplat::config::Background;
+use mhsplat::config::{Background, TrainConfig};
 use mhsplat::device::{Defines, Device};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::Renderer;
@@ -33,11 +33,8 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
             "give a PLY file or the folder of a finished run",
         ));
     }
-    let record = if path.join(RECORD_FILE).exists() {
-        Some(RunRecord::read(path)?)
-    } else {
-        None
-    };
+    let recorded = path.join(RECORD_FILE).exists();
+    let record = recorded.then(|| RunRecord::read(path)).transpose()?;
     Ok((ply, record))
 }
 
@@ -50,20 +47,24 @@ pub fn dataset(
     test_every: Option<u32>,
     alpha_is_mask: bool,
 ) -> Result<Dataset> {
-    let defaults = LoadOptions::default();
-    let options = LoadOptions {
-        max_size: max_size
-            .or(record.map(|r| r.config.max_size))
-            .unwrap_or(defaults.max_size),
-        test_every: test_every
-            .or(record.map(|r| r.config.test_every))
-            .unwrap_or(defaults.test_every),
-        image_budget: None,
-        alpha_is_mask: alpha_is_mask || record.is_some_and(|r| r.config.alpha_is_mask),
-    };
-    let data = capture::load(path, &options)?;
+    let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
+    config.max_size = max_size.unwrap_or(config.max_size);
+    config.test_every = test_every.unwrap_or(config.test_every);
+    config.image_budget = None;
+    config.alpha_is_mask |= alpha_is_mask;
+    let data = capture::load(path, &load_options(&config))?;
     note_left_out(&data);
     Ok(data)
+}
+
+/// Returns what a configuration says about reading a dataset.
+pub fn load_options(config: &TrainConfig) -> LoadOptions {
+    LoadOptions {
+        max_size: config.max_size,
+        test_every: config.test_every,
+        image_budget: config.image_budget,
+        alpha_is_mask: config.alpha_is_mask,
+    }
 }
 
 /// Notes the images of a dataset that are left out, and why.

@@ -115,14 +115,3 @@ impl Evaluator {
         Ok(())
     }
 }
-
-/// Mean colour-corrected PSNR and SSIM; `None` if a view has none.
-#[must_use]
-pub fn mean_corrected(scores: &[ViewScore]) -> Option<(f64, f64)> {
-    let all: Option<Vec<(f64, f64)>> = scores.iter().map(|s| s.cc_psnr.zip(s.cc_ssim)).collect();
-    let n = scores.len() as f64;
-    all.filter(|v| !v.is_empty()).map(|v| {
-        let sum = |of: fn(&(f64, f64)) -> f64| v.iter().map(of).sum::<f64>() / n;
-        (sum(|s| s.0), sum(|s| s.1))
-    })
-}

@@ -154,23 +154,3 @@ fn counting(mask: &[f32], planes: &mut [f32]) {
 pub fn psnr(mse: f64) -> f64 {
     (-10.0 * mse.log10()).min(MAX_PSNR)
 }
-
-/// Mean PSNR and mean SSIM; `None` without views.
-#[must_use]
-pub fn mean(scores: &[ViewScore]) -> Option<(f64, f64)> {
-    let n = scores.len() as f64;
-    (!scores.is_empty()).then(|| {
-        (
-            scores.iter().map(|s| s.psnr).sum::<f64>() / n,
-            scores.iter().map(|s| s.ssim).sum::<f64>() / n,
-        )
-    })
-}
-
-/// Mean ꟻLIP; `None` without views, or if a view has none.
-#[must_use]
-pub fn mean_flip(scores: &[ViewScore]) -> Option<f64> {
-    let all: Option<Vec<f64>> = scores.iter().map(|s| s.flip).collect();
-    all.filter(|v| !v.is_empty())
-        .map(|v| v.iter().sum::<f64>() / v.len() as f64)
-}

@@ -8,8 +8,7 @@ use crate::base::error::{Error, Result};
 use crate::capture::{Dataset, Frame};
 use crate::config::TrainConfig;
 use crate::device::{Defines, Device};
-use crate::evaluate::color::mean_corrected;
-use crate::evaluate::{Evaluator, mean, mean_flip};
+use crate::evaluate::Evaluator;
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::run::checkpoint::{self, Checkpoint};
@@ -366,15 +365,7 @@ impl Run {
         if last && compensates {
             evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
         }
-        let corrected = mean_corrected(&scores);
-        Ok(mean(&scores).map(|(psnr, ssim)| FinalRecord {
-            psnr,
-            ssim,
-            flip: mean_flip(&scores),
-            cc_psnr: corrected.map(|c| c.0),
-            cc_ssim: corrected.map(|c| c.1),
-            per_view: scores,
-        }))
+        Ok(FinalRecord::of(scores))
     }
 
     fn write_record(&mut self) -> Result<()> {

@@ -92,6 +92,26 @@ pub struct FinalRecord {
     pub per_view: Vec<ViewScore>,
 }
 
+impl FinalRecord {
+    /// The scores of the views with their means, each of which needs the score of every view; `None` without views.
+    #[must_use]
+    pub fn of(per_view: Vec<ViewScore>) -> Option<Self> {
+        let mean = |score: fn(&ViewScore) -> Option<f64>| {
+            let scores: Option<Vec<f64>> = per_view.iter().map(score).collect();
+            let scores = scores.filter(|s| !s.is_empty())?;
+            Some(scores.iter().sum::<f64>() / scores.len() as f64)
+        };
+        Some(Self {
+            psnr: mean(|s| Some(s.psnr))?,
+            ssim: mean(|s| Some(s.ssim))?,
+            flip: mean(|s| s.flip),
+            cc_psnr: mean(|s| s.cc_psnr),
+            cc_ssim: mean(|s| s.cc_ssim),
+            per_view,
+        })
+    }
+}
+
 // serde hands over a reference.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn is_zero(n: &u64) -> bool {
