@@ -16,7 +16,6 @@ pub mod checkpoint;
 pub mod clock;
 mod drive;
 mod patience;
-pub mod plan_record;
 pub mod record;
 pub mod report;
 mod start;
@@ -24,8 +23,8 @@ pub mod table;
 
 pub use clock::{Clock, Reading};
 pub use drive::{Progress, Run};
-pub use plan_record::{Item, PlanRecord};
-pub use record::{DatasetRecord, DeviceRecord, FinalRecord, RECORD_FILE, RunRecord, StageRecord};
+pub use record::{DatasetRecord, DeviceRecord, FinalRecord, Item, PlanRecord};
+pub use record::{RECORD_FILE, RunRecord, StageRecord};
 pub use report::gallery::{GalleryItem, error_map};
 pub use report::page::write_report;
 pub use start::{abandon_folder, claim_folder, initial_gaussians, saved_config};

@@ -10,7 +10,7 @@ use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
 use crate::evaluate::ViewScore;
 use crate::pipeline::photos::PhotoStats;
-use crate::run::plan_record::PlanRecord;
+use crate::train::Plan;
 
 /// Name of the record in the run folder.
 pub const RECORD_FILE: &str = "run.json";
@@ -59,6 +59,67 @@ pub struct DeviceRecord {
     /// Tuning of the kernels for it; not in records of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tuning: Option<Tuning>,
+}
+
+/// A part of the work with the reason why it is kept or left out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Item {
+    /// Name of the part.
+    pub what: String,
+    /// Reason.
+    pub why: String,
+}
+
+/// A plan in words.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct PlanRecord {
+    /// Parts that are computed.
+    pub kept: Vec<Item>,
+    /// Parts that are not, and cost nothing.
+    pub left_out: Vec<Item>,
+}
+
+impl PlanRecord {
+    /// The words for a plan.
+    #[must_use]
+    pub fn of(plan: &Plan) -> Self {
+        let mut record = Self::default();
+        for part in plan.parts() {
+            let list = match part.kept {
+                true => &mut record.kept,
+                false => &mut record.left_out,
+            };
+            list.push(Item {
+                what: part.name.to_owned(),
+                why: part.why.clone(),
+            });
+        }
+        record
+    }
+
+    /// One line on everything that is new since an earlier record; `None` if nothing is.
+    #[must_use]
+    pub fn since(&self, earlier: &Self) -> Option<String> {
+        let new = |label: &str, items: &[Item], old: &[Item]| {
+            let fresh = items.iter().filter(|i| !old.contains(i));
+            let fresh: Vec<_> = fresh.map(|i| format!("{}: {}", i.what, i.why)).collect();
+            (!fresh.is_empty()).then(|| format!("{label}: {}", fresh.join("; ")))
+        };
+        let kept = new("kept", &self.kept, &earlier.kept);
+        let out = new("left out", &self.left_out, &earlier.left_out);
+        let lines: Vec<String> = kept.into_iter().chain(out).collect();
+        (!lines.is_empty()).then(|| format!("found in training: {}", lines.join("; ")))
+    }
+
+    /// One line for the terminal.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let kept: Vec<&str> = self.kept.iter().map(|i| i.what.as_str()).collect();
+        let because = |i: &Item| format!("{}, because {}", i.what, i.why);
+        let out: Vec<String> = self.left_out.iter().map(because).collect();
+        let label = if out.is_empty() { "" } else { "; left out: " };
+        format!("plan: {}{label}{}", kept.join(", "), out.join("; "))
+    }
 }
 
 /// Time spent in one stage over the run.

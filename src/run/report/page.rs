@@ -8,8 +8,7 @@ use std::path::Path;
 
 use crate::base::error::Result;
 use crate::chart::text::{escape, fixed, grouped, span};
-use crate::run::plan_record::{Item, PlanRecord};
-use crate::run::record::{FinalRecord, RunRecord};
+use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use crate::run::report::{panels, settings};
 use crate::run::table::{DensityRow, MetricsRow};
