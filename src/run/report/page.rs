@@ -8,6 +8,7 @@ use std::path::Path;
 
 use crate::base::error::Result;
 use crate::chart::text::{escape, fixed, grouped, span};
+use crate::evaluate::ViewScore;
 use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use crate::run::report::{panels, settings};
@@ -201,41 +202,39 @@ fn scores(out: &mut String, scores: Option<&FinalRecord>) {
     let Some(scores) = scores.filter(|s| !s.per_view.is_empty()) else {
         return;
     };
+    type Score = fn(&ViewScore) -> Option<f64>;
+    let columns: [(&str, usize, Score); 5] = [
+        ("PSNR, dB", 2, |s| Some(s.psnr)),
+        ("SSIM", 4, |s| Some(s.ssim)),
+        ("FLIP", 4, |s| s.flip),
+        ("PSNR, colour-corrected, dB", 2, |s| s.cc_psnr),
+        ("SSIM, colour-corrected", 4, |s| s.cc_ssim),
+    ];
     let corrected = scores.per_view.iter().any(|s| s.cc_psnr.is_some());
-    let note = if corrected {
-        "<p class=note>Colour-corrected: after the affine fit of the render's colours to the photo's; a held-out view has no \
-         exposure of its own.</p>"
-    } else {
-        ""
+    let (columns, note) = match corrected {
+        true => (
+            &columns[..],
+            "<p class=note>Colour-corrected: after the affine fit of the render's colours to the photo's; a held-out view has no \
+             exposure of its own.</p>",
+        ),
+        false => (&columns[..3], ""),
     };
+    let count = scores.per_view.len();
     let _ = write!(
         out,
-        "<details><summary>Scores of all {} held-out views</summary>{note}<table>\
-         <tr><th>view</th><th class=n>PSNR, dB</th><th class=n>SSIM</th><th class=n>FLIP</th>",
-        scores.per_view.len()
+        "<details><summary>Scores of all {count} held-out views</summary>{note}<table><tr><th>view</th>"
     );
-    if corrected {
-        out.push_str(
-            "<th class=n>PSNR, colour-corrected, dB</th><th class=n>SSIM, colour-corrected</th>",
-        );
+    for (title, _, _) in columns {
+        let _ = write!(out, "<th class=n>{title}</th>");
     }
     out.push_str("</tr>");
     for score in &scores.per_view {
-        let figure = |v: Option<f64>, decimals| fixed(v.unwrap_or(f64::NAN), decimals);
-        let mut row = vec![
-            fixed(score.psnr, 2),
-            fixed(score.ssim, 4),
-            figure(score.flip, 4),
-        ];
-        if corrected {
-            row.extend([figure(score.cc_psnr, 2), figure(score.cc_ssim, 4)]);
+        let _ = write!(out, "<tr><td>{}</td>", escape(&score.view));
+        for (_, decimals, of) in columns {
+            let figure = fixed(of(score).unwrap_or(f64::NAN), *decimals);
+            let _ = write!(out, "<td class=n>{figure}</td>");
         }
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td class=n>{}</td></tr>",
-            escape(&score.view),
-            row.join("</td><td class=n>")
-        );
+        out.push_str("</tr>");
     }
     out.push_str("</table></details>\n");
 }

@@ -17,10 +17,6 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
         escape(&command(record, run_dir))
     );
     let (dataset, device) = (&record.dataset, &record.device);
-    let memory = match record.peak_rss_bytes {
-        0 => "not measured".to_owned(),
-        bytes => format!("{:.0} MiB", bytes as f64 / (1024.0 * 1024.0)),
-    };
     let facts = [
         ("dataset", &*dataset.path),
         ("layout", &dataset.layout),
@@ -33,7 +29,6 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
             &format!("{} ({})", record.version, record.commit),
         ),
         ("whole run", &span(record.wall_seconds)),
-        ("peak memory", &memory),
         ("density control", &density_control(record)),
     ];
     table(out, facts);
