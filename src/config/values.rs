@@ -146,7 +146,7 @@ pub fn parse_duration(s: &str) -> Result<f64, &'static str> {
             "h" => 3600.0,
             _ => 1.0,
         };
-        // What else f64 reads ("1e3", "inf") is no time.
+        // Other spellings that f64 reads ("1e3", "inf") are no times.
         let plain = number.chars().all(|c| c.is_ascii_digit() || c == '.');
         let number = number.parse::<f64>().ok().filter(|_| plain);
         total += unit * number.ok_or(wrong)?;

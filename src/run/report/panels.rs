@@ -3,8 +3,7 @@
 use std::fmt::Write;
 
 use crate::chart::axis::{Axis, Scale};
-use crate::chart::bars::{Bar, bar_chart};
-use crate::chart::svg::{Banded, band_chart};
+use crate::chart::svg::{Banded, Bar, band_chart, bar_chart};
 use crate::chart::text::{escape, fixed, grouped, span};
 use crate::config::Sampler;
 use crate::density::DensityStats;
