@@ -23,28 +23,17 @@ pub(crate) enum Scalar {
 }
 
 impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    const fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
+    /// Both names of every type, and its size in bytes.
+    const ALL: [(&str, &str, Self, usize); 8] = [
+        ("char", "int8", Self::I8, 1),
+        ("uchar", "uint8", Self::U8, 1),
+        ("short", "int16", Self::I16, 2),
+        ("ushort", "uint16", Self::U16, 2),
+        ("int", "int32", Self::I32, 4),
+        ("uint", "uint32", Self::U32, 4),
+        ("float", "float32", Self::F32, 4),
+        ("double", "float64", Self::F64, 8),
+    ];
 
     /// The little-endian value at the start of `bytes`; `None` if they are too few.
     fn read(self, bytes: &[u8]) -> Option<f64> {
@@ -316,7 +305,8 @@ fn add_property(path: &Path, element: &mut Element, words: &[&str]) -> Result<()
     match words {
         ["list", ..] => element.has_list = true,
         [scalar, name] => {
-            let Some(scalar) = Scalar::parse(scalar) else {
+            let found = Scalar::ALL.iter().find(|t| [t.0, t.1].contains(scalar));
+            let Some(&(_, _, scalar, size)) = found else {
                 let what = format!("property {name} has the unknown type {scalar}");
                 return Err(bad(path, what));
             };
@@ -325,7 +315,7 @@ fn add_property(path: &Path, element: &mut Element, words: &[&str]) -> Result<()
                 scalar,
                 offset: element.stride,
             });
-            element.stride += scalar.size();
+            element.stride += size;
         }
         _ => return Err(bad(path, format!("property {words:?} is not understood"))),
     }

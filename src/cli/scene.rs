@@ -69,31 +69,21 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
 
 /// Notes the images of a dataset that are left out, and why.
 pub fn note_left_out(data: &Dataset) {
-    for (names, one, more) in [
-        (
-            &data.missing,
-            "image is named by the dataset but missing",
-            "images are named by the dataset but missing",
-        ),
-        (
-            &data.masked_out,
-            "image is masked out completely",
-            "images are masked out completely",
-        ),
-        (
-            &data.outliers,
-            "image has a camera far from all others (a wrong pose?)",
-            "images have cameras far from all others (wrong poses?)",
-        ),
+    let are = ["image is", "images are"];
+    let have = ["image has a camera", "images have cameras"];
+    for (names, subject, what) in [
+        (&data.missing, are, "named by the dataset but missing"),
+        (&data.masked_out, are, "masked out completely"),
+        (&data.outliers, have, "far from all others (a wrong pose?)"),
     ] {
         if names.is_empty() {
             continue;
         }
-        let what = if names.len() == 1 { one } else { more };
+        let subject = subject[usize::from(names.len() > 1)];
         let some = names[..names.len().min(5)].join(", ");
         let dots = if names.len() > 5 { ", ..." } else { "" };
         let count = names.len();
-        output::note(&format!("left out: {count} {what}: {some}{dots}"));
+        output::note(&format!("left out: {count} {subject} {what}: {some}{dots}"));
     }
 }
 

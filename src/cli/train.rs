@@ -56,15 +56,11 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     if args.resume.is_none() {
         claim_folder(dir)?;
     }
-    let mut run = match prepare(args, dir, config, &device) {
-        Ok(run) => run,
-        Err(error) => {
-            if args.resume.is_none() {
-                abandon_folder(dir);
-            }
-            return Err(error);
+    let mut run = prepare(args, dir, config, &device).inspect_err(|_| {
+        if args.resume.is_none() {
+            abandon_folder(dir);
         }
-    };
+    })?;
     output::note(&format!(
         "device: {} ({})",
         device.info().name,
