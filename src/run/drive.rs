@@ -49,8 +49,6 @@ pub struct Run {
     dir: PathBuf,
     /// Position of the local frame in the dataset's own.
     frame: Frame,
-    /// [`Dataset::fingerprint`].
-    fingerprint: String,
     config: TrainConfig,
     trainer: Trainer,
     evaluator: Option<Evaluator>,
@@ -144,7 +142,7 @@ impl Run {
         saved: Option<Checkpoint>,
     ) -> Result<Self> {
         let record = start::record(&dataset, plan, device);
-        let (frame, fingerprint) = (dataset.frame, dataset.fingerprint());
+        let frame = dataset.frame;
         let splats = match &saved {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
             None => Cow::Owned(start::initial_gaussians(&dataset, plan)?),
@@ -172,7 +170,6 @@ impl Run {
         let mut run = Self {
             dir: dir.to_path_buf(),
             frame,
-            fingerprint,
             config: plan.config.clone(),
             trainer,
             evaluator,
@@ -408,7 +405,7 @@ impl Run {
                 state: self.trainer.state()?,
                 config: self.config.clone(),
                 clock: self.clock.reading(),
-                dataset: self.fingerprint.clone(),
+                dataset: self.record.dataset.fingerprint.clone().unwrap_or_default(),
                 tuning: self.trainer.tuning(),
                 stages: self.stage_times(),
             };

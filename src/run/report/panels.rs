@@ -7,7 +7,7 @@ use crate::chart::svg::{Banded, Bar, band_chart, bar_chart};
 use crate::chart::text::{escape, fixed, grouped, span};
 use crate::config::Sampler;
 use crate::density::DensityStats;
-use crate::run::record::RunRecord;
+use crate::run::record::{RunRecord, StageRecord};
 use crate::run::table::{DensityRow, MetricsRow};
 
 const TIME: Axis<'static> = Axis::from_zero("training time", Scale::Seconds);
@@ -145,20 +145,19 @@ fn resets(out: &mut String, density: &[DensityRow]) {
 /// Chart and table of the time by stage.
 pub(super) fn stages(out: &mut String, record: &RunRecord) {
     let total: f64 = record.stages.iter().map(|s| s.seconds).sum();
-    let bars: Vec<Bar> = record
-        .stages
-        .iter()
-        .map(|s| Bar {
+    let bar = |s: &StageRecord| {
+        let (share, seconds) = (s.seconds / total, digits(s.seconds));
+        let percent = fixed(100.0 * share, 1);
+        Bar {
             name: s.name.clone(),
             value: s.seconds,
-            text: match s.seconds / total {
-                share if share.is_finite() => {
-                    format!("{} s · {} %", digits(s.seconds), fixed(100.0 * share, 1))
-                }
-                _ => format!("{} s", digits(s.seconds)),
+            text: match share.is_finite() {
+                true => format!("{seconds} s · {percent} %"),
+                false => format!("{seconds} s"),
             },
-        })
-        .collect();
+        }
+    };
+    let bars: Vec<Bar> = record.stages.iter().map(bar).collect();
     out.push_str("<h2>Time by stage</h2><div class=charts>\n");
     out.push_str(&bar_chart("Seconds in each stage", &bars));
     if bars.is_empty() {
@@ -191,12 +190,10 @@ pub(super) fn stages(out: &mut String, record: &RunRecord) {
 
 /// A measured value with three digits or its whole part.
 fn digits(value: f64) -> String {
-    fixed(
-        value,
-        match value {
-            v if v < 10.0 => 2,
-            v if v < 100.0 => 1,
-            _ => 0,
-        },
-    )
+    let decimals = match value {
+        v if v < 10.0 => 2,
+        v if v < 100.0 => 1,
+        _ => 0,
+    };
+    fixed(value, decimals)
 }
