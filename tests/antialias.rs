@@ -19,7 +19,7 @@ use mhsplat::train::Trainer;
 
 /// True if the plan has the filters.
 fn filters(data: &mhsplat::Dataset, config: &TrainConfig) -> bool {
-    Plan::new(data, config).unwrap().anti_aliasing
+    Plan::new(data, config).unwrap().anti_aliasing.value
 }
 
 fn config(anti_aliasing: AntiAliasing, sampler: Sampler) -> TrainConfig {

@@ -18,6 +18,7 @@ use mhsplat::pipeline::stage::exposure::{exposed, unexposed};
 use mhsplat::run::{Clock, Progress, Run, RunRecord, checkpoint, initial_gaussians};
 use mhsplat::run::{FinalRecord, PlanRecord};
 use mhsplat::train::brightness::{GainSpread, compared, gain, spread};
+use mhsplat::train::reasons::Why;
 use mhsplat::{TrainConfig, Trainer};
 
 /// Gains of photos: so much as in a set taken with automatic exposure.
@@ -379,7 +380,7 @@ fn gains_are_found_under_outliers_and_their_spread_decides() {
     assert!(spread(&gains[..3]).is_none());
     let varied = GainSpread::new(7, &gains);
     assert!(varied.varies(), "{varied:?}");
-    assert!(varied.to_string().contains("9.9 %"));
+    assert!(Why::Gains(varied).to_string().contains("9.9 %"));
     assert!(!GainSpread::new(7, &[[1.0; 3]; 8]).varies());
     assert_eq!(compared(10, 250), [0, 2, 4, 6, 8]);
     assert_eq!(compared(1000, 30_000).len(), 64);

@@ -8,16 +8,12 @@ use crate::determinism::room;
 use mhsplat::capture::{Alpha, Camera, Dataset, Lens, Photo, PhotoSource, View};
 use mhsplat::config::AntiAliasing;
 use mhsplat::run::PlanRecord;
-use mhsplat::train::plan::Part;
+use mhsplat::train::plan::Decided;
 use mhsplat::train::sampling_rates::{MIN_SPREAD, MIN_SPREAD_WITHIN, Spreads};
 use mhsplat::{Plan, TrainConfig};
 
-fn decided(data: &Dataset, config: &TrainConfig) -> Part {
-    let plan = Plan::new(data, config).unwrap();
-    let mut parts = plan.parts().iter();
-    let part = parts.find(|p| p.name == "anti-aliasing").unwrap().clone();
-    assert_eq!(part.kept, plan.anti_aliasing);
-    part
+fn decided(data: &Dataset, config: &TrainConfig) -> Decided<bool> {
+    Plan::new(data, config).unwrap().anti_aliasing
 }
 
 fn record(data: &Dataset, config: &TrainConfig) -> PlanRecord {
@@ -54,15 +50,15 @@ fn auto_is_off_for_one_distance_and_on_for_two() {
     let [low, high] = spreads.map(|s| s.across.unwrap());
     assert!(low < 0.75 * MIN_SPREAD, "{low}");
     assert!(high > 1.25 * MIN_SPREAD, "{high}");
-    assert!(!decided(&plain, &auto).kept && decided(&apart, &auto).kept);
+    assert!(!decided(&plain, &auto).value && decided(&apart, &auto).value);
     let what = |items: &[mhsplat::run::Item]| items.iter().any(|i| i.what == "anti-aliasing");
     assert!(what(&record(&plain, &auto).left_out) && what(&record(&apart, &auto).kept));
     let set = |anti_aliasing| TrainConfig {
         anti_aliasing,
         ..TrainConfig::default()
     };
-    assert!(decided(&plain, &set(AntiAliasing::On)).kept);
-    assert!(!decided(&apart, &set(AntiAliasing::Off)).kept);
+    assert!(decided(&plain, &set(AntiAliasing::On)).value);
+    assert!(!decided(&apart, &set(AntiAliasing::Off)).value);
 }
 
 /// The room with half of its points brought towards the first camera, so that each view sees things near and far.
@@ -80,7 +76,7 @@ fn auto_is_on_where_views_see_near_and_far() {
     for view in &mut data.train {
         view.camera = first;
     }
-    assert!(!decided(&data, &auto).kept);
+    assert!(!decided(&data, &auto).value);
     let center = first.center();
     for p in data.points.positions.iter_mut().step_by(2) {
         let q = center + 0.1 * (DVec3::from_array(p.map(f64::from)) - center);
@@ -91,21 +87,21 @@ fn auto_is_on_where_views_see_near_and_far() {
     assert!((spreads.across.unwrap() - 1.0).abs() < 1e-6);
     assert!(spreads.within.unwrap() > 1.25 * MIN_SPREAD_WITHIN);
     let filters = decided(&data, &auto);
-    let why = filters.why;
+    let why = filters.why.to_string();
     assert!(
-        filters.kept && why.contains("within views (auto asks for 3 or more)"),
+        filters.value && why.contains("within views (auto asks for 3 or more)"),
         "{why}"
     );
     assert!(
         !why.contains("from view to view"),
         "only what meets its bar: {why}"
     );
-    let left_out = decided(&room(64), &auto).why;
+    let left_out = decided(&room(64), &auto).why.to_string();
     assert!(left_out.contains("from view to view") && left_out.contains("within views"));
     let mut two = data.clone();
     two.train.truncate(2);
     assert_eq!(Spreads::of(&two).across, None, "three views make a spread");
-    assert!(decided(&two, &auto).kept);
+    assert!(decided(&two, &auto).value);
     // The camera's own points, so that it sees all of them.
     let inside = |p: &[f32; 3]| {
         first
@@ -131,7 +127,7 @@ fn auto_is_on_where_views_see_near_and_far() {
     }
     data.points.positions.truncate(19);
     assert_eq!(Spreads::of(&data).within, None, "too few points");
-    assert!(!decided(&data, &auto).kept);
+    assert!(!decided(&data, &auto).value);
 }
 
 /// Views on a circle around the origin, every other one `factor` times as far; no points.
@@ -179,5 +175,5 @@ fn without_points_the_rates_are_compared_where_the_views_look() {
     }
     assert_eq!(across(&parallel), None);
     assert_eq!(Spreads::of(&parallel).within, None);
-    assert!(!decided(&parallel, &TrainConfig::default()).kept);
+    assert!(!decided(&parallel, &TrainConfig::default()).value);
 }

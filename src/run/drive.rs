@@ -21,7 +21,7 @@ use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::{Gaussians, ply};
-use crate::train::plan::Part;
+use crate::train::plan::Decision;
 use crate::train::{DensityEvent, Event, Plan, Trainer};
 
 /// Held-out views shown in the report.
@@ -253,7 +253,7 @@ impl Run {
         self.report()
     }
 
-    fn progress(&self, decision: Option<&Part>) -> Progress {
+    fn progress(&self, decision: Option<&Decision>) -> Progress {
         Progress {
             iteration: self.trainer.iteration(),
             iterations: self.config.iterations,

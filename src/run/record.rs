@@ -84,14 +84,14 @@ impl PlanRecord {
     #[must_use]
     pub fn of(plan: &Plan) -> Self {
         let mut record = Self::default();
-        for part in plan.parts() {
-            let list = match part.kept {
+        for (part, kept, why) in plan.parts() {
+            let list = match kept {
                 true => &mut record.kept,
                 false => &mut record.left_out,
             };
             list.push(Item {
-                what: part.name.to_owned(),
-                why: part.why.clone(),
+                what: part.to_string(),
+                why: why.to_string(),
             });
         }
         record

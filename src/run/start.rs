@@ -66,13 +66,13 @@ fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result
             "raise --max-gaussians",
         ));
     }
-    let filtered = anti_aliased && plan.anti_aliasing;
+    let filtered = anti_aliased && plan.anti_aliasing.value;
     let splats = if filtered {
         without_filter(&splats, dataset)?
     } else {
         splats
     };
-    let degree = splats.sh_degree().min(plan.sh_degree);
+    let degree = splats.sh_degree().min(plan.sh_degree.value);
     splats.with_sh_degree(degree)
 }
 

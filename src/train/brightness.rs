@@ -3,8 +3,6 @@
 //! A few training views are compared with their renders after some iterations. A render has what all photos have in common; the
 //! rest is the camera's automatic exposure and white balance.
 
-use std::fmt;
-
 use serde::{Deserialize, Serialize};
 
 use crate::base::math::median;
@@ -53,19 +51,6 @@ impl GainSpread {
     #[must_use]
     pub fn varies(&self) -> bool {
         f64::from(self.spread) > MAX_SPREAD
-    }
-}
-
-impl fmt::Display for GainSpread {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "after {} iterations the gains of {} photos over their renders spread by {:.1} %; on above {:.0} %",
-            self.iteration,
-            self.views,
-            100.0 * f64::from(self.spread),
-            100.0 * MAX_SPREAD
-        )
     }
 }
 

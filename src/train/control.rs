@@ -85,7 +85,7 @@ impl Control {
             (wanted == StatisticsKind::ScreenGradient).then(|| ScreenGrad::new::<f32>(kernels));
         let errors = matches!(wanted, StatisticsKind::Errors { .. })
             .then(|| Importance::new::<f32>(kernels));
-        let (device, degree) = (kernels.device(), plan.sh_degree);
+        let (device, degree) = (kernels.device(), plan.sh_degree.value);
         let defines = *kernels.defines();
         Ok(Self {
             noise: noise.transpose()?,

@@ -8,6 +8,7 @@ pub mod gaussians;
 mod observe;
 mod optimizer;
 pub mod plan;
+pub mod reasons;
 pub mod sampling_rates;
 pub mod schedule;
 pub mod smoothing;

@@ -23,7 +23,7 @@ impl Trainer {
     /// of at most 32 views, rendered over the background that does not change.
     pub fn recent_loss(&mut self) -> Result<Option<f64>> {
         self.settle()?;
-        if self.iteration > 0 && self.plan.random_background {
+        if self.iteration > 0 && self.plan.random_background.value {
             self.device.finish()?;
             self.device.collect_times(usize::MAX)?;
             let loss = self.steady_loss().map(Some);

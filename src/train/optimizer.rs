@@ -29,7 +29,7 @@ impl Optimizer {
     pub fn new(kernels: &Kernels, plan: &Plan) -> Result<Self> {
         let (o, l) = (&plan.config.optimizer, &plan.config.loss);
         let block = kernels.defines().tuning.update_block;
-        let planes = Plane::count(plan.sh_degree);
+        let planes = Plane::count(plan.sh_degree.value);
         Ok(Self {
             adam: Adam::new::<f32>(kernels)?,
             schedule: Schedule::new(&plan.config),

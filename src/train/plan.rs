@@ -14,33 +14,22 @@ use crate::config::{
 };
 use crate::scene::ply;
 use crate::train::brightness::GainSpread;
+use crate::train::reasons::{NO_CAMERA_SAW, Part, Why};
 use crate::train::sampling_rates::Spreads;
 use crate::train::schedule::Schedule;
 
-/// Part that a checkpoint may decide.
-const ANTI_ALIASING: &str = "anti-aliasing";
-/// Part that a checkpoint may decide.
-const PROGRESSIVE: &str = "progressive resolution";
-/// Part that training may decide.
-const EXPOSURE: &str = "per-image exposure";
-/// Reason why transparent photos have no exposure transforms.
-const NO_CAMERA_SAW: &str = "no camera saw the background that transparent photos are composited over, and a transform would change it, too";
-
-/// A part of the work with the reason why the plan keeps it or leaves it out.
+/// A decision and its reason.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Part {
-    /// Name of the part.
-    pub name: &'static str,
-    /// True if it is computed; otherwise it costs nothing.
-    pub kept: bool,
-    /// Reason.
-    pub why: String,
+pub struct Decided<T> {
+    /// Value to go by.
+    pub value: T,
+    /// Reason for it.
+    pub why: Why,
 }
 
-impl fmt::Display for Part {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let verb = if self.kept { "on" } else { "left out" };
-        write!(f, "{} is {verb}: {}", self.name, self.why)
+impl<T> Decided<T> {
+    fn new(value: T, why: Why) -> Self {
+        Self { value, why }
     }
 }
 
@@ -66,6 +55,26 @@ pub struct Learned {
     pub finished: Option<u32>,
 }
 
+/// A decision that training added to the plan.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Decision {
+    /// Exposure compensation, where the configuration leaves it open.
+    Exposure(Decided<Exposure>),
+    /// Gaussians removed because no training view shows them.
+    Unseen(Decided<u64>),
+}
+
+impl fmt::Display for Decision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (part, kept, why) = match self {
+            Self::Exposure(d) => (Part::Exposure, d.value != Exposure::Off, &d.why),
+            Self::Unseen(d) => (Part::Unseen, false, &d.why),
+        };
+        let verb = if kept { "on" } else { "left out" };
+        write!(f, "{part} is {verb}: {why}")
+    }
+}
+
 /// Decisions of one run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
@@ -74,19 +83,21 @@ pub struct Plan {
     /// Meaning of the photos' alpha plane.
     pub alpha: Alpha,
     /// Another background colour in each iteration.
-    pub random_background: bool,
+    pub random_background: Decided<bool>,
     /// Mip-Splatting's 2D and 3D filters.
-    pub anti_aliasing: bool,
+    pub anti_aliasing: Decided<bool>,
     /// Halvings of the photos at the start of the run.
-    pub halvings: u32,
+    pub halvings: Decided<u32>,
     /// Per-image exposure compensation.
-    pub exposure: Exposure,
+    pub exposure: Decided<Exposure>,
     /// Highest SH degree.
-    pub sh_degree: u32,
+    pub sh_degree: Decided<u32>,
     /// Loss left out of tiles that are blank in render and photo.
-    pub skip_blank: bool,
-    /// Parts of the work, in the order of a run.
-    parts: Vec<Part>,
+    pub skip_blank: Decided<bool>,
+    /// Gaussians removed at the end because no training view shows them; `None` before the end.
+    pub unseen: Option<Decided<u64>>,
+    /// Parts that dataset or configuration switch and nobody else asks for.
+    facts: Vec<(Part, Decided<bool>)>,
 }
 
 impl Plan {
@@ -97,33 +108,24 @@ impl Plan {
     pub fn new(dataset: &Dataset, config: &TrainConfig) -> Result<Self> {
         config.validate()?;
         let alpha = alpha(dataset);
-        let (anti_aliasing, filtered) = anti_aliasing(dataset, config);
-        let (halvings, halved) = halvings(dataset, config);
-        let (exposure, exposed) = exposure(config, alpha)?;
         let mut plan = Self {
             alpha,
-            random_background: config.background.changes(alpha == Alpha::Transparency),
-            anti_aliasing,
-            halvings,
-            exposure,
-            sh_degree: config.sh_degree,
-            skip_blank: alpha != Alpha::None && config.work.skip_blank,
-            parts: Vec::new(),
+            random_background: random_background(config, alpha == Alpha::Transparency),
+            anti_aliasing: anti_aliasing(dataset, config),
+            halvings: halvings(dataset, config),
+            exposure: exposure(config, alpha)?,
+            sh_degree: match config.sh_degree {
+                0 => Decided::new(0, Why::NoBands),
+                degree => Decided::new(degree, Why::BandByBand(degree)),
+            },
+            skip_blank: skip_blank(&config.work, alpha),
+            unseen: None,
+            facts: Vec::new(),
             config: config.clone(),
         };
         plan.photos(dataset);
-        let degree = plan.sh_degree;
-        plan.either(
-            "view-dependent colour",
-            degree > 0,
-            format!("SH degree {degree}, one band after the other"),
-            "SH degree 0 asked for",
-        );
-        plan.part(ANTI_ALIASING, anti_aliasing, filtered);
-        plan.part(PROGRESSIVE, halvings > 0, halved);
-        plan.work(config.work);
+        plan.work();
         plan.density_control();
-        plan.part(EXPOSURE, matches!(exposure, Exposure::From(_)), exposed);
         plan.start(dataset);
         Ok(plan)
     }
@@ -131,199 +133,192 @@ impl Plan {
     /// The plan with anti-aliasing and progressive resolution as the run began: both are decided once per run.
     #[must_use]
     pub fn begun_with(mut self, anti_aliasing: bool, halvings: u32) -> Self {
-        if self.anti_aliasing != anti_aliasing {
-            self.anti_aliasing = anti_aliasing;
-            self.part(ANTI_ALIASING, anti_aliasing, "as in the checkpoint");
+        if self.anti_aliasing.value != anti_aliasing {
+            self.anti_aliasing = Decided::new(anti_aliasing, Why::Checkpoint);
         }
-        if self.halvings != halvings {
-            self.halvings = halvings;
-            self.part(PROGRESSIVE, halvings > 0, "as in the checkpoint");
+        if self.halvings.value != halvings {
+            self.halvings = Decided::new(halvings, Why::Checkpoint);
         }
         self
     }
 
-    /// Takes over the findings of training so far, in the order in which training made them, and returns the parts that they
-    /// change.
-    pub fn learn(&mut self, learned: &Learned) -> Vec<Part> {
-        let mut changed = Vec::new();
-        if let (Some(gains), Exposure::Compare(_)) = (learned.gains, self.exposure) {
-            let varies = gains.varies();
-            self.exposure = match varies {
+    /// Takes over the findings of training so far, in the order in which training made them.
+    pub fn learn(&mut self, learned: &Learned) -> Vec<Decision> {
+        let mut decisions = Vec::new();
+        if let (Some(gains), Exposure::Compare(_)) = (learned.gains, self.exposure.value) {
+            let value = match gains.varies() {
                 true => Exposure::From(gains.iteration),
                 false => Exposure::Off,
             };
-            changed.extend(self.part(EXPOSURE, varies, gains.to_string()));
+            self.exposure = Decided::new(value, Why::Gains(gains));
+            decisions.push(Decision::Exposure(self.exposure.clone()));
         }
         if learned.finished.is_some() && self.config.work.remove_unseen {
-            let removed = learned.removed;
-            let why = format!(
-                "{removed} removed at the end; the training views stay the same to the bit"
-            );
-            changed.extend(self.part("Gaussians that no training view shows", false, why));
+            let unseen = Decided::new(learned.removed, Why::Removed(learned.removed));
+            if self.unseen.as_ref() != Some(&unseen) {
+                decisions.push(Decision::Unseen(unseen.clone()));
+            }
+            self.unseen = Some(unseen);
         }
-        changed
+        decisions
     }
 
     /// Parts of the work with whether they are kept and why, in the order of a run.
     #[must_use]
-    pub fn parts(&self) -> &[Part] {
-        &self.parts
+    pub fn parts(&self) -> Vec<(Part, bool, &Why)> {
+        let fact = |part: Part| {
+            let found = self.facts.iter().find(|(p, _)| *p == part);
+            found.map(|(p, d)| (*p, d.value, &d.why))
+        };
+        let on = |part, d: &'_ Decided<bool>| -> (Part, bool) { (part, d.value) };
+        let typed = |(part, kept): (Part, bool), why| Some((part, kept, why));
+        let exposed = matches!(self.exposure.value, Exposure::From(_));
+        let all = [
+            fact(Part::Transparency),
+            typed(
+                on(Part::RandomBackground, &self.random_background),
+                &self.random_background.why,
+            ),
+            fact(Part::Masks),
+            fact(Part::Undistortion),
+            fact(Part::Prefetch),
+            typed(
+                (Part::ViewDependentColor, self.sh_degree.value > 0),
+                &self.sh_degree.why,
+            ),
+            typed(
+                on(Part::AntiAliasing, &self.anti_aliasing),
+                &self.anti_aliasing.why,
+            ),
+            typed(
+                (Part::ProgressiveResolution, self.halvings.value > 0),
+                &self.halvings.why,
+            ),
+            fact(Part::MortonOrder),
+            fact(Part::BlockCulling),
+            typed(on(Part::SkipBlank, &self.skip_blank), &self.skip_blank.why),
+            fact(Part::RemoveUnseen),
+            fact(Part::ErrorDensityControl),
+            fact(Part::DensityControl),
+            fact(Part::McmcDensityControl),
+            fact(Part::AdaptiveDensityControl),
+            fact(Part::ErrorStatistics),
+            fact(Part::BirthEstimates),
+            fact(Part::Noise),
+            fact(Part::PixelBirths),
+            typed((Part::Exposure, exposed), &self.exposure.why),
+            fact(Part::HeldOut),
+            fact(Part::SparsePoints),
+            self.unseen.as_ref().map(|d| (Part::Unseen, false, &d.why)),
+        ];
+        all.into_iter().flatten().collect()
     }
 
-    /// Adds a part, or puts it in the place of the one of that name; returns it if that changes anything.
-    fn part(&mut self, name: &'static str, kept: bool, why: impl Into<String>) -> Option<Part> {
-        let why = why.into();
-        let part = Part { name, kept, why };
-        match self.parts.iter_mut().find(|p| p.name == name) {
-            Some(earlier) if *earlier == part => return None,
-            Some(earlier) => *earlier = part.clone(),
-            None => self.parts.push(part.clone()),
-        }
-        Some(part)
-    }
-
-    /// Adds a part with the reason to keep it or the one to leave it out.
-    fn either(&mut self, name: &'static str, kept: bool, why: impl Into<String>, why_not: &str) {
-        let why = if kept { why.into() } else { why_not.into() };
-        self.part(name, kept, why);
+    fn fact(&mut self, part: Part, value: bool, why: Why, why_not: Why) {
+        let why = if value { why } else { why_not };
+        self.facts.push((part, Decided::new(value, why)));
     }
 
     fn photos(&mut self, dataset: &Dataset) {
         let transparent = self.alpha == Alpha::Transparency;
-        self.either(
-            "photo alpha over the background",
+        self.fact(
+            Part::Transparency,
             transparent,
-            "photos have transparent pixels",
-            "no photo is transparent",
+            Why::Transparent,
+            Why::Opaque,
         );
-        let asked = self.config.background;
-        let why = match (self.random_background, asked) {
-            (true, Background::Auto) => {
-                "photos are transparent: over one colour a scene keeps fog of it".into()
-            }
-            (true, _) => "asked for".into(),
-            (false, Background::Auto) => "no photo is transparent".into(),
-            (false, color) => format!("one colour asked for: {color}"),
-        };
-        let name = "random background in each iteration";
-        self.part(name, self.random_background, why);
-        self.either(
-            "masks",
-            self.alpha == Alpha::Mask,
-            "render and photo are compared where masks are not black; black tiles get no Gaussians",
-            "there is no mask",
-        );
+        let masked = self.alpha == Alpha::Mask;
+        self.fact(Part::Masks, masked, Why::Masked, Why::NoMask);
         let n = dataset.undistorted;
-        let why = format!("{n} photos have lens distortion");
-        self.either("undistortion", n > 0, why, "every camera is a pinhole");
-        let mebibytes = |bytes: u64| format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20));
-        let [bytes, budget] = [dataset.photo_bytes(), dataset.image_budget].map(mebibytes);
-        self.either(
-            "photo prefetch",
+        self.fact(Part::Undistortion, n > 0, Why::Distorted(n), Why::Pinholes);
+        let bytes = dataset.photo_bytes();
+        self.fact(
+            Part::Prefetch,
             dataset.photos_on_demand(),
-            format!("the photos take {bytes}, and their budget is {budget}"),
-            &format!("all photos fit in memory ({bytes})"),
+            Why::OverBudget(bytes, dataset.image_budget),
+            Why::InMemory(bytes),
         );
     }
 
-    fn work(&mut self, work: WorkConfig) {
-        self.either(
-            "Morton order",
-            work.morton_order,
-            "neighbours in space share cache lines and are culled together",
-            "work.morton-order is off",
-        );
-        self.either(
-            "block culling",
-            work.cull_chunks,
-            "blocks that a view cannot see cost next to nothing",
-            "work.cull-chunks is off",
-        );
-        self.either(
-            "loss skipped in blank tiles",
-            self.skip_blank,
-            "no gradient comes from clear or masked tiles that no Gaussian reaches",
-            match self.alpha {
-                Alpha::None => "no photo is transparent or masked",
-                _ => "work.skip-blank is off",
-            },
-        );
+    fn work(&mut self) {
+        let work = self.config.work;
+        let off = Why::Off("work.morton-order");
+        self.fact(Part::MortonOrder, work.morton_order, Why::Locality, off);
+        let off = Why::Off("work.cull-chunks");
+        self.fact(Part::BlockCulling, work.cull_chunks, Why::UnseenBlocks, off);
         if !work.remove_unseen {
-            let name = "removal of Gaussians that no training view shows";
-            self.part(name, false, "work.remove-unseen is off");
+            let off = Why::Off("work.remove-unseen");
+            self.fact(Part::RemoveUnseen, false, off.clone(), off);
         }
     }
 
     fn density_control(&mut self) {
-        let statistics = "importance pass";
-        match self.config.sampler {
+        let config = &self.config;
+        match config.sampler {
             Sampler::Mh => self.metropolis_hastings(),
             Sampler::Mcmc => {
-                let cap = self.config.max_gaussians.unwrap_or(self.config.mcmc.cap);
-                let why = format!("MCMC sampler, at most {cap} Gaussians");
-                self.part("noise on positions, relocation, growth", true, why);
-                self.part(statistics, false, "the MCMC sampler draws by opacity");
+                let cap = config.max_gaussians.unwrap_or(config.mcmc.cap);
+                let why = Why::McmcCap(cap);
+                self.fact(Part::McmcDensityControl, true, why.clone(), why);
+                let why = Why::Criterion("the MCMC sampler draws by opacity");
+                self.fact(Part::ErrorStatistics, false, why.clone(), why);
             }
             Sampler::Adc => {
-                let name = "screen-space gradients, clone, split, prune, opacity reset";
-                self.part(name, true, "ADC sampler");
-                let why = "the ADC sampler goes by screen-space gradients";
-                self.part(statistics, false, why);
+                let why = Why::NeededBy("ADC");
+                self.fact(Part::AdaptiveDensityControl, true, why.clone(), why);
+                let why = Why::Criterion("the ADC sampler goes by screen-space gradients");
+                self.fact(Part::ErrorStatistics, false, why.clone(), why);
             }
             Sampler::None => {
-                let name = "importance pass and density control";
-                self.part(name, false, "a fixed set of Gaussians asked for");
+                let why = Why::FixedSet;
+                self.fact(Part::ErrorDensityControl, false, why.clone(), why);
             }
         }
     }
 
     fn metropolis_hastings(&mut self) {
         let mh = self.config.mh;
-        let sampler = "Metropolis-Hastings sampler";
+        let sampler = Why::NeededBy("Metropolis-Hastings");
         if mh.wants_errors() {
-            self.part("importance pass and density control", true, sampler);
+            self.fact(Part::ErrorDensityControl, true, sampler.clone(), sampler);
         } else {
-            self.part("density control", true, sampler);
-            let why = "mh.importance is off, or no cue of errors has a weight";
-            self.part("importance pass", false, why);
+            self.fact(Part::DensityControl, true, sampler.clone(), sampler);
+            let why = Why::Criterion("mh.importance is off, or no cue of errors has a weight");
+            self.fact(Part::ErrorStatistics, false, why.clone(), why);
         }
         if mh.probed_views() > 0 {
-            let why = format!("births are estimated in {} views", mh.probe_views);
-            self.part("first-order birth estimates", true, why);
+            let why = Why::EstimatedIn(mh.probe_views);
+            self.fact(Part::BirthEstimates, true, why.clone(), why);
         }
-        self.either(
-            "noise on positions",
-            mh.noise_rate > 0.0,
-            "mh.noise-rate moves faint Gaussians",
-            "mh.noise-rate is 0",
-        );
-        let why = format!(
-            "{} views are rendered for each step; {:.0} % of the births lie on the rendered surface",
-            mh.pixel_views,
-            100.0 * mh.pixel_surface
-        );
-        self.either(
-            "births in image space",
+        let off = Why::Criterion("mh.noise-rate is 0");
+        self.fact(Part::Noise, mh.noise_rate > 0.0, Why::NoiseMovesFaint, off);
+        self.fact(
+            Part::PixelBirths,
             mh.pixel_proposals > 0,
-            why,
-            "mh.pixel-proposals is 0",
+            Why::PixelViews(mh.pixel_views, mh.pixel_surface),
+            Why::Criterion("mh.pixel-proposals is 0"),
         );
     }
 
     fn start(&mut self, dataset: &Dataset) {
-        let n = dataset.test.len();
-        let why = format!("{n} views are held out");
-        self.either("held-out evaluation", n > 0, why, "no view is held out");
-        let n = dataset.points.positions.len();
+        let held_out = dataset.test.len();
+        self.fact(
+            Part::HeldOut,
+            held_out > 0,
+            Why::Views(held_out),
+            Why::NoHeldOut,
+        );
+        let points = dataset.points.positions.len();
         let asked = self.config.init == Init::Points;
-        self.either(
-            "initial Gaussians from sparse points",
-            asked && n > 0,
-            format!("{n} points"),
-            match asked {
-                true => "the dataset has no points; random initialisation",
-                false => "another initialisation asked for",
-            },
+        let why_not = match asked {
+            true => Why::NoPoints,
+            false => Why::AnotherAskedFor,
+        };
+        self.fact(
+            Part::SparsePoints,
+            asked && points > 0,
+            Why::Points(points),
+            why_not,
         );
     }
 }
@@ -334,28 +329,39 @@ fn alpha(dataset: &Dataset) -> Alpha {
     found.find(|a| *a != Alpha::None).unwrap_or_default()
 }
 
-fn anti_aliasing(dataset: &Dataset, config: &TrainConfig) -> (bool, String) {
+fn random_background(config: &TrainConfig, transparent: bool) -> Decided<bool> {
+    let on = config.background.changes(transparent);
+    let asked = config.background != Background::Auto;
+    let why = match (on, asked) {
+        (true, true) => Why::AskedFor,
+        (true, false) => Why::Fog,
+        (false, true) => Why::OneColor(config.background),
+        (false, false) => Why::Opaque,
+    };
+    Decided::new(on, why)
+}
+
+fn anti_aliasing(dataset: &Dataset, config: &TrainConfig) -> Decided<bool> {
     match (config.anti_aliasing, &config.init) {
-        (AntiAliasing::On, _) => (true, "anti-aliasing is on".into()),
-        (AntiAliasing::Off, _) => (false, "anti-aliasing is off".into()),
+        (AntiAliasing::On, _) => Decided::new(true, Why::On("anti-aliasing")),
+        (AntiAliasing::Off, _) => Decided::new(false, Why::Off("anti-aliasing")),
         (AntiAliasing::Auto, Init::File(path)) if ply::is_anti_aliased(path) => {
-            (true, "the initial Gaussians were trained with it".into())
+            Decided::new(true, Why::FiltersInFile)
         }
         (AntiAliasing::Auto, _) => {
             let spreads = Spreads::of(dataset);
-            (spreads.ask_for_filters(), spreads.to_string())
+            Decided::new(spreads.ask_for_filters(), Why::Rates(spreads))
         }
     }
 }
 
-fn halvings(dataset: &Dataset, config: &TrainConfig) -> (u32, String) {
+fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
     let levels = config.work.resolution_levels;
     if levels == 0 {
-        return (0, "work.resolution-levels is 0".into());
+        return Decided::new(0, Why::Criterion("work.resolution-levels is 0"));
     }
     if config.time_budget.is_some() {
-        let why = "a time budget may end the run before photos have their full size";
-        return (0, why.into());
+        return Decided::new(0, Why::TimeBudget);
     }
     let schedule = Schedule::new(config);
     let first = |v: &View| {
@@ -363,16 +369,12 @@ fn halvings(dataset: &Dataset, config: &TrainConfig) -> (u32, String) {
         schedule.shrink_factor(levels, 0, size)
     };
     match dataset.train.iter().map(first).max() {
-        Some(divisor) if divisor > 1 => {
-            let gain = "most errors are reached 1.1 to 1.8 times sooner";
-            let why = format!("1/{divisor} of the photos' size at first: {gain}");
-            (levels, why)
-        }
-        _ => (0, "the photos are too small to be halved".into()),
+        Some(divisor) if divisor > 1 => Decided::new(levels, Why::HalvedAtFirst(divisor as u32)),
+        _ => Decided::new(0, Why::SmallPhotos),
     }
 }
 
-fn exposure(config: &TrainConfig, alpha: Alpha) -> Result<(Exposure, &'static str)> {
+fn exposure(config: &TrainConfig, alpha: Alpha) -> Result<Decided<Exposure>> {
     let from = Schedule::new(config).exposure_from();
     let transparent = alpha == Alpha::Transparency;
     Ok(match config.exposure {
@@ -383,16 +385,22 @@ fn exposure(config: &TrainConfig, alpha: Alpha) -> Result<(Exposure, &'static st
                 format!("on; {NO_CAMERA_SAW}: {fix}"),
             ));
         }
-        ExposureChoice::On => (Exposure::From(from), "exposure is on"),
-        ExposureChoice::Off => (Exposure::Off, "exposure is off"),
-        ExposureChoice::Auto if transparent => (Exposure::Off, NO_CAMERA_SAW),
+        ExposureChoice::On => Decided::new(Exposure::From(from), Why::On("exposure")),
+        ExposureChoice::Off => Decided::new(Exposure::Off, Why::Off("exposure")),
+        ExposureChoice::Auto if transparent => {
+            Decided::new(Exposure::Off, Why::NoCameraSawBackground)
+        }
         ExposureChoice::Auto if from >= config.iterations => {
-            let why = "the run is too short to tell whether it is needed";
-            (Exposure::Off, why)
+            Decided::new(Exposure::Off, Why::TooShort)
         }
-        ExposureChoice::Auto => {
-            let why = "photos are compared with their renders first: on if their brightness varies";
-            (Exposure::Compare(from), why)
-        }
+        ExposureChoice::Auto => Decided::new(Exposure::Compare(from), Why::ComparedFirst),
     })
+}
+
+fn skip_blank(work: &WorkConfig, alpha: Alpha) -> Decided<bool> {
+    match alpha {
+        Alpha::None => Decided::new(false, Why::NoAlpha),
+        _ if work.skip_blank => Decided::new(true, Why::NoGradient),
+        _ => Decided::new(false, Why::Off("work.skip-blank")),
+    }
 }

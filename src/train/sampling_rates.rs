@@ -6,8 +6,6 @@
 //! camera that moves among things near and far: few views come close to any one of them (a fence, the legs of a chair), so
 //! that the rates at most points hardly differ from view to view, but those within each view do.
 
-use std::fmt;
-
 use glam::{DMat3, DVec3};
 
 use crate::base::math::{sorted, upper_median};
@@ -40,28 +38,6 @@ pub struct Spreads {
     /// Within views: in each the 90th percentile of the points' f/z over the 10th; of those the median over the views that see
     /// 20 of the points looked at (4096 at most). None where fewer than half of the views do.
     pub within: Option<f64>,
-}
-
-/// The spreads that decide: those that reach their bar, or all of them if none does.
-impl fmt::Display for Spreads {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let on = self.ask_for_filters();
-        let measures = [
-            (self.across, MIN_SPREAD, "from view to view"),
-            (self.within, MIN_SPREAD_WITHIN, "within views"),
-        ];
-        let told = measures.into_iter().filter_map(|(spread, bar, place)| {
-            let spread = spread.filter(|s| (*s >= bar) == on)?;
-            Some(format!(
-                "by a factor of {spread:.1} {place} (auto asks for {bar} or more)"
-            ))
-        });
-        let told: Vec<String> = told.collect();
-        match told.is_empty() {
-            true => f.write_str("the views share no point to compare their sampling rates at"),
-            false => write!(f, "sampling rates differ {}", told.join(" and ")),
-        }
-    }
 }
 
 impl Spreads {

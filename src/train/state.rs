@@ -54,7 +54,7 @@ impl Trainer {
                 Next::Compile => Next::Exposure,
                 next => next,
             },
-            halvings: self.plan.halvings,
+            halvings: self.plan.halvings.value,
             splats: self.gaussians.scene.download()?,
             rows: self.gaussians.rows()?,
             stats: self.control.stats,
@@ -96,7 +96,7 @@ impl Trainer {
     }
 
     fn restore_exposures(&mut self, rows: &[Vec<f32>]) -> Result<()> {
-        let on = match self.plan.exposure {
+        let on = match self.plan.exposure.value {
             Exposure::From(from) if from == self.iteration => self.next == Next::Iterate,
             Exposure::From(from) => from < self.iteration,
             _ => false,

@@ -20,7 +20,7 @@ use crate::train::control::{Control, DensityEvent, Working};
 use crate::train::exposure::compare;
 use crate::train::gaussians::GaussianState;
 use crate::train::optimizer::Optimizer;
-use crate::train::plan::{Exposure, Learned, Part, Plan};
+use crate::train::plan::{Decision, Exposure, Learned, Plan};
 use crate::train::schedule::Schedule;
 use crate::train::smoothing::Smoothing;
 use crate::train::views::{TrainingView, Views, capacity};
@@ -45,7 +45,7 @@ pub enum Event {
     /// All iterations so far have settled, and an evaluation, a checkpoint or an export is due.
     Settled(u32),
     /// Training found out what the plan had left open.
-    Decided(Part),
+    Decided(Decision),
     /// The next call compiles kernels and does nothing else: stop the clock.
     Compiling,
     /// The kernels are compiled.
@@ -150,12 +150,12 @@ impl Trainer {
             return Err(Error::config("plan", what));
         }
         let device = &set.photos().device().clone();
-        let (config, degree) = (&plan.config, plan.sh_degree);
+        let (config, degree) = (&plan.config, plan.sh_degree.value);
         let defines = Defines {
             alpha: plan.alpha,
             cull_chunks: config.work.cull_chunks,
             skip_blank: config.work.skip_blank,
-            anti_alias: plan.anti_aliasing,
+            anti_alias: plan.anti_aliasing.value,
             ..Defines::new(device.tuning())
         };
         let kernels = Kernels::new(device, defines);
@@ -432,7 +432,7 @@ impl Trainer {
     fn update_sh_degree(&mut self) -> Result<()> {
         let (at, degree) = (self.iteration, self.gaussians.scene.sh_degree);
         let due = at > 0 && at.is_multiple_of(self.schedule.sh_interval());
-        if !due || degree >= self.plan.sh_degree {
+        if !due || degree >= self.plan.sh_degree.value {
             return Ok(());
         }
         self.settle()?;
@@ -442,7 +442,7 @@ impl Trainer {
     /// Compares photos with their renders if that is due, or says that kernels are to be compiled.
     fn exposure_due(&mut self) -> Result<(Option<Event>, Next)> {
         let at = self.iteration;
-        match self.plan.exposure {
+        match self.plan.exposure.value {
             Exposure::Compare(from) if from == at => {
                 self.settle()?;
                 let iterations = self.plan.config.iterations;
@@ -483,7 +483,7 @@ impl Trainer {
     }
 
     /// Ends the run: removes the Gaussians that no training view shows, if the configuration says so. Once per run.
-    pub fn finish(&mut self) -> Result<Option<Part>> {
+    pub fn finish(&mut self) -> Result<Option<Decision>> {
         self.settle()?;
         if self.learned.finished == Some(self.iteration) {
             return Ok(None);
@@ -539,7 +539,7 @@ impl Trainer {
     /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the buffers of tile intersections by rendering
     /// each view.
     fn warm_up(&mut self) -> Result<()> {
-        let highest = self.plan.sh_degree;
+        let highest = self.plan.sh_degree.value;
         let empty = self.gaussians.empty(&self.device, highest)?;
         let gaussians = std::mem::replace(&mut self.gaussians, empty);
         self.fit_views()?;
@@ -559,7 +559,9 @@ impl Trainer {
         self.smooth()?;
         for number in 0..self.views.len() {
             let options = RenderOptions {
-                background: self.schedule.background(0, self.plan.random_background),
+                background: self
+                    .schedule
+                    .background(0, self.plan.random_background.value),
                 ..RenderOptions::default()
             };
             let (scene, forward) = (&self.gaussians.scene, &mut self.pipeline.forward);

@@ -45,7 +45,7 @@ pub struct Views {
 impl Views {
     /// Builds the kernel that shrinks photos if the plan asks for it.
     pub fn new(kernels: &Kernels, set: ViewSet, plan: &Plan) -> Result<Self> {
-        let halvings = plan.halvings;
+        let halvings = plan.halvings.value;
         let [w, h] = set.largest;
         let pixels = match halvings {
             0 => 0,
@@ -57,8 +57,8 @@ impl Views {
             shrink: shrink.transpose()?,
             schedule: Schedule::new(&plan.config),
             halvings,
-            random_background: plan.random_background,
-            skip_blank: plan.skip_blank,
+            random_background: plan.random_background.value,
+            skip_blank: plan.skip_blank.value,
             set,
         })
     }

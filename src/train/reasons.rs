@@ -1,0 +1,294 @@
+//! Parts of the work that a plan keeps or leaves out, and the reasons, each spelt here and nowhere else.
+
+use std::fmt;
+
+use crate::config::Background;
+use crate::train::brightness::{GainSpread, MAX_SPREAD};
+use crate::train::sampling_rates::{MIN_SPREAD, MIN_SPREAD_WITHIN, Spreads};
+
+/// A part of the work that a plan keeps or leaves out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Compositing of transparent photos.
+    Transparency,
+    /// [`crate::train::Plan::random_background`].
+    RandomBackground,
+    /// Masks.
+    Masks,
+    /// Undistortion.
+    Undistortion,
+    /// Photos decoded on demand.
+    Prefetch,
+    /// SH degrees above 0.
+    ViewDependentColor,
+    /// [`crate::train::Plan::anti_aliasing`].
+    AntiAliasing,
+    /// [`crate::train::Plan::halvings`].
+    ProgressiveResolution,
+    /// Morton order of the Gaussians.
+    MortonOrder,
+    /// Culling of whole blocks of neighbours.
+    BlockCulling,
+    /// [`crate::train::Plan::skip_blank`].
+    SkipBlank,
+    /// Error statistics and density control of mh.
+    ErrorDensityControl,
+    /// Density control of mh without error statistics.
+    DensityControl,
+    /// Error statistics alone.
+    ErrorStatistics,
+    /// Noise, relocation and growth of mcmc.
+    McmcDensityControl,
+    /// Density control of adc.
+    AdaptiveDensityControl,
+    /// First-order estimates of births.
+    BirthEstimates,
+    /// Noise on positions.
+    Noise,
+    /// Births in image space.
+    PixelBirths,
+    /// [`crate::train::Plan::exposure`].
+    Exposure,
+    /// Scores of held-out views.
+    HeldOut,
+    /// Initial Gaussians at sparse points.
+    SparsePoints,
+    /// Removal of Gaussians that no training view shows.
+    RemoveUnseen,
+    /// [`crate::train::Plan::unseen`].
+    Unseen,
+}
+
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Transparency => "photo alpha over the background",
+            Self::RandomBackground => "random background in each iteration",
+            Self::Masks => "masks",
+            Self::Undistortion => "undistortion",
+            Self::Prefetch => "photo prefetch",
+            Self::ViewDependentColor => "view-dependent colour",
+            Self::AntiAliasing => "anti-aliasing",
+            Self::ProgressiveResolution => "progressive resolution",
+            Self::MortonOrder => "Morton order",
+            Self::BlockCulling => "block culling",
+            Self::SkipBlank => "loss skipped in blank tiles",
+            Self::ErrorDensityControl => "importance pass and density control",
+            Self::DensityControl => "density control",
+            Self::ErrorStatistics => "importance pass",
+            Self::McmcDensityControl => "noise on positions, relocation, growth",
+            Self::AdaptiveDensityControl => {
+                "screen-space gradients, clone, split, prune, opacity reset"
+            }
+            Self::BirthEstimates => "first-order birth estimates",
+            Self::Noise => "noise on positions",
+            Self::PixelBirths => "births in image space",
+            Self::Exposure => "per-image exposure",
+            Self::HeldOut => "held-out evaluation",
+            Self::SparsePoints => "initial Gaussians from sparse points",
+            Self::RemoveUnseen => "removal of Gaussians that no training view shows",
+            Self::Unseen => "Gaussians that no training view shows",
+        })
+    }
+}
+
+/// The reason for a decision. [`fmt::Display`] spells it; nothing else does.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Why {
+    /// The option is on.
+    On(&'static str),
+    /// The option is off, or 0.
+    Off(&'static str),
+    /// The user asked for it.
+    AskedFor,
+    /// The user asked for something else.
+    AnotherAskedFor,
+    /// One background colour was asked for.
+    OneColor(Background),
+    /// Photos have transparent pixels.
+    Transparent,
+    /// No photo has a transparent pixel.
+    Opaque,
+    /// Over one background, a scene of transparent photos keeps fog of its colour.
+    Fog,
+    /// Masks say which pixels count.
+    Masked,
+    /// There is no mask.
+    NoMask,
+    /// Photos of distorting lenses.
+    Distorted(usize),
+    /// Every camera is a pinhole.
+    Pinholes,
+    /// Bytes of all decoded photos, and their budget.
+    OverBudget(u64, u64),
+    /// Bytes of all decoded photos.
+    InMemory(u64),
+    /// SH degree, band by band.
+    BandByBand(u32),
+    /// SH degree 0 was asked for.
+    NoBands,
+    /// The initial Gaussians carry the filters.
+    FiltersInFile,
+    /// Sampling rates of the training views.
+    Rates(Spreads),
+    /// The checkpoint was written with it, or without it.
+    Checkpoint,
+    /// Divisor of the photos' size at first.
+    HalvedAtFirst(u32),
+    /// A time budget may end the run before photos have their full size.
+    TimeBudget,
+    /// Photos are too small to be halved.
+    SmallPhotos,
+    /// Neighbours in space share cache lines.
+    Locality,
+    /// Blocks that a view cannot see cost next to nothing.
+    UnseenBlocks,
+    /// No gradient comes from blank tiles.
+    NoGradient,
+    /// No photo is transparent or masked.
+    NoAlpha,
+    /// The sampler needs it.
+    NeededBy(&'static str),
+    /// MCMC with this cap.
+    McmcCap(usize),
+    /// The sampler has another criterion.
+    Criterion(&'static str),
+    /// A fixed set of Gaussians was asked for.
+    FixedSet,
+    /// Views in which births are estimated.
+    EstimatedIn(u32),
+    /// The noise moves faint Gaussians.
+    NoiseMovesFaint,
+    /// Views rendered for each density step, and the share of births on surfaces.
+    PixelViews(u32, f64),
+    /// Transparent photos have no exposure transforms.
+    NoCameraSawBackground,
+    /// The run is too short for a comparison of brightness.
+    TooShort,
+    /// Photos are compared with their renders first.
+    ComparedFirst,
+    /// Gains of the photos over their renders.
+    Gains(GainSpread),
+    /// Held-out views.
+    Views(usize),
+    /// No view is held out.
+    NoHeldOut,
+    /// Sparse points.
+    Points(usize),
+    /// The dataset has no points.
+    NoPoints,
+    /// Gaussians removed; the training views keep every bit.
+    Removed(u64),
+}
+
+/// Reason why transparent photos have no exposure transforms.
+pub(super) const NO_CAMERA_SAW: &str = "no camera saw the background that transparent photos are composited over, and a transform would change it, too";
+
+fn mebibytes(bytes: u64) -> String {
+    format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20))
+}
+
+impl fmt::Display for Why {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::On(option) => write!(f, "{option} is on"),
+            Self::Off(option) => write!(f, "{option} is off"),
+            Self::AskedFor => f.write_str("asked for"),
+            Self::AnotherAskedFor => f.write_str("another initialisation asked for"),
+            Self::OneColor(color) => {
+                write!(f, "one colour asked for: {}", String::from(*color))
+            }
+            Self::Transparent => f.write_str("photos have transparent pixels"),
+            Self::Opaque => f.write_str("no photo is transparent"),
+            Self::Fog => {
+                f.write_str("photos are transparent: over one colour a scene keeps fog of it")
+            }
+            Self::Masked => f.write_str(
+                "render and photo are compared where masks are not black; black tiles get no Gaussians",
+            ),
+            Self::NoMask => f.write_str("there is no mask"),
+            Self::Distorted(n) => write!(f, "{n} photos have lens distortion"),
+            Self::Pinholes => f.write_str("every camera is a pinhole"),
+            Self::OverBudget(bytes, budget) => {
+                let [bytes, budget] = [*bytes, *budget].map(mebibytes);
+                write!(f, "the photos take {bytes}, and their budget is {budget}")
+            }
+            Self::InMemory(bytes) => {
+                write!(f, "all photos fit in memory ({})", mebibytes(*bytes))
+            }
+            Self::BandByBand(degree) => write!(f, "SH degree {degree}, one band after the other"),
+            Self::NoBands => f.write_str("SH degree 0 asked for"),
+            Self::FiltersInFile => f.write_str("the initial Gaussians were trained with it"),
+            Self::Rates(spreads) => spelt_rates(f, spreads),
+            Self::Checkpoint => f.write_str("as in the checkpoint"),
+            Self::HalvedAtFirst(divisor) => write!(
+                f,
+                "1/{divisor} of the photos' size at first: most errors are reached 1.1 to 1.8 times sooner"
+            ),
+            Self::TimeBudget => {
+                f.write_str("a time budget may end the run before photos have their full size")
+            }
+            Self::SmallPhotos => f.write_str("the photos are too small to be halved"),
+            Self::Locality => {
+                f.write_str("neighbours in space share cache lines and are culled together")
+            }
+            Self::UnseenBlocks => f.write_str("blocks that a view cannot see cost next to nothing"),
+            Self::NoGradient => f.write_str(
+                "no gradient comes from clear or masked tiles that no Gaussian reaches",
+            ),
+            Self::NoAlpha => f.write_str("no photo is transparent or masked"),
+            Self::NeededBy(sampler) => write!(f, "{sampler} sampler"),
+            Self::McmcCap(cap) => write!(f, "MCMC sampler, at most {cap} Gaussians"),
+            Self::Criterion(text) => f.write_str(text),
+            Self::FixedSet => f.write_str("a fixed set of Gaussians asked for"),
+            Self::EstimatedIn(views) => write!(f, "births are estimated in {views} views"),
+            Self::NoiseMovesFaint => f.write_str("mh.noise-rate moves faint Gaussians"),
+            Self::PixelViews(views, surface) => write!(
+                f,
+                "{views} views are rendered for each step; {:.0} % of the births lie on the rendered surface",
+                100.0 * surface
+            ),
+            Self::NoCameraSawBackground => f.write_str(NO_CAMERA_SAW),
+            Self::TooShort => f.write_str("the run is too short to tell whether it is needed"),
+            Self::ComparedFirst => f.write_str(
+                "photos are compared with their renders first: on if their brightness varies",
+            ),
+            Self::Gains(gains) => write!(
+                f,
+                "after {} iterations the gains of {} photos over their renders spread by {:.1} %; on above {:.0} %",
+                gains.iteration,
+                gains.views,
+                100.0 * f64::from(gains.spread),
+                100.0 * MAX_SPREAD
+            ),
+            Self::Views(n) => write!(f, "{n} views are held out"),
+            Self::NoHeldOut => f.write_str("no view is held out"),
+            Self::Points(n) => write!(f, "{n} points"),
+            Self::NoPoints => f.write_str("the dataset has no points; random initialisation"),
+            Self::Removed(n) => write!(
+                f,
+                "{n} removed at the end; the training views stay the same to the bit"
+            ),
+        }
+    }
+}
+
+/// Spells the spreads that decide: those that reach their bar, or all of them if none does.
+fn spelt_rates(f: &mut fmt::Formatter<'_>, spreads: &Spreads) -> fmt::Result {
+    let on = spreads.ask_for_filters();
+    let measures = [
+        (spreads.across, MIN_SPREAD, "from view to view"),
+        (spreads.within, MIN_SPREAD_WITHIN, "within views"),
+    ];
+    let told = measures.into_iter().filter_map(|(spread, bar, place)| {
+        let spread = spread.filter(|s| (*s >= bar) == on)?;
+        Some(format!(
+            "by a factor of {spread:.1} {place} (auto asks for {bar} or more)"
+        ))
+    });
+    let told: Vec<String> = told.collect();
+    match told.is_empty() {
+        true => f.write_str("the views share no point to compare their sampling rates at"),
+        false => write!(f, "sampling rates differ {}", told.join(" and ")),
+    }
+}
