@@ -10,13 +10,13 @@ use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::ExposureChoice;
 use mhsplat::device::{Defines, Device};
+use mhsplat::evaluate::Evaluator;
 use mhsplat::evaluate::color::{corrected, fit};
-use mhsplat::evaluate::{Evaluator, mean_corrected};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
 use mhsplat::pipeline::stage::exposure::{exposed, unexposed};
-use mhsplat::run::PlanRecord;
 use mhsplat::run::{Clock, Progress, Run, RunRecord, checkpoint, initial_gaussians};
+use mhsplat::run::{FinalRecord, PlanRecord};
 use mhsplat::train::brightness::{GainSpread, compared, gain, spread};
 use mhsplat::train::reasons::Why;
 use mhsplat::{TrainConfig, Trainer};
@@ -119,7 +119,7 @@ fn corrected_psnr(data: &Dataset, trainer: &mut Trainer) -> f64 {
     for s in &scores {
         assert!(s.cc_psnr.unwrap() > s.psnr - 0.05, "{s:?}");
     }
-    mean_corrected(&scores).unwrap().0
+    FinalRecord::of(scores).unwrap().cc_psnr.unwrap()
 }
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {

@@ -6,10 +6,10 @@ use mhsplat::capture::Dataset;
 use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Defines, Device};
-use mhsplat::evaluate::{Evaluator, mean};
+use mhsplat::evaluate::Evaluator;
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
-use mhsplat::run::initial_gaussians;
+use mhsplat::run::{FinalRecord, initial_gaussians};
 use mhsplat::train::Trainer;
 
 /// Held-out PSNR before and after training.
@@ -23,13 +23,8 @@ fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let evaluator = Evaluator::new(&device, defines, views).unwrap();
     let score = |trainer: &mut Trainer| {
         let (scene, renderer) = trainer.scene_and_renderer();
-        mean(
-            &evaluator
-                .score_all(scene, renderer, [0.0; 3], false)
-                .unwrap(),
-        )
-        .unwrap()
-        .0
+        let scores = evaluator.score_all(scene, renderer, [0.0; 3], false);
+        FinalRecord::of(scores.unwrap()).unwrap().psnr
     };
     let before = score(&mut trainer);
     trainer.advance_to(config.iterations).unwrap();

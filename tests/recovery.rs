@@ -75,7 +75,8 @@ fn killed_at_any_moment_it_ends_with_the_same_bytes() {
     // From the first record on: a driver may take longer to build kernels than the run takes.
     let child = train(&room(), &whole, false).spawn().unwrap();
     let lasts = finished(child, || recorded(&whole).is_some(), Duration::MAX).unwrap();
-    let table = mhsplat::run::read_density(whole.join("density.csv")).unwrap();
+    let table =
+        mhsplat::run::read_rows::<mhsplat::run::DensityRow>(whole.join("density.csv")).unwrap();
     let sum = |of: &dyn Fn(&mhsplat::density::DensityStats) -> u64| -> u64 {
         table.iter().map(|row| of(&row.stats)).sum()
     };

@@ -140,7 +140,7 @@ fn run_json_refuses_what_is_not_finite() {
 fn metrics_csv_has_the_contracts_columns() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("metrics.csv");
-    let mut writer = MetricsWriter::create(&path).unwrap();
+    let mut writer = MetricsWriter::open(&path, None).unwrap();
     let row = MetricsRow {
         iteration: 500,
         train_seconds: 1.5,
@@ -164,7 +164,7 @@ fn metrics_csv_has_the_contracts_columns() {
         "iteration,train_seconds,wall_seconds,cpu_seconds,loss,psnr,ssim,gaussians,proposed,accepted,relocated,pruned,non_finite\n\
          500,1.5,2.25,3,0.125,,0.5,6,7,8,9,10,11\n"
     );
-    assert_eq!(read_rows(&path).unwrap(), [row]);
+    assert_eq!(read_rows::<MetricsRow>(&path).unwrap(), [row]);
     let bad = MetricsRow {
         loss: Some(f64::NAN),
         ..row
@@ -173,7 +173,7 @@ fn metrics_csv_has_the_contracts_columns() {
         matches!(writer.write(&bad), Err(Error::Numerics { what, .. }) if what.contains("loss"))
     );
     assert_eq!(
-        read_rows(&path).unwrap(),
+        read_rows::<MetricsRow>(&path).unwrap(),
         [row],
         "nothing of a refused row is written"
     );
@@ -183,21 +183,21 @@ fn metrics_csv_has_the_contracts_columns() {
 fn appending_drops_what_lies_beyond_the_checkpoint() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("metrics.csv");
-    let mut writer = MetricsWriter::append(&path, 0).unwrap();
+    let mut writer = MetricsWriter::open(&path, Some(0)).unwrap();
     rows().iter().for_each(|r| writer.write(r).unwrap());
     drop(writer);
     let mut whole = std::fs::read_to_string(&path).unwrap();
     whole.push_str("7500,12");
     std::fs::write(&path, whole).unwrap();
     assert_eq!(
-        read_rows(&path).unwrap(),
+        read_rows::<MetricsRow>(&path).unwrap(),
         rows(),
         "an unfinished line is not a row"
     );
-    let mut writer = MetricsWriter::append(&path, 1000).unwrap();
+    let mut writer = MetricsWriter::open(&path, Some(1000)).unwrap();
     writer.write(&row(1250)).unwrap();
     assert_eq!(
-        read_rows(&path).unwrap(),
+        read_rows::<MetricsRow>(&path).unwrap(),
         [row(0), row(500), row(1000), row(1250)]
     );
 }
@@ -206,11 +206,11 @@ fn appending_drops_what_lies_beyond_the_checkpoint() {
 fn tables_reject_what_is_not_theirs() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.csv");
-    let header = DensityRow::COLUMNS.join(",");
+    let header = DensityRow::COLUMNS;
     let good = "100,1.5,9,3,2,0,0,1,1,2,1,4,0.5,0,0,0,0,0";
     let put = |line: &str| {
         std::fs::write(&path, format!("{header}\n{good}\n{line}\n")).unwrap();
-        read_density(&path)
+        read_rows::<DensityRow>(&path)
     };
     assert_eq!(put("").unwrap().len(), 1);
     for line in [
@@ -228,10 +228,10 @@ fn tables_reject_what_is_not_theirs() {
     }
     put("").unwrap();
     assert!(
-        matches!(MetricsWriter::append(&path, 9), Err(Error::Input { what, .. }) if what.contains("header"))
+        matches!(MetricsWriter::open(&path, Some(9)), Err(Error::Input { what, .. }) if what.contains("header"))
     );
     assert_eq!(
-        read_density(&path).unwrap().len(),
+        read_rows::<DensityRow>(&path).unwrap().len(),
         1,
         "the other table is left alone"
     );
@@ -241,9 +241,9 @@ fn tables_reject_what_is_not_theirs() {
 fn density_csv_round_trips() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("density.csv");
-    let mut writer = DensityWriter::create(&path).unwrap();
+    let mut writer = DensityWriter::open(&path, None).unwrap();
     density().iter().for_each(|r| writer.write(r).unwrap());
-    assert_eq!(read_density(&path).unwrap(), density());
+    assert_eq!(read_rows::<DensityRow>(&path).unwrap(), density());
 }
 
 /// Lines of both tables as version 0.1 wrote them: a resumed run must not mix two spellings.
@@ -267,12 +267,15 @@ fn numbers_in_tables_keep_their_spelling() {
         non_finite: 9_007_199_254_740_993,
         ..MetricsRow::default()
     };
-    MetricsWriter::create(&path).unwrap().write(&row).unwrap();
+    MetricsWriter::open(&path, None)
+        .unwrap()
+        .write(&row)
+        .unwrap();
     assert_eq!(
         last(&path),
         "4294967295,0.3333333333333333,10000000000000000,0,0.0000001,-27,,18446744073709551615,0,0,0,0,9007199254740993"
     );
-    assert_eq!(read_rows(&path).unwrap(), [row]);
+    assert_eq!(read_rows::<MetricsRow>(&path).unwrap(), [row]);
     let path = dir.path().join("density.csv");
     let row = DensityRow {
         iteration: 100,
@@ -293,13 +296,16 @@ fn numbers_in_tables_keep_their_spelling() {
             opacity_resets: 14,
         },
     };
-    DensityWriter::create(&path).unwrap().write(&row).unwrap();
+    DensityWriter::open(&path, None)
+        .unwrap()
+        .write(&row)
+        .unwrap();
     let tiny = format!("0.{}5", "0".repeat(323));
     assert_eq!(
         last(&path),
         format!("100,12.25,9,1,2,3,4,5,6,7,8,11,{tiny},12,13,14,9,10")
     );
-    assert_eq!(read_density(&path).unwrap(), [row]);
+    assert_eq!(read_rows::<DensityRow>(&path).unwrap(), [row]);
 }
 
 #[test]

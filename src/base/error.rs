@@ -71,6 +71,17 @@ impl Error {
         }
     }
 
+    /// An [`Error::Config`] about `option` unless `good`.
+    ///
+    /// # Errors
+    /// That one.
+    pub fn unless(good: bool, option: &str, what: &str) -> Result<()> {
+        match good {
+            true => Ok(()),
+            false => Err(Self::config(option, what)),
+        }
+    }
+
     /// An [`Error::Io`] about `path`.
     pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
         Self::Io {
@@ -79,11 +90,11 @@ impl Error {
         }
     }
 
-    /// An [`Error::Numerics`] found in `stage`.
-    pub fn numerics(stage: impl Into<String>, what: impl Into<String>) -> Self {
+    /// An [`Error::Numerics`] noticed in `stage`.
+    pub fn numerics(stage: impl Into<String>, what: impl fmt::Display) -> Self {
         Self::Numerics {
             stage: stage.into(),
-            what: what.into(),
+            what: what.to_string(),
         }
     }
 

@@ -59,15 +59,7 @@ fn tuning_line(known: Option<&(Tuning, Origin)>) -> String {
         Origin::Measured => "measured",
         Origin::UserSupplied => "given",
     };
-    format!(
-        "tuning ({from}): vector-width={},block-width={},group-style={},local={},chunks={},radix-bits={},strip={},update-block={}",
-        t.vector_width,
-        t.block_width,
-        t.group_style,
-        t.local,
-        t.chunks,
-        t.radix_bits,
-        t.strip,
-        t.update_block,
-    )
+    let fields = serde_json::to_string(t).unwrap_or_default();
+    let fields = fields.replace(['{', '}', '"'], "").replace(':', "=");
+    format!("tuning ({from}): {fields}")
 }

@@ -8,9 +8,10 @@ use crate::cli::common::{Common, Outcome};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Defines;
-use mhsplat::evaluate::{Evaluator, mean, mean_corrected, mean_flip};
+use mhsplat::evaluate::Evaluator;
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
+use mhsplat::run::FinalRecord;
 
 /// Arguments of `mhsplat eval`.
 #[derive(clap::Args)]
@@ -63,34 +64,35 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     if args.color_corrected {
         evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
     }
-    let corrected = mean_corrected(&scores);
-    let (psnr, ssim) = mean(&scores).ok_or_else(|| nothing_held_out(&args.dataset))?;
-    let flip = mean_flip(&scores).unwrap_or(1.0);
+    let scores = FinalRecord::of(scores).ok_or_else(|| nothing_held_out(&args.dataset))?;
+    let (psnr, ssim, flip) = (scores.psnr, scores.ssim, scores.flip.unwrap_or(1.0));
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
     if common.json {
         output::json(&json!({
             "scene": ply, "gaussians": loaded.scene.count, "width": size[0], "height": size[1],
-            "psnr": psnr, "ssim": ssim, "flip": flip, "per_view": scores,
-            "cc_psnr": corrected.map(|c| c.0), "cc_ssim": corrected.map(|c| c.1),
+            "psnr": psnr, "ssim": ssim, "flip": flip, "per_view": scores.per_view,
+            "cc_psnr": scores.cc_psnr, "cc_ssim": scores.cc_ssim,
         }))?;
-    } else {
-        for s in &scores {
-            output::line(&format!(
-                "{:>7.3} dB  SSIM {:.4}  FLIP {:.4}  {}",
-                s.psnr,
-                s.ssim,
-                s.flip.unwrap_or(1.0),
-                s.view
-            ));
-        }
+        return Ok(Outcome::of(args.require_psnr, Some(psnr)));
+    }
+    for s in &scores.per_view {
+        let (view, flip) = (&s.view, s.flip.unwrap_or(1.0));
         output::line(&format!(
-            "{psnr:>7.3} dB  SSIM {ssim:.4}  FLIP {flip:.4}  mean of {} held-out views at {}x{}, {} Gaussians",
-            scores.len(),
-            size[0],
-            size[1],
-            loaded.scene.count
+            "{:>7.3} dB  SSIM {:.4}  FLIP {flip:.4}  {view}",
+            s.psnr, s.ssim
         ));
-        print_corrected(corrected);
+    }
+    output::line(&format!(
+        "{psnr:>7.3} dB  SSIM {ssim:.4}  FLIP {flip:.4}  mean of {} held-out views at {}x{}, {} Gaussians",
+        scores.per_view.len(),
+        size[0],
+        size[1],
+        loaded.scene.count
+    ));
+    if let Some((psnr, ssim)) = scores.cc_psnr.zip(scores.cc_ssim) {
+        output::line(&format!(
+            "{psnr:>7.3} dB  SSIM {ssim:.4}  mean after fitting colours to the photos"
+        ));
     }
     Ok(Outcome::of(args.require_psnr, Some(psnr)))
 }
@@ -101,12 +103,4 @@ fn nothing_held_out(dataset: &Path) -> Error {
         "no held-out view",
         "hold some out with --test-every; photos that are masked out completely do not count",
     )
-}
-
-fn print_corrected(means: Option<(f64, f64)>) {
-    if let Some((psnr, ssim)) = means {
-        output::line(&format!(
-            "{psnr:>7.3} dB  SSIM {ssim:.4}  mean after fitting colours to the photos"
-        ));
-    }
 }

@@ -18,10 +18,7 @@ pub fn line(text: &str) {
 
 /// Writes a JSON document to stdout.
 pub fn json(value: &impl Serialize) -> Result<()> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| Error::Numerics {
-        stage: "json".into(),
-        what: e.to_string(),
-    })?;
+    let text = serde_json::to_string_pretty(value).map_err(|e| Error::numerics("json", e))?;
     line(&text);
     Ok(())
 }

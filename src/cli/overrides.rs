@@ -4,7 +4,17 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 
 use mhsplat::base::error::{Error, Result};
-use mhsplat::config::{RUN_CONTROL, TrainConfig};
+use mhsplat::config::{MhConfig, RUN_CONTROL, Surrogate, TrainConfig};
+
+/// The options of a configuration that have flags.
+#[derive(Args)]
+struct Flags {
+    #[command(flatten)]
+    config: TrainConfig,
+    /// Estimate of a birth's loss change, for the mh sampler.
+    #[arg(long, value_enum, default_value_t = MhConfig::default().surrogate)]
+    surrogate: Surrogate,
+}
 
 /// Flags of [`TrainConfig`] that win over a configuration file: only those that were typed. Goes with an option `resume`, which
 /// conflicts with all of them but [`RUN_CONTROL`].
@@ -12,10 +22,13 @@ pub struct Overrides(ArgMatches);
 
 impl Overrides {
     /// Returns `config` with the typed flags in place of its own values.
-    pub fn over(&self, mut config: TrainConfig) -> Result<TrainConfig> {
+    pub fn over(&self, config: TrainConfig) -> Result<TrainConfig> {
         let wrong = |e: clap::Error| Error::config("train", e.to_string());
-        config.update_from_arg_matches(&self.0).map_err(wrong)?;
-        Ok(config)
+        let surrogate = config.mh.surrogate;
+        let mut flags = Flags { config, surrogate };
+        flags.update_from_arg_matches(&self.0).map_err(wrong)?;
+        flags.config.mh.surrogate = flags.surrogate;
+        Ok(flags.config)
     }
 }
 
@@ -40,7 +53,7 @@ impl FromArgMatches for Overrides {
 impl Args for Overrides {
     fn augment_args(command: Command) -> Command {
         let before = command.get_arguments().count();
-        let options = TrainConfig::augment_args(Command::new("options"));
+        let options = Flags::augment_args(Command::new("options"));
         let fixed_on_resume = |(place, arg): (usize, &Arg)| {
             let arg = arg.clone().display_order(before + place);
             match arg.get_help_heading() {

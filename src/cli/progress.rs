@@ -44,33 +44,29 @@ pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
         return output::json(record);
     }
     if record.iterations < record.config.iterations {
-        let why = record.stalled.map_or_else(
-            || "the time budget ended the run".to_owned(),
-            |n| {
+        let why = match record.stalled {
+            Some(n) => {
                 format!("the training loss had not fallen for {n} evaluations, which ended the run")
-            },
-        );
+            }
+            None => "the time budget ended the run".to_owned(),
+        };
         output::note(&format!(
             "{why} after {} of {} iterations, before its schedules did",
             record.iterations, record.config.iterations
         ));
     }
-    let scores = record.final_scores.as_ref().map_or_else(
-        || "no held-out view".to_owned(),
-        |f| {
-            let flip = f
-                .flip
-                .map_or_else(String::new, |v| format!(", FLIP {v:.4}"));
-            let fitted = f.cc_psnr.zip(f.cc_ssim);
-            let fitted = fitted.map_or_else(String::new, |(psnr, ssim)| {
+    let scores = match &record.final_scores {
+        None => "no held-out view".to_owned(),
+        Some(f) => {
+            let flip = f.flip.map(|v| format!(", FLIP {v:.4}"));
+            let fitted = f.cc_psnr.zip(f.cc_ssim).map(|(psnr, ssim)| {
                 format!("; colour-corrected PSNR {psnr:.2} dB, SSIM {ssim:.4}")
             });
-            format!(
-                "held-out PSNR {:.2} dB, SSIM {:.4}{flip}{fitted}",
-                f.psnr, f.ssim
-            )
-        },
-    );
+            let [flip, fitted] = [flip, fitted].map(Option::unwrap_or_default);
+            let (psnr, ssim) = (f.psnr, f.ssim);
+            format!("held-out PSNR {psnr:.2} dB, SSIM {ssim:.4}{flip}{fitted}")
+        }
+    };
     output::line(&format!(
         "{scores}; {} Gaussians; {} iterations in {:.1} s ({:.1} CPU s)\nscene: {}\nreport: {}",
         record.gaussians,

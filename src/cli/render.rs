@@ -9,8 +9,8 @@ use crate::cli::common::{Common, Outcome};
 use crate::cli::scene::Loaded;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
-use mhsplat::capture::{Camera, Dataset, Frame, PhotoSource};
-use mhsplat::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer, to_byte};
+use mhsplat::capture::{Camera, Dataset, Frame, PhotoSource, View};
+use mhsplat::pipeline::forward::{Quantity, RenderOptions, Rendered, to_byte};
 use mhsplat::run::report::gallery::error_map;
 use mhsplat::scene::orbit;
 
@@ -132,14 +132,9 @@ fn write_all(
                 .with_extension(format!("{}.png", taken.len()));
         }
         let path = args.output.join(file);
-        image::save_buffer(
-            &path,
-            &rgb,
-            camera.width,
-            camera.height,
-            image::ColorType::Rgb8,
-        )
-        .map_err(|e| Error::input(&path, e.to_string(), "choose another folder with -o"))?;
+        let (w, h) = (camera.width, camera.height);
+        image::save_buffer(&path, &rgb, w, h, image::ColorType::Rgb8)
+            .map_err(|e| Error::input(&path, e.to_string(), "choose another folder with -o"))?;
         written.push(path);
     }
     Ok(written)
@@ -150,27 +145,21 @@ fn file_name(view: &str) -> PathBuf {
     let flat: String = stem
         .to_string_lossy()
         .chars()
-        .map(|c| {
-            if c.is_alphanumeric() || "-_.".contains(c) {
-                c
-            } else {
-                '_'
-            }
+        .map(|c| match c {
+            c if c.is_alphanumeric() || "-_.".contains(c) => c,
+            _ => '_',
         })
         .collect();
     PathBuf::from(format!("{}.png", flat.trim_start_matches(['.', '_'])))
 }
 
 fn dataset_jobs(data: Dataset) -> Vec<Job> {
-    let views = if data.test.is_empty() {
-        data.train
-    } else {
-        data.test
+    let views = match data.test.is_empty() {
+        true => data.train,
+        false => data.test,
     };
-    views
-        .into_iter()
-        .map(|v| (v.name, v.camera, Some(v.photo)))
-        .collect()
+    let job = |v: View| (v.name, v.camera, Some(v.photo));
+    views.into_iter().map(job).collect()
 }
 
 /// Returns views on a circle around the scene.
@@ -196,36 +185,25 @@ fn pixels(
         quantity: Quantity::Color,
         active_only: false,
     };
-    let renderer: &mut Renderer = &mut loaded.renderer;
-    match what {
-        What::Color => Ok(renderer.image(&loaded.scene, camera, &options)?.rgb8()),
-        What::Error => {
-            let render = renderer.image(&loaded.scene, camera, &options)?.rgb8();
-            match photo {
-                Some(photo) => {
-                    let photo = photo.load()?;
-                    error_map(&photo.counted(render), &photo.rgb_over(background))
-                }
-                None => error_map(&render, &render),
-            }
+    let options = match what {
+        What::Depth => RenderOptions {
+            background: [0.0; 3],
+            quantity: Quantity::Depth,
+            ..options
+        },
+        _ => options,
+    };
+    let image = loaded.renderer.image(&loaded.scene, camera, &options)?;
+    Ok(match (what, photo) {
+        (What::Error, Some(photo)) => {
+            let photo = photo.load()?;
+            error_map(&photo.counted(image.rgb8()), &photo.rgb_over(background))?
         }
-        What::Alpha => {
-            let image = renderer.image(&loaded.scene, camera, &options)?;
-            Ok(grey(image.transmittance.iter().map(|t| 1.0 - t)))
-        }
-        What::Depth => {
-            let options = RenderOptions {
-                background: [0.0; 3],
-                quantity: Quantity::Depth,
-                ..options
-            };
-            Ok(depth_image(&renderer.image(
-                &loaded.scene,
-                camera,
-                &options,
-            )?))
-        }
-    }
+        (What::Error, None) => error_map(&image.rgb8(), &image.rgb8())?,
+        (What::Color, _) => image.rgb8(),
+        (What::Alpha, _) => grey(image.transmittance.iter().map(|t| 1.0 - t)),
+        (What::Depth, _) => depth_image(&image),
+    })
 }
 
 fn grey(values: impl Iterator<Item = f32>) -> Vec<u8> {
@@ -234,24 +212,15 @@ fn grey(values: impl Iterator<Item = f32>) -> Vec<u8> {
 
 /// Inverse mean depth scaled to its 99th percentile: near is bright, nothing is black.
 fn depth_image(image: &Rendered) -> Vec<u8> {
-    let inverse: Vec<f32> = image
-        .transmittance
-        .iter()
-        .zip(&image.rgb)
-        .map(|(t, d)| {
-            if *d > 0.0 && *t < 0.5 {
-                (1.0 - t) / d
-            } else {
-                0.0
-            }
-        })
-        .collect();
+    let pixels = image.transmittance.iter().zip(&image.rgb);
+    let inverse = pixels.map(|(t, d)| match *d > 0.0 && *t < 0.5 {
+        true => (1.0 - t) / d,
+        false => 0.0,
+    });
+    let inverse: Vec<f32> = inverse.collect();
     let mut sorted = inverse.clone();
     sorted.sort_by(f32::total_cmp);
-    let top = sorted
-        .get(sorted.len() * 99 / 100)
-        .copied()
-        .unwrap_or(1.0)
-        .max(f32::MIN_POSITIVE);
+    let top = sorted.get(sorted.len() * 99 / 100).copied();
+    let top = top.unwrap_or(1.0).max(f32::MIN_POSITIVE);
     grey(inverse.into_iter().map(|v| v / top))
 }

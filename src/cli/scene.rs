@@ -6,7 +6,7 @@ use crate::cli::{common, output};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
 use mhsplat::capture::{Dataset, Frame, LoadOptions};
-use mhsplat::config::Background;
+use mhsplat::config::{Background, TrainConfig};
 use mhsplat::device::{Defines, Device};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::Renderer;
@@ -33,11 +33,8 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
             "give a PLY file or the folder of a finished run",
         ));
     }
-    let record = if path.join(RECORD_FILE).exists() {
-        Some(RunRecord::read(path)?)
-    } else {
-        None
-    };
+    let recorded = path.join(RECORD_FILE).exists();
+    let record = recorded.then(|| RunRecord::read(path)).transpose()?;
     Ok((ply, record))
 }
 
@@ -50,49 +47,43 @@ pub fn dataset(
     test_every: Option<u32>,
     alpha_is_mask: bool,
 ) -> Result<Dataset> {
-    let defaults = LoadOptions::default();
-    let options = LoadOptions {
-        max_size: max_size
-            .or(record.map(|r| r.config.max_size))
-            .unwrap_or(defaults.max_size),
-        test_every: test_every
-            .or(record.map(|r| r.config.test_every))
-            .unwrap_or(defaults.test_every),
-        image_budget: None,
-        alpha_is_mask: alpha_is_mask || record.is_some_and(|r| r.config.alpha_is_mask),
-    };
-    let data = capture::load(path, &options)?;
+    let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
+    config.max_size = max_size.unwrap_or(config.max_size);
+    config.test_every = test_every.unwrap_or(config.test_every);
+    config.image_budget = None;
+    config.alpha_is_mask |= alpha_is_mask;
+    let data = capture::load(path, &load_options(&config))?;
     note_left_out(&data);
     Ok(data)
 }
 
+/// Returns what a configuration says about reading a dataset.
+pub fn load_options(config: &TrainConfig) -> LoadOptions {
+    LoadOptions {
+        max_size: config.max_size,
+        test_every: config.test_every,
+        image_budget: config.image_budget,
+        alpha_is_mask: config.alpha_is_mask,
+    }
+}
+
 /// Notes the images of a dataset that are left out, and why.
 pub fn note_left_out(data: &Dataset) {
-    for (names, one, more) in [
-        (
-            &data.missing,
-            "image is named by the dataset but missing",
-            "images are named by the dataset but missing",
-        ),
-        (
-            &data.masked_out,
-            "image is masked out completely",
-            "images are masked out completely",
-        ),
-        (
-            &data.outliers,
-            "image has a camera far from all others (a wrong pose?)",
-            "images have cameras far from all others (wrong poses?)",
-        ),
+    let are = ["image is", "images are"];
+    let have = ["image has a camera", "images have cameras"];
+    for (names, subject, what) in [
+        (&data.missing, are, "named by the dataset but missing"),
+        (&data.masked_out, are, "masked out completely"),
+        (&data.outliers, have, "far from all others (a wrong pose?)"),
     ] {
         if names.is_empty() {
             continue;
         }
-        let what = if names.len() == 1 { one } else { more };
+        let subject = subject[usize::from(names.len() > 1)];
         let some = names[..names.len().min(5)].join(", ");
         let dots = if names.len() > 5 { ", ..." } else { "" };
         let count = names.len();
-        output::note(&format!("left out: {count} {what}: {some}{dots}"));
+        output::note(&format!("left out: {count} {subject} {what}: {some}{dots}"));
     }
 }
 

@@ -10,7 +10,6 @@ use crate::cli::progress::{finish, progress_bar, show};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
-use mhsplat::capture::LoadOptions;
 use mhsplat::config::{RUN_CONTROL, TrainConfig};
 use mhsplat::device::Device;
 use mhsplat::run::{Clock, Run, abandon_folder, claim_folder, saved_config};
@@ -57,15 +56,11 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     if args.resume.is_none() {
         claim_folder(dir)?;
     }
-    let mut run = match prepare(args, dir, config, &device) {
-        Ok(run) => run,
-        Err(error) => {
-            if args.resume.is_none() {
-                abandon_folder(dir);
-            }
-            return Err(error);
+    let mut run = prepare(args, dir, config, &device).inspect_err(|_| {
+        if args.resume.is_none() {
+            abandon_folder(dir);
         }
-    };
+    })?;
     output::note(&format!(
         "device: {} ({})",
         device.info().name,
@@ -112,13 +107,7 @@ fn note_resume(saved: Option<u32>, dataset: &Path, dir: &Path, stopped: bool) {
 
 fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -> Result<Run> {
     let clock = Clock::start();
-    let options = LoadOptions {
-        max_size: config.max_size,
-        test_every: config.test_every,
-        image_budget: config.image_budget,
-        alpha_is_mask: config.alpha_is_mask,
-    };
-    let data = capture::load(&args.dataset, &options)?;
+    let data = capture::load(&args.dataset, &scene::load_options(&config))?;
     output::note(&format!(
         "{}: {} training views, {} held out, {} points",
         args.dataset.display(),

@@ -1,6 +1,5 @@
 //! Settings of Metropolis–Hastings density control, each with its equation in \[MH\].
 
-use clap::{ArgMatches, Command, FromArgMatches};
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
@@ -136,41 +135,6 @@ impl Default for MhConfig {
     }
 }
 
-/// The options of the table that have a flag.
-#[derive(clap::Args)]
-struct MhFlags {
-    /// Estimate of a birth's loss change, for the mh sampler.
-    #[arg(long, value_enum, default_value_t = MhConfig::default().surrogate)]
-    surrogate: Surrogate,
-}
-
-impl FromArgMatches for MhConfig {
-    fn from_arg_matches(matches: &ArgMatches) -> clap::error::Result<Self> {
-        let mut config = Self::default();
-        config.update_from_arg_matches(matches)?;
-        Ok(config)
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> clap::error::Result<()> {
-        let mut flags = MhFlags {
-            surrogate: self.surrogate,
-        };
-        flags.update_from_arg_matches(matches)?;
-        self.surrogate = flags.surrogate;
-        Ok(())
-    }
-}
-
-impl clap::Args for MhConfig {
-    fn augment_args(command: Command) -> Command {
-        MhFlags::augment_args(command)
-    }
-
-    fn augment_args_for_update(command: Command) -> Command {
-        MhFlags::augment_args_for_update(command)
-    }
-}
-
 impl MhConfig {
     /// Returns the defaults with the paper's own numbers (\[MH\] §4, Alg. 1).
     #[must_use]
@@ -196,24 +160,14 @@ impl MhConfig {
     pub fn validate(&self) -> Result<()> {
         let above_zero = |v: &f64| v.is_finite() && *v > 0.0;
         let not_below = |v: &f64| v.is_finite() && *v >= 0.0;
-        let check = |good: bool, option: &str, what: &str| {
-            if good {
-                Ok(())
-            } else {
-                Err(Error::config(format!("mh.{option}").as_str(), what))
-            }
-        };
-        let spreads = self.coarse_spread.iter().chain(&self.fine_spread);
-        check(
-            self.voxel_edge.iter().all(above_zero),
-            "voxel-edge",
-            "two lengths above 0 expected",
-        )?;
-        check(
-            spreads.into_iter().all(not_below),
-            "coarse-spread, mh.fine-spread",
-            "0 or more expected",
-        )?;
+        let faint = |o: f64| o > self.dead_opacity && o < 1.0;
+        let check =
+            |good, option: &str, what: &str| Error::unless(good, &format!("mh.{option}"), what);
+        let lengths = self.voxel_edge.iter().all(above_zero);
+        check(lengths, "voxel-edge", "two lengths above 0 expected")?;
+        let mut spreads = self.coarse_spread.iter().chain(&self.fine_spread);
+        let options = "coarse-spread, mh.fine-spread";
+        check(spreads.all(not_below), options, "0 or more expected")?;
         for (value, option) in [
             (self.lambda_voxel, "lambda-voxel"),
             (self.voxel_growth_from, "voxel-growth-from"),
@@ -221,85 +175,44 @@ impl MhConfig {
         ] {
             check(not_below(&value), option, "a finite value >= 0 expected")?;
         }
-        check(
-            self.temperature.iter().all(above_zero),
-            "temperature",
-            "two values above 0 expected",
-        )?;
-        let [from, to] = self.target_acceptance;
-        check(
-            [from, to].iter().all(|r| *r > 0.0 && *r < 1.0) || [from, to] == [0.0, 0.0],
-            "target-acceptance",
-            "two shares between 0 and 1, or [0, 0] for none, expected",
-        )?;
-        let opacity = self.birth_opacity;
-        check(
-            opacity > self.dead_opacity && opacity < 1.0,
-            "birth-opacity",
-            "more than dead-opacity and less than 1 expected",
-        )?;
-        check(
-            self.births_from_iteration <= self.until_iteration,
-            "births-from-iteration",
-            "no more than mh.until-iteration expected",
-        )?;
-        self.validate_pixels()?;
-        self.validate_probes()?;
+        let good = self.temperature.iter().all(above_zero);
+        check(good, "temperature", "two values above 0 expected")?;
+        let target = self.target_acceptance;
+        let good = target.iter().all(|r| *r > 0.0 && *r < 1.0) || target == [0.0, 0.0];
+        let what = "two shares between 0 and 1, or [0, 0] for none, expected";
+        check(good, "target-acceptance", what)?;
+        let opacity = "more than dead-opacity and less than 1 expected";
+        check(faint(self.birth_opacity), "birth-opacity", opacity)?;
+        let good = self.births_from_iteration <= self.until_iteration;
+        let what = "no more than mh.until-iteration expected";
+        check(good, "births-from-iteration", what)?;
+        if self.pixel_proposals > 0 {
+            let [near, far] = self.pixel_far;
+            let depths = near > 0.0 && far >= near && far.is_finite();
+            let good = self.pixel_views > 0 && above_zero(&self.pixel_scale) && depths;
+            let options = "pixel-views, mh.pixel-scale, mh.pixel-far";
+            let what = "values above 0, and a far depth not below the near one, expected";
+            check(good, options, what)?;
+            let good = not_below(&self.pixel_near);
+            check(good, "pixel-near", "0 or more expected")?;
+            let good = (0.0..=1.0).contains(&self.pixel_surface);
+            check(good, "pixel-surface", "0 to 1 expected")?;
+            check(faint(self.pixel_opacity), "pixel-opacity", opacity)?;
+        }
+        if self.surrogate == Surrogate::Probe {
+            let what = "0; at least 1 expected";
+            check(self.probe_views > 0, "probe-views", what)?;
+            // The other forms weigh I in other ways, and there is no I in ρ.
+            let other = matches!(self.acceptance, Acceptance::Alg1 | Acceptance::Centred);
+            let what = "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is probed)";
+            check(!other, "surrogate", what)?;
+        }
         let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
-        check(
-            weights.iter().all(|w| w.is_finite()) && (0.0..1.0).contains(&self.dead_opacity),
-            "weight-*, mh.dead-opacity",
-            "finite weights and a dead-opacity in [0, 1) expected",
-        )?;
+        let finite = weights.iter().all(|w| w.is_finite());
+        let good = finite && (0.0..1.0).contains(&self.dead_opacity);
+        let what = "finite weights and a dead-opacity in [0, 1) expected";
+        check(good, "weight-*, mh.dead-opacity", what)?;
         self.times().validate("mh")
-    }
-
-    fn validate_pixels(&self) -> Result<()> {
-        if self.pixel_proposals == 0 {
-            return Ok(());
-        }
-        let [near, far] = self.pixel_far;
-        let depths = near > 0.0 && far >= near && far.is_finite();
-        if !(self.pixel_views > 0
-            && self.pixel_scale.is_finite()
-            && self.pixel_scale > 0.0
-            && depths)
-        {
-            return Err(Error::config(
-                "mh.pixel-views, mh.pixel-scale, mh.pixel-far",
-                "values above 0, and a far depth not below the near one, expected",
-            ));
-        }
-        if !(self.pixel_near.is_finite() && self.pixel_near >= 0.0) {
-            return Err(Error::config("mh.pixel-near", "0 or more expected"));
-        }
-        if !(0.0..=1.0).contains(&self.pixel_surface) {
-            return Err(Error::config("mh.pixel-surface", "0 to 1 expected"));
-        }
-        if !(self.pixel_opacity > self.dead_opacity && self.pixel_opacity < 1.0) {
-            return Err(Error::config(
-                "mh.pixel-opacity",
-                "more than dead-opacity and less than 1 expected",
-            ));
-        }
-        Ok(())
-    }
-
-    fn validate_probes(&self) -> Result<()> {
-        if self.surrogate == Surrogate::Importance {
-            return Ok(());
-        }
-        if self.probe_views == 0 {
-            return Err(Error::config("mh.probe-views", "0; at least 1 expected"));
-        }
-        // The other forms weigh I in other ways, and there is no I in ρ.
-        if matches!(self.acceptance, Acceptance::Alg1 | Acceptance::Centred) {
-            return Err(Error::config(
-                "mh.surrogate",
-                "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is probed)",
-            ));
-        }
-        Ok(())
     }
 
     /// Returns the number of views that the births of a step are probed in; 0 if ρ does not use them.

@@ -105,25 +105,16 @@ impl OptimizerConfig {
             o.lr_exposure,
             o.lr_exposure_final,
         ];
-        if !rates.iter().all(|v| v.is_finite() && *v >= 0.0) {
-            return Err(Error::config(
-                "optimizer",
-                "a learning rate that is negative or not finite",
-            ));
-        }
-        if !(o.lr_settle > 0.0 && o.lr_settle <= 1.0) {
-            return Err(Error::config(
-                "optimizer.lr-settle",
-                "more than 0 and no more than 1 expected",
-            ));
-        }
-        if !((0.0..1.0).contains(&o.beta1) && (0.0..1.0).contains(&o.beta2) && o.epsilon > 0.0) {
-            return Err(Error::config(
-                "optimizer",
-                "beta1 and beta2 in [0, 1) and epsilon > 0 expected",
-            ));
-        }
-        Ok(())
+        let share = |v: f64| (0.0..1.0).contains(&v);
+        let good = rates.iter().all(|v| v.is_finite() && *v >= 0.0);
+        let what = "a learning rate that is negative or not finite";
+        Error::unless(good, "optimizer", what)?;
+        let good = o.lr_settle > 0.0 && o.lr_settle <= 1.0;
+        let what = "more than 0 and no more than 1 expected";
+        Error::unless(good, "optimizer.lr-settle", what)?;
+        let good = share(o.beta1) && share(o.beta2) && o.epsilon > 0.0;
+        let what = "beta1 and beta2 in [0, 1) and epsilon > 0 expected";
+        Error::unless(good, "optimizer", what)
     }
 }
 
@@ -133,12 +124,8 @@ impl LossConfig {
         let l = self;
         let shares = (0.0..=1.0).contains(&l.lambda_ssim);
         let weights = [l.lambda_opacity, l.lambda_scale];
-        if !(shares && weights.iter().all(|w| w.is_finite() && *w >= 0.0)) {
-            return Err(Error::config(
-                "loss",
-                "lambda-ssim in [0, 1] and other weights >= 0 expected",
-            ));
-        }
-        Ok(())
+        let good = shares && weights.iter().all(|w| w.is_finite() && *w >= 0.0);
+        let what = "lambda-ssim in [0, 1] and other weights >= 0 expected";
+        Error::unless(good, "loss", what)
     }
 }

@@ -72,25 +72,16 @@ impl Default for McmcConfig {
 impl McmcConfig {
     pub(super) fn validate(&self) -> Result<()> {
         let rates = [self.noise_rate, self.world_extent, self.noise_steepness];
-        if !rates.iter().all(|v| v.is_finite() && *v >= 0.0) {
-            return Err(Error::config(
-                "mcmc",
-                "noise-rate, world-extent and noise-steepness of 0 or more expected",
-            ));
-        }
-        let opacities = [self.noise_opacity, self.dead_opacity];
-        if !opacities.iter().all(|o| (0.0..1.0).contains(o)) {
-            return Err(Error::config(
-                "mcmc",
-                "noise-opacity and dead-opacity in [0, 1) expected",
-            ));
-        }
-        if !((1.0..=2.0).contains(&self.growth) && self.cap > 0) {
-            return Err(Error::config(
-                "mcmc",
-                "growth from 1 to 2 and a cap of at least 1 expected",
-            ));
-        }
+        let good = rates.iter().all(|v| v.is_finite() && *v >= 0.0);
+        let what = "noise-rate, world-extent and noise-steepness of 0 or more expected";
+        Error::unless(good, "mcmc", what)?;
+        let mut opacities = [self.noise_opacity, self.dead_opacity].into_iter();
+        let good = opacities.all(|o| (0.0..1.0).contains(&o));
+        let what = "noise-opacity and dead-opacity in [0, 1) expected";
+        Error::unless(good, "mcmc", what)?;
+        let good = (1.0..=2.0).contains(&self.growth) && self.cap > 0;
+        let what = "growth from 1 to 2 and a cap of at least 1 expected";
+        Error::unless(good, "mcmc", what)?;
         self.times().validate("mcmc")
     }
 
@@ -155,28 +146,18 @@ impl Default for AdcConfig {
 impl AdcConfig {
     pub(super) fn validate(&self) -> Result<()> {
         let lengths = [self.grad_threshold, self.clone_scale, self.prune_scale];
-        if !lengths.iter().all(|v| v.is_finite() && *v >= 0.0) {
-            return Err(Error::config(
-                "adc",
-                "grad-threshold, clone-scale and prune-scale of 0 or more expected",
-            ));
-        }
-        if !(self.split_shrink.is_finite() && self.split_shrink >= 1.0) {
-            return Err(Error::config("adc.split-shrink", "at least 1 expected"));
-        }
+        let good = lengths.iter().all(|v| v.is_finite() && *v >= 0.0);
+        let what = "grad-threshold, clone-scale and prune-scale of 0 or more expected";
+        Error::unless(good, "adc", what)?;
+        let good = self.split_shrink.is_finite() && self.split_shrink >= 1.0;
+        Error::unless(good, "adc.split-shrink", "at least 1 expected")?;
         let reset = self.reset_opacity;
-        if !((0.0..1.0).contains(&self.prune_opacity) && reset > 0.0 && reset < 1.0) {
-            return Err(Error::config(
-                "adc",
-                "prune-opacity in [0, 1) and reset-opacity between 0 and 1 expected",
-            ));
-        }
-        if self.reset_interval == 0 || self.reset_interval < self.from_iteration {
-            return Err(Error::config(
-                "adc.reset-interval",
-                "at least 1, and no less than adc.from-iteration, expected",
-            ));
-        }
+        let good = (0.0..1.0).contains(&self.prune_opacity) && reset > 0.0 && reset < 1.0;
+        let what = "prune-opacity in [0, 1) and reset-opacity between 0 and 1 expected";
+        Error::unless(good, "adc", what)?;
+        let good = self.reset_interval > 0 && self.reset_interval >= self.from_iteration;
+        let what = "at least 1, and no less than adc.from-iteration, expected";
+        Error::unless(good, "adc.reset-interval", what)?;
         self.times().validate("adc")
     }
 
@@ -205,12 +186,7 @@ pub struct DensityTimes {
 
 impl DensityTimes {
     pub(super) fn validate(&self, table: &str) -> Result<()> {
-        if self.from >= self.until || self.interval == 0 {
-            return Err(Error::config(
-                table,
-                "from-iteration before until-iteration and an interval of at least 1 expected",
-            ));
-        }
-        Ok(())
+        let what = "from-iteration before until-iteration and an interval of at least 1 expected";
+        Error::unless(self.from < self.until && self.interval > 0, table, what)
     }
 }

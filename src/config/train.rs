@@ -15,7 +15,7 @@ use crate::config::work::WorkConfig;
 pub const RUN_CONTROL: &str = "Run control (may change with --resume)";
 
 /// Everything a run depends on beside the dataset and the device: the flags of `mhsplat train`, with the documentation of the
-/// fields as their help, and the keys of its configuration files. The tables have no flags, but for `mh.surrogate`.
+/// fields as their help, and the keys of its configuration files. The tables have no flags.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct TrainConfig {
@@ -83,8 +83,8 @@ pub struct TrainConfig {
     /// Optimiser.
     #[arg(skip)]
     pub optimizer: OptimizerConfig,
-    /// Metropolis–Hastings density control.
-    #[command(flatten)]
+    /// Metropolis–Hastings density control; its option `surrogate` has a flag of the command line.
+    #[arg(skip)]
     pub mh: MhConfig,
     /// Shortcuts that leave work out.
     #[arg(skip)]
@@ -134,41 +134,30 @@ impl TrainConfig {
     /// # Errors
     /// The first option that is out of its domain.
     pub fn validate(&self) -> Result<()> {
-        let fail = |option: &str, what: String| Err(Error::config(option, what));
-        if self.iterations == 0 {
-            return fail("--iterations", "0; at least 1 expected".into());
-        }
-        if self.sh_degree > 3 {
-            return fail(
-                "--sh-degree",
-                format!("{}; 0 to 3 expected", self.sh_degree),
-            );
-        }
-        if self.max_size < 16 || self.max_size > 65_535 {
-            return fail(
-                "--max-size",
-                format!("{}; 16 to 65535 expected", self.max_size),
-            );
-        }
-        if self.image_budget == Some(0) {
-            return fail("--image-budget", "0; at least 1 byte expected".into());
-        }
-        if self.max_gaussians == Some(0) {
-            return fail("--max-gaussians", "0; at least 1 expected".into());
-        }
-        if let Some(t) = self.time_budget
-            && !(t.is_finite() && t > 0.0)
-        {
-            return fail("--time-budget", format!("{t} s; a positive time expected"));
-        }
-        if self.patience.is_some() && (self.patience == Some(0) || self.eval_every == Some(0)) {
-            let what = "at least 1 evaluation, and some during the run (--eval-every), expected";
-            return fail("--patience", what.into());
-        }
-        if let Background::Color(c) = self.background
-            && !c.iter().all(|v| (0.0..=1.0).contains(v))
-        {
-            return fail("--background", format!("{c:?}; R,G,B in 0 to 1 expected"));
+        let check = |good, option: &str, what: &str| Error::unless(good, option, what);
+        check(
+            self.iterations > 0,
+            "--iterations",
+            "0; at least 1 expected",
+        )?;
+        let what = format!("{}; 0 to 3 expected", self.sh_degree);
+        check(self.sh_degree <= 3, "--sh-degree", &what)?;
+        let what = format!("{}; 16 to 65535 expected", self.max_size);
+        check((16..=65_535).contains(&self.max_size), "--max-size", &what)?;
+        let what = "0; at least 1 byte expected";
+        check(self.image_budget != Some(0), "--image-budget", what)?;
+        let what = "0; at least 1 expected";
+        check(self.max_gaussians != Some(0), "--max-gaussians", what)?;
+        let time = self.time_budget.unwrap_or(1.0);
+        let what = format!("{time} s; a positive time expected");
+        check(time.is_finite() && time > 0.0, "--time-budget", &what)?;
+        let never = self.patience == Some(0) || self.eval_every == Some(0);
+        let what = "at least 1 evaluation, and some during the run (--eval-every), expected";
+        check(self.patience.is_none() || !never, "--patience", what)?;
+        if let Background::Color(c) = self.background {
+            let what = format!("{c:?}; R,G,B in 0 to 1 expected");
+            let inside = c.iter().all(|v| (0.0..=1.0).contains(v));
+            check(inside, "--background", &what)?;
         }
         self.work.validate()?;
         self.optimizer.validate()?;

@@ -139,23 +139,17 @@ impl From<Background> for String {
 pub fn parse_duration(s: &str) -> Result<f64, &'static str> {
     let wrong = "a time like 90s, 10m or 1h30m expected";
     let mut total = 0.0;
-    let mut number = String::new();
-    for c in s.trim().chars() {
-        let unit = match c {
-            '0'..='9' | '.' => {
-                number.push(c);
-                continue;
-            }
-            's' => 1.0,
-            'm' => 60.0,
-            'h' => 3600.0,
-            _ => return Err(wrong),
+    for part in s.trim().split_inclusive(['s', 'm', 'h']) {
+        let number = part.trim_end_matches(['s', 'm', 'h']);
+        let unit = match &part[number.len()..] {
+            "m" => 60.0,
+            "h" => 3600.0,
+            _ => 1.0,
         };
-        total += unit * number.parse::<f64>().map_err(|_| wrong)?;
-        number.clear();
-    }
-    if !number.is_empty() {
-        total += number.parse::<f64>().map_err(|_| wrong)?;
+        // Other spellings that f64 reads ("1e3", "inf") are no times.
+        let plain = number.chars().all(|c| c.is_ascii_digit() || c == '.');
+        let number = number.parse::<f64>().ok().filter(|_| plain);
+        total += unit * number.ok_or(wrong)?;
     }
     if total > 0.0 { Ok(total) } else { Err(wrong) }
 }

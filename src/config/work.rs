@@ -45,22 +45,14 @@ impl Default for WorkConfig {
 impl WorkConfig {
     pub(super) fn validate(&self) -> Result<()> {
         let levels = self.resolution_levels;
-        if levels > MAX_LEVELS {
-            return Err(Error::config(
-                "work.resolution-levels",
-                format!("{levels}; 0 to {MAX_LEVELS} expected"),
-            ));
-        }
+        let what = format!("{levels}; 0 to {MAX_LEVELS} expected");
+        Error::unless(levels <= MAX_LEVELS, "work.resolution-levels", &what)?;
         let coarse = u64::from(levels) * u64::from(self.resolution_interval);
-        if levels > 0 && !(1..PAPER_ITERATIONS).contains(&coarse) {
-            return Err(Error::config(
-                "work.resolution-interval",
-                format!(
-                    "{} iterations at each of {levels} sizes; at least 1, and less than {PAPER_ITERATIONS} in all expected",
-                    self.resolution_interval
-                ),
-            ));
-        }
-        Ok(())
+        let what = format!(
+            "{} iterations at each of {levels} sizes; at least 1, and less than {PAPER_ITERATIONS} in all expected",
+            self.resolution_interval
+        );
+        let good = levels == 0 || (1..PAPER_ITERATIONS).contains(&coarse);
+        Error::unless(good, "work.resolution-interval", &what)
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::scene::Edit;
 
-/// Counters of one density step, or their sums over a run.
+/// Counters of one density step, or their sums over a run; in the order of the columns of `density.csv`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct DensityStats {
     /// Number of proposed births.
@@ -17,9 +17,6 @@ pub struct DensityStats {
     pub coarse: [u64; 2],
     /// Births of the fine phase: proposed, accepted.
     pub fine: [u64; 2],
-    /// Births in image space (mh): proposed, accepted.
-    #[serde(default)]
-    pub pixel: [u64; 2],
     /// Number of occupied voxels at the end of the (last) step.
     pub occupied_voxels: u64,
     /// Mean of D(v′) over the proposals of the (last) step.
@@ -33,6 +30,9 @@ pub struct DensityStats {
     /// Number of opacity resets (adc).
     #[serde(default)]
     pub opacity_resets: u64,
+    /// Births in image space (mh): proposed, accepted.
+    #[serde(default)]
+    pub pixel: [u64; 2],
 }
 
 impl DensityStats {

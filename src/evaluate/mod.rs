@@ -153,28 +153,3 @@ fn psnr_and_ssim(errors: &PairErrors) -> [f64; 2] {
 pub fn psnr(mse: f64) -> f64 {
     (-10.0 * mse.log10()).min(MAX_PSNR)
 }
-
-/// Mean of a score over views; `None` without views, or if a view has none.
-fn mean_of(scores: &[ViewScore], score: impl Fn(&ViewScore) -> Option<f64>) -> Option<f64> {
-    let all: Option<Vec<f64>> = scores.iter().map(score).collect();
-    all.filter(|v| !v.is_empty())
-        .map(|v| v.iter().sum::<f64>() / v.len() as f64)
-}
-
-/// Mean PSNR and mean SSIM; `None` without views.
-#[must_use]
-pub fn mean(scores: &[ViewScore]) -> Option<(f64, f64)> {
-    mean_of(scores, |s| Some(s.psnr)).zip(mean_of(scores, |s| Some(s.ssim)))
-}
-
-/// Mean ꟻLIP; `None` without views, or if a view has none.
-#[must_use]
-pub fn mean_flip(scores: &[ViewScore]) -> Option<f64> {
-    mean_of(scores, |s| s.flip)
-}
-
-/// Mean colour-corrected PSNR and SSIM; `None` without views, or if a view has none.
-#[must_use]
-pub fn mean_corrected(scores: &[ViewScore]) -> Option<(f64, f64)> {
-    mean_of(scores, |s| s.cc_psnr).zip(mean_of(scores, |s| s.cc_ssim))
-}

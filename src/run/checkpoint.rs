@@ -36,6 +36,9 @@ const NAMES: [&str; 7] = [
     "exposures",
 ];
 
+/// Tensors that are left out where they have no value.
+const OPTIONAL: [&str; 3] = ["cues", "filter", "exposures"];
+
 /// First entry of the header, in every version.
 #[derive(Deserialize)]
 struct Version {
@@ -83,14 +86,7 @@ pub fn path(run_dir: &Path) -> PathBuf {
 }
 
 fn encoding(what: impl std::fmt::Display) -> Error {
-    Error::Numerics {
-        stage: "checkpoint".into(),
-        what: what.to_string(),
-    }
-}
-
-fn bytes(values: impl Iterator<Item = f32>) -> Vec<u8> {
-    values.flat_map(f32::to_le_bytes).collect()
+    Error::numerics("checkpoint", what)
 }
 
 /// Writes a checkpoint into a run folder.
@@ -118,37 +114,35 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         stages: checkpoint.stages.clone(),
     };
     let header = serde_json::to_string(&header).map_err(encoding)?;
-    let shape = vec![state.splats.planes().len(), state.splats.len()];
-    let planes = |p: &[Vec<f32>]| bytes(p.iter().flatten().copied());
-    let mut tensors = vec![
-        ("params", shape.clone(), planes(state.splats.planes())),
-        ("moment1", shape.clone(), planes(&state.rows.moment1)),
-        ("moment2", shape, planes(&state.rows.moment2)),
-        (
-            "losses",
-            vec![state.losses.len()],
-            bytes(state.losses.iter().copied()),
-        ),
+    let one = std::slice::from_ref;
+    let (splats, rows) = (state.splats.planes(), &state.rows);
+    let values = [
+        splats,
+        &rows.moment1,
+        &rows.moment2,
+        one(&state.losses),
+        &rows.cues,
+        one(&rows.filter),
+        &state.exposures,
     ];
-    if !state.rows.cues.is_empty() {
-        let shape = vec![state.rows.cues.len(), state.splats.len()];
-        tensors.push(("cues", shape, planes(&state.rows.cues)));
-    }
-    if !state.rows.filter.is_empty() {
-        let data = bytes(state.rows.filter.iter().copied());
-        tensors.push(("filter", vec![state.rows.filter.len()], data));
-    }
-    if let Some(row) = state.exposures.first() {
-        let shape = vec![state.exposures.len(), row.len()];
-        tensors.push(("exposures", shape, planes(&state.exposures)));
-    }
+    let tensors = NAMES.iter().zip(values).filter_map(|(name, rows)| {
+        let count = rows.first().map_or(0, Vec::len);
+        let shape = match *name {
+            "losses" | "filter" => vec![count],
+            _ => vec![rows.len(), count],
+        };
+        let bytes = rows.iter().flatten().flat_map(|v| v.to_le_bytes());
+        let there = count > 0 || !OPTIONAL.contains(name);
+        there.then(|| (name, shape, bytes.collect::<Vec<u8>>()))
+    });
+    let tensors: Vec<_> = tensors.collect();
     let parts = tensors.iter().map(|(_, _, data)| data.as_slice());
     let sum = checksum(&header, parts);
     let views = tensors
         .iter()
         .map(|(name, shape, data)| {
             let view = TensorView::new(Dtype::F32, shape.clone(), data);
-            view.map(|t| (*name, t)).map_err(encoding)
+            view.map(|t| (**name, t)).map_err(encoding)
         })
         .collect::<Result<Vec<_>>>()?;
     let metadata = HashMap::from([("mhsplat".to_owned(), header), ("crc32".to_owned(), sum)]);
@@ -203,16 +197,25 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     }
     let header: Header = serde_json::from_str(written).map_err(|e| text(&e))?;
     let expected = Plane::count(header.sh_degree.min(3));
-    let params = planes(&tensors, "params", expected)?;
+    let read = |name, rows, columns| planes(&tensors, name, rows, columns);
+    let params = read("params", expected, None)?;
     let splats = Gaussians::new(header.sh_degree, params).map_err(|e| text(&e))?;
-    let beside = |name, rows| beside(&tensors, name, rows, splats.len());
+    let beside = |name, rows| read(name, rows, Some(splats.len()));
+    let has = |name| tensors.tensor(name).is_ok();
     let (moment1, moment2) = (beside("moment1", expected)?, beside("moment2", expected)?);
     let cues = match density::make(&header.config).wanted(1, 1.0).rows() {
         0 => Vec::new(),
         rows => beside("cues", rows)?,
     };
-    let filter = filter(&tensors, splats.len())?;
-    let losses = planes(&tensors, "losses", 1)?.concat();
+    let filter = match has("filter") {
+        true => beside("filter", 1)?.concat(),
+        false => Vec::new(),
+    };
+    let exposures = match has("exposures") {
+        true => read("exposures", 3, None)?,
+        false => Vec::new(),
+    };
+    let losses = read("losses", 1, None)?.concat();
     let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
     Ok(Checkpoint {
         state: TrainerState {
@@ -230,7 +233,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             non_finite: header.non_finite,
             learned: header.learned,
             losses,
-            exposures: exposures(&tensors)?,
+            exposures,
         },
         config: header.config,
         clock: Reading {
@@ -244,45 +247,12 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     })
 }
 
-/// Transforms and moments of per-image exposure, if there are any.
-fn exposures(tensors: &SafeTensors<'_>) -> std::result::Result<Vec<Vec<f32>>, String> {
-    match tensors.tensor("exposures") {
-        Ok(_) => planes(tensors, "exposures", 3),
-        Err(_) => Ok(Vec::new()),
-    }
-}
-
-/// The 3D filter of `count` Gaussians; empty where there is none.
-fn filter(tensors: &SafeTensors<'_>, count: usize) -> std::result::Result<Vec<f32>, String> {
-    if tensors.tensor("filter").is_err() {
-        return Ok(Vec::new());
-    }
-    let values = planes(tensors, "filter", 1)?.concat();
-    if values.len() != count {
-        return Err("filter and parameters differ in length".into());
-    }
-    Ok(values)
-}
-
-/// The rows of a tensor that has a value for each of `count` Gaussians.
-fn beside(
-    tensors: &SafeTensors<'_>,
-    name: &str,
-    rows: usize,
-    count: usize,
-) -> std::result::Result<Vec<Vec<f32>>, String> {
-    let rows = planes(tensors, name, rows)?;
-    if rows.iter().any(|row| row.len() != count) {
-        return Err(format!("{name} and parameters differ in length"));
-    }
-    Ok(rows)
-}
-
-/// The rows of an f32 tensor; one of a single dimension is one row.
+/// The rows of an f32 tensor, each with `columns` values if that is given; one of a single dimension is one row.
 fn planes(
     tensors: &SafeTensors<'_>,
     name: &str,
     expected: usize,
+    columns: Option<usize>,
 ) -> std::result::Result<Vec<Vec<f32>>, String> {
     let t = tensors.tensor(name).map_err(|e| e.to_string())?;
     let (rows, n) = match *t.shape() {
@@ -294,6 +264,9 @@ fn planes(
         return Err(format!(
             "{name} is {rows} x {n}; {expected} planes of f32 expected"
         ));
+    }
+    if columns.is_some_and(|columns| columns != n) {
+        return Err(format!("{name} and parameters differ in length"));
     }
     let row = |row: &[u8]| {
         row.chunks_exact(4)

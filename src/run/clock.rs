@@ -3,7 +3,7 @@
 //! All three start together. `wall` runs on; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
 //! kernels, so that both cover the same span. On shared machines `cpu` is the one to compare by.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Clock ticks per second of `/proc/self/stat`: Linux's `USER_HZ`, which is 100 on every architecture Rust's standard
 /// library supports. (Asking `sysconf` would need a dependency on libc.)
@@ -60,30 +60,19 @@ pub struct Reading {
     pub cpu_seconds: f64,
 }
 
-/// Beginning of the running span.
-#[derive(Debug, Clone, Copy)]
-struct Mark {
-    at: Instant,
-    cpu: f64,
-}
+/// Beginning of the running span: the moment, and the CPU seconds of the process then.
+type Mark = (Instant, f64);
 
-impl Mark {
-    fn now() -> Self {
-        Self {
-            at: Instant::now(),
-            cpu: process_cpu_seconds(),
-        }
-    }
+fn now() -> Mark {
+    (Instant::now(), process_cpu_seconds())
 }
 
 /// The clocks of a run. Start it when the dataset's images begin to be read: loading counts.
 #[derive(Debug, Clone)]
 pub struct Clock {
     start: Instant,
-    wall_before: f64,
-    train: Duration,
-    train_before: f64,
-    cpu: f64,
+    /// Spans that have ended; of `wall_seconds` those of earlier sessions.
+    before: Reading,
     running: Option<Mark>,
 }
 
@@ -97,52 +86,38 @@ impl Clock {
     /// Starts all clocks where an earlier part of the run left them (from a checkpoint).
     #[must_use]
     pub fn resume_from(earlier: Reading) -> Self {
-        let mark = Mark::now();
+        let mark = now();
         Self {
-            start: mark.at,
-            wall_before: earlier.wall_seconds,
-            train: Duration::ZERO,
-            train_before: earlier.train_seconds,
-            cpu: earlier.cpu_seconds,
+            start: mark.0,
+            before: earlier,
             running: Some(mark),
         }
     }
 
     /// Stops `train` and `cpu`; no effect while they are stopped.
     pub fn pause(&mut self) {
-        if let Some(mark) = self.running.take() {
-            self.train += mark.at.elapsed();
-            self.cpu += (process_cpu_seconds() - mark.cpu).max(0.0);
-        }
+        self.before.train_seconds = self.train_seconds();
+        self.before.cpu_seconds = self.cpu_seconds();
+        self.running = None;
     }
 
     /// Lets `train` and `cpu` run again; no effect while they run.
     pub fn resume(&mut self) {
-        if self.running.is_none() {
-            self.running = Some(Mark::now());
-        }
+        self.running.get_or_insert_with(now);
     }
 
     /// Seconds spent training. Cheap: reads no file, so a progress bar may ask at every iteration.
     #[must_use]
     pub fn train_seconds(&self) -> f64 {
-        let span = self.running.map_or(Duration::ZERO, |m| m.at.elapsed());
-        self.train_before + (self.train + span).as_secs_f64()
-    }
-
-    /// Seconds since the start, pauses included.
-    #[must_use]
-    pub fn wall_seconds(&self) -> f64 {
-        self.wall_before + self.start.elapsed().as_secs_f64()
+        let span = self.running.map_or(0.0, |m| m.0.elapsed().as_secs_f64());
+        self.before.train_seconds + span
     }
 
     /// CPU seconds over the span of [`Clock::train_seconds`], to 10 ms per span; 0 if the system does not report it.
     #[must_use]
     pub fn cpu_seconds(&self) -> f64 {
-        let span = self
-            .running
-            .map_or(0.0, |m| (process_cpu_seconds() - m.cpu).max(0.0));
-        self.cpu + span
+        let span = |m: Mark| (process_cpu_seconds() - m.1).max(0.0);
+        self.before.cpu_seconds + self.running.map_or(0.0, span)
     }
 
     /// All three clocks.
@@ -150,7 +125,7 @@ impl Clock {
     pub fn reading(&self) -> Reading {
         Reading {
             train_seconds: self.train_seconds(),
-            wall_seconds: self.wall_seconds(),
+            wall_seconds: self.before.wall_seconds + self.start.elapsed().as_secs_f64(),
             cpu_seconds: self.cpu_seconds(),
         }
     }

@@ -1,5 +1,6 @@
 //! [`Run`]: one training run and its folder. Evaluations, exports, checkpoints, records and the report.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -7,19 +8,18 @@ use crate::base::error::{Error, Result};
 use crate::capture::{Dataset, Frame};
 use crate::config::TrainConfig;
 use crate::device::{Defines, Device};
-use crate::evaluate::{Evaluator, mean, mean_corrected, mean_flip};
+use crate::evaluate::Evaluator;
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{self, Clock};
-use crate::run::density_log::{DENSITY_FILE, DensityRow, DensityWriter, read_density};
-use crate::run::metrics::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::run::patience;
-use crate::run::plan_record::PlanRecord;
-use crate::run::record::{FinalRecord, RunRecord, StageRecord};
+use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
 use crate::run::report::gallery::{GalleryItem, error_map};
 use crate::run::report::page::write_report;
 use crate::run::start;
+use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
+use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::{Gaussians, ply};
 use crate::train::plan::Decision;
 use crate::train::{DensityEvent, Event, Plan, Trainer};
@@ -49,8 +49,6 @@ pub struct Run {
     dir: PathBuf,
     /// Position of the local frame in the dataset's own.
     frame: Frame,
-    /// [`Dataset::fingerprint`].
-    fingerprint: String,
     config: TrainConfig,
     trainer: Trainer,
     evaluator: Option<Evaluator>,
@@ -69,53 +67,6 @@ pub struct Run {
     saved: Option<u32>,
 }
 
-/// Parts of a run that come from its dataset, on the device and on the host.
-struct Prepared {
-    trainer: Trainer,
-    evaluator: Option<Evaluator>,
-    record: RunRecord,
-    frame: Frame,
-    fingerprint: String,
-}
-
-impl Prepared {
-    /// Moves the photos to the device one by one, so that nobody holds their pixels on the host from then on, and makes the
-    /// trainer and, for held-out views, the evaluator.
-    fn new(dataset: Dataset, plan: &Plan, device: &Device, splats: &Gaussians) -> Result<Self> {
-        let record = start::record(&dataset, plan, device);
-        let (frame, fingerprint) = (dataset.frame, dataset.fingerprint());
-        let photos = Photos::new(device, dataset.image_budget);
-        let train = ViewSet::new(&photos, dataset.train)?;
-        let test = ViewSet::new(&photos, dataset.test)?;
-        let trainer = Trainer::with_views(train, plan, splats)?;
-        let evaluator = if test.is_empty() {
-            None
-        } else {
-            let defines = Defines::new(device.tuning());
-            Some(Evaluator::new(device, defines, test)?)
-        };
-        Ok(Self {
-            trainer,
-            evaluator,
-            record,
-            frame,
-            fingerprint,
-        })
-    }
-}
-
-/// Parts in which a new run and a resumed one differ.
-struct Start {
-    losses: Vec<f64>,
-    clock: Clock,
-    metrics: MetricsWriter,
-    density: DensityWriter,
-    stages: Vec<StageRecord>,
-    /// Iterations of the last row of metrics.csv.
-    evaluated: Option<u32>,
-    saved: Option<u32>,
-}
-
 impl Run {
     /// A new run in an empty folder (see [`crate::run::claim_folder`]).
     ///
@@ -129,20 +80,7 @@ impl Run {
         clock: Clock,
     ) -> Result<Self> {
         let plan = Plan::new(&dataset, &config)?;
-        let splats = start::initial_gaussians(&dataset, &plan)?;
-        let prepared = Prepared::new(dataset, &plan, device, &splats)?;
-        // The record first: a folder with one can be gone on with.
-        prepared.record.write(dir)?;
-        let start = Start {
-            losses: Vec::new(),
-            clock,
-            metrics: MetricsWriter::create(dir.join(METRICS_FILE))?,
-            density: DensityWriter::create(dir.join(DENSITY_FILE))?,
-            stages: Vec::new(),
-            evaluated: None,
-            saved: None,
-        };
-        Self::assemble(dir, config, prepared, start)
+        Self::open(dir, dataset, &plan, device, clock, None)
     }
 
     /// Continues the run in `dir` from its checkpoint, or begins it again where it was killed before the first one. `config` is
@@ -188,45 +126,65 @@ impl Run {
         }
         // Another tuning would add in another order: the run goes on as it began.
         let device = device.clone().with_tuning(saved.tuning);
-        let state = &saved.state;
-        let smoothed = !state.rows.filter.is_empty();
-        let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, state.halvings);
-        let mut prepared = Prepared::new(dataset, &plan, &device, &state.splats)?;
-        prepared.trainer.restore(state)?;
-        let full_from = prepared.trainer.full_size_from();
-        let mut rows = read_rows(dir.join(METRICS_FILE))?;
-        rows.retain(|row| row.iteration <= state.iteration);
-        let losses = patience::losses(&rows, full_from);
-        patience::check(&config, &losses)?;
-        let start = Start {
-            losses,
-            clock: Clock::resume_from(saved.clock),
-            metrics: MetricsWriter::append(dir.join(METRICS_FILE), state.iteration)?,
-            density: DensityWriter::append(dir.join(DENSITY_FILE), state.iteration)?,
-            stages: saved.stages,
-            evaluated: rows.last().map(|row| row.iteration),
-            saved: Some(state.iteration),
-        };
-        Self::assemble(dir, config, prepared, start)
+        let smoothed = !saved.state.rows.filter.is_empty();
+        let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, saved.state.halvings);
+        Self::open(dir, dataset, &plan, &device, clock, Some(saved))
     }
 
-    fn assemble(dir: &Path, config: TrainConfig, prepared: Prepared, start: Start) -> Result<Self> {
+    /// Begins the run, or goes on from `saved`. The photos move to the device one by one, so that nobody holds their pixels on
+    /// the host from then on.
+    fn open(
+        dir: &Path,
+        dataset: Dataset,
+        plan: &Plan,
+        device: &Device,
+        clock: Clock,
+        saved: Option<Checkpoint>,
+    ) -> Result<Self> {
+        let record = start::record(&dataset, plan, device);
+        let frame = dataset.frame;
+        let splats = match &saved {
+            Some(saved) => Cow::Borrowed(&saved.state.splats),
+            None => Cow::Owned(start::initial_gaussians(&dataset, plan)?),
+        };
+        let photos = Photos::new(device, dataset.image_budget);
+        let train = ViewSet::new(&photos, dataset.train)?;
+        let test = ViewSet::new(&photos, dataset.test)?;
+        let mut trainer = Trainer::with_views(train, plan, &splats)?;
+        let defines = Defines::new(device.tuning());
+        let evaluator = (!test.is_empty()).then(|| Evaluator::new(device, defines, test));
+        let evaluator = evaluator.transpose()?;
+        let [metrics, density] = [METRICS_FILE, DENSITY_FILE].map(|name| dir.join(name));
+        let mut rows = Vec::new();
+        if let Some(Checkpoint { state, .. }) = &saved {
+            trainer.restore(state)?;
+            rows = read_rows::<MetricsRow>(&metrics)?;
+            rows.retain(|row| row.iteration <= state.iteration);
+        } else {
+            // The record first: a folder with one can be gone on with.
+            record.write(dir)?;
+        }
+        let losses = patience::losses(&rows, trainer.full_size_from());
+        patience::check(&plan.config, &losses)?;
+        let done = saved.as_ref().map(|saved| saved.state.iteration);
         let mut run = Self {
             dir: dir.to_path_buf(),
-            frame: prepared.frame,
-            fingerprint: prepared.fingerprint,
-            config,
-            saved: start.saved,
-            trainer: prepared.trainer,
-            evaluator: prepared.evaluator,
-            record: prepared.record,
-            losses: start.losses,
-            clock: start.clock,
-            metrics: start.metrics,
-            density: start.density,
-            stages: start.stages,
+            frame,
+            config: plan.config.clone(),
+            trainer,
+            evaluator,
+            record,
+            losses,
+            metrics: MetricsWriter::open(metrics, done)?,
+            density: DensityWriter::open(density, done)?,
+            clock: match &saved {
+                Some(saved) => Clock::resume_from(saved.clock),
+                None => clock,
+            },
+            stages: saved.map_or_else(Vec::new, |saved| saved.stages),
             psnr: None,
-            evaluated: start.evaluated,
+            evaluated: rows.last().map(|row| row.iteration),
+            saved: done,
         };
         run.write_record()?;
         Ok(run)
@@ -403,15 +361,7 @@ impl Run {
         if last && compensates {
             evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
         }
-        let corrected = mean_corrected(&scores);
-        Ok(mean(&scores).map(|(psnr, ssim)| FinalRecord {
-            psnr,
-            ssim,
-            flip: mean_flip(&scores),
-            cc_psnr: corrected.map(|c| c.0),
-            cc_ssim: corrected.map(|c| c.1),
-            per_view: scores,
-        }))
+        Ok(FinalRecord::of(scores))
     }
 
     fn write_record(&mut self) -> Result<()> {
@@ -455,7 +405,7 @@ impl Run {
                 state: self.trainer.state()?,
                 config: self.config.clone(),
                 clock: self.clock.reading(),
-                dataset: self.fingerprint.clone(),
+                dataset: self.record.dataset.fingerprint.clone().unwrap_or_default(),
                 tuning: self.trainer.tuning(),
                 stages: self.stage_times(),
             };
@@ -480,7 +430,7 @@ impl Run {
         self.clock.pause();
         let gallery = self.gallery()?;
         let rows = read_rows(self.dir.join(METRICS_FILE))?;
-        let density = read_density(self.dir.join(DENSITY_FILE))?;
+        let density = read_rows(self.dir.join(DENSITY_FILE))?;
         write_report(&self.dir, &self.record, &rows, &density, &gallery)?;
         self.clock.resume();
         Ok(())

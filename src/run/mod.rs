@@ -14,22 +14,19 @@
 
 pub mod checkpoint;
 pub mod clock;
-pub mod density_log;
 mod drive;
-pub mod metrics;
 mod patience;
-pub mod plan_record;
 pub mod record;
 pub mod report;
 mod start;
 pub mod table;
 
 pub use clock::{Clock, Reading};
-pub use density_log::{DensityRow, DensityWriter, read_density};
 pub use drive::{Progress, Run};
-pub use metrics::{MetricsRow, MetricsWriter, read_rows};
-pub use plan_record::{Item, PlanRecord};
-pub use record::{DatasetRecord, DeviceRecord, FinalRecord, RECORD_FILE, RunRecord, StageRecord};
+pub use record::{DatasetRecord, DeviceRecord, FinalRecord, Item, PlanRecord};
+pub use record::{RECORD_FILE, RunRecord, StageRecord};
 pub use report::gallery::{GalleryItem, error_map};
 pub use report::page::write_report;
 pub use start::{abandon_folder, claim_folder, initial_gaussians, saved_config};
+pub use table::{DENSITY_FILE, DensityRow, DensityWriter, METRICS_FILE};
+pub use table::{MetricsRow, MetricsWriter, read_rows};

@@ -2,7 +2,7 @@
 
 use crate::base::error::{Error, Result};
 use crate::config::TrainConfig;
-use crate::run::metrics::MetricsRow;
+use crate::run::table::MetricsRow;
 
 /// Share of the loss by which it must fall to have improved.
 const IMPROVEMENT: f64 = 1e-3;

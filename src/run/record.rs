@@ -10,7 +10,7 @@ use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
 use crate::evaluate::ViewScore;
 use crate::pipeline::photos::PhotoStats;
-use crate::run::plan_record::PlanRecord;
+use crate::train::Plan;
 
 /// Name of the record in the run folder.
 pub const RECORD_FILE: &str = "run.json";
@@ -61,6 +61,67 @@ pub struct DeviceRecord {
     pub tuning: Option<Tuning>,
 }
 
+/// A part of the work with the reason why it is kept or left out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Item {
+    /// Name of the part.
+    pub what: String,
+    /// Reason.
+    pub why: String,
+}
+
+/// A plan in words.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct PlanRecord {
+    /// Parts that are computed.
+    pub kept: Vec<Item>,
+    /// Parts that are not, and cost nothing.
+    pub left_out: Vec<Item>,
+}
+
+impl PlanRecord {
+    /// The words for a plan.
+    #[must_use]
+    pub fn of(plan: &Plan) -> Self {
+        let mut record = Self::default();
+        for (part, kept, why) in plan.parts() {
+            let list = match kept {
+                true => &mut record.kept,
+                false => &mut record.left_out,
+            };
+            list.push(Item {
+                what: part.to_string(),
+                why: why.to_string(),
+            });
+        }
+        record
+    }
+
+    /// One line on everything that is new since an earlier record; `None` if nothing is.
+    #[must_use]
+    pub fn since(&self, earlier: &Self) -> Option<String> {
+        let new = |label: &str, items: &[Item], old: &[Item]| {
+            let fresh = items.iter().filter(|i| !old.contains(i));
+            let fresh: Vec<_> = fresh.map(|i| format!("{}: {}", i.what, i.why)).collect();
+            (!fresh.is_empty()).then(|| format!("{label}: {}", fresh.join("; ")))
+        };
+        let kept = new("kept", &self.kept, &earlier.kept);
+        let out = new("left out", &self.left_out, &earlier.left_out);
+        let lines: Vec<String> = kept.into_iter().chain(out).collect();
+        (!lines.is_empty()).then(|| format!("found in training: {}", lines.join("; ")))
+    }
+
+    /// One line for the terminal.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let kept: Vec<&str> = self.kept.iter().map(|i| i.what.as_str()).collect();
+        let because = |i: &Item| format!("{}, because {}", i.what, i.why);
+        let out: Vec<String> = self.left_out.iter().map(because).collect();
+        let label = if out.is_empty() { "" } else { "; left out: " };
+        format!("plan: {}{label}{}", kept.join(", "), out.join("; "))
+    }
+}
+
 /// Time spent in one stage over the run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct StageRecord {
@@ -92,6 +153,26 @@ pub struct FinalRecord {
     pub per_view: Vec<ViewScore>,
 }
 
+impl FinalRecord {
+    /// The scores of the views with their means, each of which needs the score of every view; `None` without views.
+    #[must_use]
+    pub fn of(per_view: Vec<ViewScore>) -> Option<Self> {
+        let mean = |score: fn(&ViewScore) -> Option<f64>| {
+            let scores: Option<Vec<f64>> = per_view.iter().map(score).collect();
+            let scores = scores.filter(|s| !s.is_empty())?;
+            Some(scores.iter().sum::<f64>() / scores.len() as f64)
+        };
+        Some(Self {
+            psnr: mean(|s| Some(s.psnr))?,
+            ssim: mean(|s| Some(s.ssim))?,
+            flip: mean(|s| s.flip),
+            cc_psnr: mean(|s| s.cc_psnr),
+            cc_ssim: mean(|s| s.cc_ssim),
+            per_view,
+        })
+    }
+}
+
 // serde hands over a reference.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn is_zero(n: &u64) -> bool {
@@ -99,7 +180,7 @@ fn is_zero(n: &u64) -> bool {
 }
 
 /// The whole of `run.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct RunRecord {
     /// Version of this package.
     pub version: String,
@@ -165,19 +246,8 @@ impl RunRecord {
             config,
             dataset,
             device,
-            stalled: None,
             plan,
-            iterations: 0,
-            gaussians: 0,
-            removed: 0,
-            train_seconds: 0.0,
-            wall_seconds: 0.0,
-            cpu_seconds: 0.0,
-            peak_rss_bytes: 0,
-            photos: PhotoStats::default(),
-            stages: Vec::new(),
-            density: DensityStats::default(),
-            final_scores: None,
+            ..Self::default()
         }
     }
 
@@ -186,10 +256,7 @@ impl RunRecord {
     /// # Errors
     /// [`Error::Numerics`] when a number is not finite.
     pub fn to_json(&self) -> Result<String> {
-        let numerics = |what: String| Error::Numerics {
-            stage: RECORD_FILE.to_owned(),
-            what,
-        };
+        let numerics = |what: String| Error::numerics(RECORD_FILE, what);
         let scores = self.final_scores.iter();
         let of_views = scores.flat_map(|f| {
             let views = f.per_view.iter().map(|v| [v.flip, v.cc_psnr, v.cc_ssim]);

@@ -129,7 +129,7 @@ impl Made {
         let folder = dir.join(&self.name);
         std::fs::create_dir_all(&folder).unwrap();
         self.record.write(&folder).unwrap();
-        let mut table = MetricsWriter::create(folder.join("metrics.csv")).unwrap();
+        let mut table = MetricsWriter::open(folder.join("metrics.csv"), None).unwrap();
         self.rows.iter().for_each(|r| table.write(r).unwrap());
         folder
     }

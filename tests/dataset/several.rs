@@ -12,9 +12,10 @@ use mhsplat::capture::transforms::write_transforms;
 use mhsplat::capture::{Alpha, Camera, Dataset, LoadOptions, View, load, point_cloud};
 use mhsplat::config::Sampler;
 use mhsplat::device::{Defines, Device};
-use mhsplat::evaluate::{Evaluator, ViewScore, mean};
+use mhsplat::evaluate::{Evaluator, ViewScore};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
+use mhsplat::run::FinalRecord;
 
 /// Left, top, width and height of what is kept of every other photo, and of the same of every fourth: upright, and small.
 const CROPS: [[u32; 4]; 2] = [[96, 0, 144, 192], [10, 60, 128, 96]];
@@ -137,7 +138,7 @@ fn scores(data: &Dataset) -> Vec<ViewScore> {
 }
 
 fn psnr(scores: &[ViewScore]) -> f64 {
-    mean(scores).unwrap().0
+    FinalRecord::of(scores.to_vec()).unwrap().psnr
 }
 
 fn sizes(views: &[View]) -> Vec<(u32, u32)> {

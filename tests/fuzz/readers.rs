@@ -11,8 +11,7 @@ use mhsplat::capture::{Frame, LoadOptions, load, point_cloud};
 use mhsplat::config::ExposureChoice;
 use mhsplat::lab::experiment::Experiment;
 use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
-use mhsplat::run::metrics::METRICS_FILE;
-use mhsplat::run::{Clock, RECORD_FILE, Run, checkpoint, read_rows};
+use mhsplat::run::{Clock, METRICS_FILE, MetricsRow, RECORD_FILE, Run, checkpoint, read_rows};
 use mhsplat::scene::ply;
 use mhsplat::{Device, RunRecord, TrainConfig};
 
@@ -274,7 +273,9 @@ fn run(name: &str) -> Reader {
         }),
         "metrics_csv" => {
             let file = run.join(METRICS_FILE);
-            of_file(dir, file.clone(), move |_| read_rows(&file).is_ok())
+            of_file(dir, file.clone(), move |_| {
+                read_rows::<MetricsRow>(&file).is_ok()
+            })
         }
         // The same with a checksum that fits: whoever means harm can compute one.
         "signed_checkpoint" => {

@@ -5,8 +5,7 @@ use std::path::Path;
 use super::samples::*;
 use mhsplat::base::error::Error;
 use mhsplat::chart::axis::{Axis, ticks};
-use mhsplat::chart::bars::{Bar, bar_chart};
-use mhsplat::chart::svg::{Banded, band_chart};
+use mhsplat::chart::svg::{Banded, Bar, band_chart, bar_chart};
 use mhsplat::chart::text::{escape, grouped, span};
 use mhsplat::config::{Init, Sampler, TrainConfig};
 use mhsplat::run::PlanRecord;
@@ -110,7 +109,7 @@ fn page_shows_the_run() {
         "fine",
         "splat_grad",
         "IMG_0008.jpg",
-        "mhsplat train scenes/plush --iterations 7000 --seed 18446744073709551615 --time-budget 600s --init &#39;a b/scene.ply&#39; --background white",
+        "mhsplat train scenes/plush --background white --init &#39;a b/scene.ply&#39; --iterations 7000 --seed 18446744073709551615 --time-budget 600.0",
     ];
     for text_shown in shown {
         assert!(text.contains(text_shown), "{text_shown}");

@@ -4,8 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use crate::base::error::Result;
-use crate::chart::bars::{Bar, bar_chart};
-use crate::chart::loglog::{LogPoint, LogSeries, log_log_chart};
+use crate::chart::svg::{Bar, LogPoint, LogSeries, bar_chart, log_log_chart};
 use crate::chart::text::fixed;
 use crate::lab::bench::record::{BenchRecord, Case, Outcome, Stage};
 use crate::lab::bench::scene::SYNTHETIC;

@@ -8,9 +8,8 @@ use serde::Serialize;
 use crate::base::error::{Error, Result};
 use crate::lab::compare::curve::Curve;
 use crate::lab::table::folder_name;
-use crate::run::metrics::METRICS_FILE;
 use crate::run::report::settings::flatten;
-use crate::run::{MetricsRow, RECORD_FILE, RunRecord, read_rows};
+use crate::run::{METRICS_FILE, MetricsRow, RECORD_FILE, RunRecord, read_rows};
 use crate::train::schedule::Schedule;
 
 /// Options that change no result, or only by chance.
@@ -203,7 +202,7 @@ fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
         }
     }
     let record = RunRecord::read(dir)?;
-    let rows = read_rows(dir.join(METRICS_FILE))?;
+    let rows = read_rows::<MetricsRow>(dir.join(METRICS_FILE))?;
     let rows: Vec<_> = rows.into_iter().filter(|r| r.psnr.is_some()).collect();
     let name = dir.display().to_string();
     let Some(last) = rows.last().copied() else {

@@ -6,7 +6,7 @@ use crate::base::error::Result;
 use crate::config::TrainConfig;
 use crate::lab::compare::finished;
 use crate::lab::experiment::file::Experiment;
-use crate::run::metrics::METRICS_FILE;
+use crate::run::METRICS_FILE;
 use crate::run::report::settings::flatten;
 use crate::run::{RECORD_FILE, RunRecord, checkpoint};
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::base::error::Result;
-use crate::chart::loglog::{LogPoint, LogSeries, log_log_chart};
+use crate::chart::svg::{LogPoint, LogSeries, log_log_chart};
 use crate::lab::folder::{one_or_all, write_files};
 use crate::lab::report::{Report, Section};
 use crate::lab::table::{Table, or_dash};

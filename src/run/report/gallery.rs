@@ -60,14 +60,12 @@ pub fn colormap(t: f64) -> [u8; 3] {
 /// [`Error::Numerics`] when the two images differ in length or are not whole pixels.
 pub fn error_map(render: &[u8], photo: &[u8]) -> Result<Vec<u8>> {
     if render.len() != photo.len() || !render.len().is_multiple_of(3) {
-        return Err(Error::Numerics {
-            stage: "error map".to_owned(),
-            what: format!(
-                "render of {} bytes, photo of {}; expected equal multiples of 3",
-                render.len(),
-                photo.len()
-            ),
-        });
+        let what = format!(
+            "render of {} bytes, photo of {}; expected equal multiples of 3",
+            render.len(),
+            photo.len()
+        );
+        return Err(Error::numerics("error map", what));
     }
     // 8-bit images have 3 · 255 + 1 different sums: a table saves a polynomial per pixel.
     let table: Vec<[u8; 3]> = (0..=3 * 255)
@@ -86,10 +84,7 @@ pub fn error_map(render: &[u8], photo: &[u8]) -> Result<Vec<u8>> {
 /// # Errors
 /// [`Error::Numerics`] when the bytes do not match the size or cannot be encoded.
 pub fn data_uri(name: &str, rgb: &[u8], width: u32, height: u32) -> Result<String> {
-    let failed = |what: String| Error::Numerics {
-        stage: format!("report image {name}"),
-        what,
-    };
+    let failed = |what: String| Error::numerics(format!("report image {name}"), what);
     let expected = u64::from(width) * u64::from(height) * 3;
     let image = RgbImage::from_raw(width, height, rgb.to_vec())
         .filter(|_| expected > 0 && rgb.len() as u64 == expected)

@@ -8,11 +8,11 @@ use std::path::Path;
 
 use crate::base::error::Result;
 use crate::chart::text::{escape, fixed, grouped, span};
-use crate::run::density_log::DensityRow;
-use crate::run::metrics::MetricsRow;
-use crate::run::record::{FinalRecord, RunRecord};
+use crate::evaluate::ViewScore;
+use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use crate::run::report::{panels, settings};
+use crate::run::table::{DensityRow, MetricsRow};
 
 /// Name of the page in the run folder.
 pub const REPORT_FILE: &str = "report.html";
@@ -34,7 +34,7 @@ pub fn write_report(
     panels::quality(&mut body, rows, density);
     panels::density_control(&mut body, record.config.sampler, density);
     panels::stages(&mut body, record);
-    plan(&mut body, record);
+    plan(&mut body, &record.plan);
     views(&mut body, gallery)?;
     scores(&mut body, record.final_scores.as_ref());
     settings::section(&mut body, record, run_dir);
@@ -121,16 +121,12 @@ fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'stat
     let decibels = |v: f64| format!("{} <small>dB</small>", fixed(v, 2));
     let last = scores.map(|f| (f.psnr, f.ssim));
     let last = last.or_else(|| rows.iter().rev().find_map(|r| r.psnr.zip(r.ssim)));
-    let (psnr, ssim) = last.map_or_else(
-        || ("–".to_owned(), "–".to_owned()),
-        |(p, s)| (decibels(p), fixed(s, 4)),
-    );
     let flip = scores.and_then(|f| f.flip);
-    let flip = flip.map_or_else(|| "–".to_owned(), |v| fixed(v, 4));
+    let dash = || "–".to_owned();
     let mut heads = vec![
-        ("PSNR, held-out", psnr),
-        ("SSIM, held-out", ssim),
-        ("FLIP, held-out", flip),
+        ("PSNR, held-out", last.map_or_else(dash, |l| decibels(l.0))),
+        ("SSIM, held-out", last.map_or_else(dash, |l| fixed(l.1, 4))),
+        ("FLIP, held-out", flip.map_or_else(dash, |v| fixed(v, 4))),
     ];
     if let Some((psnr, ssim)) = scores.and_then(|f| f.cc_psnr.zip(f.cc_ssim)) {
         heads.push(("PSNR, colour-corrected", decibels(psnr)));
@@ -139,29 +135,20 @@ fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'stat
     heads
 }
 
-fn plan(out: &mut String, record: &RunRecord) {
-    let table = |out: &mut String, items: &[crate::run::plan_record::Item]| {
-        out.push_str("<table>");
-        for item in items {
-            let (what, why) = (escape(&item.what), escape(&item.why));
-            let _ = write!(out, "<tr><th>{what}</th><td>{why}</td></tr>");
-        }
-        out.push_str("</table>");
-    };
-    let plan = &record.plan;
+fn plan(out: &mut String, plan: &PlanRecord) {
+    fn rows(items: &[Item]) -> impl Iterator<Item = (&str, &str)> {
+        items.iter().map(|i| (&*i.what, &*i.why))
+    }
     out.push_str("<h2>Left out, and why</h2>\n");
     if plan.left_out.is_empty() {
         out.push_str("<p class=note>Nothing.</p>");
     } else {
-        table(out, &plan.left_out);
+        settings::table(out, rows(&plan.left_out));
     }
     if !plan.kept.is_empty() {
-        let _ = write!(
-            out,
-            "<details><summary>Kept ({})</summary>",
-            plan.kept.len()
-        );
-        table(out, &plan.kept);
+        let count = plan.kept.len();
+        let _ = write!(out, "<details><summary>Kept ({count})</summary>");
+        settings::table(out, rows(&plan.kept));
         out.push_str("</details>");
     }
     out.push('\n');
@@ -215,41 +202,39 @@ fn scores(out: &mut String, scores: Option<&FinalRecord>) {
     let Some(scores) = scores.filter(|s| !s.per_view.is_empty()) else {
         return;
     };
+    type Score = fn(&ViewScore) -> Option<f64>;
+    let columns: [(&str, usize, Score); 5] = [
+        ("PSNR, dB", 2, |s| Some(s.psnr)),
+        ("SSIM", 4, |s| Some(s.ssim)),
+        ("FLIP", 4, |s| s.flip),
+        ("PSNR, colour-corrected, dB", 2, |s| s.cc_psnr),
+        ("SSIM, colour-corrected", 4, |s| s.cc_ssim),
+    ];
     let corrected = scores.per_view.iter().any(|s| s.cc_psnr.is_some());
-    let note = if corrected {
-        "<p class=note>Colour-corrected: after the affine fit of the render's colours to the photo's; a held-out view has no \
-         exposure of its own.</p>"
-    } else {
-        ""
+    let (columns, note) = match corrected {
+        true => (
+            &columns[..],
+            "<p class=note>Colour-corrected: after the affine fit of the render's colours to the photo's; a held-out view has no \
+             exposure of its own.</p>",
+        ),
+        false => (&columns[..3], ""),
     };
+    let count = scores.per_view.len();
     let _ = write!(
         out,
-        "<details><summary>Scores of all {} held-out views</summary>{note}<table>\
-         <tr><th>view</th><th class=n>PSNR, dB</th><th class=n>SSIM</th><th class=n>FLIP</th>",
-        scores.per_view.len()
+        "<details><summary>Scores of all {count} held-out views</summary>{note}<table><tr><th>view</th>"
     );
-    if corrected {
-        out.push_str(
-            "<th class=n>PSNR, colour-corrected, dB</th><th class=n>SSIM, colour-corrected</th>",
-        );
+    for (title, _, _) in columns {
+        let _ = write!(out, "<th class=n>{title}</th>");
     }
     out.push_str("</tr>");
     for score in &scores.per_view {
-        let figure = |v: Option<f64>, decimals| fixed(v.unwrap_or(f64::NAN), decimals);
-        let mut row = vec![
-            fixed(score.psnr, 2),
-            fixed(score.ssim, 4),
-            figure(score.flip, 4),
-        ];
-        if corrected {
-            row.extend([figure(score.cc_psnr, 2), figure(score.cc_ssim, 4)]);
+        let _ = write!(out, "<tr><td>{}</td>", escape(&score.view));
+        for (_, decimals, of) in columns {
+            let figure = fixed(of(score).unwrap_or(f64::NAN), *decimals);
+            let _ = write!(out, "<td class=n>{figure}</td>");
         }
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td class=n>{}</td></tr>",
-            escape(&score.view),
-            row.join("</td><td class=n>")
-        );
+        out.push_str("</tr>");
     }
     out.push_str("</table></details>\n");
 }

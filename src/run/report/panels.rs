@@ -3,14 +3,12 @@
 use std::fmt::Write;
 
 use crate::chart::axis::{Axis, Scale};
-use crate::chart::bars::{Bar, bar_chart};
-use crate::chart::svg::{Banded, band_chart};
+use crate::chart::svg::{Banded, Bar, band_chart, bar_chart};
 use crate::chart::text::{escape, fixed, grouped, span};
 use crate::config::Sampler;
 use crate::density::DensityStats;
-use crate::run::density_log::DensityRow;
-use crate::run::metrics::MetricsRow;
-use crate::run::record::RunRecord;
+use crate::run::record::{RunRecord, StageRecord};
+use crate::run::table::{DensityRow, MetricsRow};
 
 const TIME: Axis<'static> = Axis::from_zero("training time", Scale::Seconds);
 const ITERATION: Axis<'static> = number("iteration");
@@ -29,8 +27,9 @@ fn points<R>(rows: &[R], x: impl Fn(&R) -> f64, y: impl Fn(&R) -> Option<f64>) -
         .collect()
 }
 
-fn single(points: Vec<(f64, f64)>) -> [Banded; 1] {
-    [Banded::line("", points)]
+/// Writes a chart of a single line.
+fn line(out: &mut String, title: &str, x: Axis<'_>, y: Axis<'_>, points: Vec<(f64, f64)>) {
+    out.push_str(&band_chart(title, &x, &y, &[Banded::line("", points)]));
 }
 
 /// Charts of scores, number of Gaussians and loss.
@@ -38,49 +37,33 @@ pub(super) fn quality(out: &mut String, rows: &[MetricsRow], density: &[DensityR
     let time = |r: &MetricsRow| r.train_seconds;
     let iteration = |r: &MetricsRow| f64::from(r.iteration);
     out.push_str("<h2>Quality on held-out views</h2><div class=charts>\n");
-    let psnr = |r: &MetricsRow| r.psnr;
-    let ssim = |r: &MetricsRow| r.ssim;
-    let charts = [
-        ("PSNR against time", TIME, PSNR, points(rows, time, psnr)),
-        (
-            "PSNR against iterations",
+    type Score = fn(&MetricsRow) -> Option<f64>;
+    let scores: [(&str, Axis<'_>, Score); 2] =
+        [("PSNR", PSNR, |r| r.psnr), ("SSIM", SSIM, |r| r.ssim)];
+    for (name, y, score) in scores {
+        let [over_time, over_steps] = ["time", "iterations"].map(|x| format!("{name} against {x}"));
+        line(out, &over_time, TIME, y, points(rows, time, score));
+        line(
+            out,
+            &over_steps,
             ITERATION,
-            PSNR,
-            points(rows, iteration, psnr),
-        ),
-        ("SSIM against time", TIME, SSIM, points(rows, time, ssim)),
-        (
-            "SSIM against iterations",
-            ITERATION,
-            SSIM,
-            points(rows, iteration, ssim),
-        ),
-    ];
-    for (title, x, y, points) in charts {
-        out.push_str(&band_chart(title, &x, &y, &single(points)));
+            y,
+            points(rows, iteration, score),
+        );
     }
     out.push_str("</div>\n<h2>Gaussians and loss</h2><div class=charts>\n");
     // Density steps come more often than evaluations; evaluations also cover the time without density control.
     let mut counts = points(rows, time, |r| Some(r.gaussians as f64));
-    counts.extend(points(
-        density,
-        |r| r.train_seconds,
-        |r| Some(r.gaussians as f64),
-    ));
+    counts.extend(
+        density
+            .iter()
+            .map(|r| (r.train_seconds, r.gaussians as f64)),
+    );
     counts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    out.push_str(&band_chart(
-        "Gaussians against time",
-        &TIME,
-        &number("Gaussians"),
-        &single(counts),
-    ));
+    let gaussians = number("Gaussians");
+    line(out, "Gaussians against time", TIME, gaussians, counts);
     let loss = points(rows, time, |r| r.loss);
-    out.push_str(&band_chart(
-        "Training loss",
-        &TIME,
-        &number("loss"),
-        &single(loss),
-    ));
+    line(out, "Training loss", TIME, number("loss"), loss);
     out.push_str("</div>\n");
 }
 
@@ -140,56 +123,41 @@ fn acceptance(out: &mut String, density: &[DensityRow]) {
 
 fn voxels(out: &mut String, density: &[DensityRow]) {
     let voxels = points(density, step_of, |r| Some(r.stats.occupied_voxels as f64));
-    out.push_str(&band_chart(
-        "Occupied voxels",
-        &ITERATION,
-        &number("voxels"),
-        &single(voxels),
-    ));
+    let unit = number("voxels");
+    line(out, "Occupied voxels", ITERATION, unit, voxels);
     // D is the mean over the proposals, so a step without proposals has none.
     let prior = points(density, step_of, |r| {
         (r.stats.proposed > 0).then_some(r.stats.mean_prior)
     });
-    out.push_str(&band_chart(
-        "Mean voxel prior D",
-        &ITERATION,
-        &number("D"),
-        &single(prior),
-    ));
+    line(out, "Mean voxel prior D", ITERATION, number("D"), prior);
 }
 
 fn resets(out: &mut String, density: &[DensityRow]) {
     let mut sum = 0;
-    let so_far = points(density, step_of, |r| Some(r.stats.opacity_resets as f64));
-    let so_far = so_far.into_iter().map(|(at, n)| {
-        sum += n as u64;
-        (at, sum as f64)
+    let so_far = density.iter().map(|r| {
+        sum += r.stats.opacity_resets;
+        (step_of(r), sum as f64)
     });
-    out.push_str(&band_chart(
-        "Opacity resets so far",
-        &ITERATION,
-        &number("resets"),
-        &single(so_far.collect()),
-    ));
+    let (so_far, unit) = (so_far.collect(), number("resets"));
+    line(out, "Opacity resets so far", ITERATION, unit, so_far);
 }
 
 /// Chart and table of the time by stage.
 pub(super) fn stages(out: &mut String, record: &RunRecord) {
     let total: f64 = record.stages.iter().map(|s| s.seconds).sum();
-    let bars: Vec<Bar> = record
-        .stages
-        .iter()
-        .map(|s| Bar {
+    let bar = |s: &StageRecord| {
+        let (share, seconds) = (s.seconds / total, digits(s.seconds));
+        let percent = fixed(100.0 * share, 1);
+        Bar {
             name: s.name.clone(),
             value: s.seconds,
-            text: match s.seconds / total {
-                share if share.is_finite() => {
-                    format!("{} s · {} %", digits(s.seconds), fixed(100.0 * share, 1))
-                }
-                _ => format!("{} s", digits(s.seconds)),
+            text: match share.is_finite() {
+                true => format!("{seconds} s · {percent} %"),
+                false => format!("{seconds} s"),
             },
-        })
-        .collect();
+        }
+    };
+    let bars: Vec<Bar> = record.stages.iter().map(bar).collect();
     out.push_str("<h2>Time by stage</h2><div class=charts>\n");
     out.push_str(&bar_chart("Seconds in each stage", &bars));
     if bars.is_empty() {
@@ -222,12 +190,10 @@ pub(super) fn stages(out: &mut String, record: &RunRecord) {
 
 /// A measured value with three digits or its whole part.
 fn digits(value: f64) -> String {
-    fixed(
-        value,
-        match value {
-            v if v < 10.0 => 2,
-            v if v < 100.0 => 1,
-            _ => 0,
-        },
-    )
+    let decimals = match value {
+        v if v < 10.0 => 2,
+        v if v < 100.0 => 1,
+        _ => 0,
+    };
+    fixed(value, decimals)
 }
