@@ -10,10 +10,10 @@ use mhsplat::chart::axis::decades;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Array, CameraArg, Defines, Device};
 use mhsplat::lab::bench;
-use mhsplat::lab::bench::record::{BenchRecord, Failure, Outcome};
+use mhsplat::lab::bench::record::{BenchRecord, Case, Failure, Iteration, Outcome};
 use mhsplat::lab::bench::work::{Load, TileWork};
 use mhsplat::lab::bench::{Options, STAGES, scene};
-use mhsplat::lab::stats::{Spread, ratio};
+use mhsplat::lab::stats::{Spread, exponent, ratio};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
 
@@ -33,6 +33,77 @@ fn a_ratio_of_too_few_samples_is_refused() {
     assert_eq!((r.median, r.low, r.high), (2.0, 1.0, 4.0));
     assert!(Spread::of(&[]).is_none());
     assert!(Spread::of(&[1.0, f64::NAN, 2.0]).is_none());
+}
+
+#[test]
+fn exponents_of_exact_data() {
+    let exact = |x: f64| (x, spread(&[3.0 * x.powf(1.5); 3]));
+    let points: Vec<_> = [1e4, 1e5, 5e5, 1e6].map(exact).to_vec();
+    let found = exponent(&points).unwrap();
+    for p in [found.median, found.low, found.high] {
+        assert!((p - 1.5).abs() < 1e-12, "{p}");
+    }
+    // Two points, a decade apart, known within a factor of two: 1 ± 2·log10(2) at the very ends.
+    let wide = |x: f64| (x, spread(&[0.5 * x, x, 2.0 * x]));
+    let found = exponent(&[wide(10.0), wide(100.0)]).unwrap();
+    let slack = 2.0 * 2f64.log10();
+    assert!((found.median - 1.0).abs() < 1e-12);
+    assert!((found.low - 1.0 + slack).abs() < 1e-12 && (found.high - 1.0 - slack).abs() < 1e-12);
+    assert!(exponent(&points[..1]).is_none());
+    assert!(exponent(&[exact(5.0), exact(5.0)]).is_none());
+    assert!(exponent(&[exact(5.0), (6.0, spread(&[1.0, 2.0]))]).is_none());
+}
+
+fn case(gaussians: usize, size: u32, ms: f64) -> Case {
+    Case {
+        scene: "synthetic".into(),
+        gaussians,
+        width: size,
+        height: size,
+        pairs: 1,
+        stages: Vec::new(),
+        iteration: Iteration {
+            ms: spread(&[ms; 5]),
+            cpu_ms: spread(&[ms; 5]),
+            cores_busy: spread(&[1.0; 5]),
+            iterations: 8,
+            visible: 1,
+            used_pairs: 1,
+            lanes: 1,
+            device_bytes: 1000 * gaussians as u64,
+            bytes_per_gaussian: 1000.0,
+        },
+    }
+}
+
+#[test]
+fn growth_is_told_from_a_hundred_thousand_on() {
+    let cases = [
+        case(10_000, 800, 1.0),
+        case(100_000, 800, 10.0),
+        case(1_000_000, 800, 100.0),
+        case(100_000, 1600, 20.0),
+        Case {
+            scene: "other.ply".into(),
+            ..case(5, 800, 1e9)
+        },
+    ];
+    let laws = bench::growth(&cases);
+    let names: Vec<&str> = laws.iter().map(|g| g.what.as_str()).collect();
+    assert_eq!(
+        names,
+        [
+            "time with Gaussians, 800 × 800 px",
+            "memory with Gaussians, 800 × 800 px",
+            "time with pixels, 100000 Gaussians",
+            "memory with pixels, 100000 Gaussians",
+        ]
+    );
+    assert!((laws[0].exponent.median - 1.0).abs() < 1e-12);
+    assert_eq!(laws[0].between, [1e5, 1e6]);
+    assert_eq!(laws[0].ratio.median, 10.0);
+    assert!((laws[2].exponent.median - 0.5).abs() < 1e-12);
+    assert!(laws[3].exponent.median.abs() < 1e-12);
 }
 
 /// Lanes counted the slow way: every block of every pair's tile that holds a pixel within the Gaussian's bounds.

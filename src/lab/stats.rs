@@ -97,6 +97,36 @@ pub fn ratio(a: &Spread, b: &Spread) -> Option<Ratio> {
     })
 }
 
+/// Exponent p of y ∝ xᵖ by least squares in the logarithms, through the medians, and its interval over all y within the
+/// samples' ranges. `None` with fewer than two different x, or a point of fewer than [`RATIO_SAMPLES`] samples: an exponent
+/// is a logarithm of ratios.
+#[must_use]
+pub fn exponent(points: &[(f64, Spread)]) -> Option<Ratio> {
+    let usable = |(x, y): &(f64, Spread)| *x > 0.0 && y.min > 0.0 && y.samples >= RATIO_SAMPLES;
+    if !points.iter().all(usable) {
+        return None;
+    }
+    let mean = points.iter().map(|(x, _)| x.ln()).sum::<f64>() / points.len() as f64;
+    let square: f64 = points.iter().map(|(x, _)| (x.ln() - mean).powi(2)).sum();
+    if points.len() < 2 || square < 1e-12 {
+        return None;
+    }
+    let slope = |pick: &dyn Fn(&Spread, f64) -> f64| -> f64 {
+        points
+            .iter()
+            .map(|(x, y)| {
+                let weight = (x.ln() - mean) / square;
+                weight * pick(y, weight).ln()
+            })
+            .sum()
+    };
+    Some(Ratio {
+        median: slope(&|y, _| y.median),
+        low: slope(&|y, weight| if weight > 0.0 { y.min } else { y.max }),
+        high: slope(&|y, weight| if weight > 0.0 { y.max } else { y.min }),
+    })
+}
+
 /// Geometric mean; `None` of an empty list or one that holds anything but positive finite numbers.
 #[must_use]
 pub fn geometric_mean(values: &[f64]) -> Option<f64> {

@@ -7,6 +7,7 @@
 //! CPU time is the clock to compare by on machines that others share: wall time and device time include the waiting.
 
 mod case;
+mod growth;
 mod peak;
 mod precision;
 pub mod record;
@@ -15,6 +16,7 @@ mod run;
 pub mod scene;
 pub mod work;
 
+pub use crate::lab::bench::growth::growth;
 pub use crate::lab::bench::record::{BenchRecord, Outcome};
 pub use crate::lab::bench::report::{csv, json, report, write_folder};
 pub use crate::lab::bench::run::{Options, run, run_all};

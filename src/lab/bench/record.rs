@@ -20,6 +20,8 @@ pub struct BenchRecord {
     pub peak: Peak,
     /// One entry per scene and resolution.
     pub cases: Vec<Case>,
+    /// Power laws of time and memory.
+    pub growth: Vec<Growth>,
     /// Error against time of every precision, vector width, style and cut-off.
     pub precision: Vec<Precision>,
     /// Cases and parts that could not be measured.
@@ -155,6 +157,21 @@ fn rate<S: Serializer>(s: &Spread, out: S) -> Result<S::Ok, S::Error> {
 fn share<S: Serializer>(r: &Option<Ratio>, out: S) -> Result<S::Ok, S::Error> {
     let keys = ["share_of_peak", "share_min", "share_max"];
     keyed(r.map(|r| [r.median, r.low, r.high]), keys, None, out)
+}
+
+/// A power law over some of the cases: y ∝ xᵖ.
+#[derive(Debug, Clone, Serialize)]
+pub struct Growth {
+    /// The quantity, what it grows with, and what stays the same.
+    pub what: String,
+    /// Number of cases.
+    pub points: usize,
+    /// The exponent p and its range.
+    pub exponent: Ratio,
+    /// Smaller and larger x of `ratio`.
+    pub between: [f64; 2],
+    /// y of the larger over y of the smaller.
+    pub ratio: Ratio,
 }
 
 /// Error of a stage in one variant against the f64 reference, relative to the largest wanted value, and its time.

@@ -85,7 +85,7 @@ fn device(record: &BenchRecord) -> Report {
     let a = &record.about;
     let mut tables = vec![peak(record), iterations(record)];
     tables.extend(record.cases.iter().map(stages));
-    tables.extend([precision(record), failures(record)]);
+    tables.extend([growth(record), precision(record), failures(record)]);
     let common = |c: &&Case| c.scene == SYNTHETIC && (c.gaussians, c.width) == COMMON;
     let common = record.cases.iter().find(common).or(record.cases.last());
     let mut figures = vec![growth_chart(record), precision_chart(record)];
@@ -185,6 +185,22 @@ fn stages(case: &Case) -> Table {
          bytes over the copy; above 100 % where data stay in a cache.";
     let columns = ["stage", "ms", "CPU ms", "rate", "% of peak"];
     Table::new(title(case), note, &columns, case.stages.iter().map(row))
+}
+
+fn growth(record: &BenchRecord) -> Table {
+    let rows = record.growth.iter().map(|g| {
+        let [from, to] = g.between;
+        vec![
+            g.what.clone(),
+            ratio(&g.exponent),
+            g.points.to_string(),
+            format!("{from} to {to}"),
+            ratio(&g.ratio),
+        ]
+    });
+    let columns = ["growth", "exponent", "cases", "from, to", "ratio"];
+    let note = "Least squares in the logarithms; ranges from the smallest and largest samples. Memory is known, not sampled.";
+    Table::new("Growth", note, &columns, rows)
 }
 
 fn precision(record: &BenchRecord) -> Table {

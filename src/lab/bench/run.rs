@@ -6,6 +6,7 @@ use crate::base::error::{Error, Result};
 use crate::capture::{Camera, Frame};
 use crate::device::Device;
 use crate::lab::bench::case::{Subject, measure as measure_case};
+use crate::lab::bench::growth::growth;
 use crate::lab::bench::peak::measure as measure_peak;
 use crate::lab::bench::precision::measure as measure_precision;
 use crate::lab::bench::record::{BenchRecord, Failure, Outcome};
@@ -124,6 +125,7 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
         version: env!("CARGO_PKG_VERSION").to_owned(),
         about: device.info().clone(),
         peak,
+        growth: growth(&cases),
         cases,
         precision,
         failed,
