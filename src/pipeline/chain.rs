@@ -5,7 +5,7 @@ use crate::base::math::sigmoid;
 use crate::pipeline::reference::{Camera64, Options, Scene64};
 use crate::pipeline::stage::bin::bin;
 use crate::pipeline::stage::loss::{Loss64, loss};
-use crate::pipeline::stage::project::{Record64, project};
+use crate::pipeline::stage::project::{Projected64, project};
 use crate::pipeline::stage::project_grad::project_grad;
 use crate::pipeline::stage::splat::splat;
 use crate::pipeline::stage::splat_grad::splat_grad;
@@ -15,7 +15,7 @@ use crate::scene::Plane;
 #[derive(Debug, Clone)]
 pub struct Passage {
     /// Records.
-    pub records: Vec<Option<Record64>>,
+    pub records: Vec<Option<Projected64>>,
     /// Gaussians of each tile.
     pub tiles: Vec<Vec<u32>>,
     /// Image \[3, height, width\].
@@ -49,7 +49,7 @@ pub fn total(scene: &Scene64, l1: f64, ssim: f64, lambdas: [f64; 3]) -> f64 {
 }
 
 /// Records, Gaussians of each tile, image \[3, height, width\] and transmittance \[height, width\].
-type Forward = (Vec<Option<Record64>>, Vec<Vec<u32>>, Vec<f64>, Vec<f64>);
+type Forward = (Vec<Option<Projected64>>, Vec<Vec<u32>>, Vec<f64>, Vec<f64>);
 
 /// Results of the forward stages.
 #[must_use]

@@ -158,7 +158,7 @@ impl Reference {
 
     /// Projected Gaussians; zeros when culled.
     pub(super) fn records(&self) -> Vec<Record> {
-        let of = |r: &crate::pipeline::stage::project::Record64| {
+        let of = |r: &crate::pipeline::stage::project::Projected64| {
             let [[x0, x1], [y0, y1]] = r.bounds.map(|b| b.map(f64::from));
             let [red, green, blue] = r.rgb;
             let [x, y] = r.mean;

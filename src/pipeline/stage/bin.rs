@@ -6,7 +6,7 @@ use crate::device::{CameraArg, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, TILE};
-use crate::pipeline::stage::project::Record64;
+use crate::pipeline::stage::project::Projected64;
 
 /// The kernels.
 #[derive(Debug)]
@@ -120,7 +120,7 @@ impl Bin {
 /// reach. The minimum of a convex form over a rectangle lies at its centre or on the boundary; here every edge is looked
 /// at, whether it faces the mean or not.
 #[must_use]
-pub fn touches(g: &Record64, tx: i32, ty: i32, alpha_min: f64) -> bool {
+pub fn touches(g: &Projected64, tx: i32, ty: i32, alpha_min: f64) -> bool {
     let inside = |k: usize, t: i32| g.bounds[k][0] / TILE <= t && t <= g.bounds[k][1] / TILE;
     if !inside(0, tx) || !inside(1, ty) {
         return false;
@@ -147,7 +147,7 @@ pub fn touches(g: &Record64, tx: i32, ty: i32, alpha_min: f64) -> bool {
 
 /// Gaussians of each tile (row major), sorted by the f32 depth, ties by index.
 #[must_use]
-pub fn bin(records: &[Option<Record64>], camera: &Camera64, alpha_min: f64) -> Vec<Vec<u32>> {
+pub fn bin(records: &[Option<Projected64>], camera: &Camera64, alpha_min: f64) -> Vec<Vec<u32>> {
     let [tiles_x, tiles_y] = camera.tiles();
     let mut order: Vec<(f32, u32)> = records
         .iter()

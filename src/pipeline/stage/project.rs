@@ -46,7 +46,7 @@ impl Project {
 
 /// A projected Gaussian, in the kernels' terms: with u = dx − r·dy, log2 α = lo − (a·u² + c·dy²).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Record64 {
+pub struct Projected64 {
     /// Mean, pixels.
     pub mean: [f64; 2],
     /// ½·log2(e)·Σ′yy/det.
@@ -222,7 +222,7 @@ pub fn project(
     i: usize,
     camera: &Camera64,
     options: &Options,
-) -> Option<Record64> {
+) -> Option<Projected64> {
     let o = shape(scene, i, camera)?;
     let log2_e = std::f64::consts::LOG2_E;
     let logit = scene.planes[Plane::OPACITY][i];
@@ -251,7 +251,7 @@ pub fn project(
         bounds[k] = [first as i32, last as i32];
     }
     let (rgb, _, _) = color(scene, i, camera, options.sh_degree);
-    let record = Record64 {
+    let record = Projected64 {
         mean,
         a: 0.5 * log2_e * o.cov[1][1] / o.det,
         r: o.cov[0][1] / o.cov[1][1],
@@ -265,7 +265,7 @@ pub fn project(
     (finite && rgb.iter().all(|v| v.abs() < COLOR_MAX)).then_some(record)
 }
 
-impl Record64 {
+impl Projected64 {
     /// u and dy at a pixel centre.
     #[must_use]
     pub fn offsets(&self, x: i32, y: i32) -> [f64; 2] {

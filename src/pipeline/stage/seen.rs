@@ -5,7 +5,7 @@ use crate::device::{Array, CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::Camera64;
-use crate::pipeline::stage::project::Record64;
+use crate::pipeline::stage::project::Projected64;
 use crate::pipeline::stage::splat::{contributions, list_at};
 
 /// The kernels.
@@ -51,7 +51,7 @@ impl Seen {
 /// True for each Gaussian that a pixel of a view shows: it adds α·T > 0 of its colour.
 #[must_use]
 pub fn seen(
-    records: &[Option<Record64>],
+    records: &[Option<Projected64>],
     tiles: &[Vec<u32>],
     camera: &Camera64,
     alpha_min: f64,

@@ -6,7 +6,7 @@ use crate::device::{CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options, TILE};
-use crate::pipeline::stage::project::Record64;
+use crate::pipeline::stage::project::Projected64;
 
 /// The kernel.
 #[derive(Debug)]
@@ -54,7 +54,7 @@ pub struct Contribution {
 /// Contributions to a pixel, front to back, and the transmittance that is left.
 #[must_use]
 pub fn contributions(
-    records: &[Option<Record64>],
+    records: &[Option<Projected64>],
     list: &[u32],
     x: i32,
     y: i32,
@@ -95,7 +95,7 @@ pub fn list_at<'a>(tiles: &'a [Vec<u32>], camera: &Camera64, x: i32, y: i32) -> 
 /// Image over the background \[3, height, width\] and transmittance \[height, width\].
 #[must_use]
 pub fn splat(
-    records: &[Option<Record64>],
+    records: &[Option<Projected64>],
     tiles: &[Vec<u32>],
     camera: &Camera64,
     options: &Options,

@@ -5,7 +5,7 @@ use crate::device::{Array, CameraArg, Kernels, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options};
-use crate::pipeline::stage::project::Record64;
+use crate::pipeline::stage::project::Projected64;
 use crate::pipeline::stage::splat::{contributions, list_at};
 
 /// The kernel.
@@ -43,7 +43,7 @@ impl SplatGrad {
 /// α·T·dL/dcolour.
 #[must_use]
 pub fn splat_grad(
-    records: &[Option<Record64>],
+    records: &[Option<Projected64>],
     tiles: &[Vec<u32>],
     camera: &Camera64,
     options: &Options,
