@@ -55,6 +55,10 @@ pub struct TrainConfig {
     /// Every n-th image by name is held out; 0 for none.
     #[arg(long, value_name = "N", default_value_t = Self::default().test_every)]
     pub test_every: u32,
+    /// Write density-trace.csv, every birth, relocation and death with what became of it, and a section of the report. A resumed
+    /// run has none.
+    #[arg(long)]
+    pub trace_density: bool,
     /// Iterations between exports of scene.ply; 0 for the end only.
     #[arg(long, value_name = "N", default_value_t = Self::default().export_every, help_heading = RUN_CONTROL)]
     pub export_every: u32,
@@ -110,6 +114,7 @@ impl Default for TrainConfig {
             sh_degree: 3,
             seed: 0,
             eval_every: None,
+            trace_density: false,
             test_every: 8,
             export_every: 0,
             checkpoint_every: 1000,

@@ -15,6 +15,7 @@
 pub mod checkpoint;
 pub mod clock;
 pub mod density_log;
+pub mod density_trace;
 mod drive;
 pub mod metrics;
 mod patience;

@@ -14,6 +14,7 @@ pub mod schedule;
 pub mod smoothing;
 mod state;
 pub mod step;
+pub mod trace;
 pub mod views;
 
 pub use control::DensityEvent;

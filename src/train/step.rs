@@ -15,7 +15,7 @@ use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::seen::Seen;
-use crate::scene::Gaussians;
+use crate::scene::{Gaussians, Plane};
 use crate::train::control::{Control, DensityEvent, Working};
 use crate::train::exposure::compare;
 use crate::train::gaussians::GaussianState;
@@ -23,6 +23,7 @@ use crate::train::optimizer::Optimizer;
 use crate::train::plan::{Decision, Exposure, Learned, Plan};
 use crate::train::schedule::Schedule;
 use crate::train::smoothing::Smoothing;
+use crate::train::trace::DensityTrace;
 use crate::train::views::{TrainingView, Views, capacity};
 
 /// Iterations that may be on their way to the device before the host looks at the counters of the oldest.
@@ -187,6 +188,8 @@ impl Trainer {
             control,
         };
         trainer.warm_up()?;
+        let traced = plan.config.trace_density;
+        trainer.control.trace = traced.then(|| DensityTrace::new(splats.len()));
         Ok(trainer)
     }
 
@@ -491,6 +494,7 @@ impl Trainer {
         }
         self.learned.removed = 0;
         self.remove_unseen()?;
+        self.finish_trace()?;
         self.learned.finished = Some(self.iteration);
         let decision = self.plan.learn(&self.learned).pop();
         self.fit_views()?;
@@ -510,9 +514,38 @@ impl Trainer {
         if removed > 0 && !kept.is_empty() {
             self.gaussians
                 .reorder(&self.device, self.control.edit(), &kept)?;
+            if let Some(trace) = &mut self.control.trace {
+                trace.remove_unseen(self.iteration, &kept);
+            }
             self.learned.removed = removed;
         }
         Ok(())
+    }
+
+    /// Records the opacity and the summed blending weight of every Gaussian at the end, if density control is traced.
+    fn finish_trace(&mut self) -> Result<()> {
+        if self.control.trace.is_none() {
+            return Ok(());
+        }
+        let geometry = self.gaussians.geometry()?;
+        let scene = &self.gaussians.scene;
+        let mut sums = vec![0.0; scene.count];
+        for camera in &self.views.set.cameras {
+            let weights = self.pipeline.blending_weights(scene, camera)?;
+            for (sum, weight) in sums.iter_mut().zip(weights) {
+                *sum += weight;
+            }
+        }
+        if let Some(trace) = &mut self.control.trace {
+            trace.finish(geometry.plane(Plane::OPACITY), &sums);
+        }
+        Ok(())
+    }
+
+    /// Every birth, relocation and death so far; `None` unless the configuration asks for it, and after a resumption.
+    #[must_use]
+    pub fn density_trace(&self) -> Option<&DensityTrace> {
+        self.control.trace.as_ref()
     }
 
     /// Flags of the Gaussians that the first `views` training views show, 1 or 0; `None` if nobody asks.

@@ -14,7 +14,7 @@ use crate::pipeline::pass::{ErrorSums, Pipeline, Target};
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::{ImagePair, size_of_image};
 use crate::scene::Gaussians;
-use crate::train::estimates::FaintPass;
+use crate::train::estimates::{FaintPass, SHAPE};
 
 /// Parameters of an instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -180,7 +180,7 @@ impl<R: Real> Instrument<R> {
             false => (&self.pipeline.backward, &self.pipeline.forward),
         };
         let rows = [first, self.degree as usize];
-        backward.shape_gradients(forward, &self.scene, camera, dimage, rows)
+        backward.plane_gradients(forward, &self.scene, camera, dimage, rows, SHAPE)
     }
 
     /// Losses, cues and gradients of the scene as it is.
