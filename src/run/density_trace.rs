@@ -35,9 +35,8 @@ pub fn funnel(trace: &DensityTrace, stats: &DensityStats, dead_opacity: f64) -> 
     let total = trace.contribution().max(f64::MIN_POSITIVE);
     let row = |kind: MoveKind| {
         let of = || moves.iter().filter(move |m| m.kind == kind);
-        let count = |good: fn(&Move, f64) -> bool| {
-            of().filter(|m| good(m, dead_opacity)).count() as u64
-        };
+        let count =
+            |good: fn(&Move, f64) -> bool| of().filter(|m| good(m, dead_opacity)).count() as u64;
         let weight: f64 = of().filter_map(|m| m.contribution).map(f64::from).sum();
         FunnelRow {
             kind,

@@ -291,12 +291,7 @@ impl Control {
         }
     }
 
-    fn apply(
-        &self,
-        on: &mut Working<'_>,
-        outcome: &Outcome,
-        order: Option<&[u32]>,
-    ) -> Result<()> {
+    fn apply(&self, on: &mut Working<'_>, outcome: &Outcome, order: Option<&[u32]>) -> Result<()> {
         let edits = &outcome.edits;
         let (device, rows) = (on.device, outcome.rows);
         let limit = outcome.logit_limit;

@@ -212,19 +212,28 @@ impl Estimates {
         let (dimage, degree) = (at.pipeline.image_gradient(), sh_degree as usize);
         let sources = if shared {
             let forward = &at.pipeline.forward;
-            at.pipeline
-                .backward
-                .plane_gradients(forward, scene, camera, dimage, [0, degree], SHAPE)?
+            at.pipeline.backward.plane_gradients(
+                forward,
+                scene,
+                camera,
+                dimage,
+                [0, degree],
+                SHAPE,
+            )?
         } else {
             Default::default()
         };
         self.pass.forward.render(faint, camera, &options)?;
         let first = scene.count / GRADIENT_ROWS * GRADIENT_ROWS;
         let forward = &self.pass.forward;
-        let births =
-            self.pass
-                .backward
-                .plane_gradients(forward, faint, camera, dimage, [first, degree], SHAPE)?;
+        let births = self.pass.backward.plane_gradients(
+            forward,
+            faint,
+            camera,
+            dimage,
+            [first, degree],
+            SHAPE,
+        )?;
         Ok([births, sources])
     }
 }

@@ -172,7 +172,11 @@ impl DensityTrace {
         let rows = self.rows.clone();
         self.rows.resize(outcome.rows, GIVEN);
         let births: &[BirthRecord] = &outcome.births;
-        for edit in outcome.edits.iter().filter(|e| e.src != e.dst || e.dst as usize >= before) {
+        for edit in outcome
+            .edits
+            .iter()
+            .filter(|e| e.src != e.dst || e.dst as usize >= before)
+        {
             let dst = edit.dst as usize;
             let source = rows.get(edit.src as usize).copied();
             let number = self.made_by.len() as u32;
