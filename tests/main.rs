@@ -45,4 +45,5 @@ mod stress;
 mod surrogate;
 mod synth;
 mod tiny;
+mod trace;
 mod tune;

@@ -55,6 +55,10 @@ pub struct TrainConfig {
     /// Every n-th image by name is held out; 0 for none.
     #[arg(long, value_name = "N", default_value_t = Self::default().test_every)]
     pub test_every: u32,
+    /// Write density-trace.csv, every birth, relocation and death with what became of it, and a section of the report. A resumed
+    /// run has none.
+    #[arg(long)]
+    pub trace_density: bool,
     /// Iterations between exports of scene.ply; 0 for the end only.
     #[arg(long, value_name = "N", default_value_t = Self::default().export_every, help_heading = RUN_CONTROL)]
     pub export_every: u32,
@@ -110,6 +114,7 @@ impl Default for TrainConfig {
             sh_degree: 3,
             seed: 0,
             eval_every: None,
+            trace_density: false,
             test_every: 8,
             export_every: 0,
             checkpoint_every: 1000,
@@ -175,6 +180,17 @@ impl TrainConfig {
             Sampler::Mcmc => Some(self.mcmc.times()),
             Sampler::Adc => Some(self.adc.times()),
             Sampler::None => None,
+        }
+    }
+
+    /// Returns the opacity at which the chosen sampler takes a Gaussian for dead.
+    #[must_use]
+    pub fn dead_opacity(&self) -> f64 {
+        match self.sampler {
+            Sampler::Mh => self.mh.dead_opacity,
+            Sampler::Mcmc => self.mcmc.dead_opacity,
+            Sampler::Adc => self.adc.prune_opacity,
+            Sampler::None => 0.0,
         }
     }
 }

@@ -27,7 +27,7 @@ pub use adc::Adaptive;
 pub use control::{DensityControl, NoiseLaw, Probe, StepContext, Trial};
 pub use mcmc::Mcmc;
 pub use none::Fixed;
-pub use outcome::{DensityStats, Outcome};
+pub use outcome::{BirthKind, BirthRecord, DensityStats, Outcome};
 pub use picture::Picture;
 pub use state::SceneState;
 pub use statistics::{ErrorStatistics, ScreenGradient, Statistics, StatisticsKind};

@@ -58,6 +58,37 @@ impl DensityStats {
     }
 }
 
+/// The way in which a birth was proposed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BirthKind {
+    /// In image space.
+    Pixel,
+    /// Far from its source.
+    Coarse,
+    /// Near its source.
+    Fine,
+}
+
+/// The circumstances of an accepted birth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BirthRecord {
+    /// Row of the birth.
+    pub dst: u32,
+    /// Row of its source; `None` for a birth in image space.
+    pub source: Option<u32>,
+    /// Way in which it was proposed.
+    pub kind: BirthKind,
+    /// Importance I of the source or pixel.
+    pub importance: f64,
+    /// First-order change of the loss; `None` if births are not probed.
+    pub change: Option<f64>,
+    /// ln ρ^{1/T}.
+    pub ln_ratio: f64,
+    /// Gaussians in its voxel before it.
+    pub voxel_count: u32,
+}
+
 /// The outcome of a density step: edits, then an opacity reset, then removals.
 #[derive(Debug, Clone, Default)]
 pub struct Outcome {
@@ -69,6 +100,8 @@ pub struct Outcome {
     pub logit_limit: Option<f32>,
     /// Rows to remove, rising; never all of them.
     pub removed: Vec<u32>,
+    /// Accepted births with what decided on them (mh), in the order of their rows.
+    pub births: Vec<BirthRecord>,
     /// Counters of this step.
     pub stats: DensityStats,
 }

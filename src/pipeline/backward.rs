@@ -68,16 +68,17 @@ impl Backward {
         stage.run(scene, &forward.frame, camera, lambdas, grads)
     }
 
-    /// Derivatives of the loss by opacity logit and the three log-scales, from the image gradient of the view rendered last,
-    /// of the Gaussians from `first` (a multiple of [`GRADIENT_ROWS`]) on.
-    pub fn shape_gradients<R: Real>(
+    /// Derivatives of the loss by some planes of the parameters, from the image gradient of the view rendered last, of the
+    /// Gaussians from `first` (a multiple of [`GRADIENT_ROWS`]) on.
+    pub fn plane_gradients<R: Real, const K: usize>(
         &self,
         forward: &Renderer<R>,
         scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
         dimage: &Array<R>,
         [first, sh_degree]: [usize; 2],
-    ) -> Result<[Vec<f64>; 4]> {
+        planes: [usize; K],
+    ) -> Result<[Vec<f64>; K]> {
         self.splats(forward, camera, dimage)?;
         let count = scene.count;
         let stride = (count - first).next_multiple_of(GRADIENT_ROWS);
@@ -89,16 +90,11 @@ impl Backward {
             rows: first..count,
         };
         self.parameters(forward, scene, camera, sh_degree as u32, [0.0; 2], &grads)?;
-        let plane = |p: usize| -> Result<Vec<f64>> {
-            let plane = values.read(p * stride, count - first)?;
-            Ok(plane.into_iter().map(Into::into).collect())
-        };
-        let scale = Plane::LOG_SCALE;
-        Ok([
-            plane(Plane::OPACITY)?,
-            plane(scale)?,
-            plane(scale + 1)?,
-            plane(scale + 2)?,
-        ])
+        let mut read = planes.map(|_| Vec::new());
+        for (to, plane) in read.iter_mut().zip(planes) {
+            let from = values.read(plane * stride, count - first)?;
+            *to = from.into_iter().map(Into::into).collect();
+        }
+        Ok(read)
     }
 }

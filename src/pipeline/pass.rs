@@ -9,6 +9,8 @@ use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::live::Live;
 use crate::pipeline::stage::loss::{ImagePair, Loss};
+use crate::scene::Plane;
+use crate::scene::sh::C0;
 
 /// A photo to compare a render with.
 #[derive(Debug, Clone, Copy)]
@@ -178,6 +180,43 @@ impl<R: Real> Pipeline<R> {
     ) -> Result<()> {
         self.backward
             .parameters(&self.forward, scene, camera, sh_degree, lambdas, grads)
+    }
+
+    /// Blending weight α·T of each Gaussian in a view, summed over its pixels, in single precision; a third is missing for each
+    /// channel in which the colour is cut off at 0. Waits.
+    pub fn blending_weights(
+        &mut self,
+        scene: &GaussianBuffers<R>,
+        camera: &CameraArg<R>,
+    ) -> Result<Vec<f32>> {
+        let options = RenderOptions {
+            sh_degree: scene.sh_degree,
+            ..RenderOptions::default()
+        };
+        self.forward.render(scene, camera, &options)?;
+        // The sum of the image's values: its derivative by a colour is the weight.
+        let size = camera.image();
+        let ([width, height], [stride, rows]) = (size.0, size.padded());
+        let mut ones = vec![R::of(0.0); 3 * stride * rows];
+        for row in ones.chunks_exact_mut(stride).enumerate() {
+            if row.0 % rows < height {
+                row.1[..width].fill(R::of(1.0));
+            }
+        }
+        self.dimage.write(0, &ones)?;
+        let colors = [0, 1, 2].map(|channel| Plane::SH + channel);
+        let degree = scene.sh_degree as usize;
+        let forward = &self.forward;
+        let gradients = self.backward.plane_gradients(
+            forward,
+            scene,
+            camera,
+            &self.dimage,
+            [0, degree],
+            colors,
+        )?;
+        let weight = |i: usize| gradients.iter().map(|g| g[i]).sum::<f64>() / (3.0 * C0);
+        Ok((0..scene.count).map(|i| weight(i) as f32).collect())
     }
 
     /// Error maps of the pair compared last.

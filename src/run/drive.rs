@@ -13,6 +13,7 @@ use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{self, Clock};
+use crate::run::density_trace::{TRACE_FILE, funnel, write_trace};
 use crate::run::patience;
 use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
 use crate::run::report::gallery::{GalleryItem, error_map};
@@ -248,9 +249,20 @@ impl Run {
             self.record.stalled = self.config.patience;
         }
         self.trainer.finish()?;
+        self.write_trace()?;
         self.evaluate(true)?;
         self.save(true, true)?;
         self.report()
+    }
+
+    /// Writes the trace of density control and records its funnel, if there is one.
+    fn write_trace(&mut self) -> Result<()> {
+        let Some(trace) = self.trainer.density_trace() else {
+            return Ok(());
+        };
+        write_trace(&self.dir.join(TRACE_FILE), trace)?;
+        self.record.funnel = funnel(trace, self.trainer.stats(), self.config.dead_opacity());
+        Ok(())
     }
 
     fn progress(&self, decision: Option<&Decision>) -> Progress {

@@ -5,6 +5,7 @@
 //! | `run.json` | [`RunRecord::write`] | at the start and at every evaluation |
 //! | `metrics.csv` | [`MetricsWriter`] | one row per evaluation, flushed at once |
 //! | `density.csv` | [`DensityWriter`] | one row per density step, flushed at once |
+//! | `density-trace.csv` | [`density_trace::write_trace`] | at the end, with `--trace-density` |
 //! | `scene.ply` | [`crate::scene::ply`] | at the end, and as often as `--export-every` says |
 //! | `checkpoint/` | [`checkpoint::write`] | as often as `--checkpoint-every` says, and at the end |
 //! | `report.html` | [`write_report`] | at the end, from the files above |
@@ -14,6 +15,7 @@
 
 pub mod checkpoint;
 pub mod clock;
+pub mod density_trace;
 mod drive;
 mod patience;
 pub mod record;

@@ -10,6 +10,7 @@ use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
 use crate::evaluate::ViewScore;
 use crate::pipeline::photos::PhotoStats;
+use crate::run::density_trace::FunnelRow;
 use crate::train::Plan;
 
 /// Name of the record in the run folder.
@@ -221,6 +222,9 @@ pub struct RunRecord {
     pub stages: Vec<StageRecord>,
     /// Density control, summed over the run.
     pub density: DensityStats,
+    /// What became of the Gaussians that each kind of move made; only of a traced run.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub funnel: Vec<FunnelRow>,
     /// Scores of the last evaluation; absent before it and without held-out views.
     #[serde(rename = "final")]
     pub final_scores: Option<FinalRecord>,

@@ -25,6 +25,7 @@ use crate::train::gaussians::{GaussianState, Geometry};
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
 use crate::train::smoothing::Smoothing;
+use crate::train::trace::DensityTrace;
 use crate::train::views::Views;
 
 /// Result of one density step.
@@ -68,6 +69,8 @@ pub struct Control {
     estimates: Option<Estimates>,
     /// Statistics over the run.
     pub stats: DensityStats,
+    /// Fate of every Gaussian, if the configuration asks for it.
+    pub trace: Option<DensityTrace>,
     /// Time of the steps on the host, with their transfers and edits.
     pub time: StageTime,
 }
@@ -97,6 +100,7 @@ impl Control {
             plan: plan.clone(),
             schedule: Schedule::new(&plan.config),
             stats: DensityStats::default(),
+            trace: None,
             time: StageTime::default(),
         })
     }
@@ -200,7 +204,12 @@ impl Control {
         let began = Instant::now();
         let geometry = on.gaussians.geometry()?;
         let outcome = self.decide(&mut on, &geometry, iteration, progress)?;
-        self.apply(&mut on, &geometry, &outcome)?;
+        let order = self.order(&geometry, &outcome);
+        if let Some(trace) = &mut self.trace {
+            let logits = geometry.plane(Plane::OPACITY);
+            trace.step(iteration, logits, &outcome, order.as_deref());
+        }
+        self.apply(&mut on, &outcome, order.as_deref())?;
         on.device.finish()?;
         self.time.seconds += began.elapsed().as_secs_f64();
         self.time.calls += 1;
@@ -279,12 +288,10 @@ impl Control {
         }
     }
 
-    fn apply(&self, on: &mut Working<'_>, geometry: &Geometry, outcome: &Outcome) -> Result<()> {
+    fn apply(&self, on: &mut Working<'_>, outcome: &Outcome, order: Option<&[u32]>) -> Result<()> {
         let edits = &outcome.edits;
         let (device, rows) = (on.device, outcome.rows);
-        let reordered = self.plan.config.work.morton_order || !outcome.removed.is_empty();
-        let order = reordered.then(|| self.order(geometry, outcome));
-        let (limit, order) = (outcome.logit_limit, order.as_deref());
+        let limit = outcome.logit_limit;
         on.gaussians
             .edit(device, &self.edit, edits, rows, limit, order)?;
         match on.smoothing {
@@ -293,8 +300,11 @@ impl Control {
         }
     }
 
-    /// Rows that stay, in Morton order if that is wanted: births are appended, wherever they lie.
-    fn order(&self, geometry: &Geometry, outcome: &Outcome) -> Vec<u32> {
+    /// Rows that stay, in Morton order if that is wanted: births are appended, wherever they lie. `None` if nothing moves.
+    fn order(&self, geometry: &Geometry, outcome: &Outcome) -> Option<Vec<u32>> {
+        if !self.plan.config.work.morton_order && outcome.removed.is_empty() {
+            return None;
+        }
         let mut order = if self.plan.config.work.morton_order {
             let [x, y, z] = geometry.positions_after(&outcome.edits, outcome.rows);
             morton::order([&x, &y, &z])
@@ -305,7 +315,7 @@ impl Control {
         if !removed.is_empty() {
             order.retain(|row| removed.binary_search(row).is_err());
         }
-        order
+        Some(order)
     }
 
     /// The views that training takes next, as many as the strategy wants, at the size that they have now. Colour and depth are

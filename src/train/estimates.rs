@@ -15,7 +15,7 @@ use crate::pipeline::buffers::{GaussianBuffers, restride};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::stage::edit::Edit;
-use crate::scene;
+use crate::scene::{self, Plane};
 use crate::train::gaussians::GaussianState;
 use crate::train::smoothing::Smoothing;
 use crate::train::views::Views;
@@ -24,6 +24,14 @@ use crate::train::views::Views;
 pub const EPSILON_DOUBLE: f64 = 1e-6;
 /// ε in single precision, where a smaller one would vanish beside the transmittance.
 pub const EPSILON_SINGLE: f64 = 1e-4;
+
+/// Planes of the opacity logit and the three log-scales.
+pub const SHAPE: [usize; 4] = [
+    Plane::OPACITY,
+    Plane::LOG_SCALE,
+    Plane::LOG_SCALE + 1,
+    Plane::LOG_SCALE + 2,
+];
 
 /// The logit of `factor` times the opacity of a logit.
 #[must_use]
@@ -203,19 +211,28 @@ impl Estimates {
         let (dimage, degree) = (at.pipeline.image_gradient(), sh_degree as usize);
         let sources = if shared {
             let forward = &at.pipeline.forward;
-            at.pipeline
-                .backward
-                .shape_gradients(forward, scene, camera, dimage, [0, degree])?
+            at.pipeline.backward.plane_gradients(
+                forward,
+                scene,
+                camera,
+                dimage,
+                [0, degree],
+                SHAPE,
+            )?
         } else {
             Default::default()
         };
         self.pass.forward.render(faint, camera, &options)?;
         let first = scene.count / GRADIENT_ROWS * GRADIENT_ROWS;
         let forward = &self.pass.forward;
-        let births =
-            self.pass
-                .backward
-                .shape_gradients(forward, faint, camera, dimage, [first, degree])?;
+        let births = self.pass.backward.plane_gradients(
+            forward,
+            faint,
+            camera,
+            dimage,
+            [first, degree],
+            SHAPE,
+        )?;
         Ok([births, sources])
     }
 }

@@ -4,6 +4,7 @@ pub mod brightness;
 pub mod control;
 pub mod estimates;
 mod exposure;
+mod finish;
 pub mod gaussians;
 mod observe;
 mod optimizer;
@@ -14,6 +15,7 @@ pub mod schedule;
 pub mod smoothing;
 mod state;
 pub mod step;
+pub mod trace;
 pub mod views;
 
 pub use control::DensityEvent;

@@ -88,6 +88,7 @@ impl Trainer {
         self.plan.learn(&state.learned);
         self.restore_exposures(&state.exposures)?;
         self.control.stats = state.stats;
+        self.control.trace.take_if(|_| state.iteration > 0);
         self.counters.non_finite = state.non_finite;
         let slot = status::NON_FINITE as usize;
         let non_finite = state.non_finite.min(u64::from(u32::MAX)) as u32;

@@ -24,6 +24,7 @@ use crate::train::optimizer::Optimizer;
 use crate::train::plan::{Decision, Exposure, Learned, Plan};
 use crate::train::schedule::Schedule;
 use crate::train::smoothing::Smoothing;
+use crate::train::trace::DensityTrace;
 use crate::train::views::{TrainingView, Views, capacity};
 
 /// Iterations that may be on their way to the device before the host looks at the counters of the oldest.
@@ -104,7 +105,7 @@ pub struct Trainer {
     pub(super) control: Control,
     pub(super) smoothing: Option<Smoothing>,
     /// Finds Gaussians that no view shows; `None` if they stay.
-    seen: Option<Seen>,
+    pub(super) seen: Option<Seen>,
     /// Ring of mean |x − y| and mean SSIM of the last iterations.
     pub(super) losses: Array<f32>,
     pub(super) learned: Learned,
@@ -188,6 +189,8 @@ impl Trainer {
             control,
         };
         trainer.warm_up()?;
+        let traced = plan.config.trace_density;
+        trainer.control.trace = traced.then(|| DensityTrace::new(splats.len()));
         Ok(trainer)
     }
 
@@ -481,50 +484,6 @@ impl Trainer {
             Some(s) => s.run(&self.gaussians.scene, &self.pipeline.forward.frame),
             None => Ok(()),
         }
-    }
-
-    /// Ends the run: removes the Gaussians that no training view shows, if the configuration says so. Once per run.
-    pub fn finish(&mut self) -> Result<Option<Decision>> {
-        self.settle()?;
-        if self.learned.finished == Some(self.iteration) {
-            return Ok(None);
-        }
-        self.learned.removed = 0;
-        self.remove_unseen()?;
-        self.learned.finished = Some(self.iteration);
-        let decision = self.plan.learn(&self.learned).pop();
-        self.fit_views()?;
-        Ok(decision)
-    }
-
-    /// Removes the Gaussians that no pixel of any training view shows: behind, beyond, below the cut or hidden in all of them.
-    /// The others render every training view to the same bit.
-    fn remove_unseen(&mut self) -> Result<()> {
-        let Some(seen) = self.seen(self.views.len())? else {
-            return Ok(());
-        };
-        let kept: Vec<u32> = (0..seen.len() as u32)
-            .filter(|&i| seen[i as usize] != 0)
-            .collect();
-        let removed = (seen.len() - kept.len()) as u64;
-        if removed > 0 && !kept.is_empty() {
-            self.gaussians
-                .reorder(&self.device, self.control.edit(), &kept)?;
-            self.learned.removed = removed;
-        }
-        Ok(())
-    }
-
-    /// Flags of the Gaussians that the first `views` training views show, 1 or 0; `None` if nobody asks.
-    fn seen(&mut self, views: usize) -> Result<Option<Vec<u32>>> {
-        let Some(stage) = &self.seen else {
-            return Ok(None);
-        };
-        let cameras = &self.views.set.cameras[..views];
-        let forward = &mut self.pipeline.forward;
-        forward
-            .seen(stage, &self.gaussians.scene, cameras)
-            .map(Some)
     }
 
     /// Makes the buffers fit the Gaussians, the largest image, and the tile intersections so far with a quarter to spare.

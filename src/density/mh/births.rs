@@ -3,9 +3,9 @@
 use rustc_hash::FxHashSet;
 
 use crate::config::Birth;
-use crate::density::mh::proposal::{Decision, Kind};
+use crate::density::mh::proposal::Decision;
 use crate::density::mh::sparsity::VoxelCounts;
-use crate::density::outcome::{DensityStats, Outcome};
+use crate::density::outcome::{BirthKind, BirthRecord, DensityStats, Outcome};
 use crate::density::relocation::{Relocation, share};
 use crate::density::state::SceneState;
 use crate::scene::Edit;
@@ -22,6 +22,7 @@ pub(super) struct Births {
     limit: usize,
     /// Rows to remove, which are still among `len`.
     removed: Vec<u32>,
+    records: Vec<BirthRecord>,
     stats: DensityStats,
     /// Sum of D(v′) over the proposals so far.
     prior_sum: f64,
@@ -38,6 +39,7 @@ impl Births {
             // Rows are named by 32 bits.
             limit: max.min(u32::MAX as usize),
             removed,
+            records: Vec::new(),
             stats: DensityStats::default(),
             prior_sum: 0.0,
         }
@@ -47,33 +49,43 @@ impl Births {
     /// the order of rows they would be those of one corner of the scene. The rest does not count as accepted.
     pub(super) fn take(
         &mut self,
-        kind: Kind,
-        decisions: &[Decision],
+        kind: BirthKind,
+        decisions: &[Decision<'_>],
         counts: &mut VoxelCounts<'_>,
     ) {
         self.prior_sum += decisions.iter().map(|d| d.prior).sum::<f64>();
-        let accepted = decisions.iter().enumerate().filter(|(_, d)| d.accepted);
-        let mut born: Vec<(usize, &Decision)> = accepted.collect();
+        let accepted = decisions.iter().enumerate().filter(|(_, d)| d.accepted());
+        let mut born: Vec<(usize, &Decision<'_>)> = accepted.collect();
         let room = self.limit.saturating_sub(self.len);
         if born.len() > room {
-            born.sort_by(|a, b| a.1.tie_break.total_cmp(&b.1.tie_break));
+            born.sort_by(|a, b| a.1.tie_break().total_cmp(&b.1.tie_break()));
             born.truncate(room);
             born.sort_by_key(|(at, _)| *at);
         }
         let tally = [decisions.len() as u64, born.len() as u64];
         let (births, counter) = match kind {
-            Kind::Pixel => (&mut self.fresh, &mut self.stats.pixel),
-            Kind::Coarse => (&mut self.edits, &mut self.stats.coarse),
-            Kind::Fine => (&mut self.edits, &mut self.stats.fine),
+            BirthKind::Pixel => (&mut self.fresh, &mut self.stats.pixel),
+            BirthKind::Coarse => (&mut self.edits, &mut self.stats.coarse),
+            BirthKind::Fine => (&mut self.edits, &mut self.stats.fine),
         };
         *counter = tally;
         // The limit is a number of 32 bits.
         for (dst, (_, decision)) in (self.len as u32..).zip(born) {
+            let proposal = decision.proposal;
             births.push(Edit {
                 dst,
-                ..decision.edit
+                ..proposal.edit
             });
-            counts.add(decision.edit.position.map(f64::from));
+            counts.add(proposal.edit.position.map(f64::from));
+            self.records.push(BirthRecord {
+                dst,
+                source: (kind != BirthKind::Pixel).then_some(proposal.edit.src),
+                kind,
+                importance: proposal.importance,
+                change: proposal.change,
+                ln_ratio: decision.ln_ratio,
+                voxel_count: decision.voxel_count,
+            });
         }
         self.len += tally[1] as usize;
     }
@@ -114,6 +126,7 @@ impl Births {
             edits,
             rows: self.len,
             removed: self.removed,
+            births: self.records,
             stats: self.stats,
             ..Outcome::default()
         }

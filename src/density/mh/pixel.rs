@@ -101,6 +101,8 @@ pub(super) fn propose(config: &MhConfig, context: &StepContext<'_>, src: u32) ->
         let u = Philox::uniform(context.seed, place, pixel as u64);
         Some(Proposal {
             edit: birth(config, picture, at, u, src)?,
+            importance: pixels.importance(pixel),
+            change: None,
             ln_gain: accept::ln_gain(config.acceptance, pixels.importance(pixel)),
             u: Philox::uniform(context.seed, accept, pixel as u64)[0],
         })

@@ -3,25 +3,19 @@
 use crate::base::error::Result;
 use crate::density::control::Trial;
 use crate::density::mh::accept;
+use crate::density::outcome::BirthKind;
 use crate::density::relocation::{Relocation, split};
 use crate::density::state::numerics;
 use crate::scene::Edit;
-
-/// The phase that proposed a birth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
-    /// Births in image space.
-    Pixel,
-    /// Births far from their sources.
-    Coarse,
-    /// Births near their sources.
-    Fine,
-}
 
 /// A birth to be decided on.
 pub(super) struct Proposal {
     /// The Gaussian to be written; `dst` is set once it is known which births are accepted.
     pub(super) edit: Edit,
+    /// Importance I of the source or pixel.
+    pub(super) importance: f64,
+    /// First-order change of the loss; `None` before a probe.
+    pub(super) change: Option<f64>,
     /// The part of ln ρ that stands for the change of the loss.
     pub(super) ln_gain: f64,
     /// Uniform random number in [0, 1).
@@ -29,15 +23,27 @@ pub(super) struct Proposal {
 }
 
 /// A decided proposal.
-pub(super) struct Decision {
-    /// That of the proposal.
-    pub(super) edit: Edit,
+pub(super) struct Decision<'a> {
+    /// The proposal.
+    pub(super) proposal: &'a Proposal,
+    /// Gaussians in its voxel.
+    pub(super) voxel_count: u32,
     /// D(v′).
     pub(super) prior: f64,
+    /// ln ρ^{1/T}.
+    pub(super) ln_ratio: f64,
+}
+
+impl Decision<'_> {
     /// True if ln u < ln ρ^{1/T}.
-    pub(super) accepted: bool,
+    pub(super) fn accepted(&self) -> bool {
+        accept::accepts(self.proposal.u, self.ln_ratio)
+    }
+
     /// ln(u/ρ^{1/T}): uniform noise among the accepted, which decides if there is not room for all.
-    pub(super) tie_break: f64,
+    pub(super) fn tie_break(&self) -> f64 {
+        self.proposal.u.ln() - self.ln_ratio
+    }
 }
 
 /// The state of a step before the births are decided on.
@@ -47,7 +53,7 @@ pub(super) struct Proposals {
     /// Rows of the dead if this step removes them; else empty.
     pub(super) removed: Vec<u32>,
     /// Births in image space, coarse, fine, in the order of decision: if room is short, pixels with large errors come first.
-    pub(super) phases: [(Kind, Vec<Proposal>); 3],
+    pub(super) phases: [(BirthKind, Vec<Proposal>); 3],
 }
 
 impl Proposal {
@@ -87,8 +93,10 @@ impl Proposals {
                 proposals.len()
             )));
         }
-        for (proposal, gain) in proposals.iter_mut().zip(accept::ln_gains(changes)) {
+        let gains = accept::ln_gains(changes);
+        for ((proposal, gain), change) in proposals.iter_mut().zip(gains).zip(changes) {
             proposal.ln_gain = gain;
+            proposal.change = Some(*change);
         }
         Ok(())
     }

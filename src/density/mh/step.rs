@@ -10,10 +10,10 @@ use crate::density::control::{DensityControl, NoiseLaw, Probe, StepContext, Tria
 use crate::density::draw::{Categorical, birth_position};
 use crate::density::mh::births::Births;
 use crate::density::mh::progress::{lerp, shrinking};
-use crate::density::mh::proposal::{Decision, Kind, Proposal, Proposals};
+use crate::density::mh::proposal::{Decision, Proposal, Proposals};
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::mh::{accept, importance, pixel};
-use crate::density::outcome::Outcome;
+use crate::density::outcome::{BirthKind, Outcome};
 use crate::density::relocation::Relocation;
 use crate::density::state::{SceneState, gather, numerics};
 use crate::density::statistics::{ErrorStatistics, Statistics, StatisticsKind, unexpected};
@@ -81,7 +81,12 @@ impl MetropolisHastings {
     }
 
     /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are.
-    fn decide(&self, proposals: &[Proposal], counts: &VoxelCounts<'_>, eta: f64) -> Vec<Decision> {
+    fn decide<'a>(
+        &self,
+        proposals: &'a [Proposal],
+        counts: &VoxelCounts<'_>,
+        eta: f64,
+    ) -> Vec<Decision<'a>> {
         let c = &self.config;
         let count = |p: &Proposal| counts.get(p.edit.position.map(f64::from));
         let counts: Vec<u32> = proposals.par_iter().map(count).collect();
@@ -96,17 +101,15 @@ impl MetropolisHastings {
         } else {
             lerp(c.temperature, eta)
         };
-        let decision = |((p, n), ln_rho): ((&Proposal, &u32), &f64)| {
-            let ln_rho = ln_rho / temperature;
-            Decision {
-                edit: p.edit,
-                prior: accept::voxel_prior(c.lambda_voxel, *n),
-                accepted: accept::accepts(p.u, ln_rho),
-                tie_break: p.u.ln() - ln_rho,
-            }
-        };
-        let pairs = proposals.iter().zip(&counts).zip(&ln_rhos);
-        pairs.map(decision).collect()
+        let rated = proposals.iter().zip(counts).zip(ln_rhos);
+        rated
+            .map(|((proposal, voxel_count), ln_rho)| Decision {
+                proposal,
+                voxel_count,
+                prior: accept::voxel_prior(c.lambda_voxel, voxel_count),
+                ln_ratio: ln_rho / temperature,
+            })
+            .collect()
     }
 
     /// Draws the proposals of a phase. One that would land at a non-finite position is not proposed.
@@ -143,6 +146,8 @@ impl MetropolisHastings {
                         opacity_logit: opacity_logit.min(max_logit),
                         color: OptionalColor::NONE,
                     },
+                    importance,
+                    change: None,
                     ln_gain: accept::ln_gain(self.config.acceptance, importance),
                     u: Philox::uniform(seed, accept, u64::from(row))[0],
                 })
@@ -244,7 +249,7 @@ impl MetropolisHastings {
             && context
                 .max_gaussians
                 .is_none_or(|most| scene.len() - removed.len() < most);
-        let kinds = [Kind::Pixel, Kind::Coarse, Kind::Fine];
+        let kinds = [BirthKind::Pixel, BirthKind::Coarse, BirthKind::Fine];
         let mut phases = kinds.map(|kind| (kind, Vec::new()));
         if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
             let [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
@@ -266,8 +271,8 @@ impl MetropolisHastings {
 
     /// The births to be probed, in the order of the proposals.
     fn trials(&self, proposals: &Proposals) -> Vec<Trial> {
-        let trials = |(kind, proposals): &(Kind, Vec<Proposal>)| -> Vec<Trial> {
-            let shares = *kind != Kind::Pixel && self.config.birth == Birth::Split;
+        let trials = |(kind, proposals): &(BirthKind, Vec<Proposal>)| -> Vec<Trial> {
+            let shares = *kind != BirthKind::Pixel && self.config.birth == Birth::Split;
             proposals.iter().map(|p| p.trial(shares)).collect()
         };
         proposals.phases.iter().flat_map(trials).collect()

@@ -16,7 +16,7 @@ use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::ImagePair;
 use crate::scene::{Gaussians, Plane};
-use crate::train::estimates::{FaintPass, change, scaled_logit};
+use crate::train::estimates::{FaintPass, SHAPE, change, scaled_logit};
 
 /// Parameters of an instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -172,7 +172,7 @@ impl<R: Real> Instrument<R> {
             false => (&self.pipeline.backward, &self.pipeline.forward),
         };
         let rows = [first, self.degree as usize];
-        backward.shape_gradients(forward, &self.scene, camera, dimage, rows)
+        backward.plane_gradients(forward, &self.scene, camera, dimage, rows, SHAPE)
     }
 
     /// Losses, cues and gradients of the scene as it is.

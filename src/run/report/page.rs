@@ -33,6 +33,7 @@ pub fn write_report(
     headlines(&mut body, record, rows);
     panels::quality(&mut body, rows, density);
     panels::density_control(&mut body, record.config.sampler, density);
+    panels::funnel(&mut body, &record.funnel);
     panels::stages(&mut body, record);
     plan(&mut body, &record.plan);
     views(&mut body, gallery)?;

@@ -7,6 +7,7 @@ use crate::chart::svg::{Banded, Bar, band_chart, bar_chart};
 use crate::chart::text::{escape, fixed, grouped, span};
 use crate::config::Sampler;
 use crate::density::DensityStats;
+use crate::run::density_trace::FunnelRow;
 use crate::run::record::{RunRecord, StageRecord};
 use crate::run::table::{DensityRow, MetricsRow};
 
@@ -140,6 +141,43 @@ fn resets(out: &mut String, density: &[DensityRow]) {
     });
     let (so_far, unit) = (so_far.collect(), number("resets"));
     line(out, "Opacity resets so far", ITERATION, unit, so_far);
+}
+
+/// Table of what became of the Gaussians that each kind of move made; nothing without a trace.
+pub(super) fn funnel(out: &mut String, rows: &[FunnelRow]) {
+    if rows.is_empty() {
+        return;
+    }
+    out.push_str(
+        "<h2>What became of births and relocations</h2><div class=charts><div class=chart><table>\
+         <tr><th>made by</th><th class=n>proposed</th><th class=n>made</th><th class=n>alive one step later</th>\
+         <th class=n>in use at the end</th><th class=n>share of the picture</th></tr>",
+    );
+    for row in rows {
+        let share = |n: u64| match row.made {
+            0 => "–".to_owned(),
+            made => format!(
+                "{} ({} %)",
+                grouped(n),
+                fixed(100.0 * n as f64 / made as f64, 0)
+            ),
+        };
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td class=n>{}</td><td class=n>{}</td><td class=n>{}</td><td class=n>{}</td>\
+             <td class=n>{} %</td></tr>",
+            row.kind,
+            row.proposed.map_or_else(|| "–".to_owned(), grouped),
+            grouped(row.made),
+            share(row.alive),
+            share(row.in_use),
+            fixed(100.0 * row.share, 1)
+        );
+    }
+    out.push_str(
+        "</table></div></div><p class=note>In use: opacity above 0.05. Share of the picture: blending weight over all training \
+         views; the rest is that of the Gaussians that training began with.</p>\n",
+    );
 }
 
 /// Chart and table of the time by stage.
