@@ -18,8 +18,15 @@ pub struct SurrogateArgs {
     run: PathBuf,
     /// Its dataset [default: where the run found it]
     dataset: Option<PathBuf>,
-    #[command(flatten)]
-    options: Options,
+    /// Births to try, half of them drawn as the sampler proposes, half evenly over the importance.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    candidates: u32,
+    /// Training views over which the loss is taken.
+    #[arg(long, value_name = "K", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    views: u32,
+    /// Seed of views, candidates and bootstrap.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
     /// Folder for surrogate.json and surrogate.html; an earlier check there is replaced [default: RUN/surrogate]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
@@ -54,12 +61,17 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
     let path = args.dataset.clone().unwrap_or_else(default);
     let dataset = scene::dataset(&path, Some(&record), None, None, false)?;
     let device = crate::cli::common::open_tested(common.device.as_deref())?;
+    let options = Options {
+        candidates: args.candidates,
+        views: args.views,
+        seed: args.seed,
+    };
     let mut announced = 0;
     let checked = surrogate::check(
         &args.run,
         dataset,
         &device,
-        &args.options,
+        &options,
         &mut |done, births| {
             if 10 * done / births > announced {
                 announced = 10 * done / births;

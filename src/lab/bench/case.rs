@@ -8,7 +8,7 @@ use crate::capture::Dataset;
 use crate::config::AntiAliasing;
 use crate::device::{CameraArg, Device};
 use crate::lab::bench::record::{Case, Iteration, Peak, Stage, spread};
-use crate::lab::bench::run::Options;
+use crate::lab::bench::options::Options;
 use crate::lab::bench::scene;
 use crate::lab::bench::scene::VIEWS;
 use crate::lab::bench::work::{Load, STAGES, TileWork};

@@ -8,6 +8,7 @@
 
 mod case;
 mod growth;
+mod options;
 mod peak;
 mod precision;
 pub mod record;
@@ -17,7 +18,8 @@ pub mod scene;
 pub mod work;
 
 pub use crate::lab::bench::growth::growth;
+pub use crate::lab::bench::options::Options;
 pub use crate::lab::bench::record::{BenchRecord, Outcome};
 pub use crate::lab::bench::report::{csv, json, report, write_folder};
-pub use crate::lab::bench::run::{Options, run, run_all};
+pub use crate::lab::bench::run::{run, run_all};
 pub use crate::lab::bench::work::STAGES;

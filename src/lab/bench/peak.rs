@@ -6,7 +6,7 @@ use crate::base::error::Result;
 use crate::device::tuning::Tuning;
 use crate::device::{Array, Defines, Device, DeviceKind, Kernels};
 use crate::lab::bench::record::{Peak as Record, spread};
-use crate::lab::bench::run::Options;
+use crate::lab::bench::options::Options;
 use crate::lab::stats::Spread;
 use crate::pipeline::stage::peak::Peak;
 use crate::run::clock::process_cpu_seconds;

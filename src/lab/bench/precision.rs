@@ -8,7 +8,7 @@ use crate::base::error::{Error, Result};
 use crate::device::tuning::Tuning;
 use crate::device::{Device, Real};
 use crate::lab::bench::record::{Failure, Precision, spread};
-use crate::lab::bench::run::Options;
+use crate::lab::bench::options::Options;
 use crate::lab::bench::scene;
 use crate::lab::error::measure as error;
 use crate::lab::verify::cases::Case;

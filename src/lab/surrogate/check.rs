@@ -23,16 +23,13 @@ use crate::train::estimates::{EPSILON_DOUBLE, EPSILON_SINGLE};
 use crate::train::schedule::Schedule;
 
 /// Size and seed of a check.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::Args)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Options {
     /// Births to try, half of them drawn as the sampler proposes, half evenly over the importance.
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub candidates: u32,
     /// Training views over which the loss is taken.
-    #[arg(long, value_name = "K", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     pub views: u32,
     /// Seed of views, candidates and bootstrap.
-    #[arg(long, default_value_t = 0)]
     pub seed: u64,
 }
 
