@@ -39,11 +39,11 @@ static inline int is_masked(const Projected *g) {
 #if HAS_MASK
 #define LIVE_TILES __global const uint *active_tiles, int masked
 #define LIVE_ARGUMENTS active_tiles, masked
-#define IS_LIVE(tile) (!masked || active_tiles[tile])
+#define IS_ACTIVE(tile) (!masked || active_tiles[tile])
 #else
 #define LIVE_TILES int unmasked
 #define LIVE_ARGUMENTS 0
-#define IS_LIVE(tile) 1
+#define IS_ACTIVE(tile) 1
 #endif
 
 // Counts the tiles touched, remembers them in *mask if they fit, and writes them where `keys` is given.
@@ -55,7 +55,7 @@ static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, LIVE
   uint n = 0, bits = 0, at = 0;
   for (int ty = ty0; ty <= ty1; ty++)
     for (int tx = tx0; tx <= tx1; tx++, at++)
-      if (IS_LIVE((uint)ty * tiles_x + (uint)tx) && touches_tile(g, slope, reach, tx, ty)) {
+      if (IS_ACTIVE((uint)ty * tiles_x + (uint)tx) && touches_tile(g, slope, reach, tx, ty)) {
         if (keys) keys[n] = (uint)ty * tiles_x + (uint)tx;
         bits |= 1u << (at % MASKED);
         n++;

@@ -1,4 +1,4 @@
-// importance: error cues of each Gaussian from one view's error maps, of a render that training has just made.
+// importance: error statistics of each Gaussian from one view's error maps, of a render that training has just made.
 // Launch: one work-item per VW Gaussians. The pixel under the projected centre, if it is in front of the camera and inside
 // the image; sums over the views of the subset. Source: [MH] Eq. 11 and 13, with the Gaussian projected into each view.
 
@@ -7,7 +7,7 @@ __kernel void importance(__global const real *params, uint stride, uint count, /
                          __global const real *maps, int map_stride, int map_rows, // in [2, rows, stride]
                          int first_view,              // 1: start the sums
                          __global const uint *status, // in S_OVERFLOW: then the view does not count
-                         __global real *cues) { // in/out [3, stride] sums of 1 - SSIM and |x - y|, views that see the centre
+                         __global real *statistics) { // in/out [3, stride] sums of 1 - SSIM and |x - y|, views that see the centre
   const uint i = get_global_id(0) * VW;
   if (i >= count || status[S_OVERFLOW] != 0) return;
   realV x[3], t[3];
@@ -22,7 +22,7 @@ __kernel void importance(__global const real *params, uint stride, uint count, /
   vstore_real(choose(seen, V(R(1.0)), zero), 0, inside);
   for (uint l = 0; l < min((uint)VW, count - i); l++) {
     const uint at = i + l;
-    __global real *ssim = cues + at, *l1 = ssim + stride, *views = l1 + stride;
+    __global real *ssim = statistics + at, *l1 = ssim + stride, *views = l1 + stride;
     if (first_view) *ssim = *l1 = *views = R(0.0);
     if (!(inside[l] > R(0.0))) continue;
     const size_t pixel = (size_t)(int)py[l] * map_stride + (size_t)(int)px[l];

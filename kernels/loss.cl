@@ -86,25 +86,25 @@ static inline realV photo_at(const Images *s, int x, int y) {
 
 #if SKIP_BLANK
 // Whether any tile within `margin` pixels of VW columns from x on, LOSS_ROWS rows from y on, may have a render that differs from
-// the photo: one that is live or, but for masks, has pairs.
-static inline int may_differ(__global const uint *live, __global const uint *tile_start, int x, int y, int margin, int stride, int rows) {
+// the photo: one that is active or, but for masks, has pairs.
+static inline int may_differ(__global const uint *active_tiles, __global const uint *tile_start, int x, int y, int margin, int stride, int rows) {
   const int across = stride / TILE, first = max(x - margin, 0) / TILE, last = min(x + VW - 1 + margin, stride - 1) / TILE;
   for (int ty = max(y - margin, 0) / TILE; ty <= min(y + LOSS_ROWS - 1 + margin, rows - 1) / TILE; ty++)
     for (int tile = ty * across + first; tile <= ty * across + last; tile++)
 #if HAS_MASK
-      if (live[tile]) return 1;
+      if (active_tiles[tile]) return 1;
 #else
-      if (live[tile] || tile_start[tile + 1] > tile_start[tile]) return 1;
+      if (active_tiles[tile] || tile_start[tile + 1] > tile_start[tile]) return 1;
 #endif
   return 0;
 }
 
 // Flags the vectors of a strip that are not left out.
-static inline void flag_active(int skip, __global const uint *live, __global const uint *tile_start, int x0, int y0, int margin, int stride,
+static inline void flag_active(int skip, __global const uint *active_tiles, __global const uint *tile_start, int x0, int y0, int margin, int stride,
                                int rows, int active[STRIP / VW]) {
   for (int j = 0; j < STRIP / VW; j++) {
     const int x = x0 + j * VW;
-    active[j] = x < stride && (!skip || may_differ(live, tile_start, x, y0, margin, stride, rows));
+    active[j] = x < stride && (!skip || may_differ(active_tiles, tile_start, x, y0, margin, stride, rows));
   }
 }
 
@@ -179,7 +179,7 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
                            int width, int height, int stride, int rows, int channel, real background,
 #if SKIP_BLANK
                            int skip,                       // 1: leave out what is blank
-                           __global const uint *live,       // in [tiles] 0: masked or clear
+                           __global const uint *active_tiles,       // in [tiles] 0: masked or clear
                            __global const uint *tile_start, // in [tiles + 1]
 #endif
                            int write_error,
@@ -194,7 +194,7 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
   const size_t strip = channel * strips + sy * columns + sx;
 #if SKIP_BLANK
   int active[STRIP / VW];
-  flag_active(skip, live, tile_start, x0, y0, RADIUS, stride, rows, active);
+  flag_active(skip, active_tiles, tile_start, x0, y0, RADIUS, stride, rows, active);
 #endif
   realV moments[4][LOSS_ROWS][VECTORS], differences[LOSS_ROWS][VECTORS];
   for (int j = 0; j < VECTORS; j++) {
@@ -257,7 +257,7 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
                             int width, int height, int stride, int rows, int channel, real background,
 #if SKIP_BLANK
                             int skip,                       // 1: leave out what is blank
-                            __global const uint *live,       // in [tiles] 0: masked or clear
+                            __global const uint *active_tiles,       // in [tiles] 0: masked or clear
                             __global const uint *tile_start, // in [tiles + 1]
 #endif
                             __global const real *maps,   // in [3, rows, stride]
@@ -271,7 +271,7 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
   dimage += channel * plane;
 #if SKIP_BLANK
   int active[STRIP / VW];
-  flag_active(skip, live, tile_start, x0, y0, 2 * RADIUS, stride, rows, active);
+  flag_active(skip, active_tiles, tile_start, x0, y0, 2 * RADIUS, stride, rows, active);
 #endif
   realV windows[3][LOSS_ROWS][VECTORS];
   for (int m = 0; m < 3; m++)

@@ -12,7 +12,7 @@ __kernel void screen_grad(__global const Projected *records, uint stride, uint c
                           __global const real *sums,        // in [pairs, SUMS]
                           int width, int height,            // pixels
                           __global const uint *status,      // in S_OVERFLOW
-                          __global real *cues) { // in/out [2, stride] sum of the norms, iterations that saw the Gaussian
+                          __global real *statistics) { // in/out [2, stride] sum of the norms, iterations that saw the Gaussian
   const uint i = get_global_id(0);
   if (i >= count || status[S_OVERFLOW] != 0) return;
   const uint pairs = isect_counts[i];
@@ -30,6 +30,6 @@ __kernel void screen_grad(__global const Projected *records, uint stride, uint c
   const real dy = R(0.5) * (real)height * fma(-records[i].r, along, TWO_LN2 * records[i].c * second);
   const real norm = hypot(dx, dy);
   if (!(norm < R(1e18))) return;
-  cues[i] += norm;
-  cues[stride + i] += R(1.0);
+  statistics[i] += norm;
+  statistics[stride + i] += R(1.0);
 }

@@ -21,7 +21,7 @@
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
 //! | adam | `kernels/adam.cl` | one step of all parameters |
 //! | noise | `kernels/noise.cl` | random step of every position (mcmc, mh) |
-//! | live | `kernels/live.cl` | active tiles of photos with masks or transparency |
+//! | active_tiles | `kernels/active_tiles.cl` | active tiles of photos with masks or transparency |
 //! | seen | `kernels/seen.cl` | Gaussians that the training views show; the others are removed at the end |
 //! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error statistics (mh) or screen-space gradients (adc) of each Gaussian |
 //! | density control | [`density`] | births, moves and removals, decided on the host |

@@ -124,7 +124,12 @@ fn what_was_gathered_of_a_gaussian_stays_with_it() {
             .map(|i| {
                 (
                     row(i).0,
-                    state.rows.cues.iter().map(|c| c[i]).collect::<Vec<f32>>(),
+                    state
+                        .rows
+                        .statistics
+                        .iter()
+                        .map(|c| c[i])
+                        .collect::<Vec<f32>>(),
                 )
             })
             .collect();

@@ -116,11 +116,11 @@ fn a_resumed_run_ends_with_the_same_bits() {
         assert_eq!(saved.config, config);
         assert_eq!(saved.dataset, data.fingerprint());
         let rows = [3, 0, 2, 0][config.sampler as usize];
-        assert_eq!(saved.state.rows.cues.len(), rows);
+        assert_eq!(saved.state.rows.statistics.len(), rows);
         let gathered = saved
             .state
             .rows
-            .cues
+            .statistics
             .last()
             .is_none_or(|views| views.iter().any(|v| *v > 0.0));
         assert!(gathered, "{:?}", config.sampler);

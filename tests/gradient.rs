@@ -9,8 +9,8 @@ use mhsplat::lab::error::{Tolerance, compare};
 use mhsplat::lab::verify::cases::{self, Case};
 use mhsplat::lab::verify::definition::{Reference, inputs, photo};
 use mhsplat::lab::verify::pass;
-use mhsplat::pipeline::chain::loss_of;
 use mhsplat::pipeline::reference::Scene64;
+use mhsplat::pipeline::reference_pass::loss_of;
 use mhsplat::scene::Plane;
 
 /// Step of the central differences: truncation (h²) and rounding (1e-16/h) meet near it.

@@ -115,7 +115,7 @@ fn only_checks_use_the_reference() {
     let src = root().join("src");
     let uses = |source: &str| {
         let mut lines = source.lines();
-        lines.any(|l| l.contains("pipeline::reference") || l.contains("pipeline::chain"))
+        lines.any(|l| l.contains("pipeline::reference") || l.contains("pipeline::reference_pass"))
     };
     let [mut inside, mut outside] = [0, 0];
     for file in files("src", "rs") {

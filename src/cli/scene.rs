@@ -1,4 +1,4 @@
-//! GaussianBuffers file or run folder with its dataset, on a device: shared by eval and render.
+//! A scene file or run folder with its dataset, on a device.
 
 use std::path::{Path, PathBuf};
 

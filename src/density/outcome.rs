@@ -21,10 +21,10 @@ pub struct DensityStats {
     pub occupied_voxels: u64,
     /// Mean of D(v′) over the proposals of the (last) step.
     pub mean_prior: f64,
-    /// Number of accepted births that copy their source (adc).
+    /// Number of clones: births that copy their source (adc).
     #[serde(default)]
     pub cloned: u64,
-    /// Number of accepted births that share their source's room (adc).
+    /// Number of splits: births that share the room of their source (adc).
     #[serde(default)]
     pub split: u64,
     /// Number of opacity resets (adc).

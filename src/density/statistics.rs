@@ -3,7 +3,7 @@
 use crate::base::error::Error;
 use crate::density::state::numerics;
 
-/// Error cues of each Gaussian over the view subset (\[MH\] Eq. 11, 13), each slice of length N.
+/// Error statistics of each Gaussian over the view subset (\[MH\] Eq. 11, 13), each slice of length N.
 #[derive(Debug, Clone, Copy)]
 pub struct ErrorStatistics<'a> {
     /// Sum over the seeing views of 1 − SSIM at the pixel under the projected centre.

@@ -39,7 +39,10 @@ const SOURCES: &[(&str, &str)] = &[
     ("filter", include_str!("../../kernels/filter.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
-    ("live", include_str!("../../kernels/live.cl")),
+    (
+        "active_tiles",
+        include_str!("../../kernels/active_tiles.cl"),
+    ),
     ("edit", include_str!("../../kernels/edit.cl")),
     ("peak", include_str!("../../kernels/peak.cl")),
 ];

@@ -15,8 +15,8 @@ use crate::scene::{Gaussians, Plane};
 /// Tiles that are blank in a render and its photo.
 #[derive(Debug, Clone, Copy)]
 pub struct Blank<'a> {
-    /// Tiles that are neither masked nor clear in the photo (the live stage's).
-    pub live: &'a Array<u32>,
+    /// Tiles that are neither masked nor clear in the photo.
+    pub active_tiles: &'a Array<u32>,
     /// First pair of each tile of the render; not read where photos have masks.
     pub tile_start: &'a Array<u32>,
 }
@@ -167,37 +167,37 @@ impl SortBuffers {
     }
 }
 
-/// Arrays of one view's passage from records to the image; they grow and never shrink.
+/// Arrays of one view from projected Gaussians to the image; they grow and never shrink.
 #[derive(Debug)]
 pub struct ViewBuffers<R: Real> {
-    /// Records.
+    /// Projected Gaussians: mean, conic, opacity, colour.
     pub records: Array<Projected<R>>,
     /// Depth bits or culled.
     pub keys: Array<u32>,
-    /// Pairs of each Gaussian.
+    /// Tile intersections of each Gaussian.
     pub isect_counts: Array<u32>,
-    /// First pair of each Gaussian.
+    /// First tile intersection of each Gaussian.
     pub isect_start: Array<u32>,
     /// Visible Gaussians by depth.
     pub visible: SortBuffers,
-    /// Tiles of each visible Gaussian.
+    /// Number of tiles of each visible Gaussian.
     pub counts: Array<u32>,
-    /// Tiles of each visible Gaussian, if they are few.
+    /// Bit mask and bounds of the tiles of each visible Gaussian, if they are few.
     pub cover: Array<u32>,
-    /// First pair of each visible Gaussian.
+    /// First tile intersection of each visible Gaussian.
     pub offsets: Array<u32>,
     /// Sums per chunk.
     pub chunk_sums: Array<u32>,
-    /// Emission slots of the pairs by tile.
+    /// Emission slots of the tile intersections, sorted by tile.
     pub order: SortBuffers,
-    /// Gaussian of each pair, by emission slot.
+    /// Gaussian of each tile intersection, by emission slot.
     pub isect_owner: Array<u32>,
-    /// Sums of splat_grad; empty when only rendering.
+    /// Partial gradients of each tile intersection (splat_grad); empty when only rendering.
     pub sums: Array<R>,
-    /// First pair of each tile.
+    /// First tile intersection of each tile.
     pub tile_start: Array<u32>,
     /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear.
-    pub live: Array<u32>,
+    pub active_tiles: Array<u32>,
     /// Pairs used of each tile.
     pub tile_used: Array<u32>,
     /// Red, green, blue, transmittance.
@@ -225,7 +225,7 @@ impl<R: Real> ViewBuffers<R> {
             isect_owner: ints("isect_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
             tile_start: ints("tile_start")?,
-            live: ints("live")?,
+            active_tiles: ints("active_tiles")?,
             tile_used: ints("tile_used")?,
             image: Array::zeros(device, "image", 0)?,
             status: Array::zeros(device, "status", status::SLOTS)?,
@@ -253,7 +253,7 @@ impl<R: Real> ViewBuffers<R> {
     /// Blank tiles of the view enqueued last and of the photo whose active tiles were marked.
     pub(crate) fn blank(&self) -> Blank<'_> {
         Blank {
-            live: &self.live,
+            active_tiles: &self.active_tiles,
             tile_start: &self.tile_start,
         }
     }
@@ -301,7 +301,7 @@ impl<R: Real> ViewBuffers<R> {
         }
         self.tile_start = Array::zeros(device, "tile_start", tiles + 1)?;
         self.image = Array::zeros(device, "image", 4 * size.plane())?;
-        self.live = Array::zeros(device, "live", tiles)?;
+        self.active_tiles = Array::zeros(device, "active_tiles", tiles)?;
         self.tile_used = Array::zeros(device, "tile_used", tiles)?;
         Ok(())
     }

@@ -173,10 +173,10 @@ impl<R: Real> Renderer<R> {
             .run(&mut f.order, &f.status, status::INTERSECTIONS, bits)
     }
 
-    /// Tiles in which a pixel of the photo counts, or is not clear: written by the live stage.
+    /// Tiles in which a pixel of the photo counts, or is not clear: written by the stage active_tiles.
     #[must_use]
     pub fn active_tiles(&self) -> &Array<u32> {
-        &self.frame.live
+        &self.frame.active_tiles
     }
 
     /// Pairs of each tile of the view rendered last.

@@ -2,12 +2,12 @@
 
 pub mod backward;
 pub mod buffers;
-pub mod chain;
 pub mod exposure;
 pub mod forward;
 mod launch;
 pub mod pass;
 pub mod photos;
 pub mod reference;
+pub mod reference_pass;
 pub mod scoring;
 pub mod stage;

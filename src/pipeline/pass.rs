@@ -6,8 +6,8 @@ use crate::pipeline::backward::Backward;
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
+use crate::pipeline::stage::active_tiles::ActiveTiles;
 use crate::pipeline::stage::importance::Importance;
-use crate::pipeline::stage::live::Live;
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::scene::Plane;
 use crate::scene::sh::C0;
@@ -34,7 +34,7 @@ pub struct Pipeline<R: Real = f32> {
     /// Backward stages.
     pub backward: Backward,
     /// Marks the tiles in which a photo's pixels count; `None` if all do.
-    live: Option<Live>,
+    active_tiles: Option<ActiveTiles>,
     loss: Loss,
     /// Per-image exposure, between render and loss; `None` if it is off.
     pub exposure: Option<ExposureModel<R>>,
@@ -54,11 +54,13 @@ impl<R: Real> Pipeline<R> {
         let kernels = Kernels::new(device, defines);
         let loss = Loss::new::<R>(&kernels)?;
         let zeros = |name, planes| Array::zeros(device, name, planes * largest.plane());
-        let live = defines.masked() || defines.skips_blank();
+        let active_tiles = defines.masked() || defines.skips_blank();
         Ok(Self {
             forward: Renderer::new(device, defines, degrees[1], true)?,
             backward: Backward::new::<R>(device, defines, degrees)?,
-            live: live.then(|| Live::new::<R>(&kernels)).transpose()?,
+            active_tiles: active_tiles
+                .then(|| ActiveTiles::new::<R>(&kernels))
+                .transpose()?,
             exposure: None,
             maps: zeros("maps", 3)?,
             dimage: zeros("dimage", 3)?,
@@ -85,8 +87,8 @@ impl<R: Real> Pipeline<R> {
 
     /// Marks the tiles of a photo in which a pixel counts.
     pub fn mark_tiles(&self, photo: &Array<u8>, camera: &CameraArg<R>) -> Result<()> {
-        match &self.live {
-            Some(live) => live.run(photo, camera, self.forward.active_tiles()),
+        match &self.active_tiles {
+            Some(active_tiles) => active_tiles.run(photo, camera, self.forward.active_tiles()),
             None => Ok(()),
         }
     }
@@ -97,7 +99,7 @@ impl<R: Real> Pipeline<R> {
         camera: &CameraArg<R>,
         target: Target<'a>,
     ) -> Result<ImagePair<'a, R>> {
-        let skips = target.skip_blank && self.live.is_some();
+        let skips = target.skip_blank && self.active_tiles.is_some();
         let image = &self.forward.frame.image;
         let mut pair = ImagePair::new(image, target.photo, camera, target.background);
         pair.blank = skips.then(|| self.forward.frame.blank());
@@ -157,11 +159,11 @@ impl<R: Real> Pipeline<R> {
         camera: &CameraArg<R>,
         pair: &ImagePair<'_, R>,
         first_view: bool,
-        cues: &Array<R>,
+        statistics: &Array<R>,
     ) -> Result<()> {
         self.loss.errors(pair, &self.maps, &self.partial)?;
         let view = &self.forward.frame;
-        stage.run(scene, view, camera, &self.maps, first_view, cues)
+        stage.run(scene, view, camera, &self.maps, first_view, statistics)
     }
 
     /// Takes the image gradient back to sums per tile intersection.

@@ -121,7 +121,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         &rows.moment1,
         &rows.moment2,
         one(&state.losses),
-        &rows.cues,
+        &rows.statistics,
         one(&rows.filter),
         &state.exposures,
     ];
@@ -226,7 +226,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             rows: GaussianRows {
                 moment1,
                 moment2,
-                cues,
+                statistics: cues,
                 filter,
             },
             stats: header.stats,

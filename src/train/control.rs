@@ -164,8 +164,8 @@ impl Control {
         let Some(importance) = &self.importance else {
             return Ok(());
         };
-        let (scene, cues) = (&gaussians.scene, &gaussians.statistics);
-        pipeline.add_errors(importance, scene, camera, pair, first_view, cues)
+        let (scene, sums) = (&gaussians.scene, &gaussians.statistics);
+        pipeline.add_errors(importance, scene, camera, pair, first_view, sums)
     }
 
     /// The strategy's part of an iteration, after the optimiser: screen-space gradients are added up until the last density

@@ -30,7 +30,7 @@ pub struct GaussianRows {
     /// Second moments.
     pub moment2: Vec<Vec<f32>>,
     /// Statistics of density control \[rows\]\[N\].
-    pub cues: Vec<Vec<f32>>,
+    pub statistics: Vec<Vec<f32>>,
     /// Standard deviations of the smoothing filter \[N\], local units; empty without anti-aliasing.
     pub filter: Vec<f32>,
 }
@@ -90,7 +90,7 @@ impl GaussianState {
                 Array::zeros(device, "moment1", len)?,
                 Array::zeros(device, "moment2", len)?,
             ],
-            statistics: Array::zeros(device, "cues", rows * scene.stride)?,
+            statistics: Array::zeros(device, "statistics", rows * scene.stride)?,
             rows,
             scene,
         })
@@ -238,7 +238,7 @@ impl GaussianState {
         Ok(GaussianRows {
             moment1: self.planes(&self.moments[0], planes)?,
             moment2: self.planes(&self.moments[1], planes)?,
-            cues: self.read_statistics()?,
+            statistics: self.read_statistics()?,
             filter: self.read_filter()?,
         })
     }
@@ -249,8 +249,8 @@ impl GaussianState {
     /// Rows of another shape, or the driver's.
     pub fn restore(&self, rows: &GaussianRows) -> Result<()> {
         let (stride, count) = (self.scene.stride, self.scene.count);
-        if rows.cues.len() != self.rows {
-            let (found, wanted) = (rows.cues.len(), self.rows);
+        if rows.statistics.len() != self.rows {
+            let (found, wanted) = (rows.statistics.len(), self.rows);
             return Err(mismatch(format!(
                 "{found} rows of error statistics; {wanted} expected"
             )));
@@ -268,7 +268,7 @@ impl GaussianState {
         for (array, planes) in [
             (&self.moments[0], &rows.moment1),
             (&self.moments[1], &rows.moment2),
-            (&self.statistics, &rows.cues),
+            (&self.statistics, &rows.statistics),
         ] {
             for (p, plane) in planes.iter().enumerate() {
                 array.write(p * stride, plane)?;

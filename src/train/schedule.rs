@@ -75,7 +75,8 @@ impl Schedule {
         }
     }
 
-    /// Learning rates; position decays log-linearly over the run. Local units: the scene extent is 1.
+    /// Learning rates of an iteration: positions decay log-linearly over the run, the others settle at its end. Local units: the
+    /// scene extent is 1.
     ///
     /// Adam moves a parameter by about its rate per iteration, whatever the gradient, so that a short run cannot reach what
     /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for

@@ -35,11 +35,11 @@ fn flat_images_stay_finite() {
     }
 }
 
-/// A picture that is blank but for a corner and one pixel: render, photo with alpha or a mask, and which tiles are live and have pairs.
+/// A picture that is blank but for a corner and one pixel: render, photo with alpha or a mask, and which tiles are active and have pairs.
 struct Blankish {
     image: Vec<f64>,
     photo: Vec<u8>,
-    live: Vec<u32>,
+    active_tiles: Vec<u32>,
     tile_start: Vec<u32>,
 }
 
@@ -68,18 +68,18 @@ fn blankish(speck: f64) -> Blankish {
     // A pair in every tile that has part of the corner or the speck.
     let across = STRIDE / 16;
     let tile = |t: usize| [t % across * 16, t / across * 16];
-    let live: Vec<u32> = (0..across * ROWS / 16)
+    let active_tiles: Vec<u32> = (0..across * ROWS / 16)
         .map(|t| u32::from(corner(tile(t)[0], tile(t)[1])))
         .collect();
     let mut tile_start = vec![0];
-    for (t, live) in live.iter().enumerate() {
-        let pairs = live + u32::from(speck > 0.0 && tile(t) == [224, 64]);
+    for (t, active_tiles) in active_tiles.iter().enumerate() {
+        let pairs = active_tiles + u32::from(speck > 0.0 && tile(t) == [224, 64]);
         tile_start.push(tile_start[t] + pairs);
     }
     Blankish {
         image,
         photo,
-        live,
+        active_tiles,
         tile_start,
     }
 }
@@ -104,8 +104,8 @@ fn of_blankish(
     let partial = used("partial", loss.partial_len(ImageSize([W, H])));
     let out = used("losses", 2);
     let flags = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
-    let (live, tile_start) = (
-        flags("live", &picture.live),
+    let (active_tiles, tile_start) = (
+        flags("active_tiles", &picture.active_tiles),
         flags("tile_start", &picture.tile_start),
     );
     let pair = ImagePair {
@@ -114,7 +114,7 @@ fn of_blankish(
         background: BACKGROUND,
         size: ImageSize([W, H]),
         blank: Some(Blank {
-            live: &live,
+            active_tiles: &active_tiles,
             tile_start: &tile_start,
         }),
     };
@@ -167,13 +167,13 @@ fn leaving_out_what_is_blank_changes_nothing_but_rounding() {
             assert_eq!(at_speck != 0.0, counts, "{case}");
             assert_eq!(skipped[1][90 * STRIDE + 150], 0.0, "{case}");
             // Where there are Gaussians, or may be, no bit changes.
-            let live = |at: usize| {
+            let active_tiles = |at: usize| {
                 let tile = at / STRIDE % ROWS / 16 * (STRIDE / 16) + at % STRIDE / 16;
-                picture.live[tile] > 0
+                picture.active_tiles[tile] > 0
             };
             let same = |at: usize| whole[1][at].to_bits() == skipped[1][at].to_bits();
             assert!(
-                (0..skipped[1].len()).all(|at| !live(at) || same(at)),
+                (0..skipped[1].len()).all(|at| !active_tiles(at) || same(at)),
                 "{case}"
             );
             assert!(skipped[1][20 * STRIDE + 30] != 0.0, "{case}");

@@ -1,12 +1,12 @@
 //! One file per stage: the device against the reference on shared cases, and what is particular to the stage.
 
+mod active_tiles;
 mod adam;
 mod bin;
 mod edit;
 mod exposure;
 mod filter;
 mod importance;
-mod live;
 mod loss;
 mod metrics;
 mod noise;

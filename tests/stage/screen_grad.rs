@@ -5,8 +5,8 @@ use mhsplat::base::constants::SUMS;
 use mhsplat::device::tuning::status::OVERFLOW;
 use mhsplat::device::{Array, CameraArg, Projected};
 use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
-use mhsplat::pipeline::chain::loss_of;
 use mhsplat::pipeline::reference::Camera64;
+use mhsplat::pipeline::reference_pass::loss_of;
 use mhsplat::pipeline::stage::screen_grad::ScreenGrad;
 
 #[test]

@@ -9,6 +9,8 @@
 //! `exact-prior` of training, which applies it to births alone and decides many at once on the same counts, it is exact in the
 //! prior's factor and no more.
 //!
+//! The rule is applied in `step.rs` (`decide`), where each phase may solve T for the share of births that it is to accept.
+//!
 //! If births are probed, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a
 //! faint birth, over a few views, and of each birth alone.
 //!
@@ -54,7 +56,7 @@ pub fn ln_ratio(form: Acceptance, ln_gain: f64, lambda: f64, count: u32) -> f64 
 /// (Barker 1965) at a temperature of s, the mean |ΔL|, so that `temperature` means the same at any size of the loss; z = 0
 /// if s is 0. Metropolis's min(0, −ΔL/s) makes half of the proposals certain, whatever the temperature, so that no share
 /// below theirs can be asked for. A proposal that no view saw (NaN) gets the mean of the others,
-/// like the cues of a source that no view sees.
+/// like the error statistics of a source that no view sees.
 #[must_use]
 pub fn ln_gains(changes: &[f64]) -> Vec<f64> {
     let known = || changes.iter().filter(|c| c.is_finite());

@@ -29,13 +29,13 @@ pub struct Importance {
 #[must_use]
 pub fn importance(
     opacity_logits: &[f32],
-    cues: &ErrorStatistics<'_>,
+    errors: &ErrorStatistics<'_>,
     weights: [f64; 3],
 ) -> Importance {
-    let n = [cues.ssim.len(), cues.l1.len(), cues.views.len()]
+    let n = [errors.ssim.len(), errors.l1.len(), errors.views.len()]
         .into_iter()
         .fold(opacity_logits.len(), usize::min);
-    let average = |sums: &[f32], i: usize| match cues.views[i] {
+    let average = |sums: &[f32], i: usize| match errors.views[i] {
         0 => f64::NAN,
         views => f64::from(sums[i]) / f64::from(views),
     };
@@ -45,8 +45,8 @@ pub fn importance(
         .map(|i| {
             [
                 sigmoid(f64::from(opacity_logits[i])),
-                average(cues.ssim, i),
-                average(cues.l1, i),
+                average(errors.ssim, i),
+                average(errors.l1, i),
             ]
         })
         .collect();
@@ -59,7 +59,7 @@ pub fn importance(
         let [opacity, ssim, l1] = row.map(f64::is_finite);
         !(opacity && (**views == 0 || (ssim && l1)))
     };
-    let views = &cues.views[..n];
+    let views = &errors.views[..n];
     Importance {
         values: rows.par_iter().map(value).collect(),
         unseen: views.par_iter().filter(|v| **v == 0).count(),

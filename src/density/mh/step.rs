@@ -160,7 +160,7 @@ impl MetropolisHastings {
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
-        cues: &ErrorStatistics<'_>,
+        errors: &ErrorStatistics<'_>,
     ) -> Result<()> {
         self.config.validate()?;
         if !context.progress.is_finite() {
@@ -169,7 +169,7 @@ impl MetropolisHastings {
                 context.progress
             )));
         }
-        scene.check_lengths([cues.ssim.len(), cues.l1.len(), cues.views.len()])
+        scene.check_lengths([errors.ssim.len(), errors.l1.len(), errors.views.len()])
     }
 
     /// Voxel counts of the state after relocation, in which proposals are made: relocated rows count at their new positions.
@@ -217,10 +217,10 @@ impl MetropolisHastings {
         scene: &SceneState<'_>,
         evidence: &Statistics<'_>,
     ) -> Result<Proposals> {
-        // Without cues every Gaussian counts as unseen.
+        // Without errors every Gaussian counts as unseen.
         let unseen = (vec![0.0; scene.len()], vec![0; scene.len()]);
-        let cues = match evidence {
-            Statistics::Errors(cues) => *cues,
+        let errors = match evidence {
+            Statistics::Errors(errors) => *errors,
             Statistics::Nothing if !self.wants_errors(context.progress) => ErrorStatistics {
                 ssim: &unseen.0,
                 l1: &unseen.0,
@@ -228,14 +228,14 @@ impl MetropolisHastings {
             },
             _ => return Err(unexpected()),
         };
-        self.check(context, scene, &cues)?;
+        self.check(context, scene, &errors)?;
         let context = &StepContext {
             progress: context.progress.clamp(0.0, 1.0),
             ..*context
         };
         let c = &self.config;
         let (relocation, removed) = self.relocate_or_remove_dead(context, scene);
-        let importance = self.importance(scene, &cues);
+        let importance = self.importance(scene, &errors);
         let alive = relocation.alive_rows.par_iter();
         let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
         let step = Step {
@@ -284,13 +284,13 @@ impl MetropolisHastings {
     }
 
     /// Importance I of every row (Eq. 13); ½ if it is switched off.
-    fn importance(&self, scene: &SceneState<'_>, cues: &ErrorStatistics<'_>) -> Vec<f64> {
+    fn importance(&self, scene: &SceneState<'_>, errors: &ErrorStatistics<'_>) -> Vec<f64> {
         let c = &self.config;
         if !c.importance {
             return vec![0.5; scene.len()];
         }
         let weights = [c.weight_opacity, c.weight_ssim, c.weight_l1];
-        importance::importance(scene.opacity_logits, cues, weights).values
+        importance::importance(scene.opacity_logits, errors, weights).values
     }
 }
 

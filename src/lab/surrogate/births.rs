@@ -113,7 +113,7 @@ pub struct Candidate {
 pub(super) struct Ground<'a> {
     pub config: &'a MhConfig,
     pub splats: &'a Gaussians,
-    pub cues: ErrorStatistics<'a>,
+    pub errors: ErrorStatistics<'a>,
     pub importance: &'a [f64],
     pub progress: f64,
     pub seed: u64,
@@ -223,7 +223,7 @@ impl Ground<'_> {
             opacity_logit: own.opacity_logit.min(logit(c.birth_opacity) as f32),
             ..own
         };
-        let seen = self.cues.views[i];
+        let seen = self.errors.views[i];
         let mean = |sums: &[f32]| (seen > 0).then(|| f64::from(sums[i]) / f64::from(seen));
         let importance = self.importance[i];
         Candidate {
@@ -235,8 +235,8 @@ impl Ground<'_> {
             prior: voxel_prior(c.lambda_voxel, count),
             acceptance: ln_acceptance(c.acceptance, importance, c.lambda_voxel, count).exp(),
             opacity: sigmoid(f64::from(own.opacity_logit)),
-            ssim: mean(self.cues.ssim),
-            l1: mean(self.cues.l1),
+            ssim: mean(self.errors.ssim),
+            l1: mean(self.errors.l1),
             views: 0,
             gain: [0.0; FORMS.len()],
             probe: [0.0; FORMS.len()],

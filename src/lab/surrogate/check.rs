@@ -159,8 +159,8 @@ impl Subject<'_> {
         let ground = Ground {
             config: c,
             splats,
-            cues: base.cues(),
-            importance: &importance(logits, &base.cues(), weights).values,
+            errors: base.errors(),
+            importance: &importance(logits, &base.errors(), weights).values,
             progress: eta(&schedule, done),
             seed: options.seed,
         };

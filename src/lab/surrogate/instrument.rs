@@ -1,4 +1,4 @@
-//! The device side of the check: a scene over some views, its losses, cues and gradients; the true loss changes of births by
+//! The device side of the check: a scene over some views, its losses, error statistics and gradients; the true loss changes of births by
 //! rendering again, and their first-order predictions by a probe.
 //!
 //! Losses are compared strip by strip: the sums that the loss stage leaves for every strip are subtracted on the host in f64, so
@@ -51,7 +51,7 @@ pub struct Base {
 
 impl Base {
     /// The errors as density control takes them.
-    pub(super) fn cues(&self) -> ErrorStatistics<'_> {
+    pub(super) fn errors(&self) -> ErrorStatistics<'_> {
         let [ssim, l1] = &self.errors;
         ErrorStatistics {
             ssim,
@@ -175,10 +175,10 @@ impl<R: Real> Instrument<R> {
         backward.plane_gradients(forward, &self.scene, camera, dimage, rows, SHAPE)
     }
 
-    /// Losses, cues and gradients of the scene as it is.
+    /// Losses, sums and gradients of the scene as it is.
     pub fn base(&mut self) -> Result<Base> {
         let n = self.splats.len();
-        let cues = Array::zeros(&self.device, "cues", 3 * self.scene.stride)?;
+        let sums = Array::zeros(&self.device, "sums", 3 * self.scene.stride)?;
         let mut base = Base {
             gradients: std::array::from_fn(|_| vec![0.0; n]),
             ..Base::default()
@@ -196,7 +196,7 @@ impl<R: Real> Instrument<R> {
                 let (stage, camera) = (&self.importance, &self.views.cameras[view]);
                 let first = view == 0;
                 self.pipeline
-                    .add_errors(stage, &self.scene, camera, pair, first, &cues)
+                    .add_errors(stage, &self.scene, camera, pair, first, &sums)
             })?;
             self.image_gradient(view)?;
             let gradients = self.gradients(false, view, 0)?;
@@ -204,7 +204,7 @@ impl<R: Real> Instrument<R> {
                 sums.iter_mut().zip(more).for_each(|(s, g)| *s += g / k);
             }
         }
-        let row = |r: usize| cues.read(r * self.scene.stride, n);
+        let row = |r: usize| sums.read(r * self.scene.stride, n);
         let narrow = |v: Vec<R>| v.into_iter().map(|v| v.into() as f32).collect();
         base.errors = [narrow(row(0)?), narrow(row(1)?)];
         base.seen = row(2)?.into_iter().map(|v| v.into() as u32).collect();

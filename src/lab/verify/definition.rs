@@ -6,8 +6,8 @@ use crate::base::constants::{LOG_SCALE, NEAR, SUMS};
 use crate::capture::Alpha;
 use crate::density::NoiseLaw;
 use crate::lab::verify::cases::{ADAM, Case};
-use crate::pipeline::chain::{Passage, run};
 use crate::pipeline::reference::{Camera64, Options, Scene64, unit_quaternion};
+use crate::pipeline::reference_pass::{ReferencePass, run};
 use crate::pipeline::stage::adam::{Step, adam};
 use crate::pipeline::stage::edit::edit;
 use crate::pipeline::stage::exposure::{ENTRIES, IDENTITY, backward, center};
@@ -134,7 +134,7 @@ pub struct Reference {
     /// Mask \[height, width\]; `None` if the photo has none.
     pub mask: Option<Vec<f64>>,
     /// Forward and backward stages.
-    pub pass: Passage,
+    pub pass: ReferencePass,
 }
 
 impl Reference {
@@ -255,7 +255,7 @@ impl Reference {
 
     /// 1 for each Gaussian that contributes to the view, or that counts as seen before.
     pub(super) fn seen(&self) -> Vec<f64> {
-        let Passage { records, tiles, .. } = &self.pass;
+        let ReferencePass { records, tiles, .. } = &self.pass;
         let now = seen(records, tiles, &self.camera, self.options.alpha_min);
         let before = seen_before(now.len());
         let either = |(now, before)| f64::from(u32::from(now) | before);

@@ -103,12 +103,12 @@ impl Bin {
             .status(view)
             .uints([camera.tiles[0] as usize]);
         if self.0.defines().masked() {
-            let live = if active_only {
-                &view.live
+            let active_tiles = if active_only {
+                &view.active_tiles
             } else {
                 &view.status
             };
-            launch = launch.array(live, 1).value(i32::from(active_only));
+            launch = launch.array(active_tiles, 1).value(i32::from(active_only));
         }
         launch.array(&view.cover, 2 * count)
     }

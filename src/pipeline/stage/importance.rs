@@ -1,4 +1,4 @@
-//! Error cues of each Gaussian: the error maps of a view under the projected centre (`kernels/importance.cl`; \[MH\] Eq. 11, 13).
+//! Error statistics of each Gaussian: the error maps of a view under the projected centre (`kernels/importance.cl`; \[MH\] Eq. 11, 13).
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernels, Program, Real};
@@ -16,7 +16,7 @@ impl Importance {
         kernels.build::<R>("importance").map(Self)
     }
 
-    /// Adds the errors of a view to `cues`, which `first_view` sets to zero before; `maps` are those of
+    /// Adds the errors of a view to `statistics`, which `first_view` sets to zero before; `maps` are those of
     /// [`crate::pipeline::stage::loss::Loss::errors`]. After an overflow in the view nothing changes.
     pub fn run<R: Real>(
         &self,
@@ -25,7 +25,7 @@ impl Importance {
         camera: &CameraArg<R>,
         maps: &Array<R>,
         first_view: bool,
-        cues: &Array<R>,
+        statistics: &Array<R>,
     ) -> Result<()> {
         self.0
             .launch("importance")
@@ -35,7 +35,7 @@ impl Importance {
             .ints(camera.image().padded())
             .value(i32::from(first_view))
             .status(view)
-            .array(cues, 3 * scene.stride)
+            .array(statistics, 3 * scene.stride)
             .over_gaussians(scene.count)
     }
 }

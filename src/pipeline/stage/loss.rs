@@ -150,7 +150,7 @@ impl Loss {
         match pair.blank {
             Some(b) => launch
                 .ints([1])
-                .array(b.live, tiles)
+                .array(b.active_tiles, tiles)
                 .array(b.tile_start, tiles + 1),
             None => launch.ints([0]).arrays([&self.nowhere; 2], 1),
         }

@@ -4,13 +4,13 @@
 //! A launch does not wait.
 #![allow(clippy::missing_errors_doc)]
 
+pub mod active_tiles;
 pub mod adam;
 pub mod bin;
 pub mod edit;
 pub mod exposure;
 pub mod filter;
 pub mod importance;
-pub mod live;
 pub mod loss;
 pub mod metrics;
 pub mod noise;

@@ -19,13 +19,13 @@ impl ScreenGrad {
         kernels.build::<R>("screen_grad").map(Self)
     }
 
-    /// Adds the norms of one iteration to `cues`; after an overflow in the view nothing changes.
+    /// Adds the norms of one iteration to `statistics`; after an overflow in the view nothing changes.
     pub fn run<R: Real>(
         &self,
         scene: &GaussianBuffers<R>,
         view: &ViewBuffers<R>,
         camera: &CameraArg<R>,
-        cues: &Array<R>,
+        statistics: &Array<R>,
     ) -> Result<()> {
         self.0
             .launch("screen_grad")
@@ -35,7 +35,7 @@ impl ScreenGrad {
             .array(&view.sums, SUMS)
             .ints(camera.image().0)
             .status(view)
-            .array(cues, 2 * scene.stride)
+            .array(statistics, 2 * scene.stride)
             .over_items([scene.count, 1])
     }
 }

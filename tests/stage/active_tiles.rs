@@ -1,10 +1,10 @@
-//! live: tiles of a masked photo in which any pixel counts get pairs, the others do not.
+//! active_tiles: tiles of a masked photo in which any pixel counts get pairs, the others do not.
 
 use super::*;
 use mhsplat::device::{Array, CameraArg};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
-use mhsplat::pipeline::stage::live::{Live, live};
+use mhsplat::pipeline::stage::active_tiles::{ActiveTiles, active_tiles};
 
 /// Flags that the kernel gives the tiles of a mask of this size.
 fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
@@ -14,8 +14,8 @@ fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
     photo.extend(mask);
     let camera =
         CameraArg::<f32>::new(&cases::mild("size", 1, size.map(|s| s as u32), 0, 1).camera);
-    let out = Array::zeros(&device, "live", camera.tile_count()).unwrap();
-    Live::new::<f32>(&kernels(&device))
+    let out = Array::zeros(&device, "active_tiles", camera.tile_count()).unwrap();
+    ActiveTiles::new::<f32>(&kernels(&device))
         .unwrap()
         .run(
             &Array::from_slice(&device, "photo", &photo).unwrap(),
@@ -34,7 +34,7 @@ fn agrees_with_the_reference() {
             let mask: Vec<u8> = (0..n).map(|i| u8::from(i * 31 % sparse == 1)).collect();
             assert_eq!(
                 tiles(&mask, size),
-                live(&mask, size),
+                active_tiles(&mask, size),
                 "{size:?}, one in {sparse}"
             );
         }
@@ -65,7 +65,7 @@ fn rendered(active_only: bool) -> (Vec<u32>, Vec<f32>) {
     let camera = CameraArg::new(&case.camera);
     renderer.fit(&scene, &camera).unwrap();
     let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
-    let stage = Live::new::<f32>(&Kernels::new(&device, defines)).unwrap();
+    let stage = ActiveTiles::new::<f32>(&Kernels::new(&device, defines)).unwrap();
     stage.run(&photo, &camera, renderer.active_tiles()).unwrap();
     let options = RenderOptions {
         active_only,

@@ -1,4 +1,4 @@
-//! Tiles of a masked photo in which any pixel counts, or of a transparent one in which any is not clear (`kernels/live.cl`).
+//! Tiles of a masked photo in which any pixel counts, or of a transparent one in which any is not clear (`kernels/active_tiles.cl`).
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernels, Program, Real};
@@ -6,28 +6,28 @@ use crate::pipeline::reference::TILE;
 
 /// The kernel.
 #[derive(Debug)]
-pub struct Live(Program);
+pub struct ActiveTiles(Program);
 
-impl Live {
+impl ActiveTiles {
     /// Builds the kernel.
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("live").map(Self)
+        kernels.build::<R>("active_tiles").map(Self)
     }
 
-    /// Marks the live tiles of a photo of a camera's size.
+    /// Marks the active tiles of a photo of a camera's size.
     pub fn run<R: Real>(
         &self,
         photo: &Array<u8>,
         camera: &CameraArg<R>,
-        live: &Array<u32>,
+        active_tiles: &Array<u32>,
     ) -> Result<()> {
         let ([w, h], tiles) = (camera.image().0, camera.tile_count());
         self.0
-            .launch("live")
+            .launch("active_tiles")
             .array(photo, 4 * w * h)
             .ints([w, h])
             .tiles(camera)
-            .array(live, tiles)
+            .array(active_tiles, tiles)
             .over_chunks([tiles, 1])
     }
 }
@@ -36,7 +36,7 @@ impl Live {
 
 /// True for each tile (row major) of a mask \[height, width\] in which any pixel counts.
 #[must_use]
-pub fn live(mask: &[u8], [width, height]: [usize; 2]) -> Vec<bool> {
+pub fn active_tiles(mask: &[u8], [width, height]: [usize; 2]) -> Vec<bool> {
     let tile = TILE as usize;
     let (across, down) = (width.div_ceil(tile), height.div_ceil(tile));
     let mut tiles = vec![false; across * down];

@@ -13,7 +13,7 @@ use crate::scene::Plane;
 
 /// Results of every stage.
 #[derive(Debug, Clone)]
-pub struct Passage {
+pub struct ReferencePass {
     /// Records.
     pub records: Vec<Option<Projected64>>,
     /// Gaussians of each tile.
@@ -85,7 +85,7 @@ pub fn run(
     photo: &[f64],
     mask: Option<&[f64]>,
     lambdas: [f64; 3],
-) -> Passage {
+) -> ReferencePass {
     let pixels = camera.pixels();
     let counts = |at: usize| mask.map_or(1.0, |m| m[at % pixels]);
     let (records, tiles, image, transmittance) = render(scene, camera, options);
@@ -105,7 +105,7 @@ pub fn run(
         .map(|(s, r)| r.as_ref().map(|_| s))
         .collect();
     let grads = project_grad(scene, camera, options, &sums, [lambdas[1], lambdas[2]]);
-    Passage {
+    ReferencePass {
         records,
         tiles,
         image,
