@@ -37,17 +37,17 @@ static inline int is_masked(const Projected *g) {
 
 // Photos with masks have tiles in which nothing counts; they get no pairs where `masked` says so.
 #if HAS_MASK
-#define LIVE_TILES __global const uint *active_tiles, int masked
-#define LIVE_ARGUMENTS active_tiles, masked
+#define ACTIVE_TILES __global const uint *active_tiles, int masked
+#define ACTIVE_ARGUMENTS active_tiles, masked
 #define IS_ACTIVE(tile) (!masked || active_tiles[tile])
 #else
-#define LIVE_TILES int unmasked
-#define LIVE_ARGUMENTS 0
+#define ACTIVE_TILES int unmasked
+#define ACTIVE_ARGUMENTS 0
 #define IS_ACTIVE(tile) 1
 #endif
 
 // Counts the tiles touched, remembers them in *mask if they fit, and writes them where `keys` is given.
-static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, LIVE_TILES, __global uint *keys) {
+static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, ACTIVE_TILES, __global uint *keys) {
   const int tx0 = BOUND_LO(g->bx) / TILE, tx1 = BOUND_HI(g->bx) / TILE;
   const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
   const real slope = g->a * g->r / fma(g->a * g->r, g->r, g->c); // dy of the minimum along a vertical line, per dx
@@ -110,7 +110,7 @@ __kernel void bin_compact(__global const uint *keys, uint count, // in [count]
 __kernel void bin_count(__global const Projected *records, __global const uint *visible, // in, in depth order
                         __global const uint *status, uint tiles_x,
 #if HAS_MASK
-                        LIVE_TILES, // in [tiles]
+                        ACTIVE_TILES, // in [tiles]
 #endif
                         __global uint *cover,   // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
                         __global uint *counts,  // out [visible] tiles touched
@@ -123,7 +123,7 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
   for (uint j = 0; j < n; j++) {
     const Projected *g = &staged[j];
     uint mask;
-    counts[first + j] = isect_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, LIVE_ARGUMENTS, 0);
+    counts[first + j] = isect_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, ACTIVE_ARGUMENTS, 0);
     const uint tx0 = BOUND_LO(g->bx) / TILE, ty0 = BOUND_LO(g->by) / TILE, width = BOUND_HI(g->bx) / TILE - tx0 + 1;
     cover[2 * (first + j)] = mask;
     cover[2 * (first + j) + 1] = is_masked(g) ? tx0 | ty0 << 12 | width << 24 : 0;
@@ -136,7 +136,7 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
 __kernel void bin_emit(__global const Projected *records, __global const uint *visible,
                        __global const uint *status, uint tiles_x,
 #if HAS_MASK
-                       LIVE_TILES, // in [tiles]
+                       ACTIVE_TILES, // in [tiles]
 #endif
                        __global const uint *cover,      // in, as bin_count wrote it
                        __global const uint *offsets,    // in [visible] exclusive sums of counts
@@ -156,7 +156,7 @@ __kernel void bin_emit(__global const Projected *records, __global const uint *v
     } else {
       const Projected g = records[i];
       uint mask;
-      emitted = walk_tiles(&g, &mask, tiles_x, LIVE_ARGUMENTS, keys);
+      emitted = walk_tiles(&g, &mask, tiles_x, ACTIVE_ARGUMENTS, keys);
     }
     for (uint k = 0; k < emitted; k++) {
       slots[at + k] = slot + k;

@@ -67,6 +67,10 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         device.info().platform
     ));
     output::note(&run.record().plan.summary());
+    let record = run.record();
+    if record.config.trace_density && args.resume.is_some() && record.funnel.is_empty() {
+        output::note("density control is not traced: a trace begins with the run");
+    }
     let planned = run.record().plan.clone();
     let bar = progress_bar();
     let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());

@@ -1,4 +1,4 @@
-//! Statistics of repeated measurements: spread, ratio, geometric mean, quantile.
+//! Statistics of repeated measurements: spread, ratio, power law, geometric mean, quantile.
 
 use serde::{Deserialize, Serialize};
 

@@ -12,6 +12,8 @@ use crate::scene::Plane;
 
 /// Rows of gradients that are read back start at multiples of this.
 pub const GRADIENT_ROWS: usize = 16;
+/// Rows whose gradients are on the device at a time when they are read back.
+const BLOCK: usize = 1 << 16;
 
 /// Runs the backward stages after a render: image gradient → sums per tile intersection → raw parameters.
 #[derive(Debug)]
@@ -81,19 +83,21 @@ impl Backward {
     ) -> Result<[Vec<f64>; K]> {
         self.splats(forward, camera, dimage)?;
         let count = scene.count;
-        let stride = (count - first).next_multiple_of(GRADIENT_ROWS);
+        let stride = (count - first).next_multiple_of(GRADIENT_ROWS).min(BLOCK);
         let values = Array::zeros(forward.device(), "grads", scene.planes() * stride)?;
-        let grads = GradientBlock {
-            values: &values,
-            planes: Plane::count(sh_degree as u32),
-            stride,
-            rows: first..count,
-        };
-        self.parameters(forward, scene, camera, sh_degree as u32, [0.0; 2], &grads)?;
         let mut read = planes.map(|_| Vec::new());
-        for (to, plane) in read.iter_mut().zip(planes) {
-            let from = values.read(plane * stride, count - first)?;
-            *to = from.into_iter().map(Into::into).collect();
+        for from in (first..count).step_by(BLOCK) {
+            let grads = GradientBlock {
+                values: &values,
+                planes: Plane::count(sh_degree as u32),
+                stride,
+                rows: from..count.min(from + BLOCK),
+            };
+            self.parameters(forward, scene, camera, sh_degree as u32, [0.0; 2], &grads)?;
+            for (to, plane) in read.iter_mut().zip(planes) {
+                let rows = values.read(plane * stride, grads.rows.len())?;
+                to.extend(rows.into_iter().map(Into::into));
+            }
         }
         Ok(read)
     }

@@ -203,7 +203,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     let beside = |name, rows| read(name, rows, Some(splats.len()));
     let has = |name| tensors.tensor(name).is_ok();
     let (moment1, moment2) = (beside("moment1", expected)?, beside("moment2", expected)?);
-    let cues = match density::make(&header.config).wanted(1, 1.0).rows() {
+    let statistics = match density::make(&header.config).wanted(1, 1.0).rows() {
         0 => Vec::new(),
         rows => beside("cues", rows)?,
     };
@@ -226,7 +226,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             rows: GaussianRows {
                 moment1,
                 moment2,
-                statistics: cues,
+                statistics,
                 filter,
             },
             stats: header.stats,

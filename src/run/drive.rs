@@ -15,7 +15,7 @@ use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{self, Clock};
 use crate::run::density_trace::{TRACE_FILE, funnel, write_trace};
 use crate::run::patience;
-use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
+use crate::run::record::{FinalRecord, PlanRecord, RECORD_FILE, RunRecord, StageRecord};
 use crate::run::report::gallery::{GalleryItem, error_map};
 use crate::run::report::page::write_report;
 use crate::run::start;
@@ -142,7 +142,11 @@ impl Run {
         clock: Clock,
         saved: Option<Checkpoint>,
     ) -> Result<Self> {
-        let record = start::record(&dataset, plan, device);
+        let mut record = start::record(&dataset, plan, device);
+        if saved.is_some() && dir.join(RECORD_FILE).exists() {
+            // A finished run keeps what its trace has shown.
+            record.funnel = RunRecord::read(dir)?.funnel;
+        }
         let frame = dataset.frame;
         let splats = match &saved {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
@@ -249,19 +253,22 @@ impl Run {
             self.record.stalled = self.config.patience;
         }
         self.trainer.finish()?;
-        self.write_trace()?;
         self.evaluate(true)?;
         self.save(true, true)?;
+        self.write_trace()?;
         self.report()
     }
 
     /// Writes the trace of density control and records its funnel, if there is one.
     fn write_trace(&mut self) -> Result<()> {
-        let Some(trace) = self.trainer.density_trace() else {
-            return Ok(());
-        };
-        write_trace(&self.dir.join(TRACE_FILE), trace)?;
-        self.record.funnel = funnel(trace, self.trainer.stats(), self.config.dead_opacity());
+        self.clock.pause();
+        let stats = *self.trainer.stats();
+        if let Some(trace) = self.trainer.density_trace()? {
+            write_trace(&self.dir.join(TRACE_FILE), trace)?;
+            self.record.funnel = funnel(trace, &stats, self.config.dead_opacity());
+            self.write_record()?;
+        }
+        self.clock.resume();
         Ok(())
     }
 

@@ -1,4 +1,4 @@
-//! The end of a run: Gaussians that no view shows are removed, and the trace of density control is closed.
+//! The end of a run: removal of the Gaussians that no view shows, and the trace of density control.
 
 use crate::base::error::Result;
 use crate::scene::Plane;
@@ -15,7 +15,6 @@ impl Trainer {
         }
         self.learned.removed = 0;
         self.remove_unseen()?;
-        self.finish_trace()?;
         self.learned.finished = Some(self.iteration);
         let decision = self.plan.learn(&self.learned).pop();
         self.fit_views()?;
@@ -43,11 +42,18 @@ impl Trainer {
         Ok(())
     }
 
-    /// Records the opacity and the summed blending weight of every Gaussian at the end, if density control is traced.
-    fn finish_trace(&mut self) -> Result<()> {
+    /// The trace of density control with the opacity and the summed blending weight of every Gaussian now; `None` unless the
+    /// configuration asks for it, and after a resumption. Renders every training view; its time is nobody's.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn density_trace(&mut self) -> Result<Option<&DensityTrace>> {
         if self.control.trace.is_none() {
-            return Ok(());
+            return Ok(None);
         }
+        self.settle()?;
+        self.device.finish()?;
+        self.device.collect_times(usize::MAX)?;
         let geometry = self.gaussians.geometry()?;
         let scene = &self.gaussians.scene;
         let mut sums = vec![0.0; scene.count];
@@ -57,16 +63,11 @@ impl Trainer {
                 *sum += weight;
             }
         }
+        self.device.forget_launches();
         if let Some(trace) = &mut self.control.trace {
             trace.finish(geometry.plane(Plane::OPACITY), &sums);
         }
-        Ok(())
-    }
-
-    /// Every birth, relocation and death so far; `None` unless the configuration asks for it, and after a resumption.
-    #[must_use]
-    pub fn density_trace(&self) -> Option<&DensityTrace> {
-        self.control.trace.as_ref()
+        Ok(self.control.trace.as_ref())
     }
 
     /// Flags of the Gaussians that the first `views` training views show, 1 or 0; `None` if nobody asks.

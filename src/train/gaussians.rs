@@ -178,7 +178,7 @@ impl GaussianState {
         arrays: usize,
     ) -> Result<()> {
         let (stride, count) = (self.scene.stride, order.len());
-        let order = Array::from_slice(device, "order", order)?;
+        let order = Array::from_slice(device, "row order", order)?;
         for (array, planes) in self.arrays().into_iter().take(arrays) {
             if planes > 0 {
                 let to = Array::zeros(device, array.name(), planes * stride)?;

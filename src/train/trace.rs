@@ -112,7 +112,7 @@ impl Move {
         Self {
             importance: Some(birth.importance),
             change: birth.change.filter(|c| c.is_finite()),
-            ln_ratio: Some(birth.ln_ratio),
+            ln_ratio: Some(birth.ln_ratio).filter(|l| l.is_finite()),
             voxel_count: Some(birth.voxel_count),
             ..Self::new(iteration, kind, gaussian)
         }
@@ -213,7 +213,9 @@ impl DensityTrace {
                     },
                 }
             };
-            self.rows[dst] = number;
+            if let Some(row) = self.rows.get_mut(dst) {
+                *row = number;
+            }
             self.made_by.push(self.moves.len() as u32);
             self.moves.push(new);
         }
@@ -226,7 +228,9 @@ impl DensityTrace {
     pub fn remove_unseen(&mut self, iteration: u32, kept: &[u32]) {
         let mut stays = vec![false; self.rows.len()];
         for &row in kept {
-            stays[row as usize] = true;
+            if let Some(stays) = stays.get_mut(row as usize) {
+                *stays = true;
+            }
         }
         for row in (0..self.rows.len()).filter(|row| !stays[*row]) {
             self.end(iteration, row as u32, MoveKind::Unseen);
@@ -236,39 +240,48 @@ impl DensityTrace {
 
     /// Records the end of the run: opacity logits and summed blending weights of the rows that are left.
     pub fn finish(&mut self, logits: &[f32], contributions: &[f32]) {
-        self.look(logits, |made, opacity| made.opacity_end = Some(opacity));
-        self.contribution = contributions.iter().map(|c| f64::from(*c)).sum();
-        for (number, contribution) in self.rows.iter().zip(contributions) {
-            let made = self.made_by[*number as usize];
-            if let Some(made) = self.moves.get_mut(made as usize) {
-                made.contribution = Some(*contribution);
+        // The last births have no step after them but the end.
+        self.look(logits, |made, opacity| {
+            made.opacity_next.get_or_insert(opacity);
+            made.opacity_end = Some(opacity);
+        });
+        let finite = contributions.iter().filter(|c| c.is_finite());
+        self.contribution = finite.map(|c| f64::from(*c)).sum();
+        for (row, contribution) in contributions.iter().enumerate() {
+            if let Some(made) = self.maker(row) {
+                made.contribution = contribution.is_finite().then_some(*contribution);
             }
         }
     }
 
+    /// The move that made the Gaussian in a row; `None` if training began with it, and for a row that nothing has written.
+    fn maker(&mut self, row: usize) -> Option<&mut Move> {
+        let number = *self.rows.get(row)? as usize;
+        self.moves.get_mut(*self.made_by.get(number)? as usize)
+    }
+
     fn look(&mut self, logits: &[f32], mut tell: impl FnMut(&mut Move, f32)) {
-        for (number, logit) in self.rows.iter().zip(logits) {
-            let made = self.made_by[*number as usize];
-            if let Some(made) = self.moves.get_mut(made as usize) {
+        for (row, logit) in logits.iter().enumerate() {
+            if let Some(made) = self.maker(row) {
                 tell(made, sigmoid(f64::from(*logit)) as f32);
             }
         }
     }
 
     fn close(&mut self, iteration: u32, row: u32) {
-        let made = self.made_by[self.rows[row as usize] as usize];
-        if let Some(made) = self.moves.get_mut(made as usize) {
+        if let Some(made) = self.maker(row as usize) {
             made.ended = Some(iteration);
         }
     }
 
     fn end(&mut self, iteration: u32, row: u32, kind: MoveKind) {
         self.close(iteration, row);
-        let number = self.rows[row as usize];
+        let number = self.rows.get(row as usize).copied().unwrap_or(GIVEN);
         self.moves.push(Move::new(iteration, kind, number));
     }
 
     fn reorder(&mut self, order: &[u32]) {
-        self.rows = order.iter().map(|row| self.rows[*row as usize]).collect();
+        let number = |row: &u32| self.rows.get(*row as usize).copied().unwrap_or(GIVEN);
+        self.rows = order.iter().map(number).collect();
     }
 }

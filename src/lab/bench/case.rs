@@ -6,7 +6,7 @@ use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::capture::Dataset;
 use crate::config::AntiAliasing;
-use crate::device::{CameraArg, Device};
+use crate::device::{CameraArg, Device, DeviceKind};
 use crate::lab::bench::options::Options;
 use crate::lab::bench::record::{Case, Iteration, Peak, Stage, spread};
 use crate::lab::bench::scene;
@@ -106,7 +106,8 @@ pub(super) fn measure(
     let (load, work) = load(device, &mut trainer, subject)?;
     let camera = &subject.dataset.train[0].camera;
     let of = |figure: fn(&Sample) -> f64| spread("bench", samples.iter().map(figure));
-    let rows = (0..STAGES.len()).map(|k| stage(k, &samples, &load, peak));
+    let on_cpu = device.info().kind == DeviceKind::Cpu;
+    let rows = (0..STAGES.len()).map(|k| stage(k, &samples, &load, peak, on_cpu));
     Ok(Case {
         scene: subject.name.to_owned(),
         gaussians: subject.splats.len(),
@@ -159,12 +160,12 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
 }
 
 /// Times of a stage and its rate beside the peak, by the clock of CPU time where the device is the CPU.
-fn stage(k: usize, samples: &[Sample], load: &Load, peak: &Peak) -> Result<Stage> {
+fn stage(k: usize, samples: &[Sample], load: &Load, peak: &Peak, on_cpu: bool) -> Result<Stage> {
     let name = STAGES[k];
     let of = |figure: &dyn Fn(&Sample) -> f64| spread(name, samples.iter().map(figure));
     let ms = of(&|s| 1e3 * s.stages[k])?;
     let cpu = of(&|s| 1e3 * s.stages[k] * s.cpu / s.wall)?;
-    let core = peak.fma_core.filter(|_| cpu.min > 0.0);
+    let core = peak.fma_core.filter(|_| on_cpu && cpu.min > 0.0);
     let (rate, best, unit) = match Load::flop_per_lane(name) {
         Some(flop) => {
             let cores = |s: &Sample| if core.is_some() { s.cpu / s.wall } else { 1.0 };
@@ -180,7 +181,7 @@ fn stage(k: usize, samples: &[Sample], load: &Load, peak: &Peak) -> Result<Stage
     Ok(Stage {
         name,
         ms,
-        cpu_ms: peak.fma_core.map(|_| cpu),
+        cpu_ms: on_cpu.then_some(cpu),
         share: ratio(&rate, &best),
         rate,
         unit,

@@ -13,8 +13,9 @@ use crate::run::{METRICS_FILE, MetricsRow, RECORD_FILE, RunRecord, read_rows};
 use crate::train::schedule::Schedule;
 
 /// Options that change no result, or only by chance.
-const BESIDE: [&str; 5] = [
+const BESIDE: [&str; 6] = [
     "seed",
+    "trace-density",
     "eval-every",
     "export-every",
     "checkpoint-every",

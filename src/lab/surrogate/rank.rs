@@ -72,13 +72,8 @@ pub fn kendall(x: &[f64], y: &[f64]) -> Option<f64> {
     let all = choose_two(pairs.len());
     let tied_x = tied(&mut pairs.chunk_by(|a, b| a.0 == b.0).map(<[_]>::len));
     let tied_both = tied(&mut pairs.chunk_by(|a, b| a == b).map(<[_]>::len));
-    // Every y goes to its place among the ones before it: those that it passes are out of order.
-    let (mut ys, mut swaps): (Vec<f64>, f64) = (Vec::with_capacity(pairs.len()), 0.0);
-    for (_, y) in pairs {
-        let at = ys.partition_point(|before| *before <= y);
-        swaps += (ys.len() - at) as f64;
-        ys.insert(at, y);
-    }
+    let mut ys: Vec<f64> = pairs.into_iter().map(|p| p.1).collect();
+    let swaps = inversions(&mut ys);
     let tied_y = tied(&mut ys.chunk_by(|a, b| a == b).map(<[_]>::len));
     let score = all - tied_x - tied_y + tied_both - 2.0 * swaps;
     let tau = score / ((all - tied_x) * (all - tied_y)).sqrt();
@@ -87,6 +82,32 @@ pub fn kendall(x: &[f64], y: &[f64]) -> Option<f64> {
 
 fn choose_two(n: usize) -> f64 {
     n as f64 * (n as f64 - 1.0) / 2.0
+}
+
+/// Number of pairs out of order; sorts on the way.
+fn inversions(values: &mut [f64]) -> f64 {
+    let half = values.len() / 2;
+    if half == 0 {
+        return 0.0;
+    }
+    let (left, right) = values.split_at_mut(half);
+    let mut count = inversions(left) + inversions(right);
+    let mut merged = Vec::with_capacity(left.len() + right.len());
+    let (mut l, mut r) = (0, 0);
+    while l < left.len() && r < right.len() {
+        if right[r] < left[l] {
+            count += (left.len() - l) as f64;
+            merged.push(right[r]);
+            r += 1;
+        } else {
+            merged.push(left[l]);
+            l += 1;
+        }
+    }
+    merged.extend_from_slice(&left[l..]);
+    merged.extend_from_slice(&right[r..]);
+    values.copy_from_slice(&merged);
+    count
 }
 
 /// A statistic of paired values with its bootstrap interval: pairs are drawn with replacement, as many as there are; resamples

@@ -29,7 +29,7 @@ pub struct Step<T = f64> {
     pub rate: T,
     /// β₁, β₂, ε.
     pub constants: [f64; 3],
-    /// Number of the step, from 1.
+    /// Number of the step: from 1 for the parameters; for colour transforms the run's iteration, from 0.
     pub t: u32,
 }
 

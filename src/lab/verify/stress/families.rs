@@ -27,7 +27,7 @@ pub struct Family {
     pub bound: f64,
     /// Reason for that bound.
     pub reason: &'static str,
-    /// Stiffness of each case in the unit of the axis, > 0, rising.
+    /// Stiffness of each case in the unit of the axis, > 0.
     pub stiffness: &'static [f64],
     /// Case of an index and its stiffness.
     pub case: fn(usize, f64) -> Case,
