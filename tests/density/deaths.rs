@@ -57,6 +57,45 @@ fn a_bound_has_room_for_as_many_as_go() {
     }
 }
 
+/// Births are the target's share of the proposals and one for each of the dead, within chance, up to the last step, where the
+/// target alone would ask for none; before births begin, and without deaths, there are none to replace.
+#[test]
+fn births_replace_the_dead() {
+    let config = MhConfig {
+        target_acceptance: [0.1, 0.1],
+        births_from_iteration: 1500,
+        pixel_proposals: 0,
+        ..MhConfig::default()
+    };
+    let born = |scene: &Scene, progress: f64| {
+        let mh = MetropolisHastings::new(&config);
+        let context = context(700, progress, 1);
+        let outcome = mh.step(&context, &scene.state(), &scene.errors()).unwrap();
+        assert_eq!(breaches(scene.logits.len(), &outcome), Vec::<String>::new());
+        assert_eq!(outcome.stats.relocated, 0);
+        outcome.stats
+    };
+    for progress in [0.2, 0.6, 1.0] {
+        let stats = born(&dying(N), progress);
+        assert_eq!(stats.pruned as usize, DEAD);
+        let proposed = stats.proposed as f64;
+        let wanted = 0.1 * proposed + DEAD as f64;
+        let share = wanted / proposed;
+        assert!(share < 0.9, "{progress}: {proposed} proposals are too few");
+        let chance = (proposed * share * (1.0 - share)).sqrt();
+        let found = stats.accepted as f64;
+        assert!(
+            (found - wanted).abs() < 4.0 * chance,
+            "{progress}: {found} births; {wanted} expected"
+        );
+        let without = born(&Scene::random(N, 21), progress);
+        let wanted = 0.1 * without.proposed as f64;
+        assert!((without.accepted as f64) < wanted + 4.0 * wanted.sqrt());
+    }
+    let early = born(&dying(N), 0.0);
+    assert_eq!((early.accepted, early.pruned as usize), (0, DEAD));
+}
+
 #[test]
 fn the_last_ones_stay() {
     let mut scene = Scene::random(100, 3);

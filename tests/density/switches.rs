@@ -108,14 +108,14 @@ fn without_importance_sources_are_uniform_and_nothing_is_watched() {
 }
 
 #[test]
-fn without_relocation_the_dead_stay() {
+fn without_relocation_the_dead_go() {
     let off = MhConfig {
         relocation: false,
         ..MhConfig::paper()
     };
     let scene = dying(7000);
     let outcome = with(&off, &scene);
-    assert_eq!(outcome.stats.relocated, 0);
+    assert_eq!((outcome.stats.relocated, outcome.stats.pruned), (0, 1000));
     assert!(outcome.stats.accepted > 100);
     for e in &outcome.edits {
         assert!(!e.src.is_multiple_of(7), "a dead row gave birth");
@@ -296,4 +296,30 @@ fn the_readme_has_the_papers_numbers() {
     assert_eq!(config.mh, MhConfig::paper());
     assert_ne!(config.mh, MhConfig::default());
     config.validate().unwrap();
+}
+
+/// Where a birth lies depends on the seed, not on its source alone.
+#[test]
+fn offsets_follow_the_seed() {
+    let scene = Scene::random(60, 5);
+    let births = |seed: u64, coarse_proposals: u32, fine_proposals: u32| {
+        let config = MhConfig {
+            coarse_proposals,
+            fine_proposals,
+            target_acceptance: [0.9, 0.9],
+            ..MhConfig::paper()
+        };
+        let outcome = at(&config, &scene, &context(700, 0.1, seed));
+        let born = outcome.edits.into_iter().filter(|e| e.dst >= 60);
+        born.map(|e| (e.src, e.position)).collect::<Vec<_>>()
+    };
+    for (coarse, fine) in [(500, 0), (0, 500)] {
+        let [first, second] = [1, 2].map(|seed| births(seed, coarse, fine));
+        let same = |(src, position): &&(u32, [f32; 3])| {
+            second.iter().any(|(s, p)| s == src && p == position)
+        };
+        let common = first.iter().filter(|a| second.iter().any(|b| a.0 == b.0));
+        assert!(common.count() > 20);
+        assert_eq!(first.iter().filter(same).count(), 0);
+    }
 }

@@ -11,7 +11,6 @@ use crate::config::MhConfig;
 use crate::density::control::StepContext;
 use crate::density::draw::Categorical;
 use crate::density::mh::accept;
-use crate::density::mh::progress::shrinking;
 use crate::density::mh::proposal::Proposal;
 use crate::density::picture::Picture;
 use crate::scene::Edit;
@@ -86,12 +85,16 @@ fn reached(left: f64, surface: f64) -> f64 {
     left + surface * (1.0 - left)
 }
 
-/// Proposals at drawn pixels; `src` is any row: its rotation is copied, which does not matter, because a birth is round.
-pub(super) fn propose(config: &MhConfig, context: &StepContext<'_>, src: u32) -> Vec<Proposal> {
+/// Up to `wanted` proposals at drawn pixels; `src` is any row: its rotation is copied, which does not matter, because a birth is round.
+pub(super) fn propose(
+    config: &MhConfig,
+    context: &StepContext<'_>,
+    src: u32,
+    wanted: usize,
+) -> Vec<Proposal> {
     let pixels = Pixels::new(context.pictures);
     let weights = pixels.weights(config.pixel_surface);
-    let all = shrinking(config.pixel_proposals as usize, context.progress);
-    let wanted = (all as f64 * pixels.share(&weights)).round() as usize;
+    let wanted = (wanted as f64 * pixels.share(&weights)).round() as usize;
     let stream = |purpose: Stream| purpose.stream(context.iteration);
     let (place, accept) = (stream(Stream::PixelPlace), stream(Stream::PixelAccept));
     let drawn =

@@ -22,7 +22,13 @@ use crate::scene::{Edit, OptionalColor};
 /// k of the noise's gate (\[MCMC\] Eq. 8).
 const NOISE_STEEPNESS: f64 = 100.0;
 
-/// Density control by Metropolis–Hastings births and relocation.
+/// Proposals of a step for each dead Gaussian that a birth replaces, at least.
+const PROPOSALS_PER_DEATH: f64 = 2.0;
+
+/// Largest share of its proposals that a phase accepts for the sake of the dead.
+const MAX_SHARE: f64 = 0.9;
+
+/// Density control by Metropolis–Hastings births and deaths.
 #[derive(Debug, Clone)]
 pub struct MetropolisHastings {
     config: MhConfig,
@@ -56,12 +62,29 @@ impl MetropolisHastings {
         Self { config: *config }
     }
 
-    /// The coarse and the fine phase at the progress of a step.
-    fn phases(&self, context: &StepContext<'_>) -> [Phase; 2] {
+    /// Number of proposals of a phase that has so many at η = 0: fewer towards the end, but enough for the dead to be replaced.
+    fn proposals_of(&self, at_start: u32, eta: f64, due: usize) -> usize {
+        let c = &self.config;
+        let all = c.coarse_proposals + c.fine_proposals + c.pixel_proposals;
+        let share = f64::from(at_start) / f64::from(all.max(1));
+        let replacing = PROPOSALS_PER_DEATH * due as f64 * share;
+        shrinking(at_start as usize, eta).max(replacing as usize)
+    }
+
+    /// Number of the removed Gaussians that births of this step replace.
+    fn due(&self, eta: f64, removed: usize) -> usize {
+        match !self.config.relocation && self.config.births_enabled(eta) {
+            true => removed,
+            false => 0,
+        }
+    }
+
+    /// The coarse and the fine phase at the progress of a step in which births replace `due` Gaussians.
+    fn phases(&self, context: &StepContext<'_>, due: usize) -> [Phase; 2] {
         let eta = context.progress;
         let c = &self.config;
         let phase = |proposals: u32, spread: [f64; 2], streams: [Stream; 3]| Phase {
-            proposals: shrinking(proposals as usize, eta),
+            proposals: self.proposals_of(proposals, eta, due),
             spread: lerp(spread, eta),
             streams: streams.map(|s| s.stream(context.iteration)),
         };
@@ -80,12 +103,14 @@ impl MetropolisHastings {
         ]
     }
 
-    /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are.
+    /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are. T is solved for the target share with
+    /// `due_share` more, the dead per proposal of the step, so that births replace them.
     fn decide<'a>(
         &self,
         proposals: &'a [Proposal],
         counts: &VoxelCounts<'_>,
         eta: f64,
+        due_share: f64,
     ) -> Vec<Decision<'a>> {
         let c = &self.config;
         let count = |p: &Proposal| counts.get(p.edit.position.map(f64::from));
@@ -97,7 +122,7 @@ impl MetropolisHastings {
             .collect();
         let wanted = lerp(c.target_acceptance, eta);
         let temperature = if wanted > 0.0 {
-            accept::temperature_for(&ln_rhos, wanted)
+            accept::temperature_for(&ln_rhos, (wanted + due_share).min(MAX_SHARE.max(wanted)))
         } else {
             lerp(c.temperature, eta)
         };
@@ -197,17 +222,13 @@ impl MetropolisHastings {
         scene: &SceneState<'_>,
     ) -> (Relocation, Vec<u32>) {
         let c = &self.config;
-        if c.removes_dead(context.progress) {
-            let relocation = Relocation::none(scene, c.dead_opacity);
-            let removed = relocation.dead_rows();
-            return (relocation, removed);
+        if c.relocation && !c.removes_dead(context.progress) {
+            let relocation = Relocation::plan(context, scene, c.dead_opacity);
+            return (relocation, Vec::new());
         }
-        let relocation = if c.relocation {
-            Relocation::plan(context, scene, c.dead_opacity)
-        } else {
-            Relocation::none(scene, c.dead_opacity)
-        };
-        (relocation, Vec::new())
+        let relocation = Relocation::none(scene, c.dead_opacity);
+        let removed = relocation.dead_rows();
+        (relocation, removed)
     }
 
     /// Removals, relocation and proposals of a step.
@@ -252,11 +273,13 @@ impl MetropolisHastings {
         let kinds = [BirthKind::Pixel, BirthKind::Coarse, BirthKind::Fine];
         let mut phases = kinds.map(|kind| (kind, Vec::new()));
         if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
-            let [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
+            let due = self.due(context.progress, removed.len());
+            let [coarse, fine] = self.phases(context, due).map(|p| self.propose(&step, &p));
             let pixels = if context.pictures.is_empty() {
                 Vec::new()
             } else {
-                pixel::propose(c, context, row)
+                let wanted = self.proposals_of(c.pixel_proposals, context.progress, due);
+                pixel::propose(c, context, row, wanted)
             };
             for ((_, all), drawn) in phases.iter_mut().zip([pixels, coarse, fine]) {
                 *all = drawn;
@@ -351,9 +374,11 @@ impl DensityControl for MetropolisHastings {
         }
         let (c, eta) = (&self.config, context.progress.clamp(0.0, 1.0));
         let mut counts = self.counts(context, eta, scene, &proposals.relocation);
+        let all: usize = proposals.phases.iter().map(|(_, p)| p.len()).sum();
+        let due_share = self.due(eta, proposals.removed.len()) as f64 / all.max(1) as f64;
         let mut births = Births::new(scene.len(), context.max_gaussians, proposals.removed);
         for (kind, proposals) in &proposals.phases {
-            let decisions = self.decide(proposals, &counts, eta);
+            let decisions = self.decide(proposals, &counts, eta, due_share);
             births.take(*kind, &decisions, &mut counts);
         }
         Ok(births.finish(c.birth, scene, proposals.relocation, &counts))

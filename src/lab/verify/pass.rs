@@ -121,6 +121,7 @@ pub(super) fn optimise<R: Real>(
             rate,
             constants: ADAM,
             t,
+            restart: false,
         };
         stage.run(scene, [&m, &v], block, &step, frame)?;
     }
@@ -541,6 +542,7 @@ impl<'a, R: Real> Pass<'a, R> {
                 rate: EXPOSURE_RATE,
                 constants: ADAM,
                 t: iteration,
+                restart: false,
             };
             model.step(VIEW, step, &frame.status)?;
         }
