@@ -159,6 +159,19 @@ fn states_at_events(trainer: &mut Trainer) -> Vec<(Event, TrainerState)> {
 }
 
 #[test]
+fn a_run_does_not_end_within_the_time_that_births_are_given() {
+    let schedule = Schedule::new(&config(3000));
+    let steps: Vec<u32> = (0..3000)
+        .filter(|i| schedule.density_due(*i).is_some())
+        .collect();
+    let [first, second] = [steps[0], steps[1]];
+    assert!(schedule.recovered(first - 1) && schedule.recovered(first));
+    assert!(!schedule.recovered(first + 1) && !schedule.recovered(first + 24));
+    assert!(schedule.recovered(first + 25) && schedule.recovered(second));
+    assert!(schedule.recovered(2999));
+}
+
+#[test]
 fn a_run_goes_on_from_every_event_with_the_same_bits() {
     let data = room(64);
     let config = TrainConfig {
@@ -181,6 +194,10 @@ fn a_run_goes_on_from_every_event_with_the_same_bits() {
     ] {
         assert_eq!(one, 1);
     }
+    // What is born has not found its place right after a density step: a pause comes before it.
+    let at = |of: &dyn Fn(&Event) -> bool| states.iter().position(|(e, _)| of(e)).unwrap();
+    let pause = at(&|e| *e == Event::Settled(50));
+    assert!(pause < at(&|e| matches!(e, Event::Density(d) if d.iteration == 50)));
     let end = straight.state().unwrap();
     let device = Device::open(None).unwrap();
     let plan = Plan::new(&data, &config).unwrap();

@@ -224,9 +224,8 @@ impl Run {
         let iterations = self.config.iterations;
         loop {
             let done = self.trainer.iteration();
-            // Between two iterations, once everything due there is done.
-            if !self.trainer.due() && done < iterations {
-                if done > 0 && (self.out_of_time() || self.stalled()) {
+            if self.trainer.rested() && done < iterations {
+                if done > 0 && self.trainer.recovered() && (self.out_of_time() || self.stalled()) {
                     break;
                 }
                 if stop.load(Ordering::Relaxed) {

@@ -220,6 +220,15 @@ impl Schedule {
             || (first && self.config.background == Background::White)
     }
 
+    /// True if Gaussians born in the last density step have had the time that they are given before they are judged.
+    #[must_use]
+    pub fn recovered(&self, done: u32) -> bool {
+        let steps = (done.saturating_sub(MIN_INTERVAL - 1)..=done).rev();
+        steps
+            .into_iter()
+            .all(|at| self.density_due(at).is_none() || at == done)
+    }
+
     /// Iterations between two evaluations, 0 for none before the end.
     #[must_use]
     pub fn eval_every(&self) -> u32 {

@@ -60,10 +60,11 @@ pub enum Event {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Next {
+    /// A pause for evaluation, checkpoint or export, if one is due: before density control, whose births have not found their
+    /// places yet right after it.
+    Pause,
     /// Density control, if it is due.
     Density,
-    /// A pause for evaluation, checkpoint or export, if one is due.
-    Pause,
     /// Another band of spherical harmonics, if one is due.
     #[default]
     Band,
@@ -302,27 +303,28 @@ impl Trainer {
         self.next = Next::Pause;
     }
 
-    /// True if density control, an evaluation, a checkpoint or an export is due before the next iteration.
+    /// True if nothing has been done since the last iteration.
     #[must_use]
-    pub fn due(&self) -> bool {
-        let pause = self.schedule.pause_due(self.iteration);
-        match self.next {
-            Next::Density => pause || self.schedule.density_due(self.iteration).is_some(),
-            Next::Pause => pause,
-            _ => false,
-        }
+    pub fn rested(&self) -> bool {
+        self.iteration == 0 || self.next == Next::Pause
+    }
+
+    /// True if the run may end here: the births of the last density step have found their places.
+    #[must_use]
+    pub fn recovered(&self) -> bool {
+        self.rested() && self.schedule.recovered(self.iteration)
     }
 
     /// Does what is next; `None` if nothing is due.
     fn advance_once(&mut self) -> Result<Option<Event>> {
         let at = self.iteration;
         let (event, next) = match self.next {
-            Next::Density => (self.density_step()?, Next::Pause),
             Next::Pause if self.schedule.pause_due(at) => {
                 self.settle()?;
-                (Some(Event::Settled(at)), Next::Band)
+                (Some(Event::Settled(at)), Next::Density)
             }
-            Next::Pause => (None, Next::Band),
+            Next::Pause => (None, Next::Density),
+            Next::Density => (self.density_step()?, Next::Band),
             Next::Band => {
                 self.update_sh_degree()?;
                 (None, Next::Exposure)
@@ -361,7 +363,7 @@ impl Trainer {
         });
         self.device.flush()?;
         self.iteration += 1;
-        self.next = Next::Density;
+        self.next = Next::Pause;
         if self.in_flight.len() > LAG {
             self.settle_oldest()?;
         }

@@ -71,9 +71,10 @@ impl MetropolisHastings {
         shrinking(at_start as usize, eta).max(replacing as usize)
     }
 
-    /// Number of the removed Gaussians that births of this step replace.
+    /// Number of the removed Gaussians that births of this step replace: none while the fog of the start goes.
     fn due(&self, eta: f64, removed: usize) -> usize {
-        match !self.config.relocation && self.config.births_enabled(eta) {
+        let c = &self.config;
+        match !c.relocation && c.births_enabled(eta) && !c.removes_dead(eta) {
             true => removed,
             false => 0,
         }
