@@ -33,7 +33,7 @@ pub struct MhConfig {
     /// Importance sampling: sources are drawn by importance and I is in ρ (Eq. 12, 13). If off, sources are drawn uniformly,
     /// I = ½, and no error map is made.
     pub importance: bool,
-    /// Weight of the robust-normalised opacity in the importance (Eq. 13); 0 leaves the cue out.
+    /// Weight of the opacity, less its mean over its standard deviation, in the importance (Eq. 13); 0 leaves the cue out.
     pub weight_opacity: f64,
     /// Weight of 1 − SSIM; 0 leaves the cue out.
     pub weight_ssim: f64,
@@ -41,13 +41,12 @@ pub struct MhConfig {
     pub weight_l1: f64,
     /// Views that the error maps are of (Eq. 10), limited to those rendered since the last step.
     pub view_subset: ViewSubset,
-    /// Relocation of dead Gaussians to alive ones (Eq. 17) once `deaths-until-iteration` is over. If off, the dead are removed then,
-    /// too, and as many births more than the target take their place.
+    /// Relocation of dead Gaussians to alive ones (Eq. 17) once `deaths-until-iteration` is over. If off, the dead are removed at
+    /// every step, and from `births-from-iteration` on as many births more than the target take their place.
     pub relocation: bool,
     /// First iteration with density control.
     pub from_iteration: u32,
-    /// Iteration until which dead Gaussians are removed, and from which they are replaced or relocated: what is not seen costs
-    /// nothing to take away (ΔL ≈ 0, and the prior gains), while fog that is relocated keeps its number. 0: never removed, as in \[MH\].
+    /// Iteration until which dead Gaussians are removed with `relocation`, too: what is not seen costs nothing to take away (ΔL ≈ 0, and the prior gains), while fog that is relocated keeps its number. 0: never removed, as in \[MH\].
     pub deaths_until_iteration: u32,
     /// Iteration until which Adam's second moment of a row that density control has cleared starts with the row's first gradient:
     /// such a row steps as any other does. Later, and with 0 always, it starts at 0, as in the papers, and the first steps are up to

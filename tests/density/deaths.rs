@@ -64,7 +64,6 @@ fn births_replace_the_dead() {
     let config = MhConfig {
         target_acceptance: [0.1, 0.1],
         births_from_iteration: 1500,
-        deaths_until_iteration: 3000,
         pixel_proposals: 0,
         ..MhConfig::default()
     };
@@ -95,10 +94,6 @@ fn births_replace_the_dead() {
     }
     let early = born(&dying(N), 0.0);
     assert_eq!((early.accepted, early.pruned as usize), (0, DEAD));
-    let fog = born(&dying(N), 0.1);
-    let wanted = 0.1 * fog.proposed as f64;
-    assert!((fog.accepted as f64) < wanted + 4.0 * wanted.sqrt());
-    assert_eq!(fog.pruned as usize, DEAD);
 }
 
 #[test]

@@ -71,10 +71,9 @@ impl MetropolisHastings {
         shrinking(at_start as usize, eta).max(replacing as usize)
     }
 
-    /// Number of the removed Gaussians that births of this step replace: none while the fog of the start goes.
+    /// Number of the removed Gaussians that births of this step replace.
     fn due(&self, eta: f64, removed: usize) -> usize {
-        let c = &self.config;
-        match !c.relocation && c.births_enabled(eta) && !c.removes_dead(eta) {
+        match !self.config.relocation && self.config.births_enabled(eta) {
             true => removed,
             false => 0,
         }
