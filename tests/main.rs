@@ -47,3 +47,4 @@ mod synth;
 mod tiny;
 mod trace;
 mod tune;
+mod wiring;

@@ -211,3 +211,32 @@ fn the_upper_bound_holds_and_what_broke_is_left_out() {
     assert_eq!(bounded.rows, 510);
     assert_eq!(bounded.stats.pixel[1], 10, "they come first");
 }
+
+/// Where a birth lies within its pixel and along its ray depends on the seed, and none lies in front of what is rendered.
+#[test]
+fn places_follow_the_seed_and_stay_behind_the_surface() {
+    let mut half = picture();
+    half.transmittance.fill(0.5);
+    half.depth.fill(8.0);
+    let pictures = [half];
+    let births = |seed: u64| -> Vec<[f64; 3]> {
+        let at = StepContext {
+            pictures: &pictures,
+            ..context(700, 0.0, seed)
+        };
+        let outcome = step(&config(), &at);
+        let births = outcome.edits.iter().filter(|e| e.dst >= 500);
+        births.map(seen).collect()
+    };
+    let [first, second] = [1, 2].map(births);
+    let beyond = |b: &&[f64; 3]| b[2] > 8.001;
+    assert!(first.iter().filter(beyond).count() > 10);
+    assert!(first.iter().all(|b| b[2] > 8.0 - 1e-3), "one is in front");
+    let pixel = |b: &[f64; 3]| [b[0], b[1]].map(|v| v.floor() as i64);
+    let common = first
+        .iter()
+        .filter_map(|a| Some((a, second.iter().find(|b| pixel(b) == pixel(a))?)));
+    let common: Vec<_> = common.collect();
+    assert!(common.len() > 10, "{}", common.len());
+    assert!(common.iter().all(|(a, b)| a != b));
+}

@@ -323,3 +323,36 @@ fn offsets_follow_the_seed() {
         assert_eq!(first.iter().filter(same).count(), 0);
     }
 }
+
+/// Births of one phase are in the voxel counts of the next.
+#[test]
+fn births_are_counted_before_the_next_phase() {
+    let n = 60;
+    let scene = Scene::random(n, 5);
+    let config = MhConfig {
+        coarse_proposals: 200,
+        fine_proposals: 200,
+        // All in one voxel, but for chance births beyond.
+        voxel_edge: [1e6, 1e6],
+        lambda_voxel: 1.0,
+        target_acceptance: [0.5, 0.5],
+        ..MhConfig::paper()
+    };
+    let mut inside = scene.clone();
+    inside
+        .positions
+        .iter_mut()
+        .for_each(|p| p.iter_mut().for_each(|v| *v = v.abs() + 1e3));
+    let outcome = at(&config, &inside, &context(700, 0.1, 1));
+    let stats = outcome.stats;
+    let prior = |count: f64| 1.0 / (1.0 + count);
+    let [proposed, born] = stats.coarse.map(|v| v as f64);
+    let fine = stats.fine[0] as f64;
+    assert!(born > 5.0);
+    let expected = (proposed * prior(n as f64) + fine * prior(n as f64 + born)) / (proposed + fine);
+    assert!(
+        (stats.mean_prior - expected).abs() < 1e-9,
+        "{} of {expected}",
+        stats.mean_prior
+    );
+}

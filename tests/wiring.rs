@@ -1,0 +1,122 @@
+//! What the trainer passes to stages and strategies: numbers of steps, rates, seeds, progress.
+
+use mhsplat::config::Sampler;
+use mhsplat::device::Device;
+use mhsplat::evaluate::ViewScore;
+use mhsplat::run::{FinalRecord, initial_gaussians};
+use mhsplat::scene::{Gaussians, Plane};
+use mhsplat::train::Event;
+use mhsplat::train::Trainer;
+use mhsplat::train::schedule::Schedule;
+use mhsplat::{Plan, TrainConfig};
+
+use crate::determinism::room;
+
+fn config(iterations: u32, seed: u64, noise_rate: f64) -> TrainConfig {
+    let mut config = TrainConfig {
+        sampler: Sampler::Mcmc,
+        iterations,
+        max_size: 64,
+        sh_degree: 1,
+        seed,
+        ..TrainConfig::default()
+    };
+    config.work.resolution_levels = 0;
+    config.mcmc.noise_rate = noise_rate;
+    config
+}
+
+/// The scene after one iteration on one view; all begin with the same Gaussians, as faint as the noise's gate needs.
+fn after_one(config: &TrainConfig) -> (Gaussians, Gaussians) {
+    let mut data = room(64);
+    data.train.truncate(1);
+    let first = TrainConfig {
+        seed: 0,
+        ..config.clone()
+    };
+    let mut start = initial_gaussians(&data, &Plan::new(&data, &first).unwrap()).unwrap();
+    start.plane_mut(Plane::OPACITY).fill(-4.0);
+    let plan = Plan::new(&data, config).unwrap();
+    let mut trainer = Trainer::new(&Device::open(None).unwrap(), &data, &plan, &start).unwrap();
+    trainer.advance_to(1).unwrap();
+    (start, trainer.state().unwrap().splats)
+}
+
+/// Largest difference of the positions of two scenes.
+fn apart(a: &Gaussians, b: &Gaussians) -> f64 {
+    let pairs = (0..3).flat_map(|k| a.planes()[k].iter().zip(&b.planes()[k]));
+    pairs
+        .map(|(x, y)| f64::from((x - y).abs()))
+        .fold(0.0, f64::max)
+}
+
+#[test]
+fn the_first_step_of_training_is_the_learning_rate() {
+    let config = config(2000, 0, 0.0);
+    let (before, after) = after_one(&config);
+    let rate = Schedule::new(&config).rates(0).opacity;
+    let moved = before.planes()[Plane::OPACITY]
+        .iter()
+        .zip(&after.planes()[Plane::OPACITY])
+        .map(|(a, b)| f64::from((a - b).abs()));
+    let largest = moved.fold(0.0, f64::max);
+    assert!((largest / rate - 1.0).abs() < 1e-3, "{largest} of {rate}");
+}
+
+#[test]
+fn noise_depends_on_the_seed() {
+    let scenes = [0, 0, 1].map(|seed| after_one(&config(2000, seed, 5e5)).1);
+    assert_eq!(apart(&scenes[0], &scenes[1]), 0.0);
+    assert!(apart(&scenes[0], &scenes[2]) > 0.0);
+    // Nothing else of one iteration does.
+    let scenes = [0, 1].map(|seed| after_one(&config(2000, seed, 0.0)).1);
+    assert_eq!(apart(&scenes[0], &scenes[1]), 0.0);
+}
+
+#[test]
+fn noise_of_a_short_run_is_that_of_a_long_one() {
+    let noise = [2000, 30_000].map(|iterations| {
+        let [with, without] = [5e5, 0.0].map(|rate| after_one(&config(iterations, 0, rate)).1);
+        apart(&with, &without)
+    });
+    assert!(noise[0] > 0.0);
+    // Positions differ by Adam's boosted step, and the noise is added to them.
+    assert!((noise[0] / noise[1] - 1.0).abs() < 0.02, "{noise:?}");
+}
+
+#[test]
+fn progress_runs_from_the_first_density_step_to_the_end_of_the_span() {
+    let data = room(64);
+    let config = TrainConfig {
+        sampler: Sampler::Mh,
+        ..config(300, 0, 0.0)
+    };
+    let plan = Plan::new(&data, &config).unwrap();
+    let start = initial_gaussians(&data, &plan).unwrap();
+    let mut trainer = Trainer::new(&Device::open(None).unwrap(), &data, &plan, &start).unwrap();
+    let mut steps = 0;
+    loop {
+        match trainer.advance().unwrap() {
+            Event::Density(event) => {
+                // From 500 to 20,000 of 30,000.
+                let expected = f64::from(event.iteration - 5) / 195.0;
+                assert!((event.progress - expected).abs() < 1e-12, "{event:?}");
+                steps += 1;
+            }
+            Event::Finished => break,
+            _ => (),
+        }
+    }
+    assert!(steps > 4);
+}
+
+#[test]
+fn scores_are_means_over_views_and_not_of_pooled_errors() {
+    let view = |psnr: f64| ViewScore {
+        psnr,
+        ssim: psnr / 100.0,
+        ..ViewScore::default()
+    };
+    let scores = FinalRecord::of(vec![view(20.0), view(40.0)]).unwrap();
+    assert_eq!((scores.psnr, scores.ssim), (30.0, 0.3));
+}
