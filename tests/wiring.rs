@@ -80,8 +80,8 @@ fn noise_of_a_short_run_is_that_of_a_long_one() {
         apart(&with, &without)
     });
     assert!(noise[0] > 0.0);
-    // Positions differ by Adam's boosted step, and the noise is added to them.
-    assert!((noise[0] / noise[1] - 1.0).abs() < 0.02, "{noise:?}");
+    // It follows the covariances after Adam's step, which is larger in the short run; with that step's rate it were 7 times as large.
+    assert!((noise[0] / noise[1] - 1.0).abs() < 0.2, "{noise:?}");
 }
 
 #[test]
@@ -118,5 +118,6 @@ fn scores_are_means_over_views_and_not_of_pooled_errors() {
         ..ViewScore::default()
     };
     let scores = FinalRecord::of(vec![view(20.0), view(40.0)]).unwrap();
-    assert_eq!((scores.psnr, scores.ssim), (30.0, 0.3));
+    assert_eq!(scores.psnr, 30.0);
+    assert!((scores.ssim - 0.3).abs() < 1e-12);
 }
