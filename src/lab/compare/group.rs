@@ -84,7 +84,7 @@ pub fn spreads(samples: impl Fn(fn(&Loaded) -> Option<f64>) -> Option<Vec<f64>>)
 pub struct Group {
     /// Name, or the options that set it apart from the others.
     pub label: String,
-    /// Spreads at the end, by the keys of [`FIGURES`]; those that all runs have.
+    /// Spreads at the end, by the keys of `FIGURES`; those that all runs have.
     #[serde(flatten)]
     pub end: Spreads,
     /// Times to equal PSNR, threshold by threshold.
