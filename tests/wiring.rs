@@ -1,4 +1,4 @@
-//! What the trainer passes to stages and strategies: numbers of steps, rates, seeds, progress.
+//! Tests of the values that the trainer passes to stages and strategies: numbers of steps, rates, seeds, progress.
 
 use mhsplat::config::Sampler;
 use mhsplat::device::Device;

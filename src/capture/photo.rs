@@ -25,7 +25,9 @@ impl Alpha {
     }
 
     /// The meaning that those of several photos share which have an alpha plane at all.
-    pub(super) fn common(mut photos: impl Iterator<Item = Self>) -> Self {
+    #[must_use]
+    pub fn common(photos: impl IntoIterator<Item = Self>) -> Self {
+        let mut photos = photos.into_iter();
         photos.find(|a| *a != Self::None).unwrap_or_default()
     }
 }

@@ -332,11 +332,9 @@ impl<R: Real> ViewSet<R> {
     /// See [`Photos::add`].
     pub fn new(photos: &Photos, views: impl IntoIterator<Item = View>) -> Result<Self> {
         let (mut names, mut cameras, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
-        let mut alpha = Alpha::None;
+        let mut alphas = Vec::new();
         for view in views {
-            if view.photo.alpha() != Alpha::None {
-                alpha = view.photo.alpha();
-            }
+            alphas.push(view.photo.alpha());
             names.push(view.name);
             cameras.push(CameraArg::<R>::new(&view.camera));
             numbers.push(photos.add(view.photo)?);
@@ -345,7 +343,7 @@ impl<R: Real> ViewSet<R> {
         let largest = ImageSize([most(0), most(1)]);
         Ok(Self {
             names,
-            alpha,
+            alpha: Alpha::common(alphas),
             cameras,
             photos: photos.clone(),
             numbers,

@@ -222,7 +222,7 @@ pub struct RunRecord {
     pub stages: Vec<StageRecord>,
     /// Density control, summed over the run.
     pub density: DensityStats,
-    /// What became of the Gaussians that each kind of move made; only of a traced run.
+    /// Counts and fates of the Gaussians that each kind of move made; empty unless the run was traced.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub funnel: Vec<FunnelRow>,
     /// Scores of the last evaluation; absent before it and without held-out views.

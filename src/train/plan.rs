@@ -107,7 +107,7 @@ impl Plan {
     /// An invalid configuration, or exposure transforms asked for transparent photos.
     pub fn new(dataset: &Dataset, config: &TrainConfig) -> Result<Self> {
         config.validate()?;
-        let alpha = alpha(dataset);
+        let alpha = Alpha::common(dataset.train.iter().map(|v| v.photo.alpha()));
         let mut plan = Self {
             alpha,
             random_background: random_background(config, alpha == Alpha::Transparency),
@@ -321,12 +321,6 @@ impl Plan {
             why_not,
         );
     }
-}
-
-/// Meaning of the alpha plane of the training photos.
-fn alpha(dataset: &Dataset) -> Alpha {
-    let mut found = dataset.train.iter().map(|v| v.photo.alpha());
-    found.find(|a| *a != Alpha::None).unwrap_or_default()
 }
 
 fn random_background(config: &TrainConfig, transparent: bool) -> Decided<bool> {

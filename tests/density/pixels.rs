@@ -212,7 +212,7 @@ fn the_upper_bound_holds_and_what_broke_is_left_out() {
     assert_eq!(bounded.stats.pixel[1], 10, "they come first");
 }
 
-/// Where a birth lies within its pixel and along its ray depends on the seed, and none lies in front of what is rendered.
+/// The place of a birth within its pixel and along its ray depends on the seed, and none lies in front of what is rendered.
 #[test]
 fn places_follow_the_seed_and_stay_behind_the_surface() {
     let mut half = picture();

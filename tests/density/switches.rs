@@ -298,7 +298,7 @@ fn the_readme_has_the_papers_numbers() {
     config.validate().unwrap();
 }
 
-/// Where a birth lies depends on the seed, not on its source alone.
+/// The place of a birth depends on the seed, not on its source alone.
 #[test]
 fn offsets_follow_the_seed() {
     let scene = Scene::random(60, 5);
