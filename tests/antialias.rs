@@ -228,7 +228,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     };
     let (scene, renderer) = trainer.scene_and_renderer();
     renderer.render(scene, &arg, &options).unwrap();
-    let trained = renderer.read_image(&arg).unwrap();
+    let trained = renderer.read_image().unwrap();
     let baked = ply::read(&marked, &data.frame).unwrap().splats;
     let raw = ply::read(&plain, &data.frame).unwrap().splats;
     // Rounding, and pixels at the cut.
@@ -259,7 +259,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
         Trainer::new(&device, &data, &Plan::new(&data, &start).unwrap(), &splats).unwrap();
     let (scene, renderer) = again.scene_and_renderer();
     renderer.render(scene, &arg, &options).unwrap();
-    let begun = apart(&trained, &renderer.read_image(&arg).unwrap());
+    let begun = apart(&trained, &renderer.read_image().unwrap());
     assert!(begun < 3.0 * same.max(0.01), "{begun}");
 }
 

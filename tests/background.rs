@@ -241,7 +241,7 @@ fn skipping_what_is_blank_changes_no_bit() {
         renderer
             .render(scene, &camera, &RenderOptions::default())
             .unwrap();
-        let pairs = renderer.intersections_per_tile(&camera).unwrap();
+        let pairs = renderer.intersections_per_tile().unwrap();
         let across = camera.tiles[0] as usize;
         let clear = |t: &usize| t % across < across / 2 && pairs[*t] == 0;
         assert!((0..pairs.len()).any(|t| clear(&t)), "nothing was blank");

@@ -66,8 +66,7 @@ fn scores(views: &[View]) -> (Vec<ViewScore>, Vec<f32>) {
         .add_color_corrected(&mut scores, scene, renderer, [0.0; 3])
         .unwrap();
     evaluator.score(0, &[], scene, renderer, [0.0; 3]).unwrap();
-    let camera = &evaluator.views().cameras[0];
-    (scores, renderer.read_image(camera).unwrap().rgb)
+    (scores, renderer.read_image().unwrap().rgb)
 }
 
 /// Photos of which the left is white or black, and a mask that leaves it out.

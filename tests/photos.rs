@@ -19,7 +19,7 @@ use mhsplat::evaluate::{Evaluator, ViewScore};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::{PhotoStats, Photos};
 use mhsplat::pipeline::stage::loss::ImagePair;
-use mhsplat::pipeline::stage::metrics::Metrics;
+use mhsplat::pipeline::stage::metrics::score;
 use mhsplat::run::initial_gaussians;
 use mhsplat::scene::Gaussians;
 use mhsplat::train::schedule::Schedule;
@@ -275,7 +275,7 @@ fn a_photo_that_goes_missing_is_named() {
 /// Squared errors of the rows of an image against a photo whose handle is gone before the kernels have run.
 fn rows_against(device: &Device, photo: Array<u8>, side: usize, drop_early: bool) -> Vec<f32> {
     let kernels = Kernels::new(device, Defines::new(Tuning::for_device(device.info())));
-    let metrics = Metrics::new::<f32>(&kernels).unwrap();
+    let stage = kernels.build::<f32>("metrics").unwrap();
     let image = Array::zeros(device, "image", 4 * side * side).unwrap();
     let rows = Array::zeros(device, "rows", 2 * side).unwrap();
     let pair = ImagePair {
@@ -286,7 +286,7 @@ fn rows_against(device: &Device, photo: Array<u8>, side: usize, drop_early: bool
         blank: None,
     };
     for _ in 0..20 {
-        metrics.run(&pair, &rows).unwrap();
+        score(&stage, &pair, &rows).unwrap();
     }
     device.flush().unwrap();
     if drop_early {

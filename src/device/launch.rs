@@ -9,7 +9,8 @@ use crate::device::array::Array;
 use crate::device::context::Inner;
 use crate::device::defines::Defines;
 use crate::device::error::{BUG, LOST, device_error};
-use crate::device::layout::{CameraArg, Element, Real};
+use crate::device::info::DeviceInfo;
+use crate::device::layout::{Element, ImageSize, Real};
 
 /// The kernels of one stage and the choices that they were compiled with.
 #[derive(Debug)]
@@ -79,10 +80,22 @@ impl Program {
         self.defines.tuning.chunks
     }
 
+    /// Properties that the device reports.
+    #[must_use]
+    pub fn info(&self) -> &DeviceInfo {
+        &self.device.info
+    }
+
+    /// Lanes of a vector.
+    #[must_use]
+    pub fn lanes(&self) -> usize {
+        self.defines.tuning.vector_width as usize
+    }
+
     /// Number of vectors that hold `count` Gaussians.
     #[must_use]
     pub fn vectors(&self, count: usize) -> usize {
-        count.div_ceil(self.defines.tuning.vector_width as usize)
+        count.div_ceil(self.lanes())
     }
 
     /// An empty argument list of the kernel of this name; arguments follow in the order of its signature.
@@ -186,10 +199,10 @@ impl Launch<'_> {
         values.into_iter().fold(self, |l, v| l.value(v as u32))
     }
 
-    /// Adds the tiles per row and the tiles in all of a camera's image, as `int`.
+    /// Adds the tiles per row and the tiles in all of an image, as `int`.
     #[must_use]
-    pub fn tiles<R: Real>(self, camera: &CameraArg<R>) -> Self {
-        self.ints([camera.tiles[0] as usize, camera.tile_count()])
+    pub fn tiles(self, size: ImageSize) -> Self {
+        self.ints([size.tiles()[0], size.tile_count()])
     }
 
     /// Enqueues the kernel with a work-item for each vector of `count` Gaussians. Does not wait.
@@ -214,13 +227,13 @@ impl Launch<'_> {
         self.run([batches, 1], [tuning.batch_local(), 1])
     }
 
-    /// Enqueues the kernel with a work-item, or a work-group, for each tile of a camera's image. Does not wait.
+    /// Enqueues the kernel with a work-item, or a work-group, for each tile of an image. Does not wait.
     ///
     /// # Errors
     /// Those of [`Launch::run`].
-    pub fn over_tiles<R: Real>(self, camera: &CameraArg<R>) -> Result<()> {
+    pub fn over_tiles(self, size: ImageSize) -> Result<()> {
         let group = self.defines().tuning.tile_group();
-        self.run([camera.tile_count() * group, 1], [group, 1])
+        self.run([size.tile_count() * group, 1], [group, 1])
     }
 
     /// Enqueues the kernel with small work-items, such as one for each Gaussian and plane. Does not wait.

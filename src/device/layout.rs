@@ -162,10 +162,16 @@ impl ImageSize {
         self.padded().iter().product()
     }
 
+    /// Tiles in x and y.
+    #[must_use]
+    pub fn tiles(self) -> [usize; 2] {
+        self.0.map(|s| s.div_ceil(TILE as usize))
+    }
+
     /// Number of tiles.
     #[must_use]
     pub fn tile_count(self) -> usize {
-        self.plane() / (TILE * TILE) as usize
+        self.tiles().iter().product()
     }
 }
 

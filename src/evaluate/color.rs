@@ -90,7 +90,7 @@ impl Evaluator {
             // Leaves the clamped image in the renderer.
             self.score(view, &[], scene, renderer, background)?;
             let camera = &self.views.cameras[view];
-            let image = renderer.read_image(camera)?;
+            let image = renderer.read_image()?;
             let (photo, mask) = self.compared(view, background)?;
             let values = corrected(&image.rgb, &fit(&image.rgb, &photo, &mask));
             let ([w, h], [stride, rows]) = (camera.image().0, camera.image().padded());
@@ -101,7 +101,10 @@ impl Evaluator {
             }
             let image = Array::from_slice(renderer.device(), "corrected", &padded)?;
             let photo = self.views.photo(view, &[])?;
-            let pair = ImagePair::new(&image, &photo, camera, background);
+            let pair = ImagePair {
+                image: &image,
+                ..ImagePair::new(&renderer.frame, &photo, background)
+            };
             let [psnr, ssim] = psnr_and_ssim(&self.scoring.pair(&pair)?);
             (score.cc_psnr, score.cc_ssim) = (Some(psnr), Some(ssim));
         }

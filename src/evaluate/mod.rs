@@ -103,7 +103,7 @@ impl Evaluator {
 
     /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
     fn flip(&self, view: usize, renderer: &Renderer, background: [f32; 3]) -> Result<f64> {
-        let mut image = renderer.read_image(&self.views.cameras[view])?;
+        let mut image = renderer.read_image()?;
         let (photo, mask) = self.compared(view, background)?;
         if !mask.is_empty() {
             for plane in image.rgb.chunks_exact_mut(mask.len()) {

@@ -3,11 +3,10 @@
 use std::sync::Arc;
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
+use crate::device::{Array, Defines, Device, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::forward::Renderer;
-use crate::pipeline::stage::project_grad::ProjectGrad;
-use crate::pipeline::stage::splat_grad::SplatGrad;
+use crate::pipeline::stage::{project_grad, splat_grad};
 use crate::scene::Plane;
 
 /// Rows of gradients that are read back start at multiples of this.
@@ -18,9 +17,9 @@ const BLOCK: usize = 1 << 16;
 /// Runs the backward stages after a render: image gradient → sums per tile intersection → raw parameters.
 #[derive(Debug)]
 pub struct Backward {
-    splat_grad: SplatGrad,
+    splat_grad: Program,
     /// One build for every SH degree from `lowest` on.
-    project_grad: Arc<Vec<ProjectGrad>>,
+    project_grad: Arc<Vec<Program>>,
     lowest: u32,
 }
 
@@ -28,10 +27,10 @@ impl Backward {
     /// Builds the kernels for a range of SH degrees.
     pub fn new<R: Real>(device: &Device, defines: Defines, degrees: [u32; 2]) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
-        let build = |degree| ProjectGrad::new::<R>(&kernels.of_degree(degree));
+        let build = |degree| kernels.of_degree(degree).build::<R>("project_grad");
         let [lowest, highest] = degrees;
         Ok(Self {
-            splat_grad: SplatGrad::new::<R>(&kernels)?,
+            splat_grad: kernels.build::<R>("splat_grad")?,
             project_grad: Arc::new((lowest..=highest).map(build).collect::<Result<_>>()?),
             lowest,
         })
@@ -40,20 +39,15 @@ impl Backward {
     /// The same stages for renders with another alpha cut.
     pub fn with_cut<R: Real>(&self, device: &Device, defines: Defines) -> Result<Self> {
         Ok(Self {
-            splat_grad: SplatGrad::new::<R>(&Kernels::new(device, defines))?,
+            splat_grad: Kernels::new(device, defines).build::<R>("splat_grad")?,
             project_grad: self.project_grad.clone(),
             lowest: self.lowest,
         })
     }
 
     /// Takes the image gradient of the view rendered last back to sums per tile intersection.
-    pub fn splats<R: Real>(
-        &self,
-        forward: &Renderer<R>,
-        camera: &CameraArg<R>,
-        dimage: &Array<R>,
-    ) -> Result<()> {
-        self.splat_grad.run(&forward.frame, camera, dimage)
+    pub fn splats<R: Real>(&self, forward: &Renderer<R>, dimage: &Array<R>) -> Result<()> {
+        splat_grad::write_sums(&self.splat_grad, &forward.frame, dimage)
     }
 
     /// Takes the sums per tile intersection back to the raw parameters of a block of Gaussians; `lambdas` weigh the regularisers on opacity and scale.
@@ -61,13 +55,12 @@ impl Backward {
         &self,
         forward: &Renderer<R>,
         scene: &GaussianBuffers<R>,
-        camera: &CameraArg<R>,
         sh_degree: u32,
         lambdas: [f64; 2],
         grads: &GradientBlock<'_, R>,
     ) -> Result<()> {
         let stage = &self.project_grad[(sh_degree - self.lowest) as usize];
-        stage.run(scene, &forward.frame, camera, lambdas, grads)
+        project_grad::write_gradients(stage, scene, &forward.frame, lambdas, grads)
     }
 
     /// Derivatives of the loss by some planes of the parameters, from the image gradient of the view rendered last, of the
@@ -76,12 +69,11 @@ impl Backward {
         &self,
         forward: &Renderer<R>,
         scene: &GaussianBuffers<R>,
-        camera: &CameraArg<R>,
         dimage: &Array<R>,
         [first, sh_degree]: [usize; 2],
         planes: [usize; K],
     ) -> Result<[Vec<f64>; K]> {
-        self.splats(forward, camera, dimage)?;
+        self.splats(forward, dimage)?;
         let count = scene.count;
         let stride = (count - first).next_multiple_of(GRADIENT_ROWS).min(BLOCK);
         let values = Array::zeros(forward.device(), "grads", scene.planes() * stride)?;
@@ -93,7 +85,7 @@ impl Backward {
                 stride,
                 rows: from..count.min(from + BLOCK),
             };
-            self.parameters(forward, scene, camera, sh_degree as u32, [0.0; 2], &grads)?;
+            self.parameters(forward, scene, sh_degree as u32, [0.0; 2], &grads)?;
             for (to, plane) in read.iter_mut().zip(planes) {
                 let rows = values.read(plane * stride, grads.rows.len())?;
                 to.extend(rows.into_iter().map(Into::into));

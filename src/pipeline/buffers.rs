@@ -141,16 +141,24 @@ pub struct SortBuffers {
     pub values: [Array<u32>; 2],
     /// Index of the pair of arrays that holds the result of the last sort.
     pub sorted: usize,
+    /// Slot of the status array that holds the number of elements.
+    pub count_slot: u32,
 }
 
 impl SortBuffers {
     /// Room for `len` elements.
-    pub fn new(device: &Device, names: [&'static str; 2], len: usize) -> Result<Self> {
+    pub fn new(
+        device: &Device,
+        names: [&'static str; 2],
+        len: usize,
+        count_slot: u32,
+    ) -> Result<Self> {
         let zeros = |name| Array::zeros(device, name, len);
         Ok(Self {
             keys: [zeros(names[0])?, zeros(names[0])?],
             values: [zeros(names[1])?, zeros(names[1])?],
             sorted: 0,
+            count_slot,
         })
     }
 
@@ -170,6 +178,10 @@ impl SortBuffers {
 /// Arrays of one view from projected Gaussians to the image; they grow and never shrink.
 #[derive(Debug)]
 pub struct ViewBuffers<R: Real> {
+    /// Camera of the view rendered last.
+    pub camera: CameraArg<R>,
+    /// Gaussians of the scene rendered last.
+    pub count: usize,
     /// Projected Gaussians: mean, conic, opacity, colour.
     pub records: Array<Projected<R>>,
     /// Depth bits or culled.
@@ -212,16 +224,18 @@ impl<R: Real> ViewBuffers<R> {
     pub fn new(device: &Device, tuning: &Tuning, gradients: bool) -> Result<Self> {
         let ints = |name| Array::<u32>::zeros(device, name, 0);
         Ok(Self {
+            camera: CameraArg::default(),
+            count: 0,
             records: Array::zeros(device, "records", 0)?,
             keys: ints("keys")?,
             isect_counts: ints("isect_counts")?,
             isect_start: ints("isect_start")?,
-            visible: SortBuffers::new(device, VISIBLE, 0)?,
+            visible: SortBuffers::new(device, VISIBLE, 0, status::VISIBLE)?,
             counts: ints("counts")?,
             cover: ints("cover")?,
             offsets: ints("offsets")?,
             chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
-            order: SortBuffers::new(device, ORDER, 0)?,
+            order: SortBuffers::new(device, ORDER, 0, status::INTERSECTIONS)?,
             isect_owner: ints("isect_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
             tile_start: ints("tile_start")?,
@@ -243,7 +257,7 @@ impl<R: Real> ViewBuffers<R> {
         self.keys = ints("keys")?;
         self.isect_counts = ints("isect_counts")?;
         self.isect_start = ints("isect_start")?;
-        self.visible = SortBuffers::new(device, VISIBLE, stride)?;
+        self.visible = SortBuffers::new(device, VISIBLE, stride, status::VISIBLE)?;
         self.counts = ints("counts")?;
         self.cover = Array::zeros(device, "cover", 2 * stride)?;
         self.offsets = ints("offsets")?;
@@ -278,7 +292,7 @@ impl<R: Real> ViewBuffers<R> {
         let most = u32::MAX as usize - (ROUND - 1);
         let pairs = pairs.min(most).next_multiple_of(ROUND);
         let ints = |name| Array::<u32>::zeros(device, name, pairs);
-        self.order = SortBuffers::new(device, ORDER, pairs)?;
+        self.order = SortBuffers::new(device, ORDER, pairs, status::INTERSECTIONS)?;
         if self.gradients {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
         }

@@ -3,6 +3,7 @@
 use crate::base::error::{Error, Result};
 use crate::device::tuning::status::{OVERFLOW, SLOTS};
 use crate::device::{Array, Device, Kernels, Real};
+use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::exposure::{ENTRIES, Exposures, exposed, unexposed};
 
@@ -39,13 +40,12 @@ impl<R: Real> ExposureModel<R> {
     pub fn warm_up(
         &self,
         device: &Device,
-        image: &Array<R>,
+        view: &ViewBuffers<R>,
         dimage: &Array<R>,
         step: Step,
     ) -> Result<()> {
-        let plane = dimage.len() / 3;
-        self.stage.apply(image, plane, 0)?;
-        self.stage.backward(image, plane, 0, dimage)?;
+        self.stage.apply(view, 0)?;
+        self.stage.backward(view, 0, dimage)?;
         // After an overflow the step changes nothing.
         let status = Array::zeros(device, "status", SLOTS)?;
         status.write(OVERFLOW as usize, &[1])?;

@@ -3,14 +3,11 @@
 use crate::base::error::{Error, Result};
 use crate::capture::Camera;
 use crate::device::tuning::status;
-use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
+use crate::device::{Array, CameraArg, Defines, Device, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
-use crate::pipeline::stage::bin::Bin;
-use crate::pipeline::stage::project::Project;
-use crate::pipeline::stage::scan::{Count, Scan};
-use crate::pipeline::stage::seen::Seen;
+use crate::pipeline::stage::scan::Count;
 use crate::pipeline::stage::sort::Sort;
-use crate::pipeline::stage::splat::Splat;
+use crate::pipeline::stage::{bin, project, scan, seen, splat};
 
 /// Quantity that is composited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -69,11 +66,12 @@ pub fn to_byte(v: f32) -> u8 {
 #[derive(Debug)]
 pub struct Renderer<R: Real = f32> {
     device: Device,
-    project: Vec<Project>,
-    scan: Scan,
-    bin: Bin,
+    /// One build for every SH degree.
+    project: Vec<Program>,
+    scan: Program,
+    bin: Program,
     sort: Sort,
-    splat: Splat,
+    splat: Program,
     pub(crate) frame: ViewBuffers<R>,
 }
 
@@ -82,15 +80,15 @@ impl<R: Real> Renderer<R> {
     pub fn new(device: &Device, defines: Defines, sh_degree: u32, gradients: bool) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let project = (0..=sh_degree)
-            .map(|d| Project::new::<R>(&kernels.of_degree(d)))
+            .map(|d| kernels.of_degree(d).build::<R>("project"))
             .collect::<Result<_>>()?;
         Ok(Self {
             device: device.clone(),
             project,
-            scan: Scan::new::<R>(&kernels)?,
-            bin: Bin::new::<R>(&kernels)?,
+            scan: kernels.build::<R>("scan")?,
+            bin: kernels.build::<R>("bin")?,
             sort: Sort::new::<R>(&kernels)?,
-            splat: Splat::new::<R>(&kernels)?,
+            splat: kernels.build::<R>("splat")?,
             frame: ViewBuffers::new(device, &defines.tuning, gradients)?,
         })
     }
@@ -119,7 +117,7 @@ impl<R: Real> Renderer<R> {
         options: &RenderOptions,
     ) -> Result<()> {
         self.enqueue_intersections(scene, camera, options)?;
-        self.splat.run(&self.frame, camera, options.background)
+        splat::composite(&self.splat, &self.frame, options.background)
     }
 
     /// Enqueues the forward stages up to the sorted pairs.
@@ -137,40 +135,34 @@ impl<R: Real> Renderer<R> {
                 "make the renderer for this degree",
             ));
         };
+        (self.frame.camera, self.frame.count) = (*camera, scene.count);
         let depth_as_color = options.quantity == Quantity::Depth;
-        project.run(scene, &self.frame, camera, depth_as_color)?;
-        self.sort_visible(scene.count)?;
-        self.intersect_tiles(scene.count, camera, options.active_only)?;
-        self.bin.ranges(&self.frame, camera)
+        project::write_records(project, scene, &self.frame, depth_as_color)?;
+        self.sort_visible()?;
+        self.intersect_tiles(options.active_only)?;
+        bin::find_ranges(&self.bin, &self.frame)
     }
 
     /// Compacts the visible Gaussians and sorts them by depth.
-    fn sort_visible(&mut self, count: usize) -> Result<()> {
+    fn sort_visible(&mut self) -> Result<()> {
         let f = &mut self.frame;
-        self.bin.visible(f, count)?;
-        self.scan.visible(f)?;
-        self.bin.compact(f, count)?;
-        self.sort
-            .run(&mut f.visible, &f.status, status::VISIBLE, 32)
+        bin::count_visible(&self.bin, f)?;
+        scan::sum_visible(&self.scan, f)?;
+        bin::compact_visible(&self.bin, f)?;
+        self.sort.run(&mut f.visible, &f.status, 32)
     }
 
     /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile.
-    fn intersect_tiles(
-        &mut self,
-        count: usize,
-        camera: &CameraArg<R>,
-        active_only: bool,
-    ) -> Result<()> {
+    fn intersect_tiles(&mut self, active_only: bool) -> Result<()> {
         let f = &mut self.frame;
-        self.bin.count(f, camera, count, active_only)?;
+        bin::count_pairs(&self.bin, f, active_only)?;
         let visible = Count::Slot(status::VISIBLE);
-        self.scan.pairs(f, &f.counts, visible, &f.offsets)?;
-        let all = Count::Known(count);
-        self.scan.pairs(f, &f.isect_counts, all, &f.isect_start)?;
-        self.bin.emit(f, camera, count, active_only)?;
-        let bits = usize::BITS - camera.tile_count().leading_zeros();
-        self.sort
-            .run(&mut f.order, &f.status, status::INTERSECTIONS, bits)
+        scan::sum_pairs(&self.scan, f, &f.counts, visible, &f.offsets)?;
+        let all = Count::Known(f.count);
+        scan::sum_pairs(&self.scan, f, &f.isect_counts, all, &f.isect_start)?;
+        bin::emit_pairs(&self.bin, f, active_only)?;
+        let bits = usize::BITS - f.camera.tile_count().leading_zeros();
+        self.sort.run(&mut f.order, &f.status, bits)
     }
 
     /// Tiles in which a pixel of the photo counts, or is not clear: written by the stage active_tiles.
@@ -181,15 +173,16 @@ impl<R: Real> Renderer<R> {
 
     /// Pairs of each tile of the view rendered last.
     #[doc(hidden)]
-    pub fn intersections_per_tile(&self, camera: &CameraArg<R>) -> Result<Vec<u32>> {
-        let start = self.frame.tile_start.read(0, camera.tile_count() + 1)?;
+    pub fn intersections_per_tile(&self) -> Result<Vec<u32>> {
+        let tiles = self.frame.camera.tile_count();
+        let start = self.frame.tile_start.read(0, tiles + 1)?;
         Ok(start.windows(2).map(|w| w[1] - w[0]).collect())
     }
 
-    /// Flags of the Gaussians that some cameras show, 1 or 0; waits.
+    /// Flags of the Gaussians that some cameras show, 1 or 0; waits. `stage` is a build of `kernels/seen.cl`.
     pub fn seen(
         &mut self,
-        stage: &Seen,
+        stage: &Program,
         scene: &GaussianBuffers<R>,
         cameras: &[CameraArg<R>],
     ) -> Result<Vec<u32>> {
@@ -205,7 +198,7 @@ impl<R: Real> Renderer<R> {
             if shown.len() < capacity {
                 shown = Array::zeros(&self.device, "shown", capacity)?;
             }
-            stage.run(&self.frame, camera, &shown, &seen)?;
+            seen::mark(stage, &self.frame, &shown, &seen)?;
         }
         seen.to_vec()
     }
@@ -282,14 +275,14 @@ impl<R: Real> Renderer<R> {
         camera: &Camera,
         options: &RenderOptions,
     ) -> Result<Rendered> {
-        let arg = CameraArg::new(camera);
-        self.render(scene, &arg, options)?;
-        self.read_image(&arg)
+        self.render(scene, &CameraArg::new(camera), options)?;
+        self.read_image()
     }
 
     /// The image of the view rendered last, without its padding.
-    pub fn read_image(&self, camera: &CameraArg<R>) -> Result<Rendered> {
-        let (size, plane) = (camera.image(), camera.image().plane());
+    pub fn read_image(&self) -> Result<Rendered> {
+        let size = self.frame.camera.image();
+        let plane = size.plane();
         let ([width, height], [stride, _]) = (size.0, size.padded());
         let padded = self.frame.image.read(0, 4 * plane)?;
         let cut = |c: usize| {

@@ -1,7 +1,7 @@
 //! [`Arguments`]: arguments that many kernels share, taken from the buffers.
 
 use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, CameraArg, ImageSize, Launch, Real};
+use crate::device::{Array, ImageSize, Launch, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::scene::Plane;
 
@@ -14,7 +14,7 @@ pub(super) trait Arguments: Sized {
     /// The counters.
     fn status<R: Real>(self, view: &ViewBuffers<R>) -> Self;
     /// Records, and the pairs of each tile from front to back.
-    fn tile_lists<R: Real>(self, view: &ViewBuffers<R>, camera: &CameraArg<R>) -> Self;
+    fn tile_lists<R: Real>(self, view: &ViewBuffers<R>) -> Self;
     /// A photo with the planes that the kernel is built for, and its size.
     fn photo(self, photo: &Array<u8>, size: ImageSize) -> Self;
 }
@@ -39,10 +39,10 @@ impl Arguments for Launch<'_> {
         self.array(&view.status, SLOTS)
     }
 
-    fn tile_lists<R: Real>(self, view: &ViewBuffers<R>, camera: &CameraArg<R>) -> Self {
+    fn tile_lists<R: Real>(self, view: &ViewBuffers<R>) -> Self {
         self.array(&view.records, 1)
             .arrays([&view.isect_owner, view.order.sorted_values()], 1)
-            .array(&view.tile_start, camera.tile_count() + 1)
+            .array(&view.tile_start, view.camera.tile_count() + 1)
     }
 
     fn photo(self, photo: &Array<u8>, size: ImageSize) -> Self {

@@ -1,14 +1,13 @@
 //! [`Pipeline`]: all stages of one view, forward and backward. Nothing else knows their order.
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Real};
+use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program, Real};
 use crate::pipeline::backward::Backward;
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
-use crate::pipeline::stage::active_tiles::ActiveTiles;
-use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::{ImagePair, Loss};
+use crate::pipeline::stage::{active_tiles, importance};
 use crate::scene::Plane;
 use crate::scene::sh::C0;
 
@@ -34,13 +33,11 @@ pub struct Pipeline<R: Real = f32> {
     /// Backward stages.
     pub backward: Backward,
     /// Marks the tiles in which a photo's pixels count; `None` if all do.
-    active_tiles: Option<ActiveTiles>,
-    loss: Loss,
+    active_tiles: Option<Program>,
+    loss: Loss<R>,
     /// Per-image exposure, between render and loss; `None` if it is off.
     pub exposure: Option<ExposureModel<R>>,
-    maps: Array<R>,
     dimage: Array<R>,
-    partial: Array<R>,
 }
 
 impl<R: Real> Pipeline<R> {
@@ -52,20 +49,16 @@ impl<R: Real> Pipeline<R> {
         largest: ImageSize,
     ) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
-        let loss = Loss::new::<R>(&kernels)?;
-        let zeros = |name, planes| Array::zeros(device, name, planes * largest.plane());
         let active_tiles = defines.masked() || defines.skips_blank();
         Ok(Self {
             forward: Renderer::new(device, defines, degrees[1], true)?,
             backward: Backward::new::<R>(device, defines, degrees)?,
             active_tiles: active_tiles
-                .then(|| ActiveTiles::new::<R>(&kernels))
+                .then(|| kernels.build::<R>("active_tiles"))
                 .transpose()?,
             exposure: None,
-            maps: zeros("maps", 3)?,
-            dimage: zeros("dimage", 3)?,
-            partial: Array::zeros(device, "partial", loss.partial_len(largest))?,
-            loss,
+            loss: Loss::new(&kernels, largest, 3)?,
+            dimage: Array::zeros(device, "dimage", 3 * largest.plane())?,
             device: device.clone(),
         })
     }
@@ -88,38 +81,33 @@ impl<R: Real> Pipeline<R> {
     /// Marks the tiles of a photo in which a pixel counts.
     pub fn mark_tiles(&self, photo: &Array<u8>, camera: &CameraArg<R>) -> Result<()> {
         match &self.active_tiles {
-            Some(active_tiles) => active_tiles.run(photo, camera, self.forward.active_tiles()),
+            Some(stage) => {
+                active_tiles::mark(stage, photo, camera.image(), self.forward.active_tiles())
+            }
             None => Ok(()),
         }
     }
 
     /// The render made last and its photo as the loss compares them: the render under its view's exposure transform.
-    pub fn pair<'a>(
-        &'a self,
-        camera: &CameraArg<R>,
-        target: Target<'a>,
-    ) -> Result<ImagePair<'a, R>> {
+    pub fn pair<'a>(&'a self, target: Target<'a>) -> Result<ImagePair<'a, R>> {
         let skips = target.skip_blank && self.active_tiles.is_some();
-        let image = &self.forward.frame.image;
-        let mut pair = ImagePair::new(image, target.photo, camera, target.background);
-        pair.blank = skips.then(|| self.forward.frame.blank());
+        let view = &self.forward.frame;
+        let mut pair = ImagePair::new(view, target.photo, target.background);
+        pair.blank = skips.then(|| view.blank());
         if let Some(exposure) = &self.exposure {
-            let stage = &exposure.stage;
-            stage.apply(pair.image, pair.size.plane(), target.view)?;
-            pair.image = &stage.corrected;
+            exposure.stage.apply(view, target.view)?;
+            pair.image = &exposure.stage.corrected;
         }
         Ok(pair)
     }
 
     /// Takes (1 − λ)·L1 + λ·(1 − SSIM) of a view's pair back to its render, and to its exposure transform.
     pub fn loss_gradient(&self, view: usize, pair: &ImagePair<'_, R>, lambda: f64) -> Result<()> {
-        self.loss
-            .gradient(pair, lambda, &self.maps, &self.partial, &self.dimage)?;
+        self.loss.gradient(pair, lambda, &self.dimage)?;
         match &self.exposure {
             Some(exposure) => {
-                let image = &self.forward.frame.image;
-                let plane = pair.size.plane();
-                exposure.stage.backward(image, plane, view, &self.dimage)
+                let frame = &self.forward.frame;
+                exposure.stage.backward(frame, view, &self.dimage)
             }
             None => Ok(()),
         }
@@ -132,56 +120,54 @@ impl<R: Real> Pipeline<R> {
         losses: &Array<R>,
         slot: usize,
     ) -> Result<()> {
-        self.loss.sum(pair, &self.partial, losses, slot)
+        self.loss.sum(pair, losses, slot)
     }
 
     /// Mean |x − y| and mean SSIM of a pair; waits.
     pub fn loss(&self, pair: &ImagePair<'_, R>) -> Result<[f64; 2]> {
         let sums = Array::zeros(&self.device, "loss", 2)?;
-        self.loss.errors(pair, &self.maps, &self.partial)?;
-        self.loss.sum(pair, &self.partial, &sums, 0)?;
+        self.loss.errors(pair)?;
+        self.loss.sum(pair, &sums, 0)?;
         let parts = sums.to_vec()?;
         Ok([parts[0].into(), parts[1].into()])
     }
 
     /// Sums of |x − y| and SSIM of each strip of a pair, in turn; waits.
     pub fn strips(&self, pair: &ImagePair<'_, R>) -> Result<Vec<f64>> {
-        self.loss.errors(pair, &self.maps, &self.partial)?;
-        let sums = self.partial.read(0, self.loss.partial_len(pair.size))?;
+        self.loss.errors(pair)?;
+        let sums = self.loss.read_strips(pair.size)?;
         Ok(sums.into_iter().map(Into::into).collect())
     }
 
     /// Adds a pair's errors at the projected centres of the Gaussians to their statistics, which `first_view` starts anew.
     pub fn add_errors(
         &self,
-        stage: &Importance,
+        stage: &Program,
         scene: &GaussianBuffers<R>,
-        camera: &CameraArg<R>,
         pair: &ImagePair<'_, R>,
         first_view: bool,
         statistics: &Array<R>,
     ) -> Result<()> {
-        self.loss.errors(pair, &self.maps, &self.partial)?;
-        let view = &self.forward.frame;
-        stage.run(scene, view, camera, &self.maps, first_view, statistics)
+        self.loss.errors(pair)?;
+        let (view, maps) = (&self.forward.frame, &self.loss.maps);
+        importance::add_errors(stage, scene, view, maps, first_view, statistics)
     }
 
     /// Takes the image gradient back to sums per tile intersection.
-    pub fn splat_gradient(&self, camera: &CameraArg<R>) -> Result<()> {
-        self.backward.splats(&self.forward, camera, &self.dimage)
+    pub fn splat_gradient(&self) -> Result<()> {
+        self.backward.splats(&self.forward, &self.dimage)
     }
 
     /// Takes the sums per tile intersection back to the raw parameters of a block of Gaussians.
     pub fn parameter_gradient(
         &self,
         scene: &GaussianBuffers<R>,
-        camera: &CameraArg<R>,
         sh_degree: u32,
         lambdas: [f64; 2],
         grads: &GradientBlock<'_, R>,
     ) -> Result<()> {
         self.backward
-            .parameters(&self.forward, scene, camera, sh_degree, lambdas, grads)
+            .parameters(&self.forward, scene, sh_degree, lambdas, grads)
     }
 
     /// Blending weight α·T of each Gaussian in a view, summed over its pixels, in single precision; a third is missing for each
@@ -209,14 +195,9 @@ impl<R: Real> Pipeline<R> {
         let colors = [0, 1, 2].map(|channel| Plane::SH + channel);
         let degree = scene.sh_degree as usize;
         let forward = &self.forward;
-        let gradients = self.backward.plane_gradients(
-            forward,
-            scene,
-            camera,
-            &self.dimage,
-            [0, degree],
-            colors,
-        )?;
+        let gradients =
+            self.backward
+                .plane_gradients(forward, scene, &self.dimage, [0, degree], colors)?;
         let weight = |i: usize| gradients.iter().map(|g| g[i]).sum::<f64>() / (3.0 * C0);
         Ok((0..scene.count).map(|i| weight(i) as f32).collect())
     }
@@ -224,7 +205,7 @@ impl<R: Real> Pipeline<R> {
     /// Error maps of the pair compared last.
     #[must_use]
     pub fn error_maps(&self) -> &Array<R> {
-        &self.maps
+        &self.loss.maps
     }
 
     /// Image gradient of the pair compared last.

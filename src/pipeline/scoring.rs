@@ -1,11 +1,11 @@
 //! [`Scoring`]: a rendered view held against its photo.
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels};
+use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program};
 use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{ImagePair, Loss};
-use crate::pipeline::stage::metrics::Metrics;
+use crate::pipeline::stage::metrics;
 
 /// Sums over the pixels of a pair, as far as they count.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,10 +21,8 @@ pub struct PairErrors {
 /// Stages that score a render, with what lies between them.
 #[derive(Debug)]
 pub struct Scoring {
-    metrics: Metrics,
-    loss: Loss,
-    maps: Array<f32>,
-    partial: Array<f32>,
+    metrics: Program,
+    loss: Loss<f32>,
     rows: Array<f32>,
 }
 
@@ -32,13 +30,10 @@ impl Scoring {
     /// Builds the kernels for images of at most `largest` pixels.
     pub fn new(device: &Device, defines: Defines, largest: ImageSize) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
-        let loss = Loss::new::<f32>(&kernels)?;
         Ok(Self {
-            metrics: Metrics::new::<f32>(&kernels)?,
-            maps: Array::zeros(device, "error maps", 2 * largest.plane())?,
-            partial: Array::zeros(device, "partial", loss.partial_len(largest))?,
+            metrics: kernels.build::<f32>("metrics")?,
+            loss: Loss::new(&kernels, largest, 2)?,
             rows: Array::zeros(device, "score", 3 * largest.0[1])?,
-            loss,
         })
     }
 
@@ -60,15 +55,14 @@ impl Scoring {
             ..RenderOptions::default()
         };
         renderer.render(scene, camera, &options)?;
-        let image = &renderer.frame.image;
-        self.pair(&ImagePair::new(image, photo, camera, background))
+        self.pair(&ImagePair::new(&renderer.frame, photo, background))
     }
 
     /// Clamps a render in place and compares it with its photo; waits.
     pub fn pair(&self, pair: &ImagePair<'_, f32>) -> Result<PairErrors> {
-        self.metrics.run(pair, &self.rows)?;
-        self.loss.errors(pair, &self.maps, &self.partial)?;
-        self.metrics.dissimilarity(pair, &self.maps, &self.rows)?;
+        metrics::score(&self.metrics, pair, &self.rows)?;
+        self.loss.errors(pair)?;
+        metrics::sum_dissimilarity(&self.metrics, pair, &self.loss.maps, &self.rows)?;
         let h = pair.size.0[1];
         let rows = self.rows.read(0, 3 * h)?;
         let sum = |k: usize| -> f64 { rows[k * h..][..h].iter().map(|v| f64::from(*v)).sum() };

@@ -470,7 +470,7 @@ impl Run {
             let Some(score) = evaluator.score(view, next, scene, renderer, background)? else {
                 continue;
             };
-            let image = renderer.read_image(&evaluator.views().cameras[view])?;
+            let image = renderer.read_image()?;
             let render = image.rgb8();
             let photo = evaluator.views().read_photo(view)?;
             let counted = photo.counted(render.clone());

@@ -11,14 +11,11 @@ use crate::density::{
     self, DensityControl, DensityStats, ErrorStatistics, NoiseLaw, Outcome, Picture, SceneState,
     ScreenGradient, Statistics, StatisticsKind, StepContext, Trial,
 };
-use crate::device::{CameraArg, Device, Kernels, StageTime};
+use crate::device::{Device, Kernels, Program, StageTime};
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::{Pipeline, Target};
-use crate::pipeline::stage::edit::Edit;
-use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::ImagePair;
-use crate::pipeline::stage::noise::Noise;
-use crate::pipeline::stage::screen_grad::ScreenGrad;
+use crate::pipeline::stage::{noise, screen_grad};
 use crate::scene::{Plane, morton};
 use crate::train::estimates::{Context, Estimates};
 use crate::train::gaussians::{GaussianState, Geometry};
@@ -61,10 +58,10 @@ pub struct Control {
     strategy: Arc<dyn DensityControl>,
     plan: Plan,
     schedule: Schedule,
-    noise: Option<(Noise, NoiseLaw)>,
-    screen_grad: Option<ScreenGrad>,
-    importance: Option<Importance>,
-    edit: Edit,
+    noise: Option<(Program, NoiseLaw)>,
+    screen_grad: Option<Program>,
+    importance: Option<Program>,
+    edit: Program,
     /// First-order estimates of births, if the strategy asks for them.
     estimates: Option<Estimates>,
     /// Statistics over the run.
@@ -81,20 +78,20 @@ impl Control {
         let strategy = density::make(&plan.config);
         let wanted = strategy.wanted(1, 1.0);
         let noise = strategy.noise().map(|law| {
-            let stage = Noise::new::<f32>(kernels)?;
+            let stage = kernels.build::<f32>("noise")?;
             Ok((stage, law))
         });
         let screen =
-            (wanted == StatisticsKind::ScreenGradient).then(|| ScreenGrad::new::<f32>(kernels));
+            (wanted == StatisticsKind::ScreenGradient).then(|| kernels.build::<f32>("screen_grad"));
         let errors = matches!(wanted, StatisticsKind::Errors { .. })
-            .then(|| Importance::new::<f32>(kernels));
+            .then(|| kernels.build::<f32>("importance"));
         let (device, degree) = (kernels.device(), plan.sh_degree.value);
         let defines = *kernels.defines();
         Ok(Self {
             noise: noise.transpose()?,
             screen_grad: screen.transpose()?,
             importance: errors.transpose()?,
-            edit: Edit::new::<f32>(kernels)?,
+            edit: kernels.build::<f32>("edit")?,
             estimates: Estimates::new(device, defines, degree, pipeline, strategy.as_ref())?,
             strategy,
             plan: plan.clone(),
@@ -111,9 +108,9 @@ impl Control {
         self.strategy.wanted(1, 1.0).rows()
     }
 
-    /// Stage that writes and reorders rows.
+    /// Kernels of `edit.cl`, which write and reorder rows.
     #[must_use]
-    pub fn edit(&self) -> &Edit {
+    pub fn edit(&self) -> &Program {
         &self.edit
     }
 
@@ -135,7 +132,6 @@ impl Control {
         iteration: u32,
         pipeline: &Pipeline,
         gaussians: &GaussianState,
-        camera: &CameraArg<f32>,
         pair: &ImagePair<'_, f32>,
         views: usize,
     ) -> Result<()> {
@@ -150,14 +146,13 @@ impl Control {
         if iteration < first {
             return Ok(());
         }
-        self.add_errors(pipeline, gaussians, camera, pair, iteration == first)
+        self.add_errors(pipeline, gaussians, pair, iteration == first)
     }
 
     fn add_errors(
         &self,
         pipeline: &Pipeline,
         gaussians: &GaussianState,
-        camera: &CameraArg<f32>,
         pair: &ImagePair<'_, f32>,
         first_view: bool,
     ) -> Result<()> {
@@ -165,7 +160,7 @@ impl Control {
             return Ok(());
         };
         let (scene, sums) = (&gaussians.scene, &gaussians.statistics);
-        pipeline.add_errors(importance, scene, camera, pair, first_view, sums)
+        pipeline.add_errors(importance, scene, pair, first_view, sums)
     }
 
     /// The strategy's part of an iteration, after the optimiser: screen-space gradients are added up until the last density
@@ -175,21 +170,20 @@ impl Control {
         iteration: u32,
         pipeline: &Pipeline,
         gaussians: &GaussianState,
-        camera: &CameraArg<f32>,
     ) -> Result<()> {
         let (frame, scene) = (&pipeline.forward.frame, &gaussians.scene);
         if let Some(stage) = &self.screen_grad
             && self.schedule.next_density(iteration).is_some()
         {
-            stage.run(scene, frame, camera, &gaussians.statistics)?;
+            screen_grad::add_norms(stage, scene, frame, &gaussians.statistics)?;
         }
         if let Some((stage, law)) = &self.noise {
             let law = NoiseLaw {
                 rate: law.rate * self.schedule.position_rate(iteration),
                 ..*law
             };
-            let stream = Stream::Noise.stream(iteration);
-            stage.run(scene, frame, &law, self.plan.config.seed, stream)?;
+            let key = [self.plan.config.seed, Stream::Noise.stream(iteration)];
+            noise::perturb(stage, scene, frame, &law, key)?;
         }
         Ok(())
     }
@@ -340,13 +334,12 @@ impl Control {
     pub fn warm_up(
         &mut self,
         on: &mut Working<'_>,
-        camera: &CameraArg<f32>,
         target: Target<'_>,
         sh_degree: u32,
     ) -> Result<()> {
         if self.importance.is_some() {
-            let pair = on.pipeline.pair(camera, target)?.everywhere();
-            self.add_errors(on.pipeline, on.gaussians, camera, &pair, true)?;
+            let pair = on.pipeline.pair(target)?.everywhere();
+            self.add_errors(on.pipeline, on.gaussians, &pair, true)?;
         }
         let lambda = self.plan.config.loss.lambda_ssim;
         if let Some(estimates) = &mut self.estimates {
@@ -358,7 +351,7 @@ impl Control {
 
 fn context<'a>(
     on: &'a mut Working<'_>,
-    edit: &'a Edit,
+    edit: &'a Program,
     lambda_ssim: f64,
     iteration: u32,
 ) -> Context<'a> {
@@ -391,14 +384,14 @@ fn picture(
     };
     let forward = &mut on.pipeline.forward;
     forward.render(scene, camera, &options)?;
-    let mut render = forward.read_image(camera)?;
+    let mut render = forward.read_image()?;
     let by_depth = RenderOptions {
         quantity: Quantity::Depth,
         background: [0.0; 3],
         ..options
     };
     forward.render(scene, camera, &by_depth)?;
-    let mut depth = forward.read_image(camera)?.rgb;
+    let mut depth = forward.read_image()?.rgb;
     let pixels = render.width * render.height;
     depth.truncate(pixels);
     for (z, left) in depth.iter_mut().zip(&render.transmittance) {

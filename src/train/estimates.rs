@@ -9,12 +9,12 @@ use std::time::Instant;
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
 use crate::density::{DensityControl, Trial};
-use crate::device::{Array, Defines, Device, StageTime};
+use crate::device::{Array, Defines, Device, Program, StageTime};
 use crate::pipeline::backward::{Backward, GRADIENT_ROWS};
 use crate::pipeline::buffers::{GaussianBuffers, restride};
 use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::pass::Pipeline;
-use crate::pipeline::stage::edit::Edit;
+use crate::pipeline::stage::edit;
 use crate::scene::{self, Plane};
 use crate::train::gaussians::GaussianState;
 use crate::train::smoothing::Smoothing;
@@ -92,8 +92,8 @@ pub struct Context<'a> {
     pub views: &'a Views,
     /// Smoothing filter, if there is one.
     pub smoothing: Option<&'a Smoothing>,
-    /// Stage that writes rows.
-    pub edit: &'a Edit,
+    /// Kernels of `edit.cl`, which write rows.
+    pub edit: &'a Program,
     /// λ of the loss.
     pub lambda_ssim: f64,
     /// Iterations done.
@@ -204,35 +204,26 @@ impl Estimates {
         };
         let (scene, camera) = (&at.gaussians.scene, &view.camera);
         at.pipeline.forward.render(scene, camera, &options)?;
-        let pair = at.pipeline.pair(camera, at.views.target(&view))?;
+        let pair = at.pipeline.pair(at.views.target(&view))?;
         let pair = pair.everywhere();
         at.pipeline
             .loss_gradient(view.number, &pair, at.lambda_ssim)?;
         let (dimage, degree) = (at.pipeline.image_gradient(), sh_degree as usize);
         let sources = if shared {
             let forward = &at.pipeline.forward;
-            at.pipeline.backward.plane_gradients(
-                forward,
-                scene,
-                camera,
-                dimage,
-                [0, degree],
-                SHAPE,
-            )?
+            at.pipeline
+                .backward
+                .plane_gradients(forward, scene, dimage, [0, degree], SHAPE)?
         } else {
             Default::default()
         };
         self.pass.forward.render(faint, camera, &options)?;
         let first = scene.count / GRADIENT_ROWS * GRADIENT_ROWS;
         let forward = &self.pass.forward;
-        let births = self.pass.backward.plane_gradients(
-            forward,
-            faint,
-            camera,
-            dimage,
-            [first, degree],
-            SHAPE,
-        )?;
+        let births =
+            self.pass
+                .backward
+                .plane_gradients(forward, faint, dimage, [first, degree], SHAPE)?;
         Ok([births, sources])
     }
 }
@@ -264,7 +255,7 @@ impl Context<'_> {
         let rows = Array::from_slice(device, "probes", &rows)?;
         // The stage clears moments, which these rows do not have.
         let moments = Array::zeros(device, "no moments", planes * stride)?;
-        self.edit.run(&copy, [&moments; 2], &rows)?;
+        edit::write_rows(self.edit, &copy, [&moments; 2], &rows)?;
         if let Some(smoothing) = self.smoothing {
             smoothing.run(&copy, &self.pipeline.forward.frame)?;
         }

@@ -30,7 +30,7 @@ pub fn compare(
         };
         let forward = &mut pipeline.forward;
         forward.render(scene, &view.camera, &options)?;
-        let render = forward.read_image(&view.camera)?;
+        let render = forward.read_image()?;
         let (alpha, pixels) = (views.set.alpha, render.width * render.height);
         let bytes = views.photo(&view).read(0, alpha.planes() * pixels)?;
         let photo = colors(alpha, &bytes, view.background);

@@ -1,9 +1,9 @@
 //! [`GaussianState`]: everything that training keeps per Gaussian. Every operation on the set is here and treats all of it.
 
 use crate::base::error::{Error, Result};
-use crate::device::{Array, Device};
+use crate::device::{Array, Device, Program};
 use crate::pipeline::buffers::{GaussianBuffers, restride};
-use crate::pipeline::stage::edit::Edit;
+use crate::pipeline::stage::edit;
 use crate::scene::{self, Gaussians, Plane};
 
 /// Number of arrays of parameters and their moments.
@@ -140,11 +140,11 @@ impl GaussianState {
     }
 
     /// Applies the edits of a density step, which leave `rows` rows, and puts them in `order` if there is one. The statistics start
-    /// anew, and the smoothing filter is to be computed again.
+    /// anew, and the smoothing filter is to be computed again. `stage` is a build of `kernels/edit.cl`.
     pub fn edit(
         &mut self,
         device: &Device,
-        stage: &Edit,
+        stage: &Program,
         edits: &[scene::Edit],
         rows: usize,
         logit_limit: Option<f32>,
@@ -154,10 +154,10 @@ impl GaussianState {
         self.statistics.clear()?;
         let edits = Array::from_slice(device, "edits", edits)?;
         self.scene.count = rows;
-        let [moment1, moment2] = &self.moments;
-        stage.run(&self.scene, [moment1, moment2], &edits)?;
+        let (scene, moments) = (&self.scene, self.moments.each_ref());
+        edit::write_rows(stage, scene, moments, &edits)?;
         if let Some(limit) = logit_limit {
-            stage.limit_opacity(&self.scene, [moment1, moment2], f64::from(limit))?;
+            edit::limit_opacity(stage, scene, moments, f64::from(limit))?;
         }
         match order {
             Some(order) => self.gather(device, stage, order, OPTIMIZED),
@@ -166,14 +166,14 @@ impl GaussianState {
     }
 
     /// Keeps the Gaussians of `order`, in that order, with everything that belongs to them.
-    pub fn reorder(&mut self, device: &Device, stage: &Edit, order: &[u32]) -> Result<()> {
+    pub fn reorder(&mut self, device: &Device, stage: &Program, order: &[u32]) -> Result<()> {
         self.gather(device, stage, order, usize::MAX)
     }
 
     fn gather(
         &mut self,
         device: &Device,
-        stage: &Edit,
+        stage: &Program,
         order: &[u32],
         arrays: usize,
     ) -> Result<()> {
@@ -182,7 +182,7 @@ impl GaussianState {
         for (array, planes) in self.arrays().into_iter().take(arrays) {
             if planes > 0 {
                 let to = Array::zeros(device, array.name(), planes * stride)?;
-                stage.reorder(&order, [planes, stride], array, &to)?;
+                edit::gather_rows(stage, &order, [planes, stride], [array, &to])?;
                 *array = to;
             }
         }

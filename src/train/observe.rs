@@ -71,7 +71,7 @@ impl Trainer {
             pipeline
                 .forward
                 .render(&self.gaussians.scene, &view.camera, &options)?;
-            let pair = pipeline.pair(&view.camera, self.views.target(&view))?;
+            let pair = pipeline.pair(self.views.target(&view))?;
             let parts = pipeline.loss(&pair.everywhere())?;
             sum += self.total_loss(parts);
         }

@@ -1,10 +1,10 @@
 //! [`Optimizer`]: gradients of the raw parameters and Adam's step, block by block.
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernels};
+use crate::device::{Array, Kernels, Program};
 use crate::pipeline::buffers::GradientBlock;
 use crate::pipeline::pass::Pipeline;
-use crate::pipeline::stage::adam::{Adam, Step};
+use crate::pipeline::stage::adam::{self, Step};
 use crate::scene::Plane;
 use crate::train::gaussians::GaussianState;
 use crate::train::plan::Plan;
@@ -13,7 +13,7 @@ use crate::train::schedule::Schedule;
 /// Adam with the run's constants and schedule.
 #[derive(Debug)]
 pub struct Optimizer {
-    adam: Adam,
+    adam: Program,
     schedule: Schedule,
     /// β₁, β₂, ε.
     constants: [f64; 3],
@@ -31,7 +31,7 @@ impl Optimizer {
         let block = kernels.defines().tuning.update_block;
         let planes = Plane::count(plan.sh_degree.value);
         Ok(Self {
-            adam: Adam::new::<f32>(kernels)?,
+            adam: kernels.build::<f32>("adam")?,
             schedule: Schedule::new(&plan.config),
             constants: [o.beta1, o.beta2, o.epsilon],
             lambdas: [l.lambda_opacity, l.lambda_scale],
@@ -52,12 +52,11 @@ impl Optimizer {
         &self,
         pipeline: &Pipeline,
         gaussians: &GaussianState,
-        camera: &CameraArg<f32>,
         iteration: u32,
         sh_degree: u32,
     ) -> Result<()> {
         let (scene, count) = (&gaussians.scene, gaussians.scene.count);
-        let [moment1, moment2] = &gaussians.moments;
+        let moments = gaussians.moments.each_ref();
         let step = Step {
             rate: self.schedule.rates(iteration),
             constants: self.constants,
@@ -72,10 +71,9 @@ impl Optimizer {
                 stride: self.block,
                 rows: first..count.min(first + self.block),
             };
-            pipeline.parameter_gradient(scene, camera, sh_degree, self.lambdas, &grads)?;
+            pipeline.parameter_gradient(scene, sh_degree, self.lambdas, &grads)?;
             let frame = &pipeline.forward.frame;
-            self.adam
-                .run(scene, [moment1, moment2], &grads, &step, frame)?;
+            adam::update(&self.adam, scene, moments, &grads, &step, frame)?;
         }
         Ok(())
     }

@@ -2,9 +2,9 @@
 
 use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernels};
+use crate::device::{Array, CameraArg, Kernels, Program};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers, ViewSet};
-use crate::pipeline::stage::filter::Filter;
+use crate::pipeline::stage::filter;
 
 /// Iterations between two looks at the sampling rates (Mip-Splatting, §6); every density step has one as well.
 const INTERVAL: u32 = 100;
@@ -12,7 +12,7 @@ const INTERVAL: u32 = 100;
 /// Computes each Gaussian's smoothing filter from the sampling rates of the training views.
 #[derive(Debug)]
 pub struct Smoothing {
-    stage: Filter,
+    stage: Program,
     /// Training cameras at the photos' full size.
     cameras: Array<CameraArg<f32>>,
     largest: Array<f32>,
@@ -26,7 +26,7 @@ impl Smoothing {
         }
         let device = kernels.device();
         Ok(Some(Self {
-            stage: Filter::new::<f32>(kernels)?,
+            stage: kernels.build::<f32>("filter")?,
             cameras: Array::from_slice(device, "cameras", &views.cameras)?,
             largest: Array::zeros(device, "largest", FILTER_CHUNKS as usize)?,
         }))
@@ -40,6 +40,6 @@ impl Smoothing {
 
     /// Recomputes the filter of a scene from its positions, without waiting.
     pub fn run(&self, scene: &GaussianBuffers, view: &ViewBuffers<f32>) -> Result<()> {
-        self.stage.run(scene, view, &self.cameras, &self.largest)
+        filter::compute(&self.stage, scene, view, &self.cameras, &self.largest)
     }
 }

@@ -8,14 +8,13 @@ use serde::{Deserialize, Serialize};
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset};
 use crate::device::tuning::status;
-use crate::device::{Array, Defines, Device, Kernels, PendingRead};
+use crate::device::{Array, Defines, Device, Kernels, PendingRead, Program};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::adam::Step;
-use crate::pipeline::stage::seen::Seen;
 use crate::scene::Gaussians;
 use crate::train::control::{Control, DensityEvent, Working};
 use crate::train::exposure::compare;
@@ -106,7 +105,7 @@ pub struct Trainer {
     pub(super) control: Control,
     pub(super) smoothing: Option<Smoothing>,
     /// Finds Gaussians that no view shows; `None` if they stay.
-    pub(super) seen: Option<Seen>,
+    pub(super) seen: Option<Program>,
     /// Ring of mean |x − y| and mean SSIM of the last iterations.
     pub(super) losses: Array<f32>,
     pub(super) learned: Learned,
@@ -170,7 +169,7 @@ impl Trainer {
         let seen = config
             .work
             .remove_unseen
-            .then(|| Seen::new::<f32>(&kernels));
+            .then(|| kernels.build::<f32>("seen"));
         let mut trainer = Self {
             gaussians: GaussianState::new(device, splats, room, rows, smoothed)?,
             views: Views::new(&kernels, set, plan)?,
@@ -207,7 +206,7 @@ impl Trainer {
         self.pipeline
             .enqueue(&self.gaussians.scene, camera, photo, &options)?;
 
-        let pair = self.pipeline.pair(camera, self.views.target(&view))?;
+        let pair = self.pipeline.pair(self.views.target(&view))?;
         let lambda = self.plan.config.loss.lambda_ssim;
         self.pipeline.loss_gradient(view.number, &pair, lambda)?;
         let slot = iteration as usize % LOSS_RING;
@@ -217,29 +216,18 @@ impl Trainer {
         // what is skipped.
         let pair = pair.everywhere();
         let views = self.views.len();
-        self.control.observe(
-            iteration,
-            &self.pipeline,
-            &self.gaussians,
-            camera,
-            &pair,
-            views,
-        )?;
+        self.control
+            .observe(iteration, &self.pipeline, &self.gaussians, &pair, views)?;
 
         if let Some(exposure) = &self.pipeline.exposure {
             let status = &self.pipeline.forward.frame.status;
             exposure.step(view.number, self.transform_step(iteration), status)?;
         }
-        self.pipeline.splat_gradient(camera)?;
-        self.optimizer.step(
-            &self.pipeline,
-            &self.gaussians,
-            camera,
-            iteration,
-            sh_degree,
-        )?;
+        self.pipeline.splat_gradient()?;
+        self.optimizer
+            .step(&self.pipeline, &self.gaussians, iteration, sh_degree)?;
         self.control
-            .perturb(iteration, &self.pipeline, &self.gaussians, camera)
+            .perturb(iteration, &self.pipeline, &self.gaussians)
     }
 
     fn options(&self, view: &TrainingView, sh_degree: u32) -> RenderOptions {
@@ -473,9 +461,9 @@ impl Trainer {
         let dimage = self.pipeline.image_gradient();
         let (views, plane) = (self.views.len(), dimage.len() / 3);
         let built = ExposureModel::new(&kernels, views, plane, self.schedule.exposure_from())?;
-        let image = &self.pipeline.forward.frame.image;
+        let view = &self.pipeline.forward.frame;
         let step = self.transform_step(self.iteration);
-        built.warm_up(&self.device, image, dimage, step)?;
+        built.warm_up(&self.device, view, dimage, step)?;
         self.device.finish()?;
         self.pipeline.exposure = Some(built);
         Ok(())
@@ -552,7 +540,6 @@ impl Trainer {
             views: &self.views,
             smoothing: self.smoothing.as_ref(),
         };
-        self.control
-            .warm_up(&mut on, &view.camera, target, sh_degree)
+        self.control.warm_up(&mut on, target, sh_degree)
     }
 }

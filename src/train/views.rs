@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use crate::base::error::Result;
 use crate::config::TrainConfig;
-use crate::device::{Array, CameraArg, Kernels};
+use crate::device::{Array, CameraArg, Kernels, Program};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::pass::Target;
 use crate::pipeline::photos::AHEAD;
-use crate::pipeline::stage::shrink::Shrink;
+use crate::pipeline::stage::shrink;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
 
@@ -36,7 +36,7 @@ pub struct Views {
     random_background: bool,
     skip_blank: bool,
     /// Makes smaller photos; `None` without progressive resolution.
-    shrink: Option<Shrink>,
+    shrink: Option<Program>,
     /// A photo at a fraction of its size.
     small: Array<u8>,
 }
@@ -50,7 +50,7 @@ impl Views {
             0 => 0,
             _ => (w / 2) * (h / 2),
         };
-        let shrink = (halvings > 0).then(|| Shrink::new::<f32>(kernels));
+        let shrink = (halvings > 0).then(|| kernels.build::<f32>("shrink"));
         Ok(Self {
             small: Array::zeros(kernels.device(), "small", set.alpha.planes() * pixels)?,
             shrink: shrink.transpose()?,
@@ -102,12 +102,12 @@ impl Views {
     ) -> Result<TrainingView> {
         let photo = self.set.photo(number, next)?;
         let full = self.set.cameras[number];
-        let size = full.image().0;
-        let divisor = self.schedule.shrink_factor(self.halvings, size_of, size);
-        if let Some(shrink) = &self.shrink
+        let size = full.image();
+        let divisor = self.schedule.shrink_factor(self.halvings, size_of, size.0);
+        if let Some(stage) = &self.shrink
             && divisor > 1
         {
-            shrink.run(&photo, size, divisor, &self.small)?;
+            shrink::reduce(stage, &photo, size, divisor, &self.small)?;
         }
         Ok(TrainingView {
             number,
@@ -152,9 +152,11 @@ impl Views {
     /// Runs the shrinking kernel once, if there is one.
     pub fn warm_up(&self) -> Result<()> {
         let photo = self.set.photo(0, &[])?;
-        let size = self.set.cameras[0].image().0;
+        let size = self.set.cameras[0].image();
         match &self.shrink {
-            Some(shrink) if size.iter().all(|s| *s > 1) => shrink.run(&photo, size, 2, &self.small),
+            Some(stage) if size.0.iter().all(|s| *s > 1) => {
+                shrink::reduce(stage, &photo, size, 2, &self.small)
+            }
             _ => Ok(()),
         }
     }

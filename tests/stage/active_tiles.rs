@@ -1,10 +1,10 @@
 //! active_tiles: tiles of a masked photo in which any pixel counts get pairs, the others do not.
 
 use super::*;
-use mhsplat::device::{Array, CameraArg};
+use mhsplat::device::{Array, CameraArg, ImageSize};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
-use mhsplat::pipeline::stage::active_tiles::{ActiveTiles, active_tiles};
+use mhsplat::pipeline::stage::active_tiles::{active_tiles, mark};
 
 /// Flags that the kernel gives the tiles of a mask of this size.
 fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
@@ -12,17 +12,11 @@ fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
     let n = size[0] * size[1];
     let mut photo = vec![9; 3 * n];
     photo.extend(mask);
-    let camera =
-        CameraArg::<f32>::new(&cases::mild("size", 1, size.map(|s| s as u32), 0, 1).camera);
-    let out = Array::zeros(&device, "active_tiles", camera.tile_count()).unwrap();
-    ActiveTiles::new::<f32>(&kernels(&device))
-        .unwrap()
-        .run(
-            &Array::from_slice(&device, "photo", &photo).unwrap(),
-            &camera,
-            &out,
-        )
-        .unwrap();
+    let photo = Array::from_slice(&device, "photo", &photo).unwrap();
+    let size = ImageSize(size);
+    let out = Array::zeros(&device, "active_tiles", size.tile_count()).unwrap();
+    let stage = kernels(&device).build::<f32>("active_tiles").unwrap();
+    mark(&stage, &photo, size, &out).unwrap();
     out.to_vec().unwrap().into_iter().map(|t| t == 1).collect()
 }
 
@@ -65,15 +59,17 @@ fn rendered(active_only: bool) -> (Vec<u32>, Vec<f32>) {
     let camera = CameraArg::new(&case.camera);
     renderer.fit(&scene, &camera).unwrap();
     let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
-    let stage = ActiveTiles::new::<f32>(&Kernels::new(&device, defines)).unwrap();
-    stage.run(&photo, &camera, renderer.active_tiles()).unwrap();
+    let stage = Kernels::new(&device, defines)
+        .build::<f32>("active_tiles")
+        .unwrap();
+    mark(&stage, &photo, camera.image(), renderer.active_tiles()).unwrap();
     let options = RenderOptions {
         active_only,
         ..RenderOptions::default()
     };
     renderer.render(&scene, &camera, &options).unwrap();
-    let image = renderer.read_image(&camera).unwrap();
-    (renderer.intersections_per_tile(&camera).unwrap(), image.rgb)
+    let image = renderer.read_image().unwrap();
+    (renderer.intersections_per_tile().unwrap(), image.rgb)
 }
 
 #[test]

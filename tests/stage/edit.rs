@@ -3,6 +3,7 @@
 use super::*;
 use mhsplat::device::Array;
 use mhsplat::pipeline::buffers::GaussianBuffers;
+use mhsplat::pipeline::stage::edit::{gather_rows, limit_opacity, reorder};
 use mhsplat::scene::{Edit, OptionalColor, Plane};
 
 #[test]
@@ -85,7 +86,7 @@ fn a_coloured_row_has_its_own_colour_and_no_higher_bands() {
 #[test]
 fn rows_in_another_order_are_the_reference_s() {
     let device = device();
-    let edit = mhsplat::pipeline::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
+    let stage = kernels(&device).build::<f32>("edit").unwrap();
     let (planes, stride, order) = (3, 256, [4u32, 0, 2, 1, 3]);
     let values: Vec<f32> = (0..planes * stride).map(|v| v as f32).collect();
     let array = |name, v: &[f32]| Array::from_slice(&device, name, v).unwrap();
@@ -94,11 +95,11 @@ fn rows_in_another_order_are_the_reference_s() {
         array("to", &vec![-1.0; values.len()]),
     );
     let rows = Array::from_slice(&device, "order", &order).unwrap();
-    edit.reorder(&rows, [planes, stride], &from, &to).unwrap();
+    gather_rows(&stage, &rows, [planes, stride], [&from, &to]).unwrap();
     let got = to.to_vec().unwrap();
     for (p, plane) in values.chunks(stride).enumerate() {
         let plane: Vec<f64> = plane.iter().map(|v| f64::from(*v)).collect();
-        let want = mhsplat::pipeline::stage::edit::reorder(&order, &plane);
+        let want = reorder(&order, &plane);
         for (i, w) in want.iter().enumerate() {
             assert_eq!(f64::from(got[p * stride + i]), *w);
         }
@@ -113,7 +114,7 @@ fn rows_in_another_order_are_the_reference_s() {
 #[test]
 fn an_opacity_reset_lowers_what_is_above_and_forgets_the_moments() {
     let device = device();
-    let edit = mhsplat::pipeline::stage::edit::Edit::new::<f32>(&kernels(&device)).unwrap();
+    let stage = kernels(&device).build::<f32>("edit").unwrap();
     let (planes, stride, count) = (Plane::count(0), 256, 5);
     let array = |name| Array::from_slice(&device, name, &vec![1.5f32; planes * stride]).unwrap();
     let scene = GaussianBuffers {
@@ -128,7 +129,7 @@ fn an_opacity_reset_lowers_what_is_above_and_forgets_the_moments() {
         .params
         .write(Plane::OPACITY * stride, &[-6.0, -4.0, 0.0, f32::NAN])
         .unwrap();
-    edit.limit_opacity(&scene, moments, -4.5).unwrap();
+    limit_opacity(&stage, &scene, moments, -4.5).unwrap();
     let opacity = scene.params.read(Plane::OPACITY * stride, 6).unwrap();
     assert_eq!(opacity, [-6.0, -4.5, -4.5, -4.5, -4.5, 1.5]);
     for moment in moments {

@@ -8,7 +8,7 @@ use mhsplat::capture::Camera;
 use mhsplat::device::tuning::status;
 use mhsplat::device::{Array, CameraArg};
 use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
-use mhsplat::pipeline::stage::filter::Filter;
+use mhsplat::pipeline::stage::filter;
 use mhsplat::scene::filters;
 use mhsplat::scene::{Gaussians, Plane};
 
@@ -63,15 +63,10 @@ fn filtered(splats: &Gaussians, cameras: &[Camera], overflow: u32) -> Vec<f32> {
     let flag = status::OVERFLOW as usize;
     frame.status.write(flag, &[overflow]).unwrap();
     scene.filter = Array::from_slice(&device, "filter", &vec![7.0f32; scene.stride]).unwrap();
-    Filter::new::<f32>(&kernels)
-        .unwrap()
-        .run(
-            &scene,
-            &frame,
-            &Array::from_slice(&device, "cameras", &args).unwrap(),
-            &Array::zeros(&device, "largest", FILTER_CHUNKS as usize).unwrap(),
-        )
-        .unwrap();
+    let cameras = Array::from_slice(&device, "cameras", &args).unwrap();
+    let largest = Array::zeros(&device, "largest", FILTER_CHUNKS as usize).unwrap();
+    let stage = kernels.build::<f32>("filter").unwrap();
+    filter::compute(&stage, &scene, &frame, &cameras, &largest).unwrap();
     scene.filter.read(0, splats.len()).unwrap()
 }
 

@@ -97,12 +97,14 @@ fn of_blankish(
         skip_blank,
         ..Defines::new(tuning)
     };
-    let loss = Loss::new::<f64>(&Kernels::new(&device, defines)).unwrap();
+    let size = ImageSize([W, H]);
+    let loss = Loss::<f64>::new(&Kernels::new(&device, defines), size, 3).unwrap();
     // What another view has left there.
+    for used in [&loss.maps, &loss.partial] {
+        used.write(0, &vec![7.0; used.len()]).unwrap();
+    }
     let used = |name, len| Array::from_slice(&device, name, &vec![7.0; len]).unwrap();
-    let [maps, dimage] = ["maps", "dimage"].map(|name| used(name, 3 * STRIDE * ROWS));
-    let partial = used("partial", loss.partial_len(ImageSize([W, H])));
-    let out = used("losses", 2);
+    let (dimage, out) = (used("dimage", 3 * STRIDE * ROWS), used("losses", 2));
     let flags = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
     let (active_tiles, tile_start) = (
         flags("active_tiles", &picture.active_tiles),
@@ -112,16 +114,16 @@ fn of_blankish(
         image: &Array::from_slice(&device, "image", &picture.image).unwrap(),
         photo: &Array::from_slice(&device, "photo", &picture.photo).unwrap(),
         background: BACKGROUND,
-        size: ImageSize([W, H]),
+        size,
         blank: Some(Blank {
             active_tiles: &active_tiles,
             tile_start: &tile_start,
         }),
     };
-    loss.gradient(&pair, 0.2, &maps, &partial, &dimage).unwrap();
-    loss.sum(&pair, &partial, &out, 0).unwrap();
-    loss.errors(&pair, &maps, &partial).unwrap();
-    let mut errors = maps.read(0, 2 * STRIDE * ROWS).unwrap();
+    loss.gradient(&pair, 0.2, &dimage).unwrap();
+    loss.sum(&pair, &out, 0).unwrap();
+    loss.errors(&pair).unwrap();
+    let mut errors = loss.maps.read(0, 2 * STRIDE * ROWS).unwrap();
     // The padding says nothing.
     let inside = |at: usize| at % STRIDE < W && at / STRIDE % ROWS < H;
     (0..errors.len())

@@ -7,7 +7,7 @@ use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::density::NoiseLaw;
 use mhsplat::device::tuning::status::OVERFLOW;
 use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
-use mhsplat::pipeline::stage::noise::Noise;
+use mhsplat::pipeline::stage::noise::perturb;
 use mhsplat::scene::{Gaussians, Plane};
 
 /// [MCMC]'s gate: k = 100, x₀ = 0.005.
@@ -67,10 +67,8 @@ impl Draw {
             opacity: PUBLISHED[1],
         };
         let stream = Stream::Noise.stream(self.iteration);
-        Noise::new::<f64>(&kernels)
-            .unwrap()
-            .run(&scene, &frame, &law, self.seed, stream)
-            .unwrap();
+        let stage = kernels.build::<f64>("noise").unwrap();
+        perturb(&stage, &scene, &frame, &law, [self.seed, stream]).unwrap();
         let plane = |k| scene.params.read(k * scene.stride, scene.stride).unwrap();
         [plane(0), plane(1), plane(2)]
     }

@@ -4,15 +4,15 @@ use super::*;
 use mhsplat::base::constants::PEAK_CHAINS;
 use mhsplat::device::{Array, Real};
 use mhsplat::lab::error::{Tolerance, compare};
-use mhsplat::pipeline::stage::peak::{Peak, fma_chains};
+use mhsplat::pipeline::stage::peak::{copy, fma_chains, multiply_add};
 
 /// Lanes of seven work-items after `steps` steps of x → 0.99 x + 0.5.
 fn chains<R: Real>(tuning: Tuning, steps: u32) -> Vec<f64> {
     let device = device();
     let kernels = Kernels::new(&device, Defines::new(tuning));
-    let peak = Peak::new::<R>(&kernels).unwrap();
-    let out = Array::<R>::zeros(&device, "out", 7 * peak.lanes()).unwrap();
-    peak.fma(7, steps, [0.99, 0.5], &out).unwrap();
+    let stage = kernels.build::<R>("peak").unwrap();
+    let out = Array::<R>::zeros(&device, "out", 7 * stage.lanes()).unwrap();
+    multiply_add(&stage, 7, steps, [0.99, 0.5], &out).unwrap();
     out.to_vec().unwrap().into_iter().map(Into::into).collect()
 }
 
@@ -33,12 +33,12 @@ fn chains_agree_with_the_reference() {
 #[test]
 fn a_copy_is_a_copy() {
     let device = device();
-    let peak = Peak::new::<f32>(&kernels(&device)).unwrap();
-    let values: Vec<f32> = (0..peak.lanes() * 1001).map(|i| i as f32).collect();
+    let stage = kernels(&device).build::<f32>("peak").unwrap();
+    let values: Vec<f32> = (0..stage.lanes() * 1001).map(|i| i as f32).collect();
     let from = Array::from_slice(&device, "from", &values).unwrap();
     let to = Array::zeros(&device, "to", values.len()).unwrap();
-    peak.copy(&from, &to).unwrap();
+    copy(&stage, &from, &to).unwrap();
     assert_eq!(to.to_vec().unwrap(), values);
     let short = Array::zeros(&device, "short", values.len() - 1).unwrap();
-    assert!(peak.copy(&from, &short).is_err());
+    assert!(copy(&stage, &from, &short).is_err());
 }

@@ -4,7 +4,7 @@ use super::*;
 use mhsplat::device::Array;
 use mhsplat::device::tuning::status::{INTERSECTIONS, OVERFLOW, VISIBLE};
 use mhsplat::pipeline::buffers::ViewBuffers;
-use mhsplat::pipeline::stage::scan::{Count, Scan, scan as definition};
+use mhsplat::pipeline::stage::scan::{Count, scan as definition, sum_pairs};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -34,8 +34,8 @@ fn scanned_by(n: Count, values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>)
     frame.isect_owner = Array::zeros(&device, "isect_owner", capacity).unwrap();
     let visible = [values.len() as u32];
     frame.status.write(VISIBLE as usize, &visible).unwrap();
-    let scan = Scan::new::<f32>(&kernels).unwrap();
-    scan.pairs(&frame, &input, n, &out).unwrap();
+    let stage = kernels.build::<f32>("scan").unwrap();
+    sum_pairs(&stage, &frame, &input, n, &out).unwrap();
     let status = frame.status.to_vec().unwrap();
     (out.read(0, values.len()).unwrap(), status)
 }

@@ -3,11 +3,12 @@
 use super::*;
 use mhsplat::base::constants::SUMS;
 use mhsplat::device::tuning::status::OVERFLOW;
-use mhsplat::device::{Array, CameraArg, Projected};
+use mhsplat::device::{Array, Projected};
 use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use mhsplat::pipeline::reference::Camera64;
 use mhsplat::pipeline::reference_pass::loss_of;
-use mhsplat::pipeline::stage::screen_grad::ScreenGrad;
+use mhsplat::pipeline::stage::project::shape;
+use mhsplat::pipeline::stage::screen_grad::{add_norms, mean_gradient};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -52,15 +53,10 @@ fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
         count: 2,
         sh_degree: 0,
     };
-    let camera = CameraArg {
-        size: [40, 80],
-        ..CameraArg::default()
-    };
+    frame.camera.size = [40, 80];
     let cues = Array::from_slice(&device, "cues", &[100.0, 200.0, 1.0, 2.0]).unwrap();
-    ScreenGrad::new::<f64>(&kernels)
-        .unwrap()
-        .run(&scene, &frame, &camera, &cues)
-        .unwrap();
+    let stage = kernels.build::<f64>("screen_grad").unwrap();
+    add_norms(&stage, &scene, &frame, &cues).unwrap();
     cues.to_vec().unwrap()
 }
 
@@ -100,8 +96,8 @@ fn the_gradient_by_the_mean_is_a_finite_difference() {
         ..
     } = Reference::new(&case);
     let sums = pass.sums[0].unwrap();
-    let shape = mhsplat::pipeline::stage::project::shape(&scene, 0, &camera).unwrap();
-    let got = mhsplat::pipeline::stage::screen_grad::mean_gradient(&shape, &sums);
+    let shape = shape(&scene, 0, &camera).unwrap();
+    let got = mean_gradient(&shape, &sums);
     let loss = |camera: &Camera64| loss_of(&scene, camera, &options, &photo, case.lambdas);
     for (k, got) in got.into_iter().enumerate() {
         let shifted = |by: f64| {

@@ -2,9 +2,9 @@
 
 use super::*;
 use mhsplat::base::constants::STAGE;
-use mhsplat::device::{Array, CameraArg, Projected};
+use mhsplat::device::{Array, Projected};
 use mhsplat::pipeline::buffers::ViewBuffers;
-use mhsplat::pipeline::stage::seen::Seen;
+use mhsplat::pipeline::stage::seen::mark;
 
 #[test]
 fn agrees_with_the_reference() {
@@ -54,15 +54,10 @@ fn seen_of(records: &[Projected<f64>], before: &[u32], tuning: Tuning) -> Vec<u3
     frame.isect_start = array("isect_start", &order);
     frame.isect_counts = array("isect_counts", &vec![1; n]);
     frame.order.values[0] = array("order", &order);
-    let camera = CameraArg {
-        size: [5, 5],
-        tiles: [1, 1],
-        ..CameraArg::default()
-    };
-    Seen::new::<f64>(&Kernels::new(&device, Defines::new(tuning)))
-        .unwrap()
-        .run(&frame, &camera, &shown, &seen)
-        .unwrap();
+    (frame.camera.size, frame.camera.tiles) = ([5, 5], [1, 1]);
+    let kernels = Kernels::new(&device, Defines::new(tuning));
+    let stage = kernels.build::<f64>("seen").unwrap();
+    mark(&stage, &frame, &shown, &seen).unwrap();
     seen.to_vec().unwrap()
 }
 

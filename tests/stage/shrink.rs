@@ -2,8 +2,8 @@
 
 use super::*;
 use mhsplat::capture::{Alpha, Photo};
-use mhsplat::device::Array;
-use mhsplat::pipeline::stage::shrink::Shrink;
+use mhsplat::device::{Array, ImageSize};
+use mhsplat::pipeline::stage::shrink::{reduce, shrink};
 
 /// A photo whose bytes take every value in no pattern.
 fn photo(width: u32, height: u32, alpha: Alpha) -> Photo {
@@ -24,12 +24,13 @@ fn shrunk(photo: &Photo, factor: u32) -> Vec<u8> {
         alpha: photo.alpha,
         ..Defines::new(device.tuning())
     };
-    let stage = Shrink::new::<f32>(&Kernels::new(&device, defines)).unwrap();
-    let size = [photo.width, photo.height].map(|s| s as usize);
+    let kernels = Kernels::new(&device, defines);
+    let stage = kernels.build::<f32>("shrink").unwrap();
+    let size = ImageSize([photo.width, photo.height].map(|s| s as usize));
     let from = Array::from_slice(&device, "photo", &photo.data).unwrap();
     let pixels = (photo.width / factor * (photo.height / factor)) as usize;
     let to = Array::zeros(&device, "small", photo.alpha.planes() * pixels).unwrap();
-    stage.run(&from, size, factor as usize, &to).unwrap();
+    reduce(&stage, &from, size, factor as usize, &to).unwrap();
     to.to_vec().unwrap()
 }
 
@@ -42,7 +43,7 @@ fn agrees_with_the_reference_to_the_byte() {
     ] {
         for factor in [2, 4, 8] {
             let photo = photo(size[0], size[1], alpha);
-            let want = mhsplat::pipeline::stage::shrink::shrink(&photo, factor);
+            let want = shrink(&photo, factor);
             assert_eq!(shrunk(&photo, factor), want.data, "{size:?} / {factor}");
         }
     }

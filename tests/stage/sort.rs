@@ -24,7 +24,7 @@ fn sorted(keys: &[u32], bits: u32, tuning: Tuning) -> Vec<u32> {
     let device = device();
     let kernels = Kernels::new(&device, Defines::new(tuning));
     let n = keys.len().max(1);
-    let mut elements = SortBuffers::new(&device, ["keys", "values"], n).unwrap();
+    let mut elements = SortBuffers::new(&device, ["keys", "values"], n, VISIBLE).unwrap();
     elements.keys[0].write(0, keys).unwrap();
     let positions: Vec<u32> = (0..keys.len() as u32).collect();
     elements.values[0].write(0, &positions).unwrap();
@@ -33,7 +33,7 @@ fn sorted(keys: &[u32], bits: u32, tuning: Tuning) -> Vec<u32> {
         .write(VISIBLE as usize, &[keys.len() as u32])
         .unwrap();
     let sort = Sort::new::<f32>(&kernels).unwrap();
-    sort.run(&mut elements, &status, VISIBLE, bits).unwrap();
+    sort.run(&mut elements, &status, bits).unwrap();
     elements.sorted_values().read(0, keys.len()).unwrap()
 }
 

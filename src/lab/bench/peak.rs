@@ -4,11 +4,11 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::device::tuning::Tuning;
-use crate::device::{Array, Defines, Device, DeviceKind, Kernels};
+use crate::device::{Array, Defines, Device, DeviceKind, Kernels, Program};
 use crate::lab::bench::options::Options;
 use crate::lab::bench::record::{Peak as Record, spread};
 use crate::lab::stats::Spread;
-use crate::pipeline::stage::peak::Peak;
+use crate::pipeline::stage::peak;
 use crate::run::clock::process_cpu_seconds;
 
 /// Bytes of each of the two arrays of the copy: far beyond the last level of any cache.
@@ -38,7 +38,7 @@ fn time(device: &Device, enqueue: impl FnOnce() -> Result<()>) -> Result<[f64; 2
 /// Runs both micro-benchmarks.
 pub(super) fn measure(device: &Device, options: &Options) -> Result<Record> {
     let own = device.tuning();
-    let build = |tuning| Peak::new::<f32>(&Kernels::new(device, Defines::new(tuning)));
+    let build = |tuning| Kernels::new(device, Defines::new(tuning)).build::<f32>("peak");
     let kernels = build(own)?;
     let (fma, fma_core) = fma(device, &kernels, options)?;
     let narrow = COPY_WIDTHS.map(|(vector_width, block_width)| {
@@ -60,11 +60,15 @@ pub(super) fn measure(device: &Device, options: &Options) -> Result<Record> {
 }
 
 /// 10⁹ FLOP per second of device time, and per second of CPU time if the device is the CPU.
-fn fma(device: &Device, peak: &Peak, options: &Options) -> Result<(Spread, Option<Spread>)> {
+fn fma(device: &Device, stage: &Program, options: &Options) -> Result<(Spread, Option<Spread>)> {
     let cpu = device.info().kind == DeviceKind::Cpu;
     let items = device.info().compute_units.max(1) as usize * if cpu { 16 } else { 2048 };
-    let out = Array::<f32>::zeros(device, "peak", items * peak.lanes())?;
-    let launch = |steps: u32| time(device, || peak.fma(items, steps, FACTORS, &out));
+    let out = Array::<f32>::zeros(device, "peak", items * stage.lanes())?;
+    let launch = |steps: u32| {
+        time(device, || {
+            peak::multiply_add(stage, items, steps, FACTORS, &out)
+        })
+    };
     launch(1)?;
     let mut steps = 1024u32;
     loop {
@@ -75,7 +79,7 @@ fn fma(device: &Device, peak: &Peak, options: &Options) -> Result<(Spread, Optio
         }
         steps = (f64::from(steps) * missing.min(16.0)) as u32;
     }
-    let giga = peak.flop(items, steps) * 1e-9;
+    let giga = peak::flop(stage, items, steps) * 1e-9;
     let times: Vec<[f64; 2]> = (0..options.samples)
         .map(|_| launch(steps))
         .collect::<Result<_>>()?;
@@ -84,18 +88,18 @@ fn fma(device: &Device, peak: &Peak, options: &Options) -> Result<(Spread, Optio
 }
 
 /// 10⁹ bytes read and written per second of device time, by the fastest of the kernels.
-fn copy(device: &Device, kernels: [Peak; 3], samples: usize) -> Result<Spread> {
+fn copy(device: &Device, kernels: [Program; 3], samples: usize) -> Result<Spread> {
     let info = device.info();
     let bytes = COPY_BYTES.min(info.max_alloc).min(info.global_memory / 8) as usize;
-    let lanes = kernels.iter().map(Peak::lanes).max().unwrap_or(1);
+    let lanes = kernels.iter().map(Program::lanes).max().unwrap_or(1);
     let len = (bytes / size_of::<f32>()).next_multiple_of(lanes);
     let [from, to] = [
         Array::<f32>::zeros(device, "peak copy", len)?,
         Array::<f32>::zeros(device, "peak copy", len)?,
     ];
     let giga = 2.0 * (len * size_of::<f32>()) as f64 * 1e-9;
-    let rate = |kernel: &Peak| {
-        let launch = || time(device, || kernel.copy(&from, &to));
+    let rate = |stage: &Program| {
+        let launch = || time(device, || peak::copy(stage, &from, &to));
         launch()?;
         let times: Vec<[f64; 2]> = (0..samples).map(|_| launch()).collect::<Result<_>>()?;
         spread("peak", times.iter().map(|[seconds, _]| giga / seconds))

@@ -7,13 +7,12 @@
 
 use crate::base::error::Result;
 use crate::density::ErrorStatistics;
-use crate::device::{Array, Defines, Device, Kernels, Real};
+use crate::device::{Array, Defines, Device, Kernels, Program, Real};
 use crate::lab::surrogate::births::{Birth, Shape};
 use crate::pipeline::backward::GRADIENT_ROWS;
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{Pipeline, Target};
-use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::ImagePair;
 use crate::scene::{Gaussians, Plane};
 use crate::train::estimates::{FaintPass, SHAPE, change, scaled_logit};
@@ -81,7 +80,7 @@ pub struct Instrument<R: Real> {
     pipeline: Pipeline<R>,
     /// Stages with the faint births' cut.
     faint: FaintPass<R>,
-    importance: Importance,
+    importance: Program,
     degree: u32,
 }
 
@@ -108,7 +107,7 @@ impl<R: Real> Instrument<R> {
         Ok(Self {
             scene: GaussianBuffers::upload(device, &splats, room)?,
             faint: FaintPass::new(device, defines, degree, cut, &pipeline)?,
-            importance: Importance::new::<R>(&kernels)?,
+            importance: kernels.build::<R>("importance")?,
             pipeline,
             degree,
             device: device.clone(),
@@ -142,7 +141,7 @@ impl<R: Real> Instrument<R> {
             background: self.setting.render.background,
             skip_blank: false,
         };
-        then(&self.pipeline.pair(&self.views.cameras[view], target)?)
+        then(&self.pipeline.pair(target)?)
     }
 
     /// Sums of each strip of the render made last: |x − y| and SSIM in turn.
@@ -165,14 +164,14 @@ impl<R: Real> Instrument<R> {
 
     /// Gradients of the rows from `first` (a multiple of 16) on from the render made last, ordinary or faint: opacity logit and
     /// log-scales.
-    fn gradients(&self, faint: bool, view: usize, first: usize) -> Result<[Vec<f64>; 4]> {
-        let (camera, dimage) = (&self.views.cameras[view], self.pipeline.image_gradient());
+    fn gradients(&self, faint: bool, first: usize) -> Result<[Vec<f64>; 4]> {
+        let dimage = self.pipeline.image_gradient();
         let (backward, forward) = match faint {
             true => (&self.faint.backward, &self.faint.forward),
             false => (&self.pipeline.backward, &self.pipeline.forward),
         };
         let rows = [first, self.degree as usize];
-        backward.plane_gradients(forward, &self.scene, camera, dimage, rows, SHAPE)
+        backward.plane_gradients(forward, &self.scene, dimage, rows, SHAPE)
     }
 
     /// Losses, sums and gradients of the scene as it is.
@@ -193,13 +192,12 @@ impl<R: Real> Instrument<R> {
             base.strips.push(strips);
             base.touched.push(self.pipeline.forward.intersected(0, n)?);
             self.with_pair(view, |pair| {
-                let (stage, camera) = (&self.importance, &self.views.cameras[view]);
-                let first = view == 0;
+                let (stage, first) = (&self.importance, view == 0);
                 self.pipeline
-                    .add_errors(stage, &self.scene, camera, pair, first, &sums)
+                    .add_errors(stage, &self.scene, pair, first, &sums)
             })?;
             self.image_gradient(view)?;
-            let gradients = self.gradients(false, view, 0)?;
+            let gradients = self.gradients(false, 0)?;
             for (sums, more) in base.gradients.iter_mut().zip(gradients) {
                 sums.iter_mut().zip(more).for_each(|(s, g)| *s += g / k);
             }
@@ -256,7 +254,7 @@ impl<R: Real> Instrument<R> {
             self.render(false, view, n)?;
             self.image_gradient(view)?;
             self.render(true, view, count)?;
-            let [slopes, ..] = self.gradients(true, view, first)?;
+            let [slopes, ..] = self.gradients(true, first)?;
             let touched = self.faint.forward.intersected(n, count)?;
             for (k, (p, b)) in probed.iter_mut().zip(births).enumerate() {
                 let logit = f64::from(b.shape.opacity_logit);

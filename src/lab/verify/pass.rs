@@ -17,16 +17,10 @@ use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{Pipeline, Target};
-use crate::pipeline::stage::adam::{Adam, LearningRates, Step};
-use crate::pipeline::stage::edit::Edit;
+use crate::pipeline::stage::adam::{LearningRates, Step};
 use crate::pipeline::stage::exposure::{apply, backward};
-use crate::pipeline::stage::filter::Filter;
-use crate::pipeline::stage::importance::Importance;
 use crate::pipeline::stage::loss::ImagePair;
-use crate::pipeline::stage::metrics::{Metrics, squared_error, sum_counted};
-use crate::pipeline::stage::noise::Noise;
-use crate::pipeline::stage::screen_grad::ScreenGrad;
-use crate::pipeline::stage::seen::Seen;
+use crate::pipeline::stage::{adam, edit, filter, metrics, noise, screen_grad, seen};
 use crate::scene::Plane;
 
 /// A named array of numbers.
@@ -113,7 +107,7 @@ pub(super) fn optimise<R: Real>(
     (rate, steps): (LearningRates, u32),
     frame: &ViewBuffers<R>,
 ) -> Result<[Array<R>; 2]> {
-    let stage = Adam::new::<R>(kernels)?;
+    let stage = kernels.build::<R>("adam")?;
     let zeros = |name| Array::zeros(kernels.device(), name, scene.params.len());
     let [m, v] = [zeros("moment1")?, zeros("moment2")?];
     for t in 1..=steps {
@@ -123,7 +117,7 @@ pub(super) fn optimise<R: Real>(
             t,
             restart: false,
         };
-        stage.run(scene, [&m, &v], block, &step, frame)?;
+        adam::update(&stage, scene, [&m, &v], block, &step, frame)?;
     }
     Ok([m, v])
 }
@@ -245,8 +239,8 @@ impl<'a, R: Real> Pass<'a, R> {
             let cameras: Vec<_> = views.map(|c| CameraArg::<R>::new(c)).collect();
             let cameras = Array::from_slice(device, "cameras", &cameras)?;
             let largest = Array::zeros(device, "largest", FILTER_CHUNKS as usize)?;
-            let stage = Filter::new::<R>(&self.kernels)?;
-            stage.run(&self.scene, &forward.frame, &cameras, &largest)?;
+            let stage = self.kernels.build::<R>("filter")?;
+            filter::compute(&stage, &self.scene, &forward.frame, &cameras, &largest)?;
         }
         let options = RenderOptions {
             sh_degree: self.case.sh_degree,
@@ -334,7 +328,7 @@ impl<'a, R: Real> Pass<'a, R> {
             background: self.case.background,
             skip_blank: true,
         };
-        self.pipeline.pair(&self.camera, target)
+        self.pipeline.pair(target)
     }
 
     /// Loss, its gradient and the error maps; returns the error statistics of the Gaussians after the same view twice.
@@ -346,11 +340,10 @@ impl<'a, R: Real> Pass<'a, R> {
         pipeline.loss_gradient(0, &pair, self.case.lambdas[0])?;
         pipeline.record_loss(&pair, &losses, 0)?;
         let gradient = self.image(pipeline.image_gradient(), 0..3)?;
-        let stage = Importance::new::<R>(&self.kernels)?;
+        let stage = self.kernels.build::<R>("importance")?;
         let sums = Array::zeros(self.device, "cues", 3 * self.scene.stride)?;
         for first_view in [true, false] {
-            let (scene, camera) = (&self.scene, &self.camera);
-            pipeline.add_errors(&stage, scene, camera, &pair, first_view, &sums)?;
+            pipeline.add_errors(&stage, &self.scene, &pair, first_view, &sums)?;
         }
         let maps = self.image(pipeline.error_maps(), 0..2)?;
         self.add("loss", "L1, SSIM", widen(losses.to_vec()?), |r, _| {
@@ -369,7 +362,7 @@ impl<'a, R: Real> Pass<'a, R> {
 
     /// Sums of the Gaussians and the gradients of their parameters, which are returned.
     fn gradients(&mut self) -> Result<Array<R>> {
-        self.pipeline.splat_gradient(&self.camera)?;
+        self.pipeline.splat_gradient()?;
         let got = self.sums()?;
         self.add("splat_grad", "sums", got, |r, _| r.sums());
 
@@ -377,7 +370,6 @@ impl<'a, R: Real> Pass<'a, R> {
         let [_, opacity, scale] = self.case.lambdas;
         self.pipeline.parameter_gradient(
             &self.scene,
-            &self.camera,
             self.case.sh_degree,
             [opacity, scale],
             &self.block(&values),
@@ -447,8 +439,8 @@ impl<'a, R: Real> Pass<'a, R> {
     /// Displacements by the noise, on a copy of the scene.
     fn noise(&mut self) -> Result<()> {
         let moved = self.copy_of_scene()?;
-        let stage = Noise::new::<R>(&self.kernels)?;
-        stage.run(&moved, self.frame(), &NOISE, NOISE_KEYS[0], NOISE_KEYS[1])?;
+        let stage = self.kernels.build::<R>("noise")?;
+        noise::perturb(&stage, &moved, self.frame(), &NOISE, NOISE_KEYS)?;
         let before = self.planes(&self.scene.params, Plane::LOG_SCALE)?;
         let after = self.planes(&moved.params, Plane::LOG_SCALE)?;
         let got = after.iter().zip(&before).map(|(a, b)| a - b).collect();
@@ -457,10 +449,10 @@ impl<'a, R: Real> Pass<'a, R> {
     }
 
     fn screen_gradients(&mut self) -> Result<()> {
-        let stage = ScreenGrad::new::<R>(&self.kernels)?;
+        let stage = self.kernels.build::<R>("screen_grad")?;
         let sums = Array::zeros(self.device, "cues", 2 * self.scene.stride)?;
         for _ in 0..2 {
-            stage.run(&self.scene, self.frame(), &self.camera, &sums)?;
+            screen_grad::add_norms(&stage, &self.scene, self.frame(), &sums)?;
         }
         let mut norms = self.planes(&sums, 2)?;
         let iterations = norms.split_off(self.scene.count);
@@ -481,7 +473,8 @@ impl<'a, R: Real> Pass<'a, R> {
         let before: Vec<u32> = seen_before(self.scene.count).collect();
         let seen = Array::from_slice(self.device, "seen", &before)?;
         let shown = Array::zeros(self.device, "shown", frame.intersection_capacity())?;
-        Seen::new::<R>(&self.kernels)?.run(frame, &self.camera, &shown, &seen)?;
+        let stage = self.kernels.build::<R>("seen")?;
+        seen::mark(&stage, frame, &shown, &seen)?;
         let got = seen.to_vec()?.into_iter().map(f64::from).collect();
         self.add("seen", "Gaussians", got, |r, _| r.seen());
         Ok(())
@@ -490,7 +483,8 @@ impl<'a, R: Real> Pass<'a, R> {
     /// Edits of the rows after the optimiser's steps.
     fn edit(&mut self, scene: &GaussianBuffers<R>, [m, v]: &[Array<R>; 2]) -> Result<()> {
         let edits = Array::from_slice(self.device, "edits", &self.case.edits)?;
-        Edit::new::<R>(&self.kernels)?.run(scene, [m, v], &edits)?;
+        let stage = self.kernels.build::<R>("edit")?;
+        edit::write_rows(&stage, scene, [m, v], &edits)?;
         let planes = |a: &Array<R>| self.planes(a, scene.planes());
         let got = [planes(&scene.params)?, planes(m)?, planes(v)?].concat();
         let case = self.case;
@@ -502,7 +496,7 @@ impl<'a, R: Real> Pass<'a, R> {
 
     /// Scores of the render; 1 − SSIM is the sum of the device's own error map.
     fn metrics(&mut self) -> Result<()> {
-        let stage = Metrics::new::<R>(&self.kernels)?;
+        let stage = self.kernels.build::<R>("metrics")?;
         // The stage clamps the render in place.
         let image = self.copy(&self.frame().image)?;
         let pair = ImagePair {
@@ -511,16 +505,16 @@ impl<'a, R: Real> Pass<'a, R> {
         };
         let [w, h] = pair.size.0;
         let rows = Array::zeros(self.device, "score", 3 * h)?;
-        stage.dissimilarity(&pair, self.pipeline.error_maps(), &rows)?;
-        stage.run(&pair, &rows)?;
+        metrics::sum_dissimilarity(&stage, &pair, self.pipeline.error_maps(), &rows)?;
+        metrics::score(&stage, &pair, &rows)?;
         let sum = |k: usize| Ok(vec![widen(rows.read(k * h, h)?).iter().sum::<f64>()]);
         self.add("metrics", "squared error", sum(0)?, |r, _| {
             let mask = r.mask.as_deref();
-            vec![squared_error(&r.pass.image, &r.photo, mask)]
+            vec![metrics::squared_error(&r.pass.image, &r.photo, mask)]
         });
         let floor = self.add("metrics", "1 - SSIM", sum(2)?, |r, out| {
             let map = &out.got("loss", "error maps")[..r.camera.pixels()];
-            vec![sum_counted(map, r.mask.as_deref())]
+            vec![metrics::sum_counted(map, r.mask.as_deref())]
         });
         // It is nothing but rounding where pictures agree.
         *floor = 1e-3 * (w * h) as f64;
@@ -535,8 +529,8 @@ impl<'a, R: Real> Pass<'a, R> {
         let zeros = vec![R::of(0.0); start.len()];
         model.restore(&[start, zeros.clone(), zeros])?;
         let gradient = self.copy(self.pipeline.image_gradient())?;
-        model.stage.apply(&frame.image, plane, VIEW)?;
-        model.stage.backward(&frame.image, plane, VIEW, &gradient)?;
+        model.stage.apply(frame, VIEW)?;
+        model.stage.backward(frame, VIEW, &gradient)?;
         for iteration in 0..2 {
             let step = Step {
                 rate: EXPOSURE_RATE,

@@ -1,35 +1,19 @@
 //! Tiles of a masked photo in which any pixel counts, or of a transparent one in which any is not clear (`kernels/active_tiles.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernels, Program, Real};
+use crate::device::{Array, ImageSize, Program};
 use crate::pipeline::reference::TILE;
 
-/// The kernel.
-#[derive(Debug)]
-pub struct ActiveTiles(Program);
-
-impl ActiveTiles {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("active_tiles").map(Self)
-    }
-
-    /// Marks the active tiles of a photo of a camera's size.
-    pub fn run<R: Real>(
-        &self,
-        photo: &Array<u8>,
-        camera: &CameraArg<R>,
-        active_tiles: &Array<u32>,
-    ) -> Result<()> {
-        let ([w, h], tiles) = (camera.image().0, camera.tile_count());
-        self.0
-            .launch("active_tiles")
-            .array(photo, 4 * w * h)
-            .ints([w, h])
-            .tiles(camera)
-            .array(active_tiles, tiles)
-            .over_chunks([tiles, 1])
-    }
+/// Marks the active tiles of a photo of this size.
+pub fn mark(stage: &Program, photo: &Array<u8>, size: ImageSize, tiles: &Array<u32>) -> Result<()> {
+    let ([w, h], count) = (size.0, size.tile_count());
+    stage
+        .launch("active_tiles")
+        .array(photo, 4 * w * h)
+        .ints([w, h])
+        .tiles(size)
+        .array(tiles, count)
+        .over_chunks([count, 1])
 }
 
 // Definition in f64.

@@ -1,7 +1,7 @@
 //! Optimiser of the raw parameters (`kernels/adam.cl`): Adam, Kingma and Ba 2015, algorithm 1.
 
 use crate::base::error::Result;
-use crate::device::{Array, Kernels, Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 
@@ -53,38 +53,26 @@ impl<T> Step<T> {
     }
 }
 
-/// The kernel.
-#[derive(Debug)]
-pub struct Adam(Program);
-
-impl Adam {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("adam").map(Self)
-    }
-
-    /// Enqueues one step of the Gaussians of a block; after an overflow in the view nothing changes.
-    pub fn run<R: Real>(
-        &self,
-        scene: &GaussianBuffers<R>,
-        [m, v]: [&Array<R>; 2],
-        grads: &GradientBlock<'_, R>,
-        step: &Step<LearningRates>,
-        view: &ViewBuffers<R>,
-    ) -> Result<()> {
-        let vectors = self.0.vectors(grads.rows.len());
-        let r = &step.rate;
-        self.0
-            .launch("adam")
-            .array(grads.values, grads.planes * grads.stride)
-            .uints([grads.stride, grads.rows.start, vectors, scene.stride])
-            .reals::<R>([r.position, r.scale, r.rotation, r.opacity, r.sh0, r.sh])
-            .reals::<R>(step.arguments::<R>())
-            .reals::<R>([step.first_weight::<R>()])
-            .arrays([&scene.params, m, v], grads.planes * scene.stride)
-            .status(view)
-            .over_items([vectors, grads.planes])
-    }
+/// Enqueues one step of the Gaussians of a block; after an overflow in the view nothing changes.
+pub fn update<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    [m, v]: [&Array<R>; 2],
+    grads: &GradientBlock<'_, R>,
+    step: &Step<LearningRates>,
+    view: &ViewBuffers<R>,
+) -> Result<()> {
+    let (r, vectors) = (&step.rate, stage.vectors(grads.rows.len()));
+    stage
+        .launch("adam")
+        .array(grads.values, grads.planes * grads.stride)
+        .uints([grads.stride, grads.rows.start, vectors, scene.stride])
+        .reals::<R>([r.position, r.scale, r.rotation, r.opacity, r.sh0, r.sh])
+        .reals::<R>(step.arguments::<R>())
+        .reals::<R>([step.first_weight::<R>()])
+        .arrays([&scene.params, m, v], grads.planes * scene.stride)
+        .status(view)
+        .over_items([vectors, grads.planes])
 }
 
 // Definition in f64.

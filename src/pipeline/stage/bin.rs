@@ -2,116 +2,87 @@
 
 use crate::base::constants::TILE_SLACK;
 use crate::base::error::Result;
-use crate::device::{CameraArg, Kernels, Launch, Program, Real};
+use crate::device::{Launch, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, TILE};
 use crate::pipeline::stage::project::Projected64;
 
-/// The kernels.
-#[derive(Debug)]
-pub struct Bin(Program);
+/// Counts the visible Gaussians in each chunk.
+pub fn count_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
+    over_keys(stage.launch("bin_visible"), view).over_chunks([stage.chunks(), 1])
+}
 
-impl Bin {
-    /// Builds the kernels.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("bin").map(Self)
-    }
+/// Writes keys and indices of the visible Gaussians.
+pub fn compact_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
+    over_keys(stage.launch("bin_compact"), view)
+        .arrays([&view.visible.keys[0], &view.visible.values[0]], view.count)
+        .over_chunks([stage.chunks(), 1])
+}
 
-    /// Counts the visible ones of `count` Gaussians in each chunk.
-    pub fn visible<R: Real>(&self, view: &ViewBuffers<R>, count: usize) -> Result<()> {
-        self.over_keys("bin_visible", view, count)
-            .over_chunks([self.0.chunks(), 1])
-    }
+/// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`.
+pub fn count_pairs<R: Real>(
+    stage: &Program,
+    view: &ViewBuffers<R>,
+    active_only: bool,
+) -> Result<()> {
+    over_records(stage.launch("bin_count"), view, active_only)
+        .arrays([&view.counts, &view.isect_counts], view.count)
+        .over_batches(view.count)
+}
 
-    /// Writes keys and indices of the visible ones of `count` Gaussians.
-    pub fn compact<R: Real>(&self, view: &ViewBuffers<R>, count: usize) -> Result<()> {
-        self.over_keys("bin_compact", view, count)
-            .arrays([&view.visible.keys[0], &view.visible.values[0]], count)
-            .over_chunks([self.0.chunks(), 1])
-    }
+/// Writes the pairs that [`count_pairs`] counted.
+pub fn emit_pairs<R: Real>(
+    stage: &Program,
+    view: &ViewBuffers<R>,
+    active_only: bool,
+) -> Result<()> {
+    over_records(stage.launch("bin_emit"), view, active_only)
+        .arrays([&view.offsets, &view.isect_start], view.count)
+        .arrays([&view.order.keys[0], &view.order.values[0]], 1)
+        .array(&view.isect_owner, 1)
+        .over_batches(view.count)
+}
 
-    /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`.
-    pub fn count<R: Real>(
-        &self,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        count: usize,
-        active_only: bool,
-    ) -> Result<()> {
-        self.over_records("bin_count", view, camera, count, active_only)
-            .arrays([&view.counts, &view.isect_counts], count)
-            .over_batches(count)
-    }
+/// Finds the first of the sorted pairs of each tile.
+pub fn find_ranges<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
+    let tiles = view.camera.tile_count();
+    stage
+        .launch("bin_ranges")
+        .array(view.order.sorted_keys(), 1)
+        .status(view)
+        .uints([tiles])
+        .array(&view.tile_start, tiles + 1)
+        .over_items([tiles + 1, 1])
+}
 
-    /// Writes the pairs that [`Bin::count`] counted.
-    pub fn emit<R: Real>(
-        &self,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        count: usize,
-        active_only: bool,
-    ) -> Result<()> {
-        self.over_records("bin_emit", view, camera, count, active_only)
-            .arrays([&view.offsets, &view.isect_start], count)
-            .arrays([&view.order.keys[0], &view.order.values[0]], 1)
-            .array(&view.isect_owner, 1)
-            .over_batches(count)
-    }
+/// Adds the arguments of a sweep over the keys of all Gaussians.
+fn over_keys<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>) -> Launch<'k> {
+    let chunks = launch.defines().tuning.chunks;
+    launch
+        .array(&view.keys, view.count)
+        .uints([view.count, chunks])
+        .array(&view.chunk_sums, chunks)
+}
 
-    /// Finds the first of the sorted pairs of each tile.
-    pub fn ranges<R: Real>(&self, view: &ViewBuffers<R>, camera: &CameraArg<R>) -> Result<()> {
-        let tiles = camera.tile_count();
-        self.0
-            .launch("bin_ranges")
-            .array(view.order.sorted_keys(), 1)
-            .status(view)
-            .uints([tiles])
-            .array(&view.tile_start, tiles + 1)
-            .over_items([tiles + 1, 1])
+/// Adds the arguments of a walk over the tiles of the visible Gaussians.
+fn over_records<'k, R: Real>(
+    mut launch: Launch<'k>,
+    view: &ViewBuffers<R>,
+    active_only: bool,
+) -> Launch<'k> {
+    let camera = &view.camera;
+    launch = launch
+        .array(&view.records, view.count)
+        .array(view.visible.sorted_values(), view.count)
+        .status(view)
+        .uints([camera.tiles[0] as usize]);
+    if launch.defines().masked() {
+        launch = launch
+            .array(&view.active_tiles, camera.tile_count())
+            .value(i32::from(active_only));
     }
-
-    /// A sweep over the keys of all Gaussians.
-    fn over_keys<R: Real>(
-        &self,
-        kernel: &'static str,
-        view: &ViewBuffers<R>,
-        count: usize,
-    ) -> Launch<'_> {
-        let chunks = self.0.chunks();
-        self.0
-            .launch(kernel)
-            .array(&view.keys, count)
-            .uints([count, chunks])
-            .array(&view.chunk_sums, chunks)
-    }
-
-    /// A walk over the tiles of the visible Gaussians.
-    fn over_records<R: Real>(
-        &self,
-        kernel: &'static str,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        count: usize,
-        active_only: bool,
-    ) -> Launch<'_> {
-        let mut launch = self
-            .0
-            .launch(kernel)
-            .array(&view.records, count)
-            .array(view.visible.sorted_values(), count)
-            .status(view)
-            .uints([camera.tiles[0] as usize]);
-        if self.0.defines().masked() {
-            let active_tiles = if active_only {
-                &view.active_tiles
-            } else {
-                &view.status
-            };
-            launch = launch.array(active_tiles, 1).value(i32::from(active_only));
-        }
-        launch.array(&view.cover, 2 * count)
-    }
+    launch.array(&view.cover, 2 * view.count)
 }
 
 // Definition in f64.

@@ -1,68 +1,56 @@
 //! Changes of the set of Gaussians: rows that density control writes, an opacity reset, another order (`kernels/edit.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, Kernels, Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::GaussianBuffers;
 use crate::scene::{self, Plane};
 
-/// The kernels.
-#[derive(Debug)]
-pub struct Edit(Program);
-
-impl Edit {
-    /// Builds the kernels.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("edit").map(Self)
+/// Writes rows of parameters and moments.
+pub fn write_rows<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    [m, v]: [&Array<R>; 2],
+    edits: &Array<scene::Edit>,
+) -> Result<()> {
+    if edits.is_empty() {
+        return Ok(());
     }
+    stage
+        .launch("edit")
+        .array(edits, edits.len())
+        .uints([edits.len(), scene.stride])
+        .arrays([&scene.params, m, v], scene.planes() * scene.stride)
+        .over_items([edits.len(), scene.planes()])
+}
 
-    /// Writes rows of parameters and moments.
-    pub fn run<R: Real>(
-        &self,
-        scene: &GaussianBuffers<R>,
-        [m, v]: [&Array<R>; 2],
-        edits: &Array<scene::Edit>,
-    ) -> Result<()> {
-        if edits.is_empty() {
-            return Ok(());
-        }
-        self.0
-            .launch("edit")
-            .array(edits, edits.len())
-            .uints([edits.len(), scene.stride])
-            .arrays([&scene.params, m, v], scene.planes() * scene.stride)
-            .over_items([edits.len(), scene.planes()])
-    }
+/// Lowers the opacity logits to `limit` at most and clears their moments.
+pub fn limit_opacity<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    [m, v]: [&Array<R>; 2],
+    limit: f64,
+) -> Result<()> {
+    stage
+        .launch("edit_limit_opacity")
+        .uints([scene.count, scene.stride])
+        .reals::<R>([limit])
+        .arrays([&scene.params, m, v], (Plane::OPACITY + 1) * scene.stride)
+        .over_items([scene.count, 1])
+}
 
-    /// Lowers the opacity logits to `limit` at most and clears their moments.
-    pub fn limit_opacity<R: Real>(
-        &self,
-        scene: &GaussianBuffers<R>,
-        [m, v]: [&Array<R>; 2],
-        limit: f64,
-    ) -> Result<()> {
-        self.0
-            .launch("edit_limit_opacity")
-            .uints([scene.count, scene.stride])
-            .reals::<R>([limit])
-            .arrays([&scene.params, m, v], (Plane::OPACITY + 1) * scene.stride)
-            .over_items([scene.count, 1])
-    }
-
-    /// Copies row `order[i]` of `from` to row i of `to`; rows of `to` beyond `order` stay as they are.
-    pub fn reorder<R: Real>(
-        &self,
-        order: &Array<u32>,
-        [planes, stride]: [usize; 2],
-        from: &Array<R>,
-        to: &Array<R>,
-    ) -> Result<()> {
-        self.0
-            .launch("edit_reorder")
-            .array(order, order.len())
-            .uints([order.len(), stride])
-            .arrays([from, to], planes * stride)
-            .over_items([order.len(), planes])
-    }
+/// Copies row `order[i]` of `from` to row i of `to`; rows of `to` beyond `order` stay as they are.
+pub fn gather_rows<R: Real>(
+    stage: &Program,
+    order: &Array<u32>,
+    [planes, stride]: [usize; 2],
+    [from, to]: [&Array<R>; 2],
+) -> Result<()> {
+    stage
+        .launch("edit_reorder")
+        .array(order, order.len())
+        .uints([order.len(), stride])
+        .arrays([from, to], planes * stride)
+        .over_items([order.len(), planes])
 }
 
 // Definition in f64.

@@ -1,8 +1,11 @@
 //! An affine colour transform of each training image (`kernels/exposure.cl`).
 
+use glam::{Mat3, Vec3};
+
 use crate::base::error::Result;
 use crate::device::tuning::status::SLOTS;
 use crate::device::{Array, Kernels, Launch, Program, Real};
+use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::stage::adam::Step;
 
 /// Entries of \[A | b\], row-major 3 × 4.
@@ -20,14 +23,13 @@ pub fn exposed(e: &[f32], x: [f32; 3]) -> [f32; 3] {
 /// A⁻¹ (y − b), or y if A is nearly singular.
 #[must_use]
 pub fn unexposed(e: &[f32], y: [f32; 3]) -> [f32; 3] {
-    let row = |r: usize| glam::Vec3::new(e[4 * r], e[4 * r + 1], e[4 * r + 2]);
-    let a = glam::Mat3::from_cols(row(0), row(1), row(2)).transpose();
-    let invertible = a.determinant().abs() > 1e-3; // a NaN fails this, too
-    if !invertible {
-        return y;
+    let [red, green, blue] = [0, 4, 8].map(|row| Vec3::from_slice(&e[row..]));
+    let a = Mat3::from_cols(red, green, blue).transpose();
+    let from = Vec3::from(y) - Vec3::new(e[3], e[7], e[11]);
+    match a.determinant().abs() > 1e-3 {
+        true => (a.inverse() * from).to_array(),
+        false => y, // for NaN, too
     }
-    let from = glam::Vec3::new(y[0] - e[3], y[1] - e[7], y[2] - e[11]);
-    (a.inverse() * from).to_array()
 }
 
 /// The kernels, the transforms of the training views and the arrays of their steps.
@@ -52,12 +54,10 @@ impl<R: Real> Exposures<R> {
         let program = kernels.build::<R>("exposure")?;
         let start = IDENTITY.map(R::of).repeat(views);
         let zeros = |name, len| Array::zeros(kernels.device(), name, len);
+        let moment = |name| zeros(name, start.len());
         Ok(Self {
             transforms: Array::from_slice(kernels.device(), "exposures", &start)?,
-            moments: [
-                zeros("exposure moment1", start.len())?,
-                zeros("exposure moment2", start.len())?,
-            ],
+            moments: [moment("exposure moment1")?, moment("exposure moment2")?],
             corrected: zeros("corrected", 3 * plane)?,
             partial: zeros("exposure partial", ENTRIES * program.chunks())?,
             grads: zeros("exposure grads", ENTRIES)?,
@@ -65,37 +65,31 @@ impl<R: Real> Exposures<R> {
         })
     }
 
-    /// Writes A x + b of every pixel of a view's render to `corrected`; `plane` is the number of pixels of a padded plane.
-    pub fn apply(&self, image: &Array<R>, plane: usize, view: usize) -> Result<()> {
-        self.over_image("exposure_apply", image, plane, view)
-            .array(&self.corrected, 3 * plane)
+    /// Writes A x + b of every pixel of the render of training view `number` to `corrected`.
+    pub fn apply(&self, view: &ViewBuffers<R>, number: usize) -> Result<()> {
+        self.over_image("exposure_apply", view, number)
+            .array(&self.corrected, 3 * view.camera.image().plane())
             .over_chunks([self.program.chunks(), 1])
     }
 
     /// Turns the gradient by the corrected image in `dimage` into that by the render, and leaves the sums for
     /// [`Exposures::step`].
-    pub fn backward(
-        &self,
-        image: &Array<R>,
-        plane: usize,
-        view: usize,
-        dimage: &Array<R>,
-    ) -> Result<()> {
+    pub fn backward(&self, view: &ViewBuffers<R>, number: usize, dimage: &Array<R>) -> Result<()> {
         let chunks = self.program.chunks();
-        self.over_image("exposure_backward", image, plane, view)
-            .array(dimage, 3 * plane)
+        self.over_image("exposure_backward", view, number)
+            .array(dimage, 3 * view.camera.image().plane())
             .array(&self.partial, ENTRIES * chunks)
             .over_chunks([chunks, 1])
     }
 
     /// Enqueues one step of the transforms of all views, whose mean stays the identity; after an overflow nothing changes.
-    pub fn step(&self, view: usize, step: &Step, status: &Array<u32>) -> Result<()> {
+    pub fn step(&self, number: usize, step: &Step, status: &Array<u32>) -> Result<()> {
         let (len, chunks) = (self.transforms.len(), self.program.chunks());
         let ([m, v], views) = (&self.moments, len / ENTRIES);
         self.program
             .launch("exposure_step")
             .array(&self.partial, ENTRIES * chunks)
-            .uints([chunks, view, views])
+            .uints([chunks, number, views])
             .reals::<R>([step.rate])
             .reals::<R>(step.arguments::<R>())
             .arrays([&self.transforms, m, v], len)
@@ -110,20 +104,15 @@ impl<R: Real> Exposures<R> {
             .run([ENTRIES, 1], [1, 1])
     }
 
-    /// A sweep over the image.
-    fn over_image(
-        &self,
-        kernel: &'static str,
-        image: &Array<R>,
-        plane: usize,
-        view: usize,
-    ) -> Launch<'_> {
+    /// A sweep over the image of a view.
+    fn over_image(&self, kernel: &'static str, view: &ViewBuffers<R>, number: usize) -> Launch<'_> {
+        let plane = view.camera.image().plane();
         self.program
             .launch(kernel)
-            .array(image, 3 * plane)
+            .array(&view.image, 3 * plane)
             .uints([plane, self.program.chunks()])
-            .array(&self.transforms, ENTRIES * (view + 1))
-            .uints([view])
+            .array(&self.transforms, ENTRIES * (number + 1))
+            .uints([number])
     }
 }
 

@@ -1,43 +1,32 @@
 //! Error statistics of each Gaussian: the error maps of a view under the projected centre (`kernels/importance.cl`; \[MH\] Eq. 11, 13).
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernels, Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
 
-/// The kernel.
-#[derive(Debug)]
-pub struct Importance(Program);
-
-impl Importance {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("importance").map(Self)
-    }
-
-    /// Adds the errors of a view to `statistics`, which `first_view` sets to zero before; `maps` are those of
-    /// [`crate::pipeline::stage::loss::Loss::errors`]. After an overflow in the view nothing changes.
-    pub fn run<R: Real>(
-        &self,
-        scene: &GaussianBuffers<R>,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        maps: &Array<R>,
-        first_view: bool,
-        statistics: &Array<R>,
-    ) -> Result<()> {
-        self.0
-            .launch("importance")
-            .scene(scene, 3)
-            .value(*camera)
-            .array(maps, 2 * camera.image().plane())
-            .ints(camera.image().padded())
-            .value(i32::from(first_view))
-            .status(view)
-            .array(statistics, 3 * scene.stride)
-            .over_gaussians(scene.count)
-    }
+/// Adds the errors of a view to `statistics`, which `first_view` sets to zero before; `maps` are those of
+/// [`crate::pipeline::stage::loss::Loss::errors`]. After an overflow in the view nothing changes.
+pub fn add_errors<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    maps: &Array<R>,
+    first_view: bool,
+    statistics: &Array<R>,
+) -> Result<()> {
+    let size = view.camera.image();
+    stage
+        .launch("importance")
+        .scene(scene, 3)
+        .value(view.camera)
+        .array(maps, 2 * size.plane())
+        .ints(size.padded())
+        .value(i32::from(first_view))
+        .status(view)
+        .array(statistics, 3 * scene.stride)
+        .over_gaussians(scene.count)
 }
 
 // Definition in f64.

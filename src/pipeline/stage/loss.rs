@@ -2,17 +2,9 @@
 
 use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS};
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, ImageSize, Kernels, Launch, Program, Real};
-use crate::pipeline::buffers::Blank;
+use crate::device::{Array, ImageSize, Kernels, Launch, Program, Real};
+use crate::pipeline::buffers::{Blank, ViewBuffers};
 use crate::pipeline::launch::Arguments;
-
-/// The kernels.
-#[derive(Debug)]
-pub struct Loss {
-    program: Program,
-    /// An array for the arguments that say what is blank, when nothing does.
-    nowhere: Array<u32>,
-}
 
 /// A rendered image and its photo.
 #[derive(Debug)]
@@ -30,30 +22,28 @@ pub struct ImagePair<'a, R: Real> {
 }
 
 impl<'a, R: Real> ImagePair<'a, R> {
-    /// A render and a photo of a camera, of which nothing is skipped.
+    /// The image of the view rendered last and its photo, of which nothing is skipped.
     #[must_use]
-    pub fn new(
-        image: &'a Array<R>,
-        photo: &'a Array<u8>,
-        camera: &CameraArg<R>,
-        background: [f32; 3],
-    ) -> Self {
+    pub fn new(view: &'a ViewBuffers<R>, photo: &'a Array<u8>, background: [f32; 3]) -> Self {
         Self {
-            image,
+            image: &view.image,
             photo,
             background,
-            size: camera.image(),
+            size: view.camera.image(),
             blank: None,
         }
     }
 
     /// The pair with nothing skipped.
     #[must_use]
-    pub fn everywhere(self) -> Self {
-        Self {
-            blank: None,
-            ..self
-        }
+    pub fn everywhere(mut self) -> Self {
+        self.blank = None;
+        self
+    }
+
+    /// Number of colour values of each.
+    fn values(&self) -> f64 {
+        (3 * self.size.0[0] * self.size.0[1]) as f64
     }
 
     /// Adds render and photo, with their size and the padded size.
@@ -65,84 +55,100 @@ impl<'a, R: Real> ImagePair<'a, R> {
     }
 }
 
-impl Loss {
-    /// Builds the kernels.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
+/// The kernels and their scratch.
+#[derive(Debug)]
+pub struct Loss<R: Real> {
+    program: Program,
+    /// Derivatives of SSIM by the channel at hand, or the error maps.
+    pub maps: Array<R>,
+    /// Sums of |x − y| and SSIM of each strip and channel, in turn.
+    pub partial: Array<R>,
+    /// An array for the arguments that say what is blank, when nothing does.
+    nowhere: Array<u32>,
+}
+
+/// Work-items (columns, groups of rows) over an image.
+fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
+    let ([w, h], strip) = (size.padded(), program.defines().tuning.strip);
+    [w.div_ceil(strip as usize), h.div_ceil(LOSS_ROWS as usize)]
+}
+
+/// Length of [`Loss::partial`] for an image.
+fn partial_len(program: &Program, size: ImageSize) -> usize {
+    3 * 2 * strips(program, size).iter().product::<usize>()
+}
+
+impl<R: Real> Loss<R> {
+    /// Builds the kernels for images of at most `largest` pixels; gradients need three planes of maps, errors two.
+    pub fn new(kernels: &Kernels, largest: ImageSize, planes: usize) -> Result<Self> {
+        let program = kernels.build::<R>("loss")?;
+        let zeros = |name, len| Array::zeros(kernels.device(), name, len);
         Ok(Self {
-            program: kernels.build::<R>("loss")?,
+            maps: zeros("maps", planes * largest.plane())?,
+            partial: zeros("partial", partial_len(&program, largest))?,
             nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
+            program,
         })
     }
 
-    /// Work-items (columns, groups of rows) over an image.
-    fn strips(&self, size: ImageSize) -> [usize; 2] {
-        let ([w, h], strip) = (size.padded(), self.program.defines().tuning.strip);
-        [w.div_ceil(strip as usize), h.div_ceil(LOSS_ROWS as usize)]
-    }
-
-    /// Length of `partial` for an image: two values for each strip and channel.
-    #[must_use]
-    pub fn partial_len(&self, size: ImageSize) -> usize {
-        let [x, y] = self.strips(size);
-        3 * 2 * x * y
-    }
-
-    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) by the render to `dimage` and the sums for [`Loss::sum`] to `partial`;
-    /// `maps` is scratch.
-    pub fn gradient<R: Real>(
-        &self,
-        pair: &ImagePair<'_, R>,
-        lambda_ssim: f64,
-        maps: &Array<R>,
-        partial: &Array<R>,
-        dimage: &Array<R>,
-    ) -> Result<()> {
-        let ([w, h], values) = (pair.size.0, 3 * pair.size.plane());
-        let n = (3 * w * h) as f64;
+    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) by the render to `dimage`, and the sums of the strips.
+    pub fn gradient(&self, pair: &ImagePair<'_, R>, lambda: f64, dimage: &Array<R>) -> Result<()> {
+        let (strips, values) = (strips(&self.program, pair.size), 3 * pair.size.plane());
+        let weights = [1.0 - lambda, lambda].map(|weight| weight / pair.values());
         for channel in 0..3 {
-            self.channel("loss_forward", pair, channel)
-                .ints([0])
-                .array(maps, values)
-                .array(partial, self.partial_len(pair.size))
-                .over_chunks(self.strips(pair.size))?;
+            self.maps_of(pair, channel, false).over_chunks(strips)?;
             self.channel("loss_backward", pair, channel)
-                .array(maps, values)
-                .reals::<R>([(1.0 - lambda_ssim) / n, lambda_ssim / n])
+                .array(&self.maps, values)
+                .reals::<R>(weights)
                 .array(dimage, values)
-                .over_chunks(self.strips(pair.size))?;
+                .over_chunks(strips)?;
         }
         Ok(())
     }
 
-    /// Writes the channel means of 1 − SSIM and |x − y| to `maps` and the sums for [`Loss::sum`] to `partial`; the time is
-    /// counted as importance's.
-    pub fn errors<R: Real>(
-        &self,
-        pair: &ImagePair<'_, R>,
-        maps: &Array<R>,
-        partial: &Array<R>,
-    ) -> Result<()> {
+    /// Writes the channel means of 1 − SSIM and |x − y| to the maps, and the sums of the strips; the time is counted as
+    /// importance's.
+    pub fn errors(&self, pair: &ImagePair<'_, R>) -> Result<()> {
         (0..3).try_for_each(|channel| {
-            self.channel("loss_forward", pair, channel)
+            self.maps_of(pair, channel, true)
                 .counted_as("importance")
-                .ints([1])
-                .array(maps, 2 * pair.size.plane())
-                .array(partial, self.partial_len(pair.size))
-                .over_chunks(self.strips(pair.size))
+                .over_chunks(strips(&self.program, pair.size))
         })
     }
 
+    /// Writes the means of |x − y| and SSIM, from the sums of the strips, to `out[2·slot..]`.
+    pub fn sum(&self, pair: &ImagePair<'_, R>, out: &Array<R>, slot: usize) -> Result<()> {
+        let len = partial_len(&self.program, pair.size);
+        self.program
+            .launch("loss_sum")
+            .array(&self.partial, len)
+            .uints([len / 2])
+            .reals::<R>([1.0 / pair.values()])
+            .array(out, 2 * (slot + 1))
+            .uints([slot])
+            .once()
+    }
+
+    /// Sums of |x − y| and SSIM of each strip and channel of the pair compared last, in turn; waits.
+    pub fn read_strips(&self, size: ImageSize) -> Result<Vec<R>> {
+        self.partial.read(0, partial_len(&self.program, size))
+    }
+
+    /// A sweep that writes the maps of a channel, of errors or of derivatives, and the sums of the strips.
+    fn maps_of(&self, pair: &ImagePair<'_, R>, channel: usize, errors: bool) -> Launch<'_> {
+        let planes = if errors { 2 } else { 3 };
+        self.channel("loss_forward", pair, channel)
+            .value(i32::from(errors))
+            .array(&self.maps, planes * pair.size.plane())
+            .array(&self.partial, partial_len(&self.program, pair.size))
+    }
+
     /// A sweep over a channel of both images.
-    fn channel<R: Real>(
-        &self,
-        kernel: &'static str,
-        pair: &ImagePair<'_, R>,
-        channel: usize,
-    ) -> Launch<'_> {
+    fn channel(&self, kernel: &'static str, pair: &ImagePair<'_, R>, at: usize) -> Launch<'_> {
         let launch = pair
             .images(self.program.launch(kernel))
-            .ints([channel])
-            .reals::<R>([f64::from(pair.background[channel])]);
+            .ints([at])
+            .reals::<R>([f64::from(pair.background[at])]);
         if !self.program.defines().skips_blank() {
             return launch;
         }
@@ -154,25 +160,6 @@ impl Loss {
                 .array(b.tile_start, tiles + 1),
             None => launch.ints([0]).arrays([&self.nowhere; 2], 1),
         }
-    }
-
-    /// Writes the means of |x − y| and SSIM to `out[2·slot..]`.
-    pub fn sum<R: Real>(
-        &self,
-        pair: &ImagePair<'_, R>,
-        partial: &Array<R>,
-        out: &Array<R>,
-        slot: usize,
-    ) -> Result<()> {
-        let ([w, h], len) = (pair.size.0, self.partial_len(pair.size));
-        self.program
-            .launch("loss_sum")
-            .array(partial, len)
-            .uints([len / 2])
-            .reals::<R>([1.0 / (3 * w * h) as f64])
-            .array(out, 2 * (slot + 1))
-            .uints([slot])
-            .once()
     }
 }
 

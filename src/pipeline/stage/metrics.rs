@@ -1,47 +1,36 @@
 //! Squared error and SSIM of a clamped render (`kernels/metrics.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, Kernels, Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::stage::loss::ImagePair;
 
-/// The kernels.
-#[derive(Debug)]
-pub struct Metrics(Program);
+/// Clamps the render in place and writes the squared error of each row (all channels) and the number of its pixels
+/// that count to rows 0 and 1 of `score`.
+pub fn score<R: Real>(stage: &Program, pair: &ImagePair<'_, R>, score: &Array<R>) -> Result<()> {
+    let [_, h] = pair.size.0;
+    pair.images(stage.launch("metrics"))
+        .reals::<R>(pair.background.map(f64::from))
+        .array(score, 2 * h)
+        .over_chunks([h, 1])
+}
 
-impl Metrics {
-    /// Builds the kernels.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("metrics").map(Self)
-    }
-
-    /// Clamps the render in place and writes the squared error of each row (all channels) and the number of its pixels
-    /// that count to rows 0 and 1 of `score`.
-    pub fn run<R: Real>(&self, pair: &ImagePair<'_, R>, score: &Array<R>) -> Result<()> {
-        let [_, h] = pair.size.0;
-        pair.images(self.0.launch("metrics"))
-            .reals::<R>(pair.background.map(f64::from))
-            .array(score, 2 * h)
-            .over_chunks([h, 1])
-    }
-
-    /// Sums 1 − SSIM of each row over its pixels that count into row 2 of `score`; `maps` are those of
-    /// [`crate::pipeline::stage::loss::Loss::errors`] of the clamped render.
-    pub fn dissimilarity<R: Real>(
-        &self,
-        pair: &ImagePair<'_, R>,
-        maps: &Array<R>,
-        score: &Array<R>,
-    ) -> Result<()> {
-        let ([_, h], [stride, _]) = (pair.size.0, pair.size.padded());
-        self.0
-            .launch("metrics_ssim")
-            .array(maps, pair.size.plane())
-            .photo(pair.photo, pair.size)
-            .ints([stride])
-            .array(score, 3 * h)
-            .over_chunks([h, 1])
-    }
+/// Sums 1 − SSIM of each row over its pixels that count into row 2 of `score`; `maps` are those of
+/// [`crate::pipeline::stage::loss::Loss::errors`] of the clamped render.
+pub fn sum_dissimilarity<R: Real>(
+    stage: &Program,
+    pair: &ImagePair<'_, R>,
+    maps: &Array<R>,
+    score: &Array<R>,
+) -> Result<()> {
+    let ([_, h], [stride, _]) = (pair.size.0, pair.size.padded());
+    stage
+        .launch("metrics_ssim")
+        .array(maps, pair.size.plane())
+        .photo(pair.photo, pair.size)
+        .ints([stride])
+        .array(score, 3 * h)
+        .over_chunks([h, 1])
 }
 
 // Definition in f64.

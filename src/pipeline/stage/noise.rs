@@ -5,41 +5,29 @@ use crate::base::error::Result;
 use crate::base::math::sigmoid;
 use crate::base::rng::Philox;
 use crate::density::NoiseLaw;
-use crate::device::{Kernels, Program, Real};
+use crate::device::{Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Scene64, product, rotation, transpose, unit_quaternion};
 use crate::scene::Plane;
 
-/// The kernel.
-#[derive(Debug)]
-pub struct Noise(Program);
-
-impl Noise {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("noise").map(Self)
-    }
-
-    /// Moves the positions by the law, whose rate is in local units here; random numbers are keyed by the seed of the run
-    /// and a stream (see `Stream::stream`). After an overflow in the view nothing changes.
-    pub fn run<R: Real>(
-        &self,
-        scene: &GaussianBuffers<R>,
-        view: &ViewBuffers<R>,
-        law: &NoiseLaw,
-        seed: u64,
-        stream: u64,
-    ) -> Result<()> {
-        self.0
-            .launch("noise")
-            .uints([scene.stride, scene.count])
-            .uints([seed, seed >> 32, stream, stream >> 32].map(|word| word as usize))
-            .reals::<R>([law.rate, law.steepness, law.opacity])
-            .status(view)
-            .array(&scene.params, (Plane::OPACITY + 1) * scene.stride)
-            .over_gaussians(scene.count)
-    }
+/// Moves the positions by the law, whose rate is in local units here; random numbers are keyed by the seed of the run
+/// and a stream (see `Stream::stream`). After an overflow in the view nothing changes.
+pub fn perturb<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    law: &NoiseLaw,
+    [seed, stream]: [u64; 2],
+) -> Result<()> {
+    stage
+        .launch("noise")
+        .uints([scene.stride, scene.count])
+        .uints([seed, seed >> 32, stream, stream >> 32].map(|word| word as usize))
+        .reals::<R>([law.rate, law.steepness, law.opacity])
+        .status(view)
+        .array(&scene.params, (Plane::OPACITY + 1) * scene.stride)
+        .over_gaussians(scene.count)
 }
 
 // Definition in f64.

@@ -4,7 +4,7 @@
 use crate::base::constants::{COLOR_MAX, LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
-use crate::device::{CameraArg, Kernels, Program, Real};
+use crate::device::{Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{
@@ -12,34 +12,22 @@ use crate::pipeline::reference::{
 };
 use crate::scene::{Plane, sh, sh_coefficients};
 
-/// The kernel, specialised for one SH degree.
-#[derive(Debug)]
-pub struct Project(Program);
-
-impl Project {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("project").map(Self)
-    }
-
-    /// Writes records and keys and zeroes the numbers of pairs; `depth_as_color` composites the depth (local units) in place
-    /// of the colour.
-    pub fn run<R: Real>(
-        &self,
-        scene: &GaussianBuffers<R>,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        depth_as_color: bool,
-    ) -> Result<()> {
-        self.0
-            .launch("project")
-            .gaussians(scene)
-            .value(*camera)
-            .value(i32::from(depth_as_color))
-            .array(&view.records, scene.count)
-            .arrays([&view.keys, &view.isect_counts], scene.count)
-            .over_gaussians(scene.count)
-    }
+/// Writes the records and keys of a view and zeroes the numbers of pairs; `depth_as_color` composites the depth (local units)
+/// in place of the colour. The kernel is built for one SH degree.
+pub fn write_records<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    depth_as_color: bool,
+) -> Result<()> {
+    stage
+        .launch("project")
+        .gaussians(scene)
+        .value(view.camera)
+        .value(i32::from(depth_as_color))
+        .array(&view.records, scene.count)
+        .arrays([&view.keys, &view.isect_counts], scene.count)
+        .over_gaussians(scene.count)
 }
 
 // Definition in f64.

@@ -3,7 +3,7 @@
 use crate::base::constants::{LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
-use crate::device::{CameraArg, Kernels, Program, Real};
+use crate::device::{Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options, Scene64, product, transpose, unit_quaternion};
@@ -11,40 +11,28 @@ use crate::pipeline::stage::project::{Area64, Shape64, color, cross, shape};
 use crate::pipeline::stage::screen_grad::mean_gradient;
 use crate::scene::{Plane, sh, sh_coefficients};
 
-/// The kernel, specialised for one SH degree.
-#[derive(Debug)]
-pub struct ProjectGrad(Program);
-
-impl ProjectGrad {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("project_grad").map(Self)
-    }
-
-    /// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included. After an overflow
-    /// in the view no Gaussian has pairs.
-    pub fn run<R: Real>(
-        &self,
-        scene: &GaussianBuffers<R>,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        [lambda_opacity, lambda_scale]: [f64; 2],
-        grads: &GradientBlock<'_, R>,
-    ) -> Result<()> {
-        let n = scene.count.max(1) as f64;
-        let planes = Plane::count(self.0.defines().sh_degree);
-        self.0
-            .launch("project_grad")
-            .gaussians(scene)
-            .uints([grads.rows.start, grads.stride])
-            .value(*camera)
-            .arrays([&view.isect_start, &view.isect_counts], scene.count)
-            .status(view)
-            .array(&view.sums, 1)
-            .reals::<R>([lambda_opacity / n, lambda_scale / (3.0 * n)])
-            .array(grads.values, planes * grads.stride)
-            .over_gaussians(grads.rows.len())
-    }
+/// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included. After an overflow
+/// in the view no Gaussian has pairs. The kernel is built for one SH degree.
+pub fn write_gradients<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    [lambda_opacity, lambda_scale]: [f64; 2],
+    grads: &GradientBlock<'_, R>,
+) -> Result<()> {
+    let n = scene.count.max(1) as f64;
+    let planes = Plane::count(stage.defines().sh_degree);
+    stage
+        .launch("project_grad")
+        .gaussians(scene)
+        .uints([grads.rows.start, grads.stride])
+        .value(view.camera)
+        .arrays([&view.isect_start, &view.isect_counts], scene.count)
+        .status(view)
+        .array(&view.sums, 1)
+        .reals::<R>([lambda_opacity / n, lambda_scale / (3.0 * n)])
+        .array(grads.values, planes * grads.stride)
+        .over_gaussians(grads.rows.len())
 }
 
 // Definition in f64.

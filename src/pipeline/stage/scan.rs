@@ -2,13 +2,9 @@
 
 use crate::base::error::Result;
 use crate::device::tuning::status::{INTERSECTIONS, SLOTS, VISIBLE};
-use crate::device::{Array, Kernels, Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
-
-/// The kernels.
-#[derive(Debug)]
-pub struct Scan(Program);
 
 /// Number of elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,55 +15,53 @@ pub enum Count {
     Known(usize),
 }
 
-impl Scan {
-    /// Builds the kernels.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("scan").map(Self)
-    }
-
-    /// Writes the sums of the pairs before each of `n` elements to `out` and the number of pairs to the status; more pairs
-    /// than there is room for raise the overflow flag.
-    pub fn pairs<R: Real>(
-        &self,
-        view: &ViewBuffers<R>,
-        values: &Array<u32>,
-        n: Count,
-        out: &Array<u32>,
-    ) -> Result<()> {
-        let chunks = self.0.chunks();
-        let [slot, known] = match n {
-            Count::Slot(slot) => [slot as usize, 0],
-            Count::Known(n) => [SLOTS, n],
-        };
-        let over_values = |kernel| {
-            self.0
-                .launch(kernel)
-                .array(values, 1)
-                .status(view)
-                .uints([slot, known, chunks])
-                .array(&view.chunk_sums, chunks)
-        };
-        over_values("scan_sums").over_chunks([chunks, 1])?;
-        self.totals(view, INTERSECTIONS, view.intersection_capacity())?;
-        over_values("scan_write")
-            .array(out, 1)
-            .over_chunks([chunks, 1])
-    }
-
-    /// Writes the sums of the visible Gaussians before each chunk and their number to the status.
-    pub fn visible<R: Real>(&self, view: &ViewBuffers<R>) -> Result<()> {
-        self.totals(view, VISIBLE, view.keys.len())
-    }
-
-    fn totals<R: Real>(&self, view: &ViewBuffers<R>, slot: u32, capacity: usize) -> Result<()> {
-        self.0
-            .launch("scan_chunks")
-            .array(&view.chunk_sums, self.0.chunks())
-            .uints([self.0.chunks()])
+/// Writes the sums of the pairs before each of `n` elements to `out` and the number of pairs to the status; more pairs
+/// than there is room for raise the overflow flag.
+pub fn sum_pairs<R: Real>(
+    stage: &Program,
+    view: &ViewBuffers<R>,
+    values: &Array<u32>,
+    n: Count,
+    out: &Array<u32>,
+) -> Result<()> {
+    let chunks = stage.chunks();
+    let [slot, known] = match n {
+        Count::Slot(slot) => [slot as usize, 0],
+        Count::Known(n) => [SLOTS, n],
+    };
+    let over_values = |kernel| {
+        stage
+            .launch(kernel)
+            .array(values, 1)
             .status(view)
-            .uints([slot as usize, capacity])
-            .once()
-    }
+            .uints([slot, known, chunks])
+            .array(&view.chunk_sums, chunks)
+    };
+    over_values("scan_sums").over_chunks([chunks, 1])?;
+    sum_chunks(stage, view, INTERSECTIONS, view.intersection_capacity())?;
+    over_values("scan_write")
+        .array(out, 1)
+        .over_chunks([chunks, 1])
+}
+
+/// Writes the sums of the visible Gaussians before each chunk and their number to the status.
+pub fn sum_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
+    sum_chunks(stage, view, VISIBLE, view.keys.len())
+}
+
+fn sum_chunks<R: Real>(
+    stage: &Program,
+    view: &ViewBuffers<R>,
+    slot: u32,
+    capacity: usize,
+) -> Result<()> {
+    stage
+        .launch("scan_chunks")
+        .array(&view.chunk_sums, stage.chunks())
+        .uints([stage.chunks()])
+        .status(view)
+        .uints([slot as usize, capacity])
+        .once()
 }
 
 // Definition in f64.

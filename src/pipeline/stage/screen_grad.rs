@@ -3,41 +3,29 @@
 
 use crate::base::constants::SUMS;
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernels, Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
 use crate::pipeline::stage::project::{Shape64, shape};
 
-/// The kernel.
-#[derive(Debug)]
-pub struct ScreenGrad(Program);
-
-impl ScreenGrad {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("screen_grad").map(Self)
-    }
-
-    /// Adds the norms of one iteration to `statistics`; after an overflow in the view nothing changes.
-    pub fn run<R: Real>(
-        &self,
-        scene: &GaussianBuffers<R>,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        statistics: &Array<R>,
-    ) -> Result<()> {
-        self.0
-            .launch("screen_grad")
-            .array(&view.records, scene.count)
-            .uints([scene.stride, scene.count])
-            .arrays([&view.isect_start, &view.isect_counts], scene.count)
-            .array(&view.sums, SUMS)
-            .ints(camera.image().0)
-            .status(view)
-            .array(statistics, 2 * scene.stride)
-            .over_items([scene.count, 1])
-    }
+/// Adds the norms of one iteration to `statistics`; after an overflow in the view nothing changes.
+pub fn add_norms<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    statistics: &Array<R>,
+) -> Result<()> {
+    stage
+        .launch("screen_grad")
+        .array(&view.records, scene.count)
+        .uints([scene.stride, scene.count])
+        .arrays([&view.isect_start, &view.isect_counts], scene.count)
+        .array(&view.sums, SUMS)
+        .ints(view.camera.image().0)
+        .status(view)
+        .array(statistics, 2 * scene.stride)
+        .over_items([scene.count, 1])
 }
 
 // Definition in f64.

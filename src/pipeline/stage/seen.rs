@@ -1,49 +1,37 @@
 //! Gaussians that any pixel of a view shows (`kernels/seen.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernels, Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::Camera64;
 use crate::pipeline::stage::project::Projected64;
 use crate::pipeline::stage::splat::{contributions, list_at};
 
-/// The kernels.
-#[derive(Debug)]
-pub struct Seen(Program);
-
-impl Seen {
-    /// Builds the kernels.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("seen").map(Self)
-    }
-
-    /// Marks the Gaussians that a view with sorted pairs shows in `seen`, which has a value for each; `shown` is scratch with
-    /// one for each pair.
-    pub fn run<R: Real>(
-        &self,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        shown: &Array<u8>,
-        seen: &Array<u32>,
-    ) -> Result<()> {
-        let count = seen.len();
-        self.0
-            .launch("seen_pairs")
-            .tile_lists(view, camera)
-            .tiles(camera)
-            .ints(camera.image().0)
-            .array(seen, count)
-            .array(shown, view.isect_owner.len())
-            .over_tiles(camera)?;
-        self.0
-            .launch("seen_gather")
-            .uints([count])
-            .arrays([&view.isect_start, &view.isect_counts], count)
-            .array(shown, 1)
-            .array(seen, count)
-            .over_items([count, 1])
-    }
+/// Marks the Gaussians that a view with sorted pairs shows in `seen`, which has a value for each; `shown` is scratch with
+/// one for each pair.
+pub fn mark<R: Real>(
+    stage: &Program,
+    view: &ViewBuffers<R>,
+    shown: &Array<u8>,
+    seen: &Array<u32>,
+) -> Result<()> {
+    let (size, count) = (view.camera.image(), seen.len());
+    stage
+        .launch("seen_pairs")
+        .tile_lists(view)
+        .tiles(size)
+        .ints(size.0)
+        .array(seen, count)
+        .array(shown, view.isect_owner.len())
+        .over_tiles(size)?;
+    stage
+        .launch("seen_gather")
+        .uints([count])
+        .arrays([&view.isect_start, &view.isect_counts], count)
+        .array(shown, 1)
+        .array(seen, count)
+        .over_items([count, 1])
 }
 
 // Definition in f64.

@@ -3,36 +3,25 @@
 use crate::base::constants::SHRINK_RUN;
 use crate::base::error::Result;
 use crate::capture::Photo;
-use crate::device::{Array, ImageSize, Kernels, Program, Real};
+use crate::device::{Array, ImageSize, Program};
 use crate::pipeline::launch::Arguments;
 
-/// The kernel.
-#[derive(Debug)]
-pub struct Shrink(Program);
-
-impl Shrink {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("shrink").map(Self)
-    }
-
-    /// Writes a photo at 1/`factor` of its size to `small`.
-    pub fn run(
-        &self,
-        photo: &Array<u8>,
-        size: [usize; 2],
-        factor: usize,
-        small: &Array<u8>,
-    ) -> Result<()> {
-        let [w, h] = size.map(|s| s / factor);
-        let planes = self.0.defines().photo_planes();
-        self.0
-            .launch("shrink")
-            .photo(photo, ImageSize(size))
-            .ints([planes, factor])
-            .array(small, planes * w * h)
-            .over_chunks([w.div_ceil(SHRINK_RUN as usize), planes * h])
-    }
+/// Writes a photo at 1/`factor` of its size to `small`.
+pub fn reduce(
+    stage: &Program,
+    photo: &Array<u8>,
+    size: ImageSize,
+    factor: usize,
+    small: &Array<u8>,
+) -> Result<()> {
+    let [w, h] = size.0.map(|s| s / factor);
+    let planes = stage.defines().photo_planes();
+    stage
+        .launch("shrink")
+        .photo(photo, size)
+        .ints([planes, factor])
+        .array(small, planes * w * h)
+        .over_chunks([w.div_ceil(SHRINK_RUN as usize), planes * h])
 }
 
 // Definition in f64.

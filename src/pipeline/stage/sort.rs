@@ -29,71 +29,50 @@ impl Sort {
     fn passes(&self, bits: u32, n: usize) -> u32 {
         let tuning = self.program.defines().tuning;
         let min = bits.div_ceil(tuning.radix_bits).max(1);
-        let cost = |passes: u32| {
-            let bins = 1usize << bits.div_ceil(passes);
+        let cost = |passes: &u32| {
+            let bins = 1usize << bits.div_ceil(*passes);
             // Every element is read twice and written; every counter of a chunk and bin is zeroed, summed and rewritten.
-            passes as usize * 3 * (n + tuning.chunks * bins)
+            *passes as usize * 3 * (n + tuning.chunks * bins)
         };
-        (min..=bits.max(min))
-            .min_by_key(|p| cost(*p))
-            .unwrap_or(min)
+        (min..=bits.max(min)).min_by_key(cost).unwrap_or(min)
     }
 
-    /// Sorts as many elements as the slot `n_slot` of the status array says by the lowest `bits` bits of their keys.
-    pub fn run(
-        &self,
-        elements: &mut SortBuffers,
-        status: &Array<u32>,
-        n_slot: u32,
-        bits: u32,
-    ) -> Result<()> {
+    /// Sorts as many elements as the status array says by the lowest `bits` bits of their keys.
+    pub fn run(&self, elements: &mut SortBuffers, status: &Array<u32>, bits: u32) -> Result<()> {
+        let (program, chunks) = (&self.program, self.program.chunks());
         let passes = self.passes(bits, elements.keys[0].len());
         let per_pass = bits.div_ceil(passes).max(1);
+        let bins = 1 << per_pass;
         for pass in 0..passes {
-            elements.sorted = pass as usize % 2;
-            let shift = (pass * per_pass) as usize;
-            self.pass(elements, status, n_slot, shift, 1 << per_pass)?;
+            let (from, shift) = (pass as usize % 2, (pass * per_pass) as usize);
+            let over_keys = |kernel| {
+                program
+                    .launch(kernel)
+                    .array(&elements.keys[from], 1)
+                    .array(status, SLOTS)
+                    .uints([elements.count_slot as usize, chunks, shift, bins])
+                    .array(&self.histogram, chunks * bins)
+            };
+            let over_bins = |kernel| {
+                program
+                    .launch(kernel)
+                    .array(&self.histogram, chunks * bins)
+                    .uints([chunks, bins])
+                    .array(&self.totals, bins)
+                    .over_items([bins, 1])
+            };
+            over_keys("sort_histogram").over_chunks([chunks, 1])?;
+            over_bins("sort_totals")?;
+            let totals = program.launch("sort_bins").array(&self.totals, bins);
+            totals.uints([bins]).once()?;
+            over_bins("sort_offsets")?;
+            over_keys("sort_scatter")
+                .array(&elements.values[from], 1)
+                .arrays([&elements.keys[1 - from], &elements.values[1 - from]], 1)
+                .over_chunks([chunks, 1])?;
         }
         elements.sorted = passes as usize % 2;
         Ok(())
-    }
-
-    /// Sorts by the bits from `shift` on that `bins` values have, out of the sorted arrays into the others.
-    fn pass(
-        &self,
-        elements: &SortBuffers,
-        status: &Array<u32>,
-        n_slot: u32,
-        shift: usize,
-        bins: usize,
-    ) -> Result<()> {
-        let (program, chunks) = (&self.program, self.program.chunks());
-        let to = 1 - elements.sorted;
-        let over_keys = |kernel| {
-            program
-                .launch(kernel)
-                .array(elements.sorted_keys(), 1)
-                .array(status, SLOTS)
-                .uints([n_slot as usize, chunks, shift, bins])
-                .array(&self.histogram, chunks * bins)
-        };
-        let over_bins = |kernel| {
-            program
-                .launch(kernel)
-                .array(&self.histogram, chunks * bins)
-                .uints([chunks, bins])
-                .array(&self.totals, bins)
-                .over_items([bins, 1])
-        };
-        over_keys("sort_histogram").over_chunks([chunks, 1])?;
-        over_bins("sort_totals")?;
-        let totals = program.launch("sort_bins").array(&self.totals, bins);
-        totals.uints([bins]).once()?;
-        over_bins("sort_offsets")?;
-        over_keys("sort_scatter")
-            .array(elements.sorted_values(), 1)
-            .arrays([&elements.keys[to], &elements.values[to]], 1)
-            .over_chunks([chunks, 1])
     }
 }
 

@@ -2,38 +2,23 @@
 
 use crate::base::constants::{ALPHA_MAX, T_MIN};
 use crate::base::error::Result;
-use crate::device::{CameraArg, Kernels, Program, Real};
+use crate::device::{Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options, TILE};
 use crate::pipeline::stage::project::Projected64;
 
-/// The kernel.
-#[derive(Debug)]
-pub struct Splat(Program);
-
-impl Splat {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("splat").map(Self)
-    }
-
-    /// Composites the sorted pairs of a view over a background colour.
-    pub fn run<R: Real>(
-        &self,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        background: [f32; 3],
-    ) -> Result<()> {
-        self.0
-            .launch("splat")
-            .tile_lists(view, camera)
-            .tiles(camera)
-            .reals::<R>(background.map(f64::from))
-            .array(&view.image, 4 * camera.image().plane())
-            .array(&view.tile_used, camera.tile_count())
-            .over_tiles(camera)
-    }
+/// Composites the sorted pairs of a view over a background colour.
+pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3]) -> Result<()> {
+    let size = view.camera.image();
+    stage
+        .launch("splat")
+        .tile_lists(view)
+        .tiles(size)
+        .reals::<R>(color.map(f64::from))
+        .array(&view.image, 4 * size.plane())
+        .array(&view.tile_used, size.tile_count())
+        .over_tiles(size)
 }
 
 // Definition in f64.

@@ -1,40 +1,29 @@
 //! Derivative of the compositing (`kernels/splat_grad.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Kernels, Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options};
 use crate::pipeline::stage::project::Projected64;
 use crate::pipeline::stage::splat::{contributions, list_at};
 
-/// The kernel.
-#[derive(Debug)]
-pub struct SplatGrad(Program);
-
-impl SplatGrad {
-    /// Builds the kernel.
-    pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
-        kernels.build::<R>("splat_grad").map(Self)
-    }
-
-    /// Writes nine sums for each pair of the view composited last, from the gradient of the loss by its image.
-    pub fn run<R: Real>(
-        &self,
-        view: &ViewBuffers<R>,
-        camera: &CameraArg<R>,
-        dimage: &Array<R>,
-    ) -> Result<()> {
-        self.0
-            .launch("splat_grad")
-            .tile_lists(view, camera)
-            .array(&view.tile_used, camera.tile_count())
-            .tiles(camera)
-            .array(&view.image, 4 * camera.image().plane())
-            .array(dimage, 3 * camera.image().plane())
-            .array(&view.sums, 1)
-            .over_tiles(camera)
-    }
+/// Writes nine sums for each pair of the view composited last, from the gradient of the loss by its image.
+pub fn write_sums<R: Real>(
+    stage: &Program,
+    view: &ViewBuffers<R>,
+    dimage: &Array<R>,
+) -> Result<()> {
+    let size = view.camera.image();
+    stage
+        .launch("splat_grad")
+        .tile_lists(view)
+        .array(&view.tile_used, size.tile_count())
+        .tiles(size)
+        .array(&view.image, 4 * size.plane())
+        .array(dimage, 3 * size.plane())
+        .array(&view.sums, 1)
+        .over_tiles(size)
 }
 
 // Definition in f64.
