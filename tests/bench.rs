@@ -145,7 +145,7 @@ fn lanes_are_those_of_a_brute_force_count() {
         renderer
             .render(&on_device, &arg, &RenderOptions::default())
             .unwrap();
-        let work = TileWork::read(&renderer, &arg, splats.len()).unwrap();
+        let work = TileWork::read(&renderer).unwrap();
         assert!(work.visible > 100 && work.used() > work.visible);
         assert!(work.used() <= work.pairs);
         let lanes = work.lanes(&tuning);

@@ -47,7 +47,7 @@ impl Backward {
 
     /// Takes the image gradient of the view rendered last back to sums per tile intersection.
     pub fn splats<R: Real>(&self, forward: &Renderer<R>, dimage: &Array<R>) -> Result<()> {
-        splat_grad::write_sums(&self.splat_grad, &forward.frame, dimage)
+        splat_grad::backward(&self.splat_grad, &forward.frame, dimage)
     }
 
     /// Takes the sums per tile intersection back to the raw parameters of a block of Gaussians; `lambdas` weigh the regularisers on opacity and scale.
@@ -60,7 +60,7 @@ impl Backward {
         grads: &GradientBlock<'_, R>,
     ) -> Result<()> {
         let stage = &self.project_grad[(sh_degree - self.lowest) as usize];
-        project_grad::write_gradients(stage, scene, &forward.frame, lambdas, grads)
+        project_grad::backward(stage, scene, &forward.frame, lambdas, grads)
     }
 
     /// Derivatives of the loss by some planes of the parameters, from the image gradient of the view rendered last, of the

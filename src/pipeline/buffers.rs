@@ -146,19 +146,14 @@ pub struct SortBuffers {
 }
 
 impl SortBuffers {
-    /// Room for `len` elements.
-    pub fn new(
-        device: &Device,
-        names: [&'static str; 2],
-        len: usize,
-        count_slot: u32,
-    ) -> Result<Self> {
+    /// Room for `len` elements, whose number is in this slot of the status array.
+    pub fn new(device: &Device, names: [&'static str; 2], len: usize, slot: u32) -> Result<Self> {
         let zeros = |name| Array::zeros(device, name, len);
         Ok(Self {
             keys: [zeros(names[0])?, zeros(names[0])?],
             values: [zeros(names[1])?, zeros(names[1])?],
             sorted: 0,
-            count_slot,
+            count_slot: slot,
         })
     }
 
@@ -175,7 +170,7 @@ impl SortBuffers {
     }
 }
 
-/// Arrays of one view from projected Gaussians to the image; they grow and never shrink.
+/// Camera of one view and its arrays from projected Gaussians to the image; they grow and never shrink.
 #[derive(Debug)]
 pub struct ViewBuffers<R: Real> {
     /// Camera of the view rendered last.

@@ -155,12 +155,12 @@ impl<R: Real> Renderer<R> {
     /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile.
     fn intersect_tiles(&mut self, active_only: bool) -> Result<()> {
         let f = &mut self.frame;
-        bin::count_pairs(&self.bin, f, active_only)?;
+        bin::count(&self.bin, f, active_only)?;
         let visible = Count::Slot(status::VISIBLE);
-        scan::sum_pairs(&self.scan, f, &f.counts, visible, &f.offsets)?;
+        scan::sum_pairs(&self.scan, f, visible, [&f.counts, &f.offsets])?;
         let all = Count::Known(f.count);
-        scan::sum_pairs(&self.scan, f, &f.isect_counts, all, &f.isect_start)?;
-        bin::emit_pairs(&self.bin, f, active_only)?;
+        scan::sum_pairs(&self.scan, f, all, [&f.isect_counts, &f.isect_start])?;
+        bin::emit(&self.bin, f, active_only)?;
         let bits = usize::BITS - f.camera.tile_count().leading_zeros();
         self.sort.run(&mut f.order, &f.status, bits)
     }
@@ -203,9 +203,10 @@ impl<R: Real> Renderer<R> {
         seen.to_vec()
     }
 
-    /// Flags of the Gaussians from `first` to `count` that intersect any tile of the view rendered last.
-    pub fn intersected(&self, first: usize, count: usize) -> Result<Vec<bool>> {
-        let counts = self.frame.isect_counts.read(first, count - first)?;
+    /// Flags of the Gaussians from `first` on that intersect any tile of the view rendered last.
+    pub fn intersected(&self, first: usize) -> Result<Vec<bool>> {
+        let f = &self.frame;
+        let counts = f.isect_counts.read(first, f.count - first)?;
         Ok(counts.into_iter().map(|n| n > 0).collect())
     }
 

@@ -167,7 +167,7 @@ impl Estimates {
         for (background_of, view) in (at.iteration..).zip(&views) {
             let number = [background_of as usize, *view];
             let [faint, sources] = self.in_view(at, &scene, number, degree, shared)?;
-            let touched = self.pass.forward.intersected(n, scene.count)?;
+            let touched = self.pass.forward.intersected(n)?;
             for (k, (sum, trial)) in changes.iter_mut().zip(trials).enumerate() {
                 let logit = f64::from(trial.birth.opacity_logit);
                 let mut here = change(faint[0][n - first + k], logit, EPSILON_SINGLE);

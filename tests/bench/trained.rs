@@ -28,9 +28,7 @@ fn pairs_of(splats: &Gaussians, anti_alias: bool) -> f64 {
         renderer
             .render(&scene, &camera, &RenderOptions::default())
             .unwrap();
-        TileWork::read(&renderer, &camera, scene.count)
-            .unwrap()
-            .pairs as f64
+        TileWork::read(&renderer).unwrap().pairs as f64
     });
     pairs.sum::<f64>() / f64::from(scene::VIEWS)
 }

@@ -35,7 +35,7 @@ fn scanned_by(n: Count, values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>)
     let visible = [values.len() as u32];
     frame.status.write(VISIBLE as usize, &visible).unwrap();
     let stage = kernels.build::<f32>("scan").unwrap();
-    sum_pairs(&stage, &frame, &input, n, &out).unwrap();
+    sum_pairs(&stage, &frame, n, [&input, &out]).unwrap();
     let status = frame.status.to_vec().unwrap();
     (out.read(0, values.len()).unwrap(), status)
 }

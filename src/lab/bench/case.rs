@@ -145,7 +145,7 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
     for view in views {
         let camera = CameraArg::<f32>::new(&view.camera);
         renderer.render(scene, &camera, &options)?;
-        let work = TileWork::read(renderer, &camera, scene.count)?;
+        let work = TileWork::read(renderer)?;
         load.visible += each * work.visible as f64;
         load.pairs += each * work.pairs as f64;
         load.lanes += each * work.lanes(&tuning) as f64;

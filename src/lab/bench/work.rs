@@ -3,7 +3,7 @@
 use crate::base::constants::{SUMS, TILE};
 use crate::base::error::Result;
 use crate::device::tuning::{Tuning, status};
-use crate::device::{CameraArg, Projected, Real};
+use crate::device::{Projected, Real};
 use crate::pipeline::forward::Renderer;
 
 /// The stages of an iteration, in the order of the tables.
@@ -42,16 +42,12 @@ pub struct TileWork {
 }
 
 impl TileWork {
-    /// Reads the lists of the view that `renderer` rendered last (of `count` Gaussians) back from the device.
-    pub fn read<R: Real>(
-        renderer: &Renderer<R>,
-        camera: &CameraArg<R>,
-        count: usize,
-    ) -> Result<Self> {
+    /// Reads the lists of the view that `renderer` rendered last back from the device.
+    pub fn read<R: Real>(renderer: &Renderer<R>) -> Result<Self> {
         let frame = &renderer.frame;
         let counters = frame.status.to_vec()?;
         let pairs = counters[status::INTERSECTIONS as usize] as usize;
-        let [tiles_x, tiles] = [camera.tiles[0] as usize, camera.tile_count()];
+        let [tiles_x, tiles] = [frame.camera.tiles[0] as usize, frame.camera.tile_count()];
         let order = frame.order.sorted_values().read(0, pairs)?;
         let owner = frame.isect_owner.read(0, pairs)?;
         let start = frame.tile_start.read(0, tiles)?;
@@ -62,7 +58,12 @@ impl TileWork {
         };
         let bounds = |r: &Projected<R>| [r.bx, r.by];
         Ok(Self {
-            bounds: frame.records.read(0, count)?.iter().map(bounds).collect(),
+            bounds: frame
+                .records
+                .read(0, frame.count)?
+                .iter()
+                .map(bounds)
+                .collect(),
             tiles: start.iter().zip(&used).map(of_tile).collect(),
             tiles_x,
             visible: counters[status::VISIBLE as usize] as usize,

@@ -190,7 +190,7 @@ impl<R: Real> Instrument<R> {
             let loss = self.setting.lambda_ssim + self.weigh(view, sum(0), sum(1));
             base.losses.push(loss);
             base.strips.push(strips);
-            base.touched.push(self.pipeline.forward.intersected(0, n)?);
+            base.touched.push(self.pipeline.forward.intersected(0)?);
             self.with_pair(view, |pair| {
                 let (stage, first) = (&self.importance, view == 0);
                 self.pipeline
@@ -255,7 +255,7 @@ impl<R: Real> Instrument<R> {
             self.image_gradient(view)?;
             self.render(true, view, count)?;
             let [slopes, ..] = self.gradients(true, first)?;
-            let touched = self.faint.forward.intersected(n, count)?;
+            let touched = self.faint.forward.intersected(n)?;
             for (k, (p, b)) in probed.iter_mut().zip(births).enumerate() {
                 let logit = f64::from(b.shape.opacity_logit);
                 let change = change(slopes[n - first + k], logit, epsilon);

@@ -21,23 +21,15 @@ pub fn compact_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Resul
 }
 
 /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`.
-pub fn count_pairs<R: Real>(
-    stage: &Program,
-    view: &ViewBuffers<R>,
-    active_only: bool,
-) -> Result<()> {
-    over_records(stage.launch("bin_count"), view, active_only)
+pub fn count<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) -> Result<()> {
+    walk(stage.launch("bin_count"), view, active_only)
         .arrays([&view.counts, &view.isect_counts], view.count)
         .over_batches(view.count)
 }
 
-/// Writes the pairs that [`count_pairs`] counted.
-pub fn emit_pairs<R: Real>(
-    stage: &Program,
-    view: &ViewBuffers<R>,
-    active_only: bool,
-) -> Result<()> {
-    over_records(stage.launch("bin_emit"), view, active_only)
+/// Writes the pairs that [`count`] counted.
+pub fn emit<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) -> Result<()> {
+    walk(stage.launch("bin_emit"), view, active_only)
         .arrays([&view.offsets, &view.isect_start], view.count)
         .arrays([&view.order.keys[0], &view.order.values[0]], 1)
         .array(&view.isect_owner, 1)
@@ -66,13 +58,9 @@ fn over_keys<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>) -> Launch<'
 }
 
 /// Adds the arguments of a walk over the tiles of the visible Gaussians.
-fn over_records<'k, R: Real>(
-    mut launch: Launch<'k>,
-    view: &ViewBuffers<R>,
-    active_only: bool,
-) -> Launch<'k> {
+fn walk<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>, active_only: bool) -> Launch<'k> {
     let camera = &view.camera;
-    launch = launch
+    let mut launch = launch
         .array(&view.records, view.count)
         .array(view.visible.sorted_values(), view.count)
         .status(view)

@@ -59,7 +59,7 @@ impl<'a, R: Real> ImagePair<'a, R> {
 #[derive(Debug)]
 pub struct Loss<R: Real> {
     program: Program,
-    /// Derivatives of SSIM by the channel at hand, or the error maps.
+    /// SSIM derivative maps of the channel at hand, or error maps.
     pub maps: Array<R>,
     /// Sums of |x − y| and SSIM of each strip and channel, in turn.
     pub partial: Array<R>,

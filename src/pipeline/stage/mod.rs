@@ -1,7 +1,8 @@
-//! One file per kernel: its launcher, then its definition in f64. `kernels/README.md` lists shapes and units of all arrays.
+//! One file per stage: its launchers, then its definition in f64. `kernels/README.md` lists shapes and units of all arrays.
 //!
-//! Constructors fail if the device's compiler does; launches fail for arrays that are too short and on the driver's errors.
-//! A launch does not wait.
+//! A launcher is a function that takes the stage's compiled [`crate::device::Program`], which its caller builds, and the buffers;
+//! the stages with arrays of their own (sort, loss, exposure) are structs. Constructors fail if the device's compiler does; launches
+//! fail for arrays that are too short and on the driver's errors. A launch does not wait.
 #![allow(clippy::missing_errors_doc)]
 
 pub mod active_tiles;

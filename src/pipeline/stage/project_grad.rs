@@ -13,7 +13,7 @@ use crate::scene::{Plane, sh, sh_coefficients};
 
 /// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included. After an overflow
 /// in the view no Gaussian has pairs. The kernel is built for one SH degree.
-pub fn write_gradients<R: Real>(
+pub fn backward<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
     view: &ViewBuffers<R>,

@@ -15,14 +15,13 @@ pub enum Count {
     Known(usize),
 }
 
-/// Writes the sums of the pairs before each of `n` elements to `out` and the number of pairs to the status; more pairs
-/// than there is room for raise the overflow flag.
+/// Writes the sums of the pairs before each of `n` elements and the number of pairs to the status; more pairs than there is
+/// room for raise the overflow flag.
 pub fn sum_pairs<R: Real>(
     stage: &Program,
     view: &ViewBuffers<R>,
-    values: &Array<u32>,
     n: Count,
-    out: &Array<u32>,
+    [values, sums]: [&Array<u32>; 2],
 ) -> Result<()> {
     let chunks = stage.chunks();
     let [slot, known] = match n {
@@ -40,7 +39,7 @@ pub fn sum_pairs<R: Real>(
     over_values("scan_sums").over_chunks([chunks, 1])?;
     sum_chunks(stage, view, INTERSECTIONS, view.intersection_capacity())?;
     over_values("scan_write")
-        .array(out, 1)
+        .array(sums, 1)
         .over_chunks([chunks, 1])
 }
 

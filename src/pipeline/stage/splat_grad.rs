@@ -9,11 +9,7 @@ use crate::pipeline::stage::project::Projected64;
 use crate::pipeline::stage::splat::{contributions, list_at};
 
 /// Writes nine sums for each pair of the view composited last, from the gradient of the loss by its image.
-pub fn write_sums<R: Real>(
-    stage: &Program,
-    view: &ViewBuffers<R>,
-    dimage: &Array<R>,
-) -> Result<()> {
+pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<R>) -> Result<()> {
     let size = view.camera.image();
     stage
         .launch("splat_grad")
