@@ -206,7 +206,12 @@ fn ascii_in_any_order() {
         ("float f_dc_0", "float f_dc_1", ["f_dc_1", "twice"]),
         ("float f_dc_0", "float f_rest_0", ["1 properties", "f_rest"]),
         ("float f_dc_0", "half f_dc_0", ["f_dc_0", "half"]),
-        ("int z", "int q", ["z", "missing"]),
+        ("int z", "int q", ["z is missing", "scene PLY of 3DGS"]),
+        (
+            "float scale_2",
+            "float radius",
+            ["scale_2 is missing", "export the Gaussians"],
+        ),
         (
             "format ascii",
             "format binary_big_endian",
@@ -258,11 +263,19 @@ fn point_clouds() {
         (&back.positions, &back.colors),
         (&points.positions, &points.colors)
     );
-    assert_refused(ply::read(&file, &frame), &["point cloud"]);
+    assert_refused(
+        ply::read(&file, &frame),
+        &["point cloud", "scene PLY of 3DGS", "export the Gaussians"],
+    );
     let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
         property float red\nproperty float green\nproperty float blue\nend_header\n1 2 3 1 0.5 0\n";
     let back = point_cloud::read(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY).unwrap();
     assert_eq!(back.colors, [[255, 128, 0]]);
+    let neither = text.replace("float x", "float u");
+    let neither = with(dir.path(), neither.as_bytes());
+    let words = ["x is missing", "point cloud (x y z", "scene PLY of 3DGS"];
+    assert_refused(ply::read_either(&neither, &Frame::IDENTITY), &words);
+    assert_refused(ply::read(&neither, &Frame::IDENTITY), &words[2..]);
     let text = text.replace("1 2 3", "1 NaN 3");
     let file = with(dir.path(), text.as_bytes());
     assert_refused(
