@@ -155,11 +155,7 @@ impl Table {
     }
 
     /// The first name of a property's type, and its values.
-    fn typed_column(
-        &self,
-        name: &str,
-        [expected, fix]: Kind,
-    ) -> Result<(&'static str, Vec<f64>)> {
+    fn typed_column(&self, name: &str, [expected, fix]: Kind) -> Result<(&'static str, Vec<f64>)> {
         let Element {
             properties, stride, ..
         } = &self.vertex;

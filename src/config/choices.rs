@@ -102,7 +102,7 @@ impl TryFrom<NumberOrText<u32>> for ViewSubset {
             NumberOrText::Number(k) if k > 0 => Ok(Self::Fixed(k)),
             NumberOrText::Text(word) if word == "shrinking" => Ok(Self::Shrinking),
             NumberOrText::Text(word) if word == "all" => Ok(Self::All),
-            _ => Err("mh.view-subset: \"shrinking\", \"all\" or a number of at least 1 expected"),
+            _ => Err("\"shrinking\", \"all\" or a number of at least 1 expected"),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::config::TrainConfig;
+use crate::config::{TrainConfig, from_json};
 use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
 use crate::evaluate::ViewScore;
@@ -303,7 +303,7 @@ impl RunRecord {
     pub fn read(run_dir: impl AsRef<Path>) -> Result<Self> {
         let path = run_dir.as_ref().join(RECORD_FILE);
         let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, e))?;
-        serde_json::from_str(&text).map_err(|e| {
+        from_json(&text).map_err(|e| {
             let fix = "give a folder that `mhsplat train` wrote with this version";
             Error::input(&path, format!("not a run record: {e}"), fix)
         })

@@ -166,7 +166,8 @@ pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
         return from_table(path, &table, frame);
     }
     let [expected, fix] = SCENE;
-    let what = format!("neither f_dc_0 nor opacity, as in a plain point cloud; {expected} expected");
+    let what =
+        format!("neither f_dc_0 nor opacity, as in a plain point cloud; {expected} expected");
     Err(Error::input(path, what, fix))
 }
 
