@@ -88,7 +88,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         output::note(&found);
     }
     finish(record, dir, common)?;
-    let psnr = record.final_scores.as_ref().map(|f| f.psnr);
+    let psnr = record.final_scores.as_ref().map(|f| f.mean.psnr);
     Ok(Outcome::of(args.require_psnr, psnr))
 }
 

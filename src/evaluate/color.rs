@@ -103,7 +103,7 @@ impl Evaluator {
             let photo = self.views.photo(view, &[])?;
             let pair = ImagePair::new(&image, &photo, camera, background);
             let [psnr, ssim] = psnr_and_ssim(&self.scoring.pair(&pair)?);
-            (score.cc_psnr, score.cc_ssim) = (Some(psnr), Some(ssim));
+            (score.scores.cc_psnr, score.scores.cc_ssim) = (Some(psnr), Some(ssim));
         }
         Ok(())
     }

@@ -207,7 +207,10 @@ impl Drive<'_> {
                 "run `mhsplat train` on it by hand to see why",
             );
         };
-        let psnr = record.final_scores.as_ref().map_or(f64::NAN, |f| f.psnr);
+        let psnr = record
+            .final_scores
+            .as_ref()
+            .map_or(f64::NAN, |f| f.mean.psnr);
         (self.note)(&format!(
             "    {psnr:.2} dB, {} Gaussians, {:.0} s ({:.0} CPU s)",
             record.gaussians, record.train_seconds, record.cpu_seconds
