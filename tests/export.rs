@@ -6,9 +6,10 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::dataset::{assert_refused, data};
-use mhsplat::base::error::Error;
+use mhsplat::base::error::{Error, Result};
 use mhsplat::base::rng::Philox;
 use mhsplat::capture::{Frame, Points, point_cloud};
+use mhsplat::scene::ply::Contents;
 use mhsplat::scene::{Gaussians, Plane, ply};
 
 fn splats(n: usize, sh_degree: u32) -> Gaussians {
@@ -19,6 +20,14 @@ fn splats(n: usize, sh_degree: u32) -> Gaussians {
         })
         .collect();
     Gaussians::new(sh_degree, planes).unwrap()
+}
+
+/// The points of a file that holds no Gaussians.
+fn cloud(path: &Path, frame: &Frame) -> Result<Points> {
+    match ply::read_either(path, frame)? {
+        Contents::Points(points) => Ok(points),
+        Contents::Scene(_) => panic!("{} holds Gaussians", path.display()),
+    }
 }
 
 fn property_values(path: &Path, names: &[&str], row: usize) -> Vec<f32> {
@@ -258,7 +267,7 @@ fn point_clouds() {
         scale: 2.0,
     };
     point_cloud::write(&file, &points, &frame).unwrap();
-    let back = point_cloud::read(&file, &frame).unwrap();
+    let back = cloud(&file, &frame).unwrap();
     assert_eq!(
         (&back.positions, &back.colors),
         (&points.positions, &points.colors)
@@ -269,7 +278,7 @@ fn point_clouds() {
     );
     let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
         property float red\nproperty float green\nproperty float blue\nend_header\n1 2 3 1 0.5 0\n";
-    let back = point_cloud::read(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY).unwrap();
+    let back = cloud(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY).unwrap();
     assert_eq!(back.colors, [[255, 128, 0]]);
     let neither = text.replace("float x", "float u");
     let neither = with(dir.path(), neither.as_bytes());
@@ -278,10 +287,7 @@ fn point_clouds() {
     assert_refused(ply::read(&neither, &Frame::IDENTITY), &words[2..]);
     let text = text.replace("1 2 3", "1 NaN 3");
     let file = with(dir.path(), text.as_bytes());
-    assert_refused(
-        point_cloud::read(&file, &Frame::IDENTITY),
-        &["y of vertex 0"],
-    );
+    assert_refused(cloud(&file, &Frame::IDENTITY), &["y of vertex 0"]);
 }
 
 #[test]
@@ -298,7 +304,7 @@ fn files_of_other_programs() {
         .unwrap()
         .splats;
     assert_eq!((scene.len(), scene.sh_degree()), (9080, 3));
-    let points = point_cloud::read(&folder.join("brush_init.ply"), &frame).unwrap();
+    let points = cloud(&folder.join("brush_init.ply"), &frame).unwrap();
     assert_eq!(points.positions.len(), 100);
     for name in [
         "playcanvas_biker.compressed.ply",

@@ -7,7 +7,7 @@ use std::time::Instant;
 use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::{drive, room, saved};
 use mhsplat::Plan;
-use mhsplat::capture::{Dataset, LoadOptions, load};
+use mhsplat::capture::{Alpha, Dataset, LoadOptions, load};
 use mhsplat::config::ExposureChoice;
 use mhsplat::device::{Defines, Device};
 use mhsplat::evaluate::Evaluator;
@@ -245,7 +245,10 @@ fn transparent_photos_get_no_transforms_and_masked_ones_do() {
         load(folder.path(), &options).unwrap()
     };
     let [transparent, masked] = [false, true].map(read);
-    assert!(transparent.background_matters() && !masked.background_matters());
+    assert_eq!(
+        (transparent.alpha(), masked.alpha()),
+        (Alpha::Transparency, Alpha::Mask)
+    );
     let auto = config(360, ExposureChoice::Auto);
     let looked = trained(&masked, &auto, 301);
     assert!(looked.learned().gains.unwrap().varies() && looked.compensates_exposure());

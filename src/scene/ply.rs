@@ -140,7 +140,7 @@ pub enum Contents {
 /// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise).
 ///
 /// # Errors
-/// Those of [`read`] and [`crate::capture::point_cloud::read`].
+/// Those of [`read`]; a point cloud without `x y z`, or with a point too far away for single precision.
 pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
     let table = Table::read(path)?;
     if holds_gaussians(&table) {
