@@ -102,7 +102,7 @@ impl Evaluator {
             let image = Array::from_slice(renderer.device(), "corrected", &padded)?;
             let photo = self.views.photo(view, &[])?;
             let pair = ImagePair::new(&image, &photo, camera, background);
-            let [psnr, ssim] = psnr_and_ssim(&self.scoring.pair(&pair)?);
+            let [psnr, ssim] = psnr_and_ssim(&self.scoring.errors(&pair)?);
             (score.scores.cc_psnr, score.scores.cc_ssim) = (Some(psnr), Some(ssim));
         }
         Ok(())

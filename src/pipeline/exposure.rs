@@ -30,7 +30,7 @@ impl<R: Real> ExposureModel<R> {
         self.stage.step(view, &Step { t, ..step }, status)
     }
 
-    /// Gradient by the transform stepped last, row-major \[A | b\].
+    /// Gradient with respect to the transform stepped last, row-major \[A | b\].
     pub fn gradient(&self) -> Result<Vec<R>> {
         self.stage.grads.to_vec()
     }

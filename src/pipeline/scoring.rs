@@ -61,11 +61,11 @@ impl Scoring {
         };
         renderer.render(scene, camera, &options)?;
         let image = &renderer.frame.image;
-        self.pair(&ImagePair::new(image, photo, camera, background))
+        self.errors(&ImagePair::new(image, photo, camera, background))
     }
 
     /// Clamps a render in place and compares it with its photo; waits.
-    pub fn pair(&self, pair: &ImagePair<'_, f32>) -> Result<PairErrors> {
+    pub fn errors(&self, pair: &ImagePair<'_, f32>) -> Result<PairErrors> {
         self.metrics.run(pair, &self.rows)?;
         self.loss.errors(pair, &self.maps, &self.partial)?;
         self.metrics.dissimilarity(pair, &self.maps, &self.rows)?;
