@@ -57,7 +57,7 @@ impl StepContext<'_> {
     }
 }
 
-/// A birth to be probed for its effect on the loss.
+/// A birth whose first-order estimate is wanted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Trial {
     /// The Gaussian to be written; `dst` has no meaning.
@@ -66,7 +66,7 @@ pub struct Trial {
     pub source_change: Option<[f64; 4]>,
 }
 
-/// Returns the first-order change of the loss by each birth, in the order given; NaN for a birth that no view sees.
+/// Returns the first-order estimate of each birth, in the order given: the change of the loss, NaN for a birth that no view sees.
 pub type Probe<'a> = dyn FnMut(&[Trial]) -> Result<Vec<f64>> + 'a;
 
 /// A strategy of density control. It decides from the arguments of a step and keeps nothing between steps, so that a
@@ -81,7 +81,7 @@ pub trait DensityControl: Send + Sync {
         0
     }
 
-    /// Number of views that births are probed in; 0 if none is.
+    /// Number of views that births are estimated in; 0 if none is.
     fn trial_views(&self) -> usize {
         0
     }
@@ -102,10 +102,10 @@ pub trait DensityControl: Send + Sync {
         evidence: &Statistics<'_>,
     ) -> Result<Outcome>;
 
-    /// [`DensityControl::step`] by a strategy that may ask for `probe` before it decides.
+    /// [`DensityControl::step`] by a strategy that may ask for estimates (`probe`) before it decides.
     ///
     /// # Errors
-    /// Those of [`DensityControl::step`], and the probe's.
+    /// Those of [`DensityControl::step`], and the estimates'.
     fn step_probed(
         &self,
         context: &StepContext<'_>,

@@ -4,7 +4,7 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `control.rs` | the trait, the context of a step, births to be probed |
+//! | `control.rs` | the trait, the context of a step, births to be estimated |
 //! | `state.rs`, `statistics.rs`, `picture.rs` | input: parameters, statistics per Gaussian, renders of views |
 //! | `outcome.rs` | output: edits, removals, counters |
 //! | `draw.rs`, `relocation.rs` | draws by weight, dead Gaussians that take over alive ones |

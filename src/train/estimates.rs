@@ -1,8 +1,9 @@
 //! [`Estimates`]: first-order estimates of births, before they are decided on.
 //!
-//! A birth with ε times its opacity leaves the image as it is. The derivative of the loss by its opacity says what the birth would do
-//! to the loss, to first order, and one more render and backward pass per view says it for all births together. They are rendered
-//! with ε times the alpha cut, so that each covers just the pixels that its birth would; dL/dC is that of the ordinary render.
+//! A birth with ε times its opacity leaves the image as it is. The derivative of the loss with respect to its opacity says what
+//! the birth would do to the loss, to first order, and one more render and backward pass per view says it for all births
+//! together. They are rendered with ε times the alpha cut, so that each covers just the pixels that its birth would; dL/dC is
+//! that of the ordinary render.
 
 use std::time::Instant;
 
@@ -43,7 +44,7 @@ pub fn scaled_logit(logit: f64, factor: f64) -> f64 {
     o.ln() - (-o).ln_1p()
 }
 
-/// First-order change of the loss by a birth of this opacity logit, from the derivative by the logit of its faint copy.
+/// First-order estimate of a birth of this opacity logit, from the derivative with respect to the logit of its faint copy.
 #[must_use]
 pub fn change(slope: f64, logit: f64, epsilon: f64) -> f64 {
     // dL/dlogit = (1 − o)·o·dL/do at o = ε·o_c; the change by o_c is o_c·dL/do.
@@ -100,7 +101,7 @@ pub struct Context<'a> {
     pub iteration: u32,
 }
 
-/// Renders faint births and differentiates by them.
+/// Renders faint births and differentiates with respect to them.
 #[derive(Debug)]
 pub struct Estimates {
     pass: FaintPass<f32>,
@@ -131,8 +132,8 @@ impl Estimates {
         }))
     }
 
-    /// First-order change of the loss by each birth, mean over the views that training takes next, at the size that they
-    /// have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations.
+    /// First-order estimate of each birth: the change of the loss, mean over the views that training takes next, at the size
+    /// that they have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations.
     pub fn changes(&mut self, mut at: Context<'_>, trials: &[Trial]) -> Result<Vec<f64>> {
         if trials.is_empty() {
             return Ok(Vec::new());
@@ -183,8 +184,8 @@ impl Estimates {
         Ok(changes.iter().map(|c| c / views.len() as f64).collect())
     }
 
-    /// Derivatives by opacity logit and log-scales in one view: of the rows from the last whole 16 of the scene on, with the
-    /// faint cut, and of the scene's own, if `shared`, with the ordinary one.
+    /// Derivatives with respect to opacity logit and log-scales in one view: of the rows from the last whole 16 of the scene on,
+    /// with the faint cut, and of the scene's own, if `shared`, with the ordinary one.
     fn in_view(
         &mut self,
         at: &mut Context<'_>,
@@ -261,7 +262,7 @@ impl Context<'_> {
             }
         };
         let rows: Vec<scene::Edit> = trials.iter().enumerate().map(faint).collect();
-        let rows = Array::from_slice(device, "probes", &rows)?;
+        let rows = Array::from_slice(device, "estimated rows", &rows)?;
         // The stage clears moments, which these rows do not have.
         let moments = Array::zeros(device, "no moments", planes * stride)?;
         self.edit.run(&copy, [&moments; 2], &rows)?;

@@ -180,7 +180,7 @@ impl Trainer {
             .set_intersections(&self.device, pairs)
     }
 
-    /// First-order changes of the loss by births in the views that training takes next; empty if density control asks for none.
+    /// First-order estimates of births in the views that training takes next; empty if density control asks for none.
     #[doc(hidden)]
     pub fn estimate(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
         let mut on = Working {
