@@ -4,8 +4,8 @@
 // E[x^2] - E[x]^2 from cancelling on flat images. A work-item takes a strip of STRIP columns by LOSS_ROWS rows: it windows
 // columns first (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in registers), then rows; longer than a function should be, because
 // the windows stay in registers. With SKIP_BLANK vectors are left out whose windows see only tiles that are masked, or clear in
-// the photo and without pairs in the render: render and photo are the same there, the derivatives of SSIM by x, x^2 and x y
-// cancel, and zeros in the maps are right for neighbours. Pixels of other tiles have the same gradient, to the bit. Source: [MH]
+// the photo and without pairs in the render: render and photo are the same there, the derivatives of SSIM with respect to x,
+// x^2 and x y cancel, and zeros in the maps are right for neighbours. Pixels of other tiles have the same gradient, to the bit. Source: [MH]
 // Eq. 4; SSIM of Wang et al. 2004; gradient through three maps as in fused-ssim.
 
 #define RADIUS (TAPS / 2)

@@ -31,12 +31,12 @@ __kernel void seen_pairs(__global const Projected *records, __global const uint 
     const realV y = lane_y + (real)(k / BLOCKS_X * BLOCK_H);
     T[k] = choose((px[k % BLOCKS_X] < right) & (y < below), one, zero); // what is opaque shows nothing
   }
-  Projected staged[STAGE];
-  for (uint p = start; p < last; p += STAGE) {
+  Projected staged[SPLAT_BATCH];
+  for (uint p = start; p < last; p += SPLAT_BATCH) {
     realV most = T[0];
     for (int k = 1; k < BLOCKS; k++) most = max(most, T[k]);
     if (!any_lane(most >= (realV)T_MIN)) break;
-    const uint n = min((uint)STAGE, last - p);
+    const uint n = min((uint)SPLAT_BATCH, last - p);
     for (uint j = 0; j < n; j++) staged[j] = records[isect_owner[order[p + j]]];
     for (uint j = 0; j < n; j++) {
       const Projected *g = &staged[j];
@@ -74,8 +74,8 @@ seen_pairs(__global const Projected *records, __global const uint *isect_owner, 
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int x = l % TILE, y = l / TILE;
   const uint start = tile_start[tile], end = tile_start[tile + 1];
-  __local Projected staged[STAGE];
-  __local uint hit[STAGE];
+  __local Projected staged[SPLAT_BATCH];
+  __local uint hit[SPLAT_BATCH];
   __local uint last;
   __local int open;
   if (l == 0) last = start;
@@ -89,11 +89,11 @@ seen_pairs(__global const Projected *records, __global const uint *isect_owner, 
   barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
   const uint stop = last;
   real T = tile_x + x < width && tile_y + y < height ? R(1.0) : R(0.0); // what is opaque shows nothing
-  for (uint p = start; p < stop; p += STAGE) {
+  for (uint p = start; p < stop; p += SPLAT_BATCH) {
     if (l == 0) open = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     if (T >= (real)T_MIN) open = 1; // every writer writes the same value
-    const uint n = min((uint)STAGE, stop - p);
+    const uint n = min((uint)SPLAT_BATCH, stop - p);
     if ((uint)l < n) {
       staged[l] = records[isect_owner[order[p + l]]];
       hit[l] = 0;

@@ -24,13 +24,13 @@ __kernel void splat(__global const Projected *records, __global const uint *isec
     T[k] = (realV)(R(1.0));
     red[k] = green[k] = blue[k] = (realV)(R(0.0));
   }
-  Projected staged[STAGE];
+  Projected staged[SPLAT_BATCH];
   uint p = start;
   while (p < end) {
     realV most = T[0];
     for (int k = 1; k < BLOCKS; k++) most = max(most, T[k]);
     if (!any_lane(most >= (realV)T_MIN)) break;
-    const uint n = min((uint)STAGE, end - p);
+    const uint n = min((uint)SPLAT_BATCH, end - p);
     for (uint j = 0; j < n; j++) staged[j] = records[isect_owner[order[p + j]]];
     for (uint j = 0; j < n; j++) {
       const Projected *g = &staged[j];
@@ -81,7 +81,7 @@ splat(__global const Projected *records, __global const uint *isect_owner, // in
   const int x = l % TILE, y = l / TILE;
   const uint start = tile_start[tile], end = tile_start[tile + 1];
   real T = R(1.0), red = R(0.0), green = R(0.0), blue = R(0.0);
-  __local Projected staged[STAGE];
+  __local Projected staged[SPLAT_BATCH];
   __local int open;
   uint p = start;
   for (;;) {
@@ -89,7 +89,7 @@ splat(__global const Projected *records, __global const uint *isect_owner, // in
     if (l == 0) open = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     if (T >= (real)T_MIN) open = 1; // every writer writes the same value
-    const uint n = min((uint)STAGE, end - p);
+    const uint n = min((uint)SPLAT_BATCH, end - p);
     if ((uint)l < n) staged[l] = records[isect_owner[order[p + l]]];
     barrier(CLK_LOCAL_MEM_FENCE);
     if (n == 0 || !open) break;

@@ -78,10 +78,10 @@ __kernel void splat_grad(__global const Projected *records, __global const uint 
     behind[k] = dred[k] * load_block(image + at, stride) + dgreen[k] * load_block(image + plane + at, stride) +
                 dblue[k] * load_block(image + 2 * plane + at, stride);
   }
-  Projected staged[STAGE];
-  uint slot[STAGE];
-  for (uint p = start; p < used; p += STAGE) {
-    const uint n = min((uint)STAGE, used - p);
+  Projected staged[SPLAT_BATCH];
+  uint slot[SPLAT_BATCH];
+  for (uint p = start; p < used; p += SPLAT_BATCH) {
+    const uint n = min((uint)SPLAT_BATCH, used - p);
     for (uint j = 0; j < n; j++) {
       slot[j] = order[p + j];
       staged[j] = records[isect_owner[slot[j]]];

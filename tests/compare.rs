@@ -217,6 +217,15 @@ fn runs_that_cannot_be_read_say_what_is_wrong() {
     std::fs::write(bad.join("metrics.csv"), good).unwrap();
     std::fs::write(bad.join("run.json"), "{\"version\":").unwrap();
     refused("bad", &["run.json", "not a run record"]);
+    let record = std::fs::read_to_string(dir.path().join("good/run.json")).unwrap();
+    let chance = record.replacen("\"sampler\": \"mh\"", "\"sampler\": \"chance\"", 1);
+    std::fs::write(bad.join("run.json"), &chance).unwrap();
+    refused(
+        "bad",
+        &["run.json", "config.sampler: unknown variant `chance`"],
+    );
+    std::fs::write(bad.join("run.json"), record + "}").unwrap();
+    refused("bad", &["run.json", "trailing characters"]);
     // Not evaluated yet: left out with a word; nothing but such runs: refused.
     let young = run("young", 1).rows(0);
     let c = compared(&[run("a", 0), young.clone()], &Options::default()).unwrap();

@@ -296,7 +296,11 @@ fn files_that_make_no_sense_are_refused_with_their_reason() {
             "scene a, setting none",
         ),
         ("iterations = 1000", "seed = 3", "seeds for the whole file"),
-        ("sampler = \"none\"", "sampler = \"chance\"", "setting none"),
+        (
+            "sampler = \"none\"",
+            "sampler = \"chance\"",
+            "setting none: sampler: unknown variant",
+        ),
         ("name = \"mh\"\n", "name = \"../mh\"\n", "names a folder"),
         (
             "name = \"mh\"\n",

@@ -6,9 +6,10 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::dataset::{assert_refused, data};
-use mhsplat::base::error::Error;
+use mhsplat::base::error::{Error, Result};
 use mhsplat::base::rng::Philox;
 use mhsplat::capture::{Frame, Points, point_cloud};
+use mhsplat::scene::ply::Contents;
 use mhsplat::scene::{Gaussians, Plane, ply};
 
 fn splats(n: usize, sh_degree: u32) -> Gaussians {
@@ -19,6 +20,14 @@ fn splats(n: usize, sh_degree: u32) -> Gaussians {
         })
         .collect();
     Gaussians::new(sh_degree, planes).unwrap()
+}
+
+/// The points of a file that holds no Gaussians.
+fn cloud(path: &Path, frame: &Frame) -> Result<Points> {
+    match ply::read_either(path, frame)? {
+        Contents::Points(points) => Ok(points),
+        Contents::Scene(_) => panic!("{} holds Gaussians", path.display()),
+    }
 }
 
 fn property_values(path: &Path, names: &[&str], row: usize) -> Vec<f32> {
@@ -206,7 +215,12 @@ fn ascii_in_any_order() {
         ("float f_dc_0", "float f_dc_1", ["f_dc_1", "twice"]),
         ("float f_dc_0", "float f_rest_0", ["1 properties", "f_rest"]),
         ("float f_dc_0", "half f_dc_0", ["f_dc_0", "half"]),
-        ("int z", "int q", ["z", "missing"]),
+        ("int z", "int q", ["z is missing", "scene PLY of 3DGS"]),
+        (
+            "float scale_2",
+            "float radius",
+            ["scale_2 is missing", "export the Gaussians"],
+        ),
         (
             "format ascii",
             "format binary_big_endian",
@@ -253,22 +267,27 @@ fn point_clouds() {
         scale: 2.0,
     };
     point_cloud::write(&file, &points, &frame).unwrap();
-    let back = point_cloud::read(&file, &frame).unwrap();
+    let back = cloud(&file, &frame).unwrap();
     assert_eq!(
         (&back.positions, &back.colors),
         (&points.positions, &points.colors)
     );
-    assert_refused(ply::read(&file, &frame), &["point cloud"]);
+    assert_refused(
+        ply::read(&file, &frame),
+        &["point cloud", "scene PLY of 3DGS", "export the Gaussians"],
+    );
     let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
         property float red\nproperty float green\nproperty float blue\nend_header\n1 2 3 1 0.5 0\n";
-    let back = point_cloud::read(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY).unwrap();
+    let back = cloud(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY).unwrap();
     assert_eq!(back.colors, [[255, 128, 0]]);
+    let neither = text.replace("float x", "float u");
+    let neither = with(dir.path(), neither.as_bytes());
+    let words = ["x is missing", "point cloud (x y z", "scene PLY of 3DGS"];
+    assert_refused(ply::read_either(&neither, &Frame::IDENTITY), &words);
+    assert_refused(ply::read(&neither, &Frame::IDENTITY), &words[2..]);
     let text = text.replace("1 2 3", "1 NaN 3");
     let file = with(dir.path(), text.as_bytes());
-    assert_refused(
-        point_cloud::read(&file, &Frame::IDENTITY),
-        &["y of vertex 0"],
-    );
+    assert_refused(cloud(&file, &Frame::IDENTITY), &["y of vertex 0"]);
 }
 
 #[test]
@@ -285,7 +304,7 @@ fn files_of_other_programs() {
         .unwrap()
         .splats;
     assert_eq!((scene.len(), scene.sh_degree()), (9080, 3));
-    let points = point_cloud::read(&folder.join("brush_init.ply"), &frame).unwrap();
+    let points = cloud(&folder.join("brush_init.ply"), &frame).unwrap();
     assert_eq!(points.positions.len(), 100);
     for name in [
         "playcanvas_biker.compressed.ply",

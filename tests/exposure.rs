@@ -7,7 +7,7 @@ use std::time::Instant;
 use crate::cli::{done, mhsplat, stderr, text};
 use crate::determinism::{drive, room, saved};
 use mhsplat::Plan;
-use mhsplat::capture::{Dataset, LoadOptions, load};
+use mhsplat::capture::{Alpha, Dataset, LoadOptions, load};
 use mhsplat::config::ExposureChoice;
 use mhsplat::device::{Defines, Device};
 use mhsplat::evaluate::Evaluator;
@@ -116,10 +116,10 @@ fn corrected_psnr(data: &Dataset, trainer: &mut Trainer) -> f64 {
     evaluator
         .add_color_corrected(&mut scores, scene, renderer, [0.0; 3])
         .unwrap();
-    for s in &scores {
+    for s in scores.iter().map(|v| &v.scores) {
         assert!(s.cc_psnr.unwrap() > s.psnr - 0.05, "{s:?}");
     }
-    FinalRecord::of(scores).unwrap().cc_psnr.unwrap()
+    FinalRecord::of(scores).unwrap().mean.cc_psnr.unwrap()
 }
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
@@ -188,14 +188,14 @@ fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
     println!("{kept:?}");
     assert!(kept.0.unwrap().contains("after 300 iterations") && kept.1 == 0);
     assert!(find(&record.plan.left_out).0.is_none());
-    let scores = record.final_scores.unwrap();
+    let scores = record.final_scores.unwrap().mean;
     assert!(scores.cc_psnr.unwrap() > scores.psnr && scores.cc_ssim.is_some());
     assert!(record.stages.iter().any(|s| s.name == "exposure"));
     let (record, _) = decided(room(96));
     let left = find(&record.plan.left_out);
     println!("{left:?}");
     assert!(left.0.unwrap().contains("spread") && find(&record.plan.kept).0.is_none());
-    assert!(record.final_scores.unwrap().cc_psnr.is_none());
+    assert!(record.final_scores.unwrap().mean.cc_psnr.is_none());
     assert!(record.stages.iter().all(|s| s.name != "exposure"));
 }
 
@@ -245,7 +245,10 @@ fn transparent_photos_get_no_transforms_and_masked_ones_do() {
         load(folder.path(), &options).unwrap()
     };
     let [transparent, masked] = [false, true].map(read);
-    assert!(transparent.background_matters() && !masked.background_matters());
+    assert_eq!(
+        (transparent.alpha(), masked.alpha()),
+        (Alpha::Transparency, Alpha::Mask)
+    );
     let auto = config(360, ExposureChoice::Auto);
     let looked = trained(&masked, &auto, 301);
     assert!(looked.learned().gains.unwrap().varies() && looked.compensates_exposure());

@@ -24,7 +24,7 @@ fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let score = |trainer: &mut Trainer| {
         let (scene, renderer) = trainer.scene_and_renderer();
         let scores = evaluator.score_all(scene, renderer, [0.0; 3], false);
-        FinalRecord::of(scores.unwrap()).unwrap().psnr
+        FinalRecord::of(scores.unwrap()).unwrap().mean.psnr
     };
     let before = score(&mut trainer);
     trainer.advance_to(config.iterations).unwrap();

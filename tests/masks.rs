@@ -101,10 +101,15 @@ fn no_bit_of_a_score_depends_on_what_lies_under_a_mask() {
     assert!(
         black
             .iter()
-            .all(|s| s.flip.is_some() && s.cc_ssim.is_some())
+            .all(|s| s.scores.flip.is_some() && s.scores.cc_ssim.is_some())
     );
     let whole = scores(&data.test).0;
-    assert!(whole.iter().zip(&black).all(|(w, b)| w.ssim != b.ssim));
+    assert!(
+        whole
+            .iter()
+            .zip(&black)
+            .all(|(w, b)| w.scores.ssim != b.scores.ssim)
+    );
 }
 
 #[test]
@@ -142,7 +147,7 @@ fn scores_are_means_over_what_counts() {
         let ssim = 1.0 - sum_counted(&twin.ssim_error, Some(&m)) / all;
         let squared: f64 = x.iter().zip(&y).map(|(x, y)| (x - y) * (x - y)).sum();
         let psnr = -10.0 * (squared / (3.0 * all)).log10();
-        let score = &scores[0];
+        let score = &scores[0].scores;
         println!(
             "{all:.0} pixels: {:.2} dB, SSIM {:.4}",
             score.psnr, score.ssim

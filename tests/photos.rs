@@ -314,7 +314,9 @@ fn the_views_ahead_are_those_of_the_schedule() {
     let schedule = Schedule::new(&TrainConfig::default());
     for views in [1, 2, 5, 40] {
         let ahead = schedule.upcoming(33, 20, views);
-        let one_by_one: Vec<usize> = (33..53).map(|i| schedule.view(i, views)).collect();
+        let one_by_one: Vec<usize> = (33..53)
+            .flat_map(|i| schedule.upcoming(i, 1, views))
+            .collect();
         assert_eq!(ahead, one_by_one);
     }
 }

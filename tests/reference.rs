@@ -31,18 +31,18 @@ fn alone(log_scale: f32, logit: f32, depth: f32) -> (Scene64, Camera64, Options)
 fn an_isotropic_gaussian_projects_as_a_round_blur() {
     // σ = e^-2 at depth 2 under a focal length of 40: (40/2)²·e^-4 + 0.3 pixels² in each direction, no correlation.
     let (scene, camera, options) = alone(-2.0, 0.0, 2.0);
-    let record = project(&scene, 0, &camera, &options).unwrap();
+    let projected = project(&scene, 0, &camera, &options).unwrap();
     let variance = 400.0 * (-4.0f64).exp() + 0.3;
     let half_log2e = 0.5 * std::f64::consts::LOG2_E;
-    assert_eq!(record.mean, [16.5, 16.5]);
-    assert!((record.a - half_log2e / variance).abs() < 1e-12);
-    assert!((record.c - half_log2e / variance).abs() < 1e-12);
-    assert!(record.r.abs() < 1e-15);
-    assert!((record.lo + 1.0).abs() < 1e-12, "log2 of opacity ½");
+    assert_eq!(projected.mean, [16.5, 16.5]);
+    assert!((projected.a - half_log2e / variance).abs() < 1e-12);
+    assert!((projected.c - half_log2e / variance).abs() < 1e-12);
+    assert!(projected.r.abs() < 1e-15);
+    assert!((projected.lo + 1.0).abs() < 1e-12, "log2 of opacity ½");
     // Support: |d|² ≤ 2 variance ln(255 · ½); bounds hold the pixels whose centres are inside.
     let reach = (2.0 * variance * (255.0f64 * 0.5).ln()).sqrt();
     let first = (16.5 - reach - 0.5).ceil() as i32;
-    assert_eq!(record.bounds[0], [first, 32 - first]);
+    assert_eq!(projected.bounds[0], [first, 32 - first]);
 }
 
 #[test]
@@ -50,20 +50,20 @@ fn with_anti_aliasing_the_blur_is_a_tenth_and_takes_its_share_of_the_opacity() {
     // Without a 3D filter (0): det0 = s², det = (s + 0.1)² with s = 400·e^-4.
     let (mut scene, camera, options) = alone(-2.0, 0.0, 2.0);
     scene.filter = Some(vec![0.0]);
-    let record = project(&scene, 0, &camera, &options).unwrap();
+    let projected = project(&scene, 0, &camera, &options).unwrap();
     let own = 400.0 * (-4.0f64).exp();
     let half_log2e = 0.5 * std::f64::consts::LOG2_E;
-    assert!((record.a - half_log2e / (own + 0.1)).abs() < 1e-12);
+    assert!((projected.a - half_log2e / (own + 0.1)).abs() < 1e-12);
     let opacity = 0.5 * own / (own + 0.1);
-    assert!((record.lo - opacity.log2()).abs() < 1e-12);
+    assert!((projected.lo - opacity.log2()).abs() < 1e-12);
 }
 
 #[test]
 fn the_centre_pixel_shows_opacity_times_colour() {
     let (scene, camera, options) = alone(-2.0, 0.0, 2.0);
-    let records = vec![project(&scene, 0, &camera, &options)];
-    let tiles = bin(&records, &camera, options.alpha_min);
-    let (image, transmittance) = splat::splat(&records, &tiles, &camera, &options);
+    let all = vec![project(&scene, 0, &camera, &options)];
+    let tiles = bin(&all, &camera, options.alpha_min);
+    let (image, transmittance) = splat::splat(&all, &tiles, &camera, &options);
     // SH coefficient 0 gives colour ½; the mean lies on the centre of pixel (16, 16).
     let at = 16 * 32 + 16;
     assert!((image[at] - 0.25).abs() < 1e-12, "{}", image[at]);

@@ -1,4 +1,4 @@
-//! The check of the surrogate: rank statistics by hand, probes against differences of the loss, and the command.
+//! The check of the surrogate: rank statistics by hand, estimates against differences of the loss, and the command.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::config::TrainConfig;
 use mhsplat::device::Device;
 use mhsplat::lab::stats::quantile;
-use mhsplat::lab::surrogate::rank::{estimate, kendall, ranks, spearman};
+use mhsplat::lab::surrogate::rank::{kendall, ranks, spearman, with_interval};
 use mhsplat::lab::surrogate::{Base, Birth, Instrument, Setting, Shape};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::forward::{Quantity, RenderOptions};
@@ -88,13 +88,13 @@ fn an_interval_holds_its_value_and_repeats() {
     let stream = Stream::Synthetic.stream(42);
     let draw = |i: u64| Philox::normal(3, stream, i);
     let (x, y): (Vec<f64>, Vec<f64>) = (0..200).map(draw).map(|v| (v[0], v[0] + v[1])).unzip();
-    let e = estimate(spearman, &x, &y, 1, 2).unwrap();
+    let e = with_interval(spearman, &x, &y, 1, 2).unwrap();
     assert!(e.low < e.value && e.value < e.high);
     // ρ of two such normals is 0.69; the interval of 200 pairs is about 0.16 wide.
     assert!((0.55..0.8).contains(&e.value));
     assert!((0.08..0.25).contains(&(e.high - e.low)));
-    assert_eq!(estimate(spearman, &x, &y, 1, 2), Some(e));
-    assert_ne!(estimate(spearman, &x, &y, 2, 2), Some(e));
+    assert_eq!(with_interval(spearman, &x, &y, 1, 2), Some(e));
+    assert_ne!(with_interval(spearman, &x, &y, 2, 2), Some(e));
 }
 
 /// A room half-way learned, and an instrument over three of its views with a cut so low that the loss is smooth.
@@ -122,7 +122,7 @@ fn instrument() -> (Instrument<f64>, Base, Gaussians) {
         },
         lambda_ssim: 0.2,
         alpha_min: 1e-9,
-        probe: 1e-6,
+        epsilon: 1e-6,
     };
     let mut instrument = Instrument::new(&device, views, splats.clone(), setting, 100).unwrap();
     let base = instrument.base().unwrap();
@@ -150,7 +150,7 @@ fn differences(got: &[f64], want: &[f64]) -> [f64; 2] {
 const SMALL: f64 = 1e-4;
 
 #[test]
-fn a_probe_is_the_derivative_of_the_true_change() {
+fn an_estimate_is_the_derivative_of_the_true_change() {
     let (mut instrument, base, splats) = instrument();
     let stride = splats.len() as u32 / 24;
     let births: Vec<Birth> = (0..24)
@@ -165,11 +165,11 @@ fn a_probe_is_the_derivative_of_the_true_change() {
             }
         })
         .collect();
-    let probed = instrument.probe(&base, &births).unwrap();
+    let estimates = instrument.estimate(&base, &births).unwrap();
     let all = [true; 3];
-    let (mut slopes, mut foretold) = (Vec::new(), Vec::new());
-    for (birth, probe) in births.iter().zip(&probed) {
-        if !probe.touched.contains(&true) {
+    let (mut slopes, mut estimated) = (Vec::new(), Vec::new());
+    for (birth, estimate) in births.iter().zip(&estimates) {
+        if !estimate.touched.contains(&true) {
             assert_eq!(instrument.change(&base, birth, &all).unwrap(), 0.0);
             continue;
         }
@@ -178,15 +178,15 @@ fn a_probe_is_the_derivative_of_the_true_change() {
         let o = SMALL / (1.0 + (-logit).exp());
         small.shape.opacity_logit = (o / (1.0 - o)).ln() as f32;
         slopes.push(instrument.change(&base, &small, &all).unwrap() / SMALL);
-        foretold.push(probe.change);
+        estimated.push(estimate.change);
     }
     assert!(slopes.len() > 10, "{} births are seen", slopes.len());
-    let [largest, median] = differences(&foretold, &slopes);
-    println!("probe against differences: {largest:.1e} of the largest, median {median:.1e}");
-    assert!(largest < 5e-3 && median < 2e-3, "{foretold:?} {slopes:?}");
-    // Another birth's probe is no match.
-    foretold.rotate_left(1);
-    assert!(differences(&foretold, &slopes)[0] > 0.1);
+    let [largest, median] = differences(&estimated, &slopes);
+    println!("estimate against differences: {largest:.1e} of the largest, median {median:.1e}");
+    assert!(largest < 5e-3 && median < 2e-3, "{estimated:?} {slopes:?}");
+    // Another birth's estimate is no match.
+    estimated.rotate_left(1);
+    assert!(differences(&estimated, &slopes)[0] > 0.1);
 }
 
 #[test]
@@ -208,11 +208,11 @@ fn a_source_that_shares_adds_its_own_gradient() {
             }
         })
         .collect();
-    let probed = instrument.probe(&base, &births).unwrap();
-    let foretold: Vec<f64> = probed.iter().map(|p| p.change).collect();
+    let estimates = instrument.estimate(&base, &births).unwrap();
+    let estimated: Vec<f64> = estimates.iter().map(|p| p.change).collect();
     let measure = |b: &Birth| instrument.change(&base, b, &[false; 3]).unwrap();
     let changes: Vec<f64> = births.iter().map(measure).collect();
-    let (seen, want): (Vec<f64>, Vec<f64>) = foretold
+    let (seen, want): (Vec<f64>, Vec<f64>) = estimated
         .iter()
         .zip(&changes)
         .filter(|(_, c)| **c != 0.0)

@@ -44,7 +44,7 @@ fn a_trace_follows_gaussians_by_hand() {
         ..Outcome::default()
     };
     trace.step(100, &[-9.0, 1.0, -9.0, 1.0], &first, Some(&[5, 4, 3, 1, 0]));
-    assert_eq!(trace.len(), 5);
+    assert_eq!(trace.gaussians(), 5);
     let kinds: Vec<_> = trace.moves().iter().map(|m| (m.kind, m.gaussian)).collect();
     use MoveKind::{CoarseBirth, Death, FineBirth, PixelBirth, Relocation};
     assert_eq!(
@@ -131,7 +131,7 @@ fn a_traced_run_has_the_same_bits_and_every_move() {
     assert_eq!(count(&[PixelBirth, CoarseBirth, FineBirth]), stats.accepted);
     assert_eq!(count(&[Relocation]), stats.relocated);
     assert_eq!(count(&[Death]), stats.pruned);
-    assert_eq!(trace.len(), traced.gaussians());
+    assert_eq!(trace.gaussians(), traced.gaussians());
     // Weights sum to what the Gaussians cover, which is no more than all pixels.
     let pixels: usize = data
         .train

@@ -2,7 +2,7 @@
 
 use mhsplat::config::Sampler;
 use mhsplat::device::Device;
-use mhsplat::evaluate::ViewScore;
+use mhsplat::evaluate::{Scores, ViewScore};
 use mhsplat::run::{FinalRecord, initial_gaussians};
 use mhsplat::scene::{Gaussians, Plane};
 use mhsplat::train::Event;
@@ -113,11 +113,14 @@ fn progress_runs_from_the_first_density_step_to_the_end_of_the_span() {
 #[test]
 fn scores_are_means_over_views_and_not_of_pooled_errors() {
     let view = |psnr: f64| ViewScore {
-        psnr,
-        ssim: psnr / 100.0,
+        scores: Scores {
+            psnr,
+            ssim: psnr / 100.0,
+            ..Scores::default()
+        },
         ..ViewScore::default()
     };
-    let scores = FinalRecord::of(vec![view(20.0), view(40.0)]).unwrap();
+    let scores = FinalRecord::of(vec![view(20.0), view(40.0)]).unwrap().mean;
     assert_eq!(scores.psnr, 30.0);
     assert!((scores.ssim - 0.3).abs() < 1e-12);
 }

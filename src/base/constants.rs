@@ -31,8 +31,8 @@ pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
 pub const NEAR: f64 = 0.04;
 /// Sums that splat_grad writes per pair.
 pub const SUMS: usize = 9;
-/// Records that the splat kernels copy to local memory at a time (measured: 32 on CPUs).
-pub const STAGE: u32 = 32;
+/// Projected Gaussians that the splat kernels copy to local memory at a time (measured: 32 on CPUs).
+pub const SPLAT_BATCH: u32 = 32;
 /// Image rows per work-item of the loss.
 pub const LOSS_ROWS: u32 = 8;
 /// Pixels of a row per work-item of the shrink stage.

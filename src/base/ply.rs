@@ -72,6 +72,15 @@ pub(crate) struct Table {
     start: usize,
 }
 
+/// A kind of PLY with its properties, and the remedy for a file that lacks one of them.
+pub(crate) type Kind = [&'static str; 2];
+
+/// A plain point cloud.
+const CLOUD: Kind = [
+    "a point cloud (x y z, maybe red green blue)",
+    "export the points with these properties, or give a scene PLY of 3DGS",
+];
+
 /// An [`Error::Input`] about a damaged file.
 fn bad(path: &Path, what: impl Into<String>) -> Error {
     Error::input(path, what, "export the PLY file again")
@@ -137,21 +146,22 @@ impl Table {
         self.vertex.properties.iter().map(|p| p.name.as_str())
     }
 
-    /// The values of a property, one per vertex.
+    /// The values of a property that every file of a kind has, one per vertex.
     ///
     /// # Errors
     /// A missing property; a value that is not finite.
-    pub(crate) fn column(&self, name: &str) -> Result<Vec<f64>> {
-        Ok(self.typed_column(name)?.1)
+    pub(crate) fn column(&self, name: &str, kind: Kind) -> Result<Vec<f64>> {
+        Ok(self.typed_column(name, kind)?.1)
     }
 
     /// The first name of a property's type, and its values.
-    fn typed_column(&self, name: &str) -> Result<(&'static str, Vec<f64>)> {
+    fn typed_column(&self, name: &str, [expected, fix]: Kind) -> Result<(&'static str, Vec<f64>)> {
         let Element {
             properties, stride, ..
         } = &self.vertex;
         let Some(property) = properties.iter().find(|p| p.name == name) else {
-            return Err(bad(&self.path, format!("the property {name} is missing")));
+            let what = format!("the property {name} is missing; {expected} expected");
+            return Err(Error::input(&self.path, what, fix));
         };
         let value = |row: usize| {
             let bytes = self
@@ -170,7 +180,7 @@ impl Table {
 
     /// A colour channel in 0…255. Floats within [0, 1] are taken as fractions, 16-bit integers as 0…65535.
     fn color(&self, name: &str) -> Result<Vec<u8>> {
-        let (scalar, values) = self.typed_column(name)?;
+        let (scalar, values) = self.typed_column(name, CLOUD)?;
         let factor = match scalar {
             "float" | "double" if values.iter().all(|&v| v <= 1.0) => 255.0,
             "ushort" => 255.0 / 65535.0,
@@ -185,7 +195,8 @@ impl Table {
     /// # Errors
     /// A missing or non-finite coordinate.
     pub(crate) fn points(&self) -> Result<(Vec<DVec3>, Vec<[u8; 3]>)> {
-        let [x, y, z] = [self.column("x")?, self.column("y")?, self.column("z")?];
+        let [x, y, z] = ["x", "y", "z"].map(|name| self.column(name, CLOUD));
+        let (x, y, z) = (x?, y?, z?);
         let rows = 0..x.len();
         let positions = rows.clone().map(|i| DVec3::new(x[i], y[i], z[i]));
         let colors = if ["red", "green", "blue"].iter().all(|c| self.has(c)) {

@@ -124,12 +124,6 @@ impl Dataset {
         Alpha::common(self.views().map(|v| v.photo.alpha()))
     }
 
-    /// True if photos are transparent, so that the background matters.
-    #[must_use]
-    pub fn background_matters(&self) -> bool {
-        self.alpha() == Alpha::Transparency
-    }
-
     /// Bytes of all photos, decoded.
     #[must_use]
     pub fn photo_bytes(&self) -> u64 {

@@ -39,14 +39,6 @@ impl Points {
     }
 }
 
-/// The points of a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise) in the local frame.
-///
-/// # Errors
-/// [`Error::Input`] for a file of another format, a truncated one or a value that is not finite; [`Error::Io`].
-pub fn read(path: &Path, frame: &Frame) -> Result<Points> {
-    Points::local(path, frame, ply::Table::read(path)?.points()?)
-}
-
 /// Writes a plain point cloud (`x y z red green blue`, double precision) in the dataset's frame, atomically.
 ///
 /// # Errors

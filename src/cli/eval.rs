@@ -65,21 +65,22 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
     }
     let scores = FinalRecord::of(scores).ok_or_else(|| nothing_held_out(&args.dataset))?;
-    let (psnr, ssim, flip) = (scores.psnr, scores.ssim, scores.flip.unwrap_or(1.0));
+    let mean = &scores.mean;
+    let (psnr, ssim, flip) = (mean.psnr, mean.ssim, mean.flip.unwrap_or(1.0));
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);
     if common.json {
         output::json(&json!({
             "scene": ply, "gaussians": loaded.scene.count, "width": size[0], "height": size[1],
             "psnr": psnr, "ssim": ssim, "flip": flip, "per_view": scores.per_view,
-            "cc_psnr": scores.cc_psnr, "cc_ssim": scores.cc_ssim,
+            "cc_psnr": mean.cc_psnr, "cc_ssim": mean.cc_ssim,
         }))?;
         return Ok(Outcome::of(args.require_psnr, Some(psnr)));
     }
     for s in &scores.per_view {
-        let (view, flip) = (&s.view, s.flip.unwrap_or(1.0));
+        let (view, flip) = (&s.view, s.scores.flip.unwrap_or(1.0));
         output::line(&format!(
             "{:>7.3} dB  SSIM {:.4}  FLIP {flip:.4}  {view}",
-            s.psnr, s.ssim
+            s.scores.psnr, s.scores.ssim
         ));
     }
     output::line(&format!(
@@ -89,7 +90,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         size[1],
         loaded.scene.count
     ));
-    if let Some((psnr, ssim)) = scores.cc_psnr.zip(scores.cc_ssim) {
+    if let Some((psnr, ssim)) = mean.cc_psnr.zip(mean.cc_ssim) {
         output::line(&format!(
             "{psnr:>7.3} dB  SSIM {ssim:.4}  mean after fitting colours to the photos"
         ));

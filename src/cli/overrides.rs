@@ -11,7 +11,7 @@ use mhsplat::config::{MhConfig, RUN_CONTROL, Surrogate, TrainConfig};
 struct Flags {
     #[command(flatten)]
     config: TrainConfig,
-    /// Estimate of a birth's loss change, for the mh sampler.
+    /// Measure of a birth's effect on the loss, for the mh sampler.
     #[arg(long, value_enum, default_value_t = MhConfig::default().surrogate)]
     surrogate: Surrogate,
 }

@@ -7,7 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::cli::common::Common;
 use crate::cli::output;
 use mhsplat::base::error::Result;
-use mhsplat::run::{Progress, RunRecord};
+use mhsplat::run::{FinalRecord, Progress, RunRecord};
 
 /// Returns an empty progress bar.
 pub fn progress_bar() -> ProgressBar {
@@ -57,7 +57,7 @@ pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
     }
     let scores = match &record.final_scores {
         None => "no held-out view".to_owned(),
-        Some(f) => {
+        Some(FinalRecord { mean: f, .. }) => {
             let flip = f.flip.map(|v| format!(", FLIP {v:.4}"));
             let fitted = f.cc_psnr.zip(f.cc_ssim).map(|(psnr, ssim)| {
                 format!("; colour-corrected PSNR {psnr:.2} dB, SSIM {ssim:.4}")

@@ -10,7 +10,7 @@ use crate::cli::progress::{finish, progress_bar, show};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
-use mhsplat::config::{RUN_CONTROL, TrainConfig};
+use mhsplat::config::{RUN_CONTROL, TrainConfig, deserialize, from_json};
 use mhsplat::device::Device;
 use mhsplat::run::{Clock, Run, abandon_folder, claim_folder, saved_config};
 
@@ -88,7 +88,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         output::note(&found);
     }
     finish(record, dir, common)?;
-    let psnr = record.final_scores.as_ref().map(|f| f.psnr);
+    let psnr = record.final_scores.as_ref().map(|f| f.mean.psnr);
     Ok(Outcome::of(args.require_psnr, psnr))
 }
 
@@ -159,10 +159,10 @@ fn read_config(file: &Path) -> Result<TrainConfig> {
         )
     };
     if file.extension().is_some_and(|e| e == "json") {
-        let value: serde_json::Value =
-            serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+        let value: serde_json::Value = from_json(&text).map_err(wrong)?;
         let inner = value.get("config").cloned().unwrap_or(value);
-        return serde_json::from_value(inner).map_err(|e| wrong(e.to_string()));
+        return deserialize(inner).map_err(wrong);
     }
-    toml::from_str(&text).map_err(|e| wrong(e.to_string()))
+    let table = toml::Deserializer::parse(&text).map_err(|e| wrong(e.to_string()))?;
+    deserialize(table).map_err(wrong)
 }

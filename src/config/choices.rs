@@ -34,9 +34,9 @@ pub enum ExposureChoice {
     Off,
 }
 
-/// Estimate of a birth's loss change in the acceptance ratio ρ. The importance is that of \[MH\] Eq. 18–20; the probe is not in
-/// \[MH\]: σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Sources are drawn by importance
-/// with either.
+/// Measure of a birth's effect on the loss in the acceptance ratio ρ. The importance is that of \[MH\] Eq. 18–20; the first-order
+/// estimate is not in \[MH\]: σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Sources are drawn
+/// by importance with either.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -44,7 +44,7 @@ pub enum Surrogate {
     /// The importance of its source.
     #[default]
     Importance,
-    /// Its first-order change of the loss, computed over a few views.
+    /// The first-order estimate of the birth, computed over a few views.
     Probe,
 }
 
@@ -102,7 +102,7 @@ impl TryFrom<NumberOrText<u32>> for ViewSubset {
             NumberOrText::Number(k) if k > 0 => Ok(Self::Fixed(k)),
             NumberOrText::Text(word) if word == "shrinking" => Ok(Self::Shrinking),
             NumberOrText::Text(word) if word == "all" => Ok(Self::All),
-            _ => Err("mh.view-subset: \"shrinking\", \"all\" or a number of at least 1 expected"),
+            _ => Err("\"shrinking\", \"all\" or a number of at least 1 expected"),
         }
     }
 }

@@ -15,7 +15,7 @@ pub struct MhConfig {
     pub acceptance: Acceptance,
     /// Estimate of a birth's loss change in ρ.
     pub surrogate: Surrogate,
-    /// Number of views that probes are rendered in, those that training takes next (only for `surrogate = "probe"`); all if
+    /// Number of views that births are estimated in, those that training takes next (only for `surrogate = "probe"`); all if
     /// there are fewer.
     pub probe_views: u32,
     /// Opacity and scale of a birth (§4.3).
@@ -211,7 +211,7 @@ impl MhConfig {
             check(self.probe_views > 0, "probe-views", what)?;
             // The other forms weigh I in other ways, and there is no I in ρ.
             let other = matches!(self.acceptance, Acceptance::Alg1 | Acceptance::Centred);
-            let what = "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is probed)";
+            let what = "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is estimated)";
             check(!other, "surrogate", what)?;
         }
         let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
@@ -222,9 +222,9 @@ impl MhConfig {
         self.times().validate("mh")
     }
 
-    /// Returns the number of views that the births of a step are probed in; 0 if ρ does not use them.
+    /// Returns the number of views that the births of a step are estimated in; 0 if ρ does not use them.
     #[must_use]
-    pub fn probed_views(&self) -> usize {
+    pub fn estimate_views(&self) -> usize {
         match (self.surrogate, self.acceptance) {
             (Surrogate::Importance, _) | (_, Acceptance::ExactPrior) => 0,
             (Surrogate::Probe, _) => self.probe_views as usize,

@@ -16,5 +16,5 @@ pub use mh::MhConfig;
 pub use optimizer::{LossConfig, OptimizerConfig};
 pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
 pub use train::{RUN_CONTROL, TrainConfig};
-pub use values::{Background, Init, parse_bytes, parse_duration};
+pub use values::{Background, Init, deserialize, from_json, parse_bytes, parse_duration};
 pub use work::WorkConfig;

@@ -1,10 +1,11 @@
-//! Options with a spelling of their own. Parsers return what they expect as their error; who calls them names the option.
+//! Options with a spelling of their own. Parsers return what they expect as their error; who calls them names the option, as
+//! [`deserialize`] does.
 
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use serde::de::Error as _;
+use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// Source of the first Gaussians; written `points`, `random` or the path of a PLY file.
@@ -46,7 +47,7 @@ impl fmt::Display for Init {
 impl TryFrom<String> for Init {
     type Error = String;
     fn try_from(s: String) -> Result<Self, String> {
-        s.parse().map_err(|what| format!("init: {s:?}; {what}"))
+        s.parse().map_err(|what| format!("{s:?}; {what}"))
     }
 }
 
@@ -121,8 +122,7 @@ impl fmt::Display for Background {
 impl TryFrom<String> for Background {
     type Error = String;
     fn try_from(s: String) -> Result<Self, String> {
-        s.parse()
-            .map_err(|what| format!("background: {s:?}; {what}"))
+        s.parse().map_err(|what| format!("{s:?}; {what}"))
     }
 }
 
@@ -186,16 +186,15 @@ pub enum NumberOrText<T> {
     Text(String),
 }
 
-/// An optional number of the key `key`, or a text that `parse` reads.
+/// An optional number, or a text that `parse` reads.
 fn number_or_text<'de, T: Deserialize<'de>, D: Deserializer<'de>>(
     deserializer: D,
-    key: &str,
     parse: impl Fn(&str) -> Result<T, &'static str>,
 ) -> Result<Option<T>, D::Error> {
     let read = |value| match value {
         NumberOrText::Number(number) => Ok(number),
         NumberOrText::Text(text) => {
-            parse(&text).map_err(|what| D::Error::custom(format!("{key}: {text:?}; {what}")))
+            parse(&text).map_err(|what| D::Error::custom(format!("{text:?}; {what}")))
         }
     };
     Option::deserialize(deserializer)?.map(read).transpose()
@@ -203,10 +202,29 @@ fn number_or_text<'de, T: Deserialize<'de>, D: Deserializer<'de>>(
 
 /// `image-budget` as a number of bytes or in the form of [`parse_bytes`].
 pub(super) fn image_budget<'de, D: Deserializer<'de>>(d: D) -> Result<Option<u64>, D::Error> {
-    number_or_text(d, "image-budget", parse_bytes)
+    number_or_text(d, parse_bytes)
 }
 
 /// `time-budget` as a number of seconds or in the form of [`parse_duration`].
 pub(super) fn time_budget<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
-    number_or_text(d, "time-budget", parse_duration)
+    number_or_text(d, parse_duration)
+}
+
+/// A value of a file.
+///
+/// # Errors
+/// A value that is refused, with its key: `mh.birth: unknown variant …`.
+pub fn deserialize<'de, T: Deserialize<'de>>(from: impl Deserializer<'de>) -> Result<T, String> {
+    serde_path_to_error::deserialize(from).map_err(|e| e.to_string())
+}
+
+/// The value of a JSON document.
+///
+/// # Errors
+/// Those of [`deserialize`], or text after the value.
+pub fn from_json<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    let mut from = serde_json::Deserializer::from_str(text);
+    let value = deserialize(&mut from)?;
+    from.end().map_err(|e| e.to_string())?;
+    Ok(value)
 }

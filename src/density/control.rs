@@ -57,17 +57,17 @@ impl StepContext<'_> {
     }
 }
 
-/// A birth to be probed for its effect on the loss.
+/// A birth whose first-order estimate is wanted.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Trial {
+pub struct Candidate {
     /// The Gaussian to be written; `dst` has no meaning.
     pub birth: Edit,
     /// Changes of the source's opacity logit and its three log-scales if birth and source share; else `None`.
     pub source_change: Option<[f64; 4]>,
 }
 
-/// Returns the first-order change of the loss by each birth, in the order given; NaN for a birth that no view sees.
-pub type Probe<'a> = dyn FnMut(&[Trial]) -> Result<Vec<f64>> + 'a;
+/// Returns the first-order estimate of each birth, in the order given: the change of the loss, NaN for a birth that no view sees.
+pub type Estimator<'a> = dyn FnMut(&[Candidate]) -> Result<Vec<f64>> + 'a;
 
 /// A strategy of density control. It decides from the arguments of a step and keeps nothing between steps, so that a
 /// checkpoint needs nothing of it.
@@ -81,8 +81,8 @@ pub trait DensityControl: Send + Sync {
         0
     }
 
-    /// Number of views that births are probed in; 0 if none is.
-    fn trial_views(&self) -> usize {
+    /// Number of views that births are estimated in; 0 if none is.
+    fn estimate_views(&self) -> usize {
         0
     }
 
@@ -102,16 +102,16 @@ pub trait DensityControl: Send + Sync {
         evidence: &Statistics<'_>,
     ) -> Result<Outcome>;
 
-    /// [`DensityControl::step`] by a strategy that may ask for `probe` before it decides.
+    /// [`DensityControl::step`] by a strategy that may ask for estimates before it decides.
     ///
     /// # Errors
-    /// Those of [`DensityControl::step`], and the probe's.
-    fn step_probed(
+    /// Those of [`DensityControl::step`], and the estimates'.
+    fn step_estimated(
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Statistics<'_>,
-        _probe: &mut Probe<'_>,
+        _estimate: &mut Estimator<'_>,
     ) -> Result<Outcome> {
         self.step(context, scene, evidence)
     }

@@ -57,12 +57,6 @@ impl Categorical {
         }
     }
 
-    /// True if the weights gave no usable total, so that the draw is uniform.
-    #[must_use]
-    pub fn is_uniform(&self) -> bool {
-        self.cumulative.is_empty()
-    }
-
     /// The item at u ∈ [0, 1); `None` if there are no items. An item of weight 0 is never drawn (unless uniform).
     #[must_use]
     pub fn draw(&self, u: f64) -> Option<usize> {

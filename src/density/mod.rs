@@ -4,7 +4,7 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `control.rs` | the trait, the context of a step, births to be probed |
+//! | `control.rs` | the trait, the context of a step, births to be estimated |
 //! | `state.rs`, `statistics.rs`, `picture.rs` | input: parameters, statistics per Gaussian, renders of views |
 //! | `outcome.rs` | output: edits, removals, counters |
 //! | `draw.rs`, `relocation.rs` | draws by weight, dead Gaussians that take over alive ones |
@@ -24,7 +24,7 @@ mod statistics;
 
 pub use crate::scene::Edit;
 pub use adc::Adaptive;
-pub use control::{DensityControl, NoiseLaw, Probe, StepContext, Trial};
+pub use control::{Candidate, DensityControl, Estimator, NoiseLaw, StepContext};
 pub use mcmc::Mcmc;
 pub use none::Fixed;
 pub use outcome::{BirthKind, BirthRecord, DensityStats, Outcome};

@@ -81,7 +81,7 @@ pub struct BirthRecord {
     pub kind: BirthKind,
     /// Importance I of the source or pixel.
     pub importance: f64,
-    /// First-order change of the loss; `None` if births are not probed.
+    /// First-order estimate: the change of the loss; `None` if births are not estimated.
     pub change: Option<f64>,
     /// ln ρ^{1/T}.
     pub ln_ratio: f64,

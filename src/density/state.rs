@@ -73,8 +73,5 @@ pub(super) fn gather<const K: usize>(planes: &[&[f32]; K], row: usize) -> Option
 
 /// The error of a density step on input that it cannot work with.
 pub(super) fn numerics(what: String) -> Error {
-    Error::Numerics {
-        stage: "density control".into(),
-        what,
-    }
+    Error::numerics("density control", what)
 }

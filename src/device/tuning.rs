@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::constants::{STAGE, TILE};
+use crate::base::constants::{SPLAT_BATCH, TILE};
 use crate::device::info::{DeviceInfo, DeviceKind};
 
 /// Key of a Gaussian that is not visible.
@@ -152,7 +152,11 @@ impl Tuning {
     /// at the same time on a CPU; a GPU has its other work-items for that.
     #[must_use]
     pub fn batch(&self) -> usize {
-        if self.group_style { 1 } else { STAGE as usize }
+        if self.group_style {
+            1
+        } else {
+            SPLAT_BATCH as usize
+        }
     }
 
     /// Local size of kernels with a work-item per batch.

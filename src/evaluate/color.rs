@@ -105,8 +105,8 @@ impl Evaluator {
                 image: &image,
                 ..ImagePair::new(&renderer.frame, &photo, background)
             };
-            let [psnr, ssim] = psnr_and_ssim(&self.scoring.pair(&pair)?);
-            (score.cc_psnr, score.cc_ssim) = (Some(psnr), Some(ssim));
+            let [psnr, ssim] = psnr_and_ssim(&self.scoring.errors(&pair)?);
+            (score.scores.cc_psnr, score.scores.cc_ssim) = (Some(psnr), Some(ssim));
         }
         Ok(())
     }

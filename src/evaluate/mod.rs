@@ -15,11 +15,9 @@ use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::Renderer;
 use crate::pipeline::scoring::{PairErrors, Scoring};
 
-/// Scores of one held-out view.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct ViewScore {
-    /// Name of the view.
-    pub view: String,
+/// Scores of a held-out view, or their means over views.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Scores {
     /// PSNR in dB.
     pub psnr: f64,
     /// SSIM.
@@ -33,6 +31,30 @@ pub struct ViewScore {
     /// SSIM after that fit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cc_ssim: Option<f64>,
+}
+
+impl Scores {
+    /// The scores with their names in JSON.
+    #[must_use]
+    pub fn named(&self) -> [(&'static str, Option<f64>); 5] {
+        [
+            ("psnr", Some(self.psnr)),
+            ("ssim", Some(self.ssim)),
+            ("flip", self.flip),
+            ("cc_psnr", self.cc_psnr),
+            ("cc_ssim", self.cc_ssim),
+        ]
+    }
+}
+
+/// Scores of one held-out view.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct ViewScore {
+    /// Name of the view.
+    pub view: String,
+    /// Its scores.
+    #[serde(flatten)]
+    pub scores: Scores,
 }
 
 /// PSNR of two equal images (mean squared error below 1e-10).
@@ -85,9 +107,11 @@ impl Evaluator {
         let [psnr, ssim] = psnr_and_ssim(&errors);
         let score = ViewScore {
             view: self.views.names[view].clone(),
-            psnr,
-            ssim,
-            ..ViewScore::default()
+            scores: Scores {
+                psnr,
+                ssim,
+                ..Scores::default()
+            },
         };
         Ok((errors.counted > 0.0).then_some(score))
     }
@@ -132,7 +156,7 @@ impl Evaluator {
                 continue;
             };
             if with_flip {
-                score.flip = Some(self.flip(v, renderer, background)?);
+                score.scores.flip = Some(self.flip(v, renderer, background)?);
             }
             scores.push(score);
         }

@@ -31,10 +31,7 @@ pub fn check_folder(dir: &Path) -> Result<()> {
 /// # Errors
 /// None that a user can cause: what is measured can be written.
 pub fn json(name: &str, value: &impl Serialize) -> Result<String> {
-    serde_json::to_string_pretty(value).map_err(|e| Error::Numerics {
-        stage: name.into(),
-        what: e.to_string(),
-    })
+    serde_json::to_string_pretty(value).map_err(|e| Error::numerics(name, e))
 }
 
 /// The JSON document of one device, or of several as an array.

@@ -63,8 +63,8 @@ impl Backward {
         project_grad::backward(stage, scene, &forward.frame, lambdas, grads)
     }
 
-    /// Derivatives of the loss by some planes of the parameters, from the image gradient of the view rendered last, of the
-    /// Gaussians from `first` (a multiple of [`GRADIENT_ROWS`]) on.
+    /// Derivatives of the loss with respect to some planes of the parameters, from the image gradient of the view rendered last,
+    /// of the Gaussians from `first` (a multiple of [`GRADIENT_ROWS`]) on.
     pub fn plane_gradients<R: Real, const K: usize>(
         &self,
         forward: &Renderer<R>,

@@ -31,7 +31,7 @@ impl<R: Real> ExposureModel<R> {
         self.stage.step(view, &Step { t, ..step }, status)
     }
 
-    /// Gradient by the transform stepped last, row-major \[A | b\].
+    /// Gradient with respect to the transform stepped last, row-major \[A | b\].
     pub fn gradient(&self) -> Result<Vec<R>> {
         self.stage.grads.to_vec()
     }
@@ -73,10 +73,8 @@ impl<R: Real> ExposureModel<R> {
         let arrays = self.arrays();
         let fits = arrays.len() == rows.len();
         if !fits || arrays.iter().zip(rows).any(|(a, row)| a.len() != row.len()) {
-            return Err(Error::Numerics {
-                stage: "checkpoint".into(),
-                what: format!("exposures of another shape: {} rows", rows.len()),
-            });
+            let what = format!("exposures of another shape: {} rows", rows.len());
+            return Err(Error::numerics("checkpoint", what));
         }
         for (array, row) in arrays.iter().zip(rows) {
             array.write(0, row)?;

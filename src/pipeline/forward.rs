@@ -193,7 +193,7 @@ impl<R: Real> Renderer<R> {
             ..RenderOptions::default()
         };
         for camera in cameras {
-            self.pair(scene, camera, &options)?;
+            self.intersect(scene, camera, &options)?;
             let capacity = self.frame.intersection_capacity();
             if shown.len() < capacity {
                 shown = Array::zeros(&self.device, "shown", capacity)?;
@@ -237,7 +237,7 @@ impl<R: Real> Renderer<R> {
     }
 
     /// Runs the stages of [`Renderer::render`] up to the sorted tile intersections; nothing is splatted.
-    pub(crate) fn pair(
+    pub(crate) fn intersect(
         &mut self,
         scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,

@@ -182,7 +182,7 @@ impl<R: Real> Pipeline<R> {
             ..RenderOptions::default()
         };
         self.forward.render(scene, camera, &options)?;
-        // The sum of the image's values: its derivative by a colour is the weight.
+        // The sum of the image's values: its derivative with respect to a colour is the weight.
         let size = camera.image();
         let ([width, height], [stride, rows]) = (size.0, size.padded());
         let mut ones = vec![R::of(0.0); 3 * stride * rows];

@@ -14,8 +14,8 @@ use crate::scene::Plane;
 /// Results of every stage.
 #[derive(Debug, Clone)]
 pub struct ReferencePass {
-    /// Records.
-    pub records: Vec<Option<Projected64>>,
+    /// Projected Gaussians; `None` where culled.
+    pub projected: Vec<Option<Projected64>>,
     /// Gaussians of each tile.
     pub tiles: Vec<Vec<u32>>,
     /// Image \[3, height, width\].
@@ -54,12 +54,12 @@ type Forward = (Vec<Option<Projected64>>, Vec<Vec<u32>>, Vec<f64>, Vec<f64>);
 /// Results of the forward stages.
 #[must_use]
 pub fn render(scene: &Scene64, camera: &Camera64, options: &Options) -> Forward {
-    let records: Vec<_> = (0..scene.len())
+    let projected: Vec<_> = (0..scene.len())
         .map(|i| project(scene, i, camera, options))
         .collect();
-    let tiles = bin(&records, camera, options.alpha_min);
-    let (image, transmittance) = splat(&records, &tiles, camera, options);
-    (records, tiles, image, transmittance)
+    let tiles = bin(&projected, camera, options.alpha_min);
+    let (image, transmittance) = splat(&projected, &tiles, camera, options);
+    (projected, tiles, image, transmittance)
 }
 
 /// Loss alone, for finite differences.
@@ -88,7 +88,7 @@ pub fn run(
 ) -> ReferencePass {
     let pixels = camera.pixels();
     let counts = |at: usize| mask.map_or(1.0, |m| m[at % pixels]);
-    let (records, tiles, image, transmittance) = render(scene, camera, options);
+    let (projected, tiles, image, transmittance) = render(scene, camera, options);
     let masked: Vec<f64> = image
         .iter()
         .enumerate()
@@ -98,15 +98,15 @@ pub fn run(
     for (at, g) in loss.gradient.iter_mut().enumerate() {
         *g *= counts(at);
     }
-    let sums = splat_grad(&records, &tiles, camera, options, &loss.gradient);
+    let sums = splat_grad(&projected, &tiles, camera, options, &loss.gradient);
     let sums: Vec<Option<[f64; 9]>> = sums
         .into_iter()
-        .zip(&records)
+        .zip(&projected)
         .map(|(s, r)| r.as_ref().map(|_| s))
         .collect();
     let grads = project_grad(scene, camera, options, &sums, [lambdas[1], lambdas[2]]);
     ReferencePass {
-        records,
+        projected,
         tiles,
         image,
         transmittance,

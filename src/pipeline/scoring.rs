@@ -55,11 +55,11 @@ impl Scoring {
             ..RenderOptions::default()
         };
         renderer.render(scene, camera, &options)?;
-        self.pair(&ImagePair::new(&renderer.frame, photo, background))
+        self.errors(&ImagePair::new(&renderer.frame, photo, background))
     }
 
     /// Clamps a render in place and compares it with its photo; waits.
-    pub fn pair(&self, pair: &ImagePair<'_, f32>) -> Result<PairErrors> {
+    pub fn errors(&self, pair: &ImagePair<'_, f32>) -> Result<PairErrors> {
         metrics::score(&self.metrics, pair, &self.rows)?;
         self.loss.errors(pair)?;
         metrics::sum_dissimilarity(&self.metrics, pair, &self.loss.maps, &self.rows)?;

@@ -13,7 +13,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::config::TrainConfig;
+use crate::config::{TrainConfig, from_json};
 use crate::density;
 use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
@@ -195,7 +195,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     if entry("crc32") != Some(&checksum(written, parts.map(|t| t.data()))) {
         return Err("its checksum is wrong".into());
     }
-    let header: Header = serde_json::from_str(written).map_err(|e| text(&e))?;
+    let header: Header = from_json(written)?;
     let expected = Plane::count(header.sh_degree.min(3));
     let read = |name, rows, columns| planes(&tensors, name, rows, columns);
     let params = read("params", expected, None)?;

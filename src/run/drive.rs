@@ -340,8 +340,8 @@ impl Run {
             self.losses.extend(loss);
         }
         let scores = self.scores(last)?;
-        self.psnr = scores.as_ref().map(|s| s.psnr);
-        let ssim = scores.as_ref().map(|s| s.ssim);
+        self.psnr = scores.as_ref().map(|s| s.mean.psnr);
+        let ssim = scores.as_ref().map(|s| s.mean.ssim);
         self.record.final_scores = scores.or_else(|| self.record.final_scores.take());
         let now = self.clock.reading();
         let stats = *self.trainer.stats();
@@ -476,8 +476,8 @@ impl Run {
             let counted = photo.counted(render.clone());
             items.push(GalleryItem {
                 view: score.view,
-                psnr: score.psnr,
-                ssim: score.ssim,
+                psnr: score.scores.psnr,
+                ssim: score.scores.ssim,
                 width: image.width as u32,
                 height: image.height as u32,
                 error: error_map(&counted, &photo.rgb_over(background))?,

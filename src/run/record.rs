@@ -5,10 +5,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::config::TrainConfig;
+use crate::config::{TrainConfig, from_json};
 use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
-use crate::evaluate::ViewScore;
+use crate::evaluate::{Scores, ViewScore};
 use crate::pipeline::photos::PhotoStats;
 use crate::run::density_trace::FunnelRow;
 use crate::train::Plan;
@@ -137,19 +137,9 @@ pub struct StageRecord {
 /// Scores of the last evaluation.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct FinalRecord {
-    /// Mean PSNR over the views in dB.
-    pub psnr: f64,
-    /// Mean SSIM over the views.
-    pub ssim: f64,
-    /// Mean ꟻLIP over the views; of the evaluation at the end of the run only.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub flip: Option<f64>,
-    /// Mean colour-corrected PSNR over the views in dB; only if the run compensates exposure.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub cc_psnr: Option<f64>,
-    /// Mean colour-corrected SSIM over the views.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub cc_ssim: Option<f64>,
+    /// Means over the views.
+    #[serde(flatten)]
+    pub mean: Scores,
     /// Scores by view, sorted by name.
     pub per_view: Vec<ViewScore>,
 }
@@ -158,19 +148,19 @@ impl FinalRecord {
     /// The scores of the views with their means, each of which needs the score of every view; `None` without views.
     #[must_use]
     pub fn of(per_view: Vec<ViewScore>) -> Option<Self> {
-        let mean = |score: fn(&ViewScore) -> Option<f64>| {
-            let scores: Option<Vec<f64>> = per_view.iter().map(score).collect();
+        let mean = |score: fn(&Scores) -> Option<f64>| {
+            let scores: Option<Vec<f64>> = per_view.iter().map(|v| score(&v.scores)).collect();
             let scores = scores.filter(|s| !s.is_empty())?;
             Some(scores.iter().sum::<f64>() / scores.len() as f64)
         };
-        Some(Self {
+        let mean = Scores {
             psnr: mean(|s| Some(s.psnr))?,
             ssim: mean(|s| Some(s.ssim))?,
             flip: mean(|s| s.flip),
             cc_psnr: mean(|s| s.cc_psnr),
             cc_ssim: mean(|s| s.cc_ssim),
-            per_view,
-        })
+        };
+        Some(Self { mean, per_view })
     }
 }
 
@@ -262,20 +252,17 @@ impl RunRecord {
     pub fn to_json(&self) -> Result<String> {
         let numerics = |what: String| Error::numerics(RECORD_FILE, what);
         let scores = self.final_scores.iter();
-        let of_views = scores.flat_map(|f| {
-            let views = f.per_view.iter().map(|v| [v.flip, v.cc_psnr, v.cc_ssim]);
-            views.chain([[f.flip, f.cc_psnr, f.cc_ssim]])
-        });
-        let mut optional = of_views
-            .flat_map(|v| ["flip", "cc_psnr", "cc_ssim"].into_iter().zip(v))
+        let scores = scores.flat_map(|f| f.per_view.iter().map(|v| &v.scores).chain([&f.mean]));
+        let mut numbers = scores
+            .flat_map(Scores::named)
             .chain([("time-budget", self.config.time_budget)]);
-        let bad = optional.find_map(|(name, v)| Some((name, v.filter(|v| !v.is_finite())?)));
+        let bad = numbers.find_map(|(name, v)| Some((name, v.filter(|v| !v.is_finite())?)));
         if let Some((name, value)) = bad {
             return Err(numerics(format!("{name} is {value}")));
         }
         let text = serde_json::to_string_pretty(self).map_err(|e| numerics(e.to_string()))?;
         // serde_json spells NaN and infinity `null`, and no number reads back from that: what cannot be read back as it
-        // was written is refused, with the line that shows the field. (An optional number would: hence the check above.)
+        // was written is refused, with the line that shows the field. (An optional number would, and scores have no line: hence the check above.)
         if let Err(error) = serde_json::from_str::<Self>(&text) {
             let line = text.lines().nth(error.line().saturating_sub(1));
             return Err(numerics(format!(
@@ -303,7 +290,7 @@ impl RunRecord {
     pub fn read(run_dir: impl AsRef<Path>) -> Result<Self> {
         let path = run_dir.as_ref().join(RECORD_FILE);
         let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, e))?;
-        serde_json::from_str(&text).map_err(|e| {
+        from_json(&text).map_err(|e| {
             let fix = "give a folder that `mhsplat train` wrote with this version";
             Error::input(&path, format!("not a run record: {e}"), fix)
         })

@@ -9,9 +9,15 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::base::error::{Error, Result};
-use crate::base::ply::{self as table, Table};
+use crate::base::ply::{self as table, Kind, Table};
 use crate::capture::{Frame, Points};
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
+
+/// The kind of file that this module writes.
+const SCENE: Kind = [
+    "a scene PLY of 3DGS (x y z, f_dc_0 to 2, opacity, scale_0 to 2, rot_0 to 3)",
+    "export the Gaussians as plain 3DGS PLY, with all these properties",
+];
 
 /// Beginning of the comment on the filters of a scene.
 const MARK: &str = "mhsplat anti-aliasing:";
@@ -134,14 +140,18 @@ pub enum Contents {
 /// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise).
 ///
 /// # Errors
-/// Those of [`read`] and [`crate::capture::point_cloud::read`].
+/// Those of [`read`]; a point cloud without `x y z`, or with a point too far away for single precision.
 pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
     let table = Table::read(path)?;
-    if table.has("opacity") || table.has("f_dc_0") {
+    if holds_gaussians(&table) {
         from_table(path, &table, frame).map(Contents::Scene)
     } else {
         Points::local(path, frame, table.points()?).map(Contents::Points)
     }
+}
+
+fn holds_gaussians(table: &Table) -> bool {
+    table.has("opacity") || table.has("f_dc_0")
 }
 
 /// Reads Gaussians, ascii or binary little endian, properties in any order and of any scalar type. The SH degree follows
@@ -151,14 +161,14 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
 /// [`Error::Input`] for a file of another format, a truncated one, a missing property, a value that is not finite (named by
 /// row and property), or a scene trained with other filters; [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
-    match read_either(path, frame)? {
-        Contents::Scene(file) => Ok(file),
-        Contents::Points(_) => Err(Error::input(
-            path,
-            "no 3DGS properties (f_dc_0, opacity, …): a plain point cloud",
-            "give a PLY of Gaussians",
-        )),
+    let table = Table::read(path)?;
+    if holds_gaussians(&table) {
+        return from_table(path, &table, frame);
     }
+    let [expected, fix] = SCENE;
+    let what =
+        format!("neither f_dc_0 nor opacity, as in a plain point cloud; {expected} expected");
+    Err(Error::input(path, what, fix))
 }
 
 fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
@@ -181,7 +191,7 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
     let stretch = frame.scale.ln();
     let mut planes = vec![Vec::new(); Plane::count(sh_degree)];
     let mut fill = |plane: usize, name: String, change: &dyn Fn(f64) -> f64| -> Result<()> {
-        let values = table.column(&name)?;
+        let values = table.column(&name, SCENE)?;
         planes[plane] = values.into_iter().map(|v| change(v) as f32).collect();
         match planes[plane].iter().position(|v| !v.is_finite()) {
             None => Ok(()),

@@ -8,8 +8,8 @@ use crate::base::rng::Stream;
 use crate::capture::Alpha;
 use crate::capture::photo::colors;
 use crate::density::{
-    self, DensityControl, DensityStats, ErrorStatistics, NoiseLaw, Outcome, Picture, SceneState,
-    ScreenGradient, Statistics, StatisticsKind, StepContext, Trial,
+    self, Candidate, DensityControl, DensityStats, ErrorStatistics, NoiseLaw, Outcome, Picture,
+    SceneState, ScreenGradient, Statistics, StatisticsKind, StepContext,
 };
 use crate::device::{Device, Kernels, Program, StageTime};
 use crate::pipeline::forward::{Quantity, RenderOptions};
@@ -262,8 +262,8 @@ impl Control {
             }),
         };
         let strategy = self.strategy.clone();
-        let mut estimate = |trials: &[Trial]| self.estimate(on, iteration, trials);
-        strategy.step_probed(&context, &state, &evidence, &mut estimate)
+        let mut estimate = |candidates: &[Candidate]| self.estimate(on, iteration, candidates);
+        strategy.step_estimated(&context, &state, &evidence, &mut estimate)
     }
 
     /// First-order changes of the loss by births; empty if the strategy asks for none.
@@ -271,12 +271,12 @@ impl Control {
         &mut self,
         on: &mut Working<'_>,
         iteration: u32,
-        trials: &[Trial],
+        candidates: &[Candidate],
     ) -> Result<Vec<f64>> {
         let lambda = self.plan.config.loss.lambda_ssim;
         match &mut self.estimates {
             Some(estimates) => {
-                estimates.changes(context(on, &self.edit, lambda, iteration), trials)
+                estimates.changes(context(on, &self.edit, lambda, iteration), candidates)
             }
             None => Ok(Vec::new()),
         }

@@ -1,14 +1,15 @@
 //! [`Estimates`]: first-order estimates of births, before they are decided on.
 //!
-//! A birth with ε times its opacity leaves the image as it is. The derivative of the loss by its opacity says what the birth would do
-//! to the loss, to first order, and one more render and backward pass per view says it for all births together. They are rendered
-//! with ε times the alpha cut, so that each covers just the pixels that its birth would; dL/dC is that of the ordinary render.
+//! A birth with ε times its opacity leaves the image as it is. The derivative of the loss with respect to its opacity says what
+//! the birth would do to the loss, to first order, and one more render and backward pass per view says it for all births
+//! together. They are rendered with ε times the alpha cut, so that each covers just the pixels that its birth would; dL/dC is
+//! that of the ordinary render.
 
 use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
-use crate::density::{DensityControl, Trial};
+use crate::density::{Candidate, DensityControl};
 use crate::device::{Array, Defines, Device, Program, StageTime};
 use crate::pipeline::backward::{Backward, GRADIENT_ROWS};
 use crate::pipeline::buffers::{GaussianBuffers, restride};
@@ -43,7 +44,7 @@ pub fn scaled_logit(logit: f64, factor: f64) -> f64 {
     o.ln() - (-o).ln_1p()
 }
 
-/// First-order change of the loss by a birth of this opacity logit, from the derivative by the logit of its faint copy.
+/// First-order estimate of a birth of this opacity logit, from the derivative with respect to the logit of its faint copy.
 #[must_use]
 pub fn change(slope: f64, logit: f64, epsilon: f64) -> f64 {
     // dL/dlogit = (1 − o)·o·dL/do at o = ε·o_c; the change by o_c is o_c·dL/do.
@@ -100,7 +101,7 @@ pub struct Context<'a> {
     pub iteration: u32,
 }
 
-/// Renders faint births and differentiates by them.
+/// Renders faint births and differentiates with respect to them.
 #[derive(Debug)]
 pub struct Estimates {
     pass: FaintPass<f32>,
@@ -119,7 +120,7 @@ impl Estimates {
         pipeline: &Pipeline,
         density: &dyn DensityControl,
     ) -> Result<Option<Self>> {
-        let views = density.trial_views();
+        let views = density.estimate_views();
         if views == 0 {
             return Ok(None);
         }
@@ -131,16 +132,16 @@ impl Estimates {
         }))
     }
 
-    /// First-order change of the loss by each birth, mean over the views that training takes next, at the size that they
-    /// have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations.
-    pub fn changes(&mut self, mut at: Context<'_>, trials: &[Trial]) -> Result<Vec<f64>> {
-        if trials.is_empty() {
+    /// First-order estimate of each birth: the change of the loss, mean over the views that training takes next, at the size
+    /// that they have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations.
+    pub fn changes(&mut self, mut at: Context<'_>, candidates: &[Candidate]) -> Result<Vec<f64>> {
+        if candidates.is_empty() {
             return Ok(Vec::new());
         }
         let began = Instant::now();
         at.device.finish()?;
         at.device.collect_times(usize::MAX)?;
-        let changes = self.over_views(&mut at, trials);
+        let changes = self.over_views(&mut at, candidates);
         // Counted as `probe`, not as the stages that an estimate passes.
         at.device.forget_launches();
         self.time.seconds += began.elapsed().as_secs_f64();
@@ -155,20 +156,20 @@ impl Estimates {
         Ok(())
     }
 
-    fn over_views(&mut self, at: &mut Context<'_>, trials: &[Trial]) -> Result<Vec<f64>> {
-        let scene = at.with_faint(trials)?;
+    fn over_views(&mut self, at: &mut Context<'_>, candidates: &[Candidate]) -> Result<Vec<f64>> {
+        let scene = at.with_faint(candidates)?;
         let n = at.gaussians.scene.count;
-        let shared = trials.iter().any(|t| t.source_change.is_some());
+        let shared = candidates.iter().any(|t| t.source_change.is_some());
         let first = n / GRADIENT_ROWS * GRADIENT_ROWS;
         let count = self.views.min(at.views.len());
         let views = at.views.upcoming(at.iteration, count);
         let degree = at.gaussians.scene.sh_degree;
-        let mut changes = vec![f64::NAN; trials.len()];
+        let mut changes = vec![f64::NAN; candidates.len()];
         for (background_of, view) in (at.iteration..).zip(&views) {
             let number = [background_of as usize, *view];
             let [faint, sources] = self.in_view(at, &scene, number, degree, shared)?;
             let touched = self.pass.forward.intersected(n)?;
-            for (k, (sum, trial)) in changes.iter_mut().zip(trials).enumerate() {
+            for (k, (sum, trial)) in changes.iter_mut().zip(candidates).enumerate() {
                 let logit = f64::from(trial.birth.opacity_logit);
                 let mut here = change(faint[0][n - first + k], logit, EPSILON_SINGLE);
                 if let Some(source) = trial.source_change {
@@ -183,8 +184,8 @@ impl Estimates {
         Ok(changes.iter().map(|c| c / views.len() as f64).collect())
     }
 
-    /// Derivatives by opacity logit and log-scales in one view: of the rows from the last whole 16 of the scene on, with the
-    /// faint cut, and of the scene's own, if `shared`, with the ordinary one.
+    /// Derivatives with respect to opacity logit and log-scales in one view: of the rows from the last whole 16 of the scene on,
+    /// with the faint cut, and of the scene's own, if `shared`, with the ordinary one.
     fn in_view(
         &mut self,
         at: &mut Context<'_>,
@@ -230,20 +231,20 @@ impl Estimates {
 
 impl Context<'_> {
     /// A copy of the scene with a faint copy of every birth after its rows: training's own arrays are left alone.
-    fn with_faint(&self, trials: &[Trial]) -> Result<GaussianBuffers> {
+    fn with_faint(&self, candidates: &[Candidate]) -> Result<GaussianBuffers> {
         let (old, device) = (&self.gaussians.scene, self.device);
         let n = old.count;
         let (planes, from) = (old.planes(), old.stride);
-        let stride = GaussianBuffers::<f32>::grown_stride(n + trials.len()).max(from);
+        let stride = GaussianBuffers::<f32>::grown_stride(n + candidates.len()).max(from);
         let smoothed = self.smoothing.map_or(0, |_| stride);
         let copy = GaussianBuffers {
             params: restride(device, &old.params, planes, from, stride)?,
             filter: Array::zeros(device, "filter", smoothed)?,
             stride,
-            count: n + trials.len(),
+            count: n + candidates.len(),
             sh_degree: old.sh_degree,
         };
-        let faint = |(k, t): (usize, &Trial)| {
+        let faint = |(k, t): (usize, &Candidate)| {
             let logit = f64::from(t.birth.opacity_logit);
             scene::Edit {
                 dst: (n + k) as u32,
@@ -251,8 +252,8 @@ impl Context<'_> {
                 ..t.birth
             }
         };
-        let rows: Vec<scene::Edit> = trials.iter().enumerate().map(faint).collect();
-        let rows = Array::from_slice(device, "probes", &rows)?;
+        let rows: Vec<scene::Edit> = candidates.iter().enumerate().map(faint).collect();
+        let rows = Array::from_slice(device, "estimated rows", &rows)?;
         // The stage clears moments, which these rows do not have.
         let moments = Array::zeros(device, "no moments", planes * stride)?;
         edit::write_rows(self.edit, &copy, [&moments; 2], &rows)?;

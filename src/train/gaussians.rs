@@ -64,11 +64,9 @@ impl Geometry {
     }
 }
 
-fn mismatch(what: String) -> Error {
-    Error::Numerics {
-        stage: "checkpoint".into(),
-        what,
-    }
+/// The error of a saved state that does not fit.
+pub(super) fn mismatch(what: String) -> Error {
+    Error::numerics("checkpoint", what)
 }
 
 impl GaussianState {

@@ -2,7 +2,7 @@
 
 use crate::base::error::Result;
 use crate::capture::Camera;
-use crate::density::{DensityStats, Trial};
+use crate::density::{Candidate, DensityStats};
 use crate::device::StageTime;
 use crate::device::tuning::Tuning;
 use crate::pipeline::buffers::GaussianBuffers;
@@ -180,9 +180,9 @@ impl Trainer {
             .set_intersections(&self.device, pairs)
     }
 
-    /// First-order changes of the loss by births in the views that training takes next; empty if density control asks for none.
+    /// First-order estimates of births in the views that training takes next; empty if density control asks for none.
     #[doc(hidden)]
-    pub fn estimate(&mut self, trials: &[Trial]) -> Result<Vec<f64>> {
+    pub fn estimate(&mut self, candidates: &[Candidate]) -> Result<Vec<f64>> {
         let mut on = Working {
             device: &self.device,
             pipeline: &mut self.pipeline,
@@ -190,7 +190,7 @@ impl Trainer {
             views: &self.views,
             smoothing: self.smoothing.as_ref(),
         };
-        self.control.estimate(&mut on, self.iteration, trials)
+        self.control.estimate(&mut on, self.iteration, candidates)
     }
 
     /// Device time per stage so far, and under `density` the host's time in density steps, transfers included and without

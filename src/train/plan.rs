@@ -286,7 +286,7 @@ impl Plan {
             let why = Why::Criterion("mh.importance is off, or no cue of errors has a weight");
             self.fact(Part::ErrorStatistics, false, why.clone(), why);
         }
-        if mh.probed_views() > 0 {
+        if mh.estimate_views() > 0 {
             let why = Why::EstimatedIn(mh.probe_views);
             self.fact(Part::BirthEstimates, true, why.clone(), why);
         }

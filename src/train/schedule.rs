@@ -246,13 +246,7 @@ impl Schedule {
         done > 0 && done < c.iterations && any
     }
 
-    /// View of an iteration: every epoch is a permutation of the views, keyed by (seed, epoch).
-    #[must_use]
-    pub fn view(&self, iteration: u32, views: usize) -> usize {
-        self.upcoming(iteration, 1, views)[0]
-    }
-
-    /// Views of `count` iterations from `iteration` on.
+    /// Views of `count` iterations from `iteration` on: every epoch is a permutation of the views, keyed by (seed, epoch).
     #[must_use]
     pub fn upcoming(&self, iteration: u32, count: usize, views: usize) -> Vec<usize> {
         let n = views.max(1);

@@ -1,10 +1,10 @@
 //! [`TrainerState`]: the trainer's part of a checkpoint.
 
-use crate::base::error::{Error, Result};
+use crate::base::error::Result;
 use crate::density::DensityStats;
 use crate::device::tuning::status;
 use crate::scene::Gaussians;
-use crate::train::gaussians::GaussianRows;
+use crate::train::gaussians::{GaussianRows, mismatch};
 use crate::train::plan::{Exposure, Learned};
 use crate::train::step::{Next, Trainer};
 
@@ -31,13 +31,6 @@ pub struct TrainerState {
     pub losses: Vec<f32>,
     /// Transforms of the training views and their moments \[3\]\[views · 12\]; empty unless exposure is compensated.
     pub exposures: Vec<Vec<f32>>,
-}
-
-fn mismatch(what: String) -> Error {
-    Error::Numerics {
-        stage: "checkpoint".into(),
-        what,
-    }
 }
 
 impl Trainer {

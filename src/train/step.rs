@@ -139,10 +139,7 @@ impl Trainer {
     pub fn with_views(set: ViewSet, plan: &Plan, splats: &Gaussians) -> Result<Self> {
         plan.config.validate()?;
         if splats.is_empty() {
-            return Err(Error::Numerics {
-                stage: "train".into(),
-                what: "no Gaussian to start from".into(),
-            });
+            return Err(Error::numerics("train", "no Gaussian to start from"));
         }
         if plan.alpha != set.alpha {
             let what = format!(

@@ -157,14 +157,8 @@ impl DensityTrace {
 
     /// Number of Gaussians now.
     #[must_use]
-    pub fn len(&self) -> usize {
+    pub fn gaussians(&self) -> usize {
         self.rows.len()
-    }
-
-    /// True if there is no Gaussian.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
     }
 
     /// Records a density step: the opacity logits before it, its outcome, and the order of rows after its edits (as it is if

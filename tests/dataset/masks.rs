@@ -230,7 +230,6 @@ fn alpha_is_transparency_unless_it_is_said_to_be_a_mask() {
         };
         let data = load(path, &options).unwrap();
         assert_eq!(data.alpha(), alpha);
-        assert_eq!(data.background_matters(), !alpha_is_mask);
         // Left in their files they say the same.
         let options = LoadOptions {
             image_budget: Some(1000),

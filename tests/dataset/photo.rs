@@ -113,13 +113,13 @@ fn one_photo_with_alpha_gives_all_an_alpha_plane() {
     let opaque = image::RgbaImage::from_pixel(16, 12, image::Rgba([9, 8, 7, 255]));
     opaque.save(&file).unwrap();
     let d = load_every(dir.path(), 0).unwrap();
-    assert!(!d.background_matters());
+    assert_eq!(d.alpha(), Alpha::None);
     assert!(d.train.iter().all(|v| v.photo.alpha() == Alpha::None));
     let mut photo = opaque;
     photo.put_pixel(3, 3, image::Rgba([9, 8, 7, 0]));
     photo.save(&file).unwrap();
     let d = load_every(dir.path(), 0).unwrap();
-    assert!(d.background_matters());
+    assert_eq!(d.alpha(), Alpha::Transparency);
     for view in &d.train {
         let photo = view.photo.load().unwrap();
         assert_eq!(

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::load_every;
-use mhsplat::capture::{Dataset, Layout, LoadOptions, load};
+use mhsplat::capture::{Alpha, Dataset, Layout, LoadOptions, load};
 
 /// A folder of the optional test data: `$MHSPLAT_DATA`, or `shared/data` next to the checkout.
 pub fn data(name: &str) -> Option<PathBuf> {
@@ -71,7 +71,7 @@ fn blender_scenes_load_with_alpha() {
     };
     let d = load_every(&path, 8).unwrap();
     assert_eq!((d.train.len(), d.test.len()), (21, 4));
-    assert!(d.background_matters());
+    assert_eq!(d.alpha(), Alpha::Transparency);
     assert!((d.train[0].camera.fx - 138.888).abs() < 0.01);
     // Every camera looks at the middle of the scene.
     for view in &d.train {

@@ -138,7 +138,7 @@ fn scores(data: &Dataset) -> Vec<ViewScore> {
 }
 
 fn psnr(scores: &[ViewScore]) -> f64 {
-    FinalRecord::of(scores.to_vec()).unwrap().psnr
+    FinalRecord::of(scores.to_vec()).unwrap().mean.psnr
 }
 
 fn sizes(views: &[View]) -> Vec<(u32, u32)> {

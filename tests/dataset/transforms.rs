@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::{assert_refused, assert_ring, load_every, ring, write_images};
 use mhsplat::capture::transforms::write_transforms;
-use mhsplat::capture::{Frame, Layout, Points, point_cloud};
+use mhsplat::capture::{Alpha, Frame, Layout, Points, point_cloud};
 
 fn scene(count: usize, middle: DVec3) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
@@ -59,7 +59,7 @@ fn blender_convention() {
     let p = d.frame.to_local(DVec3::new(1.5, 2.25, 2.0));
     let q = (view.camera.rotation * p + view.camera.translation) * d.frame.scale;
     assert!((q - DVec3::new(0.5, -0.25, 1.0)).length() < 1e-12, "{q}");
-    assert!(d.background_matters());
+    assert_eq!(d.alpha(), Alpha::Transparency);
     assert_eq!(
         view.photo.load().unwrap().rgb_over([0.0; 3])[..3],
         [100, 50, 25]

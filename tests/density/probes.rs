@@ -8,7 +8,7 @@ use mhsplat::config::{Acceptance, Birth, MhConfig, Surrogate};
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::mh::accept::{ln_gains, ln_ratio};
 use mhsplat::density::relocation::split;
-use mhsplat::density::{DensityControl, Outcome, Trial};
+use mhsplat::density::{Candidate, DensityControl, Outcome};
 
 const N: usize = 5000;
 
@@ -25,15 +25,15 @@ fn probed(
     config: &MhConfig,
     scene: &Scene,
     changes: &dyn Fn(usize) -> Vec<f64>,
-) -> (Vec<Trial>, mhsplat::Result<Outcome>) {
+) -> (Vec<Candidate>, mhsplat::Result<Outcome>) {
     let mut tried = Vec::new();
-    let outcome = MetropolisHastings::new(config).step_probed(
+    let outcome = MetropolisHastings::new(config).step_estimated(
         &context(700, 0.1, 1),
         &scene.state(),
         &scene.errors(),
-        &mut |trials| {
-            tried.extend_from_slice(trials);
-            Ok(changes(trials.len()))
+        &mut |candidates| {
+            tried.extend_from_slice(candidates);
+            Ok(changes(candidates.len()))
         },
     );
     (tried, outcome)
@@ -132,7 +132,7 @@ fn nothing_is_tried_where_nothing_is_judged_by_it() {
         ..config()
     };
     for config in [MhConfig::default(), exact] {
-        assert_eq!(MetropolisHastings::new(&config).trial_views(), 0);
+        assert_eq!(MetropolisHastings::new(&config).estimate_views(), 0);
         let (tried, outcome) = probed(&config, &scene, &|_| Vec::new());
         assert!(tried.is_empty() && outcome.is_ok());
     }

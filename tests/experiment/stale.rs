@@ -26,7 +26,8 @@ fn runs_of_other_options_are_refused_not_counted_and_not_overwritten() {
     let other = experiment(dir.path(), &TWO.replace("1000", "900")).unwrap();
     let all = states(&other);
     let refused = "refused: other options (iterations: 1000 instead of 900)";
-    assert!(all[0].starts_with(refused), "{all:?}");
+    let remedy = "; move it away, or choose another output with -o";
+    assert_eq!(all[0], format!("{refused}{remedy}"));
     let mut fake = Fake::default();
     let outcome = drive(&other, &mut fake).unwrap();
     assert!(fake.jobs.is_empty());
@@ -48,7 +49,7 @@ fn runs_of_other_options_are_refused_not_counted_and_not_overwritten() {
     );
     let text = summary.report().to_markdown();
     assert!(
-        text.contains("mh, seed 0: refused: other options"),
+        text.contains("mh, seed 0: refused: other options") && text.contains(remedy),
         "{text}"
     );
     assert!(
@@ -77,7 +78,9 @@ fn a_cap_is_not_taken_from_a_run_of_other_options() {
     let other = experiment(dir.path(), &file).unwrap();
     let runs = blocks(&other);
     assert_eq!(expected(&other, &runs[0][1]).unwrap(), None);
-    assert!(states(&other)[1].contains("gives its number of Gaussians"));
+    let capped = &states(&other)[1];
+    let said = ["gives its number of Gaussians", "; mend that one first"];
+    assert!(said.iter().all(|s| capped.contains(s)), "{capped}");
     fs::remove_dir_all(e.output.join("b/none/seed-1")).unwrap();
     let mut fake = Fake::default();
     let outcome = drive(&other, &mut fake).unwrap();

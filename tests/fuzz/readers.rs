@@ -199,7 +199,7 @@ fn cloud(name: &str) -> Reader {
     point_cloud::write(&file, &data.points, &Frame::IDENTITY).unwrap();
     let path = file.clone();
     let mut reader = of_file(dir, file, move |_| {
-        point_cloud::read(&path, &Frame::IDENTITY).is_ok()
+        ply::read_either(&path, &Frame::IDENTITY).is_ok()
     });
     let ascii = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 1 2\n3 4 5\n";
     reader.seeds.push(ascii.into());

@@ -129,10 +129,11 @@ fn colour_corrected_scores_are_shown_where_there_are_any() {
     let plain = page(&record(), &rows(), &density(), &[]);
     assert!(!plain.contains("colour-corrected"));
     let mut record = record();
-    let scores = record.final_scores.as_mut().unwrap();
-    (scores.cc_psnr, scores.cc_ssim) = (Some(30.123), Some(0.9134));
+    let FinalRecord { mean, per_view } = record.final_scores.as_mut().unwrap();
+    (mean.cc_psnr, mean.cc_ssim) = (Some(30.123), Some(0.9134));
     // A view of an earlier version's record may lack them.
-    (scores.per_view[1].cc_psnr, scores.per_view[1].cc_ssim) = (Some(31.456), Some(0.9278));
+    let second = &mut per_view[1].scores;
+    (second.cc_psnr, second.cc_ssim) = (Some(31.456), Some(0.9278));
     let text = page(&record, &rows(), &density(), &[]);
     for shown in [
         "<dt>PSNR, colour-corrected</dt><dd>30.12 <small>dB</small></dd>",

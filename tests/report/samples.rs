@@ -2,9 +2,18 @@
 
 use mhsplat::config::{Background, Init, Sampler, TrainConfig};
 use mhsplat::density::DensityStats;
-use mhsplat::evaluate::ViewScore;
+use mhsplat::evaluate::{Scores, ViewScore};
 use mhsplat::run::*;
 use mhsplat::run::{Item, PlanRecord};
+
+pub fn scores(psnr: f64, ssim: f64, flip: f64) -> Scores {
+    Scores {
+        psnr,
+        ssim,
+        flip: Some(flip),
+        ..Scores::default()
+    }
+}
 
 pub fn item(what: &str, why: &str) -> Item {
     Item {
@@ -100,25 +109,15 @@ pub fn record() -> RunRecord {
             sum
         });
     record.final_scores = Some(FinalRecord {
-        psnr: 27.314_159,
-        ssim: 0.871_23,
-        flip: Some(0.0912),
-        cc_psnr: None,
-        cc_ssim: None,
+        mean: scores(27.314_159, 0.871_23, 0.0912),
         per_view: vec![
             ViewScore {
                 view: "IMG_0008.jpg".into(),
-                psnr: 26.9,
-                ssim: 0.86,
-                flip: Some(0.0951),
-                ..ViewScore::default()
+                scores: scores(26.9, 0.86, 0.0951),
             },
             ViewScore {
                 view: "IMG_0016.jpg".into(),
-                psnr: 27.7,
-                ssim: 0.88,
-                flip: Some(0.0873),
-                ..ViewScore::default()
+                scores: scores(27.7, 0.88, 0.0873),
             },
         ],
     });

@@ -20,6 +20,15 @@ fn a_wrong_row_is_rejected() {
     });
 }
 
+#[test]
+fn a_wrong_colour_is_rejected() {
+    let row = cases::mild("colours", 60, [40, 48], 2, 10).edits[3];
+    assert!(row.color.get().is_some());
+    rejects("edit", "rows", |rows| {
+        rows[60 * Plane::SH + row.dst as usize] += 1.0;
+    });
+}
+
 /// Planes of the parameters after the optimiser's steps.
 fn stepped(out: &Outcome, sh_degree: u32) -> Vec<Vec<f64>> {
     planes(out, "adam", "parameters", Plane::count(sh_degree))

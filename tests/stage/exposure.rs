@@ -17,12 +17,14 @@ fn agrees_with_the_reference() {
 #[test]
 fn wrong_images_gradients_and_steps_are_rejected() {
     rejects("exposure", "image", |image| image[5] += 1e-3);
-    rejects("exposure", "gradient by the render", |d| {
+    rejects("exposure", "gradient with respect to the render", |d| {
         d.iter_mut().for_each(|d| *d *= 1.01)
     });
-    rejects("exposure", "gradient by the transform", |grads| {
-        grads[7] *= -1.0
-    });
+    rejects(
+        "exposure",
+        "gradient with respect to the transform",
+        |grads| grads[7] *= -1.0,
+    );
     rejects("exposure", "transforms", |e| e[13] += 1e-3);
     rejects("exposure", "transforms", |e| e[0] += 1e-3);
     // Moments are far smaller than the transforms, and the second ones than the first.

@@ -1,4 +1,4 @@
-//! project: records.
+//! project: projected Gaussians.
 
 use super::*;
 use mhsplat::scene::Plane;

@@ -1,4 +1,4 @@
-//! screen_grad: gradients by the projected centres.
+//! screen_grad: gradients with respect to the projected centres.
 
 use super::*;
 use mhsplat::base::constants::SUMS;

@@ -1,5 +1,6 @@
 //! Records of a model's files in both forms: binary (little endian) and text.
 
+use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::Write as _;
 use std::path::Path;
@@ -82,7 +83,7 @@ pub(super) fn records<T>(
     Ok(records)
 }
 
-impl Fields<'_> {
+impl<'a> Fields<'a> {
     fn bad(&self, what: &str) -> Error {
         Error::input(self.path, format!("{}: {what}", self.place), REBUILD)
     }
@@ -97,7 +98,7 @@ impl Fields<'_> {
     }
 
     /// The next word of a line.
-    pub(super) fn word(&mut self, what: &str) -> Result<String> {
+    pub(super) fn word(&mut self, what: &str) -> Result<Cow<'a, str>> {
         let line = self.rest.trim_ascii_start();
         let end = line.iter().position(u8::is_ascii_whitespace);
         let (word, rest) = line.split_at(end.unwrap_or(line.len()));
@@ -105,7 +106,7 @@ impl Fields<'_> {
             return Err(self.bad(&format!("{what} is missing")));
         }
         self.rest = rest;
-        Ok(String::from_utf8_lossy(word).into_owned())
+        Ok(String::from_utf8_lossy(word))
     }
 
     /// The next number; `what` is its name in text files, `from` reads it in binary ones.

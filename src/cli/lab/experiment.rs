@@ -102,7 +102,7 @@ fn list(experiment: &Experiment, json: bool) -> Result<Outcome> {
         all.push(Listed {
             run: run.dir.display().to_string(),
             state,
-            why: why.to_owned(),
+            why,
         });
     }
     if json {

@@ -32,7 +32,7 @@ pub struct SurrogateArgs {
     output: Option<PathBuf>,
 }
 
-/// Checks importance and probe; progress goes to stderr, tables to stdout.
+/// Checks importance and first-order estimate; progress goes to stderr, tables to stdout.
 pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
     if !args.run.join(RECORD_FILE).exists() {
         return Err(Error::input(

@@ -11,7 +11,7 @@
 //!
 //! The rule is applied in `step.rs` (`decide`), where each phase may solve T for the share of births that it is to accept.
 //!
-//! If births are probed, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a
+//! If births are estimated, the computed first-order change of the loss takes the place of I ([`ln_gains`]). It is that of a
 //! faint birth, over a few views, and of each birth alone.
 //!
 //! A temperature T turns ρ into ρ^{1/T}: the posterior's 1/T-th power for the exact form, a plain knob for the others.

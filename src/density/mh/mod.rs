@@ -4,7 +4,7 @@
 //! Eq. 17); births are proposed far from their sources and near (Eq. 14–16) and in image space (`pixel.rs`), voxels are counted
 //! (`sparsity.rs`), and the births are decided on (Eq. 20, `accept.rs`). Within a phase every proposal sees the same counts, which keeps it parallel; births of the coarse phase
 //! are counted before the fine phase is decided. Proposals do not depend on what is accepted, so that the births of all phases
-//! can be probed together before.
+//! can be estimated together before.
 
 pub mod accept;
 mod births;

@@ -1,7 +1,7 @@
 //! Births before they are decided on, and after.
 
 use crate::base::error::Result;
-use crate::density::control::Trial;
+use crate::density::control::Candidate;
 use crate::density::mh::accept;
 use crate::density::outcome::BirthKind;
 use crate::density::relocation::{Relocation, split};
@@ -14,7 +14,7 @@ pub(super) struct Proposal {
     pub(super) edit: Edit,
     /// Importance I of the source or pixel.
     pub(super) importance: f64,
-    /// First-order change of the loss; `None` before a probe.
+    /// First-order change of the loss; `None` before an estimate.
     pub(super) change: Option<f64>,
     /// The part of ln ρ that stands for the change of the loss.
     pub(super) ln_gain: f64,
@@ -57,11 +57,11 @@ pub(super) struct Proposals {
 }
 
 impl Proposal {
-    /// The birth to be probed: the one that would be written if it were its source's only one in the step.
-    pub(super) fn trial(&self, shares: bool) -> Trial {
+    /// The birth to be estimated: the one that would be written if it were its source's only one in the step.
+    pub(super) fn candidate(&self, shares: bool) -> Candidate {
         let mut birth = self.edit;
         if !shares {
-            return Trial {
+            return Candidate {
                 birth,
                 source_change: None,
             };
@@ -71,7 +71,7 @@ impl Proposal {
         let widened = part.log_scale_offset;
         birth.log_scale = birth.log_scale.map(|s| (f64::from(s) + widened) as f32);
         birth.opacity_logit = part.opacity_logit as f32;
-        Trial {
+        Candidate {
             birth,
             source_change: Some([part.opacity_logit - own, widened, widened, widened]),
         }

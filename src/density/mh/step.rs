@@ -6,7 +6,7 @@ use crate::base::error::Result;
 use crate::base::math::logit;
 use crate::base::rng::{Philox, Stream};
 use crate::config::{Birth, MhConfig, ViewSubset};
-use crate::density::control::{DensityControl, NoiseLaw, Probe, StepContext, Trial};
+use crate::density::control::{Candidate, DensityControl, Estimator, NoiseLaw, StepContext};
 use crate::density::draw::{Categorical, birth_position};
 use crate::density::mh::births::Births;
 use crate::density::mh::progress::{lerp, shrinking};
@@ -292,13 +292,13 @@ impl MetropolisHastings {
         })
     }
 
-    /// The births to be probed, in the order of the proposals.
-    fn trials(&self, proposals: &Proposals) -> Vec<Trial> {
-        let trials = |(kind, proposals): &(BirthKind, Vec<Proposal>)| -> Vec<Trial> {
+    /// The births to be estimated, in the order of the proposals.
+    fn candidates(&self, proposals: &Proposals) -> Vec<Candidate> {
+        let candidates = |(kind, proposals): &(BirthKind, Vec<Proposal>)| -> Vec<Candidate> {
             let shares = *kind != BirthKind::Pixel && self.config.birth == Birth::Split;
-            proposals.iter().map(|p| p.trial(shares)).collect()
+            proposals.iter().map(|p| p.candidate(shares)).collect()
         };
-        proposals.phases.iter().flat_map(trials).collect()
+        proposals.phases.iter().flat_map(candidates).collect()
     }
 
     /// True if a step at progress η reads error maps.
@@ -347,8 +347,8 @@ impl DensityControl for MetropolisHastings {
         }
     }
 
-    fn trial_views(&self) -> usize {
-        self.config.probed_views()
+    fn estimate_views(&self) -> usize {
+        self.config.estimate_views()
     }
 
     fn step(
@@ -357,19 +357,19 @@ impl DensityControl for MetropolisHastings {
         scene: &SceneState<'_>,
         evidence: &Statistics<'_>,
     ) -> Result<Outcome> {
-        self.step_probed(context, scene, evidence, &mut |_| Ok(Vec::new()))
+        self.step_estimated(context, scene, evidence, &mut |_| Ok(Vec::new()))
     }
 
-    fn step_probed(
+    fn step_estimated(
         &self,
         context: &StepContext<'_>,
         scene: &SceneState<'_>,
         evidence: &Statistics<'_>,
-        probe: &mut Probe<'_>,
+        estimate: &mut Estimator<'_>,
     ) -> Result<Outcome> {
         let mut proposals = self.proposals(context, scene, evidence)?;
-        if self.trial_views() > 0 {
-            let changes = probe(&self.trials(&proposals))?;
+        if self.estimate_views() > 0 {
+            let changes = estimate(&self.candidates(&proposals))?;
             proposals.weigh(&changes)?;
         }
         let (c, eta) = (&self.config, context.progress.clamp(0.0, 1.0));

@@ -152,12 +152,9 @@ fn row(stage: &'static str, quantity: &str, variant: &str, runs: &[Outcome]) -> 
     let report = error(got, want, f64::INFINITY, 0.0);
     if report.non_finite > 0 || got.len() != want.len() || got.is_empty() {
         let (n, wanted, bad) = (got.len(), want.len(), report.non_finite);
-        return Err(Error::Numerics {
-            stage: stage.into(),
-            what: format!(
-                "{n} values of which {bad} are not finite; {wanted} finite ones expected"
-            ),
-        });
+        let what =
+            format!("{n} values of which {bad} are not finite; {wanted} finite ones expected");
+        return Err(Error::numerics(stage, what));
     }
     let times = runs.iter().flat_map(|r| &r.seconds);
     let times = times.filter(|(name, _)| *name == stage);

@@ -212,11 +212,8 @@ impl Failure {
 /// The spread of a stage's samples; an error if there are none, or any that is no number.
 pub(super) fn spread(stage: &str, samples: impl Iterator<Item = f64>) -> Result<Spread, Error> {
     let samples: Vec<f64> = samples.collect();
-    Spread::of(&samples).ok_or_else(|| Error::Numerics {
-        stage: stage.into(),
-        what: "no time was measured; the driver's profiling counters or the clock do not advance"
-            .into(),
-    })
+    let what = "no time was measured; the driver's profiling counters or the clock do not advance";
+    Spread::of(&samples).ok_or_else(|| Error::numerics(stage, what))
 }
 
 /// Result of one device.

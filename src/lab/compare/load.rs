@@ -232,7 +232,7 @@ fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
             gaussians: last.gaussians + record.removed,
             ..last
         },
-        flip: scores.and_then(|f| f.flip),
+        flip: scores.and_then(|f| f.mean.flip),
         facts: facts(&record),
         record,
         rows,

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::base::error::{Error, Result};
 use crate::config::TrainConfig;
 use crate::lab::experiment::file::Experiment;
-use crate::lab::experiment::plan::{Planned, State, blocks, expected, look, state};
+use crate::lab::experiment::plan::{CAP_FIRST, Planned, State, blocks, expected, look, state};
 use crate::lab::experiment::summary;
 use crate::lab::folder::json;
 use crate::run::abandon_folder;
@@ -79,7 +79,7 @@ fn claim(e: &Experiment, blocks: &[Vec<Planned>]) -> Result<()> {
         ));
     }
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
-    let refused = |run: &Planned| matches!(look(e, run), State::Refused(_));
+    let refused = |run: &Planned| matches!(look(e, run), State::Refused { .. });
     match blocks.iter().flatten().any(refused) {
         true => Ok(()),
         false => crate::base::files::write_bytes(&mark, e.text.as_bytes()),
@@ -172,15 +172,13 @@ impl Drive<'_> {
         let Some(config) = expected(self.experiment, run)? else {
             return wrong(
                 "its number of Gaussians is that of a run that failed or is of other options",
-                "mend that one first",
+                CAP_FIRST,
             );
         };
         let found = state(&run.dir, Some(&config));
         match &found {
             State::Done(_) => return Ok(()),
-            State::Refused(why) => {
-                return wrong(why, "move it away, or choose another output with -o");
-            }
+            State::Refused { what, fix } => return wrong(what, fix),
             State::Broken => {
                 abandon_folder(&run.dir);
                 if run.dir.exists() {
@@ -209,7 +207,10 @@ impl Drive<'_> {
                 "run `mhsplat train` on it by hand to see why",
             );
         };
-        let psnr = record.final_scores.as_ref().map_or(f64::NAN, |f| f.psnr);
+        let psnr = record
+            .final_scores
+            .as_ref()
+            .map_or(f64::NAN, |f| f.mean.psnr);
         (self.note)(&format!(
             "    {psnr:.2} dB, {} Gaussians, {:.0} s ({:.0} CPU s)",
             record.gaussians, record.train_seconds, record.cpu_seconds

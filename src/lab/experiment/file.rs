@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer};
 use toml::{Table, Value};
 
 use crate::base::error::{Error, Result};
-use crate::config::{TrainConfig, parse_duration};
+use crate::config::{TrainConfig, deserialize, parse_duration};
 use crate::lab::compare::thresholds;
 
 /// A dataset, and the options that its runs have in common.
@@ -144,8 +144,7 @@ impl Experiment {
         if table.contains_key("seed") {
             return Err(wrong("seed: give seeds for the whole file".into()));
         }
-        let mut config =
-            TrainConfig::deserialize(Value::Table(table)).map_err(|e| wrong(e.to_string()))?;
+        let mut config: TrainConfig = deserialize(Value::Table(table)).map_err(wrong)?;
         config.seed = seed;
         config.validate().map_err(|e| wrong(e.to_string()))?;
         Ok(config)

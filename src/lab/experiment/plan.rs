@@ -10,6 +10,11 @@ use crate::run::METRICS_FILE;
 use crate::run::report::settings::flatten;
 use crate::run::{RECORD_FILE, RunRecord, checkpoint};
 
+/// Remedy for a run folder that holds something else.
+const MOVE: &str = "move it away, or choose another output with -o";
+/// Remedy for a run whose number of Gaussians is that of another one, which is not done.
+pub(super) const CAP_FIRST: &str = "mend that one first";
+
 /// One run of the matrix.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planned {
@@ -55,21 +60,27 @@ pub enum State {
     Broken,
     /// A finished run.
     Done(Box<RunRecord>),
-    /// Something that is neither counted nor touched, with the reason: a run of other options, say.
-    Refused(String),
+    /// Something that is neither counted nor touched: a run of other options, say.
+    Refused {
+        /// Reason.
+        what: String,
+        /// Remedy for the user.
+        fix: &'static str,
+    },
 }
 
 impl State {
-    /// One word for it; and the next step, or the reason why there is none.
+    /// One word for it; and the next step, or the reason why there is none with its remedy.
     #[must_use]
-    pub fn words(&self) -> (&'static str, &str) {
-        match self {
+    pub fn words(&self) -> (&'static str, String) {
+        let (word, next) = match self {
             Self::New => ("new", "not started"),
             Self::Begun => ("begun", "resumes from its checkpoint"),
             Self::Broken => ("broken", "starts again"),
             Self::Done(_) => ("done", "complete"),
-            Self::Refused(why) => ("refused", why),
-        }
+            Self::Refused { what, fix } => return ("refused", format!("{what}; {fix}")),
+        };
+        (word, next.to_owned())
     }
 
     /// Returns true if there is something to train.
@@ -100,29 +111,30 @@ pub fn state(dir: &Path, config: Option<&TrainConfig>) -> State {
     if !dir.exists() {
         return State::New;
     }
+    let refused = |what: String| State::Refused { what, fix: MOVE };
     let saved = checkpoint::path(dir).exists();
     if !dir.join(RECORD_FILE).exists() {
         return match saved {
-            true => State::Refused(format!("holds a checkpoint without {RECORD_FILE}")),
+            true => refused(format!("holds a checkpoint without {RECORD_FILE}")),
             false => State::Broken,
         };
     }
     let record = match RunRecord::read(dir) {
         Ok(record) => record,
-        Err(error) => return State::Refused(error.to_string()),
+        Err(error) => return refused(error.to_string()),
     };
     let options = config.map_or_else(Vec::new, flatten).into_iter();
     let other = options.zip(flatten(&record.config)).filter(|(a, b)| a != b);
     let other = other.map(|(wanted, own)| format!("{}: {} instead of {}", own.0, own.1, wanted.1));
     let other = other.collect::<Vec<_>>().join("; ");
     if !other.is_empty() {
-        return State::Refused(format!("other options ({other})"));
+        return refused(format!("other options ({other})"));
     }
     // Record and metrics are all that a comparison needs: whoever deletes the rest does not want it again. A run that its time
     // budget ends is not known to be over before the scene is written.
     let over = record.iterations >= record.config.iterations;
     if over && !dir.join(METRICS_FILE).is_file() {
-        return State::Refused(format!("holds a finished run without {METRICS_FILE}"));
+        return refused(format!("holds a finished run without {METRICS_FILE}"));
     }
     match (finished(&record), saved) {
         (true, _) if over || dir.join("scene.ply").exists() => State::Done(Box::new(record)),
@@ -158,9 +170,13 @@ pub fn look(e: &Experiment, run: &Planned) -> State {
     match expected(e, run) {
         Ok(Some(config)) => state(&run.dir, Some(&config)),
         Ok(None) if !run.dir.exists() => State::New,
-        Ok(None) => {
-            State::Refused("the run that gives its number of Gaussians is not there".into())
-        }
-        Err(error) => State::Refused(error.to_string()),
+        Ok(None) => State::Refused {
+            what: "the run that gives its number of Gaussians is not there".into(),
+            fix: CAP_FIRST,
+        },
+        Err(error) => State::Refused {
+            what: error.to_string(),
+            fix: "correct the experiment's file",
+        },
     }
 }

@@ -22,7 +22,7 @@ pub struct SceneSummary {
     pub name: String,
     /// Number of runs that are missing.
     pub missing: usize,
-    /// Runs that are not counted, with the reason: those of other options, say.
+    /// Runs that are not counted, with reason and remedy: those of other options, say.
     pub refused: Vec<String>,
     /// The reason why its runs cannot be compared.
     pub problem: Option<String>,
@@ -37,13 +37,15 @@ impl SceneSummary {
         let (mut done, mut refused) = (Vec::new(), Vec::new());
         for run in blocks(e).iter().flatten().filter(|r| r.scene == place) {
             let setting = e.settings[run.setting].name.clone();
-            match look(e, run) {
+            let found = look(e, run);
+            match &found {
                 State::Done(_) => {
                     let (group, path) = (Some(setting), run.dir.clone());
                     done.push((run.setting, Source { group, path }));
                 }
-                State::Refused(why) => {
-                    refused.push(format!("{setting}, seed {}: refused: {why}", run.seed));
+                State::Refused { .. } => {
+                    let (word, why) = found.words();
+                    refused.push(format!("{setting}, seed {}: {word}: {why}", run.seed));
                 }
                 _ => (),
             }

@@ -76,7 +76,7 @@ pub enum Phase {
     Fine,
 }
 
-/// One candidate with its true and predicted gain in each of [`FORMS`].
+/// One candidate with its true and estimated gain in each of [`FORMS`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Candidate {
     /// Row of its source.
@@ -103,8 +103,9 @@ pub struct Candidate {
     pub views: usize,
     /// True gain −ΔL; 0 before it is measured.
     pub gain: [f64; FORMS.len()],
-    /// First-order prediction of −ΔL by the probe.
-    pub probe: [f64; FORMS.len()],
+    /// First-order estimate of −ΔL.
+    #[serde(rename = "probe")]
+    pub estimate: [f64; FORMS.len()],
     #[serde(skip)]
     pub(super) births: [Birth; FORMS.len()],
 }
@@ -239,7 +240,7 @@ impl Ground<'_> {
             l1: mean(self.errors.l1),
             views: 0,
             gain: [0.0; FORMS.len()],
-            probe: [0.0; FORMS.len()],
+            estimate: [0.0; FORMS.len()],
             births: [(own, false), (half, true), (faint, false)].map(|(shape, shared)| Birth {
                 source,
                 position,

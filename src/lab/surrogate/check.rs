@@ -68,8 +68,8 @@ pub struct Assessment {
     pub candidates: Vec<Candidate>,
 }
 
-/// Checks the surrogates on the checkpoint in the folder `run`, trained on `dataset`. `progress` receives the numbers of births
-/// done and of all births.
+/// Checks importance and first-order estimate on the checkpoint in the folder `run`, trained on `dataset`. `progress` receives
+/// the numbers of births done and of all births.
 ///
 /// # Errors
 /// No usable checkpoint, another dataset, or the device's.
@@ -126,7 +126,7 @@ struct Subject<'a> {
 impl Subject<'_> {
     fn check<R: Real>(
         self,
-        probe: f64,
+        epsilon: f64,
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Assessment> {
         let (config, options, device) = (&self.saved.config, self.options, self.device);
@@ -142,7 +142,7 @@ impl Subject<'_> {
             },
             lambda_ssim: config.loss.lambda_ssim,
             alpha_min: ALPHA_MIN,
-            probe,
+            epsilon,
         };
         let train = &self.dataset.train;
         let chosen = choose_views(train.len(), options);
@@ -209,7 +209,7 @@ fn choose_views(count: usize, options: &Options) -> Vec<usize> {
     order
 }
 
-/// Probes all candidates together and measures each in every form.
+/// Estimates the gain of all candidates together and measures that of each, in every form.
 fn judge<R: Real>(
     instrument: &mut Instrument<R>,
     base: &Base,
@@ -217,13 +217,13 @@ fn judge<R: Real>(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<()> {
     let births: Vec<Birth> = candidates.iter().flat_map(|c| c.births).collect();
-    let probed = instrument.probe(base, &births)?;
-    for (k, (birth, probe)) in births.iter().zip(&probed).enumerate() {
+    let estimates = instrument.estimate(base, &births)?;
+    for (k, (birth, estimate)) in births.iter().zip(&estimates).enumerate() {
         let (candidate, form) = (&mut candidates[k / FORMS.len()], k % FORMS.len());
-        candidate.gain[form] = -instrument.change(base, birth, &probe.touched)?;
-        candidate.probe[form] = -probe.change;
+        candidate.gain[form] = -instrument.change(base, birth, &estimate.touched)?;
+        candidate.estimate[form] = -estimate.change;
         if form == 0 {
-            candidate.views = probe.touched.iter().filter(|t| **t).count();
+            candidate.views = estimate.touched.iter().filter(|t| **t).count();
         }
         progress(k + 1, births.len());
     }

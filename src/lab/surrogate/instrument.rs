@@ -1,5 +1,5 @@
 //! The device side of the check: a scene over some views, its losses, error statistics and gradients; the true loss changes of births by
-//! rendering again, and their first-order predictions by a probe.
+//! rendering again, and their first-order estimates.
 //!
 //! Losses are compared strip by strip: the sums that the loss stage leaves for every strip are subtracted on the host in f64, so
 //! that what a candidate does not touch cancels exactly. Where the device has double precision all kernels run in it; in
@@ -26,9 +26,9 @@ pub struct Setting {
     pub lambda_ssim: f64,
     /// Contributions below this alpha are dropped.
     pub alpha_min: f64,
-    /// ε: opacity of a probe over that of its candidate. The cut of the probes' render is ε times the other, so that a probe
-    /// covers just the pixels that its candidate would.
-    pub probe: f64,
+    /// ε: opacity of a faint birth over that of its candidate. The cut of its render is ε times the other, so that it covers
+    /// just the pixels that its candidate would.
+    pub epsilon: f64,
 }
 
 /// The scene as it is, over all views.
@@ -40,7 +40,7 @@ pub struct Base {
     errors: [Vec<f32>; 2],
     /// Number of views that see the centre of every Gaussian.
     seen: Vec<u32>,
-    /// Derivatives of the mean loss by opacity logit and the three log-scales, of every Gaussian.
+    /// Derivatives of the mean loss with respect to opacity logit and the three log-scales, of every Gaussian.
     pub gradients: [Vec<f64>; 4],
     /// Sums of each strip, by view.
     strips: Vec<Vec<f64>>,
@@ -60,9 +60,9 @@ impl Base {
     }
 }
 
-/// First-order prediction of a birth.
+/// First-order estimate of a birth.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Probed {
+pub struct Estimate {
     /// First-order change of the mean loss.
     pub change: f64,
     /// For each view, true if any tile intersection is its own.
@@ -102,7 +102,7 @@ impl<R: Real> Instrument<R> {
         };
         let kernels = Kernels::new(device, defines);
         let pipeline = Pipeline::new(device, defines, [degree, degree], views.largest)?;
-        let cut = setting.alpha_min * setting.probe;
+        let cut = setting.alpha_min * setting.epsilon;
         let room = splats.len() + births.max(1) + 2 * GRADIENT_ROWS;
         Ok(Self {
             scene: GaussianBuffers::upload(device, &splats, room)?,
@@ -242,13 +242,13 @@ impl<R: Real> Instrument<R> {
         self.insert(row, &[source], 1.0)
     }
 
-    /// First-order changes of the loss by births (method: a birth of opacity → 0 changes nothing, but has a derivative). All are
+    /// First-order estimates of births (method: a birth of opacity → 0 changes nothing, but has a derivative). All are
     /// in the scene at once, ε as opaque as they would be, and one backward pass per view tells the derivatives; dL/dC is that
     /// of the ordinary render. A source that shares adds its own gradient times its change of opacity logit and log-scale.
-    pub fn probe(&mut self, base: &Base, births: &[Birth]) -> Result<Vec<Probed>> {
-        let (n, epsilon) = (self.splats.len(), self.setting.probe);
+    pub fn estimate(&mut self, base: &Base, births: &[Birth]) -> Result<Vec<Estimate>> {
+        let (n, epsilon) = (self.splats.len(), self.setting.epsilon);
         self.insert(n, births, epsilon)?;
-        let mut probed = vec![Probed::default(); births.len()];
+        let mut estimates = vec![Estimate::default(); births.len()];
         let (first, count) = (n / GRADIENT_ROWS * GRADIENT_ROWS, n + births.len());
         for view in 0..self.views.len() {
             self.render(false, view, n)?;
@@ -256,17 +256,17 @@ impl<R: Real> Instrument<R> {
             self.render(true, view, count)?;
             let [slopes, ..] = self.gradients(true, first)?;
             let touched = self.faint.forward.intersected(n)?;
-            for (k, (p, b)) in probed.iter_mut().zip(births).enumerate() {
+            for (k, (e, b)) in estimates.iter_mut().zip(births).enumerate() {
                 let logit = f64::from(b.shape.opacity_logit);
                 let change = change(slopes[n - first + k], logit, epsilon);
-                p.change += change / self.views.len() as f64;
-                p.touched.push(touched[k]);
+                e.change += change / self.views.len() as f64;
+                e.touched.push(touched[k]);
             }
         }
-        for (p, b) in probed.iter_mut().zip(births).filter(|(_, b)| b.shared) {
-            p.change += self.source_change(base, b);
+        for (e, b) in estimates.iter_mut().zip(births).filter(|(_, b)| b.shared) {
+            e.change += self.source_change(base, b);
         }
-        Ok(probed)
+        Ok(estimates)
     }
 
     fn source_change(&self, base: &Base, b: &Birth) -> f64 {

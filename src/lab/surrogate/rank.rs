@@ -11,7 +11,7 @@ const RESAMPLES: u64 = 1000;
 
 /// A statistic and its 95 % interval (percentiles of a bootstrap over the pairs).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Estimate {
+pub struct Interval {
     /// The statistic of the sample.
     pub value: f64,
     /// 2.5th percentile.
@@ -113,13 +113,13 @@ fn inversions(values: &mut [f64]) -> f64 {
 /// A statistic of paired values with its bootstrap interval: pairs are drawn with replacement, as many as there are; resamples
 /// in which the statistic does not exist do not count. `None` if the sample itself has none.
 #[must_use]
-pub fn estimate(
+pub fn with_interval(
     statistic: fn(&[f64], &[f64]) -> Option<f64>,
     x: &[f64],
     y: &[f64],
     seed: u64,
     stream: u64,
-) -> Option<Estimate> {
+) -> Option<Interval> {
     let value = statistic(x, y)?;
     let n = x.len();
     let mut values: Vec<f64> = (0..RESAMPLES)
@@ -134,7 +134,7 @@ pub fn estimate(
         .collect();
     values.sort_by(f64::total_cmp);
     let (low, high) = (quantile(&values, 0.025), quantile(&values, 0.975));
-    Some(Estimate {
+    Some(Interval {
         value,
         low: low.unwrap_or(value),
         high: high.unwrap_or(value),
@@ -156,7 +156,7 @@ const PREDICTORS: [Predictor; 6] = [
     ("opacity alone", |j, _| Some(j.opacity)),
     ("1 − SSIM alone", |j, _| j.ssim),
     ("L1 alone", |j, _| j.l1),
-    ("probe", |j, form| Some(j.probe[form])),
+    ("probe", |j, form| Some(j.estimate[form])),
 ];
 
 /// Subset of the candidates: name, and test of membership.
@@ -180,9 +180,9 @@ pub struct Correlation {
     /// Number of candidates that have a value.
     pub count: usize,
     /// Spearman's ρ; `None` if a side is constant.
-    pub spearman: Option<Estimate>,
+    pub spearman: Option<Interval>,
     /// Kendall's τ_b.
-    pub kendall: Option<Estimate>,
+    pub kendall: Option<Interval>,
     /// Mean gain of the tenth with the highest prediction.
     pub top_gain: Option<f64>,
 }
@@ -209,8 +209,9 @@ pub struct FormOutcome {
     pub lowering: f64,
     /// Share of those drawn as proposals that lower the loss.
     pub lowering_proposals: f64,
-    /// Share of those whose probe predicts a gain, and of those whose probe does not; `None` of an empty set.
-    pub lowering_by_probe: [Option<f64>; 2],
+    /// Share of those that are estimated to lower the loss, and of those that are not; `None` of an empty set.
+    #[serde(rename = "lowering_by_probe")]
+    pub lowering_by_estimate: [Option<f64>; 2],
     /// Mean gain.
     pub mean_gain: f64,
     /// Quartiles of the gain.
@@ -219,8 +220,9 @@ pub struct FormOutcome {
     pub correlations: Vec<Correlation>,
     /// Tenths by importance.
     pub by_importance: Vec<Calibration>,
-    /// Tenths by probe.
-    pub by_probe: Vec<Calibration>,
+    /// Tenths by first-order estimate.
+    #[serde(rename = "by_probe")]
+    pub by_estimate: Vec<Calibration>,
 }
 
 pub(super) fn of_form(form: usize, all: &[Candidate], seed: u64) -> FormOutcome {
@@ -238,15 +240,15 @@ pub(super) fn of_form(form: usize, all: &[Candidate], seed: u64) -> FormOutcome 
         birth: FORMS[form],
         lowering: share(&|_| true).unwrap_or(0.0),
         lowering_proposals: share(&|j| j.draw == Draw::Proposal).unwrap_or(0.0),
-        lowering_by_probe: [
-            share(&|j| j.probe[form] > 0.0),
-            share(&|j| j.probe[form] <= 0.0),
+        lowering_by_estimate: [
+            share(&|j| j.estimate[form] > 0.0),
+            share(&|j| j.estimate[form] <= 0.0),
         ],
         mean_gain: gains.iter().sum::<f64>() / gains.len().max(1) as f64,
         quartiles: quartiles(&gains),
         correlations: correlations(form, all, seed),
         by_importance: along(&|j| j.importance),
-        by_probe: along(&|j| j.probe[form]),
+        by_estimate: along(&|j| j.estimate[form]),
     }
 }
 
@@ -264,8 +266,8 @@ fn correlations(form: usize, all: &[Candidate], seed: u64) -> Vec<Correlation> {
                 predictor,
                 subset,
                 count: x.len(),
-                spearman: estimate(spearman, &x, &y, seed, resamples),
-                kendall: estimate(kendall, &x, &y, seed, resamples),
+                spearman: with_interval(spearman, &x, &y, seed, resamples),
+                kendall: with_interval(kendall, &x, &y, seed, resamples),
                 top_gain: bins(&x, &y).last().map(|b| b.mean),
             });
         }

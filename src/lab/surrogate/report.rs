@@ -6,7 +6,7 @@ use crate::chart::text::{fixed, grouped};
 use crate::lab::report::{Report, Section};
 use crate::lab::surrogate::births::Draw;
 use crate::lab::surrogate::check::Assessment;
-use crate::lab::surrogate::rank::{Calibration, Estimate, FormOutcome};
+use crate::lab::surrogate::rank::{Calibration, FormOutcome, Interval};
 use crate::lab::table::{Table, digits, folder_name, or_dash};
 
 /// Unit of the gains, millionths: one birth of many thousands changes little.
@@ -38,9 +38,9 @@ fn headline(r: &Assessment) -> String {
 const NOTE: &str = "The gain −ΔL is the loss before less the loss after one birth, mean of the views, measured by rendering again. \
      ρ_S is Spearman's, τ_b Kendall's rank correlation with it (95 % bootstrap interval over the candidates): 1 orders births \
      perfectly, 0 is a coin, below 0 the order is wrong. “Best tenth” is the mean gain, in millionths, of the tenth of the \
-     candidates that a predictor puts first. The acceptance ρ is σ(I)·D in the form of the run at temperature 1, with the voxels as they are, all of one size.";
+     candidates that a predictor puts first. “probe” is the first-order estimate of a birth. The acceptance ρ is σ(I)·D in the form of the run at temperature 1, with the voxels as they are, all of one size.";
 
-fn estimate(e: Option<Estimate>) -> String {
+fn interval(e: Option<Interval>) -> String {
     or_dash(e, |e| {
         let [value, low, high] = [e.value, e.low, e.high].map(|v| fixed(v, 2));
         format!("{value} ({low} to {high})")
@@ -58,17 +58,19 @@ fn correlations(form: &FormOutcome) -> Table {
             c.predictor.to_owned(),
             c.subset.to_owned(),
             c.count.to_string(),
-            estimate(c.spearman),
-            estimate(c.kendall),
+            interval(c.spearman),
+            interval(c.kendall),
             or_dash(c.top_gain, gain),
         ]
     });
     let [q1, q2, q3] = form.quartiles.unwrap_or([f64::NAN; 3]).map(gain);
     let percent = |share: f64| fixed(100.0 * share, 0);
-    let [good, bad] = form.lowering_by_probe.map(|share| or_dash(share, percent));
+    let [good, bad] = form
+        .lowering_by_estimate
+        .map(|share| or_dash(share, percent));
     let note = format!(
-        "{} % of the candidates lower the loss ({} % of those drawn as proposals): {good} % of those for which the probe \
-         predicts a gain, {bad} % of the others. Gain in millionths: mean {}, quartiles {q1}, {q2}, {q3}.",
+        "{} % of the candidates lower the loss ({} % of those drawn as proposals): {good} % of those whose \
+         first-order estimate is a gain, {bad} % of the others. Gain in millionths: mean {}, quartiles {q1}, {q2}, {q3}.",
         percent(form.lowering),
         percent(form.lowering_proposals),
         gain(form.mean_gain),
@@ -111,17 +113,17 @@ fn calibration(
     band_chart(name, &axis(label, unit, false), &gains, &series)
 }
 
-/// Calibration of a form, by importance and by probe.
+/// Calibration of a form, by importance and by first-order estimate.
 fn charts(form: &FormOutcome) -> Section {
     let tenths = |of: &str| format!("{}: gain by tenths of {of}", form.birth);
     let importance = ("importance I", "", 1.0);
-    let probe = ("predicted gain", "10⁻⁶", MILLION);
+    let estimate = ("estimated gain", "10⁻⁶", MILLION);
     Section::Charts {
         title: String::new(),
         note: String::new(),
         figures: vec![
             calibration(&tenths("I"), importance, &form.by_importance),
-            calibration(&tenths("the probe"), probe, &form.by_probe),
+            calibration(&tenths("the estimate"), estimate, &form.by_estimate),
         ],
     }
 }
@@ -135,7 +137,7 @@ pub fn report(check: &Assessment) -> Report {
     sections.push(Section::Text(format!("Run {}. Views: {views}.", check.run)));
     let name = folder_name(&check.dataset);
     Report {
-        title: format!("{name}: true and predicted gain of births"),
+        title: format!("{name}: true and estimated gain of births"),
         subtitle: headline(check),
         note: NOTE.into(),
         sections,

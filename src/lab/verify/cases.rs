@@ -93,7 +93,8 @@ fn cloud(n: usize, sh_degree: u32, seed: u64) -> Gaussians {
     s
 }
 
-/// Well-conditioned Gaussians in front of the camera, some beside and behind it; a noisy photo; two edits.
+/// Well-conditioned Gaussians in front of the camera, some beside and behind it; a noisy photo; edits in place
+/// and of copies, with a colour of their own and without.
 #[must_use]
 pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> Case {
     let [w, h] = size;
@@ -101,14 +102,15 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
         .map(|i| (255.0 * uniform(seed, i, 255)[0]) as u8)
         .collect();
     let last = n.saturating_sub(1) as u32;
-    let edit = |src: u32, dst: u32| Edit {
+    let edit = |src: u32, dst: u32, color: OptionalColor| Edit {
         src,
         dst,
         position: [0.25, -0.5, 0.75],
         log_scale: [-3.0, -2.0, -1.0],
         opacity_logit: 0.5,
-        color: OptionalColor::NONE,
+        color,
     };
+    let (own, colored) = (OptionalColor::NONE, OptionalColor::some([0.75, -0.25, 1.5]));
     Case {
         family: "mild",
         name: name.into(),
@@ -134,10 +136,15 @@ pub fn mild(name: &str, n: usize, size: [u32; 2], sh_degree: u32, seed: u64) -> 
             sh0: 2.5e-3,
             sh: 1e-4,
         },
-        edits: if last > 0 {
-            vec![edit(0, last), edit(0, 0), edit(1, 1)]
+        edits: if n < 5 {
+            vec![edit(0, 0, own)]
         } else {
-            vec![edit(0, 0)]
+            vec![
+                edit(0, last, own),
+                edit(0, 0, own),
+                edit(1, 1, colored),
+                edit(2, last - 1, colored),
+            ]
         },
         invalid: Vec::new(),
         error_map_bound: None,

@@ -91,7 +91,7 @@ pub fn lists(tiles: &[Vec<u32>]) -> Vec<f64> {
 }
 
 /// Projected Gaussian as numbers: mean, quadratic form, opacity, depth, colour, pixel bounds.
-pub(super) type Record = [f64; 14];
+pub(super) type ProjectedRow = [f64; 14];
 
 /// Parameters or transforms and both moments after some steps of the optimiser with the same gradients.
 type Stepped<T> = [T; 3];
@@ -158,7 +158,7 @@ impl Reference {
     }
 
     /// Projected Gaussians; zeros when culled.
-    pub(super) fn records(&self) -> Vec<Record> {
+    pub(super) fn projected(&self) -> Vec<ProjectedRow> {
         let of = |r: &crate::pipeline::stage::project::Projected64| {
             let [[x0, x1], [y0, y1]] = r.bounds.map(|b| b.map(f64::from));
             let [red, green, blue] = r.rgb;
@@ -167,8 +167,8 @@ impl Reference {
                 x, y, r.a, r.r, r.c, r.lo, r.depth, red, green, blue, x0, x1, y0, y1,
             ]
         };
-        let all = self.pass.records.iter();
-        all.map(|r| r.as_ref().map_or_else(Record::default, of))
+        let all = self.pass.projected.iter();
+        all.map(|r| r.as_ref().map_or_else(ProjectedRow::default, of))
             .collect()
     }
 
@@ -182,7 +182,8 @@ impl Reference {
     /// seen along its axis, does not change when it turns, and the terms cancel.
     ///
     /// The largest term is the one that the longest axis of a Gaussian would have across the line of sight. It is the gradient
-    /// by the log-scale of axis k without the regulariser, 2 s_k² times the covariance's along that axis, times (s_max/s_k)².
+    /// with respect to the log-scale of axis k without the regulariser, 2 s_k² times the covariance's along that axis, times
+    /// (s_max/s_k)².
     pub(super) fn turn_floor(&self) -> f64 {
         let (scene, sums) = (&self.scene, &self.pass.sums);
         let pulls = project_grad(scene, &self.camera, &self.options, sums, [0.0; 2]);
@@ -256,8 +257,10 @@ impl Reference {
 
     /// 1 for each Gaussian that contributes to the view, or that counts as seen before.
     pub(super) fn seen(&self) -> Vec<f64> {
-        let ReferencePass { records, tiles, .. } = &self.pass;
-        let now = seen(records, tiles, &self.camera, self.options.alpha_min);
+        let ReferencePass {
+            projected, tiles, ..
+        } = &self.pass;
+        let now = seen(projected, tiles, &self.camera, self.options.alpha_min);
         let before = seen_before(now.len());
         let either = |(now, before)| f64::from(u32::from(now) | before);
         now.into_iter().zip(before).map(either).collect()

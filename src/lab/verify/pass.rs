@@ -10,8 +10,8 @@ use crate::device::tuning::{KEY_CULLED, Tuning, status};
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::lab::verify::cases::{ADAM, Case};
 use crate::lab::verify::definition::{
-    EXPOSURE_RATE, EXPOSURES, NOISE, NOISE_KEYS, Record, Reference, VIEW, edited, largest_sum,
-    lists, seen_before,
+    EXPOSURE_RATE, EXPOSURES, NOISE, NOISE_KEYS, ProjectedRow, Reference, VIEW, edited,
+    largest_sum, lists, seen_before,
 };
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::exposure::ExposureModel;
@@ -254,16 +254,16 @@ impl<'a, R: Real> Pass<'a, R> {
     }
 
     fn forward(&mut self) -> Result<()> {
-        let records = self.records()?;
+        let projected = self.projected()?;
         for (name, numbers) in [
             ("mean", 0..2),
             ("quadratic form", 2..5),
             ("opacity, depth, colour", 5..10),
             ("pixel bounds", 10..14),
         ] {
-            let part = |r: &Record| r[numbers.clone()].to_vec();
-            let got = records.iter().flat_map(part).collect();
-            let want = |r: &Reference, _: &Outcome| r.records().iter().flat_map(part).collect();
+            let part = |r: &ProjectedRow| r[numbers.clone()].to_vec();
+            let got = projected.iter().flat_map(part).collect();
+            let want = |r: &Reference, _: &Outcome| r.projected().iter().flat_map(part).collect();
             self.add("project", name, got, want);
         }
         let pairs = |r: &Reference, _: &Outcome| {
@@ -289,14 +289,14 @@ impl<'a, R: Real> Pass<'a, R> {
     }
 
     /// Projected Gaussians; zeros when culled.
-    fn records(&self) -> Result<Vec<Record>> {
+    fn projected(&self) -> Result<Vec<ProjectedRow>> {
         let (frame, count) = (self.frame(), self.scene.count);
         let keys = frame.keys.read(0, count)?;
-        let records = frame.records.read(0, count)?;
+        let projected = frame.records.read(0, count)?;
         let bounds = |b: u32| [f64::from(b & 0xffff), f64::from(b >> 16)];
         let of = |(key, r): (&u32, &crate::device::Projected<R>)| {
             if *key == KEY_CULLED {
-                return Record::default();
+                return ProjectedRow::default();
             }
             let ([x0, x1], [y0, y1]) = (bounds(r.bx), bounds(r.by));
             let [red, green, blue] = r.rgb.map(Into::into);
@@ -304,7 +304,7 @@ impl<'a, R: Real> Pass<'a, R> {
                 [r.x, r.y, r.a, r.r, r.c, r.lo, r.depth].map(Into::into);
             [x, y, a, rho, c, lo, depth, red, green, blue, x0, x1, y0, y1]
         };
-        Ok(keys.iter().zip(&records).map(of).collect())
+        Ok(keys.iter().zip(&projected).map(of).collect())
     }
 
     /// Gaussians of each tile from front to back.
@@ -551,8 +551,12 @@ impl<'a, R: Real> Pass<'a, R> {
             (by_render, by_transform.to_vec(), floor)
         });
         let got = self.image(&gradient, 0..3)?;
-        self.add("exposure", "gradient by the render", got, |_, _| by_render);
-        let (got, name) = (widen(model.gradient()?), "gradient by the transform");
+        let name = "gradient with respect to the render";
+        self.add("exposure", name, got, |_, _| by_render);
+        let (got, name) = (
+            widen(model.gradient()?),
+            "gradient with respect to the transform",
+        );
         let steps = self.want(|r, _| r.transforms(&got));
         *self.add("exposure", name, got, |_, _| by_transform) = floor;
         let names = ["transforms", "first moments", "second moments"];

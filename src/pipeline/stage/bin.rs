@@ -75,7 +75,7 @@ fn walk<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>, active_only: boo
 
 // Definition in f64.
 
-/// True if the smallest value of the record's quadratic form over the tile's rectangle of pixel centres is within its
+/// True if the smallest value of the projected Gaussian's quadratic form over the tile's rectangle of pixel centres is within its
 /// reach. The minimum of a convex form over a rectangle lies at its centre or on the boundary; here every edge is looked
 /// at, whether it faces the mean or not.
 #[must_use]
@@ -106,9 +106,9 @@ pub fn touches(g: &Projected64, tx: i32, ty: i32, alpha_min: f64) -> bool {
 
 /// Gaussians of each tile (row major), sorted by the f32 depth, ties by index.
 #[must_use]
-pub fn bin(records: &[Option<Projected64>], camera: &Camera64, alpha_min: f64) -> Vec<Vec<u32>> {
+pub fn bin(projected: &[Option<Projected64>], camera: &Camera64, alpha_min: f64) -> Vec<Vec<u32>> {
     let [tiles_x, tiles_y] = camera.tiles();
-    let mut order: Vec<(f32, u32)> = records
+    let mut order: Vec<(f32, u32)> = projected
         .iter()
         .enumerate()
         .filter_map(|(i, r)| r.as_ref().map(|g| (g.depth as f32, i as u32)))
@@ -116,7 +116,7 @@ pub fn bin(records: &[Option<Projected64>], camera: &Camera64, alpha_min: f64) -
     order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut tiles = vec![Vec::new(); (tiles_x * tiles_y) as usize];
     for (_, i) in order {
-        let Some(g) = &records[i as usize] else {
+        let Some(g) = &projected[i as usize] else {
             continue;
         };
         for ty in g.bounds[1][0] / TILE..=g.bounds[1][1] / TILE {

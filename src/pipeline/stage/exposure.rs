@@ -72,7 +72,7 @@ impl<R: Real> Exposures<R> {
             .over_chunks([self.program.chunks(), 1])
     }
 
-    /// Turns the gradient by the corrected image in `dimage` into that by the render, and leaves the sums for
+    /// Turns the gradient with respect to the corrected image in `dimage` into that with respect to the render, and leaves the sums for
     /// [`Exposures::step`].
     pub fn backward(&self, view: &ViewBuffers<R>, number: usize, dimage: &Array<R>) -> Result<()> {
         let chunks = self.program.chunks();

@@ -91,7 +91,7 @@ impl<R: Real> Loss<R> {
         })
     }
 
-    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) by the render to `dimage`, and the sums of the strips.
+    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render to `dimage`, and the sums of the strips.
     pub fn gradient(&self, pair: &ImagePair<'_, R>, lambda: f64, dimage: &Array<R>) -> Result<()> {
         let (strips, values) = (strips(&self.program, pair.size), 3 * pair.size.plane());
         let weights = [1.0 - lambda, lambda].map(|weight| weight / pair.values());

@@ -239,7 +239,7 @@ pub fn project(
         bounds[k] = [first as i32, last as i32];
     }
     let (rgb, _, _) = color(scene, i, camera, options.sh_degree);
-    let record = Projected64 {
+    let projected = Projected64 {
         mean,
         a: 0.5 * log2_e * o.cov[1][1] / o.det,
         r: o.cov[0][1] / o.cov[1][1],
@@ -249,8 +249,10 @@ pub fn project(
         depth: o.t[2],
         bounds,
     };
-    let finite = [record.a, record.r, record.c].iter().all(|v| v.is_finite());
-    (finite && rgb.iter().all(|v| v.abs() < COLOR_MAX)).then_some(record)
+    let finite = [projected.a, projected.r, projected.c]
+        .iter()
+        .all(|v| v.is_finite());
+    (finite && rgb.iter().all(|v| v.abs() < COLOR_MAX)).then_some(projected)
 }
 
 impl Projected64 {

@@ -1,4 +1,4 @@
-//! Gradients by the projected centres, added up over iterations (`kernels/screen_grad.cl`): 3DGS, Kerbl et al. 2023,
+//! Gradients with respect to the projected centres, added up over iterations (`kernels/screen_grad.cl`): 3DGS, Kerbl et al. 2023,
 //! section 5.2.
 
 use crate::base::constants::SUMS;
@@ -42,8 +42,8 @@ pub fn mean_gradient(o: &Shape64, s: &[f64; 9]) -> [f64; 2] {
     std::array::from_fn(|a| k[a][0] * first[0] + k[a][1] * first[1])
 }
 
-/// Norm of the loss gradient by the projected centre of Gaussian `i` in normalised device coordinates; `None` for a culled
-/// Gaussian.
+/// Norm of the loss gradient with respect to the projected centre of Gaussian `i` in normalised device coordinates; `None` for
+/// a culled Gaussian.
 #[must_use]
 pub fn screen_grad(scene: &Scene64, i: usize, camera: &Camera64, sums: &[f64; 9]) -> Option<f64> {
     let [x, y] = mean_gradient(&shape(scene, i, camera)?, sums);

@@ -39,16 +39,16 @@ pub fn mark<R: Real>(
 /// True for each Gaussian that a pixel of a view shows: it adds α·T > 0 of its colour.
 #[must_use]
 pub fn seen(
-    records: &[Option<Projected64>],
+    projected: &[Option<Projected64>],
     tiles: &[Vec<u32>],
     camera: &Camera64,
     alpha_min: f64,
 ) -> Vec<bool> {
-    let mut seen = vec![false; records.len()];
+    let mut seen = vec![false; projected.len()];
     for y in 0..camera.size[1] {
         for x in 0..camera.size[0] {
             let list = list_at(tiles, camera, x, y);
-            for part in contributions(records, list, x, y, alpha_min).0 {
+            for part in contributions(projected, list, x, y, alpha_min).0 {
                 seen[part.gaussian as usize] |= part.alpha * part.transmittance > 0.0;
             }
         }

@@ -39,7 +39,7 @@ pub struct Contribution {
 /// Contributions to a pixel, front to back, and the transmittance that is left.
 #[must_use]
 pub fn contributions(
-    records: &[Option<Projected64>],
+    projected: &[Option<Projected64>],
     list: &[u32],
     x: i32,
     y: i32,
@@ -48,7 +48,7 @@ pub fn contributions(
     let mut t = 1.0;
     let mut out = Vec::new();
     for &gaussian in list {
-        let Some(g) = &records[gaussian as usize] else {
+        let Some(g) = &projected[gaussian as usize] else {
             continue;
         };
         if t < T_MIN {
@@ -80,7 +80,7 @@ pub fn list_at<'a>(tiles: &'a [Vec<u32>], camera: &Camera64, x: i32, y: i32) -> 
 /// Image over the background \[3, height, width\] and transmittance \[height, width\].
 #[must_use]
 pub fn splat(
-    records: &[Option<Projected64>],
+    projected: &[Option<Projected64>],
     tiles: &[Vec<u32>],
     camera: &Camera64,
     options: &Options,
@@ -90,14 +90,14 @@ pub fn splat(
     for y in 0..camera.size[1] {
         for x in 0..camera.size[0] {
             let list = list_at(tiles, camera, x, y);
-            let (parts, t) = contributions(records, list, x, y, options.alpha_min);
+            let (parts, t) = contributions(projected, list, x, y, options.alpha_min);
             let at = (y * camera.size[0] + x) as usize;
             left[at] = t;
             for c in 0..3 {
                 let sum: f64 = parts
                     .iter()
                     .filter_map(|p| {
-                        records[p.gaussian as usize]
+                        projected[p.gaussian as usize]
                             .as_ref()
                             .map(|g| p.alpha * p.transmittance * g.rgb[c])
                     })

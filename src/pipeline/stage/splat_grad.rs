@@ -8,7 +8,7 @@ use crate::pipeline::reference::{Camera64, Options};
 use crate::pipeline::stage::project::Projected64;
 use crate::pipeline::stage::splat::{contributions, list_at};
 
-/// Writes nine sums for each pair of the view composited last, from the gradient of the loss by its image.
+/// Writes nine sums for each pair of the view composited last, from the gradient of the loss with respect to its image.
 pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<R>) -> Result<()> {
     let size = view.camera.image();
     stage
@@ -28,24 +28,24 @@ pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<
 /// α·T·dL/dcolour.
 #[must_use]
 pub fn splat_grad(
-    records: &[Option<Projected64>],
+    projected: &[Option<Projected64>],
     tiles: &[Vec<u32>],
     camera: &Camera64,
     options: &Options,
     dimage: &[f64],
 ) -> Vec<[f64; 9]> {
     let n = camera.pixels();
-    let mut sums = vec![[0.0; 9]; records.len()];
+    let mut sums = vec![[0.0; 9]; projected.len()];
     for y in 0..camera.size[1] {
         for x in 0..camera.size[0] {
             let at = (y * camera.size[0] + x) as usize;
             let d: [f64; 3] = std::array::from_fn(|c| dimage[c * n + at]);
             let list = list_at(tiles, camera, x, y);
-            let (parts, _) = contributions(records, list, x, y, options.alpha_min);
+            let (parts, _) = contributions(projected, list, x, y, options.alpha_min);
             // Colour seen behind a contribution, per unit of transmittance: starts with the background.
             let mut behind = options.background;
             for p in parts.iter().rev() {
-                let Some(g) = &records[p.gaussian as usize] else {
+                let Some(g) = &projected[p.gaussian as usize] else {
                     continue;
                 };
                 let dot: f64 = (0..3).map(|c| d[c] * (g.rgb[c] - behind[c])).sum();

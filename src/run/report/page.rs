@@ -8,7 +8,6 @@ use std::path::Path;
 
 use crate::base::error::Result;
 use crate::chart::text::{escape, fixed, grouped, span};
-use crate::evaluate::ViewScore;
 use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use crate::run::report::{panels, settings};
@@ -120,16 +119,16 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
 /// The last scores of the held-out views, colour-corrected ones included if there are any.
 fn score_heads(scores: Option<&FinalRecord>, rows: &[MetricsRow]) -> Vec<(&'static str, String)> {
     let decibels = |v: f64| format!("{} <small>dB</small>", fixed(v, 2));
-    let last = scores.map(|f| (f.psnr, f.ssim));
+    let last = scores.map(|f| (f.mean.psnr, f.mean.ssim));
     let last = last.or_else(|| rows.iter().rev().find_map(|r| r.psnr.zip(r.ssim)));
-    let flip = scores.and_then(|f| f.flip);
+    let flip = scores.and_then(|f| f.mean.flip);
     let dash = || "–".to_owned();
     let mut heads = vec![
         ("PSNR, held-out", last.map_or_else(dash, |l| decibels(l.0))),
         ("SSIM, held-out", last.map_or_else(dash, |l| fixed(l.1, 4))),
         ("FLIP, held-out", flip.map_or_else(dash, |v| fixed(v, 4))),
     ];
-    if let Some((psnr, ssim)) = scores.and_then(|f| f.cc_psnr.zip(f.cc_ssim)) {
+    if let Some((psnr, ssim)) = scores.and_then(|f| f.mean.cc_psnr.zip(f.mean.cc_ssim)) {
         heads.push(("PSNR, colour-corrected", decibels(psnr)));
         heads.push(("SSIM, colour-corrected", fixed(ssim, 4)));
     }
@@ -203,15 +202,15 @@ fn scores(out: &mut String, scores: Option<&FinalRecord>) {
     let Some(scores) = scores.filter(|s| !s.per_view.is_empty()) else {
         return;
     };
-    type Score = fn(&ViewScore) -> Option<f64>;
-    let columns: [(&str, usize, Score); 5] = [
-        ("PSNR, dB", 2, |s| Some(s.psnr)),
-        ("SSIM", 4, |s| Some(s.ssim)),
-        ("FLIP", 4, |s| s.flip),
-        ("PSNR, colour-corrected, dB", 2, |s| s.cc_psnr),
-        ("SSIM, colour-corrected", 4, |s| s.cc_ssim),
+    // In the order of `Scores::named`.
+    let columns = [
+        ("PSNR, dB", 2),
+        ("SSIM", 4),
+        ("FLIP", 4),
+        ("PSNR, colour-corrected, dB", 2),
+        ("SSIM, colour-corrected", 4),
     ];
-    let corrected = scores.per_view.iter().any(|s| s.cc_psnr.is_some());
+    let corrected = scores.per_view.iter().any(|s| s.scores.cc_psnr.is_some());
     let (columns, note) = match corrected {
         true => (
             &columns[..],
@@ -225,14 +224,14 @@ fn scores(out: &mut String, scores: Option<&FinalRecord>) {
         out,
         "<details><summary>Scores of all {count} held-out views</summary>{note}<table><tr><th>view</th>"
     );
-    for (title, _, _) in columns {
+    for (title, _) in columns {
         let _ = write!(out, "<th class=n>{title}</th>");
     }
     out.push_str("</tr>");
     for score in &scores.per_view {
         let _ = write!(out, "<tr><td>{}</td>", escape(&score.view));
-        for (_, decimals, of) in columns {
-            let figure = fixed(of(score).unwrap_or(f64::NAN), *decimals);
+        for ((_, decimals), (_, value)) in columns.iter().zip(score.scores.named()) {
+            let figure = fixed(value.unwrap_or(f64::NAN), *decimals);
             let _ = write!(out, "<td class=n>{figure}</td>");
         }
         out.push_str("</tr>");

@@ -1,4 +1,4 @@
-//! Probes in training: what they foretell, and that they repeat.
+//! First-order estimates of births in training: those of the instrument, and that they repeat.
 
 use crate::determinism::{drive, room, trained};
 use mhsplat::Plan;
@@ -6,7 +6,7 @@ use mhsplat::TrainConfig;
 use mhsplat::base::constants::ALPHA_MIN;
 use mhsplat::config::Surrogate;
 use mhsplat::density::relocation::split;
-use mhsplat::density::{Edit, Trial};
+use mhsplat::density::{Candidate, Edit};
 use mhsplat::device::Device;
 use mhsplat::lab::surrogate::{Birth, Instrument, Setting, Shape};
 use mhsplat::pipeline::buffers::ViewSet;
@@ -30,7 +30,7 @@ fn config() -> TrainConfig {
 }
 
 /// Copies of rows spread over the scene, beside their sources; every other one shares.
-fn trials(splats: &Gaussians) -> Vec<Trial> {
+fn candidates(splats: &Gaussians) -> Vec<Candidate> {
     let stride = splats.len() as u32 / 80;
     let trial = |k: u32| {
         let src = k * stride;
@@ -40,7 +40,7 @@ fn trials(splats: &Gaussians) -> Vec<Trial> {
         let (offset, logit) = (part.log_scale_offset, part.opacity_logit);
         let shares = k % 2 == 1;
         let wider = |s: f32| (f64::from(s) + offset) as f32;
-        Trial {
+        Candidate {
             birth: Edit {
                 src,
                 dst: src,
@@ -57,7 +57,7 @@ fn trials(splats: &Gaussians) -> Vec<Trial> {
 
 /// What the instrument of the surrogate's check, which is itself held against differences of the loss, says of them in double
 /// precision over the views that training takes next.
-fn foretold(trainer: &Trainer, splats: &Gaussians, trials: &[Trial]) -> Vec<f64> {
+fn estimated(trainer: &Trainer, splats: &Gaussians, candidates: &[Candidate]) -> Vec<f64> {
     let data = room(64);
     let device = Device::open(None).unwrap();
     let (schedule, done) = (trainer.schedule(), trainer.iteration());
@@ -74,12 +74,12 @@ fn foretold(trainer: &Trainer, splats: &Gaussians, trials: &[Trial]) -> Vec<f64>
         },
         lambda_ssim: 0.2,
         alpha_min: ALPHA_MIN,
-        probe: 1e-6,
+        epsilon: 1e-6,
     };
     let mut instrument =
-        Instrument::new(&device, views, splats.clone(), setting, trials.len()).unwrap();
+        Instrument::new(&device, views, splats.clone(), setting, candidates.len()).unwrap();
     let base = instrument.base().unwrap();
-    let birth = |t: &Trial| Birth {
+    let birth = |t: &Candidate| Birth {
         source: t.birth.src,
         position: t.birth.position,
         shape: Shape {
@@ -88,22 +88,22 @@ fn foretold(trainer: &Trainer, splats: &Gaussians, trials: &[Trial]) -> Vec<f64>
         },
         shared: t.source_change.is_some(),
     };
-    let births: Vec<Birth> = trials.iter().map(birth).collect();
-    let probed = instrument.probe(&base, &births).unwrap();
-    probed.iter().map(|p| p.change).collect()
+    let births: Vec<Birth> = candidates.iter().map(birth).collect();
+    let estimates = instrument.estimate(&base, &births).unwrap();
+    estimates.iter().map(|p| p.change).collect()
 }
 
 #[test]
-fn training_foretells_what_the_instrument_does() {
+fn training_estimates_what_the_instrument_does() {
     let (data, config) = (room(64), config());
     let (mut trainer, splats) = trained(&data, &config, 60);
-    let trials = trials(&splats);
-    let got = trainer.estimate(&trials).unwrap();
-    let want = foretold(&trainer, &splats, &trials);
+    let candidates = candidates(&splats);
+    let got = trainer.estimate(&candidates).unwrap();
+    let want = estimated(&trainer, &splats, &candidates);
     let most = want.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     for shares in [false, true] {
-        let of = |t: &Trial| t.source_change.is_some() == shares;
-        let all = trials.iter().zip(got.iter().zip(&want));
+        let of = |t: &Candidate| t.source_change.is_some() == shares;
+        let all = candidates.iter().zip(got.iter().zip(&want));
         let pairs: Vec<(f64, f64)> = all
             .filter(|(t, _)| of(t))
             .map(|(_, (g, w))| (*g, *w))
@@ -122,7 +122,7 @@ fn training_foretells_what_the_instrument_does() {
     // Asking changes nothing.
     assert!(trainer.state().unwrap().splats == splats);
     assert_eq!(trainer.estimate(&[]).unwrap(), [0.0; 0]);
-    let again = trainer.estimate(&trials).unwrap();
+    let again = trainer.estimate(&candidates).unwrap();
     let bits = |all: &[f64]| all.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert_eq!(
         bits(&again),
@@ -132,7 +132,7 @@ fn training_foretells_what_the_instrument_does() {
 }
 
 #[test]
-fn runs_with_probes_repeat_and_resume() {
+fn runs_with_estimates_repeat_and_resume() {
     let (data, config) = (room(64), config());
     let (trainer, whole) = trained(&data, &config, 120);
     let s = *trainer.stats();
@@ -163,7 +163,7 @@ fn runs_with_probes_repeat_and_resume() {
     drive(&mut resumed, 120).unwrap();
     assert!(whole == resumed.state().unwrap().splats);
 
-    // Pairs that do not fit are repeated in the pass of probes as elsewhere.
+    // Pairs that do not fit are repeated in the pass of estimates as elsewhere.
     let splats =
         mhsplat::run::initial_gaussians(&data, &Plan::new(&data, &config).unwrap()).unwrap();
     let mut tight =
