@@ -96,6 +96,9 @@ pub struct MhConfig {
     pub noise_rate: f64,
     /// Opacity at or below which a Gaussian is dead.
     pub dead_opacity: f64,
+    /// Share of the other Gaussians, those of least opacity, that die at each step with births, too; births replace them. Not with
+    /// `relocation`.
+    pub turnover: f64,
 }
 
 impl Default for MhConfig {
@@ -108,7 +111,7 @@ impl Default for MhConfig {
             birth_opacity: 0.1,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
-            target_acceptance: [0.028, 0.35],
+            target_acceptance: [0.017, 0.21],
             importance: true,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -136,6 +139,7 @@ impl Default for MhConfig {
             pixel_near: 0.3,
             noise_rate: 5e5,
             dead_opacity: 0.005,
+            turnover: 0.2,
         }
     }
 }
@@ -147,6 +151,7 @@ impl MhConfig {
         Self {
             birth: Birth::Copy,
             relocation: true,
+            turnover: 0.0,
             restart_until_iteration: 0,
             target_acceptance: [0.0, 0.0],
             deaths_until_iteration: 0,
@@ -214,6 +219,12 @@ impl MhConfig {
             let what = "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is estimated)";
             check(!other, "surrogate", what)?;
         }
+        let good = (0.0..1.0).contains(&self.turnover);
+        check(
+            good,
+            "turnover",
+            "a share of at least 0 and below 1 expected",
+        )?;
         let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
         let finite = weights.iter().all(|w| w.is_finite());
         let good = finite && (0.0..1.0).contains(&self.dead_opacity);

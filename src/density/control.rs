@@ -34,6 +34,8 @@ pub struct StepContext<'a> {
     pub opacity_resets: u32,
     /// True if opacities are reset with this step.
     pub resets_opacity: bool,
+    /// True if no step follows.
+    pub last: bool,
     /// Centres of the training cameras, local units.
     pub cameras: &'a [[f32; 3]],
     /// Current renders of as many views as [`DensityControl::pictures`] names.
@@ -51,6 +53,7 @@ impl StepContext<'_> {
             max_gaussians: None,
             opacity_resets: 0,
             resets_opacity: false,
+            last: false,
             cameras: &[],
             pictures: &[],
         }

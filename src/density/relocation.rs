@@ -167,6 +167,23 @@ impl Relocation {
         Self::survey(scene, dead_opacity).0
     }
 
+    /// Makes a share of the alive rows dead: those of least opacity, ties by row.
+    pub fn retire(&mut self, scene: &SceneState<'_>, share: f64) {
+        let count = (share * self.alive_rows.len() as f64) as usize;
+        if count == 0 {
+            return;
+        }
+        let mut rows = self.alive_rows.clone();
+        let opacity = |row: &u32| scene.opacity_logits[*row as usize];
+        rows.select_nth_unstable_by(count - 1, |a, b| {
+            opacity(a).total_cmp(&opacity(b)).then(a.cmp(b))
+        });
+        for row in &rows[..count] {
+            self.alive[*row as usize] = false;
+        }
+        self.alive_rows.retain(|row| self.alive[*row as usize]);
+    }
+
     /// The rows that were not alive, rising; empty if no row was alive.
     #[must_use]
     pub fn dead_rows(&self) -> Vec<u32> {

@@ -238,6 +238,7 @@ impl Control {
             max_gaussians: self.plan.config.max_gaussians,
             opacity_resets: self.schedule.opacity_resets(iteration),
             resets_opacity: self.schedule.resets_opacity(iteration),
+            last: self.schedule.next_density(iteration).is_none(),
             cameras: &cameras,
             pictures: &pictures,
         };

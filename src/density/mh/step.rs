@@ -71,9 +71,19 @@ impl MetropolisHastings {
         shrinking(at_start as usize, eta).max(replacing as usize)
     }
 
+    /// True if births of a step replace what dies: not where relocation does.
+    fn replaces(&self, context: &StepContext<'_>) -> bool {
+        !self.config.relocation && self.config.births_enabled(context.progress)
+    }
+
+    /// True if a step has births. The last one has none where births replace the dead: nothing would judge them.
+    fn has_births(&self, context: &StepContext<'_>) -> bool {
+        self.config.births_enabled(context.progress) && (self.config.relocation || !context.last)
+    }
+
     /// Number of the removed Gaussians that births of this step replace.
-    fn due(&self, eta: f64, removed: usize) -> usize {
-        match !self.config.relocation && self.config.births_enabled(eta) {
+    fn due(&self, context: &StepContext<'_>, removed: usize) -> usize {
+        match self.replaces(context) && self.has_births(context) {
             true => removed,
             false => 0,
         }
@@ -103,14 +113,28 @@ impl MetropolisHastings {
         ]
     }
 
-    /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are. T is solved for the target share with
-    /// `due_share` more, the dead per proposal of the step, so that births replace them.
+    /// Share of `all` proposals of a step that is to be accepted: the target's of as many proposals as η asks for, and one for each
+    /// of the `due` dead. 0 if there is no target.
+    fn share(&self, eta: f64, due: usize, all: usize) -> f64 {
+        let c = &self.config;
+        let target = lerp(c.target_acceptance, eta);
+        if target <= 0.0 {
+            return 0.0;
+        }
+        let kinds = [c.coarse_proposals, c.fine_proposals, c.pixel_proposals];
+        let asked: usize = kinds.iter().map(|n| shrinking(*n as usize, eta)).sum();
+        let share = target * asked.min(all) as f64 + due as f64;
+        (share / all.max(1) as f64).min(MAX_SHARE.max(target))
+    }
+
+    /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are. T is solved for the share that is to be accepted,
+    /// or follows its schedule if that is 0.
     fn decide<'a>(
         &self,
         proposals: &'a [Proposal],
         counts: &VoxelCounts<'_>,
         eta: f64,
-        due_share: f64,
+        share: f64,
     ) -> Vec<Decision<'a>> {
         let c = &self.config;
         let count = |p: &Proposal| counts.get(p.edit.position.map(f64::from));
@@ -120,9 +144,8 @@ impl MetropolisHastings {
             .zip(&counts)
             .map(|(p, n)| accept::ln_ratio(c.acceptance, p.ln_gain, c.lambda_voxel, *n))
             .collect();
-        let wanted = lerp(c.target_acceptance, eta);
-        let temperature = if wanted > 0.0 {
-            accept::temperature_for(&ln_rhos, (wanted + due_share).min(MAX_SHARE.max(wanted)))
+        let temperature = if share > 0.0 {
+            accept::temperature_for(&ln_rhos, share)
         } else {
             lerp(c.temperature, eta)
         };
@@ -226,7 +249,10 @@ impl MetropolisHastings {
             let relocation = Relocation::plan(context, scene, c.dead_opacity);
             return (relocation, Vec::new());
         }
-        let relocation = Relocation::none(scene, c.dead_opacity);
+        let mut relocation = Relocation::none(scene, c.dead_opacity);
+        if self.replaces(context) {
+            relocation.retire(scene, c.turnover);
+        }
         let removed = relocation.dead_rows();
         (relocation, removed)
     }
@@ -266,14 +292,14 @@ impl MetropolisHastings {
             importance: &importance,
             sources: Categorical::new(&weights),
         };
-        let room = c.births_enabled(context.progress)
+        let room = self.has_births(context)
             && context
                 .max_gaussians
                 .is_none_or(|most| scene.len() - removed.len() < most);
         let kinds = [BirthKind::Pixel, BirthKind::Coarse, BirthKind::Fine];
         let mut phases = kinds.map(|kind| (kind, Vec::new()));
         if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
-            let due = self.due(context.progress, removed.len());
+            let due = self.due(context, removed.len());
             let [coarse, fine] = self.phases(context, due).map(|p| self.propose(&step, &p));
             let pixels = if context.pictures.is_empty() {
                 Vec::new()
@@ -375,10 +401,11 @@ impl DensityControl for MetropolisHastings {
         let (c, eta) = (&self.config, context.progress.clamp(0.0, 1.0));
         let mut counts = self.counts(context, eta, scene, &proposals.relocation);
         let all: usize = proposals.phases.iter().map(|(_, p)| p.len()).sum();
-        let due_share = self.due(eta, proposals.removed.len()) as f64 / all.max(1) as f64;
+        let due = self.due(context, proposals.removed.len());
+        let share = self.share(eta, due, all);
         let mut births = Births::new(scene.len(), context.max_gaussians, proposals.removed);
         for (kind, proposals) in &proposals.phases {
-            let decisions = self.decide(proposals, &counts, eta, due_share);
+            let decisions = self.decide(proposals, &counts, eta, share);
             births.take(*kind, &decisions, &mut counts);
         }
         Ok(births.finish(c.birth, scene, proposals.relocation, &counts))
