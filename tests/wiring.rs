@@ -1,5 +1,8 @@
 //! Tests of the values that the trainer passes to stages and strategies: numbers of steps, rates, seeds, progress.
 
+mod definitions;
+mod steps;
+
 use mhsplat::config::Sampler;
 use mhsplat::device::Device;
 use mhsplat::evaluate::{Scores, ViewScore};
