@@ -1,6 +1,7 @@
 //! Tests of the values that the trainer passes to stages and strategies: numbers of steps, rates, seeds, progress.
 
 mod definitions;
+mod statistics;
 mod steps;
 
 use mhsplat::config::Sampler;
