@@ -16,7 +16,7 @@ use mhsplat::{Plan, TrainConfig};
 
 use crate::determinism::room;
 
-fn config(iterations: u32, seed: u64, noise_rate: f64) -> TrainConfig {
+pub fn config(iterations: u32, seed: u64, noise_rate: f64) -> TrainConfig {
     let mut config = TrainConfig {
         sampler: Sampler::Mcmc,
         iterations,
@@ -31,7 +31,7 @@ fn config(iterations: u32, seed: u64, noise_rate: f64) -> TrainConfig {
 }
 
 /// The scene after one iteration on one view; all begin with the same Gaussians, as faint as the noise's gate needs.
-fn after_one(config: &TrainConfig) -> (Gaussians, Gaussians) {
+pub fn after_one(config: &TrainConfig) -> (Gaussians, Gaussians) {
     let mut data = room(64);
     data.train.truncate(1);
     let first = TrainConfig {
