@@ -114,9 +114,10 @@ fn noise(seed: u64) -> Decisions {
     bits(after.planes()[Plane::POSITION].iter().copied())
 }
 
-/// Rows of a scene of Gaussians that are alike but for their places; the first `dead` of them are dead.
+/// Number of Gaussians in the scene of density steps.
 const ROWS: usize = 100;
 
+/// A density step of Gaussians that are alike but for their places; the first `dead` of them are dead.
 fn step(config: &TrainConfig, dead: usize, pictures: &[Picture]) -> Outcome {
     let x: Vec<f32> = (0..ROWS).map(|i| i as f32).collect();
     let [zero, one, scale] = [0.0, 1.0, -3.0].map(|v| vec![v; ROWS]);
@@ -297,12 +298,12 @@ fn density_cases() -> Vec<Case> {
 /// Places of the candidates of a check by their group and source, the sources of each group, and the views. The importance is of
 /// the opacity alone, so that it is the same in all views.
 fn checked(seed: u64) -> Vec<Decisions> {
-    const ROWS: usize = 60;
+    const GAUSSIANS: usize = 60;
     let data = room(64);
     let mut config = TrainConfig {
         sampler: Sampler::None,
         iterations: 20,
-        max_gaussians: Some(ROWS),
+        max_gaussians: Some(GAUSSIANS),
         ..seeded(0)
     };
     (config.mh.weight_ssim, config.mh.weight_l1) = (0.0, 0.0);
@@ -327,9 +328,9 @@ fn checked(seed: u64) -> Vec<Decisions> {
         let draw = 2 * usize::from(c.draw == Draw::Stratified);
         let group = draw + usize::from(c.phase == Phase::Fine);
         let place = u64::from(c.position[0].to_bits());
-        (ROWS * group + c.source as usize, place)
+        (GAUSSIANS * group + c.source as usize, place)
     };
-    let places = keyed(found.candidates.iter().map(of), 4 * ROWS);
+    let places = keyed(found.candidates.iter().map(of), 4 * GAUSSIANS);
     let drawn = |place: &Option<u64>| Some(u64::from(place.is_some()));
     let sources = places.iter().map(drawn).collect();
     let number = |name: &String| data.train.iter().position(|v| v.name == *name).unwrap();
