@@ -5,6 +5,7 @@ mod chain;
 mod deaths;
 mod extremes;
 mod mcmc;
+mod moved;
 mod parts;
 mod pixels;
 mod probes;

@@ -39,6 +39,7 @@ mod reference;
 mod report;
 mod samplers;
 mod sampling_rates;
+mod seeds;
 mod stage;
 mod stiff;
 mod stress;

@@ -1,5 +1,9 @@
 //! Tests of the values that the trainer passes to stages and strategies: numbers of steps, rates, seeds, progress.
 
+mod definitions;
+mod statistics;
+mod steps;
+
 use mhsplat::config::Sampler;
 use mhsplat::device::Device;
 use mhsplat::evaluate::{Scores, ViewScore};
@@ -12,7 +16,7 @@ use mhsplat::{Plan, TrainConfig};
 
 use crate::determinism::room;
 
-fn config(iterations: u32, seed: u64, noise_rate: f64) -> TrainConfig {
+pub fn config(iterations: u32, seed: u64, noise_rate: f64) -> TrainConfig {
     let mut config = TrainConfig {
         sampler: Sampler::Mcmc,
         iterations,
@@ -27,7 +31,7 @@ fn config(iterations: u32, seed: u64, noise_rate: f64) -> TrainConfig {
 }
 
 /// The scene after one iteration on one view; all begin with the same Gaussians, as faint as the noise's gate needs.
-fn after_one(config: &TrainConfig) -> (Gaussians, Gaussians) {
+pub fn after_one(config: &TrainConfig) -> (Gaussians, Gaussians) {
     let mut data = room(64);
     data.train.truncate(1);
     let first = TrainConfig {
