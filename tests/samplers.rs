@@ -167,7 +167,7 @@ fn noise_moves_positions_alone_and_only_where_asked_for() {
 #[test]
 fn no_sampler_exceeds_the_bound() {
     let free = TrainConfig {
-        iterations: 60,
+        iterations: 300,
         max_size: 64,
         sh_degree: 0,
         ..TrainConfig::default()

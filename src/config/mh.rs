@@ -27,8 +27,9 @@ pub struct MhConfig {
     /// Temperature T of the acceptance: a birth is accepted with probability ρ^{1/T}. 1 is the paper's; larger values accept
     /// more. Of no effect if `target_acceptance` is set.
     pub temperature: [f64; 2],
-    /// Target share of accepted births. Each phase then takes the T at which the mean of ρ^{1/T} over its own proposals is
-    /// this share, instead of `temperature`. 0: `temperature` is used.
+    /// Target share of accepted births, of the scheduled proposals; births that replace what died come on top. Each phase then takes
+    /// the T at which the mean of ρ^{1/T} over its own proposals is the share of both, instead of `temperature`. 0:
+    /// `temperature` is used.
     pub target_acceptance: [f64; 2],
     /// Importance sampling: sources are drawn by importance and I is in ρ (Eq. 12, 13). If off, sources are drawn uniformly,
     /// I = ½, and no error map is made.
@@ -111,7 +112,7 @@ impl Default for MhConfig {
             birth_opacity: 0.1,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
-            target_acceptance: [0.017, 0.21],
+            target_acceptance: [0.0155, 0.19],
             importance: true,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -139,7 +140,7 @@ impl Default for MhConfig {
             pixel_near: 0.3,
             noise_rate: 5e5,
             dead_opacity: 0.005,
-            turnover: 0.2,
+            turnover: 0.25,
         }
     }
 }

@@ -57,43 +57,78 @@ fn a_bound_has_room_for_as_many_as_go() {
     }
 }
 
-/// Births are the target's share of the proposals and one for each of the dead, within chance, up to the last step, where the
-/// target alone would ask for none; before births begin, and without deaths, there are none to replace.
+/// Births are the target's share of the proposals that the progress asks for, and one for each that dies, within chance; before
+/// births begin, at the last step, and without deaths, there are none to replace.
 #[test]
 fn births_replace_the_dead() {
-    let config = MhConfig {
-        target_acceptance: [0.1, 0.1],
-        births_from_iteration: 1500,
-        pixel_proposals: 0,
-        ..MhConfig::default()
-    };
-    let born = |scene: &Scene, progress: f64| {
-        let mh = MetropolisHastings::new(&config);
-        let context = context(700, progress, 1);
-        let outcome = mh.step(&context, &scene.state(), &scene.errors()).unwrap();
-        assert_eq!(breaches(scene.logits.len(), &outcome), Vec::<String>::new());
-        assert_eq!(outcome.stats.relocated, 0);
-        outcome.stats
-    };
-    for progress in [0.2, 0.6, 1.0] {
-        let stats = born(&dying(N), progress);
-        assert_eq!(stats.pruned as usize, DEAD);
-        let proposed = stats.proposed as f64;
-        let wanted = 0.1 * proposed + DEAD as f64;
-        let share = wanted / proposed;
-        assert!(share < 0.9, "{progress}: {proposed} proposals are too few");
-        let chance = (proposed * share * (1.0 - share)).sqrt();
-        let found = stats.accepted as f64;
-        assert!(
-            (found - wanted).abs() < 4.0 * chance,
-            "{progress}: {found} births; {wanted} expected"
-        );
-        let without = born(&Scene::random(N, 21), progress);
-        let wanted = 0.1 * without.proposed as f64;
-        assert!((without.accepted as f64) < wanted + 4.0 * wanted.sqrt());
+    for turnover in [0.0, 0.2] {
+        let config = MhConfig {
+            target_acceptance: [0.1, 0.1],
+            births_from_iteration: 1500,
+            pixel_proposals: 0,
+            turnover,
+            ..MhConfig::default()
+        };
+        let born = |scene: &Scene, progress: f64, last: bool| {
+            let mh = MetropolisHastings::new(&config);
+            let context = StepContext {
+                last,
+                ..context(700, progress, 1)
+            };
+            let outcome = mh.step(&context, &scene.state(), &scene.errors()).unwrap();
+            assert_eq!(breaches(scene.logits.len(), &outcome), Vec::<String>::new());
+            assert_eq!(outcome.stats.relocated, 0);
+            outcome.stats
+        };
+        let dead = DEAD + (turnover * (N - DEAD) as f64) as usize;
+        for progress in [0.2, 0.6, 0.95] {
+            let stats = born(&dying(N), progress, false);
+            assert_eq!(stats.pruned as usize, dead);
+            let proposed = stats.proposed as f64;
+            let wanted = 0.1 * (1.0 - progress) * 10_000.0 + dead as f64;
+            let share = wanted / proposed;
+            assert!(share < 0.9, "{progress}: {proposed} proposals are too few");
+            let chance = (proposed * share * (1.0 - share)).sqrt();
+            let found = stats.accepted as f64;
+            assert!(
+                (found - wanted).abs() < 4.0 * chance,
+                "{progress}: {found} births; {wanted} expected"
+            );
+        }
+        let early = born(&dying(N), 0.0, false);
+        assert_eq!((early.accepted, early.pruned as usize), (0, DEAD));
+        let last = born(&dying(N), 0.95, true);
+        assert_eq!((last.proposed, last.pruned as usize), (0, dead));
     }
-    let early = born(&dying(N), 0.0);
-    assert_eq!((early.accepted, early.pruned as usize), (0, DEAD));
+}
+
+/// Those that die besides the dead are the share of least opacity, ties by row; they are no source of births.
+#[test]
+fn the_faintest_die_at_every_step_with_births() {
+    let mut scene = Scene::random(N, 21);
+    let many = 10;
+    scene.logits.iter_mut().for_each(|l| *l = l.max(-4.0));
+    for row in (0..N).step_by(N / many) {
+        scene.logits[row] = -4.5;
+    }
+    let step = |turnover: f64, relocation: bool| {
+        let config = MhConfig {
+            births_from_iteration: 500,
+            turnover,
+            relocation,
+            ..MhConfig::default()
+        };
+        let mh = MetropolisHastings::new(&config);
+        let context = context(700, 0.3, 1);
+        mh.step(&context, &scene.state(), &scene.errors()).unwrap()
+    };
+    let faint: Vec<u32> = (0..N as u32).step_by(N / many).collect();
+    let outcome = step(faint.len() as f64 / N as f64 + 1e-9, false);
+    assert_eq!(outcome.removed, faint);
+    assert!(!outcome.edits.iter().any(|e| faint.contains(&e.src)));
+    assert_eq!(step(3.0 / N as f64 + 1e-9, false).removed, faint[..3]);
+    assert_eq!(step(0.0, false).removed, Vec::<u32>::new());
+    assert_eq!(step(0.5, true).removed, Vec::<u32>::new());
 }
 
 #[test]
