@@ -98,7 +98,7 @@ pub struct MhConfig {
     /// Opacity at or below which a Gaussian is dead.
     pub dead_opacity: f64,
     /// Share of the other Gaussians, those of least opacity, that die at each step with births, too; births replace them. Not with
-    /// `relocation`.
+    /// `relocation`, nor without `target_acceptance`.
     pub turnover: f64,
 }
 
@@ -220,18 +220,25 @@ impl MhConfig {
             let what = "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is estimated)";
             check(!other, "surrogate", what)?;
         }
-        let good = (0.0..1.0).contains(&self.turnover);
-        check(
-            good,
-            "turnover",
-            "a share of at least 0 and below 1 expected",
-        )?;
+        let good = (0.0..=0.5).contains(&self.turnover);
+        check(good, "turnover", "a share of 0 to 0.5 expected")?;
         let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
         let finite = weights.iter().all(|w| w.is_finite());
         let good = finite && (0.0..1.0).contains(&self.dead_opacity);
         let what = "finite weights and a dead-opacity in [0, 1) expected";
         check(good, "weight-*, mh.dead-opacity", what)?;
         self.times().validate("mh")
+    }
+
+    /// True if births take the place of what dies: there is no relocation, and births are proposed and their number is set.
+    #[must_use]
+    pub fn replaces_dead(&self) -> bool {
+        let kinds = [
+            self.coarse_proposals,
+            self.fine_proposals,
+            self.pixel_proposals,
+        ];
+        !self.relocation && self.target_acceptance != [0.0; 2] && kinds.iter().any(|n| *n > 0)
     }
 
     /// Returns the number of views that the births of a step are estimated in; 0 if ρ does not use them.

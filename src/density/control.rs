@@ -36,6 +36,8 @@ pub struct StepContext<'a> {
     pub resets_opacity: bool,
     /// True if no step follows.
     pub last: bool,
+    /// Progress of the step before; `None` if this is the first.
+    pub before: Option<f64>,
     /// Centres of the training cameras, local units.
     pub cameras: &'a [[f32; 3]],
     /// Current renders of as many views as [`DensityControl::pictures`] names.
@@ -43,7 +45,7 @@ pub struct StepContext<'a> {
 }
 
 impl StepContext<'_> {
-    /// A step after so many iterations at progress η, without a bound, resets, cameras or pictures.
+    /// A step after so many iterations at progress η, neither the last nor after another, without a bound, resets, cameras or pictures.
     #[must_use]
     pub fn at(iteration: u32, progress: f64, seed: u64) -> Self {
         Self {
@@ -54,6 +56,7 @@ impl StepContext<'_> {
             opacity_resets: 0,
             resets_opacity: false,
             last: false,
+            before: None,
             cameras: &[],
             pictures: &[],
         }

@@ -134,7 +134,7 @@ fn legendre(x: f64) -> (f64, f64) {
 /// Alive and dead rows, and the edits of relocation.
 #[derive(Debug, Clone)]
 pub(super) struct Relocation {
-    /// True for each row that was alive before the step.
+    /// True for each row that was alive before the step and lives on.
     pub alive: Vec<bool>,
     /// Alive rows, rising.
     pub alive_rows: Vec<u32>,

@@ -239,6 +239,7 @@ impl Control {
             opacity_resets: self.schedule.opacity_resets(iteration),
             resets_opacity: self.schedule.resets_opacity(iteration),
             last: self.schedule.next_density(iteration).is_none(),
+            before: self.schedule.density_before(iteration),
             cameras: &cameras,
             pictures: &pictures,
         };

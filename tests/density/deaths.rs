@@ -73,6 +73,7 @@ fn births_replace_the_dead() {
             let mh = MetropolisHastings::new(&config);
             let context = StepContext {
                 last,
+                before: last.then_some(0.9),
                 ..context(700, progress, 1)
             };
             let outcome = mh.step(&context, &scene.state(), &scene.errors()).unwrap();
@@ -85,7 +86,8 @@ fn births_replace_the_dead() {
             let stats = born(&dying(N), progress, false);
             assert_eq!(stats.pruned as usize, dead);
             let proposed = stats.proposed as f64;
-            let wanted = 0.1 * (1.0 - progress) * 10_000.0 + dead as f64;
+            let asked = ((1.0 - progress) * 10_000.0).min(proposed);
+            let wanted = 0.1 * asked + dead as f64;
             let share = wanted / proposed;
             assert!(share < 0.9, "{progress}: {proposed} proposals are too few");
             let chance = (proposed * share * (1.0 - share)).sqrt();
@@ -129,6 +131,48 @@ fn the_faintest_die_at_every_step_with_births() {
     assert_eq!(step(3.0 / N as f64 + 1e-9, false).removed, faint[..3]);
     assert_eq!(step(0.0, false).removed, Vec::<u32>::new());
     assert_eq!(step(0.5, true).removed, Vec::<u32>::new());
+}
+
+/// Nothing but the dead goes if nothing sets the number of births, or nothing is proposed; a step that is the first with births and
+/// the last has births, too.
+#[test]
+fn nothing_dies_that_nothing_replaces() {
+    let scene = dying(N);
+    let step = |config: MhConfig, before: Option<f64>| {
+        let context = StepContext {
+            last: true,
+            before,
+            ..context(700, 0.3, 1)
+        };
+        let mh = MetropolisHastings::new(&config);
+        let outcome = mh.step(&context, &scene.state(), &scene.errors());
+        outcome.unwrap().stats
+    };
+    let config = MhConfig {
+        births_from_iteration: 500,
+        ..MhConfig::default()
+    };
+    let unset = MhConfig {
+        target_acceptance: [0.0, 0.0],
+        ..config
+    };
+    let unproposed = MhConfig {
+        coarse_proposals: 0,
+        fine_proposals: 0,
+        pixel_proposals: 0,
+        ..config
+    };
+    assert_eq!(step(unset, Some(0.2)).pruned as usize, DEAD);
+    assert_eq!(step(unproposed, Some(0.2)).pruned as usize, DEAD);
+    let later = MhConfig {
+        births_from_iteration: 5000,
+        ..config
+    };
+    let all =
+        |stats: mhsplat::density::DensityStats| (stats.pruned as usize > DEAD, stats.accepted > 0);
+    assert_eq!(all(step(config, Some(0.2))), (true, false));
+    assert_eq!(all(step(config, None)), (true, true));
+    assert_eq!(all(step(later, Some(0.2))), (true, true));
 }
 
 #[test]

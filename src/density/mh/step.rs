@@ -71,14 +71,16 @@ impl MetropolisHastings {
         shrinking(at_start as usize, eta).max(replacing as usize)
     }
 
-    /// True if births of a step replace what dies: not where relocation does.
+    /// True if Gaussians die at a step for births to replace them.
     fn replaces(&self, context: &StepContext<'_>) -> bool {
-        !self.config.relocation && self.config.births_enabled(context.progress)
+        self.config.replaces_dead() && self.config.births_enabled(context.progress)
     }
 
-    /// True if a step has births. The last one has none where births replace the dead: nothing would judge them.
+    /// True if a step has births. The last of several has none if births replace the dead: nothing would judge them.
     fn has_births(&self, context: &StepContext<'_>) -> bool {
-        self.config.births_enabled(context.progress) && (self.config.relocation || !context.last)
+        let c = &self.config;
+        let judges = context.last && context.before.is_some_and(|eta| c.births_enabled(eta));
+        c.births_enabled(context.progress) && !(c.replaces_dead() && judges)
     }
 
     /// Number of the removed Gaussians that births of this step replace.
@@ -276,10 +278,6 @@ impl MetropolisHastings {
             _ => return Err(unexpected()),
         };
         self.check(context, scene, &errors)?;
-        let context = &StepContext {
-            progress: context.progress.clamp(0.0, 1.0),
-            ..*context
-        };
         let c = &self.config;
         let (relocation, removed) = self.relocate_or_remove_dead(context, scene);
         let importance = self.importance(scene, &errors);
@@ -393,12 +391,16 @@ impl DensityControl for MetropolisHastings {
         evidence: &Statistics<'_>,
         estimate: &mut Estimator<'_>,
     ) -> Result<Outcome> {
+        let context = &StepContext {
+            progress: context.progress.clamp(0.0, 1.0),
+            ..*context
+        };
         let mut proposals = self.proposals(context, scene, evidence)?;
         if self.estimate_views() > 0 {
             let changes = estimate(&self.candidates(&proposals))?;
             proposals.weigh(&changes)?;
         }
-        let (c, eta) = (&self.config, context.progress.clamp(0.0, 1.0));
+        let (c, eta) = (&self.config, context.progress);
         let mut counts = self.counts(context, eta, scene, &proposals.relocation);
         let all: usize = proposals.phases.iter().map(|(_, p)| p.len()).sum();
         let due = self.due(context, proposals.removed.len());

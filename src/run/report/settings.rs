@@ -62,7 +62,9 @@ fn density_control(record: &RunRecord) -> String {
     let [relocated, removed] = [d.relocated, d.pruned].map(grouped);
     let [cloned, split] = [d.cloned, d.split].map(grouped);
     match record.config.sampler {
-        Sampler::Mh => format!("{born} of {proposed} proposed births, {relocated} relocated"),
+        Sampler::Mh => format!(
+            "{born} of {proposed} proposed births, {removed} removed, {relocated} relocated"
+        ),
         Sampler::Mcmc => format!("{born} born, {relocated} relocated"),
         Sampler::Adc => format!(
             "{cloned} cloned, {split} split, {removed} removed, {} opacity resets",
