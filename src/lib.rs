@@ -31,7 +31,7 @@
 //! | measure | [`lab`], `kernels/peak.cl` | verify, bench, compare, experiment, surrogate: only the command line uses it |
 //!
 //! `pipeline` alone (`forward.rs`, `backward.rs`, `pass.rs`) knows the order of the stages, and [`train::step`] the order of an iteration. Every stage file
-//! in `src/pipeline/stage` has the kernel's launcher and its definition in f64, which [`lab::verify`] compares on a device.
+//! in `src/pipeline/stage` has the kernel's launcher and its definition in f64, which [`lab::verify`] compares on a device (but for the sizes of photos and marks of tiles, which tests compare).
 //!
 //! ```no_run
 //! use mhsplat::train::Event;
