@@ -6,7 +6,9 @@
 //! the trainer and the surrogate's check. Each case is made so that nothing else depends on the seed: sources are alike, all
 //! are drawn, or all are accepted, except where that is the purpose.
 
+use std::cell::OnceCell;
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use mhsplat::base::rng::Stream;
 use mhsplat::config::{AdcConfig, Init, McmcConfig, MhConfig, Sampler};
@@ -19,6 +21,7 @@ use mhsplat::run::{checkpoint, initial_gaussians};
 use mhsplat::scene::Plane;
 use mhsplat::train::schedule::Schedule;
 use mhsplat::{Plan, TrainConfig};
+use tempfile::TempDir;
 
 use crate::determinism::{room, saved, trained};
 use crate::wiring;
@@ -295,42 +298,42 @@ fn density_cases() -> Vec<Case> {
     ]
 }
 
-/// Places of the candidates of a check by their group and source, the sources of each group, and the views. The importance is of
-/// the opacity alone, so that it is the same in all views.
-fn checked(seed: u64) -> Vec<Decisions> {
-    const GAUSSIANS: usize = 60;
+/// Number of Gaussians in the checkpoint that estimates are checked on.
+const CHECKED: usize = 60;
+
+/// A folder with a checkpoint. The importance is of the opacity alone, so that it is the same in all views.
+fn checkpoint_to_check() -> TempDir {
     let data = room(64);
     let mut config = TrainConfig {
         sampler: Sampler::None,
         iterations: 20,
-        max_gaussians: Some(GAUSSIANS),
+        max_gaussians: Some(CHECKED),
         ..seeded(0)
     };
     (config.mh.weight_ssim, config.mh.weight_l1) = (0.0, 0.0);
     let (mut trainer, _) = trained(&data, &config, 20);
     let folder = tempfile::tempdir().unwrap();
     checkpoint::write(folder.path(), &saved(&mut trainer, &config, &data)).unwrap();
+    folder
+}
+
+/// Places of the candidates of a check by their group and source, the sources of each group, and the views.
+fn checked(folder: &Path, seed: u64) -> Vec<Decisions> {
+    let data = room(64);
     let options = Options {
         candidates: 100,
         views: data.train.len() as u32 / 2,
         seed,
     };
     let device = Device::open(None).unwrap();
-    let found = check(
-        folder.path(),
-        data.clone(),
-        &device,
-        &options,
-        &mut |_, _| (),
-    )
-    .unwrap();
+    let found = check(folder, data.clone(), &device, &options, &mut |_, _| ()).unwrap();
     let of = |c: &Candidate| {
         let draw = 2 * usize::from(c.draw == Draw::Stratified);
         let group = draw + usize::from(c.phase == Phase::Fine);
         let place = u64::from(c.position[0].to_bits());
-        (GAUSSIANS * group + c.source as usize, place)
+        (CHECKED * group + c.source as usize, place)
     };
-    let places = keyed(found.candidates.iter().map(of), 4 * GAUSSIANS);
+    let places = keyed(found.candidates.iter().map(of), 4 * CHECKED);
     let drawn = |place: &Option<u64>| Some(u64::from(place.is_some()));
     let sources = places.iter().map(drawn).collect();
     let number = |name: &String| data.train.iter().position(|v| v.name == *name).unwrap();
@@ -339,13 +342,15 @@ fn checked(seed: u64) -> Vec<Decisions> {
 }
 
 fn cases() -> Vec<Case> {
+    let folder = OnceCell::new();
+    let estimates = move |s| checked(folder.get_or_init(checkpoint_to_check).path(), s);
     let mut cases = vec![
         case(Stream::Init, |s| first_gaussians(s, Init::Random)),
         case(Stream::Subset, |s| first_gaussians(s, Init::Points)),
         case(Stream::ViewOrder, views),
         case(Stream::Background, backgrounds),
         case(Stream::Noise, noise),
-        (format!("{:?}", Stream::Surrogate), Box::new(checked)),
+        (format!("{:?}", Stream::Surrogate), Box::new(estimates)),
     ];
     cases.extend(density_cases());
     cases
