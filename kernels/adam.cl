@@ -8,8 +8,7 @@ __kernel void adam(__global const real *grads, uint grad_stride, // in [planes, 
                    uint stride,
                    real lr_position, real lr_scale, real lr_rotation, real lr_opacity, real lr_sh0, real lr_sh,
                    real beta1, real beta2, real epsilon,
-                   real correction1, real correction2,   // 1 / (1 - beta1^t), 1 / sqrt(1 - beta2^t)
-                   real first_weight, // of a first squared gradient in moment2: 1 - beta2, or 1 - beta2^t for a restart
+                   real correction1, real correction2,                // 1 / (1 - beta1^t), 1 / sqrt(1 - beta2^t)
                    __global real *params, __global real *moment1, __global real *moment2, // in/out [planes, stride]
                    volatile __global uint *status) {     // in S_OVERFLOW, out S_NON_FINITE
   const uint group = get_global_id(0), plane = get_global_id(1);
@@ -25,9 +24,7 @@ __kernel void adam(__global const real *grads, uint grad_stride, // in [planes, 
   const maskV good = fabs(raw) < (realV)(R(1e18)); // squares stay finite; NaN fails
   const realV g = choose(good, raw, zero);
   const realV m = fma((realV)(beta1), vload_real(group, moment1 + base), (realV)(R(1.0) - beta1) * g);
-  const realV before = vload_real(group, moment2 + base);
-  const realV first_v = (realV)(first_weight) * g * g;
-  const realV v = choose(before > zero, fma((realV)(beta2), before, (realV)(R(1.0) - beta2) * g * g), first_v);
+  const realV v = fma((realV)(beta2), vload_real(group, moment2 + base), (realV)(R(1.0) - beta2) * g * g);
   const realV old = vload_real(group, params + base);
   const realV step = (lr * correction1) * m / fma(sqrt(v), (realV)(correction2), (realV)(epsilon));
   const realV next = old - step;

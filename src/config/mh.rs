@@ -49,10 +49,6 @@ pub struct MhConfig {
     pub from_iteration: u32,
     /// Iteration until which dead Gaussians are removed with `relocation`, too: what is not seen costs nothing to take away (ΔL ≈ 0, and the prior gains), while fog that is relocated keeps its number. 0: never removed, as in \[MH\].
     pub deaths_until_iteration: u32,
-    /// Iteration until which Adam's second moment of a row that density control has cleared starts with the row's first gradient:
-    /// such a row steps as any other does. Later, and with 0 always, it starts at 0, as in the papers, and the first steps are up to
-    /// 6.5 times the learning rate, because the bias correction is that of the run: births must prove themselves then.
-    pub restart_until_iteration: u32,
     /// First iteration with births: a step before it has none, and costs no error map and no proposal. Gaussians born while
     /// the photos are coarse and the first ones still move into place cost time in every later iteration.
     pub births_from_iteration: u32,
@@ -108,11 +104,11 @@ impl Default for MhConfig {
             acceptance: Acceptance::Eq20,
             surrogate: Surrogate::Importance,
             probe_views: 4,
-            birth: Birth::Split,
+            birth: Birth::Faint,
             birth_opacity: 0.1,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
-            target_acceptance: [0.0155, 0.19],
+            target_acceptance: [0.0155, 0.38],
             importance: true,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -121,7 +117,6 @@ impl Default for MhConfig {
             relocation: false,
             from_iteration: 500,
             deaths_until_iteration: 6_000,
-            restart_until_iteration: 15_000,
             births_from_iteration: 2_500,
             until_iteration: 20_000,
             interval: 100,
@@ -153,7 +148,6 @@ impl MhConfig {
             birth: Birth::Copy,
             relocation: true,
             turnover: 0.0,
-            restart_until_iteration: 0,
             target_acceptance: [0.0, 0.0],
             deaths_until_iteration: 0,
             births_from_iteration: 500,

@@ -61,7 +61,6 @@ impl Optimizer {
             rate: self.schedule.rates(iteration),
             constants: self.constants,
             t: iteration + 1,
-            restart: self.schedule.restarts(iteration),
         };
         // Once for no Gaussians, too: warming up builds the kernels so.
         for first in (0..count.max(1)).step_by(self.block) {

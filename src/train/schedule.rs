@@ -1,7 +1,7 @@
 //! Schedules of a run: pure functions of the configuration and the iteration. Learning rates decay here.
 
 use crate::base::rng::{Philox, Stream};
-use crate::config::{Background, ExposureChoice, Sampler, TrainConfig};
+use crate::config::{Background, ExposureChoice, TrainConfig};
 use crate::pipeline::stage::adam::LearningRates;
 
 /// Iterations that the papers' schedules are written for.
@@ -110,16 +110,6 @@ impl Schedule {
         let from = f64::from(o.lr_settle_from);
         let share = (paper - from) / (PAPER_ITERATIONS - from).max(1.0);
         o.lr_settle.powf(share.clamp(0.0, 1.0))
-    }
-
-    /// True if Adam's second moment of a row that has none starts with its first gradient at an iteration.
-    #[must_use]
-    pub fn restarts(&self, iteration: u32) -> bool {
-        let until = match self.config.sampler {
-            Sampler::Mh => self.config.mh.restart_until_iteration,
-            _ => 0,
-        };
-        iteration < self.scaled(until)
     }
 
     /// Learning rate of the positions without what short runs add to it: log-linear over the run. The noise on positions is

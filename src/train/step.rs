@@ -238,7 +238,6 @@ impl Trainer {
 
     fn transform_step(&self, iteration: u32) -> Step {
         Step {
-            restart: false,
             rate: self.schedule.exposure_rate(iteration),
             constants: self.optimizer.constants(),
             t: iteration,

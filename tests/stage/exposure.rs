@@ -90,7 +90,6 @@ fn stepped(sum: f32, overflow: u32) -> (Vec<f32>, Vec<u32>) {
         rate: 0.01,
         constants: [0.9, 0.999, 1e-15],
         t: 1,
-        restart: false,
     };
     exposures.step(1, &step, &status).unwrap();
     let transforms = exposures.transforms.to_vec().unwrap();

@@ -39,8 +39,6 @@ pub struct Wrong {
     pub view_seed: u64,
     /// Addend to the seed of the backgrounds.
     pub background_seed: u64,
-    /// True if second moments of 0 do not start with their first gradient.
-    pub no_restart: bool,
     /// Addend to the iteration that bands of spherical harmonics are added by.
     pub band: u32,
     /// Views by which the window of the error statistics begins too late.
@@ -188,13 +186,11 @@ impl<'a> Definitions<'a> {
 
     fn optimize(&mut self, grads: &[Vec<f64>]) {
         let (o, at) = (self.config.optimizer, self.iteration);
-        let restart = at < self.scaled(self.config.mh.restart_until_iteration);
         for (p, plane) in grads.iter().enumerate() {
             let step = Step {
                 rate: self.rate(p),
                 constants: [o.beta1, o.beta2, o.epsilon],
                 t: at + 1 + self.wrong.step,
-                restart: restart && !self.wrong.no_restart,
             };
             let [m, v] = &mut self.moments;
             let params = &mut self.scene.planes[p];

@@ -223,7 +223,7 @@ fn mistakes_are_found() {
     let config = config(false);
     let states = states(&data, &config);
     type Mistake = fn(&mut Wrong);
-    let cases: [(&str, usize, Mistake); 16] = [
+    let cases: [(&str, usize, Mistake); 15] = [
         ("number of Adam's step", 0, |w| w.step = 1),
         ("rates", 0, |w| w.rates = 1),
         ("rate of the noise", 0, |w| w.boosted_noise = true),
@@ -233,8 +233,6 @@ fn mistakes_are_found() {
         ("seed of the views' order", 0, |w| w.view_seed = 1),
         ("seed of the backgrounds", 0, |w| w.background_seed = 1),
         ("bands", 1, |w| w.band = 1),
-        // Of Gaussians that the second view is the first to show.
-        ("restart", 1, |w| w.no_restart = true),
         ("window of errors", 3, |w| w.window = 1),
         ("seed of the density step", 3, |w| w.density_seed = 1),
         ("its iteration", 3, |w| w.density_iteration = 1),

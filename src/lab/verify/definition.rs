@@ -111,7 +111,6 @@ pub(super) fn steps(
             rate,
             constants: ADAM,
             t,
-            restart: false,
         };
         bad += adam(grads, &step, &mut params, &mut m, &mut v);
         after(&mut params);

@@ -115,7 +115,6 @@ pub(super) fn optimise<R: Real>(
             rate,
             constants: ADAM,
             t,
-            restart: false,
         };
         adam::update(&stage, scene, [&m, &v], block, &step, frame)?;
     }
@@ -536,7 +535,6 @@ impl<'a, R: Real> Pass<'a, R> {
                 rate: EXPOSURE_RATE,
                 constants: ADAM,
                 t: iteration,
-                restart: false,
             };
             model.step(VIEW, step, &frame.status)?;
         }

@@ -31,8 +31,6 @@ pub struct Step<T = f64> {
     pub constants: [f64; 3],
     /// Number of the step: from 1 for the parameters; for colour transforms the run's iteration, from 0.
     pub t: u32,
-    /// True if a second moment of 0 starts with its first gradient, as if that had come in every step so far.
-    pub restart: bool,
 }
 
 impl<T> Step<T> {
@@ -44,12 +42,6 @@ impl<T> Step<T> {
         let first = 1.0 / (1.0 - beta1.powf(t));
         let second = 1.0 / (1.0 - beta2.powf(t)).sqrt();
         [beta1, beta2, epsilon, first, second]
-    }
-
-    /// Weight of the square of a first gradient in the second moment.
-    fn first_weight<R: Real>(&self) -> f64 {
-        let beta2: f64 = R::of(self.constants[1]).into();
-        1.0 - beta2.powf(if self.restart { f64::from(self.t) } else { 1.0 })
     }
 }
 
@@ -69,7 +61,6 @@ pub fn update<R: Real>(
         .uints([grads.stride, grads.rows.start, vectors, scene.stride])
         .reals::<R>([r.position, r.scale, r.rotation, r.opacity, r.sh0, r.sh])
         .reals::<R>(step.arguments::<R>())
-        .reals::<R>([step.first_weight::<R>()])
         .arrays([&scene.params, m, v], grads.planes * scene.stride)
         .status(view)
         .over_items([vectors, grads.planes])
@@ -88,10 +79,7 @@ pub fn adam(grads: &[f64], step: &Step, params: &mut [f64], m: &mut [f64], v: &m
         bad += u32::from(!good);
         let g = if good { *raw } else { 0.0 };
         m[i] = beta1 * m[i] + (1.0 - beta1) * g;
-        v[i] = match v[i] > 0.0 {
-            true => beta2 * v[i] + (1.0 - beta2) * g * g,
-            false => step.first_weight::<f64>() * g * g,
-        };
+        v[i] = beta2 * v[i] + (1.0 - beta2) * g * g;
         let m_hat = m[i] / (1.0 - beta1.powf(t));
         let v_hat = v[i] / (1.0 - beta2.powf(t));
         params[i] -= step.rate * m_hat / (v_hat.sqrt() + epsilon);
