@@ -243,6 +243,19 @@ fn each_sampler_has_its_own_times_and_they_scale() {
     assert_eq!((at[0], at[at.len() - 1], at.len()), (100, 2400, 24));
 }
 
+/// The progress of the step before, which turnover counts from; none before the first.
+#[test]
+fn each_step_knows_the_one_before() {
+    let s = schedule(Sampler::Mh, 3000);
+    let steps = (0..3000).filter_map(|i| Some((i, s.density_due(i)?)));
+    let mut before = None;
+    for (at, progress) in steps {
+        assert_eq!(s.density_before(at), before, "{at}");
+        before = Some(progress);
+    }
+    assert!(before.is_some());
+}
+
 #[test]
 fn opacity_is_reset_every_3000_of_30000() {
     let resets = |iterations: u32| -> Vec<u32> {
@@ -353,6 +366,9 @@ fn options_of_the_samplers_are_read_and_checked() {
         ("[adc]\nreset-interval = 400", "reset-interval"),
         ("[mh]\nbirths-from-iteration = 26000", "births-from"),
         ("[mh]\nbirth-opacity = 0.004", "birth-opacity"),
+        ("[mh]\nbirth-scale = 0", "birth-scale"),
+        ("[mh]\nbirth-scale = 1.1", "birth-scale"),
+        ("[mh]\nturnover = -0.1", "turnover"),
         ("[mh]\nnoise-rate = -1.0", "noise-rate"),
         ("[mh]\npixel-near = nan", "pixel-near"),
         ("[adc]\ninterval = 0", "interval"),

@@ -75,8 +75,8 @@ pub enum Birth {
     /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
     /// no opacity to the scene.
     Split,
-    /// The source keeps its own; the birth has its scale, and the lesser of its opacity and `birth-opacity`. A birth lands
-    /// up to several scales from its source, where it mostly spoils the picture at first: a faint one spoils little.
+    /// The source keeps its own; the birth has `birth-scale` times its scale, and the lesser of its opacity and `birth-opacity`. A
+    /// birth lands up to several scales from its source, where it mostly spoils the picture at first: a faint one spoils little.
     #[default]
     Faint,
 }

@@ -22,14 +22,15 @@ pub struct MhConfig {
     pub birth: Birth,
     /// Upper bound of the opacity of a faint birth.
     pub birth_opacity: f64,
+    /// Scale of a faint birth over that of its source.
+    pub birth_scale: f64,
     /// λ_v of the voxel prior (Eq. 7); 0 switches the prior off: every D and every exact ratio is 1.
     pub lambda_voxel: f64,
     /// Temperature T of the acceptance: a birth is accepted with probability ρ^{1/T}. 1 is the paper's; larger values accept
     /// more. Of no effect if `target_acceptance` is set.
     pub temperature: [f64; 2],
-    /// Target share of accepted births, of the scheduled proposals; births that replace what died come on top. Each phase then takes
-    /// the T at which the mean of ρ^{1/T} over its own proposals is the share of both, instead of `temperature`. 0:
-    /// `temperature` is used.
+    /// Target share of accepted births: each phase takes the T at which the mean of ρ^{1/T} over its own proposals is this share,
+    /// instead of `temperature`. 0: `temperature` is used.
     pub target_acceptance: [f64; 2],
     /// Importance sampling: sources are drawn by importance and I is in ρ (Eq. 12, 13). If off, sources are drawn uniformly,
     /// I = ½, and no error map is made.
@@ -43,7 +44,7 @@ pub struct MhConfig {
     /// Views that the error maps are of (Eq. 10), limited to those rendered since the last step.
     pub view_subset: ViewSubset,
     /// Relocation of dead Gaussians to alive ones (Eq. 17) once `deaths-until-iteration` is over. If off, the dead are removed at
-    /// every step, and from `births-from-iteration` on as many births more than the target take their place.
+    /// every step.
     pub relocation: bool,
     /// First iteration with density control.
     pub from_iteration: u32,
@@ -93,8 +94,9 @@ pub struct MhConfig {
     pub noise_rate: f64,
     /// Opacity at or below which a Gaussian is dead.
     pub dead_opacity: f64,
-    /// Share of the other Gaussians, those of least opacity, that die at each step with births, too; births replace them. Not with
-    /// `relocation`, nor without `target_acceptance`.
+    /// Rate over η at which Gaussians that are not dead die, those of least opacity first: a step Δη after the one before removes the
+    /// share 1 − exp(−turnover·Δη) of them, at most half. A run of more steps removes no more of them. From
+    /// `births-from-iteration` on, at the last step, too; none with `relocation` or without proposals.
     pub turnover: f64,
 }
 
@@ -106,9 +108,10 @@ impl Default for MhConfig {
             probe_views: 4,
             birth: Birth::Faint,
             birth_opacity: 0.1,
+            birth_scale: 0.6,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
-            target_acceptance: [0.0155, 0.38],
+            target_acceptance: [0.25, 0.9],
             importance: true,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -135,7 +138,7 @@ impl Default for MhConfig {
             pixel_near: 0.3,
             noise_rate: 5e5,
             dead_opacity: 0.005,
-            turnover: 0.25,
+            turnover: 1.6,
         }
     }
 }
@@ -190,6 +193,8 @@ impl MhConfig {
         check(good, "target-acceptance", what)?;
         let opacity = "more than dead-opacity and less than 1 expected";
         check(faint(self.birth_opacity), "birth-opacity", opacity)?;
+        let good = self.birth_scale > 0.0 && self.birth_scale <= 1.0;
+        check(good, "birth-scale", "more than 0 and at most 1 expected")?;
         let good = self.births_from_iteration <= self.until_iteration;
         let what = "no more than mh.until-iteration expected";
         check(good, "births-from-iteration", what)?;
@@ -214,8 +219,8 @@ impl MhConfig {
             let what = "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is estimated)";
             check(!other, "surrogate", what)?;
         }
-        let good = (0.0..=0.5).contains(&self.turnover);
-        check(good, "turnover", "a share of 0 to 0.5 expected")?;
+        let what = "0 or more expected";
+        check(not_below(&self.turnover), "turnover", what)?;
         let weights = [self.weight_opacity, self.weight_ssim, self.weight_l1];
         let finite = weights.iter().all(|w| w.is_finite());
         let good = finite && (0.0..1.0).contains(&self.dead_opacity);
@@ -224,15 +229,15 @@ impl MhConfig {
         self.times().validate("mh")
     }
 
-    /// True if births take the place of what dies: there is no relocation, and births are proposed and their number is set.
+    /// True if Gaussians die that are not dead: there is a turnover, no relocation, and births are proposed.
     #[must_use]
-    pub fn replaces_dead(&self) -> bool {
+    pub fn turns_over(&self) -> bool {
         let kinds = [
             self.coarse_proposals,
             self.fine_proposals,
             self.pixel_proposals,
         ];
-        !self.relocation && self.target_acceptance != [0.0; 2] && kinds.iter().any(|n| *n > 0)
+        self.turnover > 0.0 && !self.relocation && kinds.iter().any(|n| *n > 0)
     }
 
     /// Returns the number of views that the births of a step are estimated in; 0 if ρ does not use them.

@@ -1,4 +1,4 @@
-//! Statistics of repeated measurements: spread, ratio, power law, geometric mean, quantile.
+//! Statistics of repeated measurements: spread, ratio, interval, power law, geometric mean, quantile.
 
 use serde::{Deserialize, Serialize};
 
@@ -125,6 +125,58 @@ pub fn exponent(points: &[(f64, Spread)]) -> Option<Ratio> {
         low: slope(&|y, weight| if weight > 0.0 { y.min } else { y.max }),
         high: slope(&|y, weight| if weight > 0.0 { y.max } else { y.min }),
     })
+}
+
+/// Quantiles of Student's t at 0.975, of 1 to 30 degrees of freedom; the last stands for more, on the wide side.
+const STUDENT: [f64; 30] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160,
+    2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056,
+    2.052, 2.048, 2.045, 2.042,
+];
+
+/// A mean with its 95 % confidence interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Interval {
+    /// Mean.
+    pub mean: f64,
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+    /// Number of samples.
+    pub samples: usize,
+}
+
+impl Interval {
+    /// Mean of the means of some strata (scenes, say), each with its own samples. The interval is of the spread within the strata alone:
+    /// it holds for these strata, not for others. Each has a variance of its own, so that the degrees of freedom of Student's t
+    /// are those of Welch and Satterthwaite. `None` unless every stratum has [`RATIO_SAMPLES`] finite samples.
+    #[must_use]
+    pub fn of_strata(strata: &[&[f64]]) -> Option<Self> {
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+        let good = |v: &&[f64]| v.len() >= RATIO_SAMPLES && v.iter().all(|x| x.is_finite());
+        if strata.is_empty() || !strata.iter().all(good) {
+            return None;
+        }
+        let squares = |v: &&[f64]| v.iter().map(|x| (x - mean(v)).powi(2)).sum::<f64>();
+        let of_mean = |v: &&[f64]| squares(v) / ((v.len() - 1) * v.len()) as f64;
+        let variance: f64 = strata.iter().map(of_mean).sum();
+        let parts = strata
+            .iter()
+            .map(|v| of_mean(v).powi(2) / (v.len() - 1) as f64);
+        // Without any scatter the quantile does not matter.
+        let freedom = (variance.powi(2) / parts.sum::<f64>()).max(1.0) as usize;
+        let means: Vec<f64> = strata.iter().map(|v| mean(v)).collect();
+        let error = variance.sqrt() / strata.len() as f64;
+        let half = STUDENT[(freedom - 1).min(STUDENT.len() - 1)] * error;
+        let mean = mean(&means);
+        Some(Self {
+            mean,
+            low: mean - half,
+            high: mean + half,
+            samples: strata.iter().map(|v| v.len()).sum(),
+        })
+    }
 }
 
 /// Geometric mean; `None` of an empty list or one that holds anything but positive finite numbers.

@@ -23,7 +23,7 @@ use crate::scene::{Gaussians, Plane};
 use crate::train::gaussians::GaussianRows;
 use crate::train::{Learned, Next, TrainerState};
 
-const VERSION: u32 = 9;
+const VERSION: u32 = 10;
 
 /// Tensors in the order of the checksum.
 const NAMES: [&str; 7] = [

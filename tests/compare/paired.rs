@@ -2,7 +2,7 @@
 
 use super::made::{Made, compared, run};
 use mhsplat::lab::compare::{Clock, Options, Paired, report};
-use mhsplat::lab::stats::{Spread, geometric_mean};
+use mhsplat::lab::stats::{Interval, Spread, geometric_mean};
 use mhsplat::lab::table::few;
 
 fn options(reference: &str, thresholds: &[f64]) -> Options {
@@ -144,6 +144,36 @@ fn times_are_by_the_clock_that_is_asked_for() {
     };
     assert!((by(Clock::Cpu) - 2.0).abs() < 1e-9);
     assert!((by(Clock::Iterations) - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn intervals_are_of_the_scatter_within_strata() {
+    let found = Interval::of_strata(&[&[1.0, 1.0, 4.0], &[5.0, 5.0, 8.0]]).unwrap();
+    // Means 2 and 6, each with a variance of 1 of two degrees of freedom: four together.
+    let half = 2.776 * 2f64.sqrt() / 2.0;
+    for (value, wanted) in [
+        (found.mean, 4.0),
+        (found.low, 4.0 - half),
+        (found.high, 4.0 + half),
+    ] {
+        assert!((value - wanted).abs() < 1e-9, "{value} instead of {wanted}");
+    }
+    assert_eq!(found.samples, 6);
+    // Far apart, but each without scatter.
+    let sure = Interval::of_strata(&[&[1.0; 3], &[9.0; 3]]).unwrap();
+    assert!(sure.low == 5.0 && sure.high == 5.0);
+    // One stratum has all the scatter: its two degrees of freedom are all there are.
+    let one = Interval::of_strata(&[&[1.0, 1.0, 4.0], &[9.0; 3], &[9.0; 3]]).unwrap();
+    assert!((one.high - one.mean - 4.303 / 3.0).abs() < 1e-9);
+    let many = vec![0.0; 40];
+    assert_eq!(Interval::of_strata(&[&many]).unwrap().samples, 40);
+    for bad in [
+        &[&[1.0, 2.0, 3.0][..], &[1.0, 2.0]][..],
+        &[&[1.0, 2.0, f64::NAN]],
+        &[],
+    ] {
+        assert_eq!(Interval::of_strata(bad), None, "{bad:?}");
+    }
 }
 
 #[test]

@@ -57,50 +57,53 @@ fn a_bound_has_room_for_as_many_as_go() {
     }
 }
 
-/// Births are the target's share of the proposals that the progress asks for, and one for each that dies, within chance; before
-/// births begin, at the last step, and without deaths, there are none to replace.
+/// Rate of turnover at which a step at progress η, the first, removes a share.
+fn rate(share: f64, progress: f64) -> f64 {
+    -(-share).ln_1p() / progress
+}
+
+/// Births are the target's share of the proposals, within chance, whatever dies; before births begin and at the last step
+/// there are none.
 #[test]
-fn births_replace_the_dead() {
-    for turnover in [0.0, 0.2] {
-        let config = MhConfig {
-            target_acceptance: [0.1, 0.1],
-            births_from_iteration: 1500,
-            pixel_proposals: 0,
-            turnover,
-            ..MhConfig::default()
-        };
-        let born = |scene: &Scene, progress: f64, last: bool| {
+fn births_are_the_share_that_is_asked_for() {
+    for share in [0.0, 0.2] {
+        let born = |progress: f64, last: bool| {
+            let config = MhConfig {
+                target_acceptance: [0.1, 0.4],
+                births_from_iteration: 1500,
+                pixel_proposals: 0,
+                turnover: rate(share, progress.max(0.1)),
+                ..MhConfig::default()
+            };
             let mh = MetropolisHastings::new(&config);
             let context = StepContext {
                 last,
-                before: last.then_some(0.9),
+                before: last.then_some(0.2),
                 ..context(700, progress, 1)
             };
+            let scene = dying(N);
             let outcome = mh.step(&context, &scene.state(), &scene.errors()).unwrap();
             assert_eq!(breaches(scene.logits.len(), &outcome), Vec::<String>::new());
             assert_eq!(outcome.stats.relocated, 0);
             outcome.stats
         };
-        let dead = DEAD + (turnover * (N - DEAD) as f64) as usize;
+        let dead = DEAD + (share * (N - DEAD) as f64) as usize;
         for progress in [0.2, 0.6, 0.95] {
-            let stats = born(&dying(N), progress, false);
-            assert_eq!(stats.pruned as usize, dead);
-            let proposed = stats.proposed as f64;
-            let asked = ((1.0 - progress) * 10_000.0).min(proposed);
-            let wanted = 0.1 * asked + dead as f64;
-            let share = wanted / proposed;
-            assert!(share < 0.9, "{progress}: {proposed} proposals are too few");
-            let chance = (proposed * share * (1.0 - share)).sqrt();
-            let found = stats.accepted as f64;
+            let stats = born(progress, false);
+            assert!(dead.abs_diff(stats.pruned as usize) <= 1, "{stats:?}");
+            let (proposed, target) = (stats.proposed as f64, 0.1 + 0.3 * progress);
+            let chance = (proposed * target * (1.0 - target)).sqrt();
+            let (found, wanted) = (stats.accepted as f64, proposed * target);
             assert!(
                 (found - wanted).abs() < 4.0 * chance,
                 "{progress}: {found} births; {wanted} expected"
             );
         }
-        let early = born(&dying(N), 0.0, false);
+        let early = born(0.0, false);
         assert_eq!((early.accepted, early.pruned as usize), (0, DEAD));
-        let last = born(&dying(N), 0.95, true);
-        assert_eq!((last.proposed, last.pruned as usize), (0, dead));
+        let last = born(0.95, true);
+        assert_eq!(last.proposed > 0, share == 0.0);
+        assert_eq!(last.pruned as usize > DEAD, share > 0.0);
     }
 }
 
@@ -113,10 +116,10 @@ fn the_faintest_die_at_every_step_with_births() {
     for row in (0..N).step_by(N / many) {
         scene.logits[row] = -4.5;
     }
-    let step = |turnover: f64, relocation: bool| {
+    let step = |share: f64, relocation: bool| {
         let config = MhConfig {
             births_from_iteration: 500,
-            turnover,
+            turnover: rate(share, 0.3),
             relocation,
             ..MhConfig::default()
         };
@@ -133,10 +136,80 @@ fn the_faintest_die_at_every_step_with_births() {
     assert_eq!(step(0.5, true).removed, Vec::<u32>::new());
 }
 
-/// Nothing but the dead goes if nothing sets the number of births, or nothing is proposed; a step that is the first with births and
-/// the last has births, too.
+/// A span of progress removes the same share in one step as in three, so that runs of more steps keep as many.
 #[test]
-fn nothing_dies_that_nothing_replaces() {
+fn more_steps_remove_no_more() {
+    let config = MhConfig {
+        births_from_iteration: 500,
+        dead_opacity: 0.0,
+        ..MhConfig::default()
+    };
+    let left = |gaussians: usize, before: f64, progress: f64| {
+        let scene = Scene::random(gaussians, 4);
+        let context = StepContext {
+            before: Some(before),
+            ..context(700, progress, 1)
+        };
+        let mh = MetropolisHastings::new(&config);
+        let outcome = mh.step(&context, &scene.state(), &scene.errors()).unwrap();
+        gaussians - outcome.removed.len()
+    };
+    let once = left(N, 0.2, 0.5);
+    let ends = [0.2, 0.25, 0.4, 0.5];
+    let thrice = ends.windows(2).fold(N, |n, w| left(n, w[0], w[1]));
+    let expected = N as f64 * (-config.turnover * 0.3).exp();
+    assert!((once as f64 - expected).abs() <= 1.0, "{once}");
+    assert!(once.abs_diff(thrice) <= 3, "{once}, {thrice}");
+}
+
+#[test]
+fn no_step_removes_more_than_half_of_the_living() {
+    let config = MhConfig {
+        births_from_iteration: 500,
+        turnover: 1e9,
+        ..MhConfig::default()
+    };
+    let scene = dying(N);
+    let mh = MetropolisHastings::new(&config);
+    let outcome = mh.step(&context(700, 0.3, 1), &scene.state(), &scene.errors());
+    let stats = outcome.unwrap().stats;
+    assert_eq!(stats.pruned as usize, DEAD + (N - DEAD) / 2);
+    assert!(stats.accepted > 0);
+}
+
+/// Births of all kinds share what room a bound leaves.
+#[test]
+fn no_kind_of_birth_takes_all_the_room() {
+    let scene = dying(N);
+    let pictures = [super::pixels::picture()];
+    let bounded = StepContext {
+        max_gaussians: Some(N - DEAD + 1000),
+        pictures: &pictures,
+        ..context(700, 0.3, 1)
+    };
+    let config = MhConfig {
+        births_from_iteration: 500,
+        turnover: 0.0,
+        ..MhConfig::default()
+    };
+    let mh = MetropolisHastings::new(&config);
+    let outcome = mh.step(&bounded, &scene.state(), &scene.errors()).unwrap();
+    let stats = outcome.stats;
+    assert!(outcome.gaussians() <= N - DEAD + 1000);
+    let all = 1000.0 / stats.proposed as f64;
+    for [proposed, accepted] in [stats.coarse, stats.fine, stats.pixel] {
+        let (proposed, accepted) = (proposed as f64, accepted as f64);
+        let chance = (proposed * all).sqrt();
+        assert!(
+            proposed > 100.0 && (accepted - proposed * all).abs() < 5.0 * chance,
+            "{stats:?}"
+        );
+    }
+}
+
+/// Nothing but the dead goes where nothing is proposed; a step that is the first with births and the last has births, too.
+#[test]
+fn nothing_dies_where_nothing_is_born() {
     let scene = dying(N);
     let step = |config: MhConfig, before: Option<f64>| {
         let context = StepContext {
@@ -152,17 +225,12 @@ fn nothing_dies_that_nothing_replaces() {
         births_from_iteration: 500,
         ..MhConfig::default()
     };
-    let unset = MhConfig {
-        target_acceptance: [0.0, 0.0],
-        ..config
-    };
     let unproposed = MhConfig {
         coarse_proposals: 0,
         fine_proposals: 0,
         pixel_proposals: 0,
         ..config
     };
-    assert_eq!(step(unset, Some(0.2)).pruned as usize, DEAD);
     assert_eq!(step(unproposed, Some(0.2)).pruned as usize, DEAD);
     let later = MhConfig {
         births_from_iteration: 5000,

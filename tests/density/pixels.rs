@@ -10,7 +10,7 @@ const SIZE: [usize; 2] = [40, 30];
 
 /// Looks along +x from (1, 2, 3). The left half is opaque at depth 5, the right half is empty; errors are in the rows from
 /// 10 to 19, three times as large in the right half.
-fn picture() -> Picture {
+pub fn picture() -> Picture {
     let pixels = SIZE[0] * SIZE[1];
     let right = |i: usize| i % SIZE[0] >= SIZE[0] / 2;
     let make = |f: &dyn Fn(usize) -> f32| (0..pixels).map(f).collect::<Vec<f32>>();

@@ -123,18 +123,12 @@ fn a_faint_birth_leaves_its_source_and_is_no_more_opaque_than_said() {
     for (a, b) in copied.edits.iter().zip(&faint.edits) {
         let born = a.dst as usize >= 7000;
         limited += usize::from(born && a.opacity_logit > most);
-        let opacity_logit = if born {
-            a.opacity_logit.min(most)
-        } else {
-            a.opacity_logit
-        };
-        assert_eq!(
-            *b,
-            Edit {
-                opacity_logit,
-                ..*a
-            }
-        );
+        let mut expected = *a;
+        if born {
+            expected.opacity_logit = a.opacity_logit.min(most);
+            expected.log_scale = a.log_scale.map(|s| s + 0.6f64.ln() as f32);
+        }
+        assert_eq!(*b, expected);
     }
     assert!(limited > 100 && copied.edits.len() == faint.edits.len());
 }

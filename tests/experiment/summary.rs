@@ -87,8 +87,16 @@ fn the_overview_holds_every_scene_against_the_first_setting() {
     assert_eq!(b["to_psnr"].as_array().unwrap().len(), 11);
     let mean = |figures: &Value| figures["mean"]["median"].as_f64().unwrap();
     near(&o["mean"]["median"], (mean(a) * mean(b)).sqrt());
+    // No seed differs from another.
+    for key in ["mean", "low", "high"] {
+        near(&o["psnr"][key], 0.5);
+    }
+    assert_eq!(o["psnr"]["samples"], 6);
+    near(&o["gaussians"], 1.0);
     assert_eq!(w.json["scenes"][0]["comparison"]["thresholds"][0], 15.0);
     for text in [
+        "## All scenes",
+        "| none | 6 | +0.50 | +0.50 to +0.50 | 1.00 |",
         "## mh against none",
         "| a | 3 seeds | 1.50 (1.50–1.50) | 1.50 at ",
         " | 11 of 11 | ",
@@ -117,6 +125,12 @@ fn one_seed_is_told_as_one_and_without_a_spread() {
     let c = &w.json["scenes"][0]["comparison"]["relative"][0];
     assert_eq!(c["seeds"], serde_json::json!([0]));
     assert_eq!(c["mean"]["samples"], 1);
+    assert!(w.json["overview"][0]["psnr"].is_null());
+    assert!(
+        w.markdown.contains("| none | – | – | – |"),
+        "{}",
+        w.markdown
+    );
 }
 
 #[test]
@@ -182,6 +196,8 @@ fn a_scene_that_cannot_be_compared_stops_no_other() {
     );
     assert!(w.markdown.contains("| a | not compared |") && w.markdown.contains("| b | 1 seed |"));
     assert!(w.page.contains("<li>not compared: "));
+    let all = &w.json["overview"][0];
+    assert!(all["psnr"].is_null() && all["gaussians"].is_null());
 }
 
 #[test]

@@ -87,8 +87,8 @@ fn the_first_step_is_the_learning_rate_times_the_sign() {
     }
 }
 
-/// A row whose moments were cleared in mid-run: the bias correction is that of the run's step, so that its first step is more than
-/// three times the rate.
+/// A row whose moments were cleared in mid-run: the bias correction is that of the run's step, so that its first step is twice
+/// the rate.
 #[test]
 fn a_cleared_row_steps_by_the_number_of_the_run() {
     let (t, factor) = (500, 0.1 / (1e-3f64 / (1.0 - 0.999f64.powi(500))).sqrt());

@@ -2,7 +2,7 @@
 
 use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::capture::Dataset;
-use mhsplat::config::{AntiAliasing, Background, MhConfig, OptimizerConfig, ViewSubset};
+use mhsplat::config::{AntiAliasing, Background, Birth, MhConfig, OptimizerConfig, ViewSubset};
 use mhsplat::device::Device;
 use mhsplat::run::initial_gaussians;
 use mhsplat::scene::{Gaussians, Plane};
@@ -41,6 +41,11 @@ pub fn config(relocation: bool) -> TrainConfig {
         },
         mh: MhConfig {
             relocation,
+            // One form each; births that share change rows that are there.
+            birth: match relocation {
+                true => Birth::Faint,
+                false => Birth::Split,
+            },
             deaths_until_iteration: 0,
             view_subset: match relocation {
                 true => ViewSubset::Fixed(2),

@@ -45,6 +45,11 @@ impl Births {
         }
     }
 
+    /// Number of births that there is room for.
+    pub(super) fn room(&self) -> usize {
+        self.limit.saturating_sub(self.len)
+    }
+
     /// Appends the accepted births of a kind. If there is not room for all, as many as there is room for are drawn at random: in
     /// the order of rows they would be those of one corner of the scene. The rest does not count as accepted.
     pub(super) fn take(
@@ -56,7 +61,7 @@ impl Births {
         self.prior_sum += decisions.iter().map(|d| d.prior).sum::<f64>();
         let accepted = decisions.iter().enumerate().filter(|(_, d)| d.accepted());
         let mut born: Vec<(usize, &Decision<'_>)> = accepted.collect();
-        let room = self.limit.saturating_sub(self.len);
+        let room = self.room();
         if born.len() > room {
             born.sort_by(|a, b| a.1.tie_break().total_cmp(&b.1.tie_break()));
             born.truncate(room);

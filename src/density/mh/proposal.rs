@@ -52,7 +52,7 @@ pub(super) struct Proposals {
     pub(super) relocation: Relocation,
     /// Rows of the dead if this step removes them; else empty.
     pub(super) removed: Vec<u32>,
-    /// Births in image space, coarse, fine, in the order of decision: if room is short, pixels with large errors come first.
+    /// Births in image space, coarse, fine, in the order of decision.
     pub(super) phases: [(BirthKind, Vec<Proposal>); 3],
 }
 

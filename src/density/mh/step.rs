@@ -22,11 +22,8 @@ use crate::scene::{Edit, OptionalColor};
 /// k of the noise's gate (\[MCMC\] Eq. 8).
 const NOISE_STEEPNESS: f64 = 100.0;
 
-/// Proposals of a step for each dead Gaussian that a birth replaces, at least.
-const PROPOSALS_PER_DEATH: f64 = 2.0;
-
-/// Largest share of its proposals that a phase accepts for the sake of the dead.
-const MAX_SHARE: f64 = 0.9;
+/// Largest share of the Gaussians that are not dead which a step removes.
+const MAX_RETIRED: f64 = 0.5;
 
 /// Density control by Metropolis–Hastings births and deaths.
 #[derive(Debug, Clone)]
@@ -62,41 +59,29 @@ impl MetropolisHastings {
         Self { config: *config }
     }
 
-    /// Number of proposals of a phase that has so many at η = 0: fewer towards the end, but enough for the dead to be replaced.
-    fn proposals_of(&self, at_start: u32, eta: f64, due: usize) -> usize {
-        let c = &self.config;
-        let all = c.coarse_proposals + c.fine_proposals + c.pixel_proposals;
-        let share = f64::from(at_start) / f64::from(all.max(1));
-        let replacing = PROPOSALS_PER_DEATH * due as f64 * share;
-        shrinking(at_start as usize, eta).max(replacing as usize)
-    }
-
-    /// True if Gaussians die at a step for births to replace them.
-    fn replaces(&self, context: &StepContext<'_>) -> bool {
-        self.config.replaces_dead() && self.config.births_enabled(context.progress)
-    }
-
-    /// True if a step has births. The last of several has none if births replace the dead: nothing would judge them.
+    /// True if a step has births. The last of several has none with turnover: nothing would judge them.
     fn has_births(&self, context: &StepContext<'_>) -> bool {
         let c = &self.config;
         let judges = context.last && context.before.is_some_and(|eta| c.births_enabled(eta));
-        c.births_enabled(context.progress) && !(c.replaces_dead() && judges)
+        c.births_enabled(context.progress) && !(c.turns_over() && judges)
     }
 
-    /// Number of the removed Gaussians that births of this step replace.
-    fn due(&self, context: &StepContext<'_>, removed: usize) -> usize {
-        match self.replaces(context) && self.has_births(context) {
-            true => removed,
-            false => 0,
+    /// Share of the Gaussians that are not dead which die at a step: those of a rate of `turnover` since the step before.
+    fn retired_share(&self, context: &StepContext<'_>) -> f64 {
+        let c = &self.config;
+        if !(c.turns_over() && c.births_enabled(context.progress)) {
+            return 0.0;
         }
+        let span = context.progress - context.before.unwrap_or(0.0);
+        (-(-c.turnover * span.max(0.0)).exp_m1()).min(MAX_RETIRED)
     }
 
-    /// The coarse and the fine phase at the progress of a step in which births replace `due` Gaussians.
-    fn phases(&self, context: &StepContext<'_>, due: usize) -> [Phase; 2] {
+    /// The coarse and the fine phase at the progress of a step.
+    fn phases(&self, context: &StepContext<'_>) -> [Phase; 2] {
         let eta = context.progress;
         let c = &self.config;
         let phase = |proposals: u32, spread: [f64; 2], streams: [Stream; 3]| Phase {
-            proposals: self.proposals_of(proposals, eta, due),
+            proposals: shrinking(proposals as usize, eta),
             spread: lerp(spread, eta),
             streams: streams.map(|s| s.stream(context.iteration)),
         };
@@ -115,28 +100,14 @@ impl MetropolisHastings {
         ]
     }
 
-    /// Share of `all` proposals of a step that is to be accepted: the target's of as many proposals as η asks for, and one for each
-    /// of the `due` dead. 0 if there is no target.
-    fn share(&self, eta: f64, due: usize, all: usize) -> f64 {
-        let c = &self.config;
-        let target = lerp(c.target_acceptance, eta);
-        if target <= 0.0 {
-            return 0.0;
-        }
-        let kinds = [c.coarse_proposals, c.fine_proposals, c.pixel_proposals];
-        let asked: usize = kinds.iter().map(|n| shrinking(*n as usize, eta)).sum();
-        let share = target * asked.min(all) as f64 + due as f64;
-        (share / all.max(1) as f64).min(MAX_SHARE.max(target))
-    }
-
-    /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are. T is solved for the share that is to be accepted,
-    /// or follows its schedule if that is 0.
+    /// Decides each proposal of a phase by ρ^{1/T} against the counts as they are. T is solved for the target, the share that is to be
+    /// accepted, or follows its schedule if that is 0.
     fn decide<'a>(
         &self,
         proposals: &'a [Proposal],
         counts: &VoxelCounts<'_>,
         eta: f64,
-        share: f64,
+        target: f64,
     ) -> Vec<Decision<'a>> {
         let c = &self.config;
         let count = |p: &Proposal| counts.get(p.edit.position.map(f64::from));
@@ -146,8 +117,8 @@ impl MetropolisHastings {
             .zip(&counts)
             .map(|(p, n)| accept::ln_ratio(c.acceptance, p.ln_gain, c.lambda_voxel, *n))
             .collect();
-        let temperature = if share > 0.0 {
-            accept::temperature_for(&ln_rhos, share)
+        let temperature = if target > 0.0 {
+            accept::temperature_for(&ln_rhos, target)
         } else {
             lerp(c.temperature, eta)
         };
@@ -166,9 +137,10 @@ impl MetropolisHastings {
     fn propose(&self, step: &Step<'_>, phase: &Phase) -> Vec<Proposal> {
         let [draw, offset, accept] = phase.streams;
         let seed = step.context.seed;
-        let max_logit = match self.config.birth {
-            Birth::Faint => logit(self.config.birth_opacity) as f32,
-            Birth::Copy | Birth::Split => f32::INFINITY,
+        let c = &self.config;
+        let (max_logit, ln_scale) = match c.birth {
+            Birth::Faint => (logit(c.birth_opacity) as f32, c.birth_scale.ln() as f32),
+            Birth::Copy | Birth::Split => (f32::INFINITY, 0.0),
         };
         step.sources
             .draw_unique(phase.proposals, seed, draw)
@@ -192,13 +164,13 @@ impl MetropolisHastings {
                         src: row,
                         dst: row,
                         position,
-                        log_scale,
+                        log_scale: log_scale.map(|s| s + ln_scale),
                         opacity_logit: opacity_logit.min(max_logit),
                         color: OptionalColor::NONE,
                     },
                     importance,
                     change: None,
-                    ln_gain: accept::ln_gain(self.config.acceptance, importance),
+                    ln_gain: accept::ln_gain(c.acceptance, importance),
                     u: Philox::uniform(seed, accept, u64::from(row))[0],
                 })
             })
@@ -252,9 +224,7 @@ impl MetropolisHastings {
             return (relocation, Vec::new());
         }
         let mut relocation = Relocation::none(scene, c.dead_opacity);
-        if self.replaces(context) {
-            relocation.retire(scene, c.turnover);
-        }
+        relocation.retire(scene, self.retired_share(context));
         let removed = relocation.dead_rows();
         (relocation, removed)
     }
@@ -297,12 +267,11 @@ impl MetropolisHastings {
         let kinds = [BirthKind::Pixel, BirthKind::Coarse, BirthKind::Fine];
         let mut phases = kinds.map(|kind| (kind, Vec::new()));
         if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
-            let due = self.due(context, removed.len());
-            let [coarse, fine] = self.phases(context, due).map(|p| self.propose(&step, &p));
+            let [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
             let pixels = if context.pictures.is_empty() {
                 Vec::new()
             } else {
-                let wanted = self.proposals_of(c.pixel_proposals, context.progress, due);
+                let wanted = shrinking(c.pixel_proposals as usize, context.progress);
                 pixel::propose(c, context, row, wanted)
             };
             for ((_, all), drawn) in phases.iter_mut().zip([pixels, coarse, fine]) {
@@ -402,12 +371,12 @@ impl DensityControl for MetropolisHastings {
         }
         let (c, eta) = (&self.config, context.progress);
         let mut counts = self.counts(context, eta, scene, &proposals.relocation);
-        let all: usize = proposals.phases.iter().map(|(_, p)| p.len()).sum();
-        let due = self.due(context, proposals.removed.len());
-        let share = self.share(eta, due, all);
         let mut births = Births::new(scene.len(), context.max_gaussians, proposals.removed);
+        // Where there is not room for all, the kinds share it as they share the proposals.
+        let all: usize = proposals.phases.iter().map(|(_, p)| p.len()).sum();
+        let target = lerp(c.target_acceptance, eta).min(births.room() as f64 / all.max(1) as f64);
         for (kind, proposals) in &proposals.phases {
-            let decisions = self.decide(proposals, &counts, eta, share);
+            let decisions = self.decide(proposals, &counts, eta, target);
             births.take(*kind, &decisions, &mut counts);
         }
         Ok(births.finish(c.birth, scene, proposals.relocation, &counts))

@@ -78,6 +78,10 @@ pub struct Paired {
     pub no_later: usize,
     /// The one of those at which the reference does worst, and its median ratio.
     pub worst: Option<(f64, f64)>,
+    /// Final PSNR of the reference less that of the other, pair by pair, dB; empty unless every run has one.
+    pub psnr_changes: Vec<f64>,
+    /// Final number of Gaussians of the other over that of the reference, pair by pair.
+    pub gaussians_ratios: Vec<f64>,
     /// Differences at the end, by the keys of `FIGURES`.
     #[serde(flatten)]
     pub change: Spreads,
@@ -156,12 +160,14 @@ fn against(group: &Group, base: &Group, clock: Clock) -> Option<Paired> {
     };
     let means: Option<Vec<f64>> = (0..pairs.len()).map(mean).collect();
     let worst = whole().min_by(|a, b| a.1.total_cmp(&b.1));
-    let change = |of: fn(&Loaded) -> Option<f64>| {
+    let change = |of: fn(&Loaded) -> Option<f64>| -> Option<Vec<f64>> {
         let pairs = pairs.iter();
         pairs
             .map(|p| Some(of(&base.runs[p.1])? - of(&group.runs[p.0])?))
             .collect()
     };
+    let count = |run: &Loaded| run.last.gaussians as f64;
+    let gaussians = |p: &(usize, usize)| count(&group.runs[p.0]) / count(&base.runs[p.1]);
     Some(Paired {
         label: group.label.clone(),
         seeds: pairs.iter().map(|p| base.runs[p.1].seed).collect(),
@@ -170,6 +176,8 @@ fn against(group: &Group, base: &Group, clock: Clock) -> Option<Paired> {
         mean_of: whole().count(),
         no_later: whole().filter(|(_, ratio)| *ratio >= 1.0).count(),
         worst: worst.map(|(t, ratio)| (t.psnr, ratio)),
+        psnr_changes: change(|run| run.last.psnr).unwrap_or_default(),
+        gaussians_ratios: pairs.iter().map(gaussians).collect(),
         change: spreads(change),
         to_psnr,
     })

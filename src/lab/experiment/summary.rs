@@ -3,13 +3,14 @@
 use serde::Serialize;
 
 use crate::base::error::Result;
+use crate::chart::text::fixed;
 use crate::lab::compare;
 use crate::lab::compare::{Comparison, Counts, Options, Paired, Source};
 use crate::lab::experiment::file::Experiment;
 use crate::lab::experiment::plan::{State, blocks, look};
 use crate::lab::folder::json;
 use crate::lab::report::{Report, Section};
-use crate::lab::stats::{Spread, geometric_mean};
+use crate::lab::stats::{Interval, Spread, geometric_mean};
 use crate::lab::table::{Table, or_dash};
 
 /// Name of a scene's page in its folder.
@@ -123,6 +124,10 @@ pub struct Against {
     pub mean_of: usize,
     /// Thresholds of all scenes.
     pub counts: Counts,
+    /// Final PSNR of the first setting less that of the other, dB, over all scenes; `None` unless every scene has three pairs.
+    pub psnr: Option<Interval>,
+    /// Geometric mean over scenes of the final number of Gaussians of the other over that of the first setting.
+    pub gaussians: Option<f64>,
 }
 
 impl Against {
@@ -143,12 +148,19 @@ impl Against {
         };
         let mut counts = Counts::default();
         pairs().for_each(|p| counts.join(&p.counts));
+        let complete = pairs().count() == scenes.len();
+        let changes: Vec<&[f64]> = pairs().map(|p| &p.psnr_changes[..]).collect();
+        let ratios: Option<Vec<f64>> = pairs()
+            .map(|p| geometric_mean(&p.gaussians_ratios))
+            .collect();
         Self {
             reference: reference.to_owned(),
             setting: setting.to_owned(),
             mean: mean(),
             mean_of: means.len(),
             counts,
+            psnr: Interval::of_strata(&changes).filter(|_| complete),
+            gaussians: ratios.filter(|_| complete).and_then(|r| geometric_mean(&r)),
         }
     }
 
@@ -171,6 +183,43 @@ impl Against {
         table.rows.push(last);
         table
     }
+}
+
+/// A row per setting: the first one against it, over all scenes.
+fn pooled(overview: &[Against], scenes: usize) -> Table {
+    let reference = overview.first().map_or("", |a| a.reference.as_str());
+    let signed = |v: f64| format!("{}{}", if v > 0.0 { "+" } else { "" }, fixed(v, 2));
+    let row = |a: &Against| {
+        vec![
+            a.setting.clone(),
+            or_dash(a.psnr, |p| p.samples.to_string()),
+            or_dash(a.psnr, |p| signed(p.mean)),
+            or_dash(a.psnr, |p| {
+                format!("{} to {}", signed(p.low), signed(p.high))
+            }),
+            or_dash(a.gaussians, |ratio| fixed(ratio, 2)),
+            or_dash(a.mean.as_ref(), |m| {
+                format!("{} ({} of {scenes} scenes)", compare::ratios(m), a.mean_of)
+            }),
+        ]
+    };
+    Table::new(
+        "All scenes",
+        format!(
+            "{reference} against each other setting, by pairs of equal seeds. Δ PSNR: final PSNR of {reference} less that of the other, \
+             mean over scenes of the means of their pairs; the 95 % interval is of the scatter of seeds within these scenes, and says \
+             nothing of others. Gaussians: those of the other over those of {reference}, geometric mean. Time ratio: as below."
+        ),
+        &[
+            "setting",
+            "pairs",
+            "Δ PSNR, dB",
+            "95 % interval",
+            "Gaussians",
+            "time ratio",
+        ],
+        overview.iter().map(row),
+    )
 }
 
 /// All scenes.
@@ -224,8 +273,11 @@ impl Summary {
         let some = self.scenes.iter().filter(|s| s.missing > 0);
         let missing = some.map(|s| format!("{}: {} runs are missing", s.name, s.missing));
         let compared = self.scenes.iter().any(|s| s.comparison.is_some());
-        let overview = self.overview.iter().filter(|_| compared);
-        let overview = overview.map(|a| Section::Table(a.table(&self.scenes)));
+        let against = self.overview.iter().filter(|_| compared);
+        let against = against.map(|a| Section::Table(a.table(&self.scenes)));
+        let all = (compared && !self.overview.is_empty())
+            .then(|| pooled(&self.overview, self.scenes.len()));
+        let overview = all.map(Section::Table).into_iter().chain(against);
         let scenes = self.scenes.iter().filter_map(SceneSummary::part);
         Report {
             title: self.experiment.clone(),

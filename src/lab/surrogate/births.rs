@@ -221,8 +221,8 @@ impl Ground<'_> {
             opacity_logit: part.opacity_logit as f32,
         };
         let faint = Shape {
+            log_scale: own.log_scale.map(|s| s + c.birth_scale.ln() as f32),
             opacity_logit: own.opacity_logit.min(logit(c.birth_opacity) as f32),
-            ..own
         };
         let seen = self.errors.views[i];
         let mean = |sums: &[f32]| (seen > 0).then(|| f64::from(sums[i]) / f64::from(seen));
