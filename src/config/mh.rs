@@ -95,7 +95,7 @@ pub struct MhConfig {
     /// Opacity at or below which a Gaussian is dead.
     pub dead_opacity: f64,
     /// Rate over η at which Gaussians that are not dead die, those of least opacity first: a step Δη after the one before removes the
-    /// share 1 − exp(−turnover·Δη) of them, at most half. A run of more steps removes no more of them. From
+    /// share 1 − exp(−turnover·Δη) of them, at most 0.15. A run of more steps removes no more of them. From
     /// `births-from-iteration` on, at the last step, too; none with `relocation` or without proposals.
     pub turnover: f64,
 }
@@ -111,7 +111,7 @@ impl Default for MhConfig {
             birth_scale: 0.6,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
-            target_acceptance: [0.25, 0.9],
+            target_acceptance: [0.5, 0.95],
             importance: true,
             weight_opacity: 0.8,
             weight_ssim: 0.5,
@@ -123,13 +123,13 @@ impl Default for MhConfig {
             births_from_iteration: 2_500,
             until_iteration: 20_000,
             interval: 100,
-            coarse_proposals: 2_000,
-            fine_proposals: 8_000,
+            coarse_proposals: 3_000,
+            fine_proposals: 12_000,
             coarse_spread: [10.0, 5.0],
             fine_spread: [2.0, 1.0],
             voxel_edge: [0.02, 0.005],
             voxel_growth_from: 0.0,
-            pixel_proposals: 5_000,
+            pixel_proposals: 7_500,
             pixel_views: 2,
             pixel_scale: 2.0,
             pixel_opacity: 0.1,

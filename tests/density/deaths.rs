@@ -66,7 +66,7 @@ fn rate(share: f64, progress: f64) -> f64 {
 /// there are none.
 #[test]
 fn births_are_the_share_that_is_asked_for() {
-    for share in [0.0, 0.2] {
+    for share in [0.0, 0.1] {
         let born = |progress: f64, last: bool| {
             let config = MhConfig {
                 target_acceptance: [0.1, 0.4],
@@ -133,7 +133,7 @@ fn the_faintest_die_at_every_step_with_births() {
     assert!(!outcome.edits.iter().any(|e| faint.contains(&e.src)));
     assert_eq!(step(3.0 / N as f64 + 1e-9, false).removed, faint[..3]);
     assert_eq!(step(0.0, false).removed, Vec::<u32>::new());
-    assert_eq!(step(0.5, true).removed, Vec::<u32>::new());
+    assert_eq!(step(0.1, true).removed, Vec::<u32>::new());
 }
 
 /// A span of progress removes the same share in one step as in three, so that runs of more steps keep as many.
@@ -154,16 +154,16 @@ fn more_steps_remove_no_more() {
         let outcome = mh.step(&context, &scene.state(), &scene.errors()).unwrap();
         gaussians - outcome.removed.len()
     };
-    let once = left(N, 0.2, 0.5);
-    let ends = [0.2, 0.25, 0.4, 0.5];
+    let once = left(N, 0.2, 0.29);
+    let ends = [0.2, 0.23, 0.26, 0.29];
     let thrice = ends.windows(2).fold(N, |n, w| left(n, w[0], w[1]));
-    let expected = N as f64 * (-config.turnover * 0.3).exp();
+    let expected = N as f64 * (-config.turnover * 0.09).exp();
     assert!((once as f64 - expected).abs() <= 1.0, "{once}");
     assert!(once.abs_diff(thrice) <= 3, "{once}, {thrice}");
 }
 
 #[test]
-fn no_step_removes_more_than_half_of_the_living() {
+fn no_step_removes_most_of_the_living() {
     let config = MhConfig {
         births_from_iteration: 500,
         turnover: 1e9,
@@ -173,7 +173,10 @@ fn no_step_removes_more_than_half_of_the_living() {
     let mh = MetropolisHastings::new(&config);
     let outcome = mh.step(&context(700, 0.3, 1), &scene.state(), &scene.errors());
     let stats = outcome.unwrap().stats;
-    assert_eq!(stats.pruned as usize, DEAD + (N - DEAD) / 2);
+    assert_eq!(
+        stats.pruned as usize,
+        DEAD + (0.15 * (N - DEAD) as f64) as usize
+    );
     assert!(stats.accepted > 0);
 }
 

@@ -22,8 +22,8 @@ use crate::scene::{Edit, OptionalColor};
 /// k of the noise's gate (\[MCMC\] Eq. 8).
 const NOISE_STEEPNESS: f64 = 100.0;
 
-/// Largest share of the Gaussians that are not dead which a step removes.
-const MAX_RETIRED: f64 = 0.5;
+/// Largest share of the Gaussians that are not dead which a step removes: runs with few steps would lose most of them.
+const MAX_RETIRED: f64 = 0.15;
 
 /// Density control by Metropolis–Hastings births and deaths.
 #[derive(Debug, Clone)]
