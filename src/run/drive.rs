@@ -23,7 +23,7 @@ use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::{Gaussians, ply};
 use crate::train::plan::Decision;
-use crate::train::{DensityEvent, Event, Plan, Trainer};
+use crate::train::{DensityEvent, Event, Next, Plan, Trainer};
 
 /// Held-out views shown in the report.
 const GALLERY_VIEWS: usize = 6;
@@ -172,6 +172,11 @@ impl Run {
         let losses = patience::losses(&rows, trainer.full_size_from());
         patience::check(&plan.config, &losses)?;
         let done = saved.as_ref().map(|saved| saved.state.iteration);
+        // The row of a density step that the checkpoint comes before is written again.
+        let stepped = saved.as_ref().map(|saved| match saved.state.next {
+            Next::Pause | Next::Density => saved.state.iteration.saturating_sub(1),
+            _ => saved.state.iteration,
+        });
         let mut run = Self {
             dir: dir.to_path_buf(),
             frame,
@@ -181,7 +186,7 @@ impl Run {
             record,
             losses,
             metrics: MetricsWriter::open(metrics, done)?,
-            density: DensityWriter::open(density, done)?,
+            density: DensityWriter::open(density, stepped)?,
             clock: match &saved {
                 Some(saved) => Clock::resume_from(saved.clock),
                 None => clock,
