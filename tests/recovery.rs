@@ -3,10 +3,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant, SystemTime};
 
 use mhsplat::base::rng::Philox;
-use mhsplat::run::checkpoint;
+use mhsplat::capture::{LoadOptions, load};
+use mhsplat::device::Device;
+use mhsplat::run::{Clock, DensityRow, Progress, Run, checkpoint, read_rows, saved_config};
 
 /// Kills; more with MHSPLAT_KILLS.
 const KILLS: u64 = 6;
@@ -75,8 +78,7 @@ fn killed_at_any_moment_it_ends_with_the_same_bytes() {
     // From the first record on: a driver may take longer to build kernels than the run takes.
     let child = train(&room(), &whole, false).spawn().unwrap();
     let lasts = finished(child, || recorded(&whole).is_some(), Duration::MAX).unwrap();
-    let table =
-        mhsplat::run::read_rows::<mhsplat::run::DensityRow>(whole.join("density.csv")).unwrap();
+    let table = read_rows::<DensityRow>(whole.join("density.csv")).unwrap();
     let sum = |of: &dyn Fn(&mhsplat::density::DensityStats) -> u64| -> u64 {
         table.iter().map(|row| of(&row.stats)).sum()
     };
@@ -120,6 +122,39 @@ fn killed_at_any_moment_it_ends_with_the_same_bytes() {
     println!(
         "{runs} runs, {at_work} kills, {again} of them before the first checkpoint: all ended alike"
     );
+}
+
+/// The checkpoint of an iteration comes before its density step, whose row is in the table already where a run is killed later.
+#[test]
+fn a_density_step_after_the_checkpoint_has_one_row() {
+    let dir = tempfile::tempdir().unwrap();
+    let [whole, run] = ["whole", "run"].map(|name| dir.path().join(name));
+    assert!(train(&room(), &whole, false).status().unwrap().success());
+    let rows = |run: &Path| read_rows::<DensityRow>(run.join("density.csv")).unwrap();
+    let told = rows(&whole);
+    let step = told[told.len() / 2].iteration;
+    let mut config = saved_config(&whole).unwrap();
+    config.checkpoint_every = step;
+    fs::create_dir(&run).unwrap();
+    let device = Device::open(None).unwrap();
+    let options = LoadOptions {
+        max_size: config.max_size,
+        ..LoadOptions::default()
+    };
+    let data = load(&room(), &options).unwrap();
+    let killed = dir.path().join("killed");
+    let mut begun = Run::start(&run, data, config, &device, Clock::start()).unwrap();
+    let copied = |p: &Progress| {
+        if p.iteration == step + 1 {
+            copy(&run, &killed);
+        }
+    };
+    begun.drive(&AtomicBool::new(false), copied).unwrap();
+    assert_eq!(checkpoint::read(&killed).unwrap().state.iteration, step);
+    assert_eq!(rows(&killed).last().unwrap().iteration, step);
+    assert!(train(&room(), &killed, true).status().unwrap().success());
+    let steps = |rows: &[DensityRow]| -> Vec<u32> { rows.iter().map(|r| r.iteration).collect() };
+    assert_eq!(steps(&rows(&killed)), steps(&told));
 }
 
 /// A table without its clocks.
