@@ -11,6 +11,7 @@ mod antialias;
 mod background;
 mod bands;
 mod bench;
+mod budget;
 mod cli;
 mod compare;
 mod dataset;

@@ -42,11 +42,6 @@ fn options_switch_items() {
         |c| c.background = Background::Random,
         true,
     );
-    switched(
-        "progressive resolution",
-        |c| c.time_budget = Some(9.0),
-        false,
-    );
     switched("Morton order", |c| c.work.morton_order = false, false);
     switched("block culling", |c| c.work.cull_chunks = false, false);
     switched(

@@ -21,6 +21,13 @@ struct Flags {
 pub struct Overrides(ArgMatches);
 
 impl Overrides {
+    /// Returns true if a flag says how long the run is.
+    pub fn set_length(&self) -> bool {
+        ["iterations", "time_budget"]
+            .iter()
+            .any(|id| self.0.contains_id(id))
+    }
+
     /// Returns `config` with the typed flags in place of its own values.
     pub fn over(&self, config: TrainConfig) -> Result<TrainConfig> {
         let wrong = |e: clap::Error| Error::config("train", e.to_string());

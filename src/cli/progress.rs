@@ -43,7 +43,8 @@ pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
     if common.json {
         return output::json(record);
     }
-    if record.iterations < record.config.iterations {
+    let planned = record.config.last_iterations();
+    if record.iterations < planned {
         let why = match record.stalled {
             Some(n) => {
                 format!("the training loss had not fallen for {n} evaluations, which ended the run")
@@ -51,8 +52,8 @@ pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
             None => "the time budget ended the run".to_owned(),
         };
         output::note(&format!(
-            "{why} after {} of {} iterations, before its schedules did",
-            record.iterations, record.config.iterations
+            "{why} after {} of {planned} iterations, before its schedules did",
+            record.iterations
         ));
     }
     let scores = match &record.final_scores {

@@ -142,11 +142,15 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>> {
 
 /// Returns the defaults, those of a file or those of the run to resume, with the typed flags in their place.
 fn config(args: &TrainArgs) -> Result<TrainConfig> {
-    args.options.over(match (&args.resume, &args.config) {
+    let mut config = match (&args.resume, &args.config) {
         (Some(run), _) => saved_config(run)?,
         (None, Some(file)) => read_config(file)?,
         (None, None) => TrainConfig::default(),
-    })
+    };
+    if args.resume.is_none() && args.options.set_length() {
+        config.lengths.clear();
+    }
+    args.options.over(config)
 }
 
 fn read_config(file: &Path) -> Result<TrainConfig> {

@@ -22,10 +22,10 @@ pub struct TrainConfig {
     /// Density control.
     #[arg(long, value_enum, default_value_t = Self::default().sampler)]
     pub sampler: Sampler,
-    /// Iterations; every schedule scales with it.
+    /// Iterations; every schedule scales with it. With a time budget the most that the run may have.
     #[arg(long, value_name = "N", default_value_t = Self::default().iterations)]
     pub iterations: u32,
-    /// Stop after this much training (90s, 10m, 1h30m).
+    /// Train for this long (90s, 10m, 1h30m): a whole run of as many iterations as fit.
     #[arg(long, value_name = "TIME", value_parser = parse_duration, help_heading = RUN_CONTROL)]
     #[serde(deserialize_with = "time_budget")]
     pub time_budget: Option<f64>,
@@ -99,6 +99,21 @@ pub struct TrainConfig {
     /// Adaptive density control.
     #[arg(skip)]
     pub adc: AdcConfig,
+    /// Iterations of the whole run as its time budget set them on the way; none without one. A configuration with some repeats
+    /// these decisions, whatever the clock says.
+    #[arg(skip)]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lengths: Vec<Length>,
+}
+
+/// Number of iterations of a run from one of them on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Length {
+    /// First iteration of which this holds.
+    pub from: u32,
+    /// Iterations of the whole run.
+    pub iterations: u32,
 }
 
 impl Default for TrainConfig {
@@ -129,6 +144,7 @@ impl Default for TrainConfig {
             work: WorkConfig::default(),
             mcmc: McmcConfig::default(),
             adc: AdcConfig::default(),
+            lengths: Vec::new(),
         }
     }
 }
@@ -156,6 +172,11 @@ impl TrainConfig {
         let time = self.time_budget.unwrap_or(1.0);
         let what = format!("{time} s; a positive time expected");
         check(time.is_finite() && time > 0.0, "--time-budget", &what)?;
+        let follows = |pair: &[Length]| pair[0].from < pair[1].from;
+        let good = self.lengths.windows(2).all(follows)
+            && self.lengths.iter().all(|l| l.from < l.iterations);
+        let what = "ascending, and each longer than what is done by then, expected";
+        check(good, "lengths", what)?;
         let never = self.patience == Some(0) || self.eval_every == Some(0);
         let what = "at least 1 evaluation, and some during the run (--eval-every), expected";
         check(self.patience.is_none() || !never, "--patience", what)?;
@@ -170,6 +191,19 @@ impl TrainConfig {
         self.mh.validate()?;
         self.mcmc.validate()?;
         self.adc.validate()
+    }
+
+    /// Returns the iterations of the whole run as they are planned at one of them.
+    #[must_use]
+    pub fn iterations_at(&self, iteration: u32) -> u32 {
+        let planned = self.lengths.iter().rev().find(|l| l.from <= iteration);
+        planned.map_or(self.iterations, |l| l.iterations)
+    }
+
+    /// Returns the iterations of the whole run as they were planned last.
+    #[must_use]
+    pub fn last_iterations(&self) -> u32 {
+        self.iterations_at(u32::MAX)
     }
 
     /// Returns when the chosen sampler acts; `None` for a fixed set of Gaussians.

@@ -6,11 +6,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Dataset, Frame};
-use crate::config::TrainConfig;
+use crate::config::{Length, TrainConfig};
 use crate::device::{Defines, Device};
 use crate::evaluate::Evaluator;
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
+use crate::run::budget::{Pace, begin, go_on};
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{self, Clock};
 use crate::run::density_trace::{TRACE_FILE, funnel, write_trace};
@@ -22,7 +23,6 @@ use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::{Gaussians, ply};
-use crate::train::plan::Decision;
 use crate::train::{DensityEvent, Event, Next, Plan, Trainer};
 
 /// Held-out views shown in the report.
@@ -43,6 +43,15 @@ pub struct Progress {
     pub train_seconds: f64,
     /// Decision that training has just taken, spelt out.
     pub decided: Option<String>,
+}
+
+/// State that a run begins with.
+struct From {
+    plan: Plan,
+    /// Lengths that the run is to have later, those of the run that it repeats.
+    to_come: Vec<Length>,
+    /// Checkpoint to go on from.
+    saved: Option<Checkpoint>,
 }
 
 /// A run under way.
@@ -66,6 +75,7 @@ pub struct Run {
     evaluated: Option<u32>,
     /// Iterations of the checkpoint in the folder.
     saved: Option<u32>,
+    pace: Pace,
 }
 
 impl Run {
@@ -80,8 +90,14 @@ impl Run {
         device: &Device,
         clock: Clock,
     ) -> Result<Self> {
+        let (config, to_come) = begin(config);
         let plan = Plan::new(&dataset, &config)?;
-        Self::open(dir, dataset, &plan, device, clock, None)
+        let from = From {
+            plan,
+            to_come,
+            saved: None,
+        };
+        Self::open(dir, dataset, from, device, clock)
     }
 
     /// Continues the run in `dir` from its checkpoint, or begins it again where it was killed before the first one. `config` is
@@ -101,6 +117,11 @@ impl Run {
         crate::base::files::sweep(&dir.join("checkpoint"));
         if !start::has_checkpoint(dir)? {
             start::check_unfinished(dir, &dataset)?;
+            let mut config = config;
+            if config.time_budget.is_some() {
+                // Not to be repeated: the clock begins anew, too.
+                config.lengths.clear();
+            }
             return Self::start(dir, dataset, config, device, clock);
         }
         let saved = checkpoint::read(dir)?;
@@ -128,21 +149,32 @@ impl Run {
         // Another tuning would add in another order: the run goes on as it began.
         let device = device.clone().with_tuning(saved.tuning);
         let smoothed = !saved.state.rows.filter.is_empty();
+        let (config, to_come) = go_on(config, saved.state.iteration);
         let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, saved.state.halvings);
-        Self::open(dir, dataset, &plan, &device, clock, Some(saved))
+        let from = From {
+            plan,
+            to_come,
+            saved: Some(saved),
+        };
+        Self::open(dir, dataset, from, &device, clock)
     }
 
-    /// Begins the run, or goes on from `saved`. The photos move to the device one by one, so that nobody holds their pixels on
+    /// Begins the run, or goes on from its checkpoint. The photos move to the device one by one, so that nobody holds their pixels on
     /// the host from then on.
     fn open(
         dir: &Path,
         dataset: Dataset,
-        plan: &Plan,
+        from: From,
         device: &Device,
         clock: Clock,
-        saved: Option<Checkpoint>,
     ) -> Result<Self> {
-        let mut record = start::record(&dataset, plan, device);
+        let From {
+            plan,
+            to_come,
+            saved,
+        } = from;
+        let mut record = start::record(&dataset, &plan, device);
+        record.config.lengths.extend(&to_come);
         if saved.is_some() && dir.join(RECORD_FILE).exists() {
             // A finished run keeps what its trace has shown.
             record.funnel = RunRecord::read(dir)?.funnel;
@@ -150,12 +182,12 @@ impl Run {
         let frame = dataset.frame;
         let splats = match &saved {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
-            None => Cow::Owned(start::initial_gaussians(&dataset, plan)?),
+            None => Cow::Owned(start::initial_gaussians(&dataset, &plan)?),
         };
         let photos = Photos::new(device, dataset.image_budget);
         let train = ViewSet::new(&photos, dataset.train)?;
         let test = ViewSet::new(&photos, dataset.test)?;
-        let mut trainer = Trainer::with_views(train, plan, &splats)?;
+        let mut trainer = Trainer::with_views(train, &plan, &splats)?;
         let defines = Defines::new(device.tuning());
         let evaluator = (!test.is_empty()).then(|| Evaluator::new(device, defines, test));
         let evaluator = evaluator.transpose()?;
@@ -180,7 +212,12 @@ impl Run {
         let mut run = Self {
             dir: dir.to_path_buf(),
             frame,
-            config: plan.config.clone(),
+            pace: Pace::new(
+                &trainer,
+                to_come,
+                saved.as_ref().map(|s| s.clock.train_seconds),
+            ),
+            config: plan.config,
             trainer,
             evaluator,
             record,
@@ -226,10 +263,12 @@ impl Run {
     }
 
     fn train(&mut self, stop: &AtomicBool, mut progress: impl FnMut(&Progress)) -> Result<()> {
-        let iterations = self.config.iterations;
         loop {
             let done = self.trainer.iteration();
-            if self.trainer.rested() && done < iterations {
+            if self.trainer.rested() {
+                self.plan_length(done, &mut progress)?;
+            }
+            if self.trainer.rested() && done < self.iterations() {
                 if done > 0 && self.trainer.recovered() && (self.out_of_time() || self.stalled()) {
                     break;
                 }
@@ -241,7 +280,7 @@ impl Run {
             match self.trainer.advance()? {
                 Event::Finished => break,
                 Event::Iteration { .. } => progress(&self.progress(None)),
-                Event::Decided(decision) => progress(&self.progress(Some(&decision))),
+                Event::Decided(decision) => progress(&self.progress(Some(decision.to_string()))),
                 Event::Density(event) => self.log_density(&event)?,
                 Event::Settled(done) => {
                     if let Err(error) = self.pause(done) {
@@ -253,7 +292,7 @@ impl Run {
                 Event::Compiled => self.clock.resume(),
             }
         }
-        if self.trainer.iteration() < iterations && self.stalled() {
+        if self.trainer.iteration() < self.iterations() && self.stalled() {
             self.record.stalled = self.config.patience;
         }
         self.trainer.finish()?;
@@ -261,6 +300,28 @@ impl Run {
         self.save(true, true)?;
         self.write_trace()?;
         self.report()
+    }
+
+    /// Iterations of the whole run as they are planned now.
+    fn iterations(&self) -> u32 {
+        self.trainer.plan().config.last_iterations()
+    }
+
+    /// Sets another length of the run where the time budget asks for it, or the run that is repeated had it.
+    fn plan_length(&mut self, done: u32, progress: &mut impl FnMut(&Progress)) -> Result<()> {
+        let (length, used) = (self.iterations(), self.clock.train_seconds());
+        let Some(length) = self.pace.length(done, length, used) else {
+            return Ok(());
+        };
+        self.trainer.set_length(length)?;
+        let lengths = &self.trainer.plan().config.lengths;
+        let first = lengths.len() == 1;
+        self.record.config.lengths = [lengths.clone(), self.pace.to_come()].concat();
+        if first {
+            let what = format!("about {length} iterations fit into the time budget");
+            progress(&self.progress(Some(what)));
+        }
+        Ok(())
     }
 
     /// Writes the trace of density control and records its funnel, if there is one.
@@ -276,14 +337,14 @@ impl Run {
         Ok(())
     }
 
-    fn progress(&self, decision: Option<&Decision>) -> Progress {
+    fn progress(&self, decided: Option<String>) -> Progress {
         Progress {
             iteration: self.trainer.iteration(),
-            iterations: self.config.iterations,
+            iterations: self.iterations(),
             gaussians: self.trainer.gaussians(),
             psnr: self.psnr,
             train_seconds: self.clock.train_seconds(),
-            decided: decision.map(ToString::to_string),
+            decided,
         }
     }
 
@@ -291,7 +352,7 @@ impl Run {
     fn pause(&mut self, done: u32) -> Result<()> {
         let due = |every: u32| every > 0 && done.is_multiple_of(every);
         let [evaluate, save, export] = [
-            self.trainer.schedule().eval_every(),
+            self.trainer.schedule().eval_every(done),
             self.config.checkpoint_every,
             self.config.export_every,
         ]
@@ -426,7 +487,7 @@ impl Run {
         if checkpoint {
             let saved = Checkpoint {
                 state: self.trainer.state()?,
-                config: self.config.clone(),
+                config: self.record.config.clone(),
                 clock: self.clock.reading(),
                 dataset: self.record.dataset.fingerprint.clone().unwrap_or_default(),
                 tuning: self.trainer.tuning(),

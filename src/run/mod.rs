@@ -13,6 +13,7 @@
 //! No file holds a number that is not finite: JSON has no spelling for it, and a table column that sometimes holds `NaN` breaks
 //! the scripts that read it. Such a value is an error that names where it was found.
 
+mod budget;
 pub mod checkpoint;
 pub mod clock;
 pub mod density_trace;

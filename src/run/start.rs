@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Camera, Dataset};
-use crate::config::{Init, TrainConfig};
+use crate::config::{Init, Sampler, TrainConfig};
 use crate::device::Device;
 use crate::run::checkpoint;
 use crate::run::record::{DatasetRecord, DeviceRecord, PlanRecord, RECORD_FILE, RunRecord};
@@ -16,6 +16,9 @@ use crate::train::Plan;
 
 /// Gaussians of a random initialisation.
 const RANDOM_GAUSSIANS: usize = 20_000;
+
+/// The same for strategies that fill a scene from few: mh and mcmc are sooner, adc is not (docs/results/samplers.md).
+const FEW_RANDOM_GAUSSIANS: usize = 5_000;
 
 /// The first Gaussians that a configuration asks for.
 ///
@@ -30,8 +33,11 @@ pub fn initial_gaussians(dataset: &Dataset, plan: &Plan) -> Result<Gaussians> {
     let splats = match &config.init {
         Init::File(path) => from_file(path, dataset, plan, most),
         start if *start == Init::Random || dataset.points.positions.is_empty() => {
-            let count = RANDOM_GAUSSIANS.min(most);
-            init::random(dataset, count, 0, config.seed)
+            let count = match config.sampler {
+                Sampler::Mh | Sampler::Mcmc => FEW_RANDOM_GAUSSIANS,
+                Sampler::Adc | Sampler::None => RANDOM_GAUSSIANS,
+            };
+            init::random(dataset, count.min(most), 0, config.seed)
         }
         _ => {
             let points = init::subset(&dataset.points, most, config.seed);

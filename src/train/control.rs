@@ -57,7 +57,7 @@ pub struct Working<'a> {
 pub struct Control {
     strategy: Arc<dyn DensityControl>,
     plan: Plan,
-    schedule: Schedule,
+    pub(super) schedule: Schedule,
     noise: Option<(Program, NoiseLaw)>,
     screen_grad: Option<Program>,
     importance: Option<Program>,
@@ -141,7 +141,7 @@ impl Control {
         let StatisticsKind::Errors { views } = self.strategy.wanted(views, progress) else {
             return Ok(());
         };
-        let since_last = self.schedule.density_interval().min(due);
+        let since_last = self.schedule.density_interval(due).min(due);
         let first = due - since_last.min(u32::try_from(views).unwrap_or(u32::MAX));
         if iteration < first {
             return Ok(());

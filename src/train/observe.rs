@@ -90,6 +90,12 @@ impl Trainer {
         &self.learned
     }
 
+    /// Number of training views.
+    #[must_use]
+    pub fn views(&self) -> usize {
+        self.views.len()
+    }
+
     /// First iteration that takes photos at their full size.
     #[must_use]
     pub fn full_size_from(&self) -> u32 {

@@ -14,7 +14,7 @@ use crate::train::schedule::Schedule;
 #[derive(Debug)]
 pub struct Optimizer {
     adam: Program,
-    schedule: Schedule,
+    pub(super) schedule: Schedule,
     /// β₁, β₂, ε.
     constants: [f64; 3],
     /// Weights of the regularisers on opacity and scale.

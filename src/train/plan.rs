@@ -38,10 +38,10 @@ impl<T> Decided<T> {
 pub enum Exposure {
     /// No photo has a colour transform.
     Off,
-    /// Every training photo has one from this iteration on.
-    From(u32),
-    /// Photos are compared with their renders after this iteration; [`Learned::gains`] decides then.
-    Compare(u32),
+    /// Every training photo has one, from [`Schedule::exposure_from`] on.
+    On,
+    /// Photos are compared with their renders then; [`Learned::gains`] decides.
+    Compare,
 }
 
 /// Findings of training that belong to the plan.
@@ -49,6 +49,9 @@ pub enum Exposure {
 pub struct Learned {
     /// Brightness of the photos over their renders; `None` until they are compared.
     pub gains: Option<GainSpread>,
+    /// First iteration with exposure compensation; `None` so far without it.
+    #[serde(default)]
+    pub exposed_from: Option<u32>,
     /// Gaussians removed at the end because no training view shows them.
     pub removed: u64,
     /// Iteration after which the run was finished; a run that continues from there is finished again.
@@ -145,9 +148,9 @@ impl Plan {
     /// Takes over the findings of training so far, in the order in which training made them.
     pub fn learn(&mut self, learned: &Learned) -> Vec<Decision> {
         let mut decisions = Vec::new();
-        if let (Some(gains), Exposure::Compare(_)) = (learned.gains, self.exposure.value) {
+        if let (Some(gains), Exposure::Compare) = (learned.gains, self.exposure.value) {
             let value = match gains.varies() {
-                true => Exposure::From(gains.iteration),
+                true => Exposure::On,
                 false => Exposure::Off,
             };
             self.exposure = Decided::new(value, Why::Gains(gains));
@@ -172,7 +175,7 @@ impl Plan {
         };
         let on = |part, d: &'_ Decided<bool>| -> (Part, bool) { (part, d.value) };
         let typed = |(part, kept): (Part, bool), why| Some((part, kept, why));
-        let exposed = matches!(self.exposure.value, Exposure::From(_));
+        let exposed = self.exposure.value == Exposure::On;
         let all = [
             fact(Part::Transparency),
             typed(
@@ -354,9 +357,6 @@ fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
     if levels == 0 {
         return Decided::new(0, Why::Criterion("work.resolution-levels is 0"));
     }
-    if config.time_budget.is_some() {
-        return Decided::new(0, Why::TimeBudget);
-    }
     let schedule = Schedule::new(config);
     let first = |v: &View| {
         let size = [v.camera.width as usize, v.camera.height as usize];
@@ -369,7 +369,7 @@ fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
 }
 
 fn exposure(config: &TrainConfig, alpha: Alpha) -> Result<Decided<Exposure>> {
-    let from = Schedule::new(config).exposure_from();
+    let from = Schedule::new(config).exposure_from(0);
     let transparent = alpha == Alpha::Transparency;
     Ok(match config.exposure {
         ExposureChoice::On if transparent => {
@@ -379,15 +379,15 @@ fn exposure(config: &TrainConfig, alpha: Alpha) -> Result<Decided<Exposure>> {
                 format!("on; {NO_CAMERA_SAW}: {fix}"),
             ));
         }
-        ExposureChoice::On => Decided::new(Exposure::From(from), Why::On("exposure")),
+        ExposureChoice::On => Decided::new(Exposure::On, Why::On("exposure")),
         ExposureChoice::Off => Decided::new(Exposure::Off, Why::Off("exposure")),
         ExposureChoice::Auto if transparent => {
             Decided::new(Exposure::Off, Why::NoCameraSawBackground)
         }
-        ExposureChoice::Auto if from >= config.iterations => {
+        ExposureChoice::Auto if from >= config.iterations_at(0) => {
             Decided::new(Exposure::Off, Why::TooShort)
         }
-        ExposureChoice::Auto => Decided::new(Exposure::Compare(from), Why::ComparedFirst),
+        ExposureChoice::Auto => Decided::new(Exposure::Compare, Why::ComparedFirst),
     })
 }
 

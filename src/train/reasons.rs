@@ -135,8 +135,6 @@ pub enum Why {
     Checkpoint,
     /// Divisor of the photos' size at first.
     HalvedAtFirst(u32),
-    /// A time budget may end the run before photos have their full size.
-    TimeBudget,
     /// Photos are too small to be halved.
     SmallPhotos,
     /// Neighbours in space share cache lines.
@@ -225,9 +223,6 @@ impl fmt::Display for Why {
                 f,
                 "1/{divisor} of the photos' size at first: most errors are reached 1.1 to 1.8 times sooner"
             ),
-            Self::TimeBudget => {
-                f.write_str("a time budget may end the run before photos have their full size")
-            }
             Self::SmallPhotos => f.write_str("the photos are too small to be halved"),
             Self::Locality => {
                 f.write_str("neighbours in space share cache lines and are culled together")

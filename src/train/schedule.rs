@@ -1,7 +1,7 @@
 //! Schedules of a run: pure functions of the configuration and the iteration. Learning rates decay here.
 
 use crate::base::rng::{Philox, Stream};
-use crate::config::{Background, ExposureChoice, TrainConfig};
+use crate::config::{Background, ExposureChoice, Length, TrainConfig};
 use crate::pipeline::stage::adam::LearningRates;
 
 /// Iterations that the papers' schedules are written for.
@@ -28,10 +28,11 @@ const MIN_BEFORE_DECISION: u32 = 300;
 const MIN_SIDE: usize = 64;
 
 /// The schedules of one run.
+///
+/// Each goes by the length of the run as it is planned at the iteration asked for: a time budget changes it on the way.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     config: TrainConfig,
-    scale: f64,
 }
 
 impl Schedule {
@@ -40,18 +41,34 @@ impl Schedule {
     pub fn new(config: &TrainConfig) -> Self {
         Self {
             config: config.clone(),
-            scale: f64::from(config.iterations) / PAPER_ITERATIONS,
         }
     }
 
-    fn scaled(&self, iteration: u32) -> u32 {
-        (f64::from(iteration) * self.scale).round() as u32
+    /// Sets the length of the run from an iteration on, which none set before may come after.
+    pub fn set_length(&mut self, length: Length) {
+        self.config.lengths.push(length);
     }
 
-    /// Iterations between two bands of spherical harmonics.
+    /// Iterations of the whole run as they are planned at one of them.
     #[must_use]
-    pub fn sh_interval(&self) -> u32 {
-        self.scaled(self.config.optimizer.sh_interval).max(1)
+    pub fn iterations(&self, at: u32) -> u32 {
+        self.config.iterations_at(at)
+    }
+
+    /// Length of the run over the papers', as it is planned at an iteration.
+    fn scale(&self, at: u32) -> f64 {
+        f64::from(self.iterations(at)) / PAPER_ITERATIONS
+    }
+
+    /// Number of iterations that the papers' `iterations` are for the length at `at`.
+    fn scaled(&self, at: u32, iterations: u32) -> u32 {
+        (f64::from(iterations) * self.scale(at)).round() as u32
+    }
+
+    /// Iterations between two bands of spherical harmonics at an iteration.
+    #[must_use]
+    pub fn sh_interval(&self, at: u32) -> u32 {
+        self.scaled(at, self.config.optimizer.sh_interval).max(1)
     }
 
     /// Divisor of the size of photos of `size` pixels at an iteration of a run with so many halvings: a power of two, 1 for
@@ -59,16 +76,18 @@ impl Schedule {
     /// sides keep at least 64 pixels.
     #[must_use]
     pub fn shrink_factor(&self, halvings: u32, iteration: u32, size: [usize; 2]) -> usize {
-        let interval = self.scaled(self.config.work.resolution_interval).max(1);
+        let asked = self.config.work.resolution_interval;
+        let interval = self.scaled(iteration, asked).max(1);
         let level = halvings.saturating_sub(iteration / interval);
         let most = size[0].min(size[1]) / MIN_SIDE;
         (1 << level).min(1 << most.max(1).ilog2())
     }
 
-    /// First iteration at which photos of `size` pixels have their full size.
+    /// First iteration at which photos of `size` pixels have their full size, by the length planned last.
     #[must_use]
     pub fn full_size_from(&self, halvings: u32, size: [usize; 2]) -> u32 {
-        let interval = self.scaled(self.config.work.resolution_interval).max(1);
+        let asked = self.config.work.resolution_interval;
+        let interval = self.scaled(u32::MAX, asked).max(1);
         match self.shrink_factor(halvings, 0, size) {
             1 => 0,
             _ => interval * halvings,
@@ -87,7 +106,7 @@ impl Schedule {
     pub fn rates(&self, iteration: u32) -> LearningRates {
         let o = &self.config.optimizer;
         let boost = if o.lr_scales_with_run {
-            (1.0 / self.scale).sqrt().clamp(1.0, MAX_BOOST)
+            (1.0 / self.scale(iteration)).sqrt().clamp(1.0, MAX_BOOST)
         } else {
             1.0
         };
@@ -106,7 +125,7 @@ impl Schedule {
     /// Factor by which the rates settle towards the end: 1, then log-linear down to `lr-settle`.
     fn settle(&self, iteration: u32) -> f64 {
         let o = &self.config.optimizer;
-        let paper = f64::from(iteration) / self.scale;
+        let paper = f64::from(iteration) / self.scale(iteration);
         let from = f64::from(o.lr_settle_from);
         let share = (paper - from) / (PAPER_ITERATIONS - from).max(1.0);
         o.lr_settle.powf(share.clamp(0.0, 1.0))
@@ -130,7 +149,7 @@ impl Schedule {
 
     /// Log-linear interpolation over the run; the first value throughout if either is 0.
     fn log_linear(&self, iteration: u32, [from, to]: [f64; 2]) -> f64 {
-        let t = f64::from(iteration) / f64::from(self.config.iterations.max(1));
+        let t = f64::from(iteration) / f64::from(self.iterations(iteration).max(1));
         if from > 0.0 && to > 0.0 {
             (from.ln() + t.min(1.0) * (to.ln() - from.ln())).exp()
         } else {
@@ -138,32 +157,34 @@ impl Schedule {
         }
     }
 
-    /// Iterations done when exposure is first compensated or, if the configuration leaves that open, when it is decided.
+    /// Iterations done when exposure is first compensated or, if the configuration leaves that open, when it is decided, as it is
+    /// planned at an iteration.
     ///
     /// Not from the start: the first renders are far from any photo, all transforms would take up some of that at random, and
     /// view-dependent colour would undo it in the training views alone (measured: held-out PSNR of one set falls by 2.7 dB).
     #[must_use]
-    pub fn exposure_from(&self) -> u32 {
-        let from = self.scaled(EXPOSURE_FROM).max(1);
+    pub fn exposure_from(&self, at: u32) -> u32 {
+        let from = self.scaled(at, EXPOSURE_FROM).max(1);
         match self.config.exposure {
             ExposureChoice::Auto => from.max(MIN_BEFORE_DECISION),
             _ => from,
         }
     }
 
-    /// First iteration at which density control may act, and the one before which it ends; empty for a fixed set.
+    /// First iteration at which density control may act, and the one before which it ends, as planned at an iteration; empty
+    /// for a fixed set.
     #[must_use]
-    pub fn density_span(&self) -> [u32; 2] {
+    pub fn density_span(&self, at: u32) -> [u32; 2] {
         self.config.density_times().map_or([0, 0], |times| {
-            let from = self.scaled(times.from) + u32::from(times.after_from);
-            [from, self.scaled(times.until)]
+            let from = self.scaled(at, times.from) + u32::from(times.after_from);
+            [from, self.scaled(at, times.until)]
         })
     }
 
-    /// Iterations between two density steps: the paper's, or fewer where a short run would have less than 15 steps.
+    /// Iterations between two density steps at an iteration: the paper's, or fewer where a short run would have less than 15 steps.
     #[must_use]
-    pub fn density_interval(&self) -> u32 {
-        let [from, until] = self.density_span();
+    pub fn density_interval(&self, at: u32) -> u32 {
+        let [from, until] = self.density_span(at);
         let least = until.saturating_sub(from) / MIN_DENSITY_STEPS;
         let asked = self.config.density_times().map_or(1, |t| t.interval);
         asked.min(least.max(MIN_INTERVAL))
@@ -172,10 +193,23 @@ impl Schedule {
     /// Progress η of density control if a step is due after `done` iterations.
     #[must_use]
     pub fn density_due(&self, done: u32) -> Option<f64> {
-        let [from, until] = self.density_span();
+        let progress = self.density_multiple(done)?;
+        // Another length has other steps: none so soon after one of the length before.
+        let half = self.density_interval(done) / 2;
+        let lengths = self.config.lengths.iter().rev();
+        let changed = lengths.map(|l| l.from).find(|from| *from <= done);
+        let soon = changed.is_some_and(|from| {
+            (done.saturating_sub(half)..from).any(|at| self.density_multiple(at).is_some())
+        });
+        (!soon).then_some(progress)
+    }
+
+    /// Progress η at a multiple of the interval within the span.
+    fn density_multiple(&self, done: u32) -> Option<f64> {
+        let [from, until] = self.density_span(done);
         if done < from
-            || done >= until.min(self.config.iterations)
-            || !done.is_multiple_of(self.density_interval())
+            || done >= until.min(self.iterations(done))
+            || !done.is_multiple_of(self.density_interval(done))
         {
             return None;
         }
@@ -185,35 +219,39 @@ impl Schedule {
     /// The next density step at or after `iteration`'s end: after how many iterations done, and its progress η.
     #[must_use]
     pub fn next_density(&self, iteration: u32) -> Option<(u32, f64)> {
-        let [from, _] = self.density_span();
-        let due = from
-            .max(iteration.saturating_add(1))
-            .checked_next_multiple_of(self.density_interval())?;
-        self.density_due(due).map(|progress| (due, progress))
+        let at = iteration.saturating_add(1);
+        let [from, _] = self.density_span(at);
+        let interval = self.density_interval(at);
+        let due = from.max(at).checked_next_multiple_of(interval)?;
+        let mut due = [due, due.saturating_add(interval)].into_iter();
+        due.find_map(|due| self.density_due(due).map(|progress| (due, progress)))
     }
 
     /// Progress η of the density step before the one after `done` iterations; `None` if that is the first.
     #[must_use]
     pub fn density_before(&self, done: u32) -> Option<f64> {
-        let before = done.checked_sub(self.density_interval())?;
-        // Nothing has been trained after no iteration, and no step is made.
-        (before > 0).then(|| self.density_due(before))?
+        // Nothing has been trained after no iteration, and no step is made. Where the length has changed the last step may be
+        // nearer or farther than an interval.
+        let first = done.saturating_sub(self.density_interval(done).saturating_mul(4));
+        (first.max(1)..done)
+            .rev()
+            .find_map(|at| self.density_due(at))
     }
 
     /// Opacity resets (adc) that come at intervals, before the density step at `done`.
     #[must_use]
     pub fn opacity_resets(&self, done: u32) -> u32 {
-        let every = self.scaled(self.config.adc.reset_interval).max(1);
-        done.saturating_sub(self.density_interval()) / every
+        let every = self.scaled(done, self.config.adc.reset_interval).max(1);
+        done.saturating_sub(self.density_interval(done)) / every
     }
 
     /// True if opacity is reset (adc) with the density step at `done`: when the interval is over, and before a white
     /// background at the first step, too (released code: at `densify_from_iter`).
     #[must_use]
     pub fn resets_opacity(&self, done: u32) -> bool {
-        let every = self.scaled(self.config.adc.reset_interval).max(1);
-        let [from, _] = self.density_span();
-        let first = done < from + self.density_interval();
+        let every = self.scaled(done, self.config.adc.reset_interval).max(1);
+        let [from, _] = self.density_span(done);
+        let first = done < from + self.density_interval(done);
         done / every > self.opacity_resets(done)
             || (first && self.config.background == Background::White)
     }
@@ -227,12 +265,12 @@ impl Schedule {
             .all(|at| self.density_due(at).is_none() || at == done)
     }
 
-    /// Iterations between two evaluations, 0 for none before the end.
+    /// Iterations between two evaluations at an iteration, 0 for none before the end.
     #[must_use]
-    pub fn eval_every(&self) -> u32 {
+    pub fn eval_every(&self, at: u32) -> u32 {
         self.config
             .eval_every
-            .unwrap_or((self.config.iterations / 20).max(1))
+            .unwrap_or((self.iterations(at) / 20).max(1))
     }
 
     /// True if an evaluation, a checkpoint or an export is due after `done` iterations, before the end.
@@ -240,8 +278,9 @@ impl Schedule {
     pub fn pause_due(&self, done: u32) -> bool {
         let c = &self.config;
         let due = |every: u32| every > 0 && done.is_multiple_of(every);
-        let any = due(self.eval_every()) || due(c.checkpoint_every) || due(c.export_every);
-        done > 0 && done < c.iterations && any
+        let evaluated = due(self.eval_every(done));
+        let any = evaluated || due(c.checkpoint_every) || due(c.export_every);
+        done > 0 && done < self.iterations(done) && any
     }
 
     /// Views of `count` iterations from `iteration` on: every epoch is a permutation of the views, keyed by (seed, epoch).

@@ -90,11 +90,8 @@ impl Trainer {
     }
 
     fn restore_exposures(&mut self, rows: &[Vec<f32>]) -> Result<()> {
-        let on = match self.plan.exposure.value {
-            Exposure::From(from) if from == self.iteration => self.next == Next::Iterate,
-            Exposure::From(from) => from < self.iteration,
-            _ => false,
-        };
+        let wanted = self.plan.exposure.value == Exposure::On;
+        let on = wanted && self.learned.exposed_from.is_some();
         if on == rows.is_empty() {
             let rows = rows.len();
             return Err(mismatch(format!("exposures of another shape: {rows} rows")));

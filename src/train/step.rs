@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset};
+use crate::config::Length;
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, PendingRead, Program};
 use crate::pipeline::buffers::ViewSet;
@@ -256,7 +257,7 @@ impl Trainer {
     /// call tries again.
     pub fn advance(&mut self) -> Result<Event> {
         loop {
-            let done = self.iteration >= self.plan.config.iterations;
+            let done = self.iteration >= self.schedule.iterations(self.iteration);
             if done && !matches!(self.next, Next::Density | Next::Pause) {
                 let decision = self.finish()?;
                 return Ok(decision.map_or(Event::Finished, Event::Decided));
@@ -280,6 +281,26 @@ impl Trainer {
             }
             self.advance_once()?;
         }
+    }
+
+    /// Sets the length of the run, in iterations, from the next iteration on; all schedules go by it.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn set_length(&mut self, iterations: u32) -> Result<()> {
+        self.settle()?;
+        let from = self.iteration;
+        let length = Length { from, iterations };
+        self.plan.config.lengths.push(length);
+        for schedule in [
+            &mut self.schedule,
+            &mut self.views.schedule,
+            &mut self.control.schedule,
+            &mut self.optimizer.schedule,
+        ] {
+            schedule.set_length(length);
+        }
+        Ok(())
     }
 
     /// Makes the pause of the last [`Event::Settled`] come again, if it could not be used.
@@ -422,7 +443,7 @@ impl Trainer {
     /// Adds a band of spherical harmonics if one is due before the next iteration (3DGS).
     fn update_sh_degree(&mut self) -> Result<()> {
         let (at, degree) = (self.iteration, self.gaussians.scene.sh_degree);
-        let due = at > 0 && at.is_multiple_of(self.schedule.sh_interval());
+        let due = at > 0 && at.is_multiple_of(self.schedule.sh_interval(at));
         if !due || degree >= self.plan.sh_degree.value {
             return Ok(());
         }
@@ -433,17 +454,20 @@ impl Trainer {
     /// Compares photos with their renders if that is due, or says that kernels are to be compiled.
     fn exposure_due(&mut self) -> Result<(Option<Event>, Next)> {
         let at = self.iteration;
+        if at < self.schedule.exposure_from(at) {
+            return Ok((None, Next::Iterate));
+        }
         match self.plan.exposure.value {
-            Exposure::Compare(from) if from == at => {
+            Exposure::Compare => {
                 self.settle()?;
-                let iterations = self.plan.config.iterations;
+                let iterations = self.schedule.iterations(at);
                 let (pipeline, scene) = (&mut self.pipeline, &self.gaussians.scene);
                 let gains = compare(pipeline, scene, &self.views, at, iterations)?;
                 self.learned.gains = Some(gains);
                 let decision = self.plan.learn(&self.learned).into_iter().next();
                 Ok((decision.map(Event::Decided), Next::Exposure))
             }
-            Exposure::From(from) if from == at && self.pipeline.exposure.is_none() => {
+            Exposure::On if self.pipeline.exposure.is_none() => {
                 self.settle()?;
                 Ok((Some(Event::Compiling), Next::Compile))
             }
@@ -456,7 +480,8 @@ impl Trainer {
         let kernels = Kernels::new(&self.device, Defines::new(self.device.tuning()));
         let dimage = self.pipeline.image_gradient();
         let (views, plane) = (self.views.len(), dimage.len() / 3);
-        let built = ExposureModel::new(&kernels, views, plane, self.schedule.exposure_from())?;
+        let from = *self.learned.exposed_from.get_or_insert(self.iteration);
+        let built = ExposureModel::new(&kernels, views, plane, from)?;
         let view = &self.pipeline.forward.frame;
         let step = self.transform_step(self.iteration);
         built.warm_up(&self.device, view, dimage, step)?;

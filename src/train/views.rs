@@ -31,7 +31,7 @@ pub struct TrainingView {
 pub struct Views {
     /// Cameras and photos at full size.
     pub set: ViewSet,
-    schedule: Schedule,
+    pub(super) schedule: Schedule,
     halvings: u32,
     random_background: bool,
     skip_blank: bool,

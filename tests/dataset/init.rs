@@ -5,8 +5,11 @@ use glam::DVec3;
 use super::{colmap_scene, load_every};
 use mhsplat::base::rng::Philox;
 use mhsplat::capture::Points;
+use mhsplat::config::{Init, Sampler, TrainConfig};
+use mhsplat::run::initial_gaussians;
 use mhsplat::scene::knn::mean_squared_distances;
 use mhsplat::scene::{Gaussians, Plane, init};
+use mhsplat::train::Plan;
 
 fn cloud(n: u64, seed: u64) -> Vec<[f32; 3]> {
     (0..n)
@@ -116,6 +119,28 @@ fn few_points_and_bad_ones() {
     bad = points(5);
     bad.colors.pop();
     assert!(init::from_points(&bad, 0).is_err());
+}
+
+/// A fixed set never becomes more; the others make what they need.
+#[test]
+fn a_random_start_has_as_many_as_its_sampler_needs() {
+    let data = crate::determinism::room(64);
+    for (sampler, most, count) in [
+        (Sampler::Mh, None, 5000),
+        (Sampler::Mcmc, None, 5000),
+        (Sampler::Adc, None, 20_000),
+        (Sampler::None, None, 20_000),
+        (Sampler::Mh, Some(700), 700),
+    ] {
+        let config = TrainConfig {
+            sampler,
+            init: Init::Random,
+            max_gaussians: most,
+            ..TrainConfig::default()
+        };
+        let plan = Plan::new(&data, &config).unwrap();
+        assert_eq!(initial_gaussians(&data, &plan).unwrap().len(), count);
+    }
 }
 
 #[test]

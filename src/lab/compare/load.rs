@@ -184,7 +184,7 @@ fn facts(record: &RunRecord) -> Vec<Fact> {
 #[must_use]
 pub fn finished(record: &RunRecord) -> bool {
     let out_of_time = |budget: f64| record.train_seconds >= budget;
-    record.iterations >= record.config.iterations
+    record.iterations >= record.config.last_iterations()
         || record.stalled.is_some()
         || record.config.time_budget.is_some_and(out_of_time)
 }
@@ -216,7 +216,7 @@ fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
     };
     let finished = finished(&record);
     if !finished {
-        let (done, all) = (record.iterations, record.config.iterations);
+        let (done, all) = (record.iterations, record.config.last_iterations());
         warnings.push(format!(
             "{name}: unfinished, {done} of {all} iterations; its evaluation after {} stands for its end",
             last.iteration

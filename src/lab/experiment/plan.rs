@@ -132,7 +132,7 @@ pub fn state(dir: &Path, config: Option<&TrainConfig>) -> State {
     }
     // Record and metrics are all that a comparison needs: whoever deletes the rest does not want it again. A run that its time
     // budget ends is not known to be over before the scene is written.
-    let over = record.iterations >= record.config.iterations;
+    let over = record.iterations >= record.config.last_iterations();
     if over && !dir.join(METRICS_FILE).is_file() {
         return refused(format!("holds a finished run without {METRICS_FILE}"));
     }

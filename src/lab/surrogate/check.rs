@@ -190,7 +190,7 @@ impl Subject<'_> {
 
 /// Progress η of density control after so many iterations; 1 without density control.
 fn eta(schedule: &Schedule, done: u32) -> f64 {
-    let [from, until] = schedule.density_span().map(f64::from);
+    let [from, until] = schedule.density_span(done).map(f64::from);
     match from < until {
         true => ((f64::from(done) - from) / (until - from)).clamp(0.0, 1.0),
         false => 1.0,

@@ -84,7 +84,7 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
         d.width,
         d.height,
         grouped(record.iterations.into()),
-        grouped(record.config.iterations.into()),
+        grouped(record.config.last_iterations().into()),
         escape(&record.version)
     );
     let cpu = match record.cpu_seconds {

@@ -1,0 +1,92 @@
+//! Runs within a time budget: whole schedules, decided on the way and repeated to the bit.
+
+use std::fs;
+use std::path::Path;
+
+use mhsplat::config::{Length, Sampler, TrainConfig};
+use mhsplat::run::RunRecord;
+use mhsplat::train::schedule::Schedule;
+
+use crate::cli::program;
+
+fn train(args: &[&str], run: &Path) -> RunRecord {
+    let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
+    let mut command = program();
+    command.arg("train").arg(room).args(["--max-size", "64"]);
+    let done = command.args(args).arg("-o").arg(run).output().unwrap();
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{said}");
+    RunRecord::read(run).unwrap()
+}
+
+#[test]
+fn a_time_budget_gives_a_whole_run_that_its_record_repeats() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |name: &str| dir.path().join(name);
+    let whole = |name: String| {
+        let record = train(&["--time-budget", "5s"], &run(&name));
+        let planned = record.config.last_iterations();
+        assert!(record.iterations <= planned && planned < 30_000);
+        assert!(!record.config.lengths.is_empty());
+        // Other programs may have taken the time that was left for the last iterations.
+        (record.iterations == planned).then_some((record, run(&name)))
+    };
+    let (first, place) = (0..5).find_map(|k| whole(format!("run-{k}"))).unwrap();
+    let settings = place.join("run.json");
+    let again = train(&["--config", settings.to_str().unwrap()], &run("again"));
+    assert_eq!(again.config.lengths, first.config.lengths);
+    assert_eq!(again.config.time_budget, None);
+    let [a, b] = [&place, &run("again")].map(|r| fs::read(r.join("scene.ply")).unwrap());
+    assert!(a == b, "other bytes");
+    // A flag that says how long the run is wins over the lengths of a file.
+    let args = ["--config", settings.to_str().unwrap(), "--iterations", "40"];
+    let short = train(&args, &run("short"));
+    assert!(short.iterations <= 40 && short.config.last_iterations() <= 40);
+}
+
+/// Lengths that go up and down.
+fn changing(sampler: Sampler) -> Schedule {
+    let lengths = [(20, 900), (60, 1100), (137, 870), (400, 1000), (640, 700)];
+    let lengths = lengths.map(|(from, iterations)| Length { from, iterations });
+    Schedule::new(&TrainConfig {
+        sampler,
+        lengths: lengths.to_vec(),
+        ..TrainConfig::default()
+    })
+}
+
+#[test]
+fn density_steps_keep_their_distance_where_the_length_changes() {
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
+        let schedule = changing(sampler);
+        let steps: Vec<(u32, f64)> = (1..700)
+            .filter_map(|at| schedule.density_due(at).map(|progress| (at, progress)))
+            .collect();
+        assert!(steps.len() >= 10, "{sampler:?}: {steps:?}");
+        for pair in steps.windows(2) {
+            let [(before, from), (at, progress)] = [pair[0], pair[1]];
+            let apart = at - before;
+            assert!((12..=100).contains(&apart), "{sampler:?}: {before}, {at}");
+            assert_eq!(schedule.density_before(at), Some(from));
+            assert!(progress > from - 0.15, "{sampler:?}: {from} to {progress}");
+        }
+    }
+}
+
+#[test]
+fn schedules_go_by_the_length_of_their_iteration() {
+    let schedule = changing(Sampler::Mh);
+    let fixed = |iterations: u32| {
+        Schedule::new(&TrainConfig {
+            iterations,
+            ..TrainConfig::default()
+        })
+    };
+    for (at, iterations) in [(10, 30_000), (20, 900), (136, 1100), (137, 870), (699, 700)] {
+        let of = fixed(iterations);
+        assert_eq!(schedule.rates(at), of.rates(at), "{at}");
+        assert_eq!(schedule.iterations(at), iterations);
+        assert_eq!(schedule.eval_every(at), of.eval_every(at));
+        assert_eq!(schedule.exposure_from(at), of.exposure_from(at));
+    }
+}
