@@ -58,7 +58,7 @@ fn measure(trainer: &mut Trainer, iterations: u32) -> Vec<(f64, u32, &'static st
             Event::Iteration { .. } => quiet + 1,
             _ => 0,
         };
-        let every = trainer.schedule().sh_interval();
+        let every = trainer.schedule().sh_interval(0);
         let sh = at > 0 && at.is_multiple_of(every);
         let what = match (trainer.overflows() > overflows, sh) {
             (true, _) => "tile intersections overflowed",

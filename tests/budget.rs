@@ -73,6 +73,26 @@ fn density_steps_keep_their_distance_where_the_length_changes() {
     }
 }
 
+/// A run that was stopped right after its length was set has another from the same iteration on when it goes on.
+#[test]
+fn a_length_takes_the_place_of_one_from_the_same_iteration() {
+    let mut config = TrainConfig::default();
+    for (from, iterations) in [(20, 900), (60, 1100), (60, 700)] {
+        config.set_length(Length { from, iterations });
+    }
+    config.validate().unwrap();
+    assert_eq!(
+        [59, 60, 61].map(|at| config.iterations_at(at)),
+        [900, 700, 700]
+    );
+    for wrong in [[(60, 700), (20, 900)], [(20, 900), (60, 60)]] {
+        config.lengths = wrong
+            .map(|(from, iterations)| Length { from, iterations })
+            .to_vec();
+        assert!(config.validate().is_err(), "{wrong:?}");
+    }
+}
+
 #[test]
 fn schedules_go_by_the_length_of_their_iteration() {
     let schedule = changing(Sampler::Mh);

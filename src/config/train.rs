@@ -172,10 +172,13 @@ impl TrainConfig {
         let time = self.time_budget.unwrap_or(1.0);
         let what = format!("{time} s; a positive time expected");
         check(time.is_finite() && time > 0.0, "--time-budget", &what)?;
-        let follows = |pair: &[Length]| pair[0].from < pair[1].from;
-        let good = self.lengths.windows(2).all(follows)
-            && self.lengths.iter().all(|l| l.from < l.iterations);
-        let what = "ascending, and each longer than what is done by then, expected";
+        let mut before = (None, self.iterations);
+        let good = self.lengths.iter().all(|l| {
+            let (from, iterations) = before;
+            before = (Some(l.from), l.iterations);
+            from < Some(l.from) && l.from < iterations && l.from < l.iterations
+        });
+        let what = "ascending, each from within the length before it and longer than what is done by then, expected";
         check(good, "lengths", what)?;
         let never = self.patience == Some(0) || self.eval_every == Some(0);
         let what = "at least 1 evaluation, and some during the run (--eval-every), expected";
@@ -191,6 +194,12 @@ impl TrainConfig {
         self.mh.validate()?;
         self.mcmc.validate()?;
         self.adc.validate()
+    }
+
+    /// Sets the length of the run from an iteration on, in place of one that held from there or later.
+    pub fn set_length(&mut self, length: Length) {
+        self.lengths.retain(|l| l.from < length.from);
+        self.lengths.push(length);
     }
 
     /// Returns the iterations of the whole run as they are planned at one of them.

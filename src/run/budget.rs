@@ -9,6 +9,9 @@ const PLANNED: f64 = 0.99;
 /// Iterations before the first plan.
 const FIRST: u32 = 20;
 
+/// Share of the budget after which the first plan is made, if fewer have been done by then.
+const LATEST: f64 = 0.1;
+
 /// A run is planned anew after this share of its iterations.
 const AGAIN: u32 = 50;
 
@@ -48,28 +51,27 @@ pub(super) fn go_on(mut config: TrainConfig, done: u32) -> (TrainConfig, Vec<Len
 pub(super) enum Pace {
     /// The length is that of the configuration.
     Fixed,
-    /// As many iterations as fit.
+    /// The largest number of iterations that fits.
     Budget(Budget),
     /// The lengths of another run, the next one last.
     Repeats(Vec<Length>),
 }
 
 impl Pace {
-    /// The pace of a run that has used so many seconds.
-    pub fn new(trainer: &Trainer, to_come: Vec<Length>, used: Option<f64>) -> Self {
+    /// The pace of a run that begins or goes on.
+    pub fn new(trainer: &Trainer, to_come: Vec<Length>) -> Self {
         let config = &trainer.plan().config;
         if let Some(seconds) = config.time_budget {
-            let (done, length) = (trainer.iteration(), config.last_iterations());
-            let share = f64::from(trainer.full_size_from()) / f64::from(length);
+            let length = f64::from(config.last_iterations());
+            let share = f64::from(trainer.full_size_from()) / length;
             let halvings = trainer.plan().halvings.value;
             let ends = (1..=halvings).map(|k| share * f64::from(k) / f64::from(halvings));
-            let begun = (done, length, used.unwrap_or(0.0));
             let views = match config.work.remove_unseen {
                 true => trainer.views(),
                 false => 0,
             };
-            let most = config.iterations;
-            return Self::Budget(Budget::new(seconds, most, ends.collect(), views, begun));
+            let budget = Budget::new(seconds, config.iterations, ends.collect(), views);
+            return Self::Budget(budget);
         }
         match to_come.is_empty() {
             true => Self::Fixed,
@@ -111,57 +113,47 @@ pub(super) struct Budget {
     views: usize,
     /// Seconds of an iteration of cost 1; `None` before the first plan.
     unit: Option<f64>,
-    /// Iterations and seconds at the last plan.
-    mark: (u32, f64),
+    /// Iterations and seconds at the last plan, at first when the run began or went on.
+    mark: Option<(u32, f64)>,
     /// Iterations at the next one.
     next: u32,
 }
 
 impl Budget {
-    /// A budget for a run that has `done` iterations, of `length`, after `used` seconds.
-    pub fn new(
-        seconds: f64,
-        most: u32,
-        smaller: Vec<f64>,
-        views: usize,
-        (done, length, used): (u32, u32, f64),
-    ) -> Self {
-        let mut budget = Self {
+    /// A budget for a run that begins or goes on.
+    pub fn new(seconds: f64, most: u32, smaller: Vec<f64>, views: usize) -> Self {
+        Self {
             seconds,
             most,
             smaller,
             views,
             unit: None,
-            mark: (done, used),
-            next: FIRST,
-        };
-        if done > 0 {
-            let cost = f64::from(length) * budget.cost(0.0, f64::from(done) / f64::from(length));
-            budget.unit = Some(used / cost.max(1.0));
-            budget.next = done;
+            mark: None,
+            next: 0,
         }
-        budget
     }
 
-    /// The length of the run if another than `length` fits better: asked after every iteration, answered now and then.
+    /// The length of the run if another than `length` fits better: asked between two iterations, answered now and then.
     pub fn length(&mut self, done: u32, length: u32, used: f64) -> Option<u32> {
-        if done == self.mark.0 {
-            // Nothing before the first iteration is a cost of iterations.
-            self.mark.1 = used;
-        }
-        if done < self.next || used >= self.seconds {
+        let Some((before, then)) = self.mark else {
+            // What came before, reading photos and building kernels, is no cost of iterations.
+            self.mark = Some((done, used));
+            self.next = done.saturating_add(FIRST);
+            return None;
+        };
+        let first = self.unit.is_none();
+        // Where an iteration takes seconds there is no time for so many.
+        let late = first && used - then >= LATEST * (self.seconds - then);
+        if done == before || (done < self.next && !late) || used >= self.seconds {
             return None;
         }
         let share = |at: u32| f64::from(at) / f64::from(length);
-        let (before, then) = self.mark;
-        if done > before {
-            let cost = f64::from(length) * self.cost(share(before), share(done));
-            let unit = (used - then).max(1e-9) / cost.max(1e-9);
-            // Half of what the last plan went by: a window is short, and other programs run beside it.
-            self.unit = Some(self.unit.map_or(unit, |old| (old * unit).sqrt()));
-            self.mark = (done, used);
-        }
-        let unit = self.unit?;
+        let cost = f64::from(length) * self.cost(share(before), share(done));
+        let unit = (used - then).max(1e-9) / cost.max(1e-9);
+        // Half of what the last plan went by: a window is short, and other programs run beside it.
+        let unit = self.unit.map_or(unit, |old| (old * unit).sqrt());
+        self.unit = Some(unit);
+        self.mark = Some((done, used));
         let left = self.seconds.mul_add(PLANNED, -used) / unit;
         let after = SEEN * self.views as f64 * COST[COST.len() - 1];
         let needs = |n: u32| f64::from(n) * self.cost(f64::from(done) / f64::from(n), 1.0) + after;
@@ -176,12 +168,9 @@ impl Budget {
             }
         }
         self.next = done + (low / AGAIN).max(1);
-        let little = match done < length {
-            true => (length - done) / 200,
-            // A run that has come to its end goes on for no trifle.
-            false => length / 20,
-        };
-        (low.abs_diff(length) > little.max(1)).then_some(low)
+        let little = (length.saturating_sub(done) / 200).max(1);
+        // The first plan is recorded whatever it is: who repeats the run need not plan.
+        (first || low.abs_diff(length) > little).then_some(low)
     }
 
     /// Mean cost of an iteration between two shares of a run, times their difference.
@@ -213,7 +202,7 @@ mod tests {
     /// Seconds of a run in which an iteration takes `cost` of its share of the run and its number, the last length, and how often
     /// it was changed.
     fn end(seconds: f64, most: u32, cost: impl Fn(f64, u32) -> f64) -> (f64, u32, usize) {
-        let mut budget = Budget::new(seconds, most, vec![0.05, 0.1], 50, (0, most, 0.0));
+        let mut budget = Budget::new(seconds, most, vec![0.05, 0.1], 50);
         let (mut used, mut length, mut done, mut changes) = (0.5, most, 0, 0);
         assert_eq!(budget.length(done, length, used), None);
         while done < length {
@@ -280,13 +269,24 @@ mod tests {
     #[test]
     fn a_budget_that_is_more_than_enough_changes_nothing() {
         let (used, length, changes) = end(600.0, 1500, |_, _| 0.01);
-        assert!(length == 1500 && changes == 0 && used < 20.0);
+        assert!(length == 1500 && changes == 1 && used < 20.0);
     }
 
     #[test]
-    fn a_finished_run_goes_on_with_more() {
-        let mut budget = Budget::new(120.0, 30_000, vec![0.05, 0.1], 50, (3000, 3000, 60.0));
-        let longer = budget.length(3000, 3000, 60.0).unwrap();
-        assert!((5400..6600).contains(&longer), "{longer}");
+    fn iterations_of_seconds_are_planned_before_twenty() {
+        let (used, length, _) = end(50.0, 30_000, |_, _| 2.0);
+        assert!(
+            (10..=25).contains(&length) && used < 56.0,
+            "{length} {used}"
+        );
+    }
+
+    #[test]
+    fn a_run_that_goes_on_forgets_what_its_start_took() {
+        let mut budget = Budget::new(60.0, 30_000, vec![0.05, 0.1], 50);
+        assert_eq!(budget.length(300, 1000, 30.0), None);
+        let next =
+            (301..400).find_map(|at| budget.length(at, 1000, 30.0 + 0.04 * f64::from(at - 300)));
+        assert!((700..1300).contains(&next.unwrap()), "{next:?}");
     }
 }

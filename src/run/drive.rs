@@ -90,6 +90,7 @@ impl Run {
         device: &Device,
         clock: Clock,
     ) -> Result<Self> {
+        config.validate()?;
         let (config, to_come) = begin(config);
         let plan = Plan::new(&dataset, &config)?;
         let from = From {
@@ -139,6 +140,13 @@ impl Run {
                 format!("{used:.0} s of training are done already; give a larger one"),
             ));
         }
+        let ended = saved.state.iteration >= saved.config.last_iterations();
+        if ended && config.time_budget != saved.config.time_budget {
+            return Err(Error::config(
+                "--time-budget",
+                "the run has come to its end already, and none goes on from there; start anew with -o",
+            ));
+        }
         if let Some(fault) = saved.tuning.fault(device.info()) {
             return Err(Error::input(
                 checkpoint::path(dir),
@@ -149,6 +157,7 @@ impl Run {
         // Another tuning would add in another order: the run goes on as it began.
         let device = device.clone().with_tuning(saved.tuning);
         let smoothed = !saved.state.rows.filter.is_empty();
+        config.validate()?;
         let (config, to_come) = go_on(config, saved.state.iteration);
         let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, saved.state.halvings);
         let from = From {
@@ -212,11 +221,7 @@ impl Run {
         let mut run = Self {
             dir: dir.to_path_buf(),
             frame,
-            pace: Pace::new(
-                &trainer,
-                to_come,
-                saved.as_ref().map(|s| s.clock.train_seconds),
-            ),
+            pace: Pace::new(&trainer, to_come),
             config: plan.config,
             trainer,
             evaluator,
@@ -265,7 +270,7 @@ impl Run {
     fn train(&mut self, stop: &AtomicBool, mut progress: impl FnMut(&Progress)) -> Result<()> {
         loop {
             let done = self.trainer.iteration();
-            if self.trainer.rested() {
+            if self.trainer.rested() && self.trainer.schedule().may_change(done) {
                 self.plan_length(done, &mut progress)?;
             }
             if self.trainer.rested() && done < self.iterations() {
@@ -317,7 +322,7 @@ impl Run {
         let lengths = &self.trainer.plan().config.lengths;
         let first = lengths.len() == 1;
         self.record.config.lengths = [lengths.clone(), self.pace.to_come()].concat();
-        if first {
+        if first && self.record.config.time_budget.is_some() {
             let what = format!("about {length} iterations fit into the time budget");
             progress(&self.progress(Some(what)));
         }

@@ -143,6 +143,8 @@ impl Control {
         };
         let since_last = self.schedule.density_interval(due).min(due);
         let first = due - since_last.min(u32::try_from(views).unwrap_or(u32::MAX));
+        // Where the length of the run has changed, gathering begins with it.
+        let first = first.max(self.schedule.length_from(iteration));
         if iteration < first {
             return Ok(());
         }

@@ -44,9 +44,9 @@ impl Schedule {
         }
     }
 
-    /// Sets the length of the run from an iteration on, which none set before may come after.
+    /// Sets the length of the run from an iteration on.
     pub fn set_length(&mut self, length: Length) {
-        self.config.lengths.push(length);
+        self.config.set_length(length);
     }
 
     /// Iterations of the whole run as they are planned at one of them.
@@ -76,9 +76,13 @@ impl Schedule {
     /// sides keep at least 64 pixels.
     #[must_use]
     pub fn shrink_factor(&self, halvings: u32, iteration: u32, size: [usize; 2]) -> usize {
+        // None below what a length before has come to.
+        let past = self.config.lengths.iter().filter(|l| l.from <= iteration);
+        let ends = past.filter_map(|l| l.from.checked_sub(1));
         let asked = self.config.work.resolution_interval;
-        let interval = self.scaled(iteration, asked).max(1);
-        let level = halvings.saturating_sub(iteration / interval);
+        let reached = |at: u32| at / self.scaled(at, asked).max(1);
+        let steps = ends.map(reached).fold(reached(iteration), u32::max);
+        let level = halvings.saturating_sub(steps);
         let most = size[0].min(size[1]) / MIN_SIDE;
         (1 << level).min(1 << most.max(1).ilog2())
     }
@@ -190,17 +194,34 @@ impl Schedule {
         asked.min(least.max(MIN_INTERVAL))
     }
 
+    /// True if the length of the run may change after `done` iterations: right after a density step or away from them all, so that
+    /// none is called off whose statistics are being gathered, and none comes without.
+    #[must_use]
+    pub fn may_change(&self, done: u32) -> bool {
+        let [from, until] = self.density_span(done);
+        let away = done.saturating_add(self.density_interval(done)) < from || done >= until;
+        away || self.density_due(done.saturating_sub(1)).is_some()
+    }
+
+    /// First iteration from which the length holds that holds at one.
+    #[must_use]
+    pub fn length_from(&self, at: u32) -> u32 {
+        let lengths = self.config.lengths.iter().rev();
+        lengths
+            .map(|l| l.from)
+            .find(|from| *from <= at)
+            .unwrap_or(0)
+    }
+
     /// Progress η of density control if a step is due after `done` iterations.
     #[must_use]
     pub fn density_due(&self, done: u32) -> Option<f64> {
         let progress = self.density_multiple(done)?;
         // Another length has other steps: none so soon after one of the length before.
         let half = self.density_interval(done) / 2;
-        let lengths = self.config.lengths.iter().rev();
-        let changed = lengths.map(|l| l.from).find(|from| *from <= done);
-        let soon = changed.is_some_and(|from| {
-            (done.saturating_sub(half)..from).any(|at| self.density_multiple(at).is_some())
-        });
+        let changed = self.length_from(done);
+        let soon =
+            (done.saturating_sub(half)..changed).any(|at| self.density_multiple(at).is_some());
         (!soon).then_some(progress)
     }
 

@@ -91,6 +91,12 @@ impl Trainer {
 
     fn restore_exposures(&mut self, rows: &[Vec<f32>]) -> Result<()> {
         let wanted = self.plan.exposure.value == Exposure::On;
+        if wanted && !rows.is_empty() && self.learned.exposed_from.is_none() {
+            // Written before this was: the comparison's iteration, or the schedule's.
+            let scheduled = self.schedule.exposure_from(self.iteration);
+            let from = self.learned.gains.map_or(scheduled, |g| g.iteration);
+            self.learned.exposed_from = Some(from);
+        }
         let on = wanted && self.learned.exposed_from.is_some();
         if on == rows.is_empty() {
             let rows = rows.len();

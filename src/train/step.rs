@@ -291,7 +291,7 @@ impl Trainer {
         self.settle()?;
         let from = self.iteration;
         let length = Length { from, iterations };
-        self.plan.config.lengths.push(length);
+        self.plan.config.set_length(length);
         for schedule in [
             &mut self.schedule,
             &mut self.views.schedule,
@@ -443,7 +443,10 @@ impl Trainer {
     /// Adds a band of spherical harmonics if one is due before the next iteration (3DGS).
     fn update_sh_degree(&mut self) -> Result<()> {
         let (at, degree) = (self.iteration, self.gaussians.scene.sh_degree);
-        let due = at > 0 && at.is_multiple_of(self.schedule.sh_interval(at));
+        let interval = self.schedule.sh_interval(at);
+        // Another length has other multiples: none comes before its number is full.
+        let soon = self.schedule.length_from(at) > 0 && degree >= at / interval;
+        let due = at > 0 && at.is_multiple_of(interval) && !soon;
         if !due || degree >= self.plan.sh_degree.value {
             return Ok(());
         }

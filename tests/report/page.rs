@@ -7,7 +7,7 @@ use mhsplat::base::error::Error;
 use mhsplat::chart::axis::{Axis, ticks};
 use mhsplat::chart::svg::{Banded, Bar, band_chart, bar_chart};
 use mhsplat::chart::text::{escape, grouped, span};
-use mhsplat::config::{Init, Sampler, TrainConfig};
+use mhsplat::config::{Init, Length, Sampler, TrainConfig};
 use mhsplat::run::PlanRecord;
 use mhsplat::run::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
 use mhsplat::run::*;
@@ -80,6 +80,18 @@ fn tag_checker_finds_what_is_wrong() {
     ] {
         assert!(check_tags(bad).is_err(), "{bad}");
     }
+}
+
+#[test]
+fn the_command_of_a_run_within_a_time_budget_repeats_its_lengths() {
+    let mut record = record();
+    record.config.lengths = vec![Length {
+        from: 20,
+        iterations: 6000,
+    }];
+    let text = page(&record, &rows(), &density(), &[]);
+    assert!(text.contains("mhsplat train scenes/plush --config "));
+    assert!(!text.contains("--time-budget") && !text.contains("--iterations"));
 }
 
 #[test]

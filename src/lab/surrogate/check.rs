@@ -173,7 +173,7 @@ impl Subject<'_> {
             run: self.run.display().to_string(),
             dataset: self.dataset.path.display().to_string(),
             size,
-            iterations: [done, config.iterations],
+            iterations: [done, config.last_iterations()],
             progress: ground.progress,
             gaussians: splats.len(),
             views: names,

@@ -82,10 +82,14 @@ fn changed(config: &TrainConfig) -> Vec<(String, String)> {
     options
 }
 
-/// Every option with its dotted name, sorted by name.
+/// Every option with its dotted name, sorted by name; not the lengths that a time budget decided.
 pub(crate) fn flatten(config: &TrainConfig) -> Vec<(String, String)> {
+    let mut config = config.clone();
+    if config.time_budget.is_some() {
+        config.lengths.clear();
+    }
     // By way of text, which spells an f32 as it was typed (0.2); serde_json's own values widen it.
-    let value = serde_json::to_string(config)
+    let value = serde_json::to_string(&config)
         .and_then(|text| serde_json::from_str::<Value>(&text))
         .unwrap_or_default();
     let mut out = Vec::new();
@@ -114,11 +118,16 @@ fn command(record: &RunRecord, run_dir: &Path) -> String {
     let (tables, flags): (Vec<_>, Vec<_>) = changed(&record.config)
         .into_iter()
         .partition(|(name, _)| name.contains('.'));
-    if !tables.is_empty() {
+    let repeats = !record.config.lengths.is_empty();
+    if repeats || !tables.is_empty() {
         let config = run_dir.join(RECORD_FILE).display().to_string();
         let _ = write!(line, " --config {}", quoted(&config));
     }
     for (name, value) in flags {
+        // Typed, they would win over the lengths that the record repeats.
+        if repeats && ["iterations", "time-budget", "lengths"].contains(&&*name) {
+            continue;
+        }
         let _ = match value.as_str() {
             "true" => write!(line, " --{name}"),
             _ => write!(line, " --{name} {}", quoted(&value)),
