@@ -38,6 +38,16 @@ fn a_time_budget_gives_a_whole_run_that_its_record_repeats() {
     assert_eq!(again.config.time_budget, None);
     let [a, b] = [&place, &run("again")].map(|r| fs::read(r.join("scene.ply")).unwrap());
     assert!(a == b, "other bytes");
+    // Both are valid, and at their end.
+    for run in [&place, &run("again")] {
+        let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
+        let mut resumed = program();
+        let resumed = resumed.arg("train").arg(&room).arg("--resume").arg(run);
+        assert!(resumed.output().unwrap().status.success());
+        assert_eq!(RunRecord::read(run).unwrap().iterations, first.iterations);
+        let longer = resumed.args(["--time-budget", "60s"]).output().unwrap();
+        assert_eq!(longer.status.code(), Some(2));
+    }
     // A flag that says how long the run is wins over the lengths of a file.
     let args = ["--config", settings.to_str().unwrap(), "--iterations", "40"];
     let short = train(&args, &run("short"));

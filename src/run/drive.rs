@@ -315,6 +315,10 @@ impl Run {
     /// Sets another length of the run where the time budget asks for it, or the run that is repeated had it.
     fn plan_length(&mut self, done: u32, progress: &mut impl FnMut(&Progress)) -> Result<()> {
         let (length, used) = (self.iterations(), self.clock.train_seconds());
+        if done >= length {
+            // A run that has come to its end stays there.
+            return Ok(());
+        }
         let Some(length) = self.pace.length(done, length, used) else {
             return Ok(());
         };
