@@ -27,8 +27,8 @@ pub const FILTER_CHUNKS: u32 = 256;
 pub const TILE_SLACK: f64 = 1e-3;
 /// Range to which log-scales are clamped, so that the covariance stays finite in f32.
 pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
-/// Near plane in units of the scene extent.
-pub const NEAR: f64 = 0.04;
+/// Near plane in units of the scene extent; exact in f32, so that both precisions cull the same Gaussians.
+pub const NEAR: f64 = 1.0 / 256.0;
 /// Sums that splat_grad writes per pair.
 pub const SUMS: usize = 9;
 /// Projected Gaussians that the splat kernels copy to local memory at a time (measured: 32 on CPUs).

@@ -32,6 +32,13 @@ pub struct EvalArgs {
     /// Take the photos' alpha for a mask of the pixels that count, not for transparency (default: as in the run).
     #[arg(long)]
     alpha_is_mask: bool,
+    /// Score the training views instead of the held-out ones.
+    #[arg(long)]
+    training_views: bool,
+    /// Draw nothing nearer to a camera than this, in the dataset's units: what a viewer with this near plane shows (default: that of
+    /// training, 0.004 scene extents).
+    #[arg(long, value_name = "DEPTH", value_parser = output::depth)]
+    near: Option<f64>,
     /// Also score after an affine fit of each render's colours to its photo (gsplat's cc_psnr).
     #[arg(long)]
     color_corrected: bool,
@@ -43,19 +50,26 @@ pub struct EvalArgs {
 /// Scores the held-out views.
 pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let (ply, record) = scene::locate(&args.scene)?;
-    let data = scene::dataset(
+    let mut data = scene::dataset(
         &args.dataset,
         record.as_ref(),
         args.max_size,
         args.test_every,
         args.alpha_is_mask,
     )?;
+    if args.training_views {
+        data.test = std::mem::take(&mut data.train);
+    }
     if data.test.is_empty() {
         return Err(nothing_held_out(&args.dataset));
     }
     let mut loaded = scene::open(&ply, &data.frame, common.device.as_deref())?;
     let photos = Photos::new(&loaded.device, data.image_budget);
-    let views = ViewSet::new(&photos, data.test)?;
+    let mut views = ViewSet::new(&photos, data.test)?;
+    if let Some(near) = args.near {
+        let near = (near / data.frame.scale) as f32;
+        views.cameras.iter_mut().for_each(|c| c.near = near);
+    }
     let defines = Defines::new(loaded.device.tuning());
     let evaluator = Evaluator::new(&loaded.device, defines, views)?;
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
@@ -84,8 +98,13 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     output::line(&format!(
-        "{psnr:>7.3} dB  SSIM {ssim:.4}  FLIP {flip:.4}  mean of {} held-out views at {}x{}, {} Gaussians",
+        "{psnr:>7.3} dB  SSIM {ssim:.4}  FLIP {flip:.4}  mean of {} {} views at {}x{}, {} Gaussians",
         scores.per_view.len(),
+        if args.training_views {
+            "training"
+        } else {
+            "held-out"
+        },
         size[0],
         size[1],
         loaded.scene.count

@@ -27,7 +27,7 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => error.exit(),
     };
-    match cli.run() {
+    match cli.run().and_then(|done| output::check().map(|()| done)) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::Missed) => ExitCode::from(1),
         Err(Error::Interrupted) => ExitCode::from(130),

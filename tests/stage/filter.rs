@@ -74,15 +74,15 @@ fn filtered(splats: &Gaussians, cameras: &[Camera], overflow: u32) -> Vec<f32> {
 fn the_finest_view_that_sees_a_centre_decides() {
     let cameras = [camera(0.0, 200.0), camera(1.0, 50.0), camera(2.5, 200.0)];
     let positions = [
-        [0.0, 0.0, 3.0],  // depths 3, 2 and 0.5: the last view's 0.5/200
-        [0.0, 0.0, 2.52], // before the last one's near plane: 2.52/200
+        [0.0, 0.0, 3.0],   // depths 3, 2 and 0.5: the last view's 0.5/200
+        [0.0, 0.0, 2.502], // before the last one's near plane: 2.502/200
         // The last view's image ends at x/z = 0.25, widened at 0.325.
         [0.16, 0.0, 3.0],
         [0.17, 0.0, 3.0],
         [0.0, 0.0, -4.0],     // seen by none
         [f32::NAN, 0.0, 3.0], // likewise
     ];
-    let finest = [0.5 / 200.0, 2.52 / 200.0, 0.5 / 200.0, 3.0 / 200.0];
+    let finest = [0.5 / 200.0, 2.502 / 200.0, 0.5 / 200.0, 3.0 / 200.0];
     let largest = finest[3];
     let want: Vec<f64> = finest
         .iter()
