@@ -203,7 +203,7 @@ fn births(data: &Dataset) -> f64 {
     };
     config.mh.coarse_proposals = 0;
     config.mh.fine_proposals = 0;
-    config.mh.births_from_iteration = 0;
+    config.mh.births_from_iteration = Some(0);
     config.mh.deaths_until_iteration = 0;
     (config.mh.relocation, config.mh.turnover) = (false, 0.0);
     config.mh.noise_rate = 0.0;

@@ -56,6 +56,8 @@ fn options_switch_items() {
     );
     switched("noise on positions", |c| c.mh.noise_rate = 0.0, false);
     switched("births in image space", |c| c.mh.pixel_proposals = 0, false);
+    let early = "births from the first density step on";
+    switched(early, |c| c.init = Init::Random, true);
 }
 
 #[test]
@@ -110,8 +112,6 @@ fn data_switch_items() {
 fn what_training_finds_is_told() {
     let config = TrainConfig::default();
     let mut plan = Plan::new(&room(64), &config).unwrap();
-    let before = PlanRecord::of(&plan);
-    assert_eq!(before.since(&before), None);
     let learned = Learned {
         removed: 12,
         finished: Some(300),
@@ -128,12 +128,6 @@ fn what_training_finds_is_told() {
             .unwrap_err()
             .starts_with("12 removed")
     );
-    let said = after.since(&before).unwrap();
-    assert!(
-        said.contains("left out: Gaussians that no training view shows: 12 removed"),
-        "{said}"
-    );
-    assert!(!said.contains("Morton"), "{said}");
 }
 
 #[test]

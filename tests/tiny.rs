@@ -50,7 +50,7 @@ fn config(sampler: Sampler) -> TrainConfig {
         config.mcmc.interval,
         config.adc.interval,
     ) = (3, 3, 3);
-    (config.mh.births_from_iteration, config.mh.pixel_proposals) = (500, 10);
+    (config.mh.births_from_iteration, config.mh.pixel_proposals) = (Some(500), 10);
     (config.mh.coarse_proposals, config.mh.fine_proposals) = (10, 10);
     config
 }

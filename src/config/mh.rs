@@ -6,6 +6,9 @@ use crate::base::error::{Error, Result};
 use crate::config::choices::{Acceptance, Birth, Surrogate, ViewSubset};
 use crate::config::samplers::DensityTimes;
 
+/// First iteration with births where points show what is where.
+const BIRTHS_FROM: u32 = 2_500;
+
 /// Metropolis–Hastings density control (\[MH\] §4, Alg. 1). Iteration numbers are for a run of 30,000 iterations; of two
 /// values the first is for η = 0 and the second for η = 1, linear in between.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -50,9 +53,10 @@ pub struct MhConfig {
     pub from_iteration: u32,
     /// Iteration until which dead Gaussians are removed with `relocation`, too: what is not seen costs nothing to take away (ΔL ≈ 0, and the prior gains), while fog that is relocated keeps its number. 0: never removed, as in \[MH\].
     pub deaths_until_iteration: u32,
-    /// First iteration with births: a step before it has none, and costs no error map and no proposal. Gaussians born while
-    /// the photos are coarse and the first ones still move into place cost time in every later iteration.
-    pub births_from_iteration: u32,
+    /// First iteration with births: a step before it has none, and costs no error map and no proposal. `None`: the first step where
+    /// the first Gaussians are random, else 2500. Gaussians born while the photos are coarse and those of points still move into
+    /// place cost time in every later iteration; where nothing is in place they find it.
+    pub births_from_iteration: Option<u32>,
     /// Last iteration with density control; η runs from 0 to 1 over the span.
     pub until_iteration: u32,
     /// Iterations between two density steps; fewer in short runs, see `Schedule::density_interval`.
@@ -120,7 +124,7 @@ impl Default for MhConfig {
             relocation: false,
             from_iteration: 500,
             deaths_until_iteration: 6_000,
-            births_from_iteration: 2_500,
+            births_from_iteration: None,
             until_iteration: 20_000,
             interval: 100,
             coarse_proposals: 3_000,
@@ -153,7 +157,7 @@ impl MhConfig {
             turnover: 0.0,
             target_acceptance: [0.0, 0.0],
             deaths_until_iteration: 0,
-            births_from_iteration: 500,
+            births_from_iteration: Some(500),
             until_iteration: 15_000,
             coarse_proposals: 4_500,
             fine_proposals: 16_000,
@@ -195,7 +199,9 @@ impl MhConfig {
         check(faint(self.birth_opacity), "birth-opacity", opacity)?;
         let good = self.birth_scale > 0.0 && self.birth_scale <= 1.0;
         check(good, "birth-scale", "more than 0 and at most 1 expected")?;
-        let good = self.births_from_iteration <= self.until_iteration;
+        let good = self
+            .births_from_iteration
+            .is_none_or(|from| from <= self.until_iteration);
         let what = "no more than mh.until-iteration expected";
         check(good, "births-from-iteration", what)?;
         if self.pixel_proposals > 0 {
@@ -252,7 +258,7 @@ impl MhConfig {
     /// True if a step at progress η has births.
     #[must_use]
     pub fn births_enabled(&self, progress: f64) -> bool {
-        self.passed(self.births_from_iteration, progress)
+        self.passed(self.births_from_iteration.unwrap_or(BIRTHS_FROM), progress)
     }
 
     /// True if a step at progress η removes dead Gaussians.

@@ -75,7 +75,7 @@ pub struct Control {
 impl Control {
     /// Builds the stages of the plan's strategy.
     pub fn new(kernels: &Kernels, plan: &Plan, pipeline: &Pipeline) -> Result<Self> {
-        let strategy = density::make(&plan.config);
+        let strategy = density::make(&plan.density_config());
         let wanted = strategy.wanted(1, 1.0);
         let noise = strategy.noise().map(|law| {
             let stage = kernels.build::<f32>("noise")?;

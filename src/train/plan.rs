@@ -99,6 +99,8 @@ pub struct Plan {
     pub skip_blank: Decided<bool>,
     /// Gaussians removed at the end because no training view shows them; `None` before the end.
     pub unseen: Option<Decided<u64>>,
+    /// True if the first Gaussians are random.
+    random_start: bool,
     /// Parts that dataset or configuration switch and nobody else asks for.
     facts: Vec<(Part, Decided<bool>)>,
 }
@@ -123,6 +125,11 @@ impl Plan {
             },
             skip_blank: skip_blank(&config.work, alpha),
             unseen: None,
+            random_start: match config.init {
+                Init::Points => dataset.points.positions.is_empty(),
+                Init::Random => true,
+                Init::File(_) => false,
+            },
             facts: Vec::new(),
             config: config.clone(),
         };
@@ -143,6 +150,16 @@ impl Plan {
             self.halvings = Decided::new(halvings, Why::Checkpoint);
         }
         self
+    }
+
+    /// The configuration with what the start decides about density control.
+    pub(super) fn density_config(&self) -> TrainConfig {
+        let mut config = self.config.clone();
+        if self.random_start {
+            let first = config.mh.from_iteration;
+            config.mh.births_from_iteration.get_or_insert(first);
+        }
+        config
     }
 
     /// Takes over the findings of training so far, in the order in which training made them.
@@ -208,6 +225,7 @@ impl Plan {
             fact(Part::ErrorStatistics),
             fact(Part::BirthEstimates),
             fact(Part::Noise),
+            fact(Part::EarlyBirths),
             fact(Part::PixelBirths),
             typed((Part::Exposure, exposed), &self.exposure.why),
             fact(Part::HeldOut),
@@ -295,6 +313,11 @@ impl Plan {
         }
         let off = Why::Criterion("mh.noise-rate is 0");
         self.fact(Part::Noise, mh.noise_rate > 0.0, Why::NoiseMovesFaint, off);
+        if mh.births_from_iteration.is_none() {
+            let random = Why::Criterion("the first Gaussians are random");
+            let placed = Why::Criterion("the first Gaussians are placed by points or a file");
+            self.fact(Part::EarlyBirths, self.random_start, random, placed);
+        }
         self.fact(
             Part::PixelBirths,
             mh.pixel_proposals > 0,

@@ -47,6 +47,8 @@ pub enum Part {
     Noise,
     /// Births in image space.
     PixelBirths,
+    /// Births of mh from the first density step on.
+    EarlyBirths,
     /// [`crate::train::Plan::exposure`].
     Exposure,
     /// Scores of held-out views.
@@ -83,6 +85,7 @@ impl fmt::Display for Part {
             Self::BirthEstimates => "first-order birth estimates",
             Self::Noise => "noise on positions",
             Self::PixelBirths => "births in image space",
+            Self::EarlyBirths => "births from the first density step on",
             Self::Exposure => "per-image exposure",
             Self::HeldOut => "held-out evaluation",
             Self::SparsePoints => "initial Gaussians from sparse points",

@@ -70,7 +70,7 @@ fn births_are_the_share_that_is_asked_for() {
         let born = |progress: f64, last: bool| {
             let config = MhConfig {
                 target_acceptance: [0.1, 0.4],
-                births_from_iteration: 1500,
+                births_from_iteration: Some(1500),
                 pixel_proposals: 0,
                 turnover: rate(share, progress.max(0.1)),
                 ..MhConfig::default()
@@ -118,7 +118,7 @@ fn the_faintest_die_at_every_step_with_births() {
     }
     let step = |share: f64, relocation: bool| {
         let config = MhConfig {
-            births_from_iteration: 500,
+            births_from_iteration: Some(500),
             turnover: rate(share, 0.3),
             relocation,
             ..MhConfig::default()
@@ -140,7 +140,7 @@ fn the_faintest_die_at_every_step_with_births() {
 #[test]
 fn more_steps_remove_no_more() {
     let config = MhConfig {
-        births_from_iteration: 500,
+        births_from_iteration: Some(500),
         dead_opacity: 0.0,
         ..MhConfig::default()
     };
@@ -165,7 +165,7 @@ fn more_steps_remove_no_more() {
 #[test]
 fn no_step_removes_most_of_the_living() {
     let config = MhConfig {
-        births_from_iteration: 500,
+        births_from_iteration: Some(500),
         turnover: 1e9,
         ..MhConfig::default()
     };
@@ -191,7 +191,7 @@ fn no_kind_of_birth_takes_all_the_room() {
         ..context(700, 0.3, 1)
     };
     let config = MhConfig {
-        births_from_iteration: 500,
+        births_from_iteration: Some(500),
         turnover: 0.0,
         ..MhConfig::default()
     };
@@ -225,7 +225,7 @@ fn nothing_dies_where_nothing_is_born() {
         outcome.unwrap().stats
     };
     let config = MhConfig {
-        births_from_iteration: 500,
+        births_from_iteration: Some(500),
         ..MhConfig::default()
     };
     let unproposed = MhConfig {
@@ -236,7 +236,7 @@ fn nothing_dies_where_nothing_is_born() {
     };
     assert_eq!(step(unproposed, Some(0.2)).pruned as usize, DEAD);
     let later = MhConfig {
-        births_from_iteration: 5000,
+        births_from_iteration: Some(5000),
         ..config
     };
     let all =

@@ -247,7 +247,7 @@ fn values_out_of_their_domain_are_refused_by_name() {
 fn before_births_begin_a_step_relocates_and_no_more() {
     let config = MhConfig {
         from_iteration: 500,
-        births_from_iteration: 1500,
+        births_from_iteration: Some(1500),
         until_iteration: 2500,
         pixel_proposals: 100,
         ..MhConfig::paper()
@@ -261,7 +261,7 @@ fn before_births_begin_a_step_relocates_and_no_more() {
     // Whatever the first iteration, births begin with the step there and not the one after.
     for first in (500..=20_000).step_by(100) {
         let config = MhConfig {
-            births_from_iteration: first,
+            births_from_iteration: Some(first),
             ..MhConfig::default()
         };
         let eta = |done: u32| f64::from(done - 500) / 19_500.0;

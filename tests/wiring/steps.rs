@@ -52,7 +52,7 @@ pub fn config(relocation: bool) -> TrainConfig {
                 false => ViewSubset::Shrinking,
             },
             from_iteration: 1000,
-            births_from_iteration: 1000,
+            births_from_iteration: Some(1000),
             interval: 3,
             coarse_proposals: 60,
             fine_proposals: 100,
