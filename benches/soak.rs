@@ -67,7 +67,7 @@ fn cycle(device: &Device, dir: &Path, number: u64) -> Cycle {
     assert!(stopped.is_err());
     drop(first);
     let config = saved_config(&run_dir).unwrap();
-    let mut second = Run::resume(&run_dir, load(), config, device, Clock::start()).unwrap();
+    let mut second = Run::resume(&run_dir, load(), config, device, Clock::start(), None).unwrap();
     let began = process_cpu_seconds();
     second.drive(&AtomicBool::new(false), |_| {}).unwrap();
     let milliseconds = 1e3 * (process_cpu_seconds() - began) / f64::from(ITERATIONS / 2);

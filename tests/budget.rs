@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use mhsplat::config::{Length, Sampler, TrainConfig};
-use mhsplat::run::RunRecord;
+use mhsplat::run::{RunRecord, checkpoint};
 use mhsplat::train::schedule::Schedule;
 
 use crate::cli::program;
@@ -47,11 +47,75 @@ fn a_time_budget_gives_a_whole_run_that_its_record_repeats() {
         assert_eq!(RunRecord::read(run).unwrap().iterations, first.iterations);
         let longer = resumed.args(["--time-budget", "60s"]).output().unwrap();
         assert_eq!(longer.status.code(), Some(2));
+        let said = String::from_utf8_lossy(&longer.stderr);
+        assert!(said.contains("--extend"), "{said}");
     }
     // A flag that says how long the run is wins over the lengths of a file.
     let args = ["--config", settings.to_str().unwrap(), "--iterations", "40"];
     let short = train(&args, &run("short"));
     assert!(short.iterations <= 40 && short.config.last_iterations() <= 40);
+}
+
+/// A job that is queued again after its run has ended ends well, however little of its budget is left.
+#[test]
+fn a_run_whose_budget_is_used_up_is_brought_to_its_end() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let record = train(&["--time-budget", "3s"], &run);
+    let mut saved = checkpoint::read(&run).unwrap();
+    saved.clock.wall_seconds = 4.0;
+    checkpoint::write(&run, &saved).unwrap();
+    let resume = |more: &[&str]| {
+        let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
+        let mut command = program();
+        command.arg("train").arg(&room).arg("--resume").arg(&run);
+        command.args(more).output().unwrap()
+    };
+    let again = resume(&[]);
+    let said = String::from_utf8_lossy(&again.stderr);
+    assert!(again.status.success(), "{said}");
+    assert_eq!(RunRecord::read(&run).unwrap().iterations, record.iterations);
+    for wrong in [["--time-budget", "2s"], ["--budget-cpu", "1s"]] {
+        assert_eq!(resume(&wrong).status.code(), Some(2), "{wrong:?}");
+    }
+}
+
+#[test]
+fn a_finished_run_goes_on_and_its_record_repeats_that_too() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |name: &str| dir.path().join(name);
+    let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
+    let longer = |name: String| {
+        let run = run(&name);
+        assert_eq!(train(&["--iterations", "60"], &run).iterations, 60);
+        let mut command = program();
+        command.arg("train").arg(&room).arg("--resume").arg(&run);
+        let done = command.args(["--extend", "4s"]).output().unwrap();
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert!(done.status.success(), "{said}");
+        let record = RunRecord::read(&run).unwrap();
+        // Other programs may have taken the time that was left for the last iterations.
+        (record.iterations == record.config.last_iterations()).then_some((record, run))
+    };
+    let (whole, place) = (0..5).find_map(|k| longer(format!("run-{k}"))).unwrap();
+    assert!(whole.iterations > 100, "{}", whole.iterations);
+    assert!(whole.config.extended() && !whole.out_of_time);
+    let settings = place.join("run.json");
+    let again = train(&["--config", settings.to_str().unwrap()], &run("again"));
+    assert_eq!(again.config.lengths, whole.config.lengths);
+    let [a, b] = [place, run("again")].map(|r| fs::read(r.join("scene.ply")).unwrap());
+    assert!(a == b, "other bytes");
+}
+
+/// CPU seconds of the process end the run, whatever a clock on the wall says.
+#[test]
+fn a_budget_of_cpu_seconds_gives_a_whole_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let record = train(&["--budget-cpu", "8s"], &run);
+    assert!(!record.config.lengths.is_empty());
+    let used = checkpoint::read(&run).unwrap().clock.all_cpu_seconds;
+    assert!((4.0..9.0).contains(&used), "{used}");
 }
 
 /// Lengths that go up and down.

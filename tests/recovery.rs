@@ -124,6 +124,34 @@ fn killed_at_any_moment_it_ends_with_the_same_bytes() {
     );
 }
 
+/// A requeued job must go on: resumed where there is a folder, begun anew where there is none.
+#[test]
+fn killed_before_its_first_record_it_leaves_no_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let mut begun = 0;
+    for kill in 0..20 {
+        let mut child = train(&room(), &run, false).spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(25 * kill));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        if run.exists() {
+            begun += 1;
+            let mut resumed = train(&room(), &run, true).spawn().unwrap();
+            assert!(recorded(&run).is_some(), "{kill}: an empty folder");
+            if begun == 1 {
+                assert!(resumed.wait().unwrap().success());
+            } else {
+                resumed.kill().unwrap();
+                resumed.wait().unwrap();
+            }
+            fs::remove_dir_all(&run).unwrap();
+        }
+    }
+    let whole = train(&room(), &run, false).status().unwrap();
+    assert!(whole.success() && run.join("scene.ply").exists());
+}
+
 /// The checkpoint of an iteration comes before its density step, whose row is in the table already where a run is killed later.
 #[test]
 fn a_density_step_after_the_checkpoint_has_one_row() {

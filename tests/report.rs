@@ -315,6 +315,7 @@ fn clock_leaves_evaluation_out() {
         train_seconds: 10.0,
         wall_seconds: 20.0,
         cpu_seconds: 30.0,
+        all_cpu_seconds: 40.0,
     };
     let mut clock = Clock::resume_from(earlier);
     let pause = std::time::Duration::from_millis(80);

@@ -145,7 +145,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         .par_iter()
         .map(|v| place(v, &frame, options.max_size, meaning))
         .collect::<Result<_>>()?;
-    let photos = read(files, budget)?;
+    let photos = read(files, budget, options.progress)?;
     let mut views = raw
         .into_iter()
         .zip(cameras)

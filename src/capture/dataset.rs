@@ -139,7 +139,7 @@ impl Dataset {
 }
 
 /// Options of [`crate::capture::load`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy)]
 pub struct LoadOptions {
     /// Photos are shrunk to this length of their longest side, pixels, ≥ 1; never enlarged.
     pub max_size: u32,
@@ -150,6 +150,8 @@ pub struct LoadOptions {
     pub image_budget: Option<u64>,
     /// True if the photos' alpha is a mask and not transparency. With mask files it always is.
     pub alpha_is_mask: bool,
+    /// Called whenever a photo has been read, from any thread, with how many have been and how many there are.
+    pub progress: Option<fn(usize, usize)>,
 }
 
 impl Default for LoadOptions {
@@ -159,6 +161,7 @@ impl Default for LoadOptions {
             test_every: 8,
             image_budget: None,
             alpha_is_mask: false,
+            progress: None,
         }
     }
 }

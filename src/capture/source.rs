@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use rayon::prelude::*;
@@ -306,10 +307,15 @@ impl PhotoFile {
 ///
 /// # Errors
 /// A file that cannot be decoded, or a photo that does not fit into the budget alone.
-pub(super) fn read(mut files: Vec<PhotoFile>, budget: u64) -> Result<Vec<PhotoSource>> {
+pub(super) fn read(
+    mut files: Vec<PhotoFile>,
+    budget: u64,
+    progress: Option<fn(usize, usize)>,
+) -> Result<Vec<PhotoSource>> {
     let may_be = Alpha::common(files.iter().map(|f| f.alpha));
     files.iter_mut().for_each(|f| f.alpha = may_be);
     let fits = files.iter().map(PhotoFile::bytes).sum::<u64>() <= budget;
+    let (all, done) = (files.len(), AtomicUsize::new(0));
     let decoded: Vec<(Alpha, Option<Photo>)> = files
         .par_iter_mut()
         .map(|f| {
@@ -317,6 +323,9 @@ pub(super) fn read(mut files: Vec<PhotoFile>, budget: u64) -> Result<Vec<PhotoSo
             if !fits && f.alpha == Alpha::Mask {
                 let white = || vec![255; photo.data.len() / 3];
                 f.mask_digest = photo.mask_plane().map_or_else(|| digest(&white()), digest);
+            }
+            if let Some(progress) = progress {
+                progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             }
             Ok((photo.alpha, fits.then_some(photo)))
         })

@@ -49,6 +49,25 @@ pub fn span(seconds: f64) -> String {
     }
 }
 
+/// An estimated time, to two digits or so: 40 s, 14 min, 1 h 50 min.
+#[must_use]
+pub fn about(seconds: f64) -> String {
+    if !(seconds.is_finite() && seconds >= 0.0) {
+        return "–".to_owned();
+    }
+    let to = |step: f64| ((seconds / step).round() * step) as u64;
+    match seconds {
+        s if s < 19.5 => format!("{} s", to(1.0)),
+        s if s < 87.5 => format!("{} s", to(5.0)),
+        s if s < 570.0 && !to(30.0).is_multiple_of(60) => format!("{}.5 min", to(30.0) / 60),
+        s if s < 3570.0 => format!("{} min", to(60.0) / 60),
+        _ => {
+            let minutes = to(300.0) / 60;
+            format!("{} h {:02} min", minutes / 60, minutes % 60)
+        }
+    }
+}
+
 /// A number with `decimals` places, a dash if it is not finite.
 #[must_use]
 pub fn fixed(value: f64, decimals: usize) -> String {

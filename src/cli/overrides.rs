@@ -23,7 +23,7 @@ pub struct Overrides(ArgMatches);
 impl Overrides {
     /// Returns true if a flag says how long the run is.
     pub fn set_length(&self) -> bool {
-        ["iterations", "time_budget"]
+        ["iterations", "time_budget", "budget_cpu"]
             .iter()
             .any(|id| self.0.contains_id(id))
     }

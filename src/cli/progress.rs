@@ -1,38 +1,97 @@
 //! Progress bar and summary of `mhsplat train`.
 
+use std::io::IsTerminal;
 use std::path::Path;
+use std::sync::LazyLock;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::cli::common::Common;
 use crate::cli::output;
 use mhsplat::base::error::Result;
+use mhsplat::chart::text::about;
 use mhsplat::run::{FinalRecord, Progress, RunRecord};
 
-/// Returns an empty progress bar.
-pub fn progress_bar() -> ProgressBar {
-    let bar = ProgressBar::new(0);
-    let style = "{bar:24} {pos}/{len} {per_sec} {msg} {eta} left";
-    if let Ok(style) = ProgressStyle::with_template(style) {
-        bar.set_style(style);
+/// Shows how many photos have been read, on a terminal.
+pub fn reading(done: usize, all: usize) {
+    static BAR: LazyLock<ProgressBar> = LazyLock::new(|| {
+        let style = ProgressStyle::with_template("{bar:20} {pos} of {len} photos read");
+        style.map_or_else(
+            |_| ProgressBar::new(0),
+            |s| ProgressBar::new(0).with_style(s),
+        )
+    });
+    BAR.set_length(all as u64);
+    BAR.set_position(done as u64);
+    if done == all {
+        BAR.finish_and_clear();
     }
-    bar
 }
 
-/// Shows the progress of training, and each decision that it takes.
-pub fn show(bar: &ProgressBar, p: &Progress) {
-    if let Some(decided) = &p.decided {
-        bar.suspend(|| output::note(decided));
+/// Display of a run's progress: a bar on a terminal, and a line for each evaluation where stderr goes elsewhere.
+pub struct Display {
+    bar: ProgressBar,
+    terminal: bool,
+    /// PSNR of the last line.
+    shown: Option<f64>,
+}
+
+impl Display {
+    /// An empty one.
+    pub fn new() -> Self {
+        let bar = ProgressBar::new(0);
+        // What does not fit is cut off, not wrapped.
+        if let Ok(style) = ProgressStyle::with_template("{bar:20} {percent}% {wide_msg}") {
+            bar.set_style(style);
+        }
+        Self {
+            bar,
+            terminal: std::io::stderr().is_terminal(),
+            shown: None,
+        }
     }
-    bar.set_length(u64::from(p.iterations));
-    bar.set_position(u64::from(p.iteration));
-    if p.iteration.is_multiple_of(10) {
-        let psnr = p.psnr.map_or_else(String::new, |v| format!("{v:.2} dB, "));
-        bar.set_message(format!(
-            "{psnr}{} Gaussians, {:.0} s,",
-            p.gaussians, p.train_seconds
-        ));
+
+    /// Shows the progress of training, and each decision that it takes.
+    pub fn show(&mut self, p: &Progress) {
+        if let Some(decided) = &p.decided {
+            self.bar.suspend(|| output::note(decided));
+        }
+        if !self.terminal {
+            if p.psnr.is_some() && p.psnr != self.shown {
+                self.shown = p.psnr;
+                output::note(&state(p));
+            }
+            return;
+        }
+        self.bar.set_length(u64::from(p.iterations));
+        self.bar.set_position(u64::from(p.iteration));
+        if p.iteration.is_multiple_of(10) {
+            self.bar.set_message(state(p));
+        }
     }
+
+    /// Ends the display, and leaves the bar where it is.
+    pub fn end(&self) {
+        self.bar.abandon();
+    }
+}
+
+/// Progress in words, the most important first.
+fn state(p: &Progress) -> String {
+    let left = p.left.map(|s| format!("{} left", about(s)));
+    let psnr = p.psnr.map(|v| format!("{v:.2} dB"));
+    let rate = p.rate.map(|v| match v {
+        v if v < 10.0 => format!("{v:.2} it/s"),
+        v => format!("{v:.0} it/s"),
+    });
+    let parts = [
+        Some(format!("{} of {}", p.iteration, p.iterations)),
+        left,
+        psnr,
+        Some(format!("{} Gaussians", p.gaussians)),
+        rate,
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
 /// Prints the result of a run.

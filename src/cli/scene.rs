@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::cli::{common, output};
+use crate::cli::{common, output, progress};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
 use mhsplat::capture::{Dataset, Frame, LoadOptions};
@@ -64,6 +64,7 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
         test_every: config.test_every,
         image_budget: config.image_budget,
         alpha_is_mask: config.alpha_is_mask,
+        progress: Some(progress::reading),
     }
 }
 

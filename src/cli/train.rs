@@ -6,13 +6,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::cli::common::{Common, Outcome, open_tested};
 use crate::cli::overrides::Overrides;
-use crate::cli::progress::{finish, progress_bar, show};
+use crate::cli::progress::{Display, finish};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
-use mhsplat::config::{RUN_CONTROL, TrainConfig, deserialize, from_json};
+use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
+use mhsplat::config::{deserialize, from_json, parse_duration};
 use mhsplat::device::Device;
-use mhsplat::run::{Clock, Run, abandon_folder, claim_folder, saved_config};
+use mhsplat::run::{Clock, Run, claim_folder, saved_config};
+
+/// Keys of a configuration that say how long the run is.
+const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
 
 /// Arguments of `mhsplat train`.
 #[derive(clap::Args)]
@@ -25,9 +29,15 @@ pub struct TrainArgs {
     /// Continue the run in this folder from its checkpoint, with its configuration.
     #[arg(long, value_name = "RUN", conflicts_with_all = ["output", "config"])]
     resume: Option<PathBuf>,
+    /// Give a finished or stopped run so much more time (90s, 10m, 1h30m; CPU seconds if its budget was) than it has had.
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, requires = "resume", conflicts_with_all = ["time_budget", "budget_cpu"])]
+    extend: Option<f64>,
     /// TOML file (or a run's run.json) with the same names; flags win.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Length of the run in a word, unless --iterations or a budget says it [default: standard].
+    #[arg(long, value_enum, conflicts_with_all = ["resume", "iterations", "time_budget", "budget_cpu"])]
+    preset: Option<Preset>,
     #[command(flatten)]
     options: Overrides,
     /// Stop as on Ctrl-C when stdin ends, which a parent process can cause on any system.
@@ -56,11 +66,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     if args.resume.is_none() {
         claim_folder(dir)?;
     }
-    let mut run = prepare(args, dir, config, &device).inspect_err(|_| {
-        if args.resume.is_none() {
-            abandon_folder(dir);
-        }
-    })?;
+    let mut run = prepare(args, dir, config, &device)?;
     output::note(&format!(
         "device: {} ({})",
         device.info().name,
@@ -71,10 +77,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     if record.config.trace_density && args.resume.is_some() && record.funnel.is_empty() {
         output::note("density control is not traced: a trace begins with the run");
     }
-    let planned = run.record().plan.clone();
-    let bar = progress_bar();
-    let driven = run.drive(&stop, |p| show(&bar, p)).map(|_| ());
-    bar.finish();
+    let mut display = Display::new();
+    let driven = run.drive(&stop, |p| display.show(p)).map(|_| ());
+    display.end();
     let stopped = matches!(driven, Err(Error::Interrupted));
     if driven.is_err() {
         note_resume(run.saved(), &args.dataset, dir, stopped);
@@ -84,9 +89,6 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     }
     driven?;
     let record = run.record();
-    if let Some(found) = record.plan.since(&planned) {
-        output::note(&found);
-    }
     finish(record, dir, common)?;
     let psnr = record.final_scores.as_ref().map(|f| f.mean.psnr);
     Ok(Outcome::of(args.require_psnr, psnr))
@@ -121,17 +123,19 @@ fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -
     ));
     scene::note_left_out(&data);
     if args.resume.is_some() {
-        Run::resume(dir, data, config, device, clock)
+        Run::resume(dir, data, config, device, clock, args.extend)
     } else {
         Run::start(dir, data, config, device, clock)
     }
 }
 
-/// Returns a flag that Ctrl-C or SIGTERM sets; a second signal ends the program at once.
+/// Returns a flag that Ctrl-C, SIGTERM or the end of the session (SIGHUP, unless `nohup` ignores it) sets; a second signal ends the
+/// program at once.
 pub fn stop_flag() -> Result<Arc<AtomicBool>> {
-    use signal_hook::consts::{SIGINT, SIGTERM};
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
+    let signals = [SIGINT, SIGTERM, SIGHUP].into_iter();
+    for signal in signals.filter(|signal| *signal != SIGHUP || !ignored(SIGHUP)) {
         let fail = |e| Error::io("signal handler", e);
         signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
             .map_err(fail)?;
@@ -140,20 +144,35 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>> {
     Ok(stop)
 }
 
+/// Returns true if the program was started with a signal ignored.
+fn ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|l| l.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|m| u64::from_str_radix(m.trim(), 16).ok());
+    mask.is_some_and(|m| m >> (signal - 1) & 1 == 1)
+}
+
 /// Returns the defaults, those of a file or those of the run to resume, with the typed flags in their place.
 fn config(args: &TrainArgs) -> Result<TrainConfig> {
-    let mut config = match (&args.resume, &args.config) {
-        (Some(run), _) => saved_config(run)?,
+    let (mut config, mut long) = match (&args.resume, &args.config) {
+        (Some(run), _) => (saved_config(run)?, true),
         (None, Some(file)) => read_config(file)?,
-        (None, None) => TrainConfig::default(),
+        (None, None) => (TrainConfig::default(), false),
     };
     if args.resume.is_none() && args.options.set_length() {
         config.lengths.clear();
+        long = true;
+    }
+    if let Some(preset) = args.preset.or((!long).then_some(Preset::Standard)) {
+        config.iterations = preset.iterations();
+        config.lengths.clear();
+        (config.time_budget, config.budget_cpu) = (None, None);
     }
     args.options.over(config)
 }
 
-fn read_config(file: &Path) -> Result<TrainConfig> {
+/// Returns the configuration of a file, and true if that says how long the run is.
+fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
     let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
     let wrong = |what: String| {
         Error::input(
@@ -165,8 +184,11 @@ fn read_config(file: &Path) -> Result<TrainConfig> {
     if file.extension().is_some_and(|e| e == "json") {
         let value: serde_json::Value = from_json(&text).map_err(wrong)?;
         let inner = value.get("config").cloned().unwrap_or(value);
-        return deserialize(inner).map_err(wrong);
+        let long = LENGTHS.iter().any(|key| inner.get(key).is_some());
+        return Ok((deserialize(inner).map_err(wrong)?, long));
     }
-    let table = toml::Deserializer::parse(&text).map_err(|e| wrong(e.to_string()))?;
-    deserialize(table).map_err(wrong)
+    let parse = |text| toml::Deserializer::parse(text).map_err(|e| wrong(e.to_string()));
+    let table: toml::Table = deserialize(parse(&text)?).map_err(wrong)?;
+    let long = LENGTHS.iter().any(|key| table.contains_key(*key));
+    Ok((deserialize(parse(&text)?).map_err(wrong)?, long))
 }

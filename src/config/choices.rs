@@ -34,6 +34,42 @@ pub enum ExposureChoice {
     Off,
 }
 
+/// Length of a run in a word: its time depends on photos, scene and device, and is told after the first iterations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Preset {
+    /// 1500 iterations: is the capture any good?
+    Draft,
+    /// 7000 iterations.
+    Standard,
+    /// 30,000 iterations, those of the papers.
+    Best,
+}
+
+impl Preset {
+    /// All of them, the shortest first.
+    pub const ALL: [Self; 3] = [Self::Draft, Self::Standard, Self::Best];
+
+    /// Returns the iterations of the run.
+    #[must_use]
+    pub fn iterations(self) -> u32 {
+        match self {
+            Self::Draft => 1500,
+            Self::Standard => 7000,
+            Self::Best => 30_000,
+        }
+    }
+
+    /// Returns its name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Draft => "draft",
+            Self::Standard => "standard",
+            Self::Best => "best",
+        }
+    }
+}
+
 /// Measure of a birth's effect on the loss in the acceptance ratio ρ. The importance is that of \[MH\] Eq. 18–20; the first-order
 /// estimate is not in \[MH\]: σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Sources are drawn
 /// by importance with either.

@@ -22,13 +22,18 @@ pub struct TrainConfig {
     /// Density control.
     #[arg(long, value_enum, default_value_t = Self::default().sampler)]
     pub sampler: Sampler,
-    /// Iterations; every schedule scales with it. With a time budget the most that the run may have.
-    #[arg(long, value_name = "N", default_value_t = Self::default().iterations)]
+    /// Iterations; every schedule scales with it. With a budget the most that the run may have [default: those of the preset; 30000
+    /// with a budget].
+    #[arg(long, value_name = "N", default_value_t = Self::default().iterations, hide_default_value = true)]
     pub iterations: u32,
-    /// Train for this long (90s, 10m, 1h30m): a whole run of as many iterations as fit.
+    /// Take this long (90s, 10m, 1h30m), evaluations and report included: a whole run of as many iterations as fit.
     #[arg(long, value_name = "TIME", value_parser = parse_duration, help_heading = RUN_CONTROL)]
     #[serde(deserialize_with = "time_budget")]
     pub time_budget: Option<f64>,
+    /// The same in CPU seconds of the process, for CPU devices that other programs use, too.
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, conflicts_with = "time_budget", help_heading = RUN_CONTROL)]
+    #[serde(deserialize_with = "time_budget")]
+    pub budget_cpu: Option<f64>,
     /// Stop when N evaluations in a row found the training loss no lower, by 0.1 % at least [default: never].
     #[arg(long, value_name = "N", help_heading = RUN_CONTROL)]
     pub patience: Option<u32>,
@@ -122,6 +127,7 @@ impl Default for TrainConfig {
             sampler: Sampler::Mh,
             iterations: 30_000,
             time_budget: None,
+            budget_cpu: None,
             patience: None,
             max_size: 1600,
             image_budget: None,
@@ -169,14 +175,25 @@ impl TrainConfig {
         check(self.image_budget != Some(0), "--image-budget", what)?;
         let what = "0; at least 1 expected";
         check(self.max_gaussians != Some(0), "--max-gaussians", what)?;
-        let time = self.time_budget.unwrap_or(1.0);
-        let what = format!("{time} s; a positive time expected");
-        check(time.is_finite() && time > 0.0, "--time-budget", &what)?;
+        for (time, option) in [
+            (self.time_budget, "--time-budget"),
+            (self.budget_cpu, "--budget-cpu"),
+        ] {
+            let time = time.unwrap_or(1.0);
+            let what = format!("{time} s; a positive time expected");
+            check(time.is_finite() && time > 0.0, option, &what)?;
+        }
+        let both = self.time_budget.is_some() && self.budget_cpu.is_some();
+        check(
+            !both,
+            "--budget-cpu",
+            "with --time-budget; one of them expected",
+        )?;
         let mut before = (None, self.iterations);
         let good = self.lengths.iter().all(|l| {
             let (from, iterations) = before;
             before = (Some(l.from), l.iterations);
-            from < Some(l.from) && l.from < iterations && l.from < l.iterations
+            from < Some(l.from) && l.from <= iterations && l.from < l.iterations
         });
         let what = "ascending, each from within the length before it and longer than what is done by then, expected";
         check(good, "lengths", what)?;
@@ -194,6 +211,23 @@ impl TrainConfig {
         self.mh.validate()?;
         self.mcmc.validate()?;
         self.adc.validate()
+    }
+
+    /// Returns true if a budget of time decides on the length of the run.
+    #[must_use]
+    pub fn has_budget(&self) -> bool {
+        self.time_budget.or(self.budget_cpu).is_some()
+    }
+
+    /// Returns true if the run went on from its end.
+    #[must_use]
+    pub fn extended(&self) -> bool {
+        let before = [self.iterations].into_iter();
+        let before = before.chain(self.lengths.iter().map(|l| l.iterations));
+        self.lengths
+            .iter()
+            .zip(before)
+            .any(|(l, end)| l.from >= end)
     }
 
     /// Sets the length of the run from an iteration on, in place of one that held from there or later.

@@ -54,6 +54,9 @@ struct Header {
     sh_degree: u32,
     config: TrainConfig,
     clock: [f64; 3],
+    /// Absent in earlier versions.
+    #[serde(default)]
+    all_cpu_seconds: f64,
     stats: DensityStats,
     non_finite: u64,
     learned: Learned,
@@ -106,6 +109,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
+        all_cpu_seconds: clock.all_cpu_seconds,
         stats: state.stats,
         non_finite: state.non_finite,
         learned: state.learned,
@@ -240,6 +244,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             train_seconds,
             wall_seconds,
             cpu_seconds,
+            all_cpu_seconds: header.all_cpu_seconds,
         },
         dataset: header.dataset,
         tuning: header.tuning,

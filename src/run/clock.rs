@@ -1,6 +1,6 @@
-//! The three clocks of a run, and the process figures of `/proc`.
+//! The clocks of a run, and the process figures of `/proc`.
 //!
-//! All three start together. `wall` runs on; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
+//! All start together. `wall` and `all_cpu` run on; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
 //! kernels, so that both cover the same span. On shared machines `cpu` is the one to compare by.
 
 use std::time::Instant;
@@ -58,6 +58,8 @@ pub struct Reading {
     pub wall_seconds: f64,
     /// CPU time of the process over the span of `train_seconds`; 0 if the system does not report it.
     pub cpu_seconds: f64,
+    /// CPU time of the process since the start; 0 as before.
+    pub all_cpu_seconds: f64,
 }
 
 /// Beginning of the running span: the moment, and the CPU seconds of the process then.
@@ -70,8 +72,8 @@ fn now() -> Mark {
 /// The clocks of a run. Start it when the dataset's images begin to be read: loading counts.
 #[derive(Debug, Clone)]
 pub struct Clock {
-    start: Instant,
-    /// Spans that have ended; of `wall_seconds` those of earlier sessions.
+    start: Mark,
+    /// Spans that have ended; of `wall_seconds` and `all_cpu_seconds` those of earlier sessions.
     before: Reading,
     running: Option<Mark>,
 }
@@ -88,7 +90,7 @@ impl Clock {
     pub fn resume_from(earlier: Reading) -> Self {
         let mark = now();
         Self {
-            start: mark.0,
+            start: mark,
             before: earlier,
             running: Some(mark),
         }
@@ -120,13 +122,26 @@ impl Clock {
         self.before.cpu_seconds + self.running.map_or(0.0, span)
     }
 
-    /// All three clocks.
+    /// Seconds since the start.
+    #[must_use]
+    pub fn wall_seconds(&self) -> f64 {
+        self.before.wall_seconds + self.start.0.elapsed().as_secs_f64()
+    }
+
+    /// CPU seconds of the process since the start; 0 if the system does not report it.
+    #[must_use]
+    pub fn all_cpu_seconds(&self) -> f64 {
+        self.before.all_cpu_seconds + (process_cpu_seconds() - self.start.1).max(0.0)
+    }
+
+    /// All clocks.
     #[must_use]
     pub fn reading(&self) -> Reading {
         Reading {
             train_seconds: self.train_seconds(),
-            wall_seconds: self.before.wall_seconds + self.start.elapsed().as_secs_f64(),
+            wall_seconds: self.wall_seconds(),
             cpu_seconds: self.cpu_seconds(),
+            all_cpu_seconds: self.all_cpu_seconds(),
         }
     }
 }

@@ -1,29 +1,27 @@
 //! [`Run`]: one training run and its folder. Evaluations, exports, checkpoints, records and the report.
 
-use std::borrow::Cow;
-use std::path::{Path, PathBuf};
+use std::fmt::Write;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::base::error::{Error, Result};
-use crate::capture::{Dataset, Frame};
-use crate::config::{Length, TrainConfig};
-use crate::device::{Defines, Device};
+use crate::capture::Frame;
+use crate::chart::text::about;
+use crate::config::{Preset, TrainConfig};
 use crate::evaluate::Evaluator;
-use crate::pipeline::buffers::ViewSet;
-use crate::pipeline::photos::Photos;
-use crate::run::budget::{Pace, begin, go_on};
+use crate::run::budget::{Budget, Pace};
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{self, Clock};
 use crate::run::density_trace::{TRACE_FILE, funnel, write_trace};
+use crate::run::forecast::Forecast;
 use crate::run::patience;
-use crate::run::record::{FinalRecord, PlanRecord, RECORD_FILE, RunRecord, StageRecord};
+use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
 use crate::run::report::gallery::{GalleryItem, error_map};
 use crate::run::report::page::write_report;
-use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::{Gaussians, ply};
-use crate::train::{DensityEvent, Event, Next, Plan, Trainer};
+use crate::train::{DensityEvent, Event, Trainer};
 
 /// Held-out views shown in the report.
 const GALLERY_VIEWS: usize = 6;
@@ -41,207 +39,42 @@ pub struct Progress {
     pub psnr: Option<f64>,
     /// Seconds of training so far.
     pub train_seconds: f64,
+    /// Iterations per second since the start or the resumption; `None` before the first.
+    pub rate: Option<f64>,
+    /// Seconds to the end, evaluations and all; `None` before the first iterations have told.
+    pub left: Option<f64>,
     /// Decision that training has just taken, spelt out.
     pub decided: Option<String>,
 }
 
-/// State that a run begins with.
-struct From {
-    plan: Plan,
-    /// Lengths that the run is to have later, those of the run that it repeats.
-    to_come: Vec<Length>,
-    /// Checkpoint to go on from.
-    saved: Option<Checkpoint>,
-}
-
 /// A run under way.
 pub struct Run {
-    dir: PathBuf,
+    pub(super) dir: PathBuf,
     /// Position of the local frame in the dataset's own.
-    frame: Frame,
-    config: TrainConfig,
-    trainer: Trainer,
-    evaluator: Option<Evaluator>,
-    record: RunRecord,
+    pub(super) frame: Frame,
+    pub(super) config: TrainConfig,
+    pub(super) trainer: Trainer,
+    pub(super) evaluator: Option<Evaluator>,
+    pub(super) record: RunRecord,
     /// Training losses at the evaluations, as far as they are numbers.
-    losses: Vec<f64>,
-    clock: Clock,
-    metrics: MetricsWriter,
-    density: DensityWriter,
+    pub(super) losses: Vec<f64>,
+    pub(super) clock: Clock,
+    pub(super) metrics: MetricsWriter,
+    pub(super) density: DensityWriter,
     /// Seconds per stage of the sessions before this one.
-    stages: Vec<StageRecord>,
-    psnr: Option<f64>,
+    pub(super) stages: Vec<StageRecord>,
+    pub(super) psnr: Option<f64>,
     /// Iterations of the last row of metrics.csv.
-    evaluated: Option<u32>,
+    pub(super) evaluated: Option<u32>,
     /// Iterations of the checkpoint in the folder.
-    saved: Option<u32>,
-    pace: Pace,
+    pub(super) saved: Option<u32>,
+    pub(super) pace: Pace,
+    pub(super) forecast: Forecast,
+    /// Iterations and seconds of training when this session began.
+    pub(super) began: (u32, f64),
 }
 
 impl Run {
-    /// A new run in an empty folder (see [`crate::run::claim_folder`]).
-    ///
-    /// # Errors
-    /// A folder that cannot be written, or as [`Trainer::new`].
-    pub fn start(
-        dir: &Path,
-        dataset: Dataset,
-        config: TrainConfig,
-        device: &Device,
-        clock: Clock,
-    ) -> Result<Self> {
-        config.validate()?;
-        let (config, to_come) = begin(config);
-        let plan = Plan::new(&dataset, &config)?;
-        let from = From {
-            plan,
-            to_come,
-            saved: None,
-        };
-        Self::open(dir, dataset, from, device, clock)
-    }
-
-    /// Continues the run in `dir` from its checkpoint, or begins it again where it was killed before the first one. `config` is
-    /// that of [`crate::run::saved_config`], but for what may change on the way:
-    /// the budgets for time and photos, and how often to evaluate, export and save.
-    ///
-    /// # Errors
-    /// A damaged checkpoint, none in a folder of a run that came to its end, another dataset, a time budget or a patience that is used up, or as [`Trainer::new`].
-    pub fn resume(
-        dir: &Path,
-        dataset: Dataset,
-        config: TrainConfig,
-        device: &Device,
-        clock: Clock,
-    ) -> Result<Self> {
-        crate::base::files::sweep(dir);
-        crate::base::files::sweep(&dir.join("checkpoint"));
-        if !start::has_checkpoint(dir)? {
-            start::check_unfinished(dir, &dataset)?;
-            let mut config = config;
-            if config.time_budget.is_some() {
-                // Not to be repeated: the clock begins anew, too.
-                config.lengths.clear();
-            }
-            return Self::start(dir, dataset, config, device, clock);
-        }
-        let saved = checkpoint::read(dir)?;
-        if saved.dataset != dataset.fingerprint() {
-            return Err(Error::input(
-                &dataset.path,
-                dataset.not_that_of(dir),
-                "give the dataset of that run, or start anew with -o",
-            ));
-        }
-        let used = saved.clock.train_seconds;
-        if config.time_budget.is_some_and(|budget| used >= budget) {
-            return Err(Error::config(
-                "--time-budget",
-                format!("{used:.0} s of training are done already; give a larger one"),
-            ));
-        }
-        let ended = saved.state.iteration >= saved.config.last_iterations();
-        if ended && config.time_budget != saved.config.time_budget {
-            return Err(Error::config(
-                "--time-budget",
-                "the run has come to its end already, and none goes on from there; start anew with -o",
-            ));
-        }
-        if let Some(fault) = saved.tuning.fault(device.info()) {
-            return Err(Error::input(
-                checkpoint::path(dir),
-                format!("its kernels cannot be built for this device ({fault})"),
-                "resume on the device it was trained on, with --device",
-            ));
-        }
-        // Another tuning would add in another order: the run goes on as it began.
-        let device = device.clone().with_tuning(saved.tuning);
-        let smoothed = !saved.state.rows.filter.is_empty();
-        config.validate()?;
-        let (config, to_come) = go_on(config, saved.state.iteration);
-        let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, saved.state.halvings);
-        let from = From {
-            plan,
-            to_come,
-            saved: Some(saved),
-        };
-        Self::open(dir, dataset, from, &device, clock)
-    }
-
-    /// Begins the run, or goes on from its checkpoint. The photos move to the device one by one, so that nobody holds their pixels on
-    /// the host from then on.
-    fn open(
-        dir: &Path,
-        dataset: Dataset,
-        from: From,
-        device: &Device,
-        clock: Clock,
-    ) -> Result<Self> {
-        let From {
-            plan,
-            to_come,
-            saved,
-        } = from;
-        let mut record = start::record(&dataset, &plan, device);
-        record.config.lengths.extend(&to_come);
-        if saved.is_some() && dir.join(RECORD_FILE).exists() {
-            // A finished run keeps what its trace has shown.
-            record.funnel = RunRecord::read(dir)?.funnel;
-        }
-        let frame = dataset.frame;
-        let splats = match &saved {
-            Some(saved) => Cow::Borrowed(&saved.state.splats),
-            None => Cow::Owned(start::initial_gaussians(&dataset, &plan)?),
-        };
-        let photos = Photos::new(device, dataset.image_budget);
-        let train = ViewSet::new(&photos, dataset.train)?;
-        let test = ViewSet::new(&photos, dataset.test)?;
-        let mut trainer = Trainer::with_views(train, &plan, &splats)?;
-        let defines = Defines::new(device.tuning());
-        let evaluator = (!test.is_empty()).then(|| Evaluator::new(device, defines, test));
-        let evaluator = evaluator.transpose()?;
-        let [metrics, density] = [METRICS_FILE, DENSITY_FILE].map(|name| dir.join(name));
-        let mut rows = Vec::new();
-        if let Some(Checkpoint { state, .. }) = &saved {
-            trainer.restore(state)?;
-            rows = read_rows::<MetricsRow>(&metrics)?;
-            rows.retain(|row| row.iteration <= state.iteration);
-        } else {
-            // The record first: a folder with one can be gone on with.
-            record.write(dir)?;
-        }
-        let losses = patience::losses(&rows, trainer.full_size_from());
-        patience::check(&plan.config, &losses)?;
-        let done = saved.as_ref().map(|saved| saved.state.iteration);
-        // The row of a density step that the checkpoint comes before is written again.
-        let stepped = saved.as_ref().map(|saved| match saved.state.next {
-            Next::Pause | Next::Density => saved.state.iteration.saturating_sub(1),
-            _ => saved.state.iteration,
-        });
-        let mut run = Self {
-            dir: dir.to_path_buf(),
-            frame,
-            pace: Pace::new(&trainer, to_come),
-            config: plan.config,
-            trainer,
-            evaluator,
-            record,
-            losses,
-            metrics: MetricsWriter::open(metrics, done)?,
-            density: DensityWriter::open(density, stepped)?,
-            clock: match &saved {
-                Some(saved) => Clock::resume_from(saved.clock),
-                None => clock,
-            },
-            stages: saved.map_or_else(Vec::new, |saved| saved.stages),
-            psnr: None,
-            evaluated: rows.last().map(|row| row.iteration),
-            saved: done,
-        };
-        run.write_record()?;
-        Ok(run)
-    }
-
     /// Trains until the iterations or the time are used up, or `stop` is set; leaves the run folder complete.
     ///
     /// # Errors
@@ -270,8 +103,20 @@ impl Run {
     fn train(&mut self, stop: &AtomicBool, mut progress: impl FnMut(&Progress)) -> Result<()> {
         loop {
             let done = self.trainer.iteration();
-            if self.trainer.rested() && self.trainer.schedule().may_change(done) {
-                self.plan_length(done, &mut progress)?;
+            if self.trainer.rested() {
+                let (training, all) = self.spent();
+                let told = self.forecast.measured() > 0;
+                self.forecast.iterated(done, self.iterations(), training);
+                if !told
+                    && self.pace.budget().is_none()
+                    && let Some(left) = self.left()
+                {
+                    let what = self.expected(left);
+                    progress(&self.progress(Some(what)));
+                }
+                if self.trainer.schedule().may_change(done) {
+                    self.plan_length(done, all, &mut progress)?;
+                }
             }
             if self.trainer.rested() && done < self.iterations() {
                 if done > 0 && self.trainer.recovered() && (self.out_of_time() || self.stalled()) {
@@ -283,7 +128,11 @@ impl Run {
                 }
             }
             match self.trainer.advance()? {
-                Event::Finished => break,
+                Event::Finished => match self.pace.beyond(done) {
+                    // The run that is repeated went on from its end.
+                    Some(length) => self.set_length(length)?,
+                    None => break,
+                },
                 Event::Iteration { .. } => progress(&self.progress(None)),
                 Event::Decided(decision) => progress(&self.progress(Some(decision.to_string()))),
                 Event::Density(event) => self.log_density(&event)?,
@@ -297,8 +146,11 @@ impl Run {
                 Event::Compiled => self.clock.resume(),
             }
         }
-        if self.trainer.iteration() < self.iterations() && self.stalled() {
-            self.record.stalled = self.config.patience;
+        if self.trainer.iteration() < self.iterations() {
+            match self.stalled() {
+                true => self.record.stalled = self.config.patience,
+                false => self.record.out_of_time = true,
+            }
         }
         self.trainer.finish()?;
         self.evaluate(true)?;
@@ -313,23 +165,33 @@ impl Run {
     }
 
     /// Sets another length of the run where the time budget asks for it, or the run that is repeated had it.
-    fn plan_length(&mut self, done: u32, progress: &mut impl FnMut(&Progress)) -> Result<()> {
-        let (length, used) = (self.iterations(), self.clock.train_seconds());
+    fn plan_length(
+        &mut self,
+        done: u32,
+        spent: f64,
+        progress: &mut impl FnMut(&Progress),
+    ) -> Result<()> {
+        let length = self.iterations();
         if done >= length {
             // A run that has come to its end stays there.
             return Ok(());
         }
-        let Some(length) = self.pace.length(done, length, used) else {
+        let Some(length) = self.pace.length(done, length, &self.forecast, spent) else {
             return Ok(());
         };
-        self.trainer.set_length(length)?;
-        let lengths = &self.trainer.plan().config.lengths;
-        let first = lengths.len() == 1;
-        self.record.config.lengths = [lengths.clone(), self.pace.to_come()].concat();
-        if first && self.record.config.time_budget.is_some() {
+        self.set_length(length)?;
+        let first = self.trainer.plan().config.lengths.len() == 1;
+        if first && self.pace.budget().is_some() {
             let what = format!("about {length} iterations fit into the time budget");
             progress(&self.progress(Some(what)));
         }
+        Ok(())
+    }
+
+    fn set_length(&mut self, length: u32) -> Result<()> {
+        self.trainer.set_length(length)?;
+        let lengths = &self.trainer.plan().config.lengths;
+        self.record.config.lengths = [lengths.clone(), self.pace.to_come()].concat();
         Ok(())
     }
 
@@ -353,8 +215,53 @@ impl Run {
             gaussians: self.trainer.gaussians(),
             psnr: self.psnr,
             train_seconds: self.clock.train_seconds(),
+            rate: self.rate(),
+            left: self.left(),
             decided,
         }
+    }
+
+    /// Iterations per second since the start or the resumption.
+    fn rate(&self) -> Option<f64> {
+        let done = self.trainer.iteration().checked_sub(self.began.0)?;
+        let seconds = self.clock.train_seconds() - self.began.1;
+        (done > 0 && seconds > 0.0).then(|| f64::from(done) / seconds)
+    }
+
+    /// Seconds to the end of the run by the wall's clock.
+    fn left(&self) -> Option<f64> {
+        let left = self
+            .forecast
+            .left(self.trainer.iteration(), self.iterations())?;
+        let Some(budget) = self.pace.budget() else {
+            return Some(left);
+        };
+        let (_, spent) = self.spent();
+        // CPU seconds pass as quickly as they have so far.
+        let pace = match budget.cpu {
+            true => self.clock.wall_seconds() / spent.max(1e-9),
+            false => 1.0,
+        };
+        Some(left.min(budget.seconds - spent).max(0.0) * pace)
+    }
+
+    /// The time that the run is expected to take yet, and that of the presets beside it.
+    fn expected(&self, left: f64) -> String {
+        let iterations = self.iterations();
+        let mut text = format!("{iterations} iterations: about {} left", about(left));
+        let others = Preset::ALL.iter().filter(|p| p.iterations() != iterations);
+        let times = others.filter_map(|p| {
+            let whole = self.forecast.left(0, p.iterations())?;
+            Some(format!("{} {}", p.name(), about(whole)))
+        });
+        let times: Vec<String> = times.collect();
+        let _ = write!(text, " (on this device --preset {})", times.join(", "));
+        text
+    }
+
+    /// Seconds of training and of everything, on the clock that the run goes by.
+    fn spent(&self) -> (f64, f64) {
+        Budget::spent(self.pace.budget(), &self.clock)
     }
 
     /// Evaluates, saves and exports, each if it is due.
@@ -366,10 +273,17 @@ impl Run {
             self.config.export_every,
         ]
         .map(due);
-        if evaluate && self.evaluated != Some(done) {
+        let (_, spent) = self.spent();
+        if evaluate && self.evaluated != Some(done) && self.forecast.affords_evaluation(spent) {
             self.evaluate(false)?;
+            self.forecast.evaluated(self.spent().1 - spent);
         }
-        self.save(save, export)
+        let (_, spent) = self.spent();
+        self.save(save, export)?;
+        if save {
+            self.forecast.saved(self.spent().1 - spent);
+        }
+        Ok(())
     }
 
     fn log_density(&mut self, event: &DensityEvent) -> Result<()> {
@@ -387,9 +301,10 @@ impl Run {
     }
 
     fn out_of_time(&self) -> bool {
-        self.config
-            .time_budget
-            .is_some_and(|t| self.clock.train_seconds() >= t)
+        let (_, spent) = self.spent();
+        let end = self.forecast.end().unwrap_or(0.0);
+        let budget = self.pace.budget();
+        budget.is_some_and(|budget| spent + end >= budget.seconds)
     }
 
     /// The record as it was last written.
@@ -457,7 +372,7 @@ impl Run {
         Ok(FinalRecord::of(scores))
     }
 
-    fn write_record(&mut self) -> Result<()> {
+    pub(super) fn write_record(&mut self) -> Result<()> {
         let now = self.clock.reading();
         let stages = self.stage_times();
         let r = &mut self.record;

@@ -18,6 +18,8 @@ pub mod checkpoint;
 pub mod clock;
 pub mod density_trace;
 mod drive;
+mod forecast;
+mod open;
 mod patience;
 pub mod record;
 pub mod report;

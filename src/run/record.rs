@@ -98,20 +98,6 @@ impl PlanRecord {
         record
     }
 
-    /// One line on everything that is new since an earlier record; `None` if nothing is.
-    #[must_use]
-    pub fn since(&self, earlier: &Self) -> Option<String> {
-        let new = |label: &str, items: &[Item], old: &[Item]| {
-            let fresh = items.iter().filter(|i| !old.contains(i));
-            let fresh: Vec<_> = fresh.map(|i| format!("{}: {}", i.what, i.why)).collect();
-            (!fresh.is_empty()).then(|| format!("{label}: {}", fresh.join("; ")))
-        };
-        let kept = new("kept", &self.kept, &earlier.kept);
-        let out = new("left out", &self.left_out, &earlier.left_out);
-        let lines: Vec<String> = kept.into_iter().chain(out).collect();
-        (!lines.is_empty()).then(|| format!("found in training: {}", lines.join("; ")))
-    }
-
     /// One line for the terminal.
     #[must_use]
     pub fn summary(&self) -> String {
@@ -188,6 +174,9 @@ pub struct RunRecord {
     /// Evaluations without a lower training loss that ended the run; absent if it ended otherwise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stalled: Option<u32>,
+    /// True if the time budget ended the run before its planned end.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub out_of_time: bool,
     /// Kept and left-out work, with reasons.
     pub plan: PlanRecord,
     /// Iterations done.
@@ -253,9 +242,10 @@ impl RunRecord {
         let numerics = |what: String| Error::numerics(RECORD_FILE, what);
         let scores = self.final_scores.iter();
         let scores = scores.flat_map(|f| f.per_view.iter().map(|v| &v.scores).chain([&f.mean]));
-        let mut numbers = scores
-            .flat_map(Scores::named)
-            .chain([("time-budget", self.config.time_budget)]);
+        let mut numbers = scores.flat_map(Scores::named).chain([
+            ("time-budget", self.config.time_budget),
+            ("budget-cpu", self.config.budget_cpu),
+        ]);
         let bad = numbers.find_map(|(name, v)| Some((name, v.filter(|v| !v.is_finite())?)));
         if let Some((name, value)) = bad {
             return Err(numerics(format!("{name} is {value}")));

@@ -1,6 +1,7 @@
 //! Start of a run: its folder, the first Gaussians and the record.
 
-use std::path::Path;
+use std::ffi::{OsStr, OsString};
+use std::path::{Path, PathBuf};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Camera, Dataset};
@@ -152,29 +153,71 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
     )
 }
 
-/// Makes the run folder; refuses one that exists.
+/// Makes sure that a run folder can be made later: nothing but an empty folder has its name, and files can be written beside it.
 ///
 /// # Errors
-/// An existing folder, or one that cannot be made.
+/// A folder that holds anything, a file, or a place that cannot be written.
 pub fn claim_folder(dir: &Path) -> Result<()> {
-    if dir.exists() {
-        return Err(Error::input(
-            dir,
-            "exists already; a run never overwrites anything",
-            "choose another folder with -o, or continue it with --resume",
-        ));
-    }
-    std::fs::create_dir_all(dir).map_err(|e| {
-        Error::input(
-            dir,
-            format!("cannot be made: {e}"),
-            "choose a folder that can be written with -o",
-        )
+    check_free(dir)?;
+    let begun = begun(dir);
+    std::fs::create_dir_all(&begun)
+        .and_then(|()| std::fs::remove_dir(&begun))
+        .map_err(|error| cannot_be_made(dir, &error))
+}
+
+/// Makes the run folder and its record at once: a run that is killed leaves none, or one that can be gone on with. Of two
+/// runs that make one folder the second is refused.
+///
+/// # Errors
+/// Those of [`claim_folder`].
+pub(super) fn make_folder(dir: &Path, record: &RunRecord) -> Result<()> {
+    check_free(dir)?;
+    let begun = begun(dir);
+    let made = std::fs::create_dir_all(&begun)
+        .map_err(|error| cannot_be_made(dir, &error))
+        .and_then(|()| record.write(&begun))
+        .and_then(|()| {
+            let renamed = std::fs::rename(&begun, dir);
+            renamed.map_err(|error| check_free(dir).err().unwrap_or(cannot_be_made(dir, &error)))
+        });
+    made.inspect_err(|_| {
+        let _ = std::fs::remove_dir_all(&begun);
     })
 }
 
-/// Removes a folder that [`claim_folder`] made for a run that could not begin: what such a run writes first, and nothing
-/// that anyone else may have put there.
+/// The name of a run folder until its record is written.
+fn begun(dir: &Path) -> PathBuf {
+    let mut name = OsString::from(".");
+    name.push(dir.file_name().unwrap_or(OsStr::new("run")));
+    name.push(format!(".{}.mhsplat-tmp", std::process::id()));
+    dir.with_file_name(name)
+}
+
+fn check_free(dir: &Path) -> Result<()> {
+    let free = match std::fs::read_dir(dir) {
+        Ok(mut entries) => entries.next().is_none(),
+        Err(error) => error.kind() == std::io::ErrorKind::NotFound,
+    };
+    if free {
+        return Ok(());
+    }
+    Err(Error::input(
+        dir,
+        "exists already; a run never overwrites anything",
+        "choose another folder with -o, or continue it with --resume",
+    ))
+}
+
+fn cannot_be_made(dir: &Path, error: &std::io::Error) -> Error {
+    Error::input(
+        dir,
+        format!("cannot be made: {error}"),
+        "choose a folder that can be written with -o",
+    )
+}
+
+/// Removes the folder of a run that could not begin: what such a run writes first, and nothing that anyone else may have put
+/// there.
 pub fn abandon_folder(dir: &Path) {
     let saved = dir.join("checkpoint");
     for folder in [dir, &saved] {

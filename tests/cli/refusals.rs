@@ -146,6 +146,54 @@ fn an_existing_run_is_never_touched() {
     assert_eq!(fs::read_dir(&run).unwrap().count(), 1);
 }
 
+/// What a job before it made, or the user.
+#[test]
+fn an_empty_run_folder_is_used() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    fs::create_dir(&run).unwrap();
+    let output = mhsplat(&[
+        "train",
+        &room(),
+        "-o",
+        text(&run),
+        "--max-size",
+        "32",
+        "--iterations",
+        "2",
+    ]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(run.join("run.json").exists());
+    assert_eq!(
+        fs::read_dir(dir.path()).unwrap().count(),
+        1,
+        "nothing beside it"
+    );
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn lost_output_is_a_failure() {
+    let full = || {
+        fs::OpenOptions::new()
+            .write(true)
+            .open("/dev/full")
+            .unwrap()
+    };
+    let mut devices = super::program();
+    let lost = devices
+        .args(["devices", "--json"])
+        .stdout(full())
+        .output()
+        .unwrap();
+    assert_eq!(lost.status.code(), Some(2));
+    assert!(
+        stderr(&lost).contains("standard output"),
+        "{}",
+        stderr(&lost)
+    );
+}
+
 #[test]
 fn an_output_that_cannot_be_written() {
     let dir = tempfile::tempdir().unwrap();

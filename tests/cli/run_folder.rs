@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use super::{done, mhsplat, program, room, stderr, text};
 use mhsplat::lab::synth::SynthLayout;
+use mhsplat::run::{DensityRow, read_rows};
 
 fn json(text: &str) -> Value {
     serde_json::from_str(text).unwrap()
@@ -83,6 +84,7 @@ fn nonsense_is_refused(run: &Path, dir: &Path) {
         assert!(!nowhere.exists());
     }
     refused(&["eval", text(run), &room, "--require-psnr", "nan"], "nan");
+    refused(&["eval", text(run), &room, "--near", "0"], "above 0");
     let before = fs::read(run.join("scene.ply")).unwrap();
     let other = super::scratch_dataset(dir, SynthLayout::Colmap);
     refused(&["train", text(&other), "--resume", text(run)], "not those");
@@ -116,6 +118,25 @@ fn no_more_gaussians_than_allowed() {
     assert!(stderr(&output).contains("--max-gaussians"));
 }
 
+/// Births wait until what points show is in place; of a random start nothing is.
+#[test]
+fn a_random_start_has_births_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = |start: &str| {
+        let (room, run) = (room(), dir.path().join(start));
+        let args = ["train", &room, "-o", text(&run), "--init", start];
+        done(&[&args[..], &["--max-size", "64", "--iterations", "450"]].concat());
+        let rows = read_rows::<DensityRow>(run.join("density.csv")).unwrap();
+        rows.iter()
+            .map(|row| row.stats.proposed > 0)
+            .collect::<Vec<_>>()
+    };
+    let (placed, random) = (steps("points"), steps("random"));
+    assert_eq!(placed.len(), random.len());
+    assert!(!placed[0] && random[0], "{placed:?} {random:?}");
+    assert!(placed[2] && random[2], "{placed:?} {random:?}");
+}
+
 fn evaluated_alike(run: &Path, record: &Value) {
     let scores = json(&done(&["eval", text(run), &room(), "--json"]));
     for key in ["psnr", "ssim", "flip"] {
@@ -124,6 +145,24 @@ fn evaluated_alike(run: &Path, record: &Value) {
         // The scene went through the dataset's frame and back: f32 rounding of positions and scales.
         assert!(difference < 1e-3, "{key}: {a} against {b}");
     }
+    let psnr = |more: &[&str]| {
+        let room = room();
+        let args = [&["eval", text(run), &room, "--json"], more].concat();
+        json(&done(&args))["psnr"].as_f64().unwrap()
+    };
+    // Viewers with other near planes show the same, on the training views, too; one beyond the scene shows nothing.
+    for views in [&[][..], &["--training-views"]] {
+        let own = psnr(views);
+        for near in ["0.01", "0.2"] {
+            let other = psnr(&[views, &["--near", near]].concat());
+            assert!(
+                (own - other).abs() < 0.05,
+                "{views:?} {near}: {own} {other}"
+            );
+        }
+    }
+    assert!(psnr(&["--training-views"]) != psnr(&[]));
+    assert!(psnr(&["--near", "1000"]) < 12.0);
     let missed = mhsplat(&["eval", text(run), &room(), "--require-psnr", "99"]);
     assert_eq!(missed.status.code(), Some(1));
     let met = mhsplat(&["eval", text(run), &room(), "--require-psnr", "1"]);
@@ -257,8 +296,17 @@ fn ctrl_c_leaves_a_checkpoint_that_resumes_to_the_same_scene() {
         assert!(child.try_wait().unwrap().is_none(), "ended too early");
         std::thread::sleep(Duration::from_millis(20));
     }
+    // The end of an ssh session, unless these tests run under nohup.
+    let status = fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+    let caught = status.lines().find_map(|l| l.strip_prefix("SigCgt:"));
+    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    let signal = if caught.is_some_and(|mask| mask & 1 == 1) {
+        "-HUP"
+    } else {
+        "-INT"
+    };
     let killed = std::process::Command::new("kill")
-        .args(["-INT", &child.id().to_string()])
+        .args([signal, &child.id().to_string()])
         .status()
         .unwrap();
     assert!(killed.success());

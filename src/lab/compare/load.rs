@@ -183,10 +183,9 @@ fn facts(record: &RunRecord) -> Vec<Fact> {
 /// Returns true if a run came to its end: by its iterations, its time budget or its patience.
 #[must_use]
 pub fn finished(record: &RunRecord) -> bool {
-    let out_of_time = |budget: f64| record.train_seconds >= budget;
     record.iterations >= record.config.last_iterations()
         || record.stalled.is_some()
-        || record.config.time_budget.is_some_and(out_of_time)
+        || record.out_of_time
 }
 
 /// Reads a run and adds its caveats to `warnings`; `None` for one without any evaluation yet.

@@ -96,7 +96,7 @@ pub fn data_uri(name: &str, rgb: &[u8], width: u32, height: u32) -> Result<Strin
         })?;
     let image = reduce(image);
     let mut png = Vec::new();
-    PngEncoder::new_with_quality(&mut png, CompressionType::Best, FilterType::Adaptive)
+    PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::Adaptive)
         .write_image(
             image.as_raw(),
             image.width(),

@@ -85,7 +85,7 @@ fn changed(config: &TrainConfig) -> Vec<(String, String)> {
 /// Every option with its dotted name, sorted by name; not the lengths that a time budget decided.
 pub(crate) fn flatten(config: &TrainConfig) -> Vec<(String, String)> {
     let mut config = config.clone();
-    if config.time_budget.is_some() {
+    if config.has_budget() {
         config.lengths.clear();
     }
     // By way of text, which spells an f32 as it was typed (0.2); serde_json's own values widen it.
@@ -125,7 +125,7 @@ fn command(record: &RunRecord, run_dir: &Path) -> String {
     }
     for (name, value) in flags {
         // Typed, they would win over the lengths that the record repeats.
-        if repeats && ["iterations", "time-budget", "lengths"].contains(&&*name) {
+        if repeats && ["iterations", "time-budget", "budget-cpu", "lengths"].contains(&&*name) {
             continue;
         }
         let _ = match value.as_str() {

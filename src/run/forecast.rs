@@ -1,0 +1,268 @@
+//! [`Forecast`]: the time that a run still takes, from that of its iterations so far.
+
+use crate::config::Sampler;
+use crate::evaluate::Evaluator;
+use crate::train::Trainer;
+
+/// Iterations before the first measurement.
+const FIRST: u32 = 20;
+
+/// The cost of an iteration is measured so many times in a run, evenly spread.
+const MEASUREMENTS: u32 = 50;
+
+/// Cost of an iteration of photos at full size over its largest one, at the middle of each tenth of the run: it grows with the
+/// births and falls with the deaths. Means of seven datasets (plush, fox, lego, tankard, toys, outdoor, south-half; 240 px, 3000
+/// iterations, CPU), which differ by up to a quarter from each other. What a run differs by from it is corrected on the way.
+const COST: [f64; 10] = [0.75, 0.83, 0.96, 1.0, 0.95, 0.85, 0.75, 0.72, 0.74, 0.8];
+
+/// The same of the strategies without deaths by turnover.
+const STEADY: [f64; 10] = [0.75, 0.8, 0.84, 0.86, 0.88, 0.88, 0.9, 0.9, 0.9, 0.95];
+
+/// Cost of an iteration at half and at a quarter of the photos' size over one at full size, of the same datasets (0.42 to 0.59 and
+/// 0.3 to 0.48).
+const SMALLER: [f64; 2] = [0.5, 0.42];
+
+/// Cost of showing a view at the end, to find the Gaussians that none shows, and of scoring one, over that of an iteration then.
+const SEEN: f64 = 0.15;
+const SCORED: f64 = 0.4;
+
+/// Seconds of FLIP per pixel, of the report's pictures per pixel of at most so many views of at most so many pixels, and of the
+/// files (plush at 640 px, two cores, AVX2).
+const FLIP: f64 = 1.1e-6;
+const PICTURES: f64 = 1e-6;
+const LARGEST_PICTURES: (u64, u64) = (6, 410_000);
+const FILES: f64 = 0.1;
+
+/// Share of a run's time that evaluations on the way take at most where a budget plans them.
+const EVALUATIONS: f64 = 0.05;
+
+/// Number and total time of what is done now and then.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Spent {
+    times: u32,
+    seconds: f64,
+}
+
+impl Spent {
+    fn add(&mut self, seconds: f64) {
+        self.times += 1;
+        self.seconds += seconds;
+    }
+
+    /// Mean of the times so far; `None` before the first.
+    fn mean(&self) -> Option<f64> {
+        (self.times > 0).then(|| self.seconds / f64::from(self.times))
+    }
+}
+
+/// Distances between two evaluations and between two checkpoints, iterations; 0 for none before the end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Every {
+    /// `None` for a twentieth of the run.
+    pub evaluation: Option<u32>,
+    /// True if evaluations on the way are left out that would take more than [`EVALUATIONS`] of the time.
+    pub as_time_allows: bool,
+    pub checkpoint: u32,
+}
+
+/// Measured times of a run. Seconds are of either clock, wall or CPU, the same in all calls.
+#[derive(Debug, Clone)]
+pub(super) struct Forecast {
+    /// Relative costs of iterations, by tenths of the run.
+    cost: &'static [f64; 10],
+    /// Shares of the run at which the photos' sizes below the full one end.
+    smaller: Vec<f64>,
+    /// Training views that are shown at the end.
+    shown: usize,
+    /// Held-out views, and pixels of all of them.
+    scored: (usize, u64),
+    /// Seconds after which the first measurement is made, if fewer iterations have been done by then.
+    latest: f64,
+    every: Every,
+    /// Seconds of an iteration of cost 1; `None` before the first measurement.
+    unit: Option<f64>,
+    /// Iterations and seconds where the present measurement began.
+    mark: Option<(u32, f64)>,
+    /// True if what has been measured is of photos of another size.
+    stale: bool,
+    /// Number of measurements.
+    measured: u32,
+    evaluations: Spent,
+    checkpoints: Spent,
+}
+
+impl Forecast {
+    /// A forecast for a run that begins or goes on.
+    pub fn new(trainer: &Trainer, evaluator: Option<&Evaluator>, latest: f64) -> Self {
+        let config = &trainer.plan().config;
+        let share = f64::from(trainer.full_size_from()) / f64::from(config.last_iterations());
+        let halvings = trainer.plan().halvings.value;
+        let ends = (1..=halvings).map(|k| share * f64::from(k) / f64::from(halvings));
+        let shown = match config.work.remove_unseen {
+            true => trainer.views(),
+            false => 0,
+        };
+        let every = Every {
+            evaluation: config.eval_every,
+            as_time_allows: config.has_budget() && config.eval_every.or(config.patience).is_none(),
+            checkpoint: config.checkpoint_every,
+        };
+        let scored = evaluator.map_or((0, 0), |evaluator| {
+            let cameras = &evaluator.views().cameras;
+            let pixels = cameras
+                .iter()
+                .map(|c| c.size.map(i32::unsigned_abs))
+                .map(|[w, h]| u64::from(w) * u64::from(h));
+            (cameras.len(), pixels.sum())
+        });
+        let cost = match config.sampler == Sampler::Mh && config.mh.turns_over() {
+            true => &COST,
+            false => &STEADY,
+        };
+        Self {
+            cost,
+            ..Self::of(ends.collect(), shown, scored, every, latest)
+        }
+    }
+
+    /// A forecast before anything is measured, for the costs of mh.
+    pub fn of(
+        smaller: Vec<f64>,
+        shown: usize,
+        scored: (usize, u64),
+        every: Every,
+        latest: f64,
+    ) -> Self {
+        Self {
+            cost: &COST,
+            smaller,
+            shown,
+            scored,
+            latest,
+            every,
+            unit: None,
+            mark: None,
+            stale: false,
+            measured: 0,
+            evaluations: Spent::default(),
+            checkpoints: Spent::default(),
+        }
+    }
+
+    /// Takes note of the training time after so many iterations of a run of `length`.
+    pub fn iterated(&mut self, done: u32, length: u32, seconds: f64) {
+        let Some((before, then)) = self.mark else {
+            // What came before, reading photos and building kernels, is no cost of iterations.
+            self.mark = Some((done, seconds));
+            return;
+        };
+        let share = |at: u32| f64::from(at) / f64::from(length);
+        if self.halvings(share(before)) != self.halvings(share(done)) {
+            self.stale = true;
+            self.mark = Some((done, seconds));
+            return;
+        }
+        // Where an iteration takes seconds there is no time for so many.
+        let late = self.unit.is_none() && seconds - then >= self.latest;
+        let enough = match self.unit.is_none() || self.stale {
+            true => FIRST,
+            false => (length / MEASUREMENTS).max(1),
+        };
+        if done == before || (done - before < enough && !late) {
+            return;
+        }
+        let cost = f64::from(length) * self.between(share(before), share(done));
+        let unit = (seconds - then).max(1e-9) / cost.max(1e-9);
+        // The geometric mean with the one before: a window is short, and other programs run beside it.
+        self.unit = Some(match self.unit {
+            Some(old) if !self.stale => (old * unit).sqrt(),
+            _ => unit,
+        });
+        self.stale = false;
+        self.measured += 1;
+        self.mark = Some((done, seconds));
+    }
+
+    /// Takes note of an evaluation on the way.
+    pub fn evaluated(&mut self, seconds: f64) {
+        self.evaluations.add(seconds);
+    }
+
+    /// Takes note of a checkpoint.
+    pub fn saved(&mut self, seconds: f64) {
+        self.checkpoints.add(seconds);
+    }
+
+    /// Number of measurements of an iteration so far.
+    pub fn measured(&self) -> u32 {
+        self.measured
+    }
+
+    /// Seconds from `done` iterations to the very end of a run of `length`; `None` before the first measurement.
+    pub fn left(&self, done: u32, length: u32) -> Option<f64> {
+        let unit = self.unit?;
+        let share = f64::from(done) / f64::from(length.max(1));
+        let iterations = unit * f64::from(length) * self.between(share, 1.0);
+        let rest = length.saturating_sub(done);
+        let times = |every: u32| f64::from(rest.checked_div(every).unwrap_or(0));
+        let every = self.every.evaluation.unwrap_or((length / 20).max(1));
+        let mut evaluations = times(every) * self.evaluation()?;
+        if self.every.as_time_allows {
+            evaluations = evaluations.min(EVALUATIONS * iterations);
+        }
+        let checkpoints = times(self.every.checkpoint) * self.checkpoints.mean().unwrap_or(0.0);
+        Some(iterations + evaluations + checkpoints + self.end()?)
+    }
+
+    /// Seconds from the last iteration to the end: views are shown and scored, files are written. `None` as [`Forecast::left`].
+    pub fn end(&self) -> Option<f64> {
+        let last = self.unit? * self.cost[9];
+        let shown = SEEN * last * self.shown as f64;
+        let (views, pixels) = (self.scored.0 as u64, self.scored.1);
+        let each = pixels.checked_div(views).unwrap_or(0);
+        let pictures = views.min(LARGEST_PICTURES.0) * each.min(LARGEST_PICTURES.1);
+        let beside = FLIP * pixels as f64 + PICTURES * pictures as f64 + FILES;
+        let saved = self.checkpoints.mean().unwrap_or(0.0);
+        Some(shown + self.evaluation()? + saved + beside)
+    }
+
+    /// Seconds of an evaluation on the way.
+    pub fn evaluation(&self) -> Option<f64> {
+        let guess = SCORED * self.unit? * self.scored.0 as f64;
+        Some(self.evaluations.mean().unwrap_or(guess))
+    }
+
+    /// True if there is time for one more evaluation: they are asked for, or keep their share of all time spent.
+    pub fn affords_evaluation(&self, spent: f64) -> bool {
+        if !self.every.as_time_allows {
+            return true;
+        }
+        let next = self.evaluation().unwrap_or(0.0);
+        self.evaluations.seconds + next <= EVALUATIONS * spent
+    }
+
+    /// Number of times that the photos' size is halved at a share of the run.
+    fn halvings(&self, share: f64) -> usize {
+        self.smaller.iter().filter(|end| share < **end).count()
+    }
+
+    /// Mean cost of an iteration between two shares of a run, times their difference.
+    fn between(&self, from: f64, to: f64) -> f64 {
+        let tenths = self.cost.len() as f64;
+        let mut edges: Vec<f64> = (0..=self.cost.len()).map(|k| k as f64 / tenths).collect();
+        edges.extend(&self.smaller);
+        edges.extend([from, to]);
+        edges.retain(|e| (from..=to).contains(e));
+        edges.sort_by(f64::total_cmp);
+        let piece = |pair: &[f64]| {
+            let middle = 0.5 * (pair[0] + pair[1]);
+            let tenth = ((middle * tenths) as usize).min(self.cost.len() - 1);
+            let size = match self.halvings(middle).min(SMALLER.len()) {
+                0 => 1.0,
+                k => SMALLER[k - 1],
+            };
+            (pair[1] - pair[0]) * self.cost[tenth] * size
+        };
+        edges.windows(2).map(piece).sum()
+    }
+}

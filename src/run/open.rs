@@ -1,0 +1,278 @@
+//! The beginning of a [`Run`]: anew, from its checkpoint, or beyond its end.
+
+use std::borrow::Cow;
+use std::path::Path;
+
+use crate::base::error::{Error, Result};
+use crate::capture::Dataset;
+use crate::config::{Length, TrainConfig};
+use crate::device::{Defines, Device};
+use crate::evaluate::Evaluator;
+use crate::pipeline::buffers::ViewSet;
+use crate::pipeline::photos::Photos;
+use crate::run::budget::{Budget, Pace, begin, go_on};
+use crate::run::checkpoint::{self, Checkpoint};
+use crate::run::clock::Clock;
+use crate::run::drive::Run;
+use crate::run::forecast::Forecast;
+use crate::run::patience;
+use crate::run::record::{RECORD_FILE, RunRecord};
+use crate::run::start;
+use crate::run::table::{DENSITY_FILE, DensityWriter};
+use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
+use crate::train::{Next, Plan, Trainer};
+
+/// State that a run begins with.
+struct From {
+    plan: Plan,
+    /// Lengths that the run is to have later, those of the run that it repeats.
+    to_come: Vec<Length>,
+    /// Checkpoint to go on from.
+    saved: Option<Checkpoint>,
+    /// Iterations that a run which has come to its end is to have then, as far as is known.
+    extended: Option<u32>,
+    /// True if the folder is there already.
+    again: bool,
+}
+
+/// Iterations that a run goes on for at least where it has come to its end.
+const FEWEST: u32 = 50;
+
+impl Run {
+    /// A new run. Its folder is made when nothing of the dataset or the device can fail any more; it must not exist, or be empty (see
+    /// [`crate::run::claim_folder`]).
+    ///
+    /// # Errors
+    /// A folder that cannot be made, or as [`Trainer::new`].
+    pub fn start(
+        dir: &Path,
+        dataset: Dataset,
+        config: TrainConfig,
+        device: &Device,
+        clock: Clock,
+    ) -> Result<Self> {
+        Self::begin(dir, dataset, config, device, clock, false)
+    }
+
+    /// A new run, or one that begins `again` in its folder.
+    fn begin(
+        dir: &Path,
+        dataset: Dataset,
+        config: TrainConfig,
+        device: &Device,
+        clock: Clock,
+        again: bool,
+    ) -> Result<Self> {
+        config.validate()?;
+        let (config, to_come) = begin(config);
+        let plan = Plan::new(&dataset, &config)?;
+        let from = From {
+            plan,
+            to_come,
+            saved: None,
+            extended: None,
+            again,
+        };
+        Self::open(dir, dataset, from, device, clock)
+    }
+
+    /// Continues the run in `dir` from its checkpoint, or begins it again where it was killed before the first one. `config` is
+    /// that of [`crate::run::saved_config`], but for what may change on the way:
+    /// the budgets for time and photos, and how often to evaluate, export and save. With `extend` it has so many seconds more, on
+    /// the clock of its budget, and goes on where it has come to its end, too.
+    ///
+    /// # Errors
+    /// A damaged checkpoint, none in a folder of a run that came to its end, another dataset, a time budget or a patience that is used up, or as [`Trainer::new`].
+    pub fn resume(
+        dir: &Path,
+        dataset: Dataset,
+        config: TrainConfig,
+        device: &Device,
+        clock: Clock,
+        extend: Option<f64>,
+    ) -> Result<Self> {
+        crate::base::files::sweep(dir);
+        crate::base::files::sweep(&dir.join("checkpoint"));
+        if !start::has_checkpoint(dir)? {
+            start::check_unfinished(dir, &dataset)?;
+            let mut config = config;
+            if config.has_budget() {
+                // Not to be repeated: the clock begins anew, too.
+                config.lengths.clear();
+            }
+            return Self::begin(dir, dataset, config, device, clock, true);
+        }
+        let saved = checkpoint::read(dir)?;
+        if saved.dataset != dataset.fingerprint() {
+            return Err(Error::input(
+                &dataset.path,
+                dataset.not_that_of(dir),
+                "give the dataset of that run, or start anew with -o",
+            ));
+        }
+        let mut config = config;
+        let done = saved.state.iteration;
+        let ended = done >= saved.config.last_iterations();
+        let used = [saved.clock.wall_seconds, saved.clock.all_cpu_seconds];
+        let mut extended = None;
+        if let Some(more) = extend {
+            let [wall, cpu] = used;
+            match config.budget_cpu.is_some() {
+                true => config.budget_cpu = Some(cpu + more),
+                false => config.time_budget = Some(wall + more),
+            }
+            let longer = f64::from(done) * (1.0 + more / wall.max(1e-3));
+            let longer = (longer as u32).max(done.saturating_add(FEWEST));
+            extended = ended.then_some(longer);
+        } else {
+            check_budgets(&config, &saved.config, used, ended)?;
+        }
+        if let Some(fault) = saved.tuning.fault(device.info()) {
+            return Err(Error::input(
+                checkpoint::path(dir),
+                format!("its kernels cannot be built for this device ({fault})"),
+                "resume on the device it was trained on, with --device",
+            ));
+        }
+        // Another tuning would add in another order: the run goes on as it began.
+        let device = device.clone().with_tuning(saved.tuning);
+        let smoothed = !saved.state.rows.filter.is_empty();
+        config.validate()?;
+        let (config, to_come) = go_on(config, done);
+        let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, saved.state.halvings);
+        let from = From {
+            plan,
+            to_come,
+            saved: Some(saved),
+            extended,
+            again: true,
+        };
+        Self::open(dir, dataset, from, &device, clock)
+    }
+
+    /// Begins the run, or goes on from its checkpoint. The photos move to the device one by one, so that nobody holds their pixels on
+    /// the host from then on.
+    fn open(
+        dir: &Path,
+        dataset: Dataset,
+        from: From,
+        device: &Device,
+        clock: Clock,
+    ) -> Result<Self> {
+        let From {
+            plan,
+            to_come,
+            saved,
+            extended,
+            again,
+        } = from;
+        let mut record = start::record(&dataset, &plan, device);
+        record.config.lengths.extend(&to_come);
+        if saved.is_some() && dir.join(RECORD_FILE).exists() {
+            // A finished run keeps what its trace has shown.
+            record.funnel = RunRecord::read(dir)?.funnel;
+        }
+        let frame = dataset.frame;
+        let splats = match &saved {
+            Some(saved) => Cow::Borrowed(&saved.state.splats),
+            None => Cow::Owned(start::initial_gaussians(&dataset, &plan)?),
+        };
+        let photos = Photos::new(device, dataset.image_budget);
+        let train = ViewSet::new(&photos, dataset.train)?;
+        let test = ViewSet::new(&photos, dataset.test)?;
+        let mut trainer = Trainer::with_views(train, &plan, &splats)?;
+        let defines = Defines::new(device.tuning());
+        let evaluator = (!test.is_empty()).then(|| Evaluator::new(device, defines, test));
+        let evaluator = evaluator.transpose()?;
+        let [metrics, density] = [METRICS_FILE, DENSITY_FILE].map(|name| dir.join(name));
+        let mut rows = Vec::new();
+        if let Some(Checkpoint { state, .. }) = &saved {
+            trainer.restore(state)?;
+            if let Some(length) = extended {
+                trainer.set_length(length)?;
+                record
+                    .config
+                    .lengths
+                    .clone_from(&trainer.plan().config.lengths);
+            }
+            rows = read_rows::<MetricsRow>(&metrics)?;
+            rows.retain(|row| row.iteration <= state.iteration);
+        } else if again {
+            record.write(dir)?;
+        }
+        let losses = patience::losses(&rows, trainer.full_size_from());
+        patience::check(&plan.config, &losses)?;
+        let done = saved.as_ref().map(|saved| saved.state.iteration);
+        // The row of a density step that the checkpoint comes before is written again.
+        let stepped = saved.as_ref().map(|saved| match saved.state.next {
+            Next::Pause | Next::Density => saved.state.iteration.saturating_sub(1),
+            _ => saved.state.iteration,
+        });
+        let pace = Pace::new(&plan.config, to_come);
+        let forecast = Forecast::new(&trainer, evaluator.as_ref(), Budget::latest(pace.budget()));
+        let clock = match &saved {
+            Some(saved) => Clock::resume_from(saved.clock),
+            None => clock,
+        };
+        if !again {
+            start::make_folder(dir, &record)?;
+        }
+        let free = |_: &Error| {
+            if !again {
+                start::abandon_folder(dir);
+            }
+        };
+        let metrics = MetricsWriter::open(metrics, done).inspect_err(free)?;
+        let density = DensityWriter::open(density, stepped).inspect_err(free)?;
+        let mut run = Self {
+            dir: dir.to_path_buf(),
+            frame,
+            pace,
+            forecast,
+            began: (done.unwrap_or(0), clock.train_seconds()),
+            config: plan.config,
+            trainer,
+            evaluator,
+            record,
+            losses,
+            metrics,
+            density,
+            clock,
+            stages: saved.map_or_else(Vec::new, |saved| saved.stages),
+            psnr: None,
+            evaluated: rows.last().map(|row| row.iteration),
+            saved: done,
+        };
+        run.write_record().inspect_err(free)?;
+        Ok(run)
+    }
+}
+
+/// Refuses another budget than a run had so far where it changes nothing: `used` are wall and CPU seconds.
+fn check_budgets(
+    asked: &TrainConfig,
+    saved: &TrainConfig,
+    used: [f64; 2],
+    ended: bool,
+) -> Result<()> {
+    let budgets = |config: &TrainConfig| [config.time_budget, config.budget_cpu];
+    if budgets(asked) == budgets(saved) {
+        // The run's own may be used up: then it is brought to its end.
+        return Ok(());
+    }
+    if ended {
+        let what =
+            "the run has come to its end already; give what it is to have more with --extend";
+        return Err(Error::config("--time-budget", what));
+    }
+    for (name, budget, used) in [
+        ("--time-budget", asked.time_budget, used[0]),
+        ("--budget-cpu", asked.budget_cpu, used[1]),
+    ] {
+        if budget.is_some_and(|budget| used >= budget) {
+            let what = format!("{used:.0} s are gone already; give a larger one, or --extend");
+            return Err(Error::config(name, what));
+        }
+    }
+    Ok(())
+}
