@@ -8,6 +8,7 @@ mod lens;
 pub mod masks;
 mod morton;
 mod photo;
+mod places;
 mod real;
 mod rigs;
 mod several;

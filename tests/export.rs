@@ -237,6 +237,21 @@ fn ascii_in_any_order() {
     }
 }
 
+/// Formats of 8 bits have opacities of exactly 0 and 1, whose logits are infinite.
+#[test]
+fn infinite_opacity_logits_are_read_as_nearly_that() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = ASCII
+        .replacen("0.5 1 2", "inf 1 2", 1)
+        .replacen("-0.5 -1", "-inf -1", 1);
+    let file = with(dir.path(), text.as_bytes());
+    let scene = ply::read(&file, &Frame::IDENTITY).unwrap();
+    assert_eq!(scene.saturated, 2);
+    let opacity = |i| f64::from(scene.splats.gather::<1>(Plane::OPACITY, i)[0]);
+    let sigmoid = |l: f64| 1.0 / (1.0 + (-l).exp());
+    assert!(sigmoid(opacity(0)) > 1.0 - 1e-6 && sigmoid(opacity(1)) < 1e-6);
+}
+
 #[test]
 fn truncated_files_are_errors_at_every_length() {
     let dir = tempfile::tempdir().unwrap();

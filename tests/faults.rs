@@ -141,3 +141,23 @@ fn what_cannot_be_allocated_or_built_is_named() {
     refuses(&late, &["allocate", "lower", "iterations is saved"]);
     assert!(checkpoint::read(&run).is_ok());
 }
+
+/// A machine without a driver: told at once, with what to install.
+#[test]
+fn no_driver_is_told_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let began = std::time::Instant::now();
+    let output = Command::new(env!("CARGO_BIN_EXE_mhsplat"))
+        .arg("devices")
+        .env("OCL_ICD_VENDORS", dir.path())
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        said.contains("no driver found") && said.contains("install"),
+        "{said}"
+    );
+    // The loader's crate would have asked for ten seconds.
+    assert!(began.elapsed().as_secs() < 5);
+}

@@ -1,7 +1,7 @@
 //! Atomic files: always the old content or the new one, never half of each.
 
 use std::ffi::OsString;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
@@ -52,6 +52,51 @@ fn sync_folder(path: &Path) {
     if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
         let _ = folder.sync_all();
     }
+}
+
+/// A folder that one process alone works in, until this is dropped or the process ends, however it ends.
+#[derive(Debug)]
+pub struct FolderLock {
+    _folder: Option<File>,
+}
+
+impl FolderLock {
+    /// Takes the lock of a folder. Where the system cannot lock folders there is none.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if another process has it.
+    pub fn take(folder: &Path) -> Result<Self> {
+        let Ok(file) = File::open(folder) else {
+            return Ok(Self { _folder: None });
+        };
+        match file.try_lock() {
+            Ok(()) => Ok(Self {
+                _folder: Some(file),
+            }),
+            Err(TryLockError::Error(_)) => Ok(Self { _folder: None }),
+            Err(TryLockError::WouldBlock) => Err(Error::input(
+                folder,
+                "another process is at work in this folder",
+                "wait for its end or stop it, or choose another folder",
+            )),
+        }
+    }
+}
+
+/// The bytes of a regular file.
+///
+/// # Errors
+/// [`Error::Input`] for a pipe, a device or a folder, which might never end; [`Error::Io`] if the system refuses.
+pub fn read(path: &Path) -> Result<Vec<u8>> {
+    let found = fs::metadata(path).map_err(|source| Error::io(path, source))?;
+    if !found.is_file() {
+        return Err(Error::input(
+            path,
+            "no regular file",
+            "put a file in its place",
+        ));
+    }
+    fs::read(path).map_err(|source| Error::io(path, source))
 }
 
 /// Writes bytes atomically.

@@ -2,6 +2,7 @@
 //!
 //! Format: Turk, "The PLY polygon file format" (1994). ASCII and binary little endian; lists and big endian are refused.
 
+use std::cell::Cell;
 use std::collections::HashSet;
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Write};
@@ -92,7 +93,7 @@ impl Table {
     /// # Errors
     /// A file of another format, big endian, a list among the vertex's properties, a file shorter than its header says.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+        let bytes = crate::base::files::read(path)?;
         let mut header = parse_header(path, &bytes)?;
         let Some(at) = header.elements.iter().position(|e| e.name == "vertex") else {
             return Err(bad(path, "no element 'vertex' in the header"));
@@ -151,11 +152,38 @@ impl Table {
     /// # Errors
     /// A missing property; a value that is not finite.
     pub(crate) fn column(&self, name: &str, kind: Kind) -> Result<Vec<f64>> {
-        Ok(self.typed_column(name, kind)?.1)
+        Ok(self.typed_column(name, kind, |v| v)?.1)
     }
 
-    /// The first name of a property's type, and its values.
-    fn typed_column(&self, name: &str, [expected, fix]: Kind) -> Result<(&'static str, Vec<f64>)> {
+    /// [`Table::column`] with `limit` in the place of what is beyond single precision, and how often that was.
+    ///
+    /// # Errors
+    /// A missing property; a NaN.
+    pub(crate) fn limited_column(
+        &self,
+        name: &str,
+        kind: Kind,
+        limit: f64,
+    ) -> Result<(Vec<f64>, usize)> {
+        let limited = Cell::new(0);
+        let change = |v: f64| {
+            if v.is_nan() || v.abs() <= f64::from(f32::MAX) {
+                return v;
+            }
+            limited.set(limited.get() + 1);
+            limit.copysign(v)
+        };
+        let values = self.typed_column(name, kind, change)?.1;
+        Ok((values, limited.get()))
+    }
+
+    /// The first name of a property's type, and its values, changed before it is asked if they are finite.
+    fn typed_column(
+        &self,
+        name: &str,
+        [expected, fix]: Kind,
+        change: impl Fn(f64) -> f64,
+    ) -> Result<(&'static str, Vec<f64>)> {
         let Element {
             properties, stride, ..
         } = &self.vertex;
@@ -168,7 +196,7 @@ impl Table {
                 .bytes
                 .get(self.start + row * stride + property.offset..);
             let found = bytes.and_then(|b| property.stored.2(b));
-            let found = found.unwrap_or(f64::NAN);
+            let found = change(found.unwrap_or(f64::NAN));
             found.is_finite().then_some(found).ok_or_else(|| {
                 let what = format!("{name} of vertex {row} is {found}; a finite number expected");
                 bad(&self.path, what)
@@ -180,7 +208,7 @@ impl Table {
 
     /// A colour channel in 0…255. Floats within [0, 1] are taken as fractions, 16-bit integers as 0…65535.
     fn color(&self, name: &str) -> Result<Vec<u8>> {
-        let (scalar, values) = self.typed_column(name, CLOUD)?;
+        let (scalar, values) = self.typed_column(name, CLOUD, |v| v)?;
         let factor = match scalar {
             "float" | "double" if values.iter().all(|&v| v <= 1.0) => 255.0,
             "ushort" => 255.0 / 65535.0,

@@ -34,6 +34,8 @@ pub(super) struct RawView {
 pub(super) struct RawScene {
     /// Layout it was read from.
     pub layout: Layout,
+    /// Findings that the user should know about.
+    pub remarks: Vec<String>,
     /// All views, or the training views if `test` is given.
     pub train: Vec<RawView>,
     /// Held-out views, if the dataset names them itself.
@@ -71,6 +73,12 @@ const ASTRAY: f64 = 20.0;
 /// Extensions of the image formats that are read.
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
 
+/// True for a file that has the extension of an image format that is read.
+pub(super) fn is_photo(path: &Path) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str());
+    ending.is_some_and(|e| EXTENSIONS.contains(&e))
+}
+
 /// A path with another extension added to it.
 fn with_added(path: &Path, extension: &str) -> PathBuf {
     let mut longer = path.to_path_buf().into_os_string();
@@ -81,10 +89,7 @@ fn with_added(path: &Path, extension: &str) -> PathBuf {
 
 /// A path with another extension in the place of its own; `None` for an ending that is no image extension, but part of the name.
 fn with_swapped(path: &Path, extension: &str) -> Option<PathBuf> {
-    let ending = path.extension().and_then(|e| e.to_str());
-    ending
-        .is_some_and(|e| EXTENSIONS.contains(&e))
-        .then(|| path.with_extension(extension))
+    is_photo(path).then(|| path.with_extension(extension))
 }
 
 /// The image file that a dataset names: as it is, with an extension added, or with another one; `None` if there is none.
@@ -174,6 +179,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     Ok(Dataset {
         path: path.to_path_buf(),
         layout: scene.layout,
+        remarks: scene.remarks,
         train,
         test,
         points,

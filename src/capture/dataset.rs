@@ -52,6 +52,8 @@ pub struct Dataset {
     pub path: PathBuf,
     /// The layout found there.
     pub layout: Layout,
+    /// Findings that the user should know about: photos that the model does not have, other models in the folder.
+    pub remarks: Vec<String>,
     /// Views to train on, sorted by name.
     pub train: Vec<View>,
     /// Held-out views, sorted by name.

@@ -39,21 +39,58 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     if options.max_size == 0 {
         return Err(Error::config("max-size", "0; at least 1 pixel expected"));
     }
-    let scene = if let Some((dir, layout)) = colmap::find(path) {
-        colmap::load(path, &dir, layout)?
+    let scene = if let Some((place, remarks)) = colmap::find(path) {
+        colmap::load(path, &place, remarks)?
     } else if let Some(file) = transforms::find(path) {
         transforms::load(path, &file)?
     } else {
-        let found = if path.is_dir() {
-            "neither sparse/0/cameras.bin or .txt (COLMAP) nor transforms_train.json or transforms.json"
-        } else {
-            "no such folder"
-        };
-        return Err(Error::input(
-            path,
-            found,
-            "give the folder that holds images/ and sparse/0/, or a transforms file",
-        ));
+        return Err(no_dataset(path));
     };
     assemble::assemble(path, scene, options)
+}
+
+/// The refusal of a path that is no dataset, with the way on.
+fn no_dataset(path: &Path) -> Error {
+    let holds =
+        |folder: &Path| colmap::find(folder).is_some() || transforms::find(folder).is_some();
+    let above = path.ancestors().skip(1).take(3).find(|p| holds(p));
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    if path.is_file() {
+        return match ending.to_ascii_lowercase().as_str() {
+            "zip" | "tar" | "gz" | "tgz" | "7z" => {
+                Error::input(path, "an archive", "unpack it and give the folder")
+            }
+            _ => Error::input(
+                path,
+                "a file; a folder expected",
+                "give the folder that holds it",
+            ),
+        };
+    }
+    if !path.exists() {
+        return Error::input(path, "no such folder", "check that the path is right");
+    }
+    if let Some(above) = above {
+        let above = match above.as_os_str().is_empty() {
+            true => Path::new("."),
+            false => above,
+        };
+        let fix = format!("give the whole dataset: {}", above.display());
+        return Error::input(path, "a part of a dataset", fix);
+    }
+    let photos = [path.to_path_buf(), path.join("images")]
+        .iter()
+        .any(|folder| colmap::photos(folder) > 0);
+    if photos {
+        return Error::input(
+            path,
+            "photos, but no camera poses (sparse/0 of COLMAP, or transforms.json)",
+            "put the photos into a folder images and run COLMAP in the folder that holds it (README, \"Your own photos\")",
+        );
+    }
+    Error::input(
+        path,
+        "neither sparse/0/cameras.bin or .txt (COLMAP) nor transforms_train.json or transforms.json",
+        "give the folder that holds images/ and sparse/0/, or a transforms file",
+    )
 }

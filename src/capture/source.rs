@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use image::{DynamicImage, ImageDecoder, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
@@ -15,19 +15,40 @@ use crate::capture::photo::{Alpha, Photo, shrink};
 /// Bytes that photos may take if the system does not report its memory.
 const UNKNOWN_MEMORY: u64 = 4 << 30;
 
+/// Bytes that a photo may take when it is decoded, however little memory is available.
+const LEAST_DECODED: u64 = 512 << 20;
+
 /// A decoder for an image file by its content. EXIF orientation is ignored, as COLMAP and the NeRF tools ignore it, so that
 /// pixels stay where the poses expect them.
 fn open(file: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
-    ImageReader::open(file)
-        .and_then(ImageReader::with_guessed_format)
-        .map_err(|source| Error::io(file, source))
+    if std::fs::metadata(file).is_ok_and(|found| !found.is_file()) {
+        return Err(Error::input(
+            file,
+            "no regular file",
+            "put an image file in its place",
+        ));
+    }
+    let opened = ImageReader::open(file).and_then(ImageReader::with_guessed_format);
+    let mut reader = opened.map_err(|source| Error::io(file, source))?;
+    // A header may announce more than there is memory.
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(automatic_budget().max(LEAST_DECODED));
+    reader.limits(limits);
+    Ok(reader)
 }
 
 fn decoded(file: &Path) -> Result<DynamicImage> {
     open(file)?.decode().map_err(|e| not_an_image(file, &e))
 }
 
-fn not_an_image(file: &Path, reason: &image::ImageError) -> Error {
+fn not_an_image(file: &Path, reason: &ImageError) -> Error {
+    if matches!(reason, ImageError::Limits(_)) {
+        return Error::input(
+            file,
+            "larger, decoded, than half of the available memory",
+            "scale the photo down, or use a machine with more memory",
+        );
+    }
     Error::input(
         file,
         format!("not a readable image ({reason}); PNG, JPEG or WebP expected"),

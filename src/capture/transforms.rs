@@ -89,6 +89,7 @@ pub(super) fn load(root: &Path, file: &Path) -> Result<RawScene> {
     };
     Ok(RawScene {
         layout: Layout::Transforms,
+        remarks: Vec::new(),
         train,
         test,
         missing,
@@ -103,7 +104,7 @@ fn read(
     file: &Path,
     missing: &mut Vec<String>,
 ) -> Result<(Vec<RawView>, Option<String>)> {
-    let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
+    let text = crate::base::files::read(file)?;
     let parsed: File = serde_json::from_slice(&text).map_err(|e| {
         let fix = "a list `frames` with `file_path` and a 4×4 `transform_matrix` each is expected";
         Error::input(file, e.to_string(), fix)

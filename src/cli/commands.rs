@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use clap::{Command, CommandFactory, Parser, Subcommand};
+use clap::{Arg, Command, CommandFactory, Parser, Subcommand};
 
 use mhsplat::base::error::Result;
 
@@ -70,7 +70,13 @@ enum Tools {
 impl Cli {
     /// The command line with its help.
     pub fn grouped() -> Command {
-        Self::command().help_template(format!(
+        // `--iterations -5` is a wrong number, not an unknown option.
+        let number = |arg: Arg| match arg.get_action().takes_values() {
+            true => arg.allow_negative_numbers(true),
+            false => arg,
+        };
+        let command = Self::command().mut_subcommands(|command| command.mut_args(number));
+        command.help_template(format!(
             "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{}Options:\n{{options}}",
             groups()
         ))

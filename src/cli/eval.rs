@@ -18,20 +18,13 @@ use mhsplat::run::FinalRecord;
 pub struct EvalArgs {
     /// Scene: a PLY file or a run folder.
     scene: PathBuf,
-    /// Dataset with the photos to compare with.
-    dataset: PathBuf,
-    /// Longest image side, pixels (the run's, else 1600).
-    #[arg(long)]
-    max_size: Option<u32>,
-    /// Every n-th image is held out (the run's, else 8).
-    #[arg(long)]
-    test_every: Option<u32>,
+    /// Dataset with the photos to compare with (default: the run's).
+    dataset: Option<PathBuf>,
+    #[command(flatten)]
+    photos: scene::PhotoOptions,
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
-    /// Take the photos' alpha for a mask of the pixels that count, not for transparency (default: as in the run).
-    #[arg(long)]
-    alpha_is_mask: bool,
     /// Score the training views instead of the held-out ones.
     #[arg(long)]
     training_views: bool,
@@ -50,18 +43,13 @@ pub struct EvalArgs {
 /// Scores the held-out views.
 pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let (ply, record) = scene::locate(&args.scene)?;
-    let mut data = scene::dataset(
-        &args.dataset,
-        record.as_ref(),
-        args.max_size,
-        args.test_every,
-        args.alpha_is_mask,
-    )?;
+    let dataset = scene::dataset_path(args.dataset.as_deref(), record.as_ref())?;
+    let mut data = scene::dataset(&dataset, record.as_ref(), &args.photos)?;
     if args.training_views {
         data.test = std::mem::take(&mut data.train);
     }
     if data.test.is_empty() {
-        return Err(nothing_held_out(&args.dataset));
+        return Err(nothing_held_out(&dataset));
     }
     let mut loaded = scene::open(&ply, &data.frame, common.device.as_deref())?;
     let photos = Photos::new(&loaded.device, data.image_budget);
@@ -78,7 +66,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     if args.color_corrected {
         evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
     }
-    let scores = FinalRecord::of(scores).ok_or_else(|| nothing_held_out(&args.dataset))?;
+    let scores = FinalRecord::of(scores).ok_or_else(|| nothing_held_out(&dataset))?;
     let mean = &scores.mean;
     let (psnr, ssim, flip) = (mean.psnr, mean.ssim, mean.flip.unwrap_or(1.0));
     let size = evaluator.views().cameras.first().map_or([0, 0], |c| c.size);

@@ -27,6 +27,13 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => error.exit(),
     };
+    // Made lazily, a pool without threads (a limit of processes or memory) would be a panic.
+    if let Err(error) = rayon::ThreadPoolBuilder::new().build_global() {
+        output::note(&format!(
+            "error: no threads can be made ({error}); raise the limit on processes or memory (ulimit -u, ulimit -v, or the container's)"
+        ));
+        return ExitCode::from(2);
+    }
     match cli.run().and_then(|done| output::check().map(|()| done)) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::Missed) => ExitCode::from(1),

@@ -32,8 +32,8 @@ enum What {
 pub struct RenderArgs {
     /// Scene: a PLY file or a run folder.
     scene: PathBuf,
-    /// Render the dataset's held-out views (all views if none is held out).
-    #[arg(long, required_unless_present = "orbit", conflicts_with = "orbit")]
+    /// Render the held-out views of this dataset, all views if none is held out (default: those of the run's).
+    #[arg(long, conflicts_with = "orbit")]
     dataset: Option<PathBuf>,
     /// Render N views on a circle around the scene.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
@@ -44,9 +44,8 @@ pub struct RenderArgs {
     /// Quantity to render.
     #[arg(long, value_enum, default_value = "color")]
     what: What,
-    /// Longest image side, pixels (the run's, else 1600).
-    #[arg(long)]
-    max_size: Option<u32>,
+    #[command(flatten)]
+    photos: scene::PhotoOptions,
     /// Width of orbit images, pixels.
     #[arg(long, default_value_t = 640, value_parser = clap::value_parser!(u32).range(1..=65536))]
     width: u32,
@@ -56,9 +55,6 @@ pub struct RenderArgs {
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
-    /// Take the photos' alpha for a mask of the pixels that count, not for transparency (default: as in the run).
-    #[arg(long, requires = "dataset")]
-    alpha_is_mask: bool,
 }
 
 /// A view to render: its name, camera and photo.
@@ -75,24 +71,19 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
-    let (frame, jobs) = match &args.dataset {
-        Some(path) => {
-            let data = scene::dataset(
-                path,
-                record.as_ref(),
-                args.max_size,
-                None,
-                args.alpha_is_mask,
-            )?;
+    let (frame, jobs) = match args.orbit {
+        None => {
+            let path = scene::dataset_path(args.dataset.as_deref(), record.as_ref())?;
+            let data = scene::dataset(&path, record.as_ref(), &args.photos)?;
             (data.frame, dataset_jobs(data))
         }
-        None if args.what == What::Error => {
+        Some(_) if args.what == What::Error => {
             return Err(Error::config(
                 "--what error",
-                "a photo to compare with is needed; give --dataset",
+                "a photo to compare with is needed; give --dataset in the place of --orbit",
             ));
         }
-        None => (Frame::IDENTITY, Vec::new()),
+        Some(_) => (Frame::IDENTITY, Vec::new()),
     };
     let mut loaded = scene::open(&ply, &frame, common.device.as_deref())?;
     let jobs = match args.orbit {

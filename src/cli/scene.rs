@@ -27,33 +27,89 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
     }
     let ply = path.join("scene.ply");
     if !ply.exists() {
-        return Err(Error::input(
-            path,
-            "holds no scene.ply",
-            "give a PLY file or the folder of a finished run",
-        ));
+        let fix = match path.join(RECORD_FILE).exists() {
+            true => {
+                "the run has none yet: wait for its end, stop it with Ctrl-C, or train with --export-every"
+            }
+            false => "give a PLY file or the folder of a run",
+        };
+        return Err(Error::input(path, "holds no scene.ply", fix));
     }
     let recorded = path.join(RECORD_FILE).exists();
     let record = recorded.then(|| RunRecord::read(path)).transpose()?;
     Ok((ply, record))
 }
 
-/// Reads a dataset at the resolution and split of a run, or at those given; alpha is a mask if it was one in the run, or if
-/// `alpha_is_mask` is set.
-pub fn dataset(
-    path: &Path,
-    record: Option<&RunRecord>,
+/// Options that say which photos a scene is looked at with.
+#[derive(Default, clap::Args)]
+pub struct PhotoOptions {
+    /// Longest image side, pixels (the run's, else 1600).
+    #[arg(long)]
     max_size: Option<u32>,
+    /// Every n-th image is held out (the run's, else 8).
+    #[arg(long)]
     test_every: Option<u32>,
+    /// Take the photos' alpha for a mask of the pixels that count, not for transparency (default: as in the run).
+    #[arg(long)]
     alpha_is_mask: bool,
-) -> Result<Dataset> {
+    /// Accept a dataset that is not the one that the run was trained on.
+    #[arg(long)]
+    allow_different: bool,
+}
+
+/// Returns the dataset that is asked for, else that of the run.
+pub fn dataset_path(asked: Option<&Path>, record: Option<&RunRecord>) -> Result<PathBuf> {
+    if let Some(path) = asked {
+        return Ok(path.to_path_buf());
+    }
+    let Some(record) = record else {
+        return Err(Error::config(
+            "DATASET",
+            "a scene file does not say which; give the folder of the photos after it",
+        ));
+    };
+    let path = PathBuf::from(&record.dataset.path);
+    if !path.is_dir() {
+        let what = "the dataset that the run was trained on is not there any more";
+        return Err(Error::input(path, what, "give where it is now"));
+    }
+    Ok(path)
+}
+
+/// Reads a dataset at the resolution and split of a run, or at those given.
+///
+/// # Errors
+/// Those of [`capture::load`]; another dataset than the run's, unless that is allowed.
+pub fn dataset(path: &Path, record: Option<&RunRecord>, options: &PhotoOptions) -> Result<Dataset> {
     let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
-    config.max_size = max_size.unwrap_or(config.max_size);
-    config.test_every = test_every.unwrap_or(config.test_every);
+    let of_run = config.clone();
+    config.max_size = options.max_size.unwrap_or(config.max_size);
+    config.test_every = options.test_every.unwrap_or(config.test_every);
     config.image_budget = None;
-    config.alpha_is_mask |= alpha_is_mask;
+    config.alpha_is_mask |= options.alpha_is_mask;
     let data = capture::load(path, &load_options(&config))?;
     note_left_out(&data);
+    let asked = |c: &TrainConfig| (c.max_size, c.test_every, c.alpha_is_mask);
+    if let Some(record) = record.filter(|_| !options.allow_different) {
+        let views = record.dataset.train_views + record.dataset.test_views;
+        // With another size or split the fingerprint is another one, too.
+        let same = match asked(&config) == asked(&of_run) {
+            true => record
+                .dataset
+                .fingerprint
+                .as_ref()
+                .is_none_or(|f| *f == data.fingerprint()),
+            false => data.train.len() + data.test.len() == views,
+        };
+        if !same {
+            let what = format!(
+                "not the dataset that the run was trained on ({})",
+                record.dataset.path
+            );
+            let fix = "give that one, or --allow-different if the scene is the same";
+            return Err(Error::input(path, what, fix));
+        }
+    }
     Ok(data)
 }
 
@@ -68,8 +124,9 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
     }
 }
 
-/// Notes the images of a dataset that are left out, and why.
+/// Notes what was remarkable in a dataset, and the images that are left out, with the reasons.
 pub fn note_left_out(data: &Dataset) {
+    data.remarks.iter().for_each(|remark| output::note(remark));
     let are = ["image is", "images are"];
     let have = ["image has a camera", "images have cameras"];
     for (names, subject, what) in [
@@ -91,6 +148,13 @@ pub fn note_left_out(data: &Dataset) {
 /// Uploads a scene in a local frame, with the 2D filter if its file asks for it.
 pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
     let file = ply::read(ply, frame)?;
+    if file.saturated > 0 {
+        output::note(&format!(
+            "{}: {} opacities are exactly 0 or 1 and are taken for nearly that (the scene comes from a format of 8 bits)",
+            ply.display(),
+            file.saturated
+        ));
+    }
     let device = common::open_tested(device)?;
     let defines = Defines {
         anti_alias: file.anti_aliased,

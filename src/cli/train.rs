@@ -13,7 +13,7 @@ use mhsplat::capture;
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
 use mhsplat::device::Device;
-use mhsplat::run::{Clock, Run, claim_folder, saved_config};
+use mhsplat::run::{Clock, Run, RunRecord, claim_folder, saved_config};
 
 /// Keys of a configuration that say how long the run is.
 const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
@@ -22,7 +22,8 @@ const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
 #[derive(clap::Args)]
 pub struct TrainArgs {
     /// Folder with images/ and sparse/0/, or with transforms_train.json or transforms.json.
-    dataset: PathBuf,
+    #[arg(required_unless_present = "resume")]
+    dataset: Option<PathBuf>,
     /// Run folder; must not exist.
     #[arg(short, long, value_name = "RUN", default_value = "run")]
     output: PathBuf,
@@ -66,7 +67,14 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     if args.resume.is_none() {
         claim_folder(dir)?;
     }
-    let mut run = prepare(args, dir, config, &device)?;
+    let dataset = match &args.resume {
+        Some(run) if args.dataset.is_none() => {
+            let record = RunRecord::read(run)?;
+            scene::dataset_path(None, Some(&record))?
+        }
+        _ => args.dataset.clone().unwrap_or_default(),
+    };
+    let mut run = prepare(args, &dataset, dir, config, &device)?;
     output::note(&format!(
         "device: {} ({})",
         device.info().name,
@@ -82,7 +90,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     display.end();
     let stopped = matches!(driven, Err(Error::Interrupted));
     if driven.is_err() {
-        note_resume(run.saved(), &args.dataset, dir, stopped);
+        note_resume(run.saved(), &dataset, dir, stopped);
     }
     if stopped && common.json {
         output::json(run.record())?;
@@ -111,12 +119,18 @@ fn note_resume(saved: Option<u32>, dataset: &Path, dir: &Path, stopped: bool) {
     output::note(&format!("{what}: mhsplat train {dataset} --resume {dir}"));
 }
 
-fn prepare(args: &TrainArgs, dir: &Path, config: TrainConfig, device: &Device) -> Result<Run> {
+fn prepare(
+    args: &TrainArgs,
+    dataset: &Path,
+    dir: &Path,
+    config: TrainConfig,
+    device: &Device,
+) -> Result<Run> {
     let clock = Clock::start();
-    let data = capture::load(&args.dataset, &scene::load_options(&config))?;
+    let data = capture::load(dataset, &scene::load_options(&config))?;
     output::note(&format!(
         "{}: {} training views, {} held out, {} points",
-        args.dataset.display(),
+        dataset.display(),
         data.train.len(),
         data.test.len(),
         data.points.positions.len()

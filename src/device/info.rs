@@ -2,7 +2,9 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use ocl_core::{self as core, DeviceInfo as Query, DeviceInfoResult, DeviceType, PlatformInfo};
+use ocl_core::{
+    self as core, DeviceInfo as Query, DeviceInfoResult, DeviceType, PlatformInfo, Status,
+};
 use serde::Serialize;
 
 use crate::base::error::{Error, Result};
@@ -82,7 +84,20 @@ pub(super) fn enumerate() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
     Ok(known.clone())
 }
 
+/// True if the loader answers that there is no driver.
+fn no_platform() -> bool {
+    let mut platforms = 0;
+    // SAFETY: no array is asked for, and the number is written to a variable that outlives the call.
+    let answer =
+        unsafe { core::ffi::clGetPlatformIDs(0, std::ptr::null_mut(), &raw mut platforms) };
+    answer == Status::CL_PLATFORM_NOT_FOUND_KHR as i32
+}
+
 fn ask_platforms() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
+    // The crate would ask again for ten seconds, against a race of threads that the lock rules out.
+    if no_platform() {
+        return Err(Error::device("OpenCL", "no driver found", INSTALL));
+    }
     let platforms = core::get_platform_ids().map_err(|e| device_error("OpenCL", &e, INSTALL))?;
     let mut out = Vec::new();
     for platform in platforms {

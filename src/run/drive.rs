@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::base::error::{Error, Result};
+use crate::base::files::FolderLock;
 use crate::capture::Frame;
 use crate::chart::text::about;
 use crate::config::{Preset, TrainConfig};
@@ -49,6 +50,7 @@ pub struct Progress {
 
 /// A run under way.
 pub struct Run {
+    pub(super) _lock: FolderLock,
     pub(super) dir: PathBuf,
     /// Position of the local frame in the dataset's own.
     pub(super) frame: Frame,

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use crate::base::error::{Error, Result};
+use crate::base::files::FolderLock;
 use crate::capture::Dataset;
 use crate::config::{Length, TrainConfig};
 use crate::device::{Defines, Device};
@@ -31,8 +32,8 @@ struct From {
     saved: Option<Checkpoint>,
     /// Iterations that a run which has come to its end is to have then, as far as is known.
     extended: Option<u32>,
-    /// True if the folder is there already.
-    again: bool,
+    /// The lock of the folder, if that is there already.
+    lock: Option<FolderLock>,
 }
 
 /// Iterations that a run goes on for at least where it has come to its end.
@@ -51,17 +52,17 @@ impl Run {
         device: &Device,
         clock: Clock,
     ) -> Result<Self> {
-        Self::begin(dir, dataset, config, device, clock, false)
+        Self::begin(dir, dataset, config, device, clock, None)
     }
 
-    /// A new run, or one that begins `again` in its folder.
+    /// A new run, or one that begins again in its locked folder.
     fn begin(
         dir: &Path,
         dataset: Dataset,
         config: TrainConfig,
         device: &Device,
         clock: Clock,
-        again: bool,
+        lock: Option<FolderLock>,
     ) -> Result<Self> {
         config.validate()?;
         let (config, to_come) = begin(config);
@@ -71,7 +72,7 @@ impl Run {
             to_come,
             saved: None,
             extended: None,
-            again,
+            lock,
         };
         Self::open(dir, dataset, from, device, clock)
     }
@@ -91,6 +92,7 @@ impl Run {
         clock: Clock,
         extend: Option<f64>,
     ) -> Result<Self> {
+        let lock = Some(FolderLock::take(dir)?);
         crate::base::files::sweep(dir);
         crate::base::files::sweep(&dir.join("checkpoint"));
         if !start::has_checkpoint(dir)? {
@@ -100,7 +102,7 @@ impl Run {
                 // Not to be repeated: the clock begins anew, too.
                 config.lengths.clear();
             }
-            return Self::begin(dir, dataset, config, device, clock, true);
+            return Self::begin(dir, dataset, config, device, clock, lock);
         }
         let saved = checkpoint::read(dir)?;
         if saved.dataset != dataset.fingerprint() {
@@ -145,7 +147,7 @@ impl Run {
             to_come,
             saved: Some(saved),
             extended,
-            again: true,
+            lock,
         };
         Self::open(dir, dataset, from, &device, clock)
     }
@@ -164,8 +166,9 @@ impl Run {
             to_come,
             saved,
             extended,
-            again,
+            lock,
         } = from;
+        let again = lock.is_some();
         let mut record = start::record(&dataset, &plan, device);
         record.config.lengths.extend(&to_come);
         if saved.is_some() && dir.join(RECORD_FILE).exists() {
@@ -214,9 +217,13 @@ impl Run {
             Some(saved) => Clock::resume_from(saved.clock),
             None => clock,
         };
-        if !again {
-            start::make_folder(dir, &record)?;
-        }
+        let lock = match lock {
+            Some(lock) => lock,
+            None => {
+                start::make_folder(dir, &record)?;
+                FolderLock::take(dir)?
+            }
+        };
         let free = |_: &Error| {
             if !again {
                 start::abandon_folder(dir);
@@ -225,6 +232,7 @@ impl Run {
         let metrics = MetricsWriter::open(metrics, done).inspect_err(free)?;
         let density = DensityWriter::open(density, stepped).inspect_err(free)?;
         let mut run = Self {
+            _lock: lock,
             dir: dir.to_path_buf(),
             frame,
             pace,

@@ -58,6 +58,7 @@ fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result
     let SceneFile {
         splats,
         anti_aliased,
+        ..
     } = match ply::read_either(path, &dataset.frame)? {
         Contents::Points(points) if points.positions.is_empty() => return Err(empty()),
         Contents::Points(points) => {
@@ -131,7 +132,7 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
     RunRecord::new(
         plan.config.clone(),
         DatasetRecord {
-            path: dataset.path.display().to_string(),
+            path: absolute(&dataset.path),
             layout: dataset.layout.to_string(),
             train_views: dataset.train.len(),
             test_views: dataset.test.len(),
@@ -151,6 +152,12 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
         },
         PlanRecord::of(plan),
     )
+}
+
+/// A path that stays right in whatever folder a program is started that reads the record.
+fn absolute(path: &Path) -> String {
+    let whole = std::path::absolute(path);
+    whole.as_deref().unwrap_or(path).display().to_string()
 }
 
 /// Makes sure that a run folder can be made later: nothing but an empty folder has its name, and files can be written beside it.
@@ -196,7 +203,13 @@ fn begun(dir: &Path) -> PathBuf {
 fn check_free(dir: &Path) -> Result<()> {
     let free = match std::fs::read_dir(dir) {
         Ok(mut entries) => entries.next().is_none(),
-        Err(error) => error.kind() == std::io::ErrorKind::NotFound,
+        Err(error) if dir.symlink_metadata().is_err() => {
+            return match error.kind() == std::io::ErrorKind::NotFound {
+                true => Ok(()),
+                false => Err(cannot_be_made(dir, &error)),
+            };
+        }
+        Err(_) => false,
     };
     if free {
         return Ok(());

@@ -19,6 +19,13 @@ const SCENE: Kind = [
     "export the Gaussians as plain 3DGS PLY, with all these properties",
 ];
 
+/// Endings of the scene formats that are not read.
+const OTHER_FORMATS: [&str; 4] = ["spz", "splat", "ksplat", "sog"];
+
+/// Opacity logit in the place of an infinite one, which formats of 8 bits leave of opacities of 0 and 1: an opacity that no kernel
+/// tells from these.
+const SATURATED: f64 = 15.0;
+
 /// Beginning of the comment on the filters of a scene.
 const MARK: &str = "mhsplat anti-aliasing:";
 /// The comment in the header of a scene that was trained with anti-aliasing; the 2D filter's variance in pixels²
@@ -126,6 +133,8 @@ pub struct SceneFile {
     /// True if they were trained with anti-aliasing and are to be rendered with the 2D filter; their scales and opacities
     /// then include the 3D filter.
     pub anti_aliased: bool,
+    /// Number of opacities of exactly 0 or 1 (infinite logits), which are read as nearly that.
+    pub saturated: usize,
 }
 
 /// Contents of a PLY file, in the local frame.
@@ -142,12 +151,37 @@ pub enum Contents {
 /// # Errors
 /// Those of [`read`]; a point cloud without `x y z`, or with a point too far away for single precision.
 pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
-    let table = Table::read(path)?;
+    let table = plain(path)?;
     if holds_gaussians(&table) {
         from_table(path, &table, frame).map(Contents::Scene)
     } else {
         Points::local(path, frame, table.points()?).map(Contents::Points)
     }
+}
+
+/// The table of a plain PLY file.
+fn plain(path: &Path) -> Result<Table> {
+    const CONVERT: &str = "convert it to a plain PLY (SuperSplat and splat-transform do)";
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    let other = OTHER_FORMATS
+        .iter()
+        .find(|o| ending.eq_ignore_ascii_case(o));
+    if let Some(other) = other.filter(|_| path.is_file()) {
+        return Err(Error::input(
+            path,
+            format!("a .{other} file; PLY expected"),
+            CONVERT,
+        ));
+    }
+    let table = Table::read(path)?;
+    if table.has("packed_position") {
+        return Err(Error::input(
+            path,
+            "a compressed PLY; a plain one expected",
+            CONVERT,
+        ));
+    }
+    Ok(table)
 }
 
 fn holds_gaussians(table: &Table) -> bool {
@@ -161,7 +195,7 @@ fn holds_gaussians(table: &Table) -> bool {
 /// [`Error::Input`] for a file of another format, a truncated one, a missing property, a value that is not finite (named by
 /// row and property), or a scene trained with other filters; [`Error::Io`].
 pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
-    let table = Table::read(path)?;
+    let table = plain(path)?;
     if holds_gaussians(&table) {
         return from_table(path, &table, frame);
     }
@@ -190,6 +224,8 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
     };
     let stretch = frame.scale.ln();
     let mut planes = vec![Vec::new(); Plane::count(sh_degree)];
+    let (opacities, saturated) = table.limited_column("opacity", SCENE, SATURATED)?;
+    planes[Plane::OPACITY] = opacities.into_iter().map(|v| v as f32).collect();
     let mut fill = |plane: usize, name: String, change: &dyn Fn(f64) -> f64| -> Result<()> {
         let values = table.column(&name, SCENE)?;
         planes[plane] = values.into_iter().map(|v| change(v) as f32).collect();
@@ -211,12 +247,12 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
     for k in 0..4 {
         fill(Plane::ROTATION + k, format!("rot_{k}"), &|v| v)?;
     }
-    fill(Plane::OPACITY, "opacity".into(), &|v| v)?;
     for (i, plane) in rest_planes(sh_degree).enumerate() {
         fill(plane, format!("f_rest_{i}"), &|v| v)?;
     }
     Ok(SceneFile {
         splats: Gaussians::new(sh_degree, planes)?,
         anti_aliased: mark.is_some(),
+        saturated,
     })
 }

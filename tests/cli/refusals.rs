@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use super::{mhsplat, room, scratch_dataset, stderr, stdout, text};
+use mhsplat::base::files::FolderLock;
 use mhsplat::lab::synth::SynthLayout;
 
 /// Trains on `dataset` and asserts that it is refused in one line that contains every one of `words`, leaving no run.
@@ -267,6 +268,71 @@ fn backgrounds_that_change_are_for_training() {
         }
     }
     assert!(!out.exists());
+}
+
+/// A number below 0 is a wrong value, not an unknown option.
+#[test]
+fn negative_numbers_are_named() {
+    for (flag, value) in [
+        ("--iterations", "-5"),
+        ("--max-size", "-1"),
+        ("--seed", "-2"),
+    ] {
+        let output = mhsplat(&["train", &room(), flag, value]);
+        assert_eq!(output.status.code(), Some(2));
+        let message = stderr(&output);
+        assert!(
+            message.contains(&format!("invalid value '{value}' for '{flag}")),
+            "{message}"
+        );
+    }
+}
+
+/// Two jobs of a cluster may have been given one folder.
+#[test]
+fn a_folder_that_another_process_works_in_is_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let short = ["--iterations", "1", "--max-size", "32"];
+    let data = room();
+    let train = [&["train", &data, "-o", text(&run)][..], &short].concat();
+    assert_eq!(mhsplat(&train).status.code(), Some(0));
+    let resume = || mhsplat(&["train", "--resume", text(&run)]);
+    let lock = FolderLock::take(&run).unwrap();
+    let refused = resume();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(
+        stderr(&refused).contains("another process"),
+        "{}",
+        stderr(&refused)
+    );
+    drop(lock);
+    assert_eq!(resume().status.code(), Some(0));
+}
+
+/// Other formats of scenes, and a target that is missing.
+#[test]
+fn scenes_are_told_the_way_on() {
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["scene.spz", "scene.splat", "scene.ksplat", "scene.sog"] {
+        let file = dir.path().join(name);
+        fs::write(&file, "mine").unwrap();
+        let output = mhsplat(&["eval", text(&file), &room()]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(
+            stderr(&output).contains("convert it to a plain PLY"),
+            "{}",
+            stderr(&output)
+        );
+    }
+    let ply = dir.path().join("scene.ply");
+    fs::write(&ply, "mine").unwrap();
+    let (out, ply) = (dir.path().join("out"), text(&ply));
+    for args in [&["eval", ply][..], &["render", ply, "-o", text(&out)]] {
+        let output = mhsplat(args);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains("DATASET"), "{}", stderr(&output));
+    }
 }
 
 #[test]

@@ -88,6 +88,24 @@ fn nonsense_is_refused(run: &Path, dir: &Path) {
     let before = fs::read(run.join("scene.ply")).unwrap();
     let other = super::scratch_dataset(dir, SynthLayout::Colmap);
     refused(&["train", text(&other), "--resume", text(run)], "not those");
+    // Scores of another dataset's photos would be low without a word.
+    let of_other = ["eval", text(run), text(&other)];
+    refused(&of_other, "not the dataset that the run was trained on");
+    refused(
+        &[&of_other[..], &["--test-every", "2"]].concat(),
+        "not the dataset",
+    );
+    let target = dir.join("of-other");
+    let render = [
+        "render",
+        text(run),
+        "--dataset",
+        text(&other),
+        "-o",
+        text(&target),
+    ];
+    refused(&render, "not the dataset");
+    done(&[&of_other[..], &["--allow-different"]].concat());
     assert_eq!(fs::read(run.join("scene.ply")).unwrap(), before);
     fs::write(run.join("run.json"), "{").unwrap();
     refused(&["eval", text(run), &room], "run.json");
@@ -162,6 +180,18 @@ fn evaluated_alike(run: &Path, record: &Value) {
         }
     }
     assert!(psnr(&["--training-views"]) != psnr(&[]));
+    // The run knows its dataset, and another split of it is the same.
+    let known = json(&done(&["eval", text(run), "--json"]));
+    assert_eq!(known["per_view"], scores["per_view"]);
+    done(&[
+        "eval",
+        text(run),
+        &room(),
+        "--test-every",
+        "4",
+        "--max-size",
+        "32",
+    ]);
     assert!(psnr(&["--near", "1000"]) < 12.0);
     let missed = mhsplat(&["eval", text(run), &room(), "--require-psnr", "99"]);
     assert_eq!(missed.status.code(), Some(1));

@@ -36,7 +36,7 @@ pub(super) fn records<T>(
     (what, least, paired): (&str, usize, bool),
     read: fn(&mut Fields<'_>) -> Result<T>,
 ) -> Result<Vec<T>> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let bytes = crate::base::files::read(path)?;
     let bad = |what: String| Error::input(path, what, REBUILD);
     let mut fields = Fields {
         path,

@@ -8,11 +8,13 @@
 
 mod form;
 mod model;
+mod places;
 
 pub use crate::capture::colmap::model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
+pub(in crate::capture) use crate::capture::colmap::places::{Place, find, photos};
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -21,31 +23,20 @@ use crate::capture::assemble::{RawScene, RawView, find_mask, locate};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::Layout;
 
-/// The folder below `root` that holds a sparse model, and its layout. `sparse/` itself is accepted too, because
-/// `colmap image_undistorter` writes there.
-pub(in crate::capture) fn find(root: &Path) -> Option<(PathBuf, Layout)> {
-    ["sparse/0", "sparse"].iter().find_map(|below| {
-        let dir = root.join(below);
-        if dir.join("cameras.bin").is_file() {
-            Some((dir, Layout::ColmapBin))
-        } else if dir.join("cameras.txt").is_file() {
-            Some((dir, Layout::ColmapTxt))
-        } else {
-            None
-        }
-    })
-}
-
-/// The views and points of the model in `dir`, with photos in `root/images`.
+/// The views and points of a model of `root`.
 ///
 /// # Errors
-/// See [`ColmapModel::read`]; also a missing `images` folder or image names that leave it.
-pub(in crate::capture) fn load(root: &Path, dir: &Path, layout: Layout) -> Result<RawScene> {
-    let model = ColmapModel::read(dir, layout == Layout::ColmapBin)?;
-    let folder = root.join("images");
+/// See [`ColmapModel::read`]; also a missing folder of photos or image names that leave it.
+pub(in crate::capture) fn load(
+    root: &Path,
+    place: &Place,
+    remarks: Vec<String>,
+) -> Result<RawScene> {
+    let model = ColmapModel::read(&place.model, place.layout == Layout::ColmapBin)?;
+    let folder = &place.photos;
     if !folder.is_dir() {
         return Err(Error::input(
-            &folder,
+            folder,
             "no such folder; the photos of a COLMAP dataset are expected there",
             "copy or link the photos to it",
         ));
@@ -59,7 +50,7 @@ pub(in crate::capture) fn load(root: &Path, dir: &Path, layout: Layout) -> Resul
         };
         let [w, x, y, z] = image.rotation;
         let [fx, fy, cx, cy] = c.params;
-        let Some(file) = locate(&folder, &image.name)? else {
+        let Some(file) = locate(folder, &image.name)? else {
             missing.push(image.name.clone());
             continue;
         };
@@ -81,7 +72,8 @@ pub(in crate::capture) fn load(root: &Path, dir: &Path, layout: Layout) -> Resul
         });
     }
     Ok(RawScene {
-        layout,
+        layout: place.layout,
+        remarks,
         train,
         test: None,
         missing,

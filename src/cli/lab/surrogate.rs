@@ -57,9 +57,8 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
             "choose another folder with -o",
         ));
     }
-    let default = || PathBuf::from(&record.dataset.path);
-    let path = args.dataset.clone().unwrap_or_else(default);
-    let dataset = scene::dataset(&path, Some(&record), None, None, false)?;
+    let path = scene::dataset_path(args.dataset.as_deref(), Some(&record))?;
+    let dataset = scene::dataset(&path, Some(&record), &scene::PhotoOptions::default())?;
     let device = crate::cli::common::open_tested(common.device.as_deref())?;
     let options = Options {
         candidates: args.candidates,

@@ -73,6 +73,7 @@ fn read_scene(path: &Path) -> Result<(String, Gaussians, bool)> {
     let SceneFile {
         splats,
         anti_aliased,
+        ..
     } = ply::read(path, &Frame::IDENTITY)?;
     if splats.is_empty() {
         let fix = "give a scene that `mhsplat train` wrote";

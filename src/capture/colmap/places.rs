@@ -1,0 +1,158 @@
+//! The places of a dataset folder in which COLMAP's models and their photos lie.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use crate::capture::assemble::is_photo;
+use crate::capture::dataset::Layout;
+
+/// Folders of models, each itself or with numbered ones in it, and the folders of their photos, the first that exists. Those of a
+/// model before undistortion (`distorted`, of Inria's script) are the photos that were put in.
+const PLACES: [(&str, &[&str]); 4] = [
+    ("sparse", &["images"]),
+    ("", &["images"]),
+    ("colmap/sparse", &["images", "colmap/images"]),
+    ("distorted/sparse", &["input"]),
+];
+
+/// Levels of folders below that of the photos in which photos are counted.
+const DEPTH: usize = 4;
+
+/// A model with its photos.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::capture) struct Place {
+    /// Folder of the model.
+    pub model: PathBuf,
+    /// Form of its files.
+    pub layout: Layout,
+    /// Folder of the photos; `images` if there is none.
+    pub photos: PathBuf,
+    /// Images that the model has.
+    images: u64,
+}
+
+/// The model of most images below `root`, of equals the first by place and number, and remarks on what else there is: photos that
+/// the model does not have, and other models.
+pub(in crate::capture) fn find(root: &Path) -> Option<(Place, Vec<String>)> {
+    let mut all = Vec::new();
+    for (below, photos) in PLACES {
+        let folder = root.join(below);
+        let mut photos = photos.iter().map(|name| root.join(name));
+        let found = photos.find(|p| p.is_dir());
+        let Some(photos) = found.or_else(|| (below == "sparse").then(|| root.join("images")))
+        else {
+            continue;
+        };
+        let numbered = match below {
+            "" => Vec::new(),
+            _ => numbered(&folder),
+        };
+        for model in numbered.into_iter().chain([folder]) {
+            all.extend(place(model, photos.clone()));
+        }
+    }
+    let most = all.iter().map(|place| place.images).max()?;
+    let first = all.iter().position(|place| place.images == most)?;
+    let chosen = all.remove(first);
+    let remarks = remarks(root, &chosen, &all);
+    Some((chosen, remarks))
+}
+
+/// Folders whose names are numbers, in the order of these.
+fn numbered(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let number = |path: &Path| path.file_name()?.to_str()?.parse::<u32>().ok();
+    let mut all: Vec<(u32, PathBuf)> = entries
+        .filter_map(|entry| Some((number(&entry.path())?, entry.path())))
+        .collect();
+    all.sort();
+    all.into_iter().map(|(_, path)| path).collect()
+}
+
+fn place(model: PathBuf, photos: PathBuf) -> Option<Place> {
+    let (layout, images) = if model.join("cameras.bin").is_file() {
+        (Layout::ColmapBin, images_bin(&model.join("images.bin")))
+    } else if model.join("cameras.txt").is_file() {
+        (Layout::ColmapTxt, images_txt(&model.join("images.txt")))
+    } else {
+        return None;
+    };
+    Some(Place {
+        model,
+        layout,
+        photos,
+        images: images.unwrap_or(0),
+    })
+}
+
+/// Number of images that a file announces; `None` for a file that cannot be read: whoever reads the model says why.
+fn images_bin(file: &Path) -> Option<u64> {
+    let mut count = [0; 8];
+    let mut file = file.is_file().then(|| fs::File::open(file).ok())??;
+    file.read_exact(&mut count).ok()?;
+    Some(u64::from_le_bytes(count))
+}
+
+/// Number of images of a text file, which has two lines for each.
+fn images_txt(file: &Path) -> Option<u64> {
+    let file = file.is_file().then(|| fs::File::open(file).ok())??;
+    let mut lines = BufReader::new(file).lines().map_while(Result::ok);
+    let mut images = 0;
+    while let Some(line) = lines.next() {
+        let line = line.trim();
+        if !line.is_empty() && !line.starts_with('#') {
+            images += 1;
+            lines.next();
+        }
+    }
+    Some(images)
+}
+
+fn remarks(root: &Path, chosen: &Place, others: &[Place]) -> Vec<String> {
+    let short = |path: &Path| match path.strip_prefix(root) {
+        Ok(below) if below.as_os_str().is_empty() => "this folder".to_owned(),
+        Ok(below) => below.display().to_string(),
+        Err(_) => path.display().to_string(),
+    };
+    let mut remarks = Vec::new();
+    let (model, photos) = (short(&chosen.model), photos(&chosen.photos));
+    if chosen.images < photos {
+        let (images, folder) = (chosen.images, short(&chosen.photos));
+        remarks.push(match 2 * images < photos {
+            true => format!(
+                "warning: only {images} of the {photos} photos in {folder} have a pose in {model}; for a whole scene match them again (colmap exhaustive_matcher, then mapper)"
+            ),
+            false => format!("{images} of the {photos} photos in {folder} have a pose in {model}"),
+        });
+    }
+    if !others.is_empty() {
+        let names = others
+            .iter()
+            .map(|o| format!("{} ({} photos)", short(&o.model), o.images));
+        let names: Vec<String> = names.collect();
+        let (images, names) = (chosen.images, names.join(", "));
+        remarks.push(format!(
+            "the model in {model} is used ({images} photos); there are others: {names}"
+        ));
+    }
+    remarks
+}
+
+/// Number of photos in a folder and in those below it.
+pub(in crate::capture) fn photos(folder: &Path) -> u64 {
+    count(folder, DEPTH)
+}
+
+fn count(folder: &Path, depth: usize) -> u64 {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let each = entries.map(|entry| {
+        let path = entry.path();
+        match (path.is_dir(), depth) {
+            (true, 0) => 0,
+            (true, _) => count(&path, depth - 1),
+            (false, _) => u64::from(is_photo(&path)),
+        }
+    });
+    each.sum()
+}
