@@ -2,6 +2,7 @@
 
 use std::io::Write;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
@@ -10,6 +11,20 @@ use mhsplat::base::error::{Error, Result};
 /// Writes a line to stderr; a closed stderr is ignored.
 pub fn note(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+static QUIET: AtomicBool = AtomicBool::new(false);
+
+/// Keeps [`info`] from writing anything from now on.
+pub fn be_quiet() {
+    QUIET.store(true, Ordering::Relaxed);
+}
+
+/// Writes a line to stderr unless the user wants quiet.
+pub fn info(text: &str) {
+    if !QUIET.load(Ordering::Relaxed) {
+        note(text);
+    }
 }
 
 /// First failure to write to stdout that is not a closed pipe.

@@ -3,8 +3,11 @@
 use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::LazyLock;
+use std::time::{Duration, Instant};
 
+use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
 
 use crate::cli::common::Common;
 use crate::cli::output;
@@ -28,39 +31,61 @@ pub fn reading(done: usize, all: usize) {
     }
 }
 
-/// Display of a run's progress: a bar on a terminal, and a line for each evaluation where stderr goes elsewhere.
+/// Form in which a run tells its progress, on stderr.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub enum Form {
+    /// A bar on a terminal, lines elsewhere.
+    #[default]
+    Auto,
+    /// A bar.
+    Bar,
+    /// A line for each evaluation, and at least one in half a minute.
+    Log,
+    /// The same lines as JSON objects.
+    Json,
+}
+
+/// Longest time between two lines.
+const SILENCE: Duration = Duration::from_secs(30);
+
+/// Display of a run's progress.
 pub struct Display {
+    form: Form,
     bar: ProgressBar,
-    terminal: bool,
-    /// PSNR of the last line.
-    shown: Option<f64>,
+    /// PSNR of the last line, and when it was written.
+    shown: (Option<f64>, Instant),
 }
 
 impl Display {
     /// An empty one.
-    pub fn new() -> Self {
-        let bar = ProgressBar::new(0);
+    pub fn new(asked: Form) -> Self {
+        let form = match (asked, std::io::stderr().is_terminal()) {
+            (Form::Auto, true) => Form::Bar,
+            (Form::Auto, false) => Form::Log,
+            (form, _) => form,
+        };
+        let bar = match form {
+            Form::Bar => ProgressBar::new(0),
+            _ => ProgressBar::hidden(),
+        };
         // What does not fit is cut off, not wrapped.
         if let Ok(style) = ProgressStyle::with_template("{bar:20} {percent}% {wide_msg}") {
             bar.set_style(style);
         }
         Self {
+            form,
             bar,
-            terminal: std::io::stderr().is_terminal(),
-            shown: None,
+            shown: (None, Instant::now()),
         }
     }
 
     /// Shows the progress of training, and each decision that it takes.
     pub fn show(&mut self, p: &Progress) {
-        if let Some(decided) = &p.decided {
-            self.bar.suspend(|| output::note(decided));
+        if let Some(decided) = p.decided.as_ref().filter(|_| self.form != Form::Json) {
+            self.bar.suspend(|| output::info(decided));
         }
-        if !self.terminal {
-            if p.psnr.is_some() && p.psnr != self.shown {
-                self.shown = p.psnr;
-                output::note(&state(p));
-            }
+        if self.form != Form::Bar {
+            self.line(p);
             return;
         }
         self.bar.set_length(u64::from(p.iterations));
@@ -68,6 +93,25 @@ impl Display {
         if p.iteration.is_multiple_of(10) {
             self.bar.set_message(state(p));
         }
+    }
+
+    /// Writes a line if there is an evaluation to tell of, or nothing has been said for long.
+    fn line(&mut self, p: &Progress) {
+        let (psnr, when) = self.shown;
+        let evaluated = p.psnr.is_some() && p.psnr != psnr;
+        let decided = p.decided.is_some() && self.form == Form::Json;
+        if !evaluated && !decided && when.elapsed() < SILENCE {
+            return;
+        }
+        self.shown = (p.psnr, Instant::now());
+        output::info(&match self.form {
+            Form::Json => json!({
+                "iteration": p.iteration, "iterations": p.iterations, "gaussians": p.gaussians, "psnr": p.psnr,
+                "train_seconds": p.train_seconds, "rate": p.rate, "left_seconds": p.left, "decided": p.decided,
+            })
+            .to_string(),
+            _ => state(p),
+        });
     }
 
     /// Ends the display, and leaves the bar where it is.

@@ -126,7 +126,12 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
 
 /// Notes what was remarkable in a dataset, and the images that are left out, with the reasons.
 pub fn note_left_out(data: &Dataset) {
-    data.remarks.iter().for_each(|remark| output::note(remark));
+    data.remarks
+        .iter()
+        .for_each(|remark| match remark.starts_with("warning") {
+            true => output::note(remark),
+            false => output::info(remark),
+        });
     let are = ["image is", "images are"];
     let have = ["image has a camera", "images have cameras"];
     for (names, subject, what) in [

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::cli::common::{Common, Outcome, open_tested};
 use crate::cli::overrides::Overrides;
-use crate::cli::progress::{Display, finish};
+use crate::cli::progress::{Display, Form, finish};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
@@ -41,6 +41,15 @@ pub struct TrainArgs {
     preset: Option<Preset>,
     #[command(flatten)]
     options: Overrides,
+    /// Form of the progress on stderr.
+    #[arg(long, value_enum, default_value_t, help_heading = RUN_CONTROL)]
+    progress: Form,
+    /// Nothing on stderr but warnings and errors.
+    #[arg(short, long, help_heading = RUN_CONTROL, conflicts_with = "verbose")]
+    quiet: bool,
+    /// The reasons for what is kept and left out.
+    #[arg(short, long, help_heading = RUN_CONTROL)]
+    verbose: bool,
     /// Stop as on Ctrl-C when stdin ends, which a parent process can cause on any system.
     #[arg(long, hide = true)]
     until_stdin_ends: bool,
@@ -53,6 +62,9 @@ pub struct TrainArgs {
 pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let config = config(args)?;
     config.validate()?;
+    if args.quiet {
+        output::be_quiet();
+    }
     let dir = args.resume.as_ref().unwrap_or(&args.output);
     // Before the device: some drivers' compilers set handlers that end the process, and the first one set is the last to run.
     let stop = stop_flag()?;
@@ -75,17 +87,23 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         _ => args.dataset.clone().unwrap_or_default(),
     };
     let mut run = prepare(args, &dataset, dir, config, &device)?;
-    output::note(&format!(
+    output::info(&format!(
         "device: {} ({})",
         device.info().name,
         device.info().platform
     ));
-    output::note(&run.record().plan.summary());
+    for line in run.record().plan.summary(args.verbose) {
+        output::info(&line);
+    }
     let record = run.record();
     if record.config.trace_density && args.resume.is_some() && record.funnel.is_empty() {
         output::note("density control is not traced: a trace begins with the run");
     }
-    let mut display = Display::new();
+    let form = match args.quiet {
+        true => Form::Log,
+        false => args.progress,
+    };
+    let mut display = Display::new(form);
     let driven = run.drive(&stop, |p| display.show(p)).map(|_| ());
     display.end();
     let stopped = matches!(driven, Err(Error::Interrupted));
@@ -128,7 +146,7 @@ fn prepare(
 ) -> Result<Run> {
     let clock = Clock::start();
     let data = capture::load(dataset, &scene::load_options(&config))?;
-    output::note(&format!(
+    output::info(&format!(
         "{}: {} training views, {} held out, {} points",
         dataset.display(),
         data.train.len(),

@@ -98,14 +98,22 @@ impl PlanRecord {
         record
     }
 
-    /// One line for the terminal.
+    /// Lines for the terminal: the names of the parts; with `reasons` a line for each part with its own.
     #[must_use]
-    pub fn summary(&self) -> String {
-        let kept: Vec<&str> = self.kept.iter().map(|i| i.what.as_str()).collect();
-        let because = |i: &Item| format!("{}, because {}", i.what, i.why);
-        let out: Vec<String> = self.left_out.iter().map(because).collect();
-        let label = if out.is_empty() { "" } else { "; left out: " };
-        format!("plan: {}{label}{}", kept.join(", "), out.join("; "))
+    pub fn summary(&self, reasons: bool) -> Vec<String> {
+        let lists = [("kept", &self.kept), ("left out", &self.left_out)];
+        let line = |(label, items): (&str, &Vec<Item>)| -> Vec<String> {
+            if reasons {
+                let because = |i: &Item| format!("{label}: {}, because {}", i.what, i.why);
+                return items.iter().map(because).collect();
+            }
+            let names: Vec<&str> = items.iter().map(|i| i.what.as_str()).collect();
+            match names.is_empty() {
+                true => Vec::new(),
+                false => vec![format!("{label}: {}", names.join(", "))],
+            }
+        };
+        lists.into_iter().flat_map(line).collect()
     }
 }
 

@@ -136,6 +136,41 @@ fn no_more_gaussians_than_allowed() {
     assert!(stderr(&output).contains("--max-gaussians"));
 }
 
+#[test]
+fn progress_is_told_in_the_form_that_is_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let said = |name: &str, more: &[&str]| {
+        let (room, run) = (room(), dir.path().join(name));
+        let args = ["train", &room, "-o", text(&run), "--max-size", "64"];
+        let output = mhsplat(&[&args[..], &["--iterations", "40"], more].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        assert!(super::stdout(&output).contains("scene.ply"));
+        stderr(&output)
+    };
+    let log = said("log", &[]);
+    let lines = log.lines().filter(|l| l.contains(" of 40, ")).count();
+    assert!(lines >= 18, "{log}");
+    assert!(
+        log.contains("left out: ") && !log.contains("because"),
+        "{log}"
+    );
+    let reasons = said("reasons", &["-v"]);
+    assert!(
+        reasons.contains("left out: masks, because there is no mask"),
+        "{reasons}"
+    );
+    let objects = said("json", &["--progress", "json"]);
+    let rows: Vec<Value> = objects
+        .lines()
+        .filter(|l| l.starts_with('{'))
+        .map(json)
+        .collect();
+    assert!(rows.len() >= 18, "{objects}");
+    let last = rows.last().unwrap();
+    assert!(last["psnr"].as_f64() > Some(5.0) && last["iterations"] == 40);
+    assert_eq!(said("quiet", &["-q"]), "");
+}
+
 /// Births wait until what points show is in place; of a random start nothing is.
 #[test]
 fn a_random_start_has_births_at_once() {
