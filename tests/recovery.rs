@@ -130,7 +130,7 @@ fn killed_before_its_first_record_it_leaves_no_folder() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
     let mut begun = 0;
-    for kill in 0..20 {
+    for kill in 0..40 {
         let mut child = train(&room(), &run, false).spawn().unwrap();
         std::thread::sleep(Duration::from_millis(25 * kill));
         child.kill().unwrap();
@@ -148,6 +148,7 @@ fn killed_before_its_first_record_it_leaves_no_folder() {
             fs::remove_dir_all(&run).unwrap();
         }
     }
+    assert!(begun > 0, "none had begun when it was killed");
     let whole = train(&room(), &run, false).status().unwrap();
     assert!(whole.success() && run.join("scene.ply").exists());
 }

@@ -317,7 +317,7 @@ fn clock_leaves_evaluation_out() {
         cpu_seconds: 30.0,
         all_cpu_seconds: 40.0,
     };
-    let mut clock = Clock::resume_from(earlier);
+    let mut clock = Clock::start().after(earlier);
     let pause = std::time::Duration::from_millis(80);
     clock.pause();
     std::thread::sleep(pause);

@@ -57,23 +57,29 @@ fn sync_folder(path: &Path) {
 /// A folder that one process alone works in, until this is dropped or the process ends, however it ends.
 #[derive(Debug)]
 pub struct FolderLock {
-    _folder: Option<File>,
+    _file: Option<File>,
 }
 
+/// File that is locked: network file systems lock files that are open for writing, and no folders.
+pub const LOCK_FILE: &str = ".lock";
+
 impl FolderLock {
-    /// Takes the lock of a folder. Where the system cannot lock folders there is none.
+    /// Takes the lock of a folder. Where the file system cannot lock there is none.
     ///
     /// # Errors
     /// [`Error::Input`] if another process has it.
     pub fn take(folder: &Path) -> Result<Self> {
-        let Ok(file) = File::open(folder) else {
-            return Ok(Self { _folder: None });
+        let file = File::options()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(folder.join(LOCK_FILE));
+        let Ok(file) = file else {
+            return Ok(Self { _file: None });
         };
         match file.try_lock() {
-            Ok(()) => Ok(Self {
-                _folder: Some(file),
-            }),
-            Err(TryLockError::Error(_)) => Ok(Self { _folder: None }),
+            Ok(()) => Ok(Self { _file: Some(file) }),
+            Err(TryLockError::Error(_)) => Ok(Self { _file: None }),
             Err(TryLockError::WouldBlock) => Err(Error::input(
                 folder,
                 "another process is at work in this folder",
@@ -83,19 +89,28 @@ impl FolderLock {
     }
 }
 
-/// The bytes of a regular file.
+/// Refuses what is no regular file: a pipe might never end.
 ///
 /// # Errors
-/// [`Error::Input`] for a pipe, a device or a folder, which might never end; [`Error::Io`] if the system refuses.
-pub fn read(path: &Path) -> Result<Vec<u8>> {
+/// [`Error::Input`] for a pipe, a device or a folder; [`Error::Io`] if the system refuses.
+pub fn check_regular(path: &Path) -> Result<()> {
     let found = fs::metadata(path).map_err(|source| Error::io(path, source))?;
-    if !found.is_file() {
-        return Err(Error::input(
+    match found.is_file() {
+        true => Ok(()),
+        false => Err(Error::input(
             path,
             "no regular file",
             "put a file in its place",
-        ));
+        )),
     }
+}
+
+/// The bytes of a regular file.
+///
+/// # Errors
+/// Those of [`check_regular`]; [`Error::Io`].
+pub fn read(path: &Path) -> Result<Vec<u8>> {
+    check_regular(path)?;
     fs::read(path).map_err(|source| Error::io(path, source))
 }
 

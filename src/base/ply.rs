@@ -244,6 +244,7 @@ impl Table {
 /// A file that cannot be read, or is no PLY.
 pub(crate) fn read_comments(path: &Path) -> Result<Vec<String>> {
     let mut bytes = Vec::new();
+    files::check_regular(path)?;
     std::fs::File::open(path)
         .and_then(|file| file.take(HEADER_LIMIT as u64).read_to_end(&mut bytes))
         .map_err(|e| Error::io(path, e))?;

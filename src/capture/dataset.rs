@@ -112,6 +112,23 @@ impl Dataset {
         format!("{:016x}", hash.0)
     }
 
+    /// Fingerprint of 16 hexadecimal digits that tells captures apart, whatever the photos' size and the split: from names and poses of
+    /// the views.
+    #[must_use]
+    pub fn capture_fingerprint(&self) -> String {
+        let mut views: Vec<&View> = self.views().collect();
+        views.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut hash = Fnv::default();
+        for view in views {
+            hash.bytes(view.name.as_bytes());
+            let pose = view.camera.rotation.to_cols_array().into_iter();
+            for v in pose.chain(view.camera.translation.to_array()) {
+                hash.bytes(&v.to_le_bytes());
+            }
+        }
+        format!("{:016x}", hash.0)
+    }
+
     /// The message if the [`Dataset::fingerprint`] in a run's folder is another one.
     pub(crate) fn not_that_of(&self, run: &Path) -> String {
         let run = run.display();

@@ -25,8 +25,8 @@ use std::path::Path;
 
 use crate::base::error::{Error, Result};
 
-/// Reads a dataset folder: COLMAP (`images/` and `sparse/0/`, binary preferred over text) or `transforms_train.json` /
-/// `transforms.json`.
+/// Reads a dataset folder: a model of COLMAP's with its photos (`sparse/0/` and `images/`, or where else programs leave them; binary
+/// preferred over text), or `transforms_train.json` / `transforms.json`.
 ///
 /// Names are sorted bytewise before the split. Everything is computed in f64 and moved to the local frame before it is
 /// rounded to f32, so that far-off frames (UTM) lose nothing.
@@ -39,21 +39,30 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     if options.max_size == 0 {
         return Err(Error::config("max-size", "0; at least 1 pixel expected"));
     }
-    let scene = if let Some((place, remarks)) = colmap::find(path) {
-        colmap::load(path, &place, remarks)?
-    } else if let Some(file) = transforms::find(path) {
-        transforms::load(path, &file)?
-    } else {
-        return Err(no_dataset(path));
+    let scene = match (colmap::find(path), transforms::find(path)) {
+        (Some((place, remarks)), file) if place.usual || file.is_none() => {
+            colmap::load(path, &place, remarks)?
+        }
+        (_, Some(file)) => transforms::load(path, &file)?,
+        _ => return Err(no_dataset(path)),
     };
     assemble::assemble(path, scene, options)
 }
+
+/// Folders of a dataset that are taken for the whole of it by mistake.
+const PARTS: [&str; 6] = ["images", "sparse", "colmap", "distorted", "input", "masks"];
 
 /// The refusal of a path that is no dataset, with the way on.
 fn no_dataset(path: &Path) -> Error {
     let holds =
         |folder: &Path| colmap::find(folder).is_some() || transforms::find(folder).is_some();
-    let above = path.ancestors().skip(1).take(3).find(|p| holds(p));
+    let part = |above: &&Path| {
+        let first = path.strip_prefix(above).ok();
+        let first = first.and_then(|below| below.components().next());
+        let first = first.and_then(|name| name.as_os_str().to_str());
+        first.is_some_and(|name| PARTS.contains(&name)) && holds(above)
+    };
+    let above = path.ancestors().skip(1).take(3).find(part);
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
     if path.is_file() {
         return match ending.to_ascii_lowercase().as_str() {

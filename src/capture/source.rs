@@ -8,6 +8,7 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
+use crate::base::files::check_regular;
 use crate::base::hash::Fnv;
 use crate::capture::lens::Undistortion;
 use crate::capture::photo::{Alpha, Photo, shrink};
@@ -15,24 +16,23 @@ use crate::capture::photo::{Alpha, Photo, shrink};
 /// Bytes that photos may take if the system does not report its memory.
 const UNKNOWN_MEMORY: u64 = 4 << 30;
 
-/// Bytes that a photo may take when it is decoded, however little memory is available.
+/// The same, however little memory is available.
 const LEAST_DECODED: u64 = 512 << 20;
+
+/// Bytes that one photo may take when it is decoded: half of the available memory, shared by the threads.
+fn decoding_limit() -> u64 {
+    (automatic_budget() / rayon::current_num_threads() as u64).max(LEAST_DECODED)
+}
 
 /// A decoder for an image file by its content. EXIF orientation is ignored, as COLMAP and the NeRF tools ignore it, so that
 /// pixels stay where the poses expect them.
 fn open(file: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
-    if std::fs::metadata(file).is_ok_and(|found| !found.is_file()) {
-        return Err(Error::input(
-            file,
-            "no regular file",
-            "put an image file in its place",
-        ));
-    }
+    check_regular(file)?;
     let opened = ImageReader::open(file).and_then(ImageReader::with_guessed_format);
     let mut reader = opened.map_err(|source| Error::io(file, source))?;
     // A header may announce more than there is memory.
     let mut limits = Limits::default();
-    limits.max_alloc = Some(automatic_budget().max(LEAST_DECODED));
+    limits.max_alloc = Some(decoding_limit());
     reader.limits(limits);
     Ok(reader)
 }
@@ -45,7 +45,10 @@ fn not_an_image(file: &Path, reason: &ImageError) -> Error {
     if matches!(reason, ImageError::Limits(_)) {
         return Error::input(
             file,
-            "larger, decoded, than half of the available memory",
+            format!(
+                "larger than {} MiB when it is decoded, what each thread may take of the available memory",
+                decoding_limit() >> 20
+            ),
             "scale the photo down, or use a machine with more memory",
         );
     }

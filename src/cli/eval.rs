@@ -43,7 +43,11 @@ pub struct EvalArgs {
 /// Scores the held-out views.
 pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let (ply, record) = scene::locate(&args.scene)?;
-    let dataset = scene::dataset_path(args.dataset.as_deref(), record.as_ref())?;
+    let dataset = scene::dataset_path(
+        args.dataset.as_deref(),
+        record.as_ref(),
+        "give the folder of the photos after it",
+    )?;
     let mut data = scene::dataset(&dataset, record.as_ref(), &args.photos)?;
     if args.training_views {
         data.test = std::mem::take(&mut data.train);

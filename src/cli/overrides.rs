@@ -28,8 +28,25 @@ impl Overrides {
             .any(|id| self.0.contains_id(id))
     }
 
+    /// Returns the first key in which two configurations differ and which a resumed run may not change; `None` if there is none.
+    pub fn fixed_difference(a: &TrainConfig, b: &TrainConfig) -> Option<String> {
+        let flags = Flags::augment_args(Command::new("options"));
+        let control = |arg: &&Arg| arg.get_help_heading() == Some(RUN_CONTROL);
+        let control = flags.get_arguments().filter(control);
+        let names: Vec<&str> = control.filter_map(Arg::get_long).collect();
+        let [a, b] = [a, b].map(|config| serde_json::to_value(config).unwrap_or_default());
+        let fixed = |key: &&String| !names.contains(&key.as_str()) && *key != "lengths";
+        let keys = a.as_object()?.keys().filter(fixed);
+        keys.filter(|key| a.get(key) != b.get(key)).cloned().next()
+    }
+
     /// Returns `config` with the typed flags in place of its own values.
-    pub fn over(&self, config: TrainConfig) -> Result<TrainConfig> {
+    pub fn over(&self, mut config: TrainConfig) -> Result<TrainConfig> {
+        let typed = |id: &str| self.0.contains_id(id);
+        // One kind of budget takes the place of the other.
+        if typed("time_budget") || typed("budget_cpu") {
+            (config.time_budget, config.budget_cpu) = (None, None);
+        }
         let wrong = |e: clap::Error| Error::config("train", e.to_string());
         let surrogate = config.mh.surrogate;
         let mut flags = Flags { config, surrogate };

@@ -73,7 +73,11 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let (frame, jobs) = match args.orbit {
         None => {
-            let path = scene::dataset_path(args.dataset.as_deref(), record.as_ref())?;
+            let path = scene::dataset_path(
+                args.dataset.as_deref(),
+                record.as_ref(),
+                "give --dataset with the folder of the photos, or --orbit N",
+            )?;
             let data = scene::dataset(&path, record.as_ref(), &args.photos)?;
             (data.frame, dataset_jobs(data))
         }

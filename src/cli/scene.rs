@@ -58,14 +58,21 @@ pub struct PhotoOptions {
 }
 
 /// Returns the dataset that is asked for, else that of the run.
-pub fn dataset_path(asked: Option<&Path>, record: Option<&RunRecord>) -> Result<PathBuf> {
+///
+/// # Errors
+/// None is asked for, and there is no run: with `how` to ask for one. A run whose dataset is not there any more.
+pub fn dataset_path(
+    asked: Option<&Path>,
+    record: Option<&RunRecord>,
+    how: &str,
+) -> Result<PathBuf> {
     if let Some(path) = asked {
         return Ok(path.to_path_buf());
     }
     let Some(record) = record else {
         return Err(Error::config(
             "DATASET",
-            "a scene file does not say which; give the folder of the photos after it",
+            format!("a scene file does not say which views; {how}"),
         ));
     };
     let path = PathBuf::from(&record.dataset.path);
@@ -91,16 +98,12 @@ pub fn dataset(path: &Path, record: Option<&RunRecord>, options: &PhotoOptions) 
     note_left_out(&data);
     let asked = |c: &TrainConfig| (c.max_size, c.test_every, c.alpha_is_mask);
     if let Some(record) = record.filter(|_| !options.allow_different) {
-        let views = record.dataset.train_views + record.dataset.test_views;
-        // With another size or split the fingerprint is another one, too.
-        let same = match asked(&config) == asked(&of_run) {
-            true => record
-                .dataset
-                .fingerprint
-                .as_ref()
-                .is_none_or(|f| *f == data.fingerprint()),
-            false => data.train.len() + data.test.len() == views,
+        // With another size or split the whole fingerprint is another one.
+        let (known, found) = match asked(&config) == asked(&of_run) {
+            true => (&record.dataset.fingerprint, data.fingerprint()),
+            false => (&record.dataset.capture, data.capture_fingerprint()),
         };
+        let same = known.as_ref().is_none_or(|known| *known == found);
         if !same {
             let what = format!(
                 "not the dataset that the run was trained on ({})",

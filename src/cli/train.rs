@@ -9,11 +9,10 @@ use crate::cli::overrides::Overrides;
 use crate::cli::progress::{Display, Form, finish};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
-use mhsplat::capture;
+use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
-use mhsplat::device::Device;
-use mhsplat::run::{Clock, Run, RunRecord, claim_folder, saved_config};
+use mhsplat::run::{Clock, RECORD_FILE, Run, RunRecord, claim_folder, saved_config};
 
 /// Keys of a configuration that say how long the run is.
 const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
@@ -30,6 +29,9 @@ pub struct TrainArgs {
     /// Continue the run in this folder from its checkpoint, with its configuration.
     #[arg(long, value_name = "RUN", conflicts_with_all = ["output", "config"])]
     resume: Option<PathBuf>,
+    /// Continue the run in the folder of -o if there is one, else start it: for jobs that are queued again, with the same options.
+    #[arg(long, conflicts_with = "resume")]
+    resume_or_start: bool,
     /// Give a finished or stopped run so much more time (90s, 10m, 1h30m; CPU seconds if its budget was) than it has had.
     #[arg(long, value_name = "TIME", value_parser = parse_duration, requires = "resume", conflicts_with_all = ["time_budget", "budget_cpu"])]
     extend: Option<f64>,
@@ -60,12 +62,18 @@ pub struct TrainArgs {
 
 /// Trains a scene; progress goes to stderr.
 pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
-    let config = config(args)?;
+    let resume = match &args.resume {
+        None if args.resume_or_start && args.output.join(RECORD_FILE).exists() => {
+            Some(&args.output)
+        }
+        resume => resume.as_ref(),
+    };
+    let config = config(args, resume.map(PathBuf::as_path))?;
     config.validate()?;
     if args.quiet {
         output::be_quiet();
     }
-    let dir = args.resume.as_ref().unwrap_or(&args.output);
+    let dir = resume.unwrap_or(&args.output);
     // Before the device: some drivers' compilers set handlers that end the process, and the first one set is the last to run.
     let stop = stop_flag()?;
     if args.until_stdin_ends {
@@ -76,17 +84,22 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         });
     }
     let device = open_tested(common.device.as_deref())?;
-    if args.resume.is_none() {
+    if resume.is_none() {
         claim_folder(dir)?;
     }
-    let dataset = match &args.resume {
+    let dataset = match resume {
         Some(run) if args.dataset.is_none() => {
             let record = RunRecord::read(run)?;
-            scene::dataset_path(None, Some(&record))?
+            scene::dataset_path(None, Some(&record), "give it")?
         }
         _ => args.dataset.clone().unwrap_or_default(),
     };
-    let mut run = prepare(args, &dataset, dir, config, &device)?;
+    let clock = Clock::start();
+    let data = read_photos(&dataset, &config)?;
+    let mut run = match resume {
+        Some(run) => Run::resume(run, data, config, &device, clock, args.extend),
+        None => Run::start(dir, data, config, &device, clock),
+    }?;
     output::info(&format!(
         "device: {} ({})",
         device.info().name,
@@ -96,7 +109,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         output::info(&line);
     }
     let record = run.record();
-    if record.config.trace_density && args.resume.is_some() && record.funnel.is_empty() {
+    if record.config.trace_density && resume.is_some() && record.funnel.is_empty() {
         output::note("density control is not traced: a trace begins with the run");
     }
     let form = match args.quiet {
@@ -137,15 +150,9 @@ fn note_resume(saved: Option<u32>, dataset: &Path, dir: &Path, stopped: bool) {
     output::note(&format!("{what}: mhsplat train {dataset} --resume {dir}"));
 }
 
-fn prepare(
-    args: &TrainArgs,
-    dataset: &Path,
-    dir: &Path,
-    config: TrainConfig,
-    device: &Device,
-) -> Result<Run> {
-    let clock = Clock::start();
-    let data = capture::load(dataset, &scene::load_options(&config))?;
+/// Reads the dataset of a run, and tells what it holds.
+fn read_photos(dataset: &Path, config: &TrainConfig) -> Result<Dataset> {
+    let data = capture::load(dataset, &scene::load_options(config))?;
     output::info(&format!(
         "{}: {} training views, {} held out, {} points",
         dataset.display(),
@@ -154,23 +161,22 @@ fn prepare(
         data.points.positions.len()
     ));
     scene::note_left_out(&data);
-    if args.resume.is_some() {
-        Run::resume(dir, data, config, device, clock, args.extend)
-    } else {
-        Run::start(dir, data, config, device, clock)
-    }
+    Ok(data)
 }
 
-/// Returns a flag that Ctrl-C, SIGTERM or the end of the session (SIGHUP, unless `nohup` ignores it) sets; a second signal ends the
-/// program at once.
+/// Returns a flag that Ctrl-C, SIGTERM or the end of the session (SIGHUP, unless `nohup` ignores it) sets; a Ctrl-C or SIGTERM after
+/// that ends the program at once.
 pub fn stop_flag() -> Result<Arc<AtomicBool>> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let stop = Arc::new(AtomicBool::new(false));
+    let fail = |e| Error::io("signal handler", e);
     let signals = [SIGINT, SIGTERM, SIGHUP].into_iter();
     for signal in signals.filter(|signal| *signal != SIGHUP || !ignored(SIGHUP)) {
-        let fail = |e| Error::io("signal handler", e);
-        signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
-            .map_err(fail)?;
+        // A shell and the kernel both send SIGHUP when a session ends: two of them are no impatience.
+        if signal != SIGHUP {
+            signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
+                .map_err(fail)?;
+        }
         signal_hook::flag::register(signal, stop.clone()).map_err(fail)?;
     }
     Ok(stop)
@@ -184,14 +190,35 @@ fn ignored(signal: i32) -> bool {
     mask.is_some_and(|m| m >> (signal - 1) & 1 == 1)
 }
 
-/// Returns the defaults, those of a file or those of the run to resume, with the typed flags in their place.
-fn config(args: &TrainArgs) -> Result<TrainConfig> {
-    let (mut config, mut long) = match (&args.resume, &args.config) {
-        (Some(run), _) => (saved_config(run)?, true),
-        (None, Some(file)) => read_config(file)?,
-        (None, None) => (TrainConfig::default(), false),
+/// Returns the configuration of a new run, or that of the run to resume with the typed flags in the place of what may change.
+///
+/// # Errors
+/// A file that cannot be read; for a run that is begun or resumed, whatever there is, another configuration than that it has.
+fn config(args: &TrainArgs, resume: Option<&Path>) -> Result<TrainConfig> {
+    let Some(run) = resume else {
+        return new_config(args);
     };
-    if args.resume.is_none() && args.options.set_length() {
+    let saved = saved_config(run)?;
+    if args.resume_or_start {
+        let asked = new_config(args)?;
+        if let Some(key) = Overrides::fixed_difference(&asked, &saved) {
+            return Err(Error::input(
+                run,
+                format!("the run there was begun with another `{key}` than is asked for now"),
+                "give the options that it was begun with, or another folder with -o",
+            ));
+        }
+    }
+    args.options.over(saved)
+}
+
+/// Returns the defaults or those of a file, with the typed flags in their place.
+fn new_config(args: &TrainArgs) -> Result<TrainConfig> {
+    let (mut config, mut long) = match &args.config {
+        Some(file) => read_config(file)?,
+        None => (TrainConfig::default(), false),
+    };
+    if args.options.set_length() {
         config.lengths.clear();
         long = true;
     }

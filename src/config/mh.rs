@@ -258,7 +258,12 @@ impl MhConfig {
     /// True if a step at progress η has births.
     #[must_use]
     pub fn births_enabled(&self, progress: f64) -> bool {
-        self.passed(self.births_from_iteration.unwrap_or(BIRTHS_FROM), progress)
+        // Where density control ends before, they begin with it.
+        let usual = match self.until_iteration > BIRTHS_FROM {
+            true => BIRTHS_FROM,
+            false => self.from_iteration,
+        };
+        self.passed(self.births_from_iteration.unwrap_or(usual), progress)
     }
 
     /// True if a step at progress η removes dead Gaussians.

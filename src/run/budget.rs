@@ -292,6 +292,19 @@ mod tests {
         assert!((500..1300).contains(&next.unwrap()), "{next:?}");
     }
 
+    /// An overflow of tile intersections takes training back.
+    #[test]
+    fn going_back_measures_nothing() {
+        let mut forecast = forecast(60.0);
+        let mut seconds = 0.0;
+        for done in [0, 20, 19, 18, 19, 20, 21, 40] {
+            forecast.iterated(done, 1000, seconds);
+            seconds += 1.0;
+        }
+        let left = forecast.left(40, 1000).unwrap();
+        assert!((10.0..600.0).contains(&left), "{left}");
+    }
+
     #[test]
     fn time_left_is_told_of_other_costs_than_those_of_the_table() {
         for unit in [2e-3, 0.02, 0.5] {

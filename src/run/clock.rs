@@ -82,18 +82,22 @@ impl Clock {
     /// Starts all clocks at zero.
     #[must_use]
     pub fn start() -> Self {
-        Self::resume_from(Reading::default())
-    }
-
-    /// Starts all clocks where an earlier part of the run left them (from a checkpoint).
-    #[must_use]
-    pub fn resume_from(earlier: Reading) -> Self {
         let mark = now();
         Self {
             start: mark,
-            before: earlier,
+            before: Reading::default(),
             running: Some(mark),
         }
+    }
+
+    /// The clocks of a run that goes on, which show more by what an earlier part of it took (from a checkpoint).
+    #[must_use]
+    pub fn after(mut self, earlier: Reading) -> Self {
+        self.before.train_seconds += earlier.train_seconds;
+        self.before.wall_seconds += earlier.wall_seconds;
+        self.before.cpu_seconds += earlier.cpu_seconds;
+        self.before.all_cpu_seconds += earlier.all_cpu_seconds;
+        self
     }
 
     /// Stops `train` and `cpu`; no effect while they are stopped.

@@ -455,7 +455,15 @@ impl Run {
         let (scene, renderer) = self.trainer.scene_and_renderer();
         let n = evaluator.views().len();
         let shown = n.min(GALLERY_VIEWS);
-        let views: Vec<usize> = (0..shown).map(|k| k * n / shown).collect();
+        let mut views: Vec<usize> = (0..shown).map(|k| k * n / shown).collect();
+        let scores = self.record.final_scores.iter().flat_map(|f| &f.per_view);
+        let worst = scores.min_by(|a, b| a.scores.psnr.total_cmp(&b.scores.psnr));
+        let names = &evaluator.views().names;
+        let worst = worst.and_then(|w| names.iter().position(|name| *name == w.view));
+        if let Some(worst) = worst.filter(|w| !views.contains(w)) {
+            views.pop();
+            views.push(worst);
+        }
         let mut items = Vec::with_capacity(shown);
         for (k, &view) in views.iter().enumerate() {
             let next = &views[k + 1..];

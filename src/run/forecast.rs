@@ -168,7 +168,8 @@ impl Forecast {
             true => FIRST,
             false => (length / MEASUREMENTS).max(1),
         };
-        if done == before || (done - before < enough && !late) {
+        // An overflow of tile intersections takes training back by an iteration or two.
+        if done <= before || (done - before < enough && !late) {
             return;
         }
         let cost = f64::from(length) * self.between(share(before), share(done));

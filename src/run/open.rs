@@ -13,7 +13,7 @@ use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::run::budget::{Budget, Pace, begin, go_on};
 use crate::run::checkpoint::{self, Checkpoint};
-use crate::run::clock::Clock;
+use crate::run::clock::{Clock, process_cpu_seconds};
 use crate::run::drive::Run;
 use crate::run::forecast::Forecast;
 use crate::run::patience;
@@ -98,6 +98,12 @@ impl Run {
         if !start::has_checkpoint(dir)? {
             start::check_unfinished(dir, &dataset)?;
             let mut config = config;
+            if let Some(time) = extend {
+                match config.budget_cpu.is_some() {
+                    true => config.budget_cpu = Some(time),
+                    false => config.time_budget = Some(time),
+                }
+            }
             if config.has_budget() {
                 // Not to be repeated: the clock begins anew, too.
                 config.lengths.clear();
@@ -113,17 +119,23 @@ impl Run {
             ));
         }
         let mut config = config;
+        // What was read before the folder was locked may be older.
+        config.lengths.clone_from(&saved.config.lengths);
         let done = saved.state.iteration;
         let ended = done >= saved.config.last_iterations();
         let used = [saved.clock.wall_seconds, saved.clock.all_cpu_seconds];
         let mut extended = None;
         if let Some(more) = extend {
             let [wall, cpu] = used;
+            let so_far = match config.budget_cpu.is_some() {
+                true => cpu,
+                false => wall,
+            };
             match config.budget_cpu.is_some() {
                 true => config.budget_cpu = Some(cpu + more),
                 false => config.time_budget = Some(wall + more),
             }
-            let longer = f64::from(done) * (1.0 + more / wall.max(1e-3));
+            let longer = f64::from(done) * (1.0 + more / so_far.max(1e-3));
             let longer = (longer as u32).max(done.saturating_add(FEWEST));
             extended = ended.then_some(longer);
         } else {
@@ -169,6 +181,10 @@ impl Run {
             lock,
         } = from;
         let again = lock.is_some();
+        if plan.config.budget_cpu.is_some() && process_cpu_seconds() <= 0.0 {
+            let what = "this system does not tell the CPU seconds of a process; use --time-budget";
+            return Err(Error::config("--budget-cpu", what));
+        }
         let mut record = start::record(&dataset, &plan, device);
         record.config.lengths.extend(&to_come);
         if saved.is_some() && dir.join(RECORD_FILE).exists() {
@@ -211,18 +227,16 @@ impl Run {
             Next::Pause | Next::Density => saved.state.iteration.saturating_sub(1),
             _ => saved.state.iteration,
         });
-        let pace = Pace::new(&plan.config, to_come);
+        // That of the trainer: an extension has made it longer.
+        let pace = Pace::new(&trainer.plan().config, to_come);
         let forecast = Forecast::new(&trainer, evaluator.as_ref(), Budget::latest(pace.budget()));
         let clock = match &saved {
-            Some(saved) => Clock::resume_from(saved.clock),
+            Some(saved) => clock.after(saved.clock),
             None => clock,
         };
         let lock = match lock {
             Some(lock) => lock,
-            None => {
-                start::make_folder(dir, &record)?;
-                FolderLock::take(dir)?
-            }
+            None => start::make_folder(dir, &record)?,
         };
         let free = |_: &Error| {
             if !again {

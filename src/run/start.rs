@@ -4,6 +4,7 @@ use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
 use crate::base::error::{Error, Result};
+use crate::base::files::{FolderLock, LOCK_FILE};
 use crate::capture::{Camera, Dataset};
 use crate::config::{Init, Sampler, TrainConfig};
 use crate::device::Device;
@@ -142,6 +143,7 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
             width: largest(|c| c.width),
             height: largest(|c| c.height),
             fingerprint: Some(dataset.fingerprint()),
+            capture: Some(dataset.capture_fingerprint()),
         },
         DeviceRecord {
             name: info.name.clone(),
@@ -166,18 +168,29 @@ fn absolute(path: &Path) -> String {
 /// A folder that holds anything, a file, or a place that cannot be written.
 pub fn claim_folder(dir: &Path) -> Result<()> {
     check_free(dir)?;
-    let begun = begun(dir);
-    std::fs::create_dir_all(&begun)
-        .and_then(|()| std::fs::remove_dir(&begun))
+    let probe = match dir.is_dir() {
+        true => dir.join(begun(dir).file_name().unwrap_or_default()),
+        false => begun(dir),
+    };
+    std::fs::create_dir_all(&probe)
+        .and_then(|()| std::fs::remove_dir(&probe))
         .map_err(|error| cannot_be_made(dir, &error))
 }
 
-/// Makes the run folder and its record at once: a run that is killed leaves none, or one that can be gone on with. Of two
-/// runs that make one folder the second is refused.
+/// Makes the run folder and its record at once, or writes the record into an empty folder that is there, and locks it: a run that is
+/// killed leaves no folder, an empty one as before, or one that can be gone on with. Of two runs that make one folder the second is
+/// refused.
 ///
 /// # Errors
 /// Those of [`claim_folder`].
-pub(super) fn make_folder(dir: &Path, record: &RunRecord) -> Result<()> {
+pub(super) fn make_folder(dir: &Path, record: &RunRecord) -> Result<FolderLock> {
+    if dir.is_dir() {
+        // It may be a volume or a link, in whose place nothing can be put.
+        let lock = FolderLock::take(dir)?;
+        check_free(dir)?;
+        record.write(dir)?;
+        return Ok(lock);
+    }
     check_free(dir)?;
     let begun = begun(dir);
     let made = std::fs::create_dir_all(&begun)
@@ -189,7 +202,8 @@ pub(super) fn make_folder(dir: &Path, record: &RunRecord) -> Result<()> {
         });
     made.inspect_err(|_| {
         let _ = std::fs::remove_dir_all(&begun);
-    })
+    })?;
+    FolderLock::take(dir)
 }
 
 /// The name of a run folder until its record is written.
@@ -202,7 +216,10 @@ fn begun(dir: &Path) -> PathBuf {
 
 fn check_free(dir: &Path) -> Result<()> {
     let free = match std::fs::read_dir(dir) {
-        Ok(mut entries) => entries.next().is_none(),
+        Ok(entries) => {
+            let mut others = entries.flatten().map(|entry| entry.file_name());
+            others.all(|name| name == LOCK_FILE)
+        }
         Err(error) if dir.symlink_metadata().is_err() => {
             return match error.kind() == std::io::ErrorKind::NotFound {
                 true => Ok(()),

@@ -147,7 +147,7 @@ fn an_existing_run_is_never_touched() {
     assert_eq!(fs::read_dir(&run).unwrap().count(), 1);
 }
 
-/// What a job before it made, or the user.
+/// A folder that the user made, or a job before.
 #[test]
 fn an_empty_run_folder_is_used() {
     let dir = tempfile::tempdir().unwrap();
@@ -331,7 +331,11 @@ fn scenes_are_told_the_way_on() {
     for args in [&["eval", ply][..], &["render", ply, "-o", text(&out)]] {
         let output = mhsplat(args);
         assert_eq!(output.status.code(), Some(2));
-        assert!(stderr(&output).contains("DATASET"), "{}", stderr(&output));
+        let way = match args[0] {
+            "eval" => "after it",
+            _ => "--orbit N",
+        };
+        assert!(stderr(&output).contains(way), "{}", stderr(&output));
     }
 }
 

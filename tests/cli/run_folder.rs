@@ -136,6 +136,38 @@ fn no_more_gaussians_than_allowed() {
     assert!(stderr(&output).contains("--max-gaussians"));
 }
 
+/// One command line serves a job whenever it is queued.
+#[test]
+fn a_job_that_is_queued_again_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let (room, run) = (room(), dir.path().join("run"));
+    let job = ["train", &room, "-o", text(&run), "--resume-or-start"];
+    let size = ["--max-size", "64"];
+    let args = [&job[..], &size, &["--iterations", "60"]].concat();
+    done(&args);
+    let scene = fs::read(run.join("scene.ply")).unwrap();
+    // The run has come to its end; what it may change on the way may be another.
+    done(&[&args[..], &["--checkpoint-every", "7", "--eval-every", "9"]].concat());
+    assert_eq!(fs::read(run.join("scene.ply")).unwrap(), scene);
+    for (other, key) in [
+        (["--iterations", "61"], "iterations"),
+        (["--seed", "1"], "seed"),
+    ] {
+        let mut args = [&job[..], &size, &other].concat();
+        if key != "iterations" {
+            args.extend(["--iterations", "60"]);
+        }
+        let output = mhsplat(&args);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(
+            stderr(&output).contains(&format!("another `{key}`")),
+            "{}",
+            stderr(&output)
+        );
+    }
+    assert_eq!(fs::read(run.join("scene.ply")).unwrap(), scene);
+}
+
 #[test]
 fn progress_is_told_in_the_form_that_is_asked_for() {
     let dir = tempfile::tempdir().unwrap();
@@ -370,11 +402,18 @@ fn ctrl_c_leaves_a_checkpoint_that_resumes_to_the_same_scene() {
     } else {
         "-INT"
     };
-    let killed = std::process::Command::new("kill")
-        .args([signal, &child.id().to_string()])
-        .status()
-        .unwrap();
-    assert!(killed.success());
+    let signals = match signal {
+        // A shell sends one and the kernel another.
+        "-HUP" => 2,
+        _ => 1,
+    };
+    for _ in 0..signals {
+        let killed = std::process::Command::new("kill")
+            .args([signal, &child.id().to_string()])
+            .status()
+            .unwrap();
+        assert!(killed.success());
+    }
     assert_eq!(child.wait().unwrap().code(), Some(130));
     let record = json(&fs::read_to_string(cut.join("run.json")).unwrap());
     assert!(record["iterations"].as_u64() < Some(1500));

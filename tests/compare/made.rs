@@ -54,6 +54,7 @@ pub fn run(name: &str, seed: u64) -> Made {
         outliers: Vec::new(),
         masked_out: Vec::new(),
         fingerprint: Some("0123456789abcdef".into()),
+        capture: None,
     };
     let mut record = RunRecord::new(
         config,

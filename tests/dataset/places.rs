@@ -5,8 +5,10 @@ use std::path::Path;
 use std::process::Command;
 
 use glam::DVec3;
+use serde_json::json;
 
 use super::{assert_refused, colmap_scene, load_every, ring, three_points, write_images};
+use mhsplat::capture::Layout;
 use mhsplat::capture::colmap::ColmapModel;
 
 /// Writes a model of the first `count` of six views, and the photos of all of them, below `root`.
@@ -57,6 +59,34 @@ fn the_largest_of_several_models_is_taken_and_the_others_are_named() {
     assert!(others.contains("sparse/1 is used (5 photos)"), "{others}");
     assert!(others.contains("sparse/0 (2 photos)"), "{others}");
     assert!(others.contains("distorted/sparse/1 (5 photos)"), "{others}");
+}
+
+/// nerfstudio leaves COLMAP's model beside the transforms file that it makes of it.
+#[test]
+fn a_transforms_file_comes_before_a_model_beside_it() {
+    let frame = |name: &str, x: f64| {
+        json!({"file_path": format!("images/{name}"), "transform_matrix":
+            [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]})
+    };
+    let views = ring(6, DVec3::ZERO);
+    let [w, h] = [views[0].1.width, views[0].1.height];
+    let names = views[..2].iter().map(|(name, _)| name);
+    let frames: Vec<_> = names
+        .zip([0.0, 1.0])
+        .map(|(name, x)| frame(name, x))
+        .collect();
+    let file = json!({"fl_x": 20.0, "fl_y": 20.0, "w": w, "h": h, "frames": frames});
+    for (place, layout, count) in [
+        ("colmap/sparse/0", Layout::Transforms, 2),
+        ("", Layout::Transforms, 2),
+        ("sparse/0", Layout::ColmapBin, 6),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        model(dir.path(), place, "images", 6);
+        fs::write(dir.path().join("transforms.json"), file.to_string()).unwrap();
+        let data = load_every(dir.path(), 0).unwrap();
+        assert_eq!((data.layout, data.train.len()), (layout, count), "{place}");
+    }
 }
 
 #[test]

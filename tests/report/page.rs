@@ -6,7 +6,7 @@ use super::samples::*;
 use mhsplat::base::error::Error;
 use mhsplat::chart::axis::{Axis, ticks};
 use mhsplat::chart::svg::{Banded, Bar, band_chart, bar_chart};
-use mhsplat::chart::text::{escape, grouped, span};
+use mhsplat::chart::text::{about, escape, grouped, span};
 use mhsplat::config::{Init, Length, Sampler, TrainConfig};
 use mhsplat::run::PlanRecord;
 use mhsplat::run::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
@@ -353,5 +353,24 @@ fn numbers_read_well() {
     ];
     for (seconds, text) in spans {
         assert_eq!(span(seconds), text);
+    }
+    // Estimates, to the digits that they are worth.
+    let estimates = [
+        (0.2, "0 s"),
+        (19.4, "19 s"),
+        (42.0, "40 s"),
+        (87.4, "85 s"),
+        (88.0, "1.5 min"),
+        (130.0, "2 min"),
+        (569.0, "9.5 min"),
+        (840.0, "14 min"),
+        (3569.0, "59 min"),
+        (3570.0, "1 h 00 min"),
+        (6700.0, "1 h 50 min"),
+        (f64::INFINITY, "–"),
+        (-1.0, "–"),
+    ];
+    for (seconds, text) in estimates {
+        assert_eq!(about(seconds), text, "{seconds}");
     }
 }

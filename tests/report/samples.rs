@@ -85,6 +85,7 @@ pub fn record() -> RunRecord {
             outliers: Vec::new(),
             masked_out: Vec::new(),
             fingerprint: Some("0123456789abcdef".into()),
+            capture: None,
         },
         DeviceRecord {
             name: "cpu-znver3-AMD EPYC 7B13".into(),

@@ -28,6 +28,8 @@ pub(in crate::capture) struct Place {
     pub layout: Layout,
     /// Folder of the photos; `images` if there is none.
     pub photos: PathBuf,
+    /// True for a model in `sparse`, which is looked for before a transforms file; others, which programs leave beside one, after it.
+    pub usual: bool,
     /// Images that the model has.
     images: u64,
 }
@@ -49,12 +51,16 @@ pub(in crate::capture) fn find(root: &Path) -> Option<(Place, Vec<String>)> {
             _ => numbered(&folder),
         };
         for model in numbered.into_iter().chain([folder]) {
-            all.extend(place(model, photos.clone()));
+            all.extend(place(model, photos.clone(), below == PLACES[0].0));
         }
     }
     let most = all.iter().map(|place| place.images).max()?;
     let first = all.iter().position(|place| place.images == most)?;
-    let chosen = all.remove(first);
+    let usual = all.iter().any(|place| place.usual);
+    let chosen = Place {
+        usual,
+        ..all.remove(first)
+    };
     let remarks = remarks(root, &chosen, &all);
     Some((chosen, remarks))
 }
@@ -70,7 +76,7 @@ fn numbered(folder: &Path) -> Vec<PathBuf> {
     all.into_iter().map(|(_, path)| path).collect()
 }
 
-fn place(model: PathBuf, photos: PathBuf) -> Option<Place> {
+fn place(model: PathBuf, photos: PathBuf, usual: bool) -> Option<Place> {
     let (layout, images) = if model.join("cameras.bin").is_file() {
         (Layout::ColmapBin, images_bin(&model.join("images.bin")))
     } else if model.join("cameras.txt").is_file() {
@@ -82,6 +88,7 @@ fn place(model: PathBuf, photos: PathBuf) -> Option<Place> {
         model,
         layout,
         photos,
+        usual,
         images: images.unwrap_or(0),
     })
 }

@@ -57,7 +57,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
             "choose another folder with -o",
         ));
     }
-    let path = scene::dataset_path(args.dataset.as_deref(), Some(&record))?;
+    let path = scene::dataset_path(args.dataset.as_deref(), Some(&record), "give it")?;
     let dataset = scene::dataset(&path, Some(&record), &scene::PhotoOptions::default())?;
     let device = crate::cli::common::open_tested(common.device.as_deref())?;
     let options = Options {

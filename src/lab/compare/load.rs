@@ -183,9 +183,14 @@ fn facts(record: &RunRecord) -> Vec<Fact> {
 /// Returns true if a run came to its end: by its iterations, its time budget or its patience.
 #[must_use]
 pub fn finished(record: &RunRecord) -> bool {
+    // Records of earlier versions do not say that they ran out of time.
+    let out_of_time = |budget: f64| record.out_of_time || record.train_seconds >= budget;
     record.iterations >= record.config.last_iterations()
         || record.stalled.is_some()
-        || record.out_of_time
+        || record
+            .config
+            .time_budget
+            .map_or(record.out_of_time, out_of_time)
 }
 
 /// Reads a run and adds its caveats to `warnings`; `None` for one without any evaluation yet.

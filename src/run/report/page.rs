@@ -30,13 +30,15 @@ pub fn write_report(
 ) -> Result<()> {
     let mut body = String::new();
     headlines(&mut body, record, rows);
-    panels::quality(&mut body, rows, density);
-    panels::density_control(&mut body, record.config.sampler, density);
-    panels::funnel(&mut body, &record.funnel);
-    panels::stages(&mut body, record);
-    plan(&mut body, &record.plan);
     views(&mut body, gallery)?;
     scores(&mut body, record.final_scores.as_ref());
+    panels::quality(&mut body, rows, density);
+    panels::stages(&mut body, record);
+    plan(&mut body, &record.plan);
+    body.push_str("<details><summary>Density control, step by step</summary>\n");
+    panels::density_control(&mut body, record.config.sampler, density);
+    panels::funnel(&mut body, &record.funnel);
+    body.push_str("</details>\n");
     settings::section(&mut body, record, run_dir);
     let title = format!("{} · mhsplat", folder_name(&record.dataset.path));
     crate::base::files::write_bytes(&run_dir.join(REPORT_FILE), page(&title, &body).as_bytes())
@@ -172,6 +174,9 @@ fn views(out: &mut String, gallery: &[GalleryItem]) -> Result<()> {
          <div class=ramp><span>0</span><i style=\"background:linear-gradient(90deg,{})\"></i><span>≥ {ERROR_FULL_SCALE}</span></div>",
         stops.join(",")
     );
+    // The worst first: what is wrong with a scene shows there.
+    let mut gallery: Vec<&GalleryItem> = gallery.iter().collect();
+    gallery.sort_by(|a, b| a.psnr.total_cmp(&b.psnr));
     for item in gallery {
         let _ = write!(
             out,
