@@ -105,7 +105,8 @@ impl Kernels {
             "{}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{source}",
             self.defines.prelude(R::IS_DOUBLE)
         );
-        let bug = "update the driver or select another device; the log above names the line";
+        let bug = "if the log names no line, memory may have run out for the compiler (ulimit -v, a container's limit): allow more; \
+                   else update the driver or select another device";
         let bytes = CString::new(text)
             .map_err(|_| Error::device(stage, "the source holds a NUL byte", bug))?;
         let inner = &self.device.inner;
