@@ -112,8 +112,8 @@ impl Dataset {
         format!("{:016x}", hash.0)
     }
 
-    /// Fingerprint of 16 hexadecimal digits that tells captures apart, whatever the photos' size and the split: from names and poses of
-    /// the views.
+    /// Fingerprint of 16 hexadecimal digits that tells captures apart, whatever the photos' size and the split: from names and
+    /// directions of the views.
     #[must_use]
     pub fn capture_fingerprint(&self) -> String {
         let mut views: Vec<&View> = self.views().collect();
@@ -121,8 +121,8 @@ impl Dataset {
         let mut hash = Fnv::default();
         for view in views {
             hash.bytes(view.name.as_bytes());
-            let pose = view.camera.rotation.to_cols_array().into_iter();
-            for v in pose.chain(view.camera.translation.to_array()) {
+            // No positions: the frame that they are in is a mean over the views, whose last digit depends on their order.
+            for v in view.camera.rotation.to_cols_array() {
                 hash.bytes(&v.to_le_bytes());
             }
         }

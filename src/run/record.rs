@@ -44,7 +44,7 @@ pub struct DatasetRecord {
     /// `Dataset::fingerprint`: views, cameras, lenses, sizes, masks and split; not in records of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fingerprint: Option<String>,
-    /// `Dataset::capture_fingerprint`: names and poses of the views; not in records of earlier versions.
+    /// `Dataset::capture_fingerprint`: names and directions of the views; not in records of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub capture: Option<String>,
 }
