@@ -37,7 +37,8 @@ impl Overrides {
         let [a, b] = [a, b].map(|config| serde_json::to_value(config).unwrap_or_default());
         let fixed = |key: &&String| !names.contains(&key.as_str()) && *key != "lengths";
         let keys = a.as_object()?.keys().filter(fixed);
-        keys.filter(|key| a.get(key) != b.get(key)).cloned().next()
+        let mut other = keys.filter(|key| a.get(key) != b.get(key));
+        other.next().cloned()
     }
 
     /// Returns `config` with the typed flags in place of its own values.

@@ -57,6 +57,16 @@ pub struct PhotoOptions {
     allow_different: bool,
 }
 
+impl PhotoOptions {
+    /// Returns the run's, for a command that compares the dataset with the run itself.
+    pub fn of_run() -> Self {
+        Self {
+            allow_different: true,
+            ..Self::default()
+        }
+    }
+}
+
 /// Returns the dataset that is asked for, else that of the run.
 ///
 /// # Errors

@@ -181,10 +181,7 @@ impl Run {
             lock,
         } = from;
         let again = lock.is_some();
-        if plan.config.budget_cpu.is_some() && process_cpu_seconds() <= 0.0 {
-            let what = "this system does not tell the CPU seconds of a process; use --time-budget";
-            return Err(Error::config("--budget-cpu", what));
-        }
+        check_clock(&plan.config)?;
         let mut record = start::record(&dataset, &plan, device);
         record.config.lengths.extend(&to_come);
         if saved.is_some() && dir.join(RECORD_FILE).exists() {
@@ -222,11 +219,7 @@ impl Run {
         let losses = patience::losses(&rows, trainer.full_size_from());
         patience::check(&plan.config, &losses)?;
         let done = saved.as_ref().map(|saved| saved.state.iteration);
-        // The row of a density step that the checkpoint comes before is written again.
-        let stepped = saved.as_ref().map(|saved| match saved.state.next {
-            Next::Pause | Next::Density => saved.state.iteration.saturating_sub(1),
-            _ => saved.state.iteration,
-        });
+        let stepped = saved.as_ref().map(stepped);
         // That of the trainer: an extension has made it longer.
         let pace = Pace::new(&trainer.plan().config, to_come);
         let forecast = Forecast::new(&trainer, evaluator.as_ref(), Budget::latest(pace.budget()));
@@ -267,6 +260,21 @@ impl Run {
         };
         run.write_record().inspect_err(free)?;
         Ok(run)
+    }
+}
+
+/// Refuses a budget of CPU seconds where nobody counts them.
+fn check_clock(config: &TrainConfig) -> Result<()> {
+    let what = "this system does not tell the CPU seconds of a process; use --time-budget";
+    let counted = config.budget_cpu.is_none() || process_cpu_seconds() > 0.0;
+    Error::unless(counted, "--budget-cpu", what)
+}
+
+/// The last iteration whose density step is in the table already: that of a step that the checkpoint comes before is written again.
+fn stepped(saved: &Checkpoint) -> u32 {
+    match saved.state.next {
+        Next::Pause | Next::Density => saved.state.iteration.saturating_sub(1),
+        _ => saved.state.iteration,
     }
 }
 

@@ -254,7 +254,7 @@ pub fn abandon_folder(dir: &Path) {
         crate::base::files::sweep(folder);
     }
     let _ = std::fs::remove_dir(saved);
-    for name in [RECORD_FILE, METRICS_FILE, DENSITY_FILE] {
+    for name in [RECORD_FILE, METRICS_FILE, DENSITY_FILE, LOCK_FILE] {
         let _ = std::fs::remove_file(dir.join(name));
     }
     let _ = std::fs::remove_dir(dir);

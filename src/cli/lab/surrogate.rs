@@ -58,7 +58,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     let path = scene::dataset_path(args.dataset.as_deref(), Some(&record), "give it")?;
-    let dataset = scene::dataset(&path, Some(&record), &scene::PhotoOptions::default())?;
+    let dataset = scene::dataset(&path, Some(&record), &scene::PhotoOptions::of_run())?;
     let device = crate::cli::common::open_tested(common.device.as_deref())?;
     let options = Options {
         candidates: args.candidates,
