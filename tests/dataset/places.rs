@@ -16,7 +16,7 @@ fn model(root: &Path, place: &str, photos: &str, count: usize) {
     let views = ring(6, DVec3::ZERO);
     let model = ColmapModel::from_views(&views[..count], three_points(DVec3::ZERO));
     model
-        .write(&root.join(place), place.len() % 2 == 0)
+        .write(&root.join(place), place.len().is_multiple_of(2))
         .unwrap();
     write_images(&root.join(photos), &views);
 }
