@@ -18,9 +18,10 @@ const COST: [f64; 10] = [0.75, 0.83, 0.96, 1.0, 0.95, 0.85, 0.75, 0.72, 0.74, 0.
 /// The same of the strategies without deaths by turnover.
 const STEADY: [f64; 10] = [0.75, 0.8, 0.84, 0.86, 0.88, 0.88, 0.9, 0.9, 0.9, 0.95];
 
-/// Cost of an iteration at half and at a quarter of the photos' size over one at full size, of the same datasets (0.42 to 0.59 and
-/// 0.3 to 0.48).
-const SMALLER: [f64; 2] = [0.5, 0.42];
+/// Share of an iteration's cost that does not depend on the photos' size, where they have [`PIXELS`]: of the same datasets, whose
+/// iterations take 0.42 to 0.59 at half and 0.3 to 0.48 at a quarter of the size of what they take at full size.
+const BESIDE_PIXELS: f64 = 0.39;
+const PIXELS: f64 = 43_000.0;
 
 /// Cost of showing a view at the end, to find the Gaussians that none shows, and of scoring one, over that of an iteration then.
 const SEEN: f64 = 0.15;
@@ -72,6 +73,8 @@ pub(super) struct Forecast {
     cost: &'static [f64; 10],
     /// Shares of the run at which the photos' sizes below the full one end.
     smaller: Vec<f64>,
+    /// Pixels of a photo of full size.
+    pixels: f64,
     /// Training views that are shown at the end.
     shown: usize,
     /// Held-out views, and pixels of all of them.
@@ -121,11 +124,12 @@ impl Forecast {
         };
         Self {
             cost,
+            pixels: trainer.largest_photo() as f64,
             ..Self::of(ends.collect(), shown, scored, every, latest)
         }
     }
 
-    /// A forecast before anything is measured, for the costs of mh.
+    /// A forecast before anything is measured, for the costs of mh and photos of [`PIXELS`].
     pub fn of(
         smaller: Vec<f64>,
         shown: usize,
@@ -136,6 +140,7 @@ impl Forecast {
         Self {
             cost: &COST,
             smaller,
+            pixels: PIXELS,
             shown,
             scored,
             latest,
@@ -247,6 +252,12 @@ impl Forecast {
         self.smaller.iter().filter(|end| share < **end).count()
     }
 
+    /// Cost of an iteration of photos that are halved so many times over that at full size.
+    fn size_cost(&self, halvings: usize) -> f64 {
+        let cost = |pixels: f64| BESIDE_PIXELS + (1.0 - BESIDE_PIXELS) * pixels / PIXELS;
+        cost(self.pixels * 0.25f64.powi(halvings as i32)) / cost(self.pixels)
+    }
+
     /// Mean cost of an iteration between two shares of a run, times their difference.
     fn between(&self, from: f64, to: f64) -> f64 {
         let tenths = self.cost.len() as f64;
@@ -258,11 +269,7 @@ impl Forecast {
         let piece = |pair: &[f64]| {
             let middle = 0.5 * (pair[0] + pair[1]);
             let tenth = ((middle * tenths) as usize).min(self.cost.len() - 1);
-            let size = match self.halvings(middle).min(SMALLER.len()) {
-                0 => 1.0,
-                k => SMALLER[k - 1],
-            };
-            (pair[1] - pair[0]) * self.cost[tenth] * size
+            (pair[1] - pair[0]) * self.cost[tenth] * self.size_cost(self.halvings(middle))
         };
         edges.windows(2).map(piece).sum()
     }

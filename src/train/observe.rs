@@ -90,6 +90,13 @@ impl Trainer {
         &self.learned
     }
 
+    /// Pixels of the largest training photo at full size.
+    #[must_use]
+    pub fn largest_photo(&self) -> usize {
+        let [width, height] = self.views.set.largest.0;
+        width * height
+    }
+
     /// Number of training views.
     #[must_use]
     pub fn views(&self) -> usize {
