@@ -181,7 +181,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::{Budget, LATEST};
-    use crate::run::forecast::{Every, Forecast};
+    use crate::run::forecast::{Every, Forecast, HostCost};
 
     const EVERY: Every = Every {
         evaluation: None,
@@ -191,7 +191,15 @@ mod tests {
 
     fn forecast(seconds: f64) -> Forecast {
         // 50 views are shown and 8 of 0.3 megapixels scored at the end.
-        Forecast::of(vec![0.05, 0.1], 50, (8, 2_400_000), EVERY, LATEST * seconds)
+        let host = HostCost::of(0.65e-6, 2, false);
+        Forecast::of(
+            vec![0.05, 0.1],
+            50,
+            (8, 2_400_000),
+            EVERY,
+            LATEST * seconds,
+            host,
+        )
     }
 
     /// Seconds of a run in which an iteration takes `cost` of its share of the run and its number, the last length, and how often
@@ -306,6 +314,22 @@ mod tests {
     }
 
     #[test]
+    fn the_end_is_told_from_what_flip_takes_here() {
+        let measured = HostCost::measure(false).unwrap();
+        let (quick, slow) = (HostCost::of(1e-9, 1, false), HostCost::of(1e-3, 1, false));
+        let end = |host: HostCost| {
+            let mut forecast = Forecast::of(Vec::new(), 0, (8, 2_400_000), EVERY, 20.0, host);
+            forecast.iterated(0, 1000, 0.0);
+            forecast.iterated(20, 1000, 0.2);
+            forecast.end().unwrap()
+        };
+        assert!(end(quick) < end(measured) && end(measured) < end(slow));
+        // On eight cores FLIP takes eight times its time in CPU seconds; pictures are made on one.
+        let (wall, cpu) = (HostCost::of(1e-6, 8, false), HostCost::of(1e-6, 8, true));
+        assert!((end(cpu) - end(wall) - 7.0 * 2.4).abs() < 1e-9);
+    }
+
+    #[test]
     fn time_left_is_told_of_other_costs_than_those_of_the_table() {
         for unit in [2e-3, 0.02, 0.5] {
             for cost in [
@@ -319,7 +343,8 @@ mod tests {
                     .map(|s| unit * size(s) * cost(s))
                     .collect();
                 let whole: f64 = times.iter().sum();
-                let mut forecast = Forecast::of(vec![0.05, 0.1], 0, (0, 0), EVERY, 20.0);
+                let host = HostCost::of(0.65e-6, 2, false);
+                let mut forecast = Forecast::of(vec![0.05, 0.1], 0, (0, 0), EVERY, 20.0, host);
                 let mut used = 0.0;
                 for (done, time) in times.iter().enumerate() {
                     forecast.iterated(done as u32, 3000, used);

@@ -1,7 +1,11 @@
 //! [`Forecast`]: the time that a run still takes, from that of its iterations so far.
 
+use std::time::Instant;
+
+use crate::base::error::Result;
 use crate::config::Sampler;
 use crate::evaluate::Evaluator;
+use crate::evaluate::flip::flip;
 use crate::train::Trainer;
 
 /// Iterations before the first measurement.
@@ -27,15 +31,17 @@ const PIXELS: f64 = 43_000.0;
 const SEEN: f64 = 0.15;
 const SCORED: f64 = 0.4;
 
-/// Seconds of FLIP per pixel, of the report's pictures per pixel of at most so many views of at most so many pixels, and of the
-/// files (plush at 640 px, two cores, AVX2).
-const FLIP: f64 = 1.1e-6;
-const PICTURES: f64 = 1e-6;
+/// Cost of the report's pictures over that of FLIP on one core, per pixel of at most so many views of at most so many pixels (plush
+/// and fox at 480 px, herz-jesus at 640: 0.5 to 0.65), and seconds of the files.
+const PICTURES: f64 = 0.6;
 const LARGEST_PICTURES: (u64, u64) = (6, 410_000);
 const FILES: f64 = 0.1;
 
 /// Share of a run's time that evaluations on the way take at most where a budget plans them.
 const EVALUATIONS: f64 = 0.05;
+
+/// Side of the square picture that tells how quick the host is.
+const PROBE: usize = 192;
 
 /// Number and total time of what is done now and then.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -66,6 +72,42 @@ pub(super) struct Every {
     pub checkpoint: u32,
 }
 
+/// Seconds per pixel of what the host does at the end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct HostCost {
+    flip: f64,
+    pictures: f64,
+}
+
+impl HostCost {
+    /// The cost where FLIP takes so many seconds per pixel of a clock, CPU seconds of all threads if `cpu`.
+    pub fn of(flip: f64, threads: usize, cpu: bool) -> Self {
+        let one_core = flip * threads as f64;
+        Self {
+            flip: if cpu { one_core } else { flip },
+            pictures: PICTURES * one_core,
+        }
+    }
+
+    /// The cost on this machine, from FLIP of a small picture: some hundredths of a second.
+    ///
+    /// # Errors
+    /// None that a picture of these numbers could bring about.
+    pub fn measure(cpu: bool) -> Result<Self> {
+        let value = |i: usize| (i * 97 % 256) as f32 / 255.0;
+        let picture: Vec<f32> = (0..3 * PROBE * PROBE).map(value).collect();
+        let other: Vec<f32> = picture.iter().rev().copied().collect();
+        let mut best = f64::INFINITY;
+        for _ in 0..2 {
+            let start = Instant::now();
+            flip(&picture, &other, PROBE, PROBE, &[])?;
+            best = best.min(start.elapsed().as_secs_f64());
+        }
+        let pixels = (PROBE * PROBE) as f64;
+        Ok(Self::of(best / pixels, rayon::current_num_threads(), cpu))
+    }
+}
+
 /// Measured times of a run. Seconds are of either clock, wall or CPU, the same in all calls.
 #[derive(Debug, Clone)]
 pub(super) struct Forecast {
@@ -79,6 +121,7 @@ pub(super) struct Forecast {
     shown: usize,
     /// Held-out views, and pixels of all of them.
     scored: (usize, u64),
+    host: HostCost,
     /// Seconds after which the first measurement is made, if fewer iterations have been done by then.
     latest: f64,
     every: Every,
@@ -95,8 +138,13 @@ pub(super) struct Forecast {
 }
 
 impl Forecast {
-    /// A forecast for a run that begins or goes on.
-    pub fn new(trainer: &Trainer, evaluator: Option<&Evaluator>, latest: f64) -> Self {
+    /// A forecast for a run that begins or goes on, whose first measurement is made after `latest` seconds at the latest.
+    pub fn new(
+        trainer: &Trainer,
+        evaluator: Option<&Evaluator>,
+        latest: f64,
+        host: HostCost,
+    ) -> Self {
         let config = &trainer.plan().config;
         let share = f64::from(trainer.full_size_from()) / f64::from(config.last_iterations());
         let halvings = trainer.plan().halvings.value;
@@ -125,7 +173,7 @@ impl Forecast {
         Self {
             cost,
             pixels: trainer.largest_photo() as f64,
-            ..Self::of(ends.collect(), shown, scored, every, latest)
+            ..Self::of(ends.collect(), shown, scored, every, latest, host)
         }
     }
 
@@ -136,6 +184,7 @@ impl Forecast {
         scored: (usize, u64),
         every: Every,
         latest: f64,
+        host: HostCost,
     ) -> Self {
         Self {
             cost: &COST,
@@ -143,6 +192,7 @@ impl Forecast {
             pixels: PIXELS,
             shown,
             scored,
+            host,
             latest,
             every,
             unit: None,
@@ -227,7 +277,7 @@ impl Forecast {
         let (views, pixels) = (self.scored.0 as u64, self.scored.1);
         let each = pixels.checked_div(views).unwrap_or(0);
         let pictures = views.min(LARGEST_PICTURES.0) * each.min(LARGEST_PICTURES.1);
-        let beside = FLIP * pixels as f64 + PICTURES * pictures as f64 + FILES;
+        let beside = self.host.flip * pixels as f64 + self.host.pictures * pictures as f64 + FILES;
         let saved = self.checkpoints.mean().unwrap_or(0.0);
         Some(shown + self.evaluation()? + saved + beside)
     }

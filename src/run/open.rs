@@ -15,7 +15,7 @@ use crate::run::budget::{Budget, Pace, begin, go_on};
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{Clock, process_cpu_seconds};
 use crate::run::drive::Run;
-use crate::run::forecast::Forecast;
+use crate::run::forecast::{Forecast, HostCost};
 use crate::run::patience;
 use crate::run::record::{RECORD_FILE, RunRecord};
 use crate::run::start;
@@ -222,7 +222,10 @@ impl Run {
         let stepped = saved.as_ref().map(stepped);
         // That of the trainer: an extension has made it longer.
         let pace = Pace::new(&trainer.plan().config, to_come);
-        let forecast = Forecast::new(&trainer, evaluator.as_ref(), Budget::latest(pace.budget()));
+        let budget = pace.budget();
+        let host = HostCost::measure(budget.is_some_and(|budget| budget.cpu))?;
+        let latest = Budget::latest(budget);
+        let forecast = Forecast::new(&trainer, evaluator.as_ref(), latest, host);
         let clock = match &saved {
             Some(saved) => clock.after(saved.clock),
             None => clock,
