@@ -215,6 +215,14 @@ impl<'a> Range<'a> {
         }
     }
 
+    /// The axis for a page's script, as JSON: ends in shown units (their log10 if `log`), each of which is `each` of the data's.
+    pub(super) fn data(&self) -> serde_json::Value {
+        serde_json::json!({
+            "label": self.axis.label, "unit": self.unit, "from": self.ticks.low, "to": self.ticks.high,
+            "log": self.axis.scale == Scale::Log, "each": self.divisor,
+        })
+    }
+
     /// Label and unit of the axis.
     pub(super) fn title(&self) -> String {
         match self.unit {

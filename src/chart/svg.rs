@@ -178,7 +178,7 @@ pub fn log_log_chart(title: &str, x_label: &str, y_label: &str, series: &[LogSer
             } else {
                 (x + 6.0, "start")
             };
-            plot.text((x, y), anchor, &escape(&p.label));
+            plot.text((x, y), "label", anchor, &escape(&p.label));
         }
     }
     plot.figure(title)
@@ -296,11 +296,15 @@ impl<'a> Plot<'a> {
 
     /// The figure with everything drawn.
     fn figure(self, title: &str) -> String {
+        let axes = serde_json::json!([self.x.data(), self.y.data()]).to_string();
+        let (left, top, right, bottom) = (pixel_x(0.0), pixel_y(1.0), pixel_x(1.0), pixel_y(0.0));
         format!(
-            "{}<div>{}</div></figcaption><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">{}</svg></figure>\n",
+            "{}<div>{}</div></figcaption><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\" data-axes=\"{}\" \
+             data-frame=\"[{left},{top},{right},{bottom}]\">{}</svg></figure>\n",
             open("chart", title),
             self.legend,
             escape(title),
+            escape(&axes),
             self.body
         )
     }
@@ -373,10 +377,10 @@ impl<'a> Plot<'a> {
     }
 
     /// Writes escaped text at pixel coordinates; `anchor` is SVG's `start`, `middle` or `end`.
-    fn text(&mut self, (x, y): (f64, f64), anchor: &str, text: &str) {
+    fn text(&mut self, (x, y): (f64, f64), class: &str, anchor: &str, text: &str) {
         let _ = write!(
             self.body,
-            "<text x=\"{}\" y=\"{}\" text-anchor=\"{anchor}\">{text}</text>",
+            "<text x=\"{}\" y=\"{}\" class=\"{class}\" text-anchor=\"{anchor}\">{text}</text>",
             short(x),
             short(y)
         );
@@ -407,10 +411,10 @@ impl<'a> Plot<'a> {
             "<path class=\"grid\" d=\"{path}\"/><path class=\"axis\" d=\"M{left} {top}V{bottom}H{right}\"/>"
         );
         for (share, label) in rows {
-            self.text((left - 6.0, pixel_y(share) + 4.0), "end", &label);
+            self.text((left - 6.0, pixel_y(share) + 4.0), "tick", "end", &label);
         }
         for (share, label) in columns {
-            self.text((pixel_x(share), bottom + 15.0), "middle", &label);
+            self.text((pixel_x(share), bottom + 15.0), "tick", "middle", &label);
         }
         let _ = write!(
             self.body,

@@ -1,5 +1,6 @@
 //! The report page of a run.
 
+pub(crate) mod advice;
 pub mod gallery;
 pub mod page;
 pub(crate) mod panels;

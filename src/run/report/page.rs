@@ -10,7 +10,7 @@ use crate::base::error::Result;
 use crate::chart::text::{escape, fixed, grouped, span};
 use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
-use crate::run::report::{panels, settings};
+use crate::run::report::{advice, panels, settings};
 use crate::run::table::{DensityRow, MetricsRow};
 
 /// Name of the page in the run folder.
@@ -32,6 +32,7 @@ pub fn write_report(
     headlines(&mut body, record, rows);
     views(&mut body, gallery)?;
     scores(&mut body, record.final_scores.as_ref());
+    advice::section(&mut body, record, rows);
     panels::quality(&mut body, rows, density);
     panels::stages(&mut body, record);
     plan(&mut body, &record.plan);
@@ -44,14 +45,21 @@ pub fn write_report(
     crate::base::files::write_bytes(&run_dir.join(REPORT_FILE), page(&title, &body).as_bytes())
 }
 
-/// A complete page of the report's style around `body` (HTML).
+/// The script of pages: a cursor and zoom for charts, enlarged pictures.
+const SCRIPT: &str = include_str!("page.js");
+
+/// SHA-256 of [`SCRIPT`] in base64, by which a page's content policy lets this one script run and no other. Test: report.
+const SCRIPT_HASH: &str = "C+7nz6RXR9c5T5kFs2lTECRLVKLMLX045vdUvRjpB4I=";
+
+/// A complete page of the report's style around `body` (HTML). It can be read without its script.
 #[must_use]
 pub fn page(title: &str, body: &str) -> String {
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/>\
          <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"/>\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none';style-src 'unsafe-inline';img-src data:\"/>\
-         <title>{}</title><style>\n{}</style></head><body>\n{body}</body></html>\n",
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none';style-src 'unsafe-inline';img-src data:;\
+         script-src 'sha256-{SCRIPT_HASH}'\"/>\
+         <title>{}</title><style>\n{}</style></head><body>\n{body}<script>{SCRIPT}</script></body></html>\n",
         escape(title),
         include_str!("report.css")
     )
