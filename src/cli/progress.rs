@@ -13,7 +13,7 @@ use crate::cli::common::Common;
 use crate::cli::output;
 use mhsplat::base::error::Result;
 use mhsplat::chart::text::about;
-use mhsplat::run::{FinalRecord, Progress, RunRecord};
+use mhsplat::run::{FinalRecord, Progress, RunRecord, SCENE_PAGE};
 
 /// Shows how many photos have been read, on a terminal.
 pub fn reading(done: usize, all: usize) {
@@ -172,12 +172,13 @@ pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
         }
     };
     output::line(&format!(
-        "{scores}; {} Gaussians; {} iterations in {:.1} s ({:.1} CPU s)\nscene: {}\nreport: {}",
+        "{scores}; {} Gaussians; {} iterations in {:.1} s ({:.1} CPU s)\nscene: {}\nto see it: {}\nreport: {}",
         record.gaussians,
         record.iterations,
         record.train_seconds,
         record.cpu_seconds,
         dir.join("scene.ply").display(),
+        dir.join(SCENE_PAGE).display(),
         dir.join("report.html").display(),
     ));
     Ok(())

@@ -1,5 +1,7 @@
 //! [`Run`]: one training run and its folder. Evaluations, exports, checkpoints, records and the report.
 
+use std::borrow::Cow;
+use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,9 +20,10 @@ use crate::run::forecast::Forecast;
 use crate::run::patience;
 use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
 use crate::run::report::gallery::{GalleryItem, error_map};
-use crate::run::report::page::write_report;
+use crate::run::report::page::{folder_name, write_report};
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
+use crate::run::viewer::{self, SCENE_PAGE, ScenePage, SceneView, write_scene_page};
 use crate::scene::{Gaussians, ply};
 use crate::train::{DensityEvent, Event, Trainer};
 
@@ -54,6 +57,10 @@ pub struct Run {
     pub(super) dir: PathBuf,
     /// Position of the local frame in the dataset's own.
     pub(super) frame: Frame,
+    /// Cameras of the scene's page, with their photos from the first export on.
+    pub(super) views: Vec<SceneView>,
+    /// Sentence about cameras that the page does not list.
+    pub(super) listed: Option<String>,
     pub(super) config: TrainConfig,
     pub(super) trainer: Trainer,
     pub(super) evaluator: Option<Evaluator>,
@@ -432,8 +439,63 @@ impl Run {
         Ok(())
     }
 
-    fn export(&self, splats: &Gaussians, filter: &[f32]) -> Result<()> {
+    /// Writes the page that shows the scene, then the scene.
+    fn export(&mut self, splats: &Gaussians, filter: &[f32]) -> Result<()> {
+        let filtered = match filter.is_empty() {
+            true => Cow::Borrowed(splats),
+            false => Cow::Owned(splats.filtered(filter)?),
+        };
+        let mut remarks: Vec<String> = self.listed.iter().cloned().collect();
+        remarks.extend(self.add_photos()?);
+        self.add_scores();
+        let page = ScenePage {
+            title: folder_name(&self.record.dataset.path),
+            splats: &filtered,
+            anti_aliased: !filter.is_empty(),
+            background: self.trainer.schedule().fixed_background(),
+            views: &self.views,
+            remarks: &remarks,
+            max_bytes: viewer::MAX_BYTES,
+        };
+        let remarks = write_scene_page(&self.dir.join(SCENE_PAGE), &page)?;
+        if remarks != self.record.remarks {
+            self.record.remarks = remarks;
+            self.write_record()?;
+        }
         ply::write_filtered(&self.dir.join("scene.ply"), splats, filter, &self.frame)
+    }
+
+    /// Adds the photos of held-out views to those of the page, some of them evenly where there are many; the sentence that says so.
+    fn add_photos(&mut self) -> Result<Option<String>> {
+        let Some(evaluator) = &self.evaluator else {
+            return Ok(None);
+        };
+        let background = self.trainer.schedule().fixed_background();
+        let n = evaluator.views().len();
+        let shown = n.min(viewer::MAX_PHOTOS);
+        for k in (0..shown).map(|k| k * n / shown) {
+            // Held-out views come first.
+            let view = &mut self.views[k];
+            if view.photo.is_none() {
+                let photo = evaluator.views().read_photo(k)?;
+                let rgb = photo.shown(background);
+                let uri = viewer::photo_uri(&view.name, &rgb, photo.width, photo.height)?;
+                view.photo = Some(uri);
+            }
+        }
+        Ok((shown < n)
+            .then(|| format!("The page has the photos of {shown} of {n} held-out views.")))
+    }
+
+    /// Adds the scores of the last evaluation to the page's views.
+    fn add_scores(&mut self) {
+        let scores = self.record.final_scores.iter().flat_map(|f| &f.per_view);
+        let scores: HashMap<&str, [f64; 2]> = scores
+            .map(|v| (v.view.as_str(), [v.scores.psnr, v.scores.ssim]))
+            .collect();
+        for view in self.views.iter_mut().filter(|v| v.held_out) {
+            view.scores = scores.get(view.name.as_str()).copied();
+        }
     }
 
     fn report(&mut self) -> Result<()> {

@@ -6,6 +6,7 @@
 //! | `metrics.csv` | [`MetricsWriter`] | one row per evaluation, flushed at once |
 //! | `density.csv` | [`DensityWriter`] | one row per density step, flushed at once |
 //! | `density-trace.csv` | [`density_trace::write_trace`] | at the end, with `--trace-density` |
+//! | `scene.html` | [`write_scene_page`] | whenever `scene.ply` is, just before it |
 //! | `scene.ply` | [`crate::scene::ply`] | at the end, and as often as `--export-every` says |
 //! | `checkpoint/` | [`checkpoint::write`] | as often as `--checkpoint-every` says, and at the end |
 //! | `report.html` | [`write_report`] | at the end, from the files above |
@@ -25,6 +26,7 @@ pub mod record;
 pub mod report;
 mod start;
 pub mod table;
+pub mod viewer;
 
 pub use clock::{Clock, Reading};
 pub use drive::{Progress, Run};
@@ -35,3 +37,4 @@ pub use report::page::write_report;
 pub use start::{abandon_folder, claim_folder, initial_gaussians, saved_config};
 pub use table::{DENSITY_FILE, DensityRow, DensityWriter, METRICS_FILE};
 pub use table::{MetricsRow, MetricsWriter, read_rows};
+pub use viewer::{SCENE_PAGE, ScenePage, write_scene_page};

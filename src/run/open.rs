@@ -21,6 +21,7 @@ use crate::run::record::{RECORD_FILE, RunRecord};
 use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
+use crate::run::viewer::scene_views;
 use crate::train::{Next, Plan, Trainer};
 
 /// State that a run begins with.
@@ -193,6 +194,7 @@ impl Run {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
             None => Cow::Owned(start::initial_gaussians(&dataset, &plan)?),
         };
+        let (views, listed) = scene_views(&dataset);
         let photos = Photos::new(device, dataset.image_budget);
         let train = ViewSet::new(&photos, dataset.train)?;
         let test = ViewSet::new(&photos, dataset.test)?;
@@ -245,6 +247,8 @@ impl Run {
             _lock: lock,
             dir: dir.to_path_buf(),
             frame,
+            views,
+            listed,
             pace,
             forecast,
             began: (done.unwrap_or(0), clock.train_seconds()),

@@ -212,6 +212,9 @@ pub struct RunRecord {
     pub stages: Vec<StageRecord>,
     /// Density control, summed over the run.
     pub density: DensityStats,
+    /// What `scene.html` leaves out, in sentences; none if that is nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
     /// Counts and fates of the Gaussians that each kind of move made; empty unless the run was traced.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub funnel: Vec<FunnelRow>,

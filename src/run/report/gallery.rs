@@ -79,22 +79,27 @@ pub fn error_map(render: &[u8], photo: &[u8]) -> Result<Vec<u8>> {
     Ok(colors.collect())
 }
 
+/// An 8-bit RGB image, reduced to at most 640 pixels on the longest side.
+///
+/// # Errors
+/// [`Error::Numerics`] when the bytes do not match the size.
+pub(crate) fn picture(name: &str, rgb: &[u8], width: u32, height: u32) -> Result<RgbImage> {
+    let expected = u64::from(width) * u64::from(height) * 3;
+    let image = RgbImage::from_raw(width, height, rgb.to_vec())
+        .filter(|_| expected > 0 && rgb.len() as u64 == expected);
+    image.map(reduce).ok_or_else(|| {
+        let found = rgb.len();
+        let what = format!("{found} bytes, expected {width} × {height} × 3 and not empty");
+        Error::numerics(format!("report image {name}"), what)
+    })
+}
+
 /// An 8-bit RGB image as a PNG data URI, reduced to at most 640 pixels on the longest side.
 ///
 /// # Errors
 /// [`Error::Numerics`] when the bytes do not match the size or cannot be encoded.
 pub fn data_uri(name: &str, rgb: &[u8], width: u32, height: u32) -> Result<String> {
-    let failed = |what: String| Error::numerics(format!("report image {name}"), what);
-    let expected = u64::from(width) * u64::from(height) * 3;
-    let image = RgbImage::from_raw(width, height, rgb.to_vec())
-        .filter(|_| expected > 0 && rgb.len() as u64 == expected)
-        .ok_or_else(|| {
-            let found = rgb.len();
-            failed(format!(
-                "{found} bytes, expected {width} × {height} × 3 and not empty"
-            ))
-        })?;
-    let image = reduce(image);
+    let image = picture(name, rgb, width, height)?;
     let mut png = Vec::new();
     PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::Adaptive)
         .write_image(
@@ -103,7 +108,7 @@ pub fn data_uri(name: &str, rgb: &[u8], width: u32, height: u32) -> Result<Strin
             image.height(),
             ExtendedColorType::Rgb8,
         )
-        .map_err(|e| failed(e.to_string()))?;
+        .map_err(|e| Error::numerics(format!("report image {name}"), e))?;
     let text = base64::engine::general_purpose::STANDARD.encode(png);
     Ok(format!("data:image/png;base64,{text}"))
 }

@@ -12,6 +12,7 @@ use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use crate::run::report::{advice, panels, settings};
 use crate::run::table::{DensityRow, MetricsRow};
+use crate::run::viewer::SCENE_PAGE;
 
 /// Name of the page in the run folder.
 pub const REPORT_FILE: &str = "report.html";
@@ -30,6 +31,12 @@ pub fn write_report(
 ) -> Result<()> {
     let mut body = String::new();
     headlines(&mut body, record, rows);
+    if run_dir.join(SCENE_PAGE).exists() {
+        let _ = writeln!(
+            body,
+            "<p><a href=\"{SCENE_PAGE}\">Move about in the scene</a></p>"
+        );
+    }
     views(&mut body, gallery)?;
     scores(&mut body, record.final_scores.as_ref());
     advice::section(&mut body, record, rows);
@@ -65,7 +72,8 @@ pub fn page(title: &str, body: &str) -> String {
     )
 }
 
-fn folder_name(path: &str) -> &str {
+/// The last part of a path, for titles.
+pub(crate) fn folder_name(path: &str) -> &str {
     let name = path.trim_end_matches(['/', '\\']);
     let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
     if name.is_empty() { "run" } else { name }
