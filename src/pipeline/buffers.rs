@@ -360,6 +360,20 @@ impl<R: Real> ViewSet<R> {
         })
     }
 
+    /// At most so many of the views, evenly spread; their photos are those of this set.
+    #[must_use]
+    pub fn some(&self, most: usize) -> Self {
+        let (all, shown) = (self.len(), self.len().min(most));
+        let chosen: Vec<usize> = (0..shown).map(|k| k * all / shown).collect();
+        Self {
+            names: chosen.iter().map(|&v| self.names[v].clone()).collect(),
+            cameras: chosen.iter().map(|&v| self.cameras[v]).collect(),
+            numbers: chosen.iter().map(|&v| self.numbers[v]).collect(),
+            photos: self.photos.clone(),
+            ..*self
+        }
+    }
+
     /// The photo of a view \[3 or 4, height, width\]; those of the views `next`, in the order of their use, are decoded
     /// meanwhile if they are not there yet.
     ///

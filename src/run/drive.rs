@@ -21,6 +21,7 @@ use crate::run::patience;
 use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
 use crate::run::report::gallery::{GalleryItem, error_map};
 use crate::run::report::page::{folder_name, write_report};
+use crate::run::report::training::training_scores;
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::run::viewer::{self, SCENE_PAGE, ScenePage, SceneView, write_scene_page};
@@ -500,10 +501,19 @@ impl Run {
 
     fn report(&mut self) -> Result<()> {
         self.clock.pause();
+        self.record.training = training_scores(&mut self.trainer)?;
+        self.write_record()?;
         let gallery = self.gallery()?;
         let rows = read_rows(self.dir.join(METRICS_FILE))?;
         let density = read_rows(self.dir.join(DENSITY_FILE))?;
-        write_report(&self.dir, &self.record, &rows, &density, &gallery)?;
+        write_report(
+            &self.dir,
+            &self.record,
+            &rows,
+            &density,
+            &gallery,
+            &self.views,
+        )?;
         self.clock.resume();
         Ok(())
     }

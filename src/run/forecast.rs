@@ -6,6 +6,7 @@ use crate::base::error::Result;
 use crate::config::Sampler;
 use crate::evaluate::Evaluator;
 use crate::evaluate::flip::flip;
+use crate::run::report::training::VIEWS;
 use crate::train::Trainer;
 
 /// Iterations before the first measurement.
@@ -119,6 +120,8 @@ pub(super) struct Forecast {
     pixels: f64,
     /// Training views that are shown at the end.
     shown: usize,
+    /// Training views that are scored at the end.
+    also: usize,
     /// Held-out views, and pixels of all of them.
     scored: (usize, u64),
     host: HostCost,
@@ -173,6 +176,7 @@ impl Forecast {
         Self {
             cost,
             pixels: trainer.largest_photo() as f64,
+            also: trainer.views().min(VIEWS),
             ..Self::of(ends.collect(), shown, scored, every, latest, host)
         }
     }
@@ -191,6 +195,7 @@ impl Forecast {
             smaller,
             pixels: PIXELS,
             shown,
+            also: 0,
             scored,
             host,
             latest,
@@ -273,7 +278,7 @@ impl Forecast {
     /// Seconds from the last iteration to the end: views are shown and scored, files are written. `None` as [`Forecast::left`].
     pub fn end(&self) -> Option<f64> {
         let last = self.unit? * self.cost[9];
-        let shown = SEEN * last * self.shown as f64;
+        let shown = SEEN * last * self.shown as f64 + SCORED * last * self.also as f64;
         let (views, pixels) = (self.scored.0 as u64, self.scored.1);
         let each = pixels.checked_div(views).unwrap_or(0);
         let pictures = views.min(LARGEST_PICTURES.0) * each.min(LARGEST_PICTURES.1);

@@ -31,7 +31,7 @@ pub mod viewer;
 pub use clock::{Clock, Reading};
 pub use drive::{Progress, Run};
 pub use record::{DatasetRecord, DeviceRecord, FinalRecord, Item, PlanRecord};
-pub use record::{RECORD_FILE, RunRecord, StageRecord};
+pub use record::{RECORD_FILE, RunRecord, StageRecord, TrainingScores};
 pub use report::gallery::{GalleryItem, error_map};
 pub use report::page::write_report;
 pub use start::{abandon_folder, claim_folder, initial_gaussians, saved_config};

@@ -161,6 +161,17 @@ impl FinalRecord {
     }
 }
 
+/// Mean scores of some training views at the end of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct TrainingScores {
+    /// Number of views.
+    pub views: usize,
+    /// PSNR in dB.
+    pub psnr: f64,
+    /// SSIM.
+    pub ssim: f64,
+}
+
 // serde hands over a reference.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn is_zero(n: &u64) -> bool {
@@ -221,6 +232,9 @@ pub struct RunRecord {
     /// Scores of the last evaluation; absent before it and without held-out views.
     #[serde(rename = "final")]
     pub final_scores: Option<FinalRecord>,
+    /// Scores of some training views at the end; absent where exposure is compensated, which gives each of them a colour of its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub training: Option<TrainingScores>,
 }
 
 impl RunRecord {
@@ -256,7 +270,10 @@ impl RunRecord {
         let numerics = |what: String| Error::numerics(RECORD_FILE, what);
         let scores = self.final_scores.iter();
         let scores = scores.flat_map(|f| f.per_view.iter().map(|v| &v.scores).chain([&f.mean]));
+        let training = self.training.map_or([0.0; 2], |t| [t.psnr, t.ssim]);
         let mut numbers = scores.flat_map(Scores::named).chain([
+            ("training.psnr", Some(training[0])),
+            ("training.ssim", Some(training[1])),
             ("time-budget", self.config.time_budget),
             ("budget-cpu", self.config.budget_cpu),
         ]);

@@ -5,7 +5,7 @@ use crate::capture::Camera;
 use crate::density::{Candidate, DensityStats};
 use crate::device::StageTime;
 use crate::device::tuning::Tuning;
-use crate::pipeline::buffers::GaussianBuffers;
+use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer};
 use crate::pipeline::photos::PhotoStats;
 use crate::scene::Gaussians;
@@ -235,6 +235,12 @@ impl Trainer {
     #[must_use]
     pub fn schedule(&self) -> &Schedule {
         &self.schedule
+    }
+
+    /// At most so many of the training views, evenly spread.
+    #[must_use]
+    pub fn training_views(&self, most: usize) -> ViewSet {
+        self.views.set.some(most)
     }
 
     /// The scene on the device and the renderer, for evaluation between iterations.

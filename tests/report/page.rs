@@ -7,13 +7,16 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use sha2::Digest;
 
 use super::samples::*;
+use glam::{DMat3, DVec3};
 use mhsplat::base::error::Error;
+use mhsplat::capture::Camera;
 use mhsplat::chart::axis::{Axis, ticks};
 use mhsplat::chart::svg::{Banded, Bar, band_chart, bar_chart};
 use mhsplat::chart::text::{about, escape, grouped, span};
 use mhsplat::config::{Init, Length, Sampler, TrainConfig};
 use mhsplat::run::PlanRecord;
 use mhsplat::run::report::gallery::{ERROR_FULL_SCALE, colormap, data_uri};
+use mhsplat::run::viewer::SceneView;
 use mhsplat::run::*;
 
 /// Tag names left open, or the first thing that is wrong: enough of a parser for a page that spells every tag out.
@@ -55,7 +58,7 @@ fn page(
     views: &[GalleryItem],
 ) -> String {
     let dir = tempfile::tempdir().unwrap();
-    write_report(dir.path(), record, rows, density, views).unwrap();
+    write_report(dir.path(), record, rows, density, views, &[]).unwrap();
     let text = std::fs::read_to_string(dir.path().join("report.html")).unwrap();
     check_tags(&text).unwrap();
     // Nothing but the page itself is left in the folder.
@@ -105,7 +108,7 @@ fn page_shows_the_run() {
     let text = page(&record(), &rows(), &density(), &views);
     // For looking at the page: MHSPLAT_KEEP_REPORT names a folder to write it to.
     if let Some(dir) = std::env::var_os("MHSPLAT_KEEP_REPORT") {
-        write_report(Path::new(&dir), &record(), &rows(), &density(), &views).unwrap();
+        write_report(Path::new(&dir), &record(), &rows(), &density(), &views, &[]).unwrap();
     }
     let shown = [
         "27.31",
@@ -234,8 +237,75 @@ fn advice_follows_from_the_figures() {
         record.final_scores.as_mut().unwrap().mean.psnr = 12.0;
     };
     assert!(advice(poor, level).contains("may not belong together"));
+    let by_heart = |psnr: f64| {
+        let gap = move |record: &mut RunRecord| {
+            full(record);
+            let views = 8;
+            let ssim = 0.95;
+            record.training = Some(TrainingScores { views, psnr, ssim });
+        };
+        advice(gap, level).contains("photos are too few or too far apart")
+    };
+    assert!(by_heart(33.5) && !by_heart(32.5));
     let absent = |record: &mut RunRecord| record.dataset.missing = vec!["a.jpg".to_owned(); 3];
     assert!(advice(absent, level).contains("3 photos that the model names"));
+}
+
+/// A level camera at a place, looking along z; y points down.
+fn level_camera(name: &str, center: [f64; 3], psnr: Option<f64>) -> SceneView {
+    SceneView {
+        name: name.to_owned(),
+        camera: Camera {
+            rotation: DMat3::IDENTITY,
+            translation: -DVec3::from(center),
+            fx: 100.0,
+            fy: 100.0,
+            cx: 50.0,
+            cy: 50.0,
+            width: 100,
+            height: 100,
+        },
+        held_out: psnr.is_some(),
+        scores: psnr.map(|v| [v, 0.9]),
+        photo: None,
+    }
+}
+
+/// The page's map, if it has one.
+fn map(views: &[SceneView]) -> Option<String> {
+    let dir = tempfile::tempdir().unwrap();
+    write_report(dir.path(), &record(), &rows(), &[], &[], views).unwrap();
+    let text = std::fs::read_to_string(dir.path().join("report.html")).unwrap();
+    check_tags(&text).unwrap();
+    let (_, map) = text.split_once("<h2>Cameras from above</h2>")?;
+    Some(map.split_once("</svg>").unwrap().0.to_owned())
+}
+
+#[test]
+fn cameras_are_on_a_map() {
+    let camera = level_camera;
+    let (left, right) = (
+        camera("left<", [0.0; 3], Some(21.25)),
+        camera("right", [1.0, 0.2, 0.3], Some(30.0)),
+    );
+    let training = camera("middle", [0.5, 0.0, 0.0], None);
+    let text = map(&[left.clone(), right.clone(), training.clone()]).unwrap();
+    assert!(text.contains("<title>left&lt;: 21.25 dB</title>"), "{text}");
+    assert!(text.contains("<title>middle</title>"), "{text}");
+    // Not mirrored: who stands at the left and looks ahead has the other at the right hand.
+    let at = |name: &str| -> Vec<f64> {
+        let (_, rest) = text.split_once(&format!("<title>{name}")).unwrap();
+        let (_, path) = rest.split_once("d=\"M").unwrap();
+        let numbers = path.split_once('"').unwrap().0.replace('L', " ");
+        numbers.split(' ').map(|v| v.parse().unwrap()).collect()
+    };
+    let (a, b) = (at("left&lt;"), at("right"));
+    let (sight, to) = ([a[2] - a[0], a[3] - a[1]], [b[0] - a[0], b[1] - a[1]]);
+    assert!(sight[0] * to[1] - sight[1] * to[0] > 0.0, "{a:?} {b:?}");
+    // Panoramas have no map, nor has a run without scores.
+    assert!(map(&[left.clone(), left]).is_none());
+    assert!(map(&[training.clone(), camera("b", [1.0; 3], None)]).is_none());
+    assert!(map(&[]).is_none());
 }
 
 #[test]
@@ -308,7 +378,7 @@ fn page_refuses_images_of_another_size() {
     let dir = tempfile::tempdir().unwrap();
     let mut bad = view("v", 0.0);
     bad.photo.pop();
-    let found = write_report(dir.path(), &record(), &[], &[], &[bad]);
+    let found = write_report(dir.path(), &record(), &[], &[], &[bad], &[]);
     assert!(matches!(found, Err(Error::Numerics { .. })));
     assert!(data_uri("v", &[], 0, 0).is_err());
     assert!(data_uri("v", &[0; 6], 1, 1).is_err());

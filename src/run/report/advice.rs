@@ -14,6 +14,9 @@ const DOUBLING: [f64; 2] = [0.35, 0.7];
 /// Fall of PSNR from its best evaluation that is told, dB.
 const FALL: f64 = 0.3;
 
+/// Difference of training views from held-out ones that is told, dB.
+const BY_HEART: f64 = 6.0;
+
 /// Difference of a view from the mean that is told, dB.
 const WORSE: f64 = 5.0;
 
@@ -28,6 +31,7 @@ pub(super) fn section(out: &mut String, record: &RunRecord, rows: &[MetricsRow])
     let scores = record.final_scores.as_ref();
     let said = [
         course(record, rows),
+        by_heart(record),
         capped(record),
         scores.and_then(worst),
         scores.and_then(|scores| colors(record, scores)),
@@ -80,6 +84,19 @@ fn course(record: &RunRecord, rows: &[MetricsRow]) -> Option<String> {
             fixed(to.1 - from.1, 1),
             grouped(from.0.into()),
             grouped(to.0.into())
+        )
+    })
+}
+
+/// Training views that look far better than held-out ones.
+fn by_heart(record: &RunRecord) -> Option<String> {
+    let (training, held_out) = (record.training?, record.final_scores.as_ref()?.mean.psnr);
+    (training.psnr - held_out >= BY_HEART).then(|| {
+        format!(
+            "Training views have {} dB, held-out ones {}: photos are too few or too far apart for places between them. More photos \
+             help, more iterations do not.",
+            fixed(training.psnr, 1),
+            fixed(held_out, 1)
         )
     })
 }

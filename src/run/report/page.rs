@@ -10,9 +10,9 @@ use crate::base::error::Result;
 use crate::chart::text::{escape, fixed, grouped, span};
 use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
-use crate::run::report::{advice, panels, settings};
+use crate::run::report::{advice, map, panels, settings};
 use crate::run::table::{DensityRow, MetricsRow};
-use crate::run::viewer::SCENE_PAGE;
+use crate::run::viewer::{SCENE_PAGE, SceneView};
 
 /// Name of the page in the run folder.
 pub const REPORT_FILE: &str = "report.html";
@@ -28,6 +28,7 @@ pub fn write_report(
     rows: &[MetricsRow],
     density: &[DensityRow],
     gallery: &[GalleryItem],
+    cameras: &[SceneView],
 ) -> Result<()> {
     let mut body = String::new();
     headlines(&mut body, record, rows);
@@ -39,6 +40,7 @@ pub fn write_report(
     }
     views(&mut body, gallery)?;
     scores(&mut body, record.final_scores.as_ref());
+    map::section(&mut body, cameras);
     advice::section(&mut body, record, rows);
     panels::quality(&mut body, rows, density);
     panels::stages(&mut body, record);
@@ -117,6 +119,10 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
         ),
     };
     let mut heads = score_heads(record.final_scores.as_ref(), rows);
+    if let Some(training) = &record.training {
+        let value = format!("{} <small>dB</small>", fixed(training.psnr, 2));
+        heads.push(("PSNR, training views", value));
+    }
     heads.extend([
         ("Gaussians", grouped(record.gaussians)),
         ("Training time", small_units(&span(record.train_seconds))),
