@@ -49,4 +49,5 @@ mod synth;
 mod tiny;
 mod trace;
 mod tune;
+mod viewer;
 mod wiring;

@@ -61,10 +61,29 @@ fn the_run_folder_keeps_the_contract() {
     let report = fs::read_to_string(run.join("report.html")).unwrap();
     assert!(report.contains("<svg") && report.contains("data:image/"));
     assert!(run.join("checkpoint").is_dir());
+    shows_the_scene(&run, &printed, &report);
 
     evaluated_alike(&run, &printed);
     rendered(&run, dir.path());
     nonsense_is_refused(&run, dir.path());
+}
+
+/// `scene.html` has the run's Gaussians, cameras, scores and photos, and the report leads to it.
+fn shows_the_scene(run: &Path, printed: &Value, report: &str) {
+    let page = fs::read_to_string(run.join("scene.html")).unwrap();
+    let inside = crate::viewer::pages::meta(&page);
+    assert_eq!(inside["packed"]["count"], printed["gaussians"]);
+    let cameras = inside["cameras"].as_array().unwrap();
+    assert_eq!((cameras.len(), &inside["start"]), (40, &Value::from(5)));
+    let views = printed["final"]["per_view"].as_array().unwrap();
+    for (camera, view) in cameras.iter().zip(views) {
+        assert_eq!(camera["name"], view["view"]);
+        assert_eq!(camera["psnr"], view["psnr"]);
+        assert!(camera["photo"].as_str().unwrap().len() > 500);
+    }
+    assert_eq!(cameras[5]["held_out"], false);
+    assert!(printed["remarks"].is_null());
+    assert!(report.contains("<a href=\"scene.html\">"));
 }
 
 fn nonsense_is_refused(run: &Path, dir: &Path) {
@@ -415,6 +434,7 @@ fn ctrl_c_leaves_a_checkpoint_that_resumes_to_the_same_scene() {
         assert!(killed.success());
     }
     assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(cut.join("scene.html").is_file());
     let record = json(&fs::read_to_string(cut.join("run.json")).unwrap());
     assert!(record["iterations"].as_u64() < Some(1500));
     done(&["train", &room, "--resume", text(&cut)]);

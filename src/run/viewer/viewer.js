@@ -10,6 +10,7 @@ document.body.classList.toggle('bare', bare);
 function say(text) {
   $('message').textContent = text;
   $('message').hidden = false;
+  $('bar').hidden = true;
 }
 
 // Vectors and rotations.
@@ -218,13 +219,17 @@ function draw() {
 }
 
 // Sorting: at once where the camera jumps, in a worker while it moves.
-let worker = null, busy = false, sorted = null;
+let worker = null, busy = null, sorted = null;
 try {
   const code = `${sorter}\nlet sort;onmessage = ({data}) => {if (!sort) sort = sorter(...data); else {const ids = sort(data);` +
     'postMessage(ids, [ids.buffer]);}};';
   worker = new Worker(URL.createObjectURL(new Blob([code], { type: 'text/javascript' })));
-  worker.onerror = () => { worker = null; busy = false; frame(); };
-  worker.onmessage = ({ data }) => { busy = false; use(data); frame(); };
+  worker.onerror = () => { [worker, busy, sorted] = [null, null, null]; frame(); };
+  worker.onmessage = ({ data }) => {
+    if (busy === sorted) use(data); // else the camera has jumped meanwhile
+    busy = null;
+    frame();
+  };
   worker.postMessage(positions);
 } catch { worker = null; }
 
@@ -245,7 +250,7 @@ function sortLater() {
   if (sorted && row.every((v, k) => v === sorted[k])) return;
   if (!worker) return sortNow();
   if (busy) return;
-  [busy, sorted] = [true, row];
+  busy = sorted = row;
   worker.postMessage(row);
 }
 
@@ -260,7 +265,7 @@ function step(now) {
   waiting = false;
   const seconds = (now - last) / 1000;
   last = now;
-  if (seconds > 0 && seconds < 0.5) rate = rate ? 0.9 * rate + 0.1 / seconds : 1 / seconds;
+  if (moving && seconds > 0 && seconds < 0.5) rate = rate ? 0.9 * rate + 0.1 / seconds : 1 / seconds;
   const flying = fly(Math.min(seconds, 0.1));
   if (moving && rate && rate < 15) coarse = 0.5;
   sortLater();

@@ -1,0 +1,198 @@
+//! The page in headless Chromium, where there is one: its picture is the kernels', and it does as it is told.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use image::RgbImage;
+
+use super::pages::{page, scene, views};
+use mhsplat::Device;
+use mhsplat::device::Defines;
+use mhsplat::evaluate::psnr;
+use mhsplat::pipeline::buffers::GaussianBuffers;
+use mhsplat::pipeline::forward::{RenderOptions, Renderer};
+use mhsplat::run::viewer::SceneView;
+use mhsplat::scene::Gaussians;
+
+/// PSNR that the page's picture has against the kernels' at least, dB: 16-bit blending and 8-bit SH bands cost more than 55 dB on
+/// trained scenes, a wrong formula brings it below 40.
+const ALIKE: f64 = 48.0;
+
+/// The browser on the path; a line is printed where there is none.
+fn browser() -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let places = std::env::split_paths(&path);
+    let names = ["chromium", "chromium-browser", "google-chrome"];
+    let found = places
+        .flat_map(|dir| names.map(|name| dir.join(name)))
+        .find(|file| file.is_file());
+    if found.is_none() {
+        println!("skipped: no chromium on the path");
+    }
+    found
+}
+
+/// Opens a page in the browser with more arguments; what it printed.
+fn open(browser: &Path, dir: &Path, file: &str, hash: &str, more: &[&str]) -> String {
+    let log = dir.join("stdout");
+    let mut child = Command::new(browser)
+        .args(["--headless=new", "--no-sandbox", "--disable-quic"])
+        .args(["--disable-background-networking", "--no-first-run"])
+        .args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
+        .args(["--force-color-profile=srgb", "--hide-scrollbars"])
+        .args(["--window-size=700,600", "--virtual-time-budget=30000"])
+        .arg(format!("--user-data-dir={}", dir.join("profile").display()))
+        .args(more)
+        .arg(format!("file://{}#{hash}", dir.join(file).display()))
+        .stdin(Stdio::null())
+        .stdout(std::fs::File::create(&log).unwrap())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let begun = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if begun.elapsed() > Duration::from_secs(120) {
+            let _ = child.kill();
+            panic!("the browser did not end");
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    std::fs::read_to_string(log).unwrap()
+}
+
+/// Mean squared error of two pictures of one size, values in [0, 1].
+fn alike(a: &RgbImage, b: &RgbImage) -> f64 {
+    assert_eq!(a.dimensions(), b.dimensions());
+    let squares = a.as_raw().iter().zip(b.as_raw());
+    let sum: f64 = squares
+        .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+        .sum();
+    psnr(sum / a.as_raw().len() as f64 / 255.0 / 255.0)
+}
+
+/// The kernels' pictures of the views, as `render` makes them.
+fn rendered(splats: &Gaussians, anti_alias: bool, views: &[SceneView]) -> Vec<RgbImage> {
+    let device = Device::open(None).unwrap();
+    let defines = Defines {
+        anti_alias,
+        ..Defines::new(device.tuning())
+    };
+    let mut renderer: Renderer =
+        Renderer::new(&device, defines, splats.sh_degree(), false).unwrap();
+    let mut scene = GaussianBuffers::upload(&device, splats, 0).unwrap();
+    if anti_alias {
+        scene = scene.with_filter(&device).unwrap();
+    }
+    let options = RenderOptions {
+        sh_degree: splats.sh_degree(),
+        background: [0.25, 0.5, 0.75],
+        ..RenderOptions::default()
+    };
+    let mut one = |view: &SceneView| {
+        let image = renderer.image(&scene, &view.camera, &options).unwrap();
+        RgbImage::from_raw(image.width as u32, image.height as u32, image.rgb8()).unwrap()
+    };
+    views.iter().map(&mut one).collect()
+}
+
+#[test]
+fn the_browser_shows_what_the_kernels_render() {
+    let Some(browser) = browser() else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let all = views();
+    for (anti_aliased, degree, shown, by_worker) in
+        [(false, 3, 1, ""), (true, 2, 4, ""), (true, 0, 0, "&worker")]
+    {
+        let splats = scene(3000, degree);
+        std::fs::write(
+            dir.path().join("scene.html"),
+            page(&splats, anti_aliased, &all),
+        )
+        .unwrap();
+        let picture = dir.path().join("shot.png");
+        let shot = format!("--screenshot={}", picture.display());
+        let hash = format!("view={shown}&size=160x120&bare{by_worker}");
+        open(&browser, dir.path(), "scene.html", &hash, &[&shot]);
+        let found = image::open(&picture).unwrap().to_rgb8();
+        let found = image::imageops::crop_imm(&found, 0, 0, 160, 120).to_image();
+        let expected = rendered(&splats, anti_aliased, &all);
+        let like = alike(&found, &expected[shown]);
+        println!("anti-aliased: {anti_aliased}, SH degree {degree}: {like:.1} dB");
+        assert!(like > ALIKE, "{like} dB");
+        // Another view's picture, and that of other filters, must not pass.
+        assert!(alike(&found, &expected[shown + 1]) < 30.0);
+        let unlike = rendered(&splats, !anti_aliased, &all);
+        assert!(alike(&found, &unlike[shown]) < like - 10.0);
+    }
+}
+
+/// Operates the page as a user does, and puts what came of it into the title.
+const USE: &str = r#"<script nonce="mhsplat">
+const told = [], near0 = (a) => a < 1e-6, gap = (a, b) => Math.hypot(...add(a, b, -1));
+const check = (name, good) => { if (!good) told.push(name); };
+const key = (code, type = 'keydown') => dispatchEvent(new KeyboardEvent(type, { code, key: code }));
+const drag = (type, x, y, more) => canvas.dispatchEvent(new PointerEvent(type, { pointerId: 1, clientX: x, clientY: y, ...more }));
+canvas.setPointerCapture = () => {};
+const at = (k) => near0(gap(view.center, scene.cameras[k].center)) && current === k && !moved;
+const level = () => Math.abs(dot(view.rows[0], scene.up));
+check('start', current === scene.start && !scene.cameras[current].held_out && at(scene.start));
+key('ArrowRight'); check('next', at(3));
+$('previous').click(); key('ArrowLeft'); check('previous', at(1) && scene.cameras[1].held_out);
+const before = [...view.center], radius = gap(view.center, view.pivot), right = view.rows[0];
+drag('pointerdown', 200, 200, {}); drag('pointermove', 260, 210, { buttons: 1 });
+check('orbit', moved && gap(view.center, before) > 0.1 && Math.abs(gap(view.center, view.pivot) - radius) < 1e-6);
+check('grabs', dot(add(view.center, before, -1), right) < 0 && dot(add(view.center, before, -1), scene.up) > 0);
+check('level', level() < 1e-3);
+drag('pointerup', 260, 210, {});
+key('KeyR'); check('back', at(1));
+key('KeyF'); drag('pointerdown', 9, 9, {}); drag('pointermove', 50, 9, { buttons: 1 }); drag('pointerup', 50, 9, {});
+check('look', near0(gap(view.center, before)) && dot(view.rows[2], right) < 0 && level() < 1e-3);
+key('KeyR'); drag('pointerdown', 9, 9, {}); drag('pointermove', 50, 9, { buttons: 2 }); drag('pointerup', 50, 9, {});
+check('shift', dot(add(view.center, before, -1), right) < 0 && near0(gap(view.rows[2], scene.cameras[1].rotation.slice(6))));
+key('KeyR'); canvas.dispatchEvent(new WheelEvent('wheel', { deltaY: -100, cancelable: true }));
+check('wheel', gap(view.center, view.pivot) < radius - 0.01);
+key('KeyC'); check('compare', comparing && at(1));
+key('KeyH'); check('help', !$('help').hidden); key('Escape'); check('no help', $('help').hidden);
+key('KeyW');
+// Frames come when they come: up to ten seconds each.
+const wait = (good, then, left = 100) => { if (good() || !left) then(good()); else setTimeout(() => wait(good, then, left - 1), 100); };
+wait(() => dot(add(view.center, before, -1), view.rows[2]) > 0.01, (flew) => {
+  check('fly', flew);
+  key('KeyW', 'keyup');
+  key('KeyR');
+  const photo = () => !$('photo').hidden && $('picture').naturalWidth === 2 && $('photo').clientWidth > 100;
+  const words = () => $('view').textContent.includes('held-out') && !$('compare').disabled;
+  wait(() => photo() && words(), () => {
+    check('photo', photo()); check('words', words()); check('errors', $('message').hidden);
+    document.title = told.length ? 'failed: ' + told : 'all as told';
+  });
+});
+</script></body>"#;
+
+#[test]
+fn the_page_does_as_it_is_told() {
+    let Some(browser) = browser() else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let mut all = views();
+    all[1].photo = Some(mhsplat::run::viewer::photo_uri("p", &[90; 12], 2, 2).unwrap());
+    let html = page(&scene(500, 1), false, &all);
+    let title = |html: &str, more: &[&str]| {
+        std::fs::write(dir.path().join("used.html"), html).unwrap();
+        let more = [&["--dump-dom"], more].concat();
+        open(&browser, dir.path(), "used.html", "", &more)
+    };
+    let dom = title(&html.replace("</body>", USE), &[]);
+    let told = &dom[dom.find("<title>").unwrap()..dom.find("</title>").unwrap()];
+    assert_eq!(told, "<title>all as told");
+    // A wrong sign is noticed.
+    let wrong = html.replace("looking ? 1 : -1", "looking ? -1 : 1");
+    assert!(title(&wrong.replace("</body>", USE), &[]).contains("<title>failed: grabs"));
+    // Without WebGL the page says what to do.
+    let without = title(&html, &["--disable-3d-apis"]);
+    assert!(without.contains("<section id=\"message\">This browser draws without WebGL2"));
+}
