@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
+
 use crate::base::hash::Fnv;
 use crate::capture::camera::Camera;
 use crate::capture::frame::Frame;
@@ -75,10 +77,21 @@ pub struct Dataset {
     pub image_budget: u64,
 }
 
+/// Length of the mean of the cameras' unit vectors upwards from which on there is such a thing as up.
+const SHARED_UP: f64 = 0.3;
+
 impl Dataset {
     /// Training views, then held-out ones.
     pub fn views(&self) -> impl Iterator<Item = &View> {
         self.train.iter().chain(&self.test)
+    }
+
+    /// Direction that the cameras' upper edges have in the mean, of length 1; `None` if they agree on none.
+    #[must_use]
+    pub fn up(&self) -> Option<DVec3> {
+        let edges = self.views().map(|view| -view.camera.rotation.row(1));
+        let mean = edges.sum::<DVec3>() / self.views().count().max(1) as f64;
+        (mean.length() > SHARED_UP).then(|| mean.normalize())
     }
 
     /// Fingerprint of 16 hexadecimal digits that tells datasets, splits and resolutions apart: from layout, names, sizes, cameras

@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
-use crate::capture::Frame;
 use crate::chart::text::about;
 use crate::config::{Preset, TrainConfig};
 use crate::evaluate::Evaluator;
@@ -14,6 +13,7 @@ use crate::run::budget::{Budget, Pace};
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{self, Clock};
 use crate::run::density_trace::{TRACE_FILE, funnel, write_trace};
+use crate::run::export::Exports;
 use crate::run::forecast::Forecast;
 use crate::run::patience;
 use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
@@ -21,7 +21,6 @@ use crate::run::report::gallery::{GalleryItem, error_map};
 use crate::run::report::page::write_report;
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
-use crate::scene::{Gaussians, ply};
 use crate::train::{DensityEvent, Event, Trainer};
 
 /// Held-out views shown in the report.
@@ -52,8 +51,7 @@ pub struct Progress {
 pub struct Run {
     pub(super) _lock: FolderLock,
     pub(super) dir: PathBuf,
-    /// Position of the local frame in the dataset's own.
-    pub(super) frame: Frame,
+    pub(super) exports: Exports,
     pub(super) config: TrainConfig,
     pub(super) trainer: Trainer,
     pub(super) evaluator: Option<Evaluator>,
@@ -94,6 +92,11 @@ impl Run {
             let _ = self.trainer.settle().and_then(|()| self.save(true, false));
         }
         ended.map(|()| &self.record)
+    }
+
+    /// Sentences on the scene files that were read and written, each of them once.
+    pub fn take_remarks(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.exports.remarks)
     }
 
     /// The iterations that the folder's checkpoint has; none if there is no checkpoint yet.
@@ -158,7 +161,14 @@ impl Run {
         self.evaluate(true)?;
         self.save(true, true)?;
         self.write_trace()?;
-        self.report()
+        self.report()?;
+        // Last of all: a scene that a format cannot hold spoils nothing else.
+        if !self.config.export.is_empty() {
+            let scene = self.trainer.splats()?;
+            self.exports
+                .write_others(&self.dir, &self.config.export, scene)?;
+        }
+        Ok(())
     }
 
     /// Iterations of the whole run as they are planned now.
@@ -422,18 +432,15 @@ impl Run {
             checkpoint::write(&self.dir, &saved)?;
             self.saved = Some(saved.state.iteration);
             if export {
-                self.export(&saved.state.splats, &saved.state.rows.filter)?;
+                let (splats, filter) = (&saved.state.splats, &saved.state.rows.filter);
+                self.exports.write(&self.dir, splats, filter)?;
             }
         } else if export {
             let (splats, filter) = self.trainer.splats()?;
-            self.export(&splats, &filter)?;
+            self.exports.write(&self.dir, &splats, &filter)?;
         }
         self.clock.resume();
         Ok(())
-    }
-
-    fn export(&self, splats: &Gaussians, filter: &[f32]) -> Result<()> {
-        ply::write_filtered(&self.dir.join("scene.ply"), splats, filter, &self.frame)
     }
 
     fn report(&mut self) -> Result<()> {

@@ -7,6 +7,7 @@
 //! | `density.csv` | [`DensityWriter`] | one row per density step, flushed at once |
 //! | `density-trace.csv` | [`density_trace::write_trace`] | at the end, with `--trace-density` |
 //! | `scene.ply` | [`crate::scene::ply`] | at the end, and as often as `--export-every` says |
+//! | `scene.spz`, … | [`crate::scene::formats`] | at the end, as `--export` says |
 //! | `checkpoint/` | [`checkpoint::write`] | as often as `--checkpoint-every` says, and at the end |
 //! | `report.html` | [`write_report`] | at the end, from the files above |
 //!
@@ -18,6 +19,7 @@ pub mod checkpoint;
 pub mod clock;
 pub mod density_trace;
 mod drive;
+mod export;
 mod forecast;
 mod open;
 mod patience;

@@ -15,6 +15,7 @@ use crate::run::budget::{Budget, Pace, begin, go_on};
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{Clock, process_cpu_seconds};
 use crate::run::drive::Run;
+use crate::run::export::Exports;
 use crate::run::forecast::Forecast;
 use crate::run::patience;
 use crate::run::record::{RECORD_FILE, RunRecord};
@@ -188,10 +189,10 @@ impl Run {
             // A finished run keeps what its trace has shown.
             record.funnel = RunRecord::read(dir)?.funnel;
         }
-        let frame = dataset.frame;
+        let mut exports = Exports::new(&dataset);
         let splats = match &saved {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
-            None => Cow::Owned(start::initial_gaussians(&dataset, &plan)?),
+            None => Cow::Owned(start::first(&dataset, &plan, &mut exports.remarks)?),
         };
         let photos = Photos::new(device, dataset.image_budget);
         let train = ViewSet::new(&photos, dataset.train)?;
@@ -241,7 +242,7 @@ impl Run {
         let mut run = Self {
             _lock: lock,
             dir: dir.to_path_buf(),
-            frame,
+            exports,
             pace,
             forecast,
             began: (done.unwrap_or(0), clock.train_seconds()),
