@@ -79,9 +79,9 @@ pub enum SceneFormat {
     #[value(skip)]
     #[serde(skip)]
     Ply,
-    /// PlayCanvas' compressed PLY: about a fourteenth.
+    /// PlayCanvas' compressed PLY, a quarter of the size.
     CompressedPly,
-    /// Niantic's SPZ: about a tenth.
+    /// Niantic's SPZ, about a tenth of the size.
     Spz,
     /// antimatter15's .splat, without view-dependent colour.
     Splat,

@@ -94,22 +94,24 @@ pub(super) fn read(path: &Path, content: &Content, frame: &Frame) -> Result<Scen
             false => Ok(vec![if k < 15 { 0.0 } else { 1.0 }; found]),
         });
     let ranges: Vec<Vec<f64>> = ranges.collect::<Result<_>>()?;
-    let mut words = Vec::with_capacity(WORDS.len());
-    for name in WORDS {
-        let column = vertices.column(name, COMPRESSED)?.into_iter();
-        words.push(column.map(|v| v as u32).collect::<Vec<u32>>());
+    let mut rows = vec![[0_u32; 4]; n];
+    for (k, name) in WORDS.into_iter().enumerate() {
+        let column = vertices.column(name, COMPRESSED)?;
+        rows.iter_mut()
+            .zip(column)
+            .for_each(|(row, v)| row[k] = v as u32);
     }
     let (degree, bands) = bands(path, content, n)?;
     let mut planes = vec![Vec::with_capacity(n); Plane::count(degree)];
-    for i in 0..n {
+    for (i, [positions, rotation, scales, colors]) in rows.into_iter().enumerate() {
         let chunk = i / CHUNK;
         let within = |part: usize, at: [f64; 3]| {
             let range = |k: usize| ranges[6 * part + k][chunk];
             [0, 1, 2].map(|k| range(k) * (1.0 - at[k]) + range(3 + k) * at[k])
         };
-        let [r, g, b, opacity] = fractions(words[3][i], [8; 4]);
-        let position = within(0, fractions(words[0][i], BITS));
-        let scale = within(1, fractions(words[2][i], BITS));
+        let [r, g, b, opacity] = fractions(colors, [8; 4]);
+        let position = within(0, fractions(positions, BITS));
+        let scale = within(1, fractions(scales, BITS));
         let color = within(2, [r, g, b]).map(|c| (c - 0.5) / C0);
         for k in 0..3 {
             planes[Plane::POSITION + k].push(position[k] as f32);
@@ -117,8 +119,8 @@ pub(super) fn read(path: &Path, content: &Content, frame: &Frame) -> Result<Scen
             planes[Plane::SH + k].push(color[k] as f32);
         }
         planes[Plane::OPACITY].push(limited_logit(opacity));
-        let others = fractions(words[1][i], [10; 3]).map(|v| (v - 0.5) * 2.0_f64.sqrt());
-        let rotation = from_smallest_three((words[1][i] >> 30) as usize, others);
+        let others = fractions(rotation, [10; 3]).map(|v| (v - 0.5) * 2.0_f64.sqrt());
+        let rotation = from_smallest_three((rotation >> 30) as usize, others);
         for (k, v) in rotation.into_iter().enumerate() {
             planes[Plane::ROTATION + k].push(v as f32);
         }

@@ -2,10 +2,10 @@
 //!
 //! | format | ending | what it keeps |
 //! |---|---|---|
-//! | [`ply`] | `.ply` | everything |
-//! | [`compressed_ply`] | `.compressed.ply` | everything, rounded |
-//! | [`spz`] | `.spz` | everything but the direction up, rounded |
-//! | [`splat`] | `.splat` | no view-dependent colour, no mark of anti-aliasing; rounded |
+//! | `ply.rs` | `.ply` | everything |
+//! | `compressed_ply.rs` | `.compressed.ply` | everything, rounded |
+//! | `spz.rs` | `.spz` | everything but the direction up, rounded |
+//! | `splat.rs` | `.splat` | no view-dependent colour, no mark of anti-aliasing; rounded |
 //!
 //! How far they round is in `docs/guide/viewing.md`.
 

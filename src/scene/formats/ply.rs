@@ -84,8 +84,7 @@ pub(super) fn comments(scene: &SceneFile) -> String {
 
 /// True if the header of a PLY file, plain or compressed, marks its scene as anti-aliased, so that it is to be rendered with the 2D
 /// filter. False for a file that cannot be read.
-#[must_use]
-pub fn is_anti_aliased(path: &Path) -> bool {
+pub(super) fn is_anti_aliased(path: &Path) -> bool {
     table::read_comments(path).is_ok_and(|all| marks(path, &all).is_ok_and(|m| m.anti_aliased))
 }
 

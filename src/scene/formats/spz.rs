@@ -32,7 +32,7 @@ const EXTENDED: u8 = 2;
 /// Type of the record that names axes other than the usual ones.
 const AXES: u32 = 0xADBE_0003;
 
-/// Bytes per unit of an SH coefficient of the constant band: 8 bits for −3.3 to 3.3.
+/// Steps of a colour per unit of its SH coefficient: 8 bits for −3.3 to 3.3.
 const COLOR_STEPS: f64 = 0.15 * 255.0;
 /// Steps of a log-scale per unit, and its value at byte 0.
 const SCALE: [f64; 2] = [16.0, -10.0];
@@ -96,7 +96,7 @@ impl Header {
         Ok(header)
     }
 
-    /// Bytes of an SH coefficients above the constant one.
+    /// Bytes of the SH coefficients above the constant one.
     fn sh_bytes(&self) -> usize {
         3 * (sh_coefficients(self.sh_degree) - 1)
     }
@@ -144,10 +144,10 @@ pub(super) fn read(path: &Path, bytes: &[u8], frame: &Frame) -> Result<SceneFile
         let header = Header::read(path, &start)?;
         let size = header.size(path, bytes.len())?;
         let mut attributes = Vec::new();
-        stream
-            .take(size as u64)
-            .read_to_end(&mut attributes)
-            .map_err(cut)?;
+        let mut all = stream.by_ref().take(size as u64);
+        all.read_to_end(&mut attributes).map_err(cut)?;
+        // The checksum comes at the end of the stream.
+        stream.read(&mut [0]).map_err(cut)?;
         (header, attributes)
     } else {
         let header = Header::read(path, bytes)?;
