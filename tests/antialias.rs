@@ -340,7 +340,11 @@ fn a_run_is_evaluated_again_with_its_own_filters() {
     assert!((again - of_run).abs() < 0.01, "{again} {of_run}");
     // The same scene without its mark is another picture: at half the size, where the 2D filter has more to do, worse.
     let bytes = std::fs::read(run.join("scene.ply")).unwrap();
-    let comment = format!("comment {}\n", ply::ANTI_ALIASED).into_bytes();
+    let comment = format!(
+        "comment {}\ncomment SplatRenderMode: mip\n",
+        ply::ANTI_ALIASED
+    )
+    .into_bytes();
     let at = bytes
         .windows(comment.len())
         .position(|w| w == comment)

@@ -31,7 +31,7 @@ pub fn scene(n: usize, sh_degree: u32) -> SceneFile {
     let plane = |p: usize| {
         let (least, most) = range(p);
         let value = |i: usize| {
-            let u = f64::from(Philox::uniform(5, p as u64, i as u64)[0]);
+            let u = Philox::uniform(5, p as u64, i as u64)[0];
             (least + u * (most - least)) as f32
         };
         (0..n).map(value).collect()
@@ -113,15 +113,15 @@ fn bounds(format: SceneFormat, splats: &Gaussians) -> [f64; 7] {
     let half = 0.5 / 255.0 + 1e-6;
     match format {
         // 24 bits with 20 behind the point, for positions of up to 8; 16 steps per unit; 9 bits and a sign to √½; 0.15 · 255 steps per
-        // unit of the constant coefficient; 32 and 16 buckets.
+        // unit of the constant coefficient; 64 and 32 buckets.
         SceneFormat::Spz => [
             0.5 / f64::from(1 << 20) + 1e-7,
             1.0 / 32.0 + 1e-6,
             0.3_f64.to_radians(),
             half,
             0.282_095 * 0.5 / (0.15 * 255.0) + 1e-6,
+            2.0 / 128.0 + 1e-6,
             4.0 / 128.0 + 1e-6,
-            8.0 / 128.0 + 1e-6,
         ],
         // 10 bits, of the y axis, and 11 of the chunk's range; 10 bits to ±√½; 8 of its range of colours; 256 steps from -4 to 4.
         SceneFormat::CompressedPly => [

@@ -38,9 +38,9 @@ const COLOR_STEPS: f64 = 0.15 * 255.0;
 const SCALE: [f64; 2] = [16.0, -10.0];
 /// Steps of a rotation's smaller component between 0 and √½.
 const ROTATION_STEPS: f64 = 511.0;
-/// Steps between the values that SH coefficients of degree 1 and of higher degrees are rounded to, of 256 within −1 to 1: those of
-/// the format's own library, whose files are the smaller for it.
-const SH_BUCKETS: [i32; 2] = [8, 16];
+/// Steps between the values that SH coefficients of degree 1 and of higher degrees are rounded to, of 256 within −1 to 1. The format's
+/// own library takes 8 and 16, which cost 1 dB more and save a sixth of the bytes (docs/results/formats.md).
+const SH_BUCKETS: [i32; 2] = [4, 8];
 /// Most bits behind the binary point of a position.
 const MOST_FRACTION: u32 = 20;
 /// Largest value of a 24-bit position.
