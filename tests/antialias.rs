@@ -14,7 +14,7 @@ use mhsplat::lab::verify::{cases, definition::Reference, pass};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Rendered, Renderer};
 use mhsplat::run::{checkpoint, initial_gaussians};
-use mhsplat::scene::{Gaussians, Plane, ply};
+use mhsplat::scene::{Gaussians, Plane, formats, ply};
 use mhsplat::train::Trainer;
 
 /// True if the plan has the filters.
@@ -202,7 +202,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     let [marked, plain] = ["marked.ply", "plain.ply"].map(|name| folder.path().join(name));
     ply::write_filtered(&marked, &state.splats, &state.rows.filter, &data.frame).unwrap();
     ply::write_filtered(&plain, &state.splats, &[], &data.frame).unwrap();
-    assert!(ply::is_anti_aliased(&marked) && !ply::is_anti_aliased(&plain));
+    assert!(formats::is_anti_aliased(&marked) && !formats::is_anti_aliased(&plain));
     assert!(ply::ANTI_ALIASED.contains(&format!("2D filter of {},", blur(true))));
     // Of other filters (those of an earlier version): refused, not shown with these.
     let other = folder.path().join("other.ply");
@@ -211,13 +211,13 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     let at = bytes.windows(part.len()).position(|w| w == part).unwrap();
     bytes.drain(at..at + part.len());
     std::fs::write(&other, bytes).unwrap();
-    let refused = ply::read(&other, &data.frame).unwrap_err().to_string();
+    let refused = formats::read(&other, &data.frame).unwrap_err().to_string();
     assert!(
         refused.contains("other.ply")
             && refused.contains("`mhsplat anti-aliasing: mip-splatting, 3D filter applied`"),
         "{refused}"
     );
-    assert!(!ply::is_anti_aliased(&folder.path().join("none.ply")));
+    assert!(!formats::is_anti_aliased(&folder.path().join("none.ply")));
     assert!(ply::write_filtered(&plain, &state.splats, &[1.0], &Frame::IDENTITY).is_err());
 
     let camera = data.train[0].camera;
@@ -229,8 +229,8 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     let (scene, renderer) = trainer.scene_and_renderer();
     renderer.render(scene, &arg, &options).unwrap();
     let trained = renderer.read_image().unwrap();
-    let baked = ply::read(&marked, &data.frame).unwrap().splats;
-    let raw = ply::read(&plain, &data.frame).unwrap().splats;
+    let baked = formats::read(&marked, &data.frame).unwrap().splats;
+    let raw = formats::read(&plain, &data.frame).unwrap().splats;
     // Rounding, and pixels at the cut.
     let same = apart(&trained, &shown(&baked, &camera, true));
     assert!(same < 0.01, "{same}");
@@ -340,7 +340,11 @@ fn a_run_is_evaluated_again_with_its_own_filters() {
     assert!((again - of_run).abs() < 0.01, "{again} {of_run}");
     // The same scene without its mark is another picture: at half the size, where the 2D filter has more to do, worse.
     let bytes = std::fs::read(run.join("scene.ply")).unwrap();
-    let comment = format!("comment {}\n", ply::ANTI_ALIASED).into_bytes();
+    let comment = format!(
+        "comment {}\ncomment SplatRenderMode: mip\n",
+        ply::ANTI_ALIASED
+    )
+    .into_bytes();
     let at = bytes
         .windows(comment.len())
         .position(|w| w == comment)

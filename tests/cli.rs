@@ -1,5 +1,6 @@
 //! The command line as a contract: run folder, JSON, exit codes, and what a new user gets wrong.
 
+mod convert;
 mod init;
 mod options;
 mod refusals;

@@ -9,7 +9,7 @@ use crate::dataset::{assert_refused, data};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::base::rng::Philox;
 use mhsplat::capture::{Frame, Points, point_cloud};
-use mhsplat::scene::ply::Contents;
+use mhsplat::scene::formats::{self, Contents, read_either};
 use mhsplat::scene::{Gaussians, Plane, ply};
 
 fn splats(n: usize, sh_degree: u32) -> Gaussians {
@@ -24,7 +24,7 @@ fn splats(n: usize, sh_degree: u32) -> Gaussians {
 
 /// The points of a file that holds no Gaussians.
 fn cloud(path: &Path, frame: &Frame) -> Result<Points> {
-    match ply::read_either(path, frame)? {
+    match read_either(path, frame)? {
         Contents::Points(points) => Ok(points),
         Contents::Scene(_) => panic!("{} holds Gaussians", path.display()),
     }
@@ -58,18 +58,21 @@ fn round_trip_keeps_every_bit() {
     for degree in 0..=3 {
         let scene = splats(17, degree);
         ply::write(&file, &scene, &Frame::IDENTITY).unwrap();
-        assert_eq!(ply::read(&file, &Frame::IDENTITY).unwrap().splats, scene);
+        assert_eq!(
+            formats::read(&file, &Frame::IDENTITY).unwrap().splats,
+            scene
+        );
         let again = dir.path().join("again.ply");
         ply::write(&again, &scene, &Frame::IDENTITY).unwrap();
         assert_eq!(fs::read(&file).unwrap(), fs::read(&again).unwrap());
     }
     assert_ne!(
-        ply::read(&file, &Frame::IDENTITY).unwrap().splats,
+        formats::read(&file, &Frame::IDENTITY).unwrap().splats,
         splats(18, 3)
     );
     ply::write(&file, &Gaussians::zeros(1, 0), &Frame::IDENTITY).unwrap();
     assert!(
-        ply::read(&file, &Frame::IDENTITY)
+        formats::read(&file, &Frame::IDENTITY)
             .unwrap()
             .splats
             .is_empty()
@@ -141,7 +144,7 @@ fn frames_move_positions_and_scales() {
             (f64::from(s) + 8_f64.ln()) as f32
         ]
     );
-    let back = ply::read(&file, &frame).unwrap().splats;
+    let back = formats::read(&file, &frame).unwrap().splats;
     for (p, (a, b)) in back.planes().iter().zip(scene.planes()).enumerate() {
         for (a, b) in a.iter().zip(b) {
             // Positions of up to 52 are rounded to 2e-6 in the file, an eighth of that here.
@@ -192,7 +195,7 @@ fn with(dir: &Path, text: &[u8]) -> std::path::PathBuf {
 fn ascii_in_any_order() {
     let dir = tempfile::tempdir().unwrap();
     let file = with(dir.path(), ASCII.as_bytes());
-    let scene = ply::read(&file, &Frame::IDENTITY).unwrap().splats;
+    let scene = formats::read(&file, &Frame::IDENTITY).unwrap().splats;
     assert_eq!((scene.len(), scene.sh_degree()), (2, 0));
     let all: [f32; 14] = scene.gather(0, 0);
     let expected = [
@@ -231,7 +234,7 @@ fn ascii_in_any_order() {
         assert!(ASCII.contains(from), "{from}");
         let text = ASCII.replacen(from, to, 1);
         assert_refused(
-            ply::read(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY),
+            formats::read(&with(dir.path(), text.as_bytes()), &Frame::IDENTITY),
             &words,
         );
     }
@@ -245,7 +248,7 @@ fn infinite_opacity_logits_are_read_as_nearly_that() {
         .replacen("0.5 1 2", "inf 1 2", 1)
         .replacen("-0.5 -1", "-inf -1", 1);
     let file = with(dir.path(), text.as_bytes());
-    let scene = ply::read(&file, &Frame::IDENTITY).unwrap();
+    let scene = formats::read(&file, &Frame::IDENTITY).unwrap();
     assert_eq!(scene.saturated, 2);
     let opacity = |i| f64::from(scene.splats.gather::<1>(Plane::OPACITY, i)[0]);
     let sigmoid = |l: f64| 1.0 / (1.0 + (-l).exp());
@@ -260,13 +263,16 @@ fn truncated_files_are_errors_at_every_length() {
     let whole = fs::read(&file).unwrap();
     for length in 0..whole.len() {
         let cut = with(dir.path(), &whole[..length]);
-        assert_refused(ply::read(&cut, &Frame::IDENTITY), &["a.ply"]);
+        assert_refused(formats::read(&cut, &Frame::IDENTITY), &["a.ply"]);
     }
     let end = whole.len();
     let mut nan = whole;
     nan[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
     let file = with(dir.path(), &nan);
-    assert_refused(ply::read(&file, &Frame::IDENTITY), &["rot_3", "vertex 2"]);
+    assert_refused(
+        formats::read(&file, &Frame::IDENTITY),
+        &["rot_3", "vertex 2"],
+    );
 }
 
 #[test]
@@ -288,7 +294,7 @@ fn point_clouds() {
         (&points.positions, &points.colors)
     );
     assert_refused(
-        ply::read(&file, &frame),
+        formats::read(&file, &frame),
         &["point cloud", "scene PLY of 3DGS", "export the Gaussians"],
     );
     let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
@@ -298,8 +304,8 @@ fn point_clouds() {
     let neither = text.replace("float x", "float u");
     let neither = with(dir.path(), neither.as_bytes());
     let words = ["x is missing", "point cloud (x y z", "scene PLY of 3DGS"];
-    assert_refused(ply::read_either(&neither, &Frame::IDENTITY), &words);
-    assert_refused(ply::read(&neither, &Frame::IDENTITY), &words[2..]);
+    assert_refused(read_either(&neither, &Frame::IDENTITY), &words);
+    assert_refused(formats::read(&neither, &Frame::IDENTITY), &words[2..]);
     let text = text.replace("1 2 3", "1 NaN 3");
     let file = with(dir.path(), text.as_bytes());
     assert_refused(cloud(&file, &Frame::IDENTITY), &["y of vertex 0"]);
@@ -311,28 +317,16 @@ fn files_of_other_programs() {
         return;
     };
     let frame = Frame::IDENTITY;
-    let scene = ply::read(&folder.join("epfl_pc_short.ply"), &frame)
+    let scene = formats::read(&folder.join("epfl_pc_short.ply"), &frame)
         .unwrap()
         .splats;
     assert_eq!((scene.len(), scene.sh_degree()), (100, 3));
-    let scene = ply::read(&folder.join("kacytran_iter7000.ply"), &frame)
+    let scene = formats::read(&folder.join("kacytran_iter7000.ply"), &frame)
         .unwrap()
         .splats;
     assert_eq!((scene.len(), scene.sh_degree()), (9080, 3));
     let points = cloud(&folder.join("brush_init.ply"), &frame).unwrap();
     assert_eq!(points.positions.len(), 100);
-    for name in [
-        "playcanvas_biker.compressed.ply",
-        "playcanvas_guitar.compressed.ply",
-    ] {
-        assert_refused(
-            ply::read(&folder.join(name), &frame),
-            &["compressed", "packed_position"],
-        );
-    }
-    for name in ["pcst_minimal.splat", "pcst_minimal-v4.spz"] {
-        assert_refused(ply::read(&folder.join(name), &frame), &[name]);
-    }
 }
 
 #[test]
@@ -347,7 +341,7 @@ fn corrupt_bytes_never_panic() {
                 let mut bytes = whole.clone();
                 bytes[at] ^= flip;
                 let corrupt = with(dir.path(), &bytes);
-                refused += u32::from(ply::read(&corrupt, &Frame::IDENTITY).is_err());
+                refused += u32::from(formats::read(&corrupt, &Frame::IDENTITY).is_err());
             }
         }
         assert!(refused > 100, "{refused} corruptions noticed");

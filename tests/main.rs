@@ -25,6 +25,7 @@ mod extreme;
 #[cfg(target_os = "linux")]
 mod faults;
 mod flip;
+mod formats;
 mod fuzz;
 mod gradient;
 mod hostile;

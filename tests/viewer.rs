@@ -11,7 +11,8 @@ use serde_json::Value;
 
 use mhsplat::base::constants::{ALPHA_MAX, ALPHA_MIN, COLOR_MAX, NEAR, blur};
 use mhsplat::base::error::Error;
-use mhsplat::run::viewer::{MAX_BYTES, photo_uri, scene_views, up_axis};
+use mhsplat::capture::up_axis;
+use mhsplat::run::viewer::{MAX_BYTES, photo_uri, scene_views};
 use mhsplat::run::{ScenePage, write_scene_page};
 use mhsplat::scene::{Gaussians, Plane, morton};
 use mhsplat::{LoadOptions, load_dataset};

@@ -1,4 +1,4 @@
-//! PLY files: the header, and the `vertex` element as a table of scalar columns.
+//! PLY files: the header, and an element of it, mostly `vertex`, as a table of scalar columns.
 //!
 //! Format: Turk, "The PLY polygon file format" (1994). ASCII and binary little endian; lists and big endian are refused.
 
@@ -7,6 +7,7 @@ use std::collections::HashSet;
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use glam::DVec3;
 
@@ -34,7 +35,7 @@ fn first<T: Into<f64>, const K: usize>(bytes: &[u8], from: fn([u8; K]) -> T) -> 
 }
 
 /// A column of the table.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Property {
     name: String,
     scalar: Scalar,
@@ -45,7 +46,7 @@ struct Property {
 }
 
 /// One `element` of a header.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 struct Element {
     name: String,
     count: u64,
@@ -62,13 +63,20 @@ struct Header {
     data: usize,
 }
 
-/// The `vertex` element of a file.
+/// A file whose header was read.
+pub(crate) struct Content {
+    path: PathBuf,
+    header: Header,
+    bytes: Rc<Vec<u8>>,
+}
+
+/// An element of a file.
 pub(crate) struct Table {
     path: PathBuf,
     /// Comments of the header, in the file's order.
     pub(crate) comments: Vec<String>,
-    vertex: Element,
-    bytes: Vec<u8>,
+    element: Element,
+    bytes: Rc<Vec<u8>>,
     /// Offset of the first row in `bytes`.
     start: usize,
 }
@@ -87,54 +95,79 @@ fn bad(path: &Path, what: impl Into<String>) -> Error {
     Error::input(path, what, "export the PLY file again")
 }
 
-impl Table {
-    /// Reads a file's `vertex` element.
+impl Content {
+    /// The header of a file's bytes.
     ///
     /// # Errors
-    /// A file of another format, big endian, a list among the vertex's properties, a file shorter than its header says.
-    pub(crate) fn read(path: &Path) -> Result<Self> {
-        let bytes = crate::base::files::read(path)?;
-        let mut header = parse_header(path, &bytes)?;
-        let Some(at) = header.elements.iter().position(|e| e.name == "vertex") else {
-            return Err(bad(path, "no element 'vertex' in the header"));
+    /// A file of another format, big endian.
+    pub(crate) fn new(path: &Path, bytes: Vec<u8>) -> Result<Self> {
+        Ok(Self {
+            path: path.to_path_buf(),
+            header: parse_header(path, &bytes)?,
+            bytes: Rc::new(bytes),
+        })
+    }
+
+    /// True if the header names the element.
+    pub(crate) fn has(&self, element: &str) -> bool {
+        self.header.elements.iter().any(|e| e.name == element)
+    }
+
+    /// The rows of an element.
+    ///
+    /// # Errors
+    /// No element of that name, a list among its properties, a file shorter than its header says.
+    pub(crate) fn table(&self, element: &str) -> Result<Table> {
+        let (path, elements) = (&self.path, &self.header.elements);
+        let Some(at) = elements.iter().position(|e| e.name == element) else {
+            return Err(bad(path, format!("no element '{element}' in the header")));
         };
-        let mut vertex = header.elements.remove(at);
-        let before = &header.elements[..at];
-        if vertex.has_list {
-            let what = "a list among the vertex properties; scalars expected";
+        let (before, mut element) = (&elements[..at], elements[at].clone());
+        if element.has_list {
+            let name = &element.name;
+            let what = format!("a list among the {name} properties; scalars expected");
             return Err(bad(path, what));
         }
         let mut seen = HashSet::new();
-        for Property { name, .. } in &vertex.properties {
-            if name == "packed_position" {
-                return Err(Error::input(
-                    path,
-                    "a compressed PLY (packed_position); plain 3DGS properties expected",
-                    "decompress it (SuperSplat: export as uncompressed PLY)",
-                ));
-            }
+        for Property { name, .. } in &element.properties {
             if !seen.insert(name) {
                 return Err(bad(path, format!("property {name} is declared twice")));
             }
         }
-        let (bytes, start) = if header.ascii {
-            let values = ascii_values(path, &bytes[header.data..], before, &vertex)?;
-            vertex.stride = 8 * vertex.properties.len();
-            for (k, property) in vertex.properties.iter_mut().enumerate() {
+        let data = self.header.data;
+        let (bytes, start) = if self.header.ascii {
+            let values = ascii_values(path, &self.bytes[data..], before, &element)?;
+            element.stride = 8 * element.properties.len();
+            for (k, property) in element.properties.iter_mut().enumerate() {
                 (property.stored, property.offset) = (DOUBLE, 8 * k);
             }
-            (values, 0)
+            (Rc::new(values), 0)
         } else {
-            let start = binary_start(path, bytes.len(), header.data, before, &vertex)?;
-            (bytes, start)
+            let start = binary_start(path, self.bytes.len(), data, before, &element)?;
+            (self.bytes.clone(), start)
         };
-        Ok(Self {
-            path: path.to_path_buf(),
-            comments: header.comments,
-            vertex,
+        Ok(Table {
+            path: path.clone(),
+            comments: self.header.comments.clone(),
+            element,
             bytes,
             start,
         })
+    }
+}
+
+impl Table {
+    /// Reads a file's `vertex` element.
+    ///
+    /// # Errors
+    /// Those of [`Content::new`] and [`Content::table`]; a file that cannot be read.
+    pub(crate) fn read(path: &Path) -> Result<Self> {
+        Content::new(path, files::read(path)?)?.table("vertex")
+    }
+
+    /// Number of rows.
+    pub(crate) fn len(&self) -> usize {
+        self.element.count as usize
     }
 
     /// True if there is a property of that name.
@@ -144,7 +177,7 @@ impl Table {
 
     /// Names of the properties, in the file's order.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.vertex.properties.iter().map(|p| p.name.as_str())
+        self.element.properties.iter().map(|p| p.name.as_str())
     }
 
     /// The values of a property that every file of a kind has, one per vertex.
@@ -186,7 +219,7 @@ impl Table {
     ) -> Result<(&'static str, Vec<f64>)> {
         let Element {
             properties, stride, ..
-        } = &self.vertex;
+        } = &self.element;
         let Some(property) = properties.iter().find(|p| p.name == name) else {
             let what = format!("the property {name} is missing; {expected} expected");
             return Err(Error::input(&self.path, what, fix));
@@ -198,11 +231,12 @@ impl Table {
             let found = bytes.and_then(|b| property.stored.2(b));
             let found = change(found.unwrap_or(f64::NAN));
             found.is_finite().then_some(found).ok_or_else(|| {
-                let what = format!("{name} of vertex {row} is {found}; a finite number expected");
+                let kind = &self.element.name;
+                let what = format!("{name} of {kind} {row} is {found}; a finite number expected");
                 bad(&self.path, what)
             })
         };
-        let values: Result<Vec<f64>> = (0..self.vertex.count as usize).map(value).collect();
+        let values: Result<Vec<f64>> = (0..self.len()).map(value).collect();
         Ok((property.scalar.0[0], values?))
     }
 
@@ -349,44 +383,45 @@ fn add_property(path: &Path, element: &mut Element, words: &[&str]) -> Result<()
     Ok(())
 }
 
-/// Offset of the first vertex, after checking that the file is long enough.
+/// Offset of the first row, after checking that the file is long enough.
 fn binary_start(
     path: &Path,
     length: usize,
     data: usize,
     before: &[Element],
-    vertex: &Element,
+    element: &Element,
 ) -> Result<usize> {
     if let Some(Element { name, .. }) = before.iter().find(|e| e.has_list) {
-        let what = format!("element {name} holds lists and comes before the vertices");
+        let what = format!("element {name} holds lists and comes before what is needed");
         return Err(bad(path, what));
     }
     let size = |e: &Element| u128::from(e.count) * e.stride as u128;
     let start = data as u128 + before.iter().map(size).sum::<u128>();
-    let end = start + size(vertex);
-    if end > length as u128 || (vertex.stride == 0 && vertex.count > 0) {
-        let (count, stride) = (vertex.count, vertex.stride);
+    let end = start + size(element);
+    if end > length as u128 || (element.stride == 0 && element.count > 0) {
+        let (kind, count, stride) = (&element.name, element.count, element.stride);
         let what = format!(
-            "the header announces {count} vertices of {stride} bytes, {end} bytes in all; the file has {length}"
+            "the header announces {count} rows of {kind} of {stride} bytes, {end} bytes in all; the file has {length}"
         );
         return Err(bad(path, what));
     }
     Ok(start as usize)
 }
 
-/// The values of an ASCII file, one vertex a line, as doubles.
+/// The values of an ASCII file, one row a line, as doubles.
 fn ascii_values(
     path: &Path,
     bytes: &[u8],
     before: &[Element],
-    vertex: &Element,
+    element: &Element,
 ) -> Result<Vec<u8>> {
-    let (columns, count, length) = (vertex.properties.len(), vertex.count, bytes.len());
+    let (columns, count, length) = (element.properties.len(), element.count, bytes.len());
+    let kind = &element.name;
     // A value takes two bytes at least, its separator included.
     let least = u128::from(count) * columns as u128 * 2;
     if least > length as u128 + 1 || (columns == 0 && count > 0) {
         let what = format!(
-            "the header announces {count} vertices of {columns} values; {length} bytes follow"
+            "the header announces {count} rows of {kind} of {columns} values; {length} bytes follow"
         );
         return Err(bad(path, what));
     }
@@ -403,10 +438,10 @@ fn ascii_values(
     let mut values = Vec::with_capacity(8 * count as usize * columns);
     for row in 0..count {
         let mut words = lines.next().unwrap_or_default().split_whitespace();
-        for Property { name, .. } in &vertex.properties {
+        for Property { name, .. } in &element.properties {
             let word = words.next().unwrap_or_default();
             let value: f64 = word.parse().map_err(|_| {
-                let what = format!("{name} of vertex {row} is '{word}'; a number expected");
+                let what = format!("{name} of {kind} {row} is '{word}'; a number expected");
                 bad(path, what)
             })?;
             values.extend(value.to_le_bytes());

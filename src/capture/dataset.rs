@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
+
 use crate::base::hash::Fnv;
 use crate::capture::camera::Camera;
 use crate::capture::frame::Frame;
@@ -9,6 +11,7 @@ use crate::capture::lens::Lens;
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
 use crate::capture::source::PhotoSource;
+use crate::capture::up::up_axis;
 
 /// Layout the dataset was read from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -75,10 +78,22 @@ pub struct Dataset {
     pub image_budget: u64,
 }
 
+/// Length of the mean of the cameras' unit vectors upwards from which on there is such a thing as up.
+const SHARED_UP: f64 = 0.3;
+
 impl Dataset {
     /// Training views, then held-out ones.
     pub fn views(&self) -> impl Iterator<Item = &View> {
         self.train.iter().chain(&self.test)
+    }
+
+    /// Direction that is up ([`up_axis`]); `None` if the cameras' upper edges agree on none.
+    #[must_use]
+    pub fn up(&self) -> Option<DVec3> {
+        let cameras = || self.views().map(|view| &view.camera);
+        let edges = cameras().map(|camera| -camera.rotation.row(1));
+        let mean = edges.sum::<DVec3>() / cameras().count().max(1) as f64;
+        (mean.length() > SHARED_UP).then(|| up_axis(cameras()))
     }
 
     /// Fingerprint of 16 hexadecimal digits that tells datasets, splits and resolutions apart: from layout, names, sizes, cameras

@@ -10,6 +10,7 @@ pub mod photo;
 pub mod point_cloud;
 pub mod source;
 pub mod transforms;
+mod up;
 
 pub use crate::capture::camera::Camera;
 pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
@@ -20,6 +21,7 @@ pub use crate::capture::photo::shrink;
 pub use crate::capture::photo::{Alpha, Photo};
 pub use crate::capture::point_cloud::Points;
 pub use crate::capture::source::{PhotoFile, PhotoSource};
+pub use crate::capture::up::up_axis;
 
 use std::path::Path;
 

@@ -7,7 +7,7 @@ use clap::{Arg, Command, CommandFactory, Parser, Subcommand};
 use mhsplat::base::error::Result;
 
 use crate::cli::common::{Common, Outcome};
-use crate::cli::{devices, eval, lab, render, train};
+use crate::cli::{convert, devices, eval, lab, render, train};
 
 /// Posed photos to a 3D Gaussian scene, on any OpenCL device.
 ///
@@ -43,6 +43,8 @@ enum Make {
     Render(render::RenderArgs),
     /// PSNR, SSIM and FLIP per held-out view and mean.
     Eval(eval::EvalArgs),
+    /// Write a scene in another format, or a part of it.
+    Convert(convert::ConvertArgs),
 }
 
 #[derive(Subcommand)]
@@ -93,6 +95,7 @@ impl Cli {
             Group::Make(Make::Train(args)) => train::run(&args, &common),
             Group::Make(Make::Render(args)) => render::run(&args, &common),
             Group::Make(Make::Eval(args)) => eval::run(&args, &common),
+            Group::Make(Make::Convert(args)) => convert::run(&args, &common),
             Group::Measure(Measure::Bench(args)) => lab::bench::run(&args, &common),
             Group::Measure(Measure::Verify(args)) => lab::verify::run(&args, &common),
             Group::Measure(Measure::Compare(args)) => lab::compare::run(&args, &common),

@@ -30,7 +30,7 @@ enum What {
 /// Arguments of `mhsplat render`.
 #[derive(clap::Args)]
 pub struct RenderArgs {
-    /// Scene: a PLY file or a run folder.
+    /// Scene: a file (PLY, compressed PLY, SPZ, .splat) or a run folder.
     scene: PathBuf,
     /// Render the held-out views of this dataset, all views if none is held out (default: those of the run's).
     #[arg(long, conflicts_with = "orbit")]

@@ -11,7 +11,7 @@ use mhsplat::device::{Defines, Device};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::Renderer;
 use mhsplat::run::{RECORD_FILE, RunRecord};
-use mhsplat::scene::ply;
+use mhsplat::scene::formats::{self, SceneFile};
 
 /// A scene ready to be rendered.
 pub struct Loaded {
@@ -20,7 +20,7 @@ pub struct Loaded {
     pub renderer: Renderer,
 }
 
-/// Returns the PLY file at `path` (a file or a run folder), and the run's record.
+/// Returns the scene file at `path` (a file or a run folder), and the run's record.
 pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
     if !path.is_dir() {
         return Ok((path.to_path_buf(), None));
@@ -31,7 +31,7 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
             true => {
                 "the run has none yet: wait for its end, stop it with Ctrl-C, or train with --export-every"
             }
-            false => "give a PLY file or the folder of a run",
+            false => "give a scene file or the folder of a run",
         };
         return Err(Error::input(path, "holds no scene.ply", fix));
     }
@@ -163,16 +163,18 @@ pub fn note_left_out(data: &Dataset) {
     }
 }
 
-/// Uploads a scene in a local frame, with the 2D filter if its file asks for it.
-pub fn open(ply: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
-    let file = ply::read(ply, frame)?;
-    if file.saturated > 0 {
-        output::note(&format!(
-            "{}: {} opacities are exactly 0 or 1 and are taken for nearly that (the scene comes from a format of 8 bits)",
-            ply.display(),
-            file.saturated
-        ));
+/// Reads a scene into a local frame, and notes what could not be read as it is.
+pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
+    let file = formats::read(path, frame)?;
+    for what in file.changes() {
+        output::note(&format!("{}: {what}", path.display()));
     }
+    Ok(file)
+}
+
+/// Uploads a scene in a local frame, with the 2D filter if its file asks for it.
+pub fn open(path: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
+    let file = read(path, frame)?;
     let device = common::open_tested(device)?;
     let defines = Defines {
         anti_alias: file.anti_aliased,

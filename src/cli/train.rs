@@ -108,6 +108,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     for line in run.record().plan.summary(args.verbose) {
         output::info(&line);
     }
+    run.take_remarks().iter().for_each(|r| output::note(r));
     let record = run.record();
     if record.config.trace_density && resume.is_some() && record.funnel.is_empty() {
         output::note("density control is not traced: a trace begins with the run");
@@ -119,6 +120,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let mut display = Display::new(form);
     let driven = run.drive(&stop, |p| display.show(p)).map(|_| ());
     display.end();
+    run.take_remarks().iter().for_each(|r| output::note(r));
     let stopped = matches!(driven, Err(Error::Interrupted));
     if driven.is_err() {
         note_resume(run.saved(), &dataset, dir, stopped);

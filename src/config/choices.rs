@@ -70,6 +70,23 @@ impl Preset {
     }
 }
 
+/// Format of a scene file; `scene.ply` is written anyway.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum SceneFormat {
+    /// Inria's PLY.
+    #[value(skip)]
+    #[serde(skip)]
+    Ply,
+    /// PlayCanvas' compressed PLY, a quarter of the size.
+    CompressedPly,
+    /// Niantic's SPZ, about a tenth of the size.
+    Spz,
+    /// antimatter15's .splat, without view-dependent colour.
+    Splat,
+}
+
 /// Measure of a birth's effect on the loss in the acceptance ratio ρ. The importance is that of \[MH\] Eq. 18–20; the first-order
 /// estimate is not in \[MH\]: σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Sources are drawn
 /// by importance with either.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::config::choices::{AntiAliasing, ExposureChoice};
+use crate::config::choices::{AntiAliasing, ExposureChoice, SceneFormat};
 use crate::config::mh::MhConfig;
 use crate::config::optimizer::{LossConfig, OptimizerConfig};
 use crate::config::samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
@@ -67,10 +67,14 @@ pub struct TrainConfig {
     /// Iterations between exports of scene.ply; 0 for the end only.
     #[arg(long, value_name = "N", default_value_t = Self::default().export_every, help_heading = RUN_CONTROL)]
     pub export_every: u32,
+    /// Write the scene in these formats, too, at the end: one or more, separated by commas.
+    #[arg(long, value_name = "FORMAT", value_enum, value_delimiter = ',', help_heading = RUN_CONTROL)]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub export: Vec<SceneFormat>,
     /// Iterations between checkpoints; 0 for the end and Ctrl-C only.
     #[arg(long, value_name = "N", default_value_t = Self::default().checkpoint_every, help_heading = RUN_CONTROL)]
     pub checkpoint_every: u32,
-    /// First Gaussians: points, random or FILE.ply (Gaussians or a point cloud, in the dataset's frame).
+    /// First Gaussians: points, random or a scene file (Gaussians, or a PLY point cloud, in the dataset's frame).
     #[arg(long, default_value_t = Self::default().init)]
     pub init: Init,
     /// Take the photos' alpha for a mask of the pixels that count, not for transparency.
@@ -138,6 +142,7 @@ impl Default for TrainConfig {
             trace_density: false,
             test_every: 8,
             export_every: 0,
+            export: Vec::new(),
             checkpoint_every: 1000,
             init: Init::Points,
             alpha_is_mask: false,

@@ -8,7 +8,10 @@ use std::str::FromStr;
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// Source of the first Gaussians; written `points`, `random` or the path of a PLY file.
+/// Endings of scene files.
+const SCENES: [&str; 3] = [".ply", ".spz", ".splat"];
+
+/// Source of the first Gaussians; written `points`, `random` or the path of a scene file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -18,7 +21,7 @@ pub enum Init {
     Points,
     /// Random points in the cameras' bounding box.
     Random,
-    /// A PLY file in the dataset's own frame: Gaussians (3DGS properties), or a plain point cloud.
+    /// A file in the dataset's own frame: Gaussians, or a plain point cloud.
     File(PathBuf),
 }
 
@@ -28,8 +31,10 @@ impl FromStr for Init {
         match s {
             "points" => Ok(Self::Points),
             "random" => Ok(Self::Random),
-            path if path.to_lowercase().ends_with(".ply") => Ok(Self::File(path.into())),
-            _ => Err("points, random or a .ply file expected"),
+            path if SCENES.iter().any(|end| path.to_lowercase().ends_with(end)) => {
+                Ok(Self::File(path.into()))
+            }
+            _ => Err("points, random or a .ply, .spz or .splat file expected"),
         }
     }
 }

@@ -1,14 +1,11 @@
 //! [`Run`]: one training run and its folder. Evaluations, exports, checkpoints, records and the report.
 
-use std::borrow::Cow;
-use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
-use crate::capture::Frame;
 use crate::chart::text::about;
 use crate::config::{Preset, TrainConfig};
 use crate::evaluate::Evaluator;
@@ -16,6 +13,7 @@ use crate::run::budget::{Budget, Pace};
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{self, Clock};
 use crate::run::density_trace::{TRACE_FILE, funnel, write_trace};
+use crate::run::export::Exports;
 use crate::run::forecast::Forecast;
 use crate::run::patience;
 use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
@@ -24,8 +22,7 @@ use crate::run::report::page::{folder_name, write_report};
 use crate::run::report::training::training_scores;
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
-use crate::run::viewer::{self, SCENE_PAGE, ScenePage, SceneView, write_scene_page};
-use crate::scene::{Gaussians, ply};
+use crate::scene::Gaussians;
 use crate::train::{DensityEvent, Event, Trainer};
 
 /// Held-out views shown in the report.
@@ -56,12 +53,7 @@ pub struct Progress {
 pub struct Run {
     pub(super) _lock: FolderLock,
     pub(super) dir: PathBuf,
-    /// Position of the local frame in the dataset's own.
-    pub(super) frame: Frame,
-    /// Cameras of the scene's page, with their photos from the first export on.
-    pub(super) views: Vec<SceneView>,
-    /// Sentence about cameras that the page does not list.
-    pub(super) listed: Option<String>,
+    pub(super) exports: Exports,
     pub(super) config: TrainConfig,
     pub(super) trainer: Trainer,
     pub(super) evaluator: Option<Evaluator>,
@@ -102,6 +94,11 @@ impl Run {
             let _ = self.trainer.settle().and_then(|()| self.save(true, false));
         }
         ended.map(|()| &self.record)
+    }
+
+    /// Sentences on the scene files that were read and written, each of them once.
+    pub fn take_remarks(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.exports.remarks)
     }
 
     /// The iterations that the folder's checkpoint has; none if there is no checkpoint yet.
@@ -166,7 +163,14 @@ impl Run {
         self.evaluate(true)?;
         self.save(true, true)?;
         self.write_trace()?;
-        self.report()
+        self.report()?;
+        // Last of all: a scene that a format cannot hold spoils nothing else.
+        if !self.config.export.is_empty() {
+            let scene = self.trainer.splats()?;
+            self.exports
+                .write_others(&self.dir, &self.config.export, scene)?;
+        }
+        Ok(())
     }
 
     /// Iterations of the whole run as they are planned now.
@@ -430,7 +434,8 @@ impl Run {
             checkpoint::write(&self.dir, &saved)?;
             self.saved = Some(saved.state.iteration);
             if export {
-                self.export(&saved.state.splats, &saved.state.rows.filter)?;
+                let (splats, filter) = (&saved.state.splats, &saved.state.rows.filter);
+                self.export(splats, filter)?;
             }
         } else if export {
             let (splats, filter) = self.trainer.splats()?;
@@ -440,63 +445,23 @@ impl Run {
         Ok(())
     }
 
-    /// Writes the page that shows the scene, then the scene.
+    /// Writes the page that shows the scene, and the scene.
     fn export(&mut self, splats: &Gaussians, filter: &[f32]) -> Result<()> {
-        let filtered = match filter.is_empty() {
-            true => Cow::Borrowed(splats),
-            false => Cow::Owned(splats.filtered(filter)?),
-        };
-        let mut remarks: Vec<String> = self.listed.iter().cloned().collect();
-        remarks.extend(self.add_photos()?);
-        self.add_scores();
-        let page = ScenePage {
-            title: folder_name(&self.record.dataset.path),
-            splats: &filtered,
-            anti_aliased: !filter.is_empty(),
-            background: self.trainer.schedule().fixed_background(),
-            views: &self.views,
-            remarks: &remarks,
-            max_bytes: viewer::MAX_BYTES,
-        };
-        let remarks = write_scene_page(&self.dir.join(SCENE_PAGE), &page)?;
+        let background = self.trainer.schedule().fixed_background();
+        self.exports.add_views(
+            self.evaluator.as_ref(),
+            self.record.final_scores.as_ref(),
+            background,
+        )?;
+        let title = folder_name(&self.record.dataset.path);
+        let remarks = self
+            .exports
+            .write(&self.dir, title, background, splats, filter)?;
         if remarks != self.record.remarks {
             self.record.remarks = remarks;
             self.write_record()?;
         }
-        ply::write_filtered(&self.dir.join("scene.ply"), splats, filter, &self.frame)
-    }
-
-    /// Adds the photos of held-out views to those of the page, some of them evenly where there are many; the sentence that says so.
-    fn add_photos(&mut self) -> Result<Option<String>> {
-        let Some(evaluator) = &self.evaluator else {
-            return Ok(None);
-        };
-        let background = self.trainer.schedule().fixed_background();
-        let n = evaluator.views().len();
-        let shown = n.min(viewer::MAX_PHOTOS);
-        for k in (0..shown).map(|k| k * n / shown) {
-            // Held-out views come first.
-            let view = &mut self.views[k];
-            if view.photo.is_none() {
-                let photo = evaluator.views().read_photo(k)?;
-                let rgb = photo.shown(background);
-                let uri = viewer::photo_uri(&view.name, &rgb, photo.width, photo.height)?;
-                view.photo = Some(uri);
-            }
-        }
-        Ok((shown < n)
-            .then(|| format!("The page has the photos of {shown} of {n} held-out views.")))
-    }
-
-    /// Adds the scores of the last evaluation to the page's views.
-    fn add_scores(&mut self) {
-        let scores = self.record.final_scores.iter().flat_map(|f| &f.per_view);
-        let scores: HashMap<&str, [f64; 2]> = scores
-            .map(|v| (v.view.as_str(), [v.scores.psnr, v.scores.ssim]))
-            .collect();
-        for view in self.views.iter_mut().filter(|v| v.held_out) {
-            view.scores = scores.get(view.name.as_str()).copied();
-        }
+        Ok(())
     }
 
     fn report(&mut self) -> Result<()> {
@@ -512,7 +477,7 @@ impl Run {
             &rows,
             &density,
             &gallery,
-            &self.views,
+            &self.exports.views,
         )?;
         self.clock.resume();
         Ok(())

@@ -8,6 +8,7 @@
 //! | `density-trace.csv` | [`density_trace::write_trace`] | at the end, with `--trace-density` |
 //! | `scene.html` | [`write_scene_page`] | whenever `scene.ply` is, just before it |
 //! | `scene.ply` | [`crate::scene::ply`] | at the end, and as often as `--export-every` says |
+//! | `scene.spz`, … | [`crate::scene::formats`] | at the end, as `--export` says |
 //! | `checkpoint/` | [`checkpoint::write`] | as often as `--checkpoint-every` says, and at the end |
 //! | `report.html` | [`write_report`] | at the end, from the files above |
 //!
@@ -19,6 +20,7 @@ pub mod checkpoint;
 pub mod clock;
 pub mod density_trace;
 mod drive;
+mod export;
 mod forecast;
 mod open;
 mod patience;

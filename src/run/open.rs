@@ -15,13 +15,13 @@ use crate::run::budget::{Budget, Pace, begin, go_on};
 use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::{Clock, process_cpu_seconds};
 use crate::run::drive::Run;
+use crate::run::export::Exports;
 use crate::run::forecast::{Forecast, HostCost};
 use crate::run::patience;
 use crate::run::record::{RECORD_FILE, RunRecord};
 use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
-use crate::run::viewer::scene_views;
 use crate::train::{Next, Plan, Trainer};
 
 /// State that a run begins with.
@@ -189,12 +189,11 @@ impl Run {
             // A finished run keeps what its trace has shown.
             record.funnel = RunRecord::read(dir)?.funnel;
         }
-        let frame = dataset.frame;
+        let mut exports = Exports::new(&dataset);
         let splats = match &saved {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
-            None => Cow::Owned(start::initial_gaussians(&dataset, &plan)?),
+            None => Cow::Owned(start::first(&dataset, &plan, &mut exports.remarks)?),
         };
-        let (views, listed) = scene_views(&dataset);
         let photos = Photos::new(device, dataset.image_budget);
         let train = ViewSet::new(&photos, dataset.train)?;
         let test = ViewSet::new(&photos, dataset.test)?;
@@ -246,9 +245,7 @@ impl Run {
         let mut run = Self {
             _lock: lock,
             dir: dir.to_path_buf(),
-            frame,
-            views,
-            listed,
+            exports,
             pace,
             forecast,
             began: (done.unwrap_or(0), clock.train_seconds()),

@@ -11,9 +11,9 @@ use crate::device::Device;
 use crate::run::checkpoint;
 use crate::run::record::{DatasetRecord, DeviceRecord, PlanRecord, RECORD_FILE, RunRecord};
 use crate::run::table::{DENSITY_FILE, METRICS_FILE};
-use crate::scene::ply::{Contents, SceneFile};
+use crate::scene::formats::{self, Contents, SceneFile};
 use crate::scene::without_filter;
-use crate::scene::{Gaussians, init, ply};
+use crate::scene::{Gaussians, init};
 use crate::train::Plan;
 
 /// Gaussians of a random initialisation.
@@ -24,16 +24,25 @@ const FEW_RANDOM_GAUSSIANS: usize = 5_000;
 
 /// The first Gaussians that a configuration asks for.
 ///
-/// Without bands of spherical harmonics, but for those of a PLY file with Gaussians: training adds them.
+/// Without bands of spherical harmonics, but for those of a file with Gaussians: training adds them.
 /// Never more than `max_gaussians`: of too many points a random part is taken, keyed by the seed.
 ///
 /// # Errors
-/// A PLY file that cannot be read, holds nothing, or too many Gaussians.
+/// A file that cannot be read, holds nothing, or too many Gaussians.
 pub fn initial_gaussians(dataset: &Dataset, plan: &Plan) -> Result<Gaussians> {
+    first(dataset, plan, &mut Vec::new())
+}
+
+/// [`initial_gaussians`], with remarks on their file.
+pub(super) fn first(
+    dataset: &Dataset,
+    plan: &Plan,
+    remarks: &mut Vec<String>,
+) -> Result<Gaussians> {
     let config = &plan.config;
     let most = config.max_gaussians.unwrap_or(usize::MAX);
     let splats = match &config.init {
-        Init::File(path) => from_file(path, dataset, plan, most),
+        Init::File(path) => from_file(path, dataset, plan, most, remarks),
         start if *start == Init::Random || dataset.points.positions.is_empty() => {
             let count = match config.sampler {
                 Sampler::Mh | Sampler::Mcmc => FEW_RANDOM_GAUSSIANS,
@@ -53,14 +62,16 @@ pub fn initial_gaussians(dataset: &Dataset, plan: &Plan) -> Result<Gaussians> {
     })
 }
 
-/// The Gaussians of a PLY file, or one for each point of a plain cloud.
-fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result<Gaussians> {
-    let empty = || Error::input(path, "no vertex", "give a PLY file that holds some");
-    let SceneFile {
-        splats,
-        anti_aliased,
-        ..
-    } = match ply::read_either(path, &dataset.frame)? {
+/// The Gaussians of a scene file, or one for each point of a plain cloud.
+fn from_file(
+    path: &Path,
+    dataset: &Dataset,
+    plan: &Plan,
+    most: usize,
+    remarks: &mut Vec<String>,
+) -> Result<Gaussians> {
+    let empty = || Error::input(path, "no vertex", "give a file that holds some");
+    let file = match formats::read_either(path, &dataset.frame)? {
         Contents::Points(points) if points.positions.is_empty() => return Err(empty()),
         Contents::Points(points) => {
             return init::from_points(&init::subset(&points, most, plan.config.seed), 0);
@@ -68,6 +79,13 @@ fn from_file(path: &Path, dataset: &Dataset, plan: &Plan, most: usize) -> Result
         Contents::Scene(file) if file.splats.is_empty() => return Err(empty()),
         Contents::Scene(file) => file,
     };
+    let changes = file.changes().into_iter();
+    remarks.extend(changes.map(|what| format!("{}: {what}", path.display())));
+    let SceneFile {
+        splats,
+        anti_aliased,
+        ..
+    } = file;
     if splats.len() > most {
         return Err(Error::input(
             path,

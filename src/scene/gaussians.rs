@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
+use crate::base::math::sigmoid;
 use crate::scene::morton;
 
 /// Number of SH coefficients per colour channel for a degree: (d+1)².
@@ -112,6 +113,24 @@ impl Gaussians {
         self.planes
             .resize(Plane::count(degree.min(3)), vec![0.0; n]);
         Self::new(degree, self.planes)
+    }
+
+    /// The Gaussians with centres in a box (the least coordinates, then the largest), and of at least an opacity.
+    #[must_use]
+    pub fn within(mut self, corners: Option<[f64; 6]>, opacity: Option<f64>) -> Self {
+        let inside = |i: &usize| {
+            let position = self.gather::<3>(Plane::POSITION, *i).map(f64::from);
+            corners.is_none_or(|c| (0..3).all(|k| (c[k]..=c[3 + k]).contains(&position[k])))
+        };
+        let solid = |i: &usize| {
+            let [logit] = self.gather(Plane::OPACITY, *i).map(f64::from);
+            opacity.is_none_or(|least| sigmoid(logit) >= least)
+        };
+        let kept: Vec<usize> = (0..self.len()).filter(inside).filter(solid).collect();
+        self.planes.par_iter_mut().for_each(|plane| {
+            *plane = kept.iter().map(|&i| plane[i]).collect();
+        });
+        self
     }
 
     /// The same Gaussians in Morton order (see [`morton`]).

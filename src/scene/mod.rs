@@ -1,16 +1,17 @@
 //! The scene being trained: a set of 3D Gaussians in raw (unactivated) form.
 
 mod edit;
+pub mod formats;
 mod gaussians;
 pub mod init;
 pub mod knn;
 pub mod morton;
 mod orbit;
-pub mod ply;
 pub mod sh;
 mod smoothing;
 
 pub use crate::scene::edit::{Edit, OptionalColor};
+pub use crate::scene::formats::ply;
 pub use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 pub use crate::scene::orbit::orbit;
 pub use crate::scene::smoothing::{filters, without_filter};

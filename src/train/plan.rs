@@ -12,7 +12,7 @@ use crate::capture::{Alpha, Dataset, View};
 use crate::config::{
     AntiAliasing, Background, ExposureChoice, Init, Sampler, TrainConfig, WorkConfig,
 };
-use crate::scene::ply;
+use crate::scene::formats;
 use crate::train::brightness::GainSpread;
 use crate::train::reasons::{NO_CAMERA_SAW, Part, Why};
 use crate::train::sampling_rates::Spreads;
@@ -365,7 +365,7 @@ fn anti_aliasing(dataset: &Dataset, config: &TrainConfig) -> Decided<bool> {
     match (config.anti_aliasing, &config.init) {
         (AntiAliasing::On, _) => Decided::new(true, Why::On("anti-aliasing")),
         (AntiAliasing::Off, _) => Decided::new(false, Why::Off("anti-aliasing")),
-        (AntiAliasing::Auto, Init::File(path)) if ply::is_anti_aliased(path) => {
+        (AntiAliasing::Auto, Init::File(path)) if formats::is_anti_aliased(path) => {
             Decided::new(true, Why::FiltersInFile)
         }
         (AntiAliasing::Auto, _) => {

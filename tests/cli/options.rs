@@ -22,7 +22,7 @@ fn help_groups_the_commands() {
     for flag in ["--help", "-h"] {
         let help = done(&[flag]);
         let groups = [
-            ("Make a scene", &["train", "render", "eval"][..]),
+            ("Make a scene", &["train", "render", "eval", "convert"][..]),
             (
                 "Measure",
                 &["bench", "verify", "compare", "experiment", "surrogate"],
@@ -157,6 +157,7 @@ fn only_run_control_may_change_with_resume() {
         ["--image-budget", "1M"],
         ["--eval-every", "5"],
         ["--export-every", "5"],
+        ["--export", "spz,splat"],
         ["--checkpoint-every", "5"],
         ["--require-psnr", "20"],
     ] {
@@ -172,7 +173,11 @@ fn refused_values_name_their_option() {
     let dir = tempfile::tempdir().unwrap();
     let (toml, json) = (dir.path().join("c.toml"), dir.path().join("c.json"));
     for (option, value, expected) in [
-        ("init", "elsewhere", "points, random or a .ply file"),
+        (
+            "init",
+            "elsewhere",
+            "points, random or a .ply, .spz or .splat file",
+        ),
         ("background", "0,0,2", "R,G,B in 0 to 1"),
         ("time-budget", "soon", "90s, 10m or 1h30m"),
         ("image-budget", "much", "512M or 4G"),

@@ -314,16 +314,20 @@ fn a_folder_that_another_process_works_in_is_left_alone() {
 #[test]
 fn scenes_are_told_the_way_on() {
     let dir = tempfile::tempdir().unwrap();
-    for name in ["scene.spz", "scene.splat", "scene.ksplat", "scene.sog"] {
+    for (name, way) in [
+        (
+            "scene.spz",
+            "give a scene of PLY, compressed PLY, SPZ or .splat",
+        ),
+        ("scene.splat", "export the .splat file again"),
+        ("scene.ksplat", "convert it to .ply or .spz"),
+        ("scene.sog", "convert it to .ply or .spz"),
+    ] {
         let file = dir.path().join(name);
         fs::write(&file, "mine").unwrap();
         let output = mhsplat(&["eval", text(&file), &room()]);
         assert_eq!(output.status.code(), Some(2));
-        assert!(
-            stderr(&output).contains("convert it to a plain PLY"),
-            "{}",
-            stderr(&output)
-        );
+        assert!(stderr(&output).contains(way), "{}", stderr(&output));
     }
     let ply = dir.path().join("scene.ply");
     fs::write(&ply, "mine").unwrap();

@@ -12,7 +12,7 @@ use mhsplat::config::ExposureChoice;
 use mhsplat::lab::experiment::Experiment;
 use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
 use mhsplat::run::{Clock, METRICS_FILE, MetricsRow, RECORD_FILE, Run, checkpoint, read_rows};
-use mhsplat::scene::ply;
+use mhsplat::scene::formats::{self, SceneFile};
 use mhsplat::{Device, RunRecord, TrainConfig};
 
 /// Whether a reader takes what is fed to it.
@@ -34,7 +34,14 @@ pub const COLMAP: [&str; 6] = [
     "points3d_txt",
 ];
 pub const PHOTOS: [&str; 6] = ["transforms", "lenses", "png", "jpeg", "webp", "mask"];
-pub const CLOUDS: [&str; 2] = ["points_ply", "scene_ply"];
+pub const CLOUDS: [&str; 6] = [
+    "points_ply",
+    "scene_ply",
+    "scene_compressed_ply",
+    "scene_spz",
+    "scene_spz4",
+    "scene_splat",
+];
 pub const SETTINGS: [&str; 3] = ["config_toml", "config_json", "experiment_toml"];
 pub const RUNS: [&str; 4] = ["checkpoint", "signed_checkpoint", "run_json", "metrics_csv"];
 
@@ -188,18 +195,25 @@ fn cloud(name: &str) -> Reader {
     data.points.colors.truncate(9);
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("points.ply");
-    if name == "scene_ply" {
+    if let Some(kind) = name.strip_prefix("scene_") {
         let splats = mhsplat::scene::init::from_points(&data.points, 1).unwrap();
-        ply::write(&file, &splats, &Frame::IDENTITY).unwrap();
+        let ending = kind.trim_end_matches('4').replace('_', ".");
+        let file = dir.path().join(format!("scene.{ending}"));
+        let (scene, format) = (SceneFile::new(splats), formats::of_name(&file).unwrap());
+        formats::write(&file, format, &scene, &Frame::IDENTITY).unwrap();
+        if kind == "spz4" {
+            // Not written here.
+            fs::write(&file, include_bytes!("corpus/scene_spz4/minimal")).unwrap();
+        }
         let path = file.clone();
         return of_file(dir, file, move |_| {
-            ply::read(&path, &Frame::IDENTITY).is_ok()
+            formats::read(&path, &Frame::IDENTITY).is_ok()
         });
     }
     point_cloud::write(&file, &data.points, &Frame::IDENTITY).unwrap();
     let path = file.clone();
     let mut reader = of_file(dir, file, move |_| {
-        ply::read_either(&path, &Frame::IDENTITY).is_ok()
+        formats::read_either(&path, &Frame::IDENTITY).is_ok()
     });
     let ascii = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 1 2\n3 4 5\n";
     reader.seeds.push(ascii.into());

@@ -17,7 +17,7 @@ pub struct BenchArgs {
     #[arg(long)]
     full: bool,
     /// Measure a trained scene, too, seen from a circle around it.
-    #[arg(long, value_name = "FILE.ply")]
+    #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
     /// Folder for bench.json, bench.csv, bench.md and bench.html; must be empty or not exist.
     #[arg(short, long, value_name = "DIR")]

@@ -12,8 +12,8 @@ use crate::lab::bench::peak::measure as measure_peak;
 use crate::lab::bench::precision::measure as measure_precision;
 use crate::lab::bench::record::{BenchRecord, Failure, Outcome};
 use crate::lab::bench::scene;
-use crate::scene::ply::SceneFile;
-use crate::scene::{Gaussians, orbit, ply};
+use crate::scene::formats::{self, SceneFile};
+use crate::scene::{Gaussians, orbit};
 
 /// Width and height at which a scene from a file is seen, pixels.
 const SCENE_SIZE: u32 = 800;
@@ -74,7 +74,7 @@ fn read_scene(path: &Path) -> Result<(String, Gaussians, bool)> {
         splats,
         anti_aliased,
         ..
-    } = ply::read(path, &Frame::IDENTITY)?;
+    } = formats::read(path, &Frame::IDENTITY)?;
     if splats.is_empty() {
         let fix = "give a scene that `mhsplat train` wrote";
         return Err(Error::input(path, "holds no Gaussian", fix));

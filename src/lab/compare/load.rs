@@ -13,11 +13,12 @@ use crate::run::{METRICS_FILE, MetricsRow, RECORD_FILE, RunRecord, read_rows};
 use crate::train::schedule::Schedule;
 
 /// Options that change no result, or only by chance.
-const BESIDE: [&str; 6] = [
+const BESIDE: [&str; 7] = [
     "seed",
     "trace-density",
     "eval-every",
     "export-every",
+    "export",
     "checkpoint-every",
     "image-budget",
 ];

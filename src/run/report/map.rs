@@ -4,9 +4,10 @@ use std::fmt::Write;
 
 use glam::{DVec2, DVec3};
 
+use crate::capture::up_axis;
 use crate::chart::text::{escape, fixed};
 use crate::run::report::gallery::colormap;
-use crate::run::viewer::{SceneView, up_axis};
+use crate::run::viewer::SceneView;
 
 /// Width and largest height of the drawing, and the room around the cameras in it.
 const WIDTH: f64 = 380.0;

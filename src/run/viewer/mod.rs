@@ -10,4 +10,4 @@ mod views;
 
 pub use page::{SCENE_PAGE, ScenePage, write_scene_page};
 pub use payload::MAX_BYTES;
-pub use views::{MAX_PHOTOS, SceneView, photo_uri, scene_views, up_axis};
+pub use views::{MAX_PHOTOS, SceneView, photo_uri, scene_views};

@@ -10,9 +10,10 @@ use serde_json::json;
 use crate::base::constants::{ALPHA_MAX, ALPHA_MIN, COLOR_MAX, NEAR, blur};
 use crate::base::error::{Error, Result};
 use crate::base::files;
+use crate::capture::up_axis;
 use crate::chart::text::escape;
 use crate::run::viewer::payload::{CHUNK, Packed, pack, widths};
-use crate::run::viewer::views::{SceneView, up_axis};
+use crate::run::viewer::views::SceneView;
 use crate::scene::Gaussians;
 
 /// Name of the page in the run folder.

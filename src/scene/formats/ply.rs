@@ -9,8 +9,9 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::base::error::{Error, Result};
-use crate::base::ply::{self as table, Kind, Table};
+use crate::base::ply::{self as table, Content, Kind, Table};
 use crate::capture::{Frame, Points};
+use crate::scene::formats::scene_file::{Contents, SATURATED, SceneFile};
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// The kind of file that this module writes.
@@ -19,13 +20,6 @@ const SCENE: Kind = [
     "export the Gaussians as plain 3DGS PLY, with all these properties",
 ];
 
-/// Endings of the scene formats that are not read.
-const OTHER_FORMATS: [&str; 4] = ["spz", "splat", "ksplat", "sog"];
-
-/// Opacity logit in the place of an infinite one, which formats of 8 bits leave of opacities of 0 and 1: an opacity that no kernel
-/// tells from these.
-const SATURATED: f64 = 15.0;
-
 /// Beginning of the comment on the filters of a scene.
 const MARK: &str = "mhsplat anti-aliasing:";
 /// The comment in the header of a scene that was trained with anti-aliasing; the 2D filter's variance in pixels²
@@ -33,53 +27,111 @@ const MARK: &str = "mhsplat anti-aliasing:";
 pub const ANTI_ALIASED: &str =
     "mhsplat anti-aliasing: mip-splatting, 2D filter of 0.1, 3D filter applied";
 
+/// Mark of the renderer that a scene is made for, as Brush writes it, and its value for the 2D filter.
+const RENDER_MODE: &str = "SplatRenderMode:";
+/// Mark of the direction away from the ground, as Brush writes it.
+const UP: &str = "Vertical axis:";
+
 /// Writes the Gaussians in the dataset's frame, into which `frame` takes the local one, binary little endian, atomically.
 ///
-/// Positions are moved in f64 and then rounded to f32, the format's precision: at UTM offsets (10⁶ m) that leaves 0.5 m.
-///
 /// # Errors
-/// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
+/// Those of [`write_scene`].
 pub fn write(path: &Path, splats: &Gaussians, frame: &Frame) -> Result<()> {
     write_filtered(path, splats, &[], frame)
 }
 
-/// Writes a scene trained with anti-aliasing: each Gaussian's 3D filter (standard deviations `filter` \[N\], local units) is
-/// merged into its scales and opacity, so that any viewer applies it, and a comment in the header says that the opacities are
-/// meant for the 2D filter, with its variance. An empty `filter`: as [`write()`].
+/// Writes a scene trained with anti-aliasing: [`SceneFile::trained`]. An empty `filter`: as [`write()`].
 ///
 /// # Errors
-/// Those of [`write()`]; [`Error::Numerics`] for a filter of another length.
+/// Those of [`write_scene`] and of [`SceneFile::trained`].
 pub fn write_filtered(
     path: &Path,
     splats: &Gaussians,
     filter: &[f32],
     frame: &Frame,
 ) -> Result<()> {
+    write_scene(path, &SceneFile::trained(splats, filter)?, frame)
+}
+
+/// Writes a scene with its marks in the header's comments: ours and those of other programs.
+///
+/// Positions are moved in f64 and then rounded to f32, the format's precision: at UTM offsets (10⁶ m) that leaves 0.5 m.
+///
+/// # Errors
+/// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
+pub fn write_scene(path: &Path, scene: &SceneFile, frame: &Frame) -> Result<()> {
+    let splats = &scene.splats;
     let names = property_names(splats.sh_degree());
     let properties = names.iter().map(|name| ("float", name.as_str()));
-    let (rows, comment) = if filter.is_empty() {
-        (to_rows(splats, frame, &names)?, String::new())
-    } else {
-        let rows = to_rows(&splats.filtered(filter)?, frame, &names)?;
-        (rows, format!("comment {ANTI_ALIASED}\n"))
-    };
-    table::write(path, &comment, splats.len(), properties, |out| {
+    let rows = to_rows(splats, frame, &names)?;
+    table::write(path, &comments(scene), splats.len(), properties, |out| {
         rows.iter()
             .try_for_each(|v| out.write_all(&v.to_le_bytes()))
     })
 }
 
-/// True if the header of a PLY file marks its scene as anti-aliased, so that it is to be rendered with the 2D filter. False for
-/// a file that cannot be read. [`read`] returns the same with the Gaussians.
-#[must_use]
-pub fn is_anti_aliased(path: &Path) -> bool {
-    table::read_comments(path).is_ok_and(|all| mark(&all) == Some(ANTI_ALIASED))
+/// The comment lines on a scene.
+pub(super) fn comments(scene: &SceneFile) -> String {
+    let mut lines = String::new();
+    if let Some([x, y, z]) = scene.up {
+        lines += &format!("comment {UP} {x:.5} {y:.5} {z:.5}\n");
+    }
+    if scene.anti_aliased {
+        lines += &format!("comment {ANTI_ALIASED}\ncomment {RENDER_MODE} mip\n");
+    }
+    lines
 }
 
-/// The comment on filters among those of a header.
-fn mark(comments: &[String]) -> Option<&str> {
+/// True if the header of a PLY file, plain or compressed, marks its scene as anti-aliased, so that it is to be rendered with the 2D
+/// filter. False for a file that cannot be read.
+pub(super) fn is_anti_aliased(path: &Path) -> bool {
+    table::read_comments(path).is_ok_and(|all| marks(path, &all).is_ok_and(|m| m.anti_aliased))
+}
+
+/// Marks of a scene in the comments of its header.
+pub(super) struct Marks {
+    pub(super) anti_aliased: bool,
+    pub(super) up: Option<[f64; 3]>,
+}
+
+/// The marks among the comments of a header: our own counts before the others'.
+///
+/// # Errors
+/// [`Error::Input`] for a scene trained with other filters than ours.
+pub(super) fn marks(path: &Path, comments: &[String]) -> Result<Marks> {
     let mut texts = comments.iter().map(String::as_str);
-    texts.find(|comment| comment.starts_with(MARK))
+    let own = texts.find(|comment| comment.starts_with(MARK));
+    if let Some(other) = own.filter(|mark| *mark != ANTI_ALIASED) {
+        return Err(Error::input(
+            path,
+            format!("trained with other filters than this version's (`{ANTI_ALIASED}`): `{other}`"),
+            "train it again, or show it with the version that trained it",
+        ));
+    }
+    let value = |key: &str| {
+        let long = |c: &&String| {
+            c.get(..key.len())
+                .is_some_and(|k| k.eq_ignore_ascii_case(key))
+        };
+        comments
+            .iter()
+            .rev()
+            .find(long)
+            .map(|c| c[key.len()..].trim())
+    };
+    let mip = value(RENDER_MODE).is_some_and(|mode| mode.eq_ignore_ascii_case("mip"));
+    // Postshot's.
+    let flag = value("antialiased ") == Some("1");
+    let up = value(UP).and_then(|text| {
+        let parts = text.split_whitespace().map(|v| v.parse().ok());
+        let parts: Option<Vec<f64>> = parts.collect();
+        let up: [f64; 3] = parts?.try_into().ok()?;
+        up.iter().all(|v| v.is_finite()).then_some(up)
+    });
+    Ok(Marks {
+        anti_aliased: own.is_some() || mip || flag,
+        up,
+    })
 }
 
 fn property_names(sh_degree: u32) -> Vec<String> {
@@ -96,7 +148,7 @@ fn property_names(sh_degree: u32) -> Vec<String> {
 }
 
 /// Planes of SH coefficients above the first, in the file's order.
-fn rest_planes(sh_degree: u32) -> impl Iterator<Item = usize> {
+pub(super) fn rest_planes(sh_degree: u32) -> impl Iterator<Item = usize> {
     let n = sh_coefficients(sh_degree);
     (0..3).flat_map(move |c| (1..n).map(move |k| Plane::SH + 3 * k + c))
 }
@@ -125,33 +177,13 @@ fn to_rows(splats: &Gaussians, frame: &Frame, names: &[String]) -> Result<Vec<f3
     Ok(rows)
 }
 
-/// A scene as its file holds it, in the local frame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SceneFile {
-    /// The Gaussians.
-    pub splats: Gaussians,
-    /// True if they were trained with anti-aliasing and are to be rendered with the 2D filter; their scales and opacities
-    /// then include the 3D filter.
-    pub anti_aliased: bool,
-    /// Number of opacities of exactly 0 or 1 (infinite logits), which are read as nearly that.
-    pub saturated: usize,
-}
-
-/// Contents of a PLY file, in the local frame.
-#[derive(Debug, Clone)]
-pub enum Contents {
-    /// Gaussians.
-    Scene(SceneFile),
-    /// A plain point cloud: no 3DGS properties.
-    Points(Points),
-}
-
-/// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise).
+/// Reads Gaussians, or a plain point cloud (`x y z`, and `red green blue` if there are any; grey otherwise), from the content of a
+/// file.
 ///
 /// # Errors
-/// Those of [`read`]; a point cloud without `x y z`, or with a point too far away for single precision.
-pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
-    let table = plain(path)?;
+/// Those of [`from_table`]; a point cloud without `x y z`, or with a point too far away for single precision.
+pub(super) fn contents(path: &Path, content: &Content, frame: &Frame) -> Result<Contents> {
+    let table = content.table("vertex")?;
     if holds_gaussians(&table) {
         from_table(path, &table, frame).map(Contents::Scene)
     } else {
@@ -159,61 +191,35 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
     }
 }
 
-/// The table of a plain PLY file.
-fn plain(path: &Path) -> Result<Table> {
-    const CONVERT: &str = "convert it to a plain PLY (SuperSplat and splat-transform do)";
-    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-    let other = OTHER_FORMATS
-        .iter()
-        .find(|o| ending.eq_ignore_ascii_case(o));
-    if let Some(other) = other.filter(|_| path.is_file()) {
-        return Err(Error::input(
-            path,
-            format!("a .{other} file; PLY expected"),
-            CONVERT,
-        ));
+/// The Gaussians among the contents of a file.
+///
+/// # Errors
+/// [`Error::Input`] for a point cloud.
+pub(super) fn scene_of(path: &Path, contents: Contents) -> Result<SceneFile> {
+    match contents {
+        Contents::Scene(scene) => Ok(scene),
+        Contents::Points(_) => {
+            let [expected, fix] = SCENE;
+            let what = format!(
+                "neither f_dc_0 nor opacity, as in a plain point cloud; {expected} expected"
+            );
+            Err(Error::input(path, what, fix))
+        }
     }
-    let table = Table::read(path)?;
-    if table.has("packed_position") {
-        return Err(Error::input(
-            path,
-            "a compressed PLY; a plain one expected",
-            CONVERT,
-        ));
-    }
-    Ok(table)
 }
 
 fn holds_gaussians(table: &Table) -> bool {
     table.has("opacity") || table.has("f_dc_0")
 }
 
-/// Reads Gaussians, ascii or binary little endian, properties in any order and of any scalar type. The SH degree follows
-/// from the number of `f_rest_*`.
+/// Gaussians, ascii or binary little endian, properties in any order and of any scalar type. The SH degree follows from the number of
+/// `f_rest_*`.
 ///
 /// # Errors
-/// [`Error::Input`] for a file of another format, a truncated one, a missing property, a value that is not finite (named by
-/// row and property), or a scene trained with other filters; [`Error::Io`].
-pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
-    let table = plain(path)?;
-    if holds_gaussians(&table) {
-        return from_table(path, &table, frame);
-    }
-    let [expected, fix] = SCENE;
-    let what =
-        format!("neither f_dc_0 nor opacity, as in a plain point cloud; {expected} expected");
-    Err(Error::input(path, what, fix))
-}
-
+/// [`Error::Input`] for a missing property, a value that is not finite (named by row and property), or a scene trained with other
+/// filters.
 fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
-    let mark = mark(&table.comments);
-    if let Some(other) = mark.filter(|mark| *mark != ANTI_ALIASED) {
-        return Err(Error::input(
-            path,
-            format!("trained with other filters than this version's (`{ANTI_ALIASED}`): `{other}`"),
-            "train it again, or show it with the version that trained it",
-        ));
-    }
+    let marks = marks(path, &table.comments)?;
     let rest = table.names().filter(|n| n.starts_with("f_rest_")).count();
     let Some(sh_degree) = (0..=3).find(|&d| 3 * (sh_coefficients(d) - 1) == rest) else {
         return Err(Error::input(
@@ -251,8 +257,9 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
         fill(plane, format!("f_rest_{i}"), &|v| v)?;
     }
     Ok(SceneFile {
-        splats: Gaussians::new(sh_degree, planes)?,
-        anti_aliased: mark.is_some(),
+        anti_aliased: marks.anti_aliased,
+        up: marks.up,
         saturated,
+        ..SceneFile::new(Gaussians::new(sh_degree, planes)?)
     })
 }

@@ -1,0 +1,137 @@
+//! The scene files of a run, and the page that shows the scene.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use crate::base::error::Result;
+use crate::capture::{Dataset, Frame};
+use crate::config::SceneFormat;
+use crate::evaluate::Evaluator;
+use crate::run::record::FinalRecord;
+use crate::run::viewer::{self, SCENE_PAGE, ScenePage, SceneView, write_scene_page};
+use crate::scene::formats::{self, SceneFile};
+use crate::scene::{Gaussians, ply};
+
+/// The scene files of a run, and what is to be said about them and the one that it began with.
+pub(super) struct Exports {
+    /// Position of the local frame in the dataset's own.
+    frame: Frame,
+    up: Option<[f64; 3]>,
+    /// Cameras of the scene's page, held-out ones first, with their photos from the first export on.
+    pub(super) views: Vec<SceneView>,
+    /// Sentence about cameras that the page does not list.
+    listed: Option<String>,
+    /// Sentence about photos that the page does not have.
+    pictured: Option<String>,
+    pub(super) remarks: Vec<String>,
+}
+
+impl Exports {
+    /// Exports into the frame of a dataset.
+    pub(super) fn new(dataset: &Dataset) -> Self {
+        let (views, listed) = viewer::scene_views(dataset);
+        Self {
+            frame: dataset.frame,
+            up: dataset.up().map(|up| up.to_array()),
+            views,
+            listed,
+            pictured: None,
+            remarks: Vec::new(),
+        }
+    }
+
+    /// Adds the photos of held-out views to those of the page, some of them evenly where there are many, and the scores of the last
+    /// evaluation.
+    ///
+    /// # Errors
+    /// A photo that cannot be read.
+    pub(super) fn add_views(
+        &mut self,
+        evaluator: Option<&Evaluator>,
+        scores: Option<&FinalRecord>,
+        background: [f32; 3],
+    ) -> Result<()> {
+        let scores = scores.iter().flat_map(|f| &f.per_view);
+        let scores: HashMap<&str, [f64; 2]> = scores
+            .map(|v| (v.view.as_str(), [v.scores.psnr, v.scores.ssim]))
+            .collect();
+        for view in self.views.iter_mut().filter(|v| v.held_out) {
+            view.scores = scores.get(view.name.as_str()).copied();
+        }
+        let Some(evaluator) = evaluator else {
+            return Ok(());
+        };
+        let n = evaluator.views().len();
+        let shown = n.min(viewer::MAX_PHOTOS);
+        for k in (0..shown).map(|k| k * n / shown) {
+            let view = &mut self.views[k];
+            if view.photo.is_none() {
+                let photo = evaluator.views().read_photo(k)?;
+                let rgb = photo.shown(background);
+                let uri = viewer::photo_uri(&view.name, &rgb, photo.width, photo.height)?;
+                view.photo = Some(uri);
+            }
+        }
+        self.pictured = (shown < n)
+            .then(|| format!("The page has the photos of {shown} of {n} held-out views."));
+        Ok(())
+    }
+
+    fn scene(&self, splats: &Gaussians, filter: &[f32]) -> Result<SceneFile> {
+        let up = self.up;
+        Ok(SceneFile {
+            up,
+            ..SceneFile::trained(splats, filter)?
+        })
+    }
+
+    /// Writes the page that shows the scene, then `scene.ply`, into the run's folder; the sentences on what the page leaves out.
+    ///
+    /// # Errors
+    /// Those of [`write_scene_page`] and [`ply::write_scene`].
+    pub(super) fn write(
+        &self,
+        dir: &Path,
+        title: &str,
+        background: [f32; 3],
+        splats: &Gaussians,
+        filter: &[f32],
+    ) -> Result<Vec<String>> {
+        let scene = self.scene(splats, filter)?;
+        let remarks: Vec<String> = self.listed.iter().chain(&self.pictured).cloned().collect();
+        let page = ScenePage {
+            title,
+            splats: &scene.splats,
+            anti_aliased: scene.anti_aliased,
+            background,
+            views: &self.views,
+            remarks: &remarks,
+            max_bytes: viewer::MAX_BYTES,
+        };
+        let remarks = write_scene_page(&dir.join(SCENE_PAGE), &page)?;
+        ply::write_scene(&dir.join("scene.ply"), &scene, &self.frame)?;
+        Ok(remarks)
+    }
+
+    /// Writes the scene in other formats beside `scene.ply`.
+    ///
+    /// # Errors
+    /// Those of [`formats::write`].
+    pub(super) fn write_others(
+        &mut self,
+        dir: &Path,
+        asked: &[SceneFormat],
+        (splats, filter): (Gaussians, Vec<f32>),
+    ) -> Result<()> {
+        let scene = self.scene(&splats, &filter)?;
+        for format in asked {
+            let file = dir.join(format!("scene{}", formats::ending(*format)));
+            let lost = formats::write(&file, *format, &scene, &self.frame)?;
+            let lost = lost
+                .iter()
+                .map(|what| format!("{}: {what}", file.display()));
+            self.remarks.extend(lost);
+        }
+        Ok(())
+    }
+}

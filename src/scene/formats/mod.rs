@@ -1,0 +1,151 @@
+//! Scene files of several formats: told apart by their content when they are read, by their names when they are written.
+//!
+//! | format | ending | what it keeps |
+//! |---|---|---|
+//! | `ply.rs` | `.ply` | everything |
+//! | `compressed_ply.rs` | `.compressed.ply` | everything, rounded |
+//! | `spz.rs` | `.spz` | everything but the direction up, rounded |
+//! | `splat.rs` | `.splat` | no view-dependent colour, no mark of anti-aliasing; rounded |
+//!
+//! How far they round is in `docs/guide/viewing.md`.
+
+mod compressed_ply;
+pub mod ply;
+mod scene_file;
+mod splat;
+mod spz;
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use crate::base::error::{Error, Result};
+use crate::base::files;
+use crate::base::ply::Content;
+use crate::capture::Frame;
+use crate::config::SceneFormat;
+
+pub use crate::scene::formats::scene_file::{Contents, SceneFile};
+
+/// Endings of formats, those within others first.
+const ENDINGS: [(&str, SceneFormat); 4] = [
+    (".compressed.ply", SceneFormat::CompressedPly),
+    (".ply", SceneFormat::Ply),
+    (".spz", SceneFormat::Spz),
+    (".splat", SceneFormat::Splat),
+];
+
+/// Ending of a format's files.
+#[must_use]
+pub fn ending(format: SceneFormat) -> &'static str {
+    let found = ENDINGS.iter().find(|(_, f)| *f == format);
+    found.map_or("", |(ending, _)| ending)
+}
+
+/// Format of a file to be written, by its name.
+///
+/// # Errors
+/// [`Error::Input`] for another ending.
+pub fn of_name(path: &Path) -> Result<SceneFormat> {
+    let name = path.file_name().unwrap_or_default();
+    let name = name.to_string_lossy().to_lowercase();
+    let found = ENDINGS.iter().find(|(ending, _)| name.ends_with(ending));
+    found.map(|(_, format)| *format).ok_or_else(|| {
+        let endings: Vec<&str> = ENDINGS.iter().map(|(ending, _)| *ending).collect();
+        let fix = format!("end the name in {}", endings.join(", "));
+        Error::input(
+            path,
+            "not the name of a scene file that can be written",
+            fix,
+        )
+    })
+}
+
+/// Reads Gaussians of any format, into the local frame.
+///
+/// # Errors
+/// [`Error::Input`] for a file of another format, a truncated or damaged one, numbers that are none, a point cloud, or a scene trained
+/// with other filters; [`Error::Io`].
+pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
+    ply::scene_of(path, read_either(path, frame)?)
+}
+
+/// Reads Gaussians of any format, or the plain point cloud of a PLY file.
+///
+/// # Errors
+/// Those of [`read`], but for the point cloud.
+pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
+    let bytes = files::read(path)?;
+    if bytes.starts_with(&spz::GZIP) || bytes.starts_with(&spz::MAGIC) {
+        return spz::read(path, &bytes, frame).map(Contents::Scene);
+    }
+    if bytes.starts_with(b"ply") {
+        let content = Content::new(path, bytes)?;
+        return match compressed_ply::is_compressed(&content) {
+            true => compressed_ply::read(path, &content, frame).map(Contents::Scene),
+            false => ply::contents(path, &content, frame),
+        };
+    }
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    match extension.to_lowercase().as_str() {
+        // Nothing in its content tells it from any other data.
+        "splat" => splat::read(path, &bytes, frame).map(Contents::Scene),
+        other @ ("sog" | "ksplat" | "glb" | "gltf") => {
+            let what = format!("a .{other} file, which is not read here");
+            let fix = "convert it to .ply or .spz (SuperSplat and splat-transform do)";
+            Err(Error::input(path, what, fix))
+        }
+        _ => {
+            let what = "the first line is not 'ply', and it is no SPZ file either";
+            Err(Error::input(
+                path,
+                what,
+                "give a scene of PLY, compressed PLY, SPZ or .splat",
+            ))
+        }
+    }
+}
+
+/// Bytes of a file's beginning that tell whether its scene is anti-aliased.
+const BEGINNING: u64 = 1 << 16;
+
+/// True if a scene file is marked as anti-aliased, so that it is to be rendered with the 2D filter. False for a file that cannot be
+/// read. [`read`] returns the same with the Gaussians.
+#[must_use]
+pub fn is_anti_aliased(path: &Path) -> bool {
+    let mut start = Vec::new();
+    let open = files::check_regular(path).is_ok().then(|| File::open(path));
+    let read = open.and_then(|file| file.ok()?.take(BEGINNING).read_to_end(&mut start).ok());
+    read.is_some() && (ply::is_anti_aliased(path) || spz::is_anti_aliased(&start))
+}
+
+/// Writes a scene into the dataset's frame, into which `frame` takes the local one, atomically. Returns what the format could not keep
+/// in this scene, in sentences.
+///
+/// # Errors
+/// [`Error::Numerics`] for a parameter that is not finite, [`Error::Input`] for a scene too large for the format (nothing is written
+/// then), [`Error::Io`].
+pub fn write(
+    path: &Path,
+    format: SceneFormat,
+    scene: &SceneFile,
+    frame: &Frame,
+) -> Result<Vec<String>> {
+    if format == SceneFormat::Ply {
+        return ply::write_scene(path, scene, frame).map(|()| Vec::new());
+    }
+    let scene = SceneFile {
+        splats: scene_file::in_dataset(&scene.splats, frame)?,
+        ..scene.clone()
+    };
+    let (bytes, remarks) = match format {
+        SceneFormat::Spz => spz::encode(path, &scene)?,
+        SceneFormat::Splat => splat::encode(&scene),
+        SceneFormat::Ply | SceneFormat::CompressedPly => {
+            let splats = scene.splats.in_morton_order();
+            compressed_ply::encode(&SceneFile { splats, ..scene })
+        }
+    };
+    files::write_bytes(path, &bytes)?;
+    Ok(remarks)
+}
