@@ -115,10 +115,17 @@ fn the_browser_shows_what_the_kernels_render() {
         let picture = dir.path().join("shot.png");
         let shot = format!("--screenshot={}", picture.display());
         let hash = format!("view={shown}&size=160x120&bare{by_worker}");
-        open(&browser, dir.path(), "scene.html", &hash, &[&shot]);
-        let found = image::open(&picture).unwrap().to_rgb8();
-        let found = image::imageops::crop_imm(&found, 0, 0, 160, 120).to_image();
         let expected = rendered(&splats, anti_aliased, &all);
+        let once = || {
+            open(&browser, dir.path(), "scene.html", &hash, &[&shot]);
+            let found = image::open(&picture).unwrap().to_rgb8();
+            image::imageops::crop_imm(&found, 0, 0, 160, 120).to_image()
+        };
+        // The browser's clock for pictures does not wait for workers.
+        let attempts = if by_worker.is_empty() { 1 } else { 5 };
+        let mut pictures = (0..attempts).map(|_| once());
+        let good = |found: &RgbImage| alike(found, &expected[shown]) > ALIKE;
+        let found = pictures.find(good).unwrap_or_else(once);
         let like = alike(&found, &expected[shown]);
         println!("anti-aliased: {anti_aliased}, SH degree {degree}: {like:.1} dB");
         assert!(like > ALIKE, "{like} dB");
@@ -154,22 +161,20 @@ key('KeyR'); drag('pointerdown', 9, 9, {}); drag('pointermove', 50, 9, { buttons
 check('shift', dot(add(view.center, before, -1), right) < 0 && near0(gap(view.rows[2], scene.cameras[1].rotation.slice(6))));
 key('KeyR'); canvas.dispatchEvent(new WheelEvent('wheel', { deltaY: -100, cancelable: true }));
 check('wheel', gap(view.center, view.pivot) < radius - 0.01);
+key('KeyR'); const two = { pointerId: 2 };
+drag('pointerdown', 200, 200); drag('pointerdown', 300, 200, two); drag('pointermove', 400, 200, two);
+check('pinch', Math.abs(gap(view.center, view.pivot) - radius / 2) < 0.01);
+drag('pointerup', 200, 200); drag('pointerup', 400, 200, two);
 key('KeyC'); check('compare', comparing && at(1));
 key('KeyH'); check('help', !$('help').hidden); key('Escape'); check('no help', $('help').hidden);
-key('KeyW');
-// Frames come when they come: up to ten seconds each.
-const wait = (good, then, left = 100) => { if (good() || !left) then(good()); else setTimeout(() => wait(good, then, left - 1), 100); };
-wait(() => dot(add(view.center, before, -1), view.rows[2]) > 0.01, (flew) => {
-  check('fly', flew);
-  key('KeyW', 'keyup');
-  key('KeyR');
-  const photo = () => !$('photo').hidden && $('picture').naturalWidth === 2 && $('photo').clientWidth > 100;
-  const words = () => $('view').textContent.includes('held-out') && !$('compare').disabled;
-  wait(() => photo() && words(), () => {
-    check('photo', photo()); check('words', words()); check('errors', $('message').hidden);
-    document.title = told.length ? 'failed: ' + told : 'all as told';
-  });
-});
+// Frames by hand: they come when they come.
+key('KeyW'); last = 0; step(50); key('KeyW', 'keyup');
+check('fly', dot(add(view.center, before, -1), view.rows[2]) > 0.01);
+key('KeyR'); step(100);
+check('photo', !$('photo').hidden && $('picture').src === scene.cameras[1].photo && $('photo').clientWidth > 100);
+check('words', $('view').textContent.includes('held-out') && !$('compare').disabled);
+check('errors', $('message').hidden);
+document.title = told.length ? 'failed: ' + told : 'all as told';
 </script></body>"#;
 
 #[test]
