@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::json;
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::scene::Loaded;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
@@ -55,6 +55,8 @@ pub struct RenderArgs {
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 /// A view to render: its name, camera and photo.
@@ -89,7 +91,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
         }
         Some(_) => (Frame::IDENTITY, Vec::new()),
     };
-    let mut loaded = scene::open(&ply, &frame, common.device.as_deref())?;
+    let mut loaded = scene::open(&ply, &frame, args.device.selector().as_deref())?;
     let jobs = match args.orbit {
         Some(n) => orbit_jobs(&loaded, n, args.width, args.height)?,
         None => jobs,
