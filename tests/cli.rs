@@ -4,6 +4,7 @@ mod init;
 mod options;
 mod refusals;
 mod run_folder;
+mod shots;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

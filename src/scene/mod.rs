@@ -5,12 +5,14 @@ mod gaussians;
 pub mod init;
 pub mod knn;
 pub mod morton;
-mod orbit;
+pub mod orbit;
 pub mod ply;
 pub mod sh;
 mod smoothing;
+pub mod trajectory;
 
 pub use crate::scene::edit::{Edit, OptionalColor};
 pub use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
-pub use crate::scene::orbit::orbit;
+pub use crate::scene::orbit::{Ring, orbit};
 pub use crate::scene::smoothing::{filters, without_filter};
+pub use crate::scene::trajectory::{Keyframe, Trajectory};
