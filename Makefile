@@ -1,7 +1,6 @@
 # make demo   install what is missing, build, train the bundled scene, leave a report
 # make test   run the tests; TESTS="stage:: layout" some of them, OCL_ICD_VENDORS=folder on another OpenCL implementation
 DEMO ?= run-demo
-export MHSPLAT_COMMIT ?= $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 
 .PHONY: demo install test bench
 

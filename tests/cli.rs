@@ -5,6 +5,7 @@ mod init;
 mod options;
 mod refusals;
 mod run_folder;
+mod shots;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -119,6 +120,12 @@ fn verify_passes_here_and_speaks_json() {
     for file in ["verify.html", "verify.json", "verify.md"] {
         assert!(out.join(file).is_file(), "{file}");
     }
+    // The page begins with a row for each family; what passed is folded away.
+    let page = std::fs::read_to_string(out.join("verify.html")).unwrap();
+    let at = |text: &str| page.find(text).unwrap_or_else(|| panic!("no {text:?}"));
+    let (families, folded) = (at("Worst of each family"), at("All comparisons"));
+    assert!(families < folded && page[..folded].matches("<tr>").count() < 10);
+    assert!(!page.contains("Failed comparisons"));
     let again = mhsplat(&["verify", "-o", out.to_str().unwrap()]);
     assert_eq!(again.status.code(), Some(2), "nothing is overwritten");
 }

@@ -200,6 +200,21 @@ fn few_packages_are_locked() {
     assert!(n < 160, "{n} packages");
 }
 
+/// The one build script sets the revision that a run records: OpenCL has its own preprocessor, and kernels are embedded as text.
+#[test]
+fn the_build_script_sets_the_revision_and_nothing_else() {
+    let script = text(&root().join("build.rs"));
+    let sets: Vec<&str> = script.split("cargo:").skip(1).collect();
+    let revision =
+        |s: &&str| s.starts_with("rerun-if") || s.starts_with("rustc-env=MHSPLAT_COMMIT=");
+    assert!(
+        sets.len() == 3 && sets.iter().all(|s| revision(&s)),
+        "{sets:?}"
+    );
+    let n = script.lines().count();
+    assert!(n < 50, "{n} lines");
+}
+
 /// Names and lengths of the functions of a formatted source: from the line with `fn` to the bracket below it.
 fn functions(source: &str) -> Vec<(String, usize)> {
     let lines: Vec<&str> = source.lines().collect();

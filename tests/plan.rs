@@ -128,6 +128,15 @@ fn what_training_finds_is_told() {
             .unwrap_err()
             .starts_with("12 removed")
     );
+    let mut whole = Plan::new(&room(64), &config).unwrap();
+    let kept = Learned {
+        removed: 0,
+        ..learned
+    };
+    assert!(
+        whole.learn(&kept).is_empty() && whole.unseen.is_none(),
+        "nothing was removed, nothing is said"
+    );
 }
 
 #[test]

@@ -14,7 +14,7 @@ use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
-use crate::capture::source::{PhotoFile, automatic_budget, header, read};
+use crate::capture::source::{PhotoFile, PhotoSource, automatic_budget, header, read};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
 pub(super) struct RawView {
@@ -150,7 +150,10 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         .par_iter()
         .map(|v| place(v, &frame, options.max_size, meaning))
         .collect::<Result<_>>()?;
-    let photos = read(files, budget, options.progress)?;
+    let photos = match options.poses_only {
+        true => files.into_iter().map(PhotoSource::File).collect(),
+        false => read(files, budget, options.progress)?,
+    };
     let mut views = raw
         .into_iter()
         .zip(cameras)

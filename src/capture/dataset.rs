@@ -184,6 +184,8 @@ pub struct LoadOptions {
     pub image_budget: Option<u64>,
     /// True if the photos' alpha is a mask and not transparency. With mask files it always is.
     pub alpha_is_mask: bool,
+    /// True if the photos are not wanted: none is decoded before it is asked for, so that broken and masked-out ones are not told.
+    pub poses_only: bool,
     /// Called whenever a photo has been read, from any thread, with how many have been and how many there are.
     pub progress: Option<fn(usize, usize)>,
 }
@@ -195,6 +197,7 @@ impl Default for LoadOptions {
             test_every: 8,
             image_budget: None,
             alpha_is_mask: false,
+            poses_only: false,
             progress: None,
         }
     }

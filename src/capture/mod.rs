@@ -54,6 +54,32 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
 /// Folders of a dataset that are taken for the whole of it by mistake.
 const PARTS: [&str; 6] = ["images", "sparse", "colmap", "distorted", "input", "masks"];
 
+/// Datasets that are named of those in a folder.
+const NAMED: usize = 5;
+
+/// The refusal of a folder that holds datasets and is none; `None` if there is none in it.
+fn several(path: &Path, holds: &impl Fn(&Path) -> bool) -> Option<Error> {
+    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+    let folders = entries.map(|entry| entry.path()).filter(|p| p.is_dir());
+    let mut inside: Vec<_> = folders.filter(|folder| holds(folder)).collect();
+    inside.sort();
+    let first = inside.first()?;
+    let names = inside.iter().filter_map(|p| p.file_name()).take(NAMED);
+    let mut names: Vec<_> = names.map(|n| n.to_string_lossy().into_owned()).collect();
+    if inside.len() > NAMED {
+        names.push("...".into());
+    }
+    let what = match inside.len() {
+        1 => format!("no dataset itself, but {} in it is one", names.join("")),
+        n => format!(
+            "no dataset itself; {n} folders in it are: {}",
+            names.join(", ")
+        ),
+    };
+    let fix = format!("give one of them, like {}", first.display());
+    Some(Error::input(path, what, fix))
+}
+
 /// The refusal of a path that is no dataset, with the way on.
 fn no_dataset(path: &Path) -> Error {
     let holds =
@@ -80,6 +106,9 @@ fn no_dataset(path: &Path) -> Error {
     }
     if !path.exists() {
         return Error::input(path, "no such folder", "check that the path is right");
+    }
+    if let Some(error) = several(path, &holds) {
+        return error;
     }
     if let Some(above) = above {
         let above = match above.as_os_str().is_empty() {

@@ -1,5 +1,6 @@
 //! Charts and the text on pages.
 
 pub mod axis;
+mod labels;
 pub mod svg;
 pub mod text;

@@ -8,6 +8,7 @@
 use std::fmt::Write;
 
 use crate::chart::axis::{Axis, Range, Scale};
+use crate::chart::labels::Labels;
 use crate::chart::text::escape;
 
 /// Above this many points a series is drawn without marks.
@@ -123,7 +124,7 @@ pub struct LogPoint {
     pub x: f64,
     /// Position, > 0.
     pub y: f64,
-    /// Text beside the mark.
+    /// Text beside the mark, left out where there is no room for it.
     pub label: String,
     /// Text of the tooltip.
     pub tip: String,
@@ -156,11 +157,17 @@ pub fn log_log_chart(title: &str, x_label: &str, y_label: &str, series: &[LogSer
     let Some(mut plot) = Plot::new(&x, &y, &points) else {
         return empty("chart", title);
     };
+    let mut labels = Labels::new([LEFT, TOP - 8.0, WIDTH, pixel_y(0.0)]);
     for (index, s) in series.iter().enumerate() {
         if !s.name.is_empty() {
             plot.key(index, &s.name, None);
         }
         let good: Vec<_> = s.points.iter().filter(good).collect();
+        let at: Vec<_> = good.iter().map(|p| plot.at((p.x, p.y))).collect();
+        at.iter().for_each(|at| labels.mark(*at));
+        if s.line {
+            labels.line(&at);
+        }
         let marks = good.iter().map(|p| ((p.x, p.y), escape(&p.tip)));
         let marks: Vec<_> = marks.collect();
         if s.line {
@@ -168,17 +175,11 @@ pub fn log_log_chart(title: &str, x_label: &str, y_label: &str, series: &[LogSer
             plot.line(index, "", &line);
         }
         plot.marks(index, &marks);
-        for (place, p) in good.iter().enumerate().filter(|(_, p)| !p.label.is_empty()) {
-            let (x, y) = plot.at((p.x, p.y));
-            // Neighbours' texts go above and below in turn, so that close marks do not hide each other's.
-            let y = y + if place % 2 == 0 { -6.0 } else { 15.0 };
-            // Text that would leave the picture at its right end goes to the left of its mark.
-            let (x, anchor) = if x > WIDTH - 60.0 {
-                (x - 6.0, "end")
-            } else {
-                (x + 6.0, "start")
-            };
-            plot.text((x, y), "label", anchor, &escape(&p.label));
+    }
+    let labelled = series.iter().flat_map(|s| s.points.iter().filter(good));
+    for p in labelled.filter(|p| !p.label.is_empty()) {
+        if let Some((at, anchor)) = labels.place(plot.at((p.x, p.y)), &p.label) {
+            plot.text(at, "label", anchor, &escape(&p.label));
         }
     }
     plot.figure(title)
@@ -250,7 +251,7 @@ pub fn bar_chart(title: &str, bars: &[Bar]) -> String {
 /// Width of every chart's view box.
 const WIDTH: f64 = 380.0;
 const HEIGHT: f64 = 226.0;
-const LEFT: f64 = 44.0;
+const LEFT: f64 = 48.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 24.0;
 const BOTTOM: f64 = 38.0;

@@ -20,9 +20,6 @@ pub struct Cli {
     /// Print one JSON document on stdout and nothing else there.
     #[arg(long, global = true, display_order = 900)]
     json: bool,
-    /// OpenCL device: index, part of its name, or cpu, gpu, accelerator (also MHSPLAT_DEVICE).
-    #[arg(long, global = true, value_name = "SEL", display_order = 901)]
-    device: Option<String>,
 }
 
 #[derive(Subcommand)]
@@ -86,11 +83,7 @@ impl Cli {
 
     /// Runs the command.
     pub fn run(self) -> Result<Outcome> {
-        let variable = || std::env::var("MHSPLAT_DEVICE").ok();
-        let common = Common {
-            json: self.json,
-            device: self.device.or_else(|| variable().filter(|v| !v.is_empty())),
-        };
+        let common = Common { json: self.json };
         match self.command {
             Group::Make(Make::Train(args)) => train::run(&args, &common),
             Group::Make(Make::Render(args)) => render::run(&args, &common),

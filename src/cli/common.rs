@@ -11,8 +11,23 @@ use crate::cli::output;
 pub struct Common {
     /// JSON on stdout.
     pub json: bool,
-    /// Device selector.
-    pub device: Option<String>,
+}
+
+/// Option of the commands that use a device.
+#[derive(clap::Args)]
+pub struct DeviceOption {
+    /// OpenCL device: index, part of its name, or cpu, gpu, accelerator (also MHSPLAT_DEVICE).
+    #[arg(long, value_name = "SEL", display_order = 901)]
+    device: Option<String>,
+}
+
+impl DeviceOption {
+    /// Selector of the option, else of the variable; `None` for the default device.
+    pub fn selector(&self) -> Option<String> {
+        let variable = || std::env::var("MHSPLAT_DEVICE").ok();
+        let asked = self.device.clone().or_else(variable);
+        asked.filter(|selector| !selector.is_empty())
+    }
 }
 
 /// Result of a command that ran to its end.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Defines;
@@ -38,6 +38,8 @@ pub struct EvalArgs {
     /// Exit with 1 unless the mean PSNR reaches this, dB.
     #[arg(long, value_name = "DB", value_parser = output::finite)]
     require_psnr: Option<f64>,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 /// Scores the held-out views.
@@ -55,7 +57,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     if data.test.is_empty() {
         return Err(nothing_held_out(&dataset));
     }
-    let mut loaded = scene::open(&ply, &data.frame, common.device.as_deref())?;
+    let mut loaded = scene::open(&ply, &data.frame, args.device.selector().as_deref())?;
     let photos = Photos::new(&loaded.device, data.image_budget);
     let mut views = ViewSet::new(&photos, data.test)?;
     if let Some(near) = args.near {

@@ -11,6 +11,7 @@ mod overrides;
 mod progress;
 mod render;
 mod scene;
+mod shots;
 mod train;
 
 use std::process::ExitCode;

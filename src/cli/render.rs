@@ -1,43 +1,44 @@
 //! `mhsplat render`.
 
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 use clap::ValueEnum;
 use serde_json::json;
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::scene::Loaded;
+use crate::cli::shots::{Job, ShotOptions, Shots};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
-use mhsplat::capture::{Camera, Dataset, Frame, PhotoSource, View};
+use mhsplat::base::files;
+use mhsplat::capture::{Camera, PhotoSource};
 use mhsplat::pipeline::forward::{Quantity, RenderOptions, Rendered, to_byte};
 use mhsplat::run::report::gallery::error_map;
-use mhsplat::scene::orbit;
+
+/// Steps of depth in each 16-bit image.
+const DEPTHS_FILE: &str = "depth.json";
 
 /// Quantity that is written.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum What {
     /// View-dependent colour.
     Color,
-    /// Mean depth, near bright.
+    /// Mean depth along the viewing axis, 16 bits; depth.json has the units of a step of each image.
     Depth,
     /// Opacity.
     Alpha,
-    /// Difference to the photo, within its mask (needs --dataset).
+    /// Difference to the photo, within its mask (held-out views).
     Error,
 }
 
 /// Arguments of `mhsplat render`.
 #[derive(clap::Args)]
 pub struct RenderArgs {
-    /// Scene: a file (PLY, compressed PLY, SPZ, .splat) or a run folder.
+    /// Scene: a file (PLY, compressed PLY, SPZ, .splat) or a run folder. Without --dataset, --held-out, --orbit or --path the views of a run are a smooth path along
+    /// its training cameras.
     scene: PathBuf,
-    /// Render the held-out views of this dataset, all views if none is held out (default: those of the run's).
-    #[arg(long, conflicts_with = "orbit")]
-    dataset: Option<PathBuf>,
-    /// Render N views on a circle around the scene.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    orbit: Option<u32>,
     /// Folder for the PNG files; must not exist.
     #[arg(short, long)]
     output: PathBuf,
@@ -45,80 +46,131 @@ pub struct RenderArgs {
     #[arg(long, value_enum, default_value = "color")]
     what: What,
     #[command(flatten)]
+    shots: ShotOptions,
+    #[command(flatten)]
     photos: scene::PhotoOptions,
-    /// Width of orbit images, pixels.
-    #[arg(long, default_value_t = 640, value_parser = clap::value_parser!(u32).range(1..=65536))]
-    width: u32,
-    /// Height of orbit images, pixels.
-    #[arg(long, default_value_t = 480, value_parser = clap::value_parser!(u32).range(1..=65536))]
-    height: u32,
+    /// Encode the images of an orbit or a path as a video, too, with the program ffmpeg; must not exist.
+    #[arg(long, value_name = "FILE.mp4")]
+    video: Option<PathBuf>,
     /// black, white or R,G,B (the run's, else black).
     #[arg(long)]
     background: Option<String>,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
-/// A view to render: its name, camera and photo.
-type Job = (String, Camera, Option<PhotoSource>);
+/// Images written, and of depth images the depth that one step stands for, by name of the file.
+#[derive(Default)]
+struct Written {
+    images: Vec<PathBuf>,
+    steps: BTreeMap<String, f64>,
+}
 
 /// Renders views to PNG files.
 pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     let (ply, record) = scene::locate(&args.scene)?;
-    if args.output.exists() {
-        return Err(Error::input(
-            &args.output,
-            "exists already; nothing is overwritten",
-            "choose another with -o",
-        ));
-    }
-    let background = scene::background(args.background.as_deref(), record.as_ref())?;
-    let (frame, jobs) = match args.orbit {
-        None => {
-            let path = scene::dataset_path(
-                args.dataset.as_deref(),
-                record.as_ref(),
-                "give --dataset with the folder of the photos, or --orbit N",
-            )?;
-            let data = scene::dataset(&path, record.as_ref(), &args.photos)?;
-            (data.frame, dataset_jobs(data))
-        }
-        Some(_) if args.what == What::Error => {
-            return Err(Error::config(
-                "--what error",
-                "a photo to compare with is needed; give --dataset in the place of --orbit",
+    for path in [Some(&args.output), args.video.as_ref()]
+        .into_iter()
+        .flatten()
+    {
+        if path.exists() {
+            let fix = "choose another name for it";
+            return Err(Error::input(
+                path,
+                "exists already; nothing is overwritten",
+                fix,
             ));
         }
-        Some(_) => (Frame::IDENTITY, Vec::new()),
+    }
+    let background = scene::background(args.background.as_deref(), record.as_ref())?;
+    let compared = args.what == What::Error;
+    let shots = Shots::new(&args.shots, compared, record.as_ref(), &args.photos)?;
+    let video = match (&args.video, shots.pattern()) {
+        (None, _) => None,
+        (Some(file), Some(pattern)) => {
+            check_encoder(args.what)?;
+            Some((file, pattern))
+        }
+        (Some(_), None) => {
+            let what = "the views of a dataset are no film; render an orbit or a path";
+            return Err(Error::config("--video", what));
+        }
     };
-    let mut loaded = scene::open(&ply, &frame, common.device.as_deref())?;
-    let jobs = match args.orbit {
-        Some(n) => orbit_jobs(&loaded, n, args.width, args.height)?,
-        None => jobs,
-    };
-    let written = write_all(args, &mut loaded, background, &jobs)?;
+    let frame = shots.frame;
+    let mut loaded = scene::open(&ply, &frame, args.device.selector().as_deref())?;
+    let jobs = shots.jobs(&loaded)?;
+    let written = write_all(args, &mut loaded, background, &jobs, frame.scale)?;
+    if let Some((file, pattern)) = video {
+        encode(&args.output.join(pattern), args.shots.fps, file)?;
+    }
     if common.json {
-        output::json(&json!({ "images": written }))?;
-    } else {
-        output::line(&format!(
-            "{} images in {}",
-            written.len(),
-            args.output.display()
-        ));
+        output::json(&json!({
+            "images": written.images, "video": args.video, "depth_steps": written.steps,
+        }))?;
+        return Ok(Outcome::Done);
+    }
+    let (count, folder) = (written.images.len(), args.output.display());
+    output::line(&format!("{count} images in {folder}"));
+    if let Some(file) = &args.video {
+        output::line(&format!("video: {}", file.display()));
     }
     Ok(Outcome::Done)
 }
 
-/// Renders every job into a file of its own.
+/// Refuses to begin what could not be ended.
+fn check_encoder(what: What) -> Result<()> {
+    if what == What::Depth {
+        let what = "depth images have 16 bits, which no video has; render them without --video";
+        return Err(Error::config("--video", what));
+    }
+    let version = Command::new("ffmpeg")
+        .arg("-version")
+        .stdin(Stdio::null())
+        .output();
+    match version {
+        Ok(output) if output.status.success() => Ok(()),
+        _ => Err(Error::config(
+            "--video",
+            "the program ffmpeg is not on the path; install it (Debian, Ubuntu: `apt-get install ffmpeg`), or leave --video out and encode the PNG files elsewhere",
+        )),
+    }
+}
+
+/// Encodes numbered images as H.264, or whatever the ending of the file asks for; the file is there as a whole or not at all.
+fn encode(pattern: &Path, fps: u32, file: &Path) -> Result<()> {
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    // FFmpeg tells the format by the ending.
+    let partial = file.with_file_name(format!(".{}.{name}", std::process::id()));
+    let mut command = Command::new("ffmpeg");
+    command.args(["-v", "error", "-n", "-framerate", &fps.to_string(), "-i"]);
+    command.arg(pattern);
+    // Players want even sizes and this form of colour.
+    let even = "pad=ceil(iw/2)*2:ceil(ih/2)*2,format=yuv420p";
+    command.args(["-vf", even]).arg(&partial);
+    let ended = command.stdin(Stdio::null()).output();
+    let ended = ended.map_err(|e| Error::io("ffmpeg", e))?;
+    if !ended.status.success() {
+        let _ = std::fs::remove_file(&partial);
+        let said = String::from_utf8_lossy(&ended.stderr);
+        let what = format!("ffmpeg failed: {}", said.trim().replace('\n', " "));
+        let fix = "the PNG files are there: encode them by hand, or give a name that ends in .mp4";
+        return Err(Error::input(file, what, fix));
+    }
+    std::fs::rename(&partial, file).map_err(|e| Error::io(file, e))
+}
+
+/// Renders every job into a file of its own; `scale` units of the dataset are one of the local frame.
 fn write_all(
     args: &RenderArgs,
     loaded: &mut Loaded,
     background: [f32; 3],
     jobs: &[Job],
-) -> Result<Vec<PathBuf>> {
+    scale: f64,
+) -> Result<Written> {
     std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, e))?;
-    let mut written = Vec::with_capacity(jobs.len());
-    let mut taken = std::collections::HashSet::new();
+    let mut written = Written::default();
+    let mut taken = HashSet::new();
     for (name, camera, photo) in jobs {
-        let rgb = pixels(args.what, loaded, camera, background, photo.as_ref())?;
         let mut file = file_name(name);
         while !taken.insert(file.clone()) {
             // Two views whose names differ only in folder or ending.
@@ -126,11 +178,28 @@ fn write_all(
                 .with_extension("")
                 .with_extension(format!("{}.png", taken.len()));
         }
-        let path = args.output.join(file);
+        let path = args.output.join(&file);
         let (w, h) = (camera.width, camera.height);
-        image::save_buffer(&path, &rgb, w, h, image::ColorType::Rgb8)
-            .map_err(|e| Error::input(&path, e.to_string(), "choose another folder with -o"))?;
-        written.push(path);
+        let saved = match args.what {
+            What::Depth => {
+                let (depths, step) = depths(loaded, camera, scale)?;
+                let name = file.to_string_lossy().into_owned();
+                written.steps.insert(name, step);
+                let bytes: Vec<u8> = depths.iter().flat_map(|d| d.to_ne_bytes()).collect();
+                image::save_buffer(&path, &bytes, w, h, image::ColorType::L16)
+            }
+            what => {
+                let rgb = pixels(what, loaded, camera, background, photo.as_ref())?;
+                image::save_buffer(&path, &rgb, w, h, image::ColorType::Rgb8)
+            }
+        };
+        saved.map_err(|e| Error::input(&path, e.to_string(), "choose another folder with -o"))?;
+        written.images.push(path);
+    }
+    if !written.steps.is_empty() {
+        let text = serde_json::to_string_pretty(&written.steps);
+        let text = text.map_err(|e| Error::numerics(DEPTHS_FILE, e))?;
+        files::write_bytes(&args.output.join(DEPTHS_FILE), text.as_bytes())?;
     }
     Ok(written)
 }
@@ -148,25 +217,6 @@ fn file_name(view: &str) -> PathBuf {
     PathBuf::from(format!("{}.png", flat.trim_start_matches(['.', '_'])))
 }
 
-fn dataset_jobs(data: Dataset) -> Vec<Job> {
-    let views = match data.test.is_empty() {
-        true => data.train,
-        false => data.test,
-    };
-    let job = |v: View| (v.name, v.camera, Some(v.photo));
-    views.into_iter().map(job).collect()
-}
-
-/// Returns views on a circle around the scene.
-fn orbit_jobs(loaded: &Loaded, n: u32, width: u32, height: u32) -> Result<Vec<Job>> {
-    let [x, y, z] = [0, 1, 2].map(|k| loaded.scene.plane(k));
-    let cameras = orbit([&x?, &y?, &z?], n, [width, height]);
-    let named = cameras.into_iter().enumerate();
-    Ok(named
-        .map(|(k, camera)| (format!("orbit_{k:04}"), camera, None))
-        .collect())
-}
-
 fn pixels(
     what: What,
     loaded: &mut Loaded,
@@ -180,14 +230,6 @@ fn pixels(
         quantity: Quantity::Color,
         active_only: false,
     };
-    let options = match what {
-        What::Depth => RenderOptions {
-            background: [0.0; 3],
-            quantity: Quantity::Depth,
-            ..options
-        },
-        _ => options,
-    };
     let image = loaded.renderer.image(&loaded.scene, camera, &options)?;
     Ok(match (what, photo) {
         (What::Error, Some(photo)) => {
@@ -195,9 +237,8 @@ fn pixels(
             error_map(&photo.counted(image.rgb8()), &photo.rgb_over(background))?
         }
         (What::Error, None) => error_map(&image.rgb8(), &image.rgb8())?,
-        (What::Color, _) => image.rgb8(),
         (What::Alpha, _) => grey(image.transmittance.iter().map(|t| 1.0 - t)),
-        (What::Depth, _) => depth_image(&image),
+        (What::Color | What::Depth, _) => image.rgb8(),
     })
 }
 
@@ -205,17 +246,32 @@ fn grey(values: impl Iterator<Item = f32>) -> Vec<u8> {
     values.flat_map(|v| [to_byte(v); 3]).collect()
 }
 
-/// Inverse mean depth scaled to its 99th percentile: near is bright, nothing is black.
-fn depth_image(image: &Rendered) -> Vec<u8> {
+/// Mean depth of a view along its axis in 16 bits, 0 where little is drawn, and the depth that one step stands for, in the dataset's units:
+/// the largest has the highest number.
+fn depths(loaded: &mut Loaded, camera: &Camera, scale: f64) -> Result<(Vec<u16>, f64)> {
+    let options = RenderOptions {
+        sh_degree: loaded.scene.sh_degree,
+        background: [0.0; 3],
+        quantity: Quantity::Depth,
+        active_only: false,
+    };
+    let image = loaded.renderer.image(&loaded.scene, camera, &options)?;
+    let depths = mean_depths(&image);
+    let largest = depths.iter().fold(0.0f64, |l, d| l.max(*d));
+    let step = match largest * scale / f64::from(u16::MAX) {
+        step if step.is_normal() => step,
+        _ => 1.0,
+    };
+    let number = |d: f64| (d * scale / step).round() as u16;
+    Ok((depths.into_iter().map(number).collect(), step))
+}
+
+/// Mean depth in local units where at least half of the light comes from Gaussians, else 0.
+fn mean_depths(image: &Rendered) -> Vec<f64> {
     let pixels = image.transmittance.iter().zip(&image.rgb);
-    let inverse = pixels.map(|(t, d)| match *d > 0.0 && *t < 0.5 {
-        true => (1.0 - t) / d,
+    let mean = pixels.map(|(t, d)| match *d > 0.0 && d.is_finite() && *t <= 0.5 {
+        true => f64::from(*d) / f64::from(1.0 - t),
         false => 0.0,
     });
-    let inverse: Vec<f32> = inverse.collect();
-    let mut sorted = inverse.clone();
-    sorted.sort_by(f32::total_cmp);
-    let top = sorted.get(sorted.len() * 99 / 100).copied();
-    let top = top.unwrap_or(1.0).max(f32::MIN_POSITIVE);
-    grey(inverse.into_iter().map(|v| v / top))
+    mean.collect()
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::cli::{common, output, progress};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
-use mhsplat::capture::{Dataset, Frame, LoadOptions};
+use mhsplat::capture::{Camera, Dataset, Frame, LoadOptions, View};
 use mhsplat::config::{Background, TrainConfig};
 use mhsplat::device::{Defines, Device};
 use mhsplat::pipeline::buffers::GaussianBuffers;
@@ -98,18 +98,53 @@ pub fn dataset_path(
 /// # Errors
 /// Those of [`capture::load`]; another dataset than the run's, unless that is allowed.
 pub fn dataset(path: &Path, record: Option<&RunRecord>, options: &PhotoOptions) -> Result<Dataset> {
+    read(path, record, options, false)
+}
+
+/// Reads the frame of a dataset and the cameras of its views in the order of their names, which that of capture is as a rule; no photos.
+///
+/// # Errors
+/// Those of [`dataset`].
+pub fn cameras(
+    path: &Path,
+    record: Option<&RunRecord>,
+    options: &PhotoOptions,
+) -> Result<(Frame, Vec<Camera>)> {
+    let mut data = read(path, record, options, true)?;
+    data.train.append(&mut data.test);
+    data.train.sort_by(|a, b| a.name.cmp(&b.name));
+    let cameras = data.train.iter().map(|view| view.camera).collect();
+    Ok((data.frame, cameras))
+}
+
+fn read(
+    path: &Path,
+    record: Option<&RunRecord>,
+    options: &PhotoOptions,
+    poses_only: bool,
+) -> Result<Dataset> {
     let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
     let of_run = config.clone();
     config.max_size = options.max_size.unwrap_or(config.max_size);
     config.test_every = options.test_every.unwrap_or(config.test_every);
     config.image_budget = None;
     config.alpha_is_mask |= options.alpha_is_mask;
-    let data = capture::load(path, &load_options(&config))?;
+    let load = LoadOptions {
+        poses_only,
+        ..load_options(&config)
+    };
+    let mut data = capture::load(path, &load)?;
+    if let Some(record) = record.filter(|_| poses_only) {
+        // Unread, they are not known to be masked out.
+        let shown = |view: &View| !record.dataset.masked_out.contains(&view.name);
+        data.train.retain(shown);
+        data.test.retain(shown);
+    }
     note_left_out(&data);
     let asked = |c: &TrainConfig| (c.max_size, c.test_every, c.alpha_is_mask);
     if let Some(record) = record.filter(|_| !options.allow_different) {
         // With another size or split the whole fingerprint is another one.
-        let (known, found) = match asked(&config) == asked(&of_run) {
+        let (known, found) = match !poses_only && asked(&config) == asked(&of_run) {
             true => (&record.dataset.fingerprint, data.fingerprint()),
             false => (&record.dataset.capture, data.capture_fingerprint()),
         };
@@ -133,6 +168,7 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
         test_every: config.test_every,
         image_budget: config.image_budget,
         alpha_is_mask: config.alpha_is_mask,
+        poses_only: false,
         progress: Some(progress::reading),
     }
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::cli::common::{Common, Outcome, open_tested};
+use crate::cli::common::{Common, DeviceOption, Outcome, open_tested};
 use crate::cli::overrides::Overrides;
 use crate::cli::progress::{Display, Form, finish};
 use crate::cli::{output, scene};
@@ -58,6 +58,8 @@ pub struct TrainArgs {
     /// Exit with 1 unless the mean held-out PSNR reaches this, dB.
     #[arg(long, value_name = "DB", value_parser = output::finite, help_heading = RUN_CONTROL)]
     require_psnr: Option<f64>,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 /// Trains a scene; progress goes to stderr.
@@ -83,7 +85,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
             stop.store(true, Ordering::Relaxed);
         });
     }
-    let device = open_tested(common.device.as_deref())?;
+    let device = open_tested(args.device.selector().as_deref())?;
     if resume.is_none() {
         claim_folder(dir)?;
     }

@@ -54,7 +54,8 @@ pub struct TrainConfig {
     /// Seed of every random number.
     #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
     pub seed: u64,
-    /// Iterations between evaluations; 0 for the end only [default: a twentieth of the run].
+    /// Iterations between evaluations; 0 for the end only [default: a twentieth of the run, or as many of these as keep evaluations
+    /// within 5 % of its cost].
     #[arg(long, value_name = "N", help_heading = RUN_CONTROL)]
     pub eval_every: Option<u32>,
     /// Every n-th image by name is held out; 0 for none.

@@ -216,11 +216,24 @@ fn html(out: &mut String, sections: &[Section], level: usize) {
     }
 }
 
+/// True if most cells of a column that say something begin with a letter.
+fn is_text(table: &Table, column: usize) -> bool {
+    let cells = table.rows.iter().filter_map(|row| row.get(column));
+    let (words, others): (Vec<&String>, Vec<&String>) = cells
+        .filter(|cell| !cell.is_empty())
+        .partition(|cell| cell.starts_with(char::is_alphabetic));
+    words.len() > others.len()
+}
+
 fn html_table(out: &mut String, table: &Table, level: usize) {
+    let text: Vec<bool> = (0..table.columns.len())
+        .map(|k| k == 0 || is_text(table, k))
+        .collect();
     let line = |out: &mut String, cells: &[String], tag: &str| {
         out.push_str("<tr>");
         for (k, cell) in cells.iter().enumerate() {
-            let class = if k == 0 { "" } else { " class=n" };
+            let left = text.get(k).is_some_and(|text| *text);
+            let class = if left { "" } else { " class=n" };
             let _ = write!(out, "<{tag}{class}>{}</{tag}>", escape(cell));
         }
         out.push_str("</tr>");

@@ -181,11 +181,11 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::{Budget, LATEST};
-    use crate::run::forecast::{Every, Forecast, HostCost};
+    use crate::run::forecast::{Every, Forecast, HostCost, Made};
 
     const EVERY: Every = Every {
         evaluation: None,
-        as_time_allows: true,
+        made: Made::AsTimeAllows,
         checkpoint: 1000,
     };
 
@@ -213,7 +213,9 @@ mod tests {
             let one = cost(f64::from(done) / f64::from(length), done);
             (used, all) = (used + one, all + one);
             done += 1;
-            if done.is_multiple_of((length / 20).max(1)) && forecast.affords_evaluation(all) {
+            if done.is_multiple_of((length / 20).max(1))
+                && forecast.affords_evaluation(done, length, all)
+            {
                 forecast.evaluated(3.0 * one);
                 all += 3.0 * one;
             }
@@ -298,6 +300,46 @@ mod tests {
             budget.length(at, 1000, &forecast, used)
         });
         assert!((500..1300).contains(&next.unwrap()), "{next:?}");
+    }
+
+    /// Without a budget: as many evaluations as cost a twentieth of the run, evenly spread, the same whatever the clock says.
+    #[test]
+    fn evaluations_without_a_budget_keep_their_share() {
+        let every = Every {
+            made: Made::AsLengthAllows,
+            ..EVERY
+        };
+        let made = |length: u32, views: usize| -> Vec<u32> {
+            let forecast = Forecast::of(
+                Vec::new(),
+                0,
+                (views, 0),
+                every,
+                20.0,
+                HostCost::of(0.65e-6, 2, false),
+            );
+            let due = (1..20).map(|k| k * (length / 20));
+            due.filter(|at| forecast.affords_evaluation(*at, length, 1e9))
+                .collect()
+        };
+        assert_eq!(made(7000, 10).len(), 19, "all are cheap");
+        assert_eq!(made(1500, 0).len(), 19, "nothing is held out");
+        // 40 views are scored at about the cost of 12 iterations.
+        assert_eq!(made(1500, 40), [300, 600, 900, 1200]);
+        assert_eq!(made(1500, 4000), [] as [u32; 0]);
+        let all = Every {
+            made: Made::All,
+            ..EVERY
+        };
+        let asked = Forecast::of(
+            Vec::new(),
+            0,
+            (4000, 0),
+            all,
+            20.0,
+            HostCost::of(0.65e-6, 2, false),
+        );
+        assert!(asked.affords_evaluation(75, 1500, 0.0));
     }
 
     /// An overflow of tile intersections takes training back.

@@ -288,7 +288,9 @@ impl Run {
         ]
         .map(due);
         let (_, spent) = self.spent();
-        if evaluate && self.evaluated != Some(done) && self.forecast.affords_evaluation(spent) {
+        let length = self.iterations();
+        let affords = || self.forecast.affords_evaluation(done, length, spent);
+        if evaluate && self.evaluated != Some(done) && affords() {
             self.evaluate(false)?;
             self.forecast.evaluated(self.spent().1 - spent);
         }

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use crate::base::error::Result;
-use crate::config::Sampler;
+use crate::config::{Sampler, TrainConfig};
 use crate::evaluate::Evaluator;
 use crate::evaluate::flip::flip;
 use crate::run::report::training::VIEWS;
@@ -38,7 +38,7 @@ const PICTURES: f64 = 0.6;
 const LARGEST_PICTURES: (u64, u64) = (6, 410_000);
 const FILES: f64 = 0.1;
 
-/// Share of a run's time that evaluations on the way take at most where a budget plans them.
+/// Share of a run's time that evaluations on the way take at most unless they are asked for.
 const EVALUATIONS: f64 = 0.05;
 
 /// Side of the square picture that tells how quick the host is.
@@ -68,8 +68,8 @@ impl Spent {
 pub(super) struct Every {
     /// `None` for a twentieth of the run.
     pub evaluation: Option<u32>,
-    /// True if evaluations on the way are left out that would take more than [`EVALUATIONS`] of the time.
-    pub as_time_allows: bool,
+    /// Evaluations on the way that are made of those that are due.
+    pub made: Made,
     pub checkpoint: u32,
 }
 
@@ -106,6 +106,27 @@ impl HostCost {
         }
         let pixels = (PROBE * PROBE) as f64;
         Ok(Self::of(best / pixels, rayon::current_num_threads(), cpu))
+    }
+}
+
+/// Evaluations on the way that are made of those that are due.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Made {
+    /// All, which are asked for.
+    All,
+    /// Those that keep their share, [`EVALUATIONS`], of the time spent so far: where a budget plans the run.
+    AsTimeAllows,
+    /// Every so many of them, by the costs that the tables expect: the same whenever the run is repeated.
+    AsLengthAllows,
+}
+
+impl Made {
+    fn of(config: &TrainConfig) -> Self {
+        match (config.eval_every.or(config.patience), config.has_budget()) {
+            (Some(_), _) => Self::All,
+            (None, true) => Self::AsTimeAllows,
+            (None, false) => Self::AsLengthAllows,
+        }
     }
 }
 
@@ -158,7 +179,7 @@ impl Forecast {
         };
         let every = Every {
             evaluation: config.eval_every,
-            as_time_allows: config.has_budget() && config.eval_every.or(config.patience).is_none(),
+            made: Made::of(config),
             checkpoint: config.checkpoint_every,
         };
         let scored = evaluator.map_or((0, 0), |evaluator| {
@@ -268,7 +289,7 @@ impl Forecast {
         let times = |every: u32| f64::from(rest.checked_div(every).unwrap_or(0));
         let every = self.every.evaluation.unwrap_or((length / 20).max(1));
         let mut evaluations = times(every) * self.evaluation()?;
-        if self.every.as_time_allows {
+        if self.every.made != Made::All {
             evaluations = evaluations.min(EVALUATIONS * iterations);
         }
         let checkpoints = times(self.every.checkpoint) * self.checkpoints.mean().unwrap_or(0.0);
@@ -293,13 +314,23 @@ impl Forecast {
         Some(self.evaluations.mean().unwrap_or(guess))
     }
 
-    /// True if there is time for one more evaluation: they are asked for, or keep their share of all time spent.
-    pub fn affords_evaluation(&self, spent: f64) -> bool {
-        if !self.every.as_time_allows {
-            return true;
+    /// True if the evaluation that is due after `done` iterations of a run of `length` and so many seconds is to be made.
+    pub fn affords_evaluation(&self, done: u32, length: u32, spent: f64) -> bool {
+        match self.every.made {
+            Made::All => true,
+            Made::AsTimeAllows => {
+                let next = self.evaluation().unwrap_or(0.0);
+                self.evaluations.seconds + next <= EVALUATIONS * spent
+            }
+            Made::AsLengthAllows => {
+                let run = f64::from(length) * self.between(0.0, 1.0);
+                let one = SCORED * self.cost[9] * self.scored.0 as f64;
+                let due = (length / 20).max(1);
+                let fit = EVALUATIONS * run / one.max(1e-9);
+                let apart = (f64::from(length / due - 1) / fit).ceil().max(1.0);
+                f64::from(done / due) % apart == 0.0
+            }
         }
-        let next = self.evaluation().unwrap_or(0.0);
-        self.evaluations.seconds + next <= EVALUATIONS * spent
     }
 
     /// Number of times that the photos' size is halved at a share of the run.

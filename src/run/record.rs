@@ -240,7 +240,7 @@ pub struct RunRecord {
 impl RunRecord {
     /// The record of a run that has not begun.
     ///
-    /// The revision is that of the variable `MHSPLAT_COMMIT` at build time.
+    /// The revision is that of the variable `MHSPLAT_COMMIT` at build time, else that of the package or the Git checkout (`build.rs`).
     #[must_use]
     pub fn new(
         config: TrainConfig,

@@ -6,12 +6,14 @@ mod gaussians;
 pub mod init;
 pub mod knn;
 pub mod morton;
-mod orbit;
+pub mod orbit;
 pub mod sh;
 mod smoothing;
+pub mod trajectory;
 
 pub use crate::scene::edit::{Edit, OptionalColor};
 pub use crate::scene::formats::ply;
 pub use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
-pub use crate::scene::orbit::orbit;
+pub use crate::scene::orbit::{Ring, orbit};
 pub use crate::scene::smoothing::{filters, without_filter};
+pub use crate::scene::trajectory::{Keyframe, Trajectory};

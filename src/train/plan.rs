@@ -97,7 +97,7 @@ pub struct Plan {
     pub sh_degree: Decided<u32>,
     /// Loss left out of tiles that are blank in render and photo.
     pub skip_blank: Decided<bool>,
-    /// Gaussians removed at the end because no training view shows them; `None` before the end.
+    /// Gaussians removed at the end because no training view shows them; `None` before the end, and where all are shown.
     pub unseen: Option<Decided<u64>>,
     /// True if the first Gaussians are random.
     random_start: bool,
@@ -173,12 +173,13 @@ impl Plan {
             self.exposure = Decided::new(value, Why::Gains(gains));
             decisions.push(Decision::Exposure(self.exposure.clone()));
         }
-        if learned.finished.is_some() && self.config.work.remove_unseen {
-            let unseen = Decided::new(learned.removed, Why::Removed(learned.removed));
-            if self.unseen.as_ref() != Some(&unseen) {
-                decisions.push(Decision::Unseen(unseen.clone()));
+        if learned.finished.is_some() {
+            let removed = learned.removed;
+            let unseen = (removed > 0).then(|| Decided::new(removed, Why::Removed(removed)));
+            if self.unseen != unseen {
+                decisions.extend(unseen.clone().map(Decision::Unseen));
             }
-            self.unseen = Some(unseen);
+            self.unseen = unseen;
         }
         decisions
     }

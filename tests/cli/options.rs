@@ -43,6 +43,33 @@ fn help_groups_the_commands() {
     }
 }
 
+/// `--device` is offered where a device is used, and nowhere else.
+#[test]
+fn devices_are_offered_where_they_are_used() {
+    let uses = [
+        "train",
+        "render",
+        "eval",
+        "bench",
+        "verify",
+        "experiment",
+        "surrogate",
+    ];
+    let help = done(&["--help"]);
+    let groups = ["Make a scene", "Measure", "Tools"];
+    let lines = groups.iter().flat_map(|heading| section(&help, heading));
+    let mut seen = 0;
+    for line in lines {
+        let name = line.split(' ').next().unwrap();
+        let offered = done(&[name, "--help"]).contains("--device");
+        assert_eq!(offered, uses.contains(&name), "{name}");
+        seen += usize::from(offered);
+    }
+    assert_eq!(seen, uses.len());
+    let refused = mhsplat(&["synth", "room", "nowhere", "--device", "0"]);
+    assert_eq!(refused.status.code(), Some(2));
+}
+
 /// The line of an option in the short help.
 fn entry<'a>(help: &'a str, option: &str) -> &'a str {
     let mut lines = help.lines();

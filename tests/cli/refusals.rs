@@ -134,6 +134,23 @@ fn a_folder_that_is_no_dataset() {
     refused(&dir.path().join("nowhere"), &["nowhere"]);
 }
 
+/// A folder of datasets, with a photo beside them: the datasets are named.
+#[test]
+fn a_folder_of_datasets() {
+    let dir = tempfile::tempdir().unwrap();
+    let above = dir.path().join("scenes");
+    scratch_dataset(&above.join("attic"), SynthLayout::Colmap);
+    fs::rename(above.join("attic/dataset"), above.join("kitchen")).unwrap();
+    fs::copy(any_image(&above.join("kitchen")), above.join("cover.png")).unwrap();
+    refused(
+        &above,
+        &["scenes", "kitchen in it is one", "scenes/kitchen"],
+    );
+    let shed = scratch_dataset(&above.join("attic"), SynthLayout::Transforms);
+    fs::rename(shed, above.join("shed")).unwrap();
+    refused(&above, &["2 folders", "kitchen, shed"]);
+}
+
 #[test]
 fn an_existing_run_is_never_touched() {
     let dir = tempfile::tempdir().unwrap();

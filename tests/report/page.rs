@@ -461,7 +461,7 @@ fn charts_take_any_data() {
     let gap = chart(vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 3.0)]);
     assert_eq!(gap.matches("<circle").count(), 2);
     // The two ends of a rising line lie at the lower left and the upper right (SVG's y points down).
-    assert!(chart(vec![(0.0, 0.0), (1.0, 1.0)]).contains("points=\"44,188 366,24\""));
+    assert!(chart(vec![(0.0, 0.0), (1.0, 1.0)]).contains("points=\"48,188 366,24\""));
     assert!(chart(vec![(-1e300, 1e300), (1e300, -1e300)]).contains("<polyline"));
     let bar = |value| Bar {
         name: "a very long name of a stage".into(),

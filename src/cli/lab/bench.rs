@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
@@ -25,6 +25,8 @@ pub struct BenchArgs {
     /// N@PX, one or more, in a hurry: shows that everything works, measures nothing.
     #[arg(long, hide = true, value_parser = brief_case, value_delimiter = ',', conflicts_with = "full")]
     brief: Vec<(usize, u32)>,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 fn brief_case(text: &str) -> std::result::Result<(usize, u32), String> {
@@ -49,7 +51,7 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
         }
     };
     let mut note = |text: &str| output::note(text);
-    let outcomes = match common.device.as_deref() {
+    let outcomes = match args.device.selector().as_deref() {
         Some("all") => {
             let all = Device::list()?.into_iter();
             let devices: Vec<_> = all.map(|d| (d.name, Some(d.index.to_string()))).collect();

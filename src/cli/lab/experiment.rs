@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::config::parse_duration;
@@ -30,6 +30,8 @@ pub struct ExperimentArgs {
     /// List the runs with their states, and train nothing.
     #[arg(long)]
     dry_run: bool,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 /// Trains what is missing and writes the comparisons.
@@ -44,7 +46,7 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     }
     let stop = crate::cli::train::stop_flag()?;
     let mut processes = Processes {
-        device: common.device.clone(),
+        device: args.device.selector(),
         stop: stop.clone(),
         began: Instant::now(),
     };

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::lab::folder::json;
@@ -30,6 +30,8 @@ pub struct SurrogateArgs {
     /// Folder for surrogate.json and surrogate.html; an earlier check there is replaced [default: RUN/surrogate]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 /// Checks importance and first-order estimate; progress goes to stderr, tables to stdout.
@@ -59,7 +61,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
     }
     let path = scene::dataset_path(args.dataset.as_deref(), Some(&record), "give it")?;
     let dataset = scene::dataset(&path, Some(&record), &scene::PhotoOptions::of_run())?;
-    let device = crate::cli::common::open_tested(common.device.as_deref())?;
+    let device = crate::cli::common::open_tested(args.device.selector().as_deref())?;
     let options = Options {
         candidates: args.candidates,
         views: args.views,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
@@ -33,6 +33,8 @@ pub struct VerifyArgs {
     /// Folder for verify.html, verify.json and verify.md; must be empty or not exist.
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
 /// Checks one device, or all of them with --device all.
@@ -45,7 +47,7 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
         Suite::Quick => quick,
         Suite::Stress => stress,
     };
-    let selectors: Vec<Option<String>> = match common.device.as_deref() {
+    let selectors: Vec<Option<String>> = match args.device.selector().as_deref() {
         Some("all") => Device::list()?
             .iter()
             .map(|d| Some(d.index.to_string()))

@@ -59,15 +59,16 @@ fn sum(rows: &[&Row], of: fn(&Row) -> usize) -> String {
     rows.iter().map(|r| of(r)).sum::<usize>().to_string()
 }
 
-/// Number of comparisons, worst errors in f32 and in f64, and bound of every family.
+/// Number of comparisons, worst errors in f32 and in f64, and largest bound on the former, of every family.
 fn families(v: &Verification) -> Section {
-    let columns: [Column<(&FamilyNote, Vec<&Row>)>; 9] = [
-        ("family", |(f, _)| f.name.into()),
+    let columns: [Column<(&str, Vec<&Row>)>; 10] = [
+        ("family", |(name, _)| (*name).into()),
         ("comparisons", |(_, of)| of.len().to_string()),
+        ("passed", |(_, of)| sum(of, |r| usize::from(r.pass))),
         ("failed", |(_, of)| sum(of, |r| usize::from(!r.pass))),
         ("not finite", |(_, of)| sum(of, |r| r.non_finite)),
         ("worst in f32", |(_, of)| worst_in(false, of, error)),
-        ("bound", |(f, _)| format!("{:.0e}", f.bound)),
+        ("bound", |(_, of)| bound(of)),
         ("worst in f64", |(_, of)| worst_in(true, of, error)),
         ("flips", |(_, of)| sum(of, |r| r.flips)),
         ("worst in f32 is of", |(_, of)| {
@@ -75,8 +76,28 @@ fn families(v: &Verification) -> Section {
         }),
     ];
     let note = "Errors are relative to the largest value of a quantity; flips, elements on the other side of a discontinuity, are counted apart.";
-    let rows = v.families.iter().map(|f| (f, rows_of(v, f.name)));
+    let names = family_names(std::slice::from_ref(v));
+    let rows = names.into_iter().map(|name| (name, rows_of(v, name)));
     table("Worst of each family", note, &columns, rows.collect())
+}
+
+/// Largest bound on errors in f32.
+fn bound(rows: &[&Row]) -> String {
+    let single = rows.iter().filter(|r| !is_double(r));
+    or_dash(single.map(|r| r.bound).max_by(f64::total_cmp), |b| {
+        format!("{b:.0e}")
+    })
+}
+
+/// Families of the cases, each once.
+fn family_names(all: &[Verification]) -> Vec<&'static str> {
+    let mut names: Vec<&str> = Vec::new();
+    for row in all.iter().flat_map(|v| &v.cases) {
+        if !names.contains(&row.family) {
+            names.push(row.family);
+        }
+    }
+    names
 }
 
 /// Error against stiffness of one family: a curve per group of stages in f32, one for all of f64.
@@ -114,12 +135,7 @@ fn chart(v: &Verification, note: &FamilyNote) -> String {
 /// Devices side by side: the worst of each family in f32. Each is within the family's bound of the reference, so that two
 /// devices are within twice that of each other.
 fn between(all: &[Verification]) -> Table {
-    let mut families: Vec<&str> = Vec::new();
-    for row in all.iter().flat_map(|v| &v.cases) {
-        if !families.contains(&row.family) {
-            families.push(row.family);
-        }
-    }
+    let families = family_names(all);
     let line = |family: &&str| {
         let of = |v: &Verification| worst_in(false, &rows_of(v, family), error);
         let name = (*family).to_owned();
@@ -161,8 +177,12 @@ fn device(v: &Verification) -> Report {
         ),
         ..Report::default()
     };
+    part.sections = vec![families(v), comparisons(v, false)];
     if v.families.is_empty() {
-        part.sections.push(comparisons(v, true));
+        part.sections.push(Section::Details {
+            summary: "All comparisons".into(),
+            sections: vec![comparisons(v, true)],
+        });
         return part;
     }
     let reasons = v.families.iter().map(|note| {
@@ -171,19 +191,17 @@ fn device(v: &Verification) -> Report {
             note.name, note.bound, note.reason
         ))
     });
-    part.sections = vec![
-        families(v),
+    part.sections.extend([
         Section::Charts {
             title: "Error against stiffness".into(),
             note: String::new(),
             figures: v.families.iter().map(|note| chart(v, note)).collect(),
         },
-        comparisons(v, false),
         Section::Details {
             summary: "Reasons of the bounds".into(),
             sections: reasons.collect(),
         },
-    ];
+    ]);
     part
 }
 
