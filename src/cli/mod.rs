@@ -3,13 +3,16 @@
 mod commands;
 mod common;
 mod devices;
+mod doctor;
 mod eval;
+mod info;
 mod lab;
 mod output;
 mod overrides;
 mod progress;
 mod render;
 mod scene;
+mod shell;
 mod shots;
 mod train;
 
