@@ -80,6 +80,50 @@ fn devices_lists_the_default_and_says_why() {
 }
 
 #[test]
+fn the_doctor_finds_what_there_is() {
+    let found: serde_json::Value = serde_json::from_str(&done(&["doctor", "--json"])).unwrap();
+    assert!(found["devices"][0]["failure"].is_null() && found["no_devices"].is_null());
+    assert!(found["devices"][0]["local_memory"].as_u64() > Some(0));
+    let text = done(&["doctor"]);
+    for part in ["loader:", "devices:", "local, work-groups to", "limits:"] {
+        assert!(text.contains(part), "{text}");
+    }
+}
+
+/// A driver that is named and not there: the file, the library and what to install.
+#[cfg(target_os = "linux")]
+#[test]
+fn the_doctor_says_what_to_install() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("lost.icd"), "liblost-driver.so.3\n").unwrap();
+    let ill = || {
+        let mut command = program();
+        // Whichever of the loaders it is, it looks there.
+        for name in ["OCL_ICD_VENDORS", "OPENCL_VENDOR_PATH"] {
+            command.env(name, dir.path());
+        }
+        command.arg("doctor");
+        command
+    };
+    let told = ill().output().unwrap();
+    let (out, err) = (stdout(&told), stderr(&told));
+    assert_eq!(told.status.code(), Some(2), "{out}{err}");
+    for part in [
+        "lost.icd",
+        "liblost-driver.so.3",
+        "install a driver",
+        "ocl-icd",
+    ] {
+        assert!(out.contains(part), "{part:?}: {out}");
+    }
+    assert!(err.contains("no usable device"), "{err}");
+    let json = ill().arg("--json").output().unwrap();
+    assert_eq!(json.status.code(), Some(2));
+    let found: serde_json::Value = serde_json::from_str(&stdout(&json)).unwrap();
+    assert!(found["drivers"][0]["failure"].is_string());
+}
+
+#[test]
 fn a_device_nobody_has_is_refused_from_flag_and_from_environment() {
     let by_flag = mhsplat(&["verify", "--device", "abacus"]);
     assert_eq!(by_flag.status.code(), Some(2));

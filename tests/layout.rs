@@ -207,10 +207,7 @@ fn the_build_script_sets_the_revision_and_nothing_else() {
     let sets: Vec<&str> = script.split("cargo:").skip(1).collect();
     let revision =
         |s: &&str| s.starts_with("rerun-if") || s.starts_with("rustc-env=MHSPLAT_COMMIT=");
-    assert!(
-        sets.len() == 3 && sets.iter().all(|s| revision(&s)),
-        "{sets:?}"
-    );
+    assert!(sets.len() == 3 && sets.iter().all(revision), "{sets:?}");
     let n = script.lines().count();
     assert!(n < 50, "{n} lines");
 }

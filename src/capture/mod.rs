@@ -60,7 +60,10 @@ const NAMED: usize = 5;
 /// The refusal of a folder that holds datasets and is none; `None` if there is none in it.
 fn several(path: &Path, holds: &impl Fn(&Path) -> bool) -> Option<Error> {
     let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
-    let folders = entries.map(|entry| entry.path()).filter(|p| p.is_dir());
+    // A part with a model of its own is no dataset: its photos lie elsewhere.
+    let part = |name: &std::ffi::OsStr| PARTS.iter().any(|part| name == *part);
+    let whole = entries.filter(|entry| !part(&entry.file_name()));
+    let folders = whole.map(|entry| entry.path()).filter(|p| p.is_dir());
     let mut inside: Vec<_> = folders.filter(|folder| holds(folder)).collect();
     inside.sort();
     let first = inside.first()?;

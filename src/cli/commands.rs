@@ -7,7 +7,7 @@ use clap::{Arg, Command, CommandFactory, Parser, Subcommand};
 use mhsplat::base::error::Result;
 
 use crate::cli::common::{Common, Outcome};
-use crate::cli::{convert, devices, eval, lab, render, train};
+use crate::cli::{convert, devices, doctor, eval, info, lab, render, shell, train};
 
 /// Posed photos to a 3D Gaussian scene, on any OpenCL device.
 ///
@@ -35,10 +35,13 @@ enum Group {
 #[derive(Subcommand)]
 enum Make {
     /// Train a scene from posed photos.
+    #[command(after_help = "Example: mhsplat train dataset -o run --max-size 800")]
     Train(Box<train::TrainArgs>),
     /// Render a scene to PNG files.
-    Render(render::RenderArgs),
+    #[command(after_help = "Example: mhsplat render run -o film --video film.mp4")]
+    Render(Box<render::RenderArgs>),
     /// PSNR, SSIM and FLIP per held-out view and mean.
+    #[command(after_help = "Example: mhsplat eval run")]
     Eval(eval::EvalArgs),
     /// Write a scene in another format, or a part of it.
     Convert(convert::ConvertArgs),
@@ -47,23 +50,46 @@ enum Make {
 #[derive(Subcommand)]
 enum Measure {
     /// Time, throughput, share of the measured peak and error of every stage.
+    #[command(after_help = "Example: mhsplat bench -o bench")]
     Bench(lab::bench::BenchArgs),
     /// Check every stage on a device against the f64 reference.
+    #[command(after_help = "Example: mhsplat verify --suite stress -o verification")]
     Verify(lab::verify::VerifyArgs),
     /// Error against run time of several runs, and time to equal error.
+    #[command(after_help = "Example: mhsplat compare mh=run-1 mcmc=run-2 -o compare.html")]
     Compare(lab::compare::CompareArgs),
     /// Train what is missing of a matrix of scenes, settings and seeds, and compare the runs.
+    #[command(after_help = "Example: mhsplat experiment data/experiments/room.toml --dry-run")]
     Experiment(lab::experiment::ExperimentArgs),
     /// Rank correlation of the importance of births with their true change of the loss, in a run.
+    #[command(after_help = "Example: mhsplat surrogate run")]
     Surrogate(lab::surrogate::SurrogateArgs),
 }
 
 #[derive(Subcommand)]
 enum Tools {
+    /// Describe a dataset and the plan of its training, a run, or a scene file.
+    #[command(after_help = "Example: mhsplat info dataset")]
+    Info(info::InfoArgs),
+    /// Find OpenCL's loader, drivers, devices, permissions and limits, and say what to install.
+    #[command(
+        after_help = "Example: mhsplat doctor\n\nExits with 0 if a device can be used, else with 2."
+    )]
+    Doctor,
     /// List every OpenCL platform and device.
+    #[command(after_help = "Example: mhsplat devices")]
     Devices,
     /// Make a seeded scene with known truth.
+    #[command(after_help = "Example: mhsplat synth room dataset")]
     Synth(lab::synth::SynthArgs),
+    /// Print a script that completes commands and options in a shell.
+    #[command(
+        after_help = "Example: mhsplat completions bash > ~/.local/share/bash-completion/completions/mhsplat"
+    )]
+    Completions(shell::CompletionsArgs),
+    /// Write manual pages.
+    #[command(after_help = "Example: mhsplat man pages && man pages/mhsplat-train.1")]
+    Man(shell::ManArgs),
 }
 
 impl Cli {
@@ -94,7 +120,13 @@ impl Cli {
             Group::Measure(Measure::Compare(args)) => lab::compare::run(&args, &common),
             Group::Measure(Measure::Experiment(args)) => lab::experiment::run(&args, &common),
             Group::Measure(Measure::Surrogate(args)) => lab::surrogate::run(&args, &common),
+            Group::Tools(Tools::Info(args)) => info::run(&args, &common),
+            Group::Tools(Tools::Doctor) => doctor::run(&common),
             Group::Tools(Tools::Devices) => devices::run(&common),
+            Group::Tools(Tools::Completions(args)) => {
+                shell::completions(&args, Self::grouped(), &common)
+            }
+            Group::Tools(Tools::Man(args)) => shell::man(&args, Self::grouped(), &common),
             Group::Tools(Tools::Synth(args)) => lab::synth::run(&args, &common),
         }
     }
@@ -113,7 +145,7 @@ fn groups() -> String {
         let _ = writeln!(text, "{title}:");
         for c in group.get_subcommands() {
             let about = c.get_about().map(ToString::to_string).unwrap_or_default();
-            let _ = writeln!(text, "  {:<10}  {about}", c.get_name());
+            let _ = writeln!(text, "  {:<11}  {about}", c.get_name());
         }
         text.push('\n');
     }

@@ -4,13 +4,16 @@ mod commands;
 mod common;
 mod convert;
 mod devices;
+mod doctor;
 mod eval;
+mod info;
 mod lab;
 mod output;
 mod overrides;
 mod progress;
 mod render;
 mod scene;
+mod shell;
 mod shots;
 mod train;
 

@@ -98,7 +98,7 @@ pub fn dataset_path(
 /// # Errors
 /// Those of [`capture::load`]; another dataset than the run's, unless that is allowed.
 pub fn dataset(path: &Path, record: Option<&RunRecord>, options: &PhotoOptions) -> Result<Dataset> {
-    read(path, record, options, false)
+    read_dataset(path, record, options, false)
 }
 
 /// Reads the frame of a dataset and the cameras of its views in the order of their names, which that of capture is as a rule; no photos.
@@ -110,14 +110,14 @@ pub fn cameras(
     record: Option<&RunRecord>,
     options: &PhotoOptions,
 ) -> Result<(Frame, Vec<Camera>)> {
-    let mut data = read(path, record, options, true)?;
+    let mut data = read_dataset(path, record, options, true)?;
     data.train.append(&mut data.test);
     data.train.sort_by(|a, b| a.name.cmp(&b.name));
     let cameras = data.train.iter().map(|view| view.camera).collect();
     Ok((data.frame, cameras))
 }
 
-fn read(
+fn read_dataset(
     path: &Path,
     record: Option<&RunRecord>,
     options: &PhotoOptions,

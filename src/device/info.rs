@@ -47,13 +47,15 @@ pub struct DeviceInfo {
     pub max_alloc: u64,
     /// Device memory, bytes.
     pub global_memory: u64,
+    /// Local memory of a work-group, bytes.
+    pub local_memory: u64,
     /// Work-items of the largest work-group.
     pub max_work_group: usize,
 }
 
 /// Advice for a system without a device.
 const INSTALL: &str = "install an OpenCL driver (on Debian/Ubuntu: `apt-get install ocl-icd-libopencl1 pocl-opencl-icd`) \
-     or point OCL_ICD_VENDORS at one";
+     or point OCL_ICD_VENDORS at one; `mhsplat doctor` says more";
 
 /// The device named by an index, a part of its name or platform, or a kind; `None` if nothing matches.
 pub(super) fn select<'a>(list: &'a [DeviceInfo], selector: &str) -> Option<&'a DeviceInfo> {
@@ -135,7 +137,9 @@ fn describe(index: usize, platform: &str, id: core::DeviceId) -> Result<DeviceIn
             DeviceInfoResult::MaxComputeUnits(v) | DeviceInfoResult::NativeVectorWidthFloat(v) => {
                 u64::from(v)
             }
-            DeviceInfoResult::MaxMemAllocSize(v) | DeviceInfoResult::GlobalMemSize(v) => v,
+            DeviceInfoResult::MaxMemAllocSize(v)
+            | DeviceInfoResult::GlobalMemSize(v)
+            | DeviceInfoResult::LocalMemSize(v) => v,
             DeviceInfoResult::MaxWorkGroupSize(v) => v as u64,
             _ => 0,
         })
@@ -152,6 +156,7 @@ fn describe(index: usize, platform: &str, id: core::DeviceId) -> Result<DeviceIn
         vector_width: number(Query::NativeVectorWidthFloat)? as u32,
         max_alloc: number(Query::MaxMemAllocSize)?,
         global_memory: number(Query::GlobalMemSize)?,
+        local_memory: number(Query::LocalMemSize)?,
         max_work_group: number(Query::MaxWorkGroupSize)? as usize,
     })
 }

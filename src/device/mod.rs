@@ -8,6 +8,7 @@ mod error;
 mod info;
 mod launch;
 pub mod layout;
+pub mod libraries;
 mod program;
 pub mod tuning;
 

@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod cache;
 pub mod compare;
+pub mod doctor;
 pub mod error;
 pub mod experiment;
 pub mod folder;

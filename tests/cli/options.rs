@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::{Value, json};
 
-use super::{done, mhsplat, room, stderr, text};
+use super::{done, mhsplat, program, room, stderr, stdout, text};
 use mhsplat::TrainConfig;
 
 /// Lines of a help text below a heading.
@@ -27,7 +27,10 @@ fn help_groups_the_commands() {
                 "Measure",
                 &["bench", "verify", "compare", "experiment", "surrogate"],
             ),
-            ("Tools", &["devices", "synth"]),
+            (
+                "Tools",
+                &["info", "doctor", "devices", "synth", "completions", "man"],
+            ),
         ];
         for (heading, names) in groups {
             let lines = section(&help, heading);
@@ -41,6 +44,48 @@ fn help_groups_the_commands() {
         }
         assert!(help.contains("Usage: ") && !section(&help, "Options").is_empty());
     }
+}
+
+/// Every command has an example, and scripts and pages of shells know every command.
+#[test]
+fn shells_are_told_of_every_command() {
+    let dir = tempfile::tempdir().unwrap();
+    let pages = dir.path().join("pages");
+    assert!(done(&["man", text(&pages)]).contains("pages in"));
+    let again = mhsplat(&["man", text(&pages)]);
+    assert_eq!(again.status.code(), Some(2), "nothing is overwritten");
+    let scripts = ["bash", "zsh", "fish", "powershell", "elvish"];
+    let scripts = scripts.map(|shell| done(&["completions", shell]));
+    let help = done(&["--help"]);
+    let groups = ["Make a scene", "Measure", "Tools"];
+    let lines = groups.iter().flat_map(|heading| section(&help, heading));
+    let mut seen = 0;
+    for line in lines {
+        let name = line.split(' ').next().unwrap();
+        let example = format!("Example: mhsplat {name}");
+        let own = done(&[name, "--help"]);
+        assert!(own.contains(&example), "{name}: {own}");
+        let page = fs::read_to_string(pages.join(format!("mhsplat-{name}.1"))).unwrap();
+        assert!(
+            page.contains(".SH OPTIONS") || page.contains(".SH NAME"),
+            "{page}"
+        );
+        assert!(scripts.iter().all(|script| script.contains(name)), "{name}");
+        // Help fits a terminal of 80 columns.
+        let narrow = program()
+            .args([name, "-h"])
+            .env("COLUMNS", "80")
+            .output()
+            .unwrap();
+        let narrow = stdout(&narrow);
+        let long = narrow
+            .lines()
+            .find(|l| l.chars().count() > 80 && !l.contains("Usage"));
+        assert!(long.is_none(), "{name}: {long:?}");
+        seen += 1;
+    }
+    assert!(seen > 10);
+    assert!(scripts[0].contains("--max-size"));
 }
 
 /// `--device` is offered where a device is used, and nowhere else.
@@ -70,11 +115,19 @@ fn devices_are_offered_where_they_are_used() {
     assert_eq!(refused.status.code(), Some(2));
 }
 
-/// The line of an option in the short help.
-fn entry<'a>(help: &'a str, option: &str) -> &'a str {
-    let mut lines = help.lines();
-    let found = lines.find(|l| l.split([' ', ',']).any(|word| word == option));
-    found.unwrap_or_else(|| panic!("{option} is not in {help}"))
+/// The lines of an option in the short help, as one.
+fn entry(help: &str, option: &str) -> String {
+    let begins = |l: &&str| l.trim_start().starts_with('-');
+    let named = |l: &&str| begins(l) && l.split([' ', ',']).any(|word| word == option);
+    let mut lines = help.lines().skip_while(|l| !named(l));
+    let first = lines
+        .next()
+        .unwrap_or_else(|| panic!("{option} is not in {help}"));
+    let rest = lines.take_while(|l| !begins(l) && !l.is_empty());
+    let words = std::iter::once(first)
+        .chain(rest)
+        .flat_map(str::split_whitespace);
+    words.collect::<Vec<_>>().join(" ")
 }
 
 #[test]

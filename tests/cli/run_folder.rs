@@ -41,6 +41,7 @@ fn the_run_folder_keeps_the_contract() {
         assert!(!printed[key].is_null(), "run.json lacks {key}");
     }
     assert_eq!(printed["seed"], 3);
+    described(&run, &printed);
     assert_eq!(printed["iterations"], 80);
     assert_eq!(printed["dataset"]["train_views"], 35);
     assert_eq!(printed["dataset"]["test_views"], 5);
@@ -86,6 +87,35 @@ fn shows_the_scene(run: &Path, printed: &Value, report: &str) {
     assert_eq!(cameras[5]["held_out"], false);
     assert!(printed["remarks"].is_null());
     assert!(report.contains("<a href=\"scene.html\">"));
+}
+
+/// `info` of the dataset, the run and its scene agree with the record.
+fn described(run: &Path, record: &Value) {
+    let info = |path: &Path| json(&done(&["info", text(path), "--json"]));
+    let of_run = info(run);
+    for key in ["gaussians", "iterations", "commit", "plan", "dataset"] {
+        assert_eq!(of_run[key], record[key], "{key}");
+    }
+    let scene = info(&run.join("scene.ply"));
+    assert_eq!(scene["gaussians"], record["gaussians"]);
+    assert_eq!(scene["sh_degree"], 3);
+    let opacity = scene["quantiles"]["opacity"].as_array().unwrap();
+    let opacity: Vec<f64> = opacity.iter().map(|v| v.as_f64().unwrap()).collect();
+    assert!(opacity.is_sorted() && opacity[0] >= 0.0 && opacity[4] <= 1.0);
+    let room = room();
+    let data = info(Path::new(&room));
+    assert_eq!(data["training_views"], record["dataset"]["train_views"]);
+    assert_eq!(data["layout"], record["dataset"]["layout"]);
+    assert_eq!(data["lenses"]["no distortion"], 40);
+    let stops = data["brightness_stops"].as_f64().unwrap();
+    assert!((0.0..3.0).contains(&stops), "{stops}");
+    let words = done(&["info", &room, "--max-size", "64"]);
+    assert!(
+        words.contains("40 of 64x48") && words.contains("because"),
+        "{words}"
+    );
+    let nowhere = mhsplat(&["info", "nowhere"]);
+    assert_eq!(nowhere.status.code(), Some(2));
 }
 
 fn nonsense_is_refused(run: &Path, dir: &Path) {

@@ -1,0 +1,212 @@
+//! `mhsplat info`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use crate::cli::common::{Common, Outcome};
+use crate::cli::{output, scene};
+use mhsplat::base::error::Result;
+use mhsplat::base::math::{order_statistic, sorted};
+use mhsplat::capture::{self, Dataset, Frame, Lens, View};
+use mhsplat::config::{Preset, TrainConfig};
+use mhsplat::run::{PlanRecord, RECORD_FILE, RunRecord};
+use mhsplat::scene::Plane;
+use mhsplat::train::Plan;
+
+/// Shares at which quantiles are given.
+const QUANTILES: [f64; 5] = [0.0, 0.05, 0.5, 0.95, 1.0];
+
+/// Arguments of `mhsplat info`.
+#[derive(clap::Args)]
+pub struct InfoArgs {
+    /// Dataset, run folder or scene file.
+    path: PathBuf,
+    /// Longest image side that training would use, pixels.
+    #[arg(long, value_name = "PX", default_value_t = TrainConfig::default().max_size)]
+    max_size: u32,
+    /// Every n-th image by name that training would hold out.
+    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().test_every)]
+    test_every: u32,
+    /// Take the photos' alpha for a mask.
+    #[arg(long)]
+    alpha_is_mask: bool,
+}
+
+/// Describes a dataset, a run or a scene file; no device is needed.
+pub fn run(args: &InfoArgs, common: &Common) -> Result<Outcome> {
+    let (document, lines) = if args.path.join(RECORD_FILE).is_file() {
+        of_run(&RunRecord::read(&args.path)?)
+    } else if args.path.is_file() {
+        of_scene(&args.path)?
+    } else {
+        of_dataset(args)?
+    };
+    match common.json {
+        true => output::json(&document)?,
+        false => lines.iter().for_each(|line| output::line(line)),
+    }
+    Ok(Outcome::Done)
+}
+
+fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
+    let config = TrainConfig {
+        max_size: args.max_size,
+        test_every: args.test_every,
+        alpha_is_mask: args.alpha_is_mask,
+        iterations: Preset::Standard.iterations(),
+        ..TrainConfig::default()
+    };
+    config.validate()?;
+    let data = capture::load(&args.path, &scene::load_options(&config))?;
+    let plan = PlanRecord::of(&Plan::new(&data, &config)?);
+    scene::note_left_out(&data);
+    let sizes = counted(&data, |v| format!("{}x{}", v.camera.width, v.camera.height));
+    let lenses = counted(&data, |v| lens(&v.lens).to_owned());
+    let stops = brightness(&data)?;
+    let (train, test) = (data.train.len(), data.test.len());
+    let points = data.points.positions.len();
+    let (scale, center) = (data.frame.scale, data.frame.center.to_array());
+    let (layout, alpha) = (data.layout.to_string(), format!("{:?}", data.alpha()));
+    let alpha = alpha.to_lowercase();
+    let memory = data.photo_bytes();
+    let document = json!({
+        "path": data.path, "layout": layout, "training_views": train, "held_out_views": test, "sizes": sizes, "lenses": lenses,
+        "alpha": alpha, "brightness_stops": stops, "points": points, "extent": scale, "center": center, "photo_bytes": memory,
+        "photos_on_demand": data.photos_on_demand(), "missing": data.missing, "astray": data.outliers,
+        "masked_out": data.masked_out, "remarks": data.remarks, "plan": plan,
+    });
+    let words = |counts: &BTreeMap<String, usize>| {
+        let all = counts.iter().map(|(what, n)| format!("{n} of {what}"));
+        all.collect::<Vec<_>>().join(", ")
+    };
+    let on_demand = match data.photos_on_demand() {
+        true => ", more than there is: decoded on demand",
+        false => "",
+    };
+    let mut lines = vec![
+        format!(
+            "{}: {layout}, {train} training views, {test} held out",
+            data.path.display()
+        ),
+        format!("sizes in training: {}", words(&sizes)),
+        format!("lenses: {}", words(&lenses)),
+        format!("alpha: {alpha}"),
+        format!("brightness: 9 of 10 photos within {stops:.2} stops"),
+        format!("points: {points}"),
+        format!("extent: {scale:.4} around {center:.4?}, in the dataset's units"),
+        format!("memory of the photos: {} MiB{on_demand}", memory >> 20),
+    ];
+    lines.extend(plan.summary(true));
+    Ok((document, lines))
+}
+
+/// Number of views by a property.
+fn counted(data: &Dataset, of: impl Fn(&View) -> String) -> BTreeMap<String, usize> {
+    let mut counts = BTreeMap::new();
+    for view in data.views() {
+        *counts.entry(of(view)).or_default() += 1;
+    }
+    counts
+}
+
+fn lens(lens: &Lens) -> &'static str {
+    match lens {
+        Lens::Pinhole => "no distortion",
+        Lens::Perspective { .. } => "perspective distortion",
+        Lens::Fisheye { .. } => "fisheye",
+    }
+}
+
+/// Binary logarithm of the mean brightness of photos at 95 % over that at 5 % of them.
+fn brightness(data: &Dataset) -> Result<f64> {
+    let views: Vec<&View> = data.views().collect();
+    let mean = |view: &&View| -> Result<f64> {
+        let photo = view.photo.load()?;
+        let pixels = photo.width as usize * photo.height as usize;
+        let colors = photo.data.iter().take(3 * pixels);
+        let sum: u64 = colors.map(|v| u64::from(*v)).sum();
+        // A black photo is as dark as one of the darkest grey.
+        Ok((sum as f64 / (3 * pixels) as f64).max(1.0))
+    };
+    let means = views.par_iter().map(mean).collect::<Result<Vec<f64>>>()?;
+    let means = sorted(means.into_iter());
+    let at = |share: f64| order_statistic(&means, share).unwrap_or(1.0);
+    Ok((at(0.95) / at(0.05)).log2())
+}
+
+fn of_run(record: &RunRecord) -> (Value, Vec<String>) {
+    let (mean, r) = (record.final_scores.as_ref().map(|f| f.mean), record);
+    let document = json!({
+        "version": r.version, "commit": r.commit, "dataset": r.dataset, "device": r.device, "config": r.config,
+        "iterations": r.iterations, "planned_iterations": r.config.last_iterations(), "gaussians": r.gaussians,
+        "train_seconds": r.train_seconds, "wall_seconds": r.wall_seconds, "cpu_seconds": r.cpu_seconds,
+        "peak_rss_bytes": r.peak_rss_bytes, "scores": mean, "plan": r.plan,
+    });
+    let d = &r.dataset;
+    let mut lines = vec![
+        format!(
+            "{} of {} iterations, {} Gaussians, {:.1} s ({:.1} CPU s of training)",
+            r.iterations,
+            r.config.last_iterations(),
+            r.gaussians,
+            r.wall_seconds,
+            r.cpu_seconds
+        ),
+        format!(
+            "{} ({}): {} training views, {} held out, to {}x{}",
+            d.path, d.layout, d.train_views, d.test_views, d.width, d.height
+        ),
+        format!("device: {} ({})", r.device.name, r.device.platform),
+        format!("mhsplat {} ({})", r.version, r.commit),
+    ];
+    let score = mean.map(|m| format!("{:.3} dB, SSIM {:.4}, held out", m.psnr, m.ssim));
+    lines.extend(score);
+    lines.extend(r.plan.summary(false));
+    (document, lines)
+}
+
+fn of_scene(path: &Path) -> Result<(Value, Vec<String>)> {
+    let file = scene::read(path, &Frame::IDENTITY)?;
+    let splats = &file.splats;
+    let values = |first: usize, count: usize, of: fn(f64) -> f64| -> Vec<f64> {
+        let planes = splats.planes().iter().skip(first).take(count);
+        let values = planes.flatten().map(|v| of(f64::from(*v)));
+        let values = sorted(values);
+        let at = QUANTILES.iter().map(|q| order_statistic(&values, *q));
+        at.flatten().collect()
+    };
+    let axes: Vec<Vec<f64>> = (0..3)
+        .map(|k| values(Plane::POSITION + k, 1, |v| v))
+        .collect();
+    let opacity = values(Plane::OPACITY, 1, |v| 1.0 / (1.0 + (-v).exp()));
+    let scale = values(Plane::LOG_SCALE, 3, f64::exp);
+    let (count, degree) = (splats.len(), splats.sh_degree());
+    let document = json!({
+        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "saturated": file.saturated,
+        "quantiles": { "shares": QUANTILES, "x": axes[0], "y": axes[1], "z": axes[2], "opacity": opacity, "scale": scale },
+    });
+    let words = |values: &[f64]| {
+        let all = values.iter().map(|v| format!("{v:.4}"));
+        all.collect::<Vec<_>>().join("  ")
+    };
+    let filter = match file.anti_aliased {
+        true => "anti-aliased: to be rendered with the 2D filter",
+        false => "not anti-aliased",
+    };
+    let mut lines = vec![
+        format!(
+            "{}: {count} Gaussians, SH degree {degree}, {filter}",
+            path.display()
+        ),
+        "least, 5 %, median, 95 %, largest of".to_owned(),
+    ];
+    let rows = [("x", &axes[0]), ("y", &axes[1]), ("z", &axes[2])];
+    let rows = rows
+        .into_iter()
+        .chain([("opacity", &opacity), ("scale", &scale)]);
+    lines.extend(rows.map(|(name, values)| format!("  {name:<8} {}", words(values))));
+    Ok((document, lines))
+}
