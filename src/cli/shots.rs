@@ -9,10 +9,10 @@ use crate::cli::scene::{Loaded, PhotoOptions};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::base::files;
-use mhsplat::capture::{Camera, Frame, PhotoSource, View};
+use mhsplat::capture::{Camera, Frame, PhotoSource, View, up_axis};
 use mhsplat::config::from_json;
 use mhsplat::run::RunRecord;
-use mhsplat::scene::orbit::{fov_of, look_at, up_of};
+use mhsplat::scene::orbit::{fov_of, look_at};
 use mhsplat::scene::{Keyframe, Ring, Trajectory};
 
 /// Frames of a path along the training cameras.
@@ -295,7 +295,7 @@ impl<'a> Shots<'a> {
     fn through(&self, file: &PathFile, loaded: &Loaded) -> Result<Trajectory> {
         let own = match self.cameras.is_empty() {
             true => self.ring(loaded)?.up,
-            false => up_of(&self.cameras),
+            false => up_axis(&self.cameras),
         };
         let up = file.up.map(DVec3::from_array);
         let up = up

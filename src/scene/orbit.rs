@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec2, DVec3};
 
 use crate::base::math::{order_statistic, sorted, upper_median};
-use crate::capture::Camera;
+use crate::capture::{Camera, up_axis};
 
 /// Share of the largest circle within the cameras' hull that a [`Ring::inside`] has as its radius.
 const WITHIN: f64 = 0.9;
@@ -64,15 +64,6 @@ pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> DMat3 {
     DMat3::from_cols(x, z.cross(x), z).transpose()
 }
 
-/// Mean direction of the cameras' upper edges; against y, the direction of COLMAP's frames, if they have none in common.
-#[must_use]
-pub fn up_of(cameras: &[Camera]) -> DVec3 {
-    let sum: DVec3 = cameras.iter().map(|c| -c.rotation.row(1)).sum();
-    let clear = sum.length() > 0.1 * cameras.len() as f64;
-    let mean = clear.then(|| sum.normalize());
-    mean.unwrap_or(DVec3::NEG_Y)
-}
-
 impl Ring {
     /// A circle around the median of positions (`axes` = x, y, z of every Gaussian), over the plane in which they extend most, at
     /// 2.5 times the radius that holds 80 % of them along each axis.
@@ -112,7 +103,7 @@ impl Ring {
     pub fn inside(cameras: &[Camera]) -> Option<Self> {
         let centers: Vec<DVec3> = cameras.iter().map(Camera::center).collect();
         let middle = centers.iter().sum::<DVec3>() / centers.len() as f64;
-        let up = up_of(cameras);
+        let up = up_axis(cameras);
         let (u, v) = up.any_orthonormal_pair();
         let flat = |p: DVec3| DVec2::new((p - middle).dot(u), (p - middle).dot(v));
         let hull = hull(centers.iter().map(|c| flat(*c)).collect());
