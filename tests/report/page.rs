@@ -186,11 +186,11 @@ fn advice(change: impl FnOnce(&mut RunRecord), psnr: impl Fn(f64) -> f64) -> Str
     record.final_scores = None;
     record.dataset.missing.clear();
     change(&mut record);
-    let template = rows()[0].clone();
+    let template = rows()[0];
     let row = |k: u32| MetricsRow {
         iteration: 100 * k,
         psnr: Some(psnr(f64::from(k) / 20.0)),
-        ..template.clone()
+        ..template
     };
     let rows: Vec<MetricsRow> = (1..=20).map(row).collect();
     let text = page(&record, &rows, &[], &[]);
