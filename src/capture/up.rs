@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::capture::Camera;
+use crate::capture::camera::Camera;
 
 /// Weight of the mean of the cameras' own upward directions beside the demand that their x axes be level.
 const UPRIGHT: f64 = 0.01;

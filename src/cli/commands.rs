@@ -44,6 +44,7 @@ enum Make {
     #[command(after_help = "Example: mhsplat eval run")]
     Eval(eval::EvalArgs),
     /// Write a scene in another format, or a part of it.
+    #[command(after_help = "Example: mhsplat convert run scene.spz")]
     Convert(convert::ConvertArgs),
 }
 
