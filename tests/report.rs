@@ -2,6 +2,7 @@
 
 mod page;
 pub mod samples;
+mod script;
 
 use samples::*;
 

@@ -1,6 +1,6 @@
 //! `scene.html`: what is in it, and that it stands alone.
 
-mod browser;
+pub mod browser;
 pub mod pages;
 
 use std::fs;

@@ -63,6 +63,12 @@ pub fn run(args: &ConvertArgs, common: &Common) -> Result<Outcome> {
         splats = splats.with_sh_degree(degree)?;
     }
     let (kept, degree) = (splats.len(), splats.sh_degree());
+    if kept == 0 && found > 0 {
+        let what = format!("none of its {found} Gaussians is left");
+        let fix =
+            "look at --crop (the scene's own units; `mhsplat info` tells them) and --min-opacity";
+        return Err(Error::input(&input, what, fix));
+    }
     let scene = SceneFile { splats, ..file };
     let lost = formats::write(out, format, &scene, &Frame::IDENTITY)?;
     for what in &lost {

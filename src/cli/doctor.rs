@@ -13,7 +13,9 @@ pub fn run(common: &Common) -> Result<Outcome> {
     let found = examine();
     match common.json {
         true => output::json(&found)?,
-        false => lines(&found).iter().for_each(|line| output::line(line)),
+        false => lines(&found)
+            .iter()
+            .for_each(|line| output::line(&printable(line))),
     }
     match found.usable() {
         true => Ok(Outcome::Done),
@@ -27,6 +29,11 @@ pub fn run(common: &Common) -> Result<Outcome> {
 
 fn verdict(failure: Option<&String>) -> String {
     failure.map_or_else(|| "ok".to_owned(), |why| format!("NO: {why}"))
+}
+
+/// A line without what a terminal would act on: names of files, libraries and devices are others' text. JSON has escapes for it.
+fn printable(line: &str) -> String {
+    line.replace(char::is_control, " ")
 }
 
 /// The findings in words.

@@ -8,9 +8,10 @@ use serde_json::{Value, json};
 
 use crate::cli::common::{Common, Outcome};
 use crate::cli::{output, scene};
+use mhsplat::base::constants::LOG_SCALE;
 use mhsplat::base::error::Result;
-use mhsplat::base::math::{order_statistic, sorted};
-use mhsplat::capture::{self, Dataset, Frame, Lens, View};
+use mhsplat::base::math::{order_statistic, sigmoid, sorted};
+use mhsplat::capture::{self, Alpha, Dataset, Frame, Lens, View};
 use mhsplat::config::{Preset, TrainConfig};
 use mhsplat::run::{PlanRecord, RECORD_FILE, RunRecord};
 use mhsplat::scene::Plane;
@@ -120,7 +121,7 @@ fn lens(lens: &Lens) -> &'static str {
     }
 }
 
-/// Binary logarithm of the mean brightness of photos at 95 % over that at 5 % of them.
+/// Binary logarithm of the mean brightness of photos at 95 % over that at 5 % of them; of what is transparent or masked nothing counts.
 fn brightness(data: &Dataset) -> Result<f64> {
     let views: Vec<&View> = data.views().collect();
     let mean = |view: &&View| -> Result<f64> {
@@ -128,8 +129,14 @@ fn brightness(data: &Dataset) -> Result<f64> {
         let pixels = photo.width as usize * photo.height as usize;
         let colors = photo.data.iter().take(3 * pixels);
         let sum: u64 = colors.map(|v| u64::from(*v)).sum();
+        // Colours are those times the alpha.
+        let alpha = photo.data[3 * pixels..].iter().map(|v| u64::from(*v)).sum();
+        let counted = match photo.alpha {
+            Alpha::None => pixels as f64,
+            _ => u64::max(alpha, 1) as f64 / 255.0,
+        };
         // A black photo is as dark as one of the darkest grey.
-        Ok((sum as f64 / (3 * pixels) as f64).max(1.0))
+        Ok((sum as f64 / (3.0 * counted)).max(1.0))
     };
     let means = views.par_iter().map(mean).collect::<Result<Vec<f64>>>()?;
     let means = sorted(means.into_iter());
@@ -181,11 +188,13 @@ fn of_scene(path: &Path) -> Result<(Value, Vec<String>)> {
     let axes: Vec<Vec<f64>> = (0..3)
         .map(|k| values(Plane::POSITION + k, 1, |v| v))
         .collect();
-    let opacity = values(Plane::OPACITY, 1, |v| 1.0 / (1.0 + (-v).exp()));
-    let scale = values(Plane::LOG_SCALE, 3, f64::exp);
+    let opacity = values(Plane::OPACITY, 1, sigmoid);
+    let scale = values(Plane::LOG_SCALE, 3, |v| {
+        v.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp()
+    });
     let (count, degree) = (splats.len(), splats.sh_degree());
     let document = json!({
-        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "saturated": file.saturated,
+        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "up": file.up, "saturated": file.saturated,
         "quantiles": { "shares": QUANTILES, "x": axes[0], "y": axes[1], "z": axes[2], "opacity": opacity, "scale": scale },
     });
     let words = |values: &[f64]| {

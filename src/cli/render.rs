@@ -1,6 +1,7 @@
 //! `mhsplat render`.
 
 use std::collections::{BTreeMap, HashSet};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -37,7 +38,7 @@ enum What {
 #[derive(clap::Args)]
 pub struct RenderArgs {
     /// Scene: a file (PLY, compressed PLY, SPZ, .splat) or a run folder. Without --dataset, --held-out, --orbit or --path the views of a run are a smooth path along
-    /// its training cameras.
+    /// the cameras of its dataset.
     scene: PathBuf,
     /// Folder for the PNG files; must not exist.
     #[arg(short, long)]
@@ -89,7 +90,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
         (None, _) => None,
         (Some(file), Some(pattern)) => {
             check_encoder(args.what)?;
-            Some((file, pattern))
+            Some((video_path(file, &args.output)?, pattern))
         }
         (Some(_), None) => {
             let what = "the views of a dataset are no film; render an orbit or a path";
@@ -101,7 +102,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     let jobs = shots.jobs(&loaded)?;
     let written = write_all(args, &mut loaded, background, &jobs, frame.scale)?;
     if let Some((file, pattern)) = video {
-        encode(&args.output.join(pattern), args.shots.fps, file)?;
+        encode(&args.output, pattern, args.shots.fps, &file)?;
     }
     if common.json {
         output::json(&json!({
@@ -115,6 +116,23 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
         output::line(&format!("video: {}", file.display()));
     }
     Ok(Outcome::Done)
+}
+
+/// Absolute path of a video; refuses one that could not be written once the images are in their folder.
+fn video_path(file: &Path, images: &Path) -> Result<PathBuf> {
+    let absolute = |path: &Path| std::path::absolute(path).map_err(|e| Error::io(path, e));
+    let (whole, images) = (absolute(file)?, absolute(images)?);
+    let fix = "give --video a file name in a folder that is there, or make that folder";
+    let refused = |what: &str| Err(Error::input(file, what, fix));
+    if whole == images {
+        return refused("is the folder of the images, and cannot be the video, too");
+    }
+    match whole.parent() {
+        Some(folder) if whole.file_name().is_some() && (folder == images || folder.is_dir()) => {
+            Ok(whole)
+        }
+        _ => refused("the folder of the video does not exist"),
+    }
 }
 
 /// Refuses to begin what could not be ended.
@@ -136,14 +154,17 @@ fn check_encoder(what: What) -> Result<()> {
     }
 }
 
-/// Encodes numbered images as H.264, or whatever the ending of the file asks for; the file is there as a whole or not at all.
-fn encode(pattern: &Path, fps: u32, file: &Path) -> Result<()> {
-    let name = file.file_name().unwrap_or_default().to_string_lossy();
+/// Encodes numbered images of a folder as H.264, or whatever the ending of the file, an absolute path, asks for; the file is there as
+/// a whole or not at all.
+fn encode(folder: &Path, pattern: &str, fps: u32, file: &Path) -> Result<()> {
     // FFmpeg tells the format by the ending.
-    let partial = file.with_file_name(format!(".{}.{name}", std::process::id()));
+    let mut name = OsString::from(format!(".{}.", std::process::id()));
+    name.push(file.file_name().unwrap_or_default());
+    let partial = file.with_file_name(name);
     let mut command = Command::new("ffmpeg");
     command.args(["-v", "error", "-n", "-framerate", &fps.to_string(), "-i"]);
-    command.arg(pattern);
+    // From within the folder: a % in its name would be part of the pattern.
+    command.arg(pattern).current_dir(folder);
     // Players want even sizes and this form of colour.
     let even = "pad=ceil(iw/2)*2:ceil(ih/2)*2,format=yuv420p";
     command.args(["-vf", even]).arg(&partial);

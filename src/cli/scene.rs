@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::cli::{common, output, progress};
+use glam::DVec3;
+
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
 use mhsplat::capture::{Camera, Dataset, Frame, LoadOptions, View};
@@ -18,6 +20,8 @@ pub struct Loaded {
     pub device: Device,
     pub scene: GaussianBuffers,
     pub renderer: Renderer,
+    /// Direction away from the ground, if the file tells.
+    pub up: Option<DVec3>,
 }
 
 /// Returns the scene file at `path` (a file or a run folder), and the run's record.
@@ -225,6 +229,7 @@ pub fn open(path: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> 
         device,
         scene,
         renderer,
+        up: file.up.and_then(|up| DVec3::from(up).try_normalize()),
     })
 }
 

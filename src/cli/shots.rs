@@ -15,10 +15,10 @@ use mhsplat::run::RunRecord;
 use mhsplat::scene::orbit::{fov_of, look_at};
 use mhsplat::scene::{Keyframe, Ring, Trajectory};
 
-/// Frames of a path along the training cameras.
+/// Frames of a path along the dataset's cameras.
 const FRAMES: u32 = 120;
 
-/// Frames of a path at most.
+/// Frames of a path or an orbit at most.
 const MOST_FRAMES: u32 = 100_000;
 
 /// Size of images that no photo suggests, pixels.
@@ -56,12 +56,12 @@ pub struct ShotOptions {
     #[arg(long, conflicts_with_all = ["orbit", "path", "frames"])]
     held_out: bool,
     /// Render N views on a circle within the cameras of the dataset; of a PLY file alone, around the scene.
-    #[arg(long, value_name = "N", conflicts_with_all = ["path", "frames"], value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", conflicts_with_all = ["path", "frames"], value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_FRAMES)))]
     orbit: Option<u32>,
     /// Render a path through keyframes: position, look_at or rotation, fov, time.
     #[arg(long, value_name = "FILE.json")]
     path: Option<PathBuf>,
-    /// Number of frames of the path [default: 120 along the training cameras, --fps times its seconds for --path].
+    /// Number of frames of the path [default: 120 along the dataset's cameras, --fps times its seconds for --path].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_FRAMES)))]
     frames: Option<u32>,
     /// Frames per second of --path and --video.
@@ -73,7 +73,7 @@ pub struct ShotOptions {
     /// Height of images of an orbit or a path, pixels [default: the photos']
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..=i64::from(LARGEST)))]
     height: Option<u32>,
-    /// Horizontal field of view of an orbit or a path, degrees [default: the photos']
+    /// Horizontal field of view of an orbit or a path, degrees, before that of the path's file [default: the photos']
     #[arg(long, value_name = "DEG", value_parser = degrees)]
     fov: Option<f64>,
     /// Centre of the orbit, which it looks at, in the dataset's units.
@@ -85,7 +85,8 @@ pub struct ShotOptions {
     /// Height of the orbit over its centre, in the dataset's units.
     #[arg(long, value_name = "H", value_parser = output::finite, requires = "orbit")]
     orbit_height: Option<f64>,
-    /// Direction that is up, in the dataset's frame [default: the cameras' mean]
+    /// Direction that is up for --orbit and --path, in the dataset's frame, before that of the path's file [default: that to which the cameras' x axes are most nearly
+    /// perpendicular]
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true)]
     up: Option<DVec3>,
 }
@@ -99,6 +100,32 @@ enum Kind {
     Views,
     Orbit(u32),
     Path,
+}
+
+impl ShotOptions {
+    /// Refuses options that would have no effect on views of a kind.
+    fn check(&self, kind: Kind) -> Result<()> {
+        let photos = kind == Kind::Views;
+        let along = kind == Kind::Path && self.path.is_none();
+        let refused = [
+            ("--width", photos && self.width.is_some()),
+            ("--height", photos && self.height.is_some()),
+            ("--fov", photos && self.fov.is_some()),
+            ("--up", (photos || along) && self.up.is_some()),
+        ];
+        let Some((name, _)) = refused.into_iter().find(|(_, refused)| *refused) else {
+            return Ok(());
+        };
+        let what = match photos {
+            true => {
+                "the views of a dataset are those of its photos (--max-size: how large); give --orbit or --path, or leave it out"
+            }
+            false => {
+                "a path along the dataset's cameras is turned as they are; give --orbit or --path, or leave it out"
+            }
+        };
+        Err(Error::config(name, what))
+    }
 }
 
 /// Views to render, as far as they are known before the scene is.
@@ -116,7 +143,7 @@ pub struct Shots<'a> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PathFile {
-    /// Direction that is up; that of the command line else.
+    /// Direction that is up, unless the command line says another.
     up: Option<[f64; 3]>,
     /// Horizontal field of view, degrees.
     fov: Option<f64>,
@@ -161,6 +188,7 @@ impl<'a> Shots<'a> {
                 "a photo to compare with is needed; leave --orbit, --path and --frames out",
             ));
         }
+        options.check(kind)?;
         let mut shots = Self {
             options,
             kind,
@@ -211,9 +239,7 @@ impl<'a> Shots<'a> {
             (Kind::Orbit(n), _) => Ok(named(self.orbit(loaded, n, size)?, "orbit")),
             (Kind::Path, Some(file)) => {
                 let path = self.through(file, loaded)?;
-                let seconds = path.duration() * f64::from(self.options.fps);
-                let frames = (seconds.round() + 1.0).min(f64::from(MOST_FRAMES)) as u32;
-                let frames = self.options.frames.unwrap_or(frames);
+                let frames = self.frames_of(&path)?;
                 Ok(named(path.cameras(frames, size), "frame"))
             }
             (Kind::Path, None) => {
@@ -260,22 +286,38 @@ impl<'a> Shots<'a> {
         asked.unwrap_or_else(|| fov_of(&self.cameras))
     }
 
-    /// Unit vector that is asked for to be up.
-    fn up(&self) -> Result<Option<DVec3>> {
-        let unit = |up: DVec3| {
-            let zero = || Error::config("--up", "a direction expected, not 0,0,0");
-            up.try_normalize().ok_or_else(zero)
-        };
-        self.options.up.map(unit).transpose()
+    /// Frames of a path through keyframes: those asked for, else one for every step of its seconds.
+    fn frames_of(&self, path: &Trajectory) -> Result<u32> {
+        let frames = (path.duration() * f64::from(self.options.fps)).round() + 1.0;
+        match self.options.frames {
+            Some(frames) => Ok(frames),
+            None if frames <= f64::from(MOST_FRAMES) => Ok(frames as u32),
+            None => {
+                let seconds = path.duration();
+                let what = format!(
+                    "its {seconds} s have more than {MOST_FRAMES} frames; give --frames, a smaller --fps, or a path of shorter times"
+                );
+                Err(Error::config("--path", what))
+            }
+        }
     }
 
-    /// The circle within the cameras, without them around the scene.
+    /// Unit vector that is asked for to be up.
+    fn up(&self) -> Result<Option<DVec3>> {
+        self.options.up.map(|up| unit("--up", up)).transpose()
+    }
+
+    /// The circle within the cameras, without them around the scene, upright as its file says if it does.
     fn ring(&self, loaded: &Loaded) -> Result<Ring> {
         if let Some(ring) = Ring::inside(&self.cameras) {
             return Ok(ring);
         }
         let [x, y, z] = [0, 1, 2].map(|k| loaded.scene.plane(k));
-        Ok(Ring::around([&x?, &y?, &z?]))
+        let around = Ring::around([&x?, &y?, &z?]);
+        Ok(Ring {
+            up: loaded.up.unwrap_or(around.up),
+            ..around
+        })
     }
 
     fn orbit(&self, loaded: &Loaded, n: u32, size: [u32; 2]) -> Result<Vec<Camera>> {
@@ -297,11 +339,8 @@ impl<'a> Shots<'a> {
             true => self.ring(loaded)?.up,
             false => up_axis(&self.cameras),
         };
-        let up = file.up.map(DVec3::from_array);
-        let up = up
-            .filter(|up| up.length() > 0.0)
-            .or(self.up()?)
-            .unwrap_or(own);
+        let of_file = file.up.map(|up| unit("up", DVec3::from_array(up)));
+        let up = self.up()?.or(of_file.transpose()?).unwrap_or(own);
         let mut keyframes: Vec<Keyframe> = Vec::with_capacity(file.keyframes.len());
         for (k, entry) in file.keyframes.iter().enumerate() {
             let eye = DVec3::from_array(entry.position);
@@ -316,16 +355,21 @@ impl<'a> Shots<'a> {
                 }
             };
             let next = keyframes.last().map_or(0.0, |before| before.time + 1.0);
-            let fov = entry.fov.or(file.fov).map(f64::to_radians);
+            let fov = self.options.fov.or(entry.fov).or(file.fov);
             keyframes.push(Keyframe {
                 time: entry.time.unwrap_or(next),
                 position: self.frame.to_local(eye),
                 rotation,
-                fov: fov.unwrap_or_else(|| self.fov()),
+                fov: fov.map_or_else(|| self.fov(), f64::to_radians),
             });
         }
         Trajectory::new(&keyframes)
     }
+}
+
+fn unit(name: &str, up: DVec3) -> Result<DVec3> {
+    let zero = || Error::config(name, "a direction expected, not 0,0,0");
+    up.try_normalize().ok_or_else(zero)
 }
 
 fn read_path(file: &Path) -> Result<PathFile> {

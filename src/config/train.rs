@@ -173,6 +173,8 @@ impl TrainConfig {
             "--iterations",
             "0; at least 1 expected",
         )?;
+        let others = !self.export.contains(&SceneFormat::Ply);
+        check(others, "--export", "scene.ply is written anyway")?;
         let what = format!("{}; 0 to 3 expected", self.sh_degree);
         check(self.sh_degree <= 3, "--sh-degree", &what)?;
         let what = format!("{}; 16 to 65535 expected", self.max_size);

@@ -2,6 +2,7 @@
 
 use std::ffi::OsStr;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -12,11 +13,14 @@ use crate::device::{Defines, Device, DeviceInfo, Kernels, libraries};
 /// Folder of the files that name drivers.
 const VENDORS: &str = "/etc/OpenCL/vendors";
 
-/// Variables that name a folder of such files, or one file, in the place of [`VENDORS`].
+/// Variables that name a folder of such files, one file, or a library, in the place of [`VENDORS`].
 const VENDOR_VARIABLES: [&str; 2] = ["OCL_ICD_VENDORS", "OPENCL_VENDOR_PATH"];
 
 /// Variable that names libraries of drivers themselves.
 const FILENAMES_VARIABLE: &str = "OCL_ICD_FILENAMES";
+
+/// Folder of the limits of containers.
+const CGROUPS: &str = "/sys/fs/cgroup";
 
 /// Device files of GPUs, by the beginnings of their names in a folder.
 const NODES: [(&str, &[&str]); 2] = [
@@ -78,6 +82,8 @@ pub struct Node {
     pub group: Option<String>,
     /// Why it cannot be opened; `None` if it can.
     pub failure: Option<String>,
+    /// True if it is the permissions that keep it from being opened.
+    pub denied: bool,
 }
 
 /// A limit of the process or of its container.
@@ -94,7 +100,7 @@ pub struct Limit {
 pub struct Findings {
     /// Libraries of OpenCL's loader in the process; empty where the system does not tell.
     pub loader: Vec<PathBuf>,
-    /// Folders or files that name drivers.
+    /// Folders, files or libraries in which drivers are looked for.
     pub vendors: Vec<PathBuf>,
     /// Drivers named there.
     pub drivers: Vec<Driver>,
@@ -159,17 +165,26 @@ fn vendor_places(variable: impl Fn(&str) -> Option<String>) -> Vec<PathBuf> {
     }
 }
 
-/// Drivers that a file, or every file of a folder, names.
+/// Drivers that a place names, as loaders take it: every file of a folder that ends in `.icd`, one such file, which is in [`VENDORS`] if
+/// no folder is given, or else a library itself.
 fn drivers_of(place: &Path) -> Vec<Driver> {
+    let is_icd = |file: &Path| file.extension().is_some_and(|e| e == "icd");
     let mut files: Vec<PathBuf> = match place.is_dir() {
         true => {
             let entries = fs::read_dir(place).into_iter().flatten().flatten();
             let files = entries.map(|entry| entry.path());
-            files
-                .filter(|f| f.extension().is_some_and(|e| e == "icd"))
-                .collect()
+            files.filter(|file| is_icd(file)).collect()
         }
-        false => vec![place.to_path_buf()],
+        false if is_icd(place) && place.components().count() == 1 => {
+            vec![Path::new(VENDORS).join(place)]
+        }
+        false if is_icd(place) => vec![place.to_path_buf()],
+        // Systems without a driver have no such folder.
+        false if place == Path::new(VENDORS) => Vec::new(),
+        false => {
+            let variables = VENDOR_VARIABLES.join(" or ");
+            return vec![driver(&variables, &place.to_string_lossy())];
+        }
     };
     files.sort();
     let named = |file: &PathBuf| match crate::base::files::read(file) {
@@ -238,9 +253,13 @@ fn nodes(folder: &str, names: &[&str]) -> Vec<Node> {
     paths.sort();
     let node = |path: PathBuf| {
         let opened = fs::OpenOptions::new().read(true).write(true).open(&path);
+        let failure = opened.err();
         Node {
             group: group_of(&path),
-            failure: opened.err().map(|e| e.to_string()),
+            denied: failure
+                .as_ref()
+                .is_some_and(|e| e.kind() == ErrorKind::PermissionDenied),
+            failure: failure.map(|e| e.to_string()),
             path,
         }
     };
@@ -280,17 +299,13 @@ fn limits() -> Vec<Limit> {
     }
     let own = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
     let own = own.lines().find_map(|l| l.strip_prefix("0::/"));
-    let group = Path::new("/sys/fs/cgroup").join(own.unwrap_or(""));
-    for (name, file) in [("memory", "memory.max"), ("processes", "pids.max")] {
-        let places = group
-            .ancestors()
-            .take_while(|p| p.starts_with("/sys/fs/cgroup"));
-        let value = places
-            .map(|p| p.join(file))
-            .find_map(|f| fs::read_to_string(f).ok());
-        if let Some(value) = value {
-            add(&format!("container, {name}"), &value);
-        }
+    let root = Path::new(CGROUPS);
+    let group = root.join(own.unwrap_or(""));
+    if let Some(bytes) = smallest(root, &group, "memory.max") {
+        add("container, memory", &format!("{} MiB", bytes >> 20));
+    }
+    if let Some(count) = smallest(root, &group, "pids.max") {
+        add("container, processes", &count.to_string());
     }
     let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
     if let Some(bytes) = crate::capture::source::parse_available(&memory) {
@@ -299,22 +314,34 @@ fn limits() -> Vec<Limit> {
     all
 }
 
+/// Smallest number in the files of that name from a group of processes up to the root of all, each of which holds for what is below it;
+/// `None` if none of them limits anything (`max`).
+fn smallest(root: &Path, group: &Path, file: &str) -> Option<u64> {
+    let places = group.ancestors().take_while(|p| p.starts_with(root));
+    let texts = places.filter_map(|p| fs::read_to_string(p.join(file)).ok());
+    texts.filter_map(|text| text.trim().parse().ok()).min()
+}
+
 /// What to do about findings.
 fn advice(f: &Findings) -> Vec<String> {
     let mut advice = Vec::new();
     for d in f.drivers.iter().filter(|d| d.failure.is_some()) {
         let why = d.failure.clone().unwrap_or_default();
         advice.push(format!(
-            "the driver that {} names does not load ({why}): install what it lacks, or remove that file",
+            "the driver that {} names does not load ({why}): install what it lacks, or do not name it there",
             d.named_by
         ));
     }
-    for n in f.nodes.iter().filter(|n| n.failure.is_some()) {
-        let group = n.group.clone().unwrap_or_else(|| "render".into());
-        advice.push(format!(
-            "{} may not be opened: become a member of its group (`sudo usermod -aG {group} $USER`, then log in again), or pass the device to the container",
-            n.path.display()
-        ));
+    for n in &f.nodes {
+        let Some(why) = &n.failure else { continue };
+        let path = n.path.display();
+        let group = n.group.as_deref().unwrap_or("render");
+        advice.push(match n.denied {
+            true => format!(
+                "{path} may not be opened: become a member of its group (`sudo usermod -aG {group} $USER`, then log in again), or pass the device to the container"
+            ),
+            false => format!("{path} cannot be opened: {why}"),
+        });
     }
     for d in f.devices.iter().filter(|d| d.failure.is_some()) {
         let why = d.failure.clone().unwrap_or_default();
@@ -357,7 +384,9 @@ fn distribution(release: &str) -> Option<&'static str> {
 
 #[cfg(test)]
 mod tests {
-    use super::{INSTALL, distribution, drivers_of, vendor_places};
+    use std::path::Path;
+
+    use super::{INSTALL, VENDORS, distribution, drivers_of, smallest, vendor_places};
 
     #[test]
     fn systems_are_known_by_what_they_are_like() {
@@ -392,6 +421,29 @@ mod tests {
         assert!(found[1].failure.as_ref().unwrap().contains("no library"));
         let one = drivers_of(&dir.path().join("gone.icd"));
         assert!(one[0].failure.is_some());
+        let bare = drivers_of(Path::new("there-is-none.icd"));
+        assert!(bare[0].named_by.starts_with(VENDORS) && bare[0].failure.is_some());
+        // What is no folder and does not end so is a library, and no text that names one.
+        let library = dir.path().join("c.txt");
+        let direct = drivers_of(&library);
+        assert_eq!(direct[0].library, library.to_str().unwrap());
+        assert!(direct[0].failure.is_some());
+        let named = drivers_of(Path::new("libthere-is-none.so.7"));
+        assert_eq!(named[0].library, "libthere-is-none.so.7");
+    }
+
+    #[test]
+    fn the_smallest_limit_above_a_process_holds() {
+        let dir = tempfile::tempdir().unwrap();
+        let (root, group) = (dir.path(), dir.path().join("a/b"));
+        std::fs::create_dir_all(&group).unwrap();
+        let write = |place: &Path, text: &str| std::fs::write(place.join("m"), text).unwrap();
+        write(&group, "max\n");
+        assert_eq!(smallest(root, &group, "m"), None);
+        write(&root.join("a"), "4096\n");
+        write(root, "8192\n");
+        assert_eq!(smallest(root, &group, "m"), Some(4096));
+        assert_eq!(smallest(&group, &group, "m"), None);
     }
 
     #[test]

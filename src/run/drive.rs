@@ -164,13 +164,17 @@ impl Run {
         self.save(true, true)?;
         self.write_trace()?;
         self.report()?;
-        // Last of all: a scene that a format cannot hold spoils nothing else.
-        if !self.config.export.is_empty() {
-            let scene = self.trainer.splats()?;
-            self.exports
-                .write_others(&self.dir, &self.config.export, scene)?;
+        self.export_others()
+    }
+
+    /// Writes the other formats that are asked for: at every end of a session, so that none is older than `scene.ply`.
+    fn export_others(&mut self) -> Result<()> {
+        if self.config.export.is_empty() {
+            return Ok(());
         }
-        Ok(())
+        let scene = self.trainer.splats()?;
+        self.exports
+            .write_others(&self.dir, &self.config.export, scene)
     }
 
     /// Iterations of the whole run as they are planned now.
@@ -332,7 +336,8 @@ impl Run {
     fn interrupt(&mut self) -> Result<()> {
         self.trainer.settle()?;
         self.save(true, true)?;
-        self.write_record()
+        self.write_record()?;
+        self.export_others()
     }
 
     /// Scores the held-out views; the `last` evaluation takes FLIP, too.
@@ -454,7 +459,7 @@ impl Run {
             self.evaluator.as_ref(),
             self.record.final_scores.as_ref(),
             background,
-        )?;
+        );
         let title = folder_name(&self.record.dataset.path);
         let remarks = self
             .exports

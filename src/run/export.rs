@@ -41,16 +41,13 @@ impl Exports {
     }
 
     /// Adds the photos of held-out views to those of the page, some of them evenly where there are many, and the scores of the last
-    /// evaluation.
-    ///
-    /// # Errors
-    /// A photo that cannot be read.
+    /// evaluation. A photo that cannot be read is left out: the scene is to be saved whatever becomes of photos.
     pub(super) fn add_views(
         &mut self,
         evaluator: Option<&Evaluator>,
         scores: Option<&FinalRecord>,
         background: [f32; 3],
-    ) -> Result<()> {
+    ) {
         let scores = scores.iter().flat_map(|f| &f.per_view);
         let scores: HashMap<&str, [f64; 2]> = scores
             .map(|v| (v.view.as_str(), [v.scores.psnr, v.scores.ssim]))
@@ -59,22 +56,25 @@ impl Exports {
             view.scores = scores.get(view.name.as_str()).copied();
         }
         let Some(evaluator) = evaluator else {
-            return Ok(());
+            return;
         };
         let n = evaluator.views().len();
         let shown = n.min(viewer::MAX_PHOTOS);
+        let uri = |k: usize, name: &str| {
+            let photo = evaluator.views().read_photo(k)?;
+            let rgb = photo.shown(background);
+            viewer::photo_uri(name, &rgb, photo.width, photo.height)
+        };
+        let mut there = 0;
         for k in (0..shown).map(|k| k * n / shown) {
             let view = &mut self.views[k];
             if view.photo.is_none() {
-                let photo = evaluator.views().read_photo(k)?;
-                let rgb = photo.shown(background);
-                let uri = viewer::photo_uri(&view.name, &rgb, photo.width, photo.height)?;
-                view.photo = Some(uri);
+                view.photo = uri(k, &view.name).ok();
             }
+            there += usize::from(view.photo.is_some());
         }
-        self.pictured = (shown < n)
-            .then(|| format!("The page has the photos of {shown} of {n} held-out views."));
-        Ok(())
+        self.pictured = (there < n)
+            .then(|| format!("The page has the photos of {there} of {n} held-out views."));
     }
 
     fn scene(&self, splats: &Gaussians, filter: &[f32]) -> Result<SceneFile> {
@@ -113,10 +113,10 @@ impl Exports {
         Ok(remarks)
     }
 
-    /// Writes the scene in other formats beside `scene.ply`.
+    /// Writes the scene in other formats beside `scene.ply`. One that cannot hold it, or be written, is remarked and spoils nothing else.
     ///
     /// # Errors
-    /// Those of [`formats::write`].
+    /// Those of [`SceneFile::trained`].
     pub(super) fn write_others(
         &mut self,
         dir: &Path,
@@ -126,11 +126,16 @@ impl Exports {
         let scene = self.scene(&splats, &filter)?;
         for format in asked {
             let file = dir.join(format!("scene{}", formats::ending(*format)));
-            let lost = formats::write(&file, *format, &scene, &self.frame)?;
-            let lost = lost
-                .iter()
-                .map(|what| format!("{}: {what}", file.display()));
-            self.remarks.extend(lost);
+            let name = file.display();
+            match formats::write(&file, *format, &scene, &self.frame) {
+                Ok(lost) => {
+                    let lost = lost.iter().map(|what| format!("{name}: {what}"));
+                    self.remarks.extend(lost);
+                }
+                Err(error) => self
+                    .remarks
+                    .push(format!("{name} was not written: {error}")),
+            }
         }
         Ok(())
     }

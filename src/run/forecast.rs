@@ -36,7 +36,7 @@ const SCORED: f64 = 0.4;
 /// and fox at 480 px, herz-jesus at 640: 0.5 to 0.65), and seconds of the files.
 const PICTURES: f64 = 0.6;
 const LARGEST_PICTURES: (u64, u64) = (6, 410_000);
-const FILES: f64 = 0.1;
+const FILES: f64 = 0.25;
 
 /// Share of a run's time that evaluations on the way take at most unless they are asked for.
 const EVALUATIONS: f64 = 0.05;

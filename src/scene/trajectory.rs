@@ -57,7 +57,7 @@ impl Trajectory {
                 return wrong(k, "its position is not finite");
             }
             if !FOV.contains(&key.fov) {
-                return wrong(k, "its field of view is not between 0.1 and 175 degrees");
+                return wrong(k, "its field of view is not between 0.06 and 177.6 degrees");
             }
             let norm = key.rotation.length();
             if !(norm.is_finite() && norm > 1e-9) {

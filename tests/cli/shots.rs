@@ -154,7 +154,7 @@ fn runs_are_filmed() {
         done(&[&["render", run, "-o", text(&out(name))], more].concat());
         files(&out(name))
     };
-    // Without a word about views: along the training cameras, in the photos' shape.
+    // Without a word about views: along the dataset's cameras, in the photos' shape.
     let names = render("along", &["--frames", "3"]);
     assert_eq!(
         names,
@@ -216,6 +216,57 @@ fn runs_are_filmed() {
         largest == u16::MAX && (0.1..100.0).contains(&depth),
         "{depth}"
     );
+    wrong_shots_are_refused(run, dir.path());
+    #[cfg(unix)]
+    filmed(run, dir.path());
+}
+
+/// Videos by a program of that name: one that copies its input, one that fails, and none.
+#[cfg(unix)]
+fn filmed(run: &str, dir: &Path) {
+    use std::os::unix::fs::PermissionsExt;
+    let (bin, video) = (dir.join("bin"), dir.join("film.mp4"));
+    fs::create_dir(&bin).unwrap();
+    let film = |name: &str, video: &Path, path: &Path| {
+        let mut command = program();
+        command.args(["render", run, "--frames", "2", "-o", text(&dir.join(name))]);
+        command.args(["--video", text(video)]).env("PATH", path);
+        command.output().unwrap()
+    };
+    let none = film("none", &video, &bin);
+    assert_eq!(none.status.code(), Some(2));
+    assert!(stderr(&none).contains("ffmpeg is not on the path") && !dir.join("none").exists());
+    let write = |script: &str| {
+        fs::write(bin.join("ffmpeg"), script).unwrap();
+        fs::set_permissions(bin.join("ffmpeg"), fs::Permissions::from_mode(0o755)).unwrap();
+    };
+    write("#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no encoder >&2\nexit 1\n");
+    let failed = film("failed", &video, &bin);
+    assert_eq!(failed.status.code(), Some(2));
+    assert!(stderr(&failed).contains("no encoder") && !video.exists());
+    assert_eq!(files(&dir.join("failed")).len(), 2, "the images are kept");
+    write(
+        "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\n[ -f frame_0001.png ] || exit 1\nfor last; do :; done\necho \"$@\" > \"$last\"\n",
+    );
+    let made = film("100%d", &video, &bin);
+    assert_eq!(made.status.code(), Some(0), "{}", stderr(&made));
+    let asked = fs::read_to_string(&video).unwrap();
+    assert!(asked.contains("-framerate 30 -i frame_%04d.png"), "{asked}");
+    let again = film("again", &video, &bin);
+    assert_eq!(again.status.code(), Some(2), "nothing is overwritten");
+    let within = film("within", &dir.join("within/film.mp4"), &bin);
+    assert_eq!(within.status.code(), Some(0), "{}", stderr(&within));
+    for nowhere in ["gone/film.mp4", "lost"] {
+        let lost = film("lost", &dir.join(nowhere), &bin);
+        assert_eq!(lost.status.code(), Some(2));
+        assert!(stderr(&lost).contains("folder") && !dir.join("lost").exists());
+    }
+}
+
+/// Nothing is rendered of what could not be as it is asked for.
+fn wrong_shots_are_refused(run: &str, dir: &Path) {
+    let out = |name: &str| dir.join(name);
+    let file = out("path.json");
     for (wrong, said) in [
         ("{}", "keyframes"),
         ("{\"keyframes\": []}", "at least one"),
@@ -228,6 +279,14 @@ fn runs_are_filmed() {
             "path.json",
         ),
         ("{\"keyframes\": [{\"where\": 1}]}", "where"),
+        (
+            "{\"up\": [0, 0, 0], \"keyframes\": [{\"position\": [0, 0, 0], \"look_at\": [1, 0, 0]}]}",
+            "not 0,0,0",
+        ),
+        (
+            "{\"keyframes\": [{\"position\": [0, 0, 0], \"rotation\": [1, 0, 0, 0]}, {\"position\": [1, 0, 0], \"rotation\": [1, 0, 0, 0], \"time\": 1e6}]}",
+            "100000 frames",
+        ),
     ] {
         fs::write(&file, wrong).unwrap();
         let output = mhsplat(&["render", run, "-o", text(&out("no")), "--path", text(&file)]);
@@ -240,6 +299,14 @@ fn runs_are_filmed() {
         (&["--what", "error", "--frames", "2"], "--what error"),
         (&["--center", "0,0,0"], "--orbit"),
         (&["--held-out", "--video", "x.mp4"], "--video"),
+        (&["--orbit", "4000000000"], "4000000000"),
+        (&["--orbit", "100001"], "100001"),
+        // What would have no effect.
+        (&["--held-out", "--fov", "60"], "--fov"),
+        (&["--held-out", "--width", "64"], "--width"),
+        (&["--what", "error", "--height", "64"], "--height"),
+        (&["--held-out", "--up", "0,1,0"], "--up"),
+        (&["--up", "0,1,0"], "--up"),
     ] {
         let output = mhsplat(&[&["render", run, "-o", text(&out("no"))], wrong].concat());
         assert_eq!(output.status.code(), Some(2), "{wrong:?}");
@@ -249,44 +316,4 @@ fn runs_are_filmed() {
             stderr(&output)
         );
     }
-    #[cfg(unix)]
-    filmed(run, dir.path());
-}
-
-/// Videos by a program of that name: one that copies its input, one that fails, and none.
-#[cfg(unix)]
-fn filmed(run: &str, dir: &Path) {
-    use std::os::unix::fs::PermissionsExt;
-    let (bin, video) = (dir.join("bin"), dir.join("film.mp4"));
-    fs::create_dir(&bin).unwrap();
-    let film = |name: &str, path: &Path| {
-        let mut command = program();
-        command.args(["render", run, "--frames", "2", "-o", text(&dir.join(name))]);
-        command.args(["--video", text(&video)]).env("PATH", path);
-        command.output().unwrap()
-    };
-    let none = film("none", &bin);
-    assert_eq!(none.status.code(), Some(2));
-    assert!(stderr(&none).contains("ffmpeg is not on the path") && !dir.join("none").exists());
-    let write = |script: &str| {
-        fs::write(bin.join("ffmpeg"), script).unwrap();
-        fs::set_permissions(bin.join("ffmpeg"), fs::Permissions::from_mode(0o755)).unwrap();
-    };
-    write("#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no encoder >&2\nexit 1\n");
-    let failed = film("failed", &bin);
-    assert_eq!(failed.status.code(), Some(2));
-    assert!(stderr(&failed).contains("no encoder") && !video.exists());
-    assert_eq!(files(&dir.join("failed")).len(), 2, "the images are kept");
-    write(
-        "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\necho \"$@\" > \"$last\"\n",
-    );
-    let made = film("made", &bin);
-    assert_eq!(made.status.code(), Some(0), "{}", stderr(&made));
-    let asked = fs::read_to_string(&video).unwrap();
-    assert!(
-        asked.contains("-framerate 30 -i") && asked.contains("frame_%04d.png"),
-        "{asked}"
-    );
-    let again = film("again", &bin);
-    assert_eq!(again.status.code(), Some(2), "nothing is overwritten");
 }

@@ -20,7 +20,7 @@ use mhsplat::scene::Gaussians;
 const ALIKE: f64 = 48.0;
 
 /// The browser on the path; a line is printed where there is none.
-fn browser() -> Option<PathBuf> {
+pub fn browser() -> Option<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let places = std::env::split_paths(&path);
     let names = ["chromium", "chromium-browser", "google-chrome"];
@@ -34,7 +34,7 @@ fn browser() -> Option<PathBuf> {
 }
 
 /// Opens a page in the browser with more arguments; what it printed.
-fn open(browser: &Path, dir: &Path, file: &str, hash: &str, more: &[&str]) -> String {
+pub fn open(browser: &Path, dir: &Path, file: &str, hash: &str, more: &[&str]) -> String {
     let log = dir.join("stdout");
     let mut child = Command::new(browser)
         .args(["--headless=new", "--no-sandbox", "--disable-quic"])

@@ -11,6 +11,9 @@ use crate::run::table::MetricsRow;
 const RISE: f64 = 0.3;
 const DOUBLING: [f64; 2] = [0.35, 0.7];
 
+/// Largest distance of an evaluation from these shares.
+const APART: f64 = 0.08;
+
 /// Fall of PSNR from its best evaluation that is told, dB.
 const FALL: f64 = 0.3;
 
@@ -66,15 +69,16 @@ fn course(record: &RunRecord, rows: &[MetricsRow]) -> Option<String> {
             best.0
         ));
     }
-    if record.stalled.is_some() || scored.len() < 8 {
+    if record.stalled.is_some() {
         return None;
     }
     let at = |share: f64| {
         let wanted = share * f64::from(end);
         let distance = |row: &&(u32, f64)| (f64::from(row.0) - wanted).abs();
-        scored
+        let near = scored
             .iter()
-            .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+            .min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        near.filter(|row| distance(row) <= APART * f64::from(end))
             .copied()
     };
     let (from, to) = (at(DOUBLING[0])?, at(DOUBLING[1])?);

@@ -43,16 +43,24 @@ class Chart {
     svg.append(this.own, this.select, this.cursor);
     this.whole = {x: [this.x.from, this.x.to], y: [this.y.from, this.y.to]};
     this.view = this.whole;
-    svg.addEventListener('pointermove', e => this.moved(this.place(e)));
+    svg.addEventListener('pointermove', e => {
+      if (!e.buttons) this.drop();
+      this.moved(this.place(e));
+    });
     svg.addEventListener('pointerleave', () => { if (!this.start) point(this, null); });
     svg.addEventListener('pointerdown', e => {
+      if (e.button) return;
       if (e.pointerType === 'touch') return this.moved(this.place(e));
       this.start = this.place(e);
       svg.setPointerCapture(e.pointerId);
     });
     svg.addEventListener('pointerup', e => this.selected(this.place(e)));
-    svg.addEventListener('pointercancel', () => { this.start = null; this.select.setAttribute('width', 0); });
+    svg.addEventListener('pointercancel', () => this.drop());
     svg.addEventListener('dblclick', () => zoom(this, null));
+  }
+  drop() {
+    this.start = null;
+    this.select.setAttribute('width', 0);
   }
   place(event) {
     const matrix = this.svg.getScreenCTM();
@@ -85,8 +93,7 @@ class Chart {
   }
   selected(x) {
     const start = this.start;
-    this.start = null;
-    this.select.setAttribute('width', 0);
+    this.drop();
     if (start && Math.abs(x - start) > 6) zoom(this, [this.axis_x(Math.min(x, start)), this.axis_x(Math.max(x, start))]);
   }
   // Shows the values at a position of the axis, or takes them away.
@@ -103,6 +110,7 @@ class Chart {
     this.cursor.append(line, label);
     this.points.forEach((points, k) => {
       const moved = points.map(p => this.shift(p)).filter(p => p[0] >= this.left - 0.1 && p[0] <= this.right + 0.1);
+      if (this.values[k]) this.values[k].textContent = '\u2013';
       if (!moved.length) return;
       const near = moved.reduce((a, b) => Math.abs(b[0] - x) < Math.abs(a[0] - x) ? b : a);
       const ring = element(this.svg, 'circle', {cx: near[0], cy: near[1], r: 4, class: this.lines[k].classList[1]});
@@ -115,7 +123,8 @@ class Chart {
   zoom(range) {
     this.view = this.whole;
     let view = this.whole;
-    if (range) {
+    // Numbers have no more digits.
+    if (range && range[1] - range[0] > 1e-6 * (this.whole.x[1] - this.whole.x[0])) {
       const xs = range.map(v => this.pixel_x(v));
       const ys = this.points.flat().filter(p => p[0] >= xs[0] && p[0] <= xs[1]).map(p => this.axis_y(p[1]));
       if (ys.length) {

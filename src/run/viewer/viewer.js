@@ -3,9 +3,14 @@
 'use strict';
 const $ = (id) => document.getElementById(id);
 const scene = JSON.parse($('meta').textContent);
-const hash = () => new URLSearchParams(location.hash.slice(1));
-const bare = hash().has('bare');
-document.body.classList.toggle('bare', bare);
+// The keys and values of the address behind #. Only %xx stands for something else: a + in a name is a plus.
+function hash() {
+  const plain = (text) => {
+    try { return decodeURIComponent(text); } catch { return text; }
+  };
+  const pair = (part) => part.match(/^([^=]*)=?(.*)$/s).slice(1).map(plain);
+  return new Map(location.hash.slice(1).split('&').map(pair));
+}
 
 function say(text) {
   $('message').textContent = text;
@@ -183,7 +188,7 @@ const translation = () => view.rows.map((row) => -dot(row, view.center));
 function draw() {
   const size = hash().get('size')?.match(/^(\d{1,4})x(\d{1,4})$/), ratio = size ? 1 : Math.min(devicePixelRatio || 1, 2);
   const css = size ? [+size[1], +size[2]] : [innerWidth, innerHeight];
-  if (size) Object.assign(canvas.style, { width: css[0] + 'px', height: css[1] + 'px' });
+  Object.assign(canvas.style, { width: size ? css[0] + 'px' : '', height: size ? css[1] + 'px' : '' });
   const [width, height] = css.map((v) => Math.max(1, Math.round(v * ratio * coarse)));
   resize(width, height);
   const l = lens(width, height), mx = (0.3 * width) / (2 * l.fx), my = (0.3 * height) / (2 * l.fy);
@@ -293,12 +298,14 @@ function tell() {
   name.textContent = camera.name;
   $('view').replaceChildren(...(moved ? ['moved from ', name, ' (R: back)'] : [name, ' · ' + parts.join(' · ')]));
   $('compare').disabled = !camera.photo;
-  $('compare').setAttribute('aria-pressed', comparing);
+  $('compare').setAttribute('aria-pressed', photoShown());
   $('mode').textContent = looking ? 'Look' : 'Orbit';
 }
 
+const photoShown = () => comparing && !moved && Boolean(scene.cameras[current].photo);
+
 function placePhoto([width, height]) {
-  const camera = scene.cameras[current], shown = comparing && !moved && Boolean(camera.photo);
+  const camera = scene.cameras[current], shown = photoShown();
   $('photo').hidden = !shown;
   if (!shown) return;
   if ($('picture').src !== camera.photo) $('picture').src = camera.photo;
@@ -431,7 +438,11 @@ function listen() {
     ArrowLeft: () => show(current - 1),
     ArrowRight: () => show(current + 1),
     KeyR: () => show(current),
-    KeyC: () => { comparing = !comparing; if (comparing && moved) show(current); },
+    KeyC: () => {
+      if (!scene.cameras[current].photo) return;
+      comparing = !photoShown();
+      if (comparing && moved) show(current);
+    },
     KeyF: () => { looking = !looking; },
     KeyH: () => toggleHelp($('help').hidden),
     Escape: () => toggleHelp(false),
@@ -450,7 +461,7 @@ function listen() {
   }
   $('cameras').addEventListener('change', (e) => { show(Number(e.target.value)); canvas.focus(); });
   addEventListener('resize', frame);
-  addEventListener('hashchange', () => show(asked()));
+  addEventListener('hashchange', follow);
   canvas.addEventListener('webglcontextlost', () => say('The graphics device was reset. Load the page again.'));
 }
 
@@ -465,6 +476,13 @@ function asked() {
   return at >= 0 ? at : /^\d+$/.test(wanted) ? Number(wanted) : scene.start;
 }
 
+// Shows what the address asks for.
+function follow() {
+  document.body.classList.toggle('bare', hash().has('bare'));
+  comparing = hash().has('photo');
+  show(asked());
+}
+
 function begin() {
   for (const [label, held_out] of [['held-out', true], ['training', false]]) {
     const group = document.createElement('optgroup');
@@ -475,9 +493,8 @@ function begin() {
   for (const remark of scene.remarks) $('remarks').append(Object.assign(document.createElement('p'), { textContent: remark }));
   $('notice').textContent = scene.remarks[0] ?? '';
   $('notice').hidden = !scene.remarks.length;
-  comparing = hash().has('photo');
   listen();
-  show(asked());
+  follow();
 }
 
 if (!gl) {

@@ -60,7 +60,7 @@ const WORDS: [&str; 4] = [
 
 /// True if the Gaussians of a file are packed.
 pub(super) fn is_compressed(content: &Content) -> bool {
-    content.has("chunk") && content.table("vertex").is_ok_and(|v| v.has(WORDS[0]))
+    content.has("chunk") || content.table("vertex").is_ok_and(|v| v.has(WORDS[0]))
 }
 
 /// The parts of a word, each as a fraction of its largest value.
@@ -164,7 +164,7 @@ fn bands(path: &Path, content: &Content, n: usize) -> Result<(u32, Vec<Vec<f32>>
     Ok((degree, (0..columns).map(column).collect::<Result<_>>()?))
 }
 
-/// The least and the largest of three numbers of some Gaussians, as f32 that have all of them between them.
+/// The least and the largest of three numbers of some Gaussians, rounded to f32.
 fn range(values: &[[f64; 3]]) -> [[f32; 3]; 2] {
     let fold = |start: f64, with: fn(f64, f64) -> f64| {
         [0, 1, 2].map(|k| values.iter().map(|v| v[k]).fold(start, with) as f32)

@@ -5,7 +5,7 @@
 //! | `ply.rs` | `.ply` | everything |
 //! | `compressed_ply.rs` | `.compressed.ply` | everything, rounded |
 //! | `spz.rs` | `.spz` | everything but the direction up, rounded |
-//! | `splat.rs` | `.splat` | no view-dependent colour, no mark of anti-aliasing; rounded |
+//! | `splat.rs` | `.splat` | no view-dependent colour, no mark of anti-aliasing, no direction up; rounded |
 //!
 //! How far they round is in `docs/guide/viewing.md`.
 

@@ -126,7 +126,8 @@ pub(super) fn marks(path: &Path, comments: &[String]) -> Result<Marks> {
         let parts = text.split_whitespace().map(|v| v.parse().ok());
         let parts: Option<Vec<f64>> = parts.collect();
         let up: [f64; 3] = parts?.try_into().ok()?;
-        up.iter().all(|v| v.is_finite()).then_some(up)
+        let direction = DVec3::from(up).try_normalize();
+        direction.map(|up| up.to_array())
     });
     Ok(Marks {
         anti_aliased: own.is_some() || mip || flag,
