@@ -29,7 +29,7 @@ class Chart {
     this.texts = this.values.map(b => b && b.textContent);
     this.lines = [...svg.querySelectorAll('polyline.line:not(.thin)')];
     this.points = this.lines.map(l => [...l.points].map(p => [p.x, p.y]));
-    this.drawn = [...svg.querySelectorAll('polyline, polygon')].map(e => [e, [...e.points].map(p => [p.x, p.y])]);
+    this.drawn = [...svg.querySelectorAll('polyline, polygon')].map(e => [e, [...e.points].map(p => [p.x, p.y]), e.getAttribute('points')]);
     this.marks = svg.querySelectorAll('.mark, .label');
     this.grid = svg.querySelectorAll('.grid, .tick');
     const clip = 'clip' + charts.length, at = {x: this.left, y: this.top, width: this.right - this.left, height: this.bottom - this.top};
@@ -135,8 +135,8 @@ class Chart {
     }
     this.view = view;
     const zoomed = view !== this.whole;
-    for (const [e, points] of this.drawn)
-      e.setAttribute('points', points.map(p => (zoomed ? this.shift(p) : p).join()).join(' '));
+    for (const [e, points, whole] of this.drawn)
+      e.setAttribute('points', zoomed ? points.map(p => this.shift(p).join()).join(' ') : whole);
     for (const e of [...this.marks, ...this.grid]) e.style.display = zoomed ? 'none' : '';
     this.own.replaceChildren();
     if (zoomed) this.ticks();

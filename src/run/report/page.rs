@@ -58,7 +58,7 @@ pub fn write_report(
 const SCRIPT: &str = include_str!("page.js");
 
 /// SHA-256 of [`SCRIPT`] in base64, by which a page's content policy lets this one script run and no other. Test: report.
-const SCRIPT_HASH: &str = "FuAJBQFNynbZ6LRofFukGzfWNGy+KwIjyEAsv8p1Hrk=";
+const SCRIPT_HASH: &str = "yXsGs2C8tiM5sJQZfDNNyLMdf8YDvv9pkk2BOfqX+bo=";
 
 /// A complete page of the report's style around `body` (HTML). It can be read without its script.
 #[must_use]
