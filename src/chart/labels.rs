@@ -29,7 +29,7 @@ const PLACES: [(Point, &str); 8] = [
     ((-5.0, 15.0), "end"),
 ];
 
-/// What is drawn already within a frame.
+/// Texts, marks and lines drawn so far within a frame.
 pub(super) struct Labels {
     frame: Rectangle,
     taken: Vec<Rectangle>,

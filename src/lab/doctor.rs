@@ -1,4 +1,4 @@
-//! What a machine has for OpenCL, and what it lacks: loader, drivers, devices, permissions and limits, each as found.
+//! OpenCL on a machine, present and missing: loader, drivers, devices, permissions and limits, each as found.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -28,7 +28,7 @@ const NODES: [(&str, &[&str]); 2] = [
     ("/dev", &["nvidia", "kfd", "dxg"]),
 ];
 
-/// What to install where, systems and commands.
+/// Commands that install a loader and a driver, by system.
 pub const INSTALL: [(&str, &str); 5] = [
     (
         "Debian, Ubuntu",
@@ -66,10 +66,10 @@ pub struct Driver {
 /// A device, and whether it can be used.
 #[derive(Debug, Clone, Serialize)]
 pub struct Examined {
-    /// What it says about itself.
+    /// Properties that the driver reports.
     #[serde(flatten)]
     pub info: DeviceInfo,
-    /// Why it cannot be used; `None` if it can: it opens, and compiles a kernel.
+    /// Reason for which it cannot be used; `None` if it can: it opens, and compiles a kernel.
     pub failure: Option<String>,
 }
 
@@ -89,7 +89,7 @@ pub struct Node {
 /// A limit of the process or of its container.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Limit {
-    /// What is limited.
+    /// Name of the limited resource.
     pub name: String,
     /// Its value as the system spells it.
     pub value: String,
@@ -112,7 +112,7 @@ pub struct Findings {
     pub nodes: Vec<Node>,
     /// Limits on memory, processes and files.
     pub limits: Vec<Limit>,
-    /// What to do, the most important first; empty if nothing is wrong.
+    /// Steps to take, the most important first; empty if nothing is wrong.
     pub advice: Vec<String>,
 }
 
