@@ -158,6 +158,7 @@ fn births(seed: u64, [coarse, fine, pixel]: [u32; 3], all: bool) -> Vec<Edit> {
             fine_proposals: fine,
             pixel_proposals: pixel,
             pixel_near: 0.0,
+            pixel_tolerance: 0.0,
             ..MhConfig::paper()
         },
         ..seeded(seed)

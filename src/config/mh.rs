@@ -79,7 +79,7 @@ pub struct MhConfig {
     /// of it at s = 1, none at s = 0 in a scene without voids. 0 leaves them out. They reach places too far from every
     /// Gaussian for a copy of one, and are not in the paper.
     pub pixel_proposals: u32,
-    /// Number of views whose pixels are drawn from: those that training takes next.
+    /// Number of views whose pixels are drawn from, and which have to agree: those that training takes next.
     pub pixel_views: u32,
     /// Standard deviation of such a birth, pixels.
     pub pixel_scale: f64,
@@ -87,6 +87,9 @@ pub struct MhConfig {
     pub pixel_opacity: f64,
     /// s: 1 draws pixels ∝ error alone, 0 only in proportion to the transmittance that is left beyond the rendered surface.
     pub pixel_surface: f64,
+    /// Relative difference of rendered depths up to which two views show the same surface. A birth lies on a rendered surface
+    /// only where another of the views shows the same one and none shows something behind it; 0 does not ask.
+    pub pixel_tolerance: f64,
     /// Depth of a birth beyond the rendered surface, where it lies with probability τ/(τ + s·(1−τ)): log-uniform between these
     /// two, local units, and no nearer than the rendered mean depth, which the other births have.
     pub pixel_far: [f64; 2],
@@ -134,10 +137,11 @@ impl Default for MhConfig {
             voxel_edge: [0.02, 0.005],
             voxel_growth_from: 0.0,
             pixel_proposals: 7_500,
-            pixel_views: 2,
+            pixel_views: 4,
             pixel_scale: 2.0,
             pixel_opacity: 0.1,
             pixel_surface: 1.0,
+            pixel_tolerance: 0.1,
             pixel_far: [2.0, 20.0],
             pixel_near: 0.3,
             noise_rate: 5e5,
@@ -215,6 +219,12 @@ impl MhConfig {
             check(good, "pixel-near", "0 or more expected")?;
             let good = (0.0..=1.0).contains(&self.pixel_surface);
             check(good, "pixel-surface", "0 to 1 expected")?;
+            let good = (0.0..1.0).contains(&self.pixel_tolerance);
+            check(
+                good,
+                "pixel-tolerance",
+                "0 or more and less than 1 expected",
+            )?;
             check(faint(self.pixel_opacity), "pixel-opacity", opacity)?;
         }
         if self.surrogate == Surrogate::Probe {

@@ -35,6 +35,20 @@ impl Picture {
         })
     }
 
+    /// Camera z of a point and number of the pixel that shows it; `None` behind the camera and outside of the image.
+    #[must_use]
+    pub fn project(&self, point: [f64; 3]) -> Option<(f64, usize)> {
+        let w = self.rotation.map(f64::from);
+        let offset: [f64; 3] = std::array::from_fn(|k| point[k] - f64::from(self.center[k]));
+        let [x, y, z] = [0, 1, 2].map(|r| (0..3).map(|k| w[3 * r + k] * offset[k]).sum::<f64>());
+        let [fx, fy, cx, cy] = self.intrinsics.map(f64::from);
+        let (across, down) = (fx * x / z + cx, fy * y / z + cy);
+        let height = self.depth.len() / self.width.max(1);
+        let inside =
+            (0.0..self.width as f64).contains(&across) && (0.0..height as f64).contains(&down);
+        (z > 0.0 && inside).then(|| (z, down as usize * self.width + across as usize))
+    }
+
     /// Width of a pixel across the view at depth `z`: the mean of both axes.
     #[must_use]
     pub fn footprint(&self, z: f64) -> f64 {

@@ -243,8 +243,7 @@ impl fmt::Display for Why {
             Self::NoiseMovesFaint => f.write_str("mh.noise-rate moves faint Gaussians"),
             Self::PixelViews(views, surface) => write!(
                 f,
-                "{views} views are rendered for each step; {:.0} % of the births lie on the rendered surface",
-                100.0 * surface
+                "{views} views are rendered for each step, of weight {surface} on surfaces that they agree about",
             ),
             Self::NoCameraSawBackground => f.write_str(NO_CAMERA_SAW),
             Self::TooShort => f.write_str("the run is too short to tell whether it is needed"),

@@ -41,6 +41,7 @@ fn config() -> MhConfig {
         coarse_proposals: 0,
         fine_proposals: 0,
         pixel_surface: 1.0,
+        pixel_tolerance: 0.0,
         ..MhConfig::paper()
     }
 }
@@ -155,6 +156,89 @@ fn a_surface_of_zero_leaves_what_is_opaque_alone() {
     assert!(share(0.3) > 0.0 && share(0.3) < share(1.0));
 }
 
+/// A birth on a surface needs another view that shows the surface, and none that sees through it.
+#[test]
+fn views_have_to_agree_about_a_surface() {
+    // Beside the first camera, at the same distance from the wall, which is rendered at `depth` there.
+    let aside = |depth: f32| {
+        let mut other = picture();
+        other.center[1] += 0.5;
+        other.error.fill(0.0);
+        other.depth.fill(depth);
+        other
+    };
+    // Births at the opaque half, whose surface is 5 away, and at the empty half.
+    let births = |pixel_tolerance: f64, others: &[f32]| {
+        let mut pictures = vec![picture()];
+        pictures.extend(others.iter().map(|depth| aside(*depth)));
+        let at = StepContext {
+            pictures: &pictures,
+            ..context(700, 0.0, 1)
+        };
+        let config = MhConfig {
+            pixel_tolerance,
+            ..config()
+        };
+        let outcome = step(&config, &at);
+        let births = outcome.edits.iter().filter(|e| e.dst >= 500).map(seen);
+        let (left, right): (Vec<_>, Vec<_>) = births.partition(|b| b[0] < 20.0);
+        (left.len(), right.len())
+    };
+    let unasked = |others: &[f32]| {
+        let (left, right) = births(0.0, others);
+        assert!(left > 10 && right > 10);
+        (left, right)
+    };
+    // What hides the surface from one view does not speak against it.
+    for others in [&[5.0][..], &[5.4, 4.6], &[2.0, 5.0]] {
+        assert_eq!(births(0.1, others), unasked(others), "{others:?}");
+    }
+    assert_eq!(births(0.7, &[8.0]), unasked(&[8.0]));
+    for others in [
+        &[][..],
+        // Seen through, by an empty pixel too; hidden; seen by one and seen through by another.
+        &[8.0],
+        &[f32::NAN],
+        &[2.0],
+        &[5.0, 8.0],
+        &[8.0, 5.0],
+    ] {
+        assert_eq!(births(0.1, others), (0, unasked(others).1), "{others:?}");
+    }
+    // A view does not confirm itself.
+    let pictures = [picture(), picture()];
+    let at = StepContext {
+        pictures: &pictures,
+        ..context(700, 0.0, 1)
+    };
+    let asks = MhConfig {
+        pixel_tolerance: 0.1,
+        ..config()
+    };
+    let outcome = step(&asks, &at);
+    let mut births = outcome.edits.iter().filter(|e| e.dst >= 500).map(seen);
+    assert!(births.all(|b| b[0] >= 20.0));
+}
+
+#[test]
+fn a_point_projects_to_the_pixel_that_shows_it() {
+    let picture = picture();
+    for (at, z) in [([0.5, 0.5], 2.0), ([39.5, 29.5], 7.0), ([12.3, 20.7], 0.5)] {
+        let (depth, pixel) = picture.project(picture.point(at, z)).unwrap();
+        assert!((depth - z).abs() < 1e-9);
+        assert_eq!([pixel % SIZE[0], pixel / SIZE[0]], at.map(|v| v as usize));
+    }
+    for (at, z) in [
+        ([-0.1, 5.0], 2.0),
+        ([40.1, 5.0], 2.0),
+        ([5.0, 30.1], 2.0),
+        ([5.0, -0.1], 2.0),
+        ([20.0, 15.0], -1.0),
+    ] {
+        assert_eq!(picture.project(picture.point(at, z)), None, "{at:?} {z}");
+    }
+}
+
 #[test]
 fn they_are_the_same_on_any_number_of_threads_and_fade() {
     let pictures = [picture(), picture()];
@@ -178,7 +262,7 @@ fn without_proposals_no_view_is_rendered() {
         })
         .pictures(0.3)
     };
-    assert_eq!((wanted(0), wanted(10)), (0, 2));
+    assert_eq!((wanted(0), wanted(10)), (0, 4));
     let none = step(&config(), &context(700, 0.0, 1));
     assert_eq!(none.stats.pixel, [0, 0]);
 }

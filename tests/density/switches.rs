@@ -221,7 +221,7 @@ fn voxels_far_from_the_cameras_take_fewer() {
 #[test]
 fn values_out_of_their_domain_are_refused_by_name() {
     type Change = fn(&mut MhConfig);
-    let cases: [(&str, Change); 9] = [
+    let cases: [(&str, Change); 10] = [
         ("temperature", |c| c.temperature = [0.0, 1.0]),
         ("target-acceptance", |c| c.target_acceptance = [0.5, 0.0]),
         ("target-acceptance", |c| c.target_acceptance = [0.5, 1.0]),
@@ -229,6 +229,7 @@ fn values_out_of_their_domain_are_refused_by_name() {
         ("pixel-views", |c| c.pixel_views = 0),
         ("pixel-far", |c| c.pixel_far = [3.0, 2.0]),
         ("pixel-surface", |c| c.pixel_surface = 1.1),
+        ("pixel-tolerance", |c| c.pixel_tolerance = 1.0),
         ("pixel-opacity", |c| c.pixel_opacity = 1.0),
         ("lambda-voxel", |c| c.lambda_voxel = -1.0),
     ];

@@ -2,8 +2,9 @@
 //!
 //! A copy lands a few scales from its source, so that an empty region, the sky above all, is reached by chance alone, if at
 //! all. Here a pixel is drawn ∝ its error; the birth lies beyond the rendered surface with a probability that follows the
-//! pixel's remaining transmittance, else at the rendered mean depth. Not in \[MH\]; acceptance is that of the other phases, with
-//! the pixel's error for the importance.
+//! pixel's remaining transmittance, else at the rendered mean depth, if another picture shows the same surface there and none
+//! sees through it: what one camera alone has right before it has large errors, too, and a birth there would thicken it. Not in
+//! \[MH\]; acceptance is that of the other phases, with the pixel's error for the importance.
 
 use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Stream};
@@ -103,7 +104,7 @@ pub(super) fn propose(
         let (picture, at) = pixels.find(pixel)?;
         let u = Philox::uniform(context.seed, place, pixel as u64);
         Some(Proposal {
-            edit: birth(config, picture, at, u, src)?,
+            edit: birth(config, (context.pictures, picture), at, u, src)?,
             importance: pixels.importance(pixel),
             change: None,
             ln_gain: accept::ln_gain(config.acceptance, pixels.importance(pixel)),
@@ -113,13 +114,21 @@ pub(super) fn propose(
     drawn.into_iter().filter_map(proposal).collect()
 }
 
-/// The birth at pixel `at` of a picture; `None` if its position or size is not finite.
-fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32) -> Option<Edit> {
+/// The birth at pixel `at` of one of all pictures; `None` if its position or size is not finite, or the pictures do not agree
+/// about the surface that it is to lie on.
+fn birth(
+    config: &MhConfig,
+    (all, picture): (&[Picture], &Picture),
+    at: usize,
+    u: [f64; 4],
+    src: u32,
+) -> Option<Edit> {
     let [across, down, kind, far] = u;
     let depth = f64::from(*picture.depth.get(at)?);
     let rendered = if depth.is_finite() { depth } else { 0.0 };
     let left = f64::from(*picture.transmittance.get(at)?);
-    let z = if kind * reached(left, config.pixel_surface) < left {
+    let beyond = kind * reached(left, config.pixel_surface) < left;
+    let z = if beyond {
         let [from, to] = config.pixel_far;
         (from * (to / from).powf(far)).max(rendered)
     } else {
@@ -128,7 +137,10 @@ fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32)
     let pixel = [at % picture.width, at / picture.width].map(|v| v as f64);
     let position = picture.point([pixel[0] + across, pixel[1] + down], z);
     let log_scale = (config.pixel_scale * picture.footprint(z)).ln();
-    let placed = z > 0.0 && z >= config.pixel_near;
+    // The same view may come twice, and views from one place agree about everything.
+    let mut others = all.iter().filter(|other| other.center != picture.center);
+    let real = beyond || confirmed(config.pixel_tolerance, &mut others, position);
+    let placed = z > 0.0 && z >= config.pixel_near && real;
     let good = placed && log_scale.is_finite() && position.iter().all(|v| v.is_finite());
     let opacity = config.pixel_opacity;
     let color = [0, 1, 2].map(|c| (f64::from(picture.photo[c][at]) - 0.5) / C0);
@@ -140,4 +152,26 @@ fn birth(config: &MhConfig, picture: &Picture, at: usize, u: [f64; 4], src: u32)
         opacity_logit: logit(opacity) as f32,
         color: OptionalColor::some(color.map(|v| v as f32)),
     })
+}
+
+/// True if a surface at `position` is rendered in one of the pictures and none sees through it: rendered depths within
+/// `tolerance`, a share of the depth, are the same; a smaller one is something in front, and says nothing. 0: always true.
+fn confirmed<'a>(
+    tolerance: f64,
+    pictures: &mut dyn Iterator<Item = &'a Picture>,
+    position: [f64; 3],
+) -> bool {
+    let mut seen = tolerance == 0.0;
+    for picture in pictures.take_while(|_| tolerance > 0.0) {
+        let Some((z, pixel)) = picture.project(position) else {
+            continue;
+        };
+        let depth = f64::from(picture.depth[pixel]);
+        // Nothing is rendered at an empty pixel: its depth is not finite.
+        if !(depth <= z * (1.0 + tolerance)) {
+            return false;
+        }
+        seen |= depth >= z * (1.0 - tolerance);
+    }
+    seen
 }
