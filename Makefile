@@ -1,8 +1,10 @@
 # make demo   install what is missing, build, train the bundled scene, leave a report
 # make test   run the tests; TESTS="stage:: layout" some of them, OCL_ICD_VENDORS=folder on another OpenCL implementation
+# make deb    a Debian package in target/debian (cargo install cargo-deb); make wheel: a Python wheel in target/wheels (pip)
 DEMO ?= run-demo
+FILES = target/package-files
 
-.PHONY: demo install test bench
+.PHONY: demo install test bench deb wheel
 
 install:
 	.ci/install
@@ -17,3 +19,15 @@ test: install
 
 bench: install
 	cargo bench --locked
+
+deb: install
+	cargo build --release --locked
+	rm -rf $(FILES)
+	target/release/mhsplat man $(FILES)/man
+	target/release/mhsplat completions bash > $(FILES)/mhsplat
+	target/release/mhsplat completions zsh > $(FILES)/_mhsplat
+	target/release/mhsplat completions fish > $(FILES)/mhsplat.fish
+	cargo deb --no-build --locked --strip
+
+wheel: install
+	pip wheel --no-deps --wheel-dir target/wheels .packaging/python

@@ -51,7 +51,8 @@
 //! Everything that talks to a device fails with [`Error::Device`] if the driver does, if kernels cannot be built or if memory does not
 //! suffice; "Errors" sections name only what else can go wrong.
 //!
-//! `examples/train_and_render.rs` renders a view to a PNG as well.
+//! Examples, which are tested: `train_and_render` (a view as a PNG), `own_density_control` (a strategy of one's own), `render_path` (a scene
+//! file along a path).
 
 #[doc(hidden)]
 pub mod base;

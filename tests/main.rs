@@ -36,6 +36,7 @@ mod library;
 mod masks;
 mod photos;
 mod plan;
+mod python;
 mod recovery;
 mod reference;
 mod report;

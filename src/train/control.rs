@@ -8,7 +8,7 @@ use crate::base::rng::Stream;
 use crate::capture::Alpha;
 use crate::capture::photo::colors;
 use crate::density::{
-    self, Candidate, DensityControl, DensityStats, ErrorStatistics, NoiseLaw, Outcome, Picture,
+    Candidate, DensityControl, DensityStats, ErrorStatistics, NoiseLaw, Outcome, Picture,
     SceneState, ScreenGradient, Statistics, StatisticsKind, StepContext,
 };
 use crate::device::{Device, Kernels, Program, StageTime};
@@ -73,9 +73,13 @@ pub struct Control {
 }
 
 impl Control {
-    /// Builds the stages of the plan's strategy.
-    pub fn new(kernels: &Kernels, plan: &Plan, pipeline: &Pipeline) -> Result<Self> {
-        let strategy = density::make(&plan.density_config());
+    /// Builds the stages that the strategy needs.
+    pub fn new(
+        kernels: &Kernels,
+        plan: &Plan,
+        pipeline: &Pipeline,
+        strategy: Arc<dyn DensityControl>,
+    ) -> Result<Self> {
         let wanted = strategy.wanted(1, 1.0);
         let noise = strategy.noise().map(|law| {
             let stage = kernels.build::<f32>("noise")?;

@@ -2,12 +2,14 @@
 //! next.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset};
 use crate::config::Length;
+use crate::density::{self, DensityControl};
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, PendingRead, Program};
 use crate::pipeline::buffers::ViewSet;
@@ -128,9 +130,25 @@ impl Trainer {
         plan: &Plan,
         splats: &Gaussians,
     ) -> Result<Self> {
+        let strategy = density::make(&plan.density_config());
+        Self::with_strategy(device, dataset, plan, splats, strategy)
+    }
+
+    /// [`Trainer::new`] with a strategy of density control of the caller's own, at the iterations that the configuration has for its
+    /// `sampler`.
+    ///
+    /// # Errors
+    /// See [`Trainer::new`].
+    pub fn with_strategy(
+        device: &Device,
+        dataset: &Dataset,
+        plan: &Plan,
+        splats: &Gaussians,
+        strategy: Arc<dyn DensityControl>,
+    ) -> Result<Self> {
         let photos = Photos::new(device, dataset.image_budget);
         let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
-        Self::with_views(views, plan, splats)
+        Self::assemble(views, plan, splats, strategy)
     }
 
     /// [`Trainer::new`] with training views whose photos may share their budget with others.
@@ -138,6 +156,15 @@ impl Trainer {
     /// # Errors
     /// See [`Trainer::new`].
     pub fn with_views(set: ViewSet, plan: &Plan, splats: &Gaussians) -> Result<Self> {
+        Self::assemble(set, plan, splats, density::make(&plan.density_config()))
+    }
+
+    fn assemble(
+        set: ViewSet,
+        plan: &Plan,
+        splats: &Gaussians,
+        strategy: Arc<dyn DensityControl>,
+    ) -> Result<Self> {
         plan.config.validate()?;
         if splats.is_empty() {
             return Err(Error::numerics("train", "no Gaussian to start from"));
@@ -160,7 +187,7 @@ impl Trainer {
         };
         let kernels = Kernels::new(device, defines);
         let pipeline = Pipeline::new(device, defines, [0, degree], set.largest)?;
-        let control = Control::new(&kernels, plan, &pipeline)?;
+        let control = Control::new(&kernels, plan, &pipeline, strategy)?;
         let smoothing = Smoothing::new(&kernels, &set)?;
         let room = capacity(config, splats.len());
         let (rows, smoothed) = (control.rows(), smoothing.is_some());

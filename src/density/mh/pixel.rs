@@ -156,9 +156,9 @@ fn birth(
 
 /// True if a surface at `position` is rendered in one of the pictures and none sees through it: rendered depths within
 /// `tolerance`, a share of the depth, are the same; a smaller one is something in front, and says nothing. 0: always true.
-fn confirmed<'a>(
+fn confirmed(
     tolerance: f64,
-    pictures: &mut dyn Iterator<Item = &'a Picture>,
+    pictures: &mut dyn Iterator<Item = &Picture>,
     position: [f64; 3],
 ) -> bool {
     let mut seen = tolerance == 0.0;
@@ -167,8 +167,8 @@ fn confirmed<'a>(
             continue;
         };
         let depth = f64::from(picture.depth[pixel]);
-        // Nothing is rendered at an empty pixel: its depth is not finite.
-        if !(depth <= z * (1.0 + tolerance)) {
+        // Nothing is rendered at an empty pixel.
+        if !depth.is_finite() || depth > z * (1.0 + tolerance) {
             return false;
         }
         seen |= depth >= z * (1.0 - tolerance);
