@@ -1,6 +1,7 @@
 //! Scene files of other formats: bounded errors, extremes, damaged files, files of other programs.
 
 mod damaged;
+mod glb;
 
 use std::fs;
 use std::path::Path;
@@ -13,10 +14,11 @@ use mhsplat::config::SceneFormat;
 use mhsplat::scene::formats::{self, SceneFile};
 use mhsplat::scene::{Gaussians, Plane};
 
-pub const LOSSY: [SceneFormat; 3] = [
+pub const LOSSY: [SceneFormat; 4] = [
     SceneFormat::Spz,
     SceneFormat::CompressedPly,
     SceneFormat::Splat,
+    SceneFormat::Glb,
 ];
 
 /// Gaussians within the range of every format.
@@ -134,6 +136,8 @@ fn bounds(format: SceneFormat, splats: &Gaussians) -> [f64; 7] {
             1.0 / 64.0 + 1e-6,
             1.0 / 64.0 + 1e-6,
         ],
+        // Everything is f32; scales and opacities are stored as such, not as logarithms and logits.
+        SceneFormat::Glb => [1e-9, 2e-6, 1e-3, 1e-6, 1e-9, 1e-9, 1e-9],
         // Positions and scales are f32; rotations have 128 steps per unit.
         _ => [1e-9, 1e-5, 1.0_f64.to_radians(), half, half, 0.0, 0.0],
     }
@@ -220,7 +224,7 @@ fn frames_and_marks_are_kept() {
         scale: 0.25,
     };
     let dir = tempfile::tempdir().unwrap();
-    for format in [SceneFormat::Ply, LOSSY[0], LOSSY[1], LOSSY[2]] {
+    for format in [&[SceneFormat::Ply][..], &LOSSY].concat() {
         for anti_aliased in [false, true] {
             let given = SceneFile {
                 anti_aliased,
@@ -245,7 +249,7 @@ fn frames_and_marks_are_kept() {
             }
             assert_eq!(back.anti_aliased, marked, "{format:?}");
             assert_eq!(formats::is_anti_aliased(&file), marked, "{format:?}");
-            let comments = [SceneFormat::Ply, SceneFormat::CompressedPly].contains(&format);
+            let comments = ![SceneFormat::Spz, SceneFormat::Splat].contains(&format);
             // A direction: of length 1, to five decimals.
             assert_eq!(back.up.is_some(), comments);
             let off = back.up.map_or(0.0, |up| {

@@ -48,6 +48,7 @@ mod stiff;
 mod stress;
 mod surrogate;
 mod synth;
+mod terminal;
 mod tiny;
 mod trace;
 mod tune;

@@ -85,6 +85,8 @@ pub enum SceneFormat {
     Spz,
     /// antimatter15's .splat, without view-dependent colour.
     Splat,
+    /// Binary glTF with KHR_gaussian_splatting, of the PLY's size.
+    Glb,
 }
 
 /// Measure of a birth's effect on the loss in the acceptance ratio ρ. The importance is that of \[MH\] Eq. 18–20; the first-order

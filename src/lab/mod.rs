@@ -13,5 +13,6 @@ pub mod stats;
 pub mod surrogate;
 pub mod synth;
 pub mod table;
+pub mod text;
 pub mod tune;
 pub mod verify;

@@ -1,4 +1,5 @@
-//! The one shape of what a measuring command reports, and its exporters: Markdown, and a page in the style of a run's report.
+//! The one shape of what a measuring command reports, and its exporters: Markdown, and a page in the style of a run's report
+//! (`text.rs` has the one for terminals).
 //!
 //! A command builds sections; headings, escaping, the page around them and the rule about what may be overwritten are here.
 
@@ -216,18 +217,9 @@ fn html(out: &mut String, sections: &[Section], level: usize) {
     }
 }
 
-/// True if most cells of a column that say something begin with a letter.
-fn is_text(table: &Table, column: usize) -> bool {
-    let cells = table.rows.iter().filter_map(|row| row.get(column));
-    let (words, others): (Vec<&String>, Vec<&String>) = cells
-        .filter(|cell| !cell.is_empty())
-        .partition(|cell| cell.starts_with(char::is_alphabetic));
-    words.len() > others.len()
-}
-
 fn html_table(out: &mut String, table: &Table, level: usize) {
     let text: Vec<bool> = (0..table.columns.len())
-        .map(|k| k == 0 || is_text(table, k))
+        .map(|k| k == 0 || table.is_text(k))
         .collect();
     let line = |out: &mut String, cells: &[String], tag: &str| {
         out.push_str("<tr>");

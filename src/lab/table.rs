@@ -30,6 +30,16 @@ impl Table {
             rows: rows.into_iter().collect(),
         }
     }
+
+    /// True if most cells of a column that say something begin with a letter.
+    #[must_use]
+    pub fn is_text(&self, column: usize) -> bool {
+        let cells = self.rows.iter().filter_map(|row| row.get(column));
+        let (words, others): (Vec<&String>, Vec<&String>) = cells
+            .filter(|cell| !cell.is_empty())
+            .partition(|cell| cell.starts_with(char::is_alphabetic));
+        words.len() > others.len()
+    }
 }
 
 /// `text` of a figure; a dash for `None`.

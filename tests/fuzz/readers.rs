@@ -34,13 +34,14 @@ pub const COLMAP: [&str; 6] = [
     "points3d_txt",
 ];
 pub const PHOTOS: [&str; 6] = ["transforms", "lenses", "png", "jpeg", "webp", "mask"];
-pub const CLOUDS: [&str; 6] = [
+pub const CLOUDS: [&str; 7] = [
     "points_ply",
     "scene_ply",
     "scene_compressed_ply",
     "scene_spz",
     "scene_spz4",
     "scene_splat",
+    "scene_glb",
 ];
 pub const SETTINGS: [&str; 3] = ["config_toml", "config_json", "experiment_toml"];
 pub const RUNS: [&str; 4] = ["checkpoint", "signed_checkpoint", "run_json", "metrics_csv"];

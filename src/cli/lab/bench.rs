@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
+use crate::cli::lab::Form;
 use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
@@ -27,6 +28,8 @@ pub struct BenchArgs {
     brief: Vec<(usize, u32)>,
     #[command(flatten)]
     device: DeviceOption,
+    #[command(flatten)]
+    form: Form,
 }
 
 fn brief_case(text: &str) -> std::result::Result<(usize, u32), String> {
@@ -73,7 +76,7 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
     if common.json {
         output::line(&bench::json(&outcomes)?);
     } else {
-        output::line(&bench::report(&outcomes).to_markdown());
+        args.form.print(&bench::report(&outcomes));
     }
     let failed = |o: &Measured| matches!(o, Measured::Failed { .. });
     if outcomes.iter().all(failed) {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::cli::common::{Common, Outcome};
+use crate::cli::lab::Form;
 use crate::cli::output;
 use mhsplat::base::error::Result;
 use mhsplat::lab::compare;
@@ -36,6 +37,8 @@ pub struct CompareArgs {
     /// Compare runs of other datasets, resolutions or splits, too; the page says so.
     #[arg(long)]
     allow_different: bool,
+    #[command(flatten)]
+    form: Form,
 }
 
 /// Compares runs; warnings go to stderr, tables to stdout.
@@ -67,7 +70,7 @@ pub fn run(args: &CompareArgs, common: &Common) -> Result<Outcome> {
     if common.json {
         output::json(&comparison)?;
     } else {
-        output::line(&report.to_markdown());
+        args.form.print(&report);
     }
     Ok(Outcome::Done)
 }

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
+use crate::cli::lab::Form;
 use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::config::parse_duration;
@@ -32,6 +33,8 @@ pub struct ExperimentArgs {
     dry_run: bool,
     #[command(flatten)]
     device: DeviceOption,
+    #[command(flatten)]
+    form: Form,
 }
 
 /// Trains what is missing and writes the comparisons.
@@ -60,7 +63,7 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     if common.json {
         output::json(&summary)?;
     } else {
-        output::line(&summary.report().to_markdown());
+        args.form.print(&summary.report());
     }
     let page = experiment.output.join("summary.html");
     output::note(&format!(

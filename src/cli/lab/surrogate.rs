@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
+use crate::cli::lab::Form;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::lab::folder::json;
@@ -32,6 +33,8 @@ pub struct SurrogateArgs {
     output: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceOption,
+    #[command(flatten)]
+    form: Form,
 }
 
 /// Checks importance and first-order estimate; progress goes to stderr, tables to stdout.
@@ -88,7 +91,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
     output::note(&format!("page: {}", page.display()));
     match common.json {
         true => output::line(&json),
-        false => output::line(&report.to_markdown()),
+        false => args.form.print(&report),
     }
     Ok(Outcome::Done)
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
+use crate::cli::lab::Form;
 use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
@@ -35,6 +36,8 @@ pub struct VerifyArgs {
     output: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceOption,
+    #[command(flatten)]
+    form: Form,
 }
 
 /// Checks one device, or all of them with --device all.
@@ -64,7 +67,7 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     if common.json {
         output::line(&json(&results)?);
     } else {
-        output::line(&report(&results).to_markdown());
+        args.form.print(&report(&results));
     }
     if results.is_empty() {
         return Err(Error::device(

@@ -6,10 +6,12 @@
 //! | `compressed_ply.rs` | `.compressed.ply` | everything, rounded |
 //! | `spz.rs` | `.spz` | everything but the direction up, rounded |
 //! | `splat.rs` | `.splat` | no view-dependent colour, no mark of anti-aliasing, no direction up; rounded |
+//! | `glb.rs` | `.glb` | everything |
 //!
 //! How far they round is in `docs/guide/viewing.md`.
 
 mod compressed_ply;
+mod glb;
 pub mod ply;
 mod scene_file;
 mod splat;
@@ -28,11 +30,12 @@ use crate::config::SceneFormat;
 pub use crate::scene::formats::scene_file::{Contents, SceneFile};
 
 /// Endings of formats, those within others first.
-const ENDINGS: [(&str, SceneFormat); 4] = [
+const ENDINGS: [(&str, SceneFormat); 5] = [
     (".compressed.ply", SceneFormat::CompressedPly),
     (".ply", SceneFormat::Ply),
     (".spz", SceneFormat::Spz),
     (".splat", SceneFormat::Splat),
+    (".glb", SceneFormat::Glb),
 ];
 
 /// Ending of a format's files.
@@ -86,13 +89,16 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
             false => ply::contents(path, &content, frame),
         };
     }
+    if bytes.starts_with(&glb::MAGIC) {
+        return glb::read(path, &bytes, frame).map(Contents::Scene);
+    }
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     match extension.to_lowercase().as_str() {
         // Nothing in its content tells it from any other data.
         "splat" => splat::read(path, &bytes, frame).map(Contents::Scene),
-        other @ ("sog" | "ksplat" | "glb" | "gltf") => {
+        other @ ("sog" | "ksplat" | "gltf") => {
             let what = format!("a .{other} file, which is not read here");
-            let fix = "convert it to .ply or .spz (SuperSplat and splat-transform do)";
+            let fix = "convert it to .ply, .spz or .glb (SuperSplat and splat-transform do)";
             Err(Error::input(path, what, fix))
         }
         _ => {
@@ -100,7 +106,7 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
             Err(Error::input(
                 path,
                 what,
-                "give a scene of PLY, compressed PLY, SPZ or .splat",
+                "give a scene of PLY, compressed PLY, SPZ, .splat or .glb",
             ))
         }
     }
@@ -116,7 +122,8 @@ pub fn is_anti_aliased(path: &Path) -> bool {
     let mut start = Vec::new();
     let open = files::check_regular(path).is_ok().then(|| File::open(path));
     let read = open.and_then(|file| file.ok()?.take(BEGINNING).read_to_end(&mut start).ok());
-    read.is_some() && (ply::is_anti_aliased(path) || spz::is_anti_aliased(&start))
+    let marked = || spz::is_anti_aliased(&start) || glb::is_anti_aliased(path, &start);
+    read.is_some() && (ply::is_anti_aliased(path) || marked())
 }
 
 /// Writes a scene into the dataset's frame, into which `frame` takes the local one, atomically. Returns what the format could not keep
@@ -141,6 +148,7 @@ pub fn write(
     let (bytes, remarks) = match format {
         SceneFormat::Spz => spz::encode(path, &scene)?,
         SceneFormat::Splat => splat::encode(&scene),
+        SceneFormat::Glb => glb::encode(path, &scene)?,
         SceneFormat::Ply | SceneFormat::CompressedPly => {
             let splats = scene.splats.in_morton_order();
             compressed_ply::encode(&SceneFile { splats, ..scene })
