@@ -328,6 +328,7 @@ fn extremes() {
         let expected = match format {
             SceneFormat::Spz => ["2 scales", "1 colours", "1 view-dependent"],
             SceneFormat::Splat => ["2 scales", "1 colours", ""],
+            SceneFormat::Glb => ["2 scales", "", ""],
             _ => ["1 view-dependent", "", ""],
         };
         assert!(expected.into_iter().all(counted), "{format:?}: {lost:?}");

@@ -188,7 +188,10 @@ fn documents_that_do_not_fit_their_bytes_are_refused() {
         &|d| d["accessors"][0]["count"] = json!(4_000_000_000_u64),
         &["POSITION", "fewer bytes"],
     );
-    refused(&|d| d["accessors"][0]["count"] = json!(0), &["POSITION"]);
+    refused(
+        &|d| d["accessors"][0]["count"] = json!(0),
+        &["ROTATION", "2 values"],
+    );
     refused(
         &|d| d["accessors"][3]["count"] = json!(1),
         &["OPACITY", "1 values"],

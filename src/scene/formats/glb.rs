@@ -104,8 +104,8 @@ impl Accessors<'_> {
         let (size, convert) = component_of(component, normalized)
             .ok_or_else(|| wrong(&format!("components of type {component}")))?;
         let found = number(accessor, "count").unwrap_or(0) as usize;
-        if found == 0 || count.is_some_and(|n| n != found) {
-            let what = format!("{found} values; as many as Gaussians, and more than 0, expected");
+        if count.is_some_and(|n| n != found) {
+            let what = format!("{found} values; as many as Gaussians expected");
             return Err(wrong(&what));
         }
         let view =
@@ -117,7 +117,8 @@ impl Accessors<'_> {
         let stride = number(view, "byteStride").map_or(K * size, |s| s as usize);
         let within = part(accessor, "byteOffset");
         let start = part(view, "byteOffset").saturating_add(within);
-        let length = (found - 1).saturating_mul(stride).saturating_add(K * size);
+        let before = found.saturating_sub(1).saturating_mul(stride);
+        let length = before.saturating_add(if found > 0 { K * size } else { 0 });
         let inside = within.saturating_add(length) <= part(view, "byteLength");
         let bytes = self.data.get(start..start.saturating_add(length));
         let bytes = bytes
@@ -273,7 +274,7 @@ pub(super) fn encode(path: &Path, scene: &SceneFile) -> Result<(Vec<u8>, Vec<Str
     let positions: Vec<[f32; 3]> = (0..n).map(|i| splats.gather(Plane::POSITION, i)).collect();
     let edge = |f: fn(f32, f32) -> f32, start: f32| -> [f32; 3] {
         let all = |k: usize| positions.iter().map(move |p| p[k]);
-        [0, 1, 2].map(|k| all(k).fold(start, f))
+        [0, 1, 2].map(|k| if n > 0 { all(k).fold(start, f) } else { 0.0 })
     };
     let bounds = json!({ "min": edge(f32::min, f32::MAX), "max": edge(f32::max, f32::MIN) });
     writer.attribute("POSITION", &positions);
