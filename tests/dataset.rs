@@ -3,6 +3,7 @@
 mod colmap;
 mod formats;
 mod frames;
+mod images;
 mod init;
 mod lens;
 pub mod masks;

@@ -34,6 +34,8 @@ pub(super) struct RawView {
 pub(super) struct RawScene {
     /// Layout it was read from.
     pub layout: Layout,
+    /// Places of its model and its photos, in words.
+    pub place: String,
     /// Findings that the user should know about.
     pub remarks: Vec<String>,
     /// All views, or the training views if `test` is given.
@@ -182,6 +184,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     Ok(Dataset {
         path: path.to_path_buf(),
         layout: scene.layout,
+        place: scene.place,
         remarks: scene.remarks,
         train,
         test,

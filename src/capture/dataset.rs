@@ -55,6 +55,8 @@ pub struct Dataset {
     pub path: PathBuf,
     /// The layout found there.
     pub layout: Layout,
+    /// Places of its model and its photos, in words.
+    pub place: String,
     /// Findings that the user should know about: photos that the model does not have, other models in the folder.
     pub remarks: Vec<String>,
     /// Views to train on, sorted by name.
@@ -173,8 +175,10 @@ impl Dataset {
 }
 
 /// Options of [`crate::capture::load`].
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct LoadOptions {
+    /// Folder of the photos, in the dataset or elsewhere; `None`: where the dataset says, else found by their file names.
+    pub images: Option<PathBuf>,
     /// Photos are shrunk to this length of their longest side, pixels, ≥ 1; never enlarged.
     pub max_size: u32,
     /// Every n-th image by name is held out, the first one included (0: none). A `transforms_test.json` takes precedence.
@@ -193,6 +197,7 @@ pub struct LoadOptions {
 impl Default for LoadOptions {
     fn default() -> Self {
         Self {
+            images: None,
             max_size: 1600,
             test_every: 8,
             image_budget: None,

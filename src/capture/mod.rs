@@ -5,6 +5,7 @@ pub mod camera;
 pub mod colmap;
 mod dataset;
 pub mod frame;
+mod images;
 pub mod lens;
 pub mod photo;
 pub mod point_cloud;
@@ -41,11 +42,17 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     if options.max_size == 0 {
         return Err(Error::config("max-size", "0; at least 1 pixel expected"));
     }
-    let scene = match (colmap::find(path), transforms::find(path)) {
+    let asked = options.images.as_deref();
+    let folder = match path.is_dir() {
+        true => images::asked_folder(path, asked)?,
+        false => None,
+    };
+    let model = colmap::find(path, folder.as_deref());
+    let scene = match (model, transforms::find(path)) {
         (Some((place, remarks)), file) if place.usual || file.is_none() => {
-            colmap::load(path, &place, remarks)?
+            colmap::load(path, &place, remarks, asked)?
         }
-        (_, Some(file)) => transforms::load(path, &file)?,
+        (_, Some(file)) => transforms::load(path, &file, asked)?,
         _ => return Err(no_dataset(path)),
     };
     assemble::assemble(path, scene, options)
@@ -86,7 +93,7 @@ fn several(path: &Path, holds: &impl Fn(&Path) -> bool) -> Option<Error> {
 /// The refusal of a path that is no dataset, with the way on.
 fn no_dataset(path: &Path) -> Error {
     let holds =
-        |folder: &Path| colmap::find(folder).is_some() || transforms::find(folder).is_some();
+        |folder: &Path| colmap::find(folder, None).is_some() || transforms::find(folder).is_some();
     let part = |above: &&Path| {
         let first = path.strip_prefix(above).ok();
         let first = first.and_then(|below| below.components().next());

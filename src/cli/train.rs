@@ -158,8 +158,10 @@ fn note_resume(saved: Option<u32>, dataset: &Path, dir: &Path, stopped: bool) {
 fn read_photos(dataset: &Path, config: &TrainConfig) -> Result<Dataset> {
     let data = capture::load(dataset, &scene::load_options(config))?;
     output::info(&format!(
-        "{}: {} training views, {} held out, {} points",
+        "{}: {} ({}), {} training views, {} held out, {} points",
         dataset.display(),
+        data.layout,
+        data.place,
         data.train.len(),
         data.test.len(),
         data.points.positions.len()

@@ -78,6 +78,9 @@ pub struct TrainConfig {
     /// First Gaussians: points, random or a scene file (Gaussians, or a PLY point cloud, in the dataset's frame).
     #[arg(long, default_value_t = Self::default().init)]
     pub init: Init,
+    /// Folder of the photos, in the dataset or elsewhere, like images_4 [default: where the dataset says, else found by file name].
+    #[arg(long, value_name = "DIR")]
+    pub images: Option<std::path::PathBuf>,
     /// Take the photos' alpha for a mask of the pixels that count, not for transparency.
     #[arg(long)]
     pub alpha_is_mask: bool,
@@ -146,6 +149,7 @@ impl Default for TrainConfig {
             export: Vec::new(),
             checkpoint_every: 1000,
             init: Init::Points,
+            images: None,
             alpha_is_mask: false,
             background: Background::Auto,
             anti_aliasing: AntiAliasing::Auto,
