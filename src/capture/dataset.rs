@@ -188,6 +188,8 @@ pub struct LoadOptions {
     pub image_budget: Option<u64>,
     /// True if the photos' alpha is a mask and not transparency. With mask files it always is.
     pub alpha_is_mask: bool,
+    /// True if masks are 0 where a photo counts: of files, and of alpha that is a mask.
+    pub invert_masks: bool,
     /// True if the photos are not wanted: none is decoded before it is asked for, so that broken and masked-out ones are not told.
     pub poses_only: bool,
     /// Called whenever a photo has been read, from any thread, with how many have been and how many there are.
@@ -202,6 +204,7 @@ impl Default for LoadOptions {
             test_every: 8,
             image_budget: None,
             alpha_is_mask: false,
+            invert_masks: false,
             poses_only: false,
             progress: None,
         }

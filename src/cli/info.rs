@@ -37,6 +37,9 @@ pub struct InfoArgs {
     /// Take the photos' alpha for a mask.
     #[arg(long)]
     alpha_is_mask: bool,
+    /// Masks are black where a photo counts.
+    #[arg(long)]
+    invert_masks: bool,
 }
 
 /// Describes a dataset, a run or a scene file; no device is needed.
@@ -61,6 +64,7 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
         test_every: args.test_every,
         images: args.images.clone(),
         alpha_is_mask: args.alpha_is_mask,
+        invert_masks: args.invert_masks,
         iterations: Preset::Standard.iterations(),
         ..TrainConfig::default()
     };

@@ -84,6 +84,9 @@ pub struct TrainConfig {
     /// Take the photos' alpha for a mask of the pixels that count, not for transparency.
     #[arg(long)]
     pub alpha_is_mask: bool,
+    /// Masks are black where a photo counts: mask files, and alpha with --alpha-is-mask, are inverted.
+    #[arg(long)]
+    pub invert_masks: bool,
     /// black, white, R,G,B, random (another colour in each iteration, scored over black), or auto: random if photos are
     /// transparent, else black.
     #[arg(long, default_value_t = Self::default().background)]
@@ -151,6 +154,7 @@ impl Default for TrainConfig {
             init: Init::Points,
             images: None,
             alpha_is_mask: false,
+            invert_masks: false,
             background: Background::Auto,
             anti_aliasing: AntiAliasing::Auto,
             exposure: ExposureChoice::Auto,
