@@ -120,6 +120,12 @@ fn lenses() -> Reader {
         "OPENCV_FISHEYE 24 16 20 21 12 8 0.1 0.02 0.03 0.04",
         "SIMPLE_RADIAL_FISHEYE 24 16 20 12 8 0.1",
         "RADIAL_FISHEYE 24 16 20 12 8 0.1 0.02",
+        "FOV 24 16 20 21 12 8 0.9",
+        "THIN_PRISM_FISHEYE 24 16 20 21 12 8 0.1 0.02 0.01 0.02 0.03 0.04 0.01 0.02",
+        "RAD_TAN_THIN_PRISM_FISHEYE 24 16 20 21 12 8 0.1 0.02 0.03 0.04 0.01 0.02 0.01 0.02 0.01 0.02 0.03 0.04",
+        "DIVISION 24 16 20 21 12 8 -0.1",
+        "FISHEYE 24 16 20 21 12 8",
+        "EUCM 24 16 20 21 12 8 0.6 1.1",
     ];
     let line = |c: &str| format!("1 {c}\n").into_bytes();
     reader.seeds.extend(cameras.into_iter().map(line));

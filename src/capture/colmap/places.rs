@@ -44,8 +44,15 @@ pub(in crate::capture) fn find(root: &Path, asked: Option<&Path>) -> Option<(Pla
         let mut photos = photos.iter().map(|name| root.join(name));
         let found = asked.map(Path::to_path_buf);
         let found = found.or_else(|| photos.find(|p| p.is_dir()));
-        // Photos that were put in are not those that came out.
-        let elsewhere = || (below != "distorted/sparse").then(|| root.join("images"));
+        // Photos that were put in are not those that came out, and a model without photos is a part of a dataset.
+        let elsewhere = || {
+            let whole = match below {
+                "sparse" => true,
+                "distorted/sparse" => false,
+                _ => self::photos(root) > 0,
+            };
+            whole.then(|| root.join("images"))
+        };
         let Some(photos) = found.or_else(elsewhere) else {
             continue;
         };
