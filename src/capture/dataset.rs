@@ -23,6 +23,12 @@ pub enum Layout {
     ColmapTxt,
     /// `transforms*.json` (Blender, nerfstudio).
     Transforms,
+    /// CSV with a row for each camera (RealityScan, RealityCapture).
+    RealityScan,
+    /// XML with sensors and cameras (Metashape).
+    Metashape,
+    /// `bundle.out` and a list of photos (Bundler).
+    Bundler,
 }
 
 impl std::fmt::Display for Layout {
@@ -31,6 +37,9 @@ impl std::fmt::Display for Layout {
             Self::ColmapBin => "colmap-bin",
             Self::ColmapTxt => "colmap-txt",
             Self::Transforms => "transforms",
+            Self::RealityScan => "reality-scan",
+            Self::Metashape => "metashape",
+            Self::Bundler => "bundler",
         })
     }
 }

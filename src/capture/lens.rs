@@ -34,6 +34,8 @@ pub enum Lens {
     },
     /// Radial factor 1 + k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸, tangential terms p1 and p2 in OpenCV's order, and after these x + s y for x.
     Brown {
+        /// True for a fisheye.
+        fisheye: bool,
         /// k1 to k4.
         radial: [f64; 4],
         /// p1, p2.
@@ -127,6 +129,7 @@ impl Lens {
                 radial,
                 tangential,
                 skew,
+                ..
             } => finite(&[radial, tangential, &[*skew]]),
             Self::Fisheye { radial } => finite(&[radial]),
             Self::ThinPrismFisheye {
@@ -151,7 +154,8 @@ impl Lens {
     fn is_fisheye(&self) -> bool {
         matches!(
             self,
-            Self::Fisheye { .. }
+            Self::Brown { fisheye: true, .. }
+                | Self::Fisheye { .. }
                 | Self::ThinPrismFisheye { .. }
                 | Self::RadTanThinPrismFisheye { .. }
         )
@@ -192,6 +196,7 @@ impl Lens {
                 radial,
                 tangential,
                 skew,
+                ..
             } => {
                 let factor = 1.0 + series(radial, r2);
                 let [dx, dy] = tangent(*tangential, [x, y]);

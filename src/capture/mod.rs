@@ -4,6 +4,7 @@ mod assemble;
 pub mod camera;
 pub mod colmap;
 mod dataset;
+mod exports;
 pub mod frame;
 mod images;
 pub mod lens;
@@ -29,7 +30,7 @@ use std::path::Path;
 use crate::base::error::{Error, Result};
 
 /// Reads a dataset folder: a model of COLMAP's with its photos (`sparse/0/` and `images/`, or where else programs leave them; binary
-/// preferred over text), or `transforms_train.json` / `transforms.json`.
+/// preferred over text), `transforms_train.json` / `transforms.json`, or the cameras that RealityScan, Metashape or Bundler exported.
 ///
 /// Names are sorted bytewise before the split. Everything is computed in f64 and moved to the local frame before it is
 /// rounded to f32, so that far-off frames (UTM) lose nothing.
@@ -53,7 +54,10 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
             colmap::load(path, &place, remarks, asked)?
         }
         (_, Some(file)) => transforms::load(path, &file, asked)?,
-        _ => return Err(no_dataset(path)),
+        _ => match &exports::find(path)[..] {
+            [] => return Err(no_dataset(path)),
+            found => exports::load(path, found, asked)?,
+        },
     };
     assemble::assemble(path, scene, options)
 }
@@ -92,8 +96,10 @@ fn several(path: &Path, holds: &impl Fn(&Path) -> bool) -> Option<Error> {
 
 /// The refusal of a path that is no dataset, with the way on.
 fn no_dataset(path: &Path) -> Error {
-    let holds =
-        |folder: &Path| colmap::find(folder, None).is_some() || transforms::find(folder).is_some();
+    let holds = |folder: &Path| {
+        let known = colmap::find(folder, None).is_some() || transforms::find(folder).is_some();
+        known || !exports::find(folder).is_empty()
+    };
     let part = |above: &&Path| {
         let first = path.strip_prefix(above).ok();
         let first = first.and_then(|below| below.components().next());
@@ -134,13 +140,13 @@ fn no_dataset(path: &Path) -> Error {
     if photos {
         return Error::input(
             path,
-            "photos, but no camera poses (sparse/0 of COLMAP, or transforms.json)",
+            "photos, but no camera poses (sparse/0 of COLMAP, transforms.json, or an export of RealityScan, Metashape or Bundler)",
             "put the photos into a folder images and run COLMAP in the folder that holds it (README, \"Your own photos\")",
         );
     }
     Error::input(
         path,
-        "neither sparse/0/cameras.bin or .txt (COLMAP) nor transforms_train.json or transforms.json",
-        "give the folder that holds images/ and sparse/0/, or a transforms file",
+        "neither sparse/0/cameras.bin or .txt (COLMAP), nor transforms_train.json or transforms.json, nor an export of RealityScan (CSV), Metashape (XML) or Bundler (bundle.out)",
+        "give the folder that holds images/ and sparse/0/, or one of these files",
     )
 }

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use crate::base::error::{Error, Result};
 use crate::base::ply::Table;
 use crate::capture::assemble::{RawScene, RawView, find_mask, inside, locate};
-use crate::capture::camera::Camera;
+use crate::capture::camera::{Camera, camera_axes};
 use crate::capture::dataset::Layout;
 use crate::capture::images::{Images, short};
 use crate::capture::lens::Lens;
@@ -295,28 +295,21 @@ impl Place<'_> {
         Err(self.bad(&what, CORRECT))
     }
 
-    /// World-to-camera rotation in OpenCV axes, and the camera's centre. Columns are normalised, which undoes the scale of
-    /// a scaled camera object; a result that is no rotation within 1 % is refused.
+    /// World-to-camera rotation in OpenCV axes, and the camera's centre.
     fn pose(&self) -> Result<(DMat3, DVec3)> {
         let m = &self.frame.transform_matrix;
         if !matches!(m.len(), 3 | 4) || m.iter().any(|row| row.len() != 4) {
             return Err(self.bad("transform_matrix is not 4×4 (or 3×4)", CORRECT));
         }
         let column = |k: usize| DVec3::new(m[0][k], m[1][k], m[2][k]);
-        let [x, y, z] = [column(0), -column(1), -column(2)].map(DVec3::normalize_or_zero);
         let center = column(3);
-        let determinant = DMat3::from_cols(x, y, z).determinant();
-        let rigid = (determinant - 1.0).abs() < 0.01;
-        if !rigid || !center.is_finite() {
-            let what = format!(
-                "transform_matrix is no rigid pose (determinant of its axes {determinant}, centre {center})"
-            );
+        let axes = camera_axes([column(0), -column(1), -column(2)]);
+        let rotation = axes.filter(|_| center.is_finite());
+        let Some(rotation) = rotation else {
+            let what = format!("transform_matrix is no rigid pose (centre {center})");
             return Err(self.bad(&what, CORRECT));
-        }
-        // Gram–Schmidt from the viewing axis; files with few digits are off by their rounding.
-        let x = (x - z * x.dot(z)).normalize();
-        let y = z.cross(x);
-        Ok((DMat3::from_cols(x, y, z).transpose(), center))
+        };
+        Ok((rotation, center))
     }
 }
 

@@ -20,7 +20,8 @@ const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
 /// Arguments of `mhsplat train`.
 #[derive(clap::Args)]
 pub struct TrainArgs {
-    /// Folder with images/ and sparse/0/, or with transforms_train.json or transforms.json.
+    /// Folder with images/ and sparse/0/, with transforms_train.json or transforms.json, or with photos and the cameras of RealityScan
+    /// (CSV), Metashape (XML) or Bundler.
     #[arg(required_unless_present = "resume")]
     dataset: Option<PathBuf>,
     /// Run folder; must not exist.

@@ -19,6 +19,7 @@ const FISHEYE: Lens = Lens::Fisheye {
 /// Lenses beyond OpenCV's, strong enough that wrong terms are seen.
 const OTHERS: [Lens; 6] = [
     Lens::Brown {
+        fisheye: false,
         radial: [-0.2, 0.05, -0.02, 0.004],
         tangential: [2e-3, -1e-3],
         skew: 3e-3,
@@ -146,6 +147,7 @@ fn lenses_agree_where_they_overlap() {
         prism: [0.0; 4],
     };
     let brown = Lens::Brown {
+        fisheye: false,
         radial: [-0.28, 0.09, -0.01, 0.0],
         tangential: [1.5e-3, -7e-4],
         skew: 0.0,
