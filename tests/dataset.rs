@@ -1,8 +1,10 @@
 //! Tests: dataset readers, split, frame, photos, initialisation.
 
 mod colmap;
+pub mod exports;
 mod formats;
 mod frames;
+mod images;
 mod init;
 mod lens;
 pub mod masks;

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use mutate::{Dice, mutated};
-use readers::{CLOUDS, COLMAP, PHOTOS, RUNS, Reader, SETTINGS, reader};
+use readers::{CLOUDS, COLMAP, EXPORTS, PHOTOS, RUNS, Reader, SETTINGS, reader};
 
 use mhsplat::run::clock;
 
@@ -112,6 +112,11 @@ fn transforms_and_photos() {
 }
 
 #[test]
+fn exports_of_other_programs() {
+    EXPORTS.into_iter().for_each(feed);
+}
+
+#[test]
 fn point_clouds_and_scenes() {
     CLOUDS.into_iter().for_each(feed);
 }
@@ -133,7 +138,7 @@ fn every_reader_has_a_fuzz_target() {
     let manifest: toml::Table = toml::from_str(&fs::read_to_string(manifest).unwrap()).unwrap();
     let bins = manifest["bin"].as_array().unwrap().iter();
     let mut targets: Vec<&str> = bins.map(|b| b["name"].as_str().unwrap()).collect();
-    let mut names = [&COLMAP[..], &PHOTOS, &CLOUDS, &SETTINGS, &RUNS].concat();
+    let mut names = [&COLMAP[..], &PHOTOS, &EXPORTS, &CLOUDS, &SETTINGS, &RUNS].concat();
     targets.sort_unstable();
     names.sort_unstable();
     assert_eq!(targets, names);

@@ -277,12 +277,25 @@ impl Table {
 /// # Errors
 /// A file that cannot be read, or is no PLY.
 pub(crate) fn read_comments(path: &Path) -> Result<Vec<String>> {
+    Ok(read_header(path)?.comments)
+}
+
+/// True for a file of Gaussians, by its header.
+pub(crate) fn is_scene(path: &Path) -> bool {
+    let elements = read_header(path).map(|header| header.elements);
+    elements.unwrap_or_default().iter().any(|element| {
+        let mut names = element.properties.iter().map(|p| p.name.as_str());
+        names.any(|name| matches!(name, "f_dc_0" | "packed_position"))
+    })
+}
+
+fn read_header(path: &Path) -> Result<Header> {
     let mut bytes = Vec::new();
     files::check_regular(path)?;
     std::fs::File::open(path)
         .and_then(|file| file.take(HEADER_LIMIT as u64).read_to_end(&mut bytes))
         .map_err(|e| Error::io(path, e))?;
-    Ok(parse_header(path, &bytes)?.comments)
+    parse_header(path, &bytes)
 }
 
 /// Writes a binary file of `count` vertices atomically: `header` is a comment line or empty, `properties` are types and names,

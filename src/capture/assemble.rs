@@ -14,7 +14,7 @@ use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
-use crate::capture::source::{PhotoFile, PhotoSource, automatic_budget, header, read};
+use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, automatic_budget, header, read};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
 pub(super) struct RawView {
@@ -34,6 +34,8 @@ pub(super) struct RawView {
 pub(super) struct RawScene {
     /// Layout it was read from.
     pub layout: Layout,
+    /// Places of its model and its photos, in words.
+    pub place: String,
     /// Findings that the user should know about.
     pub remarks: Vec<String>,
     /// All views, or the training views if `test` is given.
@@ -141,14 +143,19 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     }
     let points = Points::local(path, &frame, (scene.positions, scene.colors))?;
     let budget = options.image_budget.unwrap_or_else(automatic_budget);
-    let meaning = if options.alpha_is_mask || raw.iter().any(|v| v.mask.is_some()) {
+    let masked = raw.iter().any(|v| v.mask.is_some());
+    if options.invert_masks && !options.alpha_is_mask && !masked {
+        let what = "given, but no photo has a mask (a file in the folder masks, mask_path, or alpha with --alpha-is-mask)";
+        return Err(Error::config("--invert-masks", what));
+    }
+    let meaning = if options.alpha_is_mask || masked {
         Alpha::Mask
     } else {
         Alpha::Transparency
     };
     let (cameras, files): (Vec<Camera>, Vec<PhotoFile>) = raw
         .par_iter()
-        .map(|v| place(v, &frame, options.max_size, meaning))
+        .map(|v| place(v, &frame, options, meaning))
         .collect::<Result<_>>()?;
     let photos = match options.poses_only {
         true => files.into_iter().map(PhotoSource::File).collect(),
@@ -176,12 +183,13 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         return Err(Error::input(
             path,
             "the masks leave no pixel of any training photo",
-            "masks are white where a photo counts: invert or remove them",
+            "masks are white where a photo counts: give --invert-masks if yours are black there, or remove them",
         ));
     }
     Ok(Dataset {
         path: path.to_path_buf(),
         layout: scene.layout,
+        place: scene.place,
         remarks: scene.remarks,
         train,
         test,
@@ -282,7 +290,7 @@ fn without_outliers(
 fn place(
     view: &RawView,
     frame: &Frame,
-    max_size: u32,
+    options: &LoadOptions,
     meaning: Alpha,
 ) -> Result<(Camera, PhotoFile)> {
     let (header, camera) = (header(&view.file)?, &view.camera);
@@ -307,8 +315,13 @@ fn place(
         })?),
     };
     let pinhole = undistortion.map_or(*camera, |u| u.target);
-    let (path, mask) = (view.file.clone(), view.mask.clone());
-    let file = PhotoFile::new(path, header, max_size, undistortion, mask, meaning);
+    let mask = MaskFile {
+        path: view.mask.clone(),
+        inverted: options.invert_masks,
+        inverted_alpha: options.invert_masks && options.alpha_is_mask,
+    };
+    let (path, size) = (view.file.clone(), options.max_size);
+    let file = PhotoFile::new(path, header, size, undistortion, mask, meaning);
     let (width, height) = file.size();
     let mut camera = pinhole.scaled_to(width, height);
     camera.translation = -(camera.rotation * frame.to_local(view.camera.center()));

@@ -25,6 +25,18 @@ pub struct Camera {
     pub height: u32,
 }
 
+/// World-to-camera rotation of a camera whose axes have these directions in the world. They are normalised, which undoes the scale of a
+/// scaled camera object; `None` for axes that are no rotation within 1 %.
+pub(super) fn camera_axes(axes: [DVec3; 3]) -> Option<DMat3> {
+    let [x, y, z] = axes.map(DVec3::normalize_or_zero);
+    // NaN is near nothing.
+    let rigid = (DMat3::from_cols(x, y, z).determinant() - 1.0).abs() < 0.01;
+    // Gram–Schmidt from the viewing axis; files with few digits are off by their rounding.
+    let x = (x - z * x.dot(z)).normalize();
+    let y = z.cross(x);
+    rigid.then(|| DMat3::from_cols(x, y, z).transpose())
+}
+
 impl Camera {
     /// Centre of projection in the scene frame: −Wᵀ t₀.
     #[must_use]

@@ -23,6 +23,12 @@ pub enum Layout {
     ColmapTxt,
     /// `transforms*.json` (Blender, nerfstudio).
     Transforms,
+    /// CSV with a row for each camera (RealityScan, RealityCapture).
+    RealityScan,
+    /// XML with sensors and cameras (Metashape).
+    Metashape,
+    /// `bundle.out` and a list of photos (Bundler).
+    Bundler,
 }
 
 impl std::fmt::Display for Layout {
@@ -31,6 +37,9 @@ impl std::fmt::Display for Layout {
             Self::ColmapBin => "colmap-bin",
             Self::ColmapTxt => "colmap-txt",
             Self::Transforms => "transforms",
+            Self::RealityScan => "reality-scan",
+            Self::Metashape => "metashape",
+            Self::Bundler => "bundler",
         })
     }
 }
@@ -55,6 +64,8 @@ pub struct Dataset {
     pub path: PathBuf,
     /// The layout found there.
     pub layout: Layout,
+    /// Places of its model and its photos, in words.
+    pub place: String,
     /// Findings that the user should know about: photos that the model does not have, other models in the folder.
     pub remarks: Vec<String>,
     /// Views to train on, sorted by name.
@@ -173,8 +184,10 @@ impl Dataset {
 }
 
 /// Options of [`crate::capture::load`].
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct LoadOptions {
+    /// Folder of the photos, in the dataset or elsewhere; `None`: where the dataset says, else found by their file names.
+    pub images: Option<PathBuf>,
     /// Photos are shrunk to this length of their longest side, pixels, ≥ 1; never enlarged.
     pub max_size: u32,
     /// Every n-th image by name is held out, the first one included (0: none). A `transforms_test.json` takes precedence.
@@ -184,6 +197,8 @@ pub struct LoadOptions {
     pub image_budget: Option<u64>,
     /// True if the photos' alpha is a mask and not transparency. With mask files it always is.
     pub alpha_is_mask: bool,
+    /// True if masks are 0 where a photo counts: of files, and of alpha that is a mask.
+    pub invert_masks: bool,
     /// True if the photos are not wanted: none is decoded before it is asked for, so that broken and masked-out ones are not told.
     pub poses_only: bool,
     /// Called whenever a photo has been read, from any thread, with how many have been and how many there are.
@@ -193,10 +208,12 @@ pub struct LoadOptions {
 impl Default for LoadOptions {
     fn default() -> Self {
         Self {
+            images: None,
             max_size: 1600,
             test_every: 8,
             image_budget: None,
             alpha_is_mask: false,
+            invert_masks: false,
             poses_only: false,
             progress: None,
         }

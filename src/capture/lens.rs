@@ -1,7 +1,9 @@
 //! Lens distortion, and photos without it: every training camera is a pinhole.
 //!
-//! Models and their parameters: COLMAP's documentation, <https://colmap.github.io/cameras.html>, which has them from OpenCV
-//! (rational and tangential terms) and from Kannala, Brandt 2006 (equidistant fisheye). The pinhole camera of a distorted one
+//! Models and their parameters: COLMAP's documentation, <https://colmap.github.io/cameras.html>, and source
+//! (`src/colmap/sensor/models.h`). The sources of these: OpenCV (rational and tangential terms); Kannala, Brandt 2006 (equidistant
+//! fisheye); Devernay, Faugeras 2001 (FOV); Weng et al. 1992 (thin prism); Project Aria's Fisheye624; Fitzgibbon 2001 (division);
+//! Khomutenko et al. 2016 (EUCM). The pinhole camera of a distorted one
 //! is chosen as `colmap image_undistorter` does by default: the same focal lengths, and along each axis the largest size without
 //! a pixel that the photo has no light for, between a fifth of the photo's and twice that.
 
@@ -16,7 +18,8 @@ const WIDEST: f64 = 1.5;
 /// Steps of the search for the angle at which a lens folds over.
 const SEARCH: u32 = 4096;
 
-/// Lens distortion, a mapping of rays on the plane at depth 1.
+/// Lens distortion, a mapping of rays on the plane at depth 1. Fisheyes map the equidistant image of a ray: as far from the centre as its
+/// angle θ to the axis.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Lens {
     /// No distortion.
@@ -29,16 +32,71 @@ pub enum Lens {
         /// p1, p2.
         tangential: [f64; 2],
     },
+    /// Radial factor 1 + k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸, tangential terms p1 and p2 in OpenCV's order, and after these x + s y for x.
+    Brown {
+        /// True for a fisheye.
+        fisheye: bool,
+        /// k1 to k4.
+        radial: [f64; 4],
+        /// p1, p2.
+        tangential: [f64; 2],
+        /// Skew s of the pixels' axes.
+        skew: f64,
+    },
     /// Distance θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) from the centre, θ the ray's angle to the axis.
     Fisheye {
         /// k1 to k4.
         radial: [f64; 4],
+    },
+    /// The same, and in the equidistant image tangential terms p1 and p2 and the terms s1 r² and s2 r² of a thin prism.
+    ThinPrismFisheye {
+        /// k1 to k4.
+        radial: [f64; 4],
+        /// p1, p2.
+        tangential: [f64; 2],
+        /// s1 along x, s2 along y.
+        prism: [f64; 2],
+    },
+    /// Distance θ (1 + k0 θ² + … + k5 θ¹²) from the centre, and in this image tangential terms and those of a thin prism.
+    RadTanThinPrismFisheye {
+        /// k0 to k5.
+        radial: [f64; 6],
+        /// p0 along x, p1 along y: the other way round than OpenCV's.
+        tangential: [f64; 2],
+        /// s0 r² + s1 r⁴ along x, s2 r² + s3 r⁴ along y.
+        prism: [f64; 4],
+    },
+    /// Distance atan(2 r tan(ω/2)) / ω from the centre.
+    Fov {
+        /// Field of view ω, radians, above 0 and below π.
+        omega: f64,
+    },
+    /// A ray at distance r_d / (1 + k r_d²) for a point r_d from the centre.
+    Division {
+        /// k.
+        radial: f64,
+    },
+    /// Distance r / (α √(β r² + 1) + 1 − α) from the centre.
+    Eucm {
+        /// α, 0 to 1.
+        alpha: f64,
+        /// β, above 0.
+        beta: f64,
     },
 }
 
 /// Σ k_i x^{i+1} by Horner's scheme.
 fn series(k: &[f64], x: f64) -> f64 {
     k.iter().rev().fold(0.0, |sum, k| (sum + k) * x)
+}
+
+/// Tangential distortion of a point, OpenCV's p1 and p2.
+fn tangent([p1, p2]: [f64; 2], [x, y]: [f64; 2]) -> [f64; 2] {
+    let r2 = x * x + y * y;
+    [
+        2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y),
+    ]
 }
 
 impl Lens {
@@ -60,46 +118,128 @@ impl Lens {
         }
     }
 
-    /// True if every coefficient is finite.
+    /// True if every coefficient is finite and within its model's domain.
     #[must_use]
-    pub fn is_finite(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
+        let finite = |parts: &[&[f64]]| parts.iter().all(|part| part.iter().all(|k| k.is_finite()));
         match self {
             Self::Pinhole => true,
-            Self::Perspective { radial, tangential } => {
-                radial.iter().chain(tangential).all(|k| k.is_finite())
+            Self::Perspective { radial, tangential } => finite(&[radial, tangential]),
+            Self::Brown {
+                radial,
+                tangential,
+                skew,
+                ..
+            } => finite(&[radial, tangential, &[*skew]]),
+            Self::Fisheye { radial } => finite(&[radial]),
+            Self::ThinPrismFisheye {
+                radial,
+                tangential,
+                prism,
+            } => finite(&[radial, tangential, prism]),
+            Self::RadTanThinPrismFisheye {
+                radial,
+                tangential,
+                prism,
+            } => finite(&[radial, tangential, prism]),
+            Self::Fov { omega } => *omega > 0.0 && *omega < std::f64::consts::PI,
+            Self::Division { radial } => radial.is_finite(),
+            Self::Eucm { alpha, beta } => {
+                (0.0..=1.0).contains(alpha) && *beta > 0.0 && beta.is_finite()
             }
-            Self::Fisheye { radial } => radial.iter().all(|k| k.is_finite()),
         }
+    }
+
+    /// True for a lens that maps the equidistant image of a ray.
+    fn is_fisheye(&self) -> bool {
+        matches!(
+            self,
+            Self::Brown { fisheye: true, .. }
+                | Self::Fisheye { .. }
+                | Self::ThinPrismFisheye { .. }
+                | Self::RadTanThinPrismFisheye { .. }
+        )
+    }
+
+    /// True if [`Self::bent`] is the whole of the distortion.
+    fn is_radial(&self) -> bool {
+        matches!(
+            self,
+            Self::Fisheye { .. } | Self::Fov { .. } | Self::Division { .. } | Self::Eucm { .. }
+        )
     }
 
     /// Image point of the ray through (u, v, 1).
     #[must_use]
     pub fn distort(&self, [u, v]: [f64; 2]) -> [f64; 2] {
-        let r2 = u * u + v * v;
+        let r = u.hypot(v);
+        if r < 1e-12 && self.is_fisheye() {
+            return [u, v];
+        }
+        match self.is_fisheye() {
+            true => self.warp([u * r.atan() / r, v * r.atan() / r]),
+            false => self.warp([u, v]),
+        }
+    }
+
+    /// Image point of a point of the equidistant image of a fisheye, of the plane at depth 1 else.
+    fn warp(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let r2 = x * x + y * y;
         match self {
-            Self::Pinhole => [u, v],
+            Self::Pinhole => [x, y],
             Self::Perspective { radial, tangential } => {
-                let [p1, p2] = *tangential;
                 let factor = (1.0 + series(&radial[..3], r2)) / (1.0 + series(&radial[3..], r2));
+                let [dx, dy] = tangent(*tangential, [x, y]);
+                [x * factor + dx, y * factor + dy]
+            }
+            Self::Brown {
+                radial,
+                tangential,
+                skew,
+                ..
+            } => {
+                let factor = 1.0 + series(radial, r2);
+                let [dx, dy] = tangent(*tangential, [x, y]);
+                let [a, b] = [x * factor + dx, y * factor + dy];
+                [a + skew * b, b]
+            }
+            Self::ThinPrismFisheye {
+                radial,
+                tangential,
+                prism,
+            } => {
+                let factor = 1.0 + series(radial, r2);
+                let [dx, dy] = tangent(*tangential, [x, y]);
                 [
-                    u * factor + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u),
-                    v * factor + 2.0 * p2 * u * v + p1 * (r2 + 2.0 * v * v),
+                    x * factor + dx + prism[0] * r2,
+                    y * factor + dy + prism[1] * r2,
                 ]
             }
-            Self::Fisheye { radial } => {
+            Self::RadTanThinPrismFisheye {
+                radial,
+                tangential: [p0, p1],
+                prism,
+            } => {
+                let factor = 1.0 + series(radial, r2);
+                let [x, y] = [x * factor, y * factor];
+                let r2 = x * x + y * y;
+                let [dx, dy] = tangent([*p1, *p0], [x, y]);
+                [
+                    x + dx + series(&prism[..2], r2),
+                    y + dy + series(&prism[2..], r2),
+                ]
+            }
+            Self::Fisheye { .. } | Self::Fov { .. } | Self::Division { .. } | Self::Eucm { .. } => {
                 let r = r2.sqrt();
-                if r < 1e-12 {
-                    return [u, v];
-                }
-                let angle = r.atan();
-                let factor = angle * (1.0 + series(radial, angle * angle)) / r;
-                [u * factor, v * factor]
+                // Next to the centre the image is as large as the slope of `bent` there.
+                let at = r.max(1e-9);
+                let factor = self.bent(at) / at;
+                [x * factor, y * factor]
             }
         }
     }
 
-    /// Distance of the image from the centre for a ray this far off (r for perspective lenses, θ for fisheyes), without the
-    /// tangential part.
+    /// Distance of the image from the centre for a ray this far off (θ for fisheyes, r else), without what is not radial.
     fn bent(&self, far: f64) -> f64 {
         let square = far * far;
         match self {
@@ -111,18 +251,27 @@ impl Lens {
                 }
                 far * (1.0 + series(&radial[..3], square)) / below
             }
-            Self::Fisheye { radial } => far * (1.0 + series(radial, square)),
+            Self::Brown { radial, .. }
+            | Self::Fisheye { radial }
+            | Self::ThinPrismFisheye { radial, .. } => far * (1.0 + series(radial, square)),
+            Self::RadTanThinPrismFisheye { radial, .. } => far * (1.0 + series(radial, square)),
+            Self::Fov { omega } => (2.0 * far * (omega / 2.0).tan()).atan() / omega,
+            // The smaller root of r (1 + k r_d²) = r_d; NaN where there is none.
+            Self::Division { radial } => 2.0 * far / (1.0 + (1.0 - 4.0 * radial * square).sqrt()),
+            Self::Eucm { alpha, beta } => {
+                far / (alpha * (beta * square + 1.0).sqrt() + 1.0 - alpha)
+            }
         }
     }
 
     /// Largest distance of a ray from the axis (r or θ) before the image folds over: beyond, two rays share an image point, and
-    /// the polynomial describes no lens.
+    /// the formula describes no lens.
     #[must_use]
     pub fn fold(&self) -> f64 {
         let widest = match self {
             Self::Pinhole => return f64::INFINITY,
-            Self::Perspective { .. } => WIDEST.tan(),
-            Self::Fisheye { .. } => WIDEST,
+            _ if self.is_fisheye() => WIDEST,
+            _ => WIDEST.tan(),
         };
         let at = |k: u32| widest * f64::from(k) / f64::from(SEARCH);
         // NaN does not grow either.
@@ -149,22 +298,28 @@ impl Lens {
             }
         }
         let far = 0.5 * (low + high);
-        if let Self::Fisheye { .. } = self {
-            return reached.then(|| [x * far.tan() / r, y * far.tan() / r]);
+        let start = [x * far / r, y * far / r];
+        let point = match self.is_radial() {
+            true => reached.then_some(start),
+            false => self.polish(start, [x, y], fold),
+        }?;
+        let far = point[0].hypot(point[1]);
+        match self.is_fisheye() && far > 1e-12 {
+            true => Some(point.map(|c| c * far.tan() / far)),
+            false => Some(point),
         }
-        self.polish([x * far / r, y * far / r], [x, y], fold)
     }
 
-    /// The ray of an image point by Newton's method, from one that neglects the tangential part.
+    /// The point that is warped to an image point by Newton's method, from one that neglects what is not radial.
     fn polish(&self, [mut u, mut v]: [f64; 2], [x, y]: [f64; 2], fold: f64) -> Option<[f64; 2]> {
         for _ in 0..STEPS {
-            let [a, b] = self.distort([u, v]);
+            let [a, b] = self.warp([u, v]);
             let (dx, dy) = (a - x, b - y);
             // Central differences: the step is a small part of what the functions vary over.
             let h = 1e-6 * (1.0 + u.hypot(v));
             let [[xu, yu], [xv, yv]] = [[h, 0.0], [0.0, h]].map(|[du, dv]| {
-                let [p, q] = self.distort([u + du, v + dv]);
-                let [r, s] = self.distort([u - du, v - dv]);
+                let [p, q] = self.warp([u + du, v + dv]);
+                let [r, s] = self.warp([u - du, v - dv]);
                 [(p - r) / (2.0 * h), (q - s) / (2.0 * h)]
             });
             let determinant = xu * yv - xv * yu;
@@ -267,9 +422,9 @@ impl Undistortion {
         let (t, s) = (&self.target, &self.source);
         let ray = [(x - t.cx) / t.fx, (y - t.cy) / t.fy];
         let r = ray[0].hypot(ray[1]);
-        let far = match self.lens {
-            Lens::Fisheye { .. } => r.atan(),
-            _ => r,
+        let far = match self.lens.is_fisheye() {
+            true => r.atan(),
+            false => r,
         };
         let [u, v] = self.lens.distort(ray);
         (far <= self.fold).then_some([s.fx * u + s.cx, s.fy * v + s.cy])

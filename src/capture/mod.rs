@@ -4,7 +4,9 @@ mod assemble;
 pub mod camera;
 pub mod colmap;
 mod dataset;
+mod exports;
 pub mod frame;
+mod images;
 pub mod lens;
 pub mod photo;
 pub mod point_cloud;
@@ -28,7 +30,7 @@ use std::path::Path;
 use crate::base::error::{Error, Result};
 
 /// Reads a dataset folder: a model of COLMAP's with its photos (`sparse/0/` and `images/`, or where else programs leave them; binary
-/// preferred over text), or `transforms_train.json` / `transforms.json`.
+/// preferred over text), `transforms_train.json` / `transforms.json`, or the cameras that RealityScan, Metashape or Bundler exported.
 ///
 /// Names are sorted bytewise before the split. Everything is computed in f64 and moved to the local frame before it is
 /// rounded to f32, so that far-off frames (UTM) lose nothing.
@@ -41,12 +43,21 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     if options.max_size == 0 {
         return Err(Error::config("max-size", "0; at least 1 pixel expected"));
     }
-    let scene = match (colmap::find(path), transforms::find(path)) {
+    let asked = options.images.as_deref();
+    let folder = match path.is_dir() {
+        true => images::asked_folder(path, asked)?,
+        false => None,
+    };
+    let model = colmap::find(path, folder.as_deref());
+    let scene = match (model, transforms::find(path)) {
         (Some((place, remarks)), file) if place.usual || file.is_none() => {
-            colmap::load(path, &place, remarks)?
+            colmap::load(path, &place, remarks, asked)?
         }
-        (_, Some(file)) => transforms::load(path, &file)?,
-        _ => return Err(no_dataset(path)),
+        (_, Some(file)) => transforms::load(path, &file, asked)?,
+        _ => match &exports::find(path)[..] {
+            [] => return Err(no_dataset(path)),
+            found => exports::load(path, found, asked)?,
+        },
     };
     assemble::assemble(path, scene, options)
 }
@@ -85,8 +96,10 @@ fn several(path: &Path, holds: &impl Fn(&Path) -> bool) -> Option<Error> {
 
 /// The refusal of a path that is no dataset, with the way on.
 fn no_dataset(path: &Path) -> Error {
-    let holds =
-        |folder: &Path| colmap::find(folder).is_some() || transforms::find(folder).is_some();
+    let holds = |folder: &Path| {
+        let known = colmap::find(folder, None).is_some() || transforms::find(folder).is_some();
+        known || !exports::find(folder).is_empty()
+    };
     let part = |above: &&Path| {
         let first = path.strip_prefix(above).ok();
         let first = first.and_then(|below| below.components().next());
@@ -127,13 +140,13 @@ fn no_dataset(path: &Path) -> Error {
     if photos {
         return Error::input(
             path,
-            "photos, but no camera poses (sparse/0 of COLMAP, or transforms.json)",
+            "photos, but no camera poses (sparse/0 of COLMAP, transforms.json, or an export of RealityScan, Metashape or Bundler)",
             "put the photos into a folder images and run COLMAP in the folder that holds it (README, \"Your own photos\")",
         );
     }
     Error::input(
         path,
-        "neither sparse/0/cameras.bin or .txt (COLMAP) nor transforms_train.json or transforms.json",
-        "give the folder that holds images/ and sparse/0/, or a transforms file",
+        "neither sparse/0/cameras.bin or .txt (COLMAP), nor transforms_train.json or transforms.json, nor an export of RealityScan (CSV), Metashape (XML) or Bundler (bundle.out)",
+        "give the folder that holds images/ and sparse/0/, or one of these files",
     )
 }

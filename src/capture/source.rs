@@ -102,13 +102,24 @@ pub enum PhotoSource {
     File(PhotoFile),
 }
 
+/// A photo's mask, if it has any.
+#[derive(Debug, Clone)]
+pub(super) struct MaskFile {
+    /// The file of the mask.
+    pub path: Option<PathBuf>,
+    /// True if the file is black where the photo counts.
+    pub inverted: bool,
+    /// True if the photo's own alpha is a mask of this kind.
+    pub inverted_alpha: bool,
+}
+
 /// An image file, and the size that its photo was found to have when the dataset was read.
 #[derive(Debug, Clone)]
 pub struct PhotoFile {
     path: PathBuf,
     max_size: u32,
     undistortion: Option<Box<Undistortion>>,
-    mask: Option<PathBuf>,
+    mask: MaskFile,
     width: u32,
     height: u32,
     /// Alpha plane of the photo: at first as its header has it, then as all photos of the dataset do.
@@ -187,8 +198,13 @@ impl PhotoSource {
     }
 }
 
-/// Multiplies a mask file into the alpha of RGBA bytes: black excludes a pixel, white includes it.
-fn apply_mask(file: &Path, rgba: &mut [u8], [width, height]: [u32; 2]) -> Result<()> {
+/// Multiplies a mask file into the alpha of RGBA bytes: black excludes a pixel, white includes it, or the other way round if `inverted`.
+fn apply_mask(
+    file: &Path,
+    inverted: bool,
+    rgba: &mut [u8],
+    [width, height]: [u32; 2],
+) -> Result<()> {
     let mask = decoded(file)?;
     if (mask.width(), mask.height()) != (width, height) {
         let (w, h) = (mask.width(), mask.height());
@@ -197,6 +213,7 @@ fn apply_mask(file: &Path, rgba: &mut [u8], [width, height]: [u32; 2]) -> Result
         return Err(Error::input(file, what, fix));
     }
     for (pixel, m) in rgba.chunks_exact_mut(4).zip(mask.into_luma8().into_raw()) {
+        let m = if inverted { 255 - m } else { m };
         pixel[3] = ((u32::from(pixel[3]) * u32::from(m) + 127) / 255) as u8;
     }
     Ok(())
@@ -222,14 +239,14 @@ impl PhotoFile {
         header: Header,
         max_size: u32,
         undistortion: Option<Undistortion>,
-        mask: Option<PathBuf>,
+        mask: MaskFile,
         meaning: Alpha,
     ) -> Self {
         let size = undistortion.map_or([header.width, header.height], |u| {
             [u.target.width, u.target.height]
         });
         let [width, height] = fitted(size, max_size);
-        let has_alpha = header.has_alpha || mask.is_some();
+        let has_alpha = header.has_alpha || mask.path.is_some();
         Self {
             path,
             max_size,
@@ -260,14 +277,18 @@ impl PhotoFile {
         };
         let image = decoded(&self.path)?;
         let (mut width, mut height) = (image.width(), image.height());
-        let has_alpha = image.color().has_alpha() || self.mask.is_some();
+        let own_alpha = image.color().has_alpha();
+        let has_alpha = own_alpha || self.mask.path.is_some();
         let mut bytes = if has_alpha {
             image.into_rgba8().into_raw()
         } else {
             image.into_rgb8().into_raw()
         };
-        if let Some(mask) = &self.mask {
-            apply_mask(mask, &mut bytes, [width, height])?;
+        if self.mask.inverted_alpha && own_alpha {
+            bytes.chunks_exact_mut(4).for_each(|p| p[3] = 255 - p[3]);
+        }
+        if let Some(mask) = &self.mask.path {
+            apply_mask(mask, self.mask.inverted, &mut bytes, [width, height])?;
         }
         if let Some(undistortion) = &self.undistortion {
             if (width, height) != undistortion.source_size() {

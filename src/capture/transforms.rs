@@ -13,8 +13,9 @@ use serde_json::{Value, json};
 use crate::base::error::{Error, Result};
 use crate::base::ply::Table;
 use crate::capture::assemble::{RawScene, RawView, find_mask, inside, locate};
-use crate::capture::camera::Camera;
+use crate::capture::camera::{Camera, camera_axes};
 use crate::capture::dataset::Layout;
+use crate::capture::images::{Images, short};
 use crate::capture::lens::Lens;
 use crate::capture::source;
 
@@ -73,22 +74,38 @@ pub(super) fn find(root: &Path) -> Option<PathBuf> {
 ///
 /// # Errors
 /// Unreadable JSON, an unknown camera model, poses that are no rotation, paths that leave `root`.
-pub(super) fn load(root: &Path, file: &Path) -> Result<RawScene> {
-    let mut missing = Vec::new();
-    let (train, points) = read(root, file, &mut missing)?;
+pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<RawScene> {
     let held_out = root.join("transforms_test.json");
     let named_split = file.ends_with("transforms_train.json") && held_out.is_file();
-    let test = if named_split {
-        Some(read(root, &held_out, &mut missing)?.0)
-    } else {
-        None
+    let train = read(file)?;
+    let test = named_split.then(|| read(&held_out)).transpose()?;
+    let frames = || {
+        train
+            .frames
+            .iter()
+            .chain(test.iter().flat_map(|t| &t.frames))
     };
-    let (positions, colors) = match points {
-        Some(name) => Table::read(&inside(root, &name)?)?.points()?,
+    let names = frames().map(|frame| frame.file_path.as_str());
+    let mut found = Images::new(root, root.to_path_buf(), asked)?.find(names)?;
+    let (positions, colors) = match &train.ply_file_path {
+        Some(name) => Table::read(&inside(root, name)?)?.points()?,
         None => (Vec::new(), Vec::new()),
     };
+    let mut missing = Vec::new();
+    let place = match found.place.as_str() {
+        "photos in this folder" => short(root, file),
+        other => format!("{}, {other}", short(root, file)),
+    };
+    let mut views = |file: &Path, parsed: &File| {
+        let rest = found.files.split_off(parsed.frames.len());
+        let files = std::mem::replace(&mut found.files, rest);
+        views((root, file, asked.is_some()), parsed, files, &mut missing)
+    };
+    let train = views(file, &train)?;
+    let test = test.map(|test| views(&held_out, &test)).transpose()?;
     Ok(RawScene {
         layout: Layout::Transforms,
+        place,
         remarks: Vec::new(),
         train,
         test,
@@ -98,12 +115,8 @@ pub(super) fn load(root: &Path, file: &Path) -> Result<RawScene> {
     })
 }
 
-/// The views of one file, and its `ply_file_path`; names of images that are not there are added to `missing`.
-fn read(
-    root: &Path,
-    file: &Path,
-    missing: &mut Vec<String>,
-) -> Result<(Vec<RawView>, Option<String>)> {
+/// The content of one file.
+fn read(file: &Path) -> Result<File> {
     let text = crate::base::files::read(file)?;
     let parsed: File = serde_json::from_slice(&text).map_err(|e| {
         let fix = "a list `frames` with `file_path` and a 4×4 `transform_matrix` each is expected";
@@ -116,14 +129,26 @@ fn read(
             "list one frame per photo, with `file_path` and `transform_matrix`",
         ));
     }
+    Ok(parsed)
+}
+
+/// The views of one file in a folder, with their images; names of images that are not there are added to `missing`. `resized` if the
+/// images are others than those that the file was written for.
+fn views(
+    (root, file, resized): (&Path, &Path, bool),
+    parsed: &File,
+    images: Vec<Option<PathBuf>>,
+    missing: &mut Vec<String>,
+) -> Result<Vec<RawView>> {
     let mut views = Vec::with_capacity(parsed.frames.len());
-    for frame in &parsed.frames {
+    for (frame, image) in parsed.frames.iter().zip(images) {
         let at = Place {
             file,
             frame,
             lenses: [&frame.lens, &parsed.lens],
+            resized,
         };
-        let Some(image) = locate(root, &frame.file_path)? else {
+        let Some(image) = image else {
             missing.push(normal_name(&frame.file_path));
             continue;
         };
@@ -135,7 +160,7 @@ fn read(
             file: image,
         });
     }
-    Ok((views, parsed.ply_file_path))
+    Ok(views)
 }
 
 fn normal_name(name: &str) -> String {
@@ -148,6 +173,8 @@ struct Place<'a> {
     frame: &'a Frame,
     /// Its own intrinsics, and those of the file.
     lenses: [&'a Intrinsics; 2],
+    /// True if the photos may have another size than those of the file.
+    resized: bool,
 }
 
 impl Place<'_> {
@@ -218,6 +245,10 @@ impl Place<'_> {
     fn camera(&self, image: &Path) -> Result<Camera> {
         let (width, height) = match (self.find(|l| l.w), self.find(|l| l.h)) {
             (Some(w), Some(h)) => (self.pixels("w", w)?, self.pixels("h", h)?),
+            _ if self.resized && self.find(|l| l.fl_x).is_some() => {
+                let what = "fl_x is given without w and h, and the photos of --images may have another size";
+                return Err(self.bad(what, "add w and h"));
+            }
             _ => {
                 let header = source::header(image)?;
                 (header.width, header.height)
@@ -264,28 +295,21 @@ impl Place<'_> {
         Err(self.bad(&what, CORRECT))
     }
 
-    /// World-to-camera rotation in OpenCV axes, and the camera's centre. Columns are normalised, which undoes the scale of
-    /// a scaled camera object; a result that is no rotation within 1 % is refused.
+    /// World-to-camera rotation in OpenCV axes, and the camera's centre.
     fn pose(&self) -> Result<(DMat3, DVec3)> {
         let m = &self.frame.transform_matrix;
         if !matches!(m.len(), 3 | 4) || m.iter().any(|row| row.len() != 4) {
             return Err(self.bad("transform_matrix is not 4×4 (or 3×4)", CORRECT));
         }
         let column = |k: usize| DVec3::new(m[0][k], m[1][k], m[2][k]);
-        let [x, y, z] = [column(0), -column(1), -column(2)].map(DVec3::normalize_or_zero);
         let center = column(3);
-        let determinant = DMat3::from_cols(x, y, z).determinant();
-        let rigid = (determinant - 1.0).abs() < 0.01;
-        if !rigid || !center.is_finite() {
-            let what = format!(
-                "transform_matrix is no rigid pose (determinant of its axes {determinant}, centre {center})"
-            );
+        let axes = camera_axes([column(0), -column(1), -column(2)]);
+        let rotation = axes.filter(|_| center.is_finite());
+        let Some(rotation) = rotation else {
+            let what = format!("transform_matrix is no rigid pose (centre {center})");
             return Err(self.bad(&what, CORRECT));
-        }
-        // Gram–Schmidt from the viewing axis; files with few digits are off by their rounding.
-        let x = (x - z * x.dot(z)).normalize();
-        let y = z.cross(x);
-        Ok((DMat3::from_cols(x, y, z).transpose(), center))
+        };
+        Ok((rotation, center))
     }
 }
 

@@ -31,9 +31,15 @@ pub struct InfoArgs {
     /// Every n-th image by name that training would hold out.
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().test_every)]
     test_every: u32,
+    /// Folder of the photos, in the dataset or elsewhere.
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
     /// Take the photos' alpha for a mask.
     #[arg(long)]
     alpha_is_mask: bool,
+    /// Masks are black where a photo counts.
+    #[arg(long)]
+    invert_masks: bool,
 }
 
 /// Describes a dataset, a run or a scene file; no device is needed.
@@ -56,7 +62,9 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
     let config = TrainConfig {
         max_size: args.max_size,
         test_every: args.test_every,
+        images: args.images.clone(),
         alpha_is_mask: args.alpha_is_mask,
+        invert_masks: args.invert_masks,
         iterations: Preset::Standard.iterations(),
         ..TrainConfig::default()
     };
@@ -74,7 +82,7 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
     let alpha = alpha.to_lowercase();
     let memory = data.photo_bytes();
     let document = json!({
-        "path": data.path, "layout": layout, "training_views": train, "held_out_views": test, "sizes": sizes, "lenses": lenses,
+        "path": data.path, "layout": layout, "place": data.place, "training_views": train, "held_out_views": test, "sizes": sizes, "lenses": lenses,
         "alpha": alpha, "brightness_stops": stops, "points": points, "extent": scale, "center": center, "photo_bytes": memory,
         "photos_on_demand": data.photos_on_demand(), "missing": data.missing, "astray": data.outliers,
         "masked_out": data.masked_out, "remarks": data.remarks, "plan": plan,
@@ -89,8 +97,9 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
     };
     let mut lines = vec![
         format!(
-            "{}: {layout}, {train} training views, {test} held out",
-            data.path.display()
+            "{}: {layout} ({}), {train} training views, {test} held out",
+            data.path.display(),
+            data.place
         ),
         format!("sizes in training: {}", words(&sizes)),
         format!("lenses: {}", words(&lenses)),
@@ -116,8 +125,12 @@ fn counted(data: &Dataset, of: impl Fn(&View) -> String) -> BTreeMap<String, usi
 fn lens(lens: &Lens) -> &'static str {
     match lens {
         Lens::Pinhole => "no distortion",
-        Lens::Perspective { .. } => "perspective distortion",
-        Lens::Fisheye { .. } => "fisheye",
+        Lens::Brown { fisheye: true, .. } => "fisheye",
+        Lens::Perspective { .. } | Lens::Brown { .. } => "perspective distortion",
+        Lens::Fov { .. } | Lens::Division { .. } | Lens::Eucm { .. } => "wide-angle distortion",
+        Lens::Fisheye { .. }
+        | Lens::ThinPrismFisheye { .. }
+        | Lens::RadTanThinPrismFisheye { .. } => "fisheye",
     }
 }
 

@@ -53,9 +53,15 @@ pub struct PhotoOptions {
     /// Every n-th image is held out (the run's, else 8).
     #[arg(long)]
     test_every: Option<u32>,
+    /// Folder of the photos, in the dataset or elsewhere (default: as in the run).
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
     /// Take the photos' alpha for a mask of the pixels that count, not for transparency (default: as in the run).
     #[arg(long)]
     alpha_is_mask: bool,
+    /// Masks are black where a photo counts (default: as in the run).
+    #[arg(long)]
+    invert_masks: bool,
     /// Accept a dataset that is not the one that the run was trained on.
     #[arg(long)]
     allow_different: bool,
@@ -132,7 +138,9 @@ fn read_dataset(
     config.max_size = options.max_size.unwrap_or(config.max_size);
     config.test_every = options.test_every.unwrap_or(config.test_every);
     config.image_budget = None;
+    config.images = options.images.clone().or(config.images);
     config.alpha_is_mask |= options.alpha_is_mask;
+    config.invert_masks |= options.invert_masks;
     let load = LoadOptions {
         poses_only,
         ..load_options(&config)
@@ -145,7 +153,10 @@ fn read_dataset(
         data.test.retain(shown);
     }
     note_left_out(&data);
-    let asked = |c: &TrainConfig| (c.max_size, c.test_every, c.alpha_is_mask);
+    let asked = |c: &TrainConfig| {
+        let masks = (c.alpha_is_mask, c.invert_masks);
+        (c.max_size, c.test_every, masks, c.images.clone())
+    };
     if let Some(record) = record.filter(|_| !options.allow_different) {
         // With another size or split the whole fingerprint is another one.
         let (known, found) = match !poses_only && asked(&config) == asked(&of_run) {
@@ -171,7 +182,9 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
         max_size: config.max_size,
         test_every: config.test_every,
         image_budget: config.image_budget,
+        images: config.images.clone(),
         alpha_is_mask: config.alpha_is_mask,
+        invert_masks: config.invert_masks,
         poses_only: false,
         progress: Some(progress::reading),
     }

@@ -20,7 +20,8 @@ const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
 /// Arguments of `mhsplat train`.
 #[derive(clap::Args)]
 pub struct TrainArgs {
-    /// Folder with images/ and sparse/0/, or with transforms_train.json or transforms.json.
+    /// Folder with images/ and sparse/0/, with transforms_train.json or transforms.json, or with photos and the cameras of RealityScan
+    /// (CSV), Metashape (XML) or Bundler.
     #[arg(required_unless_present = "resume")]
     dataset: Option<PathBuf>,
     /// Run folder; must not exist.
@@ -158,8 +159,10 @@ fn note_resume(saved: Option<u32>, dataset: &Path, dir: &Path, stopped: bool) {
 fn read_photos(dataset: &Path, config: &TrainConfig) -> Result<Dataset> {
     let data = capture::load(dataset, &scene::load_options(config))?;
     output::info(&format!(
-        "{}: {} training views, {} held out, {} points",
+        "{}: {} ({}), {} training views, {} held out, {} points",
         dataset.display(),
+        data.layout,
+        data.place,
         data.train.len(),
         data.test.len(),
         data.points.positions.len()

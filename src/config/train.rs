@@ -78,9 +78,15 @@ pub struct TrainConfig {
     /// First Gaussians: points, random or a scene file (Gaussians, or a PLY point cloud, in the dataset's frame).
     #[arg(long, default_value_t = Self::default().init)]
     pub init: Init,
+    /// Folder of the photos, in the dataset or elsewhere, like images_4 [default: where the dataset says, else found by file name].
+    #[arg(long, value_name = "DIR")]
+    pub images: Option<std::path::PathBuf>,
     /// Take the photos' alpha for a mask of the pixels that count, not for transparency.
     #[arg(long)]
     pub alpha_is_mask: bool,
+    /// Masks are black where a photo counts: mask files, and alpha with --alpha-is-mask, are inverted.
+    #[arg(long)]
+    pub invert_masks: bool,
     /// black, white, R,G,B, random (another colour in each iteration, scored over black), or auto: random if photos are
     /// transparent, else black.
     #[arg(long, default_value_t = Self::default().background)]
@@ -146,7 +152,9 @@ impl Default for TrainConfig {
             export: Vec::new(),
             checkpoint_every: 1000,
             init: Init::Points,
+            images: None,
             alpha_is_mask: false,
+            invert_masks: false,
             background: Background::Auto,
             anti_aliasing: AntiAliasing::Auto,
             exposure: ExposureChoice::Auto,

@@ -87,9 +87,17 @@ fn truncated_models() {
 
 #[test]
 fn a_camera_model_that_is_not_taken() {
-    damaged(SynthLayout::ColmapTxt, &["cameras.txt", "FOV"], |d| {
-        replace(&d.join("sparse/0/cameras.txt"), " PINHOLE ", " FOV ");
-    });
+    damaged(
+        SynthLayout::ColmapTxt,
+        &["cameras.txt", "EQUIRECTANGULAR", "panorama_sfm"],
+        |d| {
+            replace(
+                &d.join("sparse/0/cameras.txt"),
+                " PINHOLE ",
+                " EQUIRECTANGULAR ",
+            );
+        },
+    );
 }
 
 #[test]

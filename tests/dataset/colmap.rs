@@ -91,20 +91,16 @@ fn models_that_are_not_read_are_refused_by_name() {
         dir.path().join("cameras.txt"),
     );
     let whole = fs::read(&bin).unwrap();
-    for (id, name) in [(7, "FOV"), (10, "THIN_PRISM_FISHEYE"), (13, "DIVISION")] {
-        let mut bytes = whole.clone();
-        bytes[12..16].copy_from_slice(&i32::to_le_bytes(id));
-        fs::write(&bin, bytes).unwrap();
-        assert_refused(
-            ColmapModel::read(dir.path(), true),
-            &[name, "image_undistorter"],
-        );
-        fs::write(&txt, format!("1 {name} 16 12 20 8 6 0.1\n")).unwrap();
-        assert_refused(
-            ColmapModel::read(dir.path(), false),
-            &[name, "image_undistorter"],
-        );
-    }
+    let (name, words) = ("EQUIRECTANGULAR", ["EQUIRECTANGULAR", "panorama_sfm"]);
+    let mut bytes = whole.clone();
+    bytes[12..16].copy_from_slice(&17_i32.to_le_bytes());
+    fs::write(&bin, bytes).unwrap();
+    assert_refused(ColmapModel::read(dir.path(), true), &words);
+    fs::write(&txt, format!("1 {name} 16 12 16 12\n")).unwrap();
+    assert_refused(ColmapModel::read(dir.path(), false), &words);
+    fs::write(&txt, "1 NEWEST 16 12 20 8 6 0.1\n").unwrap();
+    let words = ["NEWEST", "image_undistorter"];
+    assert_refused(ColmapModel::read(dir.path(), false), &words);
     let mut bytes = whole.clone();
     bytes[12..16].copy_from_slice(&(-1_i32).to_le_bytes());
     fs::write(&bin, bytes).unwrap();

@@ -16,6 +16,31 @@ const PERSPECTIVE: Lens = Lens::Perspective {
 const FISHEYE: Lens = Lens::Fisheye {
     radial: [0.03, -0.01, 0.004, -0.0007],
 };
+/// Lenses beyond OpenCV's, strong enough that wrong terms are seen.
+const OTHERS: [Lens; 6] = [
+    Lens::Brown {
+        fisheye: false,
+        radial: [-0.2, 0.05, -0.02, 0.004],
+        tangential: [2e-3, -1e-3],
+        skew: 3e-3,
+    },
+    Lens::ThinPrismFisheye {
+        radial: [0.03, -0.01, 0.004, -0.0007],
+        tangential: [2e-3, -1e-3],
+        prism: [3e-3, -4e-3],
+    },
+    Lens::RadTanThinPrismFisheye {
+        radial: [0.03, -0.01, 0.004, -0.0007, 3e-4, -1e-4],
+        tangential: [2e-3, -1e-3],
+        prism: [3e-3, -2e-3, -4e-3, 1e-3],
+    },
+    Lens::Fov { omega: 0.9 },
+    Lens::Division { radial: -0.18 },
+    Lens::Eucm {
+        alpha: 0.6,
+        beta: 1.1,
+    },
+];
 
 fn camera() -> Camera {
     Camera {
@@ -51,9 +76,98 @@ fn distortion_is_what_opencv_says() {
     assert!((found[1] - v * bent / r2.sqrt()).abs() < 1e-15);
 }
 
+/// COLMAP's formulas (`src/colmap/sensor/models.h`), written as it writes them.
+#[test]
+fn distortion_is_what_colmap_says() {
+    let (u, v) = (0.43_f64, -0.31_f64);
+    let r2 = u * u + v * v;
+    let r = r2.sqrt();
+    let t = r.atan();
+    // The equidistant image of fisheyes.
+    let (x, y) = (u * t / r, v * t / r);
+    let (t2, xy) = (x * x + y * y, x * y);
+    let brown = {
+        let k = 1.0 - 0.2 * r2 + 0.05 * r2 * r2 - 0.02 * r2.powi(3) + 0.004 * r2.powi(4);
+        let a = u * k + 2.0 * 2e-3 * u * v - 1e-3 * (r2 + 2.0 * u * u);
+        let b = v * k + 2e-3 * (r2 + 2.0 * v * v) - 2.0 * 1e-3 * u * v;
+        [a + 3e-3 * b, b]
+    };
+    let thin = {
+        let k = 0.03 * t2 - 0.01 * t2 * t2 + 0.004 * t2.powi(3) - 0.0007 * t2.powi(4);
+        [
+            x + x * k + 2.0 * 2e-3 * xy - 1e-3 * (t2 + 2.0 * x * x) + 3e-3 * t2,
+            y + y * k - 2.0 * 1e-3 * xy + 2e-3 * (t2 + 2.0 * y * y) - 4e-3 * t2,
+        ]
+    };
+    let aria = {
+        let k = 1.0 + 0.03 * t2 - 0.01 * t2 * t2 + 0.004 * t2.powi(3) - 0.0007 * t2.powi(4);
+        let k = k + 3e-4 * t2.powi(5) - 1e-4 * t2.powi(6);
+        let (x, y) = (x * k, y * k);
+        let (r2, xy) = (x * x + y * y, x * y);
+        [
+            x - 2.0 * 1e-3 * xy + 2e-3 * (r2 + 2.0 * x * x) + 3e-3 * r2 - 2e-3 * r2 * r2,
+            y + 2.0 * 2e-3 * xy - 1e-3 * (r2 + 2.0 * y * y) - 4e-3 * r2 + 1e-3 * r2 * r2,
+        ]
+    };
+    let fov = (r * 2.0 * (0.9_f64 / 2.0).tan()).atan() / (r * 0.9);
+    let division = 2.0 / (1.0 + (1.0 + 4.0 * 0.18 * r2).sqrt());
+    let eucm = 1.0 / (0.6 * (1.1 * r2 + 1.0).sqrt() + 0.4);
+    let radial = [fov, division, eucm].map(|k| [u * k, v * k]);
+    let expected = [brown, thin, aria].into_iter().chain(radial);
+    for (lens, expected) in OTHERS.iter().zip(expected) {
+        let found = lens.distort([u, v]);
+        let off = (found[0] - expected[0]).hypot(found[1] - expected[1]);
+        assert!(off < 4e-15, "{lens:?}: {off:e}");
+        assert!((found[0] - u).hypot(found[1] - v) > 1e-3);
+        // The slope at the centre is that nearby.
+        let [near, nearer] = [1e-7, 1e-11].map(|r| lens.distort([r, 0.0])[0] / r);
+        assert!((near - nearer).abs() < 1e-6, "{lens:?}: {near} {nearer}");
+        assert_eq!(lens.distort([0.0; 2]), [0.0; 2]);
+    }
+    // The division model is told the other way round.
+    let [x, y] = OTHERS[4].distort([u, v]);
+    let back = x / (1.0 - 0.18 * (x * x + y * y));
+    assert!((back - u).abs() < 1e-15, "{back}");
+}
+
+/// Without their other terms fisheyes are the plain one, and Brown's lens is OpenCV's.
+#[test]
+fn lenses_agree_where_they_overlap() {
+    let radial = [0.03, -0.01, 0.004, -0.0007];
+    let none = Lens::ThinPrismFisheye {
+        radial,
+        tangential: [0.0; 2],
+        prism: [0.0; 2],
+    };
+    let mut more = [0.0; 6];
+    more[..4].copy_from_slice(&radial);
+    let aria = Lens::RadTanThinPrismFisheye {
+        radial: more,
+        tangential: [0.0; 2],
+        prism: [0.0; 4],
+    };
+    let brown = Lens::Brown {
+        fisheye: false,
+        radial: [-0.28, 0.09, -0.01, 0.0],
+        tangential: [1.5e-3, -7e-4],
+        skew: 0.0,
+    };
+    let opencv = Lens::Perspective {
+        radial: [-0.28, 0.09, -0.01, 0.0, 0.0, 0.0],
+        tangential: [1.5e-3, -7e-4],
+    };
+    for (a, b) in [(none, FISHEYE), (aria, FISHEYE), (brown, opencv)] {
+        let [p, q] = [a, b].map(|lens| lens.distort([0.5, -0.4]));
+        assert!((p[0] - q[0]).hypot(p[1] - q[1]) < 1e-15, "{a:?}");
+    }
+}
+
 #[test]
 fn there_and_back_again() {
-    for lens in [Lens::Pinhole, PERSPECTIVE, FISHEYE] {
+    for lens in [Lens::Pinhole, PERSPECTIVE, FISHEYE]
+        .into_iter()
+        .chain(OTHERS)
+    {
         for i in -10..=10 {
             for j in -10..=10 {
                 let ray = [0.08 * f64::from(i), 0.06 * f64::from(j)];
@@ -100,6 +214,7 @@ fn there_and_back_again() {
 
 /// A photo of a smooth picture on the plane at depth 1, taken through a lens.
 fn photo(camera: &Camera, lens: Lens, channels: usize) -> Vec<u8> {
+    let fold = lens.fold();
     let pixels = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
     pixels
         .flat_map(|(x, y)| {
@@ -107,7 +222,7 @@ fn photo(camera: &Camera, lens: Lens, channels: usize) -> Vec<u8> {
                 (f64::from(x) + 0.5 - camera.cx) / camera.fx,
                 (f64::from(y) + 0.5 - camera.cy) / camera.fy,
             ];
-            let [u, v] = lens.undistort(place, lens.fold()).unwrap();
+            let [u, v] = lens.undistort(place, fold).unwrap();
             let wave = |f: f64, p: f64| {
                 (127.5 + 100.0 * (f * u + p).sin() * (f * v - p).cos()).round() as u8
             };
@@ -120,7 +235,7 @@ fn photo(camera: &Camera, lens: Lens, channels: usize) -> Vec<u8> {
 
 #[test]
 fn a_photo_without_its_distortion_is_the_pinhole_photo() {
-    for lens in [PERSPECTIVE, FISHEYE] {
+    for lens in [PERSPECTIVE, FISHEYE].into_iter().chain(OTHERS) {
         for channels in [3, 4] {
             let source = camera();
             let undistortion = Undistortion::new(lens, &source).unwrap();
@@ -237,8 +352,100 @@ fn every_parameter_has_its_place() {
             one,
             fisheye([0.1, 0.2, 0.0, 0.0]),
         ),
+        ("SIMPLE_FISHEYE 16 12 20 8 6", one, fisheye([0.0; 4])),
+        ("FISHEYE 16 12 20 21 8 6", two, fisheye([0.0; 4])),
+        ("FOV 16 12 20 21 8 6 0.9", two, Lens::Fov { omega: 0.9 }),
+        ("FOV 16 12 20 21 8 6 0", two, Lens::Pinhole),
+        (
+            "THIN_PRISM_FISHEYE 16 12 20 21 8 6 0.1 0.2 0.01 0.02 0.3 0.4 0.03 0.04",
+            two,
+            Lens::ThinPrismFisheye {
+                radial: [0.1, 0.2, 0.3, 0.4],
+                tangential: [0.01, 0.02],
+                prism: [0.03, 0.04],
+            },
+        ),
+        (
+            "RAD_TAN_THIN_PRISM_FISHEYE 16 12 20 21 8 6 0.1 0.2 0.3 0.4 0.5 0.6 0.01 0.02 0.03 0.04 0.05 0.06",
+            two,
+            Lens::RadTanThinPrismFisheye {
+                radial: [0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+                tangential: [0.01, 0.02],
+                prism: [0.03, 0.04, 0.05, 0.06],
+            },
+        ),
+        (
+            "SIMPLE_DIVISION 16 12 20 8 6 -0.1",
+            one,
+            Lens::Division { radial: -0.1 },
+        ),
+        (
+            "DIVISION 16 12 20 21 8 6 -0.1",
+            two,
+            Lens::Division { radial: -0.1 },
+        ),
+        (
+            "EUCM 16 12 20 21 8 6 0.6 1.1",
+            two,
+            Lens::Eucm {
+                alpha: 0.6,
+                beta: 1.1,
+            },
+        ),
     ] {
         assert_eq!(colmap_lens(line), (params, lens), "{line}");
+    }
+}
+
+/// Binary models name theirs by number.
+#[test]
+fn models_have_their_numbers() {
+    let dir = super::colmap_scene(3, glam::DVec3::ZERO, true);
+    let file = dir.path().join("sparse/0/cameras.bin");
+    let (one, two) = (&[21.5, 8.5, 5.75][..], &[21.5, 20.25, 8.5, 5.75][..]);
+    for (number, first, more) in [
+        (7, two, 1),
+        (10, two, 8),
+        (11, two, 12),
+        (12, one, 1),
+        (13, two, 1),
+        (14, one, 0),
+        (15, two, 0),
+        (16, two, 2),
+    ] {
+        let mut bytes = 1_u64.to_le_bytes().to_vec();
+        bytes.extend(1_u32.to_le_bytes());
+        bytes.extend(i32::to_le_bytes(number));
+        bytes.extend([16_u64, 12].into_iter().flat_map(u64::to_le_bytes));
+        let params = first
+            .iter()
+            .copied()
+            .chain([0.02; 12].into_iter().take(more));
+        bytes.extend(params.flat_map(f64::to_le_bytes));
+        fs::write(&file, &bytes).unwrap();
+        let camera = ColmapModel::read(&dir.path().join("sparse/0"), true)
+            .unwrap()
+            .cameras[0];
+        assert_ne!(camera.lens, Lens::Pinhole, "{number}");
+        let data = load(dir.path(), &LoadOptions::default()).unwrap();
+        assert_eq!(data.undistorted, 3, "{number}");
+    }
+}
+
+#[test]
+fn coefficients_out_of_their_domain_are_refused() {
+    for line in [
+        "FOV 16 12 20 21 8 6 3.2",
+        "EUCM 16 12 20 21 8 6 1.6 1.1",
+        "EUCM 16 12 20 21 8 6 0.6 0",
+        "DIVISION 16 12 20 21 8 6 nan",
+        "THIN_PRISM_FISHEYE 16 12 20 21 8 6 0 0 0 0 0 0 inf 0",
+    ] {
+        let dir = super::colmap_scene(3, glam::DVec3::ZERO, false);
+        let file = dir.path().join("sparse/0/cameras.txt");
+        fs::write(&file, format!("1 {line}\n")).unwrap();
+        let read = load(dir.path(), &LoadOptions::default());
+        super::assert_refused(read, &["cameras.txt", "camera 1", "domain"]);
     }
 }
 

@@ -239,6 +239,60 @@ fn alpha_is_transparency_unless_it_is_said_to_be_a_mask() {
     }
 }
 
+/// The masks of three views, inverted or not, as they are decoded, and as they are read on demand.
+fn planes(path: &Path, inverted: bool, alpha_is_mask: bool) -> Vec<Vec<u8>> {
+    let of = |image_budget| -> Vec<Vec<u8>> {
+        let options = LoadOptions {
+            test_every: 0,
+            invert_masks: inverted,
+            alpha_is_mask,
+            image_budget,
+            ..LoadOptions::default()
+        };
+        let data = load(path, &options).unwrap();
+        assert_eq!(data.alpha(), Alpha::Mask);
+        let plane = |v: &mhsplat::capture::View| v.photo.load().unwrap().data[3 * 192..].to_vec();
+        data.train.iter().map(plane).collect()
+    };
+    let whole = of(None);
+    assert_eq!(whole, of(Some(1000)));
+    whole
+}
+
+#[test]
+fn masks_are_inverted_if_asked() {
+    let dir = scene_with("v 00.png", [16, 12]);
+    let [plain, inverted] = [false, true].map(|inverted| planes(dir.path(), inverted, false));
+    let opposite: Vec<u8> = plain[0].iter().map(|m| 255 - m).collect();
+    assert!(inverted[0] == opposite && plain[0] != opposite);
+    // A photo without a mask counts as a whole either way.
+    assert!(inverted[1] == plain[1] && plain[1].iter().all(|m| *m == 255));
+    // Alpha is a mask if it is said to be one, and transparency beside one otherwise.
+    let file = dir.path().join("images/v 01.png");
+    let clear =
+        |x: u32, y: u32| Rgba([90, 80, 70, if (x + y).is_multiple_of(3) { 0 } else { 255 }]);
+    RgbaImage::from_fn(16, 12, clear).save(&file).unwrap();
+    let [plain, inverted] = [false, true].map(|inverted| planes(dir.path(), inverted, true));
+    let opposite: Vec<u8> = plain[1].iter().map(|m| 255 - m).collect();
+    assert!(inverted[1] == opposite && plain[1] != opposite);
+    assert_eq!(planes(dir.path(), true, false)[1], plain[1]);
+    // Nothing to invert is a mistake.
+    fs::remove_dir_all(dir.path().join("masks")).unwrap();
+    let refused = mhsplat(&["info", text(dir.path()), "--invert-masks"]);
+    assert_eq!(refused.status.code(), Some(2));
+    let said = stderr(&refused);
+    assert!(
+        said.contains("--invert-masks") && said.contains("no photo has a mask"),
+        "{said}"
+    );
+    done(&[
+        "info",
+        text(dir.path()),
+        "--invert-masks",
+        "--alpha-is-mask",
+    ]);
+}
+
 /// A COLMAP scene of three views of 16 × 12 pixels, the first held out, with black masks for some.
 fn blackened(names: &[&str]) -> TempDir {
     let dir = colmap_scene(3, DVec3::ZERO, true);
@@ -259,7 +313,7 @@ fn photos_of_which_masks_leave_nothing_are_left_out_by_name() {
             ..LoadOptions::default()
         };
         let all = blackened(&["v 01.png", "v 02.png"]);
-        let words = &["no pixel of any training photo", "white"];
+        let words = &["no pixel of any training photo", "--invert-masks"];
         assert_refused(load(all.path(), &options), words);
         let some = blackened(&["v 00.png", "v 02.png"]);
         let data = load(some.path(), &options).unwrap();

@@ -34,6 +34,7 @@ pub const COLMAP: [&str; 6] = [
     "points3d_txt",
 ];
 pub const PHOTOS: [&str; 6] = ["transforms", "lenses", "png", "jpeg", "webp", "mask"];
+pub const EXPORTS: [&str; 3] = ["reality_scan_csv", "metashape_xml", "bundle_out"];
 pub const CLOUDS: [&str; 7] = [
     "points_ply",
     "scene_ply",
@@ -51,6 +52,7 @@ pub fn reader(name: &str) -> Reader {
     match name {
         n if COLMAP.contains(&n) => colmap(n),
         n if PHOTOS.contains(&n) => photos(n),
+        n if EXPORTS.contains(&n) => export(n),
         n if CLOUDS.contains(&n) => cloud(n),
         n if SETTINGS.contains(&n) => settings(n),
         n if RUNS.contains(&n) => run(n),
@@ -121,6 +123,12 @@ fn lenses() -> Reader {
         "OPENCV_FISHEYE 24 16 20 21 12 8 0.1 0.02 0.03 0.04",
         "SIMPLE_RADIAL_FISHEYE 24 16 20 12 8 0.1",
         "RADIAL_FISHEYE 24 16 20 12 8 0.1 0.02",
+        "FOV 24 16 20 21 12 8 0.9",
+        "THIN_PRISM_FISHEYE 24 16 20 21 12 8 0.1 0.02 0.01 0.02 0.03 0.04 0.01 0.02",
+        "RAD_TAN_THIN_PRISM_FISHEYE 24 16 20 21 12 8 0.1 0.02 0.03 0.04 0.01 0.02 0.01 0.02 0.01 0.02 0.03 0.04",
+        "DIVISION 24 16 20 21 12 8 -0.1",
+        "FISHEYE 24 16 20 21 12 8",
+        "EUCM 24 16 20 21 12 8 0.6 1.1",
     ];
     let line = |c: &str| format!("1 {c}\n").into_bytes();
     reader.seeds.extend(cameras.into_iter().map(line));
@@ -187,6 +195,42 @@ fn photos(name: &str) -> Reader {
     let pixels = image::open(&file).unwrap().into_rgb8();
     pixels.save_with_format(&file, format).unwrap();
     of_file(dir, file, reads)
+}
+
+/// A camera export of another program, of one photo.
+fn export(name: &str) -> Reader {
+    let dir = tempfile::tempdir().unwrap();
+    image::RgbImage::new(24, 16)
+        .save(dir.path().join("a.png"))
+        .unwrap();
+    fs::write(dir.path().join("list.txt"), "a.png\n").unwrap();
+    let (file, seed) = match name {
+        "reality_scan_csv" => (
+            "a.csv",
+            "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n\
+             a.png,1,2,3,10,80,-5,28,0.01,-0.02,0.1,0.02,0.03,0.04,0.001,0.002\n",
+        ),
+        "metashape_xml" => (
+            "a.xml",
+            "<document version=\"2.0.0\"><chunk><sensors><sensor id=\"0\" type=\"frame\"><calibration class=\"adjusted\">\
+             <resolution width=\"24\" height=\"16\"/><f>22</f><cx>0.5</cx><cy>-0.5</cy><b1>0.1</b1><b2>0.2</b2><k1>0.1</k1>\
+             <p1>0.01</p1></calibration></sensor></sensors><components><component id=\"0\"><transform>\
+             <rotation>1 0 0 0 1 0 0 0 1</rotation><translation>1 2 3</translation><scale>2</scale></transform></component></components>\
+             <cameras><camera id=\"0\" sensor_id=\"0\" component_id=\"0\" label=\"a\">\
+             <transform>1 0 0 4 0 1 0 5 0 0 1 6 0 0 0 1</transform></camera></cameras></chunk></document>\n",
+        ),
+        _ => (
+            "bundle.out",
+            "# Bundle file v0.3\n1 1\n20 0.1 0.02\n1 0 0\n0 1 0\n0 0 1\n1 2 3\n4 5 6\n10 20 30\n1 0 7 0.5 0.25\n",
+        ),
+    };
+    let file = dir.path().join(file);
+    fs::write(&file, seed).unwrap();
+    let options = LoadOptions {
+        test_every: 0,
+        ..LoadOptions::default()
+    };
+    of_file(dir, file, move |dir| load(dir, &options).is_ok())
 }
 
 fn cloud(name: &str) -> Reader {

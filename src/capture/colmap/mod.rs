@@ -19,9 +19,10 @@ use std::path::Path;
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::base::error::{Error, Result};
-use crate::capture::assemble::{RawScene, RawView, find_mask, locate};
+use crate::capture::assemble::{RawScene, RawView, find_mask};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::Layout;
+use crate::capture::images::{Images, short};
 
 /// The views and points of a model of `root`.
 ///
@@ -31,26 +32,29 @@ pub(in crate::capture) fn load(
     root: &Path,
     place: &Place,
     remarks: Vec<String>,
+    asked: Option<&Path>,
 ) -> Result<RawScene> {
     let model = ColmapModel::read(&place.model, place.layout == Layout::ColmapBin)?;
     let folder = &place.photos;
-    if !folder.is_dir() {
+    let names = model.images.iter().map(|image| image.name.as_str());
+    let found = Images::new(root, folder.clone(), asked)?.find(names)?;
+    if !folder.is_dir() && found.files.iter().all(Option::is_none) {
         return Err(Error::input(
             folder,
             "no such folder; the photos of a COLMAP dataset are expected there",
-            "copy or link the photos to it",
+            "copy or link the photos to it, or name their folder with --images DIR",
         ));
     }
     let cameras: HashMap<u32, &ColmapCamera> = model.cameras.iter().map(|c| (c.id, c)).collect();
     let mut train = Vec::with_capacity(model.images.len());
     let mut missing = Vec::new();
-    for image in &model.images {
+    for (image, file) in model.images.iter().zip(found.files) {
         let Some(c) = cameras.get(&image.camera_id) else {
             continue; // validate() refused unknown cameras
         };
         let [w, x, y, z] = image.rotation;
         let [fx, fy, cx, cy] = c.params;
-        let Some(file) = locate(folder, &image.name)? else {
+        let Some(file) = file else {
             missing.push(image.name.clone());
             continue;
         };
@@ -73,6 +77,7 @@ pub(in crate::capture) fn load(
     }
     Ok(RawScene {
         layout: place.layout,
+        place: format!("{}, {}", short(root, &place.model), found.place),
         remarks,
         train,
         test: None,

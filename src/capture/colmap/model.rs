@@ -10,24 +10,82 @@ use crate::capture::camera::Camera;
 use crate::capture::colmap::form::{Fields, Output, REBUILD, records};
 use crate::capture::lens::Lens;
 
-/// Names of COLMAP's camera models in the order of its identifiers (`src/colmap/sensor/models.h`), their focal lengths (f, or fx
-/// and fy; none: not read), their distortion coefficients in the order of [`Lens::of_coefficients`], and if these are a fisheye's.
-const MODELS: [(&str, usize, usize, bool); 14] = [
-    ("SIMPLE_PINHOLE", 1, 0, false),
-    ("PINHOLE", 2, 0, false),
-    ("SIMPLE_RADIAL", 1, 1, false),
-    ("RADIAL", 1, 2, false),
-    ("OPENCV", 2, 4, false),
-    ("OPENCV_FISHEYE", 2, 4, true),
-    ("FULL_OPENCV", 2, 8, false),
-    ("FOV", 0, 0, false),
-    ("SIMPLE_RADIAL_FISHEYE", 1, 1, true),
-    ("RADIAL_FISHEYE", 1, 2, true),
-    ("THIN_PRISM_FISHEYE", 0, 0, false),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", 0, 0, false),
-    ("SIMPLE_DIVISION", 0, 0, false),
-    ("DIVISION", 0, 0, false),
+/// Name of a camera model, number of its focal lengths (f, or fx and fy; none: not read) and of its distortion coefficients, and the
+/// lens of these.
+type CameraModel = (&'static str, usize, usize, fn(&[f64]) -> Lens);
+
+/// COLMAP's camera models in the order of its identifiers (`src/colmap/sensor/models.h`).
+const MODELS: [CameraModel; 18] = [
+    ("SIMPLE_PINHOLE", 1, 0, perspective),
+    ("PINHOLE", 2, 0, perspective),
+    ("SIMPLE_RADIAL", 1, 1, perspective),
+    ("RADIAL", 1, 2, perspective),
+    ("OPENCV", 2, 4, perspective),
+    ("OPENCV_FISHEYE", 2, 4, fisheye),
+    ("FULL_OPENCV", 2, 8, perspective),
+    ("FOV", 2, 1, fov),
+    ("SIMPLE_RADIAL_FISHEYE", 1, 1, fisheye),
+    ("RADIAL_FISHEYE", 1, 2, fisheye),
+    ("THIN_PRISM_FISHEYE", 2, 8, thin_prism_fisheye),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 2, 12, rad_tan_thin_prism),
+    ("SIMPLE_DIVISION", 1, 1, division),
+    ("DIVISION", 2, 1, division),
+    ("SIMPLE_FISHEYE", 1, 0, fisheye),
+    ("FISHEYE", 2, 0, fisheye),
+    ("EUCM", 2, 2, eucm),
+    (SPHERE, 0, 0, perspective),
 ];
+
+/// Model of a whole sphere around the camera, which no pinhole sees.
+const SPHERE: &str = "EQUIRECTANGULAR";
+
+fn perspective(k: &[f64]) -> Lens {
+    Lens::of_coefficients(k, false)
+}
+
+fn fisheye(k: &[f64]) -> Lens {
+    Lens::of_coefficients(k, true)
+}
+
+/// ω; 0, the limit of the model, is a pinhole.
+fn fov(k: &[f64]) -> Lens {
+    match k[0] == 0.0 {
+        true => Lens::Pinhole,
+        false => Lens::Fov { omega: k[0].abs() },
+    }
+}
+
+/// k1 k2 p1 p2 k3 k4 sx1 sy1.
+fn thin_prism_fisheye(k: &[f64]) -> Lens {
+    Lens::ThinPrismFisheye {
+        radial: [k[0], k[1], k[4], k[5]],
+        tangential: [k[2], k[3]],
+        prism: [k[6], k[7]],
+    }
+}
+
+/// k0 to k5, p0 p1, s0 to s3.
+fn rad_tan_thin_prism(k: &[f64]) -> Lens {
+    Lens::RadTanThinPrismFisheye {
+        radial: std::array::from_fn(|i| k[i]),
+        tangential: [k[6], k[7]],
+        prism: std::array::from_fn(|i| k[8 + i]),
+    }
+}
+
+fn division(k: &[f64]) -> Lens {
+    match k[0] == 0.0 {
+        true => Lens::Pinhole,
+        false => Lens::Division { radial: k[0] },
+    }
+}
+
+fn eucm(k: &[f64]) -> Lens {
+    Lens::Eucm {
+        alpha: k[0],
+        beta: k[1],
+    }
+}
 
 /// A camera of a COLMAP model (a `SIMPLE_PINHOLE` has `fx == fy`).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -97,7 +155,14 @@ fn camera(from: &mut Fields<'_>) -> Result<ColmapCamera> {
     };
     let size = from.array(["WIDTH", "HEIGHT"], u64::from_le_bytes)?;
     let name = known.map_or_else(|| format!("{found} (unknown)"), |m| m.0.to_owned());
-    let Some(&(_, focals, coefficients, fisheye)) = known.filter(|m| m.1 > 0) else {
+    if name == SPHERE {
+        return Err(Error::input(
+            from.path,
+            format!("camera {id} has the model {name}: its photos show the whole sphere"),
+            "cut them into pinhole photos with poses, as COLMAP's python/examples/panorama_sfm.py does, and give what it writes",
+        ));
+    }
+    let Some(&(_, focals, coefficients, lens)) = known.filter(|m| m.1 > 0) else {
         return Err(Error::input(
             from.path,
             format!("camera {id} has the model {name}, which is not read"),
@@ -125,7 +190,7 @@ fn camera(from: &mut Fields<'_>) -> Result<ColmapCamera> {
             params[focals],
             params[focals + 1],
         ],
-        lens: Lens::of_coefficients(&params[focals + 2..], fisheye),
+        lens: lens(&params[focals + 2..]),
     })
 }
 
@@ -275,10 +340,10 @@ impl ColmapModel {
         let mut ids = HashSet::new();
         for c in &self.cameras {
             let [fx, fy, cx, cy] = c.params;
-            let finite = c.lens.is_finite() && c.params.iter().all(|v| v.is_finite());
+            let finite = c.lens.is_valid() && c.params.iter().all(|v| v.is_finite());
             if !(finite && fx > 0.0 && fy > 0.0 && c.width > 0 && c.height > 0) {
                 let what = format!(
-                    "camera {} is {}×{} with fx {fx}, fy {fy}, cx {cx}, cy {cy}, {:?}; positive sizes and focal lengths expected",
+                    "camera {} is {}×{} with fx {fx}, fy {fy}, cx {cx}, cy {cy}, {:?}; positive sizes and focal lengths, and finite coefficients within the domain of the model expected",
                     c.id, c.width, c.height, c.lens
                 );
                 return bad("cameras", what);

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::capture::assemble::is_photo;
 use crate::capture::dataset::Layout;
+use crate::capture::images::short;
 
 /// Folders of models, each itself or with numbered ones in it, and the folders of their photos, the first that exists. Those of a
 /// model before undistortion (`distorted`, of Inria's script) are the photos that were put in.
@@ -35,15 +36,24 @@ pub(in crate::capture) struct Place {
 }
 
 /// The model of most images below `root`, of equals the first by place and number, and remarks on what else there is: photos that
-/// the model does not have, and other models.
-pub(in crate::capture) fn find(root: &Path) -> Option<(Place, Vec<String>)> {
+/// the model does not have, and other models. With a folder that is `asked` for, that has the photos of every model.
+pub(in crate::capture) fn find(root: &Path, asked: Option<&Path>) -> Option<(Place, Vec<String>)> {
     let mut all = Vec::new();
     for (below, photos) in PLACES {
         let folder = root.join(below);
         let mut photos = photos.iter().map(|name| root.join(name));
-        let found = photos.find(|p| p.is_dir());
-        let Some(photos) = found.or_else(|| (below == "sparse").then(|| root.join("images")))
-        else {
+        let found = asked.map(Path::to_path_buf);
+        let found = found.or_else(|| photos.find(|p| p.is_dir()));
+        // Photos that were put in are not those that came out, and a model without photos is a part of a dataset.
+        let elsewhere = || {
+            let whole = match below {
+                "sparse" => true,
+                "distorted/sparse" => false,
+                _ => self::photos(root) > 0,
+            };
+            whole.then(|| root.join("images"))
+        };
+        let Some(photos) = found.or_else(elsewhere) else {
             continue;
         };
         let numbered = match below {
@@ -117,11 +127,7 @@ fn images_txt(file: &Path) -> Option<u64> {
 }
 
 fn remarks(root: &Path, chosen: &Place, others: &[Place]) -> Vec<String> {
-    let short = |path: &Path| match path.strip_prefix(root) {
-        Ok(below) if below.as_os_str().is_empty() => "this folder".to_owned(),
-        Ok(below) => below.display().to_string(),
-        Err(_) => path.display().to_string(),
-    };
+    let short = |path: &Path| short(root, path);
     let mut remarks = Vec::new();
     let (model, photos) = (short(&chosen.model), photos(&chosen.photos));
     if chosen.images < photos {

@@ -93,6 +93,7 @@ pub fn dataset(cameras: &[Camera]) -> Dataset {
     Dataset {
         path: PathBuf::new(),
         layout: Layout::Transforms,
+        place: String::new(),
         remarks: Vec::new(),
         train: cameras.iter().enumerate().map(view).collect(),
         test: Vec::new(),
