@@ -33,6 +33,7 @@ mod house;
 mod layout;
 mod learning;
 mod library;
+mod live;
 mod masks;
 mod photos;
 mod plan;

@@ -7,7 +7,7 @@ use clap::{Arg, Command, CommandFactory, Parser, Subcommand};
 use mhsplat::base::error::Result;
 
 use crate::cli::common::{Common, Outcome};
-use crate::cli::{convert, devices, doctor, eval, info, lab, render, shell, train};
+use crate::cli::{convert, devices, doctor, eval, info, lab, render, shell, train, view};
 
 /// Posed photos to a 3D Gaussian scene, on any OpenCL device.
 ///
@@ -40,6 +40,9 @@ enum Make {
     /// Render a scene to PNG files.
     #[command(after_help = "Example: mhsplat render run -o film --video film.mp4")]
     Render(Box<render::RenderArgs>),
+    /// Show a scene in a browser, on this machine or through ssh.
+    #[command(after_help = "Example: mhsplat view run")]
+    View(Box<view::ViewArgs>),
     /// PSNR, SSIM and FLIP per held-out view and mean.
     #[command(after_help = "Example: mhsplat eval run")]
     Eval(eval::EvalArgs),
@@ -114,6 +117,7 @@ impl Cli {
         match self.command {
             Group::Make(Make::Train(args)) => train::run(&args, &common),
             Group::Make(Make::Render(args)) => render::run(&args, &common),
+            Group::Make(Make::View(args)) => view::run(&args, &common),
             Group::Make(Make::Eval(args)) => eval::run(&args, &common),
             Group::Make(Make::Convert(args)) => convert::run(&args, &common),
             Group::Measure(Measure::Bench(args)) => lab::bench::run(&args, &common),

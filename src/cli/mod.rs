@@ -16,6 +16,7 @@ mod scene;
 mod shell;
 mod shots;
 mod train;
+mod view;
 
 use std::process::ExitCode;
 

@@ -15,7 +15,7 @@ use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::base::files;
 use mhsplat::capture::{Camera, PhotoSource};
-use mhsplat::pipeline::forward::{Quantity, RenderOptions, Rendered, to_byte};
+use mhsplat::pipeline::forward::{Quantity, RenderOptions, to_byte};
 use mhsplat::run::report::gallery::error_map;
 
 /// Steps of depth in each 16-bit image.
@@ -277,7 +277,7 @@ fn depths(loaded: &mut Loaded, camera: &Camera, scale: f64) -> Result<(Vec<u16>,
         active_only: false,
     };
     let image = loaded.renderer.image(&loaded.scene, camera, &options)?;
-    let depths = mean_depths(&image);
+    let depths = image.mean_depths();
     let largest = depths.iter().fold(0.0f64, |l, d| l.max(*d));
     let step = match largest * scale / f64::from(u16::MAX) {
         step if step.is_normal() => step,
@@ -285,14 +285,4 @@ fn depths(loaded: &mut Loaded, camera: &Camera, scale: f64) -> Result<(Vec<u16>,
     };
     let number = |d: f64| (d * scale / step).round() as u16;
     Ok((depths.into_iter().map(number).collect(), step))
-}
-
-/// Mean depth in local units where at least half of the light comes from Gaussians, else 0.
-fn mean_depths(image: &Rendered) -> Vec<f64> {
-    let pixels = image.transmittance.iter().zip(&image.rgb);
-    let mean = pixels.map(|(t, d)| match *d > 0.0 && d.is_finite() && *t <= 0.5 {
-        true => f64::from(*d) / f64::from(1.0 - t),
-        false => 0.0,
-    });
-    mean.collect()
 }

@@ -120,11 +120,19 @@ pub fn cameras(
     record: Option<&RunRecord>,
     options: &PhotoOptions,
 ) -> Result<(Frame, Vec<Camera>)> {
-    let mut data = read_dataset(path, record, options, true)?;
+    let mut data = views(path, record, options)?;
     data.train.append(&mut data.test);
     data.train.sort_by(|a, b| a.name.cmp(&b.name));
     let cameras = data.train.iter().map(|view| view.camera).collect();
     Ok((data.frame, cameras))
+}
+
+/// Reads a dataset for its views; its photos are not read before they are asked for.
+///
+/// # Errors
+/// Those of [`dataset`].
+pub fn views(path: &Path, record: Option<&RunRecord>, options: &PhotoOptions) -> Result<Dataset> {
+    read_dataset(path, record, options, true)
 }
 
 fn read_dataset(

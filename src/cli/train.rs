@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::cli::common::{Common, DeviceOption, Outcome, open_tested};
 use crate::cli::overrides::Overrides;
 use crate::cli::progress::{Display, Form, finish};
-use crate::cli::{output, scene};
+use crate::cli::{output, scene, view};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
+use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{Clock, RECORD_FILE, Run, RunRecord, claim_folder, saved_config};
 
 /// Keys of a configuration that say how long the run is.
@@ -44,6 +45,9 @@ pub struct TrainArgs {
     preset: Option<Preset>,
     #[command(flatten)]
     options: Overrides,
+    /// Show the scene as it is trained in a browser, on this machine or through ssh: on this port, 0 for any that is free [default: 7878, or any that is free].
+    #[arg(long, value_name = "PORT", num_args = 0..=1, value_parser = view::port, help_heading = RUN_CONTROL)]
+    view: Option<Option<u16>>,
     /// Form of the progress on stderr.
     #[arg(long, value_enum, default_value_t, help_heading = RUN_CONTROL)]
     progress: Form,
@@ -86,6 +90,10 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
             stop.store(true, Ordering::Relaxed);
         });
     }
+    let door = args
+        .view
+        .map(|port| Door::open("--view", port))
+        .transpose()?;
     let device = open_tested(args.device.selector().as_deref())?;
     if resume.is_none() {
         claim_folder(dir)?;
@@ -115,6 +123,13 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let record = run.record();
     if record.config.trace_density && resume.is_some() && record.funnel.is_empty() {
         output::note("density control is not traced: a trace begins with the run");
+    }
+    if let Some(door) = door {
+        view::lines(&door)
+            .iter()
+            .for_each(|line| output::note(line));
+        let server = Server::start(door, &run.page())?;
+        run.watch(server)?;
     }
     let form = match args.quiet {
         true => Form::Log,

@@ -54,6 +54,17 @@ impl Rendered {
             .flat_map(|i| (0..3).map(move |c| to_byte(self.rgb[c * pixels + i])))
             .collect()
     }
+
+    /// Mean depths of a render of [`Quantity::Depth`] in local units where at least half of the light comes from Gaussians, else 0.
+    #[must_use]
+    pub fn mean_depths(&self) -> Vec<f64> {
+        let pixels = self.transmittance.iter().zip(&self.rgb);
+        let mean = pixels.map(|(t, d)| match *d > 0.0 && d.is_finite() && *t <= 0.5 {
+            true => f64::from(*d) / f64::from(1.0 - t),
+            false => 0.0,
+        });
+        mean.collect()
+    }
 }
 
 /// A value in [0, 1] as a byte.
@@ -221,9 +232,10 @@ impl<R: Real> Renderer<R> {
             ));
         }
         self.device.finish()?;
+        // First: where there is no room, what is enqueued after the error goes by its own needs.
+        self.frame.status.write(status::OVERFLOW as usize, &[0])?;
         self.frame
-            .fit_intersections(&self.device, needed + needed / 2)?;
-        self.frame.status.write(status::OVERFLOW as usize, &[0])
+            .fit_intersections(&self.device, needed + needed / 2)
     }
 
     /// Renders a view and waits; grows the pair arrays as needed.
@@ -233,7 +245,32 @@ impl<R: Real> Renderer<R> {
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
-        self.fitting(scene, camera, |r| r.enqueue(scene, camera, options))
+        self.fitting(scene, camera, usize::MAX, |r| {
+            r.enqueue(scene, camera, options)
+        })
+    }
+
+    /// Renders a view and reads the image back, but refuses one of more than `most` tile intersections if there is no room for
+    /// them yet: whoever moves about may stand in the midst of Gaussians.
+    ///
+    /// # Errors
+    /// See [`Renderer::render`]; too many tile intersections.
+    pub fn image_within(
+        &mut self,
+        scene: &GaussianBuffers<R>,
+        camera: &Camera,
+        options: &RenderOptions,
+        most: usize,
+    ) -> Result<Rendered> {
+        let camera = CameraArg::new(camera);
+        self.fitting(scene, &camera, most, |r| r.enqueue(scene, &camera, options))?;
+        self.read_image()
+    }
+
+    /// Tile intersections of a view there is room for.
+    #[must_use]
+    pub fn room(&self) -> usize {
+        self.frame.intersection_capacity()
     }
 
     /// Runs the stages of [`Renderer::render`] up to the sorted tile intersections; nothing is splatted.
@@ -243,16 +280,17 @@ impl<R: Real> Renderer<R> {
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
-        self.fitting(scene, camera, |r| {
+        self.fitting(scene, camera, usize::MAX, |r| {
             r.enqueue_intersections(scene, camera, options)
         })
     }
 
-    /// Enqueues something and waits, until the pairs fit.
+    /// Enqueues something and waits, until the pairs fit; refuses to make room for more than `most`.
     fn fitting(
         &mut self,
         scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
+        most: usize,
         enqueue: impl Fn(&mut Self) -> Result<()>,
     ) -> Result<()> {
         self.fit(scene, camera)?;
@@ -260,6 +298,14 @@ impl<R: Real> Renderer<R> {
             enqueue(self)?;
             let counters = self.frame.status.to_vec()?;
             match counters.get(status::OVERFLOW as usize) {
+                Some(&needed) if needed as usize > most => {
+                    self.frame.status.write(status::OVERFLOW as usize, &[0])?;
+                    return Err(Error::device(
+                        "view",
+                        format!("{needed} tile intersections, of {most} that it may have"),
+                        "step back, or ask for a smaller image",
+                    ));
+                }
                 Some(&needed) if needed > 0 => self.grow_intersections(needed)?,
                 _ => return Ok(()),
             }

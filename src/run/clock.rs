@@ -112,6 +112,11 @@ impl Clock {
         self.running.get_or_insert_with(now);
     }
 
+    /// Leaves seconds in which the run has waited for its user out of the time since the start.
+    pub fn leave_out(&mut self, seconds: f64) {
+        self.before.wall_seconds -= seconds;
+    }
+
     /// Seconds spent training. Cheap: reads no file, so a progress bar may ask at every iteration.
     #[must_use]
     pub fn train_seconds(&self) -> f64 {

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
@@ -15,7 +16,9 @@ use crate::run::clock::{self, Clock};
 use crate::run::density_trace::{TRACE_FILE, funnel, write_trace};
 use crate::run::export::Exports;
 use crate::run::forecast::Forecast;
+use crate::run::live::{LARGEST_LIVE, LivePage, Server, Watch};
 use crate::run::patience;
+use crate::run::progress::Progress;
 use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
 use crate::run::report::gallery::{GalleryItem, error_map};
 use crate::run::report::page::{folder_name, write_report};
@@ -27,27 +30,6 @@ use crate::train::{DensityEvent, Event, Trainer};
 
 /// Held-out views shown in the report.
 const GALLERY_VIEWS: usize = 6;
-
-/// State of a run for the progress display.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Progress {
-    /// Iterations done.
-    pub iteration: u32,
-    /// Iterations of the run.
-    pub iterations: u32,
-    /// Number of Gaussians.
-    pub gaussians: usize,
-    /// PSNR of the last evaluation.
-    pub psnr: Option<f64>,
-    /// Seconds of training so far.
-    pub train_seconds: f64,
-    /// Iterations per second since the start or the resumption; `None` before the first.
-    pub rate: Option<f64>,
-    /// Seconds to the end, evaluations and all; `None` before the first iterations have told.
-    pub left: Option<f64>,
-    /// Decision that training has just taken, spelt out.
-    pub decided: Option<String>,
-}
 
 /// A run under way.
 pub struct Run {
@@ -74,6 +56,8 @@ pub struct Run {
     pub(super) forecast: Forecast,
     /// Iterations and seconds of training when this session began.
     pub(super) began: (u32, f64),
+    /// Those who look on, if that is allowed.
+    pub(super) watch: Option<Watch>,
 }
 
 impl Run {
@@ -129,7 +113,7 @@ impl Run {
                 if done > 0 && self.trainer.recovered() && (self.out_of_time() || self.stalled()) {
                     break;
                 }
-                if stop.load(Ordering::Relaxed) {
+                if self.attend(stop)? || stop.load(Ordering::Relaxed) {
                     self.interrupt()?;
                     return Err(Error::Interrupted);
                 }
@@ -160,11 +144,76 @@ impl Run {
             }
         }
         self.trainer.finish()?;
+        if let Some(watch) = &self.watch {
+            watch.ending();
+        }
         self.evaluate(true)?;
         self.save(true, true)?;
         self.write_trace()?;
         self.report()?;
         self.export_others()
+    }
+
+    /// The page of the run, for a server.
+    #[must_use]
+    pub fn page(&self) -> LivePage {
+        LivePage {
+            title: folder_name(&self.record.dataset.path).to_owned(),
+            views: self.exports.views.clone(),
+            photos: true,
+            training: true,
+            largest: LARGEST_LIVE,
+            gaussians: self.trainer.gaussians(),
+            reach: 1.0,
+        }
+    }
+
+    /// Lets a server show the run from now on, and those who look on pause, save and stop it.
+    ///
+    /// # Errors
+    /// A table of evaluations that cannot be read.
+    pub fn watch(&mut self, server: Server) -> Result<()> {
+        let rows: Vec<MetricsRow> = read_rows(self.dir.join(METRICS_FILE))?;
+        let training = self.trainer.training_views(usize::MAX);
+        let views = self.exports.views.clone();
+        self.watch = Some(Watch::new(server, views, training, &rows));
+        Ok(())
+    }
+
+    /// Does what those who look on wish, as far as it is time for it; true if the run is to stop.
+    fn attend(&mut self, stop: &AtomicBool) -> Result<bool> {
+        let Some(mut watch) = self.watch.take() else {
+            return Ok(false);
+        };
+        let attended = match watch.due() {
+            true => self.attend_to(&mut watch, stop),
+            false => Ok(()),
+        };
+        let stops = watch.stops();
+        self.watch = Some(watch);
+        attended.map(|()| stops)
+    }
+
+    fn attend_to(&mut self, watch: &mut Watch, stop: &AtomicBool) -> Result<()> {
+        let mut waiting = None;
+        loop {
+            self.clock.pause();
+            watch.tell(&self.progress(None), self.saved, &mut self.trainer)?;
+            watch.show(&mut self.trainer, self.evaluator.as_ref());
+            if watch.takes_checkpoint() {
+                self.trainer.settle()?;
+                self.save(true, false)?;
+            }
+            if !watch.paused() || stop.load(Ordering::Relaxed) {
+                break;
+            }
+            waiting.get_or_insert_with(Instant::now);
+            watch.wait();
+        }
+        let waited = waiting.map_or(0.0, |since| since.elapsed().as_secs_f64());
+        self.clock.leave_out(waited);
+        self.clock.resume();
+        Ok(())
     }
 
     /// Writes the other formats that are asked for: at every end of a session, so that none is older than `scene.ply`.

@@ -1,6 +1,5 @@
 //! The scene files of a run, and the page that shows the scene.
 
-use std::collections::HashMap;
 use std::path::Path;
 
 use crate::base::error::Result;
@@ -48,13 +47,7 @@ impl Exports {
         scores: Option<&FinalRecord>,
         background: [f32; 3],
     ) {
-        let scores = scores.iter().flat_map(|f| &f.per_view);
-        let scores: HashMap<&str, [f64; 2]> = scores
-            .map(|v| (v.view.as_str(), [v.scores.psnr, v.scores.ssim]))
-            .collect();
-        for view in self.views.iter_mut().filter(|v| v.held_out) {
-            view.scores = scores.get(view.name.as_str()).copied();
-        }
+        viewer::add_scores(&mut self.views, scores);
         let Some(evaluator) = evaluator else {
             return;
         };

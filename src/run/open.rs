@@ -261,6 +261,7 @@ impl Run {
             psnr: None,
             evaluated: rows.last().map(|row| row.iteration),
             saved: done,
+            watch: None,
         };
         run.write_record().inspect_err(free)?;
         Ok(run)

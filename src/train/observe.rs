@@ -31,6 +31,13 @@ impl Trainer {
             self.device.forget_launches();
             return loss;
         }
+        self.noted_loss()
+    }
+
+    /// Mean total loss that the last iterations have noted, each over its own background: [`Trainer::recent_loss`] but for that, and
+    /// cheap.
+    pub fn noted_loss(&mut self) -> Result<Option<f64>> {
+        self.settle()?;
         let n = (self.iteration as usize)
             .min(LOSS_RING)
             .min(self.views.len());
@@ -149,6 +156,37 @@ impl Trainer {
         };
         let forward = &mut self.pipeline.forward;
         forward.image(&self.gaussians.scene, camera, &options)
+    }
+
+    /// Renders the Gaussians as they are for somebody who looks on: refuses a view of more tile intersections than `most` and
+    /// twice those that there is room for, and counts for no stage of training.
+    ///
+    /// # Errors
+    /// See [`Renderer::image_within`].
+    pub fn glimpse(
+        &mut self,
+        camera: &Camera,
+        quantity: Quantity,
+        most: usize,
+    ) -> Result<Rendered> {
+        self.settle()?;
+        self.device.finish()?;
+        self.device.collect_times(usize::MAX)?;
+        let background = match quantity {
+            Quantity::Color => self.schedule.fixed_background(),
+            Quantity::Depth => [0.0; 3],
+        };
+        let options = RenderOptions {
+            sh_degree: self.gaussians.scene.sh_degree,
+            background,
+            quantity,
+            active_only: false,
+        };
+        let forward = &mut self.pipeline.forward;
+        let most = most.max(2 * forward.room());
+        let image = forward.image_within(&self.gaussians.scene, camera, &options, most);
+        self.device.forget_launches();
+        image
     }
 
     /// Density statistics over the run.

@@ -22,7 +22,10 @@ fn help_groups_the_commands() {
     for flag in ["--help", "-h"] {
         let help = done(&[flag]);
         let groups = [
-            ("Make a scene", &["train", "render", "eval", "convert"][..]),
+            (
+                "Make a scene",
+                &["train", "render", "view", "eval", "convert"][..],
+            ),
             (
                 "Measure",
                 &["bench", "verify", "compare", "experiment", "surrogate"],

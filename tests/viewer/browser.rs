@@ -33,8 +33,14 @@ pub fn browser() -> Option<PathBuf> {
     found
 }
 
-/// Opens a page in the browser with more arguments; what it printed.
+/// Opens a page that is a file; what the browser printed.
 pub fn open(browser: &Path, dir: &Path, file: &str, hash: &str, more: &[&str]) -> String {
+    let address = format!("file://{}#{hash}", dir.join(file).display());
+    visit(browser, dir, &address, more)
+}
+
+/// Opens an address in the browser with more arguments; what it printed.
+pub fn visit(browser: &Path, dir: &Path, address: &str, more: &[&str]) -> String {
     let log = dir.join("stdout");
     let mut child = Command::new(browser)
         .args(["--headless=new", "--no-sandbox", "--disable-quic"])
@@ -44,7 +50,7 @@ pub fn open(browser: &Path, dir: &Path, file: &str, hash: &str, more: &[&str]) -
         .args(["--window-size=700,600", "--virtual-time-budget=30000"])
         .arg(format!("--user-data-dir={}", dir.join("profile").display()))
         .args(more)
-        .arg(format!("file://{}#{hash}", dir.join(file).display()))
+        .arg(address)
         .stdin(Stdio::null())
         .stdout(std::fs::File::create(&log).unwrap())
         .stderr(Stdio::null())
@@ -62,7 +68,7 @@ pub fn open(browser: &Path, dir: &Path, file: &str, hash: &str, more: &[&str]) -
 }
 
 /// Mean squared error of two pictures of one size, values in [0, 1].
-fn alike(a: &RgbImage, b: &RgbImage) -> f64 {
+pub fn alike(a: &RgbImage, b: &RgbImage) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
     let squares = a.as_raw().iter().zip(b.as_raw());
     let sum: f64 = squares
@@ -72,7 +78,7 @@ fn alike(a: &RgbImage, b: &RgbImage) -> f64 {
 }
 
 /// The kernels' pictures of the views, as `render` makes them.
-fn rendered(splats: &Gaussians, anti_alias: bool, views: &[SceneView]) -> Vec<RgbImage> {
+pub fn rendered(splats: &Gaussians, anti_alias: bool, views: &[SceneView]) -> Vec<RgbImage> {
     let device = Device::open(None).unwrap();
     let defines = Defines {
         anti_alias,

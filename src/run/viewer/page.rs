@@ -21,7 +21,9 @@ pub const SCENE_PAGE: &str = "scene.html";
 
 /// Frame of the page; names between at signs are places.
 const TEMPLATE: &str = include_str!("viewer.html");
-const STYLE: &str = include_str!("viewer.css");
+pub(in crate::run) const VIEWER_STYLE: &str = include_str!("viewer.css");
+/// Movements of a camera, in every page that shows a scene.
+pub(in crate::run) const MOVES: &str = include_str!("moves.js");
 const SCRIPT: &str = include_str!("viewer.js");
 
 /// Shaders with the names under which the script finds them.
@@ -70,8 +72,11 @@ pub fn write_scene_page(path: &Path, page: &ScenePage) -> Result<Vec<String>> {
             match part {
                 text if k % 2 == 0 => out.write_all(text.as_bytes())?,
                 "title" => out.write_all(escape(page.title).as_bytes())?,
-                "style" => out.write_all(STYLE.as_bytes())?,
-                "script" => out.write_all(SCRIPT.as_bytes())?,
+                "style" => out.write_all(VIEWER_STYLE.as_bytes())?,
+                "script" => {
+                    out.write_all(MOVES.as_bytes())?;
+                    out.write_all(SCRIPT.as_bytes())?;
+                }
                 "shaders" => write_shaders(out)?,
                 "meta" => out.write_all(meta.as_bytes())?,
                 _ => out.write_all(data.as_bytes())?,

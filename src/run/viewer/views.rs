@@ -1,5 +1,7 @@
 //! The cameras of the page: held-out views, then training views; photos; the direction that is up.
 
+use std::collections::HashMap;
+
 use base64::Engine;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
@@ -7,6 +9,7 @@ use serde::ser::{Serialize, SerializeStruct, Serializer};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Camera, Dataset, View};
+use crate::run::record::FinalRecord;
 use crate::run::report::gallery::picture;
 
 /// Largest number of held-out photos in a page.
@@ -75,6 +78,17 @@ pub fn scene_views(dataset: &Dataset) -> (Vec<SceneView>, Option<String>) {
     let training = (0..shown).map(|k| SceneView::new(&dataset.train[k * all / shown], false));
     let remark = (shown < all).then(|| format!("{shown} of {all} training cameras are listed."));
     (held_out.chain(training).collect(), remark)
+}
+
+/// Adds the scores of an evaluation to held-out views, and takes those away that they had.
+pub fn add_scores(views: &mut [SceneView], scores: Option<&FinalRecord>) {
+    let scores = scores.iter().flat_map(|f| &f.per_view);
+    let scores: HashMap<&str, [f64; 2]> = scores
+        .map(|v| (v.view.as_str(), [v.scores.psnr, v.scores.ssim]))
+        .collect();
+    for view in views.iter_mut().filter(|v| v.held_out) {
+        view.scores = scores.get(view.name.as_str()).copied();
+    }
 }
 
 /// An 8-bit RGB image as a JPEG data URI, reduced to at most 640 pixels on the longest side.

@@ -1,0 +1,153 @@
+//! A run that is looked at.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use mhsplat::TrainConfig;
+use mhsplat::device::Device;
+use mhsplat::run::live::{Door, Server};
+use mhsplat::run::{Clock, Run, checkpoint};
+
+use super::client::Client;
+use crate::determinism::room;
+use mhsplat::Error;
+
+fn begin(dir: &Path, iterations: u32) -> Run {
+    let config = TrainConfig {
+        iterations,
+        max_size: 64,
+        seed: 5,
+        checkpoint_every: 0,
+        ..TrainConfig::default()
+    };
+    let device = Device::open(None).unwrap();
+    Run::start(dir, room(64), config, &device, Clock::start()).unwrap()
+}
+
+/// Opens a run to visitors.
+pub fn watched(dir: &Path, iterations: u32) -> (Run, Client) {
+    let mut run = begin(dir, iterations);
+    let door = Door::open("--view", Some(0)).unwrap();
+    let client = Client::of(&door.url());
+    let server = Server::start(door, &run.page()).unwrap();
+    run.watch(server).unwrap();
+    (run, client)
+}
+
+#[test]
+fn a_watched_run_ends_with_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let [alone, seen] = ["alone", "seen"].map(|name| dir.path().join(name));
+    begin(&alone, 300)
+        .drive(&AtomicBool::new(false), |_| ())
+        .unwrap();
+    let (mut run, client) = watched(&seen, 300);
+    let over = AtomicBool::new(false);
+    let frames = std::thread::scope(|scope| {
+        let visitor = scope.spawn(|| {
+            let (mut frames, mut since) = (0, 0);
+            // Larger than any photo, and from within the scene.
+            let queries = [
+                "view=0&width=64&height=48",
+                "view=9&width=700&height=500&mode=depth",
+                "width=300&height=200&lens=200,200,150,100&rotation=1,0,0,0,1,0,0,0,1&center=0,0,0",
+                "view=3&width=64&height=48&mode=error",
+            ];
+            client.post("/pause");
+            while !over.load(Ordering::Relaxed) {
+                let answer = client.get("/frame", queries[frames % queries.len()]);
+                if answer.status != 200 {
+                    // The run has ended meanwhile.
+                    assert_eq!(answer.status, 503, "{}", answer.text());
+                    break;
+                }
+                frames += 1;
+                let status = client.get("/status", "").json();
+                let at = status["iteration"].as_u64().unwrap();
+                if frames % 8 == 0 || at >= 250 {
+                    client.post("/continue");
+                    client.post("/checkpoint");
+                    std::thread::sleep(Duration::from_millis(30));
+                    if at < 250 && at != since {
+                        since = at;
+                        client.post("/pause");
+                    }
+                }
+            }
+            frames
+        });
+        let driven = run.drive(&AtomicBool::new(false), |_| ()).map(|_| ());
+        // Its server ends with it.
+        drop(run);
+        over.store(true, Ordering::Relaxed);
+        driven.unwrap();
+        visitor.join().unwrap()
+    });
+    assert!(frames > 8, "{frames} frames");
+    let scene = |dir: &Path| std::fs::read(dir.join("scene.ply")).unwrap();
+    assert!(scene(&alone) == scene(&seen));
+    // What is rendered for others is no stage of training.
+    let calls = |dir: &Path| {
+        let record = mhsplat::RunRecord::read(dir).unwrap();
+        let splat = record.stages.iter().find(|s| s.name == "splat").cloned();
+        splat.unwrap().calls
+    };
+    assert_eq!(calls(&alone), calls(&seen));
+}
+
+/// Waits until something is so.
+fn until(what: &str, is: impl Fn() -> bool) {
+    let begun = Instant::now();
+    while !is() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "never {what}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn who_looks_on_can_pause_save_and_stop() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("run");
+    let (mut run, client) = watched(&folder, 1_000_000);
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let visitor = scope.spawn(|| {
+            let status = || client.get("/status", "").json();
+            let at = || status()["iteration"].as_u64().unwrap();
+            until("begun", || at() > 20);
+            assert_eq!(client.post("/pause").status, 200);
+            until("paused", || status()["state"] == "paused");
+            std::thread::sleep(Duration::from_millis(150));
+            let rests = at();
+            // A paused run has all the time for pictures.
+            for _ in 0..3 {
+                client.get("/frame", "view=0&width=64&height=48").picture();
+            }
+            assert_eq!(at(), rests);
+            assert_eq!(status()["saved"], serde_json::Value::Null);
+            client.post("/checkpoint");
+            until("saved", || status()["saved"] == rests);
+            assert_eq!(
+                u64::from(checkpoint::read(&folder).unwrap().state.iteration),
+                rests
+            );
+            client.post("/continue");
+            until("going on", || at() > rests + 20);
+            until("a loss", || status()["points"]["loss"][0][1].is_number());
+            let told = status();
+            assert!(told["loss"].as_f64().unwrap() > 0.0 && told["gaussians"].as_u64() > Some(0));
+            let since = client.get("/status", "since=99999999").json();
+            assert_eq!(since["points"]["loss"], serde_json::json!([]));
+            client.post("/stop");
+            rests
+        });
+        let driven = run.drive(&stop, |_| ()).map(|_| ());
+        assert!(matches!(driven, Err(Error::Interrupted)), "{driven:?}");
+        let rests = visitor.join().unwrap();
+        assert!(u64::from(run.saved().unwrap()) > rests);
+        assert!(folder.join("scene.ply").exists());
+        // The time in which it waited is not that of the run.
+        assert!(run.record().wall_seconds < run.record().train_seconds + 60.0);
+    });
+}
