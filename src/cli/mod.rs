@@ -15,6 +15,7 @@ mod render;
 mod scene;
 mod shell;
 mod shots;
+mod signals;
 mod train;
 mod view;
 

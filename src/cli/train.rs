@@ -1,12 +1,12 @@
 //! `mhsplat train`.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use crate::cli::common::{Common, DeviceOption, Outcome, open_tested};
 use crate::cli::overrides::Overrides;
 use crate::cli::progress::{Display, Form, finish};
+use crate::cli::signals::stop_flag;
 use crate::cli::{output, scene, view};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{self, Dataset};
@@ -184,32 +184,6 @@ fn read_photos(dataset: &Path, config: &TrainConfig) -> Result<Dataset> {
     ));
     scene::note_left_out(&data);
     Ok(data)
-}
-
-/// Returns a flag that Ctrl-C, SIGTERM or the end of the session (SIGHUP, unless `nohup` ignores it) sets; a Ctrl-C or SIGTERM after
-/// that ends the program at once.
-pub fn stop_flag() -> Result<Arc<AtomicBool>> {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-    let stop = Arc::new(AtomicBool::new(false));
-    let fail = |e| Error::io("signal handler", e);
-    let signals = [SIGINT, SIGTERM, SIGHUP].into_iter();
-    for signal in signals.filter(|signal| *signal != SIGHUP || !ignored(SIGHUP)) {
-        // A shell and the kernel both send SIGHUP when a session ends: two of them are no impatience.
-        if signal != SIGHUP {
-            signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
-                .map_err(fail)?;
-        }
-        signal_hook::flag::register(signal, stop.clone()).map_err(fail)?;
-    }
-    Ok(stop)
-}
-
-/// Returns true if the program was started with a signal ignored.
-fn ignored(signal: i32) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = status.lines().find_map(|l| l.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|m| u64::from_str_radix(m.trim(), 16).ok());
-    mask.is_some_and(|m| m >> (signal - 1) & 1 == 1)
 }
 
 /// Returns the configuration of a new run, or that of the run to resume with the typed flags in the place of what may change.

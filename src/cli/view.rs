@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::scene::{Loaded, PhotoOptions};
-use crate::cli::train::stop_flag;
+use crate::cli::signals::stop_flag;
 use crate::cli::{output, scene};
 use mhsplat::base::error::Result;
 use mhsplat::capture::photo::Photo;

@@ -85,12 +85,16 @@ fn the_browser_shows_what_the_kernels_render() {
 
 /// Operates the page of a run as a user does, and puts what came of it into the title.
 const USE: &str = r#"
-const told = [], check = (name, good) => { if (!good) told.push(name); };
-const until = async (is) => { for (let k = 0; k < 600 && !is(); k++) await new Promise((r) => setTimeout(r, 50)); return is(); };
+const told = [], check = (name, good) => { document.title = 'after: ' + name; if (!good) told.push(name); };
+// The browser's clock stands still while an answer is waited for, and runs ahead else.
+const until = async (is) => {
+  for (let k = 0; k < 5000 && !is(); k++) { await look(); await new Promise((r) => setTimeout(r, 1)); }
+  return is();
+};
 const key = (code) => dispatchEvent(new KeyboardEvent('keydown', { code, key: code }));
 globalThis.confirm = () => true;
 (async () => {
-  check('begins', await until(() => run && run.iteration > 0 && shown.iteration > 0));
+  check('begins', await until(() => run && run.iteration > 0 && shown.url && !busy));
   check('open', !$('run').hidden && $('message').hidden);
   check('curves', await until(() => curves.loss.length > 0 && $('curve-loss').textContent.includes('0.')));
   $('pause').click();

@@ -3,8 +3,8 @@ const near = scene.near, paper = canvas.getContext('2d');
 let run = null, busy = false, stale = false, took = 0, last = 0;
 const shown = { url: '', at: 0, iteration: -1 };
 
-// The address of something of the server.
-const address = (path, values) => `${path}?${new URLSearchParams({ token: scene.token, ...values })}`;
+// The address of something of the server: values are numbers, lists of them and words, in which nothing is to be escaped.
+const address = (path, values) => `${path}?` + Object.entries({ token: scene.token, ...values }).map((pair) => pair.join('=')).join('&');
 
 async function get(path, values, options) {
   const answer = await fetch(address(path, values), { cache: 'no-store', ...options });
@@ -65,6 +65,7 @@ async function pull() {
     trouble(null);
   } catch (error) {
     trouble(error);
+    setTimeout(() => { stale = true; frame(); }, 2000);
   }
   Object.assign(shown, { url: wanted.url, at: performance.now(), iteration });
   busy = false;
@@ -124,16 +125,17 @@ function plot() {
   }
 }
 
+const drawn = (name) => document.createElementNS('http://www.w3.org/2000/svg', name);
 function lay() {
   $('run').hidden = false;
   $('run').open = innerWidth > 760;
   for (const name of Object.keys(curves)) {
     const box = Object.assign(document.createElement('div'), { id: 'curve-' + name });
-    const words = document.createElement('p'), svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+    const words = document.createElement('p'), [svg, line] = ['svg', 'polyline'].map(drawn);
     words.append(named[name], document.createElement('b'));
     svg.setAttribute('viewBox', '0 0 100 44');
     svg.setAttribute('preserveAspectRatio', 'none');
-    svg.append(document.createElementNS('http://www.w3.org/2000/svg', 'polyline'));
+    svg.append(line);
     box.append(words, svg);
     $('curves').append(box);
   }

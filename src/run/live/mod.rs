@@ -25,4 +25,4 @@ pub use page::LivePage;
 pub use server::{Door, Server, USUAL_PORT};
 pub use studio::Scenery;
 pub use watch::LARGEST_LIVE;
-pub(in crate::run) use watch::Watch;
+pub(crate) use watch::Watch;

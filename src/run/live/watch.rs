@@ -32,7 +32,7 @@ const INTERSECTIONS: usize = 1 << 20;
 const GLANCE: Duration = Duration::from_millis(100);
 
 /// A run that is looked at.
-pub(in crate::run) struct Watch {
+pub(crate) struct Watch {
     server: Server,
     views: Vec<SceneView>,
     training: ViewSet,

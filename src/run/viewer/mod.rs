@@ -8,7 +8,7 @@ mod page;
 mod payload;
 mod views;
 
-pub(in crate::run) use page::{MOVES, VIEWER_STYLE};
+pub(crate) use page::{MOVES, VIEWER_STYLE};
 pub use page::{SCENE_PAGE, ScenePage, write_scene_page};
 pub use payload::MAX_BYTES;
 pub use views::{MAX_PHOTOS, SceneView, add_scores, photo_uri, scene_views};

@@ -21,9 +21,9 @@ pub const SCENE_PAGE: &str = "scene.html";
 
 /// Frame of the page; names between at signs are places.
 const TEMPLATE: &str = include_str!("viewer.html");
-pub(in crate::run) const VIEWER_STYLE: &str = include_str!("viewer.css");
+pub(crate) const VIEWER_STYLE: &str = include_str!("viewer.css");
 /// Movements of a camera, in every page that shows a scene.
-pub(in crate::run) const MOVES: &str = include_str!("moves.js");
+pub(crate) const MOVES: &str = include_str!("moves.js");
 const SCRIPT: &str = include_str!("viewer.js");
 
 /// Shaders with the names under which the script finds them.
