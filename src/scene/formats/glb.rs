@@ -138,8 +138,11 @@ impl Accessors<'_> {
     }
 }
 
-/// Bytes of a component of a type, and its value.
-fn component_of(component: u64, normalized: bool) -> Option<(usize, fn(&[u8]) -> f64)> {
+/// Bytes of a component, and how its value is read from them.
+type Component = (usize, fn(&[u8]) -> f64);
+
+/// The component of a type's number.
+fn component_of(component: u64, normalized: bool) -> Option<Component> {
     Some(match (component, normalized) {
         (FLOAT, false) => (4, |b| {
             f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
