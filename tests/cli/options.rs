@@ -102,6 +102,7 @@ fn devices_are_offered_where_they_are_used() {
         "verify",
         "experiment",
         "surrogate",
+        "view",
     ];
     let help = done(&["--help"]);
     let groups = ["Make a scene", "Measure", "Tools"];
@@ -259,7 +260,7 @@ fn refused_values_name_their_option() {
         (
             "init",
             "elsewhere",
-            "points, random or a .ply, .spz or .splat file",
+            "points, random or a .ply, .spz, .splat or .glb file",
         ),
         ("background", "0,0,2", "R,G,B in 0 to 1"),
         ("time-budget", "soon", "90s, 10m or 1h30m"),
