@@ -93,7 +93,7 @@ fn attributes_of_every_layout_are_read_in_the_usual_axes() {
     let file = read(&document, &data).unwrap();
     let splats = &file.splats;
     assert_eq!((splats.len(), splats.sh_degree()), (2, 1));
-    assert_eq!(splats.gather(Plane::POSITION, 1), [2.0, -2.0, -3.0]);
+    assert_eq!(splats.gather(Plane::POSITION, 1), [-2.0, -2.0, 3.0]);
     let scales = splats.gather::<3>(Plane::LOG_SCALE, 0).map(f32::exp);
     assert!(
         scales
@@ -101,17 +101,17 @@ fn attributes_of_every_layout_are_read_in_the_usual_axes() {
             .zip([0.5, 1.0, 0.25])
             .all(|(a, b)| (a - b).abs() < 1e-6)
     );
-    assert_eq!(splats.gather(Plane::ROTATION, 0), [0.0, 0.0, 0.0, -1.0]);
+    assert_eq!(splats.gather(Plane::ROTATION, 0), [0.0, 0.0, 0.0, 1.0]);
     let [w, x, y, z] = splats.gather(Plane::ROTATION, 1);
-    assert!(w > 0.49 && x == w && y == -w && z == -w);
+    assert!(w > 0.49 && x == -w && y == -w && z == w);
     let opacity = |i: usize| 1.0 / (1.0 + (-splats.planes()[Plane::OPACITY][i]).exp());
     assert!((opacity(0) - 0.2).abs() < 1e-6 && (opacity(1) - 0.8).abs() < 1e-6);
     assert_eq!(splats.gather(Plane::SH, 1), [10.1, 10.2, 10.3]);
-    // Of the bands along y, z and x, those along y and z change sign.
+    // Of the bands along y, z and x, those along y and x change sign.
     assert_eq!(splats.gather(Plane::SH + 3, 0), [-1.1, -1.2, -1.3]);
-    assert_eq!(splats.gather(Plane::SH + 6, 0), [-2.1, -2.2, -2.3]);
-    assert_eq!(splats.gather(Plane::SH + 9, 0), [3.1, 3.2, 3.3]);
-    assert_eq!(file.up, Some([0.0, -1.0, -0.0]));
+    assert_eq!(splats.gather(Plane::SH + 6, 0), [2.1, 2.2, 2.3]);
+    assert_eq!(splats.gather(Plane::SH + 9, 0), [-3.1, -3.2, -3.3]);
+    assert_eq!(file.up, Some([0.0, -1.0, 0.0]));
     assert!(!file.anti_aliased && file.changes().is_empty());
 }
 
@@ -125,7 +125,7 @@ fn the_node_says_what_is_up_and_what_else_it_says_is_told() {
     document["meshes"][0]["primitives"][0]["extras"] = json!({ "antialiased": true });
     let file = read(&document, &data).unwrap();
     let up = file.up.unwrap();
-    assert!((up[2] - 1.0).abs() < 1e-6, "{up:?}");
+    assert!((up[2] + 1.0).abs() < 1e-6, "{up:?}");
     assert!(file.anti_aliased);
     assert!(file.changes()[0].contains("scale"));
 }
@@ -158,7 +158,7 @@ fn what_is_written_has_the_extensions_basis() {
     };
     // The extension's own table (its section on lighting), of some of the functions.
     let direction = [0.36, 0.48, -0.8];
-    let [x, y, z] = [direction[0], -direction[1], -direction[2]];
+    let [x, y, z] = [-direction[0], -direction[1], direction[2]];
     let written = 0.282_094_791_773_878 * c(0, 0)
         + 0.488_602_511_902_92 * (-y * c(1, 0) + z * c(1, 1) - x * c(1, 2))
         + 1.092_548_430_592_079 * (x * y * c(2, 0) - y * z * c(2, 1) - x * z * c(2, 3))

@@ -1,5 +1,5 @@
 //! Binary glTF with KHR_gaussian_splatting (Khronos, release candidate of 2026): f32 attributes of a primitive of points, in glTF's
-//! axes right, up, back. <https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_gaussian_splatting>
+//! axes left, up, front. <https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_gaussian_splatting>
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::base::constants::LOG_SCALE;
 use crate::base::error::{Error, Result};
 use crate::base::math::sigmoid;
 use crate::capture::Frame;
-use crate::scene::formats::scene_file::{SceneFile, limited_logit, localized, turn, unit};
+use crate::scene::formats::scene_file::{HalfTurn, SceneFile, limited_logit, localized, unit};
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// First bytes of a file.
@@ -230,7 +230,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], frame: &Frame) -> Result<SceneFile
         }
     }
     let mut splats = Gaussians::new(degree, planes)?;
-    turn(&mut splats);
+    HalfTurn::Z.turn(&mut splats);
     let planes = splats.planes().to_vec();
     let (up, remarks) = placed(&document, mesh);
     Ok(SceneFile {
@@ -262,7 +262,7 @@ fn placed(document: &Value, mesh: usize) -> ([f64; 3], Vec<String>) {
         .filter(|key| node.get(key).is_some())
         .map(|key| format!("the {key} of its node is left out"));
     let [x, y, z] = (rotation.inverse() * DVec3::Y).to_array();
-    ([x, -y, -z], remarks.collect())
+    ([-x, -y, z], remarks.collect())
 }
 
 /// The bytes of a file, and remarks on what the format cannot hold. The scene is in the dataset's frame.
@@ -271,7 +271,7 @@ fn placed(document: &Value, mesh: usize) -> ([f64; 3], Vec<String>) {
 /// [`Error::Input`] for more than 4 GiB.
 pub(super) fn encode(path: &Path, scene: &SceneFile) -> Result<(Vec<u8>, Vec<String>)> {
     let mut splats = scene.splats.clone();
-    turn(&mut splats);
+    HalfTurn::Z.turn(&mut splats);
     let n = splats.len();
     let mut writer = Writer::default();
     let positions: Vec<[f32; 3]> = (0..n).map(|i| splats.gather(Plane::POSITION, i)).collect();
@@ -358,7 +358,7 @@ impl Writer {
 
     /// The whole file, of a scene in glTF's axes but for the direction up, into which its node turns it.
     fn file(self, path: &Path, scene: &SceneFile) -> Result<Vec<u8>> {
-        let up = scene.up.map(|[x, y, z]| DVec3::new(x, -y, -z));
+        let up = scene.up.map(|[x, y, z]| DVec3::new(-x, -y, z));
         let rotation = up
             .and_then(DVec3::try_normalize)
             .map_or(DQuat::IDENTITY, |up| DQuat::from_rotation_arc(up, DVec3::Y));

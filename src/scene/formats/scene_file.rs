@@ -129,20 +129,36 @@ pub(super) fn in_dataset(splats: &Gaussians, frame: &Frame) -> Result<Gaussians>
     Gaussians::new(degree, planes)
 }
 
-/// Coefficients of spherical harmonics that change sign where y and z do.
-const ODD: [usize; 8] = [1, 2, 4, 7, 9, 11, 12, 14];
+/// Half a turn from the axes right, down, front, which PLY files mostly have, to others, and back.
+#[derive(Clone, Copy)]
+pub(super) enum HalfTurn {
+    /// About x, to right, up, back of SPZ.
+    X,
+    /// About z, to left, up, front of glTF.
+    Z,
+}
 
-/// Turns Gaussians about the x axis by half a turn: from axes right, down, front, which PLY files mostly have, to right, up, back of
-/// SPZ and glTF, and back.
-pub(super) fn turn(splats: &mut Gaussians) {
-    let axes = [1, 2].map(|k| Plane::POSITION + k).into_iter();
-    let rotations = [2, 3].map(|k| Plane::ROTATION + k);
-    let bands = ODD
-        .into_iter()
-        .flat_map(|k| (0..3).map(move |c| Plane::SH + 3 * k + c));
-    let count = splats.planes().len();
-    for plane in axes.chain(rotations).chain(bands).filter(|p| *p < count) {
-        splats.plane_mut(plane).iter_mut().for_each(|v| *v = -*v);
+impl HalfTurn {
+    /// Axes that change sign, and coefficients of spherical harmonics that do.
+    fn signs(self) -> ([usize; 2], [usize; 8]) {
+        match self {
+            Self::X => ([1, 2], [1, 2, 4, 7, 9, 11, 12, 14]),
+            Self::Z => ([0, 1], [1, 3, 5, 7, 9, 11, 13, 15]),
+        }
+    }
+
+    /// Turns Gaussians.
+    pub(super) fn turn(self, splats: &mut Gaussians) {
+        let (axes, odd) = self.signs();
+        let bands = odd
+            .into_iter()
+            .flat_map(|k| (0..3).map(move |c| Plane::SH + 3 * k + c));
+        let moved = axes.map(|k| Plane::POSITION + k).into_iter();
+        let turned = axes.map(|k| Plane::ROTATION + 1 + k);
+        let count = splats.planes().len();
+        for plane in moved.chain(turned).chain(bands).filter(|p| *p < count) {
+            splats.plane_mut(plane).iter_mut().for_each(|v| *v = -*v);
+        }
     }
 }
 

@@ -15,7 +15,8 @@ use crate::base::error::{Error, Result};
 use crate::base::math::sigmoid;
 use crate::capture::Frame;
 use crate::scene::formats::scene_file::{
-    Rounding, SceneFile, from_smallest_three, limited_logit, localized, smallest_three, turn, unit,
+    HalfTurn, Rounding, SceneFile, from_smallest_three, limited_logit, localized, smallest_three,
+    unit,
 };
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
@@ -283,7 +284,7 @@ fn decode(path: &Path, header: &Header, bytes: &[u8], frame: &Frame) -> Result<G
         planes[Plane::SH + 3 + k] = column(sh, k, stride, &coefficient);
     }
     let mut splats = Gaussians::new(degree, planes)?;
-    turn(&mut splats);
+    HalfTurn::X.turn(&mut splats);
     let planes = splats.planes().to_vec();
     localized(path, degree, planes, frame)
 }
@@ -326,7 +327,7 @@ fn packed_rotation(q: [f64; 4]) -> u32 {
 /// [`Error::Input`] for a position that 24 bits do not reach.
 pub(super) fn encode(path: &Path, scene: &SceneFile) -> Result<(Vec<u8>, Vec<String>)> {
     let mut splats = scene.splats.clone();
-    turn(&mut splats);
+    HalfTurn::X.turn(&mut splats);
     let (n, degree) = (splats.len(), splats.sh_degree());
     let fraction = fraction(path, &splats)?;
     let mut bytes = Vec::with_capacity(HEADERS[0] + n * (20 + 3 * sh_coefficients(degree)));
