@@ -216,6 +216,8 @@ fn skipping_what_is_blank_changes_no_bit() {
         let data = holed(0, meaning);
         let mut config = config(Background::Auto);
         config.sampler = sampler;
+        // Births of more views reach every tile.
+        (config.mh.pixel_views, config.mh.pixel_tolerance) = (2, 0.0);
         let splats = small(&data, &config);
         let device = Device::open(None).unwrap();
         let of = |config: &TrainConfig| {
