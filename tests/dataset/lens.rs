@@ -529,7 +529,7 @@ fn a_fingerprint_tells_lenses_apart() {
     assert_ne!(a.1, b.1);
 }
 
-/// What a lens saw, written without its distortion and read again, is the same photos, cameras and points to the bit.
+/// Photos that are written without their distortion and read again are the same to the bit, with their cameras and points.
 #[test]
 fn undistorted_photos_of_their_own_are_the_same_photos() {
     let dir = super::colmap_scene(3, glam::DVec3::ZERO, false);
