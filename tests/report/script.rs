@@ -47,7 +47,7 @@ said.push(!dialog.open);
 document.title = 'said ' + said.map(Number).join('');
 </script>"#;
 
-/// What [`USE`] finds in a report after a change of its text.
+/// Findings of [`USE`] in a report after a change of its text.
 fn used(browser: &Path, change: impl FnOnce(String) -> String) -> String {
     let dir = tempfile::tempdir().unwrap();
     let (rows, density) = (rows(), density());
