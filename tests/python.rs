@@ -50,6 +50,27 @@ assert mhsplat.command("completions", "bash").startswith("_mhsplat")
     );
 }
 
+/// A terminal interrupts all programs that it runs, and Python ends the run that it began: the run has it once.
+#[cfg(unix)]
+#[test]
+fn an_interrupt_leaves_a_checkpoint() {
+    holds(
+        r#"
+import os, signal, subprocess, sys, time
+script = "import os, mhsplat; mhsplat.train(os.environ['ROOM'], output='run', iterations=200000, max_size=48, eval_every=50)"
+child = subprocess.Popen([sys.executable, "-c", script], start_new_session=True, stderr=subprocess.PIPE, text=True)
+for _ in range(1200):
+    if os.path.exists("run/metrics.csv") or child.poll() is not None:
+        break
+    time.sleep(0.05)
+os.killpg(child.pid, signal.SIGINT)
+said = child.communicate(timeout=60)[1]
+assert child.returncode != 0 and "KeyboardInterrupt" in said, said
+assert os.path.exists("run/checkpoint/state.safetensors"), said
+"#,
+    );
+}
+
 #[test]
 fn what_the_program_refuses_is_an_error_with_its_message() {
     holds(

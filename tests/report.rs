@@ -342,6 +342,25 @@ fn clock_leaves_evaluation_out() {
     );
 }
 
+#[test]
+fn clocks_leave_out_the_time_in_which_a_run_waits() {
+    let mut clock = Clock::start();
+    clock.stop();
+    let stopped = clock.reading();
+    let begun = std::time::Instant::now();
+    while begun.elapsed() < std::time::Duration::from_millis(80) {
+        std::hint::spin_loop();
+    }
+    clock.stop();
+    assert_eq!(clock.reading(), stopped);
+    clock.resume();
+    std::thread::sleep(std::time::Duration::from_millis(20));
+    let after = clock.reading();
+    assert!(after.wall_seconds >= stopped.wall_seconds + 0.02);
+    assert!(after.wall_seconds < stopped.wall_seconds + begun.elapsed().as_secs_f64() - 0.079);
+    assert!(after.train_seconds >= stopped.train_seconds + 0.02);
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn cpu_seconds_count_threads_that_have_ended() {

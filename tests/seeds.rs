@@ -193,6 +193,7 @@ fn picture() -> Picture {
         error: vec![0.5; pixels],
         depth: vec![1.0; pixels],
         transmittance: vec![0.0; pixels],
+        masked: Vec::new(),
     }
 }
 

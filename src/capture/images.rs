@@ -10,6 +10,9 @@ use crate::capture::assemble::{is_photo, locate};
 /// Levels of folders that are searched for photos.
 const DEPTH: usize = 5;
 
+/// Beginnings of the names of folders that have a picture for each photo, by the same file name, that is none.
+const NO_PHOTOS: [&str; 5] = ["mask", "depth", "normal", "semantic", "segmentation"];
+
 /// A folder of photos, and the dataset around it.
 pub(super) struct Images<'a> {
     root: &'a Path,
@@ -126,16 +129,17 @@ impl Index {
         index
     }
 
-    /// Adds the photos of a folder and of those below it; masks and hidden folders hold none.
+    /// Adds the photos of a folder and of those below it; hidden folders and those of masks, depths and normals hold none.
     fn add(&mut self, folder: &Path, depth: usize) {
         for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
             let (path, name) = (entry.path(), entry.file_name());
-            let name = name.to_string_lossy();
+            let name = name.to_string_lossy().to_lowercase();
             if name.starts_with('.') || name.starts_with("masks") {
                 continue;
             }
             if path.is_dir() {
-                if depth > 1 {
+                let others = NO_PHOTOS.iter().any(|start| name.starts_with(start));
+                if depth > 1 && !others {
                     self.add(&path, depth - 1);
                 }
             } else if is_photo(&path)

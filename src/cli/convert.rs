@@ -13,7 +13,7 @@ use mhsplat::scene::formats::{self, SceneFile};
 /// Arguments of `mhsplat convert`.
 #[derive(clap::Args)]
 pub struct ConvertArgs {
-    /// Scene: a file (PLY, compressed PLY, SPZ, .splat) or a run folder.
+    /// Scene: a file (PLY, compressed PLY, SPZ, .splat, .glb) or a run folder.
     input: PathBuf,
     /// File to write, whose ending says the format: .ply, .compressed.ply, .spz, .splat; must not exist.
     output: PathBuf,

@@ -146,7 +146,9 @@ fn read_dataset(
     config.max_size = options.max_size.unwrap_or(config.max_size);
     config.test_every = options.test_every.unwrap_or(config.test_every);
     config.image_budget = None;
-    config.images = options.images.clone().or(config.images);
+    // A dataset in another place may have no such folder: then its own photos are meant.
+    let there = |images: &PathBuf| path.join(images).is_dir() || images.is_dir();
+    config.images = options.images.clone().or(config.images.filter(there));
     config.alpha_is_mask |= options.alpha_is_mask;
     config.invert_masks |= options.invert_masks;
     let load = LoadOptions {

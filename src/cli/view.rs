@@ -29,8 +29,11 @@ const SIZE: [u32; 2] = [960, 720];
 /// Largest side of a picture, pixels.
 const LARGEST: u32 = 4096;
 
-/// Tile intersections that a picture may have: some 20 bytes each.
-const INTERSECTIONS: usize = 1 << 28;
+/// Tile intersections that a picture may have at most: some 30 bytes each, for room is made for more.
+const INTERSECTIONS: u64 = 1 << 28;
+
+/// Bytes of the device's memory for each of them: they may take a quarter of it.
+const MEMORY: u64 = 120;
 
 /// Longest time between two looks at signals.
 const GLANCE: Duration = Duration::from_millis(200);
@@ -38,7 +41,7 @@ const GLANCE: Duration = Duration::from_millis(200);
 /// Arguments of `mhsplat view`.
 #[derive(clap::Args)]
 pub struct ViewArgs {
-    /// Scene: a file (PLY, compressed PLY, SPZ, .splat) or a run folder.
+    /// Scene: a file (PLY, compressed PLY, SPZ, .splat, .glb) or a run folder.
     scene: PathBuf,
     /// Port on this machine, 0 for any that is free [default: 7878, or any that is free].
     #[arg(long)]
@@ -76,9 +79,13 @@ impl Scenery for Stage {
             active_only: false,
         };
         let Loaded {
-            scene, renderer, ..
+            scene,
+            renderer,
+            device,
+            ..
         } = &mut self.loaded;
-        renderer.image_within(scene, camera, &options, INTERSECTIONS)
+        let most = INTERSECTIONS.min(device.info().global_memory / MEMORY);
+        renderer.image_within(scene, camera, &options, most as usize)
     }
 
     fn photo(&mut self, view: usize) -> Result<Option<(Camera, Photo)>> {

@@ -225,6 +225,9 @@ impl MhConfig {
                 "pixel-tolerance",
                 "0 or more and less than 1 expected",
             )?;
+            let asks = self.pixel_tolerance > 0.0 && self.pixel_surface > 0.0;
+            let what = "1; with a pixel-tolerance above 0 at least 2 expected: another view has to show the same surface";
+            check(self.pixel_views > 1 || !asks, "pixel-views", what)?;
             check(faint(self.pixel_opacity), "pixel-opacity", opacity)?;
         }
         if self.surrogate == Surrogate::Probe {

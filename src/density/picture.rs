@@ -20,6 +20,8 @@ pub struct Picture {
     pub depth: Vec<f32>,
     /// Remaining transmittance.
     pub transmittance: Vec<f32>,
+    /// True for each pixel that the photo's mask hides, where no surface is trained; empty without masks.
+    pub masked: Vec<bool>,
 }
 
 impl Picture {

@@ -267,12 +267,6 @@ impl<R: Real> Renderer<R> {
         self.read_image()
     }
 
-    /// Tile intersections of a view there is room for.
-    #[must_use]
-    pub fn room(&self) -> usize {
-        self.frame.intersection_capacity()
-    }
-
     /// Runs the stages of [`Renderer::render`] up to the sorted tile intersections; nothing is splatted.
     pub(crate) fn intersect(
         &mut self,

@@ -1,6 +1,6 @@
 //! The clocks of a run, and the process figures of `/proc`.
 //!
-//! All start together. `wall` and `all_cpu` run on; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
+//! All start together. `wall` and `all_cpu` run on, unless the run waits for its user; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
 //! kernels, so that both cover the same span. On shared machines `cpu` is the one to compare by.
 
 use std::time::Instant;
@@ -69,12 +69,24 @@ fn now() -> Mark {
     (Instant::now(), process_cpu_seconds())
 }
 
+/// Seconds since a mark.
+fn elapsed(mark: Mark) -> f64 {
+    mark.0.elapsed().as_secs_f64()
+}
+
+/// CPU seconds of the process since a mark.
+fn used(mark: Mark) -> f64 {
+    (process_cpu_seconds() - mark.1).max(0.0)
+}
+
 /// The clocks of a run. Start it when the dataset's images begin to be read: loading counts.
 #[derive(Debug, Clone)]
 pub struct Clock {
-    start: Mark,
-    /// Spans that have ended; of `wall_seconds` and `all_cpu_seconds` those of earlier sessions.
+    /// Spans that have ended.
     before: Reading,
+    /// Beginning of the running span of `wall` and `all_cpu`; none while the run waits for its user.
+    all: Option<Mark>,
+    /// Beginning of the running span of `train` and `cpu`.
     running: Option<Mark>,
 }
 
@@ -84,8 +96,8 @@ impl Clock {
     pub fn start() -> Self {
         let mark = now();
         Self {
-            start: mark,
             before: Reading::default(),
+            all: Some(mark),
             running: Some(mark),
         }
     }
@@ -107,40 +119,43 @@ impl Clock {
         self.running = None;
     }
 
-    /// Lets `train` and `cpu` run again; no effect while they run.
-    pub fn resume(&mut self) {
-        self.running.get_or_insert_with(now);
+    /// Stops all clocks while the run waits for its user; no effect while they are stopped.
+    pub fn stop(&mut self) {
+        self.pause();
+        self.before.wall_seconds = self.wall_seconds();
+        self.before.all_cpu_seconds = self.all_cpu_seconds();
+        self.all = None;
     }
 
-    /// Leaves seconds in which the run has waited for its user out of the time since the start.
-    pub fn leave_out(&mut self, seconds: f64) {
-        self.before.wall_seconds -= seconds;
+    /// Lets all clocks run again; no effect on those that run.
+    pub fn resume(&mut self) {
+        let mark = now();
+        self.all.get_or_insert(mark);
+        self.running.get_or_insert(mark);
     }
 
     /// Seconds spent training. Cheap: reads no file, so a progress bar may ask at every iteration.
     #[must_use]
     pub fn train_seconds(&self) -> f64 {
-        let span = self.running.map_or(0.0, |m| m.0.elapsed().as_secs_f64());
-        self.before.train_seconds + span
+        self.before.train_seconds + self.running.map_or(0.0, elapsed)
     }
 
     /// CPU seconds over the span of [`Clock::train_seconds`], to 10 ms per span; 0 if the system does not report it.
     #[must_use]
     pub fn cpu_seconds(&self) -> f64 {
-        let span = |m: Mark| (process_cpu_seconds() - m.1).max(0.0);
-        self.before.cpu_seconds + self.running.map_or(0.0, span)
+        self.before.cpu_seconds + self.running.map_or(0.0, used)
     }
 
-    /// Seconds since the start.
+    /// Seconds since the start, without those in which the run waited for its user.
     #[must_use]
     pub fn wall_seconds(&self) -> f64 {
-        self.before.wall_seconds + self.start.0.elapsed().as_secs_f64()
+        self.before.wall_seconds + self.all.map_or(0.0, elapsed)
     }
 
-    /// CPU seconds of the process since the start; 0 if the system does not report it.
+    /// CPU seconds of the process over the span of [`Clock::wall_seconds`]; 0 if the system does not report it.
     #[must_use]
     pub fn all_cpu_seconds(&self) -> f64 {
-        self.before.all_cpu_seconds + (process_cpu_seconds() - self.start.1).max(0.0)
+        self.before.all_cpu_seconds + self.all.map_or(0.0, used)
     }
 
     /// All clocks.

@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
 
 use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
@@ -195,23 +194,22 @@ impl Run {
     }
 
     fn attend_to(&mut self, watch: &mut Watch, stop: &AtomicBool) -> Result<()> {
-        let mut waiting = None;
+        // What is in flight is training; looking is not.
+        self.trainer.settle()?;
+        self.clock.pause();
         loop {
-            self.clock.pause();
             watch.tell(&self.progress(None), self.saved, &mut self.trainer)?;
             watch.show(&mut self.trainer, self.evaluator.as_ref());
             if watch.takes_checkpoint() {
-                self.trainer.settle()?;
                 self.save(true, false)?;
+                self.clock.pause();
             }
             if !watch.paused() || stop.load(Ordering::Relaxed) {
                 break;
             }
-            waiting.get_or_insert_with(Instant::now);
+            self.clock.stop();
             watch.wait();
         }
-        let waited = waiting.map_or(0.0, |since| since.elapsed().as_secs_f64());
-        self.clock.leave_out(waited);
         self.clock.resume();
         Ok(())
     }

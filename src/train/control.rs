@@ -423,6 +423,10 @@ fn picture(
         let apart = |c: usize| (render.rgb[c * pixels + i] - taken[c][i]).abs();
         opaque(i) * (0..3).map(apart).sum::<f32>() / 3.0
     };
+    let masked = match alpha {
+        Alpha::Mask => (0..pixels).map(|i| opaque(i) < 0.5).collect(),
+        _ => Vec::new(),
+    };
     Ok(Picture {
         width: render.width,
         intrinsics: camera.intrinsics,
@@ -432,5 +436,6 @@ fn picture(
         photo,
         depth,
         transmittance: render.transmittance,
+        masked,
     })
 }

@@ -159,7 +159,7 @@ impl Trainer {
     }
 
     /// Renders the Gaussians as they are for somebody who looks on: refuses a view of more tile intersections than `most` and
-    /// twice those that there is room for, and counts for no stage of training.
+    /// twice the most that training has had, and counts for no stage of training.
     ///
     /// # Errors
     /// See [`Renderer::image_within`].
@@ -183,7 +183,7 @@ impl Trainer {
             active_only: false,
         };
         let forward = &mut self.pipeline.forward;
-        let most = most.max(2 * forward.room());
+        let most = most.max(2 * self.counters.max_intersections);
         let image = forward.image_within(&self.gaussians.scene, camera, &options, most);
         self.device.forget_launches();
         image

@@ -322,7 +322,7 @@ impl Plan {
         self.fact(
             Part::PixelBirths,
             mh.pixel_proposals > 0,
-            Why::PixelViews(mh.pixel_views, mh.pixel_surface),
+            Why::PixelViews(mh.pixel_views, mh.pixel_surface, mh.pixel_tolerance > 0.0),
             Why::Criterion("mh.pixel-proposals is 0"),
         );
     }

@@ -161,7 +161,7 @@ pub enum Why {
     /// The noise moves faint Gaussians.
     NoiseMovesFaint,
     /// Views rendered for each density step, and the share of births on surfaces.
-    PixelViews(u32, f64),
+    PixelViews(u32, f64, bool),
     /// Transparent photos have no exposure transforms.
     NoCameraSawBackground,
     /// The run is too short for a comparison of brightness.
@@ -241,9 +241,10 @@ impl fmt::Display for Why {
             Self::FixedSet => f.write_str("a fixed set of Gaussians asked for"),
             Self::EstimatedIn(views) => write!(f, "births are estimated in {views} views"),
             Self::NoiseMovesFaint => f.write_str("mh.noise-rate moves faint Gaussians"),
-            Self::PixelViews(views, surface) => write!(
+            Self::PixelViews(views, surface, asked) => write!(
                 f,
-                "{views} views are rendered for each step, of weight {surface} on surfaces that they agree about",
+                "{views} views are rendered for each step, of weight {surface} on surfaces{}",
+                if *asked { " that they agree about" } else { "" },
             ),
             Self::NoCameraSawBackground => f.write_str(NO_CAMERA_SAW),
             Self::TooShort => f.write_str("the run is too short to tell whether it is needed"),

@@ -9,7 +9,7 @@ use glam::{DMat3, DVec3};
 use tempfile::TempDir;
 
 use super::{assert_refused, load_every};
-use mhsplat::capture::{Dataset, Layout, View};
+use mhsplat::capture::{Dataset, Layout, LoadOptions, View, load};
 
 /// Size of the photos, pixels.
 const SIZE: [u32; 2] = [40, 30];
@@ -375,6 +375,12 @@ fn metashape_files_that_do_not_tell_the_cameras_are_refused() {
     let data = load_every(dir.path(), 0).unwrap();
     assert_eq!(data.train.len(), VIEWS - 1);
     assert!(data.remarks[0].contains("only the 5 cameras of component 0"));
+    // A sensor that no camera has may be of any kind.
+    let unused = "<sensors next_id=\"1\"><sensor id=\"9\" type=\"spherical\"><calibration type=\"spherical\"/></sensor>";
+    let more = whole.replace("<sensors next_id=\"1\">", unused);
+    assert_ne!(more, whole);
+    fs::write(&file, more).unwrap();
+    assert_eq!(load_every(dir.path(), 0).unwrap().train.len(), VIEWS);
 }
 
 /// A bundle of all views and points, and its list.
@@ -424,6 +430,18 @@ fn bundler_projects_as_its_manual_says() {
     let first = data.points.positions[0].map(f64::from);
     let off = data.frame.to_dataset(DVec3::from_array(first)) - DVec3::new(0.6, 0.1, -0.2);
     assert!(off.length() < 1e-6);
+    assert!(!data.remarks.iter().any(|r| r.contains("--images")));
+    // Nobody knows which size a focal length is of.
+    let options = LoadOptions {
+        images: Some("images".into()),
+        ..LoadOptions::default()
+    };
+    let remarks = load(dir.path(), &options).unwrap().remarks;
+    assert!(
+        remarks
+            .iter()
+            .any(|r| r.contains("focal lengths") && r.contains("--images"))
+    );
     // COLMAP's names of the two files.
     let [out, listed] = ["a.bundle.out", "a.list.txt"].map(|name| dir.path().join(name));
     fs::rename(&file, &out).unwrap();

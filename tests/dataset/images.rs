@@ -56,10 +56,13 @@ fn photos_are_found_by_their_file_names() {
     assert_eq!(data.train.len(), 3);
     let dir = moved(|name| format!("elsewhere/{}", name.replace(".png", ".webp")));
     assert_eq!(load_every(dir.path(), 0).unwrap().train.len(), 3);
-    // Masks are no photos, whatever they are called.
-    let dir = moved(|name| format!("masks/{name}"));
-    let words = ["images", "no such folder", "--images"];
-    assert_refused(load_every(dir.path(), 0), &words);
+    // Masks are no photos, nor are depths and normals, whatever they are called.
+    for folder in ["masks", "Mask", "depth", "normals", "a/depth_maps"] {
+        let dir = moved(|name| format!("{folder}/{name}"));
+        let words = ["images", "no such folder", "--images"];
+        assert_refused(load_every(dir.path(), 0), &words);
+        assert_eq!(asked(dir.path(), folder).unwrap().train.len(), 3);
+    }
 }
 
 #[test]
@@ -157,4 +160,39 @@ fn the_layout_is_told_at_the_start_and_kept_by_the_run() {
     let info = done(&["info", text(dir.path()), "--images", "images_4", "--json"]);
     let info: serde_json::Value = serde_json::from_str(&info).unwrap();
     assert_eq!(info["place"], "sparse/0, photos in images_4");
+    // Another place of the dataset may have its photos elsewhere.
+    let copy = tempfile::tempdir().unwrap();
+    let moved = copy.path().join("dataset");
+    fs::remove_dir_all(&other).unwrap();
+    fs::create_dir(&moved).unwrap();
+    fs::rename(dir.path().join("images_2"), moved.join("images")).unwrap();
+    fs::rename(dir.path().join("sparse"), moved.join("sparse")).unwrap();
+    done(&["eval", text(&run), text(&moved), "--json"]);
+}
+
+/// A folder outside of the dataset is found from wherever a program is started.
+#[test]
+fn a_run_keeps_the_place_of_photos_that_are_elsewhere() {
+    let dir = moved(|name| format!("images/{name}"));
+    let elsewhere = tempfile::tempdir().unwrap();
+    let photos = elsewhere.path().join("photos");
+    fs::rename(dir.path().join("images"), &photos).unwrap();
+    let run = dir.path().join("run");
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_mhsplat"))
+        .args([
+            "train",
+            text(dir.path()),
+            "-o",
+            text(&run),
+            "--iterations",
+            "1",
+        ])
+        .args(["--images", "photos", "-q"])
+        .current_dir(elsewhere.path())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let record = mhsplat::RunRecord::read(&run).unwrap();
+    assert_eq!(record.config.images, Some(photos));
+    done(&["eval", text(&run), "--json"]);
 }

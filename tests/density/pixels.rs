@@ -32,6 +32,7 @@ pub fn picture() -> Picture {
         }),
         depth: make(&|i| if right(i) { f32::NAN } else { 5.0 }),
         transmittance: make(&|i| if right(i) { 1.0 } else { 0.0 }),
+        masked: Vec::new(),
     }
 }
 
@@ -205,6 +206,25 @@ fn views_have_to_agree_about_a_surface() {
     ] {
         assert_eq!(births(0.1, others), (0, unasked(others).1), "{others:?}");
     }
+    // What a mask hides speaks neither for nor against it.
+    let hidden = |depths: &[f32]| {
+        let mut pictures = vec![picture()];
+        pictures.extend(depths.iter().map(|depth| aside(*depth)));
+        pictures[1].masked = vec![true; SIZE[0] * SIZE[1]];
+        let at = StepContext {
+            pictures: &pictures,
+            ..context(700, 0.0, 1)
+        };
+        let asks = MhConfig {
+            pixel_tolerance: 0.1,
+            ..config()
+        };
+        let outcome = step(&asks, &at);
+        let births = outcome.edits.iter().filter(|e| e.dst >= 500).map(seen);
+        births.filter(|b| b[0] < 20.0).count()
+    };
+    assert_eq!(hidden(&[5.0]), 0);
+    assert_eq!(hidden(&[8.0, 5.0]), births(0.1, &[5.0, 5.0]).0);
     // A view does not confirm itself.
     let pictures = [picture(), picture()];
     let at = StepContext {

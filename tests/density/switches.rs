@@ -221,12 +221,14 @@ fn voxels_far_from_the_cameras_take_fewer() {
 #[test]
 fn values_out_of_their_domain_are_refused_by_name() {
     type Change = fn(&mut MhConfig);
-    let cases: [(&str, Change); 10] = [
+    let cases: [(&str, Change); 11] = [
         ("temperature", |c| c.temperature = [0.0, 1.0]),
         ("target-acceptance", |c| c.target_acceptance = [0.5, 0.0]),
         ("target-acceptance", |c| c.target_acceptance = [0.5, 1.0]),
         ("voxel-growth-from", |c| c.voxel_growth_from = f64::NAN),
         ("pixel-views", |c| c.pixel_views = 0),
+        // No other view could confirm a surface.
+        ("pixel-views", |c| c.pixel_views = 1),
         ("pixel-far", |c| c.pixel_far = [3.0, 2.0]),
         ("pixel-surface", |c| c.pixel_surface = 1.1),
         ("pixel-tolerance", |c| c.pixel_tolerance = 1.0),

@@ -130,6 +130,30 @@ fn the_node_says_what_is_up_and_what_else_it_says_is_told() {
     assert!(file.changes()[0].contains("scale"));
 }
 
+#[test]
+fn what_is_not_read_is_refused_or_told() {
+    let (document, data) = document();
+    let with = |key: &str, value: &str| {
+        let mut document = document.clone();
+        let primitive = &mut document["meshes"][0]["primitives"][0];
+        primitive["extensions"]["KHR_gaussian_splatting"][key] = json!(value);
+        read(&document, &data)
+    };
+    for (key, known, unknown) in [
+        ("kernel", "ellipse", "box"),
+        ("colorSpace", "srgb_rec709_display", "lin_rec709_display"),
+    ] {
+        assert!(with(key, known).unwrap().changes().is_empty());
+        let error = with(key, unknown).unwrap_err().to_string();
+        assert!(error.contains(key) && error.contains(unknown), "{error}");
+    }
+    let mut twice = document;
+    let primitives = twice["meshes"][0]["primitives"].as_array_mut().unwrap();
+    primitives.push(primitives[0].clone());
+    let remarks = read(&twice, &data).unwrap().changes();
+    assert!(remarks[0].contains("first of 2"), "{remarks:?}");
+}
+
 /// The colour of a direction, as a viewer that follows the extension computes it from the file, is that of the scene.
 #[test]
 fn what_is_written_has_the_extensions_basis() {

@@ -362,6 +362,7 @@ impl<'a> Definitions<'a> {
             error: singles(&error),
             depth: singles(&|i| depth[i] / (1.0 - left[i])),
             transmittance: singles(&|i| left[i]),
+            masked: Vec::new(),
         }
     }
 }

@@ -134,8 +134,14 @@ def program():
 
 def _run(words):
     last = deque(maxlen=_KEPT_LINES)
+    # In a session of its own it has an interrupt once, from here, and not from the terminal as well: a second one ends it at once.
     with subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8", errors="replace"
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
     ) as child:
         # Documents are printed at the end, when nothing reads standard error any more: a thread takes them.
         printed = []

@@ -210,5 +210,9 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
         })
     })?;
     (scene.positions, scene.colors) = (positions, colors);
+    if asked.is_some() {
+        let remark = "warning: Bundler's focal lengths are in pixels of photos of a size that it does not tell: those of --images have to have that size";
+        scene.remarks.push(remark.into());
+    }
     Ok(scene)
 }

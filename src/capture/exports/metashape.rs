@@ -139,7 +139,9 @@ impl Reader<'_> {
         };
         for name in ["p3", "p4"] {
             if value(name)? != 0.0 {
-                return Err(self.bad(format!("{of} has {name}, which is not read")));
+                let what = format!("{of} has {name}, which is not read");
+                let fix = "export undistorted photos with their cameras";
+                return Err(Error::input(self.0, what, fix));
             }
         }
         let (focal, b1) = (value("f")?, value("b1")?);
@@ -250,8 +252,10 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
     let (cameras, left) = largest(cameras);
     let mut sensors = HashMap::new();
     for node in listed(chunk, "sensors", "sensor") {
-        if let Some(sensor) = reader.sensor(node)? {
-            sensors.insert(node.attribute("id").unwrap_or_default(), sensor);
+        let id = node.attribute("id").unwrap_or_default();
+        let used = cameras.iter().any(|camera| camera.sensor == id);
+        if used && let Some(sensor) = reader.sensor(node)? {
+            sensors.insert(id, sensor);
         }
     }
     let mut transform = reader.similarity(chunk, "the chunk")?;

@@ -155,7 +155,8 @@ fn birth(
 }
 
 /// True if a surface at `position` is rendered in one of the pictures and none sees through it: rendered depths within
-/// `tolerance`, a share of the depth, are the same; a smaller one is something in front, and says nothing. 0: always true.
+/// `tolerance`, a share of the depth, are the same; a smaller one is something in front, and says nothing, nor does a masked
+/// pixel. 0: always true.
 fn confirmed(
     tolerance: f64,
     pictures: &mut dyn Iterator<Item = &Picture>,
@@ -166,6 +167,9 @@ fn confirmed(
         let Some((z, pixel)) = picture.project(position) else {
             continue;
         };
+        if picture.masked.get(pixel) == Some(&true) {
+            continue;
+        }
         let depth = f64::from(picture.depth[pixel]);
         // Nothing is rendered at an empty pixel.
         if !depth.is_finite() || depth > z * (1.0 + tolerance) {

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, SyncSender};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
@@ -24,6 +24,14 @@ const PATIENCE: Duration = Duration::from_secs(60);
 struct Job {
     ask: Ask,
     to: SyncSender<Result<Reply, String>>,
+    /// Gone once nobody waits any more.
+    waits: Weak<()>,
+}
+
+impl Job {
+    fn is_waited_for(&self) -> bool {
+        self.waits.strong_count() > 0
+    }
 }
 
 /// State of a run and its curves, as far as they have been told.
@@ -69,15 +77,18 @@ impl Desk {
     /// Asks, and waits for the reply.
     pub fn ask(&self, ask: Ask) -> Result<Reply, Answer> {
         let (to, back) = mpsc::sync_channel(1);
+        let here = Arc::new(());
         {
             let mut jobs = lock(&self.jobs);
             if self.closed.load(Ordering::Relaxed) {
                 return Err(Answer::words(503, "the program is ending"));
             }
+            jobs.retain(Job::is_waited_for);
             if jobs.len() >= MOST {
                 return Err(Answer::words(503, "too many pictures are waited for"));
             }
-            jobs.push_back(Job { ask, to });
+            let waits = Arc::downgrade(&here);
+            jobs.push_back(Job { ask, to, waits });
         }
         self.came.notify_all();
         match back.recv_timeout(PATIENCE) {
@@ -124,12 +135,16 @@ impl Desk {
 impl Desk {
     /// True if somebody waits for a reply.
     pub fn asked(&self) -> bool {
-        !lock(&self.jobs).is_empty()
+        lock(&self.jobs).iter().any(Job::is_waited_for)
     }
 
     /// Answers the question that has waited longest, if there is one; the time that it took.
     pub fn answer(&self, scenery: &mut dyn Scenery) -> Option<Duration> {
-        let job = lock(&self.jobs).pop_front()?;
+        let job = {
+            let mut jobs = lock(&self.jobs);
+            jobs.retain(Job::is_waited_for);
+            jobs.pop_front()?
+        };
         let began = Instant::now();
         let found = reply(&job.ask, scenery).map_err(|e| e.to_string());
         // Who asked may have gone.

@@ -103,7 +103,6 @@ pub(super) struct Connection {
 impl Connection {
     pub fn new(stream: TcpStream) -> std::io::Result<Self> {
         stream.set_nodelay(true)?;
-        stream.set_write_timeout(Some(PATIENCE))?;
         Ok(Self {
             stream,
             read: Vec::new(),
@@ -162,7 +161,20 @@ impl Connection {
             if last { "close" } else { "keep-alive" },
         );
         let whole = [head.as_bytes(), &answer.body].concat();
-        self.stream.write_all(&whole)
+        let (begun, mut rest) = (Instant::now(), whole.as_slice());
+        while !rest.is_empty() {
+            let left = PATIENCE.checked_sub(begun.elapsed());
+            let left = left.filter(|left| !left.is_zero());
+            let left = left.ok_or(ErrorKind::TimedOut)?;
+            self.stream.set_write_timeout(Some(left))?;
+            match self.stream.write(rest) {
+                Ok(0) => return Err(ErrorKind::WriteZero.into()),
+                Ok(n) => rest = &rest[n..],
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                Err(e) => return Err(e),
+            }
+        }
+        Ok(())
     }
 
     /// Ends the connection. What was sent and not read would make the system throw the answer away: some of it is read.

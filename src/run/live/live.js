@@ -102,6 +102,9 @@ async function aim(x, y) {
     return add(add(right, rows[1], ((y - l.cy) / l.fy) * depth), rows[2], depth);
   };
   view.pivot = along(scene.reach);
+  // Who moves on asks again where it comes to rest.
+  await new Promise((rested) => setTimeout(rested, 250));
+  if (view.center !== center || view.rows !== rows) return;
   const small = [innerWidth, innerHeight].map((v) => Math.max(1, Math.round(v / 4)));
   try {
     const at = [(x * small[0]) / innerWidth, (y * small[1]) / innerHeight];

@@ -246,9 +246,10 @@ fn answer(request: &Request, shared: &Shared) -> Answer {
         (Method::Post, _) if training && shared.desk.wish(path.trim_start_matches('/')) => {
             Ok(Answer::words(200, "as you wish"))
         }
-        (_, "/" | "/frame" | "/photo" | "/depth" | "/status") => {
+        (Method::Post, "/" | "/frame" | "/photo" | "/depth") => {
             Err(Answer::words(405, "GET expected"))
         }
+        (Method::Post, "/status") if training => Err(Answer::words(405, "GET expected")),
         (Method::Get, "/pause" | "/continue" | "/checkpoint" | "/stop") if training => {
             Err(Answer::words(405, "POST expected"))
         }

@@ -16,8 +16,11 @@ use crate::run::table::MetricsRow;
 use crate::run::viewer::SceneView;
 use crate::train::Trainer;
 
-/// Share of the time of training that pictures take at most. Encoding and sending them takes as long again on another core.
+/// Share of the time of training that pictures take at most, as long as one takes less than a second. Encoding and sending them takes as long again on another core.
 const SHARE: f64 = 0.025;
+
+/// Longest time without a picture, whatever the last one took: who asks waits no longer than a minute.
+const MOST_REST: Duration = Duration::from_secs(30);
 
 /// Time between two points of the loss.
 const SAMPLING: Duration = Duration::from_secs(2);
@@ -162,7 +165,8 @@ impl Watch {
             training: &self.training,
         };
         if let Some(took) = desk.answer(&mut scenery) {
-            self.free = Instant::now() + took.mul_f64(1.0 / SHARE - 1.0);
+            let rest = took.mul_f64(1.0 / SHARE - 1.0);
+            self.free = Instant::now() + rest.min(MOST_REST);
         }
     }
 

@@ -17,6 +17,9 @@ use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 pub(super) const MAGIC: [u8; 4] = *b"glTF";
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
+/// The kernel and the colour space of this program's Gaussians.
+const KERNEL: &str = "ellipse";
+const COLOR_SPACE: &str = "srgb_rec709_display";
 /// Extra property of the primitive of a scene that is to be rendered with the 2D filter.
 const ANTI_ALIASED: &str = "antialiased";
 /// Bytes of the header, and of the head of a chunk.
@@ -57,21 +60,42 @@ fn chunks<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Value, &'a [u8])> {
     Ok((document, data))
 }
 
-/// The primitive that has the extension.
-fn primitive(document: &Value) -> Option<(usize, &Value)> {
-    let meshes = document["meshes"].as_array()?.iter().enumerate();
-    let mut all = meshes.flat_map(|(k, mesh)| {
+/// The primitives that have the extension, each with the number of its mesh.
+fn primitives(document: &Value) -> Vec<(usize, &Value)> {
+    let meshes = document["meshes"].as_array().into_iter().flatten();
+    let all = meshes.enumerate().flat_map(|(k, mesh)| {
         let primitives = mesh["primitives"].as_array().into_iter().flatten();
         primitives.map(move |p| (k, p))
     });
-    all.find(|(_, p)| p["extensions"].get(EXTENSION).is_some())
+    all.filter(|(_, p)| p["extensions"].get(EXTENSION).is_some())
+        .collect()
+}
+
+/// Checks that Gaussians are of the kind that is read here.
+fn check_kind(path: &Path, extension: &Value) -> Result<()> {
+    let further = extension["extensions"].as_object();
+    let named = |key: &str, known: &str| {
+        let found = extension[key].as_str().filter(|v| *v != known)?;
+        Some(format!("the {key} {found:?}"))
+    };
+    let unknown = further
+        .and_then(|m| m.keys().next().cloned())
+        .or_else(|| named("kernel", KERNEL))
+        .or_else(|| named("colorSpace", COLOR_SPACE));
+    unknown.map_or(Ok(()), |what| {
+        let what = format!("Gaussians with {what}, which is not read here");
+        Err(Error::input(path, what, FIX))
+    })
 }
 
 /// True if the beginning of a file marks its scene as anti-aliased.
 pub(super) fn is_anti_aliased(path: &Path, start: &[u8]) -> bool {
     let document = start.starts_with(&MAGIC).then(|| chunks(path, start).ok());
     document.flatten().is_some_and(|(document, _)| {
-        primitive(&document).is_some_and(|(_, p)| p["extras"][ANTI_ALIASED] == true)
+        let found = primitives(&document);
+        found
+            .first()
+            .is_some_and(|(_, p)| p["extras"][ANTI_ALIASED] == true)
     })
 }
 
@@ -174,21 +198,12 @@ fn coefficient_name(k: u32) -> String {
 /// [`Error::Input`] for a file without Gaussians of its own bytes, or values that are none.
 pub(super) fn read(path: &Path, bytes: &[u8], frame: &Frame) -> Result<SceneFile> {
     let (document, data) = chunks(path, bytes)?;
-    let (mesh, found) = primitive(&document).ok_or_else(|| {
+    let all = primitives(&document);
+    let &(mesh, found) = all.first().ok_or_else(|| {
         let what = format!("a .glb file without Gaussians ({EXTENSION})");
         Error::input(path, what, "give a scene of Gaussians")
     })?;
-    let extension = &found["extensions"][EXTENSION];
-    if let Some((name, _)) = extension["extensions"]
-        .as_object()
-        .and_then(|m| m.iter().next())
-    {
-        return Err(Error::input(
-            path,
-            format!("Gaussians with {name}, which is not read here"),
-            FIX,
-        ));
-    }
+    check_kind(path, &found["extensions"][EXTENSION])?;
     let none = Map::new();
     let accessors = Accessors {
         path,
@@ -232,7 +247,13 @@ pub(super) fn read(path: &Path, bytes: &[u8], frame: &Frame) -> Result<SceneFile
     let mut splats = Gaussians::new(degree, planes)?;
     HalfTurn::Z.turn(&mut splats);
     let planes = splats.planes().to_vec();
-    let (up, remarks) = placed(&document, mesh);
+    let (up, mut remarks) = placed(&document, mesh);
+    if all.len() > 1 {
+        remarks.push(format!(
+            "the first of {} sets of Gaussians is read, the others are left out",
+            all.len()
+        ));
+    }
     Ok(SceneFile {
         anti_aliased: found["extras"][ANTI_ALIASED] == true,
         up: Some(up),
@@ -365,7 +386,7 @@ impl Writer {
         let mut primitive = json!({
             "mode": 0,
             "attributes": self.attributes,
-            "extensions": { EXTENSION: { "kernel": "ellipse", "colorSpace": "srgb_rec709_display" } },
+            "extensions": { EXTENSION: { "kernel": KERNEL, "colorSpace": COLOR_SPACE } },
         });
         if scene.anti_aliased {
             primitive["extras"] = json!({ ANTI_ALIASED: true });
