@@ -39,21 +39,29 @@ pub fn open(browser: &Path, dir: &Path, file: &str, hash: &str, more: &[&str]) -
     visit(browser, dir, &address, more)
 }
 
-/// Opens an address in the browser with more arguments; what it printed.
-pub fn visit(browser: &Path, dir: &Path, address: &str, more: &[&str]) -> String {
-    let log = dir.join("stdout");
-    let mut child = Command::new(browser)
+/// The browser with a profile of its own in a folder, without the address to open.
+pub fn headless(browser: &Path, dir: &Path) -> Command {
+    let mut command = Command::new(browser);
+    command
         .args(["--headless=new", "--no-sandbox", "--disable-quic"])
         .args(["--disable-background-networking", "--no-first-run"])
         .args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
         .args(["--force-color-profile=srgb", "--hide-scrollbars"])
-        .args(["--window-size=700,600", "--virtual-time-budget=30000"])
+        .arg("--window-size=700,600")
         .arg(format!("--user-data-dir={}", dir.join("profile").display()))
+        .stdin(Stdio::null())
+        .stderr(Stdio::null());
+    command
+}
+
+/// Opens an address in the browser with more arguments; what it printed.
+pub fn visit(browser: &Path, dir: &Path, address: &str, more: &[&str]) -> String {
+    let log = dir.join("stdout");
+    let mut child = headless(browser, dir)
+        .arg("--virtual-time-budget=30000")
         .args(more)
         .arg(address)
-        .stdin(Stdio::null())
         .stdout(std::fs::File::create(&log).unwrap())
-        .stderr(Stdio::null())
         .spawn()
         .unwrap();
     let begun = Instant::now();
