@@ -92,6 +92,7 @@ fn pictures_are_those_that_are_asked_for() {
         assert_eq!(all.status, 200);
         let html = all.text();
         assert!(html.contains("&lt;made&gt; up") && !html.contains("<made>"));
+        assert!(html.contains("id=\"shown\"") && !html.contains("id=\"wishes\""));
         assert!(
             all.head
                 .contains("Content-Security-Policy: default-src 'none'; style-src 'nonce-")

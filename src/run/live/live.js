@@ -177,7 +177,7 @@ function prepare() {
   };
   const mode = hash().get('mode');
   if (modes.includes(mode)) $('shown').value = mode;
-  $('shown').addEventListener('change', () => { canvas.focus(); frame(); });
+  $('shown').addEventListener('change', () => { canvas.focus(); remember(); frame(); });
   if (!scene.training) return;
   lay();
   $('pause').addEventListener('click', () => wish(run?.state === 'paused' ? 'continue' : 'pause'));
