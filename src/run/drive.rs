@@ -176,6 +176,7 @@ impl Run {
         let rows: Vec<MetricsRow> = read_rows(self.dir.join(METRICS_FILE))?;
         let training = self.trainer.training_views(usize::MAX);
         let views = self.exports.views.clone();
+        self.trainer.note_births();
         self.watch = Some(Watch::new(server, views, training, &rows));
         Ok(())
     }

@@ -17,8 +17,9 @@ const SCRIPT: &str = include_str!("live.js");
 
 /// List of the quantities that a picture may show, and the line of the help about it.
 const SHOWN: &str = "<select id=\"shown\" aria-label=\"what is shown\" title=\"what is shown (M)\"><option value=\"color\">Colour</option>\
-    <option value=\"depth\">Depth</option><option value=\"error\">Error</option></select>\n";
-const KEYS: &str = "<dt>M</dt><dd>colour, depth (near is bright), error against the photo</dd>\n";
+    <option value=\"depth\">Depth</option><option value=\"error\">Error</option>";
+const BIRTHS: &str = "<option value=\"births\">Births</option>";
+const KEYS: &str = "<dt>M</dt><dd>colour, depth (near is bright), error against the photo; of a run the last births, yellow</dd>\n";
 
 /// Contents of the page.
 #[derive(Debug, Clone)]
@@ -65,7 +66,8 @@ impl LivePage {
             "script" => vec![MOVES, SCRIPT],
             "meta" => vec![meta.as_str()],
             "run" if self.training => vec![RUN],
-            "shown" => vec![SHOWN],
+            "shown" if self.training => vec![SHOWN, BIRTHS, "</select>\n"],
+            "shown" => vec![SHOWN, "</select>\n"],
             "keys" => vec![KEYS],
             // The policy is a header, and there are no data.
             _ => Vec::new(),
