@@ -2,6 +2,7 @@
 
 mod browser;
 mod client;
+mod operated;
 mod program;
 mod server;
 mod training;

@@ -6,8 +6,10 @@ pub mod pages;
 use std::fs;
 
 use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
 use glam::DVec3;
 use serde_json::Value;
+use sha2::Digest;
 
 use mhsplat::base::constants::{ALPHA_MAX, ALPHA_MIN, COLOR_MAX, NEAR, blur};
 use mhsplat::base::error::Error;
@@ -246,7 +248,17 @@ fn the_page_stands_alone() {
     ] {
         assert!(!html.contains(part), "{part}");
     }
-    assert!(html.contains("default-src 'none'"));
+    // The page's content policy lets this style and this script in, and no others.
+    let hash = |before: &str, after: &str| {
+        let rest = html.split_once(before).unwrap().1;
+        let text = rest.split_once(after).unwrap().0;
+        BASE64.encode(sha2::Sha256::digest(text))
+    };
+    let (style, script) = (hash("<style>", "</style>"), hash("<script>", "</script>"));
+    let policy = format!(
+        "content=\"default-src 'none';style-src 'sha256-{style}';script-src 'sha256-{script}';img-src data:;worker-src blob:\""
+    );
+    assert!(html.contains(&policy), "{policy}");
     // Four shaders, two blocks of data, the script; each ends once.
     assert_eq!(html.matches("<script").count(), 7);
     assert_eq!(html.matches("</script>").count(), 7);

@@ -1,5 +1,7 @@
 //! Numbers, durations and text as pages and charts show them.
 
+use std::path::{Component, Path};
+
 /// `text` with the special characters of HTML text and quoted attributes replaced.
 #[must_use]
 pub fn escape(text: &str) -> String {
@@ -17,6 +19,22 @@ pub fn escape(text: &str) -> String {
         }
     }
     out
+}
+
+/// A relative path as the target of a link: slashes, and every byte that an address may not have as it is as `%XX`.
+#[must_use]
+pub fn href(path: &Path) -> String {
+    let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~".contains(&b);
+    let part = |part: Component<'_>| -> String {
+        let bytes = part.as_os_str().to_string_lossy().into_owned().into_bytes();
+        let spelt = bytes.into_iter().map(|b| match plain(b) {
+            true => char::from(b).to_string(),
+            false => format!("%{b:02X}"),
+        });
+        spelt.collect()
+    };
+    let parts: Vec<String> = path.components().map(part).collect();
+    parts.join("/")
 }
 
 /// `value` in groups of three digits, set apart by narrow no-break spaces.

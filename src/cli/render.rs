@@ -85,6 +85,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     }
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let compared = args.what == What::Error;
+    args.shots.check_rate(args.video.is_some())?;
     let shots = Shots::new(&args.shots, compared, record.as_ref(), &args.photos)?;
     let video = match (&args.video, shots.pattern()) {
         (None, _) => None,
@@ -102,7 +103,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     let jobs = shots.jobs(&loaded)?;
     let written = write_all(args, &mut loaded, background, &jobs, frame.scale)?;
     if let Some((file, pattern)) = video {
-        encode(&args.output, pattern, args.shots.fps, &file)?;
+        encode(&args.output, pattern, args.shots.rate(), &file)?;
     }
     if common.json {
         output::json(&json!({

@@ -24,6 +24,9 @@ const MOST_FRAMES: u32 = 100_000;
 /// Size of images that no photo suggests, pixels.
 const SIZE: [u32; 2] = [640, 480];
 
+/// Frames per second unless others are asked for.
+const RATE: u32 = 30;
+
 /// Largest side of an image, pixels.
 const LARGEST: u32 = 65_536;
 
@@ -64,9 +67,9 @@ pub struct ShotOptions {
     /// Number of frames of the path [default: 120 along the dataset's cameras, --fps times its seconds for --path].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_FRAMES)))]
     frames: Option<u32>,
-    /// Frames per second of --path and --video.
-    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    pub fps: u32,
+    /// Frames per second of --path and --video [default: 30]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    fps: Option<u32>,
     /// Width of images of an orbit or a path, pixels [default: the photos']
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..=i64::from(LARGEST)))]
     width: Option<u32>,
@@ -103,6 +106,23 @@ enum Kind {
 }
 
 impl ShotOptions {
+    /// Frames per second.
+    pub fn rate(&self) -> u32 {
+        self.fps.unwrap_or(RATE)
+    }
+
+    /// Refuses a number of frames per second where nothing has seconds.
+    pub fn check_rate(&self, video: bool) -> Result<()> {
+        let timed = video || (self.path.is_some() && self.frames.is_none());
+        match self.fps {
+            Some(_) if !timed => Err(Error::config(
+                "--fps",
+                "images have no time; give --video, or --path without --frames, or leave it out",
+            )),
+            _ => Ok(()),
+        }
+    }
+
     /// Refuses options that would have no effect on views of a kind.
     fn check(&self, kind: Kind) -> Result<()> {
         let photos = kind == Kind::Views;
@@ -288,7 +308,7 @@ impl<'a> Shots<'a> {
 
     /// Frames of a path through keyframes: those asked for, else one for every step of its seconds.
     fn frames_of(&self, path: &Trajectory) -> Result<u32> {
-        let frames = (path.duration() * f64::from(self.options.fps)).round() + 1.0;
+        let frames = (path.duration() * f64::from(self.options.rate())).round() + 1.0;
         match self.options.frames {
             Some(frames) => Ok(frames),
             None if frames <= f64::from(MOST_FRAMES) => Ok(frames as u32),

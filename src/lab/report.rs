@@ -52,6 +52,13 @@ pub enum Section {
         /// Relative path of the file.
         to: String,
     },
+    /// Links that a page shows on request; pages only.
+    Links {
+        /// Line that stands for them.
+        summary: String,
+        /// Text and target of each.
+        links: Vec<(String, String)>,
+    },
     /// A report of its own, one heading lower.
     Part(Report),
     /// Sections that a page shows on request.
@@ -154,7 +161,7 @@ fn markdown(out: &mut String, sections: &[Section], level: usize) {
                 let _ = writeln!(out, "\n{} {summary}", "#".repeat(level));
                 markdown(out, sections, level + 1);
             }
-            Section::Charts { .. } => (),
+            Section::Charts { .. } | Section::Links { .. } => (),
         }
     }
 }
@@ -206,6 +213,15 @@ fn html(out: &mut String, sections: &[Section], level: usize) {
             Section::Link { text, to } => {
                 let (text, to) = (escape(text), escape(to));
                 let _ = writeln!(out, "<p><a href=\"{to}\">{text}</a></p>");
+            }
+            Section::Links { links, .. } if links.is_empty() => (),
+            Section::Links { summary, links } => {
+                let _ = write!(out, "<details><summary>{}</summary><ul>", escape(summary));
+                for (text, to) in links {
+                    let (text, to) = (escape(text), escape(to));
+                    let _ = write!(out, "<li><a href=\"{to}\">{text}</a></li>");
+                }
+                out.push_str("</ul></details>\n");
             }
             Section::Part(part) => part.html(out, level),
             Section::Details { summary, sections } => {

@@ -36,7 +36,7 @@ fn part(out: &mut String, report: &Report, width: usize) {
             Section::Details { summary, .. } => {
                 paragraph(out, &format!("{summary}: with --markdown"), width);
             }
-            Section::Charts { .. } => (),
+            Section::Charts { .. } | Section::Links { .. } => (),
         }
     }
 }

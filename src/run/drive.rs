@@ -19,9 +19,9 @@ use crate::run::live::{LARGEST_LIVE, LivePage, Server, Watch};
 use crate::run::patience;
 use crate::run::progress::Progress;
 use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
-use crate::run::report::gallery::{GalleryItem, error_map};
+use crate::run::report::gallery::{GalleryItem, items};
 use crate::run::report::page::{folder_name, write_report};
-use crate::run::report::training::training_scores;
+use crate::run::report::training::training_views;
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::Gaussians;
@@ -175,6 +175,7 @@ impl Run {
         let rows: Vec<MetricsRow> = read_rows(self.dir.join(METRICS_FILE))?;
         let training = self.trainer.training_views(usize::MAX);
         let views = self.exports.views.clone();
+        self.trainer.note_births();
         self.watch = Some(Watch::new(server, views, training, &rows));
         Ok(())
     }
@@ -520,9 +521,10 @@ impl Run {
 
     fn report(&mut self) -> Result<()> {
         self.clock.pause();
-        self.record.training = training_scores(&mut self.trainer)?;
+        let (scores, shown) = training_views(&mut self.trainer)?;
+        self.record.training = scores;
         self.write_record()?;
-        let gallery = self.gallery()?;
+        let gallery = [self.gallery()?, shown].concat();
         let rows = read_rows(self.dir.join(METRICS_FILE))?;
         let density = read_rows(self.dir.join(DENSITY_FILE))?;
         write_report(
@@ -555,27 +557,6 @@ impl Run {
             views.pop();
             views.push(worst);
         }
-        let mut items = Vec::with_capacity(shown);
-        for (k, &view) in views.iter().enumerate() {
-            let next = &views[k + 1..];
-            let Some(score) = evaluator.score(view, next, scene, renderer, background)? else {
-                continue;
-            };
-            let image = renderer.read_image()?;
-            let render = image.rgb8();
-            let photo = evaluator.views().read_photo(view)?;
-            let counted = photo.counted(render.clone());
-            items.push(GalleryItem {
-                view: score.view,
-                psnr: score.scores.psnr,
-                ssim: score.scores.ssim,
-                width: image.width as u32,
-                height: image.height as u32,
-                error: error_map(&counted, &photo.rgb_over(background))?,
-                render,
-                photo: photo.shown(background),
-            });
-        }
-        Ok(items)
+        items(evaluator, &views, scene, renderer, background)
     }
 }

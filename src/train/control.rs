@@ -68,6 +68,8 @@ pub struct Control {
     pub stats: DensityStats,
     /// Fate of every Gaussian, if the configuration asks for it.
     pub trace: Option<DensityTrace>,
+    /// Rows of the last step's births; `None` if nobody asks for them.
+    pub born: Option<Vec<u32>>,
     /// Time of the steps on the host, with their transfers and edits.
     pub time: StageTime,
 }
@@ -102,6 +104,7 @@ impl Control {
             schedule: Schedule::new(&plan.config),
             stats: DensityStats::default(),
             trace: None,
+            born: None,
             time: StageTime::default(),
         })
     }
@@ -208,6 +211,13 @@ impl Control {
         if let Some(trace) = &mut self.trace {
             let logits = geometry.plane(Plane::OPACITY);
             trace.step(iteration, logits, &outcome, order.as_deref());
+        }
+        if let Some(born) = &mut self.born {
+            *born = births(
+                &outcome,
+                geometry.plane(Plane::OPACITY).len(),
+                order.as_deref(),
+            );
         }
         self.apply(&mut on, &outcome, order.as_deref())?;
         on.device.finish()?;
@@ -438,4 +448,17 @@ fn picture(
         transmittance: render.transmittance,
         masked,
     })
+}
+
+/// Rows of the births of a step once it has been applied: rows from `before` on are new, and `order` has those that stay.
+fn births(outcome: &Outcome, before: usize, order: Option<&[u32]>) -> Vec<u32> {
+    let new = before as u32..outcome.rows as u32;
+    match order {
+        None => new.collect(),
+        Some(order) => {
+            let places = (0u32..).zip(order);
+            let born = places.filter(|(_, row)| new.contains(row));
+            born.map(|(place, _)| place).collect()
+        }
+    }
 }

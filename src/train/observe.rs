@@ -3,12 +3,13 @@
 use crate::base::error::Result;
 use crate::capture::Camera;
 use crate::density::{Candidate, DensityStats};
-use crate::device::StageTime;
 use crate::device::tuning::Tuning;
-use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
+use crate::device::{Array, StageTime};
+use crate::pipeline::buffers::{GaussianBuffers, ViewSet, restride};
 use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer};
 use crate::pipeline::photos::PhotoStats;
-use crate::scene::Gaussians;
+use crate::scene::sh::C0;
+use crate::scene::{Gaussians, Plane};
 use crate::train::control::Working;
 use crate::train::plan::{Learned, Plan};
 use crate::train::schedule::Schedule;
@@ -16,6 +17,10 @@ use crate::train::step::{LOSS_RING, Trainer};
 
 /// Largest number of views over which the loss is taken if every iteration has a background of its own.
 const MAX_LOSS_VIEWS: usize = 32;
+
+/// Colour of births where they are marked, RGB, and the brightness of everything else.
+const BORN: [f32; 3] = [1.0, 0.85, 0.1];
+const DIM: f32 = 0.4;
 
 impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
@@ -187,6 +192,65 @@ impl Trainer {
         let image = forward.image_within(&self.gaussians.scene, camera, &options, most);
         self.device.forget_launches();
         image
+    }
+
+    /// Has the rows of births noted from now on.
+    pub fn note_births(&mut self) {
+        self.control.born.get_or_insert_default();
+    }
+
+    /// Rows of the births of the last density step; empty unless they are noted.
+    #[must_use]
+    pub fn births(&self) -> &[u32] {
+        self.control.born.as_deref().unwrap_or_default()
+    }
+
+    /// Renders the Gaussians dark and grey, the births of the last density step bright, as [`Trainer::glimpse`] does: from a copy without
+    /// SH bands.
+    ///
+    /// # Errors
+    /// See [`Renderer::image_within`].
+    pub fn glimpse_births(&mut self, camera: &Camera, most: usize) -> Result<Rendered> {
+        self.settle()?;
+        self.device.finish()?;
+        self.device.collect_times(usize::MAX)?;
+        let marked = self.marked_births();
+        let options = RenderOptions::default();
+        let forward = &mut self.pipeline.forward;
+        let most = most.max(2 * forward.room());
+        let image = marked.and_then(|scene| forward.image_within(&scene, camera, &options, most));
+        self.device.forget_launches();
+        image
+    }
+
+    fn marked_births(&self) -> Result<GaussianBuffers> {
+        let scene = &self.gaussians.scene;
+        let (stride, count) = (scene.stride, scene.count);
+        let copy =
+            |array: &Array<f32>, planes| restride(&self.device, array, planes, stride, stride);
+        let params = copy(&scene.params, Plane::count(0))?;
+        let filter = copy(&scene.filter, scene.filter.len() / stride)?;
+        let [red, green, blue] = [0, 1, 2].map(|c| scene.plane(Plane::SH + c));
+        let (red, green, blue) = (red?, green?, blue?);
+        let coefficient = |color: f32| (color - 0.5) / C0 as f32;
+        let grey = |i: usize| DIM * (0.5 + C0 as f32 * (red[i] + green[i] + blue[i]) / 3.0);
+        let greys: Vec<f32> = (0..count).map(|i| coefficient(grey(i))).collect();
+        for (c, color) in BORN.into_iter().enumerate() {
+            let mut values = greys.clone();
+            for &row in self.births() {
+                if let Some(value) = values.get_mut(row as usize) {
+                    *value = coefficient(color);
+                }
+            }
+            params.write((Plane::SH + c) * stride, &values)?;
+        }
+        Ok(GaussianBuffers {
+            params,
+            filter,
+            stride,
+            count,
+            sh_degree: 0,
+        })
     }
 
     /// Density statistics over the run.

@@ -82,6 +82,7 @@ impl Trainer {
         self.restore_exposures(&state.exposures)?;
         self.control.stats = state.stats;
         self.control.trace.take_if(|_| state.iteration > 0);
+        self.control.born.iter_mut().for_each(Vec::clear);
         self.counters.non_finite = state.non_finite;
         let slot = status::NON_FINITE as usize;
         let non_finite = state.non_finite.min(u64::from(u32::MAX)) as u32;

@@ -49,6 +49,16 @@ fn help_groups_the_commands() {
     }
 }
 
+/// Names of all commands.
+fn commands() -> Vec<String> {
+    let help = done(&["--help"]);
+    let groups = ["Make a scene", "Measure", "Tools"];
+    let lines = groups.iter().flat_map(|heading| section(&help, heading));
+    lines
+        .filter_map(|line| Some(line.split(' ').next()?.to_owned()))
+        .collect()
+}
+
 /// Every command has an example, and scripts and pages of shells know every command.
 #[test]
 fn shells_are_told_of_every_command() {
@@ -59,12 +69,8 @@ fn shells_are_told_of_every_command() {
     assert_eq!(again.status.code(), Some(2), "nothing is overwritten");
     let scripts = ["bash", "zsh", "fish", "powershell", "elvish"];
     let scripts = scripts.map(|shell| done(&["completions", shell]));
-    let help = done(&["--help"]);
-    let groups = ["Make a scene", "Measure", "Tools"];
-    let lines = groups.iter().flat_map(|heading| section(&help, heading));
-    let mut seen = 0;
-    for line in lines {
-        let name = line.split(' ').next().unwrap();
+    let names = commands();
+    for name in &names {
         let example = format!("Example: mhsplat {name}");
         let own = done(&[name, "--help"]);
         assert!(own.contains(&example), "{name}: {own}");
@@ -85,9 +91,8 @@ fn shells_are_told_of_every_command() {
             .lines()
             .find(|l| l.chars().count() > 80 && !l.contains("Usage"));
         assert!(long.is_none(), "{name}: {long:?}");
-        seen += 1;
     }
-    assert!(seen > 10);
+    assert!(names.len() > 10);
     assert!(scripts[0].contains("--max-size"));
 }
 
@@ -95,26 +100,19 @@ fn shells_are_told_of_every_command() {
 #[test]
 fn devices_are_offered_where_they_are_used() {
     let uses = [
-        "train",
-        "render",
-        "eval",
         "bench",
-        "verify",
+        "eval",
         "experiment",
+        "render",
         "surrogate",
+        "train",
+        "verify",
         "view",
     ];
-    let help = done(&["--help"]);
-    let groups = ["Make a scene", "Measure", "Tools"];
-    let lines = groups.iter().flat_map(|heading| section(&help, heading));
-    let mut seen = 0;
-    for line in lines {
-        let name = line.split(' ').next().unwrap();
-        let offered = done(&[name, "--help"]).contains("--device");
-        assert_eq!(offered, uses.contains(&name), "{name}");
-        seen += usize::from(offered);
-    }
-    assert_eq!(seen, uses.len());
+    let offers = |name: &String| done(&[name, "--help"]).contains("--device");
+    let mut offered: Vec<String> = commands().into_iter().filter(offers).collect();
+    offered.sort_unstable();
+    assert_eq!(offered, uses);
     let refused = mhsplat(&["synth", "room", "nowhere", "--device", "0"]);
     assert_eq!(refused.status.code(), Some(2));
 }

@@ -62,7 +62,11 @@ fn the_run_folder_keeps_the_contract() {
     let last = lines.next_back().unwrap();
     assert!(last.starts_with("80,") && last.ends_with(",0"), "{last}");
     let report = fs::read_to_string(run.join("report.html")).unwrap();
-    assert!(report.contains("<svg") && report.contains("data:image/"));
+    assert!(report.contains("<svg") && report.contains("data:image/png"));
+    // Photo, render and error of three training views.
+    let (_, training) = report.split_once("<h2>Training views</h2>").unwrap();
+    assert_eq!(training.matches("data:image/jpeg").count(), 9);
+    assert!(report.len() < 2 << 20, "{} bytes", report.len());
     assert!(run.join("checkpoint").is_dir());
     shows_the_scene(&run, &printed, &report);
 

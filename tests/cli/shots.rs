@@ -294,6 +294,9 @@ fn wrong_shots_are_refused(run: &str, dir: &Path) {
         assert_eq!(output.status.code(), Some(2), "{message}");
         assert!(message.contains(said) && !out("no").exists(), "{message}");
     }
+    let good = out("good.json");
+    let one = r#"{"keyframes": [{"position": [0, 0, 0], "look_at": [1, 0, 0]}]}"#;
+    fs::write(&good, one).unwrap();
     for (wrong, said) in [
         (&["--orbit", "2", "--up", "0,0,0"][..], "--up"),
         (&["--what", "error", "--frames", "2"], "--what error"),
@@ -307,6 +310,12 @@ fn wrong_shots_are_refused(run: &str, dir: &Path) {
         (&["--what", "error", "--height", "64"], "--height"),
         (&["--held-out", "--up", "0,1,0"], "--up"),
         (&["--up", "0,1,0"], "--up"),
+        (&["--fps", "30"], "--fps"),
+        (&["--orbit", "2", "--fps", "24"], "--fps"),
+        (
+            &["--path", text(&good), "--frames", "2", "--fps", "24"],
+            "--fps",
+        ),
     ] {
         let output = mhsplat(&[&["render", run, "-o", text(&out("no"))], wrong].concat());
         assert_eq!(output.status.code(), Some(2), "{wrong:?}");

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::{Fake, TWO, drive, experiment};
 use crate::compare::made::Made;
+use mhsplat::lab::experiment::write;
 
 /// The setting `mh` first, without caps.
 fn plain(seeds: &str) -> String {
@@ -111,6 +112,34 @@ fn the_overview_holds_every_scene_against_the_first_setting() {
         assert!(w.markdown.contains(text), "{text}: {}", w.markdown);
     }
     assert!(w.page.contains("mh against none") && w.page.contains("only mh 1"));
+}
+
+#[test]
+fn the_page_leads_to_the_reports_of_runs() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = plain("[0, 1]").replace("path = \"b\"", "name = \"b+1\"\npath = \"b\"");
+    let e = experiment(dir.path(), &file).unwrap();
+    drive(&e, &mut Fake::default()).unwrap();
+    let page = || {
+        write(&e).unwrap();
+        fs::read_to_string(e.output.join("summary.html")).unwrap()
+    };
+    assert!(!page().contains("report.html"));
+    let written = ["a/none/seed-1", "a/mh/seed-0", "b+1/mh/seed-1"];
+    for run in written {
+        fs::write(e.output.join(run).join("report.html"), "").unwrap();
+    }
+    let page = page();
+    let (_, a) = page
+        .split_once("<summary>a: reports of its runs</summary>")
+        .unwrap();
+    assert!(a.starts_with(
+        "<ul><li><a href=\"a/mh/seed-0/report.html\">mh, seed 0</a></li><li><a href=\"a/none/seed-1/report.html\">none, seed 1</a></li></ul>"
+    ));
+    assert!(page.contains("href=\"b%2B1/mh/seed-1/report.html\""));
+    assert_eq!(page.matches("/report.html\"").count(), 3);
+    let markdown = fs::read_to_string(e.output.join("summary.md")).unwrap();
+    assert!(!markdown.contains("report.html"));
 }
 
 #[test]

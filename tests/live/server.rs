@@ -92,6 +92,7 @@ fn pictures_are_those_that_are_asked_for() {
         assert_eq!(all.status, 200);
         let html = all.text();
         assert!(html.contains("&lt;made&gt; up") && !html.contains("<made>"));
+        assert!(html.contains("id=\"shown\"") && !html.contains("id=\"wishes\""));
         assert!(
             all.head
                 .contains("Content-Security-Policy: default-src 'none'; style-src 'nonce-")
@@ -123,6 +124,11 @@ fn pictures_are_those_that_are_asked_for() {
         assert!(close(&photo.get_pixel(9, 9).0, [128.0 / 255.0; 3]));
         let error = client.get("/frame", "mode=error&view=0&width=80&height=60");
         assert_eq!(error.picture().dimensions(), (80, 60));
+        let none = client.get("/frame", "mode=births&view=0&width=80&height=60");
+        assert_eq!(
+            (none.status, html.contains("value=\"births\"")),
+            (404, false)
+        );
         for path in ["/photo", "/frame"] {
             let none = client.get(path, "mode=error&view=1&width=80&height=60");
             assert_eq!(none.status, 404, "{path}");

@@ -1,13 +1,19 @@
 //! A run that is looked at.
 
+use std::collections::HashSet;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use mhsplat::TrainConfig;
+use mhsplat::config::OptimizerConfig;
 use mhsplat::device::Device;
+use mhsplat::pipeline::forward::Rendered;
+use mhsplat::run::initial_gaussians;
 use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{Clock, Run, checkpoint};
+use mhsplat::scene::Gaussians;
+use mhsplat::train::{Event, Trainer};
+use mhsplat::{Plan, TrainConfig};
 
 use super::client::Client;
 use crate::determinism::room;
@@ -156,4 +162,69 @@ fn who_looks_on_can_pause_save_and_stop() {
         let most = begun.elapsed().as_secs_f64() - rest.as_secs_f64() + counted;
         assert!(run.record().wall_seconds < most);
     });
+}
+
+/// Pixels that are coloured, not grey.
+fn colored(image: &Rendered) -> usize {
+    let pixels = image.rgb8();
+    let gap = |p: &&[u8]| p[0].saturating_sub(p[2]) > 20;
+    pixels.chunks_exact(3).filter(gap).count()
+}
+
+#[test]
+fn births_of_the_last_density_step_are_noted_and_marked() {
+    let data = room(64);
+    let still = OptimizerConfig {
+        lr_position: 0.0,
+        lr_position_final: 0.0,
+        ..OptimizerConfig::default()
+    };
+    let config = TrainConfig {
+        iterations: 120,
+        max_size: 64,
+        seed: 5,
+        optimizer: still,
+        ..TrainConfig::default()
+    };
+    let plan = Plan::new(&data, &config).unwrap();
+    let splats = initial_gaussians(&data, &plan).unwrap();
+    let device = Device::open(None).unwrap();
+    let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+    let places = |splats: &Gaussians| -> Vec<[u32; 3]> {
+        let planes = splats.planes();
+        let place = |i: usize| [0, 1, 2].map(|k| planes[k][i].to_bits());
+        (0..splats.len()).map(place).collect()
+    };
+    let camera = data.train[0].camera;
+    let (mut before, mut steps) = (places(&splats), 0);
+    loop {
+        match trainer.advance().unwrap() {
+            Event::Finished => break,
+            Event::Density(event) if steps == 0 => {
+                // Nobody has asked, and nothing is marked.
+                assert!(event.stats.accepted > 0 && trainer.births().is_empty());
+                let image = trainer.glimpse_births(&camera, usize::MAX / 4).unwrap();
+                assert_eq!(colored(&image), 0);
+                trainer.note_births();
+            }
+            Event::Density(event) => {
+                let after = places(&trainer.splats().unwrap().0);
+                let old: HashSet<_> = before.iter().collect();
+                let new = after.iter().map(|place| !old.contains(place));
+                let new: Vec<u32> = (0..)
+                    .zip(new)
+                    .filter(|(_, new)| *new)
+                    .map(|(i, _)| i)
+                    .collect();
+                assert_eq!(trainer.births(), new);
+                assert_eq!(new.len() as u64, event.stats.accepted);
+                let image = trainer.glimpse_births(&camera, usize::MAX / 4).unwrap();
+                assert!(colored(&image) > 0 || new.is_empty());
+            }
+            _ => continue,
+        }
+        steps += 1;
+        before = places(&trainer.splats().unwrap().0);
+    }
+    assert!(steps > 2, "{steps} steps");
 }

@@ -157,6 +157,70 @@ fn page_shows_the_run() {
 }
 
 #[test]
+fn training_views_are_shown_the_worst_first() {
+    let trained = |name: &str, psnr: f64| GalleryItem {
+        training: true,
+        psnr,
+        ..view(name, 0.5)
+    };
+    let mut record = record();
+    let (views, psnr, ssim) = (8, 31.0, 0.9);
+    record.training = Some(TrainingScores { views, psnr, ssim });
+    let all = [
+        trained("better.jpg", 30.5),
+        view("held.jpg", 0.0),
+        trained("worse.jpg", 21.25),
+    ];
+    let text = page(&record, &rows(), &density(), &all);
+    let (before, after) = text.split_once("<h2>Training views</h2>").unwrap();
+    assert!(after.contains("The worst of 8 that were scored"));
+    assert!(before.contains("held.jpg") && !before.contains("worse.jpg"));
+    let [worse, better] = ["worse.jpg<span>21.25 dB", "better.jpg<span>30.50 dB"];
+    assert!(after.find(worse).unwrap() < after.find(better).unwrap());
+    let kinds = |text: &str| ["png", "jpeg"].map(|k| text.matches(&format!("image/{k};")).count());
+    assert_eq!((kinds(before), kinds(after)), ([3, 0], [0, 6]));
+    // The mean alone where nothing is shown.
+    let text = page(&record, &rows(), &density(), &all[1..2]);
+    assert!(text.contains("PSNR, training views") && !text.contains("<h2>Training views"));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_that_began_with_another_leads_to_its_report() {
+    let dir = tempfile::tempdir().unwrap();
+    let [first, second] = ["a#1 b", "second"].map(|name| dir.path().join(name));
+    std::fs::create_dir_all(second.join("again")).unwrap();
+    std::fs::create_dir(&first).unwrap();
+    let report = |run: &Path, init: &Path| {
+        let mut record = record();
+        record.config.init = Init::File(init.to_owned());
+        write_report(run, &record, &rows(), &[], &[], &[]).unwrap();
+        let text = std::fs::read_to_string(run.join("report.html")).unwrap();
+        check_tags(&text).unwrap();
+        let (_, said) = text.split_once("Began with the Gaussians of ").unwrap();
+        said.split_once("</p>").unwrap().0.to_owned()
+    };
+    let up = std::env::current_dir().unwrap().components().count() - 1;
+    let root = dir.path().canonicalize().unwrap();
+    let root = root.strip_prefix("/").unwrap();
+    let scene = Path::new(&"../".repeat(up))
+        .join(root)
+        .join("a#1 b/scene.ply");
+    let name = scene.display().to_string();
+    assert_eq!(report(&second, &scene), name, "there is no report yet");
+    report(&first, Path::new("points.ply"));
+    for (run, to) in [
+        (&second, "../a%231%20b"),
+        (&second.join("again"), "../../a%231%20b"),
+    ] {
+        let link = format!("<a href=\"{to}/report.html\">{name}</a>");
+        assert_eq!(report(run, &scene), link);
+    }
+    let whole = first.join("scene.ply");
+    assert_eq!(report(&second, &whole), whole.display().to_string());
+}
+
+#[test]
 fn colour_corrected_scores_are_shown_where_there_are_any() {
     let plain = page(&record(), &rows(), &density(), &[]);
     assert!(!plain.contains("colour-corrected"));

@@ -203,6 +203,7 @@ pub fn view(name: &str, phase: f64) -> GalleryItem {
     let error = error_map(&render, &photo).unwrap();
     GalleryItem {
         view: name.into(),
+        training: false,
         psnr: 27.31,
         ssim: 0.8712,
         width,

@@ -39,21 +39,29 @@ pub fn open(browser: &Path, dir: &Path, file: &str, hash: &str, more: &[&str]) -
     visit(browser, dir, &address, more)
 }
 
-/// Opens an address in the browser with more arguments; what it printed.
-pub fn visit(browser: &Path, dir: &Path, address: &str, more: &[&str]) -> String {
-    let log = dir.join("stdout");
-    let mut child = Command::new(browser)
+/// The browser with a profile of its own in a folder, without the address to open.
+pub fn headless(browser: &Path, dir: &Path) -> Command {
+    let mut command = Command::new(browser);
+    command
         .args(["--headless=new", "--no-sandbox", "--disable-quic"])
         .args(["--disable-background-networking", "--no-first-run"])
         .args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
         .args(["--force-color-profile=srgb", "--hide-scrollbars"])
-        .args(["--window-size=700,600", "--virtual-time-budget=30000"])
+        .arg("--window-size=700,600")
         .arg(format!("--user-data-dir={}", dir.join("profile").display()))
+        .stdin(Stdio::null())
+        .stderr(Stdio::null());
+    command
+}
+
+/// Opens an address in the browser with more arguments; what it printed.
+pub fn visit(browser: &Path, dir: &Path, address: &str, more: &[&str]) -> String {
+    let log = dir.join("stdout");
+    let mut child = headless(browser, dir)
+        .arg("--virtual-time-budget=30000")
         .args(more)
         .arg(address)
-        .stdin(Stdio::null())
         .stdout(std::fs::File::create(&log).unwrap())
-        .stderr(Stdio::null())
         .spawn()
         .unwrap();
     let begun = Instant::now();
@@ -143,7 +151,7 @@ fn the_browser_shows_what_the_kernels_render() {
 }
 
 /// Operates the page as a user does, and puts what came of it into the title.
-const USE: &str = r#"<script nonce="mhsplat">
+const USE: &str = r#"<script>
 const told = [], near0 = (a) => a < 1e-6, gap = (a, b) => Math.hypot(...add(a, b, -1));
 const check = (name, good) => { if (!good) told.push(name); };
 const key = (code, type = 'keydown') => dispatchEvent(new KeyboardEvent(type, { code, key: code }));
@@ -172,6 +180,18 @@ drag('pointerdown', 200, 200); drag('pointerdown', 300, 200, two); drag('pointer
 check('pinch', Math.abs(gap(view.center, view.pivot) - radius / 2) < 0.01);
 drag('pointerup', 200, 200); drag('pointerup', 400, 200, two);
 key('KeyC'); check('compare', comparing && at(1));
+step(60); check('shown', !$('photo').hidden && $('compare').getAttribute('aria-pressed') === 'true');
+const box = $('photo').getBoundingClientRect();
+$('photo').setPointerCapture = () => {};
+$('photo').dispatchEvent(new PointerEvent('pointerdown', { clientX: box.left + box.width / 4 }));
+step(70); check('slides', Math.abs(split - 0.25) < 0.01 && $('picture').style.clipPath.includes('75%'));
+key('KeyC'); step(80); check('off', !comparing && $('photo').hidden && $('compare').getAttribute('aria-pressed') === 'false');
+$('compare').click(); step(90); check('button', !$('photo').hidden);
+canvas.dispatchEvent(new WheelEvent('wheel', { deltaY: -100, cancelable: true }));
+step(95); check('not of another place', $('photo').hidden);
+key('KeyC'); check('back for it', comparing && at(1));
+key('ArrowRight'); step(97); check('none', $('photo').hidden && $('compare').disabled);
+key('KeyC'); check('none to show', !photoShown()); key('ArrowLeft');
 key('KeyH'); check('help', !$('help').hidden); key('Escape'); check('no help', $('help').hidden);
 // Frames by hand: they come when they come.
 key('KeyW'); last = 0; step(50); key('KeyW', 'keyup');
@@ -183,6 +203,19 @@ check('errors', $('message').hidden);
 document.title = told.length ? 'failed: ' + told : 'all as told';
 </script></body>"#;
 
+/// The page without its content policy, and with a script at its end.
+fn operated(html: &str, script: &str) -> String {
+    let (before, policy) = html.split_once("<meta http-equiv").unwrap();
+    let after = policy.split_once("/>").unwrap().1;
+    [before, after].concat().replace("</body>", script)
+}
+
+/// The title that a page has in the end.
+fn title(dom: &str) -> &str {
+    let rest = dom.split_once("<title>").unwrap().1;
+    rest.split_once("</title>").unwrap().0
+}
+
 #[test]
 fn the_page_does_as_it_is_told() {
     let Some(browser) = browser() else {
@@ -192,18 +225,95 @@ fn the_page_does_as_it_is_told() {
     let mut all = views();
     all[1].photo = Some(mhsplat::run::viewer::photo_uri("p", &[90; 12], 2, 2).unwrap());
     let html = page(&scene(500, 1), false, &all);
-    let title = |html: &str, more: &[&str]| {
+    let dom = |html: &str, more: &[&str]| {
         std::fs::write(dir.path().join("used.html"), html).unwrap();
         let more = [&["--dump-dom"], more].concat();
         open(&browser, dir.path(), "used.html", "", &more)
     };
-    let dom = title(&html.replace("</body>", USE), &[]);
-    let told = &dom[dom.find("<title>").unwrap()..dom.find("</title>").unwrap()];
-    assert_eq!(told, "<title>all as told");
-    // A wrong sign is noticed.
-    let wrong = html.replace("looking ? 1 : -1", "looking ? -1 : 1");
-    assert!(title(&wrong.replace("</body>", USE), &[]).contains("<title>failed: grabs"));
+    assert_eq!(title(&dom(&operated(&html, USE), &[])), "all as told");
+    // Faults are noticed: a wrong sign, and a photo that stays.
+    for (right, wrong, fault) in [
+        ("looking ? 1 : -1", "looking ? -1 : 1", "failed: grabs"),
+        (
+            "comparing && !moved &&",
+            "comparing &&",
+            "failed: not of another place",
+        ),
+    ] {
+        assert!(html.contains(right), "{right}");
+        let found = dom(&operated(&html.replace(right, wrong), USE), &[]);
+        assert!(title(&found).starts_with(fault), "{}", title(&found));
+    }
     // Without WebGL the page says what to do.
-    let without = title(&html, &["--disable-3d-apis"]);
+    let without = dom(&html, &["--disable-3d-apis"]);
     assert!(without.contains("<section id=\"message\">This browser draws without WebGL2"));
+    // The page's policy lets its own script run as it is, and no other.
+    let options = |dom: &str| dom.matches("<option").count();
+    let own = dom(&html, &[]);
+    assert_eq!((title(&own), options(&own)), ("made up · mhsplat", 6));
+    let foreign = "<script>document.title = 'foreign';</script></body>";
+    let found = dom(&html.replace("</body>", foreign), &[]);
+    assert_eq!((title(&found), options(&found)), (title(&own), 6));
+    assert_eq!(title(&dom(&operated(&html, foreign), &[])), "foreign");
+    let changed = dom(&html.replace("looking ? 1 : -1", "looking ? -1 : 1"), &[]);
+    assert_eq!(options(&changed), 0);
+}
+
+/// Goes to another camera and shows its photo; the page is loaded again, and tells what it has kept.
+const RELOAD: &str = r#"<script>
+const faults = [], check = (name, good) => { if (!good) faults.push(name); };
+const key = (code) => dispatchEvent(new KeyboardEvent('keydown', { code, key: code }));
+if (window.name !== 'again') {
+  const kept = location.hash;
+  check('begins', current === 3 && !comparing && kept === '#size=300x200&view=view_3.png');
+  window.name = 'again';
+  key('ArrowLeft'); key('ArrowLeft'); key('KeyC');
+  document.title = 'failed: ' + faults;
+  if (!faults.length) location.reload();
+} else {
+  check('camera', current === 1 && hash().get('view') === scene.cameras[1].name);
+  check('photo', comparing && hash().has('photo'));
+  check('rest', hash().get('size') === '300x200');
+  step(10); check('shown', !$('photo').hidden);
+  key('KeyC'); check('no photo', !hash().has('photo') && current === 1);
+  $('cameras').value = 4; $('cameras').dispatchEvent(new Event('change'));
+  check('list', hash().get('view') === 'view_4.png');
+  location.hash = '#view=2';
+  follow(); check('number', current === 2);
+  document.title = faults.length ? 'failed: ' + faults : 'all as told';
+}
+</script></body>"#;
+
+#[test]
+fn the_address_keeps_camera_and_photo() {
+    let Some(browser) = browser() else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let mut all = views();
+    all[1].name = "a&b=%41+c #é.png".into();
+    all[1].photo = Some(mhsplat::run::viewer::photo_uri("p", &[90; 12], 2, 2).unwrap());
+    let html = page(&scene(500, 1), false, &all);
+    let told = |right: &str, wrong: &str| {
+        assert!(html.contains(right), "{right}");
+        let changed = operated(&html.replace(right, wrong), RELOAD);
+        std::fs::write(dir.path().join("kept.html"), changed).unwrap();
+        let hash = "size=300x200&view=view_3.png";
+        let dom = open(&browser, dir.path(), "kept.html", hash, &["--dump-dom"]);
+        title(&dom).to_owned()
+    };
+    assert_eq!(told("", ""), "all as told");
+    // Faults are noticed.
+    for (right, wrong, fault) in [
+        ("  remember();\n}", "}", "failed: camera,photo,shown"),
+        (
+            "replace(/[%&=]/g, encodeURIComponent)",
+            "replace(/=/g, '=')",
+            "failed: camera",
+        ),
+        ("else parts.delete('photo')", "else ''", "failed: no photo"),
+    ] {
+        let found = told(right, wrong);
+        assert!(found.starts_with(fault), "{right}: {found}");
+    }
 }

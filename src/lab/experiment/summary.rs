@@ -1,9 +1,11 @@
 //! The summary of an experiment: a page per scene, and all scenes as one page, as Markdown and as JSON.
 
+use std::path::Path;
+
 use serde::Serialize;
 
 use crate::base::error::Result;
-use crate::chart::text::fixed;
+use crate::chart::text::{fixed, href};
 use crate::lab::compare;
 use crate::lab::compare::{Comparison, Counts, Options, Paired, Source};
 use crate::lab::experiment::file::Experiment;
@@ -12,6 +14,7 @@ use crate::lab::folder::json;
 use crate::lab::report::{Report, Section};
 use crate::lab::stats::{Interval, Spread, geometric_mean};
 use crate::lab::table::{Table, or_dash};
+use crate::run::report::page::REPORT_FILE;
 
 /// Name of a scene's page in its folder.
 const PAGE: &str = "compare.html";
@@ -29,15 +32,27 @@ pub struct SceneSummary {
     pub problem: Option<String>,
     /// Its runs side by side; `None` without any.
     pub comparison: Option<Comparison>,
+    /// Names of its runs and links to their reports, as far as they are there.
+    #[serde(skip)]
+    pub reports: Vec<(String, String)>,
 }
 
 impl SceneSummary {
     /// Compares the runs that are there, and writes their page. A scene that cannot be compared says why.
     fn write(e: &Experiment, place: usize) -> Self {
         let scene = &e.scenes[place];
-        let (mut done, mut refused) = (Vec::new(), Vec::new());
+        let (mut done, mut refused, mut reports) = (Vec::new(), Vec::new(), Vec::new());
         for run in blocks(e).iter().flatten().filter(|r| r.scene == place) {
             let setting = e.settings[run.setting].name.clone();
+            let report = run.dir.join(REPORT_FILE);
+            if let Some(to) = report
+                .strip_prefix(&e.output)
+                .ok()
+                .filter(|_| report.exists())
+            {
+                let name = format!("{setting}, seed {}", run.seed);
+                reports.push((run.setting, (name, href(to))));
+            }
             let found = look(e, run);
             match &found {
                 State::Done(_) => {
@@ -53,6 +68,7 @@ impl SceneSummary {
         }
         // Settings in the order of the file, whichever was trained first.
         done.sort_by_key(|(setting, _)| *setting);
+        reports.sort_by_key(|(setting, _)| *setting);
         let sources: Vec<Source> = done.into_iter().map(|d| d.1).collect();
         let options = Options {
             thresholds: scene.thresholds.clone(),
@@ -64,6 +80,7 @@ impl SceneSummary {
             refused,
             problem: None,
             comparison: None,
+            reports: reports.into_iter().map(|r| r.1).collect(),
         };
         if sources.is_empty() {
             return summary;
@@ -104,9 +121,13 @@ impl SceneSummary {
         part.warnings.splice(0..0, self.problem.clone());
         let link = compared.map(|_| Section::Link {
             text: format!("{}: curves", self.name),
-            to: format!("{}/{PAGE}", self.name),
+            to: href(&Path::new(&self.name).join(PAGE)),
         });
         part.sections.extend(link);
+        let links = self.reports.clone();
+        let summary = format!("{}: reports of its runs", self.name);
+        let links = (!links.is_empty()).then_some(Section::Links { summary, links });
+        part.sections.extend(links);
         (!part.sections.is_empty() || !part.warnings.is_empty()).then_some(part)
     }
 }

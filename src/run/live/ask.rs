@@ -15,13 +15,15 @@ pub(super) enum Mode {
     Depth,
     /// Difference to the photo of a view.
     Error,
+    /// Births of the last density step of a run, marked.
+    Births,
 }
 
 /// Something that the thread with the device is asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Ask {
-    /// The scene through a camera.
-    Frame { camera: Camera, depth: bool },
+    /// The scene through a camera: its colour, its depth or its births.
+    Frame { camera: Camera, mode: Mode },
     /// The difference between a view's render and its photo.
     Error { view: usize },
     /// The photo of a view.
@@ -96,7 +98,8 @@ impl Reader<'_> {
             None | Some("color") => Mode::Color,
             Some("depth") => Mode::Depth,
             Some("error") => Mode::Error,
-            Some(_) => return Err("mode: color, depth or error expected".into()),
+            Some("births") => Mode::Births,
+            Some(_) => return Err("mode: color, depth, error or births expected".into()),
         };
         if mode == Mode::Error {
             let view = self.view()?.ok_or("view: the view of a photo expected")?;
@@ -104,7 +107,7 @@ impl Reader<'_> {
         }
         Ok(Ask::Frame {
             camera: self.camera()?,
-            depth: mode == Mode::Depth,
+            mode,
         })
     }
 

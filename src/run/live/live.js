@@ -36,7 +36,7 @@ function question() {
   const [width, height] = css.map((v) => Math.max(1, Math.round(v * k)));
   const part = { left: 0, top: 0, width, height };
   if (!asError()) {
-    const mode = $('shown').value === 'depth' ? 'depth' : 'color';
+    const mode = ['depth', 'births'].includes($('shown').value) ? $('shown').value : 'color';
     return { url: address('frame', { mode, ...spelt(width, height) }), css, sized: size, width, height, part };
   }
   const l = lens(width, height);
@@ -123,15 +123,17 @@ function plot() {
     const box = $('curve-' + name), values = points.map((p) => p[1]);
     const [low, high] = [Math.min(...values), Math.max(...values)];
     box.querySelector('b').textContent = points.length ? digits[name](values.at(-1)) : '–';
-    const at = ([i, v]) => `${(100 * i) / Math.max(1, run.iterations)},${40 - (36 * (v - low)) / (high - low || 1)}`;
-    box.querySelector('polyline').setAttribute('points', points.map(at).join(' '));
+    // From the beginning to now: of a run that is young the planned end is far away. A single value is a dot.
+    const at = ([i, v]) => `${(100 * i) / Math.max(1, run.iteration, i)},${40 - (36 * (v - low)) / (high - low || 1)}`;
+    const line = points.length === 1 ? [points[0], points[0]] : points;
+    box.querySelector('polyline').setAttribute('points', line.map(at).join(' '));
   }
 }
 
 const drawn = (name) => document.createElementNS('http://www.w3.org/2000/svg', name);
 function lay() {
   $('run').hidden = false;
-  $('run').open = innerWidth > 760;
+  $('run').open = innerWidth > 760 && innerHeight > 480;
   for (const name of Object.keys(curves)) {
     const box = Object.assign(document.createElement('div'), { id: 'curve-' + name });
     const words = document.createElement('p'), [svg, line] = ['svg', 'polyline'].map(drawn);
@@ -175,12 +177,13 @@ async function wish(name) {
 function prepare() {
   const modes = [...$('shown').options].map((o) => o.value);
   actions.KeyM = () => {
-    const next = (modes.indexOf($('shown').value) + 1) % modes.length;
-    $('shown').value = modes[$('shown').options[next].disabled ? 0 : next];
+    let next = modes.indexOf($('shown').value);
+    do next = (next + 1) % modes.length; while ($('shown').options[next].disabled);
+    $('shown').value = modes[next];
   };
   const mode = hash().get('mode');
   if (modes.includes(mode)) $('shown').value = mode;
-  $('shown').addEventListener('change', () => { canvas.focus(); frame(); });
+  $('shown').addEventListener('change', () => { canvas.focus(); remember(); frame(); });
   if (!scene.training) return;
   lay();
   $('pause').addEventListener('click', () => wish(run?.state === 'paused' ? 'continue' : 'pause'));

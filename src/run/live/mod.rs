@@ -4,7 +4,7 @@
 //! | request | answer |
 //! |---|---|
 //! | `GET /` | the page |
-//! | `GET /frame` | a picture: `width`, `height`, `mode` (`color`, `depth`, `error`), and `view`, or `lens`, `rotation` and `center` |
+//! | `GET /frame` | a picture: `width`, `height`, `mode` (`color`, `depth`, `error`, of a run `births`), and `view`, or `lens`, `rotation` and `center` |
 //! | `GET /photo` | the photo of a `view` at `width` × `height` |
 //! | `GET /depth` | the depth at pixel `at` of such a picture |
 //! | `GET /status` | of a run: its state, and its curves after iteration `since` |

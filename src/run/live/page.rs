@@ -1,4 +1,4 @@
-//! The page that the server sends: `live.html` with its style, its script, and that of the movements in `scene.html`.
+//! The page that the server sends: that of `scene.html` with a script of its own, and with `run.html` if a run is watched.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -8,12 +8,18 @@ use crate::base::constants::NEAR;
 use crate::capture::{Camera, up_axis};
 use crate::chart::text::escape;
 use crate::run::live::http::Answer;
-use crate::run::viewer::{MOVES, SceneView, VIEWER_STYLE};
+use crate::run::viewer::{MOVES, SceneView, VIEWER_STYLE, pieces};
 
-/// Frame of the page; names between at signs are places.
-const TEMPLATE: &str = include_str!("live.html");
+/// State, curves and buttons of a run.
+const RUN: &str = include_str!("run.html");
 const STYLE: &str = include_str!("live.css");
 const SCRIPT: &str = include_str!("live.js");
+
+/// List of the quantities that a picture may show, and the line of the help about it.
+const SHOWN: &str = "<select id=\"shown\" aria-label=\"what is shown\" title=\"what is shown (M)\"><option value=\"color\">Colour</option>\
+    <option value=\"depth\">Depth</option><option value=\"error\">Error</option>";
+const BIRTHS: &str = "<option value=\"births\">Births</option>";
+const KEYS: &str = "<dt>M</dt><dd>colour, depth (near is bright), error against the photo; of a run the last births, yellow</dd>\n";
 
 /// Contents of the page.
 #[derive(Debug, Clone)]
@@ -52,18 +58,21 @@ impl LivePage {
     pub(super) fn answer(&self, token: &str, nonce: &str) -> Answer {
         let title = escape(&self.title);
         let meta = self.meta(token);
-        // Text and names of places in turn.
-        let parts = TEMPLATE.split('@').enumerate();
-        let html: String = parts
-            .flat_map(|(k, part)| match part {
-                text if k % 2 == 0 => vec![text],
-                "title" => vec![title.as_str()],
-                "nonce" => vec![nonce],
-                "style" => vec![VIEWER_STYLE, STYLE],
-                "script" => vec![MOVES, SCRIPT],
-                _ => vec![meta.as_str()],
-            })
-            .collect();
+        let own = format!(" nonce=\"{nonce}\"");
+        let html = pieces(|name| match name {
+            "title" => vec![title.as_str()],
+            "nonce" => vec![own.as_str()],
+            "style" => vec![VIEWER_STYLE, STYLE],
+            "script" => vec![MOVES, SCRIPT],
+            "meta" => vec![meta.as_str()],
+            "run" if self.training => vec![RUN],
+            "shown" if self.training => vec![SHOWN, BIRTHS, "</select>\n"],
+            "shown" => vec![SHOWN, "</select>\n"],
+            "keys" => vec![KEYS],
+            // The policy is a header, and there are no data.
+            _ => Vec::new(),
+        })
+        .concat();
         let policy = format!(
             "default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
         );

@@ -290,7 +290,12 @@ fn picture(
     let (ask, size) = (ask.map_err(unread)?, reader.size().map_err(unread)?);
     let found = match shared.desk.ask(ask)? {
         Reply::Picture(picture) => encoded(picture, size),
-        _ => return Err(Answer::words(404, "there is no photo of this view")),
+        _ => {
+            return Err(Answer::words(
+                404,
+                "there is no photo of this view, or nothing is trained",
+            ));
+        }
     };
     let jpeg = found.ok_or_else(|| Answer::words(503, "the picture cannot be encoded"))?;
     Ok(Answer::of("image/jpeg", jpeg))

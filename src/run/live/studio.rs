@@ -4,7 +4,7 @@ use crate::base::error::Result;
 use crate::capture::Camera;
 use crate::capture::photo::Photo;
 use crate::pipeline::forward::{Quantity, Rendered};
-use crate::run::live::ask::Ask;
+use crate::run::live::ask::{Ask, Mode};
 use crate::run::report::gallery::{colormap, error_map};
 
 /// Steps of the colour map for depths.
@@ -17,6 +17,14 @@ pub trait Scenery {
     /// # Errors
     /// More tile intersections than are affordable, or the driver's.
     fn render(&mut self, camera: &Camera, quantity: Quantity) -> Result<Rendered>;
+
+    /// Renders the scene with the births of the last density step marked; nothing if it is not trained.
+    ///
+    /// # Errors
+    /// Those of [`Scenery::render`].
+    fn births(&mut self, _camera: &Camera) -> Result<Option<Rendered>> {
+        Ok(None)
+    }
 
     /// The camera and the photo of a view by its number; no photo if there is none.
     ///
@@ -45,7 +53,7 @@ pub(super) enum Reply {
     Picture(Picture),
     /// Mean depth, local units; none where little is drawn.
     Depth(Option<f64>),
-    /// A view without a photo.
+    /// A view without a photo, or births of a scene that is not trained.
     Missing,
 }
 
@@ -59,10 +67,14 @@ pub(super) fn reply(ask: &Ask, scenery: &mut dyn Scenery) -> Result<Reply> {
         })
     };
     Ok(match ask {
-        Ask::Frame { camera, depth } => {
-            let rgb = match depth {
-                true => nearness(&scenery.render(camera, Quantity::Depth)?, scenery.reach()),
-                false => scenery.render(camera, Quantity::Color)?.rgb8(),
+        Ask::Frame { camera, mode } => {
+            let rgb = match mode {
+                Mode::Depth => nearness(&scenery.render(camera, Quantity::Depth)?, scenery.reach()),
+                Mode::Births => match scenery.births(camera)? {
+                    Some(image) => image.rgb8(),
+                    None => return Ok(Reply::Missing),
+                },
+                _ => scenery.render(camera, Quantity::Color)?.rgb8(),
             };
             picture(camera, rgb)
         }

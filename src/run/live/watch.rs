@@ -58,6 +58,11 @@ impl Scenery for RunScenery<'_> {
         self.trainer.glimpse(camera, quantity, INTERSECTIONS)
     }
 
+    fn births(&mut self, camera: &Camera) -> Result<Option<Rendered>> {
+        let image = self.trainer.glimpse_births(camera, INTERSECTIONS)?;
+        Ok(Some(image))
+    }
+
     fn photo(&mut self, view: usize) -> Result<Option<(Camera, Photo)>> {
         let SceneView {
             name,

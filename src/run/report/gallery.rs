@@ -1,10 +1,13 @@
-//! Held-out views of the report: renders, photos and error maps.
+//! Views of the report: renders, photos and error maps.
 
 use base64::Engine;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, RgbImage, imageops};
 
 use crate::base::error::{Error, Result};
+use crate::evaluate::Evaluator;
+use crate::pipeline::buffers::GaussianBuffers;
+use crate::pipeline::forward::Renderer;
 
 /// Error at which the map is brightest: mean absolute error over R, G, B of values in [0, 1]; larger errors look the
 /// same. One fixed scale, so that maps of different views and runs compare; 0.2 keeps 25–30 dB (0.02–0.04) visible.
@@ -13,11 +16,13 @@ pub const ERROR_FULL_SCALE: f64 = 0.2;
 /// Longest side of an image in the page, in pixels: two per CSS pixel in a column of three. Larger ones are reduced.
 const LONGEST_SIDE: u32 = 640;
 
-/// One held-out view. The three images are 8-bit RGB, interleaved, row-major, `width · height · 3` bytes each.
+/// One view. The three images are 8-bit RGB, interleaved, row-major, `width · height · 3` bytes each.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct GalleryItem {
     /// Name of the view.
     pub view: String,
+    /// True if the view was trained on.
+    pub training: bool,
     /// PSNR of the render in dB.
     pub psnr: f64,
     /// SSIM of the render.
@@ -77,6 +82,42 @@ pub fn error_map(render: &[u8], photo: &[u8]) -> Result<Vec<u8>> {
         table.get(sum).copied().unwrap_or([255; 3])
     });
     Ok(colors.collect())
+}
+
+/// Renders and scores views of an evaluator; those whose masks are 0 everywhere are left out.
+///
+/// # Errors
+/// See [`Evaluator::score`].
+pub(crate) fn items(
+    evaluator: &Evaluator,
+    views: &[usize],
+    scene: &GaussianBuffers,
+    renderer: &mut Renderer,
+    background: [f32; 3],
+) -> Result<Vec<GalleryItem>> {
+    let mut items = Vec::with_capacity(views.len());
+    for (k, &view) in views.iter().enumerate() {
+        let next = &views[k + 1..];
+        let Some(score) = evaluator.score(view, next, scene, renderer, background)? else {
+            continue;
+        };
+        let image = renderer.read_image()?;
+        let render = image.rgb8();
+        let photo = evaluator.views().read_photo(view)?;
+        let counted = photo.counted(render.clone());
+        items.push(GalleryItem {
+            view: score.view,
+            training: false,
+            psnr: score.scores.psnr,
+            ssim: score.scores.ssim,
+            width: image.width as u32,
+            height: image.height as u32,
+            error: error_map(&counted, &photo.rgb_over(background))?,
+            render,
+            photo: photo.shown(background),
+        });
+    }
+    Ok(items)
 }
 
 /// An 8-bit RGB image, reduced to at most 640 pixels on the longest side.

@@ -4,15 +4,16 @@
 //! comes from the run (file names, device names) is escaped.
 
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 use crate::base::error::Result;
-use crate::chart::text::{escape, fixed, grouped, span};
-use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord};
+use crate::chart::text::{escape, fixed, grouped, href, span};
+use crate::config::Init;
+use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord, TrainingScores};
 use crate::run::report::gallery::{ERROR_FULL_SCALE, GalleryItem, colormap, data_uri};
 use crate::run::report::{advice, map, panels, settings};
 use crate::run::table::{DensityRow, MetricsRow};
-use crate::run::viewer::{SCENE_PAGE, SceneView};
+use crate::run::viewer::{SCENE_PAGE, SceneView, photo_uri};
 
 /// Name of the page in the run folder.
 pub const REPORT_FILE: &str = "report.html";
@@ -38,8 +39,11 @@ pub fn write_report(
             "<p><a href=\"{SCENE_PAGE}\">Move about in the scene</a></p>"
         );
     }
-    views(&mut body, gallery)?;
+    origin(&mut body, record, run_dir);
+    let of = |training: bool| gallery.iter().filter(move |item| item.training == training);
+    views(&mut body, of(false).collect())?;
     scores(&mut body, record.final_scores.as_ref());
+    training(&mut body, record.training.as_ref(), of(true).collect())?;
     map::section(&mut body, cameras);
     advice::section(&mut body, record, rows);
     panels::quality(&mut body, rows, density);
@@ -178,7 +182,37 @@ fn plan(out: &mut String, plan: &PlanRecord) {
     out.push('\n');
 }
 
-fn views(out: &mut String, gallery: &[GalleryItem]) -> Result<()> {
+/// Says which scene file the run began with, and leads to the report of the run that the file is of, if both were named relative to
+/// one place.
+fn origin(out: &mut String, record: &RunRecord, run_dir: &Path) {
+    let Init::File(file) = &record.config.init else {
+        return;
+    };
+    let name = escape(&file.display().to_string());
+    let report = file.parent().map(|dir| dir.join(REPORT_FILE));
+    let to = report.filter(|_| file.is_relative());
+    let to = to.and_then(|report| between(run_dir, &report));
+    let name = match to {
+        Some(to) => format!("<a href=\"{}\">{name}</a>", href(&to)),
+        None => name,
+    };
+    let _ = writeln!(out, "<p>Began with the Gaussians of {name}</p>");
+}
+
+/// The way from a folder to a file; none if one of them is not there, or they have nothing in common.
+fn between(folder: &Path, file: &Path) -> Option<PathBuf> {
+    let [folder, file] = [folder, file].map(|path| path.canonicalize().ok());
+    let (folder, file) = (folder?, file?);
+    let pairs = folder.components().zip(file.components());
+    let alike = pairs.take_while(|(a, b)| a == b).count();
+    let up = folder
+        .components()
+        .skip(alike)
+        .map(|_| Component::ParentDir);
+    (alike > 0).then(|| up.chain(file.components().skip(alike)).collect())
+}
+
+fn views(out: &mut String, gallery: Vec<&GalleryItem>) -> Result<()> {
     out.push_str("<h2>Held-out views</h2>\n");
     if gallery.is_empty() {
         out.push_str("<p class=note>No renders in this report.</p>\n");
@@ -196,8 +230,31 @@ fn views(out: &mut String, gallery: &[GalleryItem]) -> Result<()> {
          <div class=ramp><span>0</span><i style=\"background:linear-gradient(90deg,{})\"></i><span>≥ {ERROR_FULL_SCALE}</span></div>",
         stops.join(",")
     );
-    // The worst first: what is wrong with a scene shows there.
-    let mut gallery: Vec<&GalleryItem> = gallery.iter().collect();
+    trios(out, gallery, data_uri)
+}
+
+/// Pictures of the worst training views; JPEG files, a tenth of PNG files in size.
+fn training(
+    out: &mut String,
+    scores: Option<&TrainingScores>,
+    gallery: Vec<&GalleryItem>,
+) -> Result<()> {
+    if gallery.is_empty() {
+        return Ok(());
+    }
+    let scored = scores.map_or(gallery.len(), |s| s.views);
+    let _ = writeln!(
+        out,
+        "<h2>Training views</h2><p class=note>The worst of {scored} that were scored: what is wrong with these was not learnt.</p>"
+    );
+    trios(out, gallery, photo_uri)
+}
+
+/// A function that makes a data URI of an image: its name, its bytes, its width and height.
+type ToUri = fn(&str, &[u8], u32, u32) -> Result<String>;
+
+/// Photo, render and error of views, the worst first: what is wrong with a scene shows there.
+fn trios(out: &mut String, mut gallery: Vec<&GalleryItem>, to_uri: ToUri) -> Result<()> {
     gallery.sort_by(|a, b| a.psnr.total_cmp(&b.psnr));
     for item in gallery {
         let _ = write!(
@@ -213,7 +270,7 @@ fn views(out: &mut String, gallery: &[GalleryItem]) -> Result<()> {
             ("error", &item.error),
         ];
         for (name, rgb) in images {
-            let uri = data_uri(&item.view, rgb, item.width, item.height)?;
+            let uri = to_uri(&item.view, rgb, item.width, item.height)?;
             let _ = write!(
                 out,
                 "<figure><img alt=\"{name}\" width=\"{}\" height=\"{}\" src=\"{uri}\"/><figcaption>{name}</figcaption></figure>",

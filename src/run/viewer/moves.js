@@ -13,6 +13,19 @@ function hash() {
   return new Map(location.hash.slice(1).split('&').map(pair));
 }
 
+// Writes the camera, the photo and the quantity into the address: they are there again when the page is loaded again.
+function remember() {
+  const parts = hash(), mode = $('shown')?.value;
+  parts.delete('');
+  parts.set('view', scene.cameras[current].name);
+  if (comparing) parts.set('photo', ''); else parts.delete('photo');
+  if (mode) parts.set('mode', mode);
+  const spelt = (text) => text.replace(/[%&=]/g, encodeURIComponent);
+  const pair = ([key, value]) => (value === '' ? spelt(key) : `${spelt(key)}=${spelt(value)}`);
+  // A page within another has no address of its own.
+  try { history.replaceState(null, '', '#' + [...parts].map(pair).join('&')); } catch { /* as it was */ }
+}
+
 function say(text) {
   $('message').textContent = text;
   $('message').hidden = false;
@@ -166,6 +179,11 @@ const actions = {
   Escape: () => toggleHelp(false),
 };
 
+function act(code) {
+  actions[code]();
+  remember();
+}
+
 function listen() {
   const pointers = new Map();
   canvas.addEventListener('contextmenu', (e) => e.preventDefault());
@@ -209,15 +227,15 @@ function listen() {
     if (e.ctrlKey || e.metaKey || e.altKey || e.target.tagName === 'SELECT') return;
     if (e.key === 'Shift') held.add('Shift');
     if (/^Key[WASDQE]$/.test(e.code)) held.add(e.code);
-    if (actions[e.code]) actions[e.code]();
+    if (actions[e.code]) act(e.code);
     frame();
   });
   addEventListener('keyup', (e) => held.delete(e.key === 'Shift' ? 'Shift' : e.code));
   addEventListener('blur', () => held.clear());
   for (const [id, key] of [['previous', 'ArrowLeft'], ['next', 'ArrowRight'], ['compare', 'KeyC'], ['mode', 'KeyF'], ['helper', 'KeyH']]) {
-    $(id).addEventListener('click', () => { actions[key](); frame(); });
+    $(id).addEventListener('click', () => { act(key); frame(); });
   }
-  $('cameras').addEventListener('change', (e) => { show(Number(e.target.value)); canvas.focus(); });
+  $('cameras').addEventListener('change', (e) => { show(Number(e.target.value)); remember(); canvas.focus(); });
   addEventListener('resize', frame);
   addEventListener('hashchange', follow);
 }

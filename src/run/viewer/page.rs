@@ -1,6 +1,7 @@
 //! The page as a file.
 
-use std::io::{BufWriter, Write};
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::Path;
 
 use base64::Engine;
@@ -19,12 +20,17 @@ use crate::scene::Gaussians;
 /// Name of the page in the run folder.
 pub const SCENE_PAGE: &str = "scene.html";
 
-/// Frame of the page; names between at signs are places.
-const TEMPLATE: &str = include_str!("viewer.html");
+/// Frame of every page that shows a scene; names between at signs are places.
+const TEMPLATE: &str = include_str!("page.html");
 pub(crate) const VIEWER_STYLE: &str = include_str!("viewer.css");
 /// Movements of a camera, in every page that shows a scene.
 pub(crate) const MOVES: &str = include_str!("moves.js");
 const SCRIPT: &str = include_str!("viewer.js");
+
+/// SHA-256 of the style in base64, and of the script, [`MOVES`] and [`SCRIPT`], by which the page's content policy lets these in and no
+/// others. Test: viewer.
+const STYLE_HASH: &str = "hzOXd0FbRbQrEwPbWbXYHVTt96u5UoxPCKYaxII59tU=";
+const SCRIPT_HASH: &str = "Hcpm7YeescyT7nV7jSHC4Q4ovQU0bZvsOS8+u13xhUA=";
 
 /// Shaders with the names under which the script finds them.
 const SHADERS: [(&str, &str); 4] = [
@@ -33,6 +39,18 @@ const SHADERS: [(&str, &str); 4] = [
     ("show.vert", include_str!("show.vert")),
     ("show.frag", include_str!("show.frag")),
 ];
+
+/// Text of a page that shows a scene, in pieces; `place` has those for each name between at signs.
+pub(crate) fn pieces<'a>(place: impl Fn(&str) -> Vec<&'a str>) -> Vec<&'a str> {
+    // Text and names of places in turn.
+    let parts = TEMPLATE.split('@').enumerate();
+    parts
+        .flat_map(|(k, part)| match k % 2 == 0 {
+            true => vec![part],
+            false => place(part),
+        })
+        .collect()
+}
 
 /// Contents of the page.
 #[derive(Debug, Clone, Copy)]
@@ -66,35 +84,47 @@ pub fn write_scene_page(path: &Path, page: &ScenePage) -> Result<Vec<String>> {
     let remarks = [page.remarks, &packed.remarks].concat();
     let meta = meta(page, &packed, &remarks).ok_or_else(|| wrong("a camera is not finite"))?;
     let data = base64::engine::general_purpose::STANDARD.encode(&packed.bytes);
+    let (title, shaders, policy) = (escape(page.title), shaders(), policy());
+    let pieces = pieces(|name| match name {
+        "policy" => vec![policy.as_str()],
+        "title" => vec![title.as_str()],
+        "style" => vec![VIEWER_STYLE],
+        "script" => vec![MOVES, SCRIPT],
+        "meta" => vec![meta.as_str()],
+        "data" => vec![
+            shaders.as_str(),
+            "<script id=\"data\" type=\"text/plain\">",
+            data.as_str(),
+            "</script>\n",
+        ],
+        // A nonce, and what only the page of a server has.
+        _ => Vec::new(),
+    });
     files::write(path, |out| {
-        // Text and names of places in turn.
-        for (k, part) in TEMPLATE.split('@').enumerate() {
-            match part {
-                text if k % 2 == 0 => out.write_all(text.as_bytes())?,
-                "title" => out.write_all(escape(page.title).as_bytes())?,
-                "style" => out.write_all(VIEWER_STYLE.as_bytes())?,
-                "script" => {
-                    out.write_all(MOVES.as_bytes())?;
-                    out.write_all(SCRIPT.as_bytes())?;
-                }
-                "shaders" => write_shaders(out)?,
-                "meta" => out.write_all(meta.as_bytes())?,
-                _ => out.write_all(data.as_bytes())?,
-            }
-        }
-        Ok(())
+        let mut pieces = pieces.iter();
+        pieces.try_for_each(|piece| out.write_all(piece.as_bytes()))
     })?;
     Ok(remarks)
 }
 
-fn write_shaders(out: &mut BufWriter<std::fs::File>) -> std::io::Result<()> {
-    for (name, source) in SHADERS {
-        writeln!(
-            out,
-            "<script id=\"{name}\" type=\"x-shader\">\n{source}</script>"
-        )?;
-    }
-    Ok(())
+/// The content policy as an element: nothing is loaded, and no script but this one runs.
+fn policy() -> String {
+    format!(
+        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none';style-src 'sha256-{STYLE_HASH}';\
+         script-src 'sha256-{SCRIPT_HASH}';img-src data:;worker-src blob:\"/>\n"
+    )
+}
+
+fn shaders() -> String {
+    SHADERS
+        .iter()
+        .fold(String::new(), |mut out, (name, source)| {
+            let _ = writeln!(
+                out,
+                "<script id=\"{name}\" type=\"x-shader\">\n{source}</script>"
+            );
+            out
+        })
 }
 
 /// Everything but the Gaussians as JSON that may stand in HTML; `None` for a number that is not finite.
