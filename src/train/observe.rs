@@ -174,9 +174,7 @@ impl Trainer {
         quantity: Quantity,
         most: usize,
     ) -> Result<Rendered> {
-        self.settle()?;
-        self.device.finish()?;
-        self.device.collect_times(usize::MAX)?;
+        let most = self.before_a_look(most)?;
         let background = match quantity {
             Quantity::Color => self.schedule.fixed_background(),
             Quantity::Depth => [0.0; 3],
@@ -188,10 +186,17 @@ impl Trainer {
             active_only: false,
         };
         let forward = &mut self.pipeline.forward;
-        let most = most.max(2 * self.counters.max_intersections);
         let image = forward.image_within(&self.gaussians.scene, camera, &options, most);
         self.device.forget_launches();
         image
+    }
+
+    /// The tile intersections that a look may have, once nothing is in flight: what follows counts for no stage of training.
+    fn before_a_look(&mut self, most: usize) -> Result<usize> {
+        self.settle()?;
+        self.device.finish()?;
+        self.device.collect_times(usize::MAX)?;
+        Ok(most.max(2 * self.counters.max_intersections))
     }
 
     /// Has the rows of births noted from now on.
@@ -211,13 +216,10 @@ impl Trainer {
     /// # Errors
     /// See [`Renderer::image_within`].
     pub fn glimpse_births(&mut self, camera: &Camera, most: usize) -> Result<Rendered> {
-        self.settle()?;
-        self.device.finish()?;
-        self.device.collect_times(usize::MAX)?;
+        let most = self.before_a_look(most)?;
         let marked = self.marked_births();
         let options = RenderOptions::default();
         let forward = &mut self.pipeline.forward;
-        let most = most.max(2 * forward.room());
         let image = marked.and_then(|scene| forward.image_within(&scene, camera, &options, most));
         self.device.forget_launches();
         image
