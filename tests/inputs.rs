@@ -1,0 +1,3 @@
+//! Tests: photos and datasets in other forms than folders of small 8-bit files.
+
+mod png;
