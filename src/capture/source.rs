@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
 use crate::base::hash::Fnv;
+use crate::capture::archive::Unpacked;
 use crate::capture::lens::Undistortion;
 use crate::capture::memory::check_memory;
 pub use crate::capture::memory::parse_available;
@@ -82,6 +83,8 @@ pub struct PhotoFile {
     alpha: Alpha,
     /// [`digest`] of the photo's mask, of an all-white one if it has none.
     mask_digest: u64,
+    /// The folder of an archive that the file is in.
+    unpacked: Option<Arc<Unpacked>>,
 }
 
 /// A number that changes when a byte does: FNV-1a over words of eight bytes, with the upper half mixed into the lower one.
@@ -253,7 +256,13 @@ impl PhotoFile {
             width,
             height,
             mask_digest: 0,
+            unpacked: None,
         }
+    }
+
+    /// Keeps the folder of an archive for as long as the photo may be read.
+    pub(super) fn keep(&mut self, unpacked: &Arc<Unpacked>) {
+        self.unpacked = Some(unpacked.clone());
     }
 
     /// Width and height of the decoded photo, pixels.
@@ -342,7 +351,11 @@ impl PhotoFile {
     /// # Errors
     /// Those of [`PhotoSource::load`].
     pub(crate) fn load(&self) -> Result<Photo> {
-        Ok(self.decoded()?.with_alpha(self.alpha))
+        let photo = self.decoded().map_err(|error| match &self.unpacked {
+            Some(unpacked) => unpacked.explained(error),
+            None => error,
+        })?;
+        Ok(photo.with_alpha(self.alpha))
     }
 
     /// The error of a decoder that failed without a reason.
