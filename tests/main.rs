@@ -30,6 +30,7 @@ mod fuzz;
 mod gradient;
 mod hostile;
 mod house;
+mod inputs;
 mod layout;
 mod learning;
 mod library;

@@ -12,9 +12,10 @@ use crate::capture::camera::Camera;
 use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
 use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
+use crate::capture::memory::automatic_budget;
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
-use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, automatic_budget, header, read};
+use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, header, read};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
 pub(super) struct RawView {

@@ -398,8 +398,8 @@ impl Undistortion {
 
     /// Width and height of the photo as it is, pixels.
     #[must_use]
-    pub fn source_size(&self) -> (u32, u32) {
-        (self.source.width, self.source.height)
+    pub fn source_size(&self) -> [u32; 2] {
+        [self.source.width, self.source.height]
     }
 
     /// The photo as the pinhole camera sees it, bilinearly interpolated: from `bytes` of `channels` interleaved channels with

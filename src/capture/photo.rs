@@ -169,7 +169,7 @@ pub fn colors(alpha: Alpha, planes: &[u8], background: [f32; 3]) -> [Vec<f32>; 3
 /// premultiplied by alpha before averaging. `bytes` is interleaved with straight alpha; sums are f32, rounded once.
 ///
 /// # Errors
-/// Those of [`Photo::from_interleaved`]; also a target of 0 pixels or one larger than the source.
+/// Those of [`Shrink::new`]; bytes of another number than the source has.
 pub fn shrink(
     width: u32,
     height: u32,
@@ -178,67 +178,143 @@ pub fn shrink(
     to_width: u32,
     to_height: u32,
 ) -> Result<Photo> {
-    let bad = |what: String| Err(Error::numerics("area filter", what));
-    if to_width == 0 || to_height == 0 || to_width > width || to_height > height {
-        return bad(format!(
-            "{width}×{height} to {to_width}×{to_height}; a smaller, non-empty target expected"
-        ));
+    let mut small = Shrink::new([width, height], [to_width, to_height], alpha)?;
+    let row = width as usize * alpha.planes();
+    if bytes.len() != row * height as usize {
+        let what = format!("{} bytes for {width}×{height}", bytes.len());
+        return Err(Error::numerics("area filter", what));
     }
-    let (w, h, c) = (width as usize, height as usize, alpha.planes());
-    let (tw, th) = (to_width as usize, to_height as usize);
-    if bytes.len() != w * h * c {
-        let found = bytes.len();
-        return bad(format!("{found} bytes for {width}×{height}×{c}"));
+    for row in bytes.chunks_exact(row) {
+        let row: Vec<f32> = row.iter().map(|v| f32::from(*v)).collect();
+        small.row(&row);
     }
-    let (columns, rows) = (coverage(w, tw), coverage(h, th));
-    let mut data = vec![0_u8; tw * th * c];
-    let mut line = vec![0.0_f32; tw * c];
-    for (ty, covered) in rows.iter().enumerate() {
-        let mut sum = vec![0.0_f32; tw * c];
-        for (y, weight) in covered {
-            shrink_row(&bytes[y * w * c..(y + 1) * w * c], c, &columns, &mut line);
-            for (s, v) in sum.iter_mut().zip(&line) {
+    small.photo()
+}
+
+/// The area filter of [`shrink`], which takes the source row by row.
+pub(super) struct Shrink {
+    from: [usize; 2],
+    to: [usize; 2],
+    alpha: Alpha,
+    columns: Vec<Vec<(usize, f32)>>,
+    /// A source row averaged along itself, `[target width][channels]`.
+    line: Vec<f32>,
+    /// The target row that is being summed up.
+    sum: Vec<f32>,
+    /// Rows taken, and target rows finished.
+    taken: usize,
+    done: usize,
+    transparent: bool,
+    data: Vec<u8>,
+}
+
+impl Shrink {
+    /// The filter from one size to another; at the same size the photo stays as it is.
+    ///
+    /// # Errors
+    /// A target of 0 pixels or one larger than the source.
+    pub fn new(from: [u32; 2], to: [u32; 2], alpha: Alpha) -> Result<Self> {
+        if to.contains(&0) || to[0] > from[0] || to[1] > from[1] {
+            let [[w, h], [tw, th]] = [from, to];
+            let what = format!("{w}×{h} to {tw}×{th}; a smaller, non-empty target expected");
+            return Err(Error::numerics("area filter", what));
+        }
+        let [from, to] = [from, to].map(|size| size.map(|s| s as usize));
+        let line = to[0] * alpha.planes();
+        Ok(Self {
+            from,
+            to,
+            alpha,
+            columns: coverage(from[0], to[0]),
+            line: vec![0.0; line],
+            sum: vec![0.0; line],
+            taken: 0,
+            done: 0,
+            transparent: false,
+            data: vec![0; line * to[1]],
+        })
+    }
+
+    /// Takes the next row, interleaved with straight alpha, values from 0 to 255. Rows beyond the last are ignored.
+    pub fn row(&mut self, row: &[f32]) {
+        let channels = self.alpha.planes();
+        // An alpha that is rounded to less than 255 is not opaque.
+        self.transparent |= channels == 4 && row.chunks_exact(4).any(|p| p[3] < 254.5);
+        shrink_row(row, channels, &self.columns, &mut self.line);
+        let ([_, from], [_, to]) = (self.from, self.to);
+        self.taken += 1;
+        // The target is smaller: a row belongs to one target row, or ends one and begins the next.
+        while self.done < to && self.done * from < self.taken * to {
+            let weight = share(from, to, self.done, self.taken - 1);
+            for (s, v) in self.sum.iter_mut().zip(&self.line) {
                 *s += weight * v;
             }
-        }
-        for (i, s) in sum.iter().enumerate() {
-            let (tx, k) = (i / c, i % c);
-            data[(k * th + ty) * tw + tx] = s.round().clamp(0.0, 255.0) as u8;
+            if (self.done + 1) * from > self.taken * to {
+                return;
+            }
+            self.end_target_row();
         }
     }
-    Ok(Photo {
-        width: to_width,
-        height: to_height,
-        alpha,
-        data,
-    })
+
+    fn end_target_row(&mut self) {
+        let (channels, [width, height]) = (self.alpha.planes(), self.to);
+        for (i, s) in self.sum.iter_mut().enumerate() {
+            let at = ((i % channels) * height + self.done) * width + i / channels;
+            self.data[at] = s.round().clamp(0.0, 255.0) as u8;
+            *s = 0.0;
+        }
+        self.done += 1;
+    }
+
+    /// The photo; without an alpha plane if every pixel of the source is opaque.
+    ///
+    /// # Errors
+    /// [`Error::Numerics`] if rows are missing.
+    pub fn photo(mut self) -> Result<Photo> {
+        if self.done < self.to[1] {
+            let what = format!("{} of {} rows", self.taken, self.from[1]);
+            return Err(Error::numerics("area filter", what));
+        }
+        if !self.transparent {
+            self.alpha = Alpha::None;
+            self.data.truncate(3 * self.to[0] * self.to[1]);
+        }
+        Ok(Photo {
+            width: self.to[0] as u32,
+            height: self.to[1] as u32,
+            alpha: self.alpha,
+            data: self.data,
+        })
+    }
 }
 
 /// Averages one source row: premultiplied means over each target column, `[target width][channels]`.
-fn shrink_row(row: &[u8], c: usize, columns: &[Vec<(usize, f32)>], out: &mut [f32]) {
+fn shrink_row(row: &[f32], c: usize, columns: &[Vec<(usize, f32)>], out: &mut [f32]) {
     for (target, covered) in out.chunks_exact_mut(c).zip(columns) {
         target.fill(0.0);
         for (x, weight) in covered {
             let pixel = &row[x * c..(x + 1) * c];
-            let alpha = pixel.get(3).map_or(1.0, |a| f32::from(*a) / 255.0);
-            for (k, t) in target.iter_mut().enumerate() {
-                let v = f32::from(pixel[k]);
-                *t += weight * if k == 3 { v } else { v * alpha };
+            let alpha = pixel.get(3).map_or(1.0, |a| a / 255.0);
+            for (k, (t, v)) in target.iter_mut().zip(pixel).enumerate() {
+                *t += weight * if k == 3 { *v } else { v * alpha };
             }
         }
     }
 }
 
+/// The part of the target `t`, one of `to` along an axis of `from`, that the source `s` makes up. Overlaps are counted in integers
+/// of 1/(from·to), so that no rounding decides whether a pixel is covered.
+fn share(from: usize, to: usize, t: usize, s: usize) -> f32 {
+    let (start, end) = (t * from, (t + 1) * from);
+    let overlap = end.min((s + 1) * to).saturating_sub(start.max(s * to));
+    (overlap as f64 / from as f64) as f32
+}
+
 /// Source pixels that each of `to` target pixels covers along an axis of `from`, and the share of the target that each makes up.
-/// Overlaps are counted in integers of 1/(from·to), so that no rounding decides whether a pixel is covered.
 fn coverage(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
     let span = |t: usize| {
-        let (start, end) = (t * from, (t + 1) * from);
-        let share = |s: usize| {
-            let overlap = end.min((s + 1) * to) - start.max(s * to);
-            (s, (overlap as f64 / from as f64) as f32)
-        };
-        (start / to..end.div_ceil(to)).map(share).collect()
+        let covered = t * from / to..((t + 1) * from).div_ceil(to);
+        covered.map(|s| (s, share(from, to, t, s))).collect()
     };
     (0..to).map(span).collect()
 }

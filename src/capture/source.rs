@@ -4,60 +4,17 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
+use image::ImageDecoder;
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
-use crate::base::files::check_regular;
 use crate::base::hash::Fnv;
+use crate::capture::archive::Unpacked;
 use crate::capture::lens::Undistortion;
-use crate::capture::photo::{Alpha, Photo, shrink};
-
-/// Bytes that photos may take if the system does not report its memory.
-const UNKNOWN_MEMORY: u64 = 4 << 30;
-
-/// The same, however little memory is available.
-const LEAST_DECODED: u64 = 512 << 20;
-
-/// Bytes that one photo may take when it is decoded: half of the available memory, shared by the threads.
-fn decoding_limit() -> u64 {
-    (automatic_budget() / rayon::current_num_threads() as u64).max(LEAST_DECODED)
-}
-
-/// A decoder for an image file by its content. EXIF orientation is ignored, as COLMAP and the NeRF tools ignore it, so that
-/// pixels stay where the poses expect them.
-fn open(file: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
-    check_regular(file)?;
-    let opened = ImageReader::open(file).and_then(ImageReader::with_guessed_format);
-    let mut reader = opened.map_err(|source| Error::io(file, source))?;
-    // A header may announce more than there is memory.
-    let mut limits = Limits::default();
-    limits.max_alloc = Some(decoding_limit());
-    reader.limits(limits);
-    Ok(reader)
-}
-
-fn decoded(file: &Path) -> Result<DynamicImage> {
-    open(file)?.decode().map_err(|e| not_an_image(file, &e))
-}
-
-fn not_an_image(file: &Path, reason: &ImageError) -> Error {
-    if matches!(reason, ImageError::Limits(_)) {
-        return Error::input(
-            file,
-            format!(
-                "larger than {} MiB when it is decoded, what each thread may take of the available memory",
-                decoding_limit() >> 20
-            ),
-            "scale the photo down, or use a machine with more memory",
-        );
-    }
-    Error::input(
-        file,
-        format!("not a readable image ({reason}); PNG, JPEG or WebP expected"),
-        "replace the file or remove its entry from the dataset",
-    )
-}
+use crate::capture::memory::check_memory;
+pub use crate::capture::memory::parse_available;
+use crate::capture::photo::{Alpha, Photo, Shrink};
+use crate::capture::rows::{Rows, not_an_image, open};
 
 /// Size and channels of an image file, from its header.
 #[derive(Debug, Clone, Copy)]
@@ -126,6 +83,8 @@ pub struct PhotoFile {
     alpha: Alpha,
     /// [`digest`] of the photo's mask, of an all-white one if it has none.
     mask_digest: u64,
+    /// The folder of an archive that the file is in.
+    unpacked: Option<Arc<Unpacked>>,
 }
 
 /// A number that changes when a byte does: FNV-1a over words of eight bytes, with the upper half mixed into the lower one.
@@ -198,25 +157,66 @@ impl PhotoSource {
     }
 }
 
-/// Multiplies a mask file into the alpha of RGBA bytes: black excludes a pixel, white includes it, or the other way round if `inverted`.
-fn apply_mask(
-    file: &Path,
+/// Rows of a photo with its mask multiplied into its alpha.
+struct Masked {
+    rows: Rows,
+    mask: Option<Rows>,
     inverted: bool,
-    rgba: &mut [u8],
-    [width, height]: [u32; 2],
-) -> Result<()> {
-    let mask = decoded(file)?;
-    if (mask.width(), mask.height()) != (width, height) {
-        let (w, h) = (mask.width(), mask.height());
-        let what = format!("{w}×{h} pixels; its photo has {width}×{height}");
-        let fix = "give a mask of the photo's size, or remove it";
-        return Err(Error::input(file, what, fix));
+    inverted_alpha: bool,
+    /// Interleaved channels of a row: RGB, or RGBA.
+    channels: usize,
+}
+
+impl Masked {
+    /// The rows of a photo and of its mask.
+    ///
+    /// # Errors
+    /// A file that cannot be read; a mask of another size.
+    fn open(photo: &Path, mask: &MaskFile) -> Result<Self> {
+        let rows = Rows::open(photo)?;
+        let of_mask = mask.path.as_ref();
+        if let Some(file) = of_mask {
+            // Before it is decoded.
+            let Header { width, height, .. } = header(file)?;
+            let [w, h] = rows.size;
+            if [width, height] != rows.size {
+                let what = format!("{width}×{height} pixels; its photo has {w}×{h}");
+                let fix = "give a mask of the photo's size, or remove it";
+                return Err(Error::input(file, what, fix));
+            }
+        }
+        Ok(Self {
+            inverted_alpha: mask.inverted_alpha && rows.has_alpha(),
+            channels: 3 + usize::from(rows.has_alpha() || of_mask.is_some()),
+            rows,
+            mask: of_mask.map(|file| Rows::open(file)).transpose()?,
+            inverted: mask.inverted,
+        })
     }
-    for (pixel, m) in rgba.chunks_exact_mut(4).zip(mask.into_luma8().into_raw()) {
-        let m = if inverted { 255 - m } else { m };
-        pixel[3] = ((u32::from(pixel[3]) * u32::from(m) + 127) / 255) as u8;
+
+    /// Hands over each row: interleaved values from 0 to 255 with straight alpha.
+    ///
+    /// # Errors
+    /// Those of [`Rows::colors`].
+    fn each(&mut self, mut take: impl FnMut(&[f32])) -> Result<()> {
+        let [width, height] = self.rows.size.map(|s| s as usize);
+        let mut row = vec![0.0; width * self.channels];
+        for _ in 0..height {
+            self.rows.colors(&mut row)?;
+            if self.inverted_alpha {
+                row.chunks_exact_mut(4).for_each(|p| p[3] = 255.0 - p[3]);
+            }
+            if let Some(mask) = &mut self.mask {
+                // Black excludes a pixel, white includes it, or the other way round.
+                for (pixel, m) in row.chunks_exact_mut(4).zip(mask.brightness()?) {
+                    let m = if self.inverted { 255.0 - m } else { m };
+                    pixel[3] = (pixel[3] * m / 255.0).round();
+                }
+            }
+            take(&row);
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 /// The largest size of the same shape whose longest side is at most `max_size` (never larger than the original).
@@ -256,7 +256,13 @@ impl PhotoFile {
             width,
             height,
             mask_digest: 0,
+            unpacked: None,
         }
+    }
+
+    /// Keeps the folder of an archive for as long as the photo may be read.
+    pub(super) fn keep(&mut self, unpacked: &Arc<Unpacked>) {
+        self.unpacked = Some(unpacked.clone());
     }
 
     /// Width and height of the decoded photo, pixels.
@@ -271,60 +277,73 @@ impl PhotoFile {
     /// The decoded photo, its mask multiplied into its alpha, without lens distortion, shrunk to its size. It has an alpha plane
     /// only if some pixel is not opaque.
     fn decoded(&self) -> Result<Photo> {
-        let changed = |what: String| {
-            let fix = "leave the photos as they are during a run, and start again";
-            Err(Error::input(&self.path, what, fix))
+        let mut source = Masked::open(&self.path, &self.mask)?;
+        let size = source.rows.size;
+        let to = [self.width, self.height];
+        let unlike = match &self.undistortion {
+            Some(undistortion) => size != undistortion.source_size(),
+            None => fitted(size, self.max_size) != to,
         };
-        let image = decoded(&self.path)?;
-        let (mut width, mut height) = (image.width(), image.height());
-        let own_alpha = image.color().has_alpha();
-        let has_alpha = own_alpha || self.mask.path.is_some();
-        let mut bytes = if has_alpha {
-            image.into_rgba8().into_raw()
-        } else {
-            image.into_rgb8().into_raw()
+        if unlike {
+            return Err(self.changed(size, source.channels));
+        }
+        let photo = u64::from(to[0]) * u64::from(to[1]) * source.channels as u64;
+        check_memory(&self.path, photo, "the photo", "lower --max-size")?;
+        let meaning = match self.alpha {
+            _ if source.channels == 3 => Alpha::None,
+            Alpha::None => Alpha::Transparency,
+            meaning => meaning,
         };
-        if self.mask.inverted_alpha && own_alpha {
-            bytes.chunks_exact_mut(4).for_each(|p| p[3] = 255 - p[3]);
-        }
-        if let Some(mask) = &self.mask.path {
-            apply_mask(mask, self.mask.inverted, &mut bytes, [width, height])?;
-        }
-        if let Some(undistortion) = &self.undistortion {
-            if (width, height) != undistortion.source_size() {
-                return changed(format!(
-                    "{width}×{height} pixels; another size was there when the dataset was read"
-                ));
+        let photo = match &self.undistortion {
+            None => {
+                let mut small = Shrink::new(size, to, meaning)?;
+                source.each(|row| small.row(row))?;
+                small.photo()?
             }
-            bytes = undistortion.apply(&bytes, if has_alpha { 4 } else { 3 });
-            (width, height) = (undistortion.target.width, undistortion.target.height);
+            Some(undistortion) => self.undistorted(source, undistortion, meaning)?,
+        };
+        if photo.alpha != Alpha::None && photo.alpha != self.alpha {
+            return Err(self.changed(to, photo.alpha.planes()));
         }
-        let mut alpha = Alpha::None;
-        if has_alpha && bytes.chunks_exact(4).any(|p| p[3] < 255) {
-            alpha = match self.alpha {
-                Alpha::None => Alpha::Transparency,
-                meaning => meaning,
-            };
-        } else if has_alpha {
-            let rgb = bytes.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]);
-            bytes = rgb.collect();
+        Ok(photo)
+    }
+
+    /// The error of a photo that is another one than when the dataset was read.
+    fn changed(&self, [width, height]: [u32; 2], channels: usize) -> Error {
+        let what = format!(
+            "{width}×{height} pixels in {channels} channels; {}×{} in {} were there when the dataset was read",
+            self.width,
+            self.height,
+            self.alpha.planes()
+        );
+        let fix = "leave the photos as they are during a run, and start again";
+        Error::input(&self.path, what, fix)
+    }
+
+    /// The photo without lens distortion, shrunk to its size. Resampling takes the whole photo, in 8 bits.
+    fn undistorted(
+        &self,
+        mut source: Masked,
+        undistortion: &Undistortion,
+        meaning: Alpha,
+    ) -> Result<Photo> {
+        let target = [undistortion.target.width, undistortion.target.height];
+        let pixels = |[w, h]: [u32; 2]| u64::from(w) * u64::from(h);
+        let bytes = (pixels(source.rows.size) + pixels(target)) * source.channels as u64;
+        let part = "the photo has lens distortion, which is removed at its full size: this";
+        let fix = "scale the photo down, undistort it first, or use a machine with more memory";
+        check_memory(&self.path, bytes, part, fix)?;
+        let mut whole = Vec::new();
+        source.each(|row| whole.extend(row.iter().map(|v| v.round() as u8)))?;
+        let bytes = undistortion.apply(&whole, source.channels);
+        drop(whole);
+        let mut small = Shrink::new(target, [self.width, self.height], meaning)?;
+        let row = target[0] as usize * source.channels;
+        for row in bytes.chunks_exact(row.max(1)) {
+            let row: Vec<f32> = row.iter().map(|v| f32::from(*v)).collect();
+            small.row(&row);
         }
-        let [w, h] = fitted([width, height], self.max_size);
-        let known = alpha == Alpha::None || alpha == self.alpha;
-        if (w, h) != self.size() || !known {
-            return changed(format!(
-                "{w}×{h} pixels in {} channels; {}×{} in {} were there when the dataset was read",
-                alpha.planes(),
-                self.width,
-                self.height,
-                self.alpha.planes()
-            ));
-        }
-        if (w, h) == (width, height) {
-            Photo::from_interleaved(w, h, alpha, &bytes)
-        } else {
-            shrink(width, height, alpha, &bytes, w, h)
-        }
+        small.photo()
     }
 
     /// The photo with the alpha plane that all photos of its dataset have.
@@ -332,7 +351,11 @@ impl PhotoFile {
     /// # Errors
     /// Those of [`PhotoSource::load`].
     pub(crate) fn load(&self) -> Result<Photo> {
-        Ok(self.decoded()?.with_alpha(self.alpha))
+        let photo = self.decoded().map_err(|error| match &self.unpacked {
+            Some(unpacked) => unpacked.explained(error),
+            None => error,
+        })?;
+        Ok(photo.with_alpha(self.alpha))
     }
 
     /// The error of a decoder that failed without a reason.
@@ -394,20 +417,4 @@ pub(super) fn read(
             None => PhotoSource::File(file),
         })
         .collect())
-}
-
-/// Default budget of photos in bytes: half of the memory that the system reports as available, 4 GiB if it reports none.
-pub(super) fn automatic_budget() -> u64 {
-    std::fs::read_to_string("/proc/meminfo")
-        .ok()
-        .and_then(|text| parse_available(&text))
-        .map_or(UNKNOWN_MEMORY, |bytes| bytes / 2)
-}
-
-/// Bytes of the `MemAvailable` line of `/proc/meminfo` (proc(5)); `None` without such a line.
-#[must_use]
-pub fn parse_available(text: &str) -> Option<u64> {
-    let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"))?;
-    let kib: u64 = line.split_ascii_whitespace().next()?.parse().ok()?;
-    kib.checked_mul(1024)
 }

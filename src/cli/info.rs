@@ -23,7 +23,7 @@ const QUANTILES: [f64; 5] = [0.0, 0.05, 0.5, 0.95, 1.0];
 /// Arguments of `mhsplat info`.
 #[derive(clap::Args)]
 pub struct InfoArgs {
-    /// Dataset, run folder or scene file.
+    /// Dataset (a folder or a zip archive), run folder or scene file.
     path: PathBuf,
     /// Longest image side that training would use, pixels.
     #[arg(long, value_name = "PX", default_value_t = TrainConfig::default().max_size)]
@@ -46,7 +46,7 @@ pub struct InfoArgs {
 pub fn run(args: &InfoArgs, common: &Common) -> Result<Outcome> {
     let (document, lines) = if args.path.join(RECORD_FILE).is_file() {
         of_run(&RunRecord::read(&args.path)?)
-    } else if args.path.is_file() {
+    } else if args.path.is_file() && !capture::is_archive(&args.path) {
         of_scene(&args.path)?
     } else {
         of_dataset(args)?

@@ -96,7 +96,7 @@ pub fn dataset_path(
         ));
     };
     let path = PathBuf::from(&record.dataset.path);
-    if !path.is_dir() {
+    if !path.exists() {
         let what = "the dataset that the run was trained on is not there any more";
         return Err(Error::input(path, what, "give where it is now"));
     }

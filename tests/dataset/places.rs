@@ -109,9 +109,12 @@ fn a_path_that_is_no_dataset_is_told_the_way_on() {
     }
     let archive = root.join("photos.zip");
     fs::write(&archive, "PK").unwrap();
-    assert_refused(load_every(&archive, 0), &["photos.zip", "unpack"]);
+    assert_refused(load_every(&archive, 0), &["photos.zip", "no zip archive"]);
     let file = root.join("images/v 00.png");
-    assert_refused(load_every(&file, 0), &["a folder expected"]);
+    assert_refused(
+        load_every(&file, 0),
+        &["a folder or a zip archive expected"],
+    );
     assert_refused(load_every(&root.join("nowhere"), 0), &["no such folder"]);
     let photos = tempfile::tempdir().unwrap();
     write_images(photos.path(), &ring(2, DVec3::ZERO));
