@@ -1,13 +1,16 @@
 //! Datasets in zip archives, which are unpacked into a folder for as long as their photos are read.
 //!
-//! Format: PKWARE's APPNOTE.TXT 6.3.10, sections 4.3 to 4.5, with Zip64; entries are stored or deflated. An archive comes from somewhere
-//! else: nothing of it is written outside of the folder, or is more than its directory says.
+//! Entries are stored or deflated. An archive comes from somewhere else: nothing of it is written outside of the folder, or is more than its
+//! directory says.
 
 use std::fs::{self, File};
-use std::io::{self, BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, ErrorKind, Read, Write};
 use std::path::{Component, Path, PathBuf};
 
 use flate2::read::DeflateDecoder;
+use rawzip::{
+    CompressionMethod, FileReader, ZipArchive, ZipArchiveEntryWayfinder, ZipFileHeaderRecord,
+};
 
 use crate::base::error::{Error, Result};
 use crate::base::files::check_regular;
@@ -15,9 +18,6 @@ use crate::base::files::check_regular;
 /// Remedy for an archive that cannot be read.
 const PACK: &str = "pack it again as a plain zip archive, or unpack it and give the folder";
 
-/// Bytes of the record at the end, and the longest comment after it.
-const END: usize = 22;
-const COMMENT: u64 = 0xffff;
 /// Largest directory that is read, bytes; half a million photos have less.
 const DIRECTORY: u64 = 64 << 20;
 /// Content may be so many times as large as the archive, and `SPARE` bytes more: photos are compressed already, models five to one.
@@ -53,7 +53,8 @@ impl Unpacked {
     /// method, given twice or leads out of the folder, content out of proportion; [`Error::Io`].
     pub fn new(archive: &Path) -> Result<Self> {
         check_regular(archive)?;
-        let entries = Reader::open(archive)?.entries()?;
+        let reader = Reader::open(archive)?;
+        let entries = reader.entries()?;
         let mut key = [0; 8];
         getrandom::fill(&mut key).map_err(|e| Error::io(archive, io::Error::other(e)))?;
         let key = u64::from_le_bytes(key);
@@ -67,7 +68,6 @@ impl Unpacked {
             archive: archive.to_path_buf(),
             folder,
         };
-        let mut reader = Reader::open(archive)?;
         for entry in &entries {
             reader.unpack(entry, &unpacked.folder)?;
         }
@@ -109,130 +109,86 @@ struct Entry {
     /// Path below the folder.
     path: PathBuf,
     deflated: bool,
-    sum: u32,
-    packed: u64,
     size: u64,
-    offset: u64,
-}
-
-/// Little-endian numbers of a record that is as long as it must be; 0 beyond its end.
-fn number(bytes: &[u8], at: usize, length: usize) -> u64 {
-    let bytes = bytes.iter().skip(at).take(length);
-    bytes.rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte))
+    place: ZipArchiveEntryWayfinder,
 }
 
 /// An archive that is read.
 struct Reader<'a> {
     path: &'a Path,
-    file: BufReader<File>,
+    archive: ZipArchive<FileReader>,
+    /// Bytes of the file.
     length: u64,
+}
+
+/// The error of an archive that cannot be read.
+fn bad(path: &Path, what: impl Into<String>) -> Error {
+    Error::input(path, what, PACK)
 }
 
 impl<'a> Reader<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, e))?;
         let length = file.metadata().map_err(|e| Error::io(path, e))?.len();
-        let file = BufReader::new(file);
-        Ok(Self { path, file, length })
-    }
-
-    fn bad(&self, what: impl Into<String>) -> Error {
-        Error::input(self.path, what, PACK)
-    }
-
-    /// `length` bytes at an offset; what is to be read there is named in the error if the file ends before.
-    fn bytes(&mut self, offset: u64, length: u64, of: &str) -> Result<Vec<u8>> {
-        if offset
-            .checked_add(length)
-            .is_none_or(|end| end > self.length)
-        {
-            return Err(self.bad(format!(
-                "the archive is cut off or damaged: {of} is not in it"
-            )));
-        }
-        let mut bytes = vec![0; length as usize];
-        let found = self.file.seek(SeekFrom::Start(offset));
-        let found = found.and_then(|_| self.file.read_exact(&mut bytes));
-        found.map_err(|e| Error::io(self.path, e))?;
-        Ok(bytes)
-    }
-
-    /// Offset, length and number of entries of the directory.
-    fn directory(&mut self) -> Result<[u64; 3]> {
-        let start = self.length.saturating_sub(END as u64 + COMMENT);
-        let tail = self.bytes(start, self.length - start, "its end")?;
-        let is_end = |at: &usize| {
-            let comment = number(&tail, at + 20, 2) as usize;
-            tail[*at..].starts_with(b"PK\x05\x06") && at + END + comment <= tail.len()
-        };
-        let last = (0..(tail.len() + 1).saturating_sub(END)).rev().find(is_end);
-        let Some(at) = last else {
-            return Err(
-                self.bad("no zip archive, or one that is cut off: its directory is not at its end")
-            );
-        };
-        let end = &tail[at..];
-        let [disk, disks] = [4, 6].map(|at| number(end, at, 2));
-        let found = [number(end, 16, 4), number(end, 12, 4), number(end, 10, 2)];
-        let locator = (start + at as u64).checked_sub(20);
-        if let Some(locator) = locator
-            && let locator = self.bytes(locator, 20, "the locator of its directory")?
-            && locator.starts_with(b"PK\x06\x07")
-        {
-            let end = self.bytes(number(&locator, 8, 8), 56, "the Zip64 end of its directory")?;
-            if !end.starts_with(b"PK\x06\x06") {
-                return Err(self.bad("the Zip64 end of its directory is damaged"));
-            }
-            return Ok([48, 40, 32].map(|at| number(&end, at, 8)));
-        }
-        match disk == 0 && disks == 0 {
-            true => Ok(found),
-            false => Err(self.bad("one of the parts of a divided archive")),
-        }
+        let mut buffer = vec![0; rawzip::RECOMMENDED_BUFFER_SIZE];
+        let archive = ZipArchive::from_file(file, &mut buffer).map_err(|e| {
+            let what = format!("no zip archive, or one that is cut off or damaged ({e})");
+            bad(path, what)
+        })?;
+        Ok(Self {
+            path,
+            archive,
+            length,
+        })
     }
 
     /// The files in the archive.
-    fn entries(mut self) -> Result<Vec<Entry>> {
-        let [offset, length, count] = self.directory()?;
-        if length > DIRECTORY {
-            let what = format!("a directory of {} MiB", length >> 20);
-            return Err(self.bad(format!("{what}; at most {} expected", DIRECTORY >> 20)));
+    fn entries(&self) -> Result<Vec<Entry>> {
+        let archive = &self.archive;
+        let directory = archive
+            .eocd_offset()
+            .saturating_sub(archive.directory_offset());
+        if directory > DIRECTORY {
+            let what = format!("a directory of {} MiB", directory >> 20);
+            let what = format!("{what}; at most {} expected", DIRECTORY >> 20);
+            return Err(bad(self.path, what));
         }
-        let directory = self.bytes(offset, length, "its directory")?;
-        let (mut rest, mut entries) = (&directory[..], Vec::new());
-        let mut found = 0;
-        while !rest.is_empty() {
-            let [name, extra, comment] = [28, 30, 32].map(|at| number(rest, at, 2) as usize);
-            let whole = 46 + name + extra + comment;
-            if !rest.starts_with(b"PK\x01\x02") || rest.len() < whole {
-                return Err(self.bad(format!("entry {} of its directory is damaged", found + 1)));
-            }
-            let (header, beyond) = rest.split_at(whole);
-            rest = beyond;
+        let mut buffer = vec![0; rawzip::MAX_CENTRAL_DIRECTORY_RECORD_SIZE];
+        let mut records = archive.entries(&mut buffer);
+        let (mut entries, mut found) = (Vec::new(), 0);
+        loop {
+            let record = records.next_entry().map_err(|e| {
+                let what = format!("entry {} of its directory is damaged ({e})", found + 1);
+                bad(self.path, what)
+            })?;
+            let Some(record) = record else {
+                break;
+            };
             found += 1;
-            entries.extend(self.entry(header, [name, extra])?);
+            entries.extend(self.entry(&record)?);
         }
+        let count = archive.entries_hint();
         if found != count {
-            return Err(self.bad(format!("{found} entries, but its directory counts {count}")));
+            let what = format!("{found} entries, but its directory counts {count}");
+            return Err(bad(self.path, what));
         }
         let total = entries
             .iter()
             .fold(0_u64, |sum, e| sum.saturating_add(e.size));
         if total > SPARE.saturating_add(LARGEST.saturating_mul(self.length)) {
-            return Err(self.bad(format!(
+            let what = format!(
                 "{} MiB when it is unpacked, more than {LARGEST} times its size: no archive of photos",
                 total >> 20
-            )));
+            );
+            return Err(bad(self.path, what));
         }
         Ok(entries)
     }
 
-    /// The file of a header in the directory, with the lengths of its name and its extra fields; `None` for a folder, and for what macOS
-    /// adds.
-    fn entry(&self, header: &[u8], [name, extra]: [usize; 2]) -> Result<Option<Entry>> {
-        let extra = &header[46 + name..][..extra];
-        let name = String::from_utf8_lossy(&header[46..46 + name]).into_owned();
-        let bad = |what: &str| Err(self.bad(format!("the entry {name:?} {what}")));
+    /// The file of a record in the directory; `None` for a folder, and for what macOS adds.
+    fn entry(&self, record: &ZipFileHeaderRecord<'_>) -> Result<Option<Entry>> {
+        let name = String::from_utf8_lossy(record.file_path().as_bytes()).into_owned();
+        let refused = |what: &str| Err(bad(self.path, format!("the entry {name:?} {what}")));
         let path = PathBuf::from(name.replace('\\', "/"));
         let plain = |c: Component<'_>| match c {
             // On Windows a colon leads to a drive or a stream.
@@ -245,128 +201,84 @@ impl<'a> Reader<'a> {
             _ => false,
         };
         if !path.components().all(plain) || path.file_name().is_none() {
-            return bad("leads out of the archive or is no name of a file");
+            return refused("leads out of the archive or is no name of a file");
         }
-        // Made on Unix, the file's mode is in the upper half; 0o120000 is a symbolic link, 0o100000 a file.
-        let unix = number(header, 5, 1) == 3;
-        let kind = (number(header, 38, 4) >> 16) & 0o170_000;
-        if unix && !matches!(kind, 0 | 0o100_000 | 0o040_000) {
-            return bad("is a symbolic link or a device; files expected");
+        // Kinds of files on Unix: 0o100000 is a file, 0o040000 a folder.
+        if !matches!(record.mode().value() & 0o170_000, 0 | 0o100_000 | 0o040_000) {
+            return refused("is a symbolic link or a device; files expected");
         }
         if name.ends_with(['/', '\\']) || path.starts_with("__MACOSX") {
             return Ok(None);
         }
-        let flags = number(header, 8, 2);
-        if flags & 0x2041 != 0 {
-            return bad("is encrypted");
+        let flags = record.flags();
+        if flags.is_encrypted() || flags.has_strong_encryption() || flags.is_masked() {
+            return refused("is encrypted");
         }
-        let deflated = match number(header, 10, 2) {
-            0 => false,
-            8 => true,
+        let deflated = match record.compression_method() {
+            CompressionMethod::STORE => false,
+            CompressionMethod::DEFLATE => true,
             other => {
-                let what = format!("is compressed by method {other}; deflate (8) or none expected");
-                return bad(&what);
+                let what = format!("is compressed by method {other}; deflate or none expected");
+                return refused(&what);
             }
         };
-        let mut sizes = [24, 20, 42].map(|at| number(header, at, 4));
-        let mut long = zip64(extra);
-        for size in sizes.iter_mut().filter(|s| **s == 0xffff_ffff) {
-            let Some((first, rest)) = long.split_at_checked(8) else {
-                return bad("lacks its Zip64 sizes");
-            };
-            (*size, long) = (number(first, 0, 8), rest);
-        }
-        let [size, packed, offset] = sizes;
         Ok(Some(Entry {
-            name,
             path,
             deflated,
-            sum: number(header, 16, 4) as u32,
-            packed,
-            size,
-            offset,
+            size: record.uncompressed_size_hint(),
+            place: record.wayfinder(),
+            name,
         }))
     }
 
     /// Writes an entry below a folder.
-    fn unpack(&mut self, entry: &Entry, folder: &Path) -> Result<()> {
+    fn unpack(&self, entry: &Entry, folder: &Path) -> Result<()> {
         let name = &entry.name;
-        let archive = self.path;
-        let bad = |what: &str| Error::input(archive, format!("the entry {name:?} {what}"), PACK);
-        let (damaged, twice) = (bad("is damaged"), bad("is given twice"));
+        let refused = |what: &str| bad(self.path, format!("the entry {name:?} {what}"));
         let unwritten = |e: io::Error| {
             let what = format!(
                 "the entry {name:?} cannot be unpacked into {}: {e}",
                 folder.display()
             );
-            Error::input(
-                archive,
-                what,
-                "make room there, or set TMPDIR to another folder",
-            )
+            let fix = "make room there, or set TMPDIR to another folder";
+            Error::input(self.path, what, fix)
         };
-        let header = self.bytes(entry.offset, 30, name)?;
-        if !header.starts_with(b"PK\x03\x04") {
-            return Err(damaged);
-        }
-        let start = entry.offset + 30 + number(&header, 26, 2) + number(&header, 28, 2);
-        if start
-            .checked_add(entry.packed)
-            .is_none_or(|end| end > self.length)
-        {
-            return Err(damaged);
-        }
+        let found = self.archive.get_entry(entry.place);
+        let found = found.map_err(|_| refused("is damaged"))?;
         let to = folder.join(&entry.path);
         if let Some(parent) = to.parent() {
             fs::create_dir_all(parent).map_err(|e| match e.kind() {
-                ErrorKind::AlreadyExists | ErrorKind::NotADirectory => bad("is below a file"),
+                ErrorKind::AlreadyExists | ErrorKind::NotADirectory => refused("is below a file"),
                 _ => unwritten(e),
             })?;
         }
         let out = File::create_new(&to).map_err(|e| match e.kind() {
-            ErrorKind::AlreadyExists => twice,
+            ErrorKind::AlreadyExists => refused("is given twice"),
             _ => unwritten(e),
         })?;
-        let seek = self.file.seek(SeekFrom::Start(start));
-        seek.map_err(|e| Error::io(self.path, e))?;
-        let packed = (&mut self.file).take(entry.packed);
-        let mut content: Box<dyn Read + '_> = match entry.deflated {
+        let packed = found.reader();
+        let content: Box<dyn Read + '_> = match entry.deflated {
             true => Box::new(DeflateDecoder::new(packed)),
             false => Box::new(packed),
         };
-        let (mut out, mut sum) = (BufWriter::new(out), crc32fast::Hasher::new());
-        let (mut left, mut block) = (entry.size, vec![0; 1 << 16]);
+        // Size and checksum are those of the archive, or the last read is an error.
+        let mut content = found.verifying_reader(content);
+        let (mut out, mut left) = (BufWriter::new(out), entry.size);
+        let mut block = vec![0; 1 << 16];
         loop {
-            let n = content.read(&mut block).map_err(|_| bad("is damaged"))?;
+            let n = content
+                .read(&mut block)
+                .map_err(|_| refused("is damaged"))?;
             let Some(after) = left.checked_sub(n as u64) else {
-                return Err(bad("is larger than the archive says"));
+                return Err(refused("is larger than the archive says"));
             };
             if n == 0 {
                 break;
             }
             left = after;
-            sum.update(&block[..n]);
             let written = out.write_all(&block[..n]);
             written.map_err(unwritten)?;
         }
-        out.flush().map_err(unwritten)?;
-        match left == 0 && sum.finalize() == entry.sum {
-            true => Ok(()),
-            false => Err(damaged),
-        }
+        out.flush().map_err(unwritten)
     }
-}
-
-/// The Zip64 field among extra fields; empty if there is none.
-fn zip64(mut extra: &[u8]) -> &[u8] {
-    while extra.len() >= 4 {
-        let (header, rest) = extra.split_at(4);
-        let length = (number(header, 2, 2) as usize).min(rest.len());
-        let (content, beyond) = rest.split_at(length);
-        if number(header, 0, 2) == 1 {
-            return content;
-        }
-        extra = beyond;
-    }
-    &[]
 }

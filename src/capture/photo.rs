@@ -240,7 +240,10 @@ impl Shrink {
         let channels = self.alpha.planes();
         // An alpha that is rounded to less than 255 is not opaque.
         self.transparent |= channels == 4 && row.chunks_exact(4).any(|p| p[3] < 254.5);
-        shrink_row(row, channels, &self.columns, &mut self.line);
+        match channels {
+            4 => shrink_row::<4>(row, &self.columns, &mut self.line),
+            _ => shrink_row::<3>(row, &self.columns, &mut self.line),
+        }
         let ([_, from], [_, to]) = (self.from, self.to);
         self.taken += 1;
         // The target is smaller: a row belongs to one target row, or ends one and begins the next.
@@ -289,16 +292,19 @@ impl Shrink {
 }
 
 /// Averages one source row: premultiplied means over each target column, `[target width][channels]`.
-fn shrink_row(row: &[f32], c: usize, columns: &[Vec<(usize, f32)>], out: &mut [f32]) {
-    for (target, covered) in out.chunks_exact_mut(c).zip(columns) {
-        target.fill(0.0);
+fn shrink_row<const C: usize>(row: &[f32], columns: &[Vec<(usize, f32)>], out: &mut [f32]) {
+    let (pixels, _) = row.as_chunks::<C>();
+    let (targets, _) = out.as_chunks_mut::<C>();
+    for (target, covered) in targets.iter_mut().zip(columns) {
+        let mut sum = [0.0_f32; C];
         for (x, weight) in covered {
-            let pixel = &row[x * c..(x + 1) * c];
+            let pixel = &pixels[*x];
             let alpha = pixel.get(3).map_or(1.0, |a| a / 255.0);
-            for (k, (t, v)) in target.iter_mut().zip(pixel).enumerate() {
+            for (k, (t, v)) in sum.iter_mut().zip(pixel).enumerate() {
                 *t += weight * if k == 3 { *v } else { v * alpha };
             }
         }
+        *target = sum;
     }
 }
 

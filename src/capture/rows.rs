@@ -71,6 +71,8 @@ pub(super) struct Rows {
     /// Bytes of a value, 1 or 2.
     depth: usize,
     next: usize,
+    /// The values of a row in the file's channels.
+    row: Vec<f32>,
 }
 
 impl Rows {
@@ -104,6 +106,7 @@ impl Rows {
                     channels: color.samples(),
                     depth: 1 + usize::from(bits == png::BitDepth::Sixteen),
                     next: 0,
+                    row: Vec::new(),
                 });
             }
         }
@@ -124,6 +127,7 @@ impl Rows {
             depth: usize::from(image.color().bytes_per_pixel()) / channels,
             pixels: Pixels::Whole(image),
             next: 0,
+            row: Vec::new(),
         }
     }
 
@@ -132,11 +136,11 @@ impl Rows {
         matches!(self.channels, 2 | 4)
     }
 
-    /// The values of the next row, 0 to 255, interleaved in the file's channels; 16-bit values keep their fractions.
+    /// Takes the values of the next row, 0 to 255, interleaved in the file's channels; 16-bit values keep their fractions.
     ///
     /// # Errors
     /// The file ends before the row does, or is damaged there.
-    fn next(&mut self) -> Result<Vec<f32>> {
+    fn next(&mut self) -> Result<()> {
         let length = self.size[0] as usize * self.channels * self.depth;
         let start = self.next * length;
         self.next += 1;
@@ -156,15 +160,16 @@ impl Rows {
         let Some(bytes) = found.and_then(|row| row.get(..length)) else {
             return Err(unreadable(&self.file, &"a row is missing"));
         };
-        Ok(match self.depth {
-            1 => bytes.iter().map(|v| f32::from(*v)).collect(),
+        self.row.clear();
+        match self.depth {
+            1 => self.row.extend(bytes.iter().map(|v| f32::from(*v))),
             _ => {
                 let words = bytes.chunks_exact(2);
-                words
-                    .map(|b| f32::from(word([b[0], b[1]])) / WORDS)
-                    .collect()
+                let value = |b: &[u8]| f32::from(word([b[0], b[1]])) / WORDS;
+                self.row.extend(words.map(value));
             }
-        })
+        }
+        Ok(())
     }
 
     /// Writes the next row into `out`, interleaved RGB, or RGBA if `out` has 4 channels; what has no alpha is opaque.
@@ -172,9 +177,13 @@ impl Rows {
     /// # Errors
     /// Those of [`Self::next`].
     pub fn colors(&mut self, out: &mut [f32]) -> Result<()> {
-        let row = self.next()?;
+        self.next()?;
         let to = out.len() / self.size[0] as usize;
-        let pixels = row.chunks_exact(self.channels);
+        if self.channels == to {
+            out.copy_from_slice(&self.row);
+            return Ok(());
+        }
+        let pixels = self.row.chunks_exact(self.channels);
         for (pixel, out) in pixels.zip(out.chunks_exact_mut(to.max(1))) {
             let [r, g, b, a] = match *pixel {
                 [l] => [l, l, l, 255.0],
@@ -195,7 +204,7 @@ impl Rows {
     /// # Errors
     /// Those of [`Self::next`].
     pub fn brightness(&mut self) -> Result<Vec<f32>> {
-        let row = self.next()?;
+        self.next()?;
         let luma = |pixel: &[f32]| match *pixel {
             [r, g, b, ..] => {
                 let [r, g, b] = [r, g, b].map(|v| v.round() as u32);
@@ -203,7 +212,7 @@ impl Rows {
             }
             _ => pixel.first().map_or(0.0, |v| v.round()),
         };
-        Ok(row.chunks_exact(self.channels).map(luma).collect())
+        Ok(self.row.chunks_exact(self.channels).map(luma).collect())
     }
 }
 
