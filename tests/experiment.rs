@@ -272,7 +272,7 @@ fn runs_of_other_options_and_folders_of_others_are_refused() {
         .unwrap_err()
         .to_string();
     assert!(
-        refused.contains("no such folder (scene b)") && refused.contains("--data"),
+        refused.contains("no such folder or zip archive (scene b)") && refused.contains("--data"),
         "{refused}"
     );
 }

@@ -122,7 +122,7 @@ fn what_training_finds_is_told() {
     assert!(decisions[0].to_string().contains("12 removed"));
     assert!(plan.learn(&learned).is_empty(), "learned once");
     let after = PlanRecord::of(&plan);
-    let unseen = "Gaussians that no training view shows";
+    let unseen = "whatever no training view shows";
     assert!(
         verdict(&after, unseen)
             .unwrap_err()

@@ -160,7 +160,11 @@ fn no_dataset(path: &Path) -> Error {
         };
     }
     if !path.exists() {
-        return Error::input(path, "no such folder", "check that the path is right");
+        return Error::input(
+            path,
+            "no such folder or zip archive",
+            "check that the path is right",
+        );
     }
     if let Some(error) = several(path) {
         return error;

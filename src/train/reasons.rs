@@ -90,7 +90,7 @@ impl fmt::Display for Part {
             Self::HeldOut => "held-out evaluation",
             Self::SparsePoints => "initial Gaussians from sparse points",
             Self::RemoveUnseen => "removal of Gaussians that no training view shows",
-            Self::Unseen => "Gaussians that no training view shows",
+            Self::Unseen => "whatever no training view shows",
         })
     }
 }
