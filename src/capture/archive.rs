@@ -15,6 +15,9 @@ use rawzip::{
 use crate::base::error::{Error, Result};
 use crate::base::files::check_regular;
 
+/// Beginning of the remedy for a folder of several datasets.
+pub(super) const ONE_OF_THEM: &str = "give one of them";
+
 /// Remedy for an archive that cannot be read.
 const PACK: &str = "pack it again as a plain zip archive, or unpack it and give the folder";
 
@@ -87,7 +90,10 @@ impl Unpacked {
             Error::Input { path, what, fix } => Error::Input {
                 path: named(path),
                 what: said(what),
-                fix: said(fix),
+                fix: match fix.starts_with(ONE_OF_THEM) {
+                    true => "unpack it and give one of its folders, or pack one alone".into(),
+                    false => said(fix),
+                },
             },
             Error::Config { option, what } => Error::Config {
                 option,
@@ -200,14 +206,15 @@ impl<'a> Reader<'a> {
             Component::CurDir => true,
             _ => false,
         };
-        if !path.components().all(plain) || path.file_name().is_none() {
+        let folder = name.ends_with(['/', '\\']);
+        if !path.components().all(plain) || (path.file_name().is_none() && !folder) {
             return refused("leads out of the archive or is no name of a file");
         }
         // Kinds of files on Unix: 0o100000 is a file, 0o040000 a folder.
         if !matches!(record.mode().value() & 0o170_000, 0 | 0o100_000 | 0o040_000) {
             return refused("is a symbolic link or a device; files expected");
         }
-        if name.ends_with(['/', '\\']) || path.starts_with("__MACOSX") {
+        if folder || path.starts_with("__MACOSX") {
             return Ok(None);
         }
         let flags = record.flags();

@@ -10,8 +10,14 @@ use crate::capture::assemble::{is_photo, locate};
 /// Levels of folders that are searched for photos.
 const DEPTH: usize = 5;
 
-/// Beginnings of the names of folders that have a picture for each photo, by the same file name, that is none.
+/// Names of folders that have a picture for each photo, by the same file name, that is none; with an `s` or more after an underscore, too.
 const NO_PHOTOS: [&str; 5] = ["mask", "depth", "normal", "semantic", "segmentation"];
+
+/// True for a folder of pictures that are no photos, by its name in lower case.
+fn has_no_photos(name: &str) -> bool {
+    let first = name.split(['_', '-']).next().unwrap_or_default();
+    NO_PHOTOS.contains(&first.strip_suffix('s').unwrap_or(first))
+}
 
 /// A folder of photos, and the dataset around it.
 pub(super) struct Images<'a> {
@@ -138,8 +144,7 @@ impl Index {
                 continue;
             }
             if path.is_dir() {
-                let others = NO_PHOTOS.iter().any(|start| name.starts_with(start));
-                if depth > 1 && !others {
+                if depth > 1 && !has_no_photos(&name) {
                     self.add(&path, depth - 1);
                 }
             } else if is_photo(&path)

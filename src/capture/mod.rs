@@ -17,6 +17,7 @@ pub mod source;
 pub mod transforms;
 mod up;
 
+use crate::capture::archive::ONE_OF_THEM;
 pub use crate::capture::archive::is_archive;
 pub use crate::capture::camera::Camera;
 pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
@@ -131,7 +132,7 @@ fn several(path: &Path) -> Option<Error> {
             names.join(", ")
         ),
     };
-    let fix = format!("give one of them, like {}", first.display());
+    let fix = format!("{ONE_OF_THEM}, like {}", first.display());
     Some(Error::input(path, what, fix))
 }
 

@@ -169,7 +169,7 @@ pub fn colors(alpha: Alpha, planes: &[u8], background: [f32; 3]) -> [Vec<f32>; 3
 /// premultiplied by alpha before averaging. `bytes` is interleaved with straight alpha; sums are f32, rounded once.
 ///
 /// # Errors
-/// Those of [`Shrink::new`]; bytes of another number than the source has.
+/// A target of 0 pixels or one larger than the source; bytes of another number than the source has.
 pub fn shrink(
     width: u32,
     height: u32,

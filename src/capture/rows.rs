@@ -131,6 +131,11 @@ impl Rows {
         }
     }
 
+    /// True if the whole photo is in memory.
+    pub fn is_whole(&self) -> bool {
+        matches!(self.pixels, Pixels::Whole(_))
+    }
+
     /// True if pixels may be transparent.
     pub fn has_alpha(&self) -> bool {
         matches!(self.channels, 2 | 4)

@@ -329,16 +329,21 @@ impl PhotoFile {
     ) -> Result<Photo> {
         let target = [undistortion.target.width, undistortion.target.height];
         let pixels = |[w, h]: [u32; 2]| u64::from(w) * u64::from(h);
-        let bytes = (pixels(source.rows.size) + pixels(target)) * source.channels as u64;
+        let channels = source.channels;
+        let from = pixels(source.rows.size) * channels as u64;
+        // A photo that is decoded as a whole is there beside what is taken from it, and gone before the rest.
+        let decoded = if source.rows.is_whole() { from } else { 0 };
+        let bytes = from + decoded.max(pixels(target) * channels as u64);
         let part = "the photo has lens distortion, which is removed at its full size: this";
         let fix = "scale the photo down, undistort it first, or use a machine with more memory";
         check_memory(&self.path, bytes, part, fix)?;
-        let mut whole = Vec::new();
+        let mut whole = Vec::with_capacity(from as usize);
         source.each(|row| whole.extend(row.iter().map(|v| v.round() as u8)))?;
-        let bytes = undistortion.apply(&whole, source.channels);
+        drop(source);
+        let bytes = undistortion.apply(&whole, channels);
         drop(whole);
         let mut small = Shrink::new(target, [self.width, self.height], meaning)?;
-        let row = target[0] as usize * source.channels;
+        let row = target[0] as usize * channels;
         for row in bytes.chunks_exact(row.max(1)) {
             let row: Vec<f32> = row.iter().map(|v| f32::from(*v)).collect();
             small.row(&row);
@@ -351,20 +356,22 @@ impl PhotoFile {
     /// # Errors
     /// Those of [`PhotoSource::load`].
     pub(crate) fn load(&self) -> Result<Photo> {
-        let photo = self.decoded().map_err(|error| match &self.unpacked {
-            Some(unpacked) => unpacked.explained(error),
-            None => error,
-        })?;
+        let photo = self.decoded().map_err(|error| self.explained(error))?;
         Ok(photo.with_alpha(self.alpha))
     }
 
     /// The error of a decoder that failed without a reason.
     pub(crate) fn undecodable(&self) -> Error {
-        Error::input(
-            &self.path,
-            "the decoder failed on it",
-            "replace the file and start again",
-        )
+        let fix = "replace the file and start again";
+        self.explained(Error::input(&self.path, "the decoder failed on it", fix))
+    }
+
+    /// The same error, about the archive if the photo comes from one.
+    fn explained(&self, error: Error) -> Error {
+        match &self.unpacked {
+            Some(unpacked) => unpacked.explained(error),
+            None => error,
+        }
     }
 }
 

@@ -146,9 +146,17 @@ fn read_dataset(
     config.max_size = options.max_size.unwrap_or(config.max_size);
     config.test_every = options.test_every.unwrap_or(config.test_every);
     config.image_budget = None;
-    // A dataset in another place may have no such folder: then its own photos are meant.
-    let there = |images: &PathBuf| path.join(images).is_dir() || images.is_dir();
-    config.images = options.images.clone().or(config.images.filter(there));
+    // A dataset in another place may have no such folder: then its own photos are meant. What an archive has is seen later.
+    let there = |images: &PathBuf| !path.is_dir() || path.join(images).is_dir() || images.is_dir();
+    let of_record = config.images.take();
+    if let Some(images) = of_record.as_ref().filter(|images| !there(images)) {
+        let what = format!(
+            "the run had the photos of {}, which is not there",
+            images.display()
+        );
+        output::note(&format!("{what}: those of the dataset are taken"));
+    }
+    config.images = options.images.clone().or(of_record.filter(there));
     config.alpha_is_mask |= options.alpha_is_mask;
     config.invert_masks |= options.invert_masks;
     let load = LoadOptions {

@@ -223,7 +223,15 @@ fn new_config(args: &TrainArgs) -> Result<TrainConfig> {
         config.lengths.clear();
         (config.time_budget, config.budget_cpu) = (None, None);
     }
-    args.options.over(config)
+    let mut config = args.options.over(config)?;
+    if let (Some(dataset), Some(images)) = (&args.dataset, &config.images) {
+        // A folder outside of the dataset is named as from here; in an archive there may be one of the name.
+        let outside = dataset.is_dir() && !dataset.join(images).is_dir() && images.is_dir();
+        if outside {
+            config.images = std::path::absolute(images).ok().or(config.images);
+        }
+    }
+    Ok(config)
 }
 
 /// Returns the configuration of a file, and true if that says how long the run is.

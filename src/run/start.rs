@@ -148,15 +148,8 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
         let sides = dataset.train.iter().map(|v| side(&v.camera));
         sides.max().unwrap_or(0)
     };
-    let mut config = plan.config.clone();
-    // A folder outside of the dataset is named as from here.
-    let outside = |images: &PathBuf| !dataset.path.join(images).is_dir();
-    config.images = config.images.map(|images| match outside(&images) {
-        true => std::path::absolute(&images).unwrap_or(images),
-        false => images,
-    });
     RunRecord::new(
-        config,
+        plan.config.clone(),
         DatasetRecord {
             path: absolute(&dataset.path),
             layout: dataset.layout.to_string(),

@@ -160,7 +160,7 @@ pub enum Why {
     EstimatedIn(u32),
     /// The noise moves faint Gaussians.
     NoiseMovesFaint,
-    /// Views rendered for each density step, and the share of births on surfaces.
+    /// Views rendered for each density step, the weight of surfaces, and true if the views have to agree about them.
     PixelViews(u32, f64, bool),
     /// Transparent photos have no exposure transforms.
     NoCameraSawBackground,

@@ -194,5 +194,20 @@ fn a_run_keeps_the_place_of_photos_that_are_elsewhere() {
     assert!(output.status.success(), "{}", stderr(&output));
     let record = mhsplat::RunRecord::read(&run).unwrap();
     assert_eq!(record.config.images, Some(photos));
+    // The same command again is the same run.
+    let again = std::process::Command::new(env!("CARGO_BIN_EXE_mhsplat"))
+        .args([
+            "train",
+            text(dir.path()),
+            "-o",
+            text(&run),
+            "--iterations",
+            "1",
+        ])
+        .args(["--images", "photos", "-q", "--resume-or-start"])
+        .current_dir(elsewhere.path())
+        .output()
+        .unwrap();
+    assert!(again.status.success(), "{}", stderr(&again));
     done(&["eval", text(&run), "--json"]);
 }

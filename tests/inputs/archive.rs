@@ -194,6 +194,17 @@ fn photos_on_demand_keep_the_folder_and_its_end_removes_it() {
     assert!(output.status.success(), "{}", stderr(&output));
     assert!(String::from_utf8_lossy(&output.stdout).contains("photos.zip: colmap-bin"));
     assert_eq!(left(&temporary), 0);
+    let mut command = program();
+    let run = dir.path().join("run");
+    command
+        .env("TMPDIR", &temporary)
+        .args(["train", text(&path), "-o", text(&run)]);
+    let output = command
+        .args(["--iterations", "2", "--image-budget", "1200", "-q"])
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(left(&temporary), 0);
     let mut entries = of_folder(scene.path(), "");
     entries.retain(|e| !e.name.ends_with("cameras.bin"));
     let output = info(&written(&dir, &entries));
@@ -234,6 +245,50 @@ fn a_run_takes_the_archive_for_the_folder() {
     let output = mhsplat(&["eval", text(&run)]);
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("not there any more"));
+}
+
+/// Names that begin with a dot and a slash, as `bsdtar` writes them, and smaller photos in the archive.
+#[test]
+fn an_archive_may_name_the_present_folder_and_has_the_folder_of_images() {
+    let (scene, dir) = (
+        colmap_scene(6, DVec3::ZERO, true),
+        tempfile::tempdir().unwrap(),
+    );
+    let mut entries = of_folder(scene.path(), "./");
+    entries.push(Entry {
+        method: 0,
+        mode: 0o040_755,
+        ..entry("./", b"")
+    });
+    for e in &mut entries {
+        e.name = e.name.replace("./images/", "./images_2/");
+    }
+    let path = written(&dir, &entries);
+    assert_eq!(load_every(&path, 0).unwrap().train.len(), 6);
+    let run = dir.path().join("run");
+    let done = |args: &[&str]| {
+        let output = mhsplat(args);
+        assert!(output.status.success(), "{args:?}: {}", stderr(&output));
+    };
+    let begin = [
+        "train",
+        text(&path),
+        "-o",
+        text(&run),
+        "--images",
+        "images_2",
+    ];
+    done(&[&begin[..], &["--iterations", "2", "-q"]].concat());
+    let record = mhsplat::RunRecord::read(&run).unwrap();
+    assert_eq!(record.config.images, Some("images_2".into()));
+    done(&["eval", text(&run)]);
+    done(&["train", "--resume", text(&run), "--extend", "1s", "-q"]);
+    let two: Vec<Entry> = ["a/", "b/"]
+        .iter()
+        .flat_map(|top| of_folder(scene.path(), top))
+        .collect();
+    let words = ["photos.zip", "2 folders", "unpack it"];
+    assert_refused(load_every(&written(&dir, &two), 0), &words);
 }
 
 #[test]
@@ -316,7 +371,7 @@ fn damaged_archives_are_refused_or_read() {
     for n in (0..whole.len()).step_by(7) {
         assert_refused(read(&whole[..n]), &["photos.zip"]);
     }
-    // Any byte of the directory and its end may be wrong: nothing panics, and what is read is the same or refused.
+    // Any byte of the directory and its end may be wrong: nothing panics, and a refusal names the archive.
     let directory = whole.len() - 22 - number(&whole, whole.len() - 10) as usize;
     for at in directory..whole.len() {
         for value in [0, 0xff] {

@@ -17,7 +17,7 @@ use crate::viewer::browser::headless;
 /// Longest time for a page to be operated.
 const PATIENCE: Duration = Duration::from_secs(180);
 
-/// What scripts are written with: `check` notes a fault, `until` waits for something on the page, `keep` hands over a picture of the canvas.
+/// Functions for scripts: `check` notes a fault, `until` waits for something on the page, `keep` hands over a picture of the canvas.
 const WORDS: &str = r#"
 const faults = [], pause = (ms) => new Promise((r) => setTimeout(r, ms));
 const post = (path, body) => fetch(path, { method: 'POST', body });

@@ -95,7 +95,8 @@ def train(dataset, output, **options):
     `sh_degree=2` is `--sh-degree 2`; `True` gives the option alone, `False` and `None` leave it out, a list repeats it.
     Messages of the program go to standard error. Raises `Error` where it fails.
     """
-    command("train", dataset, output=output, **options)
+    # A run whose Python has gone ends with a checkpoint.
+    command("train", dataset, output=output, until_stdin_ends=True, **options)
     return Run(output)
 
 
@@ -137,6 +138,7 @@ def _run(words):
     # In a session of its own it has an interrupt once, from here, and not from the terminal as well: a second one ends it at once.
     with subprocess.Popen(
         words,
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         encoding="utf-8",
@@ -155,8 +157,12 @@ def _run(words):
         except KeyboardInterrupt:
             # The program saves a checkpoint before it ends.
             child.send_signal(signal.SIGINT)
-            sys.stderr.writelines(child.stderr)
-            child.wait()
+            try:
+                sys.stderr.writelines(child.stderr)
+                child.wait()
+            except KeyboardInterrupt:
+                # A second one does not wait for it.
+                child.send_signal(signal.SIGINT)
             raise
     if code != 0:
         raise Error(code, "".join(last).strip() or f"mhsplat ended with exit code {code}")

@@ -7,6 +7,7 @@ use serde::{Deserialize, Deserializer};
 use toml::{Table, Value};
 
 use crate::base::error::{Error, Result};
+use crate::capture::is_archive;
 use crate::config::{TrainConfig, deserialize, parse_duration};
 use crate::lab::compare::thresholds;
 
@@ -155,11 +156,15 @@ impl Experiment {
     /// # Errors
     /// The first such scene.
     pub fn check_scenes(&self) -> Result<()> {
-        match self.scenes.iter().find(|s| !s.path.is_dir()) {
+        match self
+            .scenes
+            .iter()
+            .find(|s| !(s.path.is_dir() || is_archive(&s.path)))
+        {
             None => Ok(()),
             Some(scene) => Err(Error::input(
                 &scene.path,
-                format!("no such folder (scene {})", scene.name),
+                format!("no such folder or zip archive (scene {})", scene.name),
                 "scenes are looked for beside the file, or below --data DIR",
             )),
         }

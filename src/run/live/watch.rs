@@ -19,7 +19,7 @@ use crate::train::Trainer;
 /// Share of the time of training that pictures take at most, as long as one takes less than a second. Encoding and sending them takes as long again on another core.
 const SHARE: f64 = 0.025;
 
-/// Longest time without a picture, whatever the last one took: who asks waits no longer than a minute.
+/// Longest time without a picture, whatever the last one took: whoever asks alone has an answer within a minute.
 const MOST_REST: Duration = Duration::from_secs(30);
 
 /// Time between two points of the loss.

@@ -182,8 +182,8 @@ fn plan(out: &mut String, plan: &PlanRecord) {
     out.push('\n');
 }
 
-/// Says which scene file the run began with, and leads to the report of the run that the file is of, if both were named relative to
-/// one place.
+/// Says which scene file the run began with, and leads to the report of the run that the file is of, if its path is relative and leads
+/// there from the present folder.
 fn origin(out: &mut String, record: &RunRecord, run_dir: &Path) {
     let Init::File(file) = &record.config.init else {
         return;
