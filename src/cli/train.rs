@@ -205,7 +205,7 @@ fn config(args: &TrainArgs, resume: Option<&Path>) -> Result<TrainConfig> {
             ));
         }
     }
-    args.options.over(saved)
+    with_options(args, saved)
 }
 
 /// Returns the defaults or those of a file, with the typed flags in their place.
@@ -223,9 +223,14 @@ fn new_config(args: &TrainArgs) -> Result<TrainConfig> {
         config.lengths.clear();
         (config.time_budget, config.budget_cpu) = (None, None);
     }
+    with_options(args, config)
+}
+
+/// Returns `config` with the typed flags in place of its own values. A folder of photos outside of the dataset has its whole path.
+fn with_options(args: &TrainArgs, config: TrainConfig) -> Result<TrainConfig> {
     let mut config = args.options.over(config)?;
     if let (Some(dataset), Some(images)) = (&args.dataset, &config.images) {
-        // A folder outside of the dataset is named as from here; in an archive there may be one of the name.
+        // An archive may have a folder of the name.
         let outside = dataset.is_dir() && !dataset.join(images).is_dir() && images.is_dir();
         if outside {
             config.images = std::path::absolute(images).ok().or(config.images);
