@@ -8,7 +8,7 @@ use serde_json::json;
 use tempfile::TempDir;
 
 use super::{assert_refused, colmap_scene, load_every, ring};
-use crate::cli::{done, mhsplat, stderr, text};
+use crate::cli::{done, mhsplat, program, stderr, text};
 use mhsplat::capture::transforms::write_transforms;
 use mhsplat::capture::{Dataset, LoadOptions, load};
 
@@ -178,36 +178,20 @@ fn a_run_keeps_the_place_of_photos_that_are_elsewhere() {
     let photos = elsewhere.path().join("photos");
     fs::rename(dir.path().join("images"), &photos).unwrap();
     let run = dir.path().join("run");
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_mhsplat"))
-        .args([
-            "train",
-            text(dir.path()),
-            "-o",
-            text(&run),
-            "--iterations",
-            "1",
-        ])
-        .args(["--images", "photos", "-q"])
-        .current_dir(elsewhere.path())
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", stderr(&output));
+    let train = |more: &[&str]| {
+        let output = program()
+            .args(["train", text(dir.path()), "-o", text(&run)])
+            .args(["--iterations", "1", "--images", "photos", "-q"])
+            .args(more)
+            .current_dir(elsewhere.path())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", stderr(&output));
+    };
+    train(&[]);
     let record = mhsplat::RunRecord::read(&run).unwrap();
     assert_eq!(record.config.images, Some(photos));
     // The same command again is the same run.
-    let again = std::process::Command::new(env!("CARGO_BIN_EXE_mhsplat"))
-        .args([
-            "train",
-            text(dir.path()),
-            "-o",
-            text(&run),
-            "--iterations",
-            "1",
-        ])
-        .args(["--images", "photos", "-q", "--resume-or-start"])
-        .current_dir(elsewhere.path())
-        .output()
-        .unwrap();
-    assert!(again.status.success(), "{}", stderr(&again));
+    train(&["--resume-or-start"]);
     done(&["eval", text(&run), "--json"]);
 }

@@ -157,6 +157,22 @@ fn a_surface_of_zero_leaves_what_is_opaque_alone() {
     assert!(share(0.3) > 0.0 && share(0.3) < share(1.0));
 }
 
+/// Numbers of births at the opaque half of the first picture, whose surface is 5 away, and at the empty half.
+fn halves(pixel_tolerance: f64, pictures: &[Picture]) -> (usize, usize) {
+    let at = StepContext {
+        pictures,
+        ..context(700, 0.0, 1)
+    };
+    let config = MhConfig {
+        pixel_tolerance,
+        ..config()
+    };
+    let outcome = step(&config, &at);
+    let births = outcome.edits.iter().filter(|e| e.dst >= 500).map(seen);
+    let (left, right): (Vec<_>, Vec<_>) = births.partition(|b| b[0] < 20.0);
+    (left.len(), right.len())
+}
+
 /// A birth on a surface needs another view that shows the surface, and none that sees through it.
 #[test]
 fn views_have_to_agree_about_a_surface() {
@@ -168,22 +184,12 @@ fn views_have_to_agree_about_a_surface() {
         other.depth.fill(depth);
         other
     };
-    // Births at the opaque half, whose surface is 5 away, and at the empty half.
     let births = |pixel_tolerance: f64, others: &[f32]| {
-        let mut pictures = vec![picture()];
-        pictures.extend(others.iter().map(|depth| aside(*depth)));
-        let at = StepContext {
-            pictures: &pictures,
-            ..context(700, 0.0, 1)
-        };
-        let config = MhConfig {
+        let others = others.iter().map(|depth| aside(*depth));
+        halves(
             pixel_tolerance,
-            ..config()
-        };
-        let outcome = step(&config, &at);
-        let births = outcome.edits.iter().filter(|e| e.dst >= 500).map(seen);
-        let (left, right): (Vec<_>, Vec<_>) = births.partition(|b| b[0] < 20.0);
-        (left.len(), right.len())
+            &[picture()].into_iter().chain(others).collect::<Vec<_>>(),
+        )
     };
     let unasked = |others: &[f32]| {
         let (left, right) = births(0.0, others);
@@ -208,36 +214,15 @@ fn views_have_to_agree_about_a_surface() {
     }
     // What a mask hides speaks neither for nor against it.
     let hidden = |depths: &[f32]| {
-        let mut pictures = vec![picture()];
-        pictures.extend(depths.iter().map(|depth| aside(*depth)));
+        let others = depths.iter().map(|depth| aside(*depth));
+        let mut pictures: Vec<_> = [picture()].into_iter().chain(others).collect();
         pictures[1].masked = vec![true; SIZE[0] * SIZE[1]];
-        let at = StepContext {
-            pictures: &pictures,
-            ..context(700, 0.0, 1)
-        };
-        let asks = MhConfig {
-            pixel_tolerance: 0.1,
-            ..config()
-        };
-        let outcome = step(&asks, &at);
-        let births = outcome.edits.iter().filter(|e| e.dst >= 500).map(seen);
-        births.filter(|b| b[0] < 20.0).count()
+        halves(0.1, &pictures).0
     };
     assert_eq!(hidden(&[5.0]), 0);
     assert_eq!(hidden(&[8.0, 5.0]), births(0.1, &[5.0, 5.0]).0);
     // A view does not confirm itself.
-    let pictures = [picture(), picture()];
-    let at = StepContext {
-        pictures: &pictures,
-        ..context(700, 0.0, 1)
-    };
-    let asks = MhConfig {
-        pixel_tolerance: 0.1,
-        ..config()
-    };
-    let outcome = step(&asks, &at);
-    let mut births = outcome.edits.iter().filter(|e| e.dst >= 500).map(seen);
-    assert!(births.all(|b| b[0] >= 20.0));
+    assert_eq!(halves(0.1, &[picture(), picture()]).0, 0);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::process::Command;
 use glam::DVec3;
 use tempfile::TempDir;
 
-use crate::cli::{mhsplat, program, stderr, text};
+use crate::cli::{done, mhsplat, program, stderr, text};
 use crate::dataset::{assert_refused, colmap_scene, load_every};
 use mhsplat::capture::{LoadOptions, PhotoSource, load};
 
@@ -226,10 +226,6 @@ fn a_run_takes_the_archive_for_the_folder() {
     );
     let path = written(&dir, &of_folder(scene.path(), "top/"));
     let run = dir.path().join("run");
-    let done = |args: &[&str]| {
-        let output = mhsplat(args);
-        assert!(output.status.success(), "{args:?}: {}", stderr(&output));
-    };
     done(&["train", text(&path), "-o", text(&run), "--iterations", "2"]);
     let record = fs::read_to_string(run.join("run.json")).unwrap();
     let record: serde_json::Value = serde_json::from_str(&record).unwrap();
@@ -266,10 +262,6 @@ fn an_archive_may_name_the_present_folder_and_has_the_folder_of_images() {
     let path = written(&dir, &entries);
     assert_eq!(load_every(&path, 0).unwrap().train.len(), 6);
     let run = dir.path().join("run");
-    let done = |args: &[&str]| {
-        let output = mhsplat(args);
-        assert!(output.status.success(), "{args:?}: {}", stderr(&output));
-    };
     let begin = [
         "train",
         text(&path),
