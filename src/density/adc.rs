@@ -226,8 +226,8 @@ impl DensityControl for Adaptive {
             rows: dst as usize,
             logit_limit: context.resets_opacity.then(|| logit(limit) as f32),
             removed,
-            births: Vec::new(),
             stats,
+            ..Outcome::default()
         })
     }
 }

@@ -102,6 +102,8 @@ pub struct Outcome {
     pub removed: Vec<u32>,
     /// Accepted births with what decided on them (mh), in the order of their rows.
     pub births: Vec<BirthRecord>,
+    /// Importance I of each row after the edits, that of its source where it was written (mh) \[rows\]; empty otherwise.
+    pub importance: Vec<f64>,
     /// Counters of this step.
     pub stats: DensityStats,
 }

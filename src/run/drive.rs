@@ -175,7 +175,7 @@ impl Run {
         let rows: Vec<MetricsRow> = read_rows(self.dir.join(METRICS_FILE))?;
         let training = self.trainer.training_views(usize::MAX);
         let views = self.exports.views.clone();
-        self.trainer.note_births();
+        self.trainer.note_density();
         self.watch = Some(Watch::new(server, views, training, &rows));
         Ok(())
     }

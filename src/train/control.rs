@@ -19,6 +19,7 @@ use crate::pipeline::stage::{noise, screen_grad};
 use crate::scene::{Plane, morton};
 use crate::train::estimates::{Context, Estimates};
 use crate::train::gaussians::{GaussianState, Geometry};
+use crate::train::noted::Noted;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
 use crate::train::smoothing::Smoothing;
@@ -68,8 +69,8 @@ pub struct Control {
     pub stats: DensityStats,
     /// Fate of every Gaussian, if the configuration asks for it.
     pub trace: Option<DensityTrace>,
-    /// Rows of the last step's births; `None` if nobody asks for them.
-    pub born: Option<Vec<u32>>,
+    /// Findings of the last step; `None` if nobody asks for them.
+    pub noted: Option<Noted>,
     /// Time of the steps on the host, with their transfers and edits.
     pub time: StageTime,
 }
@@ -104,7 +105,7 @@ impl Control {
             schedule: Schedule::new(&plan.config),
             stats: DensityStats::default(),
             trace: None,
-            born: None,
+            noted: None,
             time: StageTime::default(),
         })
     }
@@ -212,12 +213,9 @@ impl Control {
             let logits = geometry.plane(Plane::OPACITY);
             trace.step(iteration, logits, &outcome, order.as_deref());
         }
-        if let Some(born) = &mut self.born {
-            *born = births(
-                &outcome,
-                geometry.plane(Plane::OPACITY).len(),
-                order.as_deref(),
-            );
+        if let Some(noted) = &mut self.noted {
+            let before = geometry.plane(Plane::OPACITY).len();
+            *noted = Noted::new(&outcome, before, order.as_deref());
         }
         self.apply(&mut on, &outcome, order.as_deref())?;
         on.device.finish()?;
@@ -448,17 +446,4 @@ fn picture(
         transmittance: render.transmittance,
         masked,
     })
-}
-
-/// Rows of the births of a step once it has been applied: rows from `before` on are new, and `order` has those that stay.
-fn births(outcome: &Outcome, before: usize, order: Option<&[u32]>) -> Vec<u32> {
-    let new = before as u32..outcome.rows as u32;
-    match order {
-        None => new.collect(),
-        Some(order) => {
-            let places = (0u32..).zip(order);
-            let born = places.filter(|(_, row)| new.contains(row));
-            born.map(|(place, _)| place).collect()
-        }
-    }
 }

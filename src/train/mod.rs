@@ -6,6 +6,7 @@ pub mod estimates;
 mod exposure;
 mod finish;
 pub mod gaussians;
+mod noted;
 mod observe;
 mod optimizer;
 pub mod plan;
@@ -19,6 +20,7 @@ pub mod trace;
 pub mod views;
 
 pub use control::DensityEvent;
+pub use noted::Noted;
 pub use plan::{Learned, Plan};
 pub use state::TrainerState;
 pub use step::{Event, Next, Trainer};

@@ -1,7 +1,10 @@
 //! Everything that can be asked of a trainer between iterations.
 
-use crate::base::error::Result;
+use crate::base::error::{Error, Result};
 use crate::capture::Camera;
+use crate::config::Sampler;
+use crate::density::mh::lerp;
+use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::{Candidate, DensityStats};
 use crate::device::tuning::Tuning;
 use crate::device::{Array, StageTime};
@@ -11,16 +14,13 @@ use crate::pipeline::photos::PhotoStats;
 use crate::scene::sh::C0;
 use crate::scene::{Gaussians, Plane};
 use crate::train::control::Working;
+use crate::train::noted::Noted;
 use crate::train::plan::{Learned, Plan};
 use crate::train::schedule::Schedule;
 use crate::train::step::{LOSS_RING, Trainer};
 
 /// Largest number of views over which the loss is taken if every iteration has a background of its own.
 const MAX_LOSS_VIEWS: usize = 32;
-
-/// Colour of births where they are marked, RGB, and the brightness of everything else.
-const BORN: [f32; 3] = [1.0, 0.85, 0.1];
-const DIM: f32 = 0.4;
 
 impl Trainer {
     /// Mean total loss without the regularisers, (1 − λ)·L1 + λ·(1 − SSIM), over the last iterations (at most 256, and no
@@ -199,51 +199,90 @@ impl Trainer {
         Ok(most.max(2 * self.counters.max_intersections))
     }
 
-    /// Has the rows of births noted from now on.
-    pub fn note_births(&mut self) {
-        self.control.born.get_or_insert_default();
+    /// Has the findings of density steps noted from now on.
+    pub fn note_density(&mut self) {
+        self.control.noted.get_or_insert_default();
     }
 
-    /// Rows of the births of the last density step; empty unless they are noted.
+    /// Findings of the last density step; `None` unless they are noted.
     #[must_use]
-    pub fn births(&self) -> &[u32] {
-        self.control.born.as_deref().unwrap_or_default()
+    pub fn noted(&self) -> Option<&Noted> {
+        self.control.noted.as_ref()
     }
 
-    /// Renders the Gaussians dark and grey, the births of the last density step bright, as [`Trainer::glimpse`] does: from a copy without
-    /// SH bands.
+    /// Number of Gaussians in the voxel of each Gaussian, as the sparsity prior of a birth would count them now \[N\]; `None` for a
+    /// sampler without such a prior.
     ///
     /// # Errors
-    /// See [`Renderer::image_within`].
-    pub fn glimpse_births(&mut self, camera: &Camera, most: usize) -> Result<Rendered> {
+    /// The driver's.
+    pub fn voxel_counts(&mut self) -> Result<Option<Vec<u32>>> {
+        self.settle()?;
+        let config = &self.plan.config;
+        if config.sampler != Sampler::Mh {
+            return Ok(None);
+        }
+        let scene = &self.gaussians.scene;
+        let [x, y, z] = [0, 1, 2].map(|k| scene.plane(Plane::POSITION + k));
+        let (x, y, z) = (x?, y?, z?);
+        let cameras: Vec<[f32; 3]> = self.views.set.cameras.iter().map(|c| c.center).collect();
+        let edge = lerp(
+            config.mh.voxel_edge,
+            self.schedule.density_progress(self.iteration),
+        );
+        let lattice = Lattice::growing(edge, config.mh.voxel_growth_from, &cameras);
+        let counts = VoxelCounts::count_where([&x, &y, &z], lattice, |_| true);
+        let position = |i: usize| [x[i], y[i], z[i]].map(f64::from);
+        let count = |i: usize| counts.get(position(i));
+        Ok(Some((0..scene.count).map(count).collect()))
+    }
+
+    /// Brightness of each Gaussian from any direction, the mean of its red, green and blue \[N\].
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn brightness(&mut self) -> Result<Vec<f32>> {
+        self.settle()?;
+        let scene = &self.gaussians.scene;
+        let [red, green, blue] = [0, 1, 2].map(|c| scene.plane(Plane::SH + c));
+        let (red, green, blue) = (red?, green?, blue?);
+        let sum = |i: usize| red[i] + green[i] + blue[i];
+        let grey = |i: usize| 0.5 + C0 as f32 * sum(i) / 3.0;
+        Ok((0..scene.count).map(grey).collect())
+    }
+
+    /// Renders the Gaussians in other colours, RGB in \[0, 1\] \[N\], as [`Trainer::glimpse`] does: from a copy without SH bands.
+    ///
+    /// # Errors
+    /// See [`Renderer::image_within`]; another number of colours.
+    pub fn glimpse_colored(
+        &mut self,
+        camera: &Camera,
+        colors: &[[f32; 3]],
+        most: usize,
+    ) -> Result<Rendered> {
         let most = self.before_a_look(most)?;
-        let marked = self.marked_births();
+        let colored = self.colored(colors);
         let options = RenderOptions::default();
         let forward = &mut self.pipeline.forward;
-        let image = marked.and_then(|scene| forward.image_within(&scene, camera, &options, most));
+        let image = colored.and_then(|scene| forward.image_within(&scene, camera, &options, most));
         self.device.forget_launches();
         image
     }
 
-    fn marked_births(&self) -> Result<GaussianBuffers> {
+    fn colored(&self, colors: &[[f32; 3]]) -> Result<GaussianBuffers> {
         let scene = &self.gaussians.scene;
         let (stride, count) = (scene.stride, scene.count);
+        if colors.len() != count {
+            let what = format!("{} colours for {count} Gaussians", colors.len());
+            return Err(Error::numerics("colours", what));
+        }
         let copy =
             |array: &Array<f32>, planes| restride(&self.device, array, planes, stride, stride);
         let params = copy(&scene.params, Plane::count(0))?;
         let filter = copy(&scene.filter, scene.filter.len() / stride)?;
-        let [red, green, blue] = [0, 1, 2].map(|c| scene.plane(Plane::SH + c));
-        let (red, green, blue) = (red?, green?, blue?);
         let coefficient = |color: f32| (color - 0.5) / C0 as f32;
-        let grey = |i: usize| DIM * (0.5 + C0 as f32 * (red[i] + green[i] + blue[i]) / 3.0);
-        let greys: Vec<f32> = (0..count).map(|i| coefficient(grey(i))).collect();
-        for (c, color) in BORN.into_iter().enumerate() {
-            let mut values = greys.clone();
-            for &row in self.births() {
-                if let Some(value) = values.get_mut(row as usize) {
-                    *value = coefficient(color);
-                }
-            }
+        for c in 0..3 {
+            let values: Vec<f32> = colors.iter().map(|rgb| coefficient(rgb[c])).collect();
             params.write((Plane::SH + c) * stride, &values)?;
         }
         Ok(GaussianBuffers {

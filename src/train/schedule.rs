@@ -234,7 +234,15 @@ impl Schedule {
         {
             return None;
         }
-        Some(f64::from(done - from) / f64::from((until - from).max(1)))
+        Some(self.density_progress(done))
+    }
+
+    /// Progress η of density control after `done` iterations: 0 before its span, 1 after it.
+    #[must_use]
+    pub fn density_progress(&self, done: u32) -> f64 {
+        let [from, until] = self.density_span(done);
+        let past = done.clamp(from, until.max(from)) - from;
+        f64::from(past) / f64::from(until.saturating_sub(from).max(1))
     }
 
     /// The next density step at or after `iteration`'s end: after how many iterations done, and its progress η.

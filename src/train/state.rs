@@ -5,6 +5,7 @@ use crate::density::DensityStats;
 use crate::device::tuning::status;
 use crate::scene::Gaussians;
 use crate::train::gaussians::{GaussianRows, mismatch};
+use crate::train::noted::Noted;
 use crate::train::plan::{Exposure, Learned};
 use crate::train::step::{Next, Trainer};
 
@@ -82,7 +83,7 @@ impl Trainer {
         self.restore_exposures(&state.exposures)?;
         self.control.stats = state.stats;
         self.control.trace.take_if(|_| state.iteration > 0);
-        self.control.born.iter_mut().for_each(Vec::clear);
+        self.control.noted = self.control.noted.take().map(|_| Noted::default());
         self.counters.non_finite = state.non_finite;
         let slot = status::NON_FINITE as usize;
         let non_finite = state.non_finite.min(u64::from(u32::MAX)) as u32;

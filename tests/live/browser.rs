@@ -133,7 +133,7 @@ fn the_browser_shows_what_is_chosen() {
     // Another camera's picture, and that of another quantity, must not pass.
     assert!(alike(&right.kept["color"], &colors[3]) < 25.0);
     assert!(alike(&right.kept["color"], &expected["depth"]) < 25.0);
-    let deaf = [("['depth', 'births'].includes", "['births'].includes")];
+    let deaf = [("=== 'error' ? 'color'", "!== 'births' ? 'color'")];
     assert_eq!(shown(5, &deaf).verdict, "never depth");
     let upside_down = [(
         "rotation: view.rows.flat()",

@@ -5,11 +5,12 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use mhsplat::capture::Camera;
 use mhsplat::config::OptimizerConfig;
 use mhsplat::device::Device;
 use mhsplat::pipeline::forward::Rendered;
 use mhsplat::run::initial_gaussians;
-use mhsplat::run::live::{Door, Server};
+use mhsplat::run::live::{self, Door, Property, Server};
 use mhsplat::run::{Clock, Run, checkpoint};
 use mhsplat::scene::Gaussians;
 use mhsplat::train::{Event, Trainer};
@@ -164,6 +165,16 @@ fn who_looks_on_can_pause_save_and_stop() {
     });
 }
 
+/// The run's Gaussians in colours that show a property, through a camera.
+fn painted(trainer: &mut Trainer, camera: &Camera, property: Property) -> Option<Rendered> {
+    let colors = live::colors(trainer, property).unwrap()?;
+    Some(
+        trainer
+            .glimpse_colored(camera, &colors, usize::MAX / 4)
+            .unwrap(),
+    )
+}
+
 /// Pixels that are coloured, not grey.
 fn colored(image: &Rendered) -> usize {
     let pixels = image.rgb8();
@@ -202,10 +213,11 @@ fn births_of_the_last_density_step_are_noted_and_marked() {
             Event::Finished => break,
             Event::Density(event) if steps == 0 => {
                 // Nobody has asked, and nothing is marked.
-                assert!(event.stats.accepted > 0 && trainer.births().is_empty());
-                let image = trainer.glimpse_births(&camera, usize::MAX / 4).unwrap();
+                assert!(event.stats.accepted > 0 && trainer.noted().is_none());
+                let image = painted(&mut trainer, &camera, Property::Births).unwrap();
                 assert_eq!(colored(&image), 0);
-                trainer.note_births();
+                assert!(painted(&mut trainer, &camera, Property::Importance).is_none());
+                trainer.note_density();
             }
             Event::Density(event) => {
                 let after = places(&trainer.splats().unwrap().0);
@@ -216,15 +228,72 @@ fn births_of_the_last_density_step_are_noted_and_marked() {
                     .filter(|(_, new)| *new)
                     .map(|(i, _)| i)
                     .collect();
-                assert_eq!(trainer.births(), new);
+                assert_eq!(trainer.noted().unwrap().births, new);
                 assert_eq!(new.len() as u64, event.stats.accepted);
-                let image = trainer.glimpse_births(&camera, usize::MAX / 4).unwrap();
+                let image = painted(&mut trainer, &camera, Property::Births).unwrap();
                 assert!(colored(&image) > 0 || new.is_empty());
             }
             _ => continue,
         }
         steps += 1;
         before = places(&trainer.splats().unwrap().0);
+    }
+    assert!(steps > 2, "{steps} steps");
+}
+
+/// Order of the Gaussians by how bright they are painted, which the colour map says of the value behind.
+fn light(color: &[f32; 3]) -> f32 {
+    0.3 * color[0] + 0.6 * color[1] + 0.1 * color[2]
+}
+
+#[test]
+fn importance_and_voxels_are_painted_as_density_control_has_them() {
+    let data = room(64);
+    let config = TrainConfig {
+        iterations: 120,
+        max_size: 64,
+        seed: 5,
+        ..TrainConfig::default()
+    };
+    let plan = Plan::new(&data, &config).unwrap();
+    let splats = initial_gaussians(&data, &plan).unwrap();
+    let device = Device::open(None).unwrap();
+    let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+    trainer.note_density();
+    let camera = data.train[0].camera;
+    let mut steps = 0;
+    loop {
+        match trainer.advance().unwrap() {
+            Event::Finished => break,
+            Event::Density(event) => {
+                let noted = trainer.noted().unwrap().clone();
+                if noted.importance.iter().all(|i| *i == noted.importance[0]) {
+                    // Births have not begun, and no errors were gathered.
+                    continue;
+                }
+                steps += 1;
+                assert_eq!(noted.importance.len(), event.gaussians);
+                assert!(noted.importance.iter().all(|i| (0.0..=1.0).contains(i)));
+                let colors = live::colors(&mut trainer, Property::Importance)
+                    .unwrap()
+                    .unwrap();
+                let of = |i: usize| (noted.importance[i], light(&colors[i]));
+                for pair in [[0, 7], [11, 40], [3, 90]] {
+                    let [(a, dark), (b, bright)] = pair.map(of);
+                    assert_eq!(a < b, dark < bright, "{a} {dark}, {b} {bright}");
+                }
+                let counts = trainer.voxel_counts().unwrap().unwrap();
+                assert_eq!(counts.len(), event.gaussians);
+                assert!(counts.iter().all(|n| *n > 0));
+                let occupied: f64 = counts.iter().map(|n| 1.0 / f64::from(*n)).sum();
+                // Voxels of the step itself, whose dead have been removed since.
+                let told = event.stats.occupied_voxels as f64;
+                assert!((occupied - told).abs() < 0.02 * told, "{occupied} {told}");
+                let image = painted(&mut trainer, &camera, Property::Voxels).unwrap();
+                assert!(image.rgb8().iter().any(|v| *v > 30));
+            }
+            _ => continue,
+        }
     }
     assert!(steps > 2, "{steps} steps");
 }

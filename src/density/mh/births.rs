@@ -101,6 +101,7 @@ impl Births {
         form: Birth,
         scene: &SceneState<'_>,
         relocation: Relocation,
+        mut importance: Vec<f64>,
         counts: &VoxelCounts<'_>,
     ) -> Outcome {
         let stats = &mut self.stats;
@@ -123,6 +124,10 @@ impl Births {
             .filter(|e| e.src == e.dst)
             .map(|e| e.dst)
             .collect();
+        for moved in relocation.moved_edits() {
+            importance[moved.dst as usize] = importance[moved.src as usize];
+        }
+        importance.extend(self.records.iter().map(|birth| birth.importance));
         let mut edits = relocation.edits;
         edits.retain(|e| !split.contains(&e.dst));
         edits.append(&mut self.fresh);
@@ -132,6 +137,7 @@ impl Births {
             rows: self.len,
             removed: self.removed,
             births: self.records,
+            importance,
             stats: self.stats,
             ..Outcome::default()
         }

@@ -54,6 +54,8 @@ pub(super) struct Proposals {
     pub(super) removed: Vec<u32>,
     /// Births in image space, coarse, fine, in the order of decision.
     pub(super) phases: [(BirthKind, Vec<Proposal>); 3],
+    /// Importance of each row.
+    pub(super) importance: Vec<f64>,
 }
 
 impl Proposal {

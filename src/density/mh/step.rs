@@ -282,6 +282,7 @@ impl MetropolisHastings {
             phases,
             relocation,
             removed,
+            importance,
         })
     }
 
@@ -379,6 +380,12 @@ impl DensityControl for MetropolisHastings {
             let decisions = self.decide(proposals, &counts, eta, target);
             births.take(*kind, &decisions, &mut counts);
         }
-        Ok(births.finish(c.birth, scene, proposals.relocation, &counts))
+        Ok(births.finish(
+            c.birth,
+            scene,
+            proposals.relocation,
+            proposals.importance,
+            &counts,
+        ))
     }
 }

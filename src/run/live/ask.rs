@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3};
 
 use crate::capture::Camera;
 use crate::run::live::http::Request;
+use crate::run::live::paint::Property;
 
 /// Quantity that a frame shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -15,14 +16,14 @@ pub(super) enum Mode {
     Depth,
     /// Difference to the photo of a view.
     Error,
-    /// Births of the last density step of a run, marked.
-    Births,
+    /// A property of the Gaussians of a run, in colours.
+    Painted(Property),
 }
 
 /// Something that the thread with the device is asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Ask {
-    /// The scene through a camera: its colour, its depth or its births.
+    /// The scene through a camera: its colour, its depth or a property.
     Frame { camera: Camera, mode: Mode },
     /// The difference between a view's render and its photo.
     Error { view: usize },
@@ -98,8 +99,13 @@ impl Reader<'_> {
             None | Some("color") => Mode::Color,
             Some("depth") => Mode::Depth,
             Some("error") => Mode::Error,
-            Some("births") => Mode::Births,
-            Some(_) => return Err("mode: color, depth, error or births expected".into()),
+            Some("births") => Mode::Painted(Property::Births),
+            Some("importance") => Mode::Painted(Property::Importance),
+            Some("voxels") => Mode::Painted(Property::Voxels),
+            Some(_) => {
+                let modes = "mode: color, depth, error, births, importance or voxels expected";
+                return Err(modes.into());
+            }
         };
         if mode == Mode::Error {
             let view = self.view()?.ok_or("view: the view of a photo expected")?;

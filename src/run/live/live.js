@@ -36,7 +36,7 @@ function question() {
   const [width, height] = css.map((v) => Math.max(1, Math.round(v * k)));
   const part = { left: 0, top: 0, width, height };
   if (!asError()) {
-    const mode = ['depth', 'births'].includes($('shown').value) ? $('shown').value : 'color';
+    const mode = $('shown').value === 'error' ? 'color' : $('shown').value;
     return { url: address('frame', { mode, ...spelt(width, height) }), css, sized: size, width, height, part };
   }
   const l = lens(width, height);

@@ -17,11 +17,13 @@ mod curves;
 mod desk;
 pub mod http;
 mod page;
+mod paint;
 mod server;
 mod studio;
 mod watch;
 
 pub use page::LivePage;
+pub use paint::{Property, colors};
 pub use server::{Door, Server, USUAL_PORT};
 pub use studio::Scenery;
 pub use watch::LARGEST_LIVE;

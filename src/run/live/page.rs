@@ -18,8 +18,9 @@ const SCRIPT: &str = include_str!("live.js");
 /// List of the quantities that a picture may show, and the line of the help about it.
 const SHOWN: &str = "<select id=\"shown\" aria-label=\"what is shown\" title=\"what is shown (M)\"><option value=\"color\">Colour</option>\
     <option value=\"depth\">Depth</option><option value=\"error\">Error</option>";
-const BIRTHS: &str = "<option value=\"births\">Births</option>";
-const KEYS: &str = "<dt>M</dt><dd>colour, depth (near is bright), error against the photo; of a run the last births, yellow</dd>\n";
+const TRAINED: &str = "<option value=\"births\">Births</option>\
+    <option value=\"importance\">Importance</option><option value=\"voxels\">Voxels</option>";
+const KEYS: &str = "<dt>M</dt><dd>colour, depth (near is bright), error against the photo; of a run the last births (yellow), the rank by importance and the Gaussians per voxel (1 dark, 100 bright)</dd>\n";
 
 /// Contents of the page.
 #[derive(Debug, Clone)]
@@ -66,7 +67,7 @@ impl LivePage {
             "script" => vec![MOVES, SCRIPT],
             "meta" => vec![meta.as_str()],
             "run" if self.training => vec![RUN],
-            "shown" if self.training => vec![SHOWN, BIRTHS, "</select>\n"],
+            "shown" if self.training => vec![SHOWN, TRAINED, "</select>\n"],
             "shown" => vec![SHOWN, "</select>\n"],
             "keys" => vec![KEYS],
             // The policy is a header, and there are no data.

@@ -293,7 +293,7 @@ fn picture(
         _ => {
             return Err(Answer::words(
                 404,
-                "there is no photo of this view, or nothing is trained",
+                "there is no photo of this view, or no such thing of this scene, or not yet",
             ));
         }
     };

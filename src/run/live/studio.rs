@@ -5,6 +5,7 @@ use crate::capture::Camera;
 use crate::capture::photo::Photo;
 use crate::pipeline::forward::{Quantity, Rendered};
 use crate::run::live::ask::{Ask, Mode};
+use crate::run::live::paint::Property;
 use crate::run::report::gallery::{colormap, error_map};
 
 /// Steps of the colour map for depths.
@@ -18,11 +19,11 @@ pub trait Scenery {
     /// More tile intersections than are affordable, or the driver's.
     fn render(&mut self, camera: &Camera, quantity: Quantity) -> Result<Rendered>;
 
-    /// Renders the scene with the births of the last density step marked; nothing if it is not trained.
+    /// Renders the scene in colours that show a property; nothing if it is not trained, or has no such property.
     ///
     /// # Errors
     /// Those of [`Scenery::render`].
-    fn births(&mut self, _camera: &Camera) -> Result<Option<Rendered>> {
+    fn painted(&mut self, _camera: &Camera, _property: Property) -> Result<Option<Rendered>> {
         Ok(None)
     }
 
@@ -53,7 +54,7 @@ pub(super) enum Reply {
     Picture(Picture),
     /// Mean depth, local units; none where little is drawn.
     Depth(Option<f64>),
-    /// A view without a photo, or births of a scene that is not trained.
+    /// A view without a photo, or a property that the scene does not have.
     Missing,
 }
 
@@ -70,7 +71,7 @@ pub(super) fn reply(ask: &Ask, scenery: &mut dyn Scenery) -> Result<Reply> {
         Ask::Frame { camera, mode } => {
             let rgb = match mode {
                 Mode::Depth => nearness(&scenery.render(camera, Quantity::Depth)?, scenery.reach()),
-                Mode::Births => match scenery.births(camera)? {
+                Mode::Painted(property) => match scenery.painted(camera, *property)? {
                     Some(image) => image.rgb8(),
                     None => return Ok(Reply::Missing),
                 },

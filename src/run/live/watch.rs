@@ -9,6 +9,7 @@ use crate::capture::photo::Photo;
 use crate::evaluate::Evaluator;
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::forward::{Quantity, Rendered};
+use crate::run::live::paint::{self, Property};
 use crate::run::live::server::Server;
 use crate::run::live::studio::Scenery;
 use crate::run::progress::Progress;
@@ -58,9 +59,11 @@ impl Scenery for RunScenery<'_> {
         self.trainer.glimpse(camera, quantity, INTERSECTIONS)
     }
 
-    fn births(&mut self, camera: &Camera) -> Result<Option<Rendered>> {
-        let image = self.trainer.glimpse_births(camera, INTERSECTIONS)?;
-        Ok(Some(image))
+    fn painted(&mut self, camera: &Camera, property: Property) -> Result<Option<Rendered>> {
+        let colors = paint::colors(self.trainer, property)?;
+        let trainer = &mut *self.trainer;
+        let image = colors.map(|c| trainer.glimpse_colored(camera, &c, INTERSECTIONS));
+        image.transpose()
     }
 
     fn photo(&mut self, view: usize) -> Result<Option<(Camera, Photo)>> {
