@@ -2,6 +2,7 @@
 
 mod damaged;
 mod glb;
+mod sog;
 
 use std::fs;
 use std::path::Path;
@@ -14,8 +15,9 @@ use mhsplat::config::SceneFormat;
 use mhsplat::scene::formats::{self, SceneFile};
 use mhsplat::scene::{Gaussians, Plane};
 
-pub const LOSSY: [SceneFormat; 4] = [
+pub const LOSSY: [SceneFormat; 5] = [
     SceneFormat::Spz,
+    SceneFormat::SpzV4,
     SceneFormat::CompressedPly,
     SceneFormat::Splat,
     SceneFormat::Glb,
@@ -117,7 +119,7 @@ fn bounds(format: SceneFormat, splats: &Gaussians) -> [f64; 7] {
     match format {
         // 24 bits with 20 behind the point, for positions of up to 8; 16 steps per unit; 9 bits and a sign to √½; 0.15 · 255 steps per
         // unit of the constant coefficient; 64 and 32 buckets.
-        SceneFormat::Spz => [
+        SceneFormat::Spz | SceneFormat::SpzV4 => [
             0.5 / f64::from(1 << 20) + 1e-7,
             1.0 / 32.0 + 1e-6,
             0.3_f64.to_radians(),
@@ -249,7 +251,8 @@ fn frames_and_marks_are_kept() {
             }
             assert_eq!(back.anti_aliased, marked, "{format:?}");
             assert_eq!(formats::is_anti_aliased(&file), marked, "{format:?}");
-            let comments = ![SceneFormat::Spz, SceneFormat::Splat].contains(&format);
+            let plain = [SceneFormat::Spz, SceneFormat::SpzV4, SceneFormat::Splat];
+            let comments = !plain.contains(&format);
             // A direction: of length 1, to five decimals.
             assert_eq!(back.up.is_some(), comments);
             let off = back.up.map_or(0.0, |up| {
@@ -326,7 +329,7 @@ fn extremes() {
         assert!(opacities.iter().all(|o| o.abs() <= 15.0), "{format:?}");
         let counted = |n: &str| lost.iter().any(|l| l.contains("clamped") && l.contains(n));
         let expected = match format {
-            SceneFormat::Spz => ["2 scales", "1 colours", "1 view-dependent"],
+            SceneFormat::Spz | SceneFormat::SpzV4 => ["2 scales", "1 colours", "1 view-dependent"],
             SceneFormat::Splat => ["2 scales", "1 colours", ""],
             SceneFormat::Glb => ["2 scales", "", ""],
             _ => ["1 view-dependent", "", ""],
@@ -363,6 +366,7 @@ fn names_say_what_is_written() {
     assert_eq!(of("a.compressed.ply").unwrap(), SceneFormat::CompressedPly);
     assert_eq!(of("b/A.PLY").unwrap(), SceneFormat::Ply);
     assert_eq!(of("a.spz").unwrap(), SceneFormat::Spz);
+    assert_eq!(of("a.v4.spz").unwrap(), SceneFormat::SpzV4);
     assert_eq!(of("a.splat").unwrap(), SceneFormat::Splat);
     for name in ["a.sog", "a", "ply", "a.ply.zip"] {
         assert_refused(of(name), &[name, ".compressed.ply", ".spz"]);

@@ -1,4 +1,4 @@
 //! Tests: photos and datasets in other forms than folders of small 8-bit files.
 
-mod archive;
+pub mod archive;
 mod png;

@@ -13,9 +13,9 @@ use mhsplat::scene::formats::{self, SceneFile};
 /// Arguments of `mhsplat convert`.
 #[derive(clap::Args)]
 pub struct ConvertArgs {
-    /// Scene: a file (PLY, compressed PLY, SPZ, .splat, .glb) or a run folder.
+    /// Scene: a file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) or a run folder.
     input: PathBuf,
-    /// File to write, whose ending says the format: .ply, .compressed.ply, .spz, .splat; must not exist.
+    /// File to write, whose ending says the format: .ply, .compressed.ply, .spz, .v4.spz, .splat, .glb; must not exist.
     output: PathBuf,
     /// Keep the Gaussians whose centres lie in this box, in the scene's units: two opposite corners.
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = corners, allow_hyphen_values = true)]

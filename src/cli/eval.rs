@@ -16,7 +16,7 @@ use mhsplat::run::FinalRecord;
 /// Arguments of `mhsplat eval`.
 #[derive(clap::Args)]
 pub struct EvalArgs {
-    /// Scene: a file (PLY, compressed PLY, SPZ, .splat, .glb) or a run folder.
+    /// Scene: a file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) or a run folder.
     scene: PathBuf,
     /// Dataset with the photos to compare with (default: the run's).
     dataset: Option<PathBuf>,

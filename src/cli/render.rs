@@ -37,7 +37,7 @@ enum What {
 /// Arguments of `mhsplat render`.
 #[derive(clap::Args)]
 pub struct RenderArgs {
-    /// Scene: a file (PLY, compressed PLY, SPZ, .splat, .glb) or a run folder. Without --dataset, --held-out, --orbit or --path the views of a run are a smooth path along
+    /// Scene: a file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) or a run folder. Without --dataset, --held-out, --orbit or --path the views of a run are a smooth path along
     /// the cameras of its dataset.
     scene: PathBuf,
     /// Folder for the PNG files; must not exist.

@@ -41,7 +41,7 @@ const GLANCE: Duration = Duration::from_millis(200);
 /// Arguments of `mhsplat view`.
 #[derive(clap::Args)]
 pub struct ViewArgs {
-    /// Scene: a file (PLY, compressed PLY, SPZ, .splat, .glb) or a run folder.
+    /// Scene: a file (PLY, compressed PLY, SPZ, SOG, .splat, .glb) or a run folder.
     scene: PathBuf,
     /// Port on this machine, 0 for any that is free [default: 7878, or any that is free].
     #[arg(long)]

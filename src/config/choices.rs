@@ -83,6 +83,8 @@ pub enum SceneFormat {
     CompressedPly,
     /// Niantic's SPZ, about a tenth of the size.
     Spz,
+    /// SPZ of version 4.
+    SpzV4,
     /// antimatter15's .splat, without view-dependent colour.
     Splat,
     /// Binary glTF with KHR_gaussian_splatting, of the PLY's size.

@@ -9,7 +9,7 @@ use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// Endings of scene files.
-const SCENES: [&str; 4] = [".ply", ".spz", ".splat", ".glb"];
+const SCENES: [&str; 5] = [".ply", ".spz", ".splat", ".glb", ".sog"];
 
 /// Source of the first Gaussians; written `points`, `random` or the path of a scene file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -34,7 +34,7 @@ impl FromStr for Init {
             path if SCENES.iter().any(|end| path.to_lowercase().ends_with(end)) => {
                 Ok(Self::File(path.into()))
             }
-            _ => Err("points, random or a .ply, .spz, .splat or .glb file expected"),
+            _ => Err("points, random or a .ply, .spz, .splat, .glb or .sog file expected"),
         }
     }
 }

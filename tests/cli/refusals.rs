@@ -342,11 +342,11 @@ fn scenes_are_told_the_way_on() {
     for (name, way) in [
         (
             "scene.spz",
-            "give a scene of PLY, compressed PLY, SPZ, .splat or .glb",
+            "give a scene of PLY, compressed PLY, SPZ, SOG, .splat or .glb",
         ),
         ("scene.splat", "export the .splat file again"),
         ("scene.ksplat", "convert it to .ply, .spz or .glb"),
-        ("scene.sog", "convert it to .ply, .spz or .glb"),
+        ("scene.sog", "export the SOG file again"),
     ] {
         let file = dir.path().join(name);
         fs::write(&file, "mine").unwrap();

@@ -178,7 +178,8 @@ fn hostile_sizes_are_refused_at_once() {
 fn files_that_are_no_scenes_are_told() {
     let dir = tempfile::tempdir().unwrap();
     for (name, bytes, word) in [
-        ("a.sog", &b"PK\x03\x04"[..], ".sog"),
+        ("a.sog", &b"PK\x03\x04"[..], "archive"),
+        ("b.sog", b"hello", "zip archive"),
         ("a.ksplat", b"\0\x01", ".ksplat"),
         ("a.glb", b"glTF", ".glb"),
         ("a.spz", b"hello", "SPZ"),

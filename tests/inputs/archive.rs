@@ -14,7 +14,7 @@ use mhsplat::capture::{LoadOptions, PhotoSource, load};
 
 /// An entry of an archive, and what its headers say of it.
 #[derive(Clone)]
-struct Entry {
+pub struct Entry {
     name: String,
     content: Vec<u8>,
     method: u16,
@@ -27,7 +27,7 @@ struct Entry {
     long: bool,
 }
 
-fn entry(name: &str, content: &[u8]) -> Entry {
+pub fn entry(name: &str, content: &[u8]) -> Entry {
     Entry {
         name: name.into(),
         content: content.into(),
@@ -48,7 +48,7 @@ fn longs(out: &mut Vec<u8>, values: &[u32]) {
 }
 
 /// The archive of entries, in their order.
-fn archive(entries: &[Entry]) -> Vec<u8> {
+pub fn archive(entries: &[Entry]) -> Vec<u8> {
     let (mut out, mut directory) = (Vec::new(), Vec::new());
     for e in entries {
         let packed = match e.method {

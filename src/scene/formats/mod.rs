@@ -7,6 +7,7 @@
 //! | `spz.rs` | `.spz` | everything but the direction up, rounded |
 //! | `splat.rs` | `.splat` | no view-dependent colour, no mark of anti-aliasing, no direction up; rounded |
 //! | `glb.rs` | `.glb` | everything |
+//! | `sog.rs` | `.sog`, read alone | everything but the direction up, rounded |
 //!
 //! How far they round is in `docs/guide/viewing.md`.
 
@@ -14,6 +15,7 @@ mod compressed_ply;
 mod glb;
 pub mod ply;
 mod scene_file;
+mod sog;
 mod splat;
 mod spz;
 
@@ -28,11 +30,13 @@ use crate::capture::Frame;
 use crate::config::SceneFormat;
 
 pub use crate::scene::formats::scene_file::{Contents, SceneFile};
+use crate::scene::formats::spz::Packing;
 
 /// Endings of formats, those within others first.
-const ENDINGS: [(&str, SceneFormat); 5] = [
+const ENDINGS: [(&str, SceneFormat); 6] = [
     (".compressed.ply", SceneFormat::CompressedPly),
     (".ply", SceneFormat::Ply),
+    (".v4.spz", SceneFormat::SpzV4),
     (".spz", SceneFormat::Spz),
     (".splat", SceneFormat::Splat),
     (".glb", SceneFormat::Glb),
@@ -92,11 +96,18 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
     if bytes.starts_with(&glb::MAGIC) {
         return glb::read(path, &bytes, frame).map(Contents::Scene);
     }
+    if bytes.starts_with(&sog::MAGIC) {
+        return sog::read(path, &bytes, frame).map(Contents::Scene);
+    }
     let extension = path.extension().unwrap_or_default().to_string_lossy();
     match extension.to_lowercase().as_str() {
         // Nothing in its content tells it from any other data.
         "splat" => splat::read(path, &bytes, frame).map(Contents::Scene),
-        other @ ("sog" | "ksplat" | "gltf") => {
+        "sog" => {
+            let what = "no zip archive, as a .sog file is";
+            Err(Error::input(path, what, "export the SOG file again"))
+        }
+        other @ ("ksplat" | "gltf") => {
             let what = format!("a .{other} file, which is not read here");
             let fix = "convert it to .ply, .spz or .glb (SuperSplat and splat-transform do)";
             Err(Error::input(path, what, fix))
@@ -106,7 +117,7 @@ pub fn read_either(path: &Path, frame: &Frame) -> Result<Contents> {
             Err(Error::input(
                 path,
                 what,
-                "give a scene of PLY, compressed PLY, SPZ, .splat or .glb",
+                "give a scene of PLY, compressed PLY, SPZ, SOG, .splat or .glb",
             ))
         }
     }
@@ -122,7 +133,12 @@ pub fn is_anti_aliased(path: &Path) -> bool {
     let mut start = Vec::new();
     let open = files::check_regular(path).is_ok().then(|| File::open(path));
     let read = open.and_then(|file| file.ok()?.take(BEGINNING).read_to_end(&mut start).ok());
-    let marked = || spz::is_anti_aliased(&start) || glb::is_anti_aliased(path, &start);
+    let in_archive = || {
+        let whole = start.starts_with(&sog::MAGIC).then(|| files::read(path));
+        whole.is_some_and(|w| w.is_ok_and(|bytes| sog::is_anti_aliased(path, &bytes)))
+    };
+    let marked =
+        || spz::is_anti_aliased(&start) || glb::is_anti_aliased(path, &start) || in_archive();
     read.is_some() && (ply::is_anti_aliased(path) || marked())
 }
 
@@ -146,7 +162,8 @@ pub fn write(
         ..scene.clone()
     };
     let (bytes, remarks) = match format {
-        SceneFormat::Spz => spz::encode(path, &scene)?,
+        SceneFormat::Spz => spz::encode(path, &scene, Packing::Gzip)?,
+        SceneFormat::SpzV4 => spz::encode(path, &scene, Packing::Zstandard)?,
         SceneFormat::Splat => splat::encode(&scene),
         SceneFormat::Glb => glb::encode(path, &scene)?,
         SceneFormat::Ply | SceneFormat::CompressedPly => {

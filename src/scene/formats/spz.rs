@@ -1,4 +1,4 @@
-//! Niantic's SPZ, versions 2 to 4 read and 3 written: <https://github.com/nianticlabs/spz>, "File Format".
+//! Niantic's SPZ, versions 2 to 4 read, 3 and 4 written: <https://github.com/nianticlabs/spz>, "File Format".
 //!
 //! Attributes follow each other, each of all Gaussians: positions (24-bit fixed point), opacities, colours, log-scales, rotations, SH
 //! (8 bits each), compressed as one gzip stream or, in version 4, as a Zstandard frame each. Axes are right, up, back.
@@ -10,6 +10,7 @@ use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use ruzstd::decoding::StreamingDecoder;
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
 use crate::base::error::{Error, Result};
 use crate::base::math::sigmoid;
@@ -26,6 +27,8 @@ pub(super) const MAGIC: [u8; 4] = *b"NGSP";
 pub(super) const GZIP: [u8; 2] = [0x1f, 0x8b];
 /// Bytes of the header before version 4, and of version 4's.
 const HEADERS: [usize; 2] = [16, 32];
+/// Bytes of an entry of version 4's table of contents.
+const ENTRY: usize = 16;
 /// Bit of the header's flags for a scene trained with anti-aliasing.
 const ANTI_ALIASED: u8 = 1;
 /// Bit of the header's flags for extension records.
@@ -106,6 +109,39 @@ impl Header {
     fn strides(&self) -> [usize; 6] {
         let rotation = if self.version == 2 { 3 } else { 4 };
         [9, 1, 3, 3, rotation, self.sh_bytes()]
+    }
+
+    /// The bytes of a file with these attributes.
+    fn pack(&self, path: &Path, attributes: &[Vec<u8>; 6]) -> Result<Vec<u8>> {
+        let full: Vec<&Vec<u8>> = attributes.iter().filter(|a| !a.is_empty()).collect();
+        let count = u32::try_from(self.count);
+        let count = count.map_err(|_| Error::numerics("SPZ", "too many Gaussians"))?;
+        let streams = if self.version == 4 { full.len() } else { 0 };
+        let [degree, streams] = [self.sh_degree as u8, streams as u8];
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend(self.version.to_le_bytes());
+        bytes.extend(count.to_le_bytes());
+        bytes.extend([degree, self.fraction, self.flags, streams]);
+        if self.version == 4 {
+            // The table of contents follows the header at once.
+            bytes.extend((HEADERS[1] as u32).to_le_bytes());
+            bytes.resize(HEADERS[1], 0);
+            let pack = |whole: &&Vec<u8>| compress_to_vec(&whole[..], CompressionLevel::Fastest);
+            let frames: Vec<Vec<u8>> = full.iter().map(pack).collect();
+            for (frame, whole) in frames.iter().zip(&full) {
+                bytes.extend((frame.len() as u64).to_le_bytes());
+                bytes.extend((whole.len() as u64).to_le_bytes());
+            }
+            bytes.extend(frames.into_iter().flatten());
+            return Ok(bytes);
+        }
+        let failed = |e| Error::io(path, e);
+        let mut packed = GzEncoder::new(Vec::new(), Compression::best());
+        packed.write_all(&bytes).map_err(failed)?;
+        for attribute in full {
+            packed.write_all(attribute).map_err(failed)?;
+        }
+        packed.finish().map_err(failed)
     }
 
     /// Bytes of all attributes, if the compressed ones may hold so many.
@@ -191,12 +227,12 @@ fn streams(path: &Path, header: &Header, bytes: &[u8]) -> Result<Vec<u8>> {
     if header.flags & EXTENDED != 0 {
         check_axes(path, records)?;
     }
-    let mut at = table + 16 * count;
+    let mut at = table + ENTRY * count;
     let entries = bytes.get(table..at).ok_or_else(short)?;
     header.size(path, bytes.len())?;
     let mut attributes = Vec::new();
     let mut left = wanted.iter();
-    for entry in entries.chunks_exact(16) {
+    for entry in entries.chunks_exact(ENTRY) {
         let [packed, whole] = [0, 8].map(|k| u64::from_le_bytes(number(entry, k)));
         let end = usize::try_from(packed).ok().and_then(|n| at.checked_add(n));
         let frame = end.and_then(|end| bytes.get(at..end));
@@ -321,42 +357,57 @@ fn packed_rotation(q: [f64; 4]) -> u32 {
     })
 }
 
-/// The bytes of a file of version 3, and remarks on what the format cannot hold. The scene is in the dataset's frame.
+/// Way in which the attributes are compressed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Packing {
+    /// Version 3: one gzip stream.
+    Gzip,
+    /// Version 4: a Zstandard frame for each attribute.
+    Zstandard,
+}
+
+/// The bytes of a file, and remarks on what the format cannot hold. The scene is in the dataset's frame.
 ///
 /// # Errors
 /// [`Error::Input`] for a position that 24 bits do not reach.
-pub(super) fn encode(path: &Path, scene: &SceneFile) -> Result<(Vec<u8>, Vec<String>)> {
+pub(super) fn encode(
+    path: &Path,
+    scene: &SceneFile,
+    packing: Packing,
+) -> Result<(Vec<u8>, Vec<String>)> {
     let mut splats = scene.splats.clone();
     HalfTurn::X.turn(&mut splats);
-    let (n, degree) = (splats.len(), splats.sh_degree());
+    let n = splats.len();
     let fraction = fraction(path, &splats)?;
-    let mut bytes = Vec::with_capacity(HEADERS[0] + n * (20 + 3 * sh_coefficients(degree)));
-    bytes.extend(MAGIC);
-    bytes.extend(3_u32.to_le_bytes());
-    let count = u32::try_from(n).map_err(|_| Error::numerics("SPZ", "too many Gaussians"))?;
-    bytes.extend(count.to_le_bytes());
-    let flags = if scene.anti_aliased { ANTI_ALIASED } else { 0 };
-    bytes.extend([degree as u8, fraction as u8, flags, 0]);
+    let mut attributes: [Vec<u8>; 6] = Default::default();
+    let [
+        positions,
+        opacity_bytes,
+        color_bytes,
+        scale_bytes,
+        rotations,
+        sh,
+    ] = &mut attributes;
     for i in 0..n {
         for v in splats.gather::<3>(Plane::POSITION, i) {
             let fixed = (f64::from(v) * f64::from(1_u32 << fraction)).round() as i32;
-            bytes.extend(&fixed.to_le_bytes()[..3]);
+            positions.extend(&fixed.to_le_bytes()[..3]);
         }
     }
     let [mut opacities, mut colors, mut scales] = [(); 3].map(|()| Rounding::default());
     let opacity = |l: &f32| opacities.byte(255.0 * sigmoid(f64::from(*l)));
-    bytes.extend(splats.planes()[Plane::OPACITY].iter().map(opacity));
+    opacity_bytes.extend(splats.planes()[Plane::OPACITY].iter().map(opacity));
     for i in 0..n {
         let color = splats.gather::<3>(Plane::SH, i).map(f64::from);
-        bytes.extend(color.map(|v| colors.byte(v * COLOR_STEPS + 127.5)));
+        color_bytes.extend(color.map(|v| colors.byte(v * COLOR_STEPS + 127.5)));
     }
     for i in 0..n {
         let scale = splats.gather::<3>(Plane::LOG_SCALE, i).map(f64::from);
-        bytes.extend(scale.map(|v| scales.byte((v - SCALE[1]) * SCALE[0])));
+        scale_bytes.extend(scale.map(|v| scales.byte((v - SCALE[1]) * SCALE[0])));
     }
     for i in 0..n {
         let q = unit(splats.gather(Plane::ROTATION, i));
-        bytes.extend(packed_rotation(q).to_le_bytes());
+        rotations.extend(packed_rotation(q).to_le_bytes());
     }
     let mut bands = Rounding::default();
     for i in 0..n {
@@ -365,7 +416,7 @@ pub(super) fn encode(path: &Path, scene: &SceneFile) -> Result<(Vec<u8>, Vec<Str
             let step = f64::from(bucket);
             let value = f64::from(plane[i]) * 128.0 + 128.0;
             let rounded = ((value / step).round() * step).min(255.0);
-            bytes.push(bands.byte(if value > 256.0 { value } else { rounded }));
+            sh.push(bands.byte(if value > 256.0 { value } else { rounded }));
         }
     }
     let remarks = [
@@ -374,13 +425,18 @@ pub(super) fn encode(path: &Path, scene: &SceneFile) -> Result<(Vec<u8>, Vec<Str
         bands.remark("view-dependent coefficients", "-1 to 1"),
         (fraction < 12).then(|| format!("positions are rounded to 1/{}", 1_u32 << fraction)),
     ];
-    let failed = |e| Error::io(path, e);
-    let mut packed = GzEncoder::new(Vec::new(), Compression::best());
-    packed.write_all(&bytes).map_err(failed)?;
-    Ok((
-        packed.finish().map_err(failed)?,
-        remarks.into_iter().flatten().collect(),
-    ))
+    let header = Header {
+        version: match packing {
+            Packing::Gzip => 3,
+            Packing::Zstandard => 4,
+        },
+        count: n,
+        sh_degree: splats.sh_degree(),
+        fraction: fraction as u8,
+        flags: if scene.anti_aliased { ANTI_ALIASED } else { 0 },
+    };
+    let bytes = header.pack(path, &attributes)?;
+    Ok((bytes, remarks.into_iter().flatten().collect()))
 }
 
 /// The most bits behind the binary point with which every position fits into 24.
