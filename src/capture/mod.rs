@@ -10,6 +10,7 @@ pub mod frame;
 mod images;
 pub mod lens;
 mod memory;
+pub mod panorama;
 pub mod photo;
 pub mod point_cloud;
 mod rows;

@@ -125,6 +125,7 @@ fn counted(data: &Dataset, of: impl Fn(&View) -> String) -> BTreeMap<String, usi
 fn lens(lens: &Lens) -> &'static str {
     match lens {
         Lens::Pinhole => "no distortion",
+        Lens::Equirectangular => "panoramas",
         Lens::Brown { fisheye: true, .. } => "fisheye",
         Lens::Perspective { .. } | Lens::Brown { .. } => "perspective distortion",
         Lens::Fov { .. } | Lens::Division { .. } | Lens::Eucm { .. } => "wide-angle distortion",
