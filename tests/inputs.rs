@@ -2,3 +2,5 @@
 
 mod archive;
 mod png;
+
+pub use archive::small_archive;

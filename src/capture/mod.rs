@@ -19,7 +19,7 @@ pub mod transforms;
 mod up;
 
 use crate::capture::archive::ONE_OF_THEM;
-pub use crate::capture::archive::is_archive;
+pub use crate::capture::archive::{is_archive, remove_unpacked};
 pub use crate::capture::camera::Camera;
 pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
 pub use crate::capture::frame::Frame;

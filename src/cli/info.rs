@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use crate::cli::common::{Common, Outcome};
+use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::constants::LOG_SCALE;
 use mhsplat::base::error::Result;
@@ -69,6 +70,7 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
         ..TrainConfig::default()
     };
     config.validate()?;
+    remove_unpacked_at_end(&args.path)?;
     let data = capture::load(&args.path, &scene::load_options(&config))?;
     let plan = PlanRecord::of(&Plan::new(&data, &config)?);
     scene::note_left_out(&data);
