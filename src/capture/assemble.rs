@@ -80,10 +80,23 @@ const ASTRAY: f64 = 20.0;
 /// Extensions of the image formats that are read.
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
 
+/// Endings of formats that photos are converted from: a photo of the same name is meant by theirs.
+const CONVERTED: [&str; 8] = ["exr", "tif", "tiff", "hdr", "EXR", "TIF", "TIFF", "HDR"];
+
+/// True for a path with one of these endings.
+fn has_ending(path: &Path, endings: &[&str]) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str());
+    ending.is_some_and(|e| endings.contains(&e))
+}
+
+/// True for a name that ends like an image file, whether its format is read or not.
+pub(super) fn is_image(path: &Path) -> bool {
+    is_photo(path) || has_ending(path, &CONVERTED)
+}
+
 /// True for a file that has the extension of an image format that is read.
 pub(super) fn is_photo(path: &Path) -> bool {
-    let ending = path.extension().and_then(|e| e.to_str());
-    ending.is_some_and(|e| EXTENSIONS.contains(&e))
+    has_ending(path, &EXTENSIONS)
 }
 
 /// A path with another extension added to it.
@@ -96,10 +109,11 @@ fn with_added(path: &Path, extension: &str) -> PathBuf {
 
 /// A path with another extension in the place of its own; `None` for an ending that is no image extension, but part of the name.
 fn with_swapped(path: &Path, extension: &str) -> Option<PathBuf> {
-    is_photo(path).then(|| path.with_extension(extension))
+    is_image(path).then(|| path.with_extension(extension))
 }
 
-/// The image file that a dataset names: as it is, with an extension added, or with another one; `None` if there is none.
+/// The image file that a dataset names: as it is, with an extension added, or with another one; `None` if there is none. One of a
+/// format that is not read comes last: it may have been converted.
 ///
 /// # Errors
 /// A name that leads out of the folder.
@@ -107,8 +121,14 @@ pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
     let exact = inside(folder, name)?;
     let longer = EXTENSIONS.iter().map(|e| with_added(&exact, e));
     let other = EXTENSIONS.iter().filter_map(|e| with_swapped(&exact, e));
-    let mut all = std::iter::once(exact.clone()).chain(longer).chain(other);
-    Ok(all.find(|candidate| candidate.is_file()))
+    let all = std::iter::once(exact.clone()).chain(longer).chain(other);
+    let mut there = all.filter(|candidate| candidate.is_file());
+    let first = there.next();
+    let converted = |file: &PathBuf| has_ending(file, &CONVERTED);
+    Ok(match first.as_ref().is_some_and(converted) {
+        true => there.next().or(first),
+        false => first,
+    })
 }
 
 /// The mask of an image: in the folder `masks`, under the image's name or file name, with `.png` added (COLMAP) or replacing
