@@ -24,7 +24,8 @@ const SAMPLES: usize = 2;
 /// Longitude (to the right of the viewing axis, −π to π) and latitude (downwards, −π/2 to π/2) of a ray in a camera's axes, radians.
 #[must_use]
 pub fn angles(ray: DVec3) -> [f64; 2] {
-    [ray.x.atan2(ray.z), ray.y.atan2(ray.x.hypot(ray.z))]
+    let level = (ray.x * ray.x + ray.z * ray.z).sqrt();
+    [ray.x.atan2(ray.z), ray.y.atan2(level)]
 }
 
 /// Focal lengths (pixels per radian) and principal point fx, fy, cx, cy of a panorama of this size.
@@ -135,21 +136,23 @@ impl Side {
 /// Adds the values of a panorama's planes in a direction, bilinearly interpolated: around the sphere, and over the poles.
 fn add_sample(panorama: &Photo, [longitude, latitude]: [f64; 2], sum: &mut [f32]) {
     let (w, h) = (panorama.width as usize, panorama.height as usize);
-    let x = (longitude / (2.0 * PI) + 0.5) * w as f64 - 0.5;
-    let y = (latitude / PI + 0.5) * h as f64 - 0.5;
-    let (left, above) = (x.floor(), y.floor());
-    let (fx, fy) = ((x - left) as f32, (y - above) as f32);
-    for (dy, weight_y) in [(0, 1.0 - fy), (1, fy)] {
-        let row = above as isize + dy;
+    let x = (longitude / (2.0 * PI) + 0.5) * w as f64 + 0.5;
+    let y = (latitude / PI + 0.5) * h as f64 + 0.5;
+    let (fx, fy) = (x.fract() as f32, y.fract() as f32);
+    // The second of the two columns and rows; the first one before is the last one around the sphere.
+    let (right, below) = ((x as usize).min(w), (y as usize).min(h));
+    let columns = [(right + w - 1) % w, right % w];
+    for (row, weight_y) in [(below.checked_sub(1), 1.0 - fy), (Some(below), fy)] {
         // Beyond a pole lies the other side of the sphere.
-        let inside = row.clamp(0, h as isize - 1);
-        let turned = if inside == row { 0 } else { w / 2 };
-        for (dx, weight_x) in [(0, 1.0 - fx), (1, fx)] {
-            let column = (left as isize + dx).rem_euclid(w as isize) as usize;
-            let pixel = inside as usize * w + (column + turned) % w;
-            let values = panorama.data[pixel..].iter().step_by(w * h);
-            for (s, v) in sum.iter_mut().zip(values) {
-                *s += weight_x * weight_y * f32::from(*v);
+        let (row, turned) = match row {
+            Some(row) if row < h => (row, 0),
+            Some(_) => (h - 1, w / 2),
+            None => (0, w / 2),
+        };
+        for (column, weight_x) in columns.into_iter().zip([1.0 - fx, fx]) {
+            let pixel = row * w + (column + turned) % w;
+            for (plane, s) in sum.iter_mut().enumerate() {
+                *s += weight_x * weight_y * f32::from(panorama.data[plane * w * h + pixel]);
             }
         }
     }

@@ -49,7 +49,7 @@ pub(super) fn not_an_image(file: &Path, reason: &ImageError) -> Error {
         let ending = file.extension().and_then(|e| e.to_str()).unwrap_or("*");
         let what = format!("a photo in the format {format:?}; PNG, JPEG or WebP expected");
         let fix = format!(
-            "convert them beside the others, to sRGB in 16 bits: magick mogrify -format png -depth 16 *.{ending} (the dataset need not name them)"
+            "convert all in their folder, with ImageMagick: mogrify -colorspace sRGB -format png -depth 16 *.{ending} (the PNGs are found by the names of these)"
         );
         return Error::input(file, what, fix);
     }

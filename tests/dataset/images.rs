@@ -90,7 +90,7 @@ fn photos_in_a_format_that_is_converted_first() {
     for photo in photos {
         fs::remove_file(photo).unwrap();
     }
-    let words = [".exr", "OpenExr", "magick", "-depth 16 *.exr"];
+    let words = [".exr", "OpenExr", "mogrify -colorspace sRGB", "16 *.exr"];
     assert_refused(load_every(dir.path(), 0), &words);
 }
 
