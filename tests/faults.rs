@@ -142,6 +142,30 @@ fn what_cannot_be_allocated_or_built_is_named() {
     assert!(checkpoint::read(&run).is_ok());
 }
 
+/// A disk that does not read an archive is told as that, wherever in the archive it fails.
+#[test]
+fn a_disk_that_fails_is_no_damaged_archive() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(library) = shim(dir.path()) else {
+        return;
+    };
+    let archive = crate::inputs::small_archive(&dir);
+    for number in 1.. {
+        let mut command = crate::cli::program();
+        command.arg("info").arg(&archive).env("TMPDIR", dir.path());
+        command.env("LD_PRELOAD", &library);
+        // EIO.
+        command.env("MHSPLAT_FAULT", format!("pread64:{number}:5"));
+        let output = command.output().unwrap();
+        if output.status.success() {
+            assert!(number > 3, "{number} reads of an archive");
+            break;
+        }
+        refuses(&output, &["photos.zip", "Input/output error"]);
+        assert!(!said(&output).contains("damaged"), "{}", said(&output));
+    }
+}
+
 /// A machine without a driver: told at once, with what to install.
 #[test]
 fn no_driver_is_told_at_once() {

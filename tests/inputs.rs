@@ -2,3 +2,5 @@
 
 pub mod archive;
 mod png;
+
+pub use archive::small_archive;

@@ -13,7 +13,7 @@ use mhsplat::run::{FinalRecord, initial_gaussians};
 use mhsplat::train::Trainer;
 
 /// Held-out PSNR before and after training.
-fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
+pub fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let device = Device::open(None).unwrap();
     let splats = initial_gaussians(data, &Plan::new(data, config).unwrap()).unwrap();
     let mut trainer =

@@ -6,6 +6,7 @@
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Read, Write};
 use std::path::{Component, Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use flate2::read::DeflateDecoder;
 use rawzip::{
@@ -34,6 +35,25 @@ pub fn is_archive(path: &Path) -> bool {
     ending.is_some_and(|e| e.eq_ignore_ascii_case("zip")) && path.is_file()
 }
 
+/// Folders of archives that are there now. It is locked while one of them is written to or removed.
+static FOLDERS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn folders() -> MutexGuard<'static, Vec<PathBuf>> {
+    // Paths are right whatever panicked.
+    FOLDERS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes the folders of all unpacked archives before the program ends: who unpacks one or drops its folder waits from now on.
+pub fn remove_unpacked() {
+    let mut all = folders();
+    all.drain(..).for_each(remove);
+    std::mem::forget(all);
+}
+
+fn remove(folder: PathBuf) {
+    let _ = fs::remove_dir_all(folder);
+}
+
 /// The folder with the content of an archive, removed when this is dropped.
 #[derive(Debug)]
 pub(super) struct Unpacked {
@@ -44,7 +64,9 @@ pub(super) struct Unpacked {
 
 impl Drop for Unpacked {
     fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.folder);
+        let mut all = folders();
+        all.retain(|folder| *folder != self.folder);
+        remove(self.folder.clone());
     }
 }
 
@@ -65,13 +87,17 @@ impl Unpacked {
         let mut options = fs::DirBuilder::new();
         #[cfg(unix)]
         std::os::unix::fs::DirBuilderExt::mode(&mut options, 0o700);
+        let mut all = folders();
         options.create(&folder).map_err(|e| Error::io(&folder, e))?;
+        all.push(folder.clone());
+        drop(all);
         // From here on it is removed after a failure, too.
         let unpacked = Self {
             archive: archive.to_path_buf(),
             folder,
         };
         for entry in &entries {
+            let _writing = folders();
             reader.unpack(entry, &unpacked.folder)?;
         }
         Ok(unpacked)
@@ -127,6 +153,23 @@ struct Reader<'a> {
     length: u64,
 }
 
+/// The error of an archive: that of the system where it does not read the file, else that of the file, in words.
+fn unread(path: &Path, reason: io::Error, what: impl FnOnce(&io::Error) -> String) -> Error {
+    match reason.raw_os_error() {
+        Some(_) => Error::io(path, reason),
+        None => bad(path, what(&reason)),
+    }
+}
+
+/// The error of the archive reader as one of reading.
+fn reading(error: rawzip::Error) -> io::Error {
+    let text = error.to_string();
+    match error.into_kind() {
+        rawzip::ErrorKind::IO(error) => error,
+        _ => io::Error::other(text),
+    }
+}
+
 /// The error of an archive that cannot be read.
 fn bad(path: &Path, what: impl Into<String>) -> Error {
     Error::input(path, what, PACK)
@@ -138,8 +181,9 @@ impl<'a> Reader<'a> {
         let length = file.metadata().map_err(|e| Error::io(path, e))?.len();
         let mut buffer = vec![0; rawzip::RECOMMENDED_BUFFER_SIZE];
         let archive = ZipArchive::from_file(file, &mut buffer).map_err(|e| {
-            let what = format!("no zip archive, or one that is cut off or damaged ({e})");
-            bad(path, what)
+            unread(path, reading(e), |e| {
+                format!("no zip archive, or one that is cut off or damaged ({e})")
+            })
         })?;
         Ok(Self {
             path,
@@ -164,8 +208,9 @@ impl<'a> Reader<'a> {
         let (mut entries, mut found) = (Vec::new(), 0);
         loop {
             let record = records.next_entry().map_err(|e| {
-                let what = format!("entry {} of its directory is damaged ({e})", found + 1);
-                bad(self.path, what)
+                unread(self.path, reading(e), |e| {
+                    format!("entry {} of its directory is damaged ({e})", found + 1)
+                })
             })?;
             let Some(record) = record else {
                 break;
@@ -251,7 +296,8 @@ impl<'a> Reader<'a> {
             Error::input(self.path, what, fix)
         };
         let found = self.archive.get_entry(entry.place);
-        let found = found.map_err(|_| refused("is damaged"))?;
+        let damaged = |e| unread(self.path, e, |_| format!("the entry {name:?} is damaged"));
+        let found = found.map_err(|e| damaged(reading(e)))?;
         let to = folder.join(&entry.path);
         if let Some(parent) = to.parent() {
             fs::create_dir_all(parent).map_err(|e| match e.kind() {
@@ -272,9 +318,7 @@ impl<'a> Reader<'a> {
         let mut content = found.verifying_reader(content);
         let (mut out, mut block) = (BufWriter::new(out), vec![0; 1 << 16]);
         loop {
-            let n = content
-                .read(&mut block)
-                .map_err(|_| refused("is damaged"))?;
+            let n = content.read(&mut block).map_err(damaged)?;
             if n == 0 {
                 break;
             }

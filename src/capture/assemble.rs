@@ -13,11 +13,13 @@ use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
 use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
 use crate::capture::memory::automatic_budget;
+use crate::capture::panorama::{self, Side};
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
-use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, header, read};
+use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, Resampling, header, read};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
+#[derive(Clone)]
 pub(super) struct RawView {
     /// Name of the image, unique within the dataset.
     pub name: String,
@@ -29,6 +31,8 @@ pub(super) struct RawView {
     pub lens: Lens,
     /// The file of its mask.
     pub mask: Option<PathBuf>,
+    /// The side of a panorama that the view shows; none before [`cut`].
+    pub side: Option<Side>,
 }
 
 /// A dataset as read, in its own frame.
@@ -76,10 +80,23 @@ const ASTRAY: f64 = 20.0;
 /// Extensions of the image formats that are read.
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
 
+/// Endings of formats that photos are converted from: a photo of the same name is meant by theirs.
+const CONVERTED: [&str; 8] = ["exr", "tif", "tiff", "hdr", "EXR", "TIF", "TIFF", "HDR"];
+
+/// True for a path with one of these endings.
+fn has_ending(path: &Path, endings: &[&str]) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str());
+    ending.is_some_and(|e| endings.contains(&e))
+}
+
+/// True for a name that ends like an image file, whether its format is read or not.
+pub(super) fn is_image(path: &Path) -> bool {
+    is_photo(path) || has_ending(path, &CONVERTED)
+}
+
 /// True for a file that has the extension of an image format that is read.
 pub(super) fn is_photo(path: &Path) -> bool {
-    let ending = path.extension().and_then(|e| e.to_str());
-    ending.is_some_and(|e| EXTENSIONS.contains(&e))
+    has_ending(path, &EXTENSIONS)
 }
 
 /// A path with another extension added to it.
@@ -92,10 +109,11 @@ fn with_added(path: &Path, extension: &str) -> PathBuf {
 
 /// A path with another extension in the place of its own; `None` for an ending that is no image extension, but part of the name.
 fn with_swapped(path: &Path, extension: &str) -> Option<PathBuf> {
-    is_photo(path).then(|| path.with_extension(extension))
+    is_image(path).then(|| path.with_extension(extension))
 }
 
-/// The image file that a dataset names: as it is, with an extension added, or with another one; `None` if there is none.
+/// The image file that a dataset names: as it is, with an extension added, or with another one; `None` if there is none. One of a
+/// format that is not read comes last: it may have been converted.
 ///
 /// # Errors
 /// A name that leads out of the folder.
@@ -103,8 +121,14 @@ pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
     let exact = inside(folder, name)?;
     let longer = EXTENSIONS.iter().map(|e| with_added(&exact, e));
     let other = EXTENSIONS.iter().filter_map(|e| with_swapped(&exact, e));
-    let mut all = std::iter::once(exact.clone()).chain(longer).chain(other);
-    Ok(all.find(|candidate| candidate.is_file()))
+    let all = std::iter::once(exact.clone()).chain(longer).chain(other);
+    let mut there = all.filter(|candidate| candidate.is_file());
+    let first = there.next();
+    let converted = |file: &PathBuf| has_ending(file, &CONVERTED);
+    Ok(match first.as_ref().is_some_and(converted) {
+        true => there.next().or(first),
+        false => first,
+    })
 }
 
 /// The mask of an image: in the folder `masks`, under the image's name or file name, with `.png` added (COLMAP) or replacing
@@ -131,6 +155,11 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     missing.sort();
     let (train, test) = split(path, scene.train, scene.test, &missing, options.test_every)?;
     let (train, test, outliers) = without_outliers(train, test);
+    let mut remarks = scene.remarks;
+    remarks.extend(remark(train.iter().chain(&test)));
+    // After the split: the sides of a panorama are all trained on or all held out.
+    let [train, test] = [train, test].map(cut);
+    distinct(path, train.iter().chain(&test))?;
     let first_held_out = train.len();
     let raw: Vec<RawView> = train.into_iter().chain(test).collect();
     let centers: Vec<DVec3> = raw.iter().map(|v| v.camera.center()).collect();
@@ -179,7 +208,9 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
     let (test, held_out) = shown(&mut views);
     black.extend(held_out);
     let of_lenses = train.iter().chain(&test);
-    let undistorted = of_lenses.filter(|v| v.lens != Lens::Pinhole).count();
+    let undistorted = of_lenses
+        .filter(|v| !matches!(v.lens, Lens::Pinhole | Lens::Equirectangular))
+        .count();
     if train.is_empty() {
         return Err(Error::input(
             path,
@@ -191,7 +222,7 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         path: path.to_path_buf(),
         layout: scene.layout,
         place: scene.place,
-        remarks: scene.remarks,
+        remarks,
         train,
         test,
         points,
@@ -236,13 +267,9 @@ fn split(
             })
         }
     };
-    let (mut names, mut files) = (HashSet::new(), HashMap::new());
+    distinct(path, train.iter().chain(&test))?;
+    let mut files = HashMap::new();
     for view in train.iter().chain(&test) {
-        if !names.insert(view.name.as_str()) {
-            let what = format!("the image {} is given twice", view.name);
-            let fix = "remove one of the entries (a view cannot be both trained on and held out)";
-            return Err(Error::input(path, what, fix));
-        }
         if let Some(other) = files.insert(&view.file, &view.name) {
             let what = format!("the image of two views, {other} and {}", view.name);
             let fix = "remove one of the entries";
@@ -258,6 +285,62 @@ fn split(
         return Err(Error::input(path, what, fix));
     }
     Ok((train, test))
+}
+
+/// Refuses a name that two views have.
+fn distinct<'a>(path: &Path, views: impl Iterator<Item = &'a RawView>) -> Result<()> {
+    let mut names = HashSet::new();
+    for view in views {
+        if !names.insert(view.name.as_str()) {
+            let what = format!("the image {} is given twice", view.name);
+            let fix = "remove one of the entries (a view cannot be both trained on and held out)";
+            return Err(Error::input(path, what, fix));
+        }
+    }
+    Ok(())
+}
+
+/// Name of the view of a panorama's side: `photo_front.jpg` for the front of `photo.jpg`.
+fn view_name(panorama: &str, side: Side) -> String {
+    let ending = Path::new(panorama)
+        .extension()
+        .and_then(|e| e.to_str())
+        .filter(|_| is_photo(Path::new(panorama)));
+    match ending {
+        Some(ending) => {
+            let stem = &panorama[..panorama.len() - ending.len() - 1];
+            format!("{stem}_{}.{ending}", side.name())
+        }
+        None => format!("{panorama}_{}", side.name()),
+    }
+}
+
+/// The remark on photos that are panoramas, if any are.
+fn remark<'a>(photos: impl Iterator<Item = &'a RawView>) -> Option<String> {
+    let n = photos.filter(|p| p.lens == Lens::Equirectangular).count();
+    let views = n * Side::ALL.len();
+    (n > 0).then(|| {
+        format!("panoramas cut into views (front, right, back, left, up, down): {n} into {views}")
+    })
+}
+
+/// The views of photos, sorted by name: those of a panorama's sides instead of it, all others as they are.
+fn cut(photos: Vec<RawView>) -> Vec<RawView> {
+    let sides = |photo: &RawView| match photo.lens {
+        Lens::Equirectangular => Side::ALL.map(Some).to_vec(),
+        _ => vec![None],
+    };
+    let view = |photo: &RawView, side: Option<Side>| RawView {
+        name: side.map_or_else(|| photo.name.clone(), |side| view_name(&photo.name, side)),
+        side,
+        ..photo.clone()
+    };
+    let mut views: Vec<RawView> = photos
+        .iter()
+        .flat_map(|photo| sides(photo).into_iter().map(|side| view(photo, side)))
+        .collect();
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+    views
 }
 
 /// Training and held-out views without outlier cameras, and the names of these: one wrong pose would shrink the scene to a
@@ -307,22 +390,33 @@ fn place(
         let fix = "use the photos that the camera parameters were computed for";
         return Err(Error::input(&view.file, what, fix));
     }
+    let size = [header.width, header.height];
     let own_size = camera.scaled_to(header.width, header.height);
-    let undistortion = match view.lens {
-        Lens::Pinhole => None,
-        lens => Some(Undistortion::new(lens, &own_size).ok_or_else(|| {
-            let what = format!("its lens ({lens:?}) leaves no pinhole image of the photo");
-            Error::input(&view.file, what, "check the camera's distortion parameters")
-        })?),
+    let (pinhole, resampling) = match (view.side, view.lens) {
+        (Some(side), _) => {
+            panorama::check_size(&view.file, size)?;
+            let whole = panorama::side_of(size, u32::MAX);
+            (side.camera(camera, whole), Resampling::Side(side))
+        }
+        (None, Lens::Pinhole) => (*camera, Resampling::Shrinking),
+        (None, lens) => {
+            let undistortion = Undistortion::new(lens, &own_size).ok_or_else(|| {
+                let what = format!("its lens ({lens:?}) leaves no pinhole image of the photo");
+                Error::input(&view.file, what, "check the camera's distortion parameters")
+            })?;
+            (
+                undistortion.target,
+                Resampling::Lens(Box::new(undistortion)),
+            )
+        }
     };
-    let pinhole = undistortion.map_or(*camera, |u| u.target);
     let mask = MaskFile {
         path: view.mask.clone(),
         inverted: options.invert_masks,
         inverted_alpha: options.invert_masks && options.alpha_is_mask,
     };
     let (path, size) = (view.file.clone(), options.max_size);
-    let file = PhotoFile::new(path, header, size, undistortion, mask, meaning);
+    let file = PhotoFile::new(path, header, size, resampling, mask, meaning);
     let (width, height) = file.size();
     let mut camera = pinhole.scaled_to(width, height);
     camera.translation = -(camera.rotation * frame.to_local(view.camera.center()));

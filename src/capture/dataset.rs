@@ -47,11 +47,12 @@ impl std::fmt::Display for Layout {
 /// One photo with its camera.
 #[derive(Debug, Clone)]
 pub struct View {
-    /// Name of the image as the dataset gives it (relative path), unique within the dataset.
+    /// Name of the image as the dataset gives it (relative path), unique within the dataset; for a side of a panorama with `_front`, `_right`
+    /// and so on before the ending.
     pub name: String,
     /// Camera in the dataset's local frame, intrinsics at the photo's (downscaled) resolution.
     pub camera: Camera,
-    /// Lens distortion of the photo in its file; removed when it is read.
+    /// Lens of the photo in its file; its distortion is removed when it is read.
     pub lens: Lens,
     /// The photo, of the camera's width and height.
     pub photo: PhotoSource,

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::base::error::{Error, Result};
-use crate::capture::assemble::{is_photo, locate};
+use crate::capture::assemble::{is_image, is_photo, locate};
 
 /// Levels of folders that are searched for photos.
 const DEPTH: usize = 5;
@@ -121,7 +121,7 @@ struct Index(HashMap<String, Vec<PathBuf>>);
 
 /// A file name without the extension of an image format.
 fn stem(path: &Path) -> Option<String> {
-    let name = match is_photo(path) {
+    let name = match is_image(path) {
         true => path.file_stem(),
         false => path.file_name(),
     };

@@ -7,7 +7,10 @@
 //! is chosen as `colmap image_undistorter` does by default: the same focal lengths, and along each axis the largest size without
 //! a pixel that the photo has no light for, between a fifth of the photo's and twice that.
 
+use glam::DVec3;
+
 use crate::capture::camera::Camera;
+use crate::capture::panorama::angles;
 
 /// Largest number of Newton steps of an inverse.
 const STEPS: usize = 100;
@@ -83,6 +86,9 @@ pub enum Lens {
         /// β, above 0.
         beta: f64,
     },
+    /// A panorama of the whole sphere: longitude along x and latitude along y, radians. Here only its half in front of the camera is
+    /// mapped; photos of this lens are cut into the sides of a cube ([`panorama`](crate::capture::panorama)).
+    Equirectangular,
 }
 
 /// Σ k_i x^{i+1} by Horner's scheme.
@@ -123,7 +129,7 @@ impl Lens {
     pub fn is_valid(&self) -> bool {
         let finite = |parts: &[&[f64]]| parts.iter().all(|part| part.iter().all(|k| k.is_finite()));
         match self {
-            Self::Pinhole => true,
+            Self::Pinhole | Self::Equirectangular => true,
             Self::Perspective { radial, tangential } => finite(&[radial, tangential]),
             Self::Brown {
                 radial,
@@ -187,6 +193,7 @@ impl Lens {
         let r2 = x * x + y * y;
         match self {
             Self::Pinhole => [x, y],
+            Self::Equirectangular => angles(DVec3::new(x, y, 1.0)),
             Self::Perspective { radial, tangential } => {
                 let factor = (1.0 + series(&radial[..3], r2)) / (1.0 + series(&radial[3..], r2));
                 let [dx, dy] = tangent(*tangential, [x, y]);
@@ -244,6 +251,7 @@ impl Lens {
         let square = far * far;
         match self {
             Self::Pinhole => far,
+            Self::Equirectangular => far.atan(),
             Self::Perspective { radial, .. } => {
                 let below = 1.0 + series(&radial[3..], square);
                 if below <= 0.0 {

@@ -10,6 +10,7 @@ pub mod frame;
 mod images;
 pub mod lens;
 mod memory;
+pub mod panorama;
 pub mod photo;
 pub mod point_cloud;
 mod rows;
@@ -18,7 +19,7 @@ pub mod transforms;
 mod up;
 
 use crate::capture::archive::ONE_OF_THEM;
-pub use crate::capture::archive::is_archive;
+pub use crate::capture::archive::{is_archive, remove_unpacked};
 pub use crate::capture::camera::Camera;
 pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
 pub use crate::capture::frame::Frame;

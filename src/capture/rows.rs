@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use image::error::ImageFormatHint;
 use image::{ColorType, DynamicImage, ImageError, ImageFormat, ImageReader, Limits};
 
 use crate::base::error::{Error, Result};
@@ -40,6 +41,17 @@ pub(super) fn not_an_image(file: &Path, reason: &ImageError) -> Error {
             ),
             "scale the photo down, save it as a PNG that is not interlaced, which is read row by row, or use a machine with more memory",
         );
+    }
+    if let ImageError::Unsupported(of) = reason
+        && let ImageFormatHint::Exact(format) = of.format_hint()
+        && !format.reading_enabled()
+    {
+        let ending = file.extension().and_then(|e| e.to_str()).unwrap_or("*");
+        let what = format!("a photo in the format {format:?}; PNG, JPEG or WebP expected");
+        let fix = format!(
+            "convert all in their folder, with ImageMagick: mogrify -colorspace sRGB -format png -depth 16 *.{ending} (the PNGs are found by the names of these)"
+        );
+        return Error::input(file, what, fix);
     }
     unreadable(file, reason)
 }

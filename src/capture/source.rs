@@ -13,6 +13,7 @@ use crate::capture::archive::Unpacked;
 use crate::capture::lens::Undistortion;
 use crate::capture::memory::check_memory;
 pub use crate::capture::memory::parse_available;
+use crate::capture::panorama::{self, Side};
 use crate::capture::photo::{Alpha, Photo, Shrink};
 use crate::capture::rows::{Rows, not_an_image, open};
 
@@ -70,12 +71,23 @@ pub(super) struct MaskFile {
     pub inverted_alpha: bool,
 }
 
+/// The way from the pixels of a file to a view's photo.
+#[derive(Debug, Clone)]
+pub(super) enum Resampling {
+    /// Shrunk to the view's size alone.
+    Shrinking,
+    /// Lens distortion removed, then shrunk.
+    Lens(Box<Undistortion>),
+    /// Shrunk, then the side of a panorama cut out.
+    Side(Side),
+}
+
 /// An image file, and the size that its photo was found to have when the dataset was read.
 #[derive(Debug, Clone)]
 pub struct PhotoFile {
     path: PathBuf,
     max_size: u32,
-    undistortion: Option<Box<Undistortion>>,
+    resampling: Resampling,
     mask: MaskFile,
     width: u32,
     height: u32,
@@ -238,19 +250,21 @@ impl PhotoFile {
         path: PathBuf,
         header: Header,
         max_size: u32,
-        undistortion: Option<Undistortion>,
+        resampling: Resampling,
         mask: MaskFile,
         meaning: Alpha,
     ) -> Self {
-        let size = undistortion.map_or([header.width, header.height], |u| {
-            [u.target.width, u.target.height]
-        });
-        let [width, height] = fitted(size, max_size);
+        let size = [header.width, header.height];
+        let [width, height] = match &resampling {
+            Resampling::Shrinking => fitted(size, max_size),
+            Resampling::Lens(u) => fitted([u.target.width, u.target.height], max_size),
+            Resampling::Side(_) => [panorama::side_of(size, max_size); 2],
+        };
         let has_alpha = header.has_alpha || mask.path.is_some();
         Self {
             path,
             max_size,
-            undistortion: undistortion.map(Box::new),
+            resampling,
             alpha: if has_alpha { meaning } else { Alpha::None },
             mask,
             width,
@@ -274,15 +288,19 @@ impl PhotoFile {
         u64::from(self.width) * u64::from(self.height) * self.alpha.planes() as u64
     }
 
-    /// The decoded photo, its mask multiplied into its alpha, without lens distortion, shrunk to its size. It has an alpha plane
-    /// only if some pixel is not opaque.
-    fn decoded(&self) -> Result<Photo> {
+    /// The decoded photo, its mask multiplied into its alpha, without lens distortion, shrunk: to the size of the view, or of the
+    /// panorama that this is a side of. It has an alpha plane only if some pixel is not opaque.
+    fn whole(&self) -> Result<Photo> {
         let mut source = Masked::open(&self.path, &self.mask)?;
         let size = source.rows.size;
-        let to = [self.width, self.height];
-        let unlike = match &self.undistortion {
-            Some(undistortion) => size != undistortion.source_size(),
-            None => fitted(size, self.max_size) != to,
+        let view = [self.width, self.height];
+        let (to, unlike) = match &self.resampling {
+            Resampling::Shrinking => (view, fitted(size, self.max_size) != view),
+            Resampling::Lens(undistortion) => (view, size != undistortion.source_size()),
+            Resampling::Side(_) => {
+                let unlike = panorama::side_of(size, self.max_size) != self.width;
+                (panorama::shrunk(size, self.width), unlike)
+            }
         };
         if unlike {
             return Err(self.changed(size, source.channels));
@@ -294,18 +312,26 @@ impl PhotoFile {
             Alpha::None => Alpha::Transparency,
             meaning => meaning,
         };
-        let photo = match &self.undistortion {
-            None => {
+        let photo = match &self.resampling {
+            Resampling::Lens(undistortion) => self.undistorted(source, undistortion, meaning)?,
+            Resampling::Shrinking | Resampling::Side(_) => {
                 let mut small = Shrink::new(size, to, meaning)?;
                 source.each(|row| small.row(row))?;
                 small.photo()?
             }
-            Some(undistortion) => self.undistorted(source, undistortion, meaning)?,
         };
         if photo.alpha != Alpha::None && photo.alpha != self.alpha {
             return Err(self.changed(to, photo.alpha.planes()));
         }
         Ok(photo)
+    }
+
+    /// The view's photo from [`Self::whole`].
+    fn part(&self, whole: &Arc<Photo>) -> Arc<Photo> {
+        match self.resampling {
+            Resampling::Side(side) => Arc::new(side.photo(whole, self.width)),
+            _ => whole.clone(),
+        }
     }
 
     /// The error of a photo that is another one than when the dataset was read.
@@ -356,8 +382,8 @@ impl PhotoFile {
     /// # Errors
     /// Those of [`PhotoSource::load`].
     pub(crate) fn load(&self) -> Result<Photo> {
-        let photo = self.decoded().map_err(|error| self.explained(error))?;
-        Ok(photo.with_alpha(self.alpha))
+        let whole = self.whole().map_err(|error| self.explained(error))?;
+        Ok(with_alpha(self.part(&Arc::new(whole)), self.alpha))
     }
 
     /// The error of a decoder that failed without a reason.
@@ -373,6 +399,11 @@ impl PhotoFile {
             None => error,
         }
     }
+}
+
+/// A photo with an alpha plane; copied only if it is shared.
+fn with_alpha(photo: Arc<Photo>, alpha: Alpha) -> Photo {
+    Arc::unwrap_or_clone(photo).with_alpha(alpha)
 }
 
 /// The photos of `files`: in memory if all of them fit into `budget` bytes, else left in their files.
@@ -391,10 +422,10 @@ pub(super) fn read(
     files.iter_mut().for_each(|f| f.alpha = may_be);
     let fits = files.iter().map(PhotoFile::bytes).sum::<u64>() <= budget;
     let (all, done) = (files.len(), AtomicUsize::new(0));
-    let decoded: Vec<(Alpha, Option<Photo>)> = files
-        .par_iter_mut()
-        .map(|f| {
-            let photo = f.decoded()?;
+    let decode = |group: &mut [PhotoFile]| -> Result<Vec<(Alpha, Option<Arc<Photo>>)>> {
+        let whole = Arc::new(group[0].whole()?);
+        let parts = group.iter_mut().map(|f| {
+            let photo = f.part(&whole);
             if !fits && f.alpha == Alpha::Mask {
                 let white = || vec![255; photo.data.len() / 3];
                 f.mask_digest = photo.mask_plane().map_or_else(|| digest(&white()), digest);
@@ -402,9 +433,16 @@ pub(super) fn read(
             if let Some(progress) = progress {
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             }
-            Ok((photo.alpha, fits.then_some(photo)))
-        })
-        .collect::<Result<_>>()?;
+            (photo.alpha, fits.then_some(photo))
+        });
+        Ok(parts.collect())
+    };
+    // The sides of a panorama stand together, and are cut from one decoding.
+    let decoded = files
+        .par_chunk_by_mut(|a, b| a.path == b.path)
+        .map(decode)
+        .collect::<Result<Vec<_>>>()?
+        .concat();
     let alpha = Alpha::common(decoded.iter().map(|d| d.0));
     files.iter_mut().for_each(|f| f.alpha = alpha);
     if let Some(large) = files.iter().find(|f| f.bytes() > budget) {
@@ -420,7 +458,7 @@ pub(super) fn read(
     let photos = files.into_iter().zip(decoded);
     Ok(photos
         .map(|(file, (_, photo))| match photo {
-            Some(photo) => photo.with_alpha(alpha).into(),
+            Some(photo) => with_alpha(photo, alpha).into(),
             None => PhotoSource::File(file),
         })
         .collect())

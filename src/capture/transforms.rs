@@ -17,6 +17,7 @@ use crate::capture::camera::{Camera, camera_axes};
 use crate::capture::dataset::Layout;
 use crate::capture::images::{Images, short};
 use crate::capture::lens::Lens;
+use crate::capture::panorama::intrinsics;
 use crate::capture::source;
 
 /// Remedy for an unusable value.
@@ -26,6 +27,8 @@ const CORRECT: &str = "correct the file";
 const FISHEYE: [&str; 4] = ["k1", "k2", "k3", "k4"];
 /// Coefficients of a perspective lens, in order; the last three in `FULL_OPENCV` alone.
 const PERSPECTIVE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
+/// Camera model of panoramas.
+const SPHERE: &str = "EQUIRECTANGULAR";
 /// Keys of distortion that have a place in none of these.
 const OTHERS: [&str; 3] = ["p3", "p4", "is_fisheye"];
 
@@ -152,12 +155,14 @@ fn views(
             missing.push(normal_name(&frame.file_path));
             continue;
         };
+        let lens = at.lens()?;
         views.push(RawView {
             name: normal_name(&frame.file_path),
-            camera: at.camera(&image)?,
-            lens: at.lens()?,
+            camera: at.camera(&image, lens)?,
+            lens,
             mask: at.mask(root)?,
             file: image,
+            side: None,
         });
     }
     Ok(views)
@@ -222,6 +227,7 @@ impl Place<'_> {
                 &PERSPECTIVE[..5]
             }
             Some("FULL_OPENCV") => &PERSPECTIVE,
+            Some(SPHERE) => &[],
             Some(other) => {
                 let what = format!("the camera model {other} is not read");
                 return Err(self.bad(&what, fix));
@@ -236,16 +242,22 @@ impl Place<'_> {
                 return Err(self.bad(&what, fix));
             }
         }
+        if model.as_deref() == Some(SPHERE) {
+            return Ok(Lens::Equirectangular);
+        }
         let used = used.iter().map(|key| value(key));
         let coefficients: Vec<f64> = used.collect::<Result<_>>()?;
         Ok(Lens::of_coefficients(&coefficients, fisheye))
     }
 
     /// Intrinsics from the frame, then the file, then defaults: the image's size, its centre, fy = fx.
-    fn camera(&self, image: &Path) -> Result<Camera> {
+    fn camera(&self, image: &Path, lens: Lens) -> Result<Camera> {
         let (width, height) = match (self.find(|l| l.w), self.find(|l| l.h)) {
             (Some(w), Some(h)) => (self.pixels("w", w)?, self.pixels("h", h)?),
-            _ if self.resized && self.find(|l| l.fl_x).is_some() => {
+            _ if self.resized
+                && lens != Lens::Equirectangular
+                && self.find(|l| l.fl_x).is_some() =>
+            {
                 let what = "fl_x is given without w and h, and the photos of --images may have another size";
                 return Err(self.bad(what, "add w and h"));
             }
@@ -254,6 +266,47 @@ impl Place<'_> {
                 (header.width, header.height)
             }
         };
+        let [fx, fy, cx, cy] = match lens {
+            Lens::Equirectangular => self.sphere(width, height)?,
+            _ => self.intrinsics(width, height)?,
+        };
+        let (rotation, center) = self.pose()?;
+        Ok(Camera {
+            rotation,
+            translation: -(rotation * center),
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        })
+    }
+
+    /// Intrinsics of a panorama. What the file says of them must be what nerfstudio says of the whole sphere: focal lengths of half
+    /// the width, the principal point in the middle.
+    fn sphere(&self, width: u32, height: u32) -> Result<[f64; 4]> {
+        let (w, h) = (f64::from(width), f64::from(height));
+        let given = [
+            ("fl_x", self.find(|l| l.fl_x), w / 2.0),
+            ("fl_y", self.find(|l| l.fl_y), w / 2.0),
+            ("cx", self.find(|l| l.cx), w / 2.0),
+            ("cy", self.find(|l| l.cy), h / 2.0),
+        ];
+        for (key, value, expected) in given {
+            // NaN is near nothing.
+            let near = |v: &f64| (v - expected).abs() <= 0.01 * expected;
+            if let Some(v) = value.filter(|v| !near(v)) {
+                let what =
+                    format!("{key} = {v}; {expected} expected for a whole panorama ({SPHERE})");
+                return Err(self.bad(&what, "remove fl_x, fl_y, cx and cy, or correct them"));
+            }
+        }
+        Ok(intrinsics(width, height))
+    }
+
+    /// Focal lengths and principal point fx, fy, cx, cy of a pinhole, with a lens or without.
+    fn intrinsics(&self, width: u32, height: u32) -> Result<[f64; 4]> {
         let (w, h) = (f64::from(width), f64::from(height));
         let from_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());
         // A frame's field of view wins over the file's focal length, hence frame by frame.
@@ -274,17 +327,7 @@ impl Place<'_> {
             );
             return Err(self.bad(&what, CORRECT));
         }
-        let (rotation, center) = self.pose()?;
-        Ok(Camera {
-            rotation,
-            translation: -(rotation * center),
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        })
+        Ok([fx, fy, cx, cy])
     }
 
     fn pixels(&self, key: &str, value: f64) -> Result<u32> {

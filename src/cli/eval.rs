@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
+use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Defines;
@@ -50,6 +51,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         record.as_ref(),
         "give the folder of the photos after it",
     )?;
+    remove_unpacked_at_end(&dataset)?;
     let mut data = scene::dataset(&dataset, record.as_ref(), &args.photos)?;
     if args.training_views {
         data.test = std::mem::take(&mut data.train);

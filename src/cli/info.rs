@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use crate::cli::common::{Common, Outcome};
+use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::constants::LOG_SCALE;
 use mhsplat::base::error::Result;
@@ -69,6 +70,7 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
         ..TrainConfig::default()
     };
     config.validate()?;
+    remove_unpacked_at_end(&args.path)?;
     let data = capture::load(&args.path, &scene::load_options(&config))?;
     let plan = PlanRecord::of(&Plan::new(&data, &config)?);
     scene::note_left_out(&data);
@@ -125,6 +127,7 @@ fn counted(data: &Dataset, of: impl Fn(&View) -> String) -> BTreeMap<String, usi
 fn lens(lens: &Lens) -> &'static str {
     match lens {
         Lens::Pinhole => "no distortion",
+        Lens::Equirectangular => "panoramas",
         Lens::Brown { fisheye: true, .. } => "fisheye",
         Lens::Perspective { .. } | Lens::Brown { .. } => "perspective distortion",
         Lens::Fov { .. } | Lens::Division { .. } | Lens::Eucm { .. } => "wide-angle distortion",

@@ -1,26 +1,54 @@
 //! Signals that end a command in order.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
 use mhsplat::base::error::{Error, Result};
+use mhsplat::capture;
 
 /// Returns a flag that Ctrl-C, SIGTERM or the end of the session (SIGHUP, unless `nohup` ignores it) sets; a Ctrl-C or SIGTERM after
 /// that ends the program at once.
 pub fn stop_flag() -> Result<Arc<AtomicBool>> {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let stop = Arc::new(AtomicBool::new(false));
-    let fail = |e| Error::io("signal handler", e);
-    let signals = [SIGINT, SIGTERM, SIGHUP].into_iter();
-    for signal in signals.filter(|signal| *signal != SIGHUP || !ignored(SIGHUP)) {
+    for signal in handled() {
         // A shell and the kernel both send SIGHUP when a session ends: two of them are no impatience.
         if signal != SIGHUP {
             signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
-                .map_err(fail)?;
+                .map_err(failed)?;
         }
-        signal_hook::flag::register(signal, stop.clone()).map_err(fail)?;
+        signal_hook::flag::register(signal, stop.clone()).map_err(failed)?;
     }
     Ok(stop)
+}
+
+/// Lets the same signals end the program at once, without the folder that an archive is unpacked into; nothing changes for another dataset.
+pub fn remove_unpacked_at_end(dataset: &Path) -> Result<()> {
+    if !capture::is_archive(dataset) {
+        return Ok(());
+    }
+    let mut signals = Signals::new(handled()).map_err(failed)?;
+    let end = move || {
+        if signals.forever().next().is_some() {
+            capture::remove_unpacked();
+            signal_hook::low_level::exit(130);
+        }
+    };
+    let thread = std::thread::Builder::new().spawn(end);
+    thread.map(drop).map_err(failed)
+}
+
+/// The signals that end a command.
+fn handled() -> impl Iterator<Item = i32> {
+    let signals = [SIGINT, SIGTERM, SIGHUP].into_iter();
+    signals.filter(|signal| *signal != SIGHUP || !ignored(SIGHUP))
+}
+
+fn failed(error: std::io::Error) -> Error {
+    Error::io("signal handler", error)
 }
 
 /// Returns true if the program was started with a signal ignored.

@@ -89,13 +89,36 @@ fn truncated_models() {
 fn a_camera_model_that_is_not_taken() {
     damaged(
         SynthLayout::ColmapTxt,
-        &["cameras.txt", "EQUIRECTANGULAR", "panorama_sfm"],
+        &["cameras.txt", "EQUIRECTANGULAR", "2 expected"],
         |d| {
             replace(
                 &d.join("sparse/0/cameras.txt"),
                 " PINHOLE ",
                 " EQUIRECTANGULAR ",
             );
+        },
+    );
+}
+
+#[test]
+fn a_panorama_of_another_shape() {
+    damaged(
+        SynthLayout::Transforms,
+        &["pixels", "twice as wide as high", "mask"],
+        |d| {
+            for file in ["transforms_train.json", "transforms_test.json"] {
+                let file = d.join(file);
+                let text = fs::read_to_string(&file).unwrap();
+                let mut all: serde_json::Value = serde_json::from_str(&text).unwrap();
+                all["camera_model"] = "EQUIRECTANGULAR".into();
+                for key in ["fl_x", "fl_y", "cx", "cy", "camera_angle_x"] {
+                    all.as_object_mut().unwrap().remove(key);
+                    for frame in all["frames"].as_array_mut().unwrap() {
+                        frame.as_object_mut().unwrap().remove(key);
+                    }
+                }
+                fs::write(&file, all.to_string()).unwrap();
+            }
         },
     );
 }

@@ -91,13 +91,19 @@ fn models_that_are_not_read_are_refused_by_name() {
         dir.path().join("cameras.txt"),
     );
     let whole = fs::read(&bin).unwrap();
-    let (name, words) = ("EQUIRECTANGULAR", ["EQUIRECTANGULAR", "panorama_sfm"]);
+    // The newest model, with the parameters of another.
     let mut bytes = whole.clone();
     bytes[12..16].copy_from_slice(&17_i32.to_le_bytes());
     fs::write(&bin, bytes).unwrap();
-    assert_refused(ColmapModel::read(dir.path(), true), &words);
-    fs::write(&txt, format!("1 {name} 16 12 16 12\n")).unwrap();
-    assert_refused(ColmapModel::read(dir.path(), false), &words);
+    assert_refused(ColmapModel::read(dir.path(), true), &["EQUIRECTANGULAR"]);
+    for (params, words) in [
+        ("", "0 parameters; 2 expected"),
+        ("16 10", "the size of its photos expected, 16 and 8"),
+    ] {
+        fs::write(&txt, format!("1 EQUIRECTANGULAR 16 8 {params}\n")).unwrap();
+        let words = ["cameras.txt", "EQUIRECTANGULAR", words];
+        assert_refused(ColmapModel::read(dir.path(), false), &words);
+    }
     fs::write(&txt, "1 NEWEST 16 12 20 8 6 0.1\n").unwrap();
     let words = ["NEWEST", "image_undistorter"];
     assert_refused(ColmapModel::read(dir.path(), false), &words);

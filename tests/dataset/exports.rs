@@ -334,7 +334,12 @@ fn metashape_files_that_do_not_tell_the_cameras_are_refused() {
     let file = dir.path().join("cameras.xml");
     let whole = metashape("frame", true);
     for (from, to, words) in [
-        ("frame", "spherical", &["spherical", "undistorted"][..]),
+        ("frame", "cylindrical", &["cylindrical", "undistorted"][..]),
+        (
+            "type=\"frame\"",
+            "type=\"spherical\"",
+            &["spherical", "not read"],
+        ),
         ("<f>33</f>", "<f>nan</f>", &["f of sensor 0", "1 numbers"]),
         ("<f>33</f>", "", &["focal length 0"]),
         ("<k1>", "<p3>0.1</p3><k1>", &["p3"]),

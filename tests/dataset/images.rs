@@ -66,6 +66,35 @@ fn photos_are_found_by_their_file_names() {
 }
 
 #[test]
+fn photos_in_a_format_that_is_converted_first() {
+    let dir = moved(|name| format!("images/{name}"));
+    let images = dir.path().join("sparse/0/images.bin");
+    let text = fs::read(&images).unwrap();
+    let renamed: Vec<u8> = text
+        .windows(4)
+        .enumerate()
+        .filter(|(_, w)| w == b".png")
+        .fold(text.clone(), |mut all, (i, _)| {
+            all[i..i + 4].copy_from_slice(b".exr");
+            all
+        });
+    fs::write(&images, renamed).unwrap();
+    // PNGs are found by the names of what they were converted from, whether that is there or not.
+    assert_eq!(load_every(dir.path(), 0).unwrap().train.len(), 3);
+    let photos = fs::read_dir(dir.path().join("images")).unwrap();
+    let photos: Vec<_> = photos.map(|e| e.unwrap().path()).collect();
+    for photo in &photos {
+        fs::write(photo.with_extension("exr"), b"\x76\x2f\x31\x01\x02\0\0\0").unwrap();
+    }
+    assert_eq!(load_every(dir.path(), 0).unwrap().train.len(), 3);
+    for photo in photos {
+        fs::remove_file(photo).unwrap();
+    }
+    let words = [".exr", "OpenExr", "mogrify -colorspace sRGB", "16 *.exr"];
+    assert_refused(load_every(dir.path(), 0), &words);
+}
+
+#[test]
 fn one_name_in_several_places_is_refused() {
     let dir = moved(|name| format!("images_2/{name}"));
     let [half, quarter] = ["images_2", "images_4"].map(|name| dir.path().join(name));

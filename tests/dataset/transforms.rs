@@ -135,13 +135,17 @@ fn points_come_with_ply_file_path() {
 #[test]
 fn what_cannot_be_used_is_refused() {
     type Change = fn(&mut Value);
-    let cases: [(Change, &[&str]); 13] = [
+    let cases: [(Change, &[&str]); 14] = [
         (|v| v["k4"] = json!(0.05), &["k4", "undistort"]),
         (|v| v["frames"][1]["p4"] = json!(1e-4), &["p4", "undistort"]),
         (|v| v["k1"] = json!("much"), &["k1", "number"]),
         (
             |v| v["camera_model"] = json!("EQUIRECTANGULAR"),
-            &["EQUIRECTANGULAR"],
+            &["fl_x", "whole panorama", "EQUIRECTANGULAR"],
+        ),
+        (
+            |v| v["camera_model"] = json!("VR180_L"),
+            &["VR180_L", "undistort"],
         ),
         (|v| v["frames"][0]["fl_x"] = json!(-3.0), &["focal"]),
         (|v| v["frames"][0]["w"] = json!(16.5), &["w = 16.5"]),

@@ -1,11 +1,13 @@
-/* An OpenCL that fails: preloaded, it lets calls through until the one that MHSPLAT_FAULT names, as NAME:NUMBER:ERROR, and
+/* An OpenCL, or a disk, that fails: preloaded, it lets calls through until the one that MHSPLAT_FAULT names, as NAME:NUMBER:ERROR, and
  * answers that one and all later ones of its name with the error. A lost device stays lost. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <errno.h>
 #include <stdatomic.h>
 #include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 /* The error, if this call has one. */
 static int fault(const char *name, atomic_long *calls) {
@@ -56,4 +58,14 @@ void *clCreateBuffer(void *context, unsigned long flags, size_t size, void *host
   if (error)
     *error = failed;
   return NULL;
+}
+
+/* Reads at a place in a file; the error is one of errno. */
+ssize_t pread64(int file, void *to, size_t size, off64_t at) {
+  static atomic_long calls;
+  int error = fault("pread64", &calls);
+  if (!error)
+    return NEXT(pread64)(file, to, size, at);
+  errno = error;
+  return -1;
 }

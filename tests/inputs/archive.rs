@@ -127,6 +127,12 @@ fn written(dir: &TempDir, entries: &[Entry]) -> PathBuf {
     path
 }
 
+/// An archive of six photos.
+pub fn small_archive(dir: &TempDir) -> PathBuf {
+    let scene = colmap_scene(6, DVec3::ZERO, true);
+    written(dir, &of_folder(scene.path(), ""))
+}
+
 #[test]
 fn an_archive_is_read_as_its_folder() {
     let (scene, dir) = (
@@ -214,6 +220,35 @@ fn photos_on_demand_keep_the_folder_and_its_end_removes_it() {
         "{}",
         stderr(&output)
     );
+    assert_eq!(left(&temporary), 0);
+}
+
+/// Nothing is left of a program that is interrupted while it unpacks.
+#[test]
+#[cfg(unix)]
+fn an_interrupted_program_removes_what_it_unpacked() {
+    let (scene, dir) = (
+        colmap_scene(6, DVec3::ZERO, true),
+        tempfile::tempdir().unwrap(),
+    );
+    let mut entries = of_folder(scene.path(), "");
+    entries.insert(0, entry("large", &vec![0; 60 << 20]));
+    let path = written(&dir, &entries);
+    let temporary = dir.path().join("tmp");
+    fs::create_dir(&temporary).unwrap();
+    let mut command = program();
+    command
+        .env("TMPDIR", &temporary)
+        .args(["info", text(&path)]);
+    let mut child = command.stderr(std::process::Stdio::null()).spawn().unwrap();
+    while left(&temporary) == 0 {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        assert!(child.try_wait().unwrap().is_none(), "ended too soon");
+    }
+    let id = child.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &id]).status().unwrap();
+    assert!(sent.success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
     assert_eq!(left(&temporary), 0);
 }
 

@@ -73,6 +73,7 @@ pub(in crate::capture) fn load(
                 height: c.height,
             },
             lens: c.lens,
+            side: None,
         });
     }
     Ok(RawScene {

@@ -9,9 +9,10 @@ use crate::base::error::{Error, Result};
 use crate::capture::camera::Camera;
 use crate::capture::colmap::form::{Fields, Output, REBUILD, records};
 use crate::capture::lens::Lens;
+use crate::capture::panorama::intrinsics;
 
-/// Name of a camera model, number of its focal lengths (f, or fx and fy; none: not read) and of its distortion coefficients, and the
-/// lens of these.
+/// Name of a camera model, number of its focal lengths (f, or fx and fy; none: a panorama, with its size in the place of the principal
+/// point) and of its distortion coefficients, and the lens of these.
 type CameraModel = (&'static str, usize, usize, fn(&[f64]) -> Lens);
 
 /// COLMAP's camera models in the order of its identifiers (`src/colmap/sensor/models.h`).
@@ -33,11 +34,12 @@ const MODELS: [CameraModel; 18] = [
     ("SIMPLE_FISHEYE", 1, 0, fisheye),
     ("FISHEYE", 2, 0, fisheye),
     ("EUCM", 2, 2, eucm),
-    (SPHERE, 0, 0, perspective),
+    ("EQUIRECTANGULAR", 0, 0, sphere),
 ];
 
-/// Model of a whole sphere around the camera, which no pinhole sees.
-const SPHERE: &str = "EQUIRECTANGULAR";
+fn sphere(_: &[f64]) -> Lens {
+    Lens::Equirectangular
+}
 
 fn perspective(k: &[f64]) -> Lens {
     Lens::of_coefficients(k, false)
@@ -155,14 +157,7 @@ fn camera(from: &mut Fields<'_>) -> Result<ColmapCamera> {
     };
     let size = from.array(["WIDTH", "HEIGHT"], u64::from_le_bytes)?;
     let name = known.map_or_else(|| format!("{found} (unknown)"), |m| m.0.to_owned());
-    if name == SPHERE {
-        return Err(Error::input(
-            from.path,
-            format!("camera {id} has the model {name}: its photos show the whole sphere"),
-            "cut them into pinhole photos with poses, as COLMAP's python/examples/panorama_sfm.py does, and give what it writes",
-        ));
-    }
-    let Some(&(_, focals, coefficients, lens)) = known.filter(|m| m.1 > 0) else {
+    let Some(&(_, focals, coefficients, lens)) = known else {
         return Err(Error::input(
             from.path,
             format!("camera {id} has the model {name}, which is not read"),
@@ -180,16 +175,25 @@ fn camera(from: &mut Fields<'_>) -> Result<ColmapCamera> {
         let what = format!("camera {id} is {}×{} pixels", size[0], size[1]);
         return Err(Error::input(from.path, what, REBUILD));
     };
+    if focals == 0 && params != [width, height].map(f64::from) {
+        let what = format!(
+            "camera {id} ({name}) has the parameters {params:?}; the size of its photos expected, {width} and {height}"
+        );
+        return Err(Error::input(from.path, what, REBUILD));
+    }
     Ok(ColmapCamera {
         id,
         width,
         height,
-        params: [
-            params[0],
-            params[focals - 1],
-            params[focals],
-            params[focals + 1],
-        ],
+        params: match focals {
+            0 => intrinsics(width, height),
+            _ => [
+                params[0],
+                params[focals - 1],
+                params[focals],
+                params[focals + 1],
+            ],
+        },
         lens: lens(&params[focals + 2..]),
     })
 }

@@ -17,6 +17,7 @@ use crate::capture::camera::{Camera, camera_axes};
 use crate::capture::dataset::Layout;
 use crate::capture::exports::shared::{add_cloud, scene};
 use crate::capture::lens::Lens;
+use crate::capture::panorama::intrinsics;
 
 /// Remedy for a file that cannot be used.
 const EXPORT: &str = "export the cameras again (File, Export, Export Cameras, Agisoft XML)";
@@ -109,9 +110,54 @@ impl Reader<'_> {
         Ok(Some(found))
     }
 
+    /// Width and height of photos, pixels.
+    fn resolution(&self, node: Option<Node<'_, '_>>, of: &str) -> Result<[u32; 2]> {
+        let side = |name: &str| node?.attribute(name)?.parse().ok().filter(|s| *s > 0);
+        match (side("width"), side("height")) {
+            (Some(width), Some(height)) => Ok([width, height]),
+            _ => Err(self.bad(format!("{of} has no resolution"))),
+        }
+    }
+
+    /// The sensor of panoramas, which has nothing to calibrate.
+    fn sphere(&self, node: Node<'_, '_>, of: &str) -> Result<Sensor> {
+        for part in node.descendants().filter(|n| {
+            let terms = [
+                "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4",
+            ];
+            terms.contains(&n.tag_name().name())
+        }) {
+            let ([value], name) = (self.numbers(part, of)?, part.tag_name().name());
+            if value != 0.0 {
+                let what = format!("{of} is spherical and has {name}, which is not read");
+                let fix = "align the panoramas without adjusting their sensor, and export again";
+                return Err(Error::input(self.0, what, fix));
+            }
+        }
+        let size = node.descendants().find(|n| n.has_tag_name("resolution"));
+        let [width, height] = self.resolution(size, of)?;
+        let [fx, fy, cx, cy] = intrinsics(width, height);
+        Ok(Sensor {
+            camera: Camera {
+                rotation: DMat3::IDENTITY,
+                translation: DVec3::ZERO,
+                fx,
+                fy,
+                cx,
+                cy,
+                width,
+                height,
+            },
+            lens: Lens::Equirectangular,
+        })
+    }
+
     /// A sensor with a calibration; `None` for one without.
     fn sensor(&self, node: Node<'_, '_>) -> Result<Option<Sensor>> {
         let of = format!("sensor {}", node.attribute("id").unwrap_or_default());
+        if node.attribute("type") == Some("spherical") {
+            return self.sphere(node, &of).map(Some);
+        }
         let calibrations = node.children().filter(|c| c.has_tag_name("calibration"));
         let adjusted = |c: &Node<'_, '_>| c.attribute("class") == Some("adjusted");
         // The initial calibration stands before the adjusted one, or alone.
@@ -119,10 +165,7 @@ impl Reader<'_> {
             return Ok(None);
         };
         let size = child(found, "resolution").or_else(|| child(node, "resolution"));
-        let side = |name: &str| size?.attribute(name)?.parse().ok().filter(|s| *s > 0);
-        let (Some(width), Some(height)) = (side("width"), side("height")) else {
-            return Err(self.bad(format!("{of} has no resolution")));
-        };
+        let [width, height] = self.resolution(size, &of)?;
         let value = |name: &str| match child(found, name) {
             Some(node) => self.numbers(node, &of).map(|[v]| v),
             None => Ok(0.0),
@@ -132,7 +175,8 @@ impl Reader<'_> {
             "frame" => false,
             "fisheye" | "equidistant_fisheye" => true,
             other => {
-                let what = format!("{of} is of the type {other}; frame or fisheye expected");
+                let what =
+                    format!("{of} is of the type {other}; frame, fisheye or spherical expected");
                 let fix = "export undistorted photos with their cameras";
                 return Err(Error::input(self.0, what, fix));
             }

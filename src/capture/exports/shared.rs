@@ -55,6 +55,7 @@ pub(super) fn scene(
             file: image,
             camera,
             lens,
+            side: None,
         });
     }
     Ok(RawScene {
