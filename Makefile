@@ -1,10 +1,11 @@
 # make demo   install what is missing, build, train the bundled scene, leave a report
 # make test   run the tests; TESTS="stage:: layout" some of them, OCL_ICD_VENDORS=folder on another OpenCL implementation
 # make deb    a Debian package in target/debian (cargo install cargo-deb); make wheel: a Python wheel in target/wheels (pip)
+# make archive    the archive of a release for this machine in target/distrib (cargo install cargo-dist)
 DEMO ?= run-demo
 FILES = target/package-files
 
-.PHONY: demo install test bench deb wheel
+.PHONY: demo install test bench deb wheel archive
 
 install:
 	.ci/install
@@ -31,3 +32,6 @@ deb: install
 
 wheel: install
 	pip wheel --no-deps --wheel-dir target/wheels .packaging/python
+
+archive: install
+	dist build --artifacts=local --target=$$(rustc --print host-tuple)
