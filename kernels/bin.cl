@@ -1,4 +1,5 @@
-// bin: visible Gaussians -> (tile, Gaussian) pairs in depth order -> ranges of pairs per tile.
+// bin: visible Gaussians in depth order -> (tile, Gaussian) pairs, by a stable counting sort: pairs are counted by chunk of
+// Gaussians and tile, the sort stage turns the counts into places, and every pair goes straight to its own. No key of a pair is stored.
 
 // The minimum over the tile's pixel centres' rectangle of the record's quadratic form, against its reach: exact for a
 // convex form, whose minimum lies at the mean or on an edge that faces the mean (StopThePop, Speedy-Splat intersect
@@ -46,8 +47,23 @@ static inline int is_masked(const Projected *g) {
 #define IS_ACTIVE(tile) 1
 #endif
 
-// Counts the tiles touched, remembers them in *mask if they fit, and writes them where `keys` is given.
-static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, ACTIVE_TILES, __global uint *keys) {
+// One Gaussian's pairs on their way to a chunk's counters, and to their places where `order` is given.
+typedef struct {
+  __global uint *counts;           // [tiles] of the chunk
+  __global const uint *tile_start; // [tiles]
+  __global uint *order, *isect_owner;
+  uint slot, owner;                // next slot, Gaussian
+} Pairs;
+
+static inline void add_pair(Pairs *pairs, uint tile) {
+  const uint before = pairs->counts[tile]++;
+  if (!pairs->order) return;
+  pairs->order[pairs->tile_start[tile] + before] = pairs->slot;
+  pairs->isect_owner[pairs->slot++] = pairs->owner;
+}
+
+// Counts the tiles touched, remembers them in *mask if they fit, and adds them to `pairs` where they are given.
+static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, ACTIVE_TILES, Pairs *pairs) {
   const int tx0 = BOUND_LO(g->bx) / TILE, tx1 = BOUND_HI(g->bx) / TILE;
   const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
   const real slope = g->a * g->r / fma(g->a * g->r, g->r, g->c); // dy of the minimum along a vertical line, per dx
@@ -56,7 +72,7 @@ static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, ACTI
   for (int ty = ty0; ty <= ty1; ty++)
     for (int tx = tx0; tx <= tx1; tx++, at++)
       if (IS_ACTIVE((uint)ty * tiles_x + (uint)tx) && touches_tile(g, slope, reach, tx, ty)) {
-        if (keys) keys[n] = (uint)ty * tiles_x + (uint)tx;
+        if (pairs) add_pair(pairs, (uint)ty * tiles_x + (uint)tx);
         bits |= 1u << (at % MASKED);
         n++;
       }
@@ -64,15 +80,40 @@ static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, ACTI
   return n;
 }
 
-// Writes the tiles of a mask in the order in which walk_tiles sets its bits.
-static inline uint emit_mask(uint mask, uint tx0, uint ty0, uint width, uint tiles_x, __global uint *keys) {
-  uint n = 0;
+// Adds the tiles of a mask in the order in which walk_tiles sets its bits.
+static inline void walk_mask(uint mask, uint tx0, uint ty0, uint width, uint tiles_x, Pairs *pairs) {
   for (uint ty = ty0; mask; ty++) {
     for (uint row = mask & (0xffffffffu >> (MASKED - width)); row; row &= row - 1)
-      keys[n++] = ty * tiles_x + tx0 + (MASKED - 1 - clz(row & -row));
+      add_pair(pairs, ty * tiles_x + tx0 + (MASKED - 1 - clz(row & -row)));
     mask = width < MASKED ? mask >> width : 0;
   }
-  return n;
+}
+
+// Adds the pairs of a chunk's Gaussians, which are contiguous in depth order; none after an overflow.
+static inline void walk_chunk(uint chunk, uint chunks, __global const Projected *records, __global const uint *visible,
+                              __global const uint *status, uint tiles_x, ACTIVE_TILES, __global const uint *cover,
+                              __global const uint *isect_start, Pairs pairs) {
+  if (status[S_OVERFLOW] != 0) return;
+  const uint n = status[S_VISIBLE], size = (n + chunks - 1) / chunks;
+  const uint first = min(chunk * size, n), last = min(first + size, n);
+  for (uint j = first; j < last; j++) {
+    const uint box = cover[2 * j + 1];
+    pairs.owner = visible[j];
+    if (pairs.order) pairs.slot = isect_start[pairs.owner];
+    if (box) {
+      walk_mask(cover[2 * j], box & 0xfffu, box >> 12 & 0xfffu, box >> 24, tiles_x, &pairs);
+    } else {
+      const Projected g = records[pairs.owner];
+      uint mask;
+      walk_tiles(&g, &mask, tiles_x, ACTIVE_ARGUMENTS, &pairs);
+    }
+  }
+}
+
+// The chunk of a work-item. The nearest Gaussians have the most pairs, and CPU drivers hand out ranges of work-items, half of
+// them to begin with (PoCL 3.1): every second chunk comes first.
+static inline uint dealt_chunk(uint id, uint chunks) {
+  return 2 * id < chunks ? 2 * id : 2 * (id - (chunks + 1) / 2) + 1;
 }
 
 // Launch: one work-item per chunk of Gaussians. Counts the visible ones.
@@ -87,16 +128,18 @@ __kernel void bin_visible(__global const uint *keys, uint count, // in [count] d
   sums[c] = n;
 }
 
-// Launch: one work-item per chunk of Gaussians. Writes keys and indices of the visible ones, in index order.
+// Launch: as bin_visible. Writes keys and indices of the visible ones, in index order, and their number to the status.
 __kernel void bin_compact(__global const uint *keys, uint count, // in [count]
-                          uint chunks, __global const uint *sums, // in [chunks] exclusive
+                          uint chunks, __global const uint *sums, // in [chunks]
                           __global uint *visible_keys,            // out [visible]
-                          __global uint *visible) {               // out [visible] Gaussian index
+                          __global uint *visible,                 // out [visible] Gaussian index
+                          __global uint *status) {                // out S_VISIBLE
   const uint c = get_global_id(0);
   if (c >= chunks) return;
   const uint size = (count + chunks - 1) / chunks;
   const uint first = min(c * size, count), last = min(first + size, count);
-  uint at = sums[c];
+  uint at = (uint)sum_before(sums, c);
+  if (c == chunks - 1) status[S_VISIBLE] = at + sums[c];
   for (uint i = first; i < last; i++)
     if (keys[i] != KEY_CULLED) {
       visible_keys[at] = keys[i];
@@ -113,8 +156,7 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
                         ACTIVE_TILES, // in [tiles]
 #endif
                         __global uint *cover,   // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
-                        __global uint *counts,  // out [visible] tiles touched
-                        __global uint *isect_counts) { // out [count] the same counts by Gaussian
+                        __global uint *isect_counts) { // out [count] tiles touched
   const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
   if (first >= visible_count) return;
   const uint n = min((uint)BATCH, visible_count - first);
@@ -123,59 +165,43 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
   for (uint j = 0; j < n; j++) {
     const Projected *g = &staged[j];
     uint mask;
-    counts[first + j] = isect_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, ACTIVE_ARGUMENTS, 0);
+    isect_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, ACTIVE_ARGUMENTS, 0);
     const uint tx0 = BOUND_LO(g->bx) / TILE, ty0 = BOUND_LO(g->by) / TILE, width = BOUND_HI(g->bx) / TILE - tx0 + 1;
     cover[2 * (first + j)] = mask;
     cover[2 * (first + j) + 1] = is_masked(g) ? tx0 | ty0 << 12 | width << 24 : 0;
   }
 }
 
-// Launch: as bin_count. Pairs are written in depth order, for the stable sort; each is known by its slot, and slots are
-// given out by Gaussian, so that project_grad finds a Gaussian's sums in one place and its neighbours' beside them.
-// Emits nothing when the pairs did not fit.
+// Launch: one work-item per chunk of visible Gaussians. Counts the pairs of each tile.
+__kernel void bin_tiles(__global const Projected *records, __global const uint *visible,
+                        __global const uint *status, uint tiles_x,
+#if HAS_MASK
+                        ACTIVE_TILES, // in [tiles]
+#endif
+                        __global const uint *cover,                               // in, as bin_count wrote it
+                        uint tiles, uint chunks, __global uint *tile_counts) {    // out [chunks, tiles]
+  if (get_global_id(0) >= chunks) return;
+  const uint c = dealt_chunk(get_global_id(0), chunks);
+  Pairs pairs = {tile_counts + (size_t)c * tiles, 0, 0, 0, 0, 0};
+  for (uint t = 0; t < tiles; t++) pairs.counts[t] = 0;
+  walk_chunk(c, chunks, records, visible, status, tiles_x, ACTIVE_ARGUMENTS, cover, 0, pairs);
+}
+
+// Launch: as bin_tiles. Puts pairs into their tiles in depth order; each is known by its slot, and slots are given out by
+// Gaussian, so that project_grad finds a Gaussian's sums in one place and its neighbours' beside them.
 __kernel void bin_emit(__global const Projected *records, __global const uint *visible,
                        __global const uint *status, uint tiles_x,
 #if HAS_MASK
                        ACTIVE_TILES, // in [tiles]
 #endif
-                       __global const uint *cover,      // in, as bin_count wrote it
-                       __global const uint *offsets,    // in [visible] exclusive sums of counts
-                       __global const uint *isect_start, // in [count] exclusive sums of isect_counts
-                       __global uint *tile_keys,        // out [pairs] tile, row major
-                       __global uint *slots,            // out [pairs] slot
-                       __global uint *isect_owner) {     // out [pairs] Gaussian index, by slot
-  const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
-  if (first >= visible_count || status[S_OVERFLOW] != 0) return;
-  const uint n = min((uint)BATCH, visible_count - first);
-  for (uint j = first; j < first + n; j++) {
-    const uint i = visible[j], at = offsets[j], slot = isect_start[i], box = cover[2 * j + 1];
-    __global uint *keys = tile_keys + at;
-    uint emitted;
-    if (box) {
-      emitted = emit_mask(cover[2 * j], box & 0xfffu, box >> 12 & 0xfffu, box >> 24, tiles_x, keys);
-    } else {
-      const Projected g = records[i];
-      uint mask;
-      emitted = walk_tiles(&g, &mask, tiles_x, ACTIVE_ARGUMENTS, keys);
-    }
-    for (uint k = 0; k < emitted; k++) {
-      slots[at + k] = slot + k;
-      isect_owner[slot + k] = i;
-    }
-  }
-}
-
-// Launch: one work-item per tile boundary (tiles + 1): lower bound of the tile in the sorted keys.
-__kernel void bin_ranges(__global const uint *tile_keys, // in [pairs] sorted
-                         __global const uint *status, uint tiles,
-                         __global uint *tile_start) { // out [tiles + 1]
-  const uint t = get_global_id(0);
-  if (t > tiles) return;
-  uint lo = 0, hi = status[S_INTERSECTIONS];
-  while (lo < hi) {
-    const uint mid = lo + (hi - lo) / 2;
-    if (tile_keys[mid] < t) lo = mid + 1;
-    else hi = mid;
-  }
-  tile_start[t] = lo;
+                       __global const uint *cover,                          // in, as bin_count wrote it
+                       uint tiles, uint chunks, __global uint *tile_counts, // in/out [chunks, tiles] pairs of the chunks before
+                       __global const uint *tile_start,                     // in [tiles + 1]
+                       __global const uint *isect_start,                    // in [count] exclusive sums of isect_counts
+                       __global uint *order,                                // out [pairs] slot, by tile and depth
+                       __global uint *isect_owner) {                        // out [pairs] Gaussian index, by slot
+  if (get_global_id(0) >= chunks) return;
+  const uint c = dealt_chunk(get_global_id(0), chunks);
+  const Pairs pairs = {tile_counts + (size_t)c * tiles, tile_start, order, isect_owner, 0, 0};
+  walk_chunk(c, chunks, records, visible, status, tiles_x, ACTIVE_ARGUMENTS, cover, isect_start, pairs);
 }

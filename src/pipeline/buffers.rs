@@ -26,9 +26,11 @@ const ROUND: usize = 256;
 /// Longest side of an image: projected Gaussians hold pixel bounds in 16 bits.
 const MAX_PIXELS: usize = 1 << 16;
 
-/// Names of the keys and values that are sorted by depth, and of those sorted by tile.
+/// Most counters of pairs by chunk and tile, as long as there are fewer tiles: 32 MiB.
+const MAX_COUNTERS: usize = 1 << 23;
+
+/// Names of the keys and values that are sorted by depth.
 const VISIBLE: [&str; 2] = ["visible_keys", "visible"];
-const ORDER: [&str; 2] = ["tile_keys", "order"];
 
 /// Raw parameters of a scene on the device.
 #[derive(Debug)]
@@ -141,26 +143,17 @@ pub struct SortBuffers {
     pub values: [Array<u32>; 2],
     /// Index of the pair of arrays that holds the result of the last sort.
     pub sorted: usize,
-    /// Slot of the status array that holds the number of elements.
-    pub count_slot: u32,
 }
 
 impl SortBuffers {
-    /// Room for `len` elements, whose number is in this slot of the status array.
-    pub fn new(device: &Device, names: [&'static str; 2], len: usize, slot: u32) -> Result<Self> {
+    /// Room for `len` elements.
+    pub fn new(device: &Device, names: [&'static str; 2], len: usize) -> Result<Self> {
         let zeros = |name| Array::zeros(device, name, len);
         Ok(Self {
             keys: [zeros(names[0])?, zeros(names[0])?],
             values: [zeros(names[1])?, zeros(names[1])?],
             sorted: 0,
-            count_slot: slot,
         })
-    }
-
-    /// Keys in rising order.
-    #[must_use]
-    pub fn sorted_keys(&self) -> &Array<u32> {
-        &self.keys[self.sorted]
     }
 
     /// Values in the order of their keys.
@@ -187,22 +180,20 @@ pub struct ViewBuffers<R: Real> {
     pub isect_start: Array<u32>,
     /// Visible Gaussians by depth.
     pub visible: SortBuffers,
-    /// Number of tiles of each visible Gaussian.
-    pub counts: Array<u32>,
     /// Bit mask and bounds of the tiles of each visible Gaussian, if they are few.
     pub cover: Array<u32>,
-    /// First tile intersection of each visible Gaussian.
-    pub offsets: Array<u32>,
     /// Sums per chunk.
     pub chunk_sums: Array<u32>,
     /// Emission slots of the tile intersections, sorted by tile.
-    pub order: SortBuffers,
+    pub order: Array<u32>,
     /// Gaussian of each tile intersection, by emission slot.
     pub isect_owner: Array<u32>,
     /// Partial gradients of each tile intersection (splat_grad); empty when only rendering.
     pub sums: Array<R>,
     /// First tile intersection of each tile.
     pub tile_start: Array<u32>,
+    /// Tile intersections of each chunk of the visible Gaussians and tile, then those of the chunks before.
+    pub tile_counts: Array<u32>,
     /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear.
     pub active_tiles: Array<u32>,
     /// Pairs used of each tile.
@@ -212,6 +203,7 @@ pub struct ViewBuffers<R: Real> {
     /// Counters; see [`status`].
     pub status: Array<u32>,
     gradients: bool,
+    chunks: usize,
 }
 
 impl<R: Real> ViewBuffers<R> {
@@ -225,20 +217,20 @@ impl<R: Real> ViewBuffers<R> {
             keys: ints("keys")?,
             isect_counts: ints("isect_counts")?,
             isect_start: ints("isect_start")?,
-            visible: SortBuffers::new(device, VISIBLE, 0, status::VISIBLE)?,
-            counts: ints("counts")?,
+            visible: SortBuffers::new(device, VISIBLE, 0)?,
             cover: ints("cover")?,
-            offsets: ints("offsets")?,
             chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
-            order: SortBuffers::new(device, ORDER, 0, status::INTERSECTIONS)?,
+            order: ints("order")?,
             isect_owner: ints("isect_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
             tile_start: ints("tile_start")?,
+            tile_counts: ints("tile_counts")?,
             active_tiles: ints("active_tiles")?,
             tile_used: ints("tile_used")?,
             image: Array::zeros(device, "image", 0)?,
             status: Array::zeros(device, "status", status::SLOTS)?,
             gradients,
+            chunks: tuning.chunks,
         })
     }
 
@@ -252,10 +244,8 @@ impl<R: Real> ViewBuffers<R> {
         self.keys = ints("keys")?;
         self.isect_counts = ints("isect_counts")?;
         self.isect_start = ints("isect_start")?;
-        self.visible = SortBuffers::new(device, VISIBLE, stride, status::VISIBLE)?;
-        self.counts = ints("counts")?;
+        self.visible = SortBuffers::new(device, VISIBLE, stride)?;
         self.cover = Array::zeros(device, "cover", 2 * stride)?;
-        self.offsets = ints("offsets")?;
         Ok(())
     }
 
@@ -287,12 +277,19 @@ impl<R: Real> ViewBuffers<R> {
         let most = u32::MAX as usize - (ROUND - 1);
         let pairs = pairs.min(most).next_multiple_of(ROUND);
         let ints = |name| Array::<u32>::zeros(device, name, pairs);
-        self.order = SortBuffers::new(device, ORDER, pairs, status::INTERSECTIONS)?;
+        self.order = ints("order")?;
         if self.gradients {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
         }
         self.isect_owner = ints("isect_owner")?;
         Ok(())
+    }
+
+    /// Number of chunks of the visible Gaussians whose pairs are counted by tile.
+    #[must_use]
+    pub fn tile_chunks(&self) -> usize {
+        let most = MAX_COUNTERS / self.camera.tile_count().max(1);
+        self.chunks.min(most).max(1)
     }
 
     /// Makes room for an image. Contents are lost.
@@ -309,6 +306,8 @@ impl<R: Real> ViewBuffers<R> {
             return Ok(());
         }
         self.tile_start = Array::zeros(device, "tile_start", tiles + 1)?;
+        let counters = (self.chunks * tiles).min(MAX_COUNTERS).max(tiles);
+        self.tile_counts = Array::zeros(device, "tile_counts", counters)?;
         self.image = Array::zeros(device, "image", 4 * size.plane())?;
         self.active_tiles = Array::zeros(device, "active_tiles", tiles)?;
         self.tile_used = Array::zeros(device, "tile_used", tiles)?;

@@ -5,7 +5,6 @@ use crate::capture::Camera;
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
-use crate::pipeline::stage::scan::Count;
 use crate::pipeline::stage::sort::Sort;
 use crate::pipeline::stage::{bin, project, scan, seen, splat};
 
@@ -150,30 +149,27 @@ impl<R: Real> Renderer<R> {
         let depth_as_color = options.quantity == Quantity::Depth;
         project::write_records(project, scene, &self.frame, depth_as_color)?;
         self.sort_visible()?;
-        self.intersect_tiles(options.active_only)?;
-        bin::find_ranges(&self.bin, &self.frame)
+        self.intersect_tiles(options.active_only)
     }
 
     /// Compacts the visible Gaussians and sorts them by depth.
     fn sort_visible(&mut self) -> Result<()> {
         let f = &mut self.frame;
         bin::count_visible(&self.bin, f)?;
-        scan::sum_visible(&self.scan, f)?;
         bin::compact_visible(&self.bin, f)?;
-        self.sort.run(&mut f.visible, &f.status, 32)
+        self.sort.run(&mut f.visible, f.count, &f.status)
     }
 
-    /// Pairs the visible Gaussians with the tiles they touch and sorts the pairs by tile.
-    fn intersect_tiles(&mut self, active_only: bool) -> Result<()> {
-        let f = &mut self.frame;
+    /// Pairs the visible Gaussians with the tiles they touch, by tile and depth.
+    fn intersect_tiles(&self, active_only: bool) -> Result<()> {
+        let f = &self.frame;
         bin::count(&self.bin, f, active_only)?;
-        let visible = Count::Slot(status::VISIBLE);
-        scan::sum_pairs(&self.scan, f, visible, [&f.counts, &f.offsets])?;
-        let all = Count::Known(f.count);
-        scan::sum_pairs(&self.scan, f, all, [&f.isect_counts, &f.isect_start])?;
-        bin::emit(&self.bin, f, active_only)?;
-        let bits = usize::BITS - f.camera.tile_count().leading_zeros();
-        self.sort.run(&mut f.order, &f.status, bits)
+        scan::sum_pairs(&self.scan, f, f.count, [&f.isect_counts, &f.isect_start])?;
+        bin::count_tiles(&self.bin, f, active_only)?;
+        let by_tile = [f.tile_chunks(), f.camera.tile_count()];
+        self.sort
+            .first_places(&f.tile_counts, by_tile, &f.tile_start)?;
+        bin::emit(&self.bin, f, active_only)
     }
 
     /// Tiles in which a pixel of the photo counts, or is not clear: written by the stage active_tiles.

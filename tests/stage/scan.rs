@@ -2,9 +2,9 @@
 
 use super::*;
 use mhsplat::device::Array;
-use mhsplat::device::tuning::status::{INTERSECTIONS, OVERFLOW, VISIBLE};
+use mhsplat::device::tuning::status::{INTERSECTIONS, OVERFLOW};
 use mhsplat::pipeline::buffers::ViewBuffers;
-use mhsplat::pipeline::stage::scan::{Count, scan as definition, sum_pairs};
+use mhsplat::pipeline::stage::scan::{scan as definition, sum_pairs};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -18,12 +18,6 @@ fn a_wrong_count_is_rejected() {
 
 /// Sums and status after scanning `values` with room for `capacity`.
 fn scanned(values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>) {
-    let known = scanned_by(Count::Known(values.len()), values, capacity);
-    assert_eq!(known, scanned_by(Count::Slot(VISIBLE), values, capacity));
-    known
-}
-
-fn scanned_by(n: Count, values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>) {
     let device = device();
     let kernels = kernels(&device);
     let room = values.len().max(1);
@@ -32,10 +26,8 @@ fn scanned_by(n: Count, values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>)
     let out = Array::zeros(&device, "out", room).unwrap();
     let mut frame = ViewBuffers::<f32>::new(&device, &kernels.defines().tuning, false).unwrap();
     frame.isect_owner = Array::zeros(&device, "isect_owner", capacity).unwrap();
-    let visible = [values.len() as u32];
-    frame.status.write(VISIBLE as usize, &visible).unwrap();
     let stage = kernels.build::<f32>("scan").unwrap();
-    sum_pairs(&stage, &frame, n, [&input, &out]).unwrap();
+    sum_pairs(&stage, &frame, values.len(), [&input, &out]).unwrap();
     let status = frame.status.to_vec().unwrap();
     (out.read(0, values.len()).unwrap(), status)
 }

@@ -19,12 +19,11 @@ fn a_swapped_list_is_rejected() {
     });
 }
 
-/// Positions of the keys after sorting on the device.
-fn sorted(keys: &[u32], bits: u32, tuning: Tuning) -> Vec<u32> {
+/// Positions of the keys after sorting on the device, where there might have been `most`.
+fn sorted(keys: &[u32], most: usize, tuning: Tuning) -> Vec<u32> {
     let device = device();
     let kernels = Kernels::new(&device, Defines::new(tuning));
-    let n = keys.len().max(1);
-    let mut elements = SortBuffers::new(&device, ["keys", "values"], n, VISIBLE).unwrap();
+    let mut elements = SortBuffers::new(&device, ["keys", "values"], most.max(1)).unwrap();
     elements.keys[0].write(0, keys).unwrap();
     let positions: Vec<u32> = (0..keys.len() as u32).collect();
     elements.values[0].write(0, &positions).unwrap();
@@ -33,12 +32,28 @@ fn sorted(keys: &[u32], bits: u32, tuning: Tuning) -> Vec<u32> {
         .write(VISIBLE as usize, &[keys.len() as u32])
         .unwrap();
     let sort = Sort::new::<f32>(&kernels).unwrap();
-    sort.run(&mut elements, &status, bits).unwrap();
+    sort.run(&mut elements, most, &status).unwrap();
     elements.sorted_values().read(0, keys.len()).unwrap()
 }
 
+/// Those of CPUs and GPUs, and one with an odd number of passes or other chunks than elements come in.
+fn tunings() -> [Tuning; 3] {
+    [
+        Tuning::CPU,
+        Tuning {
+            chunks: 7,
+            radix_bits: 7,
+            ..Tuning::CPU
+        },
+        Tuning {
+            chunks: 64,
+            ..Tuning::GPU
+        },
+    ]
+}
+
 #[test]
-fn any_keys_any_width_both_tunings() {
+fn any_keys_every_tuning() {
     for (n, bits) in [
         (0usize, 32u32),
         (1, 32),
@@ -49,32 +64,34 @@ fn any_keys_any_width_both_tunings() {
         (4000, 1),
     ] {
         // Few different keys among many elements: equal keys must keep their order.
-        let mask = if bits == 32 {
-            u32::MAX
-        } else {
-            (1 << bits) - 1
-        };
         let keys: Vec<u32> = (0..n as u64)
-            .map(|i| Philox::words(3, 1, i)[0] & mask)
+            .map(|i| Philox::words(3, 1, i)[0] >> (32 - bits))
             .collect();
         let want = definition(&keys);
-        for tuning in [
-            Tuning::CPU,
-            Tuning {
-                chunks: 64,
-                ..Tuning::GPU
-            },
-        ] {
-            assert_eq!(sorted(&keys, bits, tuning), want, "{n} keys of {bits} bits");
+        for tuning in tunings() {
+            // By one work-item where a work-item is a core, and by many.
+            for most in [n, 200_000] {
+                let got = sorted(&keys, most, tuning);
+                assert_eq!(got, want, "{n} of {most} keys of {bits} bits");
+            }
         }
     }
 }
 
+/// Places as a histogram by chunk and bin determines them: bins in order, within a bin chunks in order.
 #[test]
-fn equal_keys_keep_their_order() {
-    let keys = vec![7u32; 2000];
-    assert_eq!(
-        sorted(&keys, 32, Tuning::CPU),
-        (0..2000).collect::<Vec<u32>>()
-    );
+fn places_follow_bins_then_chunks() {
+    let device = device();
+    let [chunks, bins] = [3, 5];
+    let counts = [2, 0, 1, 7, 0, 0, 4, 1, 0, 0, 5, 1, 0, 2, 0];
+    for tuning in tunings() {
+        let sort = Sort::new::<f32>(&Kernels::new(&device, Defines::new(tuning))).unwrap();
+        let histogram = Array::from_slice(&device, "histogram", &counts).unwrap();
+        let totals = Array::zeros(&device, "totals", bins + 1).unwrap();
+        sort.first_places(&histogram, [chunks, bins], &totals)
+            .unwrap();
+        assert_eq!(totals.to_vec().unwrap(), [0, 7, 12, 14, 23, 23]);
+        let before = [0, 0, 0, 0, 0, 2, 0, 1, 7, 0, 2, 4, 2, 7, 0];
+        assert_eq!(histogram.to_vec().unwrap(), before);
+    }
 }

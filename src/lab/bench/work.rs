@@ -48,7 +48,7 @@ impl TileWork {
         let counters = frame.status.to_vec()?;
         let pairs = counters[status::INTERSECTIONS as usize] as usize;
         let [tiles_x, tiles] = [frame.camera.tiles[0] as usize, frame.camera.tile_count()];
-        let order = frame.order.sorted_values().read(0, pairs)?;
+        let order = frame.order.read(0, pairs)?;
         let owner = frame.isect_owner.read(0, pairs)?;
         let start = frame.tile_start.read(0, tiles)?;
         let used = frame.tile_used.read(0, tiles)?;
@@ -117,18 +117,17 @@ pub struct Load {
     pub pixels: f64,
     /// Tiles.
     pub tiles: f64,
-    /// Radix passes by depth and by tile.
-    pub passes: [f64; 2],
+    /// Radix passes.
+    pub passes: f64,
     /// Pixel lanes.
     pub lanes: f64,
 }
 
 impl Load {
-    /// Radix passes of the two sorts for an image of `tiles` tiles (as `stage::sort` cuts them).
+    /// Fewest radix passes of the sort by depth.
     #[must_use]
-    pub fn passes(tuning: &Tuning, tiles: usize) -> [f64; 2] {
-        let bits = [32, usize::BITS - tiles.leading_zeros()];
-        bits.map(|b| f64::from(b.div_ceil(tuning.radix_bits).max(1)))
+    pub fn passes(tuning: &Tuning) -> f64 {
+        f64::from(u32::BITS.div_ceil(tuning.radix_bits))
     }
 
     /// FLOP per lane of a splat stage; `None` of the others.
@@ -154,21 +153,18 @@ impl Load {
             "project" => {
                 n * (11.0 * real + 2.0 * uint) + v * ((self.planes - 11.0) * real + record)
             }
-            // Keys twice and a compacted (key, index); records, indices and counts; again with offsets, into pairs.
+            // Keys twice and a compacted (key, index); records, indices, counts and covers; indices and covers again, and again
+            // with first slots, into pairs.
             "bin" => {
                 let compact = 2.0 * n * uint + 2.0 * v * uint;
-                let count = v * (record + 2.0 * uint);
-                let emit = v * (record + 4.0 * uint) + 2.0 * p * uint;
-                compact + count + emit + self.tiles * uint
+                let count = v * (record + 4.0 * uint);
+                let emit = v * (3.0 + 4.0) * uint + 2.0 * p * uint;
+                compact + count + emit
             }
-            // Counts read twice, offsets written.
-            "scan" => 3.0 * v * uint,
-            // A pass reads the keys for the histogram, then keys and values, and writes both; the first pass by tile makes
-            // its values itself.
-            "sort" => {
-                let [by_depth, by_tile] = self.passes;
-                (by_depth * v + by_tile * p) * 5.0 * uint - p * uint
-            }
+            // Counts read twice, first slots written.
+            "scan" => 3.0 * n * uint,
+            // A pass reads the keys for the histogram, then keys and values, and writes both; first pairs of the tiles.
+            "sort" => (self.passes * v * 5.0 + self.tiles) * uint,
             // Forward: render and photo in, nine maps out. Backward: maps, render and photo in, gradient out.
             "loss" => self.pixels * ((3.0 + 9.0 + 9.0 + 3.0 + 3.0) * real + 6.0),
             "project_grad" => n * (2.0 * self.planes * real + 2.0 * uint) + p * SUMS as f64 * real,

@@ -268,8 +268,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let pairs = |r: &Reference, _: &Outcome| {
             vec![r.pass.tiles.iter().map(Vec::len).sum::<usize>() as f64]
         };
-        let visible = self.frame().status.read(status::VISIBLE as usize, 1)?[0] as usize;
-        let counts = self.frame().counts.read(0, visible)?;
+        let counts = self.frame().isect_counts.read(0, self.scene.count)?;
         let counted = counts.into_iter().map(f64::from).sum();
         let tiles = self.tiles()?;
         let emitted: usize = tiles.iter().map(Vec::len).sum();
@@ -310,7 +309,7 @@ impl<'a, R: Real> Pass<'a, R> {
     fn tiles(&self) -> Result<Vec<Vec<u32>>> {
         let frame = self.frame();
         let pairs = frame.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
-        let order = frame.order.sorted_values().read(0, pairs)?;
+        let order = frame.order.read(0, pairs)?;
         let owner = frame.isect_owner.read(0, pairs)?;
         let start = frame.tile_start.read(0, self.camera.tile_count() + 1)?;
         let tile = |w: &[u32]| {

@@ -1,4 +1,4 @@
-//! Visible Gaussians → (tile, Gaussian) pairs → ranges of pairs per tile (`kernels/bin.cl`).
+//! Visible Gaussians → (tile, Gaussian) pairs, by tile and depth (`kernels/bin.cl`).
 
 use crate::base::constants::TILE_SLACK;
 use crate::base::error::Result;
@@ -13,39 +13,50 @@ pub fn count_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<
     over_keys(stage.launch("bin_visible"), view).over_chunks([stage.chunks(), 1])
 }
 
-/// Writes keys and indices of the visible Gaussians.
+/// Writes keys and indices of the visible Gaussians, and their number to the status.
 pub fn compact_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
     over_keys(stage.launch("bin_compact"), view)
         .arrays([&view.visible.keys[0], &view.visible.values[0]], view.count)
+        .status(view)
         .over_chunks([stage.chunks(), 1])
 }
 
 /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`.
 pub fn count<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) -> Result<()> {
     walk(stage.launch("bin_count"), view, active_only)
-        .arrays([&view.counts, &view.isect_counts], view.count)
+        .array(&view.isect_counts, view.count)
         .over_batches(view.count)
 }
 
-/// Writes the pairs that [`count`] counted.
+/// Counts the pairs of each chunk of the visible Gaussians by tile.
+pub fn count_tiles<R: Real>(
+    stage: &Program,
+    view: &ViewBuffers<R>,
+    active_only: bool,
+) -> Result<()> {
+    let chunks = view.tile_chunks();
+    by_tile(stage.launch("bin_tiles"), view, active_only).over_chunks([chunks, 1])
+}
+
+/// Writes the pairs that [`count`] counted to the places that [`count_tiles`] found for them.
 pub fn emit<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) -> Result<()> {
-    walk(stage.launch("bin_emit"), view, active_only)
-        .arrays([&view.offsets, &view.isect_start], view.count)
-        .arrays([&view.order.keys[0], &view.order.values[0]], 1)
-        .array(&view.isect_owner, 1)
-        .over_batches(view.count)
+    by_tile(stage.launch("bin_emit"), view, active_only)
+        .array(&view.tile_start, view.camera.tile_count() + 1)
+        .array(&view.isect_start, view.count)
+        .arrays([&view.order, &view.isect_owner], 1)
+        .over_chunks([view.tile_chunks(), 1])
 }
 
-/// Finds the first of the sorted pairs of each tile.
-pub fn find_ranges<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
-    let tiles = view.camera.tile_count();
-    stage
-        .launch("bin_ranges")
-        .array(view.order.sorted_keys(), 1)
-        .status(view)
-        .uints([tiles])
-        .array(&view.tile_start, tiles + 1)
-        .over_items([tiles + 1, 1])
+/// Adds the arguments of a walk over the tiles of the visible Gaussians that keeps count of each tile.
+fn by_tile<'k, R: Real>(
+    launch: Launch<'k>,
+    view: &ViewBuffers<R>,
+    active_only: bool,
+) -> Launch<'k> {
+    let (tiles, chunks) = (view.camera.tile_count(), view.tile_chunks());
+    walk(launch, view, active_only)
+        .uints([tiles, chunks])
+        .array(&view.tile_counts, chunks * tiles)
 }
 
 /// Adds the arguments of a sweep over the keys of all Gaussians.

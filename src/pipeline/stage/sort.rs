@@ -5,6 +5,12 @@ use crate::device::tuning::status::SLOTS;
 use crate::device::{Array, Kernels, Program, Real};
 use crate::pipeline::buffers::SortBuffers;
 
+/// Bits of a key.
+const BITS: u32 = 32;
+/// Most elements that one work-item sorts on a device whose work-items are whole cores: a second core does not make up for the
+/// launches that it takes (`docs/results/speed.md`).
+const FEW: usize = 1 << 14;
+
 /// The kernels and their scratch.
 #[derive(Debug)]
 pub struct Sort {
@@ -18,61 +24,98 @@ impl Sort {
     pub fn new<R: Real>(kernels: &Kernels) -> Result<Self> {
         let (device, tuning) = (kernels.device(), kernels.defines().tuning);
         let max_bins = 1usize << tuning.radix_bits;
+        // One chunk has the digits of all passes, which are fewer than 32.
+        let rows = tuning.chunks.max(BITS as usize);
         Ok(Self {
             program: kernels.build::<R>("sort")?,
-            histogram: Array::zeros(device, "sort histogram", max_bins * tuning.chunks)?,
-            totals: Array::zeros(device, "sort totals", max_bins)?,
+            histogram: Array::zeros(device, "sort histogram", max_bins * rows)?,
+            totals: Array::zeros(device, "sort totals", max_bins + 1)?,
         })
     }
 
-    /// Number of passes for keys of `bits` bits: the one of the fewest bins and sweeps over at most `n` elements together.
-    fn passes(&self, bits: u32, n: usize) -> u32 {
-        let tuning = self.program.defines().tuning;
-        let min = bits.div_ceil(tuning.radix_bits).max(1);
+    /// Number of passes: the one of the fewest bins and sweeps over at most `n` elements together.
+    fn passes(&self, n: usize, chunks: usize) -> u32 {
+        let min = BITS.div_ceil(self.program.defines().tuning.radix_bits);
         let cost = |passes: &u32| {
-            let bins = 1usize << bits.div_ceil(*passes);
+            let bins = 1usize << BITS.div_ceil(*passes);
             // Every element is read twice and written; every counter of a chunk and bin is zeroed, summed and rewritten.
-            *passes as usize * 3 * (n + tuning.chunks * bins)
+            *passes as usize * 3 * (n + chunks * bins)
         };
-        (min..=bits.max(min)).min_by_key(cost).unwrap_or(min)
+        (min..=BITS).min_by_key(cost).unwrap_or(min)
     }
 
-    /// Sorts as many elements as the status array says by the lowest `bits` bits of their keys.
-    pub fn run(&self, elements: &mut SortBuffers, status: &Array<u32>, bits: u32) -> Result<()> {
-        let (program, chunks) = (&self.program, self.program.chunks());
-        let passes = self.passes(bits, elements.keys[0].len());
-        let per_pass = bits.div_ceil(passes).max(1);
+    /// Sorts by key as many elements as are visible according to the status array, which are no more than `most`.
+    pub fn run(&self, elements: &mut SortBuffers, most: usize, status: &Array<u32>) -> Result<()> {
+        let (program, tuning) = (&self.program, self.program.defines().tuning);
+        if most <= FEW && !tuning.group_style {
+            self.run_few(elements, most, status)?;
+            // None at all are sorted both ways: warming up builds the kernels so.
+            if most > 0 {
+                return Ok(());
+            }
+        }
+        let chunks = tuning.chunks;
+        let passes = self.passes(most, chunks);
+        let per_pass = BITS.div_ceil(passes);
         let bins = 1 << per_pass;
         for pass in 0..passes {
             let (from, shift) = (pass as usize % 2, (pass * per_pass) as usize);
             let over_keys = |kernel| {
                 program
                     .launch(kernel)
-                    .array(&elements.keys[from], 1)
+                    .array(&elements.keys[from], most)
                     .array(status, SLOTS)
-                    .uints([elements.count_slot as usize, chunks, shift, bins])
+                    .uints([chunks, shift, bins])
                     .array(&self.histogram, chunks * bins)
-            };
-            let over_bins = |kernel| {
-                program
-                    .launch(kernel)
-                    .array(&self.histogram, chunks * bins)
-                    .uints([chunks, bins])
-                    .array(&self.totals, bins)
-                    .over_items([bins, 1])
             };
             over_keys("sort_histogram").over_chunks([chunks, 1])?;
-            over_bins("sort_totals")?;
-            let totals = program.launch("sort_bins").array(&self.totals, bins);
-            totals.uints([bins]).once()?;
-            over_bins("sort_offsets")?;
+            self.first_places(&self.histogram, [chunks, bins], &self.totals)?;
             over_keys("sort_scatter")
-                .array(&elements.values[from], 1)
-                .arrays([&elements.keys[1 - from], &elements.values[1 - from]], 1)
+                .array(&self.totals, bins + 1)
+                .array(&elements.values[from], most)
+                .arrays([&elements.keys[1 - from], &elements.values[1 - from]], most)
                 .over_chunks([chunks, 1])?;
         }
         elements.sorted = passes as usize % 2;
         Ok(())
+    }
+
+    /// All passes in one launch.
+    fn run_few(&self, elements: &mut SortBuffers, most: usize, status: &Array<u32>) -> Result<()> {
+        let passes = self.passes(most, 1);
+        let bits = BITS.div_ceil(passes);
+        let launch = self.program.launch("sort_few").array(status, SLOTS);
+        let launch = launch.uints([passes as usize, bits as usize]);
+        let launch = launch.array(&self.histogram, (passes as usize) << bits);
+        [0, 1]
+            .into_iter()
+            .fold(launch, |l, k| {
+                l.arrays([&elements.keys[k], &elements.values[k]], most)
+            })
+            .once()?;
+        elements.sorted = passes as usize % 2;
+        Ok(())
+    }
+
+    /// Turns the numbers of elements \[chunks, bins\] of each chunk and bin into those of the chunks before, and writes the first
+    /// place of each bin, then the number of all elements, to `totals`.
+    pub fn first_places(
+        &self,
+        histogram: &Array<u32>,
+        [chunks, bins]: [usize; 2],
+        totals: &Array<u32>,
+    ) -> Result<()> {
+        let launch = |kernel| {
+            self.program
+                .launch(kernel)
+                .array(histogram, chunks * bins)
+                .uints([chunks, bins])
+                .array(totals, bins + 1)
+        };
+        if self.program.defines().tuning.group_style {
+            launch("sort_totals").over_items([bins, 1])?;
+        }
+        launch("sort_bins").once()
     }
 }
 
