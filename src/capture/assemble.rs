@@ -1,6 +1,6 @@
 //! Raw views and points of the readers → [`Dataset`]: split, local frame, photos.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 
 use glam::DVec3;
@@ -10,6 +10,7 @@ use crate::base::error::{Error, Result};
 use crate::base::math::{order_statistic, sorted};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
+use crate::capture::endings::{EXTENSIONS, is_converted, is_image};
 use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
 use crate::capture::memory::automatic_budget;
@@ -77,28 +78,6 @@ pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf> {
 /// Cameras farther than this many times the 90th-percentile distance from the median are outliers (failed poses).
 const ASTRAY: f64 = 20.0;
 
-/// Extensions of the image formats that are read.
-const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
-
-/// Endings of formats that photos are converted from: a photo of the same name is meant by theirs.
-const CONVERTED: [&str; 8] = ["exr", "tif", "tiff", "hdr", "EXR", "TIF", "TIFF", "HDR"];
-
-/// True for a path with one of these endings.
-fn has_ending(path: &Path, endings: &[&str]) -> bool {
-    let ending = path.extension().and_then(|e| e.to_str());
-    ending.is_some_and(|e| endings.contains(&e))
-}
-
-/// True for a name that ends like an image file, whether its format is read or not.
-pub(super) fn is_image(path: &Path) -> bool {
-    is_photo(path) || has_ending(path, &CONVERTED)
-}
-
-/// True for a file that has the extension of an image format that is read.
-pub(super) fn is_photo(path: &Path) -> bool {
-    has_ending(path, &EXTENSIONS)
-}
-
 /// A path with another extension added to it.
 fn with_added(path: &Path, extension: &str) -> PathBuf {
     let mut longer = path.to_path_buf().into_os_string();
@@ -124,7 +103,7 @@ pub(super) fn locate(folder: &Path, name: &str) -> Result<Option<PathBuf>> {
     let all = std::iter::once(exact.clone()).chain(longer).chain(other);
     let mut there = all.filter(|candidate| candidate.is_file());
     let first = there.next();
-    let converted = |file: &PathBuf| has_ending(file, &CONVERTED);
+    let converted = |file: &PathBuf| is_converted(file);
     Ok(match first.as_ref().is_some_and(converted) {
         true => there.next().or(first),
         false => first,
@@ -289,13 +268,21 @@ fn split(
 
 /// Refuses a name that two views have.
 fn distinct<'a>(path: &Path, views: impl Iterator<Item = &'a RawView>) -> Result<()> {
-    let mut names = HashSet::new();
+    let mut names = HashMap::new();
     for view in views {
-        if !names.insert(view.name.as_str()) {
-            let what = format!("the image {} is given twice", view.name);
-            let fix = "remove one of the entries (a view cannot be both trained on and held out)";
-            return Err(Error::input(path, what, fix));
+        let Some(side) = names.insert(view.name.as_str(), view.side) else {
+            continue;
+        };
+        if side.or(view.side).is_some() {
+            let what = format!(
+                "the image {} is called as the side of a panorama is",
+                view.name
+            );
+            return Err(Error::input(path, what, "rename one of the two photos"));
         }
+        let what = format!("the image {} is given twice", view.name);
+        let fix = "remove one of the entries (a view cannot be both trained on and held out)";
+        return Err(Error::input(path, what, fix));
     }
     Ok(())
 }
@@ -305,7 +292,7 @@ fn view_name(panorama: &str, side: Side) -> String {
     let ending = Path::new(panorama)
         .extension()
         .and_then(|e| e.to_str())
-        .filter(|_| is_photo(Path::new(panorama)));
+        .filter(|_| is_image(Path::new(panorama)));
     match ending {
         Some(ending) => {
             let stem = &panorama[..panorama.len() - ending.len() - 1];

@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::base::error::{Error, Result};
-use crate::capture::assemble::{is_image, is_photo, locate};
+use crate::capture::assemble::locate;
+use crate::capture::endings::{is_image, is_photo};
 
 /// Levels of folders that are searched for photos.
 const DEPTH: usize = 5;

@@ -5,6 +5,7 @@ mod assemble;
 pub mod camera;
 pub mod colmap;
 mod dataset;
+mod endings;
 mod exports;
 pub mod frame;
 mod images;

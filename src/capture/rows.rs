@@ -9,6 +9,7 @@ use image::{ColorType, DynamicImage, ImageError, ImageFormat, ImageReader, Limit
 
 use crate::base::error::{Error, Result};
 use crate::base::files::check_regular;
+use crate::capture::endings::is_converted;
 use crate::capture::memory::{check_memory, decoding_limit};
 
 /// Bytes per pixel of a row and per row of a column that decoding and shrinking take at most.
@@ -46,11 +47,14 @@ pub(super) fn not_an_image(file: &Path, reason: &ImageError) -> Error {
         && let ImageFormatHint::Exact(format) = of.format_hint()
         && !format.reading_enabled()
     {
-        let ending = file.extension().and_then(|e| e.to_str()).unwrap_or("*");
         let what = format!("a photo in the format {format:?}; PNG, JPEG or WebP expected");
-        let fix = format!(
-            "convert all in their folder, with ImageMagick: mogrify -colorspace sRGB -format png -depth 16 *.{ending} (the PNGs are found by the names of these)"
-        );
+        let ending = file.extension().and_then(|e| e.to_str());
+        let fix = match ending.filter(|_| is_converted(file)) {
+            Some(ending) => format!(
+                "convert all in their folder, with ImageMagick: mogrify -colorspace sRGB -format png -depth 16 *.{ending} (the PNGs are found by the names of these)"
+            ),
+            None => "save it as PNG, JPEG or WebP, and name it so in the dataset".into(),
+        };
         return Error::input(file, what, fix);
     }
     unreadable(file, reason)

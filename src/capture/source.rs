@@ -383,7 +383,9 @@ impl PhotoFile {
     /// Those of [`PhotoSource::load`].
     pub(crate) fn load(&self) -> Result<Photo> {
         let whole = self.whole().map_err(|error| self.explained(error))?;
-        Ok(with_alpha(self.part(&Arc::new(whole)), self.alpha))
+        let part = self.part(&Arc::new(whole));
+        // Nobody else has it: what it was cut from is gone.
+        Ok(with_alpha(part, self.alpha))
     }
 
     /// The error of a decoder that failed without a reason.
@@ -437,7 +439,7 @@ pub(super) fn read(
         });
         Ok(parts.collect())
     };
-    // The sides of a panorama stand together, and are cut from one decoding.
+    // The sides of a panorama stand together unless another name comes between theirs, and are cut from one decoding.
     let decoded = files
         .par_chunk_by_mut(|a, b| a.path == b.path)
         .map(decode)

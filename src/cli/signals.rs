@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -14,30 +14,30 @@ use mhsplat::capture;
 /// that ends the program at once.
 pub fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
-    for signal in handled() {
-        // A shell and the kernel both send SIGHUP when a session ends: two of them are no impatience.
-        if signal != SIGHUP {
-            signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
-                .map_err(failed)?;
-        }
-        signal_hook::flag::register(signal, stop.clone()).map_err(failed)?;
-    }
+    let flag = stop.clone();
+    // A shell and the kernel both send SIGHUP when a session ends: two of them are no impatience.
+    listen(move |signal| flag.swap(true, Ordering::SeqCst) && signal != SIGHUP)?;
     Ok(stop)
 }
 
 /// Lets the same signals end the program at once, without the folder that an archive is unpacked into; nothing changes for another dataset.
 pub fn remove_unpacked_at_end(dataset: &Path) -> Result<()> {
-    if !capture::is_archive(dataset) {
-        return Ok(());
+    match capture::is_archive(dataset) {
+        true => listen(|_| true),
+        false => Ok(()),
     }
+}
+
+/// Ends the program, without folders of unpacked archives, at the first signal for which `ends` returns true.
+fn listen(ends: impl Fn(i32) -> bool + Send + 'static) -> Result<()> {
     let mut signals = Signals::new(handled()).map_err(failed)?;
-    let end = move || {
-        if signals.forever().next().is_some() {
+    let wait = move || {
+        if signals.forever().any(ends) {
             capture::remove_unpacked();
             signal_hook::low_level::exit(130);
         }
     };
-    let thread = std::thread::Builder::new().spawn(end);
+    let thread = std::thread::Builder::new().spawn(wait);
     thread.map(drop).map_err(failed)
 }
 

@@ -1,6 +1,7 @@
 //! Everything that can be asked of a trainer between iterations.
 
 use crate::base::error::{Error, Result};
+use crate::base::math::logit;
 use crate::capture::Camera;
 use crate::config::Sampler;
 use crate::density::mh::lerp;
@@ -210,8 +211,8 @@ impl Trainer {
         self.control.noted.as_ref()
     }
 
-    /// Number of Gaussians in the voxel of each Gaussian, as the sparsity prior of a birth would count them now \[N\]; `None` for a
-    /// sampler without such a prior.
+    /// Number of Gaussians in the voxel of each Gaussian, as the sparsity prior of a birth would count them now, without those that are
+    /// dead by their opacity \[N\]; `None` for a sampler without such a prior.
     ///
     /// # Errors
     /// The driver's.
@@ -230,7 +231,9 @@ impl Trainer {
             self.schedule.density_progress(self.iteration),
         );
         let lattice = Lattice::growing(edge, config.mh.voxel_growth_from, &cameras);
-        let counts = VoxelCounts::count_where([&x, &y, &z], lattice, |_| true);
+        let (logits, dead) = (scene.plane(Plane::OPACITY)?, logit(config.mh.dead_opacity));
+        let alive = |i: usize| f64::from(logits[i]) > dead;
+        let counts = VoxelCounts::count_where([&x, &y, &z], lattice, alive);
         let position = |i: usize| [x[i], y[i], z[i]].map(f64::from);
         let count = |i: usize| counts.get(position(i));
         Ok(Some((0..scene.count).map(count).collect()))

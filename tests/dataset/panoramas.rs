@@ -299,6 +299,48 @@ fn all_sides_of_a_panorama_are_on_one_side_of_the_split() {
     load_every(dir.path(), 0).unwrap();
 }
 
+/// Left of the viewing axis everything is white, right of it black: the back has the panorama's edge in its middle.
+#[test]
+fn sides_go_on_across_the_edge_of_a_panorama() {
+    let dir = photos();
+    colmap(dir.path());
+    let half = |x: u32, _| image::Rgb([if x < HEIGHT { 255 } else { 0 }; 3]);
+    let photo = image::RgbImage::from_fn(2 * HEIGHT, HEIGHT, half);
+    photo.save(dir.path().join("images").join(name(0))).unwrap();
+    let data = load_every(dir.path(), 0).unwrap();
+    let side = |of: &str| {
+        let wanted = format!("pano 0_{of}.png");
+        let view = data.train.iter().find(|v| v.name == wanted).unwrap();
+        view.photo.load().unwrap()
+    };
+    let n = HEIGHT as usize / 2;
+    for (of, [left, right]) in [
+        ("front", [255, 0]),
+        ("back", [0, 255]),
+        ("left", [255; 2]),
+        ("right", [0; 2]),
+        ("up", [255, 0]),
+        ("down", [255, 0]),
+    ] {
+        let photo = side(of);
+        for (i, v) in photo.data[..n * n].iter().enumerate() {
+            let (x, y) = (i % n, i / n);
+            // At the edge of the two, and around a pole, both have a share.
+            let pole = matches!(of, "up" | "down") && y.abs_diff(n / 2) <= 2;
+            if x.abs_diff(n / 2) > 2 || !(pole || matches!(of, "front" | "back" | "up" | "down")) {
+                let expected = if x < n / 2 { left } else { right };
+                assert_eq!(*v, expected, "{of} {x} {y}");
+            }
+        }
+        let middle = |x: usize| f64::from(photo.data[n * (n / 2) + x]);
+        let (a, b) = (middle(n / 2 - 1), middle(n / 2));
+        assert!(
+            (a + b - f64::from(left) - f64::from(right)).abs() <= 2.0,
+            "{of}: {a} {b}"
+        );
+    }
+}
+
 #[test]
 fn shrunken_sides_are_averages() {
     let dir = photos();
@@ -408,7 +450,7 @@ fn panoramas_that_do_not_show_the_sphere_are_refused() {
     let size = format!("<resolution width=\"128\" height=\"{HEIGHT}\"/>");
     let without = metashape().replace(&size, "");
     fs::write(&file, without).unwrap();
-    assert_refused(load_every(dir.path(), 0), &["sensor 0", "no resolution"]);
+    assert_refused(load_every(dir.path(), 0), &["pano 0", "without resolution"]);
     let bent = metashape().replace(
         &size,
         &format!("{size}<calibration><k1>0.1</k1></calibration>"),

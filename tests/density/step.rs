@@ -377,3 +377,28 @@ fn statistics_add_up() {
     assert_eq!(sum.occupied_voxels, second.occupied_voxels);
     assert_eq!(sum.mean_prior, second.mean_prior);
 }
+
+/// Importance by the rows after the edits: relocated Gaussians and births have that of where they come from.
+#[test]
+fn importance_goes_with_what_is_written() {
+    let scene = dying(700);
+    let outcome = step(&scene, &context(700, 0.1, 1));
+    let importance = &outcome.importance;
+    assert_eq!(importance.len(), outcome.rows);
+    assert!(!outcome.births.is_empty() && outcome.stats.relocated > 50);
+    for birth in &outcome.births {
+        assert_eq!(importance[birth.dst as usize], birth.importance);
+    }
+    let written = outcome.edits.iter().filter(|e| e.src != e.dst);
+    for edit in written.clone() {
+        let [to, from] = [edit.dst, edit.src].map(|row| importance[row as usize]);
+        assert_eq!(to, from, "{edit:?}");
+    }
+    // Not all alike, so that another row's would be seen.
+    let first = importance[written.clone().next().unwrap().src as usize];
+    assert!(
+        written
+            .into_iter()
+            .any(|e| importance[e.src as usize] != first)
+    );
+}

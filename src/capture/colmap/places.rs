@@ -4,8 +4,8 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use crate::capture::assemble::is_photo;
 use crate::capture::dataset::Layout;
+use crate::capture::endings::is_photo;
 use crate::capture::images::short;
 
 /// Folders of models, each itself or with numbered ones in it, and the folders of their photos, the first that exists. Those of a

@@ -119,14 +119,18 @@ impl Reader<'_> {
         }
     }
 
-    /// The sensor of panoramas, which has nothing to calibrate.
-    fn sphere(&self, node: Node<'_, '_>, of: &str) -> Result<Sensor> {
-        for part in node.descendants().filter(|n| {
-            let terms = [
-                "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4",
-            ];
-            terms.contains(&n.tag_name().name())
-        }) {
+    /// The sensor of panoramas of a size, which has nothing to calibrate.
+    fn sphere(
+        &self,
+        calibration: Option<Node<'_, '_>>,
+        [width, height]: [u32; 2],
+        of: &str,
+    ) -> Result<Sensor> {
+        let terms = [
+            "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4",
+        ];
+        let parts = calibration.into_iter().flat_map(|c| c.children());
+        for part in parts.filter(|n| terms.contains(&n.tag_name().name())) {
             let ([value], name) = (self.numbers(part, of)?, part.tag_name().name());
             if value != 0.0 {
                 let what = format!("{of} is spherical and has {name}, which is not read");
@@ -134,8 +138,6 @@ impl Reader<'_> {
                 return Err(Error::input(self.0, what, fix));
             }
         }
-        let size = node.descendants().find(|n| n.has_tag_name("resolution"));
-        let [width, height] = self.resolution(size, of)?;
         let [fx, fy, cx, cy] = intrinsics(width, height);
         Ok(Sensor {
             camera: Camera {
@@ -155,22 +157,29 @@ impl Reader<'_> {
     /// A sensor with a calibration; `None` for one without.
     fn sensor(&self, node: Node<'_, '_>) -> Result<Option<Sensor>> {
         let of = format!("sensor {}", node.attribute("id").unwrap_or_default());
-        if node.attribute("type") == Some("spherical") {
-            return self.sphere(node, &of).map(Some);
-        }
         let calibrations = node.children().filter(|c| c.has_tag_name("calibration"));
         let adjusted = |c: &Node<'_, '_>| c.attribute("class") == Some("adjusted");
         // The initial calibration stands before the adjusted one, or alone.
-        let Some(found) = calibrations.max_by_key(adjusted) else {
+        let found = calibrations.max_by_key(adjusted);
+        let kind = found.and_then(|c| c.attribute("type"));
+        let kind = kind.or_else(|| node.attribute("type"));
+        let own = found.and_then(|c| child(c, "resolution"));
+        let size = own.or_else(|| child(node, "resolution"));
+        if kind == Some("spherical") {
+            let size = size.map(|size| self.resolution(Some(size), &of));
+            let Some(size) = size.transpose()? else {
+                return Ok(None);
+            };
+            return self.sphere(found, size, &of).map(Some);
+        }
+        let Some(found) = found else {
             return Ok(None);
         };
-        let size = child(found, "resolution").or_else(|| child(node, "resolution"));
         let [width, height] = self.resolution(size, &of)?;
         let value = |name: &str| match child(found, name) {
             Some(node) => self.numbers(node, &of).map(|[v]| v),
             None => Ok(0.0),
         };
-        let kind = found.attribute("type").or_else(|| node.attribute("type"));
         let fisheye = match kind.unwrap_or("frame") {
             "frame" => false,
             "fisheye" | "equidistant_fisheye" => true,
@@ -315,7 +324,10 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
     let mut scene = scene(place, asked, &names, |i, _| {
         let found = &cameras[i];
         let Some(sensor) = sensors.get(found.sensor) else {
-            let what = format!("{} has a sensor without calibration", found.label);
+            let what = format!(
+                "{} has a sensor without calibration, or without resolution",
+                found.label
+            );
             return Err(reader.bad(what));
         };
         let axes = world.linear * found.axes;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::lab::Form;
+use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::lab::folder::json;
@@ -63,6 +64,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     let path = scene::dataset_path(args.dataset.as_deref(), Some(&record), "give it")?;
+    remove_unpacked_at_end(&path)?;
     let dataset = scene::dataset(&path, Some(&record), &scene::PhotoOptions::of_run())?;
     let device = crate::cli::common::open_tested(args.device.selector().as_deref())?;
     let options = Options {

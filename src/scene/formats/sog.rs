@@ -26,6 +26,8 @@ const META: &str = "meta.json";
 const LARGEST_FIRST: u8 = 252;
 /// Palette entries in a row of the image of SH coefficients.
 const ENTRIES: usize = 64;
+/// Bytes of an archive that a Gaussian takes at least.
+const LEAST: usize = 8;
 /// Content of a file may be so many times as large as the archive: images are compressed already.
 const LARGEST: u64 = 8;
 
@@ -96,6 +98,11 @@ impl Bundle<'_> {
             match entries.next_entry().map_err(damaged)? {
                 Some(record) if record.file_path().as_bytes() == name.as_bytes() => break record,
                 Some(_) => {}
+                None if name == META => {
+                    let what = format!("a zip archive without {META}, which no SOG file lacks");
+                    let fix = "give a scene file; a dataset is another argument";
+                    return Err(Error::input(self.path, what, fix));
+                }
                 None => return Err(self.bad(format!("no {name} in the archive"))),
             }
         };
@@ -206,8 +213,8 @@ pub(super) fn read(path: &Path, bytes: &[u8], frame: &Frame) -> Result<SceneFile
         let what = format!("SOG of version {}; 2 expected", meta.version);
         return Err(Error::input(path, what, "convert it with splat-transform"));
     }
-    // Real files have eight bytes of a Gaussian and more.
-    if count > bytes.len() {
+    // Real files have more bytes of each Gaussian.
+    if count > bytes.len() / LEAST {
         let what = format!(
             "{META} announces {count} Gaussians; {} bytes hold fewer",
             bytes.len()
