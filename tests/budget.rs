@@ -112,6 +112,45 @@ fn a_finished_run_goes_on_and_its_record_repeats_that_too() {
     assert!(a == b, "other bytes");
 }
 
+/// To so many iterations altogether: what a fixed length, an extension and their repetition have in common is the bytes.
+#[test]
+fn a_finished_run_goes_on_to_more_iterations() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |name: &str| dir.path().join(name);
+    let resume = |name: &str, iterations: &str| {
+        let mut command = program();
+        command.arg("train").arg("--resume").arg(run(name));
+        command.args(["--iterations", iterations]).output().unwrap()
+    };
+    train(&["--iterations", "60"], &run("first"));
+    let refused = resume("first", "60");
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(
+        said.contains("--iterations") && said.contains("had 60"),
+        "{said}"
+    );
+    assert!(resume("first", "150").status.success());
+    let record = RunRecord::read(&run("first")).unwrap();
+    assert_eq!((record.iterations, record.config.iterations), (150, 60));
+    let length = Length {
+        from: 60,
+        iterations: 150,
+    };
+    assert_eq!(record.config.lengths, [length]);
+    let settings = run("first").join("run.json");
+    train(&["--config", settings.to_str().unwrap()], &run("again"));
+    // A budget that is used up does not stand in the way.
+    train(&["--time-budget", "2s"], &run("budget"));
+    let had = RunRecord::read(&run("budget")).unwrap().iterations;
+    assert!(resume("budget", &(had + 40).to_string()).status.success());
+    let record = RunRecord::read(&run("budget")).unwrap();
+    assert_eq!(record.iterations, had + 40);
+    assert_eq!(record.config.time_budget, None);
+    let [a, b] = ["first", "again"].map(|r| fs::read(run(r).join("scene.ply")).unwrap());
+    assert!(a == b, "other bytes");
+}
+
 /// CPU seconds of the process end the run, whatever a clock on the wall says.
 #[test]
 fn a_budget_of_cpu_seconds_gives_a_whole_run() {

@@ -17,7 +17,7 @@ struct Flags {
 }
 
 /// Flags of [`TrainConfig`] that win over a configuration file: only those that were typed. Goes with an option `resume`, which
-/// conflicts with all of them but [`RUN_CONTROL`].
+/// conflicts with all of them but [`RUN_CONTROL`] and the number of iterations.
 pub struct Overrides(ArgMatches);
 
 impl Overrides {
@@ -26,6 +26,11 @@ impl Overrides {
         ["iterations", "time_budget", "budget_cpu"]
             .iter()
             .any(|id| self.0.contains_id(id))
+    }
+
+    /// Returns the number of iterations that was typed.
+    pub fn iterations(&self) -> Option<u32> {
+        self.0.get_one("iterations").copied()
     }
 
     /// Returns the first key in which two configurations differ and which a resumed run may not change; `None` if there is none.
@@ -83,6 +88,8 @@ impl Args for Overrides {
             let arg = arg.clone().display_order(before + place);
             match arg.get_help_heading() {
                 Some(RUN_CONTROL) => arg,
+                // A run goes on to another end.
+                _ if arg.get_id() == "iterations" => arg,
                 _ => arg.conflicts_with("resume"),
             }
         };

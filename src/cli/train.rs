@@ -13,7 +13,7 @@ use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
 use mhsplat::run::live::{Door, Server};
-use mhsplat::run::{Clock, RECORD_FILE, Run, RunRecord, claim_folder, saved_config};
+use mhsplat::run::{Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config};
 
 /// Keys of a configuration that say how long the run is.
 const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
@@ -28,14 +28,15 @@ pub struct TrainArgs {
     /// Run folder; must not exist.
     #[arg(short, long, value_name = "RUN", default_value = "run")]
     output: PathBuf,
-    /// Continue the run in this folder from its checkpoint, with its configuration.
+    /// Continue the run in this folder from its checkpoint, with its configuration; with --iterations to another end, if it has come to
+    /// its own, too.
     #[arg(long, value_name = "RUN", conflicts_with_all = ["output", "config"])]
     resume: Option<PathBuf>,
     /// Continue the run in the folder of -o if there is one, else start it: for jobs that are queued again, with the same options.
     #[arg(long, conflicts_with = "resume")]
     resume_or_start: bool,
     /// Give a finished or stopped run so much more time (90s, 10m, 1h30m; CPU seconds if its budget was) than it has had.
-    #[arg(long, value_name = "TIME", value_parser = parse_duration, requires = "resume", conflicts_with_all = ["time_budget", "budget_cpu"])]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, requires = "resume", conflicts_with_all = ["time_budget", "budget_cpu", "iterations"])]
     extend: Option<f64>,
     /// TOML file (or a run's run.json) with the same names; flags win.
     #[arg(long, value_name = "FILE")]
@@ -108,7 +109,12 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let clock = Clock::start();
     let data = read_photos(&dataset, &config)?;
     let mut run = match resume {
-        Some(run) => Run::resume(run, data, config, &device, clock, args.extend),
+        Some(run) => {
+            let iterations = args.resume.as_ref().and_then(|_| args.options.iterations());
+            let extension = iterations.map(Extension::Iterations);
+            let extension = args.extend.map(Extension::Seconds).or(extension);
+            Run::resume(run, data, config, &device, clock, extension)
+        }
         None => Run::start(dir, data, config, &device, clock),
     }?;
     output::info(&format!(
@@ -205,7 +211,13 @@ fn config(args: &TrainArgs, resume: Option<&Path>) -> Result<TrainConfig> {
             ));
         }
     }
-    with_options(args, saved)
+    let iterations = saved.iterations;
+    let config = with_options(args, saved)?;
+    // Those of its beginning: more of them are an extension.
+    Ok(TrainConfig {
+        iterations,
+        ..config
+    })
 }
 
 /// Returns the defaults or those of a file, with the typed flags in their place.

@@ -22,8 +22,8 @@ pub struct TrainConfig {
     /// Density control.
     #[arg(long, value_enum, default_value_t = Self::default().sampler)]
     pub sampler: Sampler,
-    /// Iterations; every schedule scales with it. With a budget the most that the run may have [default: those of the preset; 30000
-    /// with a budget].
+    /// Iterations; every schedule scales with it. With a budget the most that the run may have; with --resume those that it is to
+    /// have altogether [default: those of the preset; 30000 with a budget].
     #[arg(long, value_name = "N", default_value_t = Self::default().iterations, hide_default_value = true)]
     pub iterations: u32,
     /// Take this long (90s, 10m, 1h30m), evaluations and report included: a whole run of as many iterations as fit.

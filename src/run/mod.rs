@@ -34,6 +34,7 @@ pub mod viewer;
 
 pub use clock::{Clock, Reading};
 pub use drive::Run;
+pub use open::Extension;
 pub use progress::Progress;
 pub use record::{DatasetRecord, DeviceRecord, FinalRecord, Item, PlanRecord};
 pub use record::{RECORD_FILE, RunRecord, StageRecord, TrainingScores};

@@ -37,6 +37,15 @@ struct From {
     lock: Option<FolderLock>,
 }
 
+/// Extension of a run that goes on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Extension {
+    /// So many seconds more than it has had, on the clock of its budget.
+    Seconds(f64),
+    /// So many iterations altogether, whatever its budget was.
+    Iterations(u32),
+}
+
 /// Iterations that a run goes on for at least where it has come to its end.
 const FEWEST: u32 = 50;
 
@@ -80,18 +89,19 @@ impl Run {
 
     /// Continues the run in `dir` from its checkpoint, or begins it again where it was killed before the first one. `config` is
     /// that of [`crate::run::saved_config`], but for what may change on the way:
-    /// the budgets for time and photos, and how often to evaluate, export and save. With `extend` it has so many seconds more, on
-    /// the clock of its budget, and goes on where it has come to its end, too.
+    /// the budgets for time and photos, and how often to evaluate, export and save. With an extension it goes on where it has come to its
+    /// end, too.
     ///
     /// # Errors
-    /// A damaged checkpoint, none in a folder of a run that came to its end, another dataset, a time budget or a patience that is used up, or as [`Trainer::new`].
+    /// A damaged checkpoint, none in a folder of a run that came to its end, another dataset, a time budget or a patience that is used up,
+    /// fewer iterations than it has had, or as [`Trainer::new`].
     pub fn resume(
         dir: &Path,
         dataset: Dataset,
         config: TrainConfig,
         device: &Device,
         clock: Clock,
-        extend: Option<f64>,
+        extension: Option<Extension>,
     ) -> Result<Self> {
         let lock = Some(FolderLock::take(dir)?);
         crate::base::files::sweep(dir);
@@ -99,13 +109,17 @@ impl Run {
         if !start::has_checkpoint(dir)? {
             start::check_unfinished(dir, &dataset)?;
             let mut config = config;
-            if let Some(time) = extend {
-                match config.budget_cpu.is_some() {
-                    true => config.budget_cpu = Some(time),
-                    false => config.time_budget = Some(time),
+            match extension {
+                Some(Extension::Seconds(time)) => {
+                    *budget_of(&mut config) = Some(time);
                 }
+                Some(Extension::Iterations(all)) => {
+                    let_iterate(&mut config);
+                    config.iterations = all;
+                }
+                None => {}
             }
-            if config.has_budget() {
+            if config.has_budget() || extension.is_some() {
                 // Not to be repeated: the clock begins anew, too.
                 config.lengths.clear();
             }
@@ -125,23 +139,25 @@ impl Run {
         let done = saved.state.iteration;
         let ended = done >= saved.config.last_iterations();
         let used = [saved.clock.wall_seconds, saved.clock.all_cpu_seconds];
-        let mut extended = None;
-        if let Some(more) = extend {
-            let [wall, cpu] = used;
-            let so_far = match config.budget_cpu.is_some() {
-                true => cpu,
-                false => wall,
-            };
-            match config.budget_cpu.is_some() {
-                true => config.budget_cpu = Some(cpu + more),
-                false => config.time_budget = Some(wall + more),
+        let extended = match extension {
+            Some(Extension::Seconds(more)) => {
+                let so_far = used[usize::from(config.budget_cpu.is_some())];
+                *budget_of(&mut config) = Some(so_far + more);
+                let longer = f64::from(done) * (1.0 + more / so_far.max(1e-3));
+                let longer = (longer as u32).max(done.saturating_add(FEWEST));
+                ended.then_some(longer)
             }
-            let longer = f64::from(done) * (1.0 + more / so_far.max(1e-3));
-            let longer = (longer as u32).max(done.saturating_add(FEWEST));
-            extended = ended.then_some(longer);
-        } else {
-            check_budgets(&config, &saved.config, used, ended)?;
-        }
+            Some(Extension::Iterations(all)) => {
+                let what = format!("{all}; the run has had {done} already, more expected");
+                Error::unless(all > done, "--iterations", &what)?;
+                let_iterate(&mut config);
+                (all != saved.config.last_iterations()).then_some(all)
+            }
+            None => {
+                check_budgets(&config, &saved.config, used, ended)?;
+                None
+            }
+        };
         if let Some(fault) = saved.tuning.fault(device.info()) {
             return Err(Error::input(
                 checkpoint::path(dir),
@@ -153,7 +169,10 @@ impl Run {
         let device = device.clone().with_tuning(saved.tuning);
         let smoothed = !saved.state.rows.filter.is_empty();
         config.validate()?;
-        let (config, to_come) = go_on(config, done);
+        let (config, mut to_come) = go_on(config, done);
+        if extended.is_some() {
+            to_come.clear();
+        }
         let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, saved.state.halvings);
         let from = From {
             plan,
@@ -266,6 +285,19 @@ impl Run {
         run.write_record().inspect_err(free)?;
         Ok(run)
     }
+}
+
+/// The budget that a run goes by, or the one of time if it has none.
+fn budget_of(config: &mut TrainConfig) -> &mut Option<f64> {
+    match config.budget_cpu.is_some() {
+        true => &mut config.budget_cpu,
+        false => &mut config.time_budget,
+    }
+}
+
+/// Takes the budgets away, so that iterations alone say how long a run is.
+fn let_iterate(config: &mut TrainConfig) {
+    (config.time_budget, config.budget_cpu) = (None, None);
 }
 
 /// Refuses a budget of CPU seconds where nobody counts them.

@@ -211,7 +211,6 @@ fn only_run_control_may_change_with_resume() {
         ["--config", "file.toml"],
         ["--sampler", "mh"],
         ["--surrogate", "probe"],
-        ["--iterations", "30000"],
         ["--max-size", "64"],
         ["--max-gaussians", "9"],
         ["--sh-degree", "3"],
@@ -235,6 +234,7 @@ fn only_run_control_may_change_with_resume() {
     );
     for flags in [
         ["--time-budget", "1m"],
+        ["--iterations", "900"],
         ["--patience", "3"],
         ["--image-budget", "1M"],
         ["--eval-every", "5"],
@@ -258,7 +258,7 @@ fn refused_values_name_their_option() {
         (
             "init",
             "elsewhere",
-            "points, random or a .ply, .spz, .splat or .glb file",
+            "points, random or a .ply, .spz, .splat, .glb or .sog file",
         ),
         ("background", "0,0,2", "R,G,B in 0 to 1"),
         ("time-budget", "soon", "90s, 10m or 1h30m"),
