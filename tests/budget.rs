@@ -131,7 +131,7 @@ fn a_finished_run_goes_on_to_more_iterations() {
         "{said}"
     );
     assert!(resume("first", "150").status.success());
-    let record = RunRecord::read(&run("first")).unwrap();
+    let record = RunRecord::read(run("first")).unwrap();
     assert_eq!((record.iterations, record.config.iterations), (150, 60));
     let length = Length {
         from: 60,
@@ -142,9 +142,9 @@ fn a_finished_run_goes_on_to_more_iterations() {
     train(&["--config", settings.to_str().unwrap()], &run("again"));
     // A budget that is used up does not stand in the way.
     train(&["--time-budget", "2s"], &run("budget"));
-    let had = RunRecord::read(&run("budget")).unwrap().iterations;
+    let had = RunRecord::read(run("budget")).unwrap().iterations;
     assert!(resume("budget", &(had + 40).to_string()).status.success());
-    let record = RunRecord::read(&run("budget")).unwrap();
+    let record = RunRecord::read(run("budget")).unwrap();
     assert_eq!(record.iterations, had + 40);
     assert_eq!(record.config.time_budget, None);
     let [a, b] = ["first", "again"].map(|r| fs::read(run(r).join("scene.ply")).unwrap());
