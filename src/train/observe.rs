@@ -4,7 +4,6 @@ use crate::base::error::{Error, Result};
 use crate::base::math::logit;
 use crate::capture::Camera;
 use crate::config::Sampler;
-use crate::density::mh::lerp;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::{Candidate, DensityStats};
 use crate::device::tuning::Tuning;
@@ -226,11 +225,8 @@ impl Trainer {
         let [x, y, z] = [0, 1, 2].map(|k| scene.plane(Plane::POSITION + k));
         let (x, y, z) = (x?, y?, z?);
         let cameras: Vec<[f32; 3]> = self.views.set.cameras.iter().map(|c| c.center).collect();
-        let edge = lerp(
-            config.mh.voxel_edge,
-            self.schedule.density_progress(self.iteration),
-        );
-        let lattice = Lattice::growing(edge, config.mh.voxel_growth_from, &cameras);
+        let eta = self.schedule.density_progress(self.iteration);
+        let lattice = Lattice::at(&config.mh, eta, &cameras);
         let (logits, dead) = (scene.plane(Plane::OPACITY)?, logit(config.mh.dead_opacity));
         let alive = |i: usize| f64::from(logits[i]) > dead;
         let counts = VoxelCounts::count_where([&x, &y, &z], lattice, alive);

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use mhsplat::capture::Camera;
+use mhsplat::capture::{Camera, Dataset};
 use mhsplat::config::OptimizerConfig;
 use mhsplat::density::Outcome;
 use mhsplat::device::Device;
@@ -166,6 +166,22 @@ fn who_looks_on_can_pause_save_and_stop() {
     });
 }
 
+/// A short training, and the Gaussians that it begins with.
+fn trainer(data: &Dataset, optimizer: OptimizerConfig) -> (Trainer, Gaussians) {
+    let config = TrainConfig {
+        iterations: 120,
+        max_size: 64,
+        seed: 5,
+        optimizer,
+        ..TrainConfig::default()
+    };
+    let plan = Plan::new(data, &config).unwrap();
+    let splats = initial_gaussians(data, &plan).unwrap();
+    let device = Device::open(None).unwrap();
+    let trainer = Trainer::new(&device, data, &plan, &splats).unwrap();
+    (trainer, splats)
+}
+
 /// The run's Gaussians in colours that show a property, through a camera.
 fn painted(trainer: &mut Trainer, camera: &Camera, property: Property) -> Option<Rendered> {
     let colors = live::colors(trainer, property).unwrap()?;
@@ -191,17 +207,7 @@ fn births_of_the_last_density_step_are_noted_and_marked() {
         lr_position_final: 0.0,
         ..OptimizerConfig::default()
     };
-    let config = TrainConfig {
-        iterations: 120,
-        max_size: 64,
-        seed: 5,
-        optimizer: still,
-        ..TrainConfig::default()
-    };
-    let plan = Plan::new(&data, &config).unwrap();
-    let splats = initial_gaussians(&data, &plan).unwrap();
-    let device = Device::open(None).unwrap();
-    let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+    let (mut trainer, splats) = trainer(&data, still);
     let places = |splats: &Gaussians| -> Vec<[u32; 3]> {
         let planes = splats.planes();
         let place = |i: usize| [0, 1, 2].map(|k| planes[k][i].to_bits());
@@ -269,16 +275,7 @@ fn light(color: &[f32; 3]) -> f32 {
 #[test]
 fn importance_and_voxels_are_painted_as_density_control_has_them() {
     let data = room(64);
-    let config = TrainConfig {
-        iterations: 120,
-        max_size: 64,
-        seed: 5,
-        ..TrainConfig::default()
-    };
-    let plan = Plan::new(&data, &config).unwrap();
-    let splats = initial_gaussians(&data, &plan).unwrap();
-    let device = Device::open(None).unwrap();
-    let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+    let (mut trainer, _) = trainer(&data, OptimizerConfig::default());
     trainer.note_density();
     let camera = data.train[0].camera;
     let mut steps = 0;

@@ -119,13 +119,13 @@ impl Reader<'_> {
         }
     }
 
-    /// The sensor of panoramas of a size, which has nothing to calibrate.
+    /// Intrinsics (fx, fy, cx, cy) and lens of panoramas of a size, which have nothing to calibrate.
     fn sphere(
         &self,
         calibration: Option<Node<'_, '_>>,
         [width, height]: [u32; 2],
         of: &str,
-    ) -> Result<Sensor> {
+    ) -> Result<([f64; 4], Lens)> {
         let terms = [
             "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4",
         ];
@@ -138,23 +138,10 @@ impl Reader<'_> {
                 return Err(Error::input(self.0, what, fix));
             }
         }
-        let [fx, fy, cx, cy] = intrinsics(width, height);
-        Ok(Sensor {
-            camera: Camera {
-                rotation: DMat3::IDENTITY,
-                translation: DVec3::ZERO,
-                fx,
-                fy,
-                cx,
-                cy,
-                width,
-                height,
-            },
-            lens: Lens::Equirectangular,
-        })
+        Ok((intrinsics(width, height), Lens::Equirectangular))
     }
 
-    /// A sensor with a calibration; `None` for one without.
+    /// A sensor with a calibration, or of panoramas of a known size; `None` for another.
     fn sensor(&self, node: Node<'_, '_>) -> Result<Option<Sensor>> {
         let of = format!("sensor {}", node.attribute("id").unwrap_or_default());
         let calibrations = node.children().filter(|c| c.has_tag_name("calibration"));
@@ -165,19 +152,42 @@ impl Reader<'_> {
         let kind = kind.or_else(|| node.attribute("type"));
         let own = found.and_then(|c| child(c, "resolution"));
         let size = own.or_else(|| child(node, "resolution"));
-        if kind == Some("spherical") {
-            let size = size.map(|size| self.resolution(Some(size), &of));
-            let Some(size) = size.transpose()? else {
-                return Ok(None);
-            };
-            return self.sphere(found, size, &of).map(Some);
-        }
-        let Some(found) = found else {
-            return Ok(None);
+        let spherical = kind == Some("spherical");
+        let lacks = match spherical {
+            true => size.is_none(),
+            false => found.is_none(),
         };
+        if lacks {
+            return Ok(None);
+        }
         let [width, height] = self.resolution(size, &of)?;
+        let ([fx, fy, cx, cy], lens) = match found {
+            Some(found) if !spherical => self.calibrated(found, kind, [width, height], &of)?,
+            calibration => self.sphere(calibration, [width, height], &of)?,
+        };
+        let camera = Camera {
+            rotation: DMat3::IDENTITY,
+            translation: DVec3::ZERO,
+            fx,
+            fy,
+            cx,
+            cy,
+            width,
+            height,
+        };
+        Ok(Some(Sensor { camera, lens }))
+    }
+
+    /// Intrinsics (fx, fy, cx, cy) and lens of a calibration of a kind.
+    fn calibrated(
+        &self,
+        found: Node<'_, '_>,
+        kind: Option<&str>,
+        [width, height]: [u32; 2],
+        of: &str,
+    ) -> Result<([f64; 4], Lens)> {
         let value = |name: &str| match child(found, name) {
-            Some(node) => self.numbers(node, &of).map(|[v]| v),
+            Some(node) => self.numbers(node, of).map(|[v]| v),
             None => Ok(0.0),
         };
         let fisheye = match kind.unwrap_or("frame") {
@@ -214,17 +224,9 @@ impl Reader<'_> {
                 skew,
             },
         };
-        let camera = Camera {
-            rotation: DMat3::IDENTITY,
-            translation: DVec3::ZERO,
-            fx: focal + b1,
-            fy: focal,
-            cx: f64::from(width) / 2.0 + value("cx")?,
-            cy: f64::from(height) / 2.0 + value("cy")?,
-            width,
-            height,
-        };
-        Ok(Some(Sensor { camera, lens }))
+        let center = [f64::from(width) / 2.0, f64::from(height) / 2.0];
+        let [cx, cy] = [center[0] + value("cx")?, center[1] + value("cy")?];
+        Ok(([focal + b1, focal, cx, cy], lens))
     }
 
     /// The cameras of a chunk that are aligned and not disabled.

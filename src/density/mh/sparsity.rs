@@ -6,6 +6,9 @@
 
 use rayon::prelude::*;
 
+use crate::config::MhConfig;
+use crate::density::mh::progress::lerp;
+
 /// Number of shards, a power of two: enough tasks for any desktop, and each table of a million points
 /// fits a first or second-level cache.
 const SHARDS: usize = 256;
@@ -47,6 +50,13 @@ impl<'a> Lattice<'a> {
             growth: if grows { 1.0 / (from * from) } else { 0.0 },
             centres,
         }
+    }
+
+    /// The lattice of density control at progress η, for these camera centres.
+    #[must_use]
+    pub fn at(config: &MhConfig, eta: f64, centres: &'a [[f32; 3]]) -> Self {
+        let edge = lerp(config.voxel_edge, eta);
+        Self::growing(edge, config.voxel_growth_from, centres)
     }
 
     /// Number of doublings of the edge at a position.

@@ -202,8 +202,7 @@ impl MetropolisHastings {
         scene: &SceneState<'_>,
         relocation: &Relocation,
     ) -> VoxelCounts<'a> {
-        let edge = lerp(self.config.voxel_edge, eta);
-        let lattice = Lattice::growing(edge, self.config.voxel_growth_from, context.cameras);
+        let lattice = Lattice::at(&self.config, eta, context.cameras);
         let mut counts =
             VoxelCounts::count_where(scene.positions, lattice, |i| relocation.alive[i]);
         for edit in relocation.moved_edits() {
