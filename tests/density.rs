@@ -3,6 +3,7 @@
 mod adc;
 mod chain;
 mod deaths;
+mod decisions;
 mod extremes;
 mod mcmc;
 mod moved;

@@ -115,14 +115,14 @@ fn the_prior_ratio_is_that_of_the_energy() {
     assert!((voxel_prior(5.0, 2) - 1.0 / 11.0).abs() < 1e-15);
 }
 
-/// The forms of ρ as printed, not in logarithms.
-fn printed(form: Acceptance, i: f64, c: u32) -> f64 {
-    let d = 1.0 / (1.0 + 5.0 * f64::from(c));
+/// The forms of ρ as printed, not in logarithms, from the importance and the count in the voxel.
+pub fn printed(form: Acceptance, i: f64, lambda: f64, c: u32) -> f64 {
+    let d = 1.0 / (1.0 + lambda * f64::from(c));
     let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
     match form {
         Acceptance::Eq20 => logistic(i) * d,
         Acceptance::Alg1 => i * d,
-        Acceptance::ExactPrior => (f64::from(1 + c) / f64::from(2 + c)).powi(5),
+        Acceptance::ExactPrior => (f64::from(1 + c) / f64::from(2 + c)).powf(lambda),
         _ => logistic(i - 0.5) * d,
     }
 }
@@ -143,18 +143,19 @@ fn births_are_accepted_as_often_as_each_form_says() {
                 .count();
             let seen = hits as f64 / n as f64;
             assert!(
-                close(seen, printed(form, importance, c)),
+                close(seen, printed(form, importance, 5.0, c)),
                 "{form:?} {importance} {c}: {seen}"
             );
             assert!(
-                !close(seen, printed(form, importance, c + 1)),
+                !close(seen, printed(form, importance, 5.0, c + 1)),
                 "{form:?}: another count passes"
             );
             let other = forms[(f + 1) % 4];
-            let differs =
-                (printed(other, importance, c) - printed(form, importance, c)).abs() > 0.03;
+            let differs = (printed(other, importance, 5.0, c) - printed(form, importance, 5.0, c))
+                .abs()
+                > 0.03;
             assert!(
-                !differs || !close(seen, printed(other, importance, c)),
+                !differs || !close(seen, printed(other, importance, 5.0, c)),
                 "{other:?} passes"
             );
         }
