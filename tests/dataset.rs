@@ -9,6 +9,7 @@ mod init;
 mod lens;
 pub mod masks;
 mod morton;
+mod open_exports;
 mod panoramas;
 mod photo;
 mod places;

@@ -9,7 +9,6 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use glam::DVec3;
 use serde_json::Value;
-use sha2::Digest;
 
 use mhsplat::base::constants::{ALPHA_MAX, ALPHA_MIN, COLOR_MAX, NEAR, blur};
 use mhsplat::base::error::Error;
@@ -252,7 +251,7 @@ fn the_page_stands_alone() {
     let hash = |before: &str, after: &str| {
         let rest = html.split_once(before).unwrap().1;
         let text = rest.split_once(after).unwrap().0;
-        BASE64.encode(sha2::Sha256::digest(text))
+        BASE64.encode(hmac_sha256::Hash::hash(text.as_bytes()))
     };
     let (style, script) = (hash("<style>", "</style>"), hash("<script>", "</script>"));
     let policy = format!(

@@ -29,6 +29,12 @@ pub enum Layout {
     Metashape,
     /// `bundle.out` and a list of photos (Bundler).
     Bundler,
+    /// `reconstruction.json` (OpenSfM, OpenDroneMap).
+    #[serde(rename = "opensfm")]
+    OpenSfm,
+    /// `sfm_data.json` (OpenMVG).
+    #[serde(rename = "openmvg")]
+    OpenMvg,
 }
 
 impl std::fmt::Display for Layout {
@@ -40,6 +46,8 @@ impl std::fmt::Display for Layout {
             Self::RealityScan => "reality-scan",
             Self::Metashape => "metashape",
             Self::Bundler => "bundler",
+            Self::OpenSfm => "opensfm",
+            Self::OpenMvg => "openmvg",
         })
     }
 }

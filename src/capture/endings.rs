@@ -3,13 +3,13 @@
 use std::path::Path;
 
 /// Extensions of the image formats that are read.
-pub(super) const EXTENSIONS: [&str; 8] =
-    ["png", "jpg", "jpeg", "webp", "PNG", "JPG", "JPEG", "WEBP"];
+pub(super) const EXTENSIONS: [&str; 14] = [
+    "png", "jpg", "jpeg", "webp", "exr", "hdr", "bmp", "PNG", "JPG", "JPEG", "WEBP", "EXR", "HDR",
+    "BMP",
+];
 
 /// Endings of formats that photos are converted from: a photo of the same name is meant by theirs.
-const CONVERTED: [&str; 10] = [
-    "exr", "tif", "tiff", "hdr", "bmp", "EXR", "TIF", "TIFF", "HDR", "BMP",
-];
+const CONVERTED: [&str; 4] = ["tif", "tiff", "TIF", "TIFF"];
 
 /// True for a path with one of these endings.
 fn has_ending(path: &Path, endings: &[&str]) -> bool {

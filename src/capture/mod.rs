@@ -39,7 +39,7 @@ use crate::base::error::{Error, Result};
 use crate::capture::archive::Unpacked;
 
 /// Reads a dataset folder, or a zip archive of one: a model of COLMAP's with its photos (`sparse/0/` and `images/`, or where else programs leave them; binary
-/// preferred over text), `transforms_train.json` / `transforms.json`, or the cameras that RealityScan, Metashape or Bundler exported.
+/// preferred over text), `transforms_train.json` / `transforms.json`, or the cameras that RealityScan, Metashape, Bundler, OpenSfM or OpenMVG exported.
 ///
 /// Names are sorted bytewise before the split. Everything is computed in f64 and moved to the local frame before it is
 /// rounded to f32, so that far-off frames (UTM) lose nothing. An archive is unpacked into a temporary folder, which is there until no photo
@@ -186,13 +186,13 @@ fn no_dataset(path: &Path) -> Error {
     if photos {
         return Error::input(
             path,
-            "photos, but no camera poses (sparse/0 of COLMAP, transforms.json, or an export of RealityScan, Metashape or Bundler)",
+            "photos, but no camera poses (sparse/0 of COLMAP, transforms.json, or an export of RealityScan, Metashape, Bundler, OpenSfM or OpenMVG)",
             "put the photos into a folder images and run COLMAP in the folder that holds it (README, \"Your own photos\")",
         );
     }
     Error::input(
         path,
-        "neither sparse/0/cameras.bin or .txt (COLMAP), nor transforms_train.json or transforms.json, nor an export of RealityScan (CSV), Metashape (XML) or Bundler (bundle.out)",
+        "neither sparse/0/cameras.bin or .txt (COLMAP), nor transforms_train.json or transforms.json, nor an export of RealityScan (CSV), Metashape (XML), Bundler (bundle.out), OpenSfM (reconstruction.json) or OpenMVG (sfm_data.json)",
         "give the folder that holds images/ and sparse/0/, or one of these files",
     )
 }

@@ -5,7 +5,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use image::error::ImageFormatHint;
-use image::{ColorType, DynamicImage, ImageError, ImageFormat, ImageReader, Limits};
+use image::{DynamicImage, ImageError, ImageFormat, ImageReader, Limits};
 
 use crate::base::error::{Error, Result};
 use crate::base::files::check_regular;
@@ -17,6 +17,9 @@ const PER_SIDE: u64 = 64;
 
 /// 16-bit levels per 8-bit level.
 const WORDS: f32 = 257.0;
+
+/// Image formats that are read, for messages.
+const READ: &str = "PNG, JPEG, WebP, EXR, HDR or BMP";
 
 /// A reader of an image file by its content. EXIF orientation is ignored, as COLMAP and the NeRF tools ignore it, so that
 /// pixels stay where the poses expect them.
@@ -47,13 +50,13 @@ pub(super) fn not_an_image(file: &Path, reason: &ImageError) -> Error {
         && let ImageFormatHint::Exact(format) = of.format_hint()
         && !format.reading_enabled()
     {
-        let what = format!("a photo in the format {format:?}; PNG, JPEG or WebP expected");
+        let what = format!("a photo in the format {format:?}; {READ} expected");
         let ending = file.extension().and_then(|e| e.to_str());
         let fix = match ending.filter(|_| is_converted(file)) {
             Some(ending) => format!(
                 "convert all in their folder, with ImageMagick: mogrify -colorspace sRGB -format png -depth 16 *.{ending} (the PNGs are found by the names of these)"
             ),
-            None => "save it as PNG, JPEG or WebP, and name it so in the dataset".into(),
+            None => format!("save it as {READ}, and name it so in the dataset"),
         };
         return Error::input(file, what, fix);
     }
@@ -63,7 +66,7 @@ pub(super) fn not_an_image(file: &Path, reason: &ImageError) -> Error {
 fn unreadable(file: &Path, reason: &dyn std::fmt::Display) -> Error {
     Error::input(
         file,
-        format!("not a readable image ({reason}); PNG, JPEG or WebP expected"),
+        format!("not a readable image ({reason}); {READ} expected"),
         "replace the file or remove its entry from the dataset",
     )
 }
@@ -84,8 +87,10 @@ pub(super) struct Rows {
     pub size: [u32; 2],
     /// Channels of the file: grey, or RGB, either with alpha or without.
     channels: usize,
-    /// Bytes of a value, 1 or 2.
+    /// Bytes of a value, 1, 2, or 4 of linear light.
     depth: usize,
+    /// True if colours are stored multiplied by alpha.
+    premultiplied: bool,
     next: usize,
     /// The values of a row in the file's channels.
     row: Vec<f32>,
@@ -98,6 +103,7 @@ impl Rows {
     /// No image, or one that is too large: as a whole, or with rows that are.
     pub fn open(file: &Path) -> Result<Self> {
         let reader = open(file)?;
+        let premultiplied = reader.format() == Some(ImageFormat::OpenExr);
         let bad = |e: png::DecodingError| not_an_image(file, &from_png(e));
         if reader.format() == Some(ImageFormat::Png) {
             let bytes = usize::try_from(decoding_limit()).unwrap_or(usize::MAX);
@@ -121,35 +127,32 @@ impl Rows {
                     size,
                     channels: color.samples(),
                     depth: 1 + usize::from(bits == png::BitDepth::Sixteen),
+                    premultiplied: false,
                     next: 0,
                     row: Vec::new(),
                 });
             }
         }
         let image = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
-        Ok(Self::of_image(file, image))
-    }
-
-    /// The rows of a decoded image; one of floats has 8 bits.
-    fn of_image(file: &Path, mut image: DynamicImage) -> Self {
-        if matches!(image.color(), ColorType::Rgb32F | ColorType::Rgba32F) {
-            image = image.into_rgba8().into();
-        }
         let channels = usize::from(image.color().channel_count());
-        Self {
+        Ok(Self {
             file: file.to_path_buf(),
             size: [image.width(), image.height()],
             channels,
             depth: usize::from(image.color().bytes_per_pixel()) / channels,
+            premultiplied,
             pixels: Pixels::Whole(image),
             next: 0,
             row: Vec::new(),
-        }
+        })
     }
 
-    /// True if the whole photo is in memory.
-    pub fn is_whole(&self) -> bool {
-        matches!(self.pixels, Pixels::Whole(_))
+    /// Bytes of the photo that are in memory: all, or none that count.
+    pub fn in_memory(&self) -> u64 {
+        match &self.pixels {
+            Pixels::Whole(image) => image.as_bytes().len() as u64,
+            Pixels::Png(_) => 0,
+        }
     }
 
     /// True if pixels may be transparent.
@@ -157,7 +160,7 @@ impl Rows {
         matches!(self.channels, 2 | 4)
     }
 
-    /// Takes the values of the next row, 0 to 255, interleaved in the file's channels; 16-bit values keep their fractions.
+    /// Takes the values of the next row, 0 to 255, interleaved in the file's channels; 16-bit and float values keep their fractions.
     ///
     /// # Errors
     /// The file ends before the row does, or is damaged there.
@@ -184,6 +187,13 @@ impl Rows {
         self.row.clear();
         match self.depth {
             1 => self.row.extend(bytes.iter().map(|v| f32::from(*v))),
+            4 => {
+                let (values, _) = bytes.as_chunks();
+                let value = |b: &[u8; 4]| f32::from_ne_bytes(*b);
+                self.row.extend(values.iter().map(value));
+                let pixels = self.row.chunks_exact_mut(self.channels);
+                pixels.for_each(|pixel| encode(pixel, self.premultiplied));
+            }
             _ => {
                 let words = bytes.chunks_exact(2);
                 let value = |b: &[u8]| f32::from(word([b[0], b[1]])) / WORDS;
@@ -234,6 +244,27 @@ impl Rows {
             _ => pixel.first().map_or(0.0, |v| v.round()),
         };
         Ok(self.row.chunks_exact(self.channels).map(luma).collect())
+    }
+}
+
+/// Turns a pixel of linear light into sRGB from 0 to 255 with straight alpha: colours are divided by alpha if they are `premultiplied`,
+/// values beyond 0 and 1 cut, and those that are no numbers 0. Source: IEC 61966-2-1.
+fn encode(pixel: &mut [f32], premultiplied: bool) {
+    let alpha = pixel.get(3).map_or(1.0, |a| a.clamp(0.0, 1.0));
+    let scale = match premultiplied && alpha > 0.0 {
+        true => alpha.recip(),
+        false => 1.0,
+    };
+    for (k, v) in pixel.iter_mut().enumerate() {
+        let light = if k == 3 { *v } else { *v * scale };
+        // NaN, too, is 0.
+        let light = if light > 0.0 { light.min(1.0) } else { 0.0 };
+        let level = match light {
+            alpha if k == 3 => alpha,
+            dark if dark <= 0.003_130_8 => 12.92 * dark,
+            bright => 1.055 * bright.powf(1.0 / 2.4) - 0.055,
+        };
+        *v = 255.0 * level;
     }
 }
 

@@ -358,7 +358,7 @@ impl PhotoFile {
         let channels = source.channels;
         let from = pixels(source.rows.size) * channels as u64;
         // A photo that is decoded as a whole is there beside what is taken from it, and gone before the rest.
-        let decoded = if source.rows.is_whole() { from } else { 0 };
+        let decoded = source.rows.in_memory();
         let bytes = from + decoded.max(pixels(target) * channels as u64);
         let part = "the photo has lens distortion, which is removed at its full size: this";
         let fix = "scale the photo down, undistort it first, or use a machine with more memory";

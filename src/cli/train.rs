@@ -22,7 +22,7 @@ const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
 #[derive(clap::Args)]
 pub struct TrainArgs {
     /// Folder with images/ and sparse/0/, with transforms_train.json or transforms.json, or with photos and the cameras of RealityScan
-    /// (CSV), Metashape (XML) or Bundler; or a zip archive of one.
+    /// (CSV), Metashape (XML), Bundler, OpenSfM or OpenMVG; or a zip archive of one.
     #[arg(required_unless_present = "resume")]
     dataset: Option<PathBuf>,
     /// Run folder; must not exist.

@@ -12,22 +12,22 @@ use super::{assert_refused, load_every};
 use mhsplat::capture::{Dataset, Layout, LoadOptions, View, load};
 
 /// Size of the photos, pixels.
-const SIZE: [u32; 2] = [40, 30];
+pub(super) const SIZE: [u32; 2] = [40, 30];
 /// Views of an export.
-const VIEWS: usize = 6;
+pub(super) const VIEWS: usize = 6;
 /// Photos of them are called IMG_0.png and so on.
-fn name(i: usize) -> String {
+pub(super) fn name(i: usize) -> String {
     format!("IMG_{i}.png")
 }
 
 /// Centres of the cameras: a ring of radius 4 around the origin, at heights of their own.
-fn center(i: usize) -> DVec3 {
+pub(super) fn center(i: usize) -> DVec3 {
     let angle = 2.0 * PI * i as f64 / VIEWS as f64;
     DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 0.5 + 0.1 * i as f64)
 }
 
 /// Directions right, down and forward of a camera that looks at the origin, tilted a little; z is up.
-fn axes(i: usize) -> [DVec3; 3] {
+pub(super) fn axes(i: usize) -> [DVec3; 3] {
     let forward = -center(i).normalize();
     let right = forward.cross(DVec3::Z).normalize();
     let down = forward.cross(right);
@@ -40,13 +40,13 @@ fn axes(i: usize) -> [DVec3; 3] {
 }
 
 /// Points that all cameras see.
-fn points() -> Vec<DVec3> {
+pub(super) fn points() -> Vec<DVec3> {
     let at = |i: i32| DVec3::new(f64::from(i % 3) - 1.0, f64::from(i / 3 % 3) - 1.0, 0.2);
     (0..9).map(|i| 0.6 * at(i)).collect()
 }
 
 /// A folder with photos.
-fn photos(folder: &str) -> TempDir {
+pub(super) fn photos(folder: &str) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     let images = dir.path().join(folder);
     fs::create_dir_all(&images).unwrap();
@@ -87,7 +87,7 @@ fn read_pixel(data: &Dataset, view: &View, point: DVec3) -> [f64; 2] {
 
 /// Compares all views with the format's own projection of a point in the file's view of this number.
 #[track_caller]
-fn assert_projects(data: &Dataset, project: impl Fn(usize, DVec3) -> [f64; 2]) {
+pub(super) fn assert_projects(data: &Dataset, project: impl Fn(usize, DVec3) -> [f64; 2]) {
     assert_eq!(data.train.len(), VIEWS);
     for view in &data.train {
         let i = view.name.strip_suffix(".png").unwrap_or(&view.name);
@@ -112,8 +112,8 @@ fn brown(k: [f64; 4], [t1, t2]: [f64; 2], [x, y]: [f64; 2]) -> [f64; 2] {
     ]
 }
 
-const RADIAL: [f64; 4] = [-0.12, 0.05, -0.02, 0.01];
-const TANGENTIAL: [f64; 2] = [4e-3, -7e-3];
+pub(super) const RADIAL: [f64; 4] = [-0.12, 0.05, -0.02, 0.01];
+pub(super) const TANGENTIAL: [f64; 2] = [4e-3, -7e-3];
 
 /// Heading, pitch and roll of a camera, radians, by the vendor's definition: Euler angles in the order ZYX of the body (nose, right wing,
 /// nadir) in the frame north, east, down, the camera's top towards the nose.

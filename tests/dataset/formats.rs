@@ -124,6 +124,68 @@ fn grey_photos_have_three_equal_channels() {
     assert!(off <= 8, "{off}");
 }
 
+/// Linear light of a level of sRGB, 0 to 255.
+fn linear(level: f32) -> f32 {
+    let v = level / 255.0;
+    match v <= 0.04045 {
+        true => v / 12.92,
+        false => ((v + 0.055) / 1.055).powf(2.4),
+    }
+}
+
+/// The photo that is read of an image saved with this ending.
+fn saved_as(ending: &str, image: impl Into<DynamicImage>) -> Photo {
+    let (dir, file) = scene();
+    image.into().save(file.with_extension(ending)).unwrap();
+    read(dir.path())
+}
+
+#[test]
+fn linear_light_becomes_srgb_at_its_depth() {
+    // What lies between two levels of 8 bits is kept until the photo is rounded.
+    for off in [0.0, 0.45, -0.45] {
+        let pixel = |x, y| Rgb(colour(x, y).map(|v| linear(f32::from(v) + off)));
+        let image = ImageBuffer::from_fn(SIZE[0], SIZE[1], pixel);
+        assert_eq!(apart(&saved_as("exr", image), colour), 0, "{off}");
+    }
+    let pixel = |x, y| Rgb(colour(x, y).map(|v| linear(f32::from(v))));
+    let image = ImageBuffer::<Rgb<f32>, Vec<f32>>::from_fn(SIZE[0], SIZE[1], pixel);
+    let off = apart(&saved_as("hdr", image), colour);
+    // Half a step of 1/256 of the brightest of three values, where sRGB is steepest: 12.92 · 255 / 512.
+    assert!(off <= 6, "{off}");
+    assert_eq!(apart(&saved_as("bmp", rgb()), colour), 0);
+    // Levels that were stored as if they were light are noticed.
+    let pixel = |x, y| Rgb(colour(x, y).map(|v| f32::from(v) / 255.0));
+    let image = ImageBuffer::from_fn(SIZE[0], SIZE[1], pixel);
+    assert!(apart(&saved_as("exr", image), colour) > 20);
+}
+
+#[test]
+fn light_beyond_the_range_is_cut_and_alpha_is_divided_out() {
+    let wild = [f32::NAN, f32::INFINITY, 1e30, -2.0];
+    let wanted = [0, 255, 255, 0];
+    let pixel = |x: u32, _| Rgb([wild[x as usize % 4], 0.0, 1.0]);
+    let photo = saved_as("exr", ImageBuffer::from_fn(SIZE[0], SIZE[1], pixel));
+    let shown = |x: u32, _: u32| [wanted[x as usize % 4], 0, 255];
+    assert_eq!(apart(&photo, shown), 0);
+    // An EXR holds colours times alpha; a photo of 8 bits with straight alpha holds them as they are.
+    let alpha = |x: u32| 17 * x as u8;
+    let straight = ImageBuffer::from_fn(SIZE[0], SIZE[1], |x, y| {
+        let [r, g, b] = colour(x, y);
+        Rgba([r, g, b, alpha(x)])
+    });
+    let associated = ImageBuffer::from_fn(SIZE[0], SIZE[1], |x, y| {
+        let a = f32::from(alpha(x)) / 255.0;
+        let [r, g, b] = colour(x, y).map(|v| a * linear(f32::from(v)));
+        Rgba([r, g, b, a])
+    });
+    let [straight, associated] = [saved(straight), saved_as("exr", associated)];
+    assert_eq!(associated.alpha, Alpha::Transparency);
+    let apart = straight.data.iter().zip(&associated.data);
+    let apart = apart.map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(apart <= Some(1), "{apart:?}");
+}
+
 #[test]
 fn palettes_are_looked_up() {
     for name in ["palette-4bit.png", "palette-8bit.png"] {

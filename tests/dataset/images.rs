@@ -75,7 +75,7 @@ fn photos_in_a_format_that_is_converted_first() {
         .enumerate()
         .filter(|(_, w)| w == b".png")
         .fold(text.clone(), |mut all, (i, _)| {
-            all[i..i + 4].copy_from_slice(b".exr");
+            all[i..i + 4].copy_from_slice(b".tif");
             all
         });
     fs::write(&images, renamed).unwrap();
@@ -84,13 +84,13 @@ fn photos_in_a_format_that_is_converted_first() {
     let photos = fs::read_dir(dir.path().join("images")).unwrap();
     let photos: Vec<_> = photos.map(|e| e.unwrap().path()).collect();
     for photo in &photos {
-        fs::write(photo.with_extension("exr"), b"\x76\x2f\x31\x01\x02\0\0\0").unwrap();
+        fs::write(photo.with_extension("tif"), b"II*\0\x08\0\0\0").unwrap();
     }
     assert_eq!(load_every(dir.path(), 0).unwrap().train.len(), 3);
     for photo in photos {
         fs::remove_file(photo).unwrap();
     }
-    let words = [".exr", "OpenExr", "mogrify -colorspace sRGB", "16 *.exr"];
+    let words = [".tif", "Tiff", "mogrify -colorspace sRGB", "16 *.tif"];
     assert_refused(load_every(dir.path(), 0), &words);
 }
 

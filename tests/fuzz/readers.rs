@@ -33,8 +33,24 @@ pub const COLMAP: [&str; 6] = [
     "images_txt",
     "points3d_txt",
 ];
-pub const PHOTOS: [&str; 6] = ["transforms", "lenses", "png", "jpeg", "webp", "mask"];
-pub const EXPORTS: [&str; 3] = ["reality_scan_csv", "metashape_xml", "bundle_out"];
+pub const PHOTOS: [&str; 9] = [
+    "transforms",
+    "lenses",
+    "png",
+    "jpeg",
+    "webp",
+    "exr",
+    "hdr",
+    "bmp",
+    "mask",
+];
+pub const EXPORTS: [&str; 5] = [
+    "reality_scan_csv",
+    "metashape_xml",
+    "bundle_out",
+    "open_sfm_json",
+    "open_mvg_json",
+];
 pub const CLOUDS: [&str; 7] = [
     "points_ply",
     "scene_ply",
@@ -190,9 +206,16 @@ fn photos(name: &str) -> Reader {
     let format = match name {
         "jpeg" => image::ImageFormat::Jpeg,
         "webp" => image::ImageFormat::WebP,
+        "exr" => image::ImageFormat::OpenExr,
+        "hdr" => image::ImageFormat::Hdr,
+        "bmp" => image::ImageFormat::Bmp,
         _ => image::ImageFormat::Png,
     };
-    let pixels = image::open(&file).unwrap().into_rgb8();
+    let pixels = image::open(&file).unwrap();
+    let pixels = match name {
+        "exr" | "hdr" => image::DynamicImage::from(pixels.into_rgb32f()),
+        _ => pixels.into_rgb8().into(),
+    };
     pixels.save_with_format(&file, format).unwrap();
     of_file(dir, file, reads)
 }
@@ -218,6 +241,14 @@ fn export(name: &str) -> Reader {
              <rotation>1 0 0 0 1 0 0 0 1</rotation><translation>1 2 3</translation><scale>2</scale></transform></component></components>\
              <cameras><camera id=\"0\" sensor_id=\"0\" component_id=\"0\" label=\"a\">\
              <transform>1 0 0 4 0 1 0 5 0 0 1 6 0 0 0 1</transform></camera></cameras></chunk></document>\n",
+        ),
+        "open_sfm_json" => (
+            "reconstruction.json",
+            include_str!("corpus/open_sfm_json/minimal"),
+        ),
+        "open_mvg_json" => (
+            "sfm_data.json",
+            include_str!("corpus/open_mvg_json/minimal"),
         ),
         _ => (
             "bundle.out",

@@ -1,7 +1,9 @@
-//! Camera exports of other programs: RealityScan's CSV, Metashape's XML, Bundler's text.
+//! Camera exports of other programs: RealityScan's CSV, Metashape's XML, Bundler's text, JSON of OpenSfM and OpenMVG.
 
 mod bundler;
 mod metashape;
+mod open_mvg;
+mod open_sfm;
 mod reality_scan;
 mod shared;
 
@@ -16,6 +18,18 @@ use crate::capture::dataset::Layout;
 /// Bytes at the start of a file by which it is recognised.
 const HEAD: u64 = 4096;
 
+/// Ending of an export, how its text begins, and what it is.
+type Known = (&'static str, fn(&str) -> bool, Layout);
+
+/// The exports that are read.
+const KNOWN: [Known; 5] = [
+    ("csv", reality_scan::is_header, Layout::RealityScan),
+    ("xml", metashape::is_document, Layout::Metashape),
+    ("out", bundler::is_bundle, Layout::Bundler),
+    ("json", open_sfm::is_reconstruction, Layout::OpenSfm),
+    ("json", open_mvg::is_data, Layout::OpenMvg),
+];
+
 /// The exports in a folder, by name.
 pub(super) fn find(root: &Path) -> Vec<(Layout, PathBuf)> {
     let entries = fs::read_dir(root).into_iter().flatten().flatten();
@@ -28,23 +42,15 @@ pub(super) fn find(root: &Path) -> Vec<(Layout, PathBuf)> {
 /// The program that wrote a file, by its ending and its first lines.
 fn recognised(file: &Path) -> Option<Layout> {
     let ending = file.extension()?.to_str()?.to_ascii_lowercase();
-    let known: fn(&str) -> bool = match ending.as_str() {
-        "csv" => reality_scan::is_header,
-        "xml" => metashape::is_document,
-        "out" => bundler::is_bundle,
-        _ => return None,
-    };
+    let candidates = KNOWN.iter().filter(|(known, ..)| *known == ending);
+    let mut candidates = candidates.peekable();
+    candidates.peek()?;
     let file = file.is_file().then(|| File::open(file).ok())??;
     let mut head = Vec::new();
     file.take(HEAD).read_to_end(&mut head).ok()?;
-    if !known(&String::from_utf8_lossy(&head)) {
-        return None;
-    }
-    Some(match ending.as_str() {
-        "csv" => Layout::RealityScan,
-        "xml" => Layout::Metashape,
-        _ => Layout::Bundler,
-    })
+    let head = String::from_utf8_lossy(&head);
+    let found = candidates.find(|(_, begins, _)| begins(&head));
+    found.map(|(.., layout)| *layout)
 }
 
 /// The views and points of the one export in `root`.
@@ -65,6 +71,8 @@ pub(super) fn load(
     match layout {
         Layout::Metashape => metashape::load(root, file, asked),
         Layout::Bundler => bundler::load(root, file, asked),
+        Layout::OpenSfm => open_sfm::load(root, file, asked),
+        Layout::OpenMvg => open_mvg::load(root, file, asked),
         _ => reality_scan::load(root, file, asked),
     }
 }

@@ -4,8 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
+use serde::de::DeserializeOwned;
 
-use crate::base::error::Result;
+use crate::base::error::{Error, Result};
 use crate::base::math::{order_statistic, sorted};
 use crate::base::ply;
 use crate::base::ply::Table;
@@ -67,6 +68,18 @@ pub(super) fn scene(
         missing,
         positions: Vec::new(),
         colors: Vec::new(),
+    })
+}
+
+/// The content of a JSON file.
+///
+/// # Errors
+/// A file that cannot be read, or of another kind.
+pub(super) fn document<T: DeserializeOwned>(file: &Path) -> Result<T> {
+    let text = crate::base::files::read(file)?;
+    serde_json::from_slice(&text).map_err(|error| {
+        let fix = "export the cameras again";
+        Error::input(file, format!("not what it seems to be: {error}"), fix)
     })
 }
 
