@@ -309,6 +309,47 @@ fn marks_of_others_are_read() {
     }
 }
 
+/// Mip-Splatting leaves each Gaussian's filter beside it, 3DGS the colour transforms of photos beside the scene.
+#[test]
+fn filters_and_exposures_of_others_are_seen() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("point_cloud/iteration_30000");
+    fs::create_dir_all(&folder).unwrap();
+    let file = folder.join("point_cloud.ply");
+    let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 filter_3D";
+    let mut text = "ply\nformat ascii 1.0\nelement vertex 1\n".to_owned();
+    for name in names.split(' ') {
+        text += &format!("property float {name}\n");
+    }
+    let [scale, filter, frame] = [0.3_f64, 0.4, 2.0];
+    let ln = scale.ln();
+    text += &format!("end_header\n0 0 0 0 0 0 0 {ln} {ln} {ln} 1 0 0 0 {filter}\n");
+    fs::write(&file, text).unwrap();
+    let local = Frame {
+        scale: frame,
+        ..Frame::IDENTITY
+    };
+    let read = formats::read(&file, &local).unwrap();
+    assert!(read.anti_aliased);
+    assert!(
+        read.changes()[0].contains("filter_3D"),
+        "{:?}",
+        read.changes()
+    );
+    // Scales √(s² + σ²), and the opacity times s/s' for each axis.
+    let wanted = (scale.hypot(filter) / frame).ln();
+    let found = f64::from(read.splats.planes()[Plane::LOG_SCALE][0]);
+    assert!((found - wanted).abs() < 1e-6, "{found} {wanted}");
+    let opacity = 0.5 * (scale / scale.hypot(filter)).powi(3);
+    let found = f64::from(read.splats.planes()[Plane::OPACITY][0]);
+    let wanted = (opacity / (1.0 - opacity)).ln();
+    assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
+    assert_eq!(read.changes().len(), 1);
+    fs::write(dir.path().join("exposure.json"), "{}").unwrap();
+    let changes = formats::read(&file, &local).unwrap().changes();
+    assert!(changes[0].contains("colour transform"), "{changes:?}");
+}
+
 #[test]
 fn extremes() {
     for format in LOSSY {

@@ -38,6 +38,8 @@ fn long(data: &Path, run: &Path, resume: bool, iterations: &str) -> Command {
         command.arg("--config").arg(settings);
         command.args(["--iterations", iterations, "--max-size", "64"]);
         command.args(["--checkpoint-every", "20", "--eval-every", "50"]);
+        // More often: a scene comes with a checkpoint.
+        command.args(["--export-every", "10"]);
     }
     command.stdout(Stdio::null()).stderr(Stdio::null());
     command
@@ -122,6 +124,57 @@ fn killed_at_any_moment_it_ends_with_the_same_bytes() {
     println!(
         "{runs} runs, {at_work} kills, {again} of them before the first checkpoint: all ended alike"
     );
+}
+
+/// From its first evaluation on a run can be looked at, and gone on with, whatever becomes of it.
+#[test]
+fn a_run_that_is_going_on_has_a_scene_and_a_report() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let mut command = crate::cli::program();
+    command.arg("train").arg(room()).arg("-o").arg(&run);
+    command.args(["--iterations", "100000", "--max-size", "64"]);
+    command.args(["--checkpoint-every", "0", "--eval-every", "10"]);
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut child = command.spawn().unwrap();
+    let began = Instant::now();
+    while !run.join("report.html").exists() {
+        assert!(began.elapsed() < LONGEST_START, "no report");
+        assert!(child.try_wait().unwrap().is_none(), "ended too early");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    for file in ["scene.ply", "scene.html"] {
+        assert!(run.join(file).is_file(), "{file}");
+    }
+    let eval = crate::cli::program()
+        .arg("eval")
+        .arg(&run)
+        .output()
+        .unwrap();
+    assert!(eval.status.success(), "{eval:?}");
+    let mut resumed = train(&room(), &run, true).spawn().unwrap();
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(resumed.try_wait().unwrap().is_none(), "it does not go on");
+    resumed.kill().unwrap();
+    resumed.wait().unwrap();
+}
+
+/// Of two that begin a run in one place at once, one trains and the other is refused.
+#[test]
+fn two_cannot_begin_one_run() {
+    let dir = tempfile::tempdir().unwrap();
+    for attempt in 0..3 {
+        let run = dir.path().join(format!("run-{attempt}"));
+        let begin = || long(&room(), &run, false, "20").spawn().unwrap();
+        let both = [begin(), begin()].map(|mut child| child.wait().unwrap().code());
+        assert!(
+            both.contains(&Some(0)) && both.contains(&Some(2)),
+            "{both:?}"
+        );
+        assert!(run.join("scene.ply").is_file());
+    }
 }
 
 /// A requeued job must go on: resumed where there is a folder, begun anew where there is none.

@@ -1,9 +1,9 @@
-//! Atomic files: always the old content or the new one, never half of each.
+//! Atomic files: always the old content or the new one, never half of each. Locks of folders, and ways between them.
 
 use std::ffi::OsString;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 use crate::base::error::{Error, Result};
 
@@ -132,4 +132,17 @@ pub fn sweep(folder: &Path) {
             let _ = fs::remove_file(entry.path());
         }
     }
+}
+
+/// The way from a folder to a file; none if one of them is not there, or they have nothing in common.
+pub(crate) fn between(folder: &Path, file: &Path) -> Option<PathBuf> {
+    let [folder, file] = [folder, file].map(|path| path.canonicalize().ok());
+    let (folder, file) = (folder?, file?);
+    let pairs = folder.components().zip(file.components());
+    let alike = pairs.take_while(|(a, b)| a == b).count();
+    let up = folder
+        .components()
+        .skip(alike)
+        .map(|_| Component::ParentDir);
+    (alike > 0).then(|| up.chain(file.components().skip(alike)).collect())
 }

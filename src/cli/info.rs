@@ -2,19 +2,20 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome, open_tested};
 use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::constants::LOG_SCALE;
-use mhsplat::base::error::Result;
+use mhsplat::base::error::{Error, Result};
 use mhsplat::base::math::{order_statistic, sigmoid, sorted};
 use mhsplat::capture::{self, Alpha, Dataset, Frame, Lens, View};
 use mhsplat::config::{Preset, TrainConfig};
-use mhsplat::run::{PlanRecord, RECORD_FILE, RunRecord};
+use mhsplat::run::{Clock, PlanRecord, RECORD_FILE, Run, RunRecord};
 use mhsplat::scene::Plane;
 use mhsplat::train::Plan;
 
@@ -41,9 +42,14 @@ pub struct InfoArgs {
     /// Masks are black where a photo counts.
     #[arg(long)]
     invert_masks: bool,
+    /// Train for some seconds, into a folder that is then removed, and tell how long a run takes on the device.
+    #[arg(long)]
+    time: bool,
+    #[command(flatten)]
+    device: DeviceOption,
 }
 
-/// Describes a dataset, a run or a scene file; no device is needed.
+/// Describes a dataset, a run or a scene file; a device is needed to tell the time alone.
 pub fn run(args: &InfoArgs, common: &Common) -> Result<Outcome> {
     let (document, lines) = if args.path.join(RECORD_FILE).is_file() {
         of_run(&RunRecord::read(&args.path)?)
@@ -83,7 +89,7 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
     let (layout, alpha) = (data.layout.to_string(), format!("{:?}", data.alpha()));
     let alpha = alpha.to_lowercase();
     let memory = data.photo_bytes();
-    let document = json!({
+    let mut document = json!({
         "path": data.path, "layout": layout, "place": data.place, "training_views": train, "held_out_views": test, "sizes": sizes, "lenses": lenses,
         "alpha": alpha, "brightness_stops": stops, "points": points, "extent": scale, "center": center, "photo_bytes": memory,
         "photos_on_demand": data.photos_on_demand(), "missing": data.missing, "astray": data.outliers,
@@ -112,7 +118,42 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
         format!("memory of the photos: {} MiB{on_demand}", memory >> 20),
     ];
     lines.extend(plan.summary(true));
+    if args.time {
+        let (seconds, told) = expected_time(args, data, config)?;
+        document["expected_seconds"] = json!(seconds);
+        lines.push(told);
+    }
     Ok((document, lines))
+}
+
+/// Seconds that a run of a dataset is expected to take on the device, and a sentence on them, after its first iterations.
+fn expected_time(args: &InfoArgs, data: Dataset, config: TrainConfig) -> Result<(f64, String)> {
+    let device = open_tested(args.device.selector().as_deref())?;
+    let dir = std::env::temp_dir().join(format!("mhsplat-time-{}", std::process::id()));
+    let stop = AtomicBool::new(false);
+    let mut told = None;
+    let clock = Clock::start();
+    let mut run = Run::start(&dir, data, config, &device, clock)?;
+    let ended = run.drive(&stop, |p| {
+        if let (Some(left), Some(what)) = (p.left, &p.decided)
+            && told.is_none()
+        {
+            told = Some((p.train_seconds + left, what.clone()));
+            stop.store(true, Ordering::Relaxed);
+        }
+    });
+    let ended = ended.map(|_| ());
+    drop(run);
+    std::fs::remove_dir_all(&dir).map_err(|e| Error::io(&dir, e))?;
+    let name = &device.info().name;
+    match (told, ended) {
+        (Some((seconds, what)), _) => Ok((seconds, format!("time on {name}: {what}"))),
+        (None, Err(error)) => Err(error),
+        (None, Ok(())) => Err(Error::config(
+            "--time",
+            "the run was over before it could be told",
+        )),
+    }
 }
 
 /// Number of views by a property.

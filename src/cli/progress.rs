@@ -2,10 +2,11 @@
 
 use std::io::IsTerminal;
 use std::path::Path;
-use std::sync::LazyLock;
+use std::sync::{LazyLock, Mutex};
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
+use console::Term;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
@@ -15,8 +16,22 @@ use mhsplat::base::error::Result;
 use mhsplat::chart::text::about;
 use mhsplat::run::{FinalRecord, Progress, RunRecord, SCENE_PAGE};
 
-/// Shows how many photos have been read, on a terminal.
+/// Shows how many photos have been read: a bar on a terminal, elsewhere a line each time that half a minute has passed.
 pub fn reading(done: usize, all: usize) {
+    static SAID: LazyLock<Mutex<Instant>> = LazyLock::new(|| Mutex::new(Instant::now()));
+    if output::is_quiet() {
+        return;
+    }
+    if !std::io::stderr().is_terminal() {
+        let Ok(mut said) = SAID.lock() else {
+            return;
+        };
+        if said.elapsed() >= SILENCE && done < all {
+            *said = Instant::now();
+            output::info(&format!("{done} of {all} photos read"));
+        }
+        return;
+    }
     static BAR: LazyLock<ProgressBar> = LazyLock::new(|| {
         let style = ProgressStyle::with_template("{bar:20} {pos} of {len} photos read");
         style.map_or_else(
@@ -68,8 +83,7 @@ impl Display {
             Form::Bar => ProgressBar::new(0),
             _ => ProgressBar::hidden(),
         };
-        // What does not fit is cut off, not wrapped.
-        if let Ok(style) = ProgressStyle::with_template("{bar:20} {percent}% {wide_msg}") {
+        if let Ok(style) = ProgressStyle::with_template("{bar:6} {percent:>3}% {wide_msg}") {
             bar.set_style(style);
         }
         Self {
@@ -91,7 +105,9 @@ impl Display {
         self.bar.set_length(u64::from(p.iterations));
         self.bar.set_position(u64::from(p.iteration));
         if p.iteration.is_multiple_of(10) {
-            self.bar.set_message(state(p));
+            let columns = usize::from(Term::stderr().size().1);
+            self.bar
+                .set_message(fitting(p, columns.saturating_sub(BESIDE)));
         }
     }
 
@@ -106,11 +122,11 @@ impl Display {
         self.shown = (p.psnr, Instant::now());
         output::info(&match self.form {
             Form::Json => json!({
-                "iteration": p.iteration, "iterations": p.iterations, "gaussians": p.gaussians, "psnr": p.psnr,
+                "iteration": p.iteration, "iterations": p.iterations, "gaussians": p.gaussians, "psnr": p.psnr, "loss": p.loss,
                 "train_seconds": p.train_seconds, "rate": p.rate, "left_seconds": p.left, "decided": p.decided,
             })
             .to_string(),
-            _ => state(p),
+            _ => fitting(p, usize::MAX),
         });
     }
 
@@ -120,22 +136,41 @@ impl Display {
     }
 }
 
-/// Progress in words, the most important first.
-fn state(p: &Progress) -> String {
-    let left = p.left.map(|s| format!("{} left", about(s)));
-    let psnr = p.psnr.map(|v| format!("{v:.2} dB"));
-    let rate = p.rate.map(|v| match v {
+/// Columns that the bar and the percentage take.
+const BESIDE: usize = 12;
+
+/// Progress in words, within so many columns: what counts least is left out where there is no room.
+fn fitting(p: &Progress, columns: usize) -> String {
+    let rate = |v: f64| match v {
         v if v < 10.0 => format!("{v:.2} it/s"),
         v => format!("{v:.0} it/s"),
-    });
-    let parts = [
-        Some(format!("{} of {}", p.iteration, p.iterations)),
-        left,
-        psnr,
-        Some(format!("{} Gaussians", p.gaussians)),
-        rate,
-    ];
-    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
+    };
+    let count = match p.gaussians {
+        n if n < 10_000 => n.to_string(),
+        n if n < 1_000_000 => format!("{}k", n / 1000),
+        n => format!("{:.2}M", n as f64 / 1e6),
+    };
+    // In their order on the line, each with its rank among those that are left out first.
+    let mut parts: Vec<(u32, String)> = [
+        (0, Some(format!("{}/{}", p.iteration, p.iterations))),
+        (1, p.psnr.map(|v| format!("{v:.2} dB"))),
+        (5, p.loss.map(|v| format!("loss {v:.3}"))),
+        (4, Some(format!("{count} Gaussians"))),
+        (3, p.rate.map(rate)),
+        (2, p.left.map(|s| format!("{} left", about(s)))),
+    ]
+    .into_iter()
+    .filter_map(|(rank, part)| Some((rank, part?)))
+    .collect();
+    let line = |parts: &[(u32, String)]| {
+        let words: Vec<&str> = parts.iter().map(|(_, part)| part.as_str()).collect();
+        words.join(", ")
+    };
+    while parts.len() > 1 && line(&parts).len() > columns {
+        let least = parts.iter().map(|part| part.0).max();
+        parts.retain(|part| Some(part.0) != least);
+    }
+    line(&parts)
 }
 
 /// Prints the result of a run.
@@ -182,4 +217,37 @@ pub fn finish(record: &RunRecord, dir: &Path, common: &Common) -> Result<()> {
         dir.join("report.html").display(),
     ));
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_fits_a_terminal() {
+        let mut p = Progress {
+            iteration: 3500,
+            iterations: 7000,
+            gaussians: 24_321,
+            psnr: Some(29.412),
+            loss: Some(0.0312),
+            train_seconds: 77.0,
+            rate: Some(45.2),
+            left: Some(720.0),
+            decided: None,
+        };
+        let whole = "3500/7000, 29.41 dB, loss 0.031, 24k Gaussians, 45 it/s, 12 min left";
+        assert_eq!(fitting(&p, 80 - BESIDE), whole);
+        let shorter = "3500/7000, 29.41 dB, 24k Gaussians, 45 it/s, 12 min left";
+        assert_eq!(fitting(&p, whole.len() - 1), shorter);
+        assert_eq!(fitting(&p, 30), "3500/7000, 29.41 dB");
+        assert_eq!(fitting(&p, 0), "3500/7000");
+        // Nothing of a long run is lost but the loss.
+        (p.iteration, p.iterations, p.gaussians) = (29_999, 30_000, 1_234_567);
+        let long = fitting(&p, 80 - BESIDE);
+        assert!(
+            long.ends_with("1.23M Gaussians, 45 it/s, 12 min left"),
+            "{long}"
+        );
+    }
 }

@@ -47,6 +47,8 @@ pub struct Run {
     /// Seconds per stage of the sessions before this one.
     pub(super) stages: Vec<StageRecord>,
     pub(super) psnr: Option<f64>,
+    /// Training loss at the last evaluation of this session.
+    pub(super) loss: Option<f64>,
     /// Iterations of the last row of metrics.csv.
     pub(super) evaluated: Option<u32>,
     /// Iterations of the checkpoint in the folder.
@@ -149,7 +151,7 @@ impl Run {
         self.evaluate(true)?;
         self.save(true, true)?;
         self.write_trace()?;
-        self.report()?;
+        self.report(true)?;
         self.export_others()
     }
 
@@ -280,6 +282,7 @@ impl Run {
             iterations: self.iterations(),
             gaussians: self.trainer.gaussians(),
             psnr: self.psnr,
+            loss: self.loss,
             train_seconds: self.clock.train_seconds(),
             rate: self.rate(),
             left: self.left(),
@@ -342,14 +345,24 @@ impl Run {
         let (_, spent) = self.spent();
         let length = self.iterations();
         let affords = || self.forecast.affords_evaluation(done, length, spent);
-        if evaluate && self.evaluated != Some(done) && affords() {
+        let evaluated = evaluate && self.evaluated != Some(done) && affords();
+        if evaluated {
             self.evaluate(false)?;
             self.forecast.evaluated(self.spent().1 - spent);
         }
         let (_, spent) = self.spent();
-        self.save(save, export)?;
-        if save {
-            self.forecast.saved(self.spent().1 - spent);
+        let shows = evaluated && self.forecast.affords_export(spent);
+        let export = export || shows;
+        // A scene without a checkpoint would be in the way of going on.
+        self.save(save || (export && self.saved.is_none()), export)?;
+        if shows {
+            self.report(false)?;
+        }
+        let took = self.spent().1 - spent;
+        match shows {
+            true => self.forecast.exported(took),
+            false if save => self.forecast.saved(took),
+            false => (),
         }
         Ok(())
     }
@@ -384,7 +397,7 @@ impl Run {
     fn interrupt(&mut self) -> Result<()> {
         self.trainer.settle()?;
         self.save(true, true)?;
-        self.write_record()?;
+        self.report(true)?;
         self.export_others()
     }
 
@@ -400,6 +413,7 @@ impl Run {
         }
         let scores = self.scores(last)?;
         self.psnr = scores.as_ref().map(|s| s.mean.psnr);
+        self.loss = loss;
         let ssim = scores.as_ref().map(|s| s.mean.ssim);
         self.record.final_scores = scores.or_else(|| self.record.final_scores.take());
         let now = self.clock.reading();
@@ -519,12 +533,16 @@ impl Run {
         Ok(())
     }
 
-    fn report(&mut self) -> Result<()> {
+    /// Writes the report: all of it, or what needs no pictures.
+    fn report(&mut self, pictures: bool) -> Result<()> {
         self.clock.pause();
-        let (scores, shown) = training_views(&mut self.trainer)?;
-        self.record.training = scores;
+        let mut gallery = Vec::new();
+        if pictures {
+            let (scores, shown) = training_views(&mut self.trainer)?;
+            self.record.training = scores;
+            gallery = [self.gallery()?, shown].concat();
+        }
         self.write_record()?;
-        let gallery = [self.gallery()?, shown].concat();
         let rows = read_rows(self.dir.join(METRICS_FILE))?;
         let density = read_rows(self.dir.join(DENSITY_FILE))?;
         write_report(

@@ -41,6 +41,9 @@ const FILES: f64 = 0.25;
 /// Share of a run's time that evaluations on the way take at most unless they are asked for.
 const EVALUATIONS: f64 = 0.05;
 
+/// Share of a run's time that the scene and the report after evaluations on the way take at most, but for the first time.
+const EXPORTS: f64 = 0.01;
+
 /// Side of the square picture that tells how quick the host is.
 const PROBE: usize = 192;
 
@@ -158,6 +161,7 @@ pub(super) struct Forecast {
     /// Number of measurements.
     measured: u32,
     evaluations: Spent,
+    exports: Spent,
     checkpoints: Spent,
 }
 
@@ -226,6 +230,7 @@ impl Forecast {
             stale: false,
             measured: 0,
             evaluations: Spent::default(),
+            exports: Spent::default(),
             checkpoints: Spent::default(),
         }
     }
@@ -268,6 +273,18 @@ impl Forecast {
     /// Takes note of an evaluation on the way.
     pub fn evaluated(&mut self, seconds: f64) {
         self.evaluations.add(seconds);
+    }
+
+    /// Takes note of the scene and the report after an evaluation.
+    pub fn exported(&mut self, seconds: f64) {
+        self.exports.add(seconds);
+    }
+
+    /// True if the scene and the report are to be written after an evaluation in a run of so many seconds: they keep a share of
+    /// its time, and the first come at once.
+    pub fn affords_export(&self, spent: f64) -> bool {
+        let next = self.exports.mean();
+        next.is_none_or(|next| self.exports.seconds + next <= EXPORTS * spent)
     }
 
     /// Takes note of a checkpoint.

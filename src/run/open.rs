@@ -278,6 +278,7 @@ impl Run {
             clock,
             stages: saved.map_or_else(Vec::new, |saved| saved.stages),
             psnr: None,
+            loss: None,
             evaluated: rows.last().map(|row| row.iteration),
             saved: done,
             watch: None,

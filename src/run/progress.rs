@@ -13,6 +13,8 @@ pub struct Progress {
     pub gaussians: usize,
     /// PSNR of the last evaluation.
     pub psnr: Option<f64>,
+    /// Mean training loss of the iterations before that.
+    pub loss: Option<f64>,
     /// Seconds of training so far.
     pub train_seconds: f64,
     /// Iterations per second since the start or the resumption; `None` before the first.

@@ -113,6 +113,19 @@ fn described(run: &Path, record: &Value) {
     assert_eq!(data["lenses"]["no distortion"], 40);
     let stops = data["brightness_stops"].as_f64().unwrap();
     assert!((0.0..3.0).contains(&stops), "{stops}");
+    let dir = tempfile::tempdir().unwrap();
+    let temporary = dir.path().join("temporary");
+    fs::create_dir(&temporary).unwrap();
+    let timed = super::program()
+        .args(["info", &room, "--max-size", "64", "--time", "--json"])
+        .env("TMPDIR", &temporary)
+        .output()
+        .unwrap();
+    assert!(timed.status.success(), "{}", stderr(&timed));
+    let expected = &json(&super::stdout(&timed))["expected_seconds"];
+    assert!(expected.as_f64() > Some(0.5), "{expected}");
+    let left = fs::read_dir(&temporary).unwrap();
+    assert_eq!(left.count(), 0, "the run is removed");
     let words = done(&["info", &room, "--max-size", "64"]);
     assert!(
         words.contains("40 of 64x48") && words.contains("because"),
@@ -235,7 +248,7 @@ fn progress_is_told_in_the_form_that_is_asked_for() {
         stderr(&output)
     };
     let log = said("log", &["--eval-every", "2"]);
-    let lines = log.lines().filter(|l| l.contains(" of 40, ")).count();
+    let lines = log.lines().filter(|l| l.contains("/40, ")).count();
     assert!(lines >= 18, "{log}");
     assert!(
         log.contains("left out: ") && !log.contains("because"),
@@ -255,6 +268,7 @@ fn progress_is_told_in_the_form_that_is_asked_for() {
     assert!(rows.len() >= 18, "{objects}");
     let last = rows.last().unwrap();
     assert!(last["psnr"].as_f64() > Some(5.0) && last["iterations"] == 40);
+    assert!(last["loss"].as_f64() > Some(0.0), "{last}");
     assert_eq!(said("quiet", &["-q"]), "");
 }
 
@@ -470,7 +484,9 @@ fn ctrl_c_leaves_a_checkpoint_that_resumes_to_the_same_scene() {
         assert!(killed.success());
     }
     assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert!(cut.join("scene.html").is_file());
+    for file in ["scene.html", "report.html"] {
+        assert!(cut.join(file).is_file(), "{file}");
+    }
     let record = json(&fs::read_to_string(cut.join("run.json")).unwrap());
     assert!(record["iterations"].as_u64() < Some(1500));
     done(&["train", &room, "--resume", text(&cut)]);

@@ -17,6 +17,7 @@ fn a_page_tables_and_json() {
         [mh, none]
     });
     let paths: Vec<&str> = folders.iter().flatten().map(|p| text(p)).collect();
+    fs::write(folders[1][0].join("report.html"), "").unwrap();
     let page = dir.path().join("page.html");
     let all = [&["compare"], paths.as_slice(), &["-o", text(&page)]].concat();
     let tables = done(&all);
@@ -36,10 +37,12 @@ fn a_page_tables_and_json() {
         "11 of 11",
         "both 11, only mh 0",
         "Gaussians against wall time",
+        "<a href=\"mh-1/report.html\">",
     ] {
         assert!(html.contains(word), "{word}");
     }
     assert!(!html.contains("http://") && html.matches("<script").count() == 1);
+    assert_eq!(html.matches("report.html").count(), 1, "others have none");
     // Again, over its own page; but never over anything else.
     done(&all);
     fs::write(&page, "mine").unwrap();

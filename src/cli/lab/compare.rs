@@ -62,8 +62,9 @@ pub fn run(args: &CompareArgs, common: &Common) -> Result<Outcome> {
     for warning in &comparison.warnings {
         output::note(&format!("warning: {warning}"));
     }
-    let report = compare::report(&comparison);
+    let mut report = compare::report(&comparison);
     if let Some(path) = &page {
+        report.sections.push(compare::reports(&comparison, path));
         report.write_page(path)?;
         output::note(&format!("page: {}", path.display()));
     }

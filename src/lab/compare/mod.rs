@@ -28,4 +28,4 @@ pub use crate::lab::compare::comparison::{Comparison, Difference, Options, compa
 pub use crate::lab::compare::group::{Group, Reach, Target};
 pub use crate::lab::compare::load::{Clock, Loaded, Source, finished};
 pub use crate::lab::compare::paired::{Counts, Paired, PairedTime};
-pub use crate::lab::compare::report::{against, brief, ratios, report};
+pub use crate::lab::compare::report::{against, brief, ratios, report, reports};

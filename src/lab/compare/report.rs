@@ -1,17 +1,21 @@
 //! The report of a comparison: tables, and charts of every group over every clock.
 
+use std::path::Path;
+
+use crate::base::files::between;
 use crate::chart::axis::{Axis, Scale};
 use crate::chart::svg::{Banded, band_chart};
-use crate::chart::text::fixed;
+use crate::chart::text::{fixed, href};
 use crate::lab::compare::comparison::{Comparison, Difference, values};
 use crate::lab::compare::curve::{Curve, band};
 use crate::lab::compare::group::{FIGURES, Group, Reach};
-use crate::lab::compare::load::Clock;
+use crate::lab::compare::load::{Clock, Loaded};
 use crate::lab::compare::paired::{Paired, PairedTime};
 use crate::lab::report::{Report, Section};
 use crate::lab::stats::Spread;
 use crate::lab::table::{Table, digits, few, folder_name, or_dash, spread};
 use crate::run::MetricsRow;
+use crate::run::report::page::REPORT_FILE;
 
 /// A quantity of an evaluation with its axis.
 type Quantity = (Axis<'static>, fn(&MetricsRow) -> Option<f64>);
@@ -24,6 +28,23 @@ const QUANTITIES: [Quantity; 3] = [
         Some(r.gaussians as f64)
     }),
 ];
+
+/// Links from a page to the reports of the runs compared, as far as these are there and a relative path leads to them.
+#[must_use]
+pub fn reports(c: &Comparison, page: &Path) -> Section {
+    let folder = match page.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    let link = |run: &Loaded| {
+        let way = between(folder, &Path::new(&run.path).join(REPORT_FILE))?;
+        Some((run.path.clone(), href(&way)))
+    };
+    Section::Links {
+        summary: "Reports of the runs".into(),
+        links: c.runs().filter_map(link).collect(),
+    }
+}
 
 /// Caveats and tables of a comparison.
 #[must_use]

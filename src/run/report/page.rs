@@ -4,9 +4,10 @@
 //! comes from the run (file names, device names) is escaped.
 
 use std::fmt::Write;
-use std::path::{Component, Path, PathBuf};
+use std::path::Path;
 
 use crate::base::error::Result;
+use crate::base::files::between;
 use crate::chart::text::{escape, fixed, grouped, href, span};
 use crate::config::Init;
 use crate::run::record::{FinalRecord, Item, PlanRecord, RunRecord, TrainingScores};
@@ -197,19 +198,6 @@ fn origin(out: &mut String, record: &RunRecord, run_dir: &Path) {
         None => name,
     };
     let _ = writeln!(out, "<p>Began with the Gaussians of {name}</p>");
-}
-
-/// The way from a folder to a file; none if one of them is not there, or they have nothing in common.
-fn between(folder: &Path, file: &Path) -> Option<PathBuf> {
-    let [folder, file] = [folder, file].map(|path| path.canonicalize().ok());
-    let (folder, file) = (folder?, file?);
-    let pairs = folder.components().zip(file.components());
-    let alike = pairs.take_while(|(a, b)| a == b).count();
-    let up = folder
-        .components()
-        .skip(alike)
-        .map(|_| Component::ParentDir);
-    (alike > 0).then(|| up.chain(file.components().skip(alike)).collect())
 }
 
 fn views(out: &mut String, gallery: Vec<&GalleryItem>) -> Result<()> {

@@ -32,6 +32,11 @@ const RENDER_MODE: &str = "SplatRenderMode:";
 /// Mark of the direction away from the ground, as Brush writes it.
 const UP: &str = "Vertical axis:";
 
+/// Standard deviation of a Gaussian's 3D filter, world units, in the files of Mip-Splatting, which leave it unmerged.
+const FILTER: &str = "filter_3D";
+/// Colour transforms of photos, in the files of 3DGS.
+const EXPOSURES: &str = "exposure.json";
+
 /// Writes the Gaussians in the dataset's frame, into which `frame` takes the local one, binary little endian, atomically.
 ///
 /// # Errors
@@ -257,10 +262,35 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
     for (i, plane) in rest_planes(sh_degree).enumerate() {
         fill(plane, format!("f_rest_{i}"), &|v| v)?;
     }
+    let splats = Gaussians::new(sh_degree, planes)?;
+    let mut remarks: Vec<String> = exposures(path).into_iter().collect();
+    let (splats, filtered) = match table.has(FILTER) {
+        true => {
+            let filter = table.column(FILTER, SCENE)?;
+            let local: Vec<f32> = filter.iter().map(|v| (v / frame.scale) as f32).collect();
+            remarks.push(format!(
+                "{FILTER}, each Gaussian's 3D filter, is merged into scales and opacities"
+            ));
+            (splats.filtered(&local)?, true)
+        }
+        false => (splats, false),
+    };
     Ok(SceneFile {
-        anti_aliased: marks.anti_aliased,
+        anti_aliased: marks.anti_aliased || filtered,
         up: marks.up,
         saturated,
-        ..SceneFile::new(Gaussians::new(sh_degree, planes)?)
+        remarks,
+        ..SceneFile::new(splats)
     })
+}
+
+/// A sentence on the colour transforms of photos that 3DGS leaves beside its scene, three folders up or nearer.
+fn exposures(path: &Path) -> Option<String> {
+    let folders = path.ancestors().skip(1).take(4);
+    let mut files = folders.map(|folder| folder.join(EXPOSURES));
+    let file = files.find(|file| file.is_file())?;
+    Some(format!(
+        "{}: the scene was trained with a colour transform for each photo; they are not applied, and photos score lower than with them",
+        file.display()
+    ))
 }
