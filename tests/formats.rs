@@ -345,7 +345,14 @@ fn filters_and_exposures_of_others_are_seen() {
     let wanted = (opacity / (1.0 - opacity)).ln();
     assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
     assert_eq!(read.changes().len(), 1);
-    fs::write(dir.path().join("exposure.json"), "{}").unwrap();
+    // Of a scene that was trained without them, or of another program: nothing to be said.
+    let exposure = dir.path().join("exposure.json");
+    let plain = "{\"a.png\": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}";
+    for text in [plain, "{}", "[1, 2]"] {
+        fs::write(&exposure, text).unwrap();
+        assert_eq!(formats::read(&file, &local).unwrap().changes().len(), 1);
+    }
+    fs::write(&exposure, plain.replace("[0, 1,", "[0, 1.1,")).unwrap();
     let changes = formats::read(&file, &local).unwrap().changes();
     assert!(changes[0].contains("colour transform"), "{changes:?}");
 }

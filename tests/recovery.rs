@@ -154,14 +154,19 @@ fn a_run_that_is_going_on_has_a_scene_and_a_report() {
         .output()
         .unwrap();
     assert!(eval.status.success(), "{eval:?}");
+    let rows = || fs::read_to_string(run.join("metrics.csv")).map_or(0, |t| t.lines().count());
+    let (before, began) = (rows(), Instant::now());
     let mut resumed = train(&room(), &run, true).spawn().unwrap();
-    std::thread::sleep(Duration::from_secs(2));
-    assert!(resumed.try_wait().unwrap().is_none(), "it does not go on");
+    while rows() < before + 3 {
+        assert!(began.elapsed() < LONGEST_START, "it does not go on");
+        assert!(resumed.try_wait().unwrap().is_none(), "ended too early");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     resumed.kill().unwrap();
     resumed.wait().unwrap();
 }
 
-/// Of two that begin a run in one place at once, one trains and the other is refused.
+/// Two begin a run in one place at once: one trains, the other is refused.
 #[test]
 fn two_cannot_begin_one_run() {
     let dir = tempfile::tempdir().unwrap();

@@ -35,7 +35,7 @@ pub fn is_archive(path: &Path) -> bool {
     ending.is_some_and(|e| e.eq_ignore_ascii_case("zip")) && path.is_file()
 }
 
-/// Folders of archives that are there now. It is locked while one of them is written to or removed.
+/// Temporary folders that are there now. It is locked while an archive is unpacked into one of them, or one removed.
 static FOLDERS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 fn folders() -> MutexGuard<'static, Vec<PathBuf>> {
@@ -43,8 +43,8 @@ fn folders() -> MutexGuard<'static, Vec<PathBuf>> {
     FOLDERS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes the folders of all unpacked archives before the program ends: who unpacks one or drops its folder waits from now on.
-pub fn remove_unpacked() {
+/// Removes all temporary folders before the program ends: who unpacks an archive or drops its folder waits from now on.
+pub fn remove_temporary() {
     let mut all = folders();
     all.drain(..).for_each(remove);
     std::mem::forget(all);
@@ -54,20 +54,48 @@ fn remove(folder: PathBuf) {
     let _ = fs::remove_dir_all(folder);
 }
 
-/// The folder with the content of an archive, removed when this is dropped.
+/// A new folder in the system's folder for temporary files, for this user alone, removed when this is dropped.
 #[derive(Debug)]
-pub(super) struct Unpacked {
-    archive: PathBuf,
+pub struct Temporary {
     /// The folder.
     pub folder: PathBuf,
 }
 
-impl Drop for Unpacked {
+impl Temporary {
+    /// An empty one.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn new() -> Result<Self> {
+        let mut key = [0; 8];
+        let place = std::env::temp_dir();
+        getrandom::fill(&mut key).map_err(|e| Error::io(&place, io::Error::other(e)))?;
+        let key = u64::from_le_bytes(key);
+        let folder = place.join(format!("mhsplat-{key:016x}"));
+        let mut options = fs::DirBuilder::new();
+        #[cfg(unix)]
+        std::os::unix::fs::DirBuilderExt::mode(&mut options, 0o700);
+        let mut all = folders();
+        options.create(&folder).map_err(|e| Error::io(&folder, e))?;
+        all.push(folder.clone());
+        Ok(Self { folder })
+    }
+}
+
+impl Drop for Temporary {
     fn drop(&mut self) {
         let mut all = folders();
         all.retain(|folder| *folder != self.folder);
         remove(self.folder.clone());
     }
+}
+
+/// The folder with the content of an archive, removed when this is dropped.
+#[derive(Debug)]
+pub(super) struct Unpacked {
+    archive: PathBuf,
+    /// Where the content is.
+    pub place: Temporary,
 }
 
 impl Unpacked {
@@ -80,33 +108,23 @@ impl Unpacked {
         check_regular(archive)?;
         let reader = Reader::open(archive)?;
         let entries = reader.entries()?;
-        let mut key = [0; 8];
-        getrandom::fill(&mut key).map_err(|e| Error::io(archive, io::Error::other(e)))?;
-        let key = u64::from_le_bytes(key);
-        let folder = std::env::temp_dir().join(format!("mhsplat-{key:016x}"));
-        let mut options = fs::DirBuilder::new();
-        #[cfg(unix)]
-        std::os::unix::fs::DirBuilderExt::mode(&mut options, 0o700);
-        let mut all = folders();
-        options.create(&folder).map_err(|e| Error::io(&folder, e))?;
-        all.push(folder.clone());
-        drop(all);
         // From here on it is removed after a failure, too.
         let unpacked = Self {
             archive: archive.to_path_buf(),
-            folder,
+            place: Temporary::new()?,
         };
         for entry in &entries {
             let _writing = folders();
-            reader.unpack(entry, &unpacked.folder)?;
+            reader.unpack(entry, &unpacked.place.folder)?;
         }
         Ok(unpacked)
     }
 
     /// The same error about the archive instead of the folder, which is gone when it is read.
     pub fn explained(&self, error: Error) -> Error {
-        let [folder, archive] = [&self.folder, &self.archive].map(|p| p.display().to_string());
-        let named = |path: PathBuf| match path.strip_prefix(&self.folder) {
+        let [folder, archive] =
+            [&self.place.folder, &self.archive].map(|p| p.display().to_string());
+        let named = |path: PathBuf| match path.strip_prefix(&self.place.folder) {
             Ok(below) if below.as_os_str().is_empty() => self.archive.clone(),
             Ok(below) => self.archive.join(below),
             Err(_) => path,

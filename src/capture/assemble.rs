@@ -17,6 +17,7 @@ use crate::capture::memory::automatic_budget;
 use crate::capture::panorama::{self, Side};
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
+use crate::capture::rows::READ;
 use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, Resampling, header, read};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
@@ -225,7 +226,7 @@ fn split(
 ) -> Result<(Vec<RawView>, Vec<RawView>)> {
     if let (Some(first), true) = (missing.first(), train.is_empty()) {
         let what = format!(
-            "none of the image files to train on is there; {} are missing, the first is {first} (as it is, or with .png, .jpg, .jpeg or .webp)",
+            "none of the image files to train on is there; {} are missing, the first is {first} (as it is, or with the ending of {READ})",
             missing.len()
         );
         return Err(Error::input(path, what, "copy the images to their places"));

@@ -20,7 +20,7 @@ pub mod transforms;
 mod up;
 
 use crate::capture::archive::ONE_OF_THEM;
-pub use crate::capture::archive::{is_archive, remove_unpacked};
+pub use crate::capture::archive::{Temporary, is_archive, remove_temporary};
 pub use crate::capture::camera::Camera;
 pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
 pub use crate::capture::frame::Frame;
@@ -57,7 +57,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
         return load_folder(path, options);
     }
     let unpacked = Arc::new(Unpacked::new(path)?);
-    let data = load_folder(&whole(&unpacked.folder), options);
+    let data = load_folder(&whole(&unpacked.place.folder), options);
     let mut data = data.map_err(|error| unpacked.explained(error))?;
     data.path = path.to_path_buf();
     for view in data.train.iter_mut().chain(&mut data.test) {

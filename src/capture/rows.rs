@@ -19,7 +19,7 @@ const PER_SIDE: u64 = 64;
 const WORDS: f32 = 257.0;
 
 /// Image formats that are read, for messages.
-const READ: &str = "PNG, JPEG, WebP, EXR, HDR or BMP";
+pub(super) const READ: &str = "PNG, JPEG, WebP, EXR, HDR or BMP";
 
 /// A reader of an image file by its content. EXIF orientation is ignored, as COLMAP and the NeRF tools ignore it, so that
 /// pixels stay where the poses expect them.
@@ -132,6 +132,14 @@ impl Rows {
                     row: Vec::new(),
                 });
             }
+        }
+        if premultiplied {
+            // The decoder holds it twice.
+            let (width, height) = open(file)?
+                .into_dimensions()
+                .map_err(|e| not_an_image(file, &e))?;
+            let bytes = 32 * u64::from(width) * u64::from(height);
+            check_memory(file, bytes, "decoding it", "scale the photo down")?;
         }
         let image = open(file)?.decode().map_err(|e| not_an_image(file, &e))?;
         let channels = usize::from(image.color().channel_count());

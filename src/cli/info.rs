@@ -8,12 +8,12 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use crate::cli::common::{Common, DeviceOption, Outcome, open_tested};
-use crate::cli::signals::remove_unpacked_at_end;
+use crate::cli::signals::{remove_temporary_at_end, remove_unpacked_at_end};
 use crate::cli::{output, scene};
 use mhsplat::base::constants::LOG_SCALE;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::base::math::{order_statistic, sigmoid, sorted};
-use mhsplat::capture::{self, Alpha, Dataset, Frame, Lens, View};
+use mhsplat::capture::{self, Alpha, Dataset, Frame, Lens, Temporary, View};
 use mhsplat::config::{Preset, TrainConfig};
 use mhsplat::run::{Clock, PlanRecord, RECORD_FILE, Run, RunRecord};
 use mhsplat::scene::Plane;
@@ -51,9 +51,13 @@ pub struct InfoArgs {
 
 /// Describes a dataset, a run or a scene file; a device is needed to tell the time alone.
 pub fn run(args: &InfoArgs, common: &Common) -> Result<Outcome> {
+    if args.time && (args.path.join(RECORD_FILE).is_file() || is_scene(&args.path)) {
+        let what = "given for a run or a scene; only a dataset's training is timed";
+        return Err(Error::config("--time", what));
+    }
     let (document, lines) = if args.path.join(RECORD_FILE).is_file() {
         of_run(&RunRecord::read(&args.path)?)
-    } else if args.path.is_file() && !capture::is_archive(&args.path) {
+    } else if is_scene(&args.path) {
         of_scene(&args.path)?
     } else {
         of_dataset(args)?
@@ -63,6 +67,11 @@ pub fn run(args: &InfoArgs, common: &Common) -> Result<Outcome> {
         false => lines.iter().for_each(|line| output::line(line)),
     }
     Ok(Outcome::Done)
+}
+
+/// Returns true for a file that is no archive.
+fn is_scene(path: &Path) -> bool {
+    path.is_file() && !capture::is_archive(path)
 }
 
 fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
@@ -76,7 +85,10 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
         ..TrainConfig::default()
     };
     config.validate()?;
-    remove_unpacked_at_end(&args.path)?;
+    match args.time {
+        true => remove_temporary_at_end()?,
+        false => remove_unpacked_at_end(&args.path)?,
+    }
     let data = capture::load(&args.path, &scene::load_options(&config))?;
     let plan = PlanRecord::of(&Plan::new(&data, &config)?);
     scene::note_left_out(&data);
@@ -129,11 +141,11 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
 /// Seconds that a run of a dataset is expected to take on the device, and a sentence on them, after its first iterations.
 fn expected_time(args: &InfoArgs, data: Dataset, config: TrainConfig) -> Result<(f64, String)> {
     let device = open_tested(args.device.selector().as_deref())?;
-    let dir = std::env::temp_dir().join(format!("mhsplat-time-{}", std::process::id()));
+    let place = Temporary::new()?;
     let stop = AtomicBool::new(false);
     let mut told = None;
     let clock = Clock::start();
-    let mut run = Run::start(&dir, data, config, &device, clock)?;
+    let mut run = Run::start(&place.folder, data, config, &device, clock)?;
     let ended = run.drive(&stop, |p| {
         if let (Some(left), Some(what)) = (p.left, &p.decided)
             && told.is_none()
@@ -143,8 +155,6 @@ fn expected_time(args: &InfoArgs, data: Dataset, config: TrainConfig) -> Result<
         }
     });
     let ended = ended.map(|_| ());
-    drop(run);
-    std::fs::remove_dir_all(&dir).map_err(|e| Error::io(&dir, e))?;
     let name = &device.info().name;
     match (told, ended) {
         (Some((seconds, what)), _) => Ok((seconds, format!("time on {name}: {what}"))),

@@ -2,6 +2,7 @@
 
 use std::io::IsTerminal;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{LazyLock, Mutex};
 use std::time::{Duration, Instant};
 
@@ -16,19 +17,30 @@ use mhsplat::base::error::Result;
 use mhsplat::chart::text::about;
 use mhsplat::run::{FinalRecord, Progress, RunRecord, SCENE_PAGE};
 
+/// True if progress is told in JSON objects.
+static OBJECTS: AtomicBool = AtomicBool::new(false);
+
+/// Keeps [`reading`] from telling anything but JSON objects.
+pub fn tell_objects() {
+    OBJECTS.store(true, Ordering::Relaxed);
+}
+
 /// Shows how many photos have been read: a bar on a terminal, elsewhere a line each time that half a minute has passed.
 pub fn reading(done: usize, all: usize) {
     static SAID: LazyLock<Mutex<Instant>> = LazyLock::new(|| Mutex::new(Instant::now()));
     if output::is_quiet() {
         return;
     }
-    if !std::io::stderr().is_terminal() {
+    if OBJECTS.load(Ordering::Relaxed) || !std::io::stderr().is_terminal() {
         let Ok(mut said) = SAID.lock() else {
             return;
         };
         if said.elapsed() >= SILENCE && done < all {
             *said = Instant::now();
-            output::info(&format!("{done} of {all} photos read"));
+            output::info(&match OBJECTS.load(Ordering::Relaxed) {
+                true => json!({ "photos_read": done, "photos": all }).to_string(),
+                false => format!("{done} of {all} photos read"),
+            });
         }
         return;
     }

@@ -32,7 +32,9 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
     let ply = path.join("scene.ply");
     if !ply.exists() {
         let fix = match path.join(RECORD_FILE).exists() {
-            true => "the run has none yet: wait for its first evaluation, or stop it with Ctrl-C",
+            true => {
+                "the run has none yet: wait for its first evaluation or its end, or stop it with Ctrl-C"
+            }
             false => "give a scene file or the folder of a run",
         };
         return Err(Error::input(path, "holds no scene.ply", fix));

@@ -23,17 +23,22 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>> {
 /// Lets the same signals end the program at once, without the folder that an archive is unpacked into; nothing changes for another dataset.
 pub fn remove_unpacked_at_end(dataset: &Path) -> Result<()> {
     match capture::is_archive(dataset) {
-        true => listen(|_| true),
+        true => remove_temporary_at_end(),
         false => Ok(()),
     }
 }
 
-/// Ends the program, without folders of unpacked archives, at the first signal for which `ends` returns true.
+/// Lets the same signals end the program at once, without its temporary folders.
+pub fn remove_temporary_at_end() -> Result<()> {
+    listen(|_| true)
+}
+
+/// Ends the program, without its temporary folders, at the first signal for which `ends` returns true.
 fn listen(ends: impl Fn(i32) -> bool + Send + 'static) -> Result<()> {
     let mut signals = Signals::new(handled()).map_err(failed)?;
     let wait = move || {
         if signals.forever().any(ends) {
-            capture::remove_unpacked();
+            capture::remove_temporary();
             signal_hook::low_level::exit(130);
         }
     };

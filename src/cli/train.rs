@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use crate::cli::common::{Common, DeviceOption, Outcome, open_tested};
 use crate::cli::overrides::Overrides;
-use crate::cli::progress::{Display, Form, finish};
+use crate::cli::progress::{Display, Form, finish, tell_objects};
 use crate::cli::signals::stop_flag;
 use crate::cli::{output, scene, view};
 use mhsplat::base::error::{Error, Result};
@@ -80,6 +80,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     config.validate()?;
     if args.quiet {
         output::be_quiet();
+    }
+    if args.progress == Form::Json {
+        tell_objects();
     }
     let dir = resume.unwrap_or(&args.output);
     // Before the device: some drivers' compilers set handlers that end the process, and the first one set is the last to run.

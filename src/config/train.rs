@@ -65,7 +65,7 @@ pub struct TrainConfig {
     /// run has none.
     #[arg(long)]
     pub trace_density: bool,
-    /// Iterations between exports of scene.ply; 0 for the end only.
+    /// Iterations between exports of scene.ply beside those after evaluations and at the end; 0 for none.
     #[arg(long, value_name = "N", default_value_t = Self::default().export_every, help_heading = RUN_CONTROL)]
     pub export_every: u32,
     /// Write the scene in these formats, too, at the end: one or more, separated by commas.

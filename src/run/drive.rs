@@ -217,7 +217,7 @@ impl Run {
         Ok(())
     }
 
-    /// Writes the other formats that are asked for: at every end of a session, so that none is older than `scene.ply`.
+    /// Writes the other formats that are asked for: at every end of a session, so that none is older than the `scene.ply` it leaves.
     fn export_others(&mut self) -> Result<()> {
         if self.config.export.is_empty() {
             return Ok(());
@@ -354,15 +354,17 @@ impl Run {
         let shows = evaluated && self.forecast.affords_export(spent);
         let export = export || shows;
         // A scene without a checkpoint would be in the way of going on.
-        self.save(save || (export && self.saved.is_none()), export)?;
+        if save || (export && self.saved.is_none()) {
+            self.save(true, false)?;
+            self.forecast.saved(self.spent().1 - spent);
+        }
+        let (_, spent) = self.spent();
+        if export {
+            self.save(false, true)?;
+        }
         if shows {
             self.report(false)?;
-        }
-        let took = self.spent().1 - spent;
-        match shows {
-            true => self.forecast.exported(took),
-            false if save => self.forecast.saved(took),
-            false => (),
+            self.forecast.exported(self.spent().1 - spent);
         }
         Ok(())
     }
@@ -397,8 +399,14 @@ impl Run {
     fn interrupt(&mut self) -> Result<()> {
         self.trainer.settle()?;
         self.save(true, true)?;
-        self.report(true)?;
-        self.export_others()
+        self.write_record()?;
+        self.export_others()?;
+        // Who asks for the end may not wait for it: everything else is there.
+        if let Err(error) = self.report(true) {
+            let what = format!("the report was not written: {error}");
+            self.exports.remarks.push(what);
+        }
+        Ok(())
     }
 
     /// Scores the held-out views; the `last` evaluation takes FLIP, too.

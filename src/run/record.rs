@@ -232,12 +232,19 @@ pub struct RunRecord {
     /// Scores of the last evaluation; absent before it and without held-out views.
     #[serde(rename = "final")]
     pub final_scores: Option<FinalRecord>,
-    /// Scores of some training views at the end; absent where exposure is compensated, which gives each of them a colour of its own.
+    /// Scores of some training views at the end of a session; absent where exposure is compensated, which gives each of them a colour of its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub training: Option<TrainingScores>,
 }
 
 impl RunRecord {
+    /// True if the run came to an end that was planned: its iterations, its time or its patience.
+    #[must_use]
+    pub fn ended(&self) -> bool {
+        let whole = self.iterations >= self.config.last_iterations();
+        whole || self.out_of_time || self.stalled.is_some()
+    }
+
     /// The record of a run that has not begun.
     ///
     /// The revision is that of the variable `MHSPLAT_COMMIT` at build time, else that of the package or the Git checkout (`build.rs`).

@@ -103,6 +103,7 @@ fn devices_are_offered_where_they_are_used() {
         "bench",
         "eval",
         "experiment",
+        "info",
         "render",
         "surrogate",
         "train",

@@ -86,11 +86,12 @@ impl Held {
         self.get(name)?.as_u64()
     }
 
-    /// The numbers of a list; none if there is no such list.
-    fn numbers(&self, name: &str) -> Vec<f64> {
+    /// The numbers of a list; none if there is no such list. Or what is wrong.
+    fn numbers(&self, name: &str) -> std::result::Result<Vec<f64>, String> {
         let list = self.get(name).and_then(Value::as_array);
-        let list = list.into_iter().flatten();
-        list.filter_map(Value::as_f64).collect()
+        let list = list.into_iter().flatten().map(Value::as_f64);
+        let numbers: Option<Vec<f64>> = list.collect();
+        numbers.ok_or_else(|| format!("with {name} that are not all numbers"))
     }
 
     fn text(&self, name: &str) -> &str {
@@ -121,14 +122,14 @@ fn calibrated(found: &Held, class: &str) -> std::result::Result<(Camera, Lens), 
             return Ok((sphere, Lens::Equirectangular));
         }
         "pinhole" => Lens::Pinhole,
-        "pinhole_radial_k1" => Lens::of_coefficients(&found.numbers("disto_k1"), false),
+        "pinhole_radial_k1" => Lens::of_coefficients(&found.numbers("disto_k1")?, false),
         "pinhole_radial_k3" | "pinhole_brown_t2" => {
-            let radial = found.numbers("disto_k3");
-            let brown = [radial, found.numbers("disto_t2")].concat();
+            let radial = found.numbers("disto_k3")?;
+            let brown = [radial, found.numbers("disto_t2")?].concat();
             let k: [f64; 5] = std::array::from_fn(|i| brown.get(i).copied().unwrap_or(0.0));
             Lens::of_coefficients(&[k[0], k[1], k[3], k[4], k[2]], false)
         }
-        "fisheye" => Lens::of_coefficients(&found.numbers("fisheye"), true),
+        "fisheye" => Lens::of_coefficients(&found.numbers("fisheye")?, true),
         other => {
             return Err(format!(
                 "of the class {other}, which is not read; export undistorted photos with their sfm_data.json"
@@ -137,7 +138,7 @@ fn calibrated(found: &Held, class: &str) -> std::result::Result<(Camera, Lens), 
     };
     let (focal, center) = (
         found.number("focal_length"),
-        found.numbers("principal_point"),
+        found.numbers("principal_point")?,
     );
     match (focal, &center[..]) {
         (Some(f), &[cx, cy]) if f > 0.0 => Ok((camera([f, f, cx, cy]), lens)),
@@ -159,7 +160,9 @@ fn posed(document: &Document) -> Vec<Posed<'_>> {
         let view = &entry.value;
         let pose = poses.get(&view.id("id_pose")?)?;
         let name = format!("{}/{}", view.text("local_path"), view.text("filename"));
-        Some((name, view.id("id_intrinsic")?, *pose))
+        // Without one it has a key that no camera has.
+        let camera = view.id("id_intrinsic").unwrap_or(u64::MAX);
+        Some((name, camera, *pose))
     };
     document.views.iter().filter_map(view).collect()
 }

@@ -42,11 +42,13 @@ pub fn write_report(
     }
     origin(&mut body, record, run_dir);
     let of = |training: bool| gallery.iter().filter(move |item| item.training == training);
-    views(&mut body, of(false).collect())?;
+    views(&mut body, record, of(false).collect())?;
     scores(&mut body, record.final_scores.as_ref());
     training(&mut body, record.training.as_ref(), of(true).collect())?;
     map::section(&mut body, cameras);
-    advice::section(&mut body, record, rows);
+    if record.ended() {
+        advice::section(&mut body, record, rows);
+    }
     panels::quality(&mut body, rows, density);
     panels::stages(&mut body, record);
     plan(&mut body, &record.plan);
@@ -112,6 +114,14 @@ fn headlines(out: &mut String, record: &RunRecord, rows: &[MetricsRow]) {
         grouped(record.config.last_iterations().into()),
         escape(&record.version)
     );
+    let scored = rows.last().map(|row| row.iteration);
+    if let Some(scored) = scored.filter(|n| *n < record.iterations) {
+        let n = grouped(scored.into());
+        let _ = writeln!(
+            out,
+            "<p class=note>Scores of held-out views are those after {n} iterations.</p>"
+        );
+    }
     let cpu = match record.cpu_seconds {
         s if s > 0.0 => small_units(&span(s)),
         _ => "<small>not measured</small>".to_owned(),
@@ -200,10 +210,15 @@ fn origin(out: &mut String, record: &RunRecord, run_dir: &Path) {
     let _ = writeln!(out, "<p>Began with the Gaussians of {name}</p>");
 }
 
-fn views(out: &mut String, gallery: Vec<&GalleryItem>) -> Result<()> {
+fn views(out: &mut String, record: &RunRecord, gallery: Vec<&GalleryItem>) -> Result<()> {
     out.push_str("<h2>Held-out views</h2>\n");
     if gallery.is_empty() {
-        out.push_str("<p class=note>No renders in this report.</p>\n");
+        out.push_str(match record.ended() || record.final_scores.is_none() {
+            true => "<p class=note>No renders in this report.</p>\n",
+            false => {
+                "<p class=note>Pictures come at the end of the run, or where it is stopped.</p>\n"
+            }
+        });
         return Ok(());
     }
     let stops: Vec<String> = (0..=10u8)

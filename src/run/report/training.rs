@@ -1,4 +1,4 @@
-//! Some training views at the end of a run: beside held-out ones their scores tell what was learnt by heart, and their pictures what
+//! Some training views at the end of a session: beside held-out ones their scores tell what was learnt by heart, and their pictures what
 //! was not learnt at all.
 
 use crate::base::error::Result;

@@ -3,6 +3,7 @@
 //! Everything is stored raw: log-scales, opacity logits, quaternions w, x, y, z, SH coefficients. `f_rest_*` goes channel
 //! by channel: all coefficients but the first of red, then of green, then of blue.
 
+use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
 
@@ -284,11 +285,20 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
     })
 }
 
-/// A sentence on the colour transforms of photos that 3DGS leaves beside its scene, three folders up or nearer.
+/// A sentence on the colour transforms of photos, [R|t] by name, that 3DGS leaves beside its scene, three folders up or nearer;
+/// none if they change nothing, as those of a scene that was trained without them.
 fn exposures(path: &Path) -> Option<String> {
     let folders = path.ancestors().skip(1).take(4);
     let mut files = folders.map(|folder| folder.join(EXPOSURES));
     let file = files.find(|file| file.is_file())?;
+    let all: HashMap<String, [[f64; 4]; 3]> =
+        serde_json::from_slice(&std::fs::read(&file).ok()?).ok()?;
+    let identity = |r: usize, c: usize| if r == c { 1.0 } else { 0.0 };
+    let entry = |m: &[[f64; 4]; 3], at: usize| m[at / 4][at % 4] - identity(at / 4, at % 4);
+    let changes = |m: &[[f64; 4]; 3]| (0..12).any(|at| entry(m, at).abs() > 1e-3);
+    if !all.values().any(changes) {
+        return None;
+    }
     Some(format!(
         "{}: the scene was trained with a colour transform for each photo; they are not applied, and photos score lower than with them",
         file.display()
