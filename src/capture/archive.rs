@@ -94,7 +94,7 @@ impl Drop for Temporary {
 #[derive(Debug)]
 pub(super) struct Unpacked {
     archive: PathBuf,
-    /// Where the content is.
+    /// The folder with the content, which goes with it.
     pub place: Temporary,
 }
 

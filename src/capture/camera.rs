@@ -38,6 +38,21 @@ pub(super) fn camera_axes(axes: [DVec3; 3]) -> Option<DMat3> {
 }
 
 impl Camera {
+    /// The camera of intrinsics (fx, fy, cx, cy) and a size (width, height), pixels, at a pose from the scene to the camera frame.
+    #[must_use]
+    pub fn new([fx, fy, cx, cy]: [f64; 4], size: [u32; 2], pose: (DMat3, DVec3)) -> Self {
+        Self {
+            rotation: pose.0,
+            translation: pose.1,
+            fx,
+            fy,
+            cx,
+            cy,
+            width: size[0],
+            height: size[1],
+        }
+    }
+
     /// Centre of projection in the scene frame: −Wᵀ t₀.
     #[must_use]
     pub fn center(&self) -> DVec3 {

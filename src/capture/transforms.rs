@@ -266,21 +266,13 @@ impl Place<'_> {
                 (header.width, header.height)
             }
         };
-        let [fx, fy, cx, cy] = match lens {
+        let intrinsics = match lens {
             Lens::Equirectangular => self.sphere(width, height)?,
             _ => self.intrinsics(width, height)?,
         };
         let (rotation, center) = self.pose()?;
-        Ok(Camera {
-            rotation,
-            translation: -(rotation * center),
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        })
+        let pose = (rotation, -(rotation * center));
+        Ok(Camera::new(intrinsics, [width, height], pose))
     }
 
     /// Intrinsics of a panorama. What the file says of them must be what nerfstudio says of the whole sphere: focal lengths of half

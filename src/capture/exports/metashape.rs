@@ -161,20 +161,12 @@ impl Reader<'_> {
             return Ok(None);
         }
         let [width, height] = self.resolution(size, &of)?;
-        let ([fx, fy, cx, cy], lens) = match found {
+        let (of_sensor, lens) = match found {
             Some(found) if !spherical => self.calibrated(found, kind, [width, height], &of)?,
             calibration => self.sphere(calibration, [width, height], &of)?,
         };
-        let camera = Camera {
-            rotation: DMat3::IDENTITY,
-            translation: DVec3::ZERO,
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        };
+        let origin = (DMat3::IDENTITY, DVec3::ZERO);
+        let camera = Camera::new(of_sensor, [width, height], origin);
         Ok(Some(Sensor { camera, lens }))
     }
 

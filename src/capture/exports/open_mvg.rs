@@ -106,16 +106,8 @@ fn calibrated(found: &Held, class: &str) -> std::result::Result<(Camera, Lens), 
         return Err("without the size of its photos".into());
     };
     let [width, height] = [width as u32, height as u32];
-    let camera = |[fx, fy, cx, cy]: [f64; 4]| Camera {
-        rotation: DMat3::IDENTITY,
-        translation: DVec3::ZERO,
-        fx,
-        fy,
-        cx,
-        cy,
-        width,
-        height,
-    };
+    let origin = (DMat3::IDENTITY, DVec3::ZERO);
+    let camera = |of: [f64; 4]| Camera::new(of, [width, height], origin);
     let lens = match class {
         "spherical" => {
             let sphere = camera(panorama::intrinsics(width, height));

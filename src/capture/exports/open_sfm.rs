@@ -122,22 +122,13 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
             return Err(bad(format!("{name} has a camera that is not there")));
         };
         let header = source::header(image)?;
-        let [width, height] = [header.width, header.height];
-        let ([fx, fy, cx, cy], lens) = found
-            .on([width, height])
+        let size = [header.width, header.height];
+        let (of, lens) = found
+            .on(size)
             .map_err(|what| bad(format!("the camera of {name} is {what}")))?;
         let turn = DQuat::from_scaled_axis(DVec3::from_array(shot.rotation));
-        let camera = Camera {
-            rotation: DMat3::from_quat(turn),
-            translation: DVec3::from_array(shot.translation),
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        };
-        Ok((camera, lens))
+        let pose = (DMat3::from_quat(turn), DVec3::from_array(shot.translation));
+        Ok((Camera::new(of, size, pose), lens))
     })?;
     for point in part.points.values() {
         scene.positions.push(DVec3::from_array(point.coordinates));

@@ -143,15 +143,7 @@ impl Reader<'_> {
         if !(fx > 1e-3 && fy > 1e-3) {
             return Err("lens: focal lengths above 0 expected".into());
         }
-        Ok(Camera {
-            rotation,
-            translation: -(rotation * center),
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        })
+        let pose = (rotation, -(rotation * center));
+        Ok(Camera::new([fx, fy, cx, cy], [width, height], pose))
     }
 }
