@@ -56,6 +56,8 @@ fn options_switch_items() {
     );
     switched("noise on positions", |c| c.mh.noise_rate = 0.0, false);
     switched("births in image space", |c| c.mh.pixel_proposals = 0, false);
+    let bound = "bound of the number of Gaussians";
+    switched(bound, |c| c.mh.pair_pixels = 0.0, false);
     let early = "births from the first density step on";
     switched(early, |c| c.init = Init::Random, true);
 }
@@ -106,6 +108,42 @@ fn data_switch_items() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
     let scarce = load(&path, &options).unwrap();
     assert!(of(&scarce, "photo prefetch").is_ok());
+}
+
+/// One Gaussian for 1000 pixels of the pairs of opaque photos, those at the points at least; the user's number before that, and
+/// none for transparent photos.
+#[test]
+fn photos_bound_the_gaussians() {
+    let mut data = room(64);
+    let pixels: u32 = data
+        .train
+        .iter()
+        .map(|v| v.camera.width * v.camera.height)
+        .sum();
+    let most = |data: &Dataset, change: fn(&mut TrainConfig)| {
+        let mut config = TrainConfig::default();
+        change(&mut config);
+        Plan::new(data, &config).unwrap().most_gaussians.value
+    };
+    let by_pairs = (u64::from(pixels) * 34).div_ceil(2 * 1000) as usize;
+    let points = data.points.positions.len();
+    assert!(data.train.len() == 35 && by_pairs < points);
+    assert_eq!(most(&data, |_| {}), Some(points));
+    data.points.positions.clear();
+    assert_eq!(most(&data, |_| {}), Some(by_pairs));
+    assert_eq!(most(&data, |c| c.mh.pair_pixels = 0.0), None);
+    assert_eq!(most(&data, |c| c.max_gaussians = Some(7)), Some(7));
+    assert_eq!(most(&data, |c| c.sampler = Sampler::Adc), None);
+    let why = verdict(&plan(&data, |_| {}), "bound of the number of Gaussians").unwrap();
+    let said = format!("none is born beyond {by_pairs}, of which 35 photos");
+    assert!(why.starts_with(&said), "{why}");
+    let PhotoSource::Memory(photo) = &data.train[0].photo else {
+        panic!("the photos fit");
+    };
+    let clear = Photo::clone(photo).with_alpha(Alpha::Transparency);
+    data.train[0].photo = PhotoSource::Memory(clear.into());
+    assert_eq!(most(&data, |_| {}), None);
+    assert_eq!(most(&data, |c| c.max_gaussians = Some(7)), Some(7));
 }
 
 #[test]

@@ -170,6 +170,10 @@ fn no_sampler_exceeds_the_bound() {
         iterations: 300,
         max_size: 64,
         sh_degree: 0,
+        mh: MhConfig {
+            pair_pixels: 0.0,
+            ..MhConfig::default()
+        },
         ..TrainConfig::default()
     };
     let splats = initial_gaussians(&room(64), &Plan::new(&room(64), &free).unwrap()).unwrap();
@@ -193,6 +197,45 @@ fn no_sampler_exceeds_the_bound() {
             _ => assert!(during.unwrap() > most, "{sampler:?}: the bound must bind"),
         }
     }
+}
+
+/// The photos' own bound holds as the user's does, and takes nothing away where there are more Gaussians already.
+#[test]
+fn few_pixels_bear_few_gaussians() {
+    let data = room(64);
+    let pixels: u32 = data
+        .train
+        .iter()
+        .map(|v| v.camera.width * v.camera.height)
+        .sum();
+    let pairs = (data.train.len() - 1) as f64 / 2.0;
+    let run = |most: usize| {
+        let config = TrainConfig {
+            iterations: 300,
+            max_size: 64,
+            sh_degree: 0,
+            mh: MhConfig {
+                pair_pixels: f64::from(pixels) * pairs / most as f64,
+                turnover: 0.0,
+                dead_opacity: 0.0,
+                ..MhConfig::default()
+            },
+            ..TrainConfig::default()
+        };
+        let plan = Plan::new(&data, &config).unwrap();
+        let splats = initial_gaussians(&data, &plan).unwrap();
+        let (events, _) = train(&config, &splats);
+        let reached = events.iter().map(|e| e.gaussians).max().unwrap();
+        (splats.len(), reached)
+    };
+    let (n, reached) = run(1_000_000);
+    let most = n + 50;
+    assert!(reached > most, "the bound must bind: {reached}");
+    let (_, reached) = run(most);
+    // The division by pixels rounds.
+    assert!((most..=most + 1).contains(&reached), "{reached} of {most}");
+    let (_, reached) = run(n / 2);
+    assert_eq!(reached, n, "no birth, no death");
 }
 
 #[test]

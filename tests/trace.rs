@@ -1,5 +1,6 @@
 //! The trace of density control: what became of every birth, relocation and death.
 
+use mhsplat::config::MhConfig;
 use mhsplat::density::{BirthKind, BirthRecord, DensityStats, Outcome};
 use mhsplat::run::density_trace::{funnel, write_trace};
 use mhsplat::scene::{Edit, OptionalColor};
@@ -107,6 +108,10 @@ fn a_traced_run_has_the_same_bits_and_every_move() {
         max_size: 64,
         sh_degree: 1,
         trace_density: true,
+        mh: MhConfig {
+            pair_pixels: 0.0,
+            ..MhConfig::default()
+        },
         ..TrainConfig::default()
     };
     let (mut traced, _) = trained(&data, &config, 0);

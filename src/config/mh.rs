@@ -96,6 +96,10 @@ pub struct MhConfig {
     /// Lower bound of the depth of such a birth, local units: one close to a camera is seen by that camera alone, and hides
     /// what others see.
     pub pixel_near: f64,
+    /// Pixels for each Gaussian at least, where each pair of opaque training photos counts the mean of their pixels: beyond as many
+    /// Gaussians, and those at the sparse points, there is no birth, because so many would learn few photos by heart \[N\]; 0 for no
+    /// such bound. `--max-gaussians` takes its place, and transparent photos have none.
+    pub pair_pixels: f64,
     /// Noise on the positions between the steps, per unit of the position's learning rate, with \[MCMC\]'s gate as for
     /// `mcmc.noise-rate`; 0 for none, as in \[MH\]. It moves faint Gaussians, and so clears the fog of a random start.
     pub noise_rate: f64,
@@ -144,6 +148,7 @@ impl Default for MhConfig {
             pixel_tolerance: 0.1,
             pixel_far: [2.0, 20.0],
             pixel_near: 0.3,
+            pair_pixels: 1000.0,
             noise_rate: 5e5,
             dead_opacity: 0.005,
             turnover: 1.6,
@@ -166,6 +171,7 @@ impl MhConfig {
             coarse_proposals: 4_500,
             fine_proposals: 16_000,
             pixel_proposals: 0,
+            pair_pixels: 0.0,
             noise_rate: 0.0,
             ..Self::default()
         }
@@ -190,6 +196,7 @@ impl MhConfig {
             (self.lambda_voxel, "lambda-voxel"),
             (self.voxel_growth_from, "voxel-growth-from"),
             (self.noise_rate, "noise-rate"),
+            (self.pair_pixels, "pair-pixels"),
         ] {
             check(not_below(&value), option, "a finite value >= 0 expected")?;
         }

@@ -249,7 +249,7 @@ impl Control {
             iteration,
             progress,
             seed: self.plan.config.seed,
-            max_gaussians: self.plan.config.max_gaussians,
+            max_gaussians: self.plan.most_gaussians.value,
             opacity_resets: self.schedule.opacity_resets(iteration),
             resets_opacity: self.schedule.resets_opacity(iteration),
             last: self.schedule.next_density(iteration).is_none(),

@@ -95,6 +95,8 @@ pub struct Plan {
     pub exposure: Decided<Exposure>,
     /// Highest SH degree.
     pub sh_degree: Decided<u32>,
+    /// Number of Gaussians beyond which none is born.
+    pub most_gaussians: Decided<Option<usize>>,
     /// Loss left out of tiles that are blank in render and photo.
     pub skip_blank: Decided<bool>,
     /// Gaussians removed at the end because no training view shows them; `None` before the end, and where all are shown.
@@ -123,6 +125,7 @@ impl Plan {
                 0 => Decided::new(0, Why::NoBands),
                 degree => Decided::new(degree, Why::BandByBand(degree)),
             },
+            most_gaussians: most_gaussians(dataset, config, alpha),
             skip_blank: skip_blank(&config.work, alpha),
             unseen: None,
             random_start: match config.init {
@@ -228,6 +231,11 @@ impl Plan {
             fact(Part::Noise),
             fact(Part::EarlyBirths),
             fact(Part::PixelBirths),
+            (self.config.sampler == Sampler::Mh).then_some((
+                Part::Bound,
+                self.most_gaussians.value.is_some(),
+                &self.most_gaussians.why,
+            )),
             typed((Part::Exposure, exposed), &self.exposure.why),
             fact(Part::HeldOut),
             fact(Part::SparsePoints),
@@ -390,6 +398,37 @@ fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
         Some(divisor) if divisor > 1 => Decided::new(levels, Why::HalvedAtFirst(divisor as u32)),
         _ => Decided::new(0, Why::SmallPhotos),
     }
+}
+
+/// The user's bound, or for mh that of the photos: of more Gaussians few photos are learnt by heart, because nothing between them says
+/// that they are wrong. Where pixels are few there are few, and where photos are few there is little to compare them with. Transparent
+/// photos, with nothing around an object, have no such fault (docs/results/overfitting.md).
+fn most_gaussians(dataset: &Dataset, config: &TrainConfig, alpha: Alpha) -> Decided<Option<usize>> {
+    let each = config.mh.pair_pixels;
+    if let Some(most) = config.max_gaussians {
+        return Decided::new(Some(most), Why::AtMost(most));
+    }
+    let why = match config.sampler {
+        Sampler::Mh if each == 0.0 => Why::Criterion("mh.pair-pixels is 0"),
+        Sampler::Mh if alpha == Alpha::Transparency => Why::Transparent,
+        Sampler::Mh => {
+            let cameras = dataset.train.iter().map(|view| &view.camera);
+            let pixels: u64 = cameras
+                .map(|c| u64::from(c.width) * u64::from(c.height))
+                .sum();
+            // A photo is in a pair with each of the others, and counts half in each.
+            let pairs = dataset.train.len().saturating_sub(1) as f64 / 2.0;
+            let by_pairs = (pixels as f64 * pairs / each).ceil() as usize;
+            let begun = match config.init {
+                Init::Points => dataset.points.positions.len(),
+                Init::Random | Init::File(_) => 0,
+            };
+            let most = by_pairs.max(begun).max(1);
+            return Decided::new(Some(most), Why::Determined(most, dataset.train.len()));
+        }
+        _ => Why::Criterion("the bound is of the mh sampler"),
+    };
+    Decided::new(None, why)
 }
 
 fn exposure(config: &TrainConfig, alpha: Alpha) -> Result<Decided<Exposure>> {

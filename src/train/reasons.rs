@@ -47,6 +47,8 @@ pub enum Part {
     Noise,
     /// Births in image space.
     PixelBirths,
+    /// [`crate::train::Plan::most_gaussians`].
+    Bound,
     /// Births of mh from the first density step on.
     EarlyBirths,
     /// [`crate::train::Plan::exposure`].
@@ -85,6 +87,7 @@ impl fmt::Display for Part {
             Self::BirthEstimates => "first-order birth estimates",
             Self::Noise => "noise on positions",
             Self::PixelBirths => "births in image space",
+            Self::Bound => "bound of the number of Gaussians",
             Self::EarlyBirths => "births from the first density step on",
             Self::Exposure => "per-image exposure",
             Self::HeldOut => "held-out evaluation",
@@ -162,6 +165,10 @@ pub enum Why {
     NoiseMovesFaint,
     /// Views rendered for each density step, the weight of surfaces, and true if the views have to agree about them.
     PixelViews(u32, f64, bool),
+    /// Bound that was asked for.
+    AtMost(usize),
+    /// Bound, and the training photos that it is for.
+    Determined(usize, usize),
     /// Transparent photos have no exposure transforms.
     NoCameraSawBackground,
     /// The run is too short for a comparison of brightness.
@@ -245,6 +252,11 @@ impl fmt::Display for Why {
                 f,
                 "{views} views are rendered for each step, of weight {surface} on surfaces{}",
                 if *asked { " that they agree about" } else { "" },
+            ),
+            Self::AtMost(most) => write!(f, "--max-gaussians {most}"),
+            Self::Determined(most, photos) => write!(
+                f,
+                "none is born beyond {most}, of which {photos} photos of that size are not yet learnt by heart"
             ),
             Self::NoCameraSawBackground => f.write_str(NO_CAMERA_SAW),
             Self::TooShort => f.write_str("the run is too short to tell whether it is needed"),
