@@ -2,7 +2,7 @@
 
 use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
-use mhsplat::config::{ExposureChoice, Sampler};
+use mhsplat::config::{ExposureChoice, MhConfig, Sampler};
 use mhsplat::device::Device;
 use mhsplat::run::checkpoint::Checkpoint;
 use mhsplat::run::{Reading, checkpoint, initial_gaussians};
@@ -37,6 +37,11 @@ fn config(iterations: u32) -> TrainConfig {
         max_size: 64,
         sh_degree: 2,
         seed: 5,
+        // The set grows.
+        mh: MhConfig {
+            pair_pixels: 0.0,
+            ..MhConfig::default()
+        },
         ..TrainConfig::default()
     }
 }

@@ -110,40 +110,72 @@ fn data_switch_items() {
     assert!(of(&scarce, "photo prefetch").is_ok());
 }
 
-/// One Gaussian for 1000 pixels of the pairs of opaque photos, those at the points at least; the user's number before that, and
-/// none for transparent photos.
+/// The pairs of opaque photos or the points bound the births of mh, whichever allow more; the user's number comes before both.
 #[test]
 fn photos_bound_the_gaussians() {
-    let mut data = room(64);
-    let pixels: u32 = data
-        .train
-        .iter()
-        .map(|v| v.camera.width * v.camera.height)
-        .sum();
-    let most = |data: &Dataset, change: fn(&mut TrainConfig)| {
+    let data = room(64);
+    let decided = |data: &Dataset, change: fn(&mut TrainConfig)| {
         let mut config = TrainConfig::default();
         change(&mut config);
-        Plan::new(data, &config).unwrap().most_gaussians.value
+        let plan = Plan::new(data, &config).unwrap();
+        (plan.most_gaussians.value, PlanRecord::of(&plan))
     };
-    let by_pairs = (u64::from(pixels) * 34).div_ceil(2 * 1000) as usize;
-    let points = data.points.positions.len();
-    assert!(data.train.len() == 35 && by_pairs < points);
-    assert_eq!(most(&data, |_| {}), Some(points));
-    data.points.positions.clear();
-    assert_eq!(most(&data, |_| {}), Some(by_pairs));
+    let most = |data: &Dataset, change: fn(&mut TrainConfig)| decided(data, change).0;
+    let (photos, points) = (data.train.len(), data.points.positions.len());
+    let pixels = |data: &Dataset| -> u32 {
+        let cameras = data.train.iter().map(|v| &v.camera);
+        cameras.map(|c| c.width * c.height).sum()
+    };
+    let by_pairs = |data: &Dataset, places: usize| {
+        (f64::from(pixels(data)) * (places - 1) as f64 / 2.0 / 700.0) as usize
+    };
+    let what = "bound of the number of Gaussians";
+
+    assert!(by_pairs(&data, photos) < points);
+    let (value, record) = decided(&data, |_| {});
+    assert_eq!(value, Some(points));
+    let said = format!("as many Gaussians as sparse points, {points}:");
+    assert!(verdict(&record, what).unwrap().contains(&said));
+    let mut large = room(256);
+    let (value, record) = decided(&large, |_| {});
+    assert_eq!(value, Some(by_pairs(&large, photos)));
+    let said = format!("no births beyond {} Gaussians", value.unwrap());
+    assert!(verdict(&record, what).unwrap().starts_with(&said));
+
+    // The sides of a panorama have one centre.
+    large.train[1].camera = large.train[0].camera;
+    assert_eq!(most(&large, |_| {}), Some(by_pairs(&large, photos - 1)));
+    large.train.truncate(1);
+    assert_eq!(most(&large, |_| {}), Some(points));
+    assert_eq!(
+        most(&data, |c| c.mh.pair_pixels = 1e-300),
+        Some(u32::MAX as usize)
+    );
+
     assert_eq!(most(&data, |c| c.mh.pair_pixels = 0.0), None);
     assert_eq!(most(&data, |c| c.max_gaussians = Some(7)), Some(7));
-    assert_eq!(most(&data, |c| c.sampler = Sampler::Adc), None);
-    let why = verdict(&plan(&data, |_| {}), "bound of the number of Gaussians").unwrap();
-    let said = format!("none is born beyond {by_pairs}, of which 35 photos");
-    assert!(why.starts_with(&said), "{why}");
-    let PhotoSource::Memory(photo) = &data.train[0].photo else {
-        panic!("the photos fit");
-    };
-    let clear = Photo::clone(photo).with_alpha(Alpha::Transparency);
-    data.train[0].photo = PhotoSource::Memory(clear.into());
-    assert_eq!(most(&data, |_| {}), None);
-    assert_eq!(most(&data, |c| c.max_gaussians = Some(7)), Some(7));
+    for sampler in [Sampler::Mcmc, Sampler::Adc, Sampler::None] {
+        let config = TrainConfig {
+            sampler,
+            ..TrainConfig::default()
+        };
+        assert_eq!(
+            Plan::new(&data, &config).unwrap().most_gaussians.value,
+            None
+        );
+    }
+    assert_eq!(most(&data, |c| c.init = Init::Random), None);
+    assert_eq!(most(&data, |c| c.init = Init::File("x.ply".into())), None);
+    for alpha in [Alpha::Transparency, Alpha::Mask] {
+        let mut data = room(64);
+        let PhotoSource::Memory(photo) = &data.train[0].photo else {
+            panic!("the photos fit");
+        };
+        let clear = Photo::clone(photo).with_alpha(alpha);
+        data.train[0].photo = PhotoSource::Memory(clear.into());
+        assert_eq!(most(&data, |_| {}), None, "{alpha:?}");
+        assert_eq!(most(&data, |c| c.max_gaussians = Some(7)), Some(7));
+    }
 }
 
 #[test]

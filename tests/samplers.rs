@@ -199,7 +199,7 @@ fn no_sampler_exceeds_the_bound() {
     }
 }
 
-/// The photos' own bound holds as the user's does, and takes nothing away where there are more Gaussians already.
+/// The photos' own bound holds, and what dies is born again below it.
 #[test]
 fn few_pixels_bear_few_gaussians() {
     let data = room(64);
@@ -209,15 +209,15 @@ fn few_pixels_bear_few_gaussians() {
         .map(|v| v.camera.width * v.camera.height)
         .sum();
     let pairs = (data.train.len() - 1) as f64 / 2.0;
-    let run = |most: usize| {
+    let run = |most: usize, turnover: f64| {
         let config = TrainConfig {
             iterations: 300,
             max_size: 64,
             sh_degree: 0,
             mh: MhConfig {
-                pair_pixels: f64::from(pixels) * pairs / most as f64,
-                turnover: 0.0,
-                dead_opacity: 0.0,
+                // Half a Gaussian more: the division rounds down.
+                pair_pixels: f64::from(pixels) * pairs / (most as f64 + 0.5),
+                turnover,
                 ..MhConfig::default()
             },
             ..TrainConfig::default()
@@ -226,16 +226,34 @@ fn few_pixels_bear_few_gaussians() {
         let splats = initial_gaussians(&data, &plan).unwrap();
         let (events, _) = train(&config, &splats);
         let reached = events.iter().map(|e| e.gaussians).max().unwrap();
-        (splats.len(), reached)
+        let accepted: u64 = events.iter().map(|e| e.stats.accepted).sum();
+        (splats.len(), reached, accepted)
     };
-    let (n, reached) = run(1_000_000);
+    let (n, reached, _) = run(1_000_000, 0.0);
     let most = n + 50;
     assert!(reached > most, "the bound must bind: {reached}");
-    let (_, reached) = run(most);
-    // The division by pixels rounds.
-    assert!((most..=most + 1).contains(&reached), "{reached} of {most}");
-    let (_, reached) = run(n / 2);
-    assert_eq!(reached, n, "no birth, no death");
+    assert_eq!(run(most, 0.0).1, most);
+    // Below the points nothing but what died is born.
+    let (_, reached, accepted) = run(1, MhConfig::default().turnover);
+    assert!(reached <= n && accepted > 0, "{reached} {n} {accepted}");
+}
+
+/// The photos bound mh, and no strategy of the caller's own.
+#[test]
+fn photos_do_not_bound_the_callers_own_strategy() {
+    let (data, device) = (room(64), Device::open(None).unwrap());
+    for (most, expected) in [(None, None), (Some(9000), Some(9000))] {
+        let config = TrainConfig {
+            max_gaussians: most,
+            ..still(Sampler::Mh)
+        };
+        let plan = Plan::new(&data, &config).unwrap();
+        assert!(plan.most_gaussians.value.is_some());
+        let splats = initial_gaussians(&data, &plan).unwrap();
+        let strategy = mhsplat::density::make(&config);
+        let own = Trainer::with_strategy(&device, &data, &plan, &splats, strategy).unwrap();
+        assert_eq!(own.plan().most_gaussians.value, expected);
+    }
 }
 
 #[test]

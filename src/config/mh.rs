@@ -96,9 +96,9 @@ pub struct MhConfig {
     /// Lower bound of the depth of such a birth, local units: one close to a camera is seen by that camera alone, and hides
     /// what others see.
     pub pixel_near: f64,
-    /// Pixels for each Gaussian at least, where each pair of opaque training photos counts the mean of their pixels: beyond as many
-    /// Gaussians, and those at the sparse points, there is no birth, because so many would learn few photos by heart \[N\]; 0 for no
-    /// such bound. `--max-gaussians` takes its place, and transparent photos have none.
+    /// Pixels per Gaussian in the bound on births: with V opaque training photos of p pixels in all, no births beyond the larger of
+    /// p·(V − 1)/2 over this and the number of sparse points, because more overfit few photos; 0 for no bound. `--max-gaussians`
+    /// replaces it. Transparent and masked photos, random starts and starts from a file have none.
     pub pair_pixels: f64,
     /// Noise on the positions between the steps, per unit of the position's learning rate, with \[MCMC\]'s gate as for
     /// `mcmc.noise-rate`; 0 for none, as in \[MH\]. It moves faint Gaussians, and so clears the fog of a random start.
@@ -148,7 +148,7 @@ impl Default for MhConfig {
             pixel_tolerance: 0.1,
             pixel_far: [2.0, 20.0],
             pixel_near: 0.3,
-            pair_pixels: 1000.0,
+            pair_pixels: 700.0,
             noise_rate: 5e5,
             dead_opacity: 0.005,
             turnover: 1.6,

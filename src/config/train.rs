@@ -45,7 +45,8 @@ pub struct TrainConfig {
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes, help_heading = RUN_CONTROL)]
     #[serde(deserialize_with = "image_budget")]
     pub image_budget: Option<u64>,
-    /// Upper bound of the number of Gaussians, for any sampler [default: none; mcmc: 1000000].
+    /// Upper bound of the number of Gaussians, for any sampler [default: of few opaque
+    /// photos mh's own (mh.pair-pixels), mcmc: 1000000, else none].
     #[arg(long, value_name = "N")]
     pub max_gaussians: Option<usize>,
     /// SH degree, 0 to 3.

@@ -7,6 +7,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use rustc_hash::FxHashSet;
+
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset, View};
 use crate::config::{
@@ -95,7 +97,7 @@ pub struct Plan {
     pub exposure: Decided<Exposure>,
     /// Highest SH degree.
     pub sh_degree: Decided<u32>,
-    /// Number of Gaussians beyond which none is born.
+    /// Number of Gaussians beyond which none is born; `None` without a bound.
     pub most_gaussians: Decided<Option<usize>>,
     /// Loss left out of tiles that are blank in render and photo.
     pub skip_blank: Decided<bool>,
@@ -151,6 +153,15 @@ impl Plan {
         }
         if self.halvings.value != halvings {
             self.halvings = Decided::new(halvings, Why::Checkpoint);
+        }
+        self
+    }
+
+    /// The plan for a strategy of the caller's own, which the photos do not bound.
+    pub(super) fn without_photo_bound(mut self) -> Self {
+        if self.config.max_gaussians.is_none() {
+            let why = Why::Criterion("density control is the caller's own");
+            self.most_gaussians = Decided::new(None, why);
         }
         self
     }
@@ -400,33 +411,42 @@ fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
     }
 }
 
-/// The user's bound, or for mh that of the photos: of more Gaussians few photos are learnt by heart, because nothing between them says
-/// that they are wrong. Where pixels are few there are few, and where photos are few there is little to compare them with. Transparent
-/// photos, with nothing around an object, have no such fault (docs/results/overfitting.md).
+/// Bound on the number of Gaussians: the user's, or for mh that of the photos. More Gaussians than the sparse points overfit few photos:
+/// nothing tells what is wrong between them. Photos of more pixels, and more photos to compare each with, allow more. Measured where
+/// the first Gaussians are those of sparse points and photos are opaque (docs/results/overfitting.md).
 fn most_gaussians(dataset: &Dataset, config: &TrainConfig, alpha: Alpha) -> Decided<Option<usize>> {
     let each = config.mh.pair_pixels;
     if let Some(most) = config.max_gaussians {
         return Decided::new(Some(most), Why::AtMost(most));
     }
-    let why = match config.sampler {
-        Sampler::Mh if each == 0.0 => Why::Criterion("mh.pair-pixels is 0"),
-        Sampler::Mh if alpha == Alpha::Transparency => Why::Transparent,
-        Sampler::Mh => {
+    let points = match config.init {
+        Init::Points => dataset.points.positions.len(),
+        Init::Random | Init::File(_) => 0,
+    };
+    let why = match alpha {
+        _ if config.sampler != Sampler::Mh => Why::Criterion("the bound is of the mh sampler"),
+        _ if each == 0.0 => Why::Criterion("mh.pair-pixels is 0"),
+        Alpha::Transparency => Why::Transparent,
+        Alpha::Mask => Why::Criterion("masks say which pixels count"),
+        Alpha::None if points == 0 => Why::Criterion("the first Gaussians are not sparse points"),
+        Alpha::None => {
             let cameras = dataset.train.iter().map(|view| &view.camera);
             let pixels: u64 = cameras
+                .clone()
                 .map(|c| u64::from(c.width) * u64::from(c.height))
                 .sum();
-            // A photo is in a pair with each of the others, and counts half in each.
-            let pairs = dataset.train.len().saturating_sub(1) as f64 / 2.0;
-            let by_pairs = (pixels as f64 * pairs / each).ceil() as usize;
-            let begun = match config.init {
-                Init::Points => dataset.points.positions.len(),
-                Init::Random | Init::File(_) => 0,
+            // The sides of a panorama have one centre, and nothing to compare.
+            let places: FxHashSet<_> = cameras
+                .map(|c| c.center().to_array().map(f64::to_bits))
+                .collect();
+            let pairs = places.len().saturating_sub(1) as f64 / 2.0;
+            let by_pairs = (pixels as f64 * pairs / each).min(f64::from(u32::MAX)) as usize;
+            return if by_pairs > points {
+                Decided::new(Some(by_pairs), Why::PairsOfPhotos(by_pairs, places.len()))
+            } else {
+                Decided::new(Some(points), Why::AtPoints(points))
             };
-            let most = by_pairs.max(begun).max(1);
-            return Decided::new(Some(most), Why::Determined(most, dataset.train.len()));
         }
-        _ => Why::Criterion("the bound is of the mh sampler"),
     };
     Decided::new(None, why)
 }

@@ -167,8 +167,10 @@ pub enum Why {
     PixelViews(u32, f64, bool),
     /// Bound that was asked for.
     AtMost(usize),
-    /// Bound, and the training photos that it is for.
-    Determined(usize, usize),
+    /// Bound by the pairs of photos, and the places that these were taken from.
+    PairsOfPhotos(usize, usize),
+    /// Bound by the sparse points, which are more than the pairs of photos allow.
+    AtPoints(usize),
     /// Transparent photos have no exposure transforms.
     NoCameraSawBackground,
     /// The run is too short for a comparison of brightness.
@@ -254,9 +256,13 @@ impl fmt::Display for Why {
                 if *asked { " that they agree about" } else { "" },
             ),
             Self::AtMost(most) => write!(f, "--max-gaussians {most}"),
-            Self::Determined(most, photos) => write!(
+            Self::PairsOfPhotos(most, places) => write!(
                 f,
-                "none is born beyond {most}, of which {photos} photos of that size are not yet learnt by heart"
+                "no births beyond {most} Gaussians: more would overfit {places} photos of this size (mh.pair-pixels)"
+            ),
+            Self::AtPoints(points) => write!(
+                f,
+                "no births beyond as many Gaussians as sparse points, {points}: more would overfit so few photos of this size (mh.pair-pixels)"
             ),
             Self::NoCameraSawBackground => f.write_str(NO_CAMERA_SAW),
             Self::TooShort => f.write_str("the run is too short to tell whether it is needed"),

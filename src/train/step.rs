@@ -130,12 +130,13 @@ impl Trainer {
         plan: &Plan,
         splats: &Gaussians,
     ) -> Result<Self> {
-        let strategy = density::make(&plan.density_config());
-        Self::with_strategy(device, dataset, plan, splats, strategy)
+        let photos = Photos::new(device, dataset.image_budget);
+        let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
+        Self::with_views(views, plan, splats)
     }
 
     /// [`Trainer::new`] with a strategy of density control of the caller's own, at the iterations that the configuration has for its
-    /// `sampler`.
+    /// `sampler`; `max_gaussians` alone bounds it.
     ///
     /// # Errors
     /// See [`Trainer::new`].
@@ -148,7 +149,7 @@ impl Trainer {
     ) -> Result<Self> {
         let photos = Photos::new(device, dataset.image_budget);
         let views = ViewSet::new(&photos, dataset.train.iter().cloned())?;
-        Self::assemble(views, plan, splats, strategy)
+        Self::assemble(views, &plan.clone().without_photo_bound(), splats, strategy)
     }
 
     /// [`Trainer::new`] with training views whose photos may share their budget with others.
