@@ -50,6 +50,8 @@ fn train(run: &Path, resume: bool) -> Command {
         command.arg("-o").arg(run);
         command.args(["--iterations", "200", "--max-size", "64"]);
         command.args(["--checkpoint-every", "25", "--eval-every", "50"]);
+        // The set grows: buffers are made and copied on the way.
+        command.args(["--max-gaussians", "1000000"]);
     }
     command
 }

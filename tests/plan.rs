@@ -129,6 +129,11 @@ fn photos_bound_the_gaussians() {
     let by_pairs = |data: &Dataset, places: usize| {
         (f64::from(pixels(data)) * (places - 1) as f64 / 2.0 / 700.0) as usize
     };
+    let by_pixels = |data: &Dataset| (f64::from(pixels(data)) / 64.0) as usize;
+    let fewer_points = |mut data: Dataset, left: usize| {
+        data.points.positions.truncate(left);
+        data
+    };
     let what = "bound of the number of Gaussians";
 
     assert!(by_pairs(&data, photos) < points);
@@ -147,6 +152,8 @@ fn photos_bound_the_gaussians() {
     assert_eq!(most(&large, |_| {}), Some(by_pairs(&large, photos - 1)));
     large.train.truncate(1);
     assert_eq!(most(&large, |_| {}), Some(points));
+    let few = fewer_points(large, 100);
+    assert_eq!(most(&few, |_| {}), Some(by_pixels(&few)));
     assert_eq!(
         most(&data, |c| c.mh.pair_pixels = 1e-300),
         Some(u32::MAX as usize)

@@ -80,6 +80,9 @@ impl fmt::Display for Decision {
     }
 }
 
+/// Training pixels for which there may be a Gaussian, however few the sparse points and the photos are.
+const LEAST_PIXELS: f64 = 64.0;
+
 /// Decisions of one run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
@@ -412,7 +415,8 @@ fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
 }
 
 /// Bound on the number of Gaussians: the user's, or for mh that of the photos. More Gaussians than the sparse points overfit few photos:
-/// nothing tells what is wrong between them. Photos of more pixels, and more photos to compare each with, allow more. Measured where
+/// nothing tells what is wrong between them. Photos of more pixels, and more photos to compare each with, allow more, and no few points
+/// allow less than one for [`LEAST_PIXELS`]. Measured where
 /// the first Gaussians are those of sparse points and photos are opaque (docs/results/overfitting.md).
 fn most_gaussians(dataset: &Dataset, config: &TrainConfig, alpha: Alpha) -> Decided<Option<usize>> {
     let each = config.mh.pair_pixels;
@@ -440,9 +444,10 @@ fn most_gaussians(dataset: &Dataset, config: &TrainConfig, alpha: Alpha) -> Deci
                 .map(|c| c.center().to_array().map(f64::to_bits))
                 .collect();
             let pairs = places.len().saturating_sub(1) as f64 / 2.0;
-            let by_pairs = (pixels as f64 * pairs / each).min(f64::from(u32::MAX)) as usize;
-            return if by_pairs > points {
-                Decided::new(Some(by_pairs), Why::PairsOfPhotos(by_pairs, places.len()))
+            let by_photos = pixels as f64 * (pairs / each).max(1.0 / LEAST_PIXELS);
+            let by_photos = by_photos.min(f64::from(u32::MAX)) as usize;
+            return if by_photos > points {
+                Decided::new(Some(by_photos), Why::OverfitBeyond(by_photos, places.len()))
             } else {
                 Decided::new(Some(points), Why::AtPoints(points))
             };

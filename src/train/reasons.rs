@@ -167,9 +167,9 @@ pub enum Why {
     PixelViews(u32, f64, bool),
     /// Bound that was asked for.
     AtMost(usize),
-    /// Bound by the pairs of photos, and the places that these were taken from.
-    PairsOfPhotos(usize, usize),
-    /// Bound by the sparse points, which are more than the pairs of photos allow.
+    /// Bound by the photos, and the number of places that these were taken from.
+    OverfitBeyond(usize, usize),
+    /// Bound by the sparse points, which are more than the photos allow.
     AtPoints(usize),
     /// Transparent photos have no exposure transforms.
     NoCameraSawBackground,
@@ -256,7 +256,7 @@ impl fmt::Display for Why {
                 if *asked { " that they agree about" } else { "" },
             ),
             Self::AtMost(most) => write!(f, "--max-gaussians {most}"),
-            Self::PairsOfPhotos(most, places) => write!(
+            Self::OverfitBeyond(most, places) => write!(
                 f,
                 "no births beyond {most} Gaussians: more would overfit {places} photos of this size (mh.pair-pixels)"
             ),
