@@ -96,7 +96,7 @@ pub struct MhConfig {
     /// Lower bound of the depth of such a birth, local units: one close to a camera is seen by that camera alone, and hides
     /// what others see.
     pub pixel_near: f64,
-    /// Pixels per Gaussian in the bound on births: with V opaque training photos of p pixels in all, no births beyond the larger of
+    /// Pixels per Gaussian in the bound on births: with V opaque training photos of p pixels in all, no births beyond the largest of
     /// p·(V − 1)/2 over this, p/64 and the number of sparse points, because more overfit few photos; 0 for no bound. `--max-gaussians`
     /// replaces it. Transparent and masked photos, random starts and starts from a file have none.
     pub pair_pixels: f64,

@@ -5,9 +5,8 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
-
 use rustc_hash::FxHashSet;
+use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset, View};
@@ -415,9 +414,9 @@ fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
 }
 
 /// Bound on the number of Gaussians: the user's, or for mh that of the photos. More Gaussians than the sparse points overfit few photos:
-/// nothing tells what is wrong between them. Photos of more pixels, and more photos to compare each with, allow more, and no few points
-/// allow less than one for [`LEAST_PIXELS`]. Measured where
-/// the first Gaussians are those of sparse points and photos are opaque (docs/results/overfitting.md).
+/// nothing tells what is wrong between them. Photos of more pixels, and more photos to compare each with, allow more; one Gaussian for
+/// [`LEAST_PIXELS`] is always allowed. Measured where the first Gaussians are those of sparse points and photos are opaque
+/// (docs/results/overfitting.md).
 fn most_gaussians(dataset: &Dataset, config: &TrainConfig, alpha: Alpha) -> Decided<Option<usize>> {
     let each = config.mh.pair_pixels;
     if let Some(most) = config.max_gaussians {
