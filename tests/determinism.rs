@@ -9,6 +9,7 @@ use mhsplat::run::{Reading, checkpoint, initial_gaussians};
 use mhsplat::scene::Gaussians;
 use mhsplat::train::Event;
 use mhsplat::train::schedule::Schedule;
+use mhsplat::train::sizes::Sizes;
 use mhsplat::train::{Trainer, TrainerState};
 use mhsplat::{Result, TrainConfig};
 
@@ -250,7 +251,7 @@ fn culling_neighbours_together_changes_no_bit() {
 fn a_run_that_begins_with_coarse_photos_resumes_with_the_same_bits() {
     let (data, mut config) = (room(200), config(60));
     config.work.resolution_levels = 1;
-    config.work.resolution_interval = 15_000; // 30 of 60 iterations
+    (config.work.resolution_detail, config.work.resolution_share) = (1e-6, 0.5);
     let (_, whole) = trained(&data, &config, 60);
     let (mut part, _) = trained(&data, &config, 20);
     let state = part.state().unwrap();
@@ -274,11 +275,9 @@ fn a_run_that_begins_with_coarse_photos_resumes_with_the_same_bits() {
 
 #[test]
 fn coarse_photos_come_first_and_keep_64_pixels() {
-    let mut config = config(3000);
-    config.work.resolution_levels = 2;
-    config.work.resolution_interval = 1500;
-    let schedule = Schedule::new(&config);
-    let factors = |size| [0, 149, 150, 299, 300].map(|i| schedule.shrink_factor(2, i, size));
+    let schedule = Schedule::new(&config(3000));
+    let sizes = Sizes::at_shares(&[0.05, 0.1]);
+    let factors = |size| [0, 149, 150, 299, 300].map(|i| schedule.shrink_factor(&sizes, i, size));
     assert_eq!(factors([800, 600]), [4, 4, 2, 2, 1]);
     assert_eq!(factors([800, 200]), [2, 2, 2, 2, 1]);
     assert_eq!(factors([100, 90]), [1; 5]);

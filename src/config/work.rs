@@ -4,21 +4,20 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 
-/// Iterations of the run that intervals are written for.
-const PAPER_ITERATIONS: u64 = 30_000;
-
 /// Upper bound of the number of halvings of the photos.
 const MAX_LEVELS: u32 = 4;
 
 /// Shortcuts for the same scene with less work. Each is an item of the plan; switching one off measures what it saves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, rename_all = "kebab-case", deny_unknown_fields)]
 pub struct WorkConfig {
-    /// Number of times that the photos are halved at the start of the run (0: full size throughout; at most 4). Images never get
-    /// narrower or lower than 64 pixels. Two halvings reach every PSNR sooner than none or one on the scenes measured.
+    /// Largest number of times that the photos are halved at the start of the run (0: full size throughout; at most 4). Images never
+    /// get narrower or lower than 64 pixels.
     pub resolution_levels: u32,
-    /// Iterations at each of the smaller sizes, for a run of 30,000 iterations.
-    pub resolution_interval: u32,
+    /// A smaller size is left when the L1 loss is expected to fall below so many times the detail that photos lose by it.
+    pub resolution_detail: f64,
+    /// Largest share of the run at the smaller sizes together.
+    pub resolution_share: f64,
     /// Morton order of the Gaussians, so that neighbours in space are neighbours in memory.
     pub morton_order: bool,
     /// Culling of whole chunks of neighbouring Gaussians that a view cannot see. Changes no result.
@@ -32,8 +31,9 @@ pub struct WorkConfig {
 impl Default for WorkConfig {
     fn default() -> Self {
         Self {
-            resolution_levels: 2,
-            resolution_interval: 1500,
+            resolution_levels: 4,
+            resolution_detail: 1.5,
+            resolution_share: 0.75,
             morton_order: true,
             cull_chunks: true,
             skip_blank: true,
@@ -47,12 +47,13 @@ impl WorkConfig {
         let levels = self.resolution_levels;
         let what = format!("{levels}; 0 to {MAX_LEVELS} expected");
         Error::unless(levels <= MAX_LEVELS, "work.resolution-levels", &what)?;
-        let coarse = u64::from(levels) * u64::from(self.resolution_interval);
-        let what = format!(
-            "{} iterations at each of {levels} sizes; at least 1, and less than {PAPER_ITERATIONS} in all expected",
-            self.resolution_interval
-        );
-        let good = levels == 0 || (1..PAPER_ITERATIONS).contains(&coarse);
-        Error::unless(good, "work.resolution-interval", &what)
+        let detail = self.resolution_detail;
+        let what = format!("{detail}; above 0 expected");
+        let good = detail > 0.0 && detail.is_finite();
+        Error::unless(good, "work.resolution-detail", &what)?;
+        let share = self.resolution_share;
+        let what = format!("{share}; between 0 and 1 expected");
+        let good = share > 0.0 && share < 1.0;
+        Error::unless(good, "work.resolution-share", &what)
     }
 }

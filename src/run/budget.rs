@@ -182,6 +182,7 @@ impl Budget {
 mod tests {
     use super::{Budget, LATEST};
     use crate::run::forecast::{Every, Forecast, HostCost, Made};
+    use crate::train::sizes::Sizes;
 
     const EVERY: Every = Every {
         evaluation: None,
@@ -193,7 +194,7 @@ mod tests {
         // 50 views are shown and 8 of 0.3 megapixels scored at the end.
         let host = HostCost::of(0.65e-6, 2, false);
         Forecast::of(
-            vec![0.05, 0.1],
+            Sizes::at_shares(&[0.05, 0.1]),
             50,
             (8, 2_400_000),
             EVERY,
@@ -311,7 +312,7 @@ mod tests {
         };
         let made = |length: u32, views: usize| -> Vec<u32> {
             let forecast = Forecast::of(
-                Vec::new(),
+                Sizes::default(),
                 0,
                 (views, 0),
                 every,
@@ -332,7 +333,7 @@ mod tests {
             ..EVERY
         };
         let asked = Forecast::of(
-            Vec::new(),
+            Sizes::default(),
             0,
             (4000, 0),
             all,
@@ -360,7 +361,7 @@ mod tests {
         let measured = HostCost::measure(false).unwrap();
         let (quick, slow) = (HostCost::of(1e-9, 1, false), HostCost::of(1e-3, 1, false));
         let end = |host: HostCost| {
-            let mut forecast = Forecast::of(Vec::new(), 0, (8, 2_400_000), EVERY, 20.0, host);
+            let mut forecast = Forecast::of(Sizes::default(), 0, (8, 2_400_000), EVERY, 20.0, host);
             forecast.iterated(0, 1000, 0.0);
             forecast.iterated(20, 1000, 0.2);
             forecast.end().unwrap()
@@ -386,7 +387,8 @@ mod tests {
                     .collect();
                 let whole: f64 = times.iter().sum();
                 let host = HostCost::of(0.65e-6, 2, false);
-                let mut forecast = Forecast::of(vec![0.05, 0.1], 0, (0, 0), EVERY, 20.0, host);
+                let mut forecast =
+                    Forecast::of(Sizes::at_shares(&[0.05, 0.1]), 0, (0, 0), EVERY, 20.0, host);
                 let mut used = 0.0;
                 for (done, time) in times.iter().enumerate() {
                     forecast.iterated(done as u32, 3000, used);

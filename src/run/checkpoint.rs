@@ -23,7 +23,7 @@ use crate::scene::{Gaussians, Plane};
 use crate::train::gaussians::GaussianRows;
 use crate::train::{Learned, Next, TrainerState};
 
-const VERSION: u32 = 10;
+const VERSION: u32 = 11;
 
 /// Tensors in the order of the checksum.
 const NAMES: [&str; 7] = [
@@ -50,7 +50,7 @@ struct Header {
     version: u32,
     iteration: u32,
     next: Next,
-    halvings: u32,
+    detail: Vec<f32>,
     sh_degree: u32,
     config: TrainConfig,
     clock: [f64; 3],
@@ -105,7 +105,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         version: VERSION,
         iteration: state.iteration,
         next: state.next,
-        halvings: state.halvings,
+        detail: state.detail.clone(),
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
@@ -225,7 +225,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
         state: TrainerState {
             iteration: header.iteration,
             next: header.next,
-            halvings: header.halvings,
+            detail: header.detail,
             splats,
             rows: GaussianRows {
                 moment1,

@@ -8,6 +8,7 @@ use crate::evaluate::Evaluator;
 use crate::evaluate::flip::flip;
 use crate::run::report::training::VIEWS;
 use crate::train::Trainer;
+use crate::train::sizes::Sizes;
 
 /// Iterations before the first measurement.
 const FIRST: u32 = 20;
@@ -138,8 +139,7 @@ impl Made {
 pub(super) struct Forecast {
     /// Relative costs of iterations, by tenths of the run.
     cost: &'static [f64; 10],
-    /// Shares of the run at which the photos' sizes below the full one end.
-    smaller: Vec<f64>,
+    sizes: Sizes,
     /// Pixels of a photo of full size.
     pixels: f64,
     /// Training views that are shown at the end.
@@ -174,9 +174,6 @@ impl Forecast {
         host: HostCost,
     ) -> Self {
         let config = &trainer.plan().config;
-        let share = f64::from(trainer.full_size_from()) / f64::from(config.last_iterations());
-        let halvings = trainer.plan().halvings.value;
-        let ends = (1..=halvings).map(|k| share * f64::from(k) / f64::from(halvings));
         let shown = match config.work.remove_unseen {
             true => trainer.views(),
             false => 0,
@@ -202,13 +199,13 @@ impl Forecast {
             cost,
             pixels: trainer.largest_photo() as f64,
             also: trainer.views().min(VIEWS),
-            ..Self::of(ends.collect(), shown, scored, every, latest, host)
+            ..Self::of(trainer.sizes().clone(), shown, scored, every, latest, host)
         }
     }
 
     /// A forecast before anything is measured, for the costs of mh and photos of [`PIXELS`].
     pub fn of(
-        smaller: Vec<f64>,
+        sizes: Sizes,
         shown: usize,
         scored: (usize, u64),
         every: Every,
@@ -217,7 +214,7 @@ impl Forecast {
     ) -> Self {
         Self {
             cost: &COST,
-            smaller,
+            sizes,
             pixels: PIXELS,
             shown,
             also: 0,
@@ -242,8 +239,8 @@ impl Forecast {
             self.mark = Some((done, seconds));
             return;
         };
-        let share = |at: u32| f64::from(at) / f64::from(length);
-        if self.halvings(share(before)) != self.halvings(share(done)) {
+        let halvings = |at: u32| self.sizes.halvings(at, length);
+        if halvings(before) != halvings(done) {
             self.stale = true;
             self.mark = Some((done, seconds));
             return;
@@ -258,7 +255,7 @@ impl Forecast {
         if done <= before || (done - before < enough && !late) {
             return;
         }
-        let cost = f64::from(length) * self.between(share(before), share(done));
+        let cost = self.work([before, done], length);
         let unit = (seconds - then).max(1e-9) / cost.max(1e-9);
         // The geometric mean with the one before: a window is short, and other programs run beside it.
         self.unit = Some(match self.unit {
@@ -300,8 +297,7 @@ impl Forecast {
     /// Seconds from `done` iterations to the very end of a run of `length`; `None` before the first measurement.
     pub fn left(&self, done: u32, length: u32) -> Option<f64> {
         let unit = self.unit?;
-        let share = f64::from(done) / f64::from(length.max(1));
-        let iterations = unit * f64::from(length) * self.between(share, 1.0);
+        let iterations = unit * self.work([done, length], length);
         let rest = length.saturating_sub(done);
         let times = |every: u32| f64::from(rest.checked_div(every).unwrap_or(0));
         let every = self.every.evaluation.unwrap_or((length / 20).max(1));
@@ -340,7 +336,7 @@ impl Forecast {
                 self.evaluations.seconds + next <= EVALUATIONS * spent
             }
             Made::AsLengthAllows => {
-                let run = f64::from(length) * self.between(0.0, 1.0);
+                let run = self.work([0, length], length);
                 let one = SCORED * self.cost[9] * self.scored.0 as f64;
                 let due = (length / 20).max(1);
                 let fit = EVALUATIONS * run / one.max(1e-9);
@@ -350,29 +346,30 @@ impl Forecast {
         }
     }
 
-    /// Number of times that the photos' size is halved at a share of the run.
-    fn halvings(&self, share: f64) -> usize {
-        self.smaller.iter().filter(|end| share < **end).count()
-    }
-
     /// Cost of an iteration of photos that are halved so many times over that at full size.
     fn size_cost(&self, halvings: usize) -> f64 {
         let cost = |pixels: f64| BESIDE_PIXELS + (1.0 - BESIDE_PIXELS) * pixels / PIXELS;
         cost(self.pixels * 0.25f64.powi(halvings as i32)) / cost(self.pixels)
     }
 
-    /// Mean cost of an iteration between two shares of a run, times their difference.
-    fn between(&self, from: f64, to: f64) -> f64 {
-        let tenths = self.cost.len() as f64;
-        let mut edges: Vec<f64> = (0..=self.cost.len()).map(|k| k as f64 / tenths).collect();
-        edges.extend(&self.smaller);
+    /// Cost of the iterations between two of a run of `length`, in iterations of cost 1.
+    fn work(&self, [from, to]: [u32; 2], length: u32) -> f64 {
+        let tenths = self.cost.len();
+        let tenth = |at: f64| at / f64::from(length.max(1)) * tenths as f64;
+        let mut edges: Vec<f64> = (0..=tenths)
+            .map(|k| k as f64 / tenths as f64 * f64::from(length))
+            .collect();
+        let ends: Vec<u32> = self.sizes.ends(length).collect();
+        edges.extend(ends.iter().copied().map(f64::from));
+        let [from, to] = [from, to].map(f64::from);
         edges.extend([from, to]);
         edges.retain(|e| (from..=to).contains(e));
         edges.sort_by(f64::total_cmp);
         let piece = |pair: &[f64]| {
             let middle = 0.5 * (pair[0] + pair[1]);
-            let tenth = ((middle * tenths) as usize).min(self.cost.len() - 1);
-            (pair[1] - pair[0]) * self.cost[tenth] * self.size_cost(self.halvings(middle))
+            let tenth = (tenth(middle) as usize).min(tenths - 1);
+            let halvings = ends.iter().filter(|end| middle < f64::from(**end)).count();
+            (pair[1] - pair[0]) * self.cost[tenth] * self.size_cost(halvings)
         };
         edges.windows(2).map(piece).sum()
     }

@@ -173,7 +173,7 @@ impl Run {
         if extended.is_some() {
             to_come.clear();
         }
-        let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, saved.state.halvings);
+        let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, &saved.state.detail);
         let from = From {
             plan,
             to_come,

@@ -13,6 +13,7 @@ pub mod plan;
 pub mod reasons;
 pub mod sampling_rates;
 pub mod schedule;
+pub mod sizes;
 pub mod smoothing;
 mod state;
 pub mod step;

@@ -17,6 +17,7 @@ use crate::train::control::Working;
 use crate::train::noted::Noted;
 use crate::train::plan::{Learned, Plan};
 use crate::train::schedule::Schedule;
+use crate::train::sizes::Sizes;
 use crate::train::step::{LOSS_RING, Trainer};
 
 /// Largest number of views over which the loss is taken if every iteration has a background of its own.
@@ -113,6 +114,12 @@ impl Trainer {
     #[must_use]
     pub fn views(&self) -> usize {
         self.views.len()
+    }
+
+    /// The photos' sizes over the run.
+    #[must_use]
+    pub fn sizes(&self) -> &Sizes {
+        self.views.sizes()
     }
 
     /// First iteration that takes photos at their full size.

@@ -9,7 +9,7 @@ use rustc_hash::FxHashSet;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::capture::{Alpha, Dataset, View};
+use crate::capture::{Alpha, Dataset, PhotoSource, View};
 use crate::config::{
     AntiAliasing, Background, ExposureChoice, Init, Sampler, TrainConfig, WorkConfig,
 };
@@ -17,7 +17,8 @@ use crate::scene::formats;
 use crate::train::brightness::GainSpread;
 use crate::train::reasons::{NO_CAMERA_SAW, Part, Why};
 use crate::train::sampling_rates::Spreads;
-use crate::train::schedule::Schedule;
+use crate::train::schedule::{Schedule, most_halvings};
+use crate::train::sizes;
 
 /// A decision and its reason.
 #[derive(Debug, Clone, PartialEq)]
@@ -93,8 +94,8 @@ pub struct Plan {
     pub random_background: Decided<bool>,
     /// Mip-Splatting's 2D and 3D filters.
     pub anti_aliasing: Decided<bool>,
-    /// Halvings of the photos at the start of the run.
-    pub halvings: Decided<u32>,
+    /// Detail lost by the smaller sizes at the start of the run ([`sizes::detail`]); empty for full size throughout.
+    pub detail: Decided<Vec<f32>>,
     /// Per-image exposure compensation.
     pub exposure: Decided<Exposure>,
     /// Highest SH degree.
@@ -123,7 +124,7 @@ impl Plan {
             alpha,
             random_background: random_background(config, alpha == Alpha::Transparency),
             anti_aliasing: anti_aliasing(dataset, config),
-            halvings: halvings(dataset, config),
+            detail: detail(dataset, config)?,
             exposure: exposure(config, alpha)?,
             sh_degree: match config.sh_degree {
                 0 => Decided::new(0, Why::NoBands),
@@ -149,12 +150,12 @@ impl Plan {
 
     /// The plan with anti-aliasing and progressive resolution as the run began: both are decided once per run.
     #[must_use]
-    pub fn begun_with(mut self, anti_aliasing: bool, halvings: u32) -> Self {
+    pub fn begun_with(mut self, anti_aliasing: bool, detail: &[f32]) -> Self {
         if self.anti_aliasing.value != anti_aliasing {
             self.anti_aliasing = Decided::new(anti_aliasing, Why::Checkpoint);
         }
-        if self.halvings.value != halvings {
-            self.halvings = Decided::new(halvings, Why::Checkpoint);
+        if self.detail.value != detail {
+            self.detail = Decided::new(detail.to_vec(), Why::Checkpoint);
         }
         self
     }
@@ -228,8 +229,8 @@ impl Plan {
                 &self.anti_aliasing.why,
             ),
             typed(
-                (Part::ProgressiveResolution, self.halvings.value > 0),
-                &self.halvings.why,
+                (Part::ProgressiveResolution, !self.detail.value.is_empty()),
+                &self.detail.why,
             ),
             fact(Part::MortonOrder),
             fact(Part::BlockCulling),
@@ -397,20 +398,21 @@ fn anti_aliasing(dataset: &Dataset, config: &TrainConfig) -> Decided<bool> {
     }
 }
 
-fn halvings(dataset: &Dataset, config: &TrainConfig) -> Decided<u32> {
+fn detail(dataset: &Dataset, config: &TrainConfig) -> Result<Decided<Vec<f32>>> {
     let levels = config.work.resolution_levels;
     if levels == 0 {
-        return Decided::new(0, Why::Criterion("work.resolution-levels is 0"));
+        let why = Why::Criterion("work.resolution-levels is 0");
+        return Ok(Decided::new(Vec::new(), why));
     }
-    let schedule = Schedule::new(config);
-    let first = |v: &View| {
-        let size = [v.camera.width as usize, v.camera.height as usize];
-        schedule.shrink_factor(levels, 0, size)
+    let most = |v: &View| most_halvings([v.camera.width, v.camera.height].map(|s| s as usize));
+    let levels = levels.min(dataset.train.iter().map(most).max().unwrap_or(0));
+    let photos: Vec<&PhotoSource> = dataset.train.iter().map(|v| &v.photo).collect();
+    let detail = sizes::detail(&photos, levels)?;
+    let why = match detail.is_empty() {
+        true => Why::SmallPhotos,
+        false => Why::Detail(detail.clone()),
     };
-    match dataset.train.iter().map(first).max() {
-        Some(divisor) if divisor > 1 => Decided::new(levels, Why::HalvedAtFirst(divisor as u32)),
-        _ => Decided::new(0, Why::SmallPhotos),
-    }
+    Ok(Decided::new(detail, why))
 }
 
 /// Bound on the number of Gaussians: the user's, or for mh that of the photos. More Gaussians than the sparse points overfit few photos:

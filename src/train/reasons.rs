@@ -23,7 +23,7 @@ pub enum Part {
     ViewDependentColor,
     /// [`crate::train::Plan::anti_aliasing`].
     AntiAliasing,
-    /// [`crate::train::Plan::halvings`].
+    /// [`crate::train::Plan::detail`].
     ProgressiveResolution,
     /// Morton order of the Gaussians.
     MortonOrder,
@@ -139,8 +139,8 @@ pub enum Why {
     Rates(Spreads),
     /// The checkpoint was written with it, or without it.
     Checkpoint,
-    /// Divisor of the photos' size at first.
-    HalvedAtFirst(u32),
+    /// Detail lost by the smaller sizes, from half the size on.
+    Detail(Vec<f32>),
     /// Photos are too small to be halved.
     SmallPhotos,
     /// Neighbours in space share cache lines.
@@ -231,10 +231,13 @@ impl fmt::Display for Why {
             Self::FiltersInFile => f.write_str("the initial Gaussians were trained with it"),
             Self::Rates(spreads) => spelt_rates(f, spreads),
             Self::Checkpoint => f.write_str("as in the checkpoint"),
-            Self::HalvedAtFirst(divisor) => write!(
-                f,
-                "1/{divisor} of the photos' size at first: most errors are reached 1.1 to 1.8 times sooner"
-            ),
+            Self::Detail(lost) => {
+                write!(f, "1/{} of the photos' size at first", 1_u32 << lost.len())?;
+                let grey = |lost: &f32| format!("{:.1}", 255.0 * lost);
+                let grey: Vec<String> = lost.iter().rev().map(grey).collect();
+                let grey = grey.join(", ");
+                write!(f, ", double that when the loss is expected to be near the detail lost ({grey} grey levels)")
+            }
             Self::SmallPhotos => f.write_str("the photos are too small to be halved"),
             Self::Locality => {
                 f.write_str("neighbours in space share cache lines and are culled together")

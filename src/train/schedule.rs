@@ -3,6 +3,7 @@
 use crate::base::rng::{Philox, Stream};
 use crate::config::{Background, ExposureChoice, Length, TrainConfig};
 use crate::pipeline::stage::adam::LearningRates;
+use crate::train::sizes::Sizes;
 
 /// Iterations that the papers' schedules are written for.
 const PAPER_ITERATIONS: f64 = 30_000.0;
@@ -26,6 +27,12 @@ const MIN_BEFORE_DECISION: u32 = 300;
 
 /// Pixels that a shrunk photo has in width and height at least.
 const MIN_SIDE: usize = 64;
+
+/// Number of times that photos of `size` pixels can be halved so that both sides keep at least 64 pixels.
+#[must_use]
+pub fn most_halvings(size: [usize; 2]) -> u32 {
+    (size[0].min(size[1]) / MIN_SIDE).max(1).ilog2()
+}
 
 /// The schedules of one run.
 ///
@@ -71,30 +78,23 @@ impl Schedule {
         self.scaled(at, self.config.optimizer.sh_interval).max(1)
     }
 
-    /// Divisor of the size of photos of `size` pixels at an iteration of a run with so many halvings: a power of two, 1 for
-    /// full size. Every smaller size is used for `work.resolution_interval` (scaled) iterations, the smallest first; both
-    /// sides keep at least 64 pixels.
+    /// Divisor of the size of photos of `size` pixels at an iteration: a power of two, 1 for full size; both sides keep at least
+    /// 64 pixels. Never larger than at an iteration before, be it that another length was planned then.
     #[must_use]
-    pub fn shrink_factor(&self, halvings: u32, iteration: u32, size: [usize; 2]) -> usize {
-        // None below what a length before has come to.
+    pub fn shrink_factor(&self, sizes: &Sizes, iteration: u32, size: [usize; 2]) -> usize {
         let past = self.config.lengths.iter().filter(|l| l.from <= iteration);
         let ends = past.filter_map(|l| l.from.checked_sub(1));
-        let asked = self.config.work.resolution_interval;
-        let reached = |at: u32| at / self.scaled(at, asked).max(1);
-        let steps = ends.map(reached).fold(reached(iteration), u32::max);
-        let level = halvings.saturating_sub(steps);
-        let most = size[0].min(size[1]) / MIN_SIDE;
-        (1 << level).min(1 << most.max(1).ilog2())
+        let halvings = |at: u32| sizes.halvings(at, self.iterations(at));
+        let level = ends.map(halvings).fold(halvings(iteration), u32::min);
+        1 << level.min(most_halvings(size))
     }
 
     /// First iteration at which photos of `size` pixels have their full size, by the length planned last.
     #[must_use]
-    pub fn full_size_from(&self, halvings: u32, size: [usize; 2]) -> u32 {
-        let asked = self.config.work.resolution_interval;
-        let interval = self.scaled(u32::MAX, asked).max(1);
-        match self.shrink_factor(halvings, 0, size) {
+    pub fn full_size_from(&self, sizes: &Sizes, size: [usize; 2]) -> u32 {
+        match self.shrink_factor(sizes, 0, size) {
             1 => 0,
-            _ => interval * halvings,
+            _ => sizes.ends(self.iterations(u32::MAX)).last().unwrap_or(0),
         }
     }
 

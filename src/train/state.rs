@@ -16,8 +16,8 @@ pub struct TrainerState {
     pub iteration: u32,
     /// The next thing to do.
     pub next: Next,
-    /// Halvings of the photos at the start of the run.
-    pub halvings: u32,
+    /// [`Plan::detail`](crate::train::Plan::detail).
+    pub detail: Vec<f32>,
     /// Parameters.
     pub splats: Gaussians,
     /// Moments, statistics and smoothing filter.
@@ -48,7 +48,7 @@ impl Trainer {
                 Next::Compile => Next::Exposure,
                 next => next,
             },
-            halvings: self.plan.halvings.value,
+            detail: self.plan.detail.value.clone(),
             splats: self.gaussians.scene.download()?,
             rows: self.gaussians.rows()?,
             stats: self.control.stats,

@@ -11,6 +11,7 @@ use crate::pipeline::photos::AHEAD;
 use crate::pipeline::stage::shrink;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
+use crate::train::sizes::Sizes;
 
 /// A training view as an iteration takes it.
 #[derive(Debug)]
@@ -32,7 +33,7 @@ pub struct Views {
     /// Cameras and photos at full size.
     pub set: ViewSet,
     pub(super) schedule: Schedule,
-    halvings: u32,
+    sizes: Sizes,
     random_background: bool,
     skip_blank: bool,
     /// Makes smaller photos; `None` without progressive resolution.
@@ -44,18 +45,18 @@ pub struct Views {
 impl Views {
     /// Builds the kernel that shrinks photos if the plan asks for it.
     pub fn new(kernels: &Kernels, set: ViewSet, plan: &Plan) -> Result<Self> {
-        let halvings = plan.halvings.value;
+        let detail = &plan.detail.value;
         let [w, h] = set.largest.0;
-        let pixels = match halvings {
-            0 => 0,
-            _ => (w / 2) * (h / 2),
+        let pixels = match detail.is_empty() {
+            true => 0,
+            false => (w / 2) * (h / 2),
         };
-        let shrink = (halvings > 0).then(|| kernels.build::<f32>("shrink"));
+        let shrink = (!detail.is_empty()).then(|| kernels.build::<f32>("shrink"));
         Ok(Self {
             small: Array::zeros(kernels.device(), "small", set.alpha.planes() * pixels)?,
             shrink: shrink.transpose()?,
             schedule: Schedule::new(&plan.config),
-            halvings,
+            sizes: Sizes::new(detail, &plan.config.work),
             random_background: plan.random_background.value,
             skip_blank: plan.skip_blank.value,
             set,
@@ -103,7 +104,7 @@ impl Views {
         let photo = self.set.photo(number, next)?;
         let full = self.set.cameras[number];
         let size = full.image();
-        let divisor = self.schedule.shrink_factor(self.halvings, size_of, size.0);
+        let divisor = self.schedule.shrink_factor(&self.sizes, size_of, size.0);
         if let Some(stage) = &self.shrink
             && divisor > 1
         {
@@ -161,11 +162,17 @@ impl Views {
         }
     }
 
+    /// The photos' sizes over the run.
+    #[must_use]
+    pub fn sizes(&self) -> &Sizes {
+        &self.sizes
+    }
+
     /// First iteration that takes photos at their full size.
     #[must_use]
     pub fn full_size_from(&self) -> u32 {
         self.schedule
-            .full_size_from(self.halvings, self.set.largest.0)
+            .full_size_from(&self.sizes, self.set.largest.0)
     }
 }
 
