@@ -94,7 +94,7 @@ static inline void walk_chunk(uint chunk, uint chunks, __global const Projected 
                               __global const uint *status, uint tiles_x, ACTIVE_TILES, __global const uint *cover,
                               __global const uint *isect_start, Pairs pairs) {
   if (status[S_OVERFLOW] != 0) return;
-  const uint n = status[S_VISIBLE], size = (n + chunks - 1) / chunks;
+  const uint n = status[S_VISIBLE], size = chunk_size(n, chunks);
   const uint first = min(chunk * size, n), last = min(first + size, n);
   for (uint j = first; j < last; j++) {
     const uint box = cover[2 * j + 1];
@@ -116,36 +116,43 @@ static inline uint dealt_chunk(uint id, uint chunks) {
   return 2 * id < chunks ? 2 * id : 2 * (id - (chunks + 1) / 2) + 1;
 }
 
-// Launch: one work-item per chunk of Gaussians. Counts the visible ones.
-__kernel void bin_visible(__global const uint *keys, uint count, // in [count] depth bits or KEY_CULLED
-                          uint chunks, __global uint *sums) {    // out [chunks]
-  const uint c = get_global_id(0);
+// Launch: over chunks of Gaussians. Counts the visible ones.
+CHUNK_KERNEL void bin_visible(__global const uint *keys, uint count, // in [count] depth bits or KEY_CULLED
+                              uint chunks, __global uint *sums) {    // out [chunks]
+  SCRATCH;
+  const uint c = CHUNK;
   if (c >= chunks) return;
-  const uint size = (count + chunks - 1) / chunks;
+  const uint size = chunk_size(count, chunks);
   const uint first = min(c * size, count), last = min(first + size, count);
   uint n = 0;
-  for (uint i = first; i < last; i++) n += keys[i] != KEY_CULLED;
-  sums[c] = n;
+  for (uint i = first + ITEM; i < last; i += GROUP) n += keys[i] != KEY_CULLED;
+  n = (uint)group_sum(n, scratch);
+  if (ITEM == 0) sums[c] = n;
 }
 
 // Launch: as bin_visible. Writes keys and indices of the visible ones, in index order, and their number to the status.
-__kernel void bin_compact(__global const uint *keys, uint count, // in [count]
-                          uint chunks, __global const uint *sums, // in [chunks]
-                          __global uint *visible_keys,            // out [visible]
-                          __global uint *visible,                 // out [visible] Gaussian index
-                          __global uint *status) {                // out S_VISIBLE
-  const uint c = get_global_id(0);
+CHUNK_KERNEL void bin_compact(__global const uint *keys, uint count,  // in [count]
+                              uint chunks, __global const uint *sums, // in [chunks]
+                              __global uint *visible_keys,            // out [visible]
+                              __global uint *visible,                 // out [visible] Gaussian index
+                              __global uint *status) {                // out S_VISIBLE
+  SCRATCH;
+  const uint c = CHUNK;
   if (c >= chunks) return;
-  const uint size = (count + chunks - 1) / chunks;
+  const uint size = chunk_size(count, chunks);
   const uint first = min(c * size, count), last = min(first + size, count);
-  uint at = (uint)sum_before(sums, c);
-  if (c == chunks - 1) status[S_VISIBLE] = at + sums[c];
-  for (uint i = first; i < last; i++)
-    if (keys[i] != KEY_CULLED) {
-      visible_keys[at] = keys[i];
+  uint before = (uint)group_sum(sum_before(sums, c), scratch);
+  if (c == chunks - 1 && ITEM == 0) status[S_VISIBLE] = before + sums[c];
+  for (uint block = first; block < last; block += GROUP) {
+    const uint i = block + ITEM, key = i < last ? keys[i] : KEY_CULLED;
+    uint total;
+    const uint at = before + group_scan(key != KEY_CULLED, scratch, &total);
+    if (key != KEY_CULLED) {
+      visible_keys[at] = key;
       visible[at] = i;
-      at++;
     }
+    before += total;
+  }
 }
 
 // Launch: one work-item per BATCH visible Gaussians, whose records are fetched together; those past the visible ones

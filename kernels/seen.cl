@@ -102,6 +102,7 @@ seen_pairs(__global const Projected *records, __global const uint *isect_owner, 
     if (!open) break;
     for (uint j = 0; j < n; j++) {
       const Projected g = staged[j];
+      if (!reaches(g.by, tile_y + y)) continue;
       const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
       const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
       const real alpha = min(effective_alpha(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T), (real)ALPHA_MAX);

@@ -1,6 +1,6 @@
 // sort: a stable least-significant-digit radix sort of (key, value) pairs. Chunks of contiguous elements
-// keep their order, bins are walked in order: no atomics, the same result on every device. A pass is sort_histogram, sort_bins
-// and sort_scatter; few elements are sorted by one work-item in one launch.
+// keep their order, bins are walked in order: the same result on every device. A pass is sort_histogram, sort_bins and
+// sort_scatter; few elements are sorted by one work-item in one launch where that is a whole core.
 
 static inline uint digit_of(uint key, uint shift, uint bins) { return (key >> shift) & (bins - 1); }
 
@@ -14,42 +14,71 @@ static inline void sum_bins(__global uint *totals, uint bins) { // in/out [bins]
   }
 }
 
-// Launch: one work-item per chunk.
-__kernel void sort_histogram(__global const uint *keys, // in [n]
-                             __global const uint *status, uint chunks, uint shift, uint bins,
-                             __global uint *histogram) { // out [chunks, bins]
-  const uint c = get_global_id(0);
+// Launch: over chunks.
+CHUNK_KERNEL void sort_histogram(__global const uint *keys, // in [n]
+                                 __global const uint *status, uint chunks, uint shift, uint bins,
+                                 __global uint *histogram) { // out [chunks, bins]
+  const uint c = CHUNK;
   if (c >= chunks) return;
   __global uint *row = histogram + (size_t)c * bins;
-  for (uint b = 0; b < bins; b++) row[b] = 0;
-  const uint n = status[S_VISIBLE], size = (n + chunks - 1) / chunks;
+  const uint n = status[S_VISIBLE], size = chunk_size(n, chunks);
   const uint first = min(c * size, n), last = min(first + size, n);
+#if GROUP_STYLE
+  __local uint counts[GROUP];
+  counts[ITEM] = 0;
+  barrier(CLK_LOCAL_MEM_FENCE);
+  for (uint i = first + ITEM; i < last; i += GROUP)
+    atomic_inc(counts + digit_of(keys[i], shift, bins)); // of integers: the same in any order
+  barrier(CLK_LOCAL_MEM_FENCE);
+  if (ITEM < bins) row[ITEM] = counts[ITEM];
+#else
+  for (uint b = 0; b < bins; b++) row[b] = 0;
   for (uint i = first; i < last; i++) row[digit_of(keys[i], shift, bins)]++;
+#endif
 }
 
 #if GROUP_STYLE
-// Launch: one work-item per bin. Turns a bin's counts into those of the chunks before, and sums them up.
-__kernel void sort_totals(__global uint *histogram, uint chunks, uint bins, // in/out [chunks, bins]
-                          __global uint *totals) {                          // out [bins]
-  const uint b = get_global_id(0);
-  if (b >= bins) return;
+// Launch: one work-group per TILE bins. Turns a bin's counts into those of the chunks before, and sums them up: a work-item has one
+// bin, and every TILE-th chunk of it.
+CHUNK_KERNEL void sort_totals(__global uint *histogram, uint chunks, uint bins, // in/out [chunks, bins]
+                              __global uint *totals) {                          // out [bins]
+  __local uint counts[TILE][TILE];
+  const uint x = ITEM % TILE, y = ITEM / TILE, b = CHUNK * TILE + x;
   uint sum = 0;
-  for (uint c = 0; c < chunks; c++) {
+  for (uint block = 0; block < chunks; block += TILE) {
+    const uint c = block + y;
     const size_t at = (size_t)c * bins + b;
-    const uint v = histogram[at];
-    histogram[at] = sum;
-    sum += v;
+    const int inside = b < bins && c < chunks;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    counts[y][x] = inside ? histogram[at] : 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    uint before = sum;
+    for (uint k = 0; k < TILE; k++) {
+      sum += counts[k][x];
+      if (k < y) before += counts[k][x];
+    }
+    if (inside) histogram[at] = before;
   }
-  totals[b] = sum;
+  if (b < bins && y == 0) totals[b] = sum;
 }
 #endif
 
-// Launch: one work-item. Writes first places of the bins, after sort_totals; where a work-item is a whole core this does the work of
-// that kernel, too, along the rows of the histogram.
-__kernel void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/out [chunks, bins] elements of the chunks before
-                        __global uint *totals) {                          // out [bins + 1] first place; the number of elements
+// Launch: one work-item, or one work-group. Writes first places of the bins, after sort_totals; where a work-item is a whole core this
+// does the work of that kernel, too, along the rows of the histogram.
+CHUNK_KERNEL void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/out [chunks, bins] elements of the chunks before
+                            __global uint *totals) {                          // out [bins + 1] first place; the number of elements
+#if GROUP_STYLE
+  SCRATCH;
+  uint before = 0;
+  for (uint block = 0; block <= bins; block += GROUP) {
+    const uint b = block + ITEM;
+    uint total;
+    const uint sum = before + group_scan(b < bins ? totals[b] : 0, scratch, &total);
+    if (b <= bins) totals[b] = sum;
+    before += total;
+  }
+#else
   if (get_global_id(0) != 0) return;
-#if !GROUP_STYLE
   for (uint b = 0; b < bins; b++) totals[b] = 0;
   for (uint c = 0; c < chunks; c++) {
     __global uint *row = histogram + (size_t)c * bins;
@@ -59,28 +88,57 @@ __kernel void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/
       totals[b] += v;
     }
   }
-#endif
   totals[bins] = 0;
   sum_bins(totals, bins + 1);
+#endif
 }
 
-// Launch: one work-item per chunk.
-__kernel void sort_scatter(__global const uint *keys, // in [n]
-                           __global const uint *status, uint chunks, uint shift, uint bins,
-                           __global uint *histogram,    // in/out [chunks, bins] elements of the chunks before
-                           __global const uint *totals, // in [bins + 1] first places
-                           __global const uint *values, // in [n]
-                           __global uint *keys_out, __global uint *values_out) { // out [n]
-  const uint c = get_global_id(0);
+// Launch: over chunks.
+CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
+                               __global const uint *status, uint chunks, uint shift, uint bins,
+                               __global uint *histogram,    // in/out [chunks, bins] elements of the chunks before
+                               __global const uint *totals, // in [bins + 1] first places
+                               __global const uint *values, // in [n]
+                               __global uint *keys_out, __global uint *values_out) { // out [n]
+  const uint c = CHUNK;
   if (c >= chunks) return;
   __global uint *row = histogram + (size_t)c * bins;
-  const uint n = status[S_VISIBLE], size = (n + chunks - 1) / chunks;
+  const uint n = status[S_VISIBLE], size = chunk_size(n, chunks);
   const uint first = min(c * size, n), last = min(first + size, n);
+#if GROUP_STYLE
+  SCRATCH;
+  __local uint place[GROUP], head[GROUP], sorted[GROUP];
+  const uint l = ITEM;
+  if (l < bins) place[l] = totals[l] + row[l];
+  for (uint block = first; block < last; block += GROUP) {
+    const uint here = min((uint)GROUP, last - block);
+    // A block is sorted by its digits first, one bit after the other. What is not there comes last.
+    uint from = l, digit = l < here ? digit_of(keys[block + l], shift, bins) : bins - 1;
+    for (uint bit = 1; bit < bins; bit *= 2) {
+      uint zeros;
+      const uint zero = !(digit & bit), before = group_scan(zero, scratch, &zeros);
+      sorted[zero ? before : zeros + l - before] = digit * GROUP + from;
+      barrier(CLK_LOCAL_MEM_FENCE);
+      digit = sorted[l] / GROUP;
+      from = sorted[l] % GROUP;
+    }
+    if (l == 0 || sorted[l - 1] / GROUP != digit) head[digit] = l;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (from < here) {
+      const uint at = place[digit] + l - head[digit];
+      keys_out[at] = keys[block + from];
+      values_out[at] = values[block + from];
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (l == GROUP - 1 || sorted[l + 1] / GROUP != digit) place[digit] += l + 1 - head[digit];
+  }
+#else
   for (uint i = first; i < last; i++) {
     const uint key = keys[i], digit = digit_of(key, shift, bins), at = totals[digit] + row[digit]++;
     keys_out[at] = key;
     values_out[at] = values[i];
   }
+#endif
 }
 
 // Launch: one work-item. All passes of few elements: one sweep counts the digits of all passes.

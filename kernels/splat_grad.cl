@@ -109,8 +109,13 @@ __kernel void splat_grad(__global const Projected *records, __global const uint 
     for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
 }
 #else
-// Launch: one work-group of TILE x TILE work-items per tile; sums over the group in a fixed order (two stages through
-// local memory), no assumption on sub-groups.
+// Pairs whose sums by column wait for the second stage.
+#define COLUMN_BATCH 8
+// Copies of the first stage's numbers, used by turns so that a pair has one barrier; local memory has room for one in f64.
+#define COPIES (REAL_IS_DOUBLE ? 1 : 2)
+
+// Launch: one work-group of TILE x TILE work-items per tile; sums over the group in a fixed order, columns first, no assumption on
+// sub-groups. Local arrays are padded so that the work-items that read them side by side do so from different banks.
 __kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
 splat_grad(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
            __global const uint *order, __global const uint *tile_start,     // in [pairs], [tiles + 1]
@@ -126,28 +131,42 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
   const uint start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
   const real dred = dimage[at], dgreen = dimage[plane + at], dblue = dimage[2 * plane + at];
   real T = R(1.0), behind = dred * image[at] + dgreen * image[plane + at] + dblue * image[2 * plane + at];
-  __local real lane[SUMS][TILE * TILE];
-  __local real row[SUMS][TILE];
-  for (uint p = start; p < used; p++) {
-    const uint slot = order[p];
-    const Projected g = records[isect_owner[slot]];
-    const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
-    const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
-    real s[SUMS];
-    for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
-    grad_block(&g, u, dy, dred, dgreen, dblue, &T, &behind, s);
-    for (int q = 0; q < SUMS; q++) lane[q][l] = s[q];
+  __local Projected staged[SPLAT_BATCH];
+  __local uint slot[SPLAT_BATCH];
+  __local real lane[COPIES][SUMS][TILE * TILE + TILE];
+  __local real column[COLUMN_BATCH][SUMS][TILE + 1];
+  for (uint p = start; p < used; p += SPLAT_BATCH) {
+    const uint n = min((uint)SPLAT_BATCH, used - p);
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (l < SUMS * TILE) {
-      real sum = R(0.0);
-      for (int k = 0; k < TILE; k++) sum += lane[l / TILE][l % TILE * TILE + k];
-      row[l / TILE][l % TILE] = sum;
+    if ((uint)l < n) {
+      slot[l] = order[p + l];
+      staged[l] = records[isect_owner[slot[l]]];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (l < SUMS) {
-      real sum = R(0.0);
-      for (int k = 0; k < TILE; k++) sum += row[l][k];
-      sums[(size_t)slot * SUMS + l] = sum;
+    for (uint j = 0; j < n; j++) {
+      const Projected g = staged[j];
+      real s[SUMS];
+      for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
+      if (reaches(g.by, tile_y + y)) {
+        const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
+        const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
+        grad_block(&g, u, dy, dred, dgreen, dblue, &T, &behind, s);
+      }
+      for (int q = 0; q < SUMS; q++) lane[j % COPIES][q][l] = s[q];
+      barrier(CLK_LOCAL_MEM_FENCE);
+      if (l < SUMS * TILE) {
+        real sum = R(0.0);
+        for (int k = 0; k < TILE; k++) sum += lane[j % COPIES][l / TILE][k * TILE + l % TILE];
+        column[j % COLUMN_BATCH][l / TILE][l % TILE] = sum;
+      }
+      const uint first = j / COLUMN_BATCH * COLUMN_BATCH;
+      const int last = j + 1 == min(first + COLUMN_BATCH, n);
+      if (last || COPIES == 1) barrier(CLK_LOCAL_MEM_FENCE);
+      if (last && (uint)l < (j + 1 - first) * SUMS) {
+        real sum = R(0.0);
+        for (int k = 0; k < TILE; k++) sum += column[l / SUMS][l % SUMS][k];
+        sums[(size_t)slot[first + l / SUMS] * SUMS + l % SUMS] = sum;
+      }
     }
   }
   for (uint p = used + l; p < end; p += TILE * TILE)

@@ -27,21 +27,32 @@ pub struct Device {
     tuning: Tuning,
 }
 
+/// A launch whose profiling counters have not been read yet.
+#[derive(Debug)]
+pub(super) struct Enqueued {
+    pub kernel: &'static str,
+    /// The stage that its time is counted as.
+    pub stage: &'static str,
+    /// Number of work-items.
+    pub items: usize,
+    pub event: Event,
+}
+
 #[derive(Debug)]
 pub(super) struct Inner {
     pub info: DeviceInfo,
     pub id: core::DeviceId,
     pub context: core::Context,
     pub queue: core::CommandQueue,
-    /// Stages and events of the launches whose profiling counters have not been read yet.
-    pending: Mutex<Vec<(&'static str, Event)>>,
+    /// Launches whose profiling counters have not been read yet.
+    pending: Mutex<Vec<Enqueued>>,
     times: Mutex<BTreeMap<&'static str, StageTime>>,
     /// Bytes of the buffers that are alive.
     pub allocated: AtomicU64,
 }
 
 impl Inner {
-    fn pending(&self) -> MutexGuard<'_, Vec<(&'static str, Event)>> {
+    fn pending(&self) -> MutexGuard<'_, Vec<Enqueued>> {
         self.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -50,8 +61,8 @@ impl Inner {
     }
 
     /// Adds a launch.
-    pub(super) fn add_launch(&self, stage: &'static str, event: Event) {
-        self.pending().push((stage, event));
+    pub(super) fn add_launch(&self, launch: Enqueued) {
+        self.pending().push(launch);
     }
 }
 
@@ -151,15 +162,22 @@ impl Device {
         self.inner.pending().len()
     }
 
+    /// Kernels and numbers of work-items of the launches whose device time has not been read, in their order.
+    #[must_use]
+    pub fn enqueued(&self) -> Vec<(&'static str, usize)> {
+        let pending = self.inner.pending();
+        pending.iter().map(|l| (l.kernel, l.items)).collect()
+    }
+
     /// Adds up the device time of the oldest `launches` launches; waits for them if they are not done.
     pub fn collect_times(&self, launches: usize) -> Result<()> {
-        let drained: Vec<(&'static str, Event)> = {
+        let drained: Vec<Enqueued> = {
             let mut pending = self.inner.pending();
             let n = launches.min(pending.len());
             pending.drain(..n).collect()
         };
         let mut times = self.inner.times();
-        for (stage, event) in drained {
+        for Enqueued { stage, event, .. } in drained {
             core::wait_for_event(&event).map_err(|e| device_error(stage, &e, LOST))?;
             let ask = |info| {
                 let counter = core::get_event_profiling_info(&event, info);

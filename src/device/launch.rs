@@ -6,7 +6,7 @@ use ocl_core::{self as core, ArgVal, Event, KernelArgInfo, KernelInfo, KernelInf
 
 use crate::base::error::{Error, Result};
 use crate::device::array::Array;
-use crate::device::context::Inner;
+use crate::device::context::{Enqueued, Inner};
 use crate::device::defines::Defines;
 use crate::device::error::{BUG, LOST, device_error};
 use crate::device::info::DeviceInfo;
@@ -232,8 +232,17 @@ impl Launch<'_> {
     /// # Errors
     /// Those of [`Launch::run`].
     pub fn over_tiles(self, size: ImageSize) -> Result<()> {
+        self.over_groups(size.tile_count())
+    }
+
+    /// Enqueues the kernel with so many work-groups of a work-item per pixel of a tile, or work-items where each is a whole core.
+    /// Does not wait.
+    ///
+    /// # Errors
+    /// Those of [`Launch::run`].
+    pub fn over_groups(self, groups: usize) -> Result<()> {
         let group = self.defines().tuning.tile_group();
-        self.run([size.tile_count() * group, 1], [group, 1])
+        self.run([groups * group, 1], [group, 1])
     }
 
     /// Enqueues the kernel with small work-items, such as one for each Gaussian and plane. Does not wait.
@@ -288,7 +297,12 @@ impl Launch<'_> {
             )
         }
         .map_err(|e| device_error(self.name, &e, LOST))?;
-        self.owner.device.add_launch(self.counted_as, event);
+        self.owner.device.add_launch(Enqueued {
+            kernel: self.name,
+            stage: self.counted_as,
+            items: size(0) * size(1),
+            event,
+        });
         Ok(())
     }
 }

@@ -18,4 +18,4 @@ pub use crate::device::defines::Defines;
 pub use crate::device::info::{DeviceInfo, DeviceKind};
 pub use crate::device::launch::{Launch, Program};
 pub use crate::device::layout::{CameraArg, Element, ImageSize, Projected, Real};
-pub use crate::device::program::{Kernels, sources_hash};
+pub use crate::device::program::{Kernels, source, sources_hash, stages};

@@ -47,6 +47,22 @@ const SOURCES: &[(&str, &str)] = &[
     ("peak", include_str!("../../kernels/peak.cl")),
 ];
 
+/// Names of the stages, in the order of an iteration as far as they are part of one.
+pub fn stages() -> impl Iterator<Item = &'static str> {
+    SOURCES.iter().map(|(stage, _)| *stage)
+}
+
+/// The text of a stage's kernels that drivers compile, in double or in single precision; an unknown stage has none of its own.
+#[must_use]
+pub fn source(stage: &str, defines: &Defines, is_double: bool) -> String {
+    let own = SOURCES.iter().find(|(name, _)| *name == stage);
+    format!(
+        "{}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{}",
+        defines.prelude(is_double),
+        own.map_or("", |(_, text)| text)
+    )
+}
+
 /// Hash of the sources of all kernels.
 #[must_use]
 pub fn sources_hash() -> u64 {
@@ -97,14 +113,7 @@ impl Kernels {
     /// # Errors
     /// A build failure, with the compiler's log.
     pub fn build<R: Real>(&self, stage: &'static str) -> Result<Program> {
-        let source = SOURCES
-            .iter()
-            .find(|(s, _)| *s == stage)
-            .map_or("", |(_, t)| t);
-        let text = format!(
-            "{}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{source}",
-            self.defines.prelude(R::IS_DOUBLE)
-        );
+        let text = source(stage, &self.defines, R::IS_DOUBLE);
         let bug = "if the log names no line, memory may have run out for the compiler (ulimit -v, a container's limit): allow more; \
                    else update the driver or select another device";
         let bytes = CString::new(text)

@@ -65,7 +65,7 @@ impl Tuning {
         group_style: true,
         local: 128,
         chunks: 2048,
-        radix_bits: 4,
+        radix_bits: 8,
         strip: 8,
         update_block: 1 << 18,
     };
@@ -126,6 +126,10 @@ impl Tuning {
             (
                 (1..=16).contains(&self.radix_bits),
                 "radix-bits is between 1 and 16",
+            ),
+            (
+                !self.group_style || self.radix_bits <= (TILE * TILE).ilog2(),
+                "with group-style radix-bits is 8 at most",
             ),
             (
                 self.strip > 0 && self.strip.is_multiple_of(lanes.max(1)) && self.strip <= 4096,

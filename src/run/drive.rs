@@ -469,7 +469,7 @@ impl Run {
         let r = &mut self.record;
         r.plan = PlanRecord::of(self.trainer.plan());
         r.iterations = self.trainer.iteration();
-        r.full_size_from = self.trainer.full_size_from();
+        r.full_size_from = self.trainer.full_size_from().into();
         r.gaussians = self.trainer.gaussians() as u64;
         r.removed = self.trainer.learned().removed;
         r.train_seconds = now.train_seconds;

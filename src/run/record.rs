@@ -203,9 +203,9 @@ pub struct RunRecord {
     pub plan: PlanRecord,
     /// Iterations done.
     pub iterations: u32,
-    /// First iteration of photos of full size; 0 in records of earlier versions.
-    #[serde(default)]
-    pub full_size_from: u32,
+    /// First iteration of photos of full size; absent where all have it.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub full_size_from: u64,
     /// Number of Gaussians.
     pub gaussians: u64,
     /// Gaussians that were removed at the end, because no training view sees them; not among `gaussians`.

@@ -17,9 +17,9 @@ fn a_wrong_count_is_rejected() {
 }
 
 /// Sums and status after scanning `values` with room for `capacity`.
-fn scanned(values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>) {
+fn scanned(values: &[u32], capacity: usize, tuning: Tuning) -> (Vec<u32>, Vec<u32>) {
     let device = device();
-    let kernels = kernels(&device);
+    let kernels = Kernels::new(&device, Defines::new(tuning));
     let room = values.len().max(1);
     let input = Array::zeros(&device, "values", room).unwrap();
     input.write(0, values).unwrap();
@@ -32,28 +32,47 @@ fn scanned(values: &[u32], capacity: usize) -> (Vec<u32>, Vec<u32>) {
     (out.read(0, values.len()).unwrap(), status)
 }
 
+/// Those of CPUs and GPUs, and of GPUs with chunks that groups go over in several steps.
+const TUNINGS: [Tuning; 3] = [
+    Tuning::CPU,
+    Tuning::GPU,
+    Tuning {
+        chunks: 3,
+        ..Tuning::GPU
+    },
+];
+
 #[test]
 fn sums_of_every_length() {
     for n in [0usize, 1, 2, 15, 16, 17, 1000, 4097] {
         let values: Vec<u32> = (0..n as u32).map(|i| i * 7 % 11).collect();
         let (sums, total) = definition(&values);
-        let (got, status) = scanned(&values, 1 << 20);
-        assert_eq!(got, sums, "{n} values");
-        assert_eq!(u64::from(status[INTERSECTIONS as usize]), total);
-        assert_eq!(status[OVERFLOW as usize], 0);
+        for tuning in TUNINGS {
+            let (got, status) = scanned(&values, 1 << 20, tuning);
+            assert_eq!(got, sums, "{n} values");
+            assert_eq!(
+                u64::from(status[INTERSECTIONS as usize]),
+                total,
+                "{n} values"
+            );
+            assert_eq!(status[OVERFLOW as usize], 0);
+        }
     }
 }
 
 #[test]
 fn a_total_beyond_the_capacity_raises_the_flag() {
     let values = vec![3u32; 100];
-    assert_eq!(scanned(&values, 300).1[INTERSECTIONS as usize], 300);
-    let (_, status) = scanned(&values, 299);
-    assert_eq!(status[INTERSECTIONS as usize], 0, "nothing is left to do");
-    assert_eq!(
-        status[OVERFLOW as usize], 300,
-        "what would have been needed"
-    );
-    let (_, status) = scanned(&[u32::MAX, u32::MAX], 299);
-    assert_eq!(status[OVERFLOW as usize], u32::MAX, "saturates");
+    for tuning in TUNINGS {
+        let status = |values: &[u32], capacity| scanned(values, capacity, tuning).1;
+        assert_eq!(status(&values, 300)[INTERSECTIONS as usize], 300);
+        let beyond = status(&values, 299);
+        assert_eq!(beyond[INTERSECTIONS as usize], 0, "nothing is left to do");
+        assert_eq!(
+            beyond[OVERFLOW as usize], 300,
+            "what would have been needed"
+        );
+        let beyond = status(&[u32::MAX, u32::MAX], 299);
+        assert_eq!(beyond[OVERFLOW as usize], u32::MAX, "saturates");
+    }
 }

@@ -10,7 +10,7 @@ use crate::pipeline::stage::project::Projected64;
 
 /// Counts the visible Gaussians in each chunk.
 pub fn count_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
-    over_keys(stage.launch("bin_visible"), view).over_chunks([stage.chunks(), 1])
+    over_keys(stage.launch("bin_visible"), view).over_groups(stage.chunks())
 }
 
 /// Writes keys and indices of the visible Gaussians, and their number to the status.
@@ -18,7 +18,7 @@ pub fn compact_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Resul
     over_keys(stage.launch("bin_compact"), view)
         .arrays([&view.visible.keys[0], &view.visible.values[0]], view.count)
         .status(view)
-        .over_chunks([stage.chunks(), 1])
+        .over_groups(stage.chunks())
 }
 
 /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`.

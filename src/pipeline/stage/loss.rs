@@ -126,7 +126,7 @@ impl<R: Real> Loss<R> {
             .reals::<R>([1.0 / pair.values()])
             .array(out, 2 * (slot + 1))
             .uints([slot])
-            .once()
+            .over_groups(1)
     }
 
     /// Sums of |x − y| and SSIM of each strip and channel of the pair compared last, in turn; waits.

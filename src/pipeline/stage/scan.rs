@@ -21,12 +21,12 @@ pub fn sum_pairs<R: Real>(
             .uints([n, chunks])
             .array(&view.chunk_sums, chunks)
     };
-    over_values("scan_sums").over_chunks([chunks, 1])?;
+    over_values("scan_sums").over_groups(chunks)?;
     over_values("scan_write")
         .array(sums, n)
         .array(&view.status, SLOTS)
         .uints([INTERSECTIONS as usize, view.intersection_capacity()])
-        .over_chunks([chunks, 1])
+        .over_groups(chunks)
 }
 
 // Definition in f64.

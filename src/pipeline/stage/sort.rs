@@ -1,5 +1,6 @@
 //! Stable radix sort of (key, value) pairs (`kernels/sort.cl`).
 
+use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::tuning::status::SLOTS;
 use crate::device::{Array, Kernels, Program, Real};
@@ -10,6 +11,8 @@ const BITS: u32 = 32;
 /// Most elements that one work-item sorts on a device whose work-items are whole cores: a second core does not make up for the
 /// launches that it takes (`docs/results/speed.md`).
 const FEW: usize = 1 << 14;
+/// Elements that a work-group sorts at least before there is another.
+const PER_GROUP: usize = 1024;
 
 /// The kernels and their scratch.
 #[derive(Debug)]
@@ -35,7 +38,12 @@ impl Sort {
 
     /// Number of passes: the one of the fewest bins and sweeps over at most `n` elements together.
     fn passes(&self, n: usize, chunks: usize) -> u32 {
-        let min = BITS.div_ceil(self.program.defines().tuning.radix_bits);
+        let tuning = self.program.defines().tuning;
+        let min = BITS.div_ceil(tuning.radix_bits);
+        if tuning.group_style {
+            // A launch costs more than the counters of a group, which are in local memory.
+            return min;
+        }
         let cost = |passes: &u32| {
             let bins = 1usize << BITS.div_ceil(*passes);
             // Every element is read twice and written; every counter of a chunk and bin is zeroed, summed and rewritten.
@@ -54,7 +62,10 @@ impl Sort {
                 return Ok(());
             }
         }
-        let chunks = tuning.chunks;
+        let chunks = match tuning.group_style {
+            true => most.div_ceil(PER_GROUP).clamp(1, tuning.chunks),
+            false => tuning.chunks,
+        };
         let passes = self.passes(most, chunks);
         let per_pass = BITS.div_ceil(passes);
         let bins = 1 << per_pass;
@@ -68,13 +79,13 @@ impl Sort {
                     .uints([chunks, shift, bins])
                     .array(&self.histogram, chunks * bins)
             };
-            over_keys("sort_histogram").over_chunks([chunks, 1])?;
+            over_keys("sort_histogram").over_groups(chunks)?;
             self.first_places(&self.histogram, [chunks, bins], &self.totals)?;
             over_keys("sort_scatter")
                 .array(&self.totals, bins + 1)
                 .array(&elements.values[from], most)
                 .arrays([&elements.keys[1 - from], &elements.values[1 - from]], most)
-                .over_chunks([chunks, 1])?;
+                .over_groups(chunks)?;
         }
         elements.sorted = passes as usize % 2;
         Ok(())
@@ -113,9 +124,9 @@ impl Sort {
                 .array(totals, bins + 1)
         };
         if self.program.defines().tuning.group_style {
-            launch("sort_totals").over_items([bins, 1])?;
+            launch("sort_totals").over_groups(bins.div_ceil(TILE as usize))?;
         }
-        launch("sort_bins").once()
+        launch("sort_bins").over_groups(1)
     }
 }
 

@@ -70,7 +70,7 @@ fn course(record: &RunRecord, rows: &[MetricsRow]) -> Option<String> {
         ));
     }
     // Where photos were small in the first of the two, PSNR has risen by their size.
-    let small = f64::from(record.full_size_from) > DOUBLING[0] * f64::from(end);
+    let small = record.full_size_from as f64 > DOUBLING[0] * f64::from(end);
     if record.stalled.is_some() || small {
         return None;
     }

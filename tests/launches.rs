@@ -1,0 +1,81 @@
+//! Launches of an iteration on a GPU: how many there are, and with how many work-items.
+
+use crate::determinism::room;
+use mhsplat::capture::{Alpha, Photo};
+use mhsplat::config::{Sampler, TrainConfig};
+use mhsplat::device::tuning::Tuning;
+use mhsplat::scene::Gaussians;
+use mhsplat::train::Event;
+use mhsplat::{Device, Plan, Trainer};
+
+const GAUSSIANS: usize = 1_000_000;
+const SIZE: [u32; 2] = [1600, 1066];
+
+/// A GPU has tens of thousands of lanes: fewer work-items leave most of them idle.
+const LEAST: usize = 10_000;
+
+/// Kernels that may have fewer work-items, and how many they have at least: what they go over is small, or all of it is in order.
+const FEWER: [(&str, usize); 5] = [
+    // Two numbers of each of 27,000 strips; a prefix sum of 256 or 6,700 numbers.
+    ("loss_sum", 256),
+    ("sort_bins", 256),
+    // 16 chunks of 16 bins for each group: 256 bins of a digit.
+    ("sort_totals", 4096),
+    // Pairs of a chunk are counted in depth order.
+    ("bin_tiles", 1024),
+    ("bin_emit", 1024),
+];
+
+/// Launches of one iteration with a million Gaussians, all behind the camera so that little is computed.
+fn iteration() -> Vec<(&'static str, usize)> {
+    let device = Device::open(None).unwrap().with_tuning(Tuning::GPU);
+    let mut data = room(64);
+    let mut view = data.train[0].clone();
+    let [width, height] = SIZE;
+    view.camera = view.camera.scaled_to(width, height);
+    view.photo = Photo {
+        width,
+        height,
+        alpha: Alpha::None,
+        data: vec![128; 3 * (width * height) as usize],
+    }
+    .into();
+    let behind = view.camera.center() - view.camera.rotation.row(2);
+    data.train = vec![view];
+    let mut planes = vec![vec![0.0; GAUSSIANS]; 11 + 3];
+    for (plane, x) in planes.iter_mut().zip(behind.to_array()) {
+        plane.fill(x as f32);
+    }
+    planes[3..6].iter_mut().for_each(|plane| plane.fill(-8.0));
+    planes[6].fill(1.0);
+    let mut config = TrainConfig {
+        sampler: Sampler::None,
+        sh_degree: 0,
+        ..TrainConfig::default()
+    };
+    config.work.resolution_levels = 0;
+    let plan = Plan::new(&data, &config).unwrap();
+    let splats = Gaussians::new(0, planes).unwrap();
+    let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+    assert!(matches!(
+        trainer.advance().unwrap(),
+        Event::Iteration { .. }
+    ));
+    let enqueued = device.enqueued();
+    trainer.settle().unwrap();
+    enqueued
+}
+
+#[test]
+fn kernels_have_work_for_a_gpu() {
+    let launches = iteration();
+    assert!(launches.len() > 20 && launches.len() <= 60, "{launches:?}");
+    for (kernel, items) in launches {
+        let fewer = FEWER.iter().find(|(name, _)| *name == kernel);
+        let least = fewer.map_or(LEAST, |(_, least)| *least);
+        assert!(
+            items >= least,
+            "{kernel} has {items} work-items, {least} expected"
+        );
+    }
+}
