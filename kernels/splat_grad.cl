@@ -109,10 +109,14 @@ __kernel void splat_grad(__global const Projected *records, __global const uint 
     for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
 }
 #else
-// Pairs whose sums by column wait for the second stage.
+// Pairs whose sums by column wait for the second stage; a divisor of SPLAT_BATCH.
 #define COLUMN_BATCH 8
-// Copies of the first stage's numbers, used by turns so that a pair has one barrier; local memory has room for one in f64.
-#define COPIES (REAL_IS_DOUBLE ? 1 : 2)
+// Copies of the first stage's numbers, used by turns so that a pair has one barrier; in f64 there is room for one in local memory.
+#if REAL_IS_DOUBLE
+#define COPIES 1
+#else
+#define COPIES 2
+#endif
 
 // Launch: one work-group of TILE x TILE work-items per tile; sums over the group in a fixed order, columns first, no assumption on
 // sub-groups. Local arrays are padded so that the work-items that read them side by side do so from different banks.
@@ -135,6 +139,9 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
   __local uint slot[SPLAT_BATCH];
   __local real lane[COPIES][SUMS][TILE * TILE + TILE];
   __local real column[COLUMN_BATCH][SUMS][TILE + 1];
+  // Before the loop: what stands after one that holds barriers and has no turn, PoCL 3.1 leaves out.
+  for (uint p = used + l; p < end; p += TILE * TILE)
+    for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
   for (uint p = start; p < used; p += SPLAT_BATCH) {
     const uint n = min((uint)SPLAT_BATCH, used - p);
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -143,33 +150,35 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
       staged[l] = records[isect_owner[slot[l]]];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint j = 0; j < n; j++) {
-      const Projected g = staged[j];
-      real s[SUMS];
-      for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
-      if (reaches(g.by, tile_y + y)) {
-        const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
-        const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
-        grad_block(&g, u, dy, dred, dgreen, dblue, &T, &behind, s);
+    for (uint first = 0; first < n; first += COLUMN_BATCH) {
+      const uint count = min((uint)COLUMN_BATCH, n - first);
+      for (uint j = 0; j < count; j++) {
+        const Projected g = staged[first + j];
+        real s[SUMS];
+        for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
+        if (reaches(g.by, tile_y + y)) {
+          const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
+          const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
+          grad_block(&g, u, dy, dred, dgreen, dblue, &T, &behind, s);
+        }
+        for (int q = 0; q < SUMS; q++) lane[j % COPIES][q][l] = s[q];
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (l < SUMS * TILE) {
+          real sum = R(0.0);
+          for (int k = 0; k < TILE; k++) sum += lane[j % COPIES][l / TILE][k * TILE + l % TILE];
+          column[j][l / TILE][l % TILE] = sum;
+        }
+#if COPIES == 1
+        barrier(CLK_LOCAL_MEM_FENCE);
+#endif
       }
-      for (int q = 0; q < SUMS; q++) lane[j % COPIES][q][l] = s[q];
       barrier(CLK_LOCAL_MEM_FENCE);
-      if (l < SUMS * TILE) {
-        real sum = R(0.0);
-        for (int k = 0; k < TILE; k++) sum += lane[j % COPIES][l / TILE][k * TILE + l % TILE];
-        column[j % COLUMN_BATCH][l / TILE][l % TILE] = sum;
-      }
-      const uint first = j / COLUMN_BATCH * COLUMN_BATCH;
-      const int last = j + 1 == min(first + COLUMN_BATCH, n);
-      if (last || COPIES == 1) barrier(CLK_LOCAL_MEM_FENCE);
-      if (last && (uint)l < (j + 1 - first) * SUMS) {
+      if ((uint)l < count * SUMS) {
         real sum = R(0.0);
         for (int k = 0; k < TILE; k++) sum += column[l / SUMS][l % SUMS][k];
         sums[(size_t)slot[first + l / SUMS] * SUMS + l % SUMS] = sum;
       }
     }
   }
-  for (uint p = used + l; p < end; p += TILE * TILE)
-    for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
 }
 #endif
