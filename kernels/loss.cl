@@ -314,19 +314,19 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
 
 // Launch: one work-group of TILE x TILE work-items, or one work-item where that is a whole core. Adds the strips in a fixed order. After
 // an overflow the value means nothing; the repetition replaces it.
-__kernel void loss_sum(__global const real *partial, uint strips, real scale, // in [strips, 2], 1 / (3 width height)
+CHUNK_KERNEL void loss_sum(__global const real *partial, uint strips, real scale, // in [strips, 2], 1 / (3 width height)
                        __global real *out, uint slot) { // out [slots, 2] mean |x - y| and mean SSIM
-  const uint l = get_local_id(0);
+  const uint l = ITEM;
   real l1 = R(0.0), ssim = R(0.0);
-  for (uint s = l; s < strips; s += get_local_size(0)) {
+  for (uint s = l; s < strips; s += GROUP) {
     l1 += partial[2 * s];
     ssim += partial[2 * s + 1];
   }
 #if GROUP_STYLE
-  __local real part[2][TILE * TILE];
+  __local real part[2][GROUP];
   part[0][l] = l1;
   part[1][l] = ssim;
-  for (uint near = TILE * TILE / 2; near > 0; near /= 2) {
+  for (uint near = GROUP / 2; near > 0; near /= 2) {
     barrier(CLK_LOCAL_MEM_FENCE);
     if (l < near) {
       part[0][l] += part[0][l + near];

@@ -73,7 +73,7 @@ __kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
 splat(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
       __global const uint *order,      // in [pairs] sorted: emission slot of each pair
       __global const uint *tile_start, // in [tiles + 1]
-      int tiles_x, int tiles, real bg_red, real bg_green, real bg_blue,
+      int tiles_x, int tiles, int height, real bg_red, real bg_green, real bg_blue,
       __global real *image,       // out [4, rows, stride]
       __global uint *tile_used) { // out [tiles] pairs looked at before every pixel was opaque
   const int tile = get_group_id(0), l = get_local_id(0);
@@ -88,7 +88,7 @@ splat(__global const Projected *records, __global const uint *isect_owner, // in
     barrier(CLK_LOCAL_MEM_FENCE);
     if (l == 0) open = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (T >= (real)T_MIN) open = 1; // every writer writes the same value
+    if (T >= (real)T_MIN && tile_y + y < height) open = 1; // every writer writes the same value
     const uint n = min((uint)SPLAT_BATCH, end - p);
     if ((uint)l < n) staged[l] = records[isect_owner[order[p + l]]];
     barrier(CLK_LOCAL_MEM_FENCE);

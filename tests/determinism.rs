@@ -2,7 +2,7 @@
 
 use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
-use mhsplat::config::{ExposureChoice, MhConfig, Sampler};
+use mhsplat::config::{ExposureChoice, Length, MhConfig, Sampler};
 use mhsplat::device::Device;
 use mhsplat::run::checkpoint::Checkpoint;
 use mhsplat::run::{Reading, checkpoint, initial_gaussians};
@@ -281,6 +281,21 @@ fn coarse_photos_come_first_and_keep_64_pixels() {
     assert_eq!(factors([800, 600]), [4, 4, 2, 2, 1]);
     assert_eq!(factors([800, 200]), [2, 2, 2, 2, 1]);
     assert_eq!(factors([100, 90]), [1; 5]);
+}
+
+#[test]
+fn photos_do_not_shrink_again_in_a_run_that_gets_longer() {
+    let (sizes, photo) = (Sizes::at_shares(&[0.75]), [800, 600]);
+    let mut schedule = Schedule::new(&config(1000));
+    let mut lengthen = |from, iterations| {
+        schedule.set_length(Length { from, iterations });
+        let factors = [0, 749, 750, 2249, 2250].map(|i| schedule.shrink_factor(&sizes, i, photo));
+        (factors, schedule.full_size_from(&sizes, photo))
+    };
+    // Full size was reached before; then not yet, and at once when the run gets shorter.
+    assert_eq!(lengthen(800, 3000), ([2, 2, 1, 1, 1], 750));
+    assert_eq!(lengthen(400, 3000), ([2, 2, 2, 2, 1], 2250));
+    assert_eq!(lengthen(900, 1000), ([2, 2, 2, 1, 1], 900));
 }
 
 #[test]

@@ -82,6 +82,7 @@ impl Tuning {
             // Too small for a work-group per tile: one pixel at a time, slow but right.
             _ if info.max_work_group < (TILE * TILE) as usize => Self {
                 group_style: false,
+                radix_bits: 4,
                 local: info.max_work_group.clamp(1, Self::GPU.local),
                 ..Self::GPU
             },

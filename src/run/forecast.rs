@@ -140,6 +140,8 @@ pub(super) struct Forecast {
     /// Relative costs of iterations, by tenths of the run.
     cost: &'static [f64; 10],
     sizes: Sizes,
+    /// Halvings that photos have had: there are no more from then on, be it that another length would have them.
+    reached: u32,
     /// Pixels of a photo of full size.
     pixels: f64,
     /// Training views that are shown at the end.
@@ -199,6 +201,7 @@ impl Forecast {
             cost,
             pixels: trainer.largest_photo() as f64,
             also: trainer.views().min(VIEWS),
+            reached: trainer.halvings(),
             ..Self::of(trainer.sizes().clone(), shown, scored, every, latest, host)
         }
     }
@@ -215,6 +218,7 @@ impl Forecast {
         Self {
             cost: &COST,
             sizes,
+            reached: u32::MAX,
             pixels: PIXELS,
             shown,
             also: 0,
@@ -239,8 +243,10 @@ impl Forecast {
             self.mark = Some((done, seconds));
             return;
         };
-        let halvings = |at: u32| self.sizes.halvings(at, length);
-        if halvings(before) != halvings(done) {
+        let reached = self.reached;
+        let halvings = |at: u32| self.sizes.halvings(at, length).min(reached);
+        self.reached = halvings(done);
+        if halvings(before) != self.reached {
             self.stale = true;
             self.mark = Some((done, seconds));
             return;
@@ -255,7 +261,7 @@ impl Forecast {
         if done <= before || (done - before < enough && !late) {
             return;
         }
-        let cost = self.work([before, done], length);
+        let cost = self.work([before, done], length, self.reached);
         let unit = (seconds - then).max(1e-9) / cost.max(1e-9);
         // The geometric mean with the one before: a window is short, and other programs run beside it.
         self.unit = Some(match self.unit {
@@ -297,7 +303,7 @@ impl Forecast {
     /// Seconds from `done` iterations to the very end of a run of `length`; `None` before the first measurement.
     pub fn left(&self, done: u32, length: u32) -> Option<f64> {
         let unit = self.unit?;
-        let iterations = unit * self.work([done, length], length);
+        let iterations = unit * self.work([done, length], length, self.reached);
         let rest = length.saturating_sub(done);
         let times = |every: u32| f64::from(rest.checked_div(every).unwrap_or(0));
         let every = self.every.evaluation.unwrap_or((length / 20).max(1));
@@ -336,7 +342,7 @@ impl Forecast {
                 self.evaluations.seconds + next <= EVALUATIONS * spent
             }
             Made::AsLengthAllows => {
-                let run = self.work([0, length], length);
+                let run = self.work([0, length], length, u32::MAX);
                 let one = SCORED * self.cost[9] * self.scored.0 as f64;
                 let due = (length / 20).max(1);
                 let fit = EVALUATIONS * run / one.max(1e-9);
@@ -352,8 +358,8 @@ impl Forecast {
         cost(self.pixels * 0.25f64.powi(halvings as i32)) / cost(self.pixels)
     }
 
-    /// Cost of the iterations between two of a run of `length`, in iterations of cost 1.
-    fn work(&self, [from, to]: [u32; 2], length: u32) -> f64 {
+    /// Cost of the iterations between two of a run of `length` with no more halvings than `most`, in iterations of cost 1.
+    fn work(&self, [from, to]: [u32; 2], length: u32, most: u32) -> f64 {
         let tenths = self.cost.len();
         let tenth = |at: f64| at / f64::from(length.max(1)) * tenths as f64;
         let mut edges: Vec<f64> = (0..=tenths)
@@ -369,6 +375,7 @@ impl Forecast {
             let middle = 0.5 * (pair[0] + pair[1]);
             let tenth = (tenth(middle) as usize).min(tenths - 1);
             let halvings = ends.iter().filter(|end| middle < f64::from(**end)).count();
+            let halvings = halvings.min(most as usize);
             (pair[1] - pair[0]) * self.cost[tenth] * self.size_cost(halvings)
         };
         edges.windows(2).map(piece).sum()

@@ -122,6 +122,12 @@ impl Trainer {
         self.views.sizes()
     }
 
+    /// Number of times that photos are halved at the next iteration.
+    #[must_use]
+    pub fn halvings(&self) -> u32 {
+        self.views.halvings(self.iteration)
+    }
+
     /// First iteration that takes photos at their full size.
     #[must_use]
     pub fn full_size_from(&self) -> u32 {

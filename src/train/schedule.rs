@@ -82,20 +82,32 @@ impl Schedule {
     /// 64 pixels. Never larger than at an iteration before, be it that another length was planned then.
     #[must_use]
     pub fn shrink_factor(&self, sizes: &Sizes, iteration: u32, size: [usize; 2]) -> usize {
+        1 << self.halvings(sizes, iteration).min(most_halvings(size))
+    }
+
+    /// Number of halvings of photos of any size at an iteration.
+    #[must_use]
+    pub fn halvings(&self, sizes: &Sizes, iteration: u32) -> u32 {
         let past = self.config.lengths.iter().filter(|l| l.from <= iteration);
         let ends = past.filter_map(|l| l.from.checked_sub(1));
         let halvings = |at: u32| sizes.halvings(at, self.iterations(at));
-        let level = ends.map(halvings).fold(halvings(iteration), u32::min);
-        1 << level.min(most_halvings(size))
+        ends.map(halvings).fold(halvings(iteration), u32::min)
     }
 
-    /// First iteration at which photos of `size` pixels have their full size, by the length planned last.
+    /// First iteration at which photos of `size` pixels have their full size, by the lengths so far.
     #[must_use]
     pub fn full_size_from(&self, sizes: &Sizes, size: [usize; 2]) -> u32 {
-        match self.shrink_factor(sizes, 0, size) {
-            1 => 0,
-            _ => sizes.ends(self.iterations(u32::MAX)).last().unwrap_or(0),
+        if self.shrink_factor(sizes, 0, size) == 1 {
+            return 0;
         }
+        let changes = self.config.lengths.iter().map(|l| l.from);
+        let starts: Vec<u32> = [0].into_iter().chain(changes).collect();
+        let reached = starts.iter().enumerate().find_map(|(k, from)| {
+            let end = sizes.ends(self.iterations(*from)).last().unwrap_or(0);
+            let next = starts.get(k + 1).copied().unwrap_or(u32::MAX);
+            Some(end.max(*from)).filter(|first| *first < next)
+        });
+        reached.unwrap_or(0)
     }
 
     /// Learning rates of an iteration: positions decay log-linearly over the run, the others settle at its end. Local units: the

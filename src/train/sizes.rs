@@ -9,8 +9,8 @@ use crate::base::error::Result;
 use crate::capture::{Alpha, Photo, PhotoSource};
 use crate::config::WorkConfig;
 
-/// Expected L1 loss after t of n iterations: `LOSS` · n^`LENGTH` / √t. Fitted to the smallest three sizes of plush, fox, synth-outdoor and tankard
-/// at 640 pixels, n = 1000, 3000 and 30,000; residuals in docs/results/plan.md.
+/// Expected L1 loss after t of n iterations: `LOSS` · n^`LENGTH` / √t. Fitted at the smallest size of plush, fox, synth-outdoor and tankard, of
+/// 400 to 640 pixels, n = 1000, 3000 and 30,000; residuals in docs/results/plan.md.
 const LOSS: f64 = 0.2;
 const LENGTH: f64 = 0.15;
 
@@ -59,14 +59,16 @@ fn lost(photo: &Photo, factor: usize) -> Lost {
     for (channel, y) in (0..3).flat_map(|c| (0..down).map(move |y| (c, y))) {
         for x in 0..across {
             let first = y * factor * width + x * factor;
-            let pixels = || (0..factor * factor).map(|k| first + k / factor * width + k % factor);
-            let value = |at: usize| u64::from(photo.data[channel * plane + at]);
-            let total: u64 = pixels().map(value).sum();
-            for at in pixels() {
-                let counts = alpha.map_or(255, |alpha| u64::from(alpha[at]));
-                // In units of 1/area, so that the sum is exact.
-                sum += counts * (value(at) * area).abs_diff(total);
-                weight += counts;
+            let rows = || (0..factor).map(|row| first + row * width);
+            let values = |row: usize| &photo.data[channel * plane + row..][..factor];
+            let total: u64 = rows().flat_map(values).map(|v| u64::from(*v)).sum();
+            for row in rows() {
+                for (k, value) in values(row).iter().enumerate() {
+                    let counts = alpha.map_or(255, |alpha| u64::from(alpha[row + k]));
+                    // In units of 1/area, so that the sum is exact.
+                    sum += counts * (u64::from(*value) * area).abs_diff(total);
+                    weight += counts;
+                }
             }
         }
     }

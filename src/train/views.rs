@@ -168,6 +168,12 @@ impl Views {
         &self.sizes
     }
 
+    /// Number of times that photos are halved at an iteration.
+    #[must_use]
+    pub fn halvings(&self, iteration: u32) -> u32 {
+        self.schedule.halvings(&self.sizes, iteration)
+    }
+
     /// First iteration that takes photos at their full size.
     #[must_use]
     pub fn full_size_from(&self) -> u32 {

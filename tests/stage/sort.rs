@@ -37,7 +37,7 @@ fn sorted(keys: &[u32], most: usize, tuning: Tuning) -> Vec<u32> {
 }
 
 /// Those of CPUs and GPUs, and one with an odd number of passes or other chunks than elements come in.
-fn tunings() -> [Tuning; 3] {
+fn tunings() -> [Tuning; 4] {
     [
         Tuning::CPU,
         Tuning {
@@ -47,6 +47,11 @@ fn tunings() -> [Tuning; 3] {
         },
         Tuning {
             chunks: 64,
+            ..Tuning::GPU
+        },
+        Tuning {
+            chunks: 3,
+            radix_bits: 5,
             ..Tuning::GPU
         },
     ]

@@ -41,7 +41,7 @@ impl Sort {
         let tuning = self.program.defines().tuning;
         let min = BITS.div_ceil(tuning.radix_bits);
         if tuning.group_style {
-            // A launch costs more than the counters of a group, which are in local memory.
+            // The counters of a group are in local memory: fewer launches are expected to count for more.
             return min;
         }
         let cost = |passes: &u32| {

@@ -11,10 +11,13 @@ use crate::pipeline::stage::project::Projected64;
 /// Composites the sorted pairs of a view over a background colour.
 pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3]) -> Result<()> {
     let size = view.camera.image();
-    stage
-        .launch("splat")
-        .tile_lists(view)
-        .tiles(size)
+    let launch = stage.launch("splat").tile_lists(view).tiles(size);
+    // Where pixels are work-items of their own, those below the image must not keep a tile open.
+    let launch = match stage.defines().tuning.group_style {
+        true => launch.ints([size.0[1]]),
+        false => launch,
+    };
+    launch
         .reals::<R>(color.map(f64::from))
         .array(&view.image, 4 * size.plane())
         .array(&view.tile_used, size.tile_count())
