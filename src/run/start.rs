@@ -197,7 +197,7 @@ pub fn claim_folder(dir: &Path) -> Result<()> {
 
 /// Makes the run folder and its record at once, or writes the record into an empty folder that is there, and locks it: a run that is
 /// killed leaves no folder, an empty one as before, or one that can be gone on with. Of two runs that make one folder the second is
-/// refused.
+/// refused, and cannot take the lock of the first: a new folder is locked before it has its name.
 ///
 /// # Errors
 /// Those of [`claim_folder`].
@@ -213,15 +213,17 @@ pub(super) fn make_folder(dir: &Path, record: &RunRecord) -> Result<FolderLock> 
     let begun = begun(dir);
     let made = std::fs::create_dir_all(&begun)
         .map_err(|error| cannot_be_made(dir, &error))
-        .and_then(|()| record.write(&begun))
-        .and_then(|()| {
+        .and_then(|()| FolderLock::take(&begun))
+        .and_then(|lock| {
+            record.write(&begun)?;
             let renamed = std::fs::rename(&begun, dir);
-            renamed.map_err(|error| check_free(dir).err().unwrap_or(cannot_be_made(dir, &error)))
+            renamed
+                .map_err(|error| check_free(dir).err().unwrap_or(cannot_be_made(dir, &error)))?;
+            Ok(lock)
         });
     made.inspect_err(|_| {
         let _ = std::fs::remove_dir_all(&begun);
-    })?;
-    FolderLock::take(dir)
+    })
 }
 
 /// The name of a run folder until its record is written.

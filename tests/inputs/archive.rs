@@ -236,20 +236,29 @@ fn an_interrupted_program_removes_what_it_unpacked() {
     let path = written(&dir, &entries);
     let temporary = dir.path().join("tmp");
     fs::create_dir(&temporary).unwrap();
+    // On a busy machine the program may have come to its end before the signal.
+    let codes = (0..10).map(|_| interrupted(&path, &temporary));
+    assert!(codes.into_iter().any(|code| code == Some(130)));
+}
+
+/// Exit code of a program that is sent SIGINT while it unpacks an archive; whatever it is, nothing is left.
+#[cfg(unix)]
+fn interrupted(archive: &Path, temporary: &Path) -> Option<i32> {
     let mut command = program();
-    command
-        .env("TMPDIR", &temporary)
-        .args(["info", text(&path)]);
-    let mut child = command.stderr(std::process::Stdio::null()).spawn().unwrap();
-    while left(&temporary) == 0 {
+    command.env("TMPDIR", temporary);
+    command.args(["info", text(archive)]);
+    let [out, err] = [std::process::Stdio::null(), std::process::Stdio::null()];
+    let mut child = command.stdout(out).stderr(err).spawn().unwrap();
+    while left(temporary) == 0 {
         std::thread::sleep(std::time::Duration::from_millis(1));
         assert!(child.try_wait().unwrap().is_none(), "ended too soon");
     }
     let id = child.id().to_string();
     let sent = Command::new("kill").args(["-INT", &id]).status().unwrap();
     assert!(sent.success());
-    assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert_eq!(left(&temporary), 0);
+    let code = child.wait().unwrap().code();
+    assert_eq!(left(temporary), 0);
+    code
 }
 
 /// A run of the archive is scored and resumed with the archive or with the folder.
