@@ -1,17 +1,25 @@
 // loss: L = (1 - lambda) mean|x - y| + lambda (1 - mean SSIM) and dL/dx, by two sweeps of separable 11-tap windows
 // (sigma 1.5, zero padding), one channel after the other so that the maps between the sweeps stay in cache. Both images
 // are shifted by SHIFT = 1/2, padding included, which leaves variances and covariances as they are and keeps
-// E[x^2] - E[x]^2 from cancelling on flat images. A work-item takes a strip of STRIP columns by LOSS_ROWS rows: it windows
-// columns first (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in registers), then rows; longer than a function should be, because
-// the windows stay in registers. With SKIP_BLANK vectors are left out whose windows see only tiles that are masked, or clear in
-// the photo and without pairs in the render: render and photo are the same there, the derivatives of SSIM with respect to x,
-// x^2 and x y cancel, and zeros in the maps are right for neighbours. Pixels of other tiles have the same gradient, to the bit. Source: [MH]
-// Eq. 4; SSIM of Wang et al. 2004; gradient through three maps as in fused-ssim.
+// E[x^2] - E[x]^2 from cancelling on flat images. Columns are windowed first, then rows. On CPUs a work-item takes a strip
+// of STRIP columns by LOSS_ROWS rows and has the windows in private arrays (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in
+// registers); on GPUs a work-group takes a tile and has them in local memory. Windows add in the same order in both: maps and
+// gradients are the same to the bit. With SKIP_BLANK vectors, or tiles, are left out whose windows see only tiles that are
+// masked, or clear in the photo and without pairs in the render: render and photo are the same there, the derivatives of SSIM
+// with respect to x, x^2 and x y cancel, and zeros in the maps are right for neighbours. Pixels of other tiles have the same
+// gradient, to the bit. Source: [MH] Eq. 4; SSIM of Wang et al. 2004; gradient through three maps as in fused-ssim.
 
 #define RADIUS (TAPS / 2)
-#define REACH (LOSS_ROWS + 2 * RADIUS) // rows that a group sees
-#define HALO ((RADIUS + VW - 1) / VW)     // vectors that a strip needs on either side; loads stay aligned
-#define VECTORS (STRIP / VW + 2 * HALO)
+#if GROUP_STYLE
+#define RUN 2           // rows whose vertical windows a work-item makes
+#define PART_WIDTH TILE // columns and rows that are left out together
+#define PART_HEIGHT TILE
+#else
+#define RUN LOSS_ROWS
+#define PART_WIDTH VW
+#define PART_HEIGHT LOSS_ROWS
+#endif
+#define REACH (RUN + 2 * RADIUS) // rows that windows of RUN rows see
 #define SHIFT R(0.5)
 __constant real WINDOW[TAPS] = SSIM_WINDOW;
 
@@ -22,7 +30,13 @@ static inline maskV inside(int x, int width) {
 }
 
 // VW values of row y from column x on, 0 outside of the image. Vectors that stick out are loaded whole and masked,
-// unless that would leave the array of `length` values.
+// unless that would leave the array of `length` values; a single value never sticks out.
+#if VW == 1
+#define LOAD_AT(name, type, load)                                                                                  \
+  static inline realV name(__global const type *image, long length, long row, int x, int width) {                \
+    return x >= 0 && x < width ? (real)image[row + x] : R(0.0);                                                    \
+  }
+#else
 #define LOAD_AT(name, type, load)                                                                                  \
   static inline realV name(__global const type *image, long length, long row, int x, int width) {                \
     realV v;                                                                                                       \
@@ -34,6 +48,7 @@ static inline maskV inside(int x, int width) {
     }                                                                                                              \
     return x >= 0 && x + VW <= width ? v : choose(inside(x, width), v, (realV)(R(0.0)));                           \
   }
+#endif
 #define REALS(p) vload_real(0, p)
 LOAD_AT(reals_at, real, REALS)
 LOAD_AT(bytes_at, uchar, bytes_to_real)
@@ -85,11 +100,11 @@ static inline realV photo_at(const Images *s, int x, int y) {
 }
 
 #if SKIP_BLANK
-// Whether any tile within `margin` pixels of VW columns from x on, LOSS_ROWS rows from y on, may have a render that differs from
-// the photo: one that is active or, but for masks, has pairs.
+// Whether any tile within `margin` pixels of PART_WIDTH columns from x on, PART_HEIGHT rows from y on, may have a render that
+// differs from the photo: one that is active or, but for masks, has pairs.
 static inline int may_differ(__global const uint *active_tiles, __global const uint *tile_start, int x, int y, int margin, int stride, int rows) {
-  const int across = stride / TILE, first = max(x - margin, 0) / TILE, last = min(x + VW - 1 + margin, stride - 1) / TILE;
-  for (int ty = max(y - margin, 0) / TILE; ty <= min(y + LOSS_ROWS - 1 + margin, rows - 1) / TILE; ty++)
+  const int across = stride / TILE, first = max(x - margin, 0) / TILE, last = min(x + PART_WIDTH - 1 + margin, stride - 1) / TILE;
+  for (int ty = max(y - margin, 0) / TILE; ty <= min(y + PART_HEIGHT - 1 + margin, rows - 1) / TILE; ty++)
     for (int tile = ty * across + first; tile <= ty * across + last; tile++)
 #if HAS_MASK
       if (active_tiles[tile]) return 1;
@@ -98,7 +113,55 @@ static inline int may_differ(__global const uint *active_tiles, __global const u
 #endif
   return 0;
 }
+#endif
 
+// Vertical windows of RUN consecutive rows, of REACH rows. The window is symmetric: 5 sums, 6 products.
+static inline void window_columns(const realV r[REACH], realV out[RUN]) {
+  const real weights[TAPS] = SSIM_WINDOW;
+#pragma unroll
+  for (int g = 0; g < RUN; g++) {
+    realV sum = (realV)(weights[RADIUS]) * r[g + RADIUS];
+#pragma unroll
+    for (int k = 0; k < RADIUS; k++) sum = fma((realV)(weights[k]), r[g + k] + r[g + 2 * RADIUS - k], sum);
+    out[g] = sum;
+  }
+}
+
+// SSIM of VW pixels from the windowed moments of the shifted images (means, E[x^2 + y^2], E[xy]), and its derivatives
+// with respect to the windowed x, x^2 and x y.
+static inline realV ssim_of(realV mx, realV my, realV squares, realV xy, realV *dmx, realV *dxx, realV *dxy) {
+  const realV c1 = (realV)(SSIM_C1), c2 = (realV)(SSIM_C2), two = (realV)(R(2.0));
+  const realV mux = mx + SHIFT, muy = my + SHIFT;
+  const realV variances = squares - mx * mx - my * my, cov = xy - mx * my;
+  const realV a1 = fma(two * mux, muy, c1), a2 = fma(two, cov, c2);
+  const realV b1 = fma(mux, mux, fma(muy, muy, c1)), b2 = variances + c2;
+  const realV inv = (realV)(R(1.0)) / (b1 * b2), ssim = a1 * a2 * inv;
+  *dxx = -ssim * (b1 * inv);
+  *dxy = two * a1 * inv;
+  *dmx = two * (muy * a2 * inv - mux * ssim * (b2 * inv)) - two * mx * *dxx - my * *dxy;
+  return ssim;
+}
+
+// dL/dx of VW pixels of row y from column x on, inside of the image; dmx, dxx and dxy are the maps' windows there.
+static inline realV gradient_of(const Images *s, int x, int y, realV dmx, realV dxx, realV dxy, real weight_l1, real weight_ssim) {
+  const realV zero = (realV)(R(0.0)), one = (realV)(R(1.0));
+  const realV a = render_at(s, x, y);
+  const realV b = photo_at(s, x, y);
+  const realV dssim = dmx + fma((realV)(R(2.0)) * a, dxx, b * dxy);
+  const realV sign = choose(a > b, one, zero) - choose(a < b, one, zero);
+  const realV d = fma((realV)(weight_l1), sign, -(realV)(weight_ssim)*dssim);
+#if HAS_MASK
+  return mask_at(s, x, y) * d;
+#else
+  return d;
+#endif
+}
+
+#if !GROUP_STYLE
+#define HALO ((RADIUS + VW - 1) / VW) // vectors that a strip needs on either side; loads stay aligned
+#define VECTORS (STRIP / VW + 2 * HALO)
+
+#if SKIP_BLANK
 // Flags the vectors of a strip that are not left out.
 static inline void flag_active(int skip, __global const uint *active_tiles, __global const uint *tile_start, int x0, int y0, int margin, int stride,
                                int rows, int active[STRIP / VW]) {
@@ -115,18 +178,6 @@ static inline int in_reach(const int active[STRIP / VW], int at) {
   return any_active;
 }
 #endif
-
-// Vertical windows of LOSS_ROWS consecutive rows, of REACH rows. The window is symmetric: 5 sums, 6 products.
-static inline void window_columns(const realV r[REACH], realV out[LOSS_ROWS]) {
-  const real weights[TAPS] = SSIM_WINDOW;
-#pragma unroll
-  for (int g = 0; g < LOSS_ROWS; g++) {
-    realV sum = (realV)(weights[RADIUS]) * r[g + RADIUS];
-#pragma unroll
-    for (int k = 0; k < RADIUS; k++) sum = fma((realV)(weights[k]), r[g + k] + r[g + 2 * RADIUS - k], sum);
-    out[g] = sum;
-  }
-}
 
 // Horizontal window over the lanes of row[at], from its neighbours.
 static inline realV window_row(const realV row[VECTORS], int at) {
@@ -156,24 +207,9 @@ static inline real lane_total(realV v) {
   return sum;
 }
 
-// SSIM of VW pixels from the windowed moments of the shifted images (means, E[x^2 + y^2], E[xy]), and its derivatives
-// with respect to the windowed x, x^2 and x y.
-static inline realV ssim_of(realV mx, realV my, realV squares, realV xy, realV *dmx, realV *dxx, realV *dxy) {
-  const realV c1 = (realV)(SSIM_C1), c2 = (realV)(SSIM_C2), two = (realV)(R(2.0));
-  const realV mux = mx + SHIFT, muy = my + SHIFT;
-  const realV variances = squares - mx * mx - my * my, cov = xy - mx * my;
-  const realV a1 = fma(two * mux, muy, c1), a2 = fma(two, cov, c2);
-  const realV b1 = fma(mux, mux, fma(muy, muy, c1)), b2 = variances + c2;
-  const realV inv = (realV)(R(1.0)) / (b1 * b2), ssim = a1 * a2 * inv;
-  *dxx = -ssim * (b1 * inv);
-  *dxy = two * a1 * inv;
-  *dmx = two * (muy * a2 * inv - mux * ssim * (b2 * inv)) - two * mx * *dxx - my * *dxy;
-  return ssim;
-}
-
 // Launch: one work-item per strip (columns x groups of rows). With write_error the maps hold the channel means of
 // 1 - SSIM (plane 0) and |x - y| (plane 1), added up from channel 0 on; otherwise the channel's derivative maps, 0 in
-// the padding.
+// the padding. Longer than a function should be, because the windows stay in registers.
 __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, stride]
                            __global const uchar *photo, // in [3 or 4, height, width]
                            int width, int height, int stride, int rows, int channel, real background,
@@ -288,7 +324,7 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
       window_columns(in, out);
       for (int g = 0; g < LOSS_ROWS; g++) windows[m][g][j] = out[g];
     }
-  const realV zero = (realV)(R(0.0)), one = (realV)(R(1.0));
+  const realV zero = (realV)(R(0.0));
   for (int g = 0; g < LOSS_ROWS && y0 + g < rows; g++)
     for (int j = 0; j * VW < STRIP && x0 + j * VW < stride; j++) {
       const int x = x0 + j * VW, y = y0 + g;
@@ -298,22 +334,197 @@ __kernel void loss_backward(__global const real *image, __global const uchar *ph
         continue;
       }
 #endif
-      const realV a = render_at(&s, x, y);
-      const realV b = photo_at(&s, x, y);
-      const realV dssim = window_row(windows[0][g], j + HALO) +
-                          fma((realV)(R(2.0)) * a, window_row(windows[1][g], j + HALO), b * window_row(windows[2][g], j + HALO));
-      const realV sign = choose(a > b, one, zero) - choose(a < b, one, zero);
-#if HAS_MASK
-      const realV d = mask_at(&s, x, y) * fma((realV)(weight_l1), sign, -(realV)(weight_ssim)*dssim);
-#else
-      const realV d = fma((realV)(weight_l1), sign, -(realV)(weight_ssim)*dssim);
-#endif
+      const realV d = gradient_of(&s, x, y, window_row(windows[0][g], j + HALO), window_row(windows[1][g], j + HALO),
+                                  window_row(windows[2][g], j + HALO), weight_l1, weight_ssim);
       vstore_real(choose(inside(x, y < height ? width : 0), d, zero), 0, dimage + (size_t)y * stride + x);
     }
 }
 
-// Launch: one work-group of TILE x TILE work-items, or one work-item where that is a whole core. Adds the strips in a fixed order. After
-// an overflow the value means nothing; the repetition replaces it.
+#else
+typedef CAT(REAL_NAME, 2) real2;
+typedef CAT(REAL_NAME, 4) real4;
+// Work-items side by side read columns side by side, of one row, and thus different banks.
+#define WIDE (TILE + 2 * RADIUS)  // rows and columns of a tile with its halo
+#define LINE (GROUP * RUN / TILE) // work-items for a row, or a run of rows: at least WIDE, the others wait
+
+// Sum over the group, by halves in a fixed order; whole in work-item 0 alone. Nobody may still need what `part` holds.
+static inline real2 group_total(real2 value, __local real2 *part) {
+  const uint l = get_local_id(0);
+  part[l] = value;
+  for (uint near = GROUP / 2; near > 0; near /= 2) {
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (l < near) part[l] += part[l + near];
+  }
+  return part[l];
+}
+
+// Horizontal windows around at[0], four at a time; added in the order of window_row. Not unrolled: all that it reads would lie
+// in registers at once, twice as many as the rest needs.
+static inline real4 window_line(__local const real4 *at) {
+  real4 sum = (real4)(WINDOW[RADIUS]) * at[0];
+#pragma unroll 1
+  for (int k = 1; k <= RADIUS; k++) sum = fma((real4)(WINDOW[RADIUS - k]), at[-k] + at[k], sum);
+  return sum;
+}
+
+// Render and photo of a tile with its halo, by the whole group.
+static inline void stage_images(const Images *s, int tile_x, int tile_y, __local real2 staged[WIDE][WIDE]) {
+  const int column = get_local_id(0) % LINE, x = tile_x - RADIUS + column;
+  if (column >= WIDE) return;
+  for (int row = get_local_id(0) / LINE; row < WIDE; row += GROUP / LINE) {
+    const int y = tile_y - RADIUS + row;
+    staged[row][column] = (real2)(render_at(s, x, y), photo_at(s, x, y));
+  }
+}
+
+// What SSIM takes the windowed means of: x, y, x^2 + y^2 and x y.
+static inline real4 moments_of(real2 pair) {
+  const real x = pair.x, y = pair.y;
+  return (real4)(x, y, fma(x, x, y * y), x * y);
+}
+
+// Vertical windows of the moments, by the whole group: a work-item takes RUN rows of a column, added in the order of
+// window_columns. One row after the other: together they would share what they read, but take half as many registers again.
+static inline void window_moments(__local real2 staged[WIDE][WIDE], __local real4 windows[TILE][WIDE]) {
+  const int column = get_local_id(0) % LINE;
+  if (column >= WIDE) return;
+#pragma unroll 1
+  for (int g = 0; g < RUN; g++) {
+    const int row = get_local_id(0) / LINE * RUN + g;
+    real4 sum = (real4)(WINDOW[RADIUS]) * moments_of(staged[row + RADIUS][column]);
+#pragma unroll
+    for (int k = 0; k < RADIUS; k++)
+      sum = fma((real4)(WINDOW[k]), moments_of(staged[row + k][column]) + moments_of(staged[row + 2 * RADIUS - k][column]), sum);
+    windows[row][column] = sum;
+  }
+}
+
+// Launch: one work-group of TILE x TILE work-items per tile, each with a pixel. Results as in the other style, but that `partial`
+// has the sums of tiles. Work-items of the padding and of tiles that are left out take part in every barrier.
+__kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
+loss_forward(__global const real *image,  // in [>= 3, rows, stride]
+             __global const uchar *photo, // in [3 or 4, height, width]
+             int width, int height, int stride, int rows, int channel, real background,
+#if SKIP_BLANK
+             int skip,                          // 1: leave out what is blank
+             __global const uint *active_tiles, // in [tiles] 0: masked or clear
+             __global const uint *tile_start,   // in [tiles + 1]
+#endif
+             int write_error,
+             __global real *maps,      // out [3, rows, stride], or [2, rows, stride]
+             __global real *partial) { // out [3, tiles, 2] sums of |x - y| and SSIM
+  const int tile = get_group_id(0), l = get_local_id(0), tiles_x = stride / TILE;
+  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
+  const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
+  const long plane = (long)stride * rows;
+  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  __local real2 staged[WIDE][WIDE];
+  __local real4 windows[TILE][WIDE];
+#if SKIP_BLANK
+  const int active = !skip || may_differ(active_tiles, tile_start, tile_x, tile_y, RADIUS, stride, rows);
+#else
+  const int active = 1;
+#endif
+  if (active) stage_images(&s, tile_x, tile_y, staged);
+  barrier(CLK_LOCAL_MEM_FENCE);
+  real difference = R(0.0), ssim = R(1.0), dmx = R(0.0), dxx = R(0.0), dxy = R(0.0);
+  if (active) {
+    const real2 pair = staged[row + RADIUS][column + RADIUS];
+    difference = fabs(pair.x - pair.y);
+    window_moments(staged, windows);
+  }
+  barrier(CLK_LOCAL_MEM_FENCE);
+  if (active) {
+    const real4 m = window_line(&windows[row][column + RADIUS]);
+    ssim = ssim_of(m.s0, m.s1, m.s2, m.s3, &dmx, &dxx, &dxy);
+  }
+  if (x >= width || y >= height) difference = ssim = dmx = dxx = dxy = R(0.0);
+  __global real *at = maps + (size_t)y * stride + x;
+  if (write_error) {
+    const real third = R(1.0) / R(3.0), e = (R(1.0) - ssim) * third, d = difference * third;
+    at[0] = channel == 0 ? e : at[0] + e;
+    at[plane] = channel == 0 ? d : at[plane] + d;
+  } else {
+    at[0] = dmx;
+    at[plane] = dxx;
+    at[2 * plane] = dxy;
+  }
+  // Nobody has read the images since the last barrier: their place is free for the sums.
+  const real2 total = group_total((real2)(difference, ssim), &staged[0][0]);
+  const size_t pair = (size_t)channel * get_num_groups(0) + tile;
+  if (l == 0) vstore2(total, pair, partial);
+}
+
+// The derivative maps of a tile with its halo, by the whole group; 0 beyond the padding.
+static inline void stage_maps(__global const real *maps, int tile_x, int tile_y, int stride, int rows,
+                              __local real staged[3][WIDE][WIDE]) {
+  const int column = get_local_id(0) % LINE, x = tile_x - RADIUS + column;
+  if (column >= WIDE) return;
+  for (int row = get_local_id(0) / LINE; row < WIDE; row += GROUP / LINE) {
+    const int y = tile_y - RADIUS + row, in = x >= 0 && x < stride && y >= 0 && y < rows;
+    __global const real *at = maps + (long)y * stride + x;
+#pragma unroll
+    for (int m = 0; m < 3; m++) staged[m][row][column] = in ? at[m * (long)stride * rows] : R(0.0);
+  }
+}
+
+// Their vertical windows, by the whole group: a work-item takes RUN rows of a column, which share what they read.
+// A fourth value pads them, so that one load fetches a pixel's windows.
+static inline void window_maps(__local real staged[3][WIDE][WIDE], __local real4 windows[TILE][WIDE]) {
+  const int column = get_local_id(0) % LINE, row = get_local_id(0) / LINE * RUN;
+  if (column >= WIDE) return;
+  real out[3][RUN];
+#pragma unroll
+  for (int m = 0; m < 3; m++) {
+    real in[REACH];
+#pragma unroll
+    for (int r = 0; r < REACH; r++) in[r] = staged[m][row + r][column];
+    window_columns(in, out[m]);
+  }
+#pragma unroll
+  for (int g = 0; g < RUN; g++) windows[row + g][column] = (real4)(out[0][g], out[1][g], out[2][g], R(0.0));
+}
+
+// Launch: as loss_forward. dL/dx of the channel, zero in the padding.
+__kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
+loss_backward(__global const real *image, __global const uchar *photo, // in, as loss_forward
+              int width, int height, int stride, int rows, int channel, real background,
+#if SKIP_BLANK
+              int skip,                          // 1: leave out what is blank
+              __global const uint *active_tiles, // in [tiles] 0: masked or clear
+              __global const uint *tile_start,   // in [tiles + 1]
+#endif
+              __global const real *maps, // in [3, rows, stride]
+              real weight_l1,            // (1 - lambda) / (3 width height)
+              real weight_ssim,          // lambda / (3 width height)
+              __global real *dimage) {   // out [3, rows, stride]
+  const int tile = get_group_id(0), l = get_local_id(0), tiles_x = stride / TILE;
+  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
+  const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
+  const long plane = (long)stride * rows;
+  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  __local real staged[3][WIDE][WIDE];
+  __local real4 windows[TILE][WIDE];
+#if SKIP_BLANK
+  const int active = !skip || may_differ(active_tiles, tile_start, tile_x, tile_y, 2 * RADIUS, stride, rows);
+#else
+  const int active = 1;
+#endif
+  if (active) stage_maps(maps, tile_x, tile_y, stride, rows, staged);
+  barrier(CLK_LOCAL_MEM_FENCE);
+  if (active) window_maps(staged, windows);
+  barrier(CLK_LOCAL_MEM_FENCE);
+  real d = R(0.0);
+  if (active && x < width && y < height) {
+    const real4 m = window_line(&windows[row][column + RADIUS]);
+    d = gradient_of(&s, x, y, m.s0, m.s1, m.s2, weight_l1, weight_ssim);
+  }
+  dimage[channel * plane + (size_t)y * stride + x] = d;
+}
+#endif
+
+// Launch: one work-group of TILE x TILE work-items, or one work-item where that is a whole core. Adds the strips, or tiles, in a
+// fixed order. After an overflow the value means nothing; the repetition replaces it.
 CHUNK_KERNEL void loss_sum(__global const real *partial, uint strips, real scale, // in [strips, 2], 1 / (3 width height)
                        __global real *out, uint slot) { // out [slots, 2] mean |x - y| and mean SSIM
   const uint l = ITEM;
@@ -323,18 +534,10 @@ CHUNK_KERNEL void loss_sum(__global const real *partial, uint strips, real scale
     ssim += partial[2 * s + 1];
   }
 #if GROUP_STYLE
-  __local real part[2][GROUP];
-  part[0][l] = l1;
-  part[1][l] = ssim;
-  for (uint near = GROUP / 2; near > 0; near /= 2) {
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (l < near) {
-      part[0][l] += part[0][l + near];
-      part[1][l] += part[1][l + near];
-    }
-  }
-  l1 = part[0][l];
-  ssim = part[1][l];
+  __local real2 part[GROUP];
+  const real2 total = group_total((real2)(l1, ssim), part);
+  l1 = total.x;
+  ssim = total.y;
 #endif
   if (l != 0) return;
   out[2 * slot] = l1 * scale;

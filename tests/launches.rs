@@ -16,7 +16,7 @@ const LEAST: usize = 10_000;
 
 /// Kernels that may have fewer work-items, and how many they have at least: what they go over is small, or all of it is in order.
 const FEWER: [(&str, usize); 5] = [
-    // Two numbers of each of 27,000 strips; a prefix sum of 256 or 6,700 numbers.
+    // Two numbers of each of 20,000 tiles, by channel; a prefix sum of 256 or 6,700 numbers.
     ("loss_sum", 256),
     ("sort_bins", 256),
     // 16 chunks of 16 bins for each group: 256 bins of a digit.

@@ -39,7 +39,7 @@ pub struct Tuning {
     pub chunks: usize,
     /// Bits per radix pass.
     pub radix_bits: u32,
-    /// Columns per strip of the loss kernels.
+    /// Columns per strip of the loss kernels; without meaning in the group style, in which they go by tiles.
     pub strip: u32,
     /// Gaussians whose gradients are computed and used before the next ones; a multiple of 16.
     pub update_block: usize,

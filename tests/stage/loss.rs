@@ -182,3 +182,45 @@ fn leaving_out_what_is_blank_changes_nothing_but_rounding() {
         }
     }
 }
+
+/// Sums, gradient and maps of errors of two noisy pictures of this size, whose padding is noise in the render, too.
+fn of_noise(tuning: Tuning, size: ImageSize) -> [Vec<f64>; 3] {
+    let device = device();
+    let (plane, pixels) = (size.plane(), size.0[0] * size.0[1]);
+    let image: Vec<f64> = (0..3 * plane)
+        .map(|at| (at * 37 % 251) as f64 / 200.0)
+        .collect();
+    let photo: Vec<u8> = (0..3 * pixels).map(|at| (at * 53 % 256) as u8).collect();
+    let pair = ImagePair {
+        image: &Array::from_slice(&device, "image", &image).unwrap(),
+        photo: &Array::from_slice(&device, "photo", &photo).unwrap(),
+        background: BACKGROUND,
+        size,
+        blank: None,
+    };
+    let loss = Loss::<f64>::new(&Kernels::new(&device, Defines::new(tuning)), size, 3).unwrap();
+    let used = |name, len| Array::from_slice(&device, name, &vec![7.0; len]).unwrap();
+    let (dimage, out) = (used("dimage", 3 * plane), used("losses", 2));
+    loss.gradient(&pair, 0.2, &dimage).unwrap();
+    loss.sum(&pair, &out, 0).unwrap();
+    loss.errors(&pair).unwrap();
+    let errors = loss.maps.read(0, 2 * plane).unwrap();
+    [out.to_vec().unwrap(), dimage.to_vec().unwrap(), errors]
+}
+
+#[test]
+fn every_cut_and_style_gives_the_same_gradient() {
+    // Of whole tiles, padded, and smaller than the window.
+    for size in [[304, 112], [75, 50], [17, 33], [7, 3]].map(ImageSize) {
+        let mut tunings = strips().into_iter();
+        let [sums, gradient, errors] = of_noise(tunings.next().unwrap(), size);
+        for tuning in tunings {
+            let case = format!("{size:?}, {tuning:?}");
+            let [other_sums, other_gradient, other_errors] = of_noise(tuning, size);
+            assert_eq!(gradient, other_gradient, "{case}");
+            assert_eq!(errors, other_errors, "{case}");
+            let differs = |(a, b): (&f64, &f64)| (a - b).abs() > 1e-13;
+            assert!(!sums.iter().zip(&other_sums).any(differs), "{case}");
+        }
+    }
+}

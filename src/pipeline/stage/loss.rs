@@ -61,16 +61,32 @@ pub struct Loss<R: Real> {
     program: Program,
     /// SSIM derivative maps of the channel at hand, or error maps.
     pub maps: Array<R>,
-    /// Sums of |x − y| and SSIM of each strip and channel, in turn.
+    /// Sums of |x − y| and SSIM of each channel and strip (tile, where a work-group takes one), in turn.
     pub partial: Array<R>,
     /// An array for the arguments that say what is blank, when nothing does.
     nowhere: Array<u32>,
 }
 
-/// Work-items (columns, groups of rows) over an image.
+/// Parts of an image, in columns and rows: the tiles if each is a work-group's, else the work-items' strips.
 fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
-    let ([w, h], strip) = (size.padded(), program.defines().tuning.strip);
-    [w.div_ceil(strip as usize), h.div_ceil(LOSS_ROWS as usize)]
+    let ([w, h], tuning) = (size.padded(), program.defines().tuning);
+    if tuning.group_style {
+        size.tiles()
+    } else {
+        [
+            w.div_ceil(tuning.strip as usize),
+            h.div_ceil(LOSS_ROWS as usize),
+        ]
+    }
+}
+
+/// Enqueues a sweep over the strips, or tiles, of an image.
+fn sweep(launch: Launch<'_>, strips: [usize; 2]) -> Result<()> {
+    if launch.defines().tuning.group_style {
+        launch.over_groups(strips.iter().product())
+    } else {
+        launch.over_chunks(strips)
+    }
 }
 
 /// Length of [`Loss::partial`] for an image.
@@ -96,12 +112,13 @@ impl<R: Real> Loss<R> {
         let (strips, values) = (strips(&self.program, pair.size), 3 * pair.size.plane());
         let weights = [1.0 - lambda, lambda].map(|weight| weight / pair.values());
         for channel in 0..3 {
-            self.maps_of(pair, channel, false).over_chunks(strips)?;
-            self.channel("loss_backward", pair, channel)
+            sweep(self.maps_of(pair, channel, false), strips)?;
+            let backward = self
+                .channel("loss_backward", pair, channel)
                 .array(&self.maps, values)
                 .reals::<R>(weights)
-                .array(dimage, values)
-                .over_chunks(strips)?;
+                .array(dimage, values);
+            sweep(backward, strips)?;
         }
         Ok(())
     }
@@ -109,10 +126,10 @@ impl<R: Real> Loss<R> {
     /// Writes the channel means of 1 − SSIM and |x − y| to the maps, and the sums of the strips; the time is counted as
     /// importance's.
     pub fn errors(&self, pair: &ImagePair<'_, R>) -> Result<()> {
+        let strips = strips(&self.program, pair.size);
         (0..3).try_for_each(|channel| {
-            self.maps_of(pair, channel, true)
-                .counted_as("importance")
-                .over_chunks(strips(&self.program, pair.size))
+            let launch = self.maps_of(pair, channel, true);
+            sweep(launch.counted_as("importance"), strips)
         })
     }
 
