@@ -21,8 +21,18 @@ fn variants(stage: &str) -> Vec<(&'static str, Defines)> {
         sh_degree: 0,
         ..base
     };
+    let stepping = |defines| Defines {
+        take_step: true,
+        ..defines
+    };
     match stage {
-        "project" | "project_grad" => vec![("-sh0", flat), ("-sh3", base), ("-sh3-aa", filtered)],
+        "project" => vec![("-sh0", flat), ("-sh3", base), ("-sh3-aa", filtered)],
+        "project_grad" => vec![
+            ("-sh3", base),
+            ("-step-sh0", stepping(flat)),
+            ("-step-sh3", stepping(base)),
+            ("-step-sh3-aa", stepping(filtered)),
+        ],
         "loss" | "metrics" => vec![
             ("", base),
             ("-alpha", alpha(Alpha::Transparency)),

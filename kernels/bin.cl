@@ -1,5 +1,7 @@
-// bin: visible Gaussians in depth order -> (tile, Gaussian) pairs, by a stable counting sort: pairs are counted by chunk of
-// Gaussians and tile, the sort stage turns the counts into places, and every pair goes straight to its own. No key of a pair is stored.
+// bin: visible Gaussians in depth order -> (tile, Gaussian) pairs, by tile and depth. Where a work-item is a whole core it is a stable
+// counting sort: pairs are counted by chunk of Gaussians and tile, the sort stage turns the counts into places, and every pair goes
+// straight to its own; no key of a pair is stored. Elsewhere the pairs are written in depth order, the sort stage sorts them by tile,
+// and bin_ranges looks up where tiles begin.
 
 // The minimum over the tile's pixel centres' rectangle of the record's quadratic form, against its reach: exact for a
 // convex form, whose minimum lies at the mean or on an edge that faces the mean (StopThePop, Speedy-Splat intersect
@@ -47,6 +49,21 @@ static inline int is_masked(const Projected *g) {
 #define IS_ACTIVE(tile) 1
 #endif
 
+#if GROUP_STYLE
+// One Gaussian's pairs on their way to the sort by tile.
+typedef struct {
+  __global uint *keys, *values; // tile and slot, by slot
+  __global uint *isect_owner;
+  uint slot, owner;             // next slot, Gaussian
+} Pairs;
+
+static inline void add_pair(Pairs *pairs, uint tile) {
+  const uint slot = pairs->slot++;
+  pairs->keys[slot] = tile;
+  pairs->values[slot] = slot;
+  pairs->isect_owner[slot] = pairs->owner;
+}
+#else
 // One Gaussian's pairs on their way to a chunk's counters, and to their places where `order` is given.
 typedef struct {
   __global uint *counts;           // [tiles] of the chunk
@@ -61,13 +78,17 @@ static inline void add_pair(Pairs *pairs, uint tile) {
   pairs->order[pairs->tile_start[tile] + before] = pairs->slot;
   pairs->isect_owner[pairs->slot++] = pairs->owner;
 }
+#endif
+
+// Shape of a Gaussian's quadratic form: dy of its minimum along a vertical line, per dx; its largest value that counts.
+static inline real slope_of(const Projected *g) { return g->a * g->r / fma(g->a * g->r, g->r, g->c); }
+static inline real reach_of(const Projected *g) { return g->lo - (real)LOG2_ALPHA_MIN + (real)TILE_SLACK; }
 
 // Counts the tiles touched, remembers them in *mask if they fit, and adds them to `pairs` where they are given.
 static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, ACTIVE_TILES, Pairs *pairs) {
   const int tx0 = BOUND_LO(g->bx) / TILE, tx1 = BOUND_HI(g->bx) / TILE;
   const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
-  const real slope = g->a * g->r / fma(g->a * g->r, g->r, g->c); // dy of the minimum along a vertical line, per dx
-  const real reach = g->lo - (real)LOG2_ALPHA_MIN + (real)TILE_SLACK;
+  const real slope = slope_of(g), reach = reach_of(g);
   uint n = 0, bits = 0, at = 0;
   for (int ty = ty0; ty <= ty1; ty++)
     for (int tx = tx0; tx <= tx1; tx++, at++)
@@ -87,33 +108,6 @@ static inline void walk_mask(uint mask, uint tx0, uint ty0, uint width, uint til
       add_pair(pairs, ty * tiles_x + tx0 + (MASKED - 1 - clz(row & -row)));
     mask = width < MASKED ? mask >> width : 0;
   }
-}
-
-// Adds the pairs of a chunk's Gaussians, which are contiguous in depth order; none after an overflow.
-static inline void walk_chunk(uint chunk, uint chunks, __global const Projected *records, __global const uint *visible,
-                              __global const uint *status, uint tiles_x, ACTIVE_TILES, __global const uint *cover,
-                              __global const uint *isect_start, Pairs pairs) {
-  if (status[S_OVERFLOW] != 0) return;
-  const uint n = status[S_VISIBLE], size = chunk_size(n, chunks);
-  const uint first = min(chunk * size, n), last = min(first + size, n);
-  for (uint j = first; j < last; j++) {
-    const uint box = cover[2 * j + 1];
-    pairs.owner = visible[j];
-    if (pairs.order) pairs.slot = isect_start[pairs.owner];
-    if (box) {
-      walk_mask(cover[2 * j], box & 0xfffu, box >> 12 & 0xfffu, box >> 24, tiles_x, &pairs);
-    } else {
-      const Projected g = records[pairs.owner];
-      uint mask;
-      walk_tiles(&g, &mask, tiles_x, ACTIVE_ARGUMENTS, &pairs);
-    }
-  }
-}
-
-// The chunk of a work-item. The nearest Gaussians have the most pairs, and CPU drivers hand out ranges of work-items, half of
-// them to begin with (PoCL 3.1): every second chunk comes first.
-static inline uint dealt_chunk(uint id, uint chunks) {
-  return 2 * id < chunks ? 2 * id : 2 * (id - (chunks + 1) / 2) + 1;
 }
 
 // Launch: over chunks of Gaussians. Counts the visible ones.
@@ -155,6 +149,160 @@ CHUNK_KERNEL void bin_compact(__global const uint *keys, uint count,  // in [cou
   }
 }
 
+// Tiles and mask of a box as bin_emit takes them: first tile (12 bits, 12 bits) and width, or 0 where there is no mask.
+static inline uint packed_box(const Projected *g) {
+  const uint tx0 = BOUND_LO(g->bx) / TILE, ty0 = BOUND_LO(g->by) / TILE, width = BOUND_HI(g->bx) / TILE - tx0 + 1;
+  return is_masked(g) ? tx0 | ty0 << 12 | width << 24 : 0;
+}
+
+// Adds the tiles of a packed box.
+static inline void walk_box(uint mask, uint box, uint tiles_x, Pairs *pairs) {
+  walk_mask(mask, box & 0xfffu, box >> 12 & 0xfffu, box >> 24, tiles_x, pairs);
+}
+
+#if GROUP_STYLE
+// Lists the work-items of a group whose Gaussians have no mask; the group takes them together, one after the other.
+static inline uint list_large(int large, __local uint *list, __local ulong *scratch) { // out [number of them]
+  uint n;
+  const uint at = group_scan(large, scratch, &n);
+  if (large) list[at] = ITEM;
+  barrier(CLK_LOCAL_MEM_FENCE);
+  return n;
+}
+
+// A large Gaussian's box of tiles.
+typedef struct {
+  Projected g;
+  real slope, reach;
+  uint tx0, ty0, width, tiles;
+} Large;
+
+static inline Large large_of(const Projected g) {
+  const uint tx0 = BOUND_LO(g.bx) / TILE, ty0 = BOUND_LO(g.by) / TILE;
+  const uint width = BOUND_HI(g.bx) / TILE - tx0 + 1, height = BOUND_HI(g.by) / TILE - ty0 + 1;
+  const Large large = {g, slope_of(&g), reach_of(&g), tx0, ty0, width, width * height};
+  return large;
+}
+
+// Whether tile `at` of the box, row by row, is touched; its number goes to *tile.
+static inline int touches_at(const Large *o, uint at, uint tiles_x, ACTIVE_TILES, uint *tile) {
+  const uint tx = o->tx0 + at % o->width, ty = o->ty0 + at / o->width;
+  *tile = ty * tiles_x + tx;
+  return at < o->tiles && IS_ACTIVE(*tile) && touches_tile(&o->g, o->slope, o->reach, tx, ty);
+}
+
+// Launch: one work-item per Gaussian, by depth; those past the visible ones count none.
+CHUNK_KERNEL void bin_count(__global const Projected *records, __global const uint *visible, // in, in depth order
+                            __global const uint *status, uint tiles_x,
+#if HAS_MASK
+                            ACTIVE_TILES, // in [tiles]
+#endif
+                            __global uint *cover,   // out [visible, 2] mask; packed box
+                            __global uint *isect_counts, // out [count] tiles touched
+                            uint count, __global uint *depth_counts) { // out [count] the same by depth
+  SCRATCH;
+  __local uint large[GROUP], pairs[GROUP];
+  const uint first = CHUNK * GROUP, j = first + ITEM;
+  const int exists = j < status[S_VISIBLE];
+  uint mask = 0, box = 0;
+  pairs[ITEM] = 0;
+  if (exists) {
+    const Projected g = records[visible[j]];
+    box = packed_box(&g);
+    if (box) pairs[ITEM] = walk_tiles(&g, &mask, tiles_x, ACTIVE_ARGUMENTS, 0);
+    cover[2 * j] = mask;
+    cover[2 * j + 1] = box;
+  }
+  const uint n = list_large(exists && !box, large, scratch);
+  for (uint k = 0; k < n; k++) {
+    const Large o = large_of(records[visible[first + large[k]]]);
+    uint sum = 0, tile;
+    for (uint at = ITEM; at < o.tiles; at += GROUP) sum += touches_at(&o, at, tiles_x, ACTIVE_ARGUMENTS, &tile);
+    if (sum) atomic_add(pairs + large[k], sum); // of integers: the same in any order
+  }
+  barrier(CLK_LOCAL_MEM_FENCE);
+  if (exists) isect_counts[visible[j]] = pairs[ITEM];
+  if (j < count) depth_counts[j] = pairs[ITEM];
+}
+
+// Launch: as bin_count. Writes pairs in depth order, those of a Gaussian row by row of tiles; none after an overflow.
+CHUNK_KERNEL void bin_emit(__global const Projected *records, __global const uint *visible,
+                           __global const uint *status, uint tiles_x,
+#if HAS_MASK
+                           ACTIVE_TILES, // in [tiles]
+#endif
+                           __global const uint *cover,       // in, as bin_count wrote it
+                           __global const uint *depth_start, // in [count] exclusive sums of depth_counts
+                           __global uint *isect_start,       // out [count] first slot
+                           __global uint *isect_owner,       // out [pairs] Gaussian index, by slot
+                           __global uint *keys, __global uint *values) { // out [pairs] tile and slot, by slot
+  SCRATCH;
+  __local uint large[GROUP];
+  const uint first = CHUNK * GROUP, j = first + ITEM;
+  const int exists = status[S_OVERFLOW] == 0 && j < status[S_VISIBLE];
+  uint box = 0;
+  if (exists) {
+    Pairs pairs = {keys, values, isect_owner, depth_start[j], visible[j]};
+    isect_start[pairs.owner] = pairs.slot;
+    box = cover[2 * j + 1];
+    if (box) walk_box(cover[2 * j], box, tiles_x, &pairs);
+  }
+  const uint n = list_large(exists && !box, large, scratch);
+  for (uint k = 0; k < n; k++) {
+    const uint at_depth = first + large[k], owner = visible[at_depth];
+    const Large o = large_of(records[owner]);
+    uint slot = depth_start[at_depth];
+    for (uint block = 0; block < o.tiles; block += GROUP) {
+      uint tile, total;
+      const int touched = touches_at(&o, block + ITEM, tiles_x, ACTIVE_ARGUMENTS, &tile);
+      Pairs pairs = {keys, values, isect_owner, slot + group_scan(touched, scratch, &total), owner};
+      if (touched) add_pair(&pairs, tile);
+      slot += total;
+    }
+  }
+}
+
+// Launch: one work-item per tile and one more. Looks up the first pair of each tile.
+__kernel void bin_ranges(__global const uint *keys, __global const uint *status, // in [pairs] tiles in ascending order
+                         uint tiles, __global uint *tile_start) {                // out [tiles + 1]
+  const uint tile = get_global_id(0);
+  if (tile > tiles) return;
+  uint low = 0, high = status[S_INTERSECTIONS];
+  while (low < high) {
+    const uint middle = low + (high - low) / 2;
+    if (keys[middle] < tile) low = middle + 1;
+    else high = middle;
+  }
+  tile_start[tile] = low;
+}
+#else
+// Adds the pairs of a chunk's Gaussians, which are contiguous in depth order; none after an overflow.
+static inline void walk_chunk(uint chunk, uint chunks, __global const Projected *records, __global const uint *visible,
+                              __global const uint *status, uint tiles_x, ACTIVE_TILES, __global const uint *cover,
+                              __global const uint *isect_start, Pairs pairs) {
+  if (status[S_OVERFLOW] != 0) return;
+  const uint n = status[S_VISIBLE], size = chunk_size(n, chunks);
+  const uint first = min(chunk * size, n), last = min(first + size, n);
+  for (uint j = first; j < last; j++) {
+    const uint box = cover[2 * j + 1];
+    pairs.owner = visible[j];
+    if (pairs.order) pairs.slot = isect_start[pairs.owner];
+    if (box) {
+      walk_box(cover[2 * j], box, tiles_x, &pairs);
+    } else {
+      const Projected g = records[pairs.owner];
+      uint mask;
+      walk_tiles(&g, &mask, tiles_x, ACTIVE_ARGUMENTS, &pairs);
+    }
+  }
+}
+
+// The chunk of a work-item. The nearest Gaussians have the most pairs, and CPU drivers hand out ranges of work-items, half of
+// them to begin with (PoCL 3.1): every second chunk comes first.
+static inline uint dealt_chunk(uint id, uint chunks) {
+  return 2 * id < chunks ? 2 * id : 2 * (id - (chunks + 1) / 2) + 1;
+}
+
 // Launch: one work-item per BATCH visible Gaussians, whose records are fetched together; those past the visible ones
 // have nothing to do.
 __kernel void bin_count(__global const Projected *records, __global const uint *visible, // in, in depth order
@@ -162,7 +310,7 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
 #if HAS_MASK
                         ACTIVE_TILES, // in [tiles]
 #endif
-                        __global uint *cover,   // out [visible, 2] mask; first tile (12 bits, 12 bits) and width, 0: no mask
+                        __global uint *cover,   // out [visible, 2] mask; packed box
                         __global uint *isect_counts) { // out [count] tiles touched
   const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
   if (first >= visible_count) return;
@@ -173,9 +321,8 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
     const Projected *g = &staged[j];
     uint mask;
     isect_counts[visible[first + j]] = walk_tiles(g, &mask, tiles_x, ACTIVE_ARGUMENTS, 0);
-    const uint tx0 = BOUND_LO(g->bx) / TILE, ty0 = BOUND_LO(g->by) / TILE, width = BOUND_HI(g->bx) / TILE - tx0 + 1;
     cover[2 * (first + j)] = mask;
-    cover[2 * (first + j) + 1] = is_masked(g) ? tx0 | ty0 << 12 | width << 24 : 0;
+    cover[2 * (first + j) + 1] = packed_box(g);
   }
 }
 
@@ -212,3 +359,4 @@ __kernel void bin_emit(__global const Projected *records, __global const uint *v
   const Pairs pairs = {tile_counts + (size_t)c * tiles, tile_start, order, isect_owner, 0, 0};
   walk_chunk(c, chunks, records, visible, status, tiles_x, ACTIVE_ARGUMENTS, cover, isect_start, pairs);
 }
+#endif

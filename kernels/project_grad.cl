@@ -1,7 +1,32 @@
 // project_grad: the nine sums of each Gaussian -> gradients of its raw parameters, regularisers included.
-// Launch: one work-item per VW Gaussians of a block (blocks keep the gradients in cache until adam has used them); culled
-// ones get the regularisers alone, rows beyond the last Gaussian zero. A Gaussian's pairs are added in the order of their
-// tiles. Source: chain rule through M = J W R S (see common.clh), [MH] Eq. 4 for the regularisers.
+// Without TAKE_STEP they are written, for a block of Gaussians; with it they go into a step of the optimiser at once, and none
+// of them is stored. A Gaussian's pairs are added in the order of their tiles. Source: chain rule through M = J W R S (see common.clh),
+// [MH] Eq. 4 for the regularisers.
+
+// Where the gradients of VW Gaussians go: to an array, or, where a work-item takes no more of them at a time, straight into the step.
+#if TAKE_STEP && UPDATE_RUN == VW
+typedef struct {
+  const Adam *adam;
+  uint i;
+} Out;
+
+#define PUT(lr, plane, old, gradient) adam_step(out->adam, out->adam->lr, plane, out->i, old, gradient)
+#define PUT_SH(k, channel, old, gradient)                                                                              \
+  adam_step(out->adam, (k) == 0 ? out->adam->lr_sh0 : out->adam->lr_sh, P_SH + 3 * (k) + (channel), out->i, old, gradient)
+#else
+#if TAKE_STEP
+#define GRADS // in private memory
+#else
+#define GRADS __global
+#endif
+typedef struct {
+  GRADS real *grads; // [planes, stride]
+  uint stride, at;
+} Out;
+
+#define PUT(lr, plane, old, gradient) vstore_real(gradient, 0, out->grads + (size_t)(plane) * out->stride + out->at)
+#define PUT_SH(k, channel, old, gradient) PUT(lr_sh, P_SH + 3 * (k) + (channel), old, gradient)
+#endif
 
 // dL/d(unit quaternion) from dL/dR, then through the normalisation.
 static inline void quaternion_grad(const realV n[4], realV inv_norm, const realV d[9], realV out[4]) {
@@ -45,9 +70,8 @@ static inline void sh_direction_grad(const realV d[3], const realV *weight, real
 #endif
 }
 
-// Colour gradient -> SH coefficient gradients (written) and position gradient (added), 0 where `active` is off.
-static inline void color_grad(__global const real *params, uint stride, uint i, __global real *grads,
-                              uint grad_stride, uint at, const Camera *cam, maskV active, const realV x[3], const realV dcolor[3], realV dx[3]) {
+// Colour gradient -> SH coefficient gradients (to `out`) and position gradient (added), 0 where `active` is off.
+static inline void color_grad(__global const real *params, uint stride, uint i, const Out *out, const Camera *cam, maskV active, const realV x[3], const realV dcolor[3], realV dx[3]) {
   const realV zero = V(R(0.0));
   realV dir[3], basis[SH_COUNT], weight[SH_COUNT];
   const realV inv_distance = view_direction(cam, x, dir);
@@ -59,8 +83,9 @@ static inline void color_grad(__global const real *params, uint stride, uint i, 
     for (int k = 0; k < SH_COUNT; k++) sum = fma(basis[k], PLANE(params, P_SH + 3 * k + ch), sum);
     const realV d = choose(active & (sum > zero), dcolor[ch], zero);
     for (int k = 0; k < SH_COUNT; k++) {
-      vstore_real(d * basis[k], 0, grads + (size_t)(P_SH + 3 * k + ch) * grad_stride + at);
-      weight[k] = fma(d, PLANE(params, P_SH + 3 * k + ch), weight[k]);
+      const realV old = PLANE(params, P_SH + 3 * k + ch);
+      weight[k] = fma(d, old, weight[k]);
+      PUT_SH(k, ch, old, d * basis[k]);
     }
   }
   realV dd[3];
@@ -150,10 +175,127 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
     dx[k] = fma(V(cam->w[k]), dt[0], fma(V(cam->w[3 + k]), dt[1], cam->w[6 + k] * dt[2]));
 }
 
-__kernel void project_grad(__global const real *params, uint stride, uint count, // in [planes, stride]
+// What the gradients of all Gaussians depend on.
+typedef struct {
+  __global const real *params; // [planes, stride]
+  uint stride, count;
 #if ANTI_ALIAS
-                           __global const real *filter,                          // in [stride] see project
+  __global const real *filter; // [stride] see project
 #endif
+  Camera cam;
+  __global const uint *isect_start, *isect_counts; // [count]
+  __global const real *sums;                       // [pairs, SUMS]
+  real weight_opacity, weight_scale;
+} In;
+
+// The nine sums of VW Gaussians from i on over their pairs, and how many of them have any: 1 or 0 for each.
+static inline void sum_pairs(const In *in, uint i, int overflow, real lane[VW][SUMS], real paired[VW]) {
+  for (uint l = 0; l < VW; l++) {
+    const uint pairs = i + l < in->count && !overflow ? in->isect_counts[i + l] : 0;
+    paired[l] = pairs > 0 ? R(1.0) : R(0.0);
+    real8 eight = (real8)(R(0.0)); // in registers over the pairs
+    real ninth = R(0.0);
+    if (pairs > 0) {
+      __global const real *from = in->sums + (size_t)in->isect_start[i + l] * SUMS;
+      for (uint p = 0; p < pairs; p++, from += SUMS) {
+        eight += vload8(0, from);
+        ninth += from[8];
+      }
+    }
+    vstore8(eight, 0, lane[l]);
+    lane[l][8] = ninth;
+  }
+}
+
+// Gradients of VW Gaussians from i on. Culled ones get the regularisers alone, rows beyond the last Gaussian zero.
+static inline void gaussian_grads(const In *in, uint i, int overflow, const Out *out) {
+  __global const real *params = in->params;
+  const uint stride = in->stride;
+  const realV zero = V(R(0.0));
+  real lane[VW][SUMS], paired[VW], row[VW];
+  sum_pairs(in, i, overflow, lane, paired);
+  for (uint l = 0; l < VW; l++) row[l] = i + l < in->count ? R(1.0) : R(0.0);
+  const maskV exists = vload_real(0, row) > zero;
+  realV x[3], ls[3], q[4], s[SUMS], dx[3], dls[3], dq[4];
+  for (int k = 0; k < 3; k++) x[k] = PLANE(params, P_POSITION + k);
+  for (int k = 0; k < 3; k++) ls[k] = PLANE(params, P_LOG_SCALE + k);
+  for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
+  maskV active = vload_real(0, paired) > zero;
+  if (!CULL_CHUNKS || any_lane(active)) {
+    for (int k = 0; k < SUMS; k++) {
+      real of_lane[VW];
+      for (int l = 0; l < VW; l++) of_lane[l] = lane[l][k];
+      s[k] = vload_real(0, of_lane);
+    }
+    Shape o;
+#if ANTI_ALIAS
+    o.sigma = vload_real(0, in->filter + i);
+#endif
+    active &= shape_of(&in->cam, x, ls, q, &o);
+    shape_grad(&in->cam, &o, s, dx, dls, dq);
+    color_grad(params, stride, i, out, &in->cam, active, x, s + 6, dx);
+  } else { // neighbours that no pixel saw
+    s[0] = dx[0] = dx[1] = dx[2] = dls[0] = dls[1] = dls[2] = dq[0] = dq[1] = dq[2] = dq[3] = zero;
+    for (int k = 0; k < SH_COUNT; k++)
+      for (int ch = 0; ch < 3; ch++) PUT_SH(k, ch, PLANE(params, P_SH + 3 * k + ch), zero);
+  }
+  for (int k = 0; k < 3; k++) {
+    const maskV free_scale = exists & (ls[k] > V(LOG_SCALE_MIN)) & (ls[k] < V(LOG_SCALE_MAX));
+    const realV regular = fma(V(in->weight_scale), exp(ls[k]), choose(active, dls[k], zero));
+    PUT(lr_position, P_POSITION + k, x[k], choose(active, dx[k], zero));
+    PUT(lr_scale, P_LOG_SCALE + k, ls[k], choose(free_scale, regular, zero));
+  }
+  for (int k = 0; k < 4; k++) PUT(lr_rotation, P_ROTATION + k, q[k], choose(active, dq[k], zero));
+  const realV logit = PLANE(params, P_OPACITY), complement = sigmoid(-logit);
+  const realV dlogit = fma(s[0], complement, in->weight_opacity * sigmoid(logit) * complement);
+  PUT(lr_opacity, P_OPACITY, logit, choose(exists & (logit == logit), dlogit, zero));
+}
+
+#if ANTI_ALIAS
+#define FILTER __global const real *filter, // in [stride] see project
+#define FILTER_ARGUMENT filter,
+#else
+#define FILTER
+#define FILTER_ARGUMENT
+#endif
+#define IN {params, stride, count, FILTER_ARGUMENT cam, isect_start, isect_counts, sums, weight_opacity, weight_scale}
+
+#if TAKE_STEP
+// Launch: one work-item per UPDATE_RUN Gaussians: VW where a work-item is one of many, more of them where it is a whole core, which
+// reads a plane after the other then, along cache lines. Nothing is changed after a pair overflow: the host repeats the iteration.
+__kernel void project_step(__global real *params, uint stride, uint count, // in/out [planes, stride]
+                           FILTER
+                           const Camera cam, __global const uint *isect_start, // in [count] first emission slot
+                           __global const uint *isect_counts,                  // in [count]
+                           __global const real *sums,                          // in [pairs, SUMS]
+                           real weight_opacity, // lambda_o / N
+                           real weight_scale,   // lambda_s / (3 N), per local unit
+                           ADAM_ARGUMENTS,      // moments in/out [planes, stride]
+                           volatile __global uint *status) { // in S_OVERFLOW, out S_NON_FINITE
+  const uint first = get_global_id(0) * UPDATE_RUN;
+  if (first >= count || status[S_OVERFLOW] != 0) return;
+  const In in = IN;
+  const Adam adam = ADAM;
+#if UPDATE_RUN == VW
+  const Out out = {&adam, first};
+  gaussian_grads(&in, first, 0, &out);
+#else
+  real grads[(P_SH + 3 * SH_COUNT) * UPDATE_RUN];
+  for (uint at = 0; at < UPDATE_RUN; at += VW) {
+    const Out out = {grads, UPDATE_RUN, at};
+    gaussian_grads(&in, first + at, 0, &out);
+  }
+  for (uint plane = 0; plane < P_SH + 3 * SH_COUNT; plane++)
+    for (uint at = 0; at < UPDATE_RUN; at += VW) {
+      const uint i = first + at;
+      adam_step(&adam, RATE(plane), plane, i, PLANE(params, plane), vload_real(0, grads + plane * UPDATE_RUN + at));
+    }
+#endif
+}
+#else
+// Launch: one work-item per VW Gaussians of a block.
+__kernel void project_grad(__global const real *params, uint stride, uint count, // in [planes, stride]
+                           FILTER
                            uint first, uint grad_stride,                         // block: first Gaussian, room
                            const Camera cam, __global const uint *isect_start,    // in [count] first emission slot
                            __global const uint *isect_counts,                     // in [count]; counted only
@@ -164,56 +306,8 @@ __kernel void project_grad(__global const real *params, uint stride, uint count,
                            __global real *grads) { // out [planes, grad_stride] of the block
   const uint at = get_global_id(0) * VW, i = first + at;
   if (at >= grad_stride || i >= count) return;
-  const realV zero = V(R(0.0));
-  real lane[VW][SUMS], paired[VW], row[VW];
-  for (uint l = 0; l < VW; l++) {
-    const uint pairs = i + l < count && status[S_OVERFLOW] == 0 ? isect_counts[i + l] : 0;
-    row[l] = i + l < count ? R(1.0) : R(0.0);
-    paired[l] = pairs > 0 ? R(1.0) : R(0.0);
-    real8 eight = (real8)(R(0.0)); // in registers over the pairs
-    real ninth = R(0.0);
-    if (pairs > 0) {
-      __global const real *from = sums + (size_t)isect_start[i + l] * SUMS;
-      for (uint p = 0; p < pairs; p++, from += SUMS) {
-        eight += vload8(0, from);
-        ninth += from[8];
-      }
-    }
-    vstore8(eight, 0, lane[l]);
-    lane[l][8] = ninth;
-  }
-  const maskV exists = vload_real(0, row) > zero;
-  realV x[3], ls[3], q[4], s[SUMS], dx[3], dls[3], dq[4];
-  for (int k = 0; k < 3; k++) ls[k] = PLANE(params, P_LOG_SCALE + k);
-  maskV active = vload_real(0, paired) > zero;
-  if (!CULL_CHUNKS || any_lane(active)) {
-    for (int k = 0; k < SUMS; k++) {
-      real in[VW];
-      for (int l = 0; l < VW; l++) in[l] = lane[l][k];
-      s[k] = vload_real(0, in);
-    }
-    for (int k = 0; k < 3; k++) x[k] = PLANE(params, P_POSITION + k);
-    for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
-    Shape o;
-#if ANTI_ALIAS
-    o.sigma = vload_real(0, filter + i);
-#endif
-    active &= shape_of(&cam, x, ls, q, &o);
-    shape_grad(&cam, &o, s, dx, dls, dq);
-    color_grad(params, stride, i, grads, grad_stride, at, &cam, active, x, s + 6, dx);
-  } else { // neighbours that no pixel saw
-    s[0] = dx[0] = dx[1] = dx[2] = dls[0] = dls[1] = dls[2] = dq[0] = dq[1] = dq[2] = dq[3] = zero;
-    for (int k = 0; k < 3 * SH_COUNT; k++) vstore_real(zero, 0, grads + (size_t)(P_SH + k) * grad_stride + at);
-  }
-  for (int k = 0; k < 3; k++) {
-    const maskV free_scale = exists & (ls[k] > V(LOG_SCALE_MIN)) & (ls[k] < V(LOG_SCALE_MAX));
-    const realV regular = fma(V(weight_scale), exp(ls[k]), choose(active, dls[k], zero));
-    vstore_real(choose(active, dx[k], zero), 0, grads + (size_t)(P_POSITION + k) * grad_stride + at);
-    vstore_real(choose(free_scale, regular, zero), 0, grads + (size_t)(P_LOG_SCALE + k) * grad_stride + at);
-  }
-  for (int k = 0; k < 4; k++)
-    vstore_real(choose(active, dq[k], zero), 0, grads + (size_t)(P_ROTATION + k) * grad_stride + at);
-  const realV logit = PLANE(params, P_OPACITY), complement = sigmoid(-logit);
-  const realV dlogit = fma(s[0], complement, weight_opacity * sigmoid(logit) * complement);
-  vstore_real(choose(exists & (logit == logit), dlogit, zero), 0, grads + (size_t)P_OPACITY * grad_stride + at);
+  const In in = IN;
+  const Out out = {grads, grad_stride, at};
+  gaussian_grads(&in, i, status[S_OVERFLOW] != 0, &out);
 }
+#endif

@@ -1,9 +1,11 @@
 // sort: a stable least-significant-digit radix sort of (key, value) pairs. Chunks of contiguous elements
-// keep their order, bins are walked in order: the same result on every device. A pass is sort_histogram, sort_bins and
-// sort_scatter; few elements are sorted by one work-item in one launch where that is a whole core.
+// keep their order, bins are walked in order: the same result on every device. The number of elements is in the status. A pass is
+// sort_histogram, sort_bins (by groups: sort_totals) and sort_scatter; few elements are sorted by one work-item in one launch where that
+// is a whole core.
 
 static inline uint digit_of(uint key, uint shift, uint bins) { return (key >> shift) & (bins - 1); }
 
+#if !GROUP_STYLE
 // Exclusive prefix sum.
 static inline void sum_bins(__global uint *totals, uint bins) { // in/out [bins]
   uint sum = 0;
@@ -13,15 +15,16 @@ static inline void sum_bins(__global uint *totals, uint bins) { // in/out [bins]
     sum += v;
   }
 }
+#endif
 
 // Launch: over chunks.
 CHUNK_KERNEL void sort_histogram(__global const uint *keys, // in [n]
-                                 __global const uint *status, uint chunks, uint shift, uint bins,
+                                 __global const uint *status, uint counter, uint chunks, uint shift, uint bins,
                                  __global uint *histogram) { // out [chunks, bins]
   const uint c = CHUNK;
   if (c >= chunks) return;
   __global uint *row = histogram + (size_t)c * bins;
-  const uint n = status[S_VISIBLE], size = chunk_size(n, chunks);
+  const uint n = status[counter], size = chunk_size(n, chunks);
   const uint first = min(c * size, n), last = min(first + size, n);
 #if GROUP_STYLE
   __local uint counts[GROUP];
@@ -61,23 +64,11 @@ CHUNK_KERNEL void sort_totals(__global uint *histogram, uint chunks, uint bins, 
   }
   if (b < bins && y == 0) totals[b] = sum;
 }
-#endif
-
-// Launch: one work-item, or one work-group. Writes first places of the bins, after sort_totals; where a work-item is a whole core this
-// does the work of that kernel, too, along the rows of the histogram.
-CHUNK_KERNEL void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/out [chunks, bins] elements of the chunks before
-                            __global uint *totals) {                          // out [bins + 1] first place; the number of elements
-#if GROUP_STYLE
-  SCRATCH;
-  uint before = 0;
-  for (uint block = 0; block <= bins; block += GROUP) {
-    const uint b = block + ITEM;
-    uint total;
-    const uint sum = before + group_scan(b < bins ? totals[b] : 0, scratch, &total);
-    if (b <= bins) totals[b] = sum;
-    before += total;
-  }
 #else
+// Launch: one work-item. Turns counts into those of the chunks before, along the rows of the histogram, and writes first places of the
+// bins.
+__kernel void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/out [chunks, bins] elements of the chunks before
+                        __global uint *totals) {                          // out [bins + 1] first place; the number of elements
   if (get_global_id(0) != 0) return;
   for (uint b = 0; b < bins; b++) totals[b] = 0;
   for (uint c = 0; c < chunks; c++) {
@@ -90,26 +81,28 @@ CHUNK_KERNEL void sort_bins(__global uint *histogram, uint chunks, uint bins, //
   }
   totals[bins] = 0;
   sum_bins(totals, bins + 1);
-#endif
 }
+#endif
 
 // Launch: over chunks.
 CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
-                               __global const uint *status, uint chunks, uint shift, uint bins,
+                               __global const uint *status, uint counter, uint chunks, uint shift, uint bins,
                                __global uint *histogram,    // in/out [chunks, bins] elements of the chunks before
-                               __global const uint *totals, // in [bins + 1] first places
+                               __global const uint *totals, // in [bins + 1] first places; by groups [bins] elements
                                __global const uint *values, // in [n]
                                __global uint *keys_out, __global uint *values_out) { // out [n]
   const uint c = CHUNK;
   if (c >= chunks) return;
   __global uint *row = histogram + (size_t)c * bins;
-  const uint n = status[S_VISIBLE], size = chunk_size(n, chunks);
+  const uint n = status[counter], size = chunk_size(n, chunks);
   const uint first = min(c * size, n), last = min(first + size, n);
 #if GROUP_STYLE
   SCRATCH;
   __local uint place[GROUP], head[GROUP], sorted[GROUP];
   const uint l = ITEM;
-  if (l < bins) place[l] = totals[l] + row[l];
+  uint all;
+  const uint before_bin = group_scan(l < bins ? totals[l] : 0, scratch, &all);
+  if (l < bins) place[l] = before_bin + row[l];
   for (uint block = first; block < last; block += GROUP) {
     const uint here = min((uint)GROUP, last - block);
     // A block is sorted by its digits first, one bit after the other. What is not there comes last.
@@ -141,13 +134,14 @@ CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
 #endif
 }
 
+#if !GROUP_STYLE
 // Launch: one work-item. All passes of few elements: one sweep counts the digits of all passes.
-__kernel void sort_few(__global const uint *status, uint passes, uint bits, // passes, bits of a digit
+__kernel void sort_few(__global const uint *status, uint counter, uint passes, uint bits, // passes, bits of a digit
                        __global uint *histogram,                           // scratch [passes, bins]
                        __global uint *keys, __global uint *values,         // in [n], and out after an even number of passes
                        __global uint *keys_too, __global uint *values_too) { // out [n] after an odd number
   if (get_global_id(0) != 0) return;
-  const uint n = status[S_VISIBLE], bins = 1u << bits;
+  const uint n = status[counter], bins = 1u << bits;
   for (uint b = 0; b < passes * bins; b++) histogram[b] = 0;
   for (uint i = 0; i < n; i++)
     for (uint p = 0; p < passes; p++) histogram[p * bins + digit_of(keys[i], p * bits, bins)]++;
@@ -163,3 +157,4 @@ __kernel void sort_few(__global const uint *status, uint passes, uint bits, // p
     }
   }
 }
+#endif

@@ -18,8 +18,7 @@
 //! | splat | `kernels/splat.cl` | tiles → image |
 //! | shrink, loss | `kernels/{shrink,loss}.cl` | photo at a fraction of its size early in a run; L1 + SSIM and its gradient |
 //! | exposure | `kernels/exposure.cl` | affine colour transform per photo, between render and loss |
-//! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters |
-//! | adam | `kernels/adam.cl` | one step of all parameters |
+//! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters, and a step of the optimiser with it |
 //! | noise | `kernels/noise.cl` | random step of every position (mcmc, mh) |
 //! | active_tiles | `kernels/active_tiles.cl` | active tiles of photos with masks or transparency |
 //! | seen | `kernels/seen.cl` | Gaussians that the training views show; the others are removed at the end |
@@ -28,7 +27,7 @@
 //! | edit | `kernels/edit.cl` | rows written by density control |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | run | [`run`] | run folder, checkpoints, report |
-//! | measure | [`lab`], `kernels/peak.cl` | verify, bench, compare, experiment, surrogate: only the command line uses it |
+//! | measure | [`lab`], `kernels/{peak,adam}.cl` | verify, bench, compare, experiment, surrogate: only the command line uses it |
 //!
 //! `pipeline` alone (`forward.rs`, `backward.rs`, `pass.rs`) knows the order of the stages, and [`train::step`] the order of an iteration. Every stage file
 //! in `src/pipeline/stage` has the kernel's launcher and its definition in f64, which [`lab::verify`] compares on a device (but for the sizes of photos and marks of tiles, which tests compare).

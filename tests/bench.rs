@@ -173,7 +173,10 @@ fn every_stage_has_an_amount_of_work() {
         let flop = Load::flop_per_lane(stage);
         assert!(flop.is_some() != (load.bytes(stage) > 0.0), "{stage}");
     }
-    assert_eq!(load.bytes("adam"), 100.0 * 59.0 * 28.0);
+    assert_eq!(
+        load.bytes("project_grad"),
+        100.0 * (59.0 * 24.0 + 8.0) + 300.0 * 36.0
+    );
 }
 
 #[test]
@@ -289,8 +292,8 @@ fn every_output_holds_every_device_and_no_nan() {
     for out in [&page, &text, &csv] {
         assert!(!out.contains("NaN") && !out.contains("no data"));
     }
-    // Each device: two cases of nine stages and the whole, and the precisions. No cell but a name holds a comma.
-    let rows = 2 * (2 * 10 + RECORD.precision.len());
+    // Each device: two cases of eight stages and the whole, and the precisions. No cell but a name holds a comma.
+    let rows = 2 * (2 * 9 + RECORD.precision.len());
     assert_eq!(csv.lines().count(), 1 + rows);
     for line in csv.lines() {
         let plain = line.replace("another, with", "another with");

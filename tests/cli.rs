@@ -208,13 +208,13 @@ fn a_tuning_that_means_nothing_is_refused() {
         );
     }
     let out = program()
-        .env("MHSPLAT_TUNING", "update-block=4096")
+        .env("MHSPLAT_TUNING", "strip=800")
         .arg("devices")
         .output()
         .unwrap();
     let text = String::from_utf8_lossy(&out.stdout).into_owned();
     assert!(
-        text.contains("given") && text.contains("update-block=4096"),
+        text.contains("given") && text.contains("strip=800"),
         "{text}"
     );
 }

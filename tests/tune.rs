@@ -46,7 +46,6 @@ fn a_bad_file_is_ignored() {
         ("block-width", 0),
         ("local", 1 << 30),
         ("strip", 7),
-        ("update-block", 0),
         ("radix-bits", 40),
         ("unheard-of", 1),
     ] {

@@ -24,6 +24,8 @@ pub struct Defines {
     pub skip_blank: bool,
     /// Use Mip-Splatting's filters: project and project_grad take the 3D filter of each Gaussian.
     pub anti_alias: bool,
+    /// project_grad takes a step of the optimiser in place of writing gradients.
+    pub take_step: bool,
     /// Build the layout probe.
     pub layout_probe: bool,
 }
@@ -40,6 +42,7 @@ impl Defines {
             cull_chunks: true,
             skip_blank: true,
             anti_alias: false,
+            take_step: false,
             layout_probe: false,
         }
     }
@@ -82,6 +85,8 @@ impl Defines {
         int("SKIP_BLANK", u64::from(self.skips_blank()));
         int("CULL_CHUNKS", u64::from(self.cull_chunks));
         int("ANTI_ALIAS", u64::from(self.anti_alias));
+        int("TAKE_STEP", u64::from(self.take_step));
+        int("UPDATE_RUN", self.tuning.update_run() as u64);
         int("FILTER_CHUNKS", u64::from(constants::FILTER_CHUNKS));
         int("CHAINS", u64::from(constants::PEAK_CHAINS));
         int("STRIP", u64::from(self.tuning.strip));

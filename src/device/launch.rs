@@ -217,6 +217,20 @@ impl Launch<'_> {
         self.run([vectors, 1], [local, 1])
     }
 
+    /// Enqueues the kernel with a work-item for each of the optimiser's runs of `count` Gaussians. Does not wait.
+    ///
+    /// # Errors
+    /// Those of [`Launch::run`].
+    pub fn over_runs(self, count: usize) -> Result<()> {
+        let tuning = self.defines().tuning;
+        let local = if tuning.vector_width == 1 {
+            tuning.local
+        } else {
+            1
+        };
+        self.run([count.div_ceil(tuning.update_run()), 1], [local, 1])
+    }
+
     /// Enqueues the kernel with a work-item for each batch of `count` Gaussians. Does not wait.
     ///
     /// # Errors

@@ -96,6 +96,14 @@ impl Kernels {
         kernels
     }
 
+    /// The same with project_grad taking a step of the optimiser.
+    #[must_use]
+    pub fn taking_steps(&self) -> Self {
+        let mut kernels = self.clone();
+        kernels.defines.take_step = true;
+        kernels
+    }
+
     /// The device.
     #[must_use]
     pub fn device(&self) -> &Device {

@@ -41,8 +41,6 @@ pub struct Tuning {
     pub radix_bits: u32,
     /// Columns per strip of the loss kernels; without meaning in the group style, in which they go by tiles.
     pub strip: u32,
-    /// Gaussians whose gradients are computed and used before the next ones; a multiple of 16.
-    pub update_block: usize,
 }
 
 impl Tuning {
@@ -55,7 +53,6 @@ impl Tuning {
         chunks: 16,
         radix_bits: 12,
         strip: 400,
-        update_block: 8192,
     };
 
     /// One pixel per work-item, a work-group per tile: for GPUs.
@@ -67,7 +64,6 @@ impl Tuning {
         chunks: 2048,
         radix_bits: 8,
         strip: 8,
-        update_block: 1 << 18,
     };
 
     /// The default for a device.
@@ -136,10 +132,6 @@ impl Tuning {
                 self.strip > 0 && self.strip.is_multiple_of(lanes.max(1)) && self.strip <= 4096,
                 "strip is a multiple of vector-width, up to 4096",
             ),
-            (
-                self.update_block > 0 && self.update_block.is_multiple_of(16),
-                "update-block is a multiple of 16",
-            ),
         ];
         checks
             .into_iter()
@@ -162,6 +154,15 @@ impl Tuning {
         } else {
             SPLAT_BATCH as usize
         }
+    }
+
+    /// Gaussians that a work-item of the optimiser takes: those of a vector, or, where it is a whole core, of as many as make
+    /// consecutive reads of a plane long enough for the hardware to fetch ahead, with their gradients in the first cache
+    /// (docs/results/speed.md).
+    #[must_use]
+    pub fn update_run(&self) -> usize {
+        let vectors = if self.vector_width == 1 { 1 } else { 4 };
+        vectors * self.vector_width as usize
     }
 
     /// Local size of kernels with a work-item per batch.

@@ -1,6 +1,6 @@
 //! [`Backward`]: the backward stages, in order.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use crate::base::error::Result;
 use crate::device::{Array, Defines, Device, Kernels, Program, Real};
@@ -9,6 +9,8 @@ use crate::pipeline::forward::Renderer;
 use crate::pipeline::stage::{project_grad, splat_grad};
 use crate::scene::Plane;
 
+/// Number of SH degrees there are.
+const SH_DEGREES: usize = 4;
 /// Rows of gradients that are read back start at multiples of this.
 pub const GRADIENT_ROWS: usize = 16;
 /// Rows whose gradients are on the device at a time when they are read back.
@@ -18,21 +20,19 @@ const BLOCK: usize = 1 << 16;
 #[derive(Debug)]
 pub struct Backward {
     splat_grad: Program,
-    /// One build for every SH degree from `lowest` on.
-    project_grad: Arc<Vec<Program>>,
-    lowest: u32,
+    /// One build for every SH degree, made when it is wanted: training without estimates never wants any.
+    project_grad: Arc<[OnceLock<Program>; SH_DEGREES]>,
+    kernels: Kernels,
 }
 
 impl Backward {
-    /// Builds the kernels for a range of SH degrees.
-    pub fn new<R: Real>(device: &Device, defines: Defines, degrees: [u32; 2]) -> Result<Self> {
+    /// Builds the kernels.
+    pub fn new<R: Real>(device: &Device, defines: Defines) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
-        let build = |degree| kernels.of_degree(degree).build::<R>("project_grad");
-        let [lowest, highest] = degrees;
         Ok(Self {
             splat_grad: kernels.build::<R>("splat_grad")?,
-            project_grad: Arc::new((lowest..=highest).map(build).collect::<Result<_>>()?),
-            lowest,
+            project_grad: Arc::default(),
+            kernels,
         })
     }
 
@@ -41,8 +41,21 @@ impl Backward {
         Ok(Self {
             splat_grad: Kernels::new(device, defines).build::<R>("splat_grad")?,
             project_grad: self.project_grad.clone(),
-            lowest: self.lowest,
+            kernels: self.kernels.clone(),
         })
+    }
+
+    /// The build of project_grad for an SH degree.
+    fn gradient_stage<R: Real>(&self, sh_degree: u32) -> Result<&Program> {
+        let built = &self.project_grad[sh_degree as usize];
+        if let Some(stage) = built.get() {
+            return Ok(stage);
+        }
+        let stage = self
+            .kernels
+            .of_degree(sh_degree)
+            .build::<R>("project_grad")?;
+        Ok(built.get_or_init(|| stage))
     }
 
     /// Takes the image gradient of the view rendered last back to sums per tile intersection.
@@ -59,7 +72,7 @@ impl Backward {
         lambdas: [f64; 2],
         grads: &GradientBlock<'_, R>,
     ) -> Result<()> {
-        let stage = &self.project_grad[(sh_degree - self.lowest) as usize];
+        let stage = self.gradient_stage::<R>(sh_degree)?;
         project_grad::backward(stage, scene, &forward.frame, lambdas, grads)
     }
 

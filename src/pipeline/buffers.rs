@@ -31,6 +31,8 @@ const MAX_COUNTERS: usize = 1 << 23;
 
 /// Names of the keys and values that are sorted by depth.
 const VISIBLE: [&str; 2] = ["visible_keys", "visible"];
+/// Names of the keys and values that are sorted by tile.
+const PAIRS: [&str; 2] = ["pair_tiles", "order"];
 
 /// Raw parameters of a scene on the device.
 #[derive(Debug)]
@@ -184,8 +186,9 @@ pub struct ViewBuffers<R: Real> {
     pub cover: Array<u32>,
     /// Sums per chunk.
     pub chunk_sums: Array<u32>,
-    /// Emission slots of the tile intersections, sorted by tile.
-    pub order: Array<u32>,
+    /// Tiles and emission slots of the tile intersections on their way through the sort; no more than [`ViewBuffers::order`] where
+    /// every pair goes straight to its place.
+    pub pairs: SortBuffers,
     /// Gaussian of each tile intersection, by emission slot.
     pub isect_owner: Array<u32>,
     /// Partial gradients of each tile intersection (splat_grad); empty when only rendering.
@@ -203,6 +206,7 @@ pub struct ViewBuffers<R: Real> {
     /// Counters; see [`status`].
     pub status: Array<u32>,
     gradients: bool,
+    sorts_pairs: bool,
     chunks: usize,
 }
 
@@ -220,7 +224,7 @@ impl<R: Real> ViewBuffers<R> {
             visible: SortBuffers::new(device, VISIBLE, 0)?,
             cover: ints("cover")?,
             chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
-            order: ints("order")?,
+            pairs: SortBuffers::new(device, PAIRS, 0)?,
             isect_owner: ints("isect_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
             tile_start: ints("tile_start")?,
@@ -230,6 +234,7 @@ impl<R: Real> ViewBuffers<R> {
             image: Array::zeros(device, "image", 0)?,
             status: Array::zeros(device, "status", status::SLOTS)?,
             gradients,
+            sorts_pairs: tuning.group_style,
             chunks: tuning.chunks,
         })
     }
@@ -247,6 +252,22 @@ impl<R: Real> ViewBuffers<R> {
         self.visible = SortBuffers::new(device, VISIBLE, stride)?;
         self.cover = Array::zeros(device, "cover", 2 * stride)?;
         Ok(())
+    }
+
+    /// Emission slots of the tile intersections, by tile and depth.
+    #[must_use]
+    pub fn order(&self) -> &Array<u32> {
+        self.pairs.sorted_values()
+    }
+
+    /// Tile intersections of each visible Gaussian by depth: in the place of the keys that have been sorted.
+    pub(crate) fn depth_counts(&self) -> &Array<u32> {
+        &self.visible.keys[0]
+    }
+
+    /// First tile intersection of each visible Gaussian by depth.
+    pub(crate) fn depth_start(&self) -> &Array<u32> {
+        &self.visible.keys[1]
     }
 
     /// Blank tiles of the view enqueued last and of the photo whose active tiles were marked.
@@ -277,7 +298,11 @@ impl<R: Real> ViewBuffers<R> {
         let most = u32::MAX as usize - (ROUND - 1);
         let pairs = pairs.min(most).next_multiple_of(ROUND);
         let ints = |name| Array::<u32>::zeros(device, name, pairs);
-        self.order = ints("order")?;
+        if self.sorts_pairs {
+            self.pairs = SortBuffers::new(device, PAIRS, pairs)?;
+        } else {
+            self.pairs.values[0] = ints(PAIRS[1])?;
+        }
         if self.gradients {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
         }
@@ -306,7 +331,10 @@ impl<R: Real> ViewBuffers<R> {
             return Ok(());
         }
         self.tile_start = Array::zeros(device, "tile_start", tiles + 1)?;
-        let counters = (self.chunks * tiles).min(MAX_COUNTERS).max(tiles);
+        let counters = match self.sorts_pairs {
+            true => 0,
+            false => (self.chunks * tiles).min(MAX_COUNTERS).max(tiles),
+        };
         self.tile_counts = Array::zeros(device, "tile_counts", counters)?;
         self.image = Array::zeros(device, "image", 4 * size.plane())?;
         self.active_tiles = Array::zeros(device, "active_tiles", tiles)?;

@@ -5,7 +5,7 @@ use crate::capture::Camera;
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
-use crate::pipeline::stage::sort::Sort;
+use crate::pipeline::stage::sort::{Keys, Sort};
 use crate::pipeline::stage::{bin, project, scan, seen, splat};
 
 /// Quantity that is composited.
@@ -157,13 +157,21 @@ impl<R: Real> Renderer<R> {
         let f = &mut self.frame;
         bin::count_visible(&self.bin, f)?;
         bin::compact_visible(&self.bin, f)?;
-        self.sort.run(&mut f.visible, f.count, &f.status)
+        self.sort
+            .run(&mut f.visible, &Keys::depths(f.count), &f.status)
     }
 
     /// Pairs the visible Gaussians with the tiles they touch, by tile and depth.
-    fn intersect_tiles(&self, active_only: bool) -> Result<()> {
-        let f = &self.frame;
+    fn intersect_tiles(&mut self, active_only: bool) -> Result<()> {
+        let f = &mut self.frame;
         bin::count(&self.bin, f, active_only)?;
+        if self.bin.defines().tuning.group_style {
+            scan::sum_pairs(&self.scan, f, f.count, [f.depth_counts(), f.depth_start()])?;
+            bin::emit(&self.bin, f, active_only)?;
+            let keys = Keys::tiles(f.intersection_capacity(), f.camera.tile_count());
+            self.sort.run(&mut f.pairs, &keys, &f.status)?;
+            return bin::find_tiles(&self.bin, f);
+        }
         scan::sum_pairs(&self.scan, f, f.count, [&f.isect_counts, &f.isect_start])?;
         bin::count_tiles(&self.bin, f, active_only)?;
         let by_tile = [f.tile_chunks(), f.camera.tile_count()];

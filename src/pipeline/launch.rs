@@ -41,7 +41,7 @@ impl Arguments for Launch<'_> {
 
     fn tile_lists<R: Real>(self, view: &ViewBuffers<R>) -> Self {
         self.array(&view.records, 1)
-            .arrays([&view.isect_owner, &view.order], 1)
+            .arrays([&view.isect_owner, view.order()], 1)
             .array(&view.tile_start, view.camera.tile_count() + 1)
     }
 

@@ -41,18 +41,18 @@ pub struct Pipeline<R: Real = f32> {
 }
 
 impl<R: Real> Pipeline<R> {
-    /// Builds the kernels for a range of SH degrees and images of at most `largest` pixels.
+    /// Builds the kernels for SH degrees up to one and images of at most `largest` pixels.
     pub fn new(
         device: &Device,
         defines: Defines,
-        degrees: [u32; 2],
+        sh_degree: u32,
         largest: ImageSize,
     ) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         let active_tiles = defines.masked() || defines.skips_blank();
         Ok(Self {
-            forward: Renderer::new(device, defines, degrees[1], true)?,
-            backward: Backward::new::<R>(device, defines, degrees)?,
+            forward: Renderer::new(device, defines, sh_degree, true)?,
+            backward: Backward::new::<R>(device, defines)?,
             active_tiles: active_tiles
                 .then(|| kernels.build::<R>("active_tiles"))
                 .transpose()?,

@@ -187,7 +187,7 @@ impl Trainer {
             ..Defines::new(device.tuning())
         };
         let kernels = Kernels::new(device, defines);
-        let pipeline = Pipeline::new(device, defines, [0, degree], set.largest)?;
+        let pipeline = Pipeline::new(device, defines, degree, set.largest)?;
         let control = Control::new(&kernels, plan, &pipeline, strategy)?;
         let smoothing = Smoothing::new(&kernels, &set)?;
         let room = capacity(config, splats.len());

@@ -3,6 +3,7 @@
 use super::*;
 use mhsplat::lab::verify::definition::inputs;
 use mhsplat::pipeline::stage::project::project;
+use mhsplat::scene::Plane;
 
 #[test]
 fn agrees_with_the_reference() {
@@ -48,6 +49,37 @@ fn emitted_pairs_are_the_counted_ones_and_no_pixel_is_missed() {
                     }
                 }
             }
+        }
+    }
+}
+
+/// Boxes of more tiles than a mask has bits are walked by a whole work-group: several in one group, some of the whole image, and groups
+/// without any.
+#[test]
+fn large_gaussians_have_the_same_pairs_in_both_styles() {
+    let mut plain = cases::mild("large", 700, [520, 300], 0, 31);
+    for i in (0..300).filter(|i| i % 5 == 0) {
+        let [x, y, z] = plain.splats.gather(Plane::LOG_SCALE, i);
+        let wider = if i % 50 == 0 { 6.0 } else { 1.5 };
+        plain
+            .splats
+            .scatter(Plane::LOG_SCALE, i, [x + wider, y + wider, z]);
+    }
+    let few = Tuning {
+        radix_bits: 4,
+        chunks: 3,
+        ..Tuning::GPU
+    };
+    for case in [plain.clone(), plain.with_mask()] {
+        let want = run(Tuning::CPU, &case);
+        let lists = want.got("sort", "tile lists");
+        let pairs = lists.iter().filter(|g| **g >= 0.0).count();
+        assert!(pairs > 20_000, "{pairs}");
+        for tuning in [Tuning::GPU, few] {
+            let got = run(tuning, &case);
+            assert_eq!(got.got("sort", "tile lists"), lists, "{}", case.name);
+            let counted = |out: &Outcome| out.got("scan", "pairs counted").to_vec();
+            assert_eq!(counted(&got), counted(&want));
         }
     }
 }

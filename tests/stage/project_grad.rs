@@ -1,6 +1,12 @@
 //! project_grad: gradients of the raw parameters.
 
 use super::*;
+use mhsplat::base::constants::SUMS;
+use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
+use mhsplat::device::{Array, CameraArg};
+use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
+use mhsplat::pipeline::stage::adam::Step;
+use mhsplat::pipeline::stage::project_grad::update;
 use mhsplat::scene::Plane;
 
 #[test]
@@ -86,5 +92,91 @@ fn culled_gaussians_have_the_regularisers_alone() {
                 .all(|g| if regularised { *g > 0.0 } else { *g == 0.0 }),
             "plane {p}"
         );
+    }
+}
+
+/// By every vector and every run of them, whatever is left over.
+fn widths() -> [Tuning; 4] {
+    let narrow = Tuning {
+        vector_width: 1,
+        block_width: 1,
+        ..Tuning::CPU
+    };
+    let eight = Tuning {
+        vector_width: 8,
+        ..Tuning::CPU
+    };
+    [Tuning::CPU, eight, narrow, Tuning::GPU]
+}
+
+/// Training never stores gradients: those of its steps are those that are read, to the bit.
+#[test]
+fn a_step_takes_the_gradients() {
+    for case in scenes() {
+        let n = case.splats.len();
+        for tuning in widths() {
+            let out = run(tuning, &case);
+            let grads = gradients(&out, n);
+            let moments = planes(&out, "adam", "first moments, one step", grads.len());
+            for (p, (m, g)) in moments.iter().zip(&grads).enumerate() {
+                let want = g.iter().map(|g| (1.0f32 - 0.9) * *g as f32);
+                let same = want.zip(m).all(|(w, m)| f64::from(w) == *m);
+                assert!(same, "{}: plane {p}", case.name);
+            }
+        }
+    }
+}
+
+/// Parameters and status after a step of 70 Gaussians, the first of which have a pair with these sums.
+fn step(sums: &[[f32; SUMS]], overflow: u32, tuning: Tuning) -> (Vec<f32>, Vec<u32>) {
+    let (device, n) = (device(), 70);
+    let case = cases::mild("steps", n, [40, 30], 1, 35);
+    let scene = GaussianBuffers::<f32>::upload(&device, &case.splats, 0).unwrap();
+    let mut frame = ViewBuffers::new(&device, &tuning, true).unwrap();
+    let counts: Vec<u32> = (0..n).map(|i| u32::from(i < sums.len())).collect();
+    let starts: Vec<u32> = (0..n as u32).collect();
+    frame.camera = CameraArg::new(&case.camera);
+    frame.isect_counts = Array::from_slice(&device, "counts", &counts).unwrap();
+    frame.isect_start = Array::from_slice(&device, "starts", &starts).unwrap();
+    frame.sums = Array::from_slice(&device, "sums", &sums.concat()).unwrap();
+    frame.status = Array::zeros(&device, "status", SLOTS).unwrap();
+    frame.status.write(OVERFLOW as usize, &[overflow]).unwrap();
+    let zeros = |name| Array::zeros(&device, name, scene.params.len()).unwrap();
+    let (m, v) = (zeros("m"), zeros("v"));
+    let step = Step {
+        rate: case.rates,
+        constants: [0.9, 0.999, 1e-15],
+        t: 1,
+    };
+    let kernels = Kernels::new(&device, Defines::new(tuning));
+    let stage = kernels.of_degree(1).taking_steps();
+    let stage = stage.build::<f32>("project_grad").unwrap();
+    update(&stage, &scene, &frame, [0.0; 2], [&m, &v], &step).unwrap();
+    let params = (0..scene.planes()).flat_map(|p| scene.plane(p).unwrap());
+    (params.collect(), frame.status.to_vec().unwrap())
+}
+
+#[test]
+fn a_step_leaves_everything_alone_after_an_overflow() {
+    let case = cases::mild("steps", 70, [40, 30], 1, 35);
+    let before = case.splats.planes().concat();
+    for tuning in widths() {
+        let (after, _) = step(&[[1e-3; SUMS]; 70], 12345, tuning);
+        assert_eq!(after, before);
+        let (after, status) = step(&[[1e-3; SUMS]; 70], 0, tuning);
+        assert!(after.iter().zip(&before).filter(|(a, b)| a != b).count() > 70 * 15);
+        assert_eq!(status[NON_FINITE as usize], 0);
+    }
+}
+
+#[test]
+fn a_step_with_sums_that_are_not_finite_keeps_numbers_and_says_so() {
+    let bad = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY].map(|v| [v; SUMS]);
+    let case = cases::mild("steps", 70, [40, 30], 1, 35);
+    let before = case.splats.planes().concat();
+    for tuning in widths() {
+        let (after, status) = step(&bad, 0, tuning);
+        assert!(status[NON_FINITE as usize] > 3, "{status:?}");
+        assert_eq!(after, before, "what has no gradient does not move");
     }
 }

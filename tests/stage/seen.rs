@@ -53,7 +53,7 @@ fn seen_of(gaussians: &[Projected<f64>], before: &[u32], tuning: Tuning) -> Vec<
     frame.tile_start = array("tile_start", &[0, n as u32]);
     frame.isect_start = array("isect_start", &order);
     frame.isect_counts = array("isect_counts", &vec![1; n]);
-    frame.order = array("order", &order);
+    frame.pairs.values[0] = array("order", &order);
     (frame.camera.size, frame.camera.tiles) = ([5, 5], [1, 1]);
     let kernels = Kernels::new(&device, Defines::new(tuning));
     let stage = kernels.build::<f64>("seen").unwrap();

@@ -7,7 +7,7 @@ use crate::device::{Projected, Real};
 use crate::pipeline::forward::Renderer;
 
 /// The stages of an iteration, in the order of the tables.
-pub const STAGES: [&str; 9] = [
+pub const STAGES: [&str; 8] = [
     "project",
     "bin",
     "scan",
@@ -16,7 +16,6 @@ pub const STAGES: [&str; 9] = [
     "loss",
     "splat_grad",
     "project_grad",
-    "adam",
 ];
 
 /// FLOP of a lane in the innermost block of `kernels/splat.cl`, a multiply-add counting two and comparisons, selections,
@@ -48,7 +47,7 @@ impl TileWork {
         let counters = frame.status.to_vec()?;
         let pairs = counters[status::INTERSECTIONS as usize] as usize;
         let [tiles_x, tiles] = [frame.camera.tiles[0] as usize, frame.camera.tile_count()];
-        let order = frame.order.read(0, pairs)?;
+        let order = frame.order().read(0, pairs)?;
         let owner = frame.isect_owner.read(0, pairs)?;
         let start = frame.tile_start.read(0, tiles)?;
         let used = frame.tile_used.read(0, tiles)?;
@@ -167,9 +166,8 @@ impl Load {
             "sort" => (self.passes * v * 5.0 + self.tiles) * uint,
             // Forward: render and photo in, nine maps out. Backward: maps, render and photo in, gradient out.
             "loss" => self.pixels * ((3.0 + 9.0 + 9.0 + 3.0 + 3.0) * real + 6.0),
-            "project_grad" => n * (2.0 * self.planes * real + 2.0 * uint) + p * SUMS as f64 * real,
-            // Gradients, parameters and both moments in, all but the gradients out.
-            "adam" => 7.0 * n * self.planes * real,
+            // Parameters and both moments in and out; pairs' sums, counts and first slots in.
+            "project_grad" => n * (6.0 * self.planes * real + 2.0 * uint) + p * SUMS as f64 * real,
             _ => 0.0,
         }
     }

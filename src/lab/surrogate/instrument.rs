@@ -101,7 +101,7 @@ impl<R: Real> Instrument<R> {
             ..Defines::new(device.tuning())
         };
         let kernels = Kernels::new(device, defines);
-        let pipeline = Pipeline::new(device, defines, [degree, degree], views.largest)?;
+        let pipeline = Pipeline::new(device, defines, degree, views.largest)?;
         let cut = setting.alpha_min * setting.epsilon;
         let room = splats.len() + births.max(1) + 2 * GRADIENT_ROWS;
         Ok(Self {

@@ -207,7 +207,12 @@ impl Reference {
     }
 
     /// Planes of the parameters and moments after two steps of the optimiser with these gradients.
-    pub(super) fn optimised(&self, case: &Case, grads: &[f64]) -> Stepped<Vec<Vec<f64>>> {
+    pub(super) fn optimised(
+        &self,
+        case: &Case,
+        grads: &[f64],
+        steps_taken: u32,
+    ) -> Stepped<Vec<Vec<f64>>> {
         let (r, n) = (&case.rates, self.scene.len());
         let of = |(p, plane): (usize, &Vec<f64>)| {
             let rate = match p {
@@ -218,7 +223,7 @@ impl Reference {
                 _ if p < Plane::SH + 3 => r.sh0,
                 _ => r.sh,
             };
-            let count = 2 * u32::from(p < Plane::count(case.sh_degree));
+            let count = steps_taken * u32::from(p < Plane::count(case.sh_degree));
             let grads = &grads[p * n..(p + 1) * n];
             steps(plane.clone(), grads, (rate, count), |_| ()).0
         };

@@ -20,7 +20,7 @@ use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::adam::{LearningRates, Step};
 use crate::pipeline::stage::exposure::{apply, backward};
 use crate::pipeline::stage::loss::ImagePair;
-use crate::pipeline::stage::{adam, edit, filter, metrics, noise, screen_grad, seen};
+use crate::pipeline::stage::{adam, edit, filter, metrics, noise, project_grad, screen_grad, seen};
 use crate::scene::Plane;
 
 /// A named array of numbers.
@@ -159,7 +159,7 @@ impl<'a, R: Real> Pass<'a, R> {
         }
         let camera = CameraArg::<R>::new(&case.camera);
         Ok(Self {
-            pipeline: Pipeline::new(device, defines, [case.sh_degree; 2], camera.image())?,
+            pipeline: Pipeline::new(device, defines, case.sh_degree, camera.image())?,
             kernels: Kernels::new(device, defines),
             photo: Array::from_slice(device, "photo", &case.photo.data)?,
             device,
@@ -225,7 +225,7 @@ impl<'a, R: Real> Pass<'a, R> {
     fn copy_of_scene(&self) -> Result<GaussianBuffers<R>> {
         Ok(GaussianBuffers {
             params: self.copy(&self.scene.params)?,
-            filter: Array::zeros(self.device, "filter", 0)?,
+            filter: self.copy(&self.scene.filter)?,
             ..self.scene
         })
     }
@@ -309,7 +309,7 @@ impl<'a, R: Real> Pass<'a, R> {
     fn tiles(&self) -> Result<Vec<Vec<u32>>> {
         let frame = self.frame();
         let pairs = frame.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
-        let order = frame.order.read(0, pairs)?;
+        let order = frame.order().read(0, pairs)?;
         let owner = frame.isect_owner.read(0, pairs)?;
         let start = frame.tile_start.read(0, self.camera.tile_count() + 1)?;
         let tile = |w: &[u32]| {
@@ -423,15 +423,50 @@ impl<'a, R: Real> Pass<'a, R> {
         let scene = self.copy_of_scene()?;
         let (block, steps) = (self.block(grads), (self.case.rates, 2));
         let moments = optimise(&self.kernels, &scene, &block, steps, self.frame())?;
-        let want = self.want(|r, out| r.optimised(self.case, &out.gradients()));
         let names = ["parameters", "first moments", "second moments"];
+        self.add_steps(names, &scene, &moments, 2)?;
+        self.out.non_finite = self.frame().status.read(status::NON_FINITE as usize, 1)?[0];
+        self.step()?;
+        Ok((scene, moments))
+    }
+
+    /// One step from the sums, as training takes it, of a copy of the scene.
+    fn step(&mut self) -> Result<()> {
+        let scene = self.copy_of_scene()?;
+        let zeros = |name| Array::zeros(self.device, name, scene.params.len());
+        let moments = [zeros("moment1")?, zeros("moment2")?];
+        let [_, opacity, scale] = self.case.lambdas;
+        let step = Step {
+            rate: self.case.rates,
+            constants: ADAM,
+            t: 1,
+        };
+        let stage = self.kernels.taking_steps().build::<R>("project_grad")?;
+        let (frame, both) = (self.frame(), moments.each_ref());
+        project_grad::update(&stage, &scene, frame, [opacity, scale], both, &step)?;
+        let names = [
+            "parameters, one step",
+            "first moments, one step",
+            "second moments, one step",
+        ];
+        self.add_steps(names, &scene, &moments, 1)
+    }
+
+    /// Adds parameters and moments after so many steps.
+    fn add_steps(
+        &mut self,
+        names: [&'static str; 3],
+        scene: &GaussianBuffers<R>,
+        moments: &[Array<R>; 2],
+        steps: u32,
+    ) -> Result<()> {
+        let want = self.want(|r, out| r.optimised(self.case, &out.gradients(), steps));
         let arrays = [&scene.params, &moments[0], &moments[1]];
         for ((name, array), want) in names.into_iter().zip(arrays).zip(want) {
             let got = self.planes(array, scene.planes())?;
             self.add("adam", name, got, |_, _| want.concat());
         }
-        self.out.non_finite = self.frame().status.read(status::NON_FINITE as usize, 1)?[0];
-        Ok((scene, moments))
+        Ok(())
     }
 
     /// Displacements by the noise, on a copy of the scene.
@@ -487,7 +522,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let got = [planes(&scene.params)?, planes(m)?, planes(v)?].concat();
         let case = self.case;
         self.add("edit", "rows", got, |r, out| {
-            edited(case, r.optimised(case, &out.gradients()))
+            edited(case, r.optimised(case, &out.gradients(), 2))
         });
         Ok(())
     }

@@ -45,7 +45,16 @@ impl<T> Step<T> {
     }
 }
 
-/// Enqueues one step of the Gaussians of a block; after an overflow in the view nothing changes.
+impl Step<LearningRates> {
+    /// The rates, then [`Step::arguments`].
+    pub(super) fn numbers<R: Real>(&self) -> impl Iterator<Item = f64> + use<R> {
+        let r = &self.rate;
+        let rates = [r.position, r.scale, r.rotation, r.opacity, r.sh0, r.sh];
+        rates.into_iter().chain(self.arguments::<R>())
+    }
+}
+
+/// Enqueues one step of the Gaussians of a block with gradients that are given; after an overflow in the view nothing changes.
 pub fn update<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
@@ -54,14 +63,15 @@ pub fn update<R: Real>(
     step: &Step<LearningRates>,
     view: &ViewBuffers<R>,
 ) -> Result<()> {
-    let (r, vectors) = (&step.rate, stage.vectors(grads.rows.len()));
+    let vectors = stage.vectors(grads.rows.len());
     stage
         .launch("adam")
         .array(grads.values, grads.planes * grads.stride)
-        .uints([grads.stride, grads.rows.start, vectors, scene.stride])
-        .reals::<R>([r.position, r.scale, r.rotation, r.opacity, r.sh0, r.sh])
-        .reals::<R>(step.arguments::<R>())
-        .arrays([&scene.params, m, v], grads.planes * scene.stride)
+        .uints([grads.stride, grads.rows.start, vectors])
+        .array(&scene.params, grads.planes * scene.stride)
+        .uints([scene.stride])
+        .reals::<R>(step.numbers::<R>())
+        .arrays([m, v], grads.planes * scene.stride)
         .status(view)
         .over_items([vectors, grads.planes])
 }

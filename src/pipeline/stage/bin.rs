@@ -21,14 +21,21 @@ pub fn compact_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Resul
         .over_groups(stage.chunks())
 }
 
-/// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`.
+/// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`; in the group
+/// style by depth, too.
 pub fn count<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) -> Result<()> {
-    walk(stage.launch("bin_count"), view, active_only)
-        .array(&view.isect_counts, view.count)
-        .over_batches(view.count)
+    let launch = walk(stage.launch("bin_count"), view, active_only);
+    let launch = launch.array(&view.isect_counts, view.count);
+    match stage.defines().tuning.group_style {
+        true => launch
+            .uints([view.count])
+            .array(view.depth_counts(), view.count)
+            .over_groups(view.count.div_ceil(stage.defines().tuning.tile_group())),
+        false => launch.over_batches(view.count),
+    }
 }
 
-/// Counts the pairs of each chunk of the visible Gaussians by tile.
+/// Counts the pairs of each chunk of the visible Gaussians by tile (not in the group style).
 pub fn count_tiles<R: Real>(
     stage: &Program,
     view: &ViewBuffers<R>,
@@ -38,13 +45,33 @@ pub fn count_tiles<R: Real>(
     by_tile(stage.launch("bin_tiles"), view, active_only).over_chunks([chunks, 1])
 }
 
-/// Writes the pairs that [`count`] counted to the places that [`count_tiles`] found for them.
+/// Writes the pairs that [`count`] counted: to the places that [`count_tiles`] found for them, or by depth in the group style.
 pub fn emit<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) -> Result<()> {
-    by_tile(stage.launch("bin_emit"), view, active_only)
+    let launch = stage.launch("bin_emit");
+    if stage.defines().tuning.group_style {
+        let pairs = &view.pairs;
+        return walk(launch, view, active_only)
+            .arrays([view.depth_start(), &view.isect_start], view.count)
+            .arrays([&view.isect_owner, &pairs.keys[0], &pairs.values[0]], 1)
+            .over_groups(view.count.div_ceil(stage.defines().tuning.tile_group()));
+    }
+    by_tile(launch, view, active_only)
         .array(&view.tile_start, view.camera.tile_count() + 1)
         .array(&view.isect_start, view.count)
-        .arrays([&view.order, &view.isect_owner], 1)
+        .arrays([view.order(), &view.isect_owner], 1)
         .over_chunks([view.tile_chunks(), 1])
+}
+
+/// Looks up the first pair of each tile among the sorted pairs.
+pub fn find_tiles<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
+    let tiles = view.camera.tile_count();
+    stage
+        .launch("bin_ranges")
+        .array(&view.pairs.keys[view.pairs.sorted], 1)
+        .status(view)
+        .uints([tiles])
+        .array(&view.tile_start, tiles + 1)
+        .over_items([tiles + 1, 1])
 }
 
 /// Adds the arguments of a walk over the tiles of the visible Gaussians that keeps count of each tile.

@@ -1,12 +1,13 @@
-//! Sums of each pair → gradients of the raw parameters (`kernels/project_grad.cl`).
+//! Sums of each pair → gradients of the raw parameters, and a step of the optimiser with them (`kernels/project_grad.cl`).
 
 use crate::base::constants::{LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
-use crate::device::{Program, Real};
+use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Options, Scene64, product, transpose, unit_quaternion};
+use crate::pipeline::stage::adam::{LearningRates, Step};
 use crate::pipeline::stage::project::{Area64, Shape64, color, cross, shape};
 use crate::pipeline::stage::screen_grad::mean_gradient;
 use crate::scene::{Plane, sh, sh_coefficients};
@@ -17,10 +18,9 @@ pub fn backward<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
     view: &ViewBuffers<R>,
-    [lambda_opacity, lambda_scale]: [f64; 2],
+    lambdas: [f64; 2],
     grads: &GradientBlock<'_, R>,
 ) -> Result<()> {
-    let n = scene.count.max(1) as f64;
     let planes = Plane::count(stage.defines().sh_degree);
     stage
         .launch("project_grad")
@@ -30,9 +30,39 @@ pub fn backward<R: Real>(
         .arrays([&view.isect_start, &view.isect_counts], scene.count)
         .status(view)
         .array(&view.sums, 1)
-        .reals::<R>([lambda_opacity / n, lambda_scale / (3.0 * n)])
+        .reals::<R>(regularisers(scene, lambdas))
         .array(grads.values, planes * grads.stride)
         .over_gaussians(grads.rows.len())
+}
+
+/// Takes a step of the optimiser with the gradients of all Gaussians, of which none is written; after an overflow in the view nothing
+/// changes. The kernel is built for one SH degree, with `take_step`.
+pub fn update<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    lambdas: [f64; 2],
+    moments: [&Array<R>; 2],
+    step: &Step<LearningRates>,
+) -> Result<()> {
+    let planes = Plane::count(stage.defines().sh_degree);
+    stage
+        .launch("project_step")
+        .gaussians(scene)
+        .value(view.camera)
+        .arrays([&view.isect_start, &view.isect_counts], scene.count)
+        .array(&view.sums, 1)
+        .reals::<R>(regularisers(scene, lambdas))
+        .reals::<R>(step.numbers::<R>())
+        .arrays(moments, planes * scene.stride)
+        .status(view)
+        .over_runs(scene.count)
+}
+
+/// λ_o / N and λ_s / 3N.
+fn regularisers<R: Real>(scene: &GaussianBuffers<R>, [opacity, scale]: [f64; 2]) -> [f64; 2] {
+    let n = scene.count.max(1) as f64;
+    [opacity / n, scale / (3.0 * n)]
 }
 
 // Definition in f64.

@@ -2,17 +2,50 @@
 
 use crate::base::constants::TILE;
 use crate::base::error::Result;
-use crate::device::tuning::status::SLOTS;
+use crate::device::tuning::status::{self, SLOTS};
 use crate::device::{Array, Kernels, Program, Real};
 use crate::pipeline::buffers::SortBuffers;
 
-/// Bits of a key.
+/// Bits of the keys of [`Keys::depths`].
 const BITS: u32 = 32;
 /// Most elements that one work-item sorts on a device whose work-items are whole cores: a second core does not make up for the
 /// launches that it takes (`docs/results/speed.md`).
 const FEW: usize = 1 << 14;
 /// Elements that a work-group sorts at least before there is another.
 const PER_GROUP: usize = 1024;
+
+/// Number and range of the keys to be sorted.
+#[derive(Debug, Clone, Copy)]
+pub struct Keys {
+    /// Slot of the status array that holds the number of elements.
+    pub counter: u32,
+    /// Most elements that there may be.
+    pub most: usize,
+    /// Bits that keys differ in, from the lowest on.
+    pub bits: u32,
+}
+
+impl Keys {
+    /// Depths of the visible ones of `most` Gaussians.
+    #[must_use]
+    pub fn depths(most: usize) -> Self {
+        Self {
+            counter: status::VISIBLE,
+            most,
+            bits: BITS,
+        }
+    }
+
+    /// Tiles of at most `most` pairs.
+    #[must_use]
+    pub fn tiles(most: usize, tiles: usize) -> Self {
+        Self {
+            counter: status::INTERSECTIONS,
+            most,
+            bits: tiles.next_power_of_two().ilog2().max(1),
+        }
+    }
+}
 
 /// The kernels and their scratch.
 #[derive(Debug)]
@@ -36,27 +69,27 @@ impl Sort {
         })
     }
 
-    /// Number of passes: the one of the fewest bins and sweeps over at most `n` elements together.
-    fn passes(&self, n: usize, chunks: usize) -> u32 {
-        let tuning = self.program.defines().tuning;
-        let min = BITS.div_ceil(tuning.radix_bits);
+    /// Number of passes: the one of the fewest bins and sweeps over all elements together.
+    fn passes(&self, keys: &Keys, chunks: usize) -> u32 {
+        let (tuning, bits) = (self.program.defines().tuning, keys.bits);
+        let min = bits.div_ceil(tuning.radix_bits);
         if tuning.group_style {
             // The counters of a group are in local memory: fewer launches are expected to count for more.
             return min;
         }
         let cost = |passes: &u32| {
-            let bins = 1usize << BITS.div_ceil(*passes);
+            let bins = 1usize << bits.div_ceil(*passes);
             // Every element is read twice and written; every counter of a chunk and bin is zeroed, summed and rewritten.
-            *passes as usize * 3 * (n + chunks * bins)
+            *passes as usize * 3 * (keys.most + chunks * bins)
         };
-        (min..=BITS).min_by_key(cost).unwrap_or(min)
+        (min..=bits).min_by_key(cost).unwrap_or(min)
     }
 
-    /// Sorts by key as many elements as are visible according to the status array, which are no more than `most`.
-    pub fn run(&self, elements: &mut SortBuffers, most: usize, status: &Array<u32>) -> Result<()> {
-        let (program, tuning) = (&self.program, self.program.defines().tuning);
+    /// Sorts by key as many elements as the status array says.
+    pub fn run(&self, elements: &mut SortBuffers, keys: &Keys, status: &Array<u32>) -> Result<()> {
+        let (program, tuning, most) = (&self.program, self.program.defines().tuning, keys.most);
         if most <= FEW && !tuning.group_style {
-            self.run_few(elements, most, status)?;
+            self.run_few(elements, keys, status)?;
             // None at all are sorted both ways: warming up builds the kernels so.
             if most > 0 {
                 return Ok(());
@@ -66,8 +99,8 @@ impl Sort {
             true => most.div_ceil(PER_GROUP).clamp(1, tuning.chunks),
             false => tuning.chunks,
         };
-        let passes = self.passes(most, chunks);
-        let per_pass = BITS.div_ceil(passes);
+        let passes = self.passes(keys, chunks);
+        let per_pass = keys.bits.div_ceil(passes);
         let bins = 1 << per_pass;
         for pass in 0..passes {
             let (from, shift) = (pass as usize % 2, (pass * per_pass) as usize);
@@ -76,7 +109,7 @@ impl Sort {
                     .launch(kernel)
                     .array(&elements.keys[from], most)
                     .array(status, SLOTS)
-                    .uints([chunks, shift, bins])
+                    .uints([keys.counter as usize, chunks, shift, bins])
                     .array(&self.histogram, chunks * bins)
             };
             over_keys("sort_histogram").over_groups(chunks)?;
@@ -92,24 +125,24 @@ impl Sort {
     }
 
     /// All passes in one launch.
-    fn run_few(&self, elements: &mut SortBuffers, most: usize, status: &Array<u32>) -> Result<()> {
-        let passes = self.passes(most, 1);
-        let bits = BITS.div_ceil(passes);
+    fn run_few(&self, elements: &mut SortBuffers, keys: &Keys, status: &Array<u32>) -> Result<()> {
+        let passes = self.passes(keys, 1);
+        let bits = keys.bits.div_ceil(passes);
         let launch = self.program.launch("sort_few").array(status, SLOTS);
-        let launch = launch.uints([passes as usize, bits as usize]);
+        let launch = launch.uints([keys.counter as usize, passes as usize, bits as usize]);
         let launch = launch.array(&self.histogram, (passes as usize) << bits);
         [0, 1]
             .into_iter()
             .fold(launch, |l, k| {
-                l.arrays([&elements.keys[k], &elements.values[k]], most)
+                l.arrays([&elements.keys[k], &elements.values[k]], keys.most)
             })
             .once()?;
         elements.sorted = passes as usize % 2;
         Ok(())
     }
 
-    /// Turns the numbers of elements \[chunks, bins\] of each chunk and bin into those of the chunks before, and writes the first
-    /// place of each bin, then the number of all elements, to `totals`.
+    /// Turns the numbers of elements \[chunks, bins\] of each chunk and bin into those of the chunks before. Writes the first
+    /// place of each bin, then the number of all elements, to `totals`; in the group style the number of elements of each bin.
     pub fn first_places(
         &self,
         histogram: &Array<u32>,
@@ -123,10 +156,10 @@ impl Sort {
                 .uints([chunks, bins])
                 .array(totals, bins + 1)
         };
-        if self.program.defines().tuning.group_style {
-            launch("sort_totals").over_groups(bins.div_ceil(TILE as usize))?;
+        match self.program.defines().tuning.group_style {
+            true => launch("sort_totals").over_groups(bins.div_ceil(TILE as usize)),
+            false => launch("sort_bins").once(),
         }
-        launch("sort_bins").over_groups(1)
     }
 }
 
