@@ -3,10 +3,11 @@
 # make deb    a Debian package in target/debian (cargo install cargo-deb); make wheel: a Python wheel in target/wheels (pip)
 # make archive    the archive of a release for this machine in target/distrib (cargo install cargo-dist)
 # make gpu-check  compile the kernels for GPUs (NVIDIA, AMD, Intel) without one; what they take against data/gpu (.ci/gpu-check tells what it needs)
+# make gpu-report everything to be known of a GPU, in one folder, within eight minutes; SET=dataset, DEVICE=selector, OUT=folder (.ci/gpu-report)
 DEMO ?= run-demo
 FILES = target/package-files
 
-.PHONY: demo install test bench deb wheel archive gpu-check
+.PHONY: demo install test bench deb wheel archive gpu-check gpu-report
 
 install:
 	.ci/install
@@ -39,3 +40,7 @@ archive: install
 
 gpu-check:
 	.ci/gpu-check
+
+gpu-report:
+	cargo build --release --locked
+	.ci/gpu-report $(SET)

@@ -184,7 +184,7 @@ static inline Large large_of(const Projected g) {
   return large;
 }
 
-// Whether tile `at` of the box, row by row, is touched; its number goes to *tile.
+// True if tile `at` of the box, row by row, is touched; its number goes to *tile.
 static inline int touches_at(const Large *o, uint at, uint tiles_x, ACTIVE_TILES, uint *tile) {
   const uint tx = o->tx0 + at % o->width, ty = o->ty0 + at / o->width;
   *tile = ty * tiles_x + tx;
@@ -303,7 +303,7 @@ static inline uint dealt_chunk(uint id, uint chunks) {
   return 2 * id < chunks ? 2 * id : 2 * (id - (chunks + 1) / 2) + 1;
 }
 
-// Launch: one work-item per BATCH visible Gaussians, whose records are fetched together; those past the visible ones
+// Launch: one work-item per SPLAT_BATCH visible Gaussians, whose records are fetched together; those past the visible ones
 // have nothing to do.
 __kernel void bin_count(__global const Projected *records, __global const uint *visible, // in, in depth order
                         __global const uint *status, uint tiles_x,
@@ -312,10 +312,10 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
 #endif
                         __global uint *cover,   // out [visible, 2] mask; packed box
                         __global uint *isect_counts) { // out [count] tiles touched
-  const uint first = get_global_id(0) * BATCH, visible_count = status[S_VISIBLE];
+  const uint first = get_global_id(0) * SPLAT_BATCH, visible_count = status[S_VISIBLE];
   if (first >= visible_count) return;
-  const uint n = min((uint)BATCH, visible_count - first);
-  Projected staged[BATCH];
+  const uint n = min((uint)SPLAT_BATCH, visible_count - first);
+  Projected staged[SPLAT_BATCH];
   for (uint j = 0; j < n; j++) staged[j] = records[visible[first + j]];
   for (uint j = 0; j < n; j++) {
     const Projected *g = &staged[j];

@@ -11,15 +11,12 @@
 
 #define RADIUS (TAPS / 2)
 #if GROUP_STYLE
-#define RUN 2           // rows whose vertical windows a work-item makes
 #define PART_WIDTH TILE // columns and rows that are left out together
 #define PART_HEIGHT TILE
 #else
-#define RUN LOSS_ROWS
 #define PART_WIDTH VW
 #define PART_HEIGHT LOSS_ROWS
 #endif
-#define REACH (RUN + 2 * RADIUS) // rows that windows of RUN rows see
 #define SHIFT R(0.5)
 __constant real WINDOW[TAPS] = SSIM_WINDOW;
 
@@ -115,18 +112,6 @@ static inline int may_differ(__global const uint *active_tiles, __global const u
 }
 #endif
 
-// Vertical windows of RUN consecutive rows, of REACH rows. The window is symmetric: 5 sums, 6 products.
-static inline void window_columns(const realV r[REACH], realV out[RUN]) {
-  const real weights[TAPS] = SSIM_WINDOW;
-#pragma unroll
-  for (int g = 0; g < RUN; g++) {
-    realV sum = (realV)(weights[RADIUS]) * r[g + RADIUS];
-#pragma unroll
-    for (int k = 0; k < RADIUS; k++) sum = fma((realV)(weights[k]), r[g + k] + r[g + 2 * RADIUS - k], sum);
-    out[g] = sum;
-  }
-}
-
 // SSIM of VW pixels from the windowed moments of the shifted images (means, E[x^2 + y^2], E[xy]), and its derivatives
 // with respect to the windowed x, x^2 and x y.
 static inline realV ssim_of(realV mx, realV my, realV squares, realV xy, realV *dmx, realV *dxx, realV *dxy) {
@@ -158,8 +143,21 @@ static inline realV gradient_of(const Images *s, int x, int y, realV dmx, realV 
 }
 
 #if !GROUP_STYLE
+#define REACH (LOSS_ROWS + 2 * RADIUS)    // rows that windows of LOSS_ROWS rows see
 #define HALO ((RADIUS + VW - 1) / VW) // vectors that a strip needs on either side; loads stay aligned
 #define VECTORS (STRIP / VW + 2 * HALO)
+
+// Vertical windows of LOSS_ROWS consecutive rows, of REACH rows. The window is symmetric: 5 sums, 6 products.
+static inline void window_columns(const realV r[REACH], realV out[LOSS_ROWS]) {
+  const real weights[TAPS] = SSIM_WINDOW;
+#pragma unroll
+  for (int g = 0; g < LOSS_ROWS; g++) {
+    realV sum = (realV)(weights[RADIUS]) * r[g + RADIUS];
+#pragma unroll
+    for (int k = 0; k < RADIUS; k++) sum = fma((realV)(weights[k]), r[g + k] + r[g + 2 * RADIUS - k], sum);
+    out[g] = sum;
+  }
+}
 
 #if SKIP_BLANK
 // Flags the vectors of a strip that are not left out.
@@ -345,6 +343,7 @@ typedef CAT(REAL_NAME, 2) real2;
 typedef CAT(REAL_NAME, 4) real4;
 // Work-items side by side read columns side by side, of one row, and thus different banks.
 #define WIDE (TILE + 2 * RADIUS)  // rows and columns of a tile with its halo
+#define RUN 2                     // rows whose vertical windows a work-item makes
 #define LINE (GROUP * RUN / TILE) // work-items for a row, or a run of rows: at least WIDE, the others wait
 
 // Sum over the group, by halves in a fixed order; whole in work-item 0 alone. Nobody may still need what `part` holds.
@@ -377,14 +376,14 @@ static inline void stage_images(const Images *s, int tile_x, int tile_y, __local
   }
 }
 
-// What SSIM takes the windowed means of: x, y, x^2 + y^2 and x y.
+// Quantities whose windowed means SSIM takes: x, y, x^2 + y^2 and x y.
 static inline real4 moments_of(real2 pair) {
   const real x = pair.x, y = pair.y;
   return (real4)(x, y, fma(x, x, y * y), x * y);
 }
 
 // Vertical windows of the moments, by the whole group: a work-item takes RUN rows of a column, added in the order of
-// window_columns. One row after the other: together they would share what they read, but take half as many registers again.
+// window_columns in the other style. One row after the other: together they would share what they read, but take half as many registers again.
 static inline void window_moments(__local real2 staged[WIDE][WIDE], __local real4 windows[TILE][WIDE]) {
   const int column = get_local_id(0) % LINE;
   if (column >= WIDE) return;
@@ -468,21 +467,24 @@ static inline void stage_maps(__global const real *maps, int tile_x, int tile_y,
   }
 }
 
-// Their vertical windows, by the whole group: a work-item takes RUN rows of a column, which share what they read.
-// A fourth value pads them, so that one load fetches a pixel's windows.
+// The three maps at a place; a fourth value pads them, so that one load fetches a pixel's windows.
+static inline real4 maps_of(__local real staged[3][WIDE][WIDE], int row, int column) {
+  return (real4)(staged[0][row][column], staged[1][row][column], staged[2][row][column], R(0.0));
+}
+
+// Their vertical windows, by the whole group.
 static inline void window_maps(__local real staged[3][WIDE][WIDE], __local real4 windows[TILE][WIDE]) {
-  const int column = get_local_id(0) % LINE, row = get_local_id(0) / LINE * RUN;
+  const int column = get_local_id(0) % LINE;
   if (column >= WIDE) return;
-  real out[3][RUN];
+#pragma unroll 1
+  for (int g = 0; g < RUN; g++) {
+    const int row = get_local_id(0) / LINE * RUN + g;
+    real4 sum = (real4)(WINDOW[RADIUS]) * maps_of(staged, row + RADIUS, column);
 #pragma unroll
-  for (int m = 0; m < 3; m++) {
-    real in[REACH];
-#pragma unroll
-    for (int r = 0; r < REACH; r++) in[r] = staged[m][row + r][column];
-    window_columns(in, out[m]);
+    for (int k = 0; k < RADIUS; k++)
+      sum = fma((real4)(WINDOW[k]), maps_of(staged, row + k, column) + maps_of(staged, row + 2 * RADIUS - k, column), sum);
+    windows[row][column] = sum;
   }
-#pragma unroll
-  for (int g = 0; g < RUN; g++) windows[row + g][column] = (real4)(out[0][g], out[1][g], out[2][g], R(0.0));
 }
 
 // Launch: as loss_forward. dL/dx of the channel, zero in the padding.

@@ -3,7 +3,7 @@
 // of them is stored. A Gaussian's pairs are added in the order of their tiles. Source: chain rule through M = J W R S (see common.clh),
 // [MH] Eq. 4 for the regularisers.
 
-// Where the gradients of VW Gaussians go: to an array, or, where a work-item takes no more of them at a time, straight into the step.
+// Destination of the gradients of VW Gaussians: an array, or, where a work-item takes no more of them at a time, the step itself.
 #if TAKE_STEP && UPDATE_RUN == VW
 typedef struct {
   const Adam *adam;
@@ -175,7 +175,7 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
     dx[k] = fma(V(cam->w[k]), dt[0], fma(V(cam->w[3 + k]), dt[1], cam->w[6 + k] * dt[2]));
 }
 
-// What the gradients of all Gaussians depend on.
+// Inputs of the gradients of all Gaussians.
 typedef struct {
   __global const real *params; // [planes, stride]
   uint stride, count;

@@ -27,7 +27,8 @@ CHUNK_KERNEL void scan_write(__global const uint *values, uint n,    // in [n]
   if (c == chunks - 1 && ITEM == 0) {
     const ulong all = before + sums[c];
     const uint needed = (uint)min(all, (ulong)0xffffffffu);
-    status[total_slot] = all > (ulong)capacity ? 0 : needed;
+    // None either while the flag of an iteration before is up: nobody has written pairs then.
+    status[total_slot] = all > (ulong)capacity || status[S_OVERFLOW] != 0 ? 0 : needed;
     if (all > (ulong)capacity && status[S_OVERFLOW] < needed) status[S_OVERFLOW] = needed;
   }
   uint sum = (uint)before;

@@ -165,10 +165,21 @@ fn every_stage_has_an_amount_of_work() {
         pairs: 300.0,
         pixels: 1024.0,
         tiles: 4.0,
-        passes: Load::passes(&Tuning::CPU),
+        passes: 3.0,
+        pair_passes: 0.0,
         lanes: 1e4,
     };
-    assert_eq!(load.passes, 3.0);
+    assert_eq!(Load::passes(&Tuning::CPU, 6700), [3.0, 0.0]);
+    assert_eq!(Load::passes(&Tuning::GPU, 6700), [4.0, 2.0]);
+    let sorting = Load {
+        pair_passes: 2.0,
+        ..load
+    };
+    assert_eq!(
+        sorting.bytes("sort") - load.bytes("sort"),
+        2.0 * 300.0 * 20.0
+    );
+    assert_eq!(sorting.bytes("bin") - load.bytes("bin"), 300.0 * 4.0);
     for stage in STAGES {
         let flop = Load::flop_per_lane(stage);
         assert!(flop.is_some() != (load.bytes(stage) > 0.0), "{stage}");

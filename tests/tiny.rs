@@ -6,8 +6,10 @@ use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
 use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::device::Device;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::device::{DeviceInfo, DeviceKind};
 use mhsplat::lab::synth::{SynthLayout, SynthOptions, generate};
-use mhsplat::lab::verify::tiny;
+use mhsplat::lab::verify::{other_style, tiny};
 use mhsplat::run::initial_gaussians;
 use mhsplat::train::Trainer;
 
@@ -76,4 +78,23 @@ fn every_sampler_trains() {
         let finite = |p: &Vec<f32>| p.iter().all(|v| v.is_finite());
         assert!(state.splats.planes().iter().all(finite), "{sampler:?}");
     }
+}
+
+#[test]
+fn a_gpu_is_checked_in_the_style_that_it_trains_in() {
+    let cpu = Device::open(None).unwrap().info().clone();
+    let gpu = DeviceInfo {
+        kind: DeviceKind::Gpu,
+        ..cpu.clone()
+    };
+    assert!(other_style(Tuning::CPU, &cpu).unwrap().group_style);
+    assert_eq!(other_style(Tuning::GPU, &cpu), Some(Tuning::CPU));
+    assert_eq!(other_style(Tuning::GPU, &gpu), None);
+    // Somebody has asked for the style of CPUs.
+    assert!(other_style(Tuning::CPU, &gpu).unwrap().group_style);
+    let small = DeviceInfo {
+        max_work_group: 64,
+        ..gpu
+    };
+    assert_eq!(other_style(Tuning::CPU, &small), None);
 }

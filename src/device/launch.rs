@@ -2,8 +2,12 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use ocl_core::{self as core, ArgVal, Event, KernelArgInfo, KernelInfo, KernelInfoResult};
+use ocl_core::{
+    self as core, ArgVal, Event, KernelArgInfo, KernelInfo, KernelInfoResult, KernelWorkGroupInfo,
+    KernelWorkGroupInfoResult,
+};
 
+use crate::base::constants::SPLAT_BATCH;
 use crate::base::error::{Error, Result};
 use crate::device::array::Array;
 use crate::device::context::{Enqueued, Inner};
@@ -27,6 +31,10 @@ pub(super) struct Kernel {
     kernel: Mutex<core::Kernel>,
     name: String,
     types: Vec<String>,
+    /// Work-items of the largest work-group that the kernel can run in on this device.
+    most: usize,
+    /// True if the kernel runs in work-groups of one size alone.
+    fixed: bool,
 }
 
 /// Argument list under construction; see [`Program::launch`].
@@ -36,11 +44,48 @@ pub struct Launch<'a> {
     counted_as: &'static str,
     types: &'a [String],
     kernel: Result<MutexGuard<'a, core::Kernel>>,
+    most: usize,
+    fixed: bool,
     next: u32,
 }
 
+/// Advice where a device has no room for a work-group per tile.
+const WITHOUT_GROUPS: &str = "train without work-groups, slowly: \
+                              MHSPLAT_TUNING=vector-width=1,block-width=1,group-style=false,radix-bits=4";
+
+/// A work-group of no more than `most` work-items in the place of a larger one; `None` if the kernel needs the larger one.
+fn fitting(local: [usize; 2], most: usize, fixed: bool) -> Option<[usize; 2]> {
+    let fits = local[0] * local[1] <= most;
+    let smaller = [(most / local[1]).clamp(1, local[0]), local[1]];
+    match (fits, fixed) {
+        (true, _) => Some(local),
+        (false, true) => None,
+        (false, false) => Some(smaller),
+    }
+}
+
+/// Name of an argument's type without what drivers spell in different ways: spaces, qualifiers, `struct`, and C's names of the unsigned
+/// types.
+fn plain_type(given: &str) -> String {
+    let pointer = given.contains('*');
+    let given = given.replace('*', " ");
+    let apart =
+        "const volatile restrict struct __global __private __constant global private constant";
+    let apart: Vec<&str> = apart.split(' ').collect();
+    let words: Vec<&str> = given
+        .split_whitespace()
+        .filter(|word| !apart.contains(word))
+        .collect();
+    let name = match words.as_slice() {
+        ["unsigned"] => "uint".to_owned(),
+        ["unsigned", name] => format!("u{name}"),
+        words => words.join(" "),
+    };
+    if pointer { format!("{name}*") } else { name }
+}
+
 impl Kernel {
-    pub(super) fn new(program: &core::Program, name: &str) -> Result<Self> {
+    pub(super) fn new(inner: &Inner, program: &core::Program, name: &str) -> Result<Self> {
         let fail = |e: core::Error| device_error(name, &e, BUG);
         let kernel = core::create_kernel(program, name).map_err(fail)?;
         let KernelInfoResult::NumArgs(n) =
@@ -56,13 +101,23 @@ impl Kernel {
         let types = (0..n)
             .map(|i| {
                 core::get_kernel_arg_info(&kernel, i, KernelArgInfo::TypeName, None)
-                    .map_or_else(|_| String::new(), |t| t.to_string())
+                    .map_or_else(|_| String::new(), |t| plain_type(&t.to_string()))
             })
             .collect();
+        let of = |what| core::get_kernel_work_group_info(&kernel, inner.id, what);
+        let most = match of(KernelWorkGroupInfo::WorkGroupSize) {
+            Ok(KernelWorkGroupInfoResult::WorkGroupSize(most)) if most > 0 => most,
+            _ => inner.info.max_work_group,
+        };
+        let size = of(KernelWorkGroupInfo::CompileWorkGroupSize);
+        let fixed =
+            matches!(size, Ok(KernelWorkGroupInfoResult::CompileWorkGroupSize([n, ..])) if n > 0);
         Ok(Self {
             kernel: Mutex::new(kernel),
             name: name.to_owned(),
             types,
+            most,
+            fixed,
         })
     }
 }
@@ -107,6 +162,8 @@ impl Program {
             name,
             counted_as: self.stage,
             types: found.map_or(&[], |k| &k.types),
+            most: found.map_or(1, |k| k.most),
+            fixed: found.is_some_and(|k| k.fixed),
             kernel: guard.ok_or_else(|| Error::device(name, "no such kernel", BUG)),
             next: 0,
         }
@@ -223,22 +280,17 @@ impl Launch<'_> {
     /// Those of [`Launch::run`].
     pub fn over_runs(self, count: usize) -> Result<()> {
         let tuning = self.defines().tuning;
-        let local = if tuning.vector_width == 1 {
-            tuning.local
-        } else {
-            1
-        };
-        self.run([count.div_ceil(tuning.update_run()), 1], [local, 1])
+        let items = count.div_ceil(tuning.update_run());
+        self.run([items, 1], [tuning.run_local(), 1])
     }
 
-    /// Enqueues the kernel with a work-item for each batch of `count` Gaussians. Does not wait.
+    /// Enqueues the kernel with a work-item for each batch of `count` Gaussians whose scattered records it fetches together, to have
+    /// their cache misses at one time. Does not wait.
     ///
     /// # Errors
     /// Those of [`Launch::run`].
     pub fn over_batches(self, count: usize) -> Result<()> {
-        let tuning = self.defines().tuning;
-        let batches = count.div_ceil(tuning.batch());
-        self.run([batches, 1], [tuning.batch_local(), 1])
+        self.run([count.div_ceil(SPLAT_BATCH as usize), 1], [1, 1])
     }
 
     /// Enqueues the kernel with a work-item, or a work-group, for each tile of an image. Does not wait.
@@ -285,11 +337,16 @@ impl Launch<'_> {
         self.run([1, 1], [1, 1])
     }
 
-    /// Enqueues the kernel over `global` work-items (rounded up to whole work-groups of `local`). Does not wait.
+    /// Enqueues the kernel over `global` work-items (rounded up to whole work-groups of `local`, or of fewer where the device has no room
+    /// for so many: its registers may be too few). Does not wait.
     ///
     /// # Errors
-    /// A wrong argument, or the driver's.
+    /// A wrong argument, no room for a work-group per tile, or the driver's.
     pub fn run(mut self, global: [usize; 2], local: [usize; 2]) -> Result<()> {
+        let Some(local) = fitting(local, self.most, self.fixed) else {
+            let what = format!("the device runs it in work-groups of {} at most", self.most);
+            return Err(Error::device(self.name, what, WITHOUT_GROUPS));
+        };
         let (given, expected) = (self.next as usize, self.types.len());
         if self.kernel.is_ok() && given != expected {
             self.fail(format!("{given} arguments given; {expected} expected"));
@@ -318,5 +375,50 @@ impl Launch<'_> {
             event,
         });
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{WITHOUT_GROUPS, fitting, plain_type};
+    use crate::device::tuning::Tuning;
+
+    #[test]
+    fn work_groups_shrink_unless_the_kernel_needs_them_whole() {
+        assert_eq!(fitting([128, 1], 1024, false), Some([128, 1]));
+        assert_eq!(fitting([128, 1], 96, false), Some([96, 1]));
+        assert_eq!(fitting([16, 8], 64, false), Some([8, 8]));
+        assert_eq!(fitting([256, 1], 256, true), Some([256, 1]));
+        assert_eq!(fitting([256, 1], 128, true), None);
+    }
+
+    #[test]
+    fn the_advice_names_sizes_that_there_are() {
+        let (_, sizes) = WITHOUT_GROUPS.split_once('=').unwrap();
+        let known = serde_json::to_value(Tuning::CPU).unwrap();
+        for size in sizes.split(',') {
+            let (name, _) = size.split_once('=').unwrap();
+            assert!(known.get(name).is_some(), "{name}");
+        }
+    }
+
+    #[test]
+    fn types_are_told_apart_however_they_are_spelled() {
+        let same = [
+            ("float*", "float *"),
+            ("float*", "__global const float*"),
+            ("uint*", "volatile unsigned int *"),
+            ("uchar*", "unsigned char*"),
+            ("uint", "const uint"),
+            ("uint", "unsigned"),
+            ("Camera", "struct Camera"),
+            ("Projected*", "global Projected * restrict"),
+        ];
+        for (plain, spelled) in same {
+            assert_eq!(plain_type(spelled), plain);
+            assert_eq!(plain_type(plain), plain);
+        }
+        assert_ne!(plain_type("float *"), plain_type("float"));
+        assert_ne!(plain_type("unsigned int"), plain_type("int"));
     }
 }

@@ -159,7 +159,7 @@ impl Kernels {
             defines: self.defines,
             stage,
             kernels: names
-                .map(|name| Kernel::new(&program, name.trim()))
+                .map(|name| Kernel::new(inner, &program, name.trim()))
                 .collect::<Result<_>>()?,
         })
     }

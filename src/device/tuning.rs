@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::constants::{SPLAT_BATCH, TILE};
+use crate::base::constants::TILE;
 use crate::device::info::{DeviceInfo, DeviceKind};
 
 /// Key of a Gaussian that is not visible.
@@ -145,17 +145,6 @@ impl Tuning {
         (self.local / self.vector_width as usize).max(1)
     }
 
-    /// Gaussians whose scattered records a work-item of the bin stage fetches together: enough to have their cache misses
-    /// at the same time on a CPU; a GPU has its other work-items for that.
-    #[must_use]
-    pub fn batch(&self) -> usize {
-        if self.group_style {
-            1
-        } else {
-            SPLAT_BATCH as usize
-        }
-    }
-
     /// Gaussians that a work-item of the optimiser takes: those of a vector, or, where it is a whole core, of as many as make
     /// consecutive reads of a plane long enough for the hardware to fetch ahead, with their gradients in the first cache
     /// (docs/results/speed.md).
@@ -165,10 +154,14 @@ impl Tuning {
         vectors * self.vector_width as usize
     }
 
-    /// Local size of kernels with a work-item per batch.
+    /// Local size of the optimiser's kernel: one work-item where it holds the gradients of a run in private memory.
     #[must_use]
-    pub fn batch_local(&self) -> usize {
-        if self.group_style { self.local } else { 1 }
+    pub fn run_local(&self) -> usize {
+        if self.vector_width == 1 {
+            self.local
+        } else {
+            1
+        }
     }
 
     /// Local size of kernels with a work-item per tile or per chunk.

@@ -20,8 +20,8 @@ const BLOCK: usize = 1 << 16;
 #[derive(Debug)]
 pub struct Backward {
     splat_grad: Program,
-    /// One build for every SH degree, made when it is wanted: training without estimates never wants any.
-    project_grad: Arc<[OnceLock<Program>; SH_DEGREES]>,
+    /// One build for every SH degree in f32 and in f64, made when it is wanted: training without estimates never wants any.
+    project_grad: Arc<[[OnceLock<Program>; SH_DEGREES]; 2]>,
     kernels: Kernels,
 }
 
@@ -47,7 +47,7 @@ impl Backward {
 
     /// The build of project_grad for an SH degree.
     fn gradient_stage<R: Real>(&self, sh_degree: u32) -> Result<&Program> {
-        let built = &self.project_grad[sh_degree as usize];
+        let built = &self.project_grad[usize::from(R::IS_DOUBLE)][sh_degree as usize];
         if let Some(stage) = built.get() {
             return Ok(stage);
         }

@@ -3,7 +3,7 @@
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program, Real};
 use crate::pipeline::backward::Backward;
-use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
+use crate::pipeline::buffers::GaussianBuffers;
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{ImagePair, Loss};
@@ -156,18 +156,6 @@ impl<R: Real> Pipeline<R> {
     /// Takes the image gradient back to sums per tile intersection.
     pub fn splat_gradient(&self) -> Result<()> {
         self.backward.splats(&self.forward, &self.dimage)
-    }
-
-    /// Takes the sums per tile intersection back to the raw parameters of a block of Gaussians.
-    pub fn parameter_gradient(
-        &self,
-        scene: &GaussianBuffers<R>,
-        sh_degree: u32,
-        lambdas: [f64; 2],
-        grads: &GradientBlock<'_, R>,
-    ) -> Result<()> {
-        self.backward
-            .parameters(&self.forward, scene, sh_degree, lambdas, grads)
     }
 
     /// Blending weight α·T of each Gaussian in a view, summed over its pixels, in single precision; a third is missing for each

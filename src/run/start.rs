@@ -187,11 +187,11 @@ fn absolute(path: &Path) -> String {
 pub fn claim_folder(dir: &Path) -> Result<()> {
     check_free(dir)?;
     let probe = match dir.is_dir() {
-        true => dir.join(begun(dir).file_name().unwrap_or_default()),
-        false => begun(dir),
+        true => make_beginning(&dir.join("run")),
+        false => make_beginning(dir),
     };
-    std::fs::create_dir_all(&probe)
-        .and_then(|()| std::fs::remove_dir(&probe))
+    probe
+        .and_then(std::fs::remove_dir)
         .map_err(|error| cannot_be_made(dir, &error))
 }
 
@@ -210,28 +210,35 @@ pub(super) fn make_folder(dir: &Path, record: &RunRecord) -> Result<FolderLock> 
         return Ok(lock);
     }
     check_free(dir)?;
-    let begun = begun(dir);
-    let made = std::fs::create_dir_all(&begun)
-        .map_err(|error| cannot_be_made(dir, &error))
-        .and_then(|()| FolderLock::take(&begun))
-        .and_then(|lock| {
-            record.write(&begun)?;
-            let renamed = std::fs::rename(&begun, dir);
-            renamed
-                .map_err(|error| check_free(dir).err().unwrap_or(cannot_be_made(dir, &error)))?;
-            Ok(lock)
-        });
+    let begun = make_beginning(dir).map_err(|error| cannot_be_made(dir, &error))?;
+    let made = FolderLock::take(&begun).and_then(|lock| {
+        record.write(&begun)?;
+        let renamed = std::fs::rename(&begun, dir);
+        renamed.map_err(|error| check_free(dir).err().unwrap_or(cannot_be_made(dir, &error)))?;
+        Ok(lock)
+    });
     made.inspect_err(|_| {
         let _ = std::fs::remove_dir_all(&begun);
     })
 }
 
-/// The name of a run folder until its record is written.
-fn begun(dir: &Path) -> PathBuf {
-    let mut name = OsString::from(".");
-    name.push(dir.file_name().unwrap_or(OsStr::new("run")));
-    name.push(format!(".{}.mhsplat-tmp", std::process::id()));
-    dir.with_file_name(name)
+/// A new folder beside a run folder that is to be, which has its place until the record is written. No one else has it: processes in two
+/// containers may have one number, and a killed one may have left its own.
+fn make_beginning(dir: &Path) -> std::io::Result<PathBuf> {
+    if let Some(parent) = dir.parent() {
+        std::fs::create_dir_all(parent)?;
+    }
+    let mut attempt = 0;
+    loop {
+        let mut name = OsString::from(".");
+        name.push(dir.file_name().unwrap_or(OsStr::new("run")));
+        name.push(format!(".{}.{attempt}.mhsplat-tmp", std::process::id()));
+        let path = dir.with_file_name(name);
+        match std::fs::create_dir(&path) {
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => attempt += 1,
+            made => return made.map(|()| path),
+        }
+    }
 }
 
 fn check_free(dir: &Path) -> Result<()> {

@@ -1,6 +1,8 @@
 //! bin: pairs of tiles and Gaussians.
 
 use super::*;
+use mhsplat::device::Array;
+use mhsplat::device::tuning::status::{INTERSECTIONS, SLOTS};
 use mhsplat::lab::verify::definition::inputs;
 use mhsplat::pipeline::stage::project::project;
 use mhsplat::scene::Plane;
@@ -81,5 +83,23 @@ fn large_gaussians_have_the_same_pairs_in_both_styles() {
             let counted = |out: &Outcome| out.got("scan", "pairs counted").to_vec();
             assert_eq!(counted(&got), counted(&want));
         }
+    }
+}
+
+/// First pairs of tiles, some of which have none, and a work-group that is larger than any device's: fewer work-items do it.
+#[test]
+fn first_pairs_are_looked_up_by_as_many_work_items_as_there_is_room_for() {
+    let device = device();
+    let stage = Kernels::new(&device, Defines::new(Tuning::GPU));
+    let stage = stage.build::<f32>("bin").unwrap();
+    let keys = Array::from_slice(&device, "keys", &[0u32, 0, 2, 2, 2, 5, 9, 9]).unwrap();
+    for (pairs, want) in [(6, [0, 2, 2, 5, 5, 5, 6, 6]), (0, [0; 8])] {
+        let status = Array::<u32>::zeros(&device, "status", SLOTS).unwrap();
+        status.write(INTERSECTIONS as usize, &[pairs]).unwrap();
+        let first = Array::from_slice(&device, "first", &[77u32; 8]).unwrap();
+        let launch = stage.launch("bin_ranges").array(&keys, 8);
+        let launch = launch.array(&status, SLOTS).uints([7]).array(&first, 8);
+        launch.run([8, 1], [1 << 20, 1]).unwrap();
+        assert_eq!(first.to_vec().unwrap(), want);
     }
 }

@@ -127,11 +127,22 @@ fn a_step_takes_the_gradients() {
     }
 }
 
-/// Parameters and status after a step of 70 Gaussians, the first of which have a pair with these sums.
-fn step(sums: &[[f32; SUMS]], overflow: u32, tuning: Tuning) -> (Vec<f32>, Vec<u32>) {
+/// Moments before the steps.
+const MOMENTS: [f32; 2] = [0.125, 0.25];
+
+/// Parameters and the moments of the rows in use, and the status after a step of 70 Gaussians, the first of which have a pair with these
+/// sums. What lies beyond them is no number.
+fn step(sums: &[[f32; SUMS]], overflow: u32, tuning: Tuning) -> ([Vec<f32>; 3], Vec<u32>) {
     let (device, n) = (device(), 70);
     let case = cases::mild("steps", n, [40, 30], 1, 35);
     let scene = GaussianBuffers::<f32>::upload(&device, &case.splats, 0).unwrap();
+    for plane in 0..scene.planes() {
+        let beyond = vec![f32::NAN; scene.stride - n];
+        scene
+            .params
+            .write(plane * scene.stride + n, &beyond)
+            .unwrap();
+    }
     let mut frame = ViewBuffers::new(&device, &tuning, true).unwrap();
     let counts: Vec<u32> = (0..n).map(|i| u32::from(i < sums.len())).collect();
     let starts: Vec<u32> = (0..n as u32).collect();
@@ -141,8 +152,8 @@ fn step(sums: &[[f32; SUMS]], overflow: u32, tuning: Tuning) -> (Vec<f32>, Vec<u
     frame.sums = Array::from_slice(&device, "sums", &sums.concat()).unwrap();
     frame.status = Array::zeros(&device, "status", SLOTS).unwrap();
     frame.status.write(OVERFLOW as usize, &[overflow]).unwrap();
-    let zeros = |name| Array::zeros(&device, name, scene.params.len()).unwrap();
-    let (m, v) = (zeros("m"), zeros("v"));
+    let all = |v: f32| vec![v; scene.params.len()];
+    let [m, v] = MOMENTS.map(|v| Array::from_slice(&device, "moment", &all(v)).unwrap());
     let step = Step {
         rate: case.rates,
         constants: [0.9, 0.999, 1e-15],
@@ -152,8 +163,12 @@ fn step(sums: &[[f32; SUMS]], overflow: u32, tuning: Tuning) -> (Vec<f32>, Vec<u
     let stage = kernels.of_degree(1).taking_steps();
     let stage = stage.build::<f32>("project_grad").unwrap();
     update(&stage, &scene, &frame, [0.0; 2], [&m, &v], &step).unwrap();
-    let params = (0..scene.planes()).flat_map(|p| scene.plane(p).unwrap());
-    (params.collect(), frame.status.to_vec().unwrap())
+    let rows = [&scene.params, &m, &v].map(|array| {
+        let planes = 0..scene.planes();
+        let of = |p| array.read(p * scene.stride, n).unwrap();
+        planes.flat_map(of).collect::<Vec<f32>>()
+    });
+    (rows, frame.status.to_vec().unwrap())
 }
 
 #[test]
@@ -161,11 +176,13 @@ fn a_step_leaves_everything_alone_after_an_overflow() {
     let case = cases::mild("steps", 70, [40, 30], 1, 35);
     let before = case.splats.planes().concat();
     for tuning in widths() {
-        let (after, _) = step(&[[1e-3; SUMS]; 70], 12345, tuning);
+        let ([after, m, v], _) = step(&[[1e-3; SUMS]; 70], 12345, tuning);
         assert_eq!(after, before);
-        let (after, status) = step(&[[1e-3; SUMS]; 70], 0, tuning);
+        assert!(m.iter().all(|m| *m == MOMENTS[0]) && v.iter().all(|v| *v == MOMENTS[1]));
+        let ([after, m, v], status) = step(&[[1e-3; SUMS]; 70], 0, tuning);
         assert!(after.iter().zip(&before).filter(|(a, b)| a != b).count() > 70 * 15);
-        assert_eq!(status[NON_FINITE as usize], 0);
+        assert!(m.iter().all(|m| *m != MOMENTS[0]) && v.iter().all(|v| *v != MOMENTS[1]));
+        assert_eq!(status[NON_FINITE as usize], 0, "no row beyond counts");
     }
 }
 
@@ -175,8 +192,15 @@ fn a_step_with_sums_that_are_not_finite_keeps_numbers_and_says_so() {
     let case = cases::mild("steps", 70, [40, 30], 1, 35);
     let before = case.splats.planes().concat();
     for tuning in widths() {
-        let (after, status) = step(&bad, 0, tuning);
+        let ([after, m, v], status) = step(&bad, 0, tuning);
         assert!(status[NON_FINITE as usize] > 3, "{status:?}");
-        assert_eq!(after, before, "what has no gradient does not move");
+        assert!(
+            [after.as_slice(), &m, &v]
+                .concat()
+                .iter()
+                .all(|v| v.is_finite())
+        );
+        // The moments alone move them.
+        assert!(after.iter().zip(&before).all(|(a, b)| (a - b).abs() < 0.1));
     }
 }

@@ -3,7 +3,7 @@
 use super::*;
 use mhsplat::base::rng::Philox;
 use mhsplat::device::Array;
-use mhsplat::device::tuning::status::{SLOTS, VISIBLE};
+use mhsplat::device::tuning::status::{INTERSECTIONS, SLOTS, VISIBLE};
 use mhsplat::pipeline::buffers::SortBuffers;
 use mhsplat::pipeline::stage::sort::{Keys, Sort, sort as definition};
 
@@ -80,6 +80,35 @@ fn any_keys_every_tuning() {
                 let got = sorted(&keys, most, tuning);
                 assert_eq!(got, want, "{n} of {most} keys of {bits} bits");
             }
+        }
+    }
+}
+
+/// Tiles of pairs: few bits or many, counted by a slot of their own.
+#[test]
+fn tiles_are_sorted_by_the_bits_that_they_have() {
+    let device = device();
+    for tiles in [1usize, 2, 255, 256, 257, 6700, 1 << 24] {
+        let keys: Vec<u32> = (0..3000u64)
+            .map(|i| match i % 100 {
+                7 => tiles as u32 - 1,
+                _ => Philox::words(4, 1, i)[0] % tiles as u32,
+            })
+            .collect();
+        let positions: Vec<u32> = (0..3000).collect();
+        let want = definition(&keys);
+        for tuning in tunings() {
+            let mut elements = SortBuffers::new(&device, ["keys", "values"], 4096).unwrap();
+            elements.keys[0].write(0, &keys).unwrap();
+            elements.values[0].write(0, &positions).unwrap();
+            let status = Array::zeros(&device, "status", SLOTS).unwrap();
+            status.write(VISIBLE as usize, &[17]).unwrap();
+            status.write(INTERSECTIONS as usize, &[3000]).unwrap();
+            let sort = Sort::new::<f32>(&Kernels::new(&device, Defines::new(tuning))).unwrap();
+            let of_tiles = Keys::tiles(4096, tiles);
+            sort.run(&mut elements, &of_tiles, &status).unwrap();
+            let got = elements.sorted_values().read(0, 3000).unwrap();
+            assert_eq!(got, want, "{tiles} tiles");
         }
     }
 }

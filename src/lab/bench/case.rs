@@ -151,7 +151,7 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
         load.lanes += each * work.lanes(&tuning) as f64;
         used += each * work.used() as f64;
         load.tiles = camera.tile_count() as f64;
-        load.passes = Load::passes(&tuning);
+        [load.passes, load.pair_passes] = Load::passes(&tuning, load.tiles.round() as usize);
     }
     load.gaussians = scene.count as f64;
     load.planes = Plane::count(subject.splats.sh_degree()) as f64;

@@ -5,6 +5,7 @@ use crate::base::error::Result;
 use crate::device::tuning::{Tuning, status};
 use crate::device::{Projected, Real};
 use crate::pipeline::forward::Renderer;
+use crate::pipeline::stage::sort::Keys;
 
 /// The stages of an iteration, in the order of the tables.
 pub const STAGES: [&str; 8] = [
@@ -116,17 +117,21 @@ pub struct Load {
     pub pixels: f64,
     /// Tiles.
     pub tiles: f64,
-    /// Radix passes.
+    /// Radix passes of the sort by depth.
     pub passes: f64,
+    /// Those of the sort of pairs by tile, none where every pair goes straight to its place.
+    pub pair_passes: f64,
     /// Pixel lanes.
     pub lanes: f64,
 }
 
 impl Load {
-    /// Fewest radix passes of the sort by depth.
+    /// Fewest radix passes of the sorts by depth and by tile.
     #[must_use]
-    pub fn passes(tuning: &Tuning) -> f64 {
-        f64::from(u32::BITS.div_ceil(tuning.radix_bits))
+    pub fn passes(tuning: &Tuning, tiles: usize) -> [f64; 2] {
+        let of = |keys: Keys| f64::from(keys.bits.div_ceil(tuning.radix_bits));
+        let sorts_pairs = f64::from(u8::from(tuning.group_style));
+        [of(Keys::depths(0)), sorts_pairs * of(Keys::tiles(0, tiles))]
     }
 
     /// FLOP per lane of a splat stage; `None` of the others.
@@ -153,17 +158,21 @@ impl Load {
                 n * (11.0 * real + 2.0 * uint) + v * ((self.planes - 11.0) * real + record)
             }
             // Keys twice and a compacted (key, index); records, indices, counts and covers; indices and covers again, and again
-            // with first slots, into pairs.
+            // with first slots, into pairs: Gaussian and slot, and the tile if they are to be sorted.
             "bin" => {
                 let compact = 2.0 * n * uint + 2.0 * v * uint;
                 let count = v * (record + 4.0 * uint);
-                let emit = v * (3.0 + 4.0) * uint + 2.0 * p * uint;
+                let each = if self.pair_passes > 0.0 { 3.0 } else { 2.0 };
+                let emit = v * (3.0 + 4.0) * uint + each * p * uint;
                 compact + count + emit
             }
             // Counts read twice, first slots written.
             "scan" => 3.0 * n * uint,
             // A pass reads the keys for the histogram, then keys and values, and writes both; first pairs of the tiles.
-            "sort" => (self.passes * v * 5.0 + self.tiles) * uint,
+            "sort" => {
+                let elements = self.passes * v + self.pair_passes * p;
+                (elements * 5.0 + self.tiles) * uint
+            }
             // Forward: render and photo in, nine maps out. Backward: maps, render and photo in, gradient out.
             "loss" => self.pixels * ((3.0 + 9.0 + 9.0 + 3.0 + 3.0) * real + 6.0),
             // Parameters and both moments in and out; pairs' sums, counts and first slots in.

@@ -206,7 +206,7 @@ impl Reference {
         largest(&mut (0..scene.len()).map(turn)) / norm
     }
 
-    /// Planes of the parameters and moments after two steps of the optimiser with these gradients.
+    /// Planes of the parameters and moments after so many steps of the optimiser with these gradients.
     pub(super) fn optimised(
         &self,
         case: &Case,

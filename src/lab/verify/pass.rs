@@ -366,12 +366,10 @@ impl<'a, R: Real> Pass<'a, R> {
 
         let values = Array::zeros(self.device, "grads", self.scene.params.len())?;
         let [_, opacity, scale] = self.case.lambdas;
-        self.pipeline.parameter_gradient(
-            &self.scene,
-            self.case.sh_degree,
-            [opacity, scale],
-            &self.block(&values),
-        )?;
+        let (pipeline, block) = (&self.pipeline, self.block(&values));
+        let (backward, lambdas) = (&pipeline.backward, [opacity, scale]);
+        let degree = self.case.sh_degree;
+        backward.parameters(&pipeline.forward, &self.scene, degree, lambdas, &block)?;
         let (n, planes) = (self.scene.count, self.scene.planes());
         let all = self.planes(&values, planes)?;
         // A saturated opacity has no gradient; the regulariser's alone is up to λ_o/4N.

@@ -22,7 +22,7 @@ pub fn multiply_add<R: Real>(
     out: &Array<R>,
 ) -> Result<()> {
     // A CPU's thread takes one work-item at a time, as in the splat kernels.
-    let local = stage.defines().tuning.batch_local();
+    let local = stage.defines().tuning.run_local();
     stage
         .launch("peak_fma")
         .uints([items, steps as usize])
