@@ -8,7 +8,9 @@ mod remarks;
 
 use made::{Made, compared, run};
 
+use mhsplat::RunRecord;
 use mhsplat::base::error::Error;
+use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::compare::{Clock, Options, Source, compare, finished, report};
 
 fn message(error: &Error) -> String {
@@ -283,4 +285,25 @@ fn default_thresholds_lie_where_runs_can_be_told_apart() {
         ..Options::default()
     };
     assert!(fails(&[run("a", 0)], &nobody).contains("there are: mh"));
+}
+
+/// Results stay readable when a setting is gone; a name that no version knew is still refused.
+#[test]
+fn records_of_earlier_versions_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = run("old", 1).write(dir.path());
+    let file = folder.join("run.json");
+    let now = RunRecord::read(&folder).unwrap();
+    let mut old = serde_json::to_value(&now).unwrap();
+    old["config"]["work"]["resolution-interval"] = 1500.into();
+    old["device"]["tuning"] = serde_json::to_value(Tuning::CPU).unwrap();
+    old["device"]["tuning"]["update-block"] = 8192.into();
+    std::fs::write(&file, old.to_string()).unwrap();
+    let read = RunRecord::read(&folder).unwrap();
+    assert_eq!(read.config, now.config);
+    assert_eq!(read.device.tuning, Some(Tuning::CPU));
+    old["config"]["work"]["unheard-of"] = 1.into();
+    std::fs::write(&file, old.to_string()).unwrap();
+    let error = RunRecord::read(&folder).unwrap_err().to_string();
+    assert!(error.contains("not a run record"), "{error}");
 }

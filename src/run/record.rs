@@ -321,9 +321,32 @@ impl RunRecord {
     pub fn read(run_dir: impl AsRef<Path>) -> Result<Self> {
         let path = run_dir.as_ref().join(RECORD_FILE);
         let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, e))?;
-        from_json(&text).map_err(|e| {
+        let read = from_json(&text).or_else(|e| without_retired(&text).ok_or(e));
+        read.map_err(|e| {
             let fix = "give a folder that `mhsplat train` wrote with this version";
             Error::input(&path, format!("not a run record: {e}"), fix)
         })
     }
+}
+
+/// Settings that records of earlier versions name and this one does not know any more. They say how a run was made, and nothing of what
+/// became of it.
+const RETIRED: [&str; 2] = [
+    "/config/work/resolution-interval",
+    "/device/tuning/update-block",
+];
+
+/// The record in a text that names [`RETIRED`] settings; `None` if it names none, or there is more that is unknown in it.
+fn without_retired(text: &str) -> Option<RunRecord> {
+    let mut record: serde_json::Value = serde_json::from_str(text).ok()?;
+    let mut found = false;
+    for path in RETIRED {
+        let (parent, name) = path.rsplit_once('/')?;
+        let parent = record.pointer_mut(parent).and_then(|p| p.as_object_mut());
+        found |= parent.is_some_and(|p| p.remove(name).is_some());
+    }
+    if !found {
+        return None;
+    }
+    serde_json::from_value(record).ok()
 }
