@@ -41,13 +41,18 @@ static inline int is_masked(const Projected *g) {
 // Photos with masks have tiles in which nothing counts; they get no pairs where `masked` says so.
 #if HAS_MASK
 #define ACTIVE_TILES __global const uint *active_tiles, int masked
+#define MASK_ARGUMENTS ACTIVE_TILES,
 #define ACTIVE_ARGUMENTS active_tiles, masked
 #define IS_ACTIVE(tile) (!masked || active_tiles[tile])
 #else
 #define ACTIVE_TILES int unmasked
+#define MASK_ARGUMENTS
 #define ACTIVE_ARGUMENTS 0
 #define IS_ACTIVE(tile) 1
 #endif
+// Arguments of the kernels that walk over the tiles of the visible Gaussians, which are in depth order; in [count], [visible], [tiles].
+#define WALK_ARGUMENTS                                                                                                 \
+  __global const Projected *records, __global const uint *visible, __global const uint *status, uint tiles_x, MASK_ARGUMENTS
 
 #if GROUP_STYLE
 // One Gaussian's pairs on their way to the sort by tile.
@@ -192,11 +197,7 @@ static inline int touches_at(const Large *o, uint at, uint tiles_x, ACTIVE_TILES
 }
 
 // Launch: one work-item per Gaussian, by depth; those past the visible ones count none.
-CHUNK_KERNEL void bin_count(__global const Projected *records, __global const uint *visible, // in, in depth order
-                            __global const uint *status, uint tiles_x,
-#if HAS_MASK
-                            ACTIVE_TILES, // in [tiles]
-#endif
+CHUNK_KERNEL void bin_count(WALK_ARGUMENTS
                             __global uint *cover,   // out [visible, 2] mask; packed box
                             __global uint *isect_counts, // out [count] tiles touched
                             uint count, __global uint *depth_counts) { // out [count] the same by depth
@@ -226,11 +227,7 @@ CHUNK_KERNEL void bin_count(__global const Projected *records, __global const ui
 }
 
 // Launch: as bin_count. Writes pairs in depth order, those of a Gaussian row by row of tiles; none after an overflow.
-CHUNK_KERNEL void bin_emit(__global const Projected *records, __global const uint *visible,
-                           __global const uint *status, uint tiles_x,
-#if HAS_MASK
-                           ACTIVE_TILES, // in [tiles]
-#endif
+CHUNK_KERNEL void bin_emit(WALK_ARGUMENTS
                            __global const uint *cover,       // in, as bin_count wrote it
                            __global const uint *depth_start, // in [count] exclusive sums of depth_counts
                            __global uint *isect_start,       // out [count] first slot
@@ -305,11 +302,7 @@ static inline uint dealt_chunk(uint id, uint chunks) {
 
 // Launch: one work-item per SPLAT_BATCH visible Gaussians, whose records are fetched together; those past the visible ones
 // have nothing to do.
-__kernel void bin_count(__global const Projected *records, __global const uint *visible, // in, in depth order
-                        __global const uint *status, uint tiles_x,
-#if HAS_MASK
-                        ACTIVE_TILES, // in [tiles]
-#endif
+__kernel void bin_count(WALK_ARGUMENTS
                         __global uint *cover,   // out [visible, 2] mask; packed box
                         __global uint *isect_counts) { // out [count] tiles touched
   const uint first = get_global_id(0) * SPLAT_BATCH, visible_count = status[S_VISIBLE];
@@ -327,11 +320,7 @@ __kernel void bin_count(__global const Projected *records, __global const uint *
 }
 
 // Launch: one work-item per chunk of visible Gaussians. Counts the pairs of each tile.
-__kernel void bin_tiles(__global const Projected *records, __global const uint *visible,
-                        __global const uint *status, uint tiles_x,
-#if HAS_MASK
-                        ACTIVE_TILES, // in [tiles]
-#endif
+__kernel void bin_tiles(WALK_ARGUMENTS
                         __global const uint *cover,                               // in, as bin_count wrote it
                         uint tiles, uint chunks, __global uint *tile_counts) {    // out [chunks, tiles]
   if (get_global_id(0) >= chunks) return;
@@ -343,11 +332,7 @@ __kernel void bin_tiles(__global const Projected *records, __global const uint *
 
 // Launch: as bin_tiles. Puts pairs into their tiles in depth order; each is known by its slot, and slots are given out by
 // Gaussian, so that project_grad finds a Gaussian's sums in one place and its neighbours' beside them.
-__kernel void bin_emit(__global const Projected *records, __global const uint *visible,
-                       __global const uint *status, uint tiles_x,
-#if HAS_MASK
-                       ACTIVE_TILES, // in [tiles]
-#endif
+__kernel void bin_emit(WALK_ARGUMENTS
                        __global const uint *cover,                          // in, as bin_count wrote it
                        uint tiles, uint chunks, __global uint *tile_counts, // in/out [chunks, tiles] pairs of the chunks before
                        __global const uint *tile_start,                     // in [tiles + 1]

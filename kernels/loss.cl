@@ -142,6 +142,22 @@ static inline realV gradient_of(const Images *s, int x, int y, realV dmx, realV 
 #endif
 }
 
+// Arguments of the kernels, of either style: render and photo, what is left out of them, and what is written.
+#if SKIP_BLANK
+// 1: leave out what is blank; [tiles] 0: masked or clear; [tiles + 1]
+#define BLANK_ARGUMENTS int skip, __global const uint *active_tiles, __global const uint *tile_start,
+#else
+#define BLANK_ARGUMENTS
+#endif
+// in [>= 3, rows, stride], [3 or 4, height, width]
+#define IMAGE_ARGUMENTS                                                                                                \
+  __global const real *image, __global const uchar *photo, int width, int height, int stride, int rows, int channel,   \
+      real background, BLANK_ARGUMENTS
+// out [3, rows, stride], or [2, rows, stride] of errors; [3, strips or tiles, 2] sums of |x - y| and SSIM
+#define FORWARD_ARGUMENTS IMAGE_ARGUMENTS int write_error, __global real *maps, __global real *partial
+// in [3, rows, stride], (1 - lambda) / (3 width height), lambda / (3 width height); out [3, rows, stride]
+#define BACKWARD_ARGUMENTS IMAGE_ARGUMENTS __global const real *maps, real weight_l1, real weight_ssim, __global real *dimage
+
 #if !GROUP_STYLE
 #define REACH (LOSS_ROWS + 2 * RADIUS)    // rows that windows of LOSS_ROWS rows see
 #define HALO ((RADIUS + VW - 1) / VW) // vectors that a strip needs on either side; loads stay aligned
@@ -208,17 +224,7 @@ static inline real lane_total(realV v) {
 // Launch: one work-item per strip (columns x groups of rows). With write_error the maps hold the channel means of
 // 1 - SSIM (plane 0) and |x - y| (plane 1), added up from channel 0 on; otherwise the channel's derivative maps, 0 in
 // the padding. Longer than a function should be, because the windows stay in registers.
-__kernel void loss_forward(__global const real *image,  // in [>= 3, rows, stride]
-                           __global const uchar *photo, // in [3 or 4, height, width]
-                           int width, int height, int stride, int rows, int channel, real background,
-#if SKIP_BLANK
-                           int skip,                       // 1: leave out what is blank
-                           __global const uint *active_tiles,       // in [tiles] 0: masked or clear
-                           __global const uint *tile_start, // in [tiles + 1]
-#endif
-                           int write_error,
-                           __global real *maps,      // out [3, rows, stride], or [2, rows, stride]
-                           __global real *partial) { // out [3, strips, 2] sums of |x - y| and SSIM
+CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
   const int sx = get_global_id(0), sy = get_global_id(1);
   const int x0 = sx * STRIP, y0 = sy * LOSS_ROWS;
   if (x0 >= stride || y0 >= rows) return;
@@ -287,17 +293,7 @@ __kernel void loss_forward(__global const real *image,  // in [>= 3, rows, strid
 }
 
 // Launch: as loss_forward. dL/dx of the channel, zero in the padding.
-__kernel void loss_backward(__global const real *image, __global const uchar *photo, // in, as loss_forward
-                            int width, int height, int stride, int rows, int channel, real background,
-#if SKIP_BLANK
-                            int skip,                       // 1: leave out what is blank
-                            __global const uint *active_tiles,       // in [tiles] 0: masked or clear
-                            __global const uint *tile_start, // in [tiles + 1]
-#endif
-                            __global const real *maps,   // in [3, rows, stride]
-                            real weight_l1,              // (1 - lambda) / (3 width height)
-                            real weight_ssim,            // lambda / (3 width height)
-                            __global real *dimage) {     // out [3, rows, stride]
+CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
   const int x0 = get_global_id(0) * STRIP, y0 = get_global_id(1) * LOSS_ROWS;
   if (x0 >= stride || y0 >= rows) return;
   const long plane = (long)stride * rows;
@@ -400,18 +396,7 @@ static inline void window_moments(__local real2 staged[WIDE][WIDE], __local real
 
 // Launch: one work-group of TILE x TILE work-items per tile, each with a pixel. Results as in the other style, but that `partial`
 // has the sums of tiles. Work-items of the padding and of tiles that are left out take part in every barrier.
-__kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
-loss_forward(__global const real *image,  // in [>= 3, rows, stride]
-             __global const uchar *photo, // in [3 or 4, height, width]
-             int width, int height, int stride, int rows, int channel, real background,
-#if SKIP_BLANK
-             int skip,                          // 1: leave out what is blank
-             __global const uint *active_tiles, // in [tiles] 0: masked or clear
-             __global const uint *tile_start,   // in [tiles + 1]
-#endif
-             int write_error,
-             __global real *maps,      // out [3, rows, stride], or [2, rows, stride]
-             __global real *partial) { // out [3, tiles, 2] sums of |x - y| and SSIM
+CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
   const int tile = get_group_id(0), l = get_local_id(0), tiles_x = stride / TILE;
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
@@ -488,18 +473,7 @@ static inline void window_maps(__local real staged[3][WIDE][WIDE], __local real4
 }
 
 // Launch: as loss_forward. dL/dx of the channel, zero in the padding.
-__kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
-loss_backward(__global const real *image, __global const uchar *photo, // in, as loss_forward
-              int width, int height, int stride, int rows, int channel, real background,
-#if SKIP_BLANK
-              int skip,                          // 1: leave out what is blank
-              __global const uint *active_tiles, // in [tiles] 0: masked or clear
-              __global const uint *tile_start,   // in [tiles + 1]
-#endif
-              __global const real *maps, // in [3, rows, stride]
-              real weight_l1,            // (1 - lambda) / (3 width height)
-              real weight_ssim,          // lambda / (3 width height)
-              __global real *dimage) {   // out [3, rows, stride]
+CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
   const int tile = get_group_id(0), l = get_local_id(0), tiles_x = stride / TILE;
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;

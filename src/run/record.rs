@@ -331,19 +331,19 @@ impl RunRecord {
 
 /// Settings that records of earlier versions name and this one does not know any more. They say how a run was made, and nothing of what
 /// became of it.
-const RETIRED: [&str; 2] = [
-    "/config/work/resolution-interval",
-    "/device/tuning/update-block",
+const RETIRED: [[&str; 3]; 2] = [
+    ["config", "work", "resolution-interval"],
+    ["device", "tuning", "update-block"],
 ];
 
 /// The record in a text that names [`RETIRED`] settings; `None` if it names none, or there is more that is unknown in it.
 fn without_retired(text: &str) -> Option<RunRecord> {
     let mut record: serde_json::Value = serde_json::from_str(text).ok()?;
     let mut found = false;
-    for path in RETIRED {
-        let (parent, name) = path.rsplit_once('/')?;
-        let parent = record.pointer_mut(parent).and_then(|p| p.as_object_mut());
-        found |= parent.is_some_and(|p| p.remove(name).is_some());
+    for [part, group, name] in RETIRED {
+        let group = record.get_mut(part).and_then(|part| part.get_mut(group));
+        let group = group.and_then(|group| group.as_object_mut());
+        found |= group.is_some_and(|group| group.remove(name).is_some());
     }
     if !found {
         return None;
