@@ -32,11 +32,23 @@ __kernel void edit_limit_opacity(uint count, uint stride, real limit,
   moment2[at] = R(0.0);
 }
 
-// Gaussians in another order, those that `order` leaves out being gone. Launch: (count, planes) work-items.
-__kernel void edit_reorder(__global const uint *order, uint count, uint stride, // in [count] old row of each new one
-                           __global const real *from, __global real *to) {      // in, out [planes, stride]
-  const uint i = get_global_id(0);
+// Rows of some planes in another order, those that `order` leaves out being gone. Launch: (stride, planes) work-items.
+__kernel void edit_reorder(__global const uint *order, uint kept, uint stride, // in [kept] old row of each new one
+                           uint first, __global const real *from,              // in [first + planes, stride]
+                           __global real *to) {                                // out [planes, stride], 0 from `kept` on
+  const uint i = get_global_id(0), plane = get_global_id(1);
+  if (i >= stride) return;
+  to[(size_t)plane * stride + i] = i < kept ? from[(size_t)(first + plane) * stride + order[i]] : R(0.0);
+}
+
+// The first planes of two arrays, side by side and without room between them, for one transfer. Launch: (count, planes of both)
+// work-items.
+__kernel void edit_pack(uint count, uint stride, uint planes, // planes of the first array
+                        __global const real *params,          // in [planes, stride]
+                        __global const real *statistics,      // in [rows, stride]
+                        __global real *packed) {              // out [planes + rows, count]
+  const uint i = get_global_id(0), plane = get_global_id(1);
   if (i >= count) return;
-  const size_t plane = (size_t)get_global_id(1) * stride;
-  to[plane + i] = from[plane + order[i]];
+  packed[(size_t)plane * count + i] =
+      plane < planes ? params[(size_t)plane * stride + i] : statistics[(size_t)(plane - planes) * stride + i];
 }

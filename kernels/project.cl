@@ -62,7 +62,6 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
                       __global const real *filter,   // in [stride] standard deviation of the 3D filter, local units
 #endif
                       const Camera cam,              // in camera
-                      int depth_as_color,            // 1: the colour is the depth (for depth images)
                       __global Projected *records,      // out [stride]
                       __global uint *keys,           // out [stride] bits of the f32 depth, or KEY_CULLED
                       __global uint *isect_counts) {  // out [stride] 0: no pair of this Gaussian yet
@@ -109,7 +108,6 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
   view_direction(&cam, x, dir);
   sh_basis(dir, basis);
   seen &= sh_color(params, stride, i, basis, rgb);
-  if (depth_as_color) rgb[0] = rgb[1] = rgb[2] = o.t[2];
   Projected g[VW];
   EACH_LANE(x, px);
   EACH_LANE(y, py);
@@ -134,4 +132,14 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
     records[i + l] = g[l];
     keys[i + l] = as_uint((float)g[l].depth);
   }
+}
+
+// The depth in the place of the colour of each visible Gaussian, so that splat composites depths over the pairs that there are.
+// Launch: one work-item per Gaussian.
+__kernel void project_depths(__global const uint *keys, uint count, // in [count] depth bits or KEY_CULLED
+                             __global Projected *records) {         // in/out [count]
+  const uint i = get_global_id(0);
+  if (i >= count || keys[i] == KEY_CULLED) return;
+  __global Projected *g = records + i;
+  g->red = g->green = g->blue = g->depth;
 }

@@ -24,7 +24,7 @@
 //! | seen | `kernels/seen.cl` | Gaussians that the training views show; the others are removed at the end |
 //! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error statistics (mh) or screen-space gradients (adc) of each Gaussian |
 //! | density control | [`density`] | births, moves and removals, decided on the host |
-//! | edit | `kernels/edit.cl` | rows written by density control |
+//! | edit, morton | `kernels/{edit,morton}.cl` | rows written by density control, and the order of all |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | run | [`run`] | run folder, checkpoints, report |
 //! | measure | [`lab`], `kernels/{peak,adam}.cl` | verify, bench, compare, experiment, surrogate: only the command line uses it |

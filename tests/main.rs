@@ -31,6 +31,7 @@ mod gradient;
 mod hostile;
 mod house;
 mod inputs;
+mod lag;
 mod launches;
 mod layout;
 mod learning;

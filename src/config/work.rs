@@ -20,6 +20,10 @@ pub struct WorkConfig {
     pub resolution_share: f64,
     /// Morton order of the Gaussians, so that neighbours in space are neighbours in memory.
     pub morton_order: bool,
+    /// Iterations that training goes on for while a density step is decided, at most half of the interval between two; 0: it waits (absent:
+    /// 16 on devices that are not the processor that decides, else 0).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub density_lag: Option<u32>,
     /// Culling of whole chunks of neighbouring Gaussians that a view cannot see. Changes no result.
     pub cull_chunks: bool,
     /// Skipping of tiles that are blank in render and photo alike, for photos with alpha or masks. Changes no bit of the scene.
@@ -35,6 +39,7 @@ impl Default for WorkConfig {
             resolution_detail: 1.5,
             resolution_share: 0.75,
             morton_order: true,
+            density_lag: None,
             cull_chunks: true,
             skip_blank: true,
             remove_unseen: true,

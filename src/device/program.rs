@@ -44,6 +44,7 @@ const SOURCES: &[(&str, &str)] = &[
         include_str!("../../kernels/active_tiles.cl"),
     ),
     ("edit", include_str!("../../kernels/edit.cl")),
+    ("morton", include_str!("../../kernels/morton.cl")),
     ("peak", include_str!("../../kernels/peak.cl")),
 ];
 

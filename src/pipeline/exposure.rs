@@ -2,7 +2,7 @@
 
 use crate::base::error::{Error, Result};
 use crate::device::tuning::status::{OVERFLOW, SLOTS};
-use crate::device::{Array, Device, Kernels, Real};
+use crate::device::{Array, Device, Kernels, PendingRead, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::exposure::{ENTRIES, Exposures, exposed, unexposed};
@@ -84,23 +84,23 @@ impl<R: Real> ExposureModel<R> {
 }
 
 impl ExposureModel {
-    /// Transforms a render (planar RGB) as its view's transform says, and takes that transform out of the photo's planes.
-    pub fn exchange(
-        &self,
-        view: usize,
-        render: &mut [f32],
-        photo: &mut [Vec<f32>; 3],
-    ) -> Result<()> {
-        let e = self.stage.transforms.read(ENTRIES * view, ENTRIES)?;
-        let pixels = render.len() / 3;
-        for i in 0..pixels {
-            let x = exposed(&e, [0, 1, 2].map(|c| render[c * pixels + i]));
-            let y = unexposed(&e, [0, 1, 2].map(|c| photo[c][i]));
-            for c in 0..3 {
-                render[c * pixels + i] = x[c];
-                photo[c][i] = y[c];
-            }
+    /// Enqueues the transfer of a view's transform.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn read_transform(&self, view: usize) -> Result<PendingRead<f32>> {
+        self.stage.transforms.read_later(ENTRIES * view, ENTRIES)
+    }
+}
+
+/// Transforms the planes of a render as its view's transform says, and takes that transform out of the photo's.
+pub fn exchange(transform: &[f32], render: &mut [Vec<f32>; 3], photo: &mut [Vec<f32>; 3]) {
+    for i in 0..render[0].len() {
+        let x = exposed(transform, [0, 1, 2].map(|c| render[c][i]));
+        let y = unexposed(transform, [0, 1, 2].map(|c| photo[c][i]));
+        for c in 0..3 {
+            render[c][i] = x[c];
+            photo[c][i] = y[c];
         }
-        Ok(())
     }
 }

@@ -5,6 +5,7 @@ use crate::capture::Camera;
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
+use crate::pipeline::stage::morton::{Morton, Order};
 use crate::pipeline::stage::sort::{Keys, Sort};
 use crate::pipeline::stage::{bin, project, scan, seen, splat};
 
@@ -127,7 +128,20 @@ impl<R: Real> Renderer<R> {
         options: &RenderOptions,
     ) -> Result<()> {
         self.enqueue_intersections(scene, camera, options)?;
-        splat::composite(&self.splat, &self.frame, options.background)
+        match options.quantity {
+            Quantity::Color => splat::composite(&self.splat, &self.frame, options.background),
+            Quantity::Depth => self.enqueue_depths(options.background),
+        }
+    }
+
+    /// Enqueues the compositing of depths in the view enqueued last. Does not wait.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub(crate) fn enqueue_depths(&mut self, background: [f32; 3]) -> Result<()> {
+        // Of whatever degree: no colour is computed.
+        project::depths_for_colors(&self.project[0], &self.frame)?;
+        splat::composite(&self.splat, &self.frame, background)
     }
 
     /// Enqueues the forward stages up to the sorted pairs.
@@ -146,8 +160,7 @@ impl<R: Real> Renderer<R> {
             ));
         };
         (self.frame.camera, self.frame.count) = (*camera, scene.count);
-        let depth_as_color = options.quantity == Quantity::Depth;
-        project::write_records(project, scene, &self.frame, depth_as_color)?;
+        project::write_records(project, scene, &self.frame)?;
         self.sort_visible()?;
         self.intersect_tiles(options.active_only)
     }
@@ -159,6 +172,23 @@ impl<R: Real> Renderer<R> {
         bin::compact_visible(&self.bin, f)?;
         self.sort
             .run(&mut f.visible, &Keys::depths(f.count), &f.status)
+    }
+
+    /// Sorts the rows of a scene, those of `removed` last; takes the arrays of a view for scratch. Does not wait.
+    ///
+    /// # Errors
+    /// No room, or the driver's.
+    pub fn sort_rows(
+        &mut self,
+        stage: &Morton,
+        scene: &GaussianBuffers<R>,
+        removed: &[u32],
+        order: Order,
+    ) -> Result<&Array<u32>> {
+        self.frame.fit_gaussians(&self.device, scene.stride)?;
+        let removed = Array::from_slice(&self.device, "removed", removed)?;
+        stage.sort(&self.sort, scene, &removed, order, &mut self.frame)?;
+        Ok(self.frame.visible.sorted_values())
     }
 
     /// Pairs the visible Gaussians with the tiles they touch, by tile and depth.

@@ -21,7 +21,7 @@ use crate::run::clock::Reading;
 use crate::run::record::StageRecord;
 use crate::scene::{Gaussians, Plane};
 use crate::train::gaussians::GaussianRows;
-use crate::train::{Learned, Next, TrainerState};
+use crate::train::{Learned, Next, PendingStep, TrainerState};
 
 const VERSION: u32 = 11;
 
@@ -50,6 +50,9 @@ struct Header {
     version: u32,
     iteration: u32,
     next: Next,
+    /// Absent unless one is under way.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    deciding: Option<PendingStep>,
     detail: Vec<f32>,
     sh_degree: u32,
     config: TrainConfig,
@@ -105,6 +108,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         version: VERSION,
         iteration: state.iteration,
         next: state.next,
+        deciding: state.deciding.clone(),
         detail: state.detail.clone(),
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
@@ -225,6 +229,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
         state: TrainerState {
             iteration: header.iteration,
             next: header.next,
+            deciding: header.deciding,
             detail: header.detail,
             splats,
             rows: GaussianRows {

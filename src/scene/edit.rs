@@ -1,12 +1,14 @@
 //! [`Edit`]: one Gaussian that density control writes.
 
+use serde::{Deserialize, Serialize};
+
 /// One Gaussian to be written: the row `src` is copied to `dst`, then position, log-scale, opacity and maybe the colour are
 /// replaced, and both optimiser moments of `dst` are zeroed. `dst == src` changes the row in place; `dst ≥ N` appends.
 ///
 /// Within one step no row is named twice as `dst`, and a row that another edit names as `src` is itself a `dst` only
 /// with `src == dst` (so the order of the edits does not matter). The layout is that of `Edit` in `kernels/common.clh`.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Edit {
     /// Row to copy from.
     pub src: u32,
@@ -24,7 +26,7 @@ pub struct Edit {
 
 /// SH coefficients of band 0, the higher bands being zero, or none: an `Option` whose layout OpenCL knows.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct OptionalColor {
     present: u32,
     value: [f32; 3],

@@ -5,26 +5,25 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::base::rng::Stream;
-use crate::capture::Alpha;
-use crate::capture::photo::colors;
 use crate::density::{
-    Candidate, DensityControl, DensityStats, ErrorStatistics, NoiseLaw, Outcome, Picture,
-    SceneState, ScreenGradient, Statistics, StatisticsKind, StepContext,
+    Candidate, DensityControl, DensityStats, NoiseLaw, Outcome, StatisticsKind, StepContext,
 };
-use crate::device::{Device, Kernels, Program, StageTime};
-use crate::pipeline::forward::{Quantity, RenderOptions};
+use crate::device::tuning::status;
+use crate::device::{Kernels, Program, StageTime};
 use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::loss::ImagePair;
+use crate::pipeline::stage::morton::{Morton, Order};
 use crate::pipeline::stage::{noise, screen_grad};
-use crate::scene::{Plane, morton};
+use crate::scene::{self, Plane};
+use crate::train::decision::{Deciding, Decision, Evidence, PendingStep};
 use crate::train::estimates::{Context, Estimates};
-use crate::train::gaussians::{GaussianState, Geometry};
+use crate::train::gaussians::GaussianState;
 use crate::train::noted::Noted;
+use crate::train::picture::PendingPicture;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
-use crate::train::smoothing::Smoothing;
 use crate::train::trace::DensityTrace;
-use crate::train::views::Views;
+use crate::train::working::Working;
 
 /// Result of one density step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,21 +38,6 @@ pub struct DensityEvent {
     pub stats: DensityStats,
 }
 
-/// Parts of a trainer that a density step changes or reads.
-#[derive(Debug)]
-pub struct Working<'a> {
-    /// Device.
-    pub device: &'a Device,
-    /// Pipeline of training.
-    pub pipeline: &'a mut Pipeline,
-    /// Gaussians.
-    pub gaussians: &'a mut GaussianState,
-    /// Training views.
-    pub views: &'a Views,
-    /// Smoothing filter, if there is one.
-    pub smoothing: Option<&'a Smoothing>,
-}
-
 /// Density control with the stages that its strategy needs; the others are not built.
 pub struct Control {
     strategy: Arc<dyn DensityControl>,
@@ -63,6 +47,9 @@ pub struct Control {
     screen_grad: Option<Program>,
     importance: Option<Program>,
     edit: Program,
+    morton: Morton,
+    /// The step that has begun and not ended.
+    pub(super) deciding: Option<Deciding>,
     /// First-order estimates of births, if the strategy asks for them.
     estimates: Option<Estimates>,
     /// Statistics over the run.
@@ -99,6 +86,8 @@ impl Control {
             screen_grad: screen.transpose()?,
             importance: errors.transpose()?,
             edit: kernels.build::<f32>("edit")?,
+            morton: Morton::new::<f32>(kernels)?,
+            deciding: None,
             estimates: Estimates::new(device, defines, degree, pipeline, strategy.as_ref())?,
             strategy,
             plan: plan.clone(),
@@ -120,6 +109,20 @@ impl Control {
     #[must_use]
     pub fn edit(&self) -> &Program {
         &self.edit
+    }
+
+    /// Runs the kernels of a step's begin and end once, on a Gaussian of no meaning.
+    pub fn warm_up_edits(&self, mut on: Working<'_>) -> Result<()> {
+        let outcome = Outcome {
+            edits: vec![scene::Edit::default()],
+            rows: 1,
+            logit_limit: Some(0.0),
+            removed: vec![0],
+            ..Outcome::default()
+        };
+        self.apply(&mut on, &outcome)?;
+        let snapshot = on.gaussians.snapshot(on.device, &self.edit)?;
+        snapshot.wait().map(|_| ())
     }
 
     /// Time of the estimates, if there are any.
@@ -151,8 +154,11 @@ impl Control {
         };
         let since_last = self.schedule.density_interval(due).min(due);
         let first = due - since_last.min(u32::try_from(views).unwrap_or(u32::MAX));
-        // Where the length of the run has changed, gathering begins with it.
-        let first = first.max(self.schedule.length_from(iteration));
+        // Where the length of the run has changed, gathering begins with it; before the step before has ended, rows are others.
+        let before = due - since_last;
+        let first = first
+            .max(self.schedule.length_from(iteration))
+            .max(before + self.schedule.density_lag(before));
         if iteration < first {
             return Ok(());
         }
@@ -198,88 +204,133 @@ impl Control {
         Ok(())
     }
 
-    /// Decides from the statistics, edits the Gaussians and puts them in Morton order.
-    pub fn step(
+    /// Begins a density step: enqueues the transfer of what the strategy decides from. The step ends after `lag` iterations more, and the
+    /// decision is taken meanwhile; with a lag of 0 it is taken before this returns.
+    ///
+    /// # Errors
+    /// A photo that cannot be read, no room, no thread, the strategy's or the driver's.
+    pub fn begin(
         &mut self,
         mut on: Working<'_>,
         iteration: u32,
         progress: f64,
-    ) -> Result<DensityEvent> {
+        lag: u32,
+    ) -> Result<()> {
         let began = Instant::now();
-        let geometry = on.gaussians.geometry()?;
-        let outcome = self.decide(&mut on, &geometry, iteration, progress)?;
-        let order = self.order(&geometry, &outcome);
+        let on = &mut on;
+        let deciding = match lag {
+            0 => {
+                let evidence = self.fitting_evidence(on, iteration, progress)?;
+                let strategy = self.strategy.clone();
+                let mut estimate = |born: &[Candidate]| self.estimate(on, iteration, born);
+                let decision = evidence.decide(strategy.as_ref(), &mut estimate)?;
+                Deciding::decided([iteration; 2], progress, decision)
+            }
+            _ => {
+                let evidence = self.evidence(on, iteration, progress)?;
+                on.device.flush()?;
+                Deciding::begin(evidence, self.strategy.clone(), iteration + lag)?
+            }
+        };
+        self.deciding = Some(deciding);
+        self.time.seconds += began.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// Ends the density step that has begun: edits the Gaussians and puts them in Morton order. `None` if none has.
+    ///
+    /// # Errors
+    /// The strategy's, no room, or the driver's.
+    pub fn end(&mut self, mut on: Working<'_>) -> Result<Option<DensityEvent>> {
+        let Some(deciding) = self.deciding.take() else {
+            return Ok(None);
+        };
+        let began = Instant::now();
+        let (iteration, progress) = (deciding.begun, deciding.progress);
+        let Decision { outcome, before } = deciding.wait()?;
+        let rows = on.gaussians.scene.count;
+        let order = self.apply(&mut on, &outcome)?;
         if let Some(trace) = &mut self.trace {
-            let logits = geometry.plane(Plane::OPACITY);
+            let logits = before.plane(Plane::OPACITY);
             trace.step(iteration, logits, &outcome, order.as_deref());
         }
         if let Some(noted) = &mut self.noted {
-            let before = geometry.plane(Plane::OPACITY).len();
-            *noted = Noted::new(&outcome, before, order.as_deref());
+            *noted = Noted::new(&outcome, rows, order.as_deref());
         }
-        self.apply(&mut on, &outcome, order.as_deref())?;
         on.device.finish()?;
         self.time.seconds += began.elapsed().as_secs_f64();
         self.time.calls += 1;
         self.stats.add(&outcome.stats);
-        Ok(DensityEvent {
+        Ok(Some(DensityEvent {
             iteration,
             progress,
             gaussians: on.gaussians.scene.count,
             stats: outcome.stats,
-        })
+        }))
     }
 
-    fn decide(
-        &mut self,
+    /// Takes a step back that began after so many iterations or later, because they are repeated.
+    pub fn take_back(&mut self, iterations: u32) {
+        self.deciding.take_if(|step| step.begun >= iterations);
+    }
+
+    /// The step that has begun, decided, for a checkpoint.
+    ///
+    /// # Errors
+    /// See [`Control::end`].
+    pub fn settle(&mut self) -> Result<Option<PendingStep>> {
+        let Some(step) = self.deciding.take() else {
+            return Ok(None);
+        };
+        let (step, pending) = step.settled()?;
+        self.deciding = Some(step);
+        Ok(Some(pending))
+    }
+
+    /// Goes on with the step of a checkpoint, or with none.
+    pub fn restore(&mut self, step: Option<&PendingStep>) {
+        self.deciding = step.map(Deciding::from);
+    }
+
+    /// The evidence of a step; repeated with more room until the pairs of its pictures fit.
+    fn fitting_evidence(
+        &self,
         on: &mut Working<'_>,
-        geometry: &Geometry,
         iteration: u32,
         progress: f64,
-    ) -> Result<Outcome> {
-        let state = SceneState {
-            positions: std::array::from_fn(|k| geometry.plane(Plane::POSITION + k)),
-            log_scales: std::array::from_fn(|k| geometry.plane(Plane::LOG_SCALE + k)),
-            rotations: std::array::from_fn(|k| geometry.plane(Plane::ROTATION + k)),
-            opacity_logits: geometry.plane(Plane::OPACITY),
-        };
-        let cameras: Vec<[f32; 3]> = on.views.set.cameras.iter().map(|c| c.center).collect();
-        let pictures = self.pictures(on, iteration, progress)?;
-        let context = StepContext {
-            iteration,
-            progress,
-            seed: self.plan.config.seed,
-            max_gaussians: self.plan.most_gaussians.value,
-            opacity_resets: self.schedule.opacity_resets(iteration),
-            resets_opacity: self.schedule.resets_opacity(iteration),
-            last: self.schedule.next_density(iteration).is_none(),
-            before: self.schedule.density_before(iteration),
-            cameras: &cameras,
-            pictures: &pictures,
-        };
-        let rows = on.gaussians.read_statistics()?;
-        let row = |k: usize| rows.get(k).map_or(&[][..], Vec::as_slice);
-        let wanted = self.strategy.wanted(on.views.len(), progress);
-        let views: Vec<u32> = match wanted {
-            StatisticsKind::Nothing => Vec::new(),
-            // The last row counts.
-            _ => row(wanted.rows() - 1).iter().map(|v| *v as u32).collect(),
-        };
-        let evidence = match wanted {
-            StatisticsKind::Nothing => Statistics::Nothing,
-            StatisticsKind::Errors { .. } => Statistics::Errors(ErrorStatistics {
-                ssim: row(0),
-                l1: row(1),
-                views: &views,
-            }),
-            StatisticsKind::ScreenGradient => Statistics::ScreenGradient(ScreenGradient {
-                norms: row(0),
-                views: &views,
-            }),
-        };
-        let strategy = self.strategy.clone();
-        let mut estimate = |candidates: &[Candidate]| self.estimate(on, iteration, candidates);
-        strategy.step_estimated(&context, &state, &evidence, &mut estimate)
+    ) -> Result<Evidence> {
+        loop {
+            let evidence = self.evidence(on, iteration, progress)?;
+            let forward = &mut on.pipeline.forward;
+            let slot = status::OVERFLOW as usize;
+            match forward.frame.status.read(slot, 1)?[0] {
+                0 => return Ok(evidence),
+                needed => forward.grow_intersections(needed)?,
+            }
+        }
+    }
+
+    /// Enqueues the transfers of what a step decides from.
+    fn evidence(&self, on: &mut Working<'_>, iteration: u32, progress: f64) -> Result<Evidence> {
+        let snapshot = on.gaussians.snapshot(on.device, &self.edit)?;
+        Ok(Evidence {
+            context: StepContext {
+                iteration,
+                progress,
+                seed: self.plan.config.seed,
+                max_gaussians: self.plan.most_gaussians.value,
+                opacity_resets: self.schedule.opacity_resets(iteration),
+                resets_opacity: self.schedule.resets_opacity(iteration),
+                last: self.schedule.next_density(iteration).is_none(),
+                before: self.schedule.density_before(iteration),
+                cameras: &[],
+                pictures: &[],
+            },
+            cameras: on.views.set.cameras.iter().map(|c| c.center).collect(),
+            snapshot,
+            wanted: self.strategy.wanted(on.views.len(), progress),
+            pictures: self.pictures(on, iteration, progress)?,
+        })
     }
 
     /// First-order changes of the loss by births; empty if the strategy asks for none.
@@ -298,51 +349,48 @@ impl Control {
         }
     }
 
-    fn apply(&self, on: &mut Working<'_>, outcome: &Outcome, order: Option<&[u32]>) -> Result<()> {
-        let edits = &outcome.edits;
-        let (device, rows) = (on.device, outcome.rows);
+    /// Applies an outcome, and has the rows that stay in Morton order if that is wanted: births are appended, wherever they lie. Gives the
+    /// order back where somebody asks for it; `None`, too, if nothing moves.
+    fn apply(&self, on: &mut Working<'_>, outcome: &Outcome) -> Result<Option<Vec<u32>>> {
+        let (device, rows, removed) = (on.device, outcome.rows, &outcome.removed);
         let limit = outcome.logit_limit;
         on.gaussians
-            .edit(device, &self.edit, edits, rows, limit, order)?;
-        match on.smoothing {
-            Some(s) => s.run(&on.gaussians.scene, &on.pipeline.forward.frame),
-            None => Ok(()),
-        }
-    }
-
-    /// Rows that stay, in Morton order if that is wanted: births are appended, wherever they lie. `None` if nothing moves.
-    fn order(&self, geometry: &Geometry, outcome: &Outcome) -> Option<Vec<u32>> {
-        if !self.plan.config.work.morton_order && outcome.removed.is_empty() {
-            return None;
-        }
-        let mut order = if self.plan.config.work.morton_order {
-            let [x, y, z] = geometry.positions_after(&outcome.edits, outcome.rows);
-            morton::order([&x, &y, &z])
-        } else {
-            (0..outcome.rows as u32).collect()
+            .edit(device, &self.edit, &outcome.edits, rows, limit)?;
+        let order = match self.plan.config.work.morton_order {
+            true => Some(Order::Morton),
+            false => (!removed.is_empty()).then_some(Order::Kept),
         };
-        let removed = &outcome.removed;
-        if !removed.is_empty() {
-            order.retain(|row| removed.binary_search(row).is_err());
+        let mut known = None;
+        if let Some(order) = order {
+            let (forward, scene) = (&mut on.pipeline.forward, &on.gaussians.scene);
+            let sorted = forward.sort_rows(&self.morton, scene, removed, order)?;
+            let kept = (sorted, outcome.gaussians());
+            on.gaussians.reorder(device, &self.edit, kept)?;
+            if self.trace.is_some() || self.noted.is_some() {
+                known = Some(sorted.read(0, outcome.gaussians())?);
+            }
         }
-        Some(order)
+        if let Some(smoothing) = on.smoothing {
+            smoothing.run(&on.gaussians.scene, &on.pipeline.forward.frame)?;
+        }
+        Ok(known)
     }
 
-    /// The views that training takes next, as many as the strategy wants, at the size that they have now. Colour and depth are
-    /// rendered: two forward passes a view.
+    /// The views that training takes next, as many as the strategy wants, at the size that they have now.
     fn pictures(
         &self,
         on: &mut Working<'_>,
         iteration: u32,
         progress: f64,
-    ) -> Result<Vec<Picture>> {
+    ) -> Result<Vec<PendingPicture>> {
         let count = self.strategy.pictures(progress).min(on.views.len());
         if count == 0 {
             return Ok(Vec::new());
         }
         let views = on.views.upcoming(iteration, count);
-        let at = (iteration..).zip(views);
-        at.map(|(at, view)| picture(on, iteration, at, view))
+        (iteration..)
+            .zip(views)
+            .map(|(at, view)| PendingPicture::enqueue(on, iteration, at, view))
             .collect()
     }
 
@@ -381,69 +429,4 @@ fn context<'a>(
         lambda_ssim,
         iteration,
     }
-}
-
-/// A view as it is at an iteration, over the background of iteration `background_of`.
-fn picture(
-    on: &mut Working<'_>,
-    iteration: u32,
-    background_of: u32,
-    number: usize,
-) -> Result<Picture> {
-    let view = on.views.view(iteration, background_of, number, &[])?;
-    let (scene, camera) = (&on.gaussians.scene, &view.camera);
-    let options = RenderOptions {
-        sh_degree: scene.sh_degree,
-        background: view.background,
-        quantity: Quantity::Color,
-        active_only: false,
-    };
-    let forward = &mut on.pipeline.forward;
-    forward.render(scene, camera, &options)?;
-    let mut render = forward.read_image()?;
-    let by_depth = RenderOptions {
-        quantity: Quantity::Depth,
-        background: [0.0; 3],
-        ..options
-    };
-    forward.render(scene, camera, &by_depth)?;
-    let mut depth = forward.read_image()?.rgb;
-    let pixels = render.width * render.height;
-    depth.truncate(pixels);
-    for (z, left) in depth.iter_mut().zip(&render.transmittance) {
-        // Weighted by opacity so far; 0/0 where nothing is.
-        *z /= 1.0 - left;
-    }
-    let alpha = on.views.set.alpha;
-    let bytes = on.views.photo(&view).read(0, alpha.planes() * pixels)?;
-    // Image space has no birth where the photo has nothing, whatever fog is there.
-    let opaque = |i: usize| f32::from(*bytes.get(3 * pixels + i).unwrap_or(&255)) / 255.0;
-    let taken = colors(alpha, &bytes, view.background);
-    let mut photo = match alpha {
-        // What is born has the photo's colour and not that of this iteration's background.
-        Alpha::Transparency => colors(Alpha::Mask, &bytes, view.background),
-        _ => taken.clone(),
-    };
-    if let Some(exposure) = &on.pipeline.exposure {
-        exposure.exchange(number, &mut render.rgb, &mut photo)?;
-    }
-    let error = |i: usize| -> f32 {
-        let apart = |c: usize| (render.rgb[c * pixels + i] - taken[c][i]).abs();
-        opaque(i) * (0..3).map(apart).sum::<f32>() / 3.0
-    };
-    let masked = match alpha {
-        Alpha::Mask => (0..pixels).map(|i| opaque(i) < 0.5).collect(),
-        _ => Vec::new(),
-    };
-    Ok(Picture {
-        width: render.width,
-        intrinsics: camera.intrinsics,
-        rotation: camera.w,
-        center: camera.center,
-        error: (0..pixels).map(error).collect(),
-        photo,
-        depth,
-        transmittance: render.transmittance,
-        masked,
-    })
 }

@@ -33,7 +33,7 @@ impl Trainer {
         let removed = (seen.len() - kept.len()) as u64;
         if removed > 0 && !kept.is_empty() {
             self.gaussians
-                .reorder(&self.device, self.control.edit(), &kept)?;
+                .keep(&self.device, self.control.edit(), &kept)?;
             if let Some(trace) = &mut self.control.trace {
                 trace.remove_unseen(self.iteration, &kept);
             }
@@ -54,8 +54,8 @@ impl Trainer {
         self.settle()?;
         self.device.finish()?;
         self.device.collect_times(usize::MAX)?;
-        let geometry = self.gaussians.geometry()?;
         let scene = &self.gaussians.scene;
+        let logits = scene.plane(Plane::OPACITY)?;
         let mut sums = vec![0.0; scene.count];
         for camera in &self.views.set.cameras {
             let weights = self.pipeline.blending_weights(scene, camera)?;
@@ -65,7 +65,7 @@ impl Trainer {
         }
         self.device.forget_launches();
         if let Some(trace) = &mut self.control.trace {
-            trace.finish(geometry.plane(Plane::OPACITY), &sums);
+            trace.finish(&logits, &sums);
         }
         Ok(self.control.trace.as_ref())
     }

@@ -1,13 +1,15 @@
 //! [`GaussianState`]: everything that training keeps per Gaussian. Every operation on the set is here and treats all of it.
 
 use crate::base::error::{Error, Result};
-use crate::device::{Array, Device, Program};
+use crate::device::{Array, Device, PendingRead, Program};
 use crate::pipeline::buffers::{GaussianBuffers, restride};
 use crate::pipeline::stage::edit;
 use crate::scene::{self, Gaussians, Plane};
 
 /// Number of arrays of parameters and their moments.
 const OPTIMIZED: usize = 3;
+/// Planes that change their order at a time: no fewer than a snapshot has.
+const SCRATCH: usize = 16;
 
 /// Parameters, optimiser moments, 3D smoothing filter and error statistics of all Gaussians on the device.
 #[derive(Debug)]
@@ -20,6 +22,8 @@ pub struct GaussianState {
     pub statistics: Array<f32>,
     /// Rows of the statistics.
     pub rows: usize,
+    /// Planes on their way to another order or to the host \[[`SCRATCH`], stride\]; empty before the first change.
+    scratch: Array<f32>,
 }
 
 /// Rows of a checkpoint, in the order of the Gaussians.
@@ -35,32 +39,44 @@ pub struct GaussianRows {
     pub filter: Vec<f32>,
 }
 
-/// Host copy of position, log-scale, rotation and opacity logit \[11\]\[stride\], read at once.
-#[derive(Debug, Clone)]
-pub struct Geometry {
+/// Position, log-scale, rotation, opacity logit and the statistics of all Gaussians as they were at one time \[11 + rows\]\[N\].
+#[derive(Debug, Clone, Default)]
+pub struct Snapshot {
     values: Vec<f32>,
-    stride: usize,
     count: usize,
 }
 
-impl Geometry {
+/// A snapshot on its way to the host.
+#[derive(Debug)]
+pub struct PendingSnapshot {
+    values: PendingRead<f32>,
+    count: usize,
+}
+
+impl PendingSnapshot {
+    /// Waits for the values.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn wait(self) -> Result<Snapshot> {
+        Ok(Snapshot {
+            values: self.values.wait()?,
+            count: self.count,
+        })
+    }
+}
+
+impl Snapshot {
     /// Values of a plane below [`Plane::SH`].
     #[must_use]
     pub fn plane(&self, plane: usize) -> &[f32] {
-        &self.values[plane * self.stride..][..self.count]
+        &self.values[plane * self.count..][..self.count]
     }
 
-    /// Positions after edits that leave `rows` rows.
+    /// Values of a row of the statistics.
     #[must_use]
-    pub fn positions_after(&self, edits: &[scene::Edit], rows: usize) -> [Vec<f32>; 3] {
-        std::array::from_fn(|k| {
-            let mut plane = self.plane(Plane::POSITION + k).to_vec();
-            plane.resize(rows, 0.0);
-            for edit in edits {
-                plane[edit.dst as usize] = edit.position[k];
-            }
-            plane
-        })
+    pub fn statistics(&self, row: usize) -> &[f32] {
+        self.plane(Plane::SH + row)
     }
 }
 
@@ -89,6 +105,7 @@ impl GaussianState {
                 Array::zeros(device, "moment2", len)?,
             ],
             statistics: Array::zeros(device, "statistics", rows * scene.stride)?,
+            scratch: Array::zeros(device, "scratch", 0)?,
             rows,
             scene,
         })
@@ -106,19 +123,20 @@ impl GaussianState {
         )
     }
 
-    /// Arrays with a value per Gaussian and plane, each with its number of planes; the first [`OPTIMIZED`] are parameters and
-    /// moments.
-    fn arrays(&mut self) -> [(&mut Array<f32>, usize); 5] {
+    /// Arrays with a value per Gaussian and plane, each with its number of planes, the first [`OPTIMIZED`] being parameters and moments;
+    /// and the scratch.
+    fn arrays(&mut self) -> ([(&mut Array<f32>, usize); 5], &mut Array<f32>) {
         let planes = self.scene.planes();
         let smoothed = usize::from(!self.scene.filter.is_empty());
         let [moment1, moment2] = &mut self.moments;
-        [
+        let arrays = [
             (&mut self.scene.params, planes),
             (moment1, planes),
             (moment2, planes),
             (&mut self.scene.filter, smoothed),
             (&mut self.statistics, self.rows),
-        ]
+        ];
+        (arrays, &mut self.scratch)
     }
 
     /// Makes room for `rows` Gaussians; the new ones are zero.
@@ -128,7 +146,7 @@ impl GaussianState {
             return Ok(());
         }
         let to = GaussianBuffers::<f32>::grown_stride(rows);
-        for (array, planes) in self.arrays() {
+        for (array, planes) in self.arrays().0 {
             if planes > 0 {
                 *array = restride(device, array, planes, from, to)?;
             }
@@ -137,8 +155,8 @@ impl GaussianState {
         Ok(())
     }
 
-    /// Applies the edits of a density step, which leave `rows` rows, and puts them in `order` if there is one. The statistics start
-    /// anew, and the smoothing filter is to be computed again. `stage` is a build of `kernels/edit.cl`.
+    /// Applies the edits of a density step, which leave `rows` rows. The statistics start anew, and the smoothing filter is to be computed
+    /// again. `stage` is a build of `kernels/edit.cl`.
     pub fn edit(
         &mut self,
         device: &Device,
@@ -146,7 +164,6 @@ impl GaussianState {
         edits: &[scene::Edit],
         rows: usize,
         logit_limit: Option<f32>,
-        order: Option<&[u32]>,
     ) -> Result<()> {
         self.grow(device, rows)?;
         self.statistics.clear()?;
@@ -154,38 +171,72 @@ impl GaussianState {
         self.scene.count = rows;
         let (scene, moments) = (&self.scene, self.moments.each_ref());
         edit::write_rows(stage, scene, moments, &edits)?;
-        if let Some(limit) = logit_limit {
-            edit::limit_opacity(stage, scene, moments, f64::from(limit))?;
-        }
-        match order {
-            Some(order) => self.gather(device, stage, order, OPTIMIZED),
+        match logit_limit {
+            Some(limit) => edit::limit_opacity(stage, scene, moments, f64::from(limit)),
             None => Ok(()),
         }
     }
 
+    /// Keeps the first `kept` Gaussians of `order`, in that order, with their moments. The statistics and the smoothing filter stay as they
+    /// are: they are to start anew.
+    pub fn reorder(
+        &mut self,
+        device: &Device,
+        stage: &Program,
+        kept: (&Array<u32>, usize),
+    ) -> Result<()> {
+        self.gather(device, stage, kept, OPTIMIZED)
+    }
+
     /// Keeps the Gaussians of `order`, in that order, with everything that belongs to them.
-    pub fn reorder(&mut self, device: &Device, stage: &Program, order: &[u32]) -> Result<()> {
-        self.gather(device, stage, order, usize::MAX)
+    pub fn keep(&mut self, device: &Device, stage: &Program, order: &[u32]) -> Result<()> {
+        let kept = Array::from_slice(device, "row order", order)?;
+        self.gather(device, stage, (&kept, order.len()), usize::MAX)
     }
 
     fn gather(
         &mut self,
         device: &Device,
         stage: &Program,
-        order: &[u32],
-        arrays: usize,
+        kept: (&Array<u32>, usize),
+        most_arrays: usize,
     ) -> Result<()> {
-        let (stride, count) = (self.scene.stride, order.len());
-        let order = Array::from_slice(device, "row order", order)?;
-        for (array, planes) in self.arrays().into_iter().take(arrays) {
-            if planes > 0 {
-                let to = Array::zeros(device, array.name(), planes * stride)?;
-                edit::gather_rows(stage, &order, [planes, stride], [array, &to])?;
-                *array = to;
+        self.fit_scratch(device)?;
+        let stride = self.scene.stride;
+        let (arrays, scratch) = self.arrays();
+        for (array, planes) in arrays.into_iter().take(most_arrays) {
+            for first in (0..planes).step_by(SCRATCH) {
+                let some = SCRATCH.min(planes - first);
+                edit::gather_rows(stage, kept, [first, some, stride], [array, scratch])?;
+                array.copy_from(first * stride, scratch, 0, some * stride)?;
             }
         }
-        self.scene.count = count;
+        self.scene.count = kept.1;
         Ok(())
+    }
+
+    fn fit_scratch(&mut self, device: &Device) -> Result<()> {
+        let len = SCRATCH * self.scene.stride;
+        if self.scratch.len() < len {
+            self.scratch = Array::zeros(device, "scratch", len)?;
+        }
+        Ok(())
+    }
+
+    /// Enqueues the transfer of position, scale, rotation, opacity and statistics as they are once everything enqueued so far is done.
+    pub fn snapshot(&mut self, device: &Device, stage: &Program) -> Result<PendingSnapshot> {
+        self.fit_scratch(device)?;
+        let (count, planes) = (self.scene.count, Plane::SH + self.rows);
+        edit::pack(
+            stage,
+            &self.scene,
+            (&self.statistics, self.rows),
+            &self.scratch,
+        )?;
+        Ok(PendingSnapshot {
+            values: self.scratch.read_later(0, planes * count)?,
+            count,
+        })
     }
 
     /// Makes room for the coefficients of a higher SH degree, which are zero, as are their moments.
@@ -200,20 +251,6 @@ impl GaussianState {
         }
         self.scene.sh_degree = degree;
         Ok(())
-    }
-
-    /// Reads position, scale, rotation and opacity in one transfer.
-    pub fn geometry(&self) -> Result<Geometry> {
-        Ok(Geometry {
-            values: self.scene.params.read(0, Plane::SH * self.scene.stride)?,
-            stride: self.scene.stride,
-            count: self.scene.count,
-        })
-    }
-
-    /// Reads the statistics \[rows\]\[N\].
-    pub fn read_statistics(&self) -> Result<Vec<Vec<f32>>> {
-        self.planes(&self.statistics, self.rows)
     }
 
     /// Reads the smoothing filter \[N\]; empty without anti-aliasing.
@@ -236,7 +273,7 @@ impl GaussianState {
         Ok(GaussianRows {
             moment1: self.planes(&self.moments[0], planes)?,
             moment2: self.planes(&self.moments[1], planes)?,
-            statistics: self.read_statistics()?,
+            statistics: self.planes(&self.statistics, self.rows)?,
             filter: self.read_filter()?,
         })
     }

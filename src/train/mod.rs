@@ -2,6 +2,8 @@
 
 pub mod brightness;
 pub mod control;
+pub mod decision;
+mod density_steps;
 pub mod estimates;
 mod exposure;
 mod finish;
@@ -9,6 +11,7 @@ pub mod gaussians;
 mod noted;
 mod observe;
 mod optimizer;
+mod picture;
 pub mod plan;
 pub mod reasons;
 pub mod sampling_rates;
@@ -19,8 +22,10 @@ mod state;
 pub mod step;
 pub mod trace;
 pub mod views;
+pub mod working;
 
 pub use control::DensityEvent;
+pub use decision::PendingStep;
 pub use noted::Noted;
 pub use plan::{Learned, Plan};
 pub use state::TrainerState;

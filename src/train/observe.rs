@@ -13,7 +13,6 @@ use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer};
 use crate::pipeline::photos::PhotoStats;
 use crate::scene::sh::C0;
 use crate::scene::{Gaussians, Plane};
-use crate::train::control::Working;
 use crate::train::noted::Noted;
 use crate::train::plan::{Learned, Plan};
 use crate::train::schedule::Schedule;
@@ -351,14 +350,9 @@ impl Trainer {
     /// First-order estimates of births in the views that training takes next; empty if density control asks for none.
     #[doc(hidden)]
     pub fn estimate(&mut self, candidates: &[Candidate]) -> Result<Vec<f64>> {
-        let mut on = Working {
-            device: &self.device,
-            pipeline: &mut self.pipeline,
-            gaussians: &mut self.gaussians,
-            views: &self.views,
-            smoothing: self.smoothing.as_ref(),
-        };
-        self.control.estimate(&mut on, self.iteration, candidates)
+        let at = self.iteration;
+        let (control, mut on) = self.controlled();
+        control.estimate(&mut on, at, candidates)
     }
 
     /// Device time per stage so far, and under `density` the host's time in density steps, transfers included and without

@@ -13,6 +13,8 @@ use crate::capture::{Alpha, Dataset, PhotoSource, View};
 use crate::config::{
     AntiAliasing, Background, ExposureChoice, Init, Sampler, TrainConfig, WorkConfig,
 };
+use crate::density::DensityControl;
+use crate::device::DeviceKind;
 use crate::scene::formats;
 use crate::train::brightness::GainSpread;
 use crate::train::reasons::{NO_CAMERA_SAW, Part, Why};
@@ -83,6 +85,10 @@ impl fmt::Display for Decision {
 /// Training pixels for which there may be a Gaussian, however few the sparse points and the photos are.
 const LEAST_PIXELS: f64 = 64.0;
 
+/// Iterations that a GPU does while a density step is decided on the host: 74 ms of a million Gaussians, by the model of
+/// `docs/results/gpu.md`.
+const DENSITY_LAG: u32 = 16;
+
 /// Decisions of one run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
@@ -113,6 +119,19 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// The plan with what depends on the device: a density step is decided while training goes on unless that takes the same processor, or
+    /// the strategy asks the device for estimates meanwhile.
+    #[must_use]
+    pub fn on_device(mut self, kind: DeviceKind, strategy: &dyn DensityControl) -> Self {
+        let lag = &mut self.config.work.density_lag;
+        let waits = kind == DeviceKind::Cpu;
+        lag.get_or_insert(if waits { 0 } else { DENSITY_LAG });
+        if strategy.estimate_views() > 0 {
+            *lag = Some(0);
+        }
+        self
+    }
+
     /// Decides for a dataset and a configuration.
     ///
     /// # Errors
@@ -170,7 +189,7 @@ impl Plan {
     }
 
     /// The configuration with what the start decides about density control.
-    pub(super) fn density_config(&self) -> TrainConfig {
+    pub(crate) fn density_config(&self) -> TrainConfig {
         let mut config = self.config.clone();
         if self.random_start {
             let first = config.mh.from_iteration;

@@ -206,6 +206,14 @@ impl Schedule {
         asked.min(least.max(MIN_INTERVAL))
     }
 
+    /// Iterations that training does between the begin of a density step after `done` iterations and its end: those asked for, but no more
+    /// than half of the interval.
+    #[must_use]
+    pub fn density_lag(&self, done: u32) -> u32 {
+        let asked = self.config.work.density_lag.unwrap_or(0);
+        asked.min(self.density_interval(done) / 2)
+    }
+
     /// True if the length of the run may change after `done` iterations: right after a density step or away from them all, so that
     /// none is called off whose statistics are being gathered, and none comes without.
     #[must_use]
@@ -300,7 +308,8 @@ impl Schedule {
     /// True if Gaussians born in the last density step have had the time that they are given before they are judged.
     #[must_use]
     pub fn recovered(&self, done: u32) -> bool {
-        let steps = (done.saturating_sub(MIN_INTERVAL - 1)..=done).rev();
+        let given = MIN_INTERVAL - 1 + self.density_lag(done);
+        let steps = (done.saturating_sub(given)..=done).rev();
         steps
             .into_iter()
             .all(|at| self.density_due(at).is_none() || at == done)

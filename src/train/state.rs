@@ -4,6 +4,7 @@ use crate::base::error::Result;
 use crate::density::DensityStats;
 use crate::device::tuning::status;
 use crate::scene::Gaussians;
+use crate::train::decision::PendingStep;
 use crate::train::gaussians::{GaussianRows, mismatch};
 use crate::train::noted::Noted;
 use crate::train::plan::{Exposure, Learned};
@@ -22,6 +23,8 @@ pub struct TrainerState {
     pub splats: Gaussians,
     /// Moments, statistics and smoothing filter.
     pub rows: GaussianRows,
+    /// Density step that has begun and not ended.
+    pub deciding: Option<PendingStep>,
     /// Statistics of density control so far.
     pub stats: DensityStats,
     /// Non-finite gradient values so far.
@@ -41,7 +44,9 @@ impl Trainer {
     /// The driver's, or non-finite parameters.
     pub fn state(&mut self) -> Result<TrainerState> {
         self.settle()?;
+        let deciding = self.control.settle()?;
         Ok(TrainerState {
+            deciding,
             iteration: self.iteration,
             // Kernels are announced and compiled again, so that the clock stands meanwhile.
             next: match self.next {
@@ -81,6 +86,7 @@ impl Trainer {
         self.learned = state.learned;
         self.plan.learn(&state.learned);
         self.restore_exposures(&state.exposures)?;
+        self.control.restore(state.deciding.as_ref());
         self.control.stats = state.stats;
         self.control.trace.take_if(|_| state.iteration > 0);
         self.control.noted = self.control.noted.take().map(|_| Noted::default());

@@ -19,7 +19,7 @@ use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::adam::Step;
 use crate::scene::Gaussians;
-use crate::train::control::{Control, DensityEvent, Working};
+use crate::train::control::{Control, DensityEvent};
 use crate::train::exposure::compare;
 use crate::train::gaussians::GaussianState;
 use crate::train::optimizer::Optimizer;
@@ -178,6 +178,9 @@ impl Trainer {
             return Err(Error::config("plan", what));
         }
         let device = &set.photos().device().clone();
+        let plan = &plan
+            .clone()
+            .on_device(device.info().kind, strategy.as_ref());
         let (config, degree) = (&plan.config, plan.sh_degree.value);
         let defines = Defines {
             alpha: plan.alpha,
@@ -383,6 +386,9 @@ impl Trainer {
 
     /// Enqueues an iteration and settles the oldest if too many are under way.
     fn enqueue(&mut self) -> Result<()> {
+        if self.schedule.density_lag(self.iteration) > 0 {
+            self.begin_density_step()?;
+        }
         self.iterate(self.iteration, self.gaussians.scene.sh_degree)?;
         self.in_flight.push_back(InFlight {
             iteration: self.iteration,
@@ -423,6 +429,7 @@ impl Trainer {
             // Everything due before that iteration was done before it was enqueued.
             self.iteration = done.iteration;
             self.next = Next::Iterate;
+            self.control.take_back(done.iteration);
             self.pipeline.forward.grow_intersections(needed)?;
         }
         Ok(())
@@ -445,27 +452,6 @@ impl Trainer {
             // Nothing was due between the iterations that are repeated: that would have settled those before it.
             self.enqueue()?;
         }
-    }
-
-    fn density_step(&mut self) -> Result<Option<Event>> {
-        let Some(progress) = self.schedule.density_due(self.iteration) else {
-            return Ok(None);
-        };
-        self.settle()?;
-        let before = self.gaussians.scene.count;
-        let on = Working {
-            device: &self.device,
-            pipeline: &mut self.pipeline,
-            gaussians: &mut self.gaussians,
-            views: &self.views,
-            smoothing: self.smoothing.as_ref(),
-        };
-        let event = self.control.step(on, self.iteration, progress)?;
-        let max = self.counters.max_intersections as f64;
-        let after = self.gaussians.scene.count as f64;
-        self.counters.max_intersections = (max * after / before.max(1) as f64) as usize;
-        self.fit_views()?;
-        Ok(Some(Event::Density(event)))
     }
 
     /// Adds a band of spherical harmonics if one is due before the next iteration (3DGS).
@@ -552,10 +538,9 @@ impl Trainer {
         }
         self.seen(1)?;
         self.views.warm_up()?;
-        let edits = [crate::scene::Edit::default()];
-        let mut scratch = self.gaussians.empty(&self.device, highest)?;
-        let edit = self.control.edit();
-        scratch.edit(&self.device, edit, &edits, 1, Some(0.0), Some(&[0]))?;
+        self.gaussians = self.gaussians.empty(&self.device, highest)?;
+        let (control, on) = self.controlled();
+        control.warm_up_edits(on)?;
         self.gaussians = gaussians;
         self.fit_views()?;
         self.smooth()?;
@@ -584,14 +569,8 @@ impl Trainer {
 
     fn warm_up_control(&mut self, sh_degree: u32) -> Result<()> {
         let view = self.views.at(0)?;
-        let target = self.views.target(&view);
-        let mut on = Working {
-            device: &self.device,
-            pipeline: &mut self.pipeline,
-            gaussians: &mut self.gaussians,
-            views: &self.views,
-            smoothing: self.smoothing.as_ref(),
-        };
-        self.control.warm_up(&mut on, target, sh_degree)
+        let (control, mut on) = self.controlled();
+        let target = on.views.target(&view);
+        control.warm_up(&mut on, target, sh_degree)
     }
 }

@@ -3,7 +3,7 @@
 use super::*;
 use mhsplat::device::Array;
 use mhsplat::pipeline::buffers::GaussianBuffers;
-use mhsplat::pipeline::stage::edit::{gather_rows, limit_opacity, reorder};
+use mhsplat::pipeline::stage::edit::{gather_rows, limit_opacity, pack, reorder};
 use mhsplat::scene::{Edit, OptionalColor, Plane};
 
 #[test]
@@ -99,25 +99,47 @@ fn rows_in_another_order_are_the_reference_s() {
     let (planes, stride, order) = (3, 256, [4u32, 0, 2, 1, 3]);
     let values: Vec<f32> = (0..planes * stride).map(|v| v as f32).collect();
     let array = |name, v: &[f32]| Array::from_slice(&device, name, v).unwrap();
-    let (from, to) = (
-        array("from", &values),
-        array("to", &vec![-1.0; values.len()]),
-    );
+    let (from, to) = (array("from", &values), array("to", &vec![-1.0; 2 * stride]));
     let rows = Array::from_slice(&device, "order", &order).unwrap();
-    gather_rows(&stage, &rows, [planes, stride], [&from, &to]).unwrap();
+    gather_rows(&stage, (&rows, 5), [1, 2, stride], [&from, &to]).unwrap();
     let got = to.to_vec().unwrap();
-    for (p, plane) in values.chunks(stride).enumerate() {
+    for (p, plane) in values[stride..].chunks(stride).enumerate() {
         let plane: Vec<f64> = plane.iter().map(|v| f64::from(*v)).collect();
         let want = reorder(&order, &plane);
         for (i, w) in want.iter().enumerate() {
             assert_eq!(f64::from(got[p * stride + i]), *w);
         }
-        assert_eq!(
-            got[p * stride + 5],
-            -1.0,
-            "rows beyond the order stay as they are"
+        let beyond = &got[p * stride + 5..][..stride - 5];
+        assert!(
+            beyond.iter().all(|v| *v == 0.0),
+            "rows that are gone are zero"
         );
     }
+}
+
+#[test]
+fn a_snapshot_is_the_planes_side_by_side() {
+    let device = device();
+    let stage = kernels(&device).build::<f32>("edit").unwrap();
+    let (stride, count, planes) = (256, 5, Plane::count(1));
+    let values: Vec<f32> = (0..(planes + 2) * stride).map(|v| v as f32).collect();
+    let (params, statistics) = values.split_at(planes * stride);
+    let array = |name, v: &[f32]| Array::from_slice(&device, name, v).unwrap();
+    let scene = GaussianBuffers {
+        params: array("params", params),
+        filter: Array::zeros(&device, "filter", 0).unwrap(),
+        stride,
+        count,
+        sh_degree: 1,
+    };
+    let packed = array("packed", &[-1.0; 100]);
+    let statistics = array("statistics", statistics);
+    pack(&stage, &scene, (&statistics, 2), &packed).unwrap();
+    let got = packed.to_vec().unwrap();
+    let first = (0..Plane::SH).chain(planes..planes + 2);
+    let want = first.flat_map(|p| &values[p * stride..][..count]).copied();
+    assert_eq!(got[..(Plane::SH + 2) * count], want.collect::<Vec<f32>>());
+    assert_eq!(got[(Plane::SH + 2) * count..], [-1.0; 100 - 65]);
 }
 
 #[test]

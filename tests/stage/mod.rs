@@ -9,6 +9,7 @@ mod filter;
 mod importance;
 mod loss;
 mod metrics;
+mod morton;
 mod noise;
 mod peak;
 mod project;

@@ -6,6 +6,8 @@
 //! sees through it: what one camera alone has right before it has large errors, too, and a birth there would thicken it. Not in
 //! \[MH\]; acceptance is that of the other phases, with the pixel's error for the importance.
 
+use rayon::prelude::*;
+
 use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Stream};
 use crate::config::MhConfig;
@@ -21,31 +23,33 @@ use crate::scene::sh::C0;
 /// Pixels of all pictures, one after the other.
 struct Pixels<'a> {
     pictures: &'a [Picture],
-    /// First pixel of each picture.
+    /// First pixel of each picture, and the number of all.
     starts: Vec<usize>,
     mean: f64,
     deviation: f64,
-    errors: Vec<f64>,
 }
 
 impl<'a> Pixels<'a> {
     fn new(pictures: &'a [Picture]) -> Self {
-        let mut errors: Vec<f64> = Vec::new();
-        let mut starts = Vec::new();
+        let mut starts = vec![0];
         for picture in pictures {
-            starts.push(errors.len());
-            errors.extend(picture.error.iter().map(|e| f64::from(*e)));
+            starts.push(starts[starts.len() - 1] + picture.error.len());
         }
+        let errors = || {
+            pictures
+                .iter()
+                .flat_map(|p| &p.error)
+                .map(|e| f64::from(*e))
+        };
         // One order of summation, whatever the number of threads.
-        let n = errors.len().max(1) as f64;
-        let mean = errors.iter().sum::<f64>() / n;
-        let variance = errors.iter().map(|e| (e - mean) * (e - mean)).sum::<f64>() / n;
+        let n = starts[pictures.len()].max(1) as f64;
+        let mean = errors().sum::<f64>() / n;
+        let variance = errors().map(|e| (e - mean) * (e - mean)).sum::<f64>() / n;
         Self {
             pictures,
             starts,
             mean,
             deviation: variance.sqrt() + 1e-6,
-            errors,
         }
     }
 
@@ -60,14 +64,27 @@ impl<'a> Pixels<'a> {
 
     /// Weights of the draw, one per pixel: e·(τ + s·(1−τ)).
     fn weights(&self, surface: f64) -> Vec<f64> {
-        let left = self.pictures.iter().flat_map(|p| &p.transmittance);
-        let seen = left.map(|t| reached(f64::from(*t), surface));
-        self.errors.iter().zip(seen).map(|(e, s)| e * s).collect()
+        let of = |(e, t): (&f32, &f32)| f64::from(*e) * reached(f64::from(*t), surface);
+        let mut weights = vec![0.0; self.len()];
+        for (picture, start) in self.pictures.iter().zip(&self.starts) {
+            let errors = picture.error.par_iter().zip(&picture.transmittance);
+            let of_picture = &mut weights[*start..][..picture.error.len()];
+            of_picture
+                .par_iter_mut()
+                .zip(errors)
+                .for_each(|(w, at)| *w = of(at));
+        }
+        weights
+    }
+
+    /// Number of pixels.
+    fn len(&self) -> usize {
+        self.starts[self.pictures.len()]
     }
 
     /// Share of all error that the weights keep, Σ e·(τ + s·(1−τ)) / Σ e; 0 if there is no error.
     fn share(&self, weights: &[f64]) -> f64 {
-        let all = self.mean * self.errors.len() as f64;
+        let all = self.mean * self.len() as f64;
         if all > 0.0 {
             (weights.iter().sum::<f64>() / all).clamp(0.0, 1.0)
         } else {
@@ -75,9 +92,9 @@ impl<'a> Pixels<'a> {
         }
     }
 
-    /// σ of the error's deviation from the mean, in standard deviations: the counterpart of a Gaussian's I.
-    fn importance(&self, pixel: usize) -> f64 {
-        sigmoid((self.errors[pixel] - self.mean) / self.deviation)
+    /// σ of an error's deviation from the mean, in standard deviations: the counterpart of a Gaussian's I.
+    fn importance(&self, error: f32) -> f64 {
+        sigmoid((f64::from(error) - self.mean) / self.deviation)
     }
 }
 
@@ -103,11 +120,12 @@ pub(super) fn propose(
     let proposal = |pixel: usize| {
         let (picture, at) = pixels.find(pixel)?;
         let u = Philox::uniform(context.seed, place, pixel as u64);
+        let importance = pixels.importance(*picture.error.get(at)?);
         Some(Proposal {
             edit: birth(config, (context.pictures, picture), at, u, src)?,
-            importance: pixels.importance(pixel),
+            importance,
             change: None,
-            ln_gain: accept::ln_gain(config.acceptance, pixels.importance(pixel)),
+            ln_gain: accept::ln_gain(config.acceptance, importance),
             u: Philox::uniform(context.seed, accept, pixel as u64)[0],
         })
     };

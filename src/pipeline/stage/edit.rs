@@ -38,19 +38,38 @@ pub fn limit_opacity<R: Real>(
         .over_items([scene.count, 1])
 }
 
-/// Copies row `order[i]` of `from` to row i of `to`; rows of `to` beyond `order` stay as they are.
+/// Copies row `order[i]` of `planes` planes of `from`, from the plane `first` on, to row i of the first planes of `to`, whose rows beyond
+/// the first `kept` are zero.
 pub fn gather_rows<R: Real>(
     stage: &Program,
-    order: &Array<u32>,
-    [planes, stride]: [usize; 2],
+    (order, kept): (&Array<u32>, usize),
+    [first, planes, stride]: [usize; 3],
     [from, to]: [&Array<R>; 2],
 ) -> Result<()> {
     stage
         .launch("edit_reorder")
-        .array(order, order.len())
-        .uints([order.len(), stride])
-        .arrays([from, to], planes * stride)
-        .over_items([order.len(), planes])
+        .array(order, kept)
+        .uints([kept, stride, first])
+        .array(from, (first + planes) * stride)
+        .array(to, planes * stride)
+        .over_items([stride, planes])
+}
+
+/// Packs the first planes of the parameters and `rows` rows of statistics \[planes + rows, N\].
+pub fn pack<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    (statistics, rows): (&Array<R>, usize),
+    packed: &Array<R>,
+) -> Result<()> {
+    let planes = Plane::SH;
+    stage
+        .launch("edit_pack")
+        .uints([scene.count, scene.stride, planes])
+        .array(&scene.params, planes * scene.stride)
+        .array(statistics, rows * scene.stride)
+        .array(packed, (planes + rows) * scene.count)
+        .over_items([scene.count, planes + rows])
 }
 
 // Definition in f64.

@@ -14,6 +14,7 @@ pub mod filter;
 pub mod importance;
 pub mod loss;
 pub mod metrics;
+pub mod morton;
 pub mod noise;
 pub mod peak;
 pub mod project;

@@ -12,22 +12,29 @@ use crate::pipeline::reference::{
 };
 use crate::scene::{Plane, sh, sh_coefficients};
 
-/// Writes the records and keys of a view and zeroes the numbers of pairs; `depth_as_color` composites the depth (local units)
-/// in place of the colour. The kernel is built for one SH degree.
+/// Writes the records and keys of a view and zeroes the numbers of pairs. The kernel is built for one SH degree.
 pub fn write_records<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
     view: &ViewBuffers<R>,
-    depth_as_color: bool,
 ) -> Result<()> {
     stage
         .launch("project")
         .gaussians(scene)
         .value(view.camera)
-        .value(i32::from(depth_as_color))
         .array(&view.records, scene.count)
         .arrays([&view.keys, &view.isect_counts], scene.count)
         .over_gaussians(scene.count)
+}
+
+/// Makes the depth (local units) the colour of the records of a view.
+pub fn depths_for_colors<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
+    stage
+        .launch("project_depths")
+        .array(&view.keys, view.count)
+        .uints([view.count])
+        .array(&view.records, view.count)
+        .over_items([view.count, 1])
 }
 
 // Definition in f64.

@@ -29,10 +29,16 @@ impl Keys {
     /// Depths of the visible ones of `most` Gaussians.
     #[must_use]
     pub fn depths(most: usize) -> Self {
+        Self::rows(most, BITS)
+    }
+
+    /// Keys of so many rows and bits, the status telling of all of them as visible ones.
+    #[must_use]
+    pub fn rows(most: usize, bits: u32) -> Self {
         Self {
             counter: status::VISIBLE,
             most,
-            bits: BITS,
+            bits,
         }
     }
 

@@ -1,0 +1,73 @@
+//! Cost of density steps within training: `cargo bench --bench steps [-- GAUSSIANS PIXELS STEPS]`.
+//!
+//! Trains the synthetic cloud with learning rates of zero, so that every step finds about as many Gaussians, and prints for each density
+//! step how long `Trainer::advance` took for it, the CPU time of the process meanwhile, and the Gaussians after it. By default 100,000
+//! Gaussians, then a million, at 800 pixels.
+#![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
+
+use std::time::Instant;
+
+use mhsplat::config::Sampler;
+use mhsplat::lab::bench::scene;
+use mhsplat::run::clock::process_cpu_seconds;
+use mhsplat::train::Event;
+use mhsplat::{Device, Plan, TrainConfig, Trainer};
+
+/// Iterations for which the schedules are made: a density step every 25.
+const LENGTH: u32 = 600;
+
+fn main() {
+    let args: Vec<usize> = std::env::args()
+        .skip(1)
+        .filter_map(|a| a.parse().ok())
+        .collect();
+    let sizes = match args.first() {
+        Some(n) => vec![*n],
+        None => vec![100_000, 1_000_000],
+    };
+    let (pixels, steps) = (args.get(1).copied().unwrap_or(800), args.get(2).copied());
+    for gaussians in sizes {
+        measure(gaussians, pixels as u32, steps.unwrap_or(4));
+    }
+}
+
+fn measure(gaussians: usize, pixels: u32, steps: usize) {
+    let device = Device::open(None).unwrap();
+    let data = scene::dataset(&scene::circle(pixels));
+    let config = TrainConfig {
+        sampler: Sampler::Mh,
+        iterations: LENGTH,
+        max_size: pixels,
+        eval_every: Some(0),
+        ..scene::still(scene::SH_DEGREE)
+    };
+    let plan = Plan::new(&data, &config).unwrap();
+    let splats = scene::cloud(gaussians);
+    let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+    println!("{gaussians} Gaussians, {pixels} pixels");
+    let mut done = 0;
+    let mut iterations: Vec<f64> = Vec::new();
+    while done < steps {
+        let (start, cpu) = (Instant::now(), process_cpu_seconds());
+        let event = trainer.advance().unwrap();
+        let (wall, cpu) = (start.elapsed().as_secs_f64(), process_cpu_seconds() - cpu);
+        match event {
+            Event::Density(event) => {
+                done += 1;
+                println!(
+                    "  step at {}: {:.1} ms, {:.1} CPU ms, {} Gaussians",
+                    event.iteration,
+                    1e3 * wall,
+                    1e3 * cpu,
+                    event.gaussians
+                );
+            }
+            _ => iterations.push(wall),
+        }
+    }
+    iterations.sort_by(f64::total_cmp);
+    println!(
+        "  median iteration: {:.1} ms",
+        1e3 * iterations[iterations.len() / 2]
+    );
+}

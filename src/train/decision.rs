@@ -1,0 +1,218 @@
+//! Density steps between their begin and their end: what a strategy decides from, and its decision, taken at once or while training goes
+//! on.
+
+use std::sync::Arc;
+use std::thread::{Builder, JoinHandle};
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::base::error::{Error, Result};
+use crate::density::{
+    DensityControl, DensityStats, Edit, ErrorStatistics, Estimator, Outcome, Picture, SceneState,
+    ScreenGradient, Statistics, StatisticsKind, StepContext,
+};
+use crate::scene::Plane;
+use crate::train::gaussians::{PendingSnapshot, Snapshot};
+use crate::train::picture::PendingPicture;
+
+/// Everything that a density step decides from, on its way to the host.
+#[derive(Debug)]
+pub(super) struct Evidence {
+    /// Iteration, progress and the like; without cameras and pictures.
+    pub(super) context: StepContext<'static>,
+    /// Centres of the training cameras.
+    pub(super) cameras: Vec<[f32; 3]>,
+    /// Parameters and statistics.
+    pub(super) snapshot: PendingSnapshot,
+    /// Kind of the statistics.
+    pub(super) wanted: StatisticsKind,
+    /// Renders of views.
+    pub(super) pictures: Vec<PendingPicture>,
+}
+
+/// A decision, and the parameters that it was taken from.
+#[derive(Debug, Clone, Default)]
+pub struct Decision {
+    /// Edits and counters.
+    pub outcome: Outcome,
+    /// Parameters before; none after a resumption.
+    pub before: Snapshot,
+}
+
+/// A density step that is decided and not applied; the parts of [`Outcome`] that change the Gaussians.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PendingStep {
+    /// Iterations done when it began.
+    pub begun: u32,
+    /// Progress η then.
+    pub progress: f64,
+    /// Iterations done when it ends.
+    pub ends: u32,
+    /// Rows to be written.
+    pub edits: Vec<Edit>,
+    /// Rows afterwards, with those to be removed.
+    pub rows: usize,
+    /// Largest opacity logit afterwards.
+    pub logit_limit: Option<f32>,
+    /// Rows to be removed, rising.
+    pub removed: Vec<u32>,
+    /// Counters.
+    pub stats: DensityStats,
+}
+
+/// A density step that has begun and not ended.
+#[derive(Debug)]
+pub struct Deciding {
+    /// Iterations done when it began.
+    pub begun: u32,
+    /// Progress η then.
+    pub progress: f64,
+    /// Iterations done when it ends.
+    pub ends: u32,
+    state: State,
+}
+
+#[derive(Debug)]
+enum State {
+    Running(JoinHandle<Result<Decision>>),
+    Decided(Box<Decision>),
+}
+
+impl Evidence {
+    /// Waits for the evidence and decides.
+    ///
+    /// # Errors
+    /// The strategy's, or the driver's.
+    pub(super) fn decide(
+        self,
+        strategy: &dyn DensityControl,
+        estimate: &mut Estimator<'_>,
+    ) -> Result<Decision> {
+        let before = self.snapshot.wait()?;
+        let finished = self.pictures.into_par_iter().map(PendingPicture::finish);
+        let pictures: Vec<Picture> = finished.collect::<Result<_>>()?;
+        let context = StepContext {
+            cameras: &self.cameras,
+            pictures: &pictures,
+            ..self.context
+        };
+        let scene = SceneState {
+            positions: std::array::from_fn(|k| before.plane(Plane::POSITION + k)),
+            log_scales: std::array::from_fn(|k| before.plane(Plane::LOG_SCALE + k)),
+            rotations: std::array::from_fn(|k| before.plane(Plane::ROTATION + k)),
+            opacity_logits: before.plane(Plane::OPACITY),
+        };
+        let views: Vec<u32> = match self.wanted {
+            StatisticsKind::Nothing => Vec::new(),
+            // The last row counts.
+            wanted => {
+                let counts = before.statistics(wanted.rows() - 1).iter();
+                counts.map(|v| *v as u32).collect()
+            }
+        };
+        let evidence = match self.wanted {
+            StatisticsKind::Nothing => Statistics::Nothing,
+            StatisticsKind::Errors { .. } => Statistics::Errors(ErrorStatistics {
+                ssim: before.statistics(0),
+                l1: before.statistics(1),
+                views: &views,
+            }),
+            StatisticsKind::ScreenGradient => Statistics::ScreenGradient(ScreenGradient {
+                norms: before.statistics(0),
+                views: &views,
+            }),
+        };
+        let outcome = strategy.step_estimated(&context, &scene, &evidence, estimate)?;
+        Ok(Decision { outcome, before })
+    }
+}
+
+impl From<&PendingStep> for Deciding {
+    fn from(step: &PendingStep) -> Self {
+        let decision = Decision {
+            outcome: Outcome {
+                edits: step.edits.clone(),
+                rows: step.rows,
+                logit_limit: step.logit_limit,
+                removed: step.removed.clone(),
+                stats: step.stats,
+                ..Outcome::default()
+            },
+            ..Decision::default()
+        };
+        Self::decided([step.begun, step.ends], step.progress, decision)
+    }
+}
+
+impl Deciding {
+    /// Has a thread decide, to be asked for after `ends` iterations.
+    ///
+    /// # Errors
+    /// No thread can be made.
+    pub(super) fn begin(
+        evidence: Evidence,
+        strategy: Arc<dyn DensityControl>,
+        ends: u32,
+    ) -> Result<Self> {
+        let (begun, progress) = (evidence.context.iteration, evidence.context.progress);
+        let decide = move || evidence.decide(strategy.as_ref(), &mut |_| Ok(Vec::new()));
+        let thread = Builder::new().name("density".to_owned()).spawn(decide);
+        let thread = thread.map_err(|e| {
+            let what = format!("no thread can be made: {e}");
+            Error::device("density control", what, "allow more threads (ulimit -u)")
+        })?;
+        Ok(Self {
+            begun,
+            progress,
+            ends,
+            state: State::Running(thread),
+        })
+    }
+
+    /// A step whose decision is known.
+    #[must_use]
+    pub(super) fn decided([begun, ends]: [u32; 2], progress: f64, decision: Decision) -> Self {
+        Self {
+            begun,
+            progress,
+            ends,
+            state: State::Decided(Box::new(decision)),
+        }
+    }
+
+    /// Waits for the decision, and tells it.
+    ///
+    /// # Errors
+    /// See [`Deciding::wait`].
+    pub(super) fn settled(self) -> Result<(Self, PendingStep)> {
+        let (begun, progress, ends) = (self.begun, self.progress, self.ends);
+        let decision = self.wait()?;
+        let outcome = &decision.outcome;
+        let pending = PendingStep {
+            begun,
+            progress,
+            ends,
+            edits: outcome.edits.clone(),
+            rows: outcome.rows,
+            logit_limit: outcome.logit_limit,
+            removed: outcome.removed.clone(),
+            stats: outcome.stats,
+        };
+        Ok((Self::decided([begun, ends], progress, decision), pending))
+    }
+
+    /// Waits for the decision.
+    ///
+    /// # Errors
+    /// The strategy's, or the driver's.
+    pub(super) fn wait(self) -> Result<Decision> {
+        match self.state {
+            State::Decided(decision) => Ok(*decision),
+            State::Running(thread) => thread.join().unwrap_or_else(|_| {
+                let what = "the thread that decides has panicked";
+                Err(Error::numerics("density control", what))
+            }),
+        }
+    }
+}

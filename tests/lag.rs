@@ -1,0 +1,180 @@
+//! Density steps that are decided while training goes on.
+
+use mhsplat::Plan;
+use mhsplat::TrainConfig;
+use mhsplat::config::{MhConfig, Sampler, Surrogate, WorkConfig};
+use mhsplat::device::{Device, DeviceKind};
+use mhsplat::run::{checkpoint, initial_gaussians};
+use mhsplat::train::{Event, Trainer};
+
+use crate::determinism::{drive, room, saved, trained};
+
+/// Iterations of a run, in which a step comes every 25.
+const ITERATIONS: u32 = 120;
+
+fn lagging(sampler: Sampler, lag: u32) -> TrainConfig {
+    TrainConfig {
+        sampler,
+        iterations: ITERATIONS,
+        max_size: 64,
+        sh_degree: 2,
+        seed: 5,
+        mh: MhConfig {
+            pair_pixels: 0.0,
+            ..MhConfig::default()
+        },
+        work: WorkConfig {
+            density_lag: Some(lag),
+            ..WorkConfig::default()
+        },
+        ..TrainConfig::default()
+    }
+}
+
+/// Iterations enqueued when a step was reported, and those after which it began.
+fn steps(trainer: &mut Trainer) -> Vec<[u32; 2]> {
+    let mut steps = Vec::new();
+    while trainer.iteration() < ITERATIONS {
+        if let Event::Density(event) = trainer.advance().unwrap() {
+            steps.push([trainer.iteration(), event.iteration]);
+        }
+    }
+    steps
+}
+
+fn begun(config: &TrainConfig) -> Trainer {
+    let (data, device) = (room(64), Device::open(None).unwrap());
+    let plan = Plan::new(&data, config).unwrap();
+    let splats = initial_gaussians(&data, &plan).unwrap();
+    Trainer::new(&device, &data, &plan, &splats).unwrap()
+}
+
+#[test]
+fn a_step_ends_so_many_iterations_after_it_has_begun() {
+    let without = steps(&mut begun(&lagging(Sampler::Mh, 0)));
+    assert!(without.len() >= 2 && without.iter().all(|[at, began]| at == began));
+    let with = steps(&mut begun(&lagging(Sampler::Mh, 5)));
+    let ends: Vec<[u32; 2]> = without
+        .iter()
+        .map(|[_, began]| [began + 5, *began])
+        .collect();
+    assert_eq!(with, ends);
+    // No more than half of the interval of 25.
+    let most = steps(&mut begun(&lagging(Sampler::Mh, 100)));
+    assert!(most.iter().all(|[at, began]| at - began == 12), "{most:?}");
+}
+
+#[test]
+fn the_same_seed_and_lag_give_the_same_bits() {
+    let data = room(64);
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
+        let config = lagging(sampler, 6);
+        let (trainer, first) = trained(&data, &config, ITERATIONS);
+        let stats = trainer.stats();
+        assert!(stats.accepted + stats.cloned > 0, "{stats:?}");
+        assert!(
+            first == trained(&data, &config, ITERATIONS).1,
+            "{sampler:?}"
+        );
+        let at_once = trained(&data, &lagging(sampler, 0), ITERATIONS).1;
+        assert!(first != at_once, "the comparison must be able to fail");
+    }
+}
+
+#[test]
+fn a_run_stopped_while_a_step_is_decided_ends_with_the_same_bits() {
+    let data = room(64);
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
+        let config = lagging(sampler, 8);
+        let (_, whole) = trained(&data, &config, ITERATIONS);
+        // A step has begun after 50 iterations, or 52 of two epochs.
+        let (mut half, _) = trained(&data, &config, 55);
+        let folder = tempfile::tempdir().unwrap();
+        checkpoint::write(folder.path(), &saved(&mut half, &config, &data)).unwrap();
+        // The one that has told its state goes on the same way.
+        drive(&mut half, ITERATIONS).unwrap();
+        assert!(whole == half.state().unwrap().splats, "{sampler:?}");
+        drop(half);
+        let read = checkpoint::read(folder.path()).unwrap();
+        let pending = read.state.deciding.as_ref().unwrap();
+        assert_eq!(pending.ends, pending.begun + 8);
+        assert!(!pending.edits.is_empty() && pending.rows > 0);
+        let plan = Plan::new(&data, &config).unwrap();
+        let device = Device::open(None).unwrap();
+        let mut trainer = Trainer::new(&device, &data, &plan, &read.state.splats).unwrap();
+        trainer.restore(&read.state).unwrap();
+        drive(&mut trainer, ITERATIONS).unwrap();
+        assert!(whole == trainer.state().unwrap().splats, "{sampler:?}");
+    }
+}
+
+#[test]
+fn pairs_that_do_not_fit_while_a_step_is_decided_change_nothing() {
+    for sampler in [Sampler::Mh, Sampler::Mcmc] {
+        let config = lagging(sampler, 8);
+        let (roomy, whole) = trained(&room(64), &config, ITERATIONS);
+        // Right before a step begins, then while it is decided.
+        for later in [0, 1, 3] {
+            let mut tight = begun(&config);
+            let mut shrunk = 0;
+            while tight.iteration() < ITERATIONS {
+                let at = tight.iteration();
+                let event = tight.advance().unwrap();
+                let before = at.checked_sub(later);
+                let began = before.and_then(|at| tight.schedule().density_due(at));
+                if matches!(event, Event::Iteration { .. }) && began.is_some() && shrunk < 8 {
+                    tight.shrink_intersections(1024).unwrap();
+                    shrunk += 1;
+                }
+            }
+            tight.settle().unwrap();
+            assert!(shrunk >= 2 && tight.overflows() > 0);
+            assert_eq!(tight.stats(), roomy.stats());
+            assert!(
+                whole == tight.state().unwrap().splats,
+                "{sampler:?} {later}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_step_that_has_begun_ends_with_the_run() {
+    let mut config = lagging(Sampler::Mh, 100);
+    // The last step is due less than its lag before the end.
+    config.mh.until_iteration = 30_000;
+    config.iterations = 60;
+    let (trainer, _) = trained(&room(64), &config, 60);
+    let mut ended = begun(&config);
+    let mut events = Vec::new();
+    loop {
+        match ended.advance().unwrap() {
+            Event::Density(event) => events.push(event.iteration),
+            Event::Finished => break,
+            _ => {}
+        }
+    }
+    let due = |at: &u32| ended.schedule().density_due(*at).is_some();
+    assert_eq!(events, (1..60).filter(due).collect::<Vec<u32>>());
+    assert!(60 - events.last().unwrap() < 12, "{events:?}");
+    assert_eq!(trainer.stats(), ended.stats());
+}
+
+#[test]
+fn the_default_waits_where_the_processor_that_decides_trains() {
+    let data = room(64);
+    let lag = |kind, config: &TrainConfig| {
+        let strategy = mhsplat::density::make(config);
+        let plan = Plan::new(&data, config).unwrap();
+        let plan = plan.on_device(kind, strategy.as_ref());
+        plan.config.work.density_lag
+    };
+    let config = TrainConfig::default();
+    assert_eq!(lag(DeviceKind::Cpu, &config), Some(0));
+    assert_eq!(lag(DeviceKind::Gpu, &config), Some(16));
+    assert_eq!(lag(DeviceKind::Cpu, &lagging(Sampler::Mh, 3)), Some(3));
+    // Estimates need the device while the step is decided.
+    let mut probing = lagging(Sampler::Mh, 3);
+    probing.mh.surrogate = Surrogate::Probe;
+    assert_eq!(lag(DeviceKind::Gpu, &probing), Some(0));
+}
