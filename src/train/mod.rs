@@ -17,6 +17,7 @@ pub mod sizes;
 pub mod smoothing;
 mod state;
 pub mod step;
+mod timing;
 pub mod trace;
 pub mod views;
 
@@ -25,3 +26,4 @@ pub use noted::Noted;
 pub use plan::{Learned, Plan};
 pub use state::TrainerState;
 pub use step::{Event, Next, Trainer};
+pub use timing::TIMING_INTERVAL;
