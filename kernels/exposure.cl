@@ -6,23 +6,22 @@
 // identity, so that the scene keeps the colours of the average photo and can be shown without a transform.
 // Images are taken as flat planes, padding included: dL/dx' is 0 there, so that it adds nothing to the sums.
 
-// The vectors of a plane that a work-item takes: neighbours on CPUs, every chunks-th on GPUs, where neighbouring work-items
-// then read neighbouring pixels.
+// The vectors of a plane that a work-item takes: neighbours on CPUs; on GPUs, where neighbouring work-items then read neighbouring
+// pixels, a group takes every chunks-th run of them.
 #if GROUP_STYLE
-#define EACH_VECTOR(v) for (uint v = chunk; v < vectors; v += chunks)
+#define EACH_VECTOR(v) for (uint v = chunk * GROUP + ITEM; v < vectors; v += chunks * GROUP)
 #else
 #define EACH_VECTOR(v)                                   \
   const uint each = (vectors + chunks - 1) / chunks;     \
   for (uint v = chunk * each; v < min(chunk * each + each, vectors); v++)
 #endif
 
-// Launch: `chunks` work-items. Any values are taken as they are.
-__kernel void exposure_apply(__global const real *image, // in [>= 3, rows, stride] colour
-                             uint plane, uint chunks,    // pixels of a padded plane, a multiple of VW
-                             __global const real *exposures, uint view, // in [views, 12]
-                             __global real *corrected) {                // out [3, rows, stride] colour
-  const uint chunk = get_global_id(0), vectors = plane / VW;
-  if (chunk >= chunks) return;
+// Launch: `chunks` work-groups, or work-items where each is a whole core. Any values are taken as they are.
+CHUNK_KERNEL void exposure_apply(__global const real *image, // in [>= 3, rows, stride] colour
+                                 uint plane, uint chunks,    // pixels of a padded plane, a multiple of VW
+                                 __global const real *exposures, uint view, // in [views, 12]
+                                 __global real *corrected) {                // out [3, rows, stride] colour
+  const uint chunk = CHUNK, vectors = plane / VW;
   real e[12];
   for (int k = 0; k < 12; k++) e[k] = exposures[12 * view + k];
   EACH_VECTOR(v) {
@@ -35,15 +34,15 @@ __kernel void exposure_apply(__global const real *image, // in [>= 3, rows, stri
   }
 }
 
-// Launch: `chunks` work-items. dL/dx = A^T dL/dx' takes the place of dL/dx'; every work-item leaves its sums of
-// dL/dx'_r * (x, 1)_c, which exposure_step adds in order.
-__kernel void exposure_backward(__global const real *image, // in [>= 3, rows, stride] colour before the transform
-                                uint plane, uint chunks,    // as exposure_apply
-                                __global const real *exposures, uint view, // in [views, 12]
-                                __global real *dimage,    // in/out [3, rows, stride] loss per colour, 0 in the padding
-                                __global real *partial) { // out [12, chunks] loss per entry of [A | b]
-  const uint chunk = get_global_id(0), vectors = plane / VW;
-  if (chunk >= chunks) return;
+// Launch: as exposure_apply. dL/dx = A^T dL/dx' takes the place of dL/dx'; every chunk leaves its sums of dL/dx'_r * (x, 1)_c,
+// which exposure_step adds in order.
+CHUNK_KERNEL void exposure_backward(__global const real *image, // in [>= 3, rows, stride] colour before the transform
+                                    uint plane, uint chunks,    // as exposure_apply
+                                    __global const real *exposures, uint view, // in [views, 12]
+                                    __global real *dimage,    // in/out [3, rows, stride] loss per colour, 0 in the padding
+                                    __global real *partial) { // out [12, chunks] loss per entry of [A | b]
+  PARTS;
+  const uint chunk = CHUNK, vectors = plane / VW;
   real e[12];
   realV sums[12];
   for (int k = 0; k < 12; k++) {
@@ -63,54 +62,77 @@ __kernel void exposure_backward(__global const real *image, // in [>= 3, rows, s
     for (int c = 0; c < 3; c++)
       vstore_real(fma(V(e[c]), d[0], fma(V(e[4 + c]), d[1], V(e[8 + c]) * d[2])), v, dimage + c * (size_t)plane);
   }
-  for (int k = 0; k < 12; k++) {
-    real lane[VW], sum = R(0.0);
-    vstore_real(sums[k], 0, lane);
-    for (int l = 0; l < VW; l++) sum += lane[l];
-    partial[k * (size_t)chunks + chunk] = sum;
-  }
-}
-
-// Launch: (12, views) work-items. Adds the sums of the view that was rendered in a fixed order and takes one step of Adam
-// for every view. A non-finite gradient counts as zero and is counted, a step that would make an entry non-finite is not taken.
-// Nothing is changed after a pair overflow: the host repeats the iteration.
-__kernel void exposure_step(__global const real *partial, uint chunks, // in [12, chunks]
-                            uint view, uint views,
-                            real lr, real beta1, real beta2, real epsilon,
-                            real correction1, real correction2, // 1 / (1 - beta1^t), 1 / sqrt(1 - beta2^t)
-                            __global real *exposures, __global real *moment1, __global real *moment2, // in/out [views, 12]
-                            __global real *grads,             // out [12] loss per entry of the view rendered
-                            volatile __global uint *status) { // in S_OVERFLOW, out S_NON_FINITE
-  const uint k = get_global_id(0), of = get_global_id(1);
-  if (k >= 12 || of >= views || status[S_OVERFLOW] != 0) return;
-  real g = R(0.0);
-  if (of == view) {
-    for (uint c = 0; c < chunks; c++) g += partial[k * (size_t)chunks + c];
-    if (!(fabs(g) < R(1e18))) { // squares stay finite
-      g = R(0.0);
-      atomic_inc(status + S_NON_FINITE); // an integer count: order does not matter
+  for (int k = 0; k < 12; k += 2) {
+    real2 sum = (real2)(R(0.0));
+    real lane[2][VW];
+    vstore_real(sums[k], 0, lane[0]);
+    vstore_real(sums[k + 1], 0, lane[1]);
+    for (int l = 0; l < VW; l++) sum += (real2)(lane[0][l], lane[1][l]);
+#if GROUP_STYLE
+    barrier(CLK_LOCAL_MEM_FENCE);
+#endif
+    sum = group_total(sum, parts);
+    if (ITEM == 0) {
+      partial[k * (size_t)chunks + chunk] = sum.x;
+      partial[(k + 1) * (size_t)chunks + chunk] = sum.y;
     }
-    grads[k] = g;
   }
-  const size_t at = 12 * (size_t)of + k;
-  const real m = fma(beta1, moment1[at], (R(1.0) - beta1) * g);
-  const real v = fma(beta2, moment2[at], (R(1.0) - beta2) * g * g);
-  const real next = exposures[at] - (lr * correction1) * m / fma(sqrt(v), correction2, epsilon);
-  if (isfinite(next)) exposures[at] = next;
-  moment1[at] = m;
-  moment2[at] = v;
 }
 
-// Launch: 12 work-items, after exposure_step. Takes the mean deviation from the identity off the transforms, in the order of
-// the views.
-__kernel void exposure_center(uint views,
-                              __global real *exposures,        // in/out [views, 12]
-                              __global const uint *status) {   // in S_OVERFLOW
-  const uint k = get_global_id(0);
-  if (k >= 12 || status[S_OVERFLOW] != 0) return;
+// Sum over the group, for every work-item of it.
+#if GROUP_STYLE
+static inline real whole(real value, __local real2 *parts) {
+  group_total((real2)(value, R(0.0)), parts);
+  barrier(CLK_LOCAL_MEM_FENCE);
+  return parts[0].x;
+}
+#else
+#define whole(value, parts) (value)
+#endif
+
+// Launch: 12 work-groups, or work-items where each is a whole core. Adds the sums of the view that was rendered in a fixed order and
+// takes one step of Adam for every view. A non-finite gradient counts as zero and is counted, a step that would make an entry
+// non-finite is not taken. Nothing is changed after a pair overflow: the host repeats the iteration.
+CHUNK_KERNEL void exposure_step(__global const real *partial, uint chunks, // in [12, chunks]
+                                uint view, uint views,
+                                real lr, real beta1, real beta2, real epsilon,
+                                real correction1, real correction2, // 1 / (1 - beta1^t), 1 / sqrt(1 - beta2^t)
+                                __global real *exposures, __global real *moment1, __global real *moment2, // in/out [views, 12]
+                                __global real *grads,             // out [12] loss per entry of the view rendered
+                                volatile __global uint *status) { // in S_OVERFLOW, out S_NON_FINITE
+  PARTS;
+  const uint k = CHUNK, stopped = status[S_OVERFLOW] != 0;
+  real sum = R(0.0);
+  for (uint c = ITEM; c < chunks; c += GROUP) sum += partial[k * (size_t)chunks + c];
+  const real total = whole(sum, parts);
+  if (stopped) return;
+  const int good = fabs(total) < R(1e18); // squares stay finite
+  if (ITEM == 0) {
+    if (!good) atomic_inc(status + S_NON_FINITE); // an integer count: order does not matter
+    grads[k] = good ? total : R(0.0);
+  }
+  for (uint of = ITEM; of < views; of += GROUP) {
+    const size_t at = 12 * (size_t)of + k;
+    const real g = of == view && good ? total : R(0.0);
+    const real m = fma(beta1, moment1[at], (R(1.0) - beta1) * g);
+    const real v = fma(beta2, moment2[at], (R(1.0) - beta2) * g * g);
+    const real next = exposures[at] - (lr * correction1) * m / fma(sqrt(v), correction2, epsilon);
+    if (isfinite(next)) exposures[at] = next;
+    moment1[at] = m;
+    moment2[at] = v;
+  }
+}
+
+// Launch: as exposure_step, after it. Takes the mean deviation from the identity off the transforms, in a fixed order.
+CHUNK_KERNEL void exposure_center(uint views,
+                                  __global real *exposures,        // in/out [views, 12]
+                                  __global const uint *status) {   // in S_OVERFLOW
+  PARTS;
+  const uint k = CHUNK, stopped = status[S_OVERFLOW] != 0;
   const real identity = k % 5 == 0 ? R(1.0) : R(0.0);
   real sum = R(0.0);
-  for (uint of = 0; of < views; of++) sum += exposures[12 * (size_t)of + k] - identity;
-  const real mean = sum / (real)views;
-  for (uint of = 0; of < views; of++) exposures[12 * (size_t)of + k] -= mean;
+  for (uint of = ITEM; of < views; of += GROUP) sum += exposures[12 * (size_t)of + k] - identity;
+  const real mean = whole(sum, parts) / (real)views;
+  if (stopped) return;
+  for (uint of = ITEM; of < views; of += GROUP) exposures[12 * (size_t)of + k] -= mean;
 }

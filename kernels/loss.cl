@@ -335,23 +335,11 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
 }
 
 #else
-typedef CAT(REAL_NAME, 2) real2;
 typedef CAT(REAL_NAME, 4) real4;
 // Work-items side by side read columns side by side, of one row, and thus different banks.
 #define WIDE (TILE + 2 * RADIUS)  // rows and columns of a tile with its halo
 #define RUN 2                     // rows whose vertical windows a work-item makes
 #define LINE (GROUP * RUN / TILE) // work-items for a row, or a run of rows: at least WIDE, the others wait
-
-// Sum over the group, by halves in a fixed order; whole in work-item 0 alone. Nobody may still need what `part` holds.
-static inline real2 group_total(real2 value, __local real2 *part) {
-  const uint l = get_local_id(0);
-  part[l] = value;
-  for (uint near = GROUP / 2; near > 0; near /= 2) {
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (l < near) part[l] += part[l + near];
-  }
-  return part[l];
-}
 
 // Horizontal windows around at[0], four at a time; added in the order of window_row. Not unrolled: all that it reads would lie
 // in registers at once, twice as many as the rest needs.
@@ -509,13 +497,9 @@ CHUNK_KERNEL void loss_sum(__global const real *partial, uint strips, real scale
     l1 += partial[2 * s];
     ssim += partial[2 * s + 1];
   }
-#if GROUP_STYLE
-  __local real2 part[GROUP];
-  const real2 total = group_total((real2)(l1, ssim), part);
-  l1 = total.x;
-  ssim = total.y;
-#endif
+  PARTS;
+  const real2 total = group_total((real2)(l1, ssim), parts);
   if (l != 0) return;
-  out[2 * slot] = l1 * scale;
-  out[2 * slot + 1] = ssim * scale;
+  out[2 * slot] = total.x * scale;
+  out[2 * slot + 1] = total.y * scale;
 }

@@ -203,7 +203,9 @@ fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
 fn where_it_is_off_nothing_of_it_runs_and_no_bit_changes() {
     let data = room(64);
     let run = |choice| {
-        let mut trainer = trained(&data, &config(360, choice), 320);
+        let mut trainer = trainer(&data, &config(360, choice));
+        trainer.time_every_iteration();
+        drive(&mut trainer, 320).unwrap();
         let stages: Vec<&str> = trainer.stage_times().iter().map(|s| s.0).collect();
         (
             trainer.state().unwrap().splats,

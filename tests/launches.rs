@@ -55,6 +55,7 @@ fn iteration() -> Vec<(&'static str, usize)> {
     let plan = Plan::new(&data, &config).unwrap();
     let splats = Gaussians::new(0, planes).unwrap();
     let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+    trainer.time_every_iteration();
     assert!(matches!(
         trainer.advance().unwrap(),
         Event::Iteration { .. }

@@ -8,6 +8,7 @@
 )]
 
 mod antialias;
+mod arrays;
 mod background;
 mod bands;
 mod bench;
@@ -53,6 +54,7 @@ mod stress;
 mod surrogate;
 mod synth;
 mod terminal;
+mod timing;
 mod tiny;
 mod trace;
 mod tune;

@@ -1,9 +1,10 @@
 //! tune: which way of cutting kernels is taken, and from where.
 
 use mhsplat::Device;
+use mhsplat::device::DeviceKind;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::stats::Spread;
-use mhsplat::lab::tune::{chosen, read};
+use mhsplat::lab::tune::{SizeClass, candidates, chosen, read};
 
 const OTHER: Tuning = Tuning {
     block_width: 8,
@@ -56,4 +57,63 @@ fn a_bad_file_is_ignored() {
     }
     std::fs::write(&file, b"{ half a file").unwrap();
     assert_eq!(found(), None, "damaged");
+}
+
+#[test]
+fn a_run_is_tuned_for_its_size() {
+    use SizeClass::{Large, Medium, Small};
+    for (gaussians, side, class) in [
+        (0, 1, Small),
+        (30_000, 500, Small),
+        (32_000, 500, Medium),
+        (30_000, 510, Medium),
+        (310_000, 1130, Medium),
+        (320_000, 100, Large),
+        (100, 1140, Large),
+    ] {
+        let found = SizeClass::of(gaussians, side * side);
+        assert_eq!(found, class, "{gaussians} Gaussians, {side} pixels");
+    }
+    let data = crate::determinism::room(64);
+    let config = mhsplat::config::TrainConfig::default();
+    assert_eq!(SizeClass::of_run(&data, &config), Small);
+
+    // Every class has its case in the middle.
+    let device = Device::open(Some("cpu")).unwrap();
+    let mut info = device.info().clone();
+    for class in SizeClass::told_apart(&info) {
+        let [gaussians, side] = class.case();
+        assert_eq!(SizeClass::of(gaussians, side * side), *class);
+    }
+    let most = |info: &_| SizeClass::told_apart(info).last().copied();
+    let cpu = most(&info);
+    assert!(cpu < Some(Large), "it would measure for minutes");
+    info.kind = DeviceKind::Gpu;
+    info.global_memory = 24 << 30;
+    assert_eq!(most(&info), Some(Large));
+    info.global_memory = 4 << 30;
+    assert_eq!(most(&info), Some(Medium));
+}
+
+#[test]
+fn a_gpu_tries_one_size_after_the_other() {
+    let mut info = Device::open(None).unwrap().info().clone();
+    (info.kind, info.max_work_group) = (DeviceKind::Gpu, 256);
+    let all = candidates(&info);
+    assert_eq!((all.len(), all[0]), (7, Tuning::GPU));
+    let values = |t: &Tuning| {
+        let value = serde_json::to_value(t).unwrap();
+        value.as_object().unwrap().clone()
+    };
+    let own = values(&Tuning::GPU);
+    let mut changed = std::collections::BTreeMap::<String, usize>::new();
+    for candidate in &all[1..] {
+        let others = values(candidate);
+        let mut others = own.iter().filter(|(name, value)| others[*name] != **value);
+        let (name, _) = others.next().unwrap();
+        assert!(others.next().is_none(), "{candidate:?}");
+        *changed.entry(name.clone()).or_default() += 1;
+    }
+    let two = ["chunks", "local", "radix-bits"].map(|name| (name.to_owned(), 2));
+    assert_eq!(changed, two.into());
 }

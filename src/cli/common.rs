@@ -3,7 +3,7 @@
 use mhsplat::base::error::Result;
 use mhsplat::device::Device;
 use mhsplat::lab::selftest::self_test;
-use mhsplat::lab::tune;
+use mhsplat::lab::tune::{self, SizeClass};
 
 use crate::cli::output;
 
@@ -49,14 +49,19 @@ impl Outcome {
     }
 }
 
-/// Opens a device with the tuning that suits it, to measure or check it.
+/// Opens a device with the tuning that suits it with small scenes, to measure or check it.
 pub fn open_device(selector: Option<&str>) -> Result<Device> {
-    tune::tuned(Device::open(selector)?, &mut output::note)
+    tune::tuned(Device::open(selector)?, SizeClass::Small, &mut output::note)
 }
 
-/// Opens a device that passes the self-test.
+/// Opens a device that passes the self-test, with the tuning for small scenes.
 pub fn open_tested(selector: Option<&str>) -> Result<Device> {
-    let device = open_device(selector)?;
+    tested(Device::open(selector)?, SizeClass::Small)
+}
+
+/// The device with the tuning for scenes of a size, in which it passes the self-test.
+pub fn tested(device: Device, size: SizeClass) -> Result<Device> {
+    let device = tune::tuned(device, size, &mut output::note)?;
     self_test(&device)?;
     Ok(device)
 }

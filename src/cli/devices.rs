@@ -5,28 +5,28 @@ use serde_json::json;
 use crate::cli::common::{Common, Outcome};
 use crate::cli::output;
 use mhsplat::base::error::Result;
-use mhsplat::device::Device;
 use mhsplat::device::tuning::Tuning;
+use mhsplat::device::{Device, DeviceInfo};
 use mhsplat::lab::tune;
-use mhsplat::lab::tune::Origin;
+use mhsplat::lab::tune::{Origin, SizeClass};
 
 /// Lists the devices, with the default marked and explained.
 pub fn run(common: &Common) -> Result<Outcome> {
     let list = Device::list()?;
     let default = Device::default_of(&list).map(|d| d.index);
     let why = "the first GPU, else the first accelerator, else the first CPU";
-    let tunings = list.iter().map(tune::known).collect::<Result<Vec<_>>>()?;
+    let tunings = list.iter().map(tunings).collect::<Result<Vec<_>>>()?;
     if common.json {
         let tunings: Vec<_> = tunings
             .iter()
-            .map(|t| t.map(|(tuning, origin)| json!({ "tuning": tuning, "origin": origin })))
+            .map(|of| of.iter().map(object).collect::<Vec<_>>())
             .collect();
         output::json(
             &json!({ "devices": list, "tunings": tunings, "default": default, "why": why }),
         )?;
         return Ok(Outcome::Done);
     }
-    for (d, tuning) in list.iter().zip(&tunings) {
+    for (d, tunings) in list.iter().zip(&tunings) {
         let mark = if Some(d.index) == default { "*" } else { " " };
         output::line(&format!(
             "{mark} {}  {} [{:?}, {} compute units, f32 x {}, {}f64, {} MiB, buffers to {} MiB]\n     {}, driver {}",
@@ -41,7 +41,9 @@ pub fn run(common: &Common) -> Result<Outcome> {
             d.platform,
             d.driver,
         ));
-        output::line(&format!("     {}", tuning_line(tuning.as_ref())));
+        for tuning in tunings {
+            output::line(&format!("     {}", tuning_line(tuning)));
+        }
     }
     output::line(&format!(
         "* is the default: {why}. Select with --device or MHSPLAT_DEVICE."
@@ -49,17 +51,52 @@ pub fn run(common: &Common) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// Tuning for scenes of a size, as far as it is known; without a size it is for all.
+struct Known {
+    size: Option<SizeClass>,
+    tuning: Option<(Tuning, Origin)>,
+}
+
+/// The tunings of a device: one for each size that it tells apart, unless all have the same.
+fn tunings(info: &DeviceInfo) -> Result<Vec<Known>> {
+    let sizes = SizeClass::told_apart(info);
+    let known = |size: &SizeClass| {
+        Ok(Known {
+            size: (sizes.len() > 1).then_some(*size),
+            tuning: tune::known(info, *size)?,
+        })
+    };
+    let mut all = sizes.iter().map(known).collect::<Result<Vec<_>>>()?;
+    if let [first, others @ ..] = all.as_mut_slice()
+        && others.iter().all(|other| other.tuning == first.tuning)
+    {
+        first.size = None;
+        all.truncate(1);
+    }
+    Ok(all)
+}
+
+/// A tuning as JSON; a size or a tuning that there is not is null.
+fn object(known: &Known) -> serde_json::Value {
+    let (tuning, origin) = known.tuning.unzip();
+    json!({ "size": known.size, "tuning": tuning, "origin": origin })
+}
+
 /// Formats a tuning in the syntax of `MHSPLAT_TUNING`.
-fn tuning_line(known: Option<&(Tuning, Origin)>) -> String {
-    let Some((t, origin)) = known else {
-        return "tuning: measured at first use".into();
+fn tuning_line(known: &Known) -> String {
+    let of = known.size.map_or_else(String::new, |size| {
+        let [gaussians, side] = size.case();
+        format!(" with {gaussians} Gaussians at {side} pixels")
+    });
+    let Some((t, origin)) = known.tuning else {
+        return format!("tuning{of}: measured at first use");
     };
     let from = match origin {
         Origin::Default => "default of its class",
         Origin::Measured => "measured",
         Origin::UserSupplied => "given",
     };
-    let fields = serde_json::to_string(t).unwrap_or_default();
+    let fields = serde_json::to_string(&t).unwrap_or_default();
     let fields = fields.replace(['{', '}', '"'], "").replace(':', "=");
-    format!("tuning ({from}): {fields}")
+    format!("tuning{of} ({from}): {fields}")
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use crate::cli::common::{Common, DeviceOption, Outcome, open_tested};
+use crate::cli::common::{Common, DeviceOption, Outcome, tested};
 use crate::cli::signals::{remove_temporary_at_end, remove_unpacked_at_end};
 use crate::cli::{output, scene};
 use mhsplat::base::constants::LOG_SCALE;
@@ -15,6 +15,8 @@ use mhsplat::base::error::{Error, Result};
 use mhsplat::base::math::{order_statistic, sigmoid, sorted};
 use mhsplat::capture::{self, Alpha, Dataset, Frame, Lens, Temporary, View};
 use mhsplat::config::{Preset, TrainConfig};
+use mhsplat::device::Device;
+use mhsplat::lab::tune::SizeClass;
 use mhsplat::run::{Clock, PlanRecord, RECORD_FILE, Run, RunRecord};
 use mhsplat::scene::Plane;
 use mhsplat::train::Plan;
@@ -140,7 +142,8 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
 
 /// Seconds that a run of a dataset is expected to take on the device, and a sentence on them, after its first iterations.
 fn expected_time(args: &InfoArgs, data: Dataset, config: TrainConfig) -> Result<(f64, String)> {
-    let device = open_tested(args.device.selector().as_deref())?;
+    let device = Device::open(args.device.selector().as_deref())?;
+    let device = tested(device, SizeClass::of_run(&data, &config))?;
     let place = Temporary::new()?;
     let stop = AtomicBool::new(false);
     let mut told = None;

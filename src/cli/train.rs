@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-use crate::cli::common::{Common, DeviceOption, Outcome, open_tested};
+use crate::cli::common::{Common, DeviceOption, Outcome, tested};
 use crate::cli::overrides::Overrides;
 use crate::cli::progress::{Display, Form, finish, tell_objects};
 use crate::cli::signals::stop_flag;
@@ -12,6 +12,8 @@ use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
+use mhsplat::device::Device;
+use mhsplat::lab::tune::SizeClass;
 use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config};
 
@@ -58,6 +60,9 @@ pub struct TrainArgs {
     /// The reasons for what is kept and left out.
     #[arg(short, long, help_heading = RUN_CONTROL)]
     verbose: bool,
+    /// Time the stages of every iteration for the report, and not of a sample; it takes some time itself.
+    #[arg(long, help_heading = RUN_CONTROL)]
+    profile: bool,
     /// Stop as on Ctrl-C when stdin ends, which a parent process can cause on any system.
     #[arg(long, hide = true)]
     until_stdin_ends: bool,
@@ -98,7 +103,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         .view
         .map(|port| Door::open("--view", port))
         .transpose()?;
-    let device = open_tested(args.device.selector().as_deref())?;
+    let device = Device::open(args.device.selector().as_deref())?;
     if resume.is_none() {
         claim_folder(dir)?;
     }
@@ -109,8 +114,11 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         }
         _ => args.dataset.clone().unwrap_or_default(),
     };
-    let clock = Clock::start();
+    let mut clock = Clock::start();
     let data = read_photos(&dataset, &config)?;
+    clock.stop();
+    let device = tested(device, SizeClass::of_run(&data, &config))?;
+    clock.resume();
     let mut run = match resume {
         Some(run) => {
             let iterations = args.resume.as_ref().and_then(|_| args.options.iterations());
@@ -120,6 +128,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         }
         None => Run::start(dir, data, config, &device, clock),
     }?;
+    if args.profile {
+        run.time_every_iteration();
+    }
     output::info(&format!(
         "device: {} ({})",
         device.info().name,

@@ -4,12 +4,13 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use ocl_core::{self as core, Event, MEM_COPY_HOST_PTR, MEM_READ_WRITE, Mem};
+use ocl_core::{self as core, Event, MEM_COPY_HOST_PTR, MEM_READ_WRITE, Mem, OclPrm, Uint4};
 
 use crate::base::error::{Error, Result};
 use crate::device::context::{Device, Inner};
 use crate::device::error::{BUG, LOST, LOWER, device_error};
 use crate::device::layout::Element;
+use crate::device::read::PendingRead;
 
 /// A device buffer of `len` values of `T`.
 #[derive(Debug)]
@@ -21,36 +22,10 @@ pub struct Array<T> {
     _type: PhantomData<T>,
 }
 
-/// A read that is under way; [`PendingRead::wait`] blocks until it is done.
-#[derive(Debug)]
-pub struct PendingRead<T> {
-    name: &'static str,
-    data: Vec<T>,
-    event: Event,
-}
-
 impl<T> Drop for Array<T> {
     fn drop(&mut self) {
         let bytes = (self.len.max(1) * size_of::<T>()) as u64;
         self.device.allocated.fetch_sub(bytes, Ordering::Relaxed);
-    }
-}
-
-impl<T: Element> PendingRead<T> {
-    /// Waits for the data.
-    pub fn wait(mut self) -> Result<Vec<T>> {
-        core::wait_for_event(&self.event)
-            .map_err(|e| device_error(&format!("read {}", self.name), &e, LOST))?;
-        Ok(std::mem::take(&mut self.data))
-    }
-}
-
-impl<T> Drop for PendingRead<T> {
-    fn drop(&mut self) {
-        // The device writes into `data` until the event completes. If that cannot be waited for, the memory must stay.
-        if core::wait_for_event(&self.event).is_err() {
-            std::mem::forget(std::mem::take(&mut self.data));
-        }
     }
 }
 
@@ -95,6 +70,10 @@ impl<T: Element> Array<T> {
         })
     }
 
+    pub(super) fn device(&self) -> &Arc<Inner> {
+        &self.device
+    }
+
     /// Name, as in `kernels/README.md`.
     #[must_use]
     pub fn name(&self) -> &'static str {
@@ -133,13 +112,21 @@ impl<T: Element> Array<T> {
 
     /// Sets every byte to zero. Does not wait.
     pub fn clear(&self) -> Result<()> {
-        // By bytes: the pattern of a fill must have a power-of-two size, which the structs do not have.
+        // In pieces as large as may be: some drivers fill one after the other. The structs have no size that a piece may have.
+        match self.len.max(1) * size_of::<T>() {
+            bytes if bytes.is_multiple_of(16) => self.fill(Uint4::zero(), bytes / 16),
+            bytes if bytes.is_multiple_of(4) => self.fill(0u32, bytes / 4),
+            bytes => self.fill(0u8, bytes),
+        }
+    }
+
+    fn fill<P: OclPrm>(&self, pattern: P, times: usize) -> Result<()> {
         core::enqueue_fill_buffer(
-            &self.device.queue,
+            &self.device.queue(),
             &self.mem,
-            0u8,
+            pattern,
             0,
-            self.len.max(1) * size_of::<T>(),
+            times,
             None::<&Event>,
             None::<&mut Event>,
             None,
@@ -159,7 +146,7 @@ impl<T: Element> Array<T> {
         // SAFETY: a blocking write: `data` outlives it.
         unsafe {
             core::enqueue_write_buffer(
-                &self.device.queue,
+                &self.device.queue(),
                 &self.mem,
                 true,
                 offset,
@@ -176,7 +163,25 @@ impl<T: Element> Array<T> {
     /// # Errors
     /// A range beyond the array, or the driver's.
     pub fn read(&self, offset: usize, len: usize) -> Result<Vec<T>> {
-        self.read_later(offset, len)?.wait()
+        self.check(offset, len)?;
+        let mut data = vec![T::default(); len];
+        if data.is_empty() {
+            return Ok(data);
+        }
+        // SAFETY: a blocking read: `data` outlives it.
+        unsafe {
+            core::enqueue_read_buffer(
+                &self.device.queue(),
+                &self.mem,
+                true,
+                offset,
+                &mut data,
+                None::<&Event>,
+                None::<&mut Event>,
+            )
+        }
+        .map_err(|e| self.failed("read", &e))?;
+        Ok(data)
     }
 
     /// All values; see [`Array::read`].
@@ -184,38 +189,13 @@ impl<T: Element> Array<T> {
         self.read(0, self.len)
     }
 
-    /// Enqueues a read without waiting for it.
+    /// Enqueues a read without waiting for it, also where a driver can copy to its own memory alone while the host goes on.
     ///
     /// # Errors
     /// A range beyond the array, or the driver's.
     pub fn read_later(&self, offset: usize, len: usize) -> Result<PendingRead<T>> {
         self.check(offset, len)?;
-        // One more than asked for nothing keeps the slice non-empty: drivers refuse a read of no bytes.
-        let mut data = vec![T::default(); len.max(1)];
-        let mut event = Event::null();
-        // SAFETY: `data`'s heap block is owned by the PendingRead, which waits for the event before freeing it, or never frees it.
-        unsafe {
-            core::enqueue_read_buffer(
-                &self.device.queue,
-                &self.mem,
-                false,
-                offset.min(self.len.saturating_sub(1)),
-                &mut data,
-                None::<&Event>,
-                Some(&mut event),
-            )
-        }
-        .map_err(|e| self.failed("read", &e))?;
-        let mut pending = PendingRead {
-            name: self.name,
-            data,
-            event,
-        };
-        if len == 0 {
-            core::wait_for_event(&pending.event).map_err(|e| self.failed("read", &e))?;
-            pending.data.clear();
-        }
-        Ok(pending)
+        PendingRead::begin(self, offset, len)
     }
 
     /// Copies `len` values from `source` (at `from`) to this array (at `to`). Does not wait.
@@ -229,7 +209,7 @@ impl<T: Element> Array<T> {
             return Ok(());
         }
         core::enqueue_copy_buffer::<T, _, _, _>(
-            &self.device.queue,
+            &self.device.queue(),
             &source.mem,
             &self.mem,
             from,

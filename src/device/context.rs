@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use ocl_core::{self as core, CommandQueueProperties, Event, ProfilingInfo};
+use ocl_core::{self as core, Event, ProfilingInfo};
 
 use crate::base::error::{Error, Result};
 use crate::device::error::{LOST, device_error};
 use crate::device::info::{DeviceInfo, enumerate, select};
+use crate::device::queues::{InUse, Queues};
+use crate::device::read::Staging;
 use crate::device::tuning::Tuning;
 
 /// Device time of one stage.
@@ -20,14 +22,17 @@ pub struct StageTime {
     pub calls: u64,
 }
 
-/// An open device with one in-order queue. Cheap to clone.
+/// Device time by stage.
+pub type StageTimes = BTreeMap<&'static str, StageTime>;
+
+/// An open device, which does everything in the order in which it is enqueued. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Device {
     pub(super) inner: Arc<Inner>,
     tuning: Tuning,
 }
 
-/// A launch whose profiling counters have not been read yet.
+/// A timed launch whose profiling counters have not been read yet.
 #[derive(Debug)]
 pub(super) struct Enqueued {
     pub kernel: &'static str,
@@ -43,10 +48,10 @@ pub(super) struct Inner {
     pub info: DeviceInfo,
     pub id: core::DeviceId,
     pub context: core::Context,
-    pub queue: core::CommandQueue,
-    /// Launches whose profiling counters have not been read yet.
+    queues: Queues,
+    pub staging: Staging,
+    /// Timed launches whose profiling counters have not been read yet.
     pending: Mutex<Vec<Enqueued>>,
-    times: Mutex<BTreeMap<&'static str, StageTime>>,
     /// Bytes of the buffers that are alive.
     pub allocated: AtomicU64,
 }
@@ -56,11 +61,12 @@ impl Inner {
         self.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn times(&self) -> MutexGuard<'_, BTreeMap<&'static str, StageTime>> {
-        self.times.lock().unwrap_or_else(PoisonError::into_inner)
+    /// The queue in use.
+    pub(super) fn queue(&self) -> InUse<'_> {
+        self.queues.in_use()
     }
 
-    /// Adds a launch.
+    /// Adds a timed launch.
     pub(super) fn add_launch(&self, launch: Enqueued) {
         self.pending().push(launch);
     }
@@ -101,21 +107,16 @@ impl Device {
         let id = ids[info.index];
         let fail = |e: core::Error| device_error("open device", &e, "select another with --device");
         let context = core::create_context(None, &[id], None, None).map_err(fail)?;
-        let queue = core::create_command_queue(
-            &context,
-            id,
-            Some(CommandQueueProperties::PROFILING_ENABLE),
-        )
-        .map_err(fail)?;
+        let queues = Queues::new(&context, id).map_err(fail)?;
         Ok(Self {
             tuning: Tuning::for_device(&info),
             inner: Arc::new(Inner {
                 info,
                 id,
                 context,
-                queue,
+                queues,
+                staging: Staging::default(),
                 pending: Mutex::default(),
-                times: Mutex::default(),
                 allocated: AtomicU64::new(0),
             }),
         })
@@ -148,35 +149,60 @@ impl Device {
 
     /// Hands everything enqueued so far to the device without waiting.
     pub fn flush(&self) -> Result<()> {
-        core::flush(&self.inner.queue).map_err(|e| device_error("flush", &e, LOST))
+        core::flush(&self.inner.queue()).map_err(|e| device_error("flush", &e, LOST))
     }
 
     /// Waits until everything enqueued is done.
     pub fn finish(&self) -> Result<()> {
-        core::finish(&self.inner.queue).map_err(|e| device_error("finish", &e, LOST))
+        core::finish(&self.inner.queue()).map_err(|e| device_error("finish", &e, LOST))
     }
 
-    /// Number of launches so far whose device time has not been read.
+    /// Has every launch from now on timed, which costs some time with each, or no longer; returns true if they were timed so far. Waits
+    /// until everything enqueued is done if that changes.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn time_launches(&self, timed: bool) -> Result<bool> {
+        let switched = self.inner.queues.switch(timed);
+        switched.map_err(|e| device_error("finish", &e, LOST))
+    }
+
+    /// Result of `work`, whose launches are timed; those from before are in no time any more.
+    ///
+    /// # Errors
+    /// Those of `work`, or the driver's.
+    pub fn timed<T>(&self, work: impl FnOnce() -> Result<T>) -> Result<T> {
+        let before = self.time_launches(true)?;
+        self.forget_launches(0);
+        let result = work();
+        self.time_launches(before)?;
+        result
+    }
+
+    /// Number of timed launches so far whose time has not been taken.
     #[must_use]
     pub fn launches(&self) -> usize {
         self.inner.pending().len()
     }
 
-    /// Kernels and numbers of work-items of the launches whose device time has not been read, in their order.
+    /// Kernels and numbers of work-items of the timed launches whose time has not been taken, in their order.
     #[must_use]
     pub fn enqueued(&self) -> Vec<(&'static str, usize)> {
         let pending = self.inner.pending();
         pending.iter().map(|l| (l.kernel, l.items)).collect()
     }
 
-    /// Adds up the device time of the oldest `launches` launches; waits for them if they are not done.
-    pub fn collect_times(&self, launches: usize) -> Result<()> {
+    /// Device time of the oldest `launches` timed launches, or of all if there are fewer; waits for them if they are not done.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn take_times(&self, launches: usize) -> Result<StageTimes> {
         let drained: Vec<Enqueued> = {
             let mut pending = self.inner.pending();
             let n = launches.min(pending.len());
             pending.drain(..n).collect()
         };
-        let mut times = self.inner.times();
+        let mut times = StageTimes::new();
         for Enqueued { stage, event, .. } in drained {
             core::wait_for_event(&event).map_err(|e| device_error(stage, &e, LOST))?;
             let ask = |info| {
@@ -189,22 +215,11 @@ impl Device {
                 entry.seconds += end.saturating_sub(start) as f64 * 1e-9;
             }
         }
-        Ok(())
+        Ok(times)
     }
 
-    /// Leaves the launches whose device time has not been read out of all stages, for callers that time them otherwise.
-    pub fn forget_launches(&self) {
-        self.inner.pending().clear();
-    }
-
-    /// Device time per stage since the device was opened (or [`Device::reset_times`]).
-    #[must_use]
-    pub fn times(&self) -> Vec<(&'static str, StageTime)> {
-        self.inner.times().iter().map(|(k, v)| (*k, *v)).collect()
-    }
-
-    /// Sets the times to zero.
-    pub fn reset_times(&self) {
-        self.inner.times().clear();
+    /// Leaves the timed launches but for the oldest `kept` out of all times, for callers that time them otherwise.
+    pub fn forget_launches(&self, kept: usize) {
+        self.inner.pending().truncate(kept);
     }
 }

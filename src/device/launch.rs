@@ -353,27 +353,30 @@ impl Launch<'_> {
         }
         let kernel = self.kernel?;
         let size = |k: usize| global[k].max(1).next_multiple_of(local[k]);
+        let queue = self.owner.device.queue();
         let mut event = Event::null();
         // SAFETY: every argument has been set with its own type; kernels check their bounds against the counts given.
         unsafe {
             core::enqueue_kernel(
-                &self.owner.device.queue,
+                &queue,
                 &kernel,
                 2,
                 None,
                 &[size(0), size(1), 1],
                 Some([local[0], local[1], 1]),
                 None::<&Event>,
-                Some(&mut event),
+                queue.is_timed().then_some(&mut event),
             )
         }
         .map_err(|e| device_error(self.name, &e, LOST))?;
-        self.owner.device.add_launch(Enqueued {
-            kernel: self.name,
-            stage: self.counted_as,
-            items: size(0) * size(1),
-            event,
-        });
+        if queue.is_timed() {
+            self.owner.device.add_launch(Enqueued {
+                kernel: self.name,
+                stage: self.counted_as,
+                items: size(0) * size(1),
+                event,
+            });
+        }
         Ok(())
     }
 }

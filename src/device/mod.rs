@@ -10,12 +10,15 @@ mod launch;
 pub mod layout;
 pub mod libraries;
 mod program;
+mod queues;
+mod read;
 pub mod tuning;
 
-pub use crate::device::array::{Array, PendingRead};
-pub use crate::device::context::{Device, StageTime};
+pub use crate::device::array::Array;
+pub use crate::device::context::{Device, StageTime, StageTimes};
 pub use crate::device::defines::Defines;
 pub use crate::device::info::{DeviceInfo, DeviceKind};
 pub use crate::device::launch::{Launch, Program};
 pub use crate::device::layout::{CameraArg, Element, ImageSize, Projected, Real};
 pub use crate::device::program::{Kernels, source, sources_hash, stages};
+pub use crate::device::read::PendingRead;

@@ -1,6 +1,6 @@
-//! The tuning of kernels for the device at hand: measured once, kept, and looked up from then on.
+//! The tuning of kernels for the device at hand: measured once for runs of a size, kept, and looked up from then on.
 //!
-//! A choice is kept per platform, device, driver and kernels in `mhsplat/tuning-*.json` under `$XDG_CACHE_HOME` or
+//! A choice is kept per platform, device, driver, kernels and [`SizeClass`] in `mhsplat/tuning-*.json` under `$XDG_CACHE_HOME` or
 //! `~/.cache`; a file that cannot be read or does not fit the device is measured anew. Which lanes are added in which order
 //! depends on the choice, and with it the last bits of a scene. So that machines of one kind agree, a candidate replaces
 //! the default of the device's class only where it is clearly faster ([`CLEARLY`]).
@@ -9,26 +9,103 @@
 //! `vector-width=8,block-width=4` changes single values of the default.
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::constants::ALPHA_MIN;
 use crate::base::error::{Error, Result};
+use crate::capture::Dataset;
+use crate::config::TrainConfig;
 use crate::device::tuning::Tuning;
-use crate::device::{Device, DeviceInfo};
+use crate::device::{Device, DeviceInfo, DeviceKind};
 use crate::lab::bench::scene;
 use crate::lab::cache;
 use crate::lab::stats::Spread;
-use crate::lab::verify::pass;
+use crate::train::{Plan, Trainer};
 
 /// Environment variable that overrides the choice.
 pub const VARIABLE: &str = "MHSPLAT_TUNING";
 /// Largest share of the default's time with which a candidate replaces it.
 pub const CLEARLY: f64 = 0.85;
-/// Gaussians and picture side of the scene that candidates run on.
-const CASE: (usize, u32) = (10_000, 320);
-/// Passages of every candidate, one after the other in turns.
-const ROUNDS: usize = 7;
+/// Most samples of every candidate, one after the other in turns, and the fewest.
+const ROUNDS: [usize; 2] = [3, 7];
+/// Seconds after which there are no more samples than the fewest.
+const LONG: f64 = 2.0;
+/// Views of the scene that candidates run on: a sample is an iteration with each.
+const VIEWS: usize = 2;
+/// Number of classes that CPUs tell apart.
+const CPU_CLASSES: usize = 2;
+/// Memory of a device below which it tunes for no large runs: all candidates hold their scenes at once.
+const ROOMY: u64 = 8 << 30;
+
+/// Class of runs by their size, for each of which a device has a tuning of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SizeClass {
+    /// Some ten thousand Gaussians, small photos.
+    Small,
+    /// Some hundred thousand Gaussians.
+    Medium,
+    /// Millions of Gaussians, large photos.
+    Large,
+}
+
+impl SizeClass {
+    const ALL: [Self; 3] = [Self::Small, Self::Medium, Self::Large];
+
+    /// Gaussians and picture side of the scene that candidates run on.
+    #[must_use]
+    pub fn case(self) -> [usize; 2] {
+        match self {
+            Self::Small => [10_000, 320],
+            Self::Medium => [100_000, 800],
+            Self::Large => [1_000_000, 1600],
+        }
+    }
+
+    /// The class of a scene of so many Gaussians in pictures of so many pixels: the larger one of both.
+    #[must_use]
+    pub fn of(gaussians: usize, pixels: usize) -> Self {
+        let mut found = Self::Small;
+        for [below, above] in [[Self::Small, Self::Medium], [Self::Medium, Self::Large]] {
+            let [n, side] = below.case();
+            let [more, longer] = above.case();
+            // From halfway on, by ratio.
+            if gaussians.pow(2) >= n * more || pixels >= side * longer {
+                found = above;
+            }
+        }
+        found
+    }
+
+    /// The class of a run, by its sparse points, which become many more or fewer, and its largest photo.
+    #[must_use]
+    pub fn of_run(dataset: &Dataset, config: &TrainConfig) -> Self {
+        let points = dataset.points.positions.len();
+        let pixels = |v: &crate::capture::View| v.camera.width as usize * v.camera.height as usize;
+        let pixels = dataset.train.iter().map(pixels).max();
+        Self::of(
+            points.min(config.max_gaussians.unwrap_or(points)),
+            pixels.unwrap_or(0),
+        )
+    }
+
+    /// The classes that a device tells apart, the smallest first.
+    #[must_use]
+    pub fn told_apart(info: &DeviceInfo) -> &'static [Self] {
+        match info.kind {
+            DeviceKind::Cpu => &Self::ALL[..CPU_CLASSES],
+            _ if info.global_memory < ROOMY => &Self::ALL[..2],
+            _ => &Self::ALL,
+        }
+    }
+
+    /// The class in whose place this one is measured on a device.
+    fn on(self, info: &DeviceInfo) -> Self {
+        let all = Self::told_apart(info);
+        self.min(all[all.len() - 1])
+    }
+}
 
 /// Origin of a tuning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -50,35 +127,46 @@ struct CachedTuning {
     milliseconds: Vec<(Tuning, Spread)>,
 }
 
-/// The device with the tuning that the user, an earlier measurement or a measurement now says. `note` receives one line
-/// when something is measured.
+/// The device with the tuning that the user, an earlier measurement or a measurement now says for runs of a size. `note` receives one
+/// line when something is measured.
 ///
 /// # Errors
 /// An invalid value of `MHSPLAT_TUNING`. A measurement that fails leaves the default.
-pub fn tuned(device: Device, note: &mut dyn FnMut(&str)) -> Result<Device> {
-    if let Some((tuning, _)) = known(device.info())? {
+pub fn tuned(device: Device, size: SizeClass, note: &mut dyn FnMut(&str)) -> Result<Device> {
+    let info = device.info();
+    let size = size.on(info);
+    if let Some((tuning, _)) = known(info, size)? {
         return Ok(device.with_tuning(tuning));
     }
-    note("measuring how kernels suit this device (once)");
-    let Some(kept) = measure(&device) else {
+    let of = match SizeClass::told_apart(info).len() {
+        1 => String::new(),
+        _ => {
+            let [gaussians, side] = size.case();
+            format!(" with {gaussians} Gaussians at {side} pixels")
+        }
+    };
+    note(&format!(
+        "measuring how kernels suit this device{of} (once)"
+    ));
+    let Some(kept) = measure(&device, size) else {
         return Ok(device);
     };
-    if let (Some(file), Ok(text)) = (file(device.info()), serde_json::to_vec_pretty(&kept)) {
+    if let (Some(file), Ok(text)) = (file(info, size), serde_json::to_vec_pretty(&kept)) {
         cache::keep(&file, &text);
     }
     Ok(device.with_tuning(kept.tuning))
 }
 
-/// The tuning of a device without measuring; `None` if it has to be measured.
+/// The tuning of a device for runs of a size without measuring; `None` if it has to be measured.
 ///
 /// # Errors
 /// An invalid value of `MHSPLAT_TUNING`.
-pub fn known(info: &DeviceInfo) -> Result<Option<(Tuning, Origin)>> {
+pub fn known(info: &DeviceInfo, size: SizeClass) -> Result<Option<(Tuning, Origin)>> {
     let asked = std::env::var(VARIABLE).unwrap_or_default();
     Ok(match asked.as_str() {
         "measure" => None,
         "default" => Some((Tuning::for_device(info), Origin::Default)),
-        "" => file(info)
+        "" => file(info, size)
             .and_then(|f| read(&f, info))
             .map(|tuning| (tuning, Origin::Measured)),
         _ => Some((given(&asked, info)?, Origin::UserSupplied)),
@@ -110,9 +198,9 @@ fn given(asked: &str, info: &DeviceInfo) -> Result<Tuning> {
     }
 }
 
-/// The file of a device; `None` if the system has no place for it.
-fn file(info: &DeviceInfo) -> Option<PathBuf> {
-    cache::file("tuning", info, candidates(info))
+/// The file of a device and a size; `None` if the system has no place for it.
+fn file(info: &DeviceInfo, size: SizeClass) -> Option<PathBuf> {
+    cache::file("tuning", info, (size.on(info).case(), candidates(info)))
 }
 
 /// The tuning in a file, if that fits the device.
@@ -123,21 +211,24 @@ pub fn read(file: &Path, info: &DeviceInfo) -> Option<Tuning> {
     kept.tuning.fault(info).is_none().then_some(kept.tuning)
 }
 
-/// The class default and its alternatives.
-fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
+/// The class default and its alternatives: in the group style one size after the other is another.
+#[doc(hidden)]
+#[must_use]
+pub fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
     let own = Tuning::for_device(info);
-    let others = if own.group_style {
-        [(64, 2048), (256, 2048), (128, 512), (128, 8192)].map(|(local, chunks)| Tuning {
-            local,
-            chunks,
-            ..own
-        })
+    let others: Vec<Tuning> = if own.group_style {
+        let locals = [64, 128, 256].map(|local| Tuning { local, ..own });
+        let chunks = [512, 2048, 8192].map(|chunks| Tuning { chunks, ..own });
+        let bits = [4, 6, 8].map(|radix_bits| Tuning { radix_bits, ..own });
+        [locals, chunks, bits].concat()
     } else {
-        [(16, 4), (16, 8), (8, 4), (4, 4)].map(|(vector_width, block_width)| Tuning {
+        let widths = [(16, 4), (16, 8), (8, 4), (4, 4)];
+        let width = |(vector_width, block_width)| Tuning {
             vector_width,
             block_width,
             ..own
-        })
+        };
+        widths.map(width).to_vec()
     };
     // Half the width can win where wide units are slow; a quarter never did.
     let fits =
@@ -147,29 +238,63 @@ fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
         .collect()
 }
 
+/// A candidate in training, and its samples.
+struct Run {
+    tuning: Tuning,
+    trainer: Trainer,
+    milliseconds: Vec<f64>,
+}
+
+impl Run {
+    /// A sample: milliseconds of device time in an iteration; `None` if it fails.
+    fn sample(&mut self) -> Option<f64> {
+        let seconds = |trainer: &Trainer| -> f64 {
+            let times = trainer.stage_times().into_iter();
+            times.map(|(_, t)| t.seconds).sum()
+        };
+        let before = seconds(&self.trainer);
+        let until = self.trainer.iteration() + VIEWS as u32;
+        self.trainer.advance_to(until).ok()?;
+        Some(1e3 / VIEWS as f64 * (seconds(&self.trainer) - before))
+    }
+}
+
 /// Runs every candidate in turns; `None` if even the default fails.
-fn measure(device: &Device) -> Option<CachedTuning> {
-    let mut case = scene::case(CASE.0, CASE.1, ALPHA_MIN);
+fn measure(device: &Device, size: SizeClass) -> Option<CachedTuning> {
+    let [gaussians, side] = size.case();
     // Higher bands take most of the compiler's time and change little of what is compared.
-    case.splats = case.splats.with_sh_degree(0).ok()?;
-    case.sh_degree = 0;
-    let milliseconds = |tuning: Tuning| {
-        let out = pass::run::<f32>(device, tuning, &case, None).ok()?;
-        Some(1e3 * out.seconds.iter().map(|(_, s)| s).sum::<f64>())
+    let splats = scene::cloud(gaussians).with_sh_degree(0).ok()?;
+    let data = scene::dataset(&scene::circle(side as u32)[..VIEWS]);
+    let plan = Plan::new(&data, &scene::still(0)).ok()?;
+    let begin = |tuning| {
+        let device = device.clone().with_tuning(tuning);
+        let mut trainer = Trainer::new(&device, &data, &plan, &splats).ok()?;
+        trainer.time_every_iteration();
+        let mut run = Run {
+            tuning,
+            trainer,
+            milliseconds: Vec::new(),
+        };
+        // The first one is not like the others.
+        run.sample().map(|_| run)
     };
-    // The first passage may wait for the compiler.
-    let all = candidates(device.info()).into_iter();
-    let all: Vec<Tuning> = all.filter(|t| milliseconds(*t).is_some()).collect();
-    let mut samples = vec![Vec::new(); all.len()];
-    for _ in 0..ROUNDS {
-        for (tuning, samples) in all.iter().zip(&mut samples) {
-            samples.extend(milliseconds(*tuning));
+    let mut runs: Vec<Run> = candidates(device.info())
+        .into_iter()
+        .filter_map(begin)
+        .collect();
+    let (began, [fewest, most]) = (Instant::now(), ROUNDS);
+    for round in 0..most {
+        if round >= fewest && began.elapsed().as_secs_f64() > LONG {
+            break;
+        }
+        for run in &mut runs {
+            let sample = run.sample();
+            run.milliseconds.extend(sample);
         }
     }
-    let spreads = all.into_iter().zip(&samples);
-    let milliseconds: Vec<(Tuning, Spread)> = spreads
-        .filter_map(|(tuning, samples)| Some((tuning, Spread::of(samples)?)))
-        .collect();
+    device.time_launches(false).ok()?;
+    let spread = |run: Run| Some((run.tuning, Spread::of(&run.milliseconds)?));
+    let milliseconds: Vec<(Tuning, Spread)> = runs.into_iter().filter_map(spread).collect();
     Some(CachedTuning {
         tuning: chosen(&milliseconds, Tuning::for_device(device.info()))?,
         milliseconds,

@@ -49,6 +49,40 @@ pub struct GaussianBuffers<R: Real = f32> {
     pub sh_degree: u32,
 }
 
+/// The text on an array of `planes` values of `size` bytes for each of `stride` Gaussians that is larger than `most` bytes: what is
+/// wrong, and what to do; `None` if it is not.
+fn too_many([planes, size]: [usize; 2], stride: usize, most: u64) -> Option<[String; 2]> {
+    let each = planes * size;
+    let bytes = (each * stride) as u64;
+    if bytes <= most {
+        return None;
+    }
+    let fit = (most / each as u64) as usize / ROUND * ROUND;
+    // With room to grow into.
+    let gaussians = fit - fit.div_ceil(5);
+    Some([
+        format!(
+            "room for {stride} Gaussians is {bytes} bytes; the device allows {most} in one buffer"
+        ),
+        format!(
+            "--max-gaussians {gaussians} keeps a new run to what fits; else lower --sh-degree, or select a device that allows more"
+        ),
+    ])
+}
+
+/// Refuses an array of values for each Gaussian that no buffer of the device can hold.
+fn check_room<R: Real>(
+    device: &Device,
+    name: &'static str,
+    planes: usize,
+    stride: usize,
+) -> Result<()> {
+    match too_many([planes, size_of::<R>()], stride, device.info().max_alloc) {
+        None => Ok(()),
+        Some([what, fix]) => Err(Error::device(format!("allocate {name}"), what, fix)),
+    }
+}
+
 /// `old` with a larger stride, the rows beyond the old ones zero.
 pub(crate) fn restride<R: Real>(
     device: &Device,
@@ -57,6 +91,7 @@ pub(crate) fn restride<R: Real>(
     from: usize,
     to: usize,
 ) -> Result<Array<R>> {
+    check_room::<R>(device, old.name(), planes, to)?;
     let new = Array::zeros(device, old.name(), planes * to)?;
     for p in 0..planes {
         new.copy_from(p * to, old, p * from, from)?;
@@ -69,6 +104,7 @@ impl<R: Real> GaussianBuffers<R> {
     pub fn upload(device: &Device, splats: &Gaussians, capacity: usize) -> Result<Self> {
         let count = splats.len();
         let stride = capacity.max(count).max(1).next_multiple_of(ROUND);
+        check_room::<R>(device, "params", splats.planes().len(), stride)?;
         let mut host = vec![R::of(0.0); splats.planes().len() * stride];
         for (p, plane) in splats.planes().iter().enumerate() {
             for (to, v) in host[p * stride..].iter_mut().zip(plane) {
@@ -442,5 +478,27 @@ impl<R: Real> ViewSet<R> {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.cameras.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{GaussianBuffers, ROUND, too_many};
+
+    #[test]
+    fn a_buffer_that_is_too_large_says_how_many_gaussians_fit() {
+        // 59 planes of f32, on a device of 2 GB.
+        let (shape, most) = ([59, 4], 2_000_000_000);
+        let refused = |n: usize| {
+            let stride = GaussianBuffers::<f32>::grown_stride(n);
+            too_many(shape, stride, most)
+        };
+        let [what, fix] = refused(10_000_000).unwrap();
+        assert!(what.contains("2950000000 bytes"), "{what}");
+        assert!(what.contains("2000000000 in one buffer"), "{what}");
+        let (_, number) = fix.split_once("--max-gaussians ").unwrap();
+        let n: usize = number.split(' ').next().unwrap().parse().unwrap();
+        assert!(n > 6_700_000 && refused(n).is_none(), "{n}");
+        assert!(refused(n + ROUND).is_some(), "{n}");
     }
 }

@@ -482,18 +482,28 @@ impl Run {
         r.write(&self.dir)
     }
 
+    /// Has the stages of every iteration timed, and not of a sample that stands for all.
+    pub fn time_every_iteration(&mut self) {
+        self.trainer.time_every_iteration();
+    }
+
     /// Seconds per stage over all sessions of the run.
     fn stage_times(&self) -> Vec<StageRecord> {
-        let now = self.trainer.stage_times().into_iter();
-        now.map(|(name, t)| {
-            let before = self.stages.iter().find(|s| s.name == name);
-            StageRecord {
-                name: name.into(),
-                seconds: t.seconds + before.map_or(0.0, |s| s.seconds),
-                calls: t.calls + before.map_or(0, |s| s.calls),
+        let mut all = self.stages.clone();
+        for (name, t) in self.trainer.stage_times() {
+            match all.iter_mut().find(|s| s.name == name) {
+                Some(sum) => {
+                    sum.seconds += t.seconds;
+                    sum.calls += t.calls;
+                }
+                None => all.push(StageRecord {
+                    name: name.into(),
+                    seconds: t.seconds,
+                    calls: t.calls,
+                }),
             }
-        })
-        .collect()
+        }
+        all
     }
 
     /// Writes a checkpoint, then the scene, from one read of the device: first the state to continue from, then the file that

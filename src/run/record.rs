@@ -125,9 +125,9 @@ impl PlanRecord {
 pub struct StageRecord {
     /// Name of the stage (the stem of its kernel file, or a host step's name).
     pub name: String,
-    /// Seconds, summed over the calls.
+    /// Seconds, summed over the calls; of iterations a sample stands for all.
     pub seconds: f64,
-    /// Number of calls.
+    /// Number of calls, likewise.
     pub calls: u64,
 }
 

@@ -30,8 +30,10 @@ impl Trainer {
         }
         self.settle()?;
         let before = self.gaussians.scene.count;
+        self.timing.begin_step()?;
         let (control, on) = self.controlled();
         let event = control.end(on)?;
+        self.timing.end_step()?;
         let max = self.counters.max_intersections as f64;
         let after = self.gaussians.scene.count as f64;
         self.counters.max_intersections = (max * after / before.max(1) as f64) as usize;
@@ -46,10 +48,16 @@ impl Trainer {
         let Some(progress) = due.filter(|_| self.control.deciding.is_none()) else {
             return Ok(());
         };
+        // The queue with counters has to be waited for.
         if lag == 0 {
             self.settle()?;
+            self.timing.begin_step()?;
         }
         let (control, on) = self.controlled();
-        control.begin(on, at, progress, lag)
+        control.begin(on, at, progress, lag)?;
+        match lag {
+            0 => self.timing.end_step(),
+            _ => Ok(()),
+        }
     }
 }

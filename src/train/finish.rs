@@ -43,7 +43,7 @@ impl Trainer {
     }
 
     /// The trace of density control with the opacity and the summed blending weight of every Gaussian now; `None` unless the
-    /// configuration asks for it, and after a resumption. Renders every training view; its time is nobody's.
+    /// configuration asks for it, and after a resumption. Renders every training view.
     ///
     /// # Errors
     /// The driver's.
@@ -52,8 +52,6 @@ impl Trainer {
             return Ok(None);
         }
         self.settle()?;
-        self.device.finish()?;
-        self.device.collect_times(usize::MAX)?;
         let scene = &self.gaussians.scene;
         let logits = scene.plane(Plane::OPACITY)?;
         let mut sums = vec![0.0; scene.count];
@@ -63,7 +61,6 @@ impl Trainer {
                 *sum += weight;
             }
         }
-        self.device.forget_launches();
         if let Some(trace) = &mut self.control.trace {
             trace.finish(&logits, &sums);
         }

@@ -29,12 +29,7 @@ impl Trainer {
     pub fn recent_loss(&mut self) -> Result<Option<f64>> {
         self.settle()?;
         if self.iteration > 0 && self.plan.random_background.value {
-            self.device.finish()?;
-            self.device.collect_times(usize::MAX)?;
-            let loss = self.steady_loss().map(Some);
-            // Not counted among the stages of training.
-            self.device.forget_launches();
-            return loss;
+            return self.steady_loss().map(Some);
         }
         self.noted_loss()
     }
@@ -198,16 +193,12 @@ impl Trainer {
             active_only: false,
         };
         let forward = &mut self.pipeline.forward;
-        let image = forward.image_within(&self.gaussians.scene, camera, &options, most);
-        self.device.forget_launches();
-        image
+        forward.image_within(&self.gaussians.scene, camera, &options, most)
     }
 
-    /// The tile intersections that a look may have, once nothing is in flight: what follows counts for no stage of training.
+    /// The tile intersections that a look may have, once nothing is in flight.
     fn before_a_look(&mut self, most: usize) -> Result<usize> {
         self.settle()?;
-        self.device.finish()?;
-        self.device.collect_times(usize::MAX)?;
         Ok(most.max(2 * self.counters.max_intersections))
     }
 
@@ -275,9 +266,7 @@ impl Trainer {
         let colored = self.colored(colors);
         let options = RenderOptions::default();
         let forward = &mut self.pipeline.forward;
-        let image = colored.and_then(|scene| forward.image_within(&scene, camera, &options, most));
-        self.device.forget_launches();
-        image
+        colored.and_then(|scene| forward.image_within(&scene, camera, &options, most))
     }
 
     fn colored(&self, colors: &[[f32; 3]]) -> Result<GaussianBuffers> {
@@ -355,11 +344,17 @@ impl Trainer {
         control.estimate(&mut on, at, candidates)
     }
 
-    /// Device time per stage so far, and under `density` the host's time in density steps, transfers included and without
-    /// the device's `edit` and the estimates, whose time on host and device is under `probe`.
+    /// Has the stages of every iteration timed, and not of a sample that stands for all. Before the first iteration; it costs some time
+    /// with every launch.
+    pub fn time_every_iteration(&mut self) {
+        self.timing.time_all();
+    }
+
+    /// Device time per stage so far, of iterations from a sample of them, and under `density` the host's time in density steps, transfers
+    /// included and without the device's `edit` and the estimates, whose time on host and device is under `probe`.
     #[must_use]
     pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
-        let mut times = self.device.times();
+        let mut times: Vec<_> = self.timing.stages().into_iter().collect();
         let (steps, estimates) = (self.control.time, self.control.estimate_time());
         if steps.calls > 0 {
             let edit = times.iter().find(|(name, _)| *name == "edit");

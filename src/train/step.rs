@@ -26,6 +26,7 @@ use crate::train::optimizer::Optimizer;
 use crate::train::plan::{Decision, Exposure, Learned, Plan};
 use crate::train::schedule::Schedule;
 use crate::train::smoothing::Smoothing;
+use crate::train::timing::Timing;
 use crate::train::trace::DensityTrace;
 use crate::train::views::{TrainingView, Views, capacity};
 
@@ -114,6 +115,7 @@ pub struct Trainer {
     pub(super) learned: Learned,
     pub(super) counters: Counters,
     in_flight: VecDeque<InFlight>,
+    pub(super) timing: Timing,
     pub(super) iteration: u32,
     pub(super) next: Next,
 }
@@ -211,6 +213,7 @@ impl Trainer {
             learned: Learned::default(),
             counters: Counters::default(),
             in_flight: VecDeque::new(),
+            timing: Timing::new(device),
             iteration: 0,
             next: Next::default(),
             smoothing,
@@ -386,19 +389,17 @@ impl Trainer {
 
     /// Enqueues an iteration and settles the oldest if too many are under way.
     fn enqueue(&mut self) -> Result<()> {
-        if self.schedule.density_lag(self.iteration) > 0 {
+        let (at, alone) = (self.iteration, self.in_flight.is_empty());
+        if self.schedule.density_lag(at) > 0 {
             self.begin_density_step()?;
         }
-        self.iterate(self.iteration, self.gaussians.scene.sh_degree)?;
+        self.timing.begin(at, alone)?;
+        self.iterate(at, self.gaussians.scene.sh_degree)?;
+        let status = &self.pipeline.forward.frame.status;
         self.in_flight.push_back(InFlight {
-            iteration: self.iteration,
-            counters: self
-                .pipeline
-                .forward
-                .frame
-                .status
-                .read_later(0, status::SLOTS)?,
-            launches: self.device.launches(),
+            iteration: at,
+            counters: status.read_later(0, status::SLOTS)?,
+            launches: self.timing.end()?,
         });
         self.device.flush()?;
         self.iteration += 1;
@@ -414,7 +415,7 @@ impl Trainer {
             return Ok(());
         };
         let counters = done.counters.wait()?;
-        self.device.collect_times(done.launches)?;
+        self.timing.settle(done.launches)?;
         for later in &mut self.in_flight {
             later.launches -= done.launches.min(later.launches);
         }
@@ -561,10 +562,7 @@ impl Trainer {
             *max = (*max).max(found as usize);
         }
         self.fit_views()?;
-        self.device.finish()?;
-        self.device.collect_times(usize::MAX)?;
-        self.device.reset_times();
-        Ok(())
+        self.device.finish()
     }
 
     fn warm_up_control(&mut self, sh_degree: u32) -> Result<()> {

@@ -82,7 +82,9 @@ fn trainer(device: &Device, subject: &Subject<'_>) -> Result<Trainer> {
         splats = &unfiltered;
     }
     let plan = Plan::new(&subject.dataset, &config)?;
-    Trainer::new(device, &subject.dataset, &plan, splats)
+    let mut trainer = Trainer::new(device, &subject.dataset, &plan, splats)?;
+    trainer.time_every_iteration();
+    Ok(trainer)
 }
 
 /// Times every stage and the whole iteration.

@@ -22,14 +22,13 @@ const FACTORS: [f64; 2] = [0.999, 0.001];
 /// Device seconds of the launches of `enqueue`, and CPU seconds of the process meanwhile.
 fn time(device: &Device, enqueue: impl FnOnce() -> Result<()>) -> Result<[f64; 2]> {
     device.finish()?;
-    device.collect_times(usize::MAX)?;
-    let seconds = || -> f64 { device.times().iter().map(|(_, t)| t.seconds).sum() };
-    let (before, cpu, start) = (seconds(), process_cpu_seconds(), Instant::now());
-    enqueue()?;
-    device.finish()?;
+    let (cpu, start) = (process_cpu_seconds(), Instant::now());
+    let times = device.timed(|| {
+        enqueue()?;
+        device.take_times(usize::MAX)
+    })?;
     let wall = start.elapsed().as_secs_f64();
-    device.collect_times(usize::MAX)?;
-    let spent = seconds() - before;
+    let spent: f64 = times.values().map(|t| t.seconds).sum();
     // A driver without profiling counters: the wall clock is all there is.
     let spent = if spent > 0.0 { spent } else { wall };
     Ok([spent, process_cpu_seconds() - cpu])

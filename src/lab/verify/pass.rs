@@ -72,31 +72,32 @@ pub fn run<R: Real>(
     case: &Case,
     reference: Option<&Reference>,
 ) -> Result<Outcome> {
-    let mut pass = Pass::<R>::new(device, tuning, case, reference)?;
-    pass.render()?;
-    pass.forward()?;
-    let error_sums = pass.loss()?;
-    let grads = pass.gradients()?;
-    let (scene, moments) = pass.optimiser(&grads)?;
-    pass.noise()?;
-    pass.screen_gradients()?;
-    pass.seen()?;
-    let got = pass.planes(&error_sums, 3)?;
-    pass.add("importance", "cues", got, |r, out| {
-        r.error_sums(out.got("loss", "error maps"))
-    });
-    pass.edit(&scene, &moments)?;
-    pass.metrics()?;
-    if pass.kernels.defines().anti_alias {
-        let got = widen(pass.scene.filter.read(0, pass.scene.count)?);
-        let want = |r: &Reference, _: &Outcome| r.scene.filter.clone().unwrap_or_default();
-        pass.add("filter", "standard deviation", got, want);
-    }
-    pass.exposure()?;
-    device.collect_times(usize::MAX)?;
-    let times = device.times().into_iter();
-    pass.out.seconds = times.map(|(stage, t)| (stage, t.seconds)).collect();
-    Ok(pass.out)
+    device.timed(|| {
+        let mut pass = Pass::<R>::new(device, tuning, case, reference)?;
+        pass.render()?;
+        pass.forward()?;
+        let error_sums = pass.loss()?;
+        let grads = pass.gradients()?;
+        let (scene, moments) = pass.optimiser(&grads)?;
+        pass.noise()?;
+        pass.screen_gradients()?;
+        pass.seen()?;
+        let got = pass.planes(&error_sums, 3)?;
+        pass.add("importance", "cues", got, |r, out| {
+            r.error_sums(out.got("loss", "error maps"))
+        });
+        pass.edit(&scene, &moments)?;
+        pass.metrics()?;
+        if pass.kernels.defines().anti_alias {
+            let got = widen(pass.scene.filter.read(0, pass.scene.count)?);
+            let want = |r: &Reference, _: &Outcome| r.scene.filter.clone().unwrap_or_default();
+            pass.add("filter", "standard deviation", got, want);
+        }
+        pass.exposure()?;
+        let times = device.take_times(usize::MAX)?.into_iter();
+        pass.out.seconds = times.map(|(stage, t)| (stage, t.seconds)).collect();
+        Ok(pass.out)
+    })
 }
 
 /// Both moments after steps of the optimiser with the same gradients, which change the scene.
@@ -247,8 +248,7 @@ impl<'a, R: Real> Pass<'a, R> {
             ..RenderOptions::default()
         };
         forward.render(&self.scene, &self.camera, &options)?;
-        device.collect_times(usize::MAX)?;
-        device.reset_times();
+        device.forget_launches(0);
         forward.render(&self.scene, &self.camera, &options)
     }
 

@@ -69,7 +69,7 @@ impl<R: Real> Exposures<R> {
     pub fn apply(&self, view: &ViewBuffers<R>, number: usize) -> Result<()> {
         self.over_image("exposure_apply", view, number)
             .array(&self.corrected, 3 * view.camera.image().plane())
-            .over_chunks([self.program.chunks(), 1])
+            .over_groups(self.program.chunks())
     }
 
     /// Turns the gradient with respect to the corrected image in `dimage` into that with respect to the render, and leaves the sums for
@@ -79,7 +79,7 @@ impl<R: Real> Exposures<R> {
         self.over_image("exposure_backward", view, number)
             .array(dimage, 3 * view.camera.image().plane())
             .array(&self.partial, ENTRIES * chunks)
-            .over_chunks([chunks, 1])
+            .over_groups(chunks)
     }
 
     /// Enqueues one step of the transforms of all views, whose mean stays the identity; after an overflow nothing changes.
@@ -95,13 +95,13 @@ impl<R: Real> Exposures<R> {
             .arrays([&self.transforms, m, v], len)
             .array(&self.grads, ENTRIES)
             .array(status, SLOTS)
-            .run([ENTRIES, views], [1, 1])?;
+            .over_groups(ENTRIES)?;
         self.program
             .launch("exposure_center")
             .uints([views])
             .array(&self.transforms, len)
             .array(status, SLOTS)
-            .run([ENTRIES, 1], [1, 1])
+            .over_groups(ENTRIES)
     }
 
     /// A sweep over the image of a view.

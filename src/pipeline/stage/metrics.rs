@@ -12,7 +12,7 @@ pub fn score<R: Real>(stage: &Program, pair: &ImagePair<'_, R>, score: &Array<R>
     pair.images(stage.launch("metrics"))
         .reals::<R>(pair.background.map(f64::from))
         .array(score, 2 * h)
-        .over_chunks([h, 1])
+        .over_groups(h)
 }
 
 /// Sums 1 − SSIM of each row over its pixels that count into row 2 of `score`; `maps` are those of
@@ -30,7 +30,7 @@ pub fn sum_dissimilarity<R: Real>(
         .photo(pair.photo, pair.size)
         .ints([stride])
         .array(score, 3 * h)
-        .over_chunks([h, 1])
+        .over_groups(h)
 }
 
 // Definition in f64.

@@ -10,6 +10,7 @@ use crate::density::DensityStats;
 use crate::run::density_trace::FunnelRow;
 use crate::run::record::{RunRecord, StageRecord};
 use crate::run::table::{DensityRow, MetricsRow};
+use crate::train::TIMING_INTERVAL;
 
 const TIME: Axis<'static> = Axis::from_zero("training time", Scale::Seconds);
 const ITERATION: Axis<'static> = number("iteration");
@@ -220,7 +221,8 @@ pub(super) fn stages(out: &mut String, record: &RunRecord) {
     }
     let _ = writeln!(
         out,
-        "</table></div></div><p class=note>{} in stages, of {} of training.</p>",
+        "</table></div></div><p class=note>{} in stages, of {} of training. Taken in one iteration of {TIMING_INTERVAL}, which stands for \
+         all, or with <code>--profile</code> in each.</p>",
         span(total),
         span(record.train_seconds)
     );

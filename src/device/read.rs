@@ -1,0 +1,157 @@
+//! [`PendingRead`]: a read that is under way, by way of buffers in the host's memory.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use ocl_core::{self as core, Event, MEM_ALLOC_HOST_PTR, MEM_READ_WRITE, MapFlags, Mem, MemMap};
+
+use crate::base::error::Result;
+use crate::device::array::Array;
+use crate::device::context::Inner;
+use crate::device::error::{LOST, LOWER, device_error};
+use crate::device::layout::Element;
+
+/// Bytes that are kept for reads to come.
+const KEPT: usize = 64 << 20;
+
+/// Buffers in the host's memory, which drivers pin: a device writes there by itself, while a copy to ordinary memory can keep the host
+/// until it is done. To make one takes long, so that they are used again.
+#[derive(Debug, Default)]
+pub(super) struct Staging {
+    idle: Mutex<Vec<Slot>>,
+}
+
+/// A buffer in the host's memory.
+#[derive(Debug)]
+struct Slot {
+    mem: Mem,
+    bytes: usize,
+}
+
+impl Staging {
+    fn idle(&self) -> MutexGuard<'_, Vec<Slot>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A buffer of at least so many bytes that nobody uses.
+    fn take(&self, context: &core::Context, bytes: usize) -> core::Result<Slot> {
+        // Powers of two, so that a read somewhat larger than the last one finds its buffer; those that are not kept as they are.
+        let bytes = match bytes.next_power_of_two() {
+            rounded if rounded <= KEPT => rounded,
+            _ => bytes,
+        };
+        let mut idle = self.idle();
+        if let Some(at) = idle.iter().position(|slot| slot.bytes == bytes) {
+            return Ok(idle.swap_remove(at));
+        }
+        let flags = MEM_READ_WRITE | MEM_ALLOC_HOST_PTR;
+        // SAFETY: no host pointer is given; the buffer is owned by `mem`.
+        let mem = unsafe { core::create_buffer(context, flags, bytes, None::<&[u8]>) }?;
+        Ok(Slot { mem, bytes })
+    }
+
+    /// Takes a buffer back.
+    fn give(&self, slot: Slot) {
+        let mut idle = self.idle();
+        let kept: usize = idle.iter().map(|slot| slot.bytes).sum();
+        if kept + slot.bytes <= KEPT {
+            idle.push(slot);
+        }
+    }
+}
+
+/// A read that is under way; [`PendingRead::wait`] blocks until it is done.
+#[derive(Debug)]
+pub struct PendingRead<T: Element> {
+    device: Arc<Inner>,
+    name: &'static str,
+    len: usize,
+    slot: Option<Slot>,
+    map: MemMap<T>,
+    /// End of the mapping.
+    event: Event,
+}
+
+impl<T: Element> PendingRead<T> {
+    /// Enqueues a read of `len` values of an array from `offset` on, all of them within it, without waiting.
+    pub(super) fn begin(array: &Array<T>, offset: usize, len: usize) -> Result<Self> {
+        let (device, name) = (array.device().clone(), array.name());
+        let what = format!("read {name}");
+        let (offset, values) = match len {
+            // Drivers refuse to copy nothing; every array has room for a value.
+            0 => (0, 1),
+            _ => (offset, len),
+        };
+        let slot = device
+            .staging
+            .take(&device.context, values * size_of::<T>())
+            .map_err(|e| device_error(&what, &e, LOWER))?;
+        let queue = device.queue();
+        core::enqueue_copy_buffer::<T, _, _, _>(
+            &queue,
+            &array.mem,
+            &slot.mem,
+            offset,
+            0,
+            values,
+            None::<&Event>,
+            None::<&mut Event>,
+        )
+        .map_err(|e| device_error(&what, &e, LOST))?;
+        let mut event = Event::null();
+        // SAFETY: the memory is read after `event` alone, and belongs to `slot`, which nobody else has until it is no longer mapped.
+        let map = unsafe {
+            core::enqueue_map_buffer::<T, _, _, _>(
+                &queue,
+                &slot.mem,
+                false,
+                MapFlags::READ,
+                0,
+                values,
+                None::<&Event>,
+                Some(&mut event),
+            )
+        }
+        .map_err(|e| device_error(&what, &e, LOST))?;
+        drop(queue);
+        Ok(Self {
+            device,
+            name,
+            len,
+            slot: Some(slot),
+            map,
+            event,
+        })
+    }
+
+    /// Waits for the data.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn wait(self) -> Result<Vec<T>> {
+        core::wait_for_event(&self.event)
+            .map_err(|e| device_error(&format!("read {}", self.name), &e, LOST))?;
+        // SAFETY: the mapping is done and has at least `len` values, of a type of which any bits are one.
+        Ok(unsafe { self.map.as_slice(self.len) }.to_vec())
+    }
+}
+
+impl<T: Element> Drop for PendingRead<T> {
+    fn drop(&mut self) {
+        let Some(slot) = self.slot.take() else {
+            return;
+        };
+        let done = core::wait_for_event(&self.event).and_then(|()| {
+            core::enqueue_unmap_mem_object(
+                &self.device.queue(),
+                &slot.mem,
+                &self.map,
+                None::<&Event>,
+                None::<&mut Event>,
+            )
+        });
+        // Of a buffer that may still be mapped the driver disposes, with its last command.
+        if done.is_ok() {
+            self.device.staging.give(slot);
+        }
+    }
+}
