@@ -18,7 +18,10 @@
 #include <oclgrind/Plugin.h>
 #include <oclgrind/WorkGroup.h>
 #include <oclgrind/WorkItem.h>
+#include <set>
 #include <tuple>
+#include <unordered_map>
+#include <vector>
 
 // The one member that is asked for; oclgrind/Kernel.h needs LLVM's headers.
 class oclgrind::Kernel {
