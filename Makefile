@@ -2,7 +2,7 @@
 # make test   run the tests; TESTS="stage:: layout" some of them, OCL_ICD_VENDORS=folder on another OpenCL implementation
 # make deb    a Debian package in target/debian (cargo install cargo-deb); make wheel: a Python wheel in target/wheels (pip)
 # make archive    the archive of a release for this machine in target/distrib (cargo install cargo-dist)
-# make gpu-check  compile the kernels for GPUs (NVIDIA, AMD, Intel) without one; what they take against data/gpu (.ci/gpu-check tells what it needs)
+# make gpu-check  compile the kernels for GPUs (NVIDIA, AMD, Intel) without one; what they take, and their use of local memory's banks, against data/gpu (.ci/gpu-check tells what it needs)
 # make gpu-report everything to be known of a GPU, in one folder, within eight minutes; SET=dataset, DEVICE=selector, OUT=folder (.ci/gpu-report)
 DEMO ?= run-demo
 FILES = target/package-files

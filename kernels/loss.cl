@@ -335,7 +335,6 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
 }
 
 #else
-typedef CAT(REAL_NAME, 4) real4;
 // Work-items side by side read columns side by side, of one row, and thus different banks.
 #define WIDE (TILE + 2 * RADIUS)  // rows and columns of a tile with its halo
 #define RUN 2                     // rows whose vertical windows a work-item makes

@@ -109,18 +109,16 @@ __kernel void splat_grad(__global const Projected *records, __global const uint 
     for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
 }
 #else
-// Pairs whose sums by column wait for the second stage; a divisor of SPLAT_BATCH.
-#define COLUMN_BATCH 8
-// Copies of the first stage's numbers, used by turns so that a pair has one barrier; in f64 there is room for one in local memory.
-#if REAL_IS_DOUBLE
-#define COPIES 1
-#else
-#define COPIES 2
-#endif
+// Pixels of a work-item, those of its column every ROW_STEP rows, so that the rows of a Gaussian are shared out evenly.
+#define PIXELS (TILE * TILE / GRAD_GROUP)
+#define ROW_STEP (GRAD_GROUP / TILE)
+// Pairs whose sums by work-item wait in local memory for the sum over the group: as many as fit into 32 KiB in f64.
+#define SUM_BATCH 3
 
-// Launch: one work-group of TILE x TILE work-items per tile; sums over the group in a fixed order, columns first, no assumption on
-// sub-groups. Local arrays are padded so that the work-items that read them side by side do so from different banks.
-__kernel __attribute__((reqd_work_group_size(TILE * TILE, 1, 1))) void
+// Launch: one work-group of GRAD_GROUP work-items per tile. A work-item adds up its pixels in registers, then every SUM_BATCH pairs one
+// work-item adds up each of their sums: a fixed order, no assumption on sub-groups. Rows of local memory are padded by four numbers, so
+// that the work-items that read them side by side do so from different banks.
+__kernel __attribute__((reqd_work_group_size(GRAD_GROUP, 1, 1))) void
 splat_grad(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
            __global const uint *order, __global const uint *tile_start,     // in [pairs], [tiles + 1]
            __global const uint *tile_used, int tiles_x, int tiles,          // in [tiles]
@@ -131,53 +129,52 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
   const int x = l % TILE, y = l / TILE;
   const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
-  const size_t at = (size_t)(tile_y + y) * stride + (tile_x + x);
   const uint start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
-  const real dred = dimage[at], dgreen = dimage[plane + at], dblue = dimage[2 * plane + at];
-  real T = R(1.0), behind = dred * image[at] + dgreen * image[plane + at] + dblue * image[2 * plane + at];
+  real T[PIXELS], behind[PIXELS], dred[PIXELS], dgreen[PIXELS], dblue[PIXELS];
+#pragma unroll
+  for (int k = 0; k < PIXELS; k++) {
+    const size_t at = (size_t)(tile_y + y + k * ROW_STEP) * stride + (tile_x + x);
+    T[k] = R(1.0);
+    dred[k] = dimage[at];
+    dgreen[k] = dimage[plane + at];
+    dblue[k] = dimage[2 * plane + at];
+    behind[k] = dred[k] * image[at] + dgreen[k] * image[plane + at] + dblue[k] * image[2 * plane + at];
+  }
   __local Projected staged[SPLAT_BATCH];
   __local uint slot[SPLAT_BATCH];
-  __local real lane[COPIES][SUMS][TILE * TILE + TILE];
-  __local real column[COLUMN_BATCH][SUMS][TILE + 1];
+  __local real4 part[SUM_BATCH][SUMS][GRAD_GROUP / 4 + 1];
   // Before the loop: what stands after one that holds barriers and has no turn, PoCL 3.1 leaves out.
-  for (uint p = used + l; p < end; p += TILE * TILE)
+  for (uint p = used + l; p < end; p += GRAD_GROUP)
     for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
   for (uint p = start; p < used; p += SPLAT_BATCH) {
     const uint n = min((uint)SPLAT_BATCH, used - p);
-    barrier(CLK_LOCAL_MEM_FENCE);
     if ((uint)l < n) {
       slot[l] = order[p + l];
       staged[l] = records[isect_owner[slot[l]]];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint first = 0; first < n; first += COLUMN_BATCH) {
-      const uint count = min((uint)COLUMN_BATCH, n - first);
+    for (uint first = 0; first < n; first += SUM_BATCH) {
+      const uint count = min((uint)SUM_BATCH, n - first);
       for (uint j = 0; j < count; j++) {
         const Projected g = staged[first + j];
+        const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
         real s[SUMS];
         for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
-        if (reaches(g.by, tile_y + y)) {
-          const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
-          const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
-          grad_block(&g, u, dy, dred, dgreen, dblue, &T, &behind, s);
-        }
-        for (int q = 0; q < SUMS; q++) lane[j % COPIES][q][l] = s[q];
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (l < SUMS * TILE) {
-          real sum = R(0.0);
-          for (int k = 0; k < TILE; k++) sum += lane[j % COPIES][l / TILE][k * TILE + l % TILE];
-          column[j][l / TILE][l % TILE] = sum;
-        }
-#if COPIES == 1
-        barrier(CLK_LOCAL_MEM_FENCE);
-#endif
+#pragma unroll
+        for (int k = 0; k < PIXELS; k++)
+          if (reaches(g.by, tile_y + y + k * ROW_STEP)) {
+            const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
+            grad_block(&g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
+          }
+        for (int q = 0; q < SUMS; q++) ((__local real *)part[j][q])[l] = s[q];
       }
       barrier(CLK_LOCAL_MEM_FENCE);
       if ((uint)l < count * SUMS) {
-        real sum = R(0.0);
-        for (int k = 0; k < TILE; k++) sum += column[l / SUMS][l % SUMS][k];
-        sums[(size_t)slot[first + l / SUMS] * SUMS + l % SUMS] = sum;
+        real4 sum = (real4)(R(0.0));
+        for (int k = 0; k < GRAD_GROUP / 4; k++) sum += part[l / SUMS][l % SUMS][k];
+        sums[(size_t)slot[first + l / SUMS] * SUMS + l % SUMS] = (sum.x + sum.y) + (sum.z + sum.w);
       }
+      barrier(CLK_LOCAL_MEM_FENCE);
     }
   }
 }

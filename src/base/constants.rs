@@ -33,6 +33,9 @@ pub const NEAR: f64 = 1.0 / 256.0;
 pub const SUMS: usize = 9;
 /// Projected Gaussians that the splat kernels copy to local memory at a time (measured: 32 on CPUs).
 pub const SPLAT_BATCH: u32 = 32;
+/// Work-items that share a tile in splat_grad in the group style: each takes the pixels of a column that lie as many rows apart as
+/// fit into the group (docs/results/gpu.md).
+pub const GRAD_GROUP: u32 = 128;
 /// Image rows per work-item of the loss.
 pub const LOSS_ROWS: u32 = 8;
 /// Pixels of a row per work-item of the shrink stage.

@@ -301,6 +301,19 @@ impl Launch<'_> {
         self.over_groups(size.tile_count())
     }
 
+    /// Enqueues the kernel with a work-group of so many work-items for each tile of an image, or a work-item where each is a whole core.
+    /// Does not wait.
+    ///
+    /// # Errors
+    /// Those of [`Launch::run`].
+    pub fn over_tiles_by(self, size: ImageSize, items: u32) -> Result<()> {
+        let group = match self.defines().tuning.group_style {
+            true => items as usize,
+            false => 1,
+        };
+        self.run([size.tile_count() * group, 1], [group, 1])
+    }
+
     /// Enqueues the kernel with so many work-groups of a work-item per pixel of a tile, or work-items where each is a whole core.
     /// Does not wait.
     ///

@@ -1,5 +1,6 @@
 //! Derivative of the compositing (`kernels/splat_grad.cl`).
 
+use crate::base::constants::GRAD_GROUP;
 use crate::base::error::Result;
 use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
@@ -19,7 +20,7 @@ pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<
         .array(&view.image, 4 * size.plane())
         .array(dimage, 3 * size.plane())
         .array(&view.sums, 1)
-        .over_tiles(size)
+        .over_tiles_by(size, GRAD_GROUP)
 }
 
 // Definition in f64.
