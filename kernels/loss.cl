@@ -151,11 +151,19 @@ static inline realV gradient_of(const Images *s, int x, int y, realV dmx, realV 
 #endif
 // in [>= 3, rows, stride], [3 or 4, height, width]
 #define IMAGE_ARGUMENTS                                                                                                \
-  __global const real *image, __global const uchar *photo, int width, int height, int stride, int rows, int channel,   \
-      real background, BLANK_ARGUMENTS
-// out [3, rows, stride], or [2, rows, stride] of errors; [3, strips or tiles, 2] sums of |x - y| and SSIM
+  __global const real *image, __global const uchar *photo, int width, int height, int stride, int rows, int first,     \
+      real red, real green, real blue, BLANK_ARGUMENTS
+// A launch is over one channel, or by groups over some from `first` on, one after the other along the second axis.
+#if GROUP_STYLE
+#define CHANNEL (first + (int)get_group_id(1))
+#else
+#define CHANNEL first
+#endif
+#define BACKGROUND(channel) ((channel) == 0 ? red : (channel) == 1 ? green : blue)
+// out [3, rows, stride] (by groups [3, 3, rows, stride]), or [2, rows, stride] of errors; [3, strips or tiles, 2] sums of |x - y| and
+// SSIM
 #define FORWARD_ARGUMENTS IMAGE_ARGUMENTS int write_error, __global real *maps, __global real *partial
-// in [3, rows, stride], (1 - lambda) / (3 width height), lambda / (3 width height); out [3, rows, stride]
+// in [3, rows, stride] (by groups [3, 3, rows, stride]), (1 - lambda) / (3 width height), lambda / (3 width height); out [3, rows, stride]
 #define BACKWARD_ARGUMENTS IMAGE_ARGUMENTS __global const real *maps, real weight_l1, real weight_ssim, __global real *dimage
 
 #if !GROUP_STYLE
@@ -229,7 +237,8 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
   const int x0 = sx * STRIP, y0 = sy * LOSS_ROWS;
   if (x0 >= stride || y0 >= rows) return;
   const long plane = (long)stride * rows;
-  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  const int channel = CHANNEL;
+  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, BACKGROUND(channel)};
   const size_t columns = (stride + STRIP - 1) / STRIP, strips = columns * ((rows + LOSS_ROWS - 1) / LOSS_ROWS);
   const size_t strip = channel * strips + sy * columns + sx;
 #if SKIP_BLANK
@@ -297,7 +306,8 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
   const int x0 = get_global_id(0) * STRIP, y0 = get_global_id(1) * LOSS_ROWS;
   if (x0 >= stride || y0 >= rows) return;
   const long plane = (long)stride * rows;
-  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  const int channel = CHANNEL;
+  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, BACKGROUND(channel)};
   dimage += channel * plane;
 #if SKIP_BLANK
   int active[STRIP / VW];
@@ -381,14 +391,15 @@ static inline void window_moments(__local real2 staged[WIDE][WIDE], __local real
   }
 }
 
-// Launch: one work-group of TILE x TILE work-items per tile, each with a pixel. Results as in the other style, but that `partial`
-// has the sums of tiles. Work-items of the padding and of tiles that are left out take part in every barrier.
+// Launch: one work-group of TILE x TILE work-items per tile and channel, each with a pixel. Results as in the other style, but that
+// `partial` has the sums of tiles, and that each channel has derivative maps of its own. Work-items of the padding and of tiles that are left out take part in every barrier.
 CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
   const int tile = get_group_id(0), l = get_local_id(0), tiles_x = stride / TILE;
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
   const long plane = (long)stride * rows;
-  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  const int channel = CHANNEL;
+  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, BACKGROUND(channel)};
   __local real2 staged[WIDE][WIDE];
   __local real4 windows[TILE][WIDE];
 #if SKIP_BLANK
@@ -410,7 +421,7 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
     ssim = ssim_of(m.s0, m.s1, m.s2, m.s3, &dmx, &dxx, &dxy);
   }
   if (x >= width || y >= height) difference = ssim = dmx = dxx = dxy = R(0.0);
-  __global real *at = maps + (size_t)y * stride + x;
+  __global real *at = maps + (write_error ? 0 : 3 * channel * plane) + (size_t)y * stride + x;
   if (write_error) {
     const real third = R(1.0) / R(3.0), e = (R(1.0) - ssim) * third, d = difference * third;
     at[0] = channel == 0 ? e : at[0] + e;
@@ -465,7 +476,8 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
   const long plane = (long)stride * rows;
-  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, background};
+  const int channel = CHANNEL;
+  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, BACKGROUND(channel)};
   __local real staged[3][WIDE][WIDE];
   __local real4 windows[TILE][WIDE];
 #if SKIP_BLANK
@@ -473,7 +485,7 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
 #else
   const int active = 1;
 #endif
-  if (active) stage_maps(maps, tile_x, tile_y, stride, rows, staged);
+  if (active) stage_maps(maps + 3 * channel * plane, tile_x, tile_y, stride, rows, staged);
   barrier(CLK_LOCAL_MEM_FENCE);
   if (active) window_maps(staged, windows);
   barrier(CLK_LOCAL_MEM_FENCE);

@@ -12,11 +12,12 @@ use crate::pipeline::stage::adam::{Step, adam};
 use crate::pipeline::stage::edit::edit;
 use crate::pipeline::stage::exposure::{ENTRIES, IDENTITY, backward, center};
 use crate::pipeline::stage::importance::importance;
+use crate::pipeline::stage::morton::{Order, kept};
 use crate::pipeline::stage::noise::noise;
 use crate::pipeline::stage::project_grad::project_grad;
 use crate::pipeline::stage::screen_grad::screen_grad;
 use crate::pipeline::stage::seen::seen;
-use crate::scene::{Plane, filters};
+use crate::scene::{Gaussians, Plane, filters};
 
 /// Noise of every case: gentle enough a gate that all Gaussians take part, and as long as the scene is large.
 pub const NOISE: NoiseLaw = NoiseLaw {
@@ -295,6 +296,18 @@ pub(super) fn edited(case: &Case, state: Stepped<Vec<Vec<f64>>>) -> Vec<f64> {
     let [mut rows, mut first, mut second] = state;
     edit(&case.edits, &mut rows, [&mut first, &mut second]);
     [rows, first, second].concat().concat()
+}
+
+/// Rows that a pass removes, of n.
+pub(super) fn removed(n: usize) -> impl Iterator<Item = u32> {
+    (0..n as u32).filter(|i| i % 5 == 2)
+}
+
+/// Rows that stay, in Morton order.
+pub(super) fn ordered(splats: &Gaussians, removed: &[u32]) -> Vec<f64> {
+    let axis = |k: usize| splats.planes()[Plane::POSITION + k].as_slice();
+    let rows = kept([axis(0), axis(1), axis(2)], removed, Order::Morton);
+    rows.into_iter().map(f64::from).collect()
 }
 
 /// Largest sum of magnitudes of the terms of dL/d\[A | b\].

@@ -6,6 +6,7 @@
 pub mod cases;
 pub mod check;
 pub mod definition;
+mod optimise;
 pub mod page;
 pub mod pass;
 pub mod stress;

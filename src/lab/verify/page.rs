@@ -17,7 +17,7 @@ const CURVES: [&[&str]; 5] = [
     &["splat", "scan", "bin", "sort"],
     &["loss", "metrics", "importance"],
     &["exposure", "splat_grad", "screen_grad", "seen"],
-    &["project_grad", "adam", "noise", "edit"],
+    &["project_grad", "adam", "noise", "edit", "morton"],
 ];
 
 fn is_double(row: &Row) -> bool {

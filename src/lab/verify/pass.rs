@@ -11,16 +11,18 @@ use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::lab::verify::cases::{ADAM, Case};
 use crate::lab::verify::definition::{
     EXPOSURE_RATE, EXPOSURES, NOISE, NOISE_KEYS, ProjectedRow, Reference, VIEW, edited,
-    largest_sum, lists, seen_before,
+    largest_sum, lists, ordered, removed, seen_before,
 };
+use crate::lab::verify::optimise::optimise;
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{Pipeline, Target};
-use crate::pipeline::stage::adam::{LearningRates, Step};
+use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::exposure::{apply, backward};
 use crate::pipeline::stage::loss::ImagePair;
-use crate::pipeline::stage::{adam, edit, filter, metrics, noise, project_grad, screen_grad, seen};
+use crate::pipeline::stage::morton::{Morton, Order};
+use crate::pipeline::stage::{edit, filter, metrics, noise, project_grad, screen_grad, seen};
 use crate::scene::Plane;
 
 /// A named array of numbers.
@@ -94,32 +96,11 @@ pub fn run<R: Real>(
             pass.add("filter", "standard deviation", got, want);
         }
         pass.exposure()?;
+        pass.order()?;
         let times = device.take_times(usize::MAX)?.into_iter();
         pass.out.seconds = times.map(|(stage, t)| (stage, t.seconds)).collect();
         Ok(pass.out)
     })
-}
-
-/// Both moments after steps of the optimiser with the same gradients, which change the scene.
-pub(super) fn optimise<R: Real>(
-    kernels: &Kernels,
-    scene: &GaussianBuffers<R>,
-    block: &GradientBlock<'_, R>,
-    (rate, steps): (LearningRates, u32),
-    frame: &ViewBuffers<R>,
-) -> Result<[Array<R>; 2]> {
-    let stage = kernels.build::<R>("adam")?;
-    let zeros = |name| Array::zeros(kernels.device(), name, scene.params.len());
-    let [m, v] = [zeros("moment1")?, zeros("moment2")?];
-    for t in 1..=steps {
-        let step = Step {
-            rate,
-            constants: ADAM,
-            t,
-        };
-        adam::update(&stage, scene, [&m, &v], block, &step, frame)?;
-    }
-    Ok([m, v])
 }
 
 /// Numbers in f64.
@@ -522,6 +503,19 @@ impl<'a, R: Real> Pass<'a, R> {
         self.add("edit", "rows", got, |r, out| {
             edited(case, r.optimised(case, &out.gradients(), 2))
         });
+        Ok(())
+    }
+
+    /// Rows in Morton order without some that are removed; takes arrays of the view for scratch.
+    fn order(&mut self) -> Result<()> {
+        let stage = Morton::new::<R>(&self.kernels)?;
+        let removed: Vec<u32> = removed(self.scene.count).collect();
+        let (forward, scene) = (&mut self.pipeline.forward, &self.scene);
+        let rows = forward.sort_rows(&stage, scene, &removed, Order::Morton)?;
+        let rows = rows.read(0, scene.count - removed.len())?;
+        let got = rows.into_iter().map(f64::from).collect();
+        let splats = &self.case.splats;
+        self.add("morton", "order", got, |_, _| ordered(splats, &removed));
         Ok(())
     }
 

@@ -59,7 +59,7 @@ impl<'a, R: Real> ImagePair<'a, R> {
 #[derive(Debug)]
 pub struct Loss<R: Real> {
     program: Program,
-    /// SSIM derivative maps of the channel at hand, or error maps.
+    /// SSIM derivative maps of the channel at hand (in the group style of each), or error maps.
     pub maps: Array<R>,
     /// Sums of |x − y| and SSIM of each channel and strip (tile, where a work-group takes one), in turn.
     pub partial: Array<R>,
@@ -80,13 +80,17 @@ fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
     }
 }
 
-/// Enqueues a sweep over the strips, or tiles, of an image.
-fn sweep(launch: Launch<'_>, strips: [usize; 2]) -> Result<()> {
-    if launch.defines().tuning.group_style {
-        launch.over_groups(strips.iter().product())
-    } else {
-        launch.over_chunks(strips)
+/// Planes of the maps of errors.
+const ERRORS: usize = 2;
+
+/// Enqueues a sweep over the strips of an image, or over its tiles in `channels` channels.
+fn sweep(launch: Launch<'_>, strips: [usize; 2], channels: usize) -> Result<()> {
+    let tuning = launch.defines().tuning;
+    if !tuning.group_style {
+        return launch.over_chunks(strips);
     }
+    let (tiles, group): (usize, _) = (strips.iter().product(), tuning.tile_group());
+    launch.run([tiles * group, channels], [group, 1])
 }
 
 /// Length of [`Loss::partial`] for an image.
@@ -99,8 +103,14 @@ impl<R: Real> Loss<R> {
     pub fn new(kernels: &Kernels, largest: ImageSize, planes: usize) -> Result<Self> {
         let program = kernels.build::<R>("loss")?;
         let zeros = |name, len| Array::zeros(kernels.device(), name, len);
+        // Those of all channels where a launch takes them all; of errors there is one set.
+        let sets = if planes > ERRORS && program.defines().tuning.group_style {
+            3
+        } else {
+            1
+        };
         Ok(Self {
-            maps: zeros("maps", planes * largest.plane())?,
+            maps: zeros("maps", sets * planes * largest.plane())?,
             partial: zeros("partial", partial_len(&program, largest))?,
             nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
             program,
@@ -111,14 +121,19 @@ impl<R: Real> Loss<R> {
     pub fn gradient(&self, pair: &ImagePair<'_, R>, lambda: f64, dimage: &Array<R>) -> Result<()> {
         let (strips, values) = (strips(&self.program, pair.size), 3 * pair.size.plane());
         let weights = [1.0 - lambda, lambda].map(|weight| weight / pair.values());
-        for channel in 0..3 {
-            sweep(self.maps_of(pair, channel, false), strips)?;
+        let launches = match self.program.defines().tuning.group_style {
+            true => 1,
+            false => 3,
+        };
+        for first in 0..launches {
+            let channels = 3 / launches;
+            sweep(self.maps_of(pair, first, 3 * channels), strips, channels)?;
             let backward = self
-                .channel("loss_backward", pair, channel)
-                .array(&self.maps, values)
+                .channel("loss_backward", pair, first)
+                .array(&self.maps, channels * values)
                 .reals::<R>(weights)
                 .array(dimage, values);
-            sweep(backward, strips)?;
+            sweep(backward, strips, channels)?;
         }
         Ok(())
     }
@@ -128,8 +143,8 @@ impl<R: Real> Loss<R> {
     pub fn errors(&self, pair: &ImagePair<'_, R>) -> Result<()> {
         let strips = strips(&self.program, pair.size);
         (0..3).try_for_each(|channel| {
-            let launch = self.maps_of(pair, channel, true);
-            sweep(launch.counted_as("importance"), strips)
+            let launch = self.maps_of(pair, channel, ERRORS);
+            sweep(launch.counted_as("importance"), strips, 1)
         })
     }
 
@@ -151,11 +166,10 @@ impl<R: Real> Loss<R> {
         self.partial.read(0, partial_len(&self.program, size))
     }
 
-    /// A sweep that writes the maps of a channel, of errors or of derivatives, and the sums of the strips.
-    fn maps_of(&self, pair: &ImagePair<'_, R>, channel: usize, errors: bool) -> Launch<'_> {
-        let planes = if errors { 2 } else { 3 };
+    /// A sweep that writes so many planes of maps from a channel on, those of errors or of derivatives, and the sums of the strips.
+    fn maps_of(&self, pair: &ImagePair<'_, R>, channel: usize, planes: usize) -> Launch<'_> {
         self.channel("loss_forward", pair, channel)
-            .value(i32::from(errors))
+            .value(i32::from(planes == ERRORS))
             .array(&self.maps, planes * pair.size.plane())
             .array(&self.partial, partial_len(&self.program, pair.size))
     }
@@ -165,7 +179,7 @@ impl<R: Real> Loss<R> {
         let launch = pair
             .images(self.program.launch(kernel))
             .ints([at])
-            .reals::<R>([f64::from(pair.background[at])]);
+            .reals::<R>(pair.background.map(f64::from));
         if !self.program.defines().skips_blank() {
             return launch;
         }
