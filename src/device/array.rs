@@ -70,10 +70,6 @@ impl<T: Element> Array<T> {
         })
     }
 
-    pub(super) fn device(&self) -> &Arc<Inner> {
-        &self.device
-    }
-
     /// Name, as in `kernels/README.md`.
     #[must_use]
     pub fn name(&self) -> &'static str {
@@ -195,7 +191,7 @@ impl<T: Element> Array<T> {
     /// A range beyond the array, or the driver's.
     pub fn read_later(&self, offset: usize, len: usize) -> Result<PendingRead<T>> {
         self.check(offset, len)?;
-        PendingRead::begin(self, offset, len)
+        PendingRead::begin(&self.device, (self.name, &self.mem), offset, len)
     }
 
     /// Copies `len` values from `source` (at `from`) to this array (at `to`). Does not wait.

@@ -10,7 +10,7 @@ use crate::base::error::{Error, Result};
 use crate::device::error::{LOST, device_error};
 use crate::device::info::{DeviceInfo, enumerate, select};
 use crate::device::queues::{InUse, Queues};
-use crate::device::read::Staging;
+use crate::device::staging::Staging;
 use crate::device::tuning::Tuning;
 
 /// Device time of one stage.

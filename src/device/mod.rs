@@ -12,6 +12,7 @@ pub mod libraries;
 mod program;
 mod queues;
 mod read;
+mod staging;
 pub mod tuning;
 
 pub use crate::device::array::Array;

@@ -1,63 +1,14 @@
 //! [`PendingRead`]: a read that is under way, by way of buffers in the host's memory.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
-use ocl_core::{self as core, Event, MEM_ALLOC_HOST_PTR, MEM_READ_WRITE, MapFlags, Mem, MemMap};
+use ocl_core::{self as core, Event, MapFlags, Mem, MemMap};
 
 use crate::base::error::Result;
-use crate::device::array::Array;
 use crate::device::context::Inner;
 use crate::device::error::{LOST, LOWER, device_error};
 use crate::device::layout::Element;
-
-/// Bytes that are kept for reads to come.
-const KEPT: usize = 64 << 20;
-
-/// Buffers in the host's memory, which drivers pin: a device writes there by itself, while a copy to ordinary memory can keep the host
-/// until it is done. To make one takes long, so that they are used again.
-#[derive(Debug, Default)]
-pub(super) struct Staging {
-    idle: Mutex<Vec<Slot>>,
-}
-
-/// A buffer in the host's memory.
-#[derive(Debug)]
-struct Slot {
-    mem: Mem,
-    bytes: usize,
-}
-
-impl Staging {
-    fn idle(&self) -> MutexGuard<'_, Vec<Slot>> {
-        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// A buffer of at least so many bytes that nobody uses.
-    fn take(&self, context: &core::Context, bytes: usize) -> core::Result<Slot> {
-        // Powers of two, so that a read somewhat larger than the last one finds its buffer; those that are not kept as they are.
-        let bytes = match bytes.next_power_of_two() {
-            rounded if rounded <= KEPT => rounded,
-            _ => bytes,
-        };
-        let mut idle = self.idle();
-        if let Some(at) = idle.iter().position(|slot| slot.bytes == bytes) {
-            return Ok(idle.swap_remove(at));
-        }
-        let flags = MEM_READ_WRITE | MEM_ALLOC_HOST_PTR;
-        // SAFETY: no host pointer is given; the buffer is owned by `mem`.
-        let mem = unsafe { core::create_buffer(context, flags, bytes, None::<&[u8]>) }?;
-        Ok(Slot { mem, bytes })
-    }
-
-    /// Takes a buffer back.
-    fn give(&self, slot: Slot) {
-        let mut idle = self.idle();
-        let kept: usize = idle.iter().map(|slot| slot.bytes).sum();
-        if kept + slot.bytes <= KEPT {
-            idle.push(slot);
-        }
-    }
-}
+use crate::device::staging::Slot;
 
 /// A read that is under way; [`PendingRead::wait`] blocks until it is done.
 #[derive(Debug)]
@@ -72,9 +23,13 @@ pub struct PendingRead<T: Element> {
 }
 
 impl<T: Element> PendingRead<T> {
-    /// Enqueues a read of `len` values of an array from `offset` on, all of them within it, without waiting.
-    pub(super) fn begin(array: &Array<T>, offset: usize, len: usize) -> Result<Self> {
-        let (device, name) = (array.device().clone(), array.name());
+    /// Enqueues a read of `len` values of a buffer from `offset` on, all of them within it, without waiting.
+    pub(super) fn begin(
+        device: &Arc<Inner>,
+        (name, mem): (&'static str, &Mem),
+        offset: usize,
+        len: usize,
+    ) -> Result<Self> {
         let what = format!("read {name}");
         let (offset, values) = match len {
             // Drivers refuse to copy nothing; every array has room for a value.
@@ -88,7 +43,7 @@ impl<T: Element> PendingRead<T> {
         let queue = device.queue();
         core::enqueue_copy_buffer::<T, _, _, _>(
             &queue,
-            &array.mem,
+            mem,
             &slot.mem,
             offset,
             0,
@@ -114,7 +69,7 @@ impl<T: Element> PendingRead<T> {
         .map_err(|e| device_error(&what, &e, LOST))?;
         drop(queue);
         Ok(Self {
-            device,
+            device: device.clone(),
             name,
             len,
             slot: Some(slot),

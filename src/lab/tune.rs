@@ -33,8 +33,6 @@ const ROUNDS: [usize; 2] = [3, 7];
 const LONG: f64 = 2.0;
 /// Views of the scene that candidates run on: a sample is an iteration with each.
 const VIEWS: usize = 2;
-/// Number of classes that CPUs tell apart.
-const CPU_CLASSES: usize = 2;
 /// Memory of a device below which it tunes for no large runs: all candidates hold their scenes at once.
 const ROOMY: u64 = 8 << 30;
 
@@ -94,7 +92,8 @@ impl SizeClass {
     #[must_use]
     pub fn told_apart(info: &DeviceInfo) -> &'static [Self] {
         match info.kind {
-            DeviceKind::Cpu => &Self::ALL[..CPU_CLASSES],
+            // The best vectors are the same for larger scenes, which take ten times as long (docs/results/speed.md).
+            DeviceKind::Cpu => &Self::ALL[..1],
             _ if info.global_memory < ROOMY => &Self::ALL[..2],
             _ => &Self::ALL,
         }
