@@ -1,13 +1,15 @@
 //! Composites a small scene in the style of GPUs, forward and backward, and prints how many pairs it has:
 //! `cargo run --release --example splat_pairs`. `.ci/gpu-check` counts within it how these kernels use local memory.
 
-use mhsplat::Result;
+use std::io::Write;
+
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Array, CameraArg, Defines, Device};
 use mhsplat::lab::verify::cases::mild;
 use mhsplat::pipeline::backward::Backward;
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::{RenderOptions, Renderer};
+use mhsplat::{Error, Result};
 
 fn main() -> Result<()> {
     let case = mild("200 Gaussians, 48x32, SH 0", 200, [48, 32], 0, 5);
@@ -26,6 +28,6 @@ fn main() -> Result<()> {
     Backward::new::<f32>(&device, defines)?.splats(&renderer, &dimage)?;
     device.finish()?;
     let pairs = renderer.intersections_per_tile()?;
-    println!("{}", pairs.iter().sum::<u32>());
-    Ok(())
+    let pairs: u32 = pairs.iter().sum();
+    writeln!(std::io::stdout(), "{pairs}").map_err(|e| Error::io("standard output", e))
 }
