@@ -48,7 +48,11 @@ fn measure(gaussians: usize, pixels: u32, steps: usize) {
     let mut done = 0;
     let mut iterations: Vec<f64> = Vec::new();
     while done < steps {
-        if trainer.schedule().density_due(trainer.iteration()).is_some() {
+        if trainer
+            .schedule()
+            .density_due(trainer.iteration())
+            .is_some()
+        {
             // The iterations under way are none of the step's time.
             trainer.settle().unwrap();
         }

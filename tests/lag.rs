@@ -166,7 +166,7 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
     let lag = |kind, config: &TrainConfig| {
         let strategy = mhsplat::density::make(config);
         let plan = Plan::new(&data, config).unwrap();
-        let plan = plan.on_device(kind, strategy.as_ref());
+        let plan = plan.with_strategy(kind, strategy.as_ref());
         plan.config.work.density_lag
     };
     let config = TrainConfig::default();

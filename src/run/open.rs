@@ -7,7 +7,6 @@ use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
 use crate::capture::Dataset;
 use crate::config::{Length, TrainConfig};
-use crate::density;
 use crate::device::{Defines, Device};
 use crate::evaluate::Evaluator;
 use crate::pipeline::buffers::ViewSet;
@@ -203,8 +202,7 @@ impl Run {
         } = from;
         let again = lock.is_some();
         check_clock(&plan.config)?;
-        let strategy = density::make(&plan.density_config());
-        let plan = plan.on_device(device.info().kind, strategy.as_ref());
+        let plan = plan.on_device(device);
         let mut record = start::record(&dataset, &plan, device);
         record.config.lengths.extend(&to_come);
         if saved.is_some() && dir.join(RECORD_FILE).exists() {

@@ -13,8 +13,8 @@ use crate::capture::{Alpha, Dataset, PhotoSource, View};
 use crate::config::{
     AntiAliasing, Background, ExposureChoice, Init, Sampler, TrainConfig, WorkConfig,
 };
-use crate::density::DensityControl;
-use crate::device::DeviceKind;
+use crate::density::{self, DensityControl};
+use crate::device::{Device, DeviceKind};
 use crate::scene::formats;
 use crate::train::brightness::GainSpread;
 use crate::train::reasons::{NO_CAMERA_SAW, Part, Why};
@@ -119,10 +119,17 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// The plan with what depends on the device: a density step is decided while training goes on unless that takes the same processor, or
-    /// the strategy asks the device for estimates meanwhile.
+    /// The plan with what depends on the device, for the strategy that the configuration names; see [`Plan::with_strategy`].
     #[must_use]
-    pub fn on_device(mut self, kind: DeviceKind, strategy: &dyn DensityControl) -> Self {
+    pub fn on_device(self, device: &Device) -> Self {
+        let strategy = density::make(&self.density_config());
+        self.with_strategy(device.info().kind, strategy.as_ref())
+    }
+
+    /// The plan for a kind of device and a strategy: a density step is decided while training goes on unless that takes the same
+    /// processor, or the strategy asks the device for estimates meanwhile.
+    #[must_use]
+    pub fn with_strategy(mut self, kind: DeviceKind, strategy: &dyn DensityControl) -> Self {
         let lag = &mut self.config.work.density_lag;
         let waits = kind == DeviceKind::Cpu;
         lag.get_or_insert(if waits { 0 } else { DENSITY_LAG });
@@ -189,7 +196,7 @@ impl Plan {
     }
 
     /// The configuration with what the start decides about density control.
-    pub(crate) fn density_config(&self) -> TrainConfig {
+    pub(super) fn density_config(&self) -> TrainConfig {
         let mut config = self.config.clone();
         if self.random_start {
             let first = config.mh.from_iteration;

@@ -182,7 +182,7 @@ impl Trainer {
         let device = &set.photos().device().clone();
         let plan = &plan
             .clone()
-            .on_device(device.info().kind, strategy.as_ref());
+            .with_strategy(device.info().kind, strategy.as_ref());
         let (config, degree) = (&plan.config, plan.sh_degree.value);
         let defines = Defines {
             alpha: plan.alpha,
