@@ -1,5 +1,5 @@
 // loss: L = (1 - lambda) mean|x - y| + lambda (1 - mean SSIM) and dL/dx, by two sweeps of separable 11-tap windows
-// (sigma 1.5, zero padding), one channel after the other so that the maps between the sweeps stay in cache. Both images
+// (sigma 1.5, zero padding), on CPUs one channel after the other so that the maps between the sweeps stay in cache. Both images
 // are shifted by SHIFT = 1/2, padding included, which leaves variances and covariances as they are and keeps
 // E[x^2] - E[x]^2 from cancelling on flat images. Columns are windowed first, then rows. On CPUs a work-item takes a strip
 // of STRIP columns by LOSS_ROWS rows and has the windows in private arrays (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in

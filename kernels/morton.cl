@@ -3,11 +3,9 @@
 // have no f64, and the same scene has the same order on every device. Source: Morton 1966.
 // A pass is morton_box, morton_cells, morton_keys, morton_remove, a sort of the low halves, morton_high, a sort of the high halves.
 
-#define AXIS_BITS 21
-#define CELLS ((1ul << AXIS_BITS) - 1)
-// Numbers of CELL_GRID are four to an axis: bits of the lowest coordinate; high and low half of the significand of cells per unit, 0
+#define CELLS ((1ul << MORTON_BITS) - 1)
+// Numbers of the grid are four to an axis: bits of the lowest coordinate; high and low half of the significand of cells per unit, 0
 // for an axis without extent; its exponent.
-#define GRID 4
 
 // A number that is not negative: significand times 2^exponent, the significand 0 or of 53 bits, as f64 has it.
 typedef struct {
@@ -63,14 +61,14 @@ static inline Float64 times(Float64 a, Float64 b) {
 
 // CELLS over a number above 0.
 static inline Float64 cells_over(Float64 extent) {
-  ulong rest = CELLS << (53 - AXIS_BITS), quotient = 0;
+  ulong rest = CELLS << (53 - MORTON_BITS), quotient = 0;
   const int turns = 57;
   for (int k = 0; k < turns; k++) {
     const ulong fits = rest >= extent.significand;
     quotient = quotient << 1 | fits;
     rest = (rest - (fits ? extent.significand : 0)) << 1;
   }
-  return rounded(quotient << 1 | (rest != 0), AXIS_BITS - 53 - extent.exponent - turns);
+  return rounded(quotient << 1 | (rest != 0), MORTON_BITS - 53 - extent.exponent - turns);
 }
 
 // Cell of a coordinate. -inf and NaN are in the first, inf in the last; all are in the first of an axis without extent.
@@ -134,7 +132,7 @@ CHUNK_KERNEL void morton_box(__global const real *params, uint stride, uint coun
 
 // Launch: one work-item per axis. Cells per unit from the boxes of all chunks.
 __kernel void morton_cells(__global const float *boxes, uint chunks, // in [chunks, 3, 2]
-                           __global uint *grid) {                    // out [3, GRID]
+                           __global uint *grid) {                    // out [3, MORTON_GRID]
   const uint k = get_global_id(0);
   if (k >= 3) return;
   float low = INFINITY, high = -INFINITY;
@@ -144,15 +142,15 @@ __kernel void morton_cells(__global const float *boxes, uint chunks, // in [chun
   }
   Float64 scale = {0, 0};
   if (high > low) scale = cells_over(difference(as_uint(high), as_uint(low)));
-  grid[k * GRID] = as_uint(low);
-  grid[k * GRID + 1] = (uint)(scale.significand >> 32);
-  grid[k * GRID + 2] = (uint)scale.significand;
-  grid[k * GRID + 3] = (uint)scale.exponent;
+  grid[k * MORTON_GRID] = as_uint(low);
+  grid[k * MORTON_GRID + 1] = (uint)(scale.significand >> 32);
+  grid[k * MORTON_GRID + 2] = (uint)scale.significand;
+  grid[k * MORTON_GRID + 3] = (uint)scale.exponent;
 }
 
 // Launch: one work-item per Gaussian. Codes as two halves, the number of rows, and rows as they are.
 __kernel void morton_keys(__global const real *params, uint stride, uint count, // in [3, stride], local units
-                          __global const uint *grid, int ordered,               // in [3, GRID]; 0: all codes are 0
+                          __global const uint *grid, int ordered,               // in [3, MORTON_GRID]; 0: all codes are 0
                           __global uint *low, __global uint *high,              // out [count] 32 bits; 31 bits
                           __global uint *rows,                                  // out [count]
                           __global uint *status) {                              // out S_VISIBLE: count
@@ -160,7 +158,7 @@ __kernel void morton_keys(__global const real *params, uint stride, uint count, 
   if (i >= count) return;
   ulong code = 0;
   for (int k = 0; ordered && k < 3; k++)
-    code |= spread(cell_of((float)params[(size_t)(P_POSITION + k) * stride + i], grid + k * GRID)) << k;
+    code |= spread(cell_of((float)params[(size_t)(P_POSITION + k) * stride + i], grid + k * MORTON_GRID)) << k;
   low[i] = (uint)code;
   high[i] = (uint)(code >> 32);
   rows[i] = i;

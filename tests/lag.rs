@@ -5,7 +5,7 @@ use mhsplat::TrainConfig;
 use mhsplat::config::{MhConfig, Sampler, Surrogate, WorkConfig};
 use mhsplat::device::{Device, DeviceKind};
 use mhsplat::run::{checkpoint, initial_gaussians};
-use mhsplat::train::{Event, Trainer};
+use mhsplat::train::{Event, PendingStep, Trainer};
 
 use crate::determinism::{drive, room, saved, trained};
 
@@ -105,6 +105,33 @@ fn a_run_stopped_while_a_step_is_decided_ends_with_the_same_bits() {
         trainer.restore(&read.state).unwrap();
         drive(&mut trainer, ITERATIONS).unwrap();
         assert!(whole == trainer.state().unwrap().splats, "{sampler:?}");
+    }
+}
+
+#[test]
+fn a_pending_step_that_does_not_fit_the_set_is_refused() {
+    let data = room(64);
+    let config = lagging(Sampler::Mh, 8);
+    let (mut half, _) = trained(&data, &config, 55);
+    let good = saved(&mut half, &config, &data);
+    let folder = tempfile::tempdir().unwrap();
+    let read_back = |spoil: &dyn Fn(&mut PendingStep)| {
+        let mut checkpoint = good.clone();
+        spoil(checkpoint.state.deciding.as_mut().unwrap());
+        checkpoint::write(folder.path(), &checkpoint).unwrap();
+        checkpoint::read(folder.path())
+    };
+    let read = read_back(&|_| ()).unwrap();
+    assert_eq!(read.state.deciding, good.state.deciding);
+    for spoil in [
+        &(|step: &mut PendingStep| step.edits[0].src = u32::MAX) as &dyn Fn(&mut PendingStep),
+        &|step| step.edits[0].dst = step.rows as u32,
+        &|step| step.removed = vec![step.rows as u32],
+        &|step| step.removed = vec![2, 1],
+        &|step| step.rows = 1,
+    ] {
+        let error = read_back(spoil).unwrap_err().to_string();
+        assert!(error.contains("density step"), "{error}");
     }
 }
 

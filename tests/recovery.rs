@@ -218,6 +218,17 @@ fn killed_before_its_first_record_it_leaves_no_folder() {
 /// The checkpoint of an iteration comes before its density step, whose row is in the table already where a run is killed later.
 #[test]
 fn a_density_step_after_the_checkpoint_has_one_row() {
+    resumed_with_one_row_a_step(0, 0, 1);
+}
+
+/// The checkpoint comes while a step is decided, the row once it has ended.
+#[test]
+fn a_density_step_under_way_at_the_checkpoint_has_one_row() {
+    resumed_with_one_row_a_step(6, 3, 8);
+}
+
+/// Steps end `lag` iterations after they begin; the checkpoint is `saved` iterations after a step, the kill `lost`.
+fn resumed_with_one_row_a_step(lag: u32, saved: u32, lost: u32) {
     let dir = tempfile::tempdir().unwrap();
     let [whole, run] = ["whole", "run"].map(|name| dir.path().join(name));
     assert!(train(&room(), &whole, false).status().unwrap().success());
@@ -225,7 +236,8 @@ fn a_density_step_after_the_checkpoint_has_one_row() {
     let told = rows(&whole);
     let step = told[told.len() / 2].iteration;
     let mut config = saved_config(&whole).unwrap();
-    config.checkpoint_every = step;
+    config.checkpoint_every = step + saved;
+    config.work.density_lag = Some(lag);
     fs::create_dir(&run).unwrap();
     let device = Device::open(None).unwrap();
     let options = LoadOptions {
@@ -236,12 +248,14 @@ fn a_density_step_after_the_checkpoint_has_one_row() {
     let killed = dir.path().join("killed");
     let mut begun = Run::start(&run, data, config, &device, Clock::start()).unwrap();
     let copied = |p: &Progress| {
-        if p.iteration == step + 1 {
+        if p.iteration == step + lost {
             copy(&run, &killed);
         }
     };
     begun.drive(&AtomicBool::new(false), copied).unwrap();
-    assert_eq!(checkpoint::read(&killed).unwrap().state.iteration, step);
+    let state = checkpoint::read(&killed).unwrap().state;
+    assert_eq!(state.iteration, step + saved);
+    assert_eq!(state.deciding.is_some(), lag > 0);
     assert_eq!(rows(&killed).last().unwrap().iteration, step);
     assert!(train(&room(), &killed, true).status().unwrap().success());
     let steps = |rows: &[DensityRow]| -> Vec<u32> { rows.iter().map(|r| r.iteration).collect() };

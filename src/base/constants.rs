@@ -49,3 +49,6 @@ pub const SSIM_TAPS: usize = 11;
 pub const SSIM_SIGMA: f64 = 1.5;
 /// Constants C1 and C2 of SSIM for a data range of 1.
 pub const SSIM_C: [f64; 2] = [0.01 * 0.01, 0.03 * 0.03];
+
+/// Numbers per axis of the grid of Morton cells on the device.
+pub const MORTON_GRID: usize = 4;

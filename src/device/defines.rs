@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::base::constants::{self, blur};
 use crate::capture::Alpha;
 use crate::device::tuning::{self, Tuning, status};
-use crate::scene::Plane;
+use crate::scene::{Plane, morton};
 
 /// Choices that a program is compiled with.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,6 +98,8 @@ impl Defines {
         int("P_ROTATION", Plane::ROTATION as u64);
         int("P_OPACITY", Plane::OPACITY as u64);
         int("P_SH", Plane::SH as u64);
+        int("MORTON_BITS", u64::from(morton::BITS));
+        int("MORTON_GRID", constants::MORTON_GRID as u64);
         int("STATUS_SLOTS", status::SLOTS as u64);
         int("S_VISIBLE", u64::from(status::VISIBLE));
         int("S_INTERSECTIONS", u64::from(status::INTERSECTIONS));

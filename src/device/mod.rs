@@ -22,4 +22,4 @@ pub use crate::device::info::{DeviceInfo, DeviceKind};
 pub use crate::device::launch::{Launch, Program};
 pub use crate::device::layout::{CameraArg, Element, ImageSize, Projected, Real};
 pub use crate::device::program::{Kernels, source, sources_hash, stages};
-pub use crate::device::read::PendingRead;
+pub use crate::device::read::{Arrived, PendingRead};

@@ -1,5 +1,6 @@
 //! [`PendingRead`]: a read that is under way, by way of buffers in the host's memory.
 
+use std::ops::Deref;
 use std::sync::Arc;
 
 use ocl_core::{self as core, Event, MapFlags, Mem, MemMap};
@@ -78,15 +79,37 @@ impl<T: Element> PendingRead<T> {
         })
     }
 
-    /// Waits for the data.
+    /// Waits for the data, and copies it.
     ///
     /// # Errors
     /// The driver's.
     pub fn wait(self) -> Result<Vec<T>> {
+        Ok(self.arrived()?.to_vec())
+    }
+
+    /// Waits for the data, which stays where it has arrived.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn arrived(self) -> Result<Arrived<T>> {
         core::wait_for_event(&self.event)
             .map_err(|e| device_error(&format!("read {}", self.name), &e, LOST))?;
-        // SAFETY: the mapping is done and has at least `len` values, of a type of which any bits are one.
-        Ok(unsafe { self.map.as_slice(self.len) }.to_vec())
+        Ok(Arrived { read: self })
+    }
+}
+
+/// Values that have been read, in the buffer that they were transferred to.
+#[derive(Debug)]
+pub struct Arrived<T: Element> {
+    read: PendingRead<T>,
+}
+
+impl<T: Element> Deref for Arrived<T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        // SAFETY: the mapping is done and has at least `len` values, of a type of which any bits are one; it ends with `read`.
+        unsafe { self.read.map.as_slice(self.read.len) }
     }
 }
 

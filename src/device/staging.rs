@@ -4,8 +4,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use ocl_core::{self as core, MEM_ALLOC_HOST_PTR, MEM_READ_WRITE, Mem};
 
-/// Bytes that are kept for reads to come.
-const KEPT: usize = 64 << 20;
+/// Bytes that are kept for large reads to come: a million Gaussians' parameters and pictures of some megapixels.
+const KEPT: usize = 256 << 20;
+/// Bytes of a small buffer, which is always kept.
+const SMALL: usize = 64 << 10;
 
 /// Buffers in the host's memory, which drivers pin: a device writes there by itself, while a copy to ordinary memory can keep the host
 /// until it is done. To make one takes long, so that they are used again.
@@ -46,8 +48,9 @@ impl Staging {
     /// Takes a buffer back.
     pub fn give(&self, slot: Slot) {
         let mut idle = self.idle();
-        let kept: usize = idle.iter().map(|slot| slot.bytes).sum();
-        if kept + slot.bytes <= KEPT {
+        let large = idle.iter().filter(|slot| slot.bytes > SMALL);
+        let kept: usize = large.map(|slot| slot.bytes).sum();
+        if slot.bytes <= SMALL || kept + slot.bytes <= KEPT {
             idle.push(slot);
         }
     }

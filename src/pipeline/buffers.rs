@@ -71,7 +71,7 @@ fn too_many([planes, size]: [usize; 2], stride: usize, most: u64) -> Option<[Str
 }
 
 /// Refuses an array of values for each Gaussian that no buffer of the device can hold.
-fn check_room<R: Real>(
+pub(crate) fn check_room<R: Real>(
     device: &Device,
     name: &'static str,
     planes: usize,

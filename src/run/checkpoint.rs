@@ -2,7 +2,7 @@
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
 //! order of [`crate::scene::Plane`]), `cues` \[rows, N\] (where the sampler has any), `filter` \[N\] (with anti-aliasing),
-//! `exposures` \[3, 12 · views\] (with per-image exposure) and `losses` \[2 · ring\] and, as metadata, format version,
+//! `exposures` \[3, 12 · views\] (with per-image exposure), `edits` \[13, edits\] and `removed` (of a density step under way) and `losses` \[2 · ring\] and, as metadata, format version,
 //! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning, with a checksum of all that. It is
 //! written beside the old one and renamed over it.
 
@@ -19,14 +19,14 @@ use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
 use crate::run::clock::Reading;
 use crate::run::record::StageRecord;
-use crate::scene::{Gaussians, Plane};
+use crate::scene::{Edit, Gaussians, Plane};
 use crate::train::gaussians::GaussianRows;
 use crate::train::{Learned, Next, PendingStep, TrainerState};
 
 const VERSION: u32 = 11;
 
 /// Tensors in the order of the checksum.
-const NAMES: [&str; 7] = [
+const NAMES: [&str; 9] = [
     "params",
     "moment1",
     "moment2",
@@ -34,10 +34,12 @@ const NAMES: [&str; 7] = [
     "cues",
     "filter",
     "exposures",
+    "edits",
+    "removed",
 ];
 
 /// Tensors that are left out where they have no value.
-const OPTIONAL: [&str; 3] = ["cues", "filter", "exposures"];
+const OPTIONAL: [&str; 5] = ["cues", "filter", "exposures", "edits", "removed"];
 
 /// First entry of the header, in every version.
 #[derive(Deserialize)]
@@ -124,6 +126,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
     let header = serde_json::to_string(&header).map_err(encoding)?;
     let one = std::slice::from_ref;
     let (splats, rows) = (state.splats.planes(), &state.rows);
+    let (edits, removed) = state.deciding.as_ref().map_or_else(Default::default, bits);
     let values = [
         splats,
         &rows.moment1,
@@ -132,11 +135,13 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         &rows.statistics,
         one(&rows.filter),
         &state.exposures,
+        &edits,
+        one(&removed),
     ];
     let tensors = NAMES.iter().zip(values).filter_map(|(name, rows)| {
         let count = rows.first().map_or(0, Vec::len);
         let shape = match *name {
-            "losses" | "filter" => vec![count],
+            "losses" | "filter" | "removed" => vec![count],
             _ => vec![rows.len(), count],
         };
         let bytes = rows.iter().flatten().flat_map(|v| v.to_le_bytes());
@@ -156,6 +161,40 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
     let metadata = HashMap::from([("mhsplat".to_owned(), header), ("crc32".to_owned(), sum)]);
     let data = safetensors::serialize(views, Some(metadata)).map_err(encoding)?;
     crate::base::files::write_bytes(&file, &data)
+}
+
+/// Numbers of an edit.
+const EDIT: usize = 13;
+
+/// Edits \[[`EDIT`], edits\] and removed rows of a step; integers are in the bits of the numbers.
+fn bits(step: &PendingStep) -> (Vec<Vec<f32>>, Vec<f32>) {
+    let rows: Vec<[f32; EDIT]> = step.edits.iter().map(Edit::to_bits).collect();
+    let edits = (0..EDIT).map(|k| rows.iter().map(|row| row[k]).collect());
+    let removed = step.removed.iter().map(|row| f32::from_bits(*row));
+    (edits.collect(), removed.collect())
+}
+
+/// The step of a checkpoint with the edits and removed rows of its tensors.
+fn pending(
+    step: PendingStep,
+    tensors: &SafeTensors<'_>,
+    count: usize,
+) -> std::result::Result<PendingStep, String> {
+    let read = |name, rows| match tensors.tensor(name) {
+        Ok(_) => planes(tensors, name, rows, None),
+        Err(_) => Ok(vec![Vec::new(); rows]),
+    };
+    let (rows, removed) = (read("edits", EDIT)?, read("removed", 1)?);
+    let edit = |i: usize| Edit::of_bits(&std::array::from_fn(|k| rows[k][i]));
+    let step = PendingStep {
+        edits: (0..rows[0].len()).map(edit).collect(),
+        removed: removed[0].iter().map(|row| row.to_bits()).collect(),
+        ..step
+    };
+    match step.fits(count) {
+        true => Ok(step),
+        false => Err("the density step under way is of another scene".into()),
+    }
 }
 
 /// CRC-32 of the header and the tensors, eight hexadecimal digits.
@@ -224,12 +263,16 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
         false => Vec::new(),
     };
     let losses = read("losses", 1, None)?.concat();
+    let deciding = header
+        .deciding
+        .map(|step| pending(step, &tensors, splats.len()));
+    let deciding = deciding.transpose()?;
     let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
     Ok(Checkpoint {
         state: TrainerState {
             iteration: header.iteration,
             next: header.next,
-            deciding: header.deciding,
+            deciding,
             detail: header.detail,
             splats,
             rows: GaussianRows {

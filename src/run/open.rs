@@ -311,6 +311,9 @@ fn check_clock(config: &TrainConfig) -> Result<()> {
 
 /// The last iteration whose density step is in the table already: that of a step that the checkpoint comes before is written again.
 fn stepped(saved: &Checkpoint) -> u32 {
+    if let Some(step) = &saved.state.deciding {
+        return step.begun.saturating_sub(1);
+    }
     match saved.state.next {
         Next::Pause | Next::Density => saved.state.iteration.saturating_sub(1),
         _ => saved.state.iteration,

@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 /// Bits per axis.
-const BITS: u32 = 21;
+pub const BITS: u32 = 21;
 
 /// Rows in the order of their Morton codes over the bounding box, ties by row. Slices of equal length; a position that
 /// is not finite counts as the box's corner.

@@ -28,7 +28,7 @@ use crate::train::working::Working;
 /// Result of one density step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DensityEvent {
-    /// Iteration.
+    /// Iterations done when it began.
     pub iteration: u32,
     /// Progress η.
     pub progress: f64,
@@ -250,7 +250,7 @@ impl Control {
         let Decision { outcome, before } = deciding.wait()?;
         let rows = on.gaussians.scene.count;
         let order = self.apply(&mut on, &outcome)?;
-        if let Some(trace) = &mut self.trace {
+        if let (Some(trace), Some(before)) = (&mut self.trace, &before) {
             let logits = before.plane(Plane::OPACITY);
             trace.step(iteration, logits, &outcome, order.as_deref());
         }

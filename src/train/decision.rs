@@ -32,12 +32,12 @@ pub(super) struct Evidence {
 }
 
 /// A decision, and the parameters that it was taken from.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug)]
 pub struct Decision {
     /// Edits and counters.
     pub outcome: Outcome,
-    /// Parameters before; none after a resumption.
-    pub before: Snapshot,
+    /// Parameters before; `None` after a resumption.
+    pub before: Option<Snapshot>,
 }
 
 /// A density step that is decided and not applied; the parts of [`Outcome`] that change the Gaussians.
@@ -50,12 +50,14 @@ pub struct PendingStep {
     /// Iterations done when it ends.
     pub ends: u32,
     /// Rows to be written.
+    #[serde(skip)]
     pub edits: Vec<Edit>,
     /// Rows afterwards, with those to be removed.
     pub rows: usize,
     /// Largest opacity logit afterwards.
     pub logit_limit: Option<f32>,
     /// Rows to be removed, rising.
+    #[serde(skip)]
     pub removed: Vec<u32>,
     /// Counters.
     pub stats: DensityStats,
@@ -77,6 +79,8 @@ pub struct Deciding {
 enum State {
     Running(JoinHandle<Result<Decision>>),
     Decided(Box<Decision>),
+    /// Handed out.
+    Gone,
 }
 
 impl Evidence {
@@ -124,7 +128,22 @@ impl Evidence {
             }),
         };
         let outcome = strategy.step_estimated(&context, &scene, &evidence, estimate)?;
-        Ok(Decision { outcome, before })
+        Ok(Decision {
+            outcome,
+            before: Some(before),
+        })
+    }
+}
+
+impl PendingStep {
+    /// True if the edits fit a set of `count` Gaussians.
+    #[must_use]
+    pub fn fits(&self, count: usize) -> bool {
+        let rows = u32::try_from(self.rows).unwrap_or(0);
+        let edit = |e: &Edit| (e.src as usize) < count && e.dst < rows;
+        let rising = self.removed.is_sorted_by(|a, b| a < b);
+        let inside = self.removed.last().is_none_or(|row| *row < rows);
+        self.rows >= count && self.edits.iter().all(edit) && rising && inside
     }
 }
 
@@ -139,7 +158,7 @@ impl From<&PendingStep> for Deciding {
                 stats: step.stats,
                 ..Outcome::default()
             },
-            ..Decision::default()
+            before: None,
         };
         Self::decided([step.begun, step.ends], step.progress, decision)
     }
@@ -206,13 +225,23 @@ impl Deciding {
     ///
     /// # Errors
     /// The strategy's, or the driver's.
-    pub(super) fn wait(self) -> Result<Decision> {
-        match self.state {
+    pub(super) fn wait(mut self) -> Result<Decision> {
+        let failed = |what| Err(Error::numerics("density control", what));
+        match std::mem::replace(&mut self.state, State::Gone) {
             State::Decided(decision) => Ok(*decision),
-            State::Running(thread) => thread.join().unwrap_or_else(|_| {
-                let what = "the thread that decides has panicked";
-                Err(Error::numerics("density control", what))
-            }),
+            State::Running(thread) => thread
+                .join()
+                .unwrap_or_else(|_| failed("the thread that decides has panicked")),
+            State::Gone => failed("its decision has been taken already"),
+        }
+    }
+}
+
+impl Drop for Deciding {
+    fn drop(&mut self) {
+        // No thread goes on with the device after its step is of no use.
+        if let State::Running(thread) = std::mem::replace(&mut self.state, State::Gone) {
+            let _ = thread.join();
         }
     }
 }

@@ -1,8 +1,8 @@
 //! [`GaussianState`]: everything that training keeps per Gaussian. Every operation on the set is here and treats all of it.
 
 use crate::base::error::{Error, Result};
-use crate::device::{Array, Device, PendingRead, Program};
-use crate::pipeline::buffers::{GaussianBuffers, restride};
+use crate::device::{Array, Arrived, Device, PendingRead, Program};
+use crate::pipeline::buffers::{GaussianBuffers, check_room, restride};
 use crate::pipeline::stage::edit;
 use crate::scene::{self, Gaussians, Plane};
 
@@ -40,9 +40,9 @@ pub struct GaussianRows {
 }
 
 /// Position, log-scale, rotation, opacity logit and the statistics of all Gaussians as they were at one time \[11 + rows\]\[N\].
-#[derive(Debug, Clone, Default)]
+#[derive(Debug)]
 pub struct Snapshot {
-    values: Vec<f32>,
+    values: Arrived<f32>,
     count: usize,
 }
 
@@ -60,7 +60,7 @@ impl PendingSnapshot {
     /// The driver's.
     pub fn wait(self) -> Result<Snapshot> {
         Ok(Snapshot {
-            values: self.values.wait()?,
+            values: self.values.arrived()?,
             count: self.count,
         })
     }
@@ -245,6 +245,7 @@ impl GaussianState {
         let [from, to] = [self.scene.sh_degree, degree].map(|d| Plane::count(d) * stride);
         let [moment1, moment2] = &mut self.moments;
         for array in [&mut self.scene.params, moment1, moment2] {
+            check_room::<f32>(device, array.name(), to / stride, stride)?;
             let new = Array::zeros(device, array.name(), to)?;
             new.copy_from(0, array, 0, from)?;
             *array = new;

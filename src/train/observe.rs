@@ -351,15 +351,14 @@ impl Trainer {
     }
 
     /// Device time per stage so far, of iterations from a sample of them, and under `density` the host's time in density steps, transfers
-    /// included and without the device's `edit` and the estimates, whose time on host and device is under `probe`.
+    /// included and without the device's stages in them and the estimates, whose time on host and device is under `probe`.
     #[must_use]
     pub fn stage_times(&self) -> Vec<(&'static str, StageTime)> {
         let mut times: Vec<_> = self.timing.stages().into_iter().collect();
         let (steps, estimates) = (self.control.time, self.control.estimate_time());
         if steps.calls > 0 {
-            let edit = times.iter().find(|(name, _)| *name == "edit");
             let mut host = steps;
-            host.seconds = (host.seconds - edit.map_or(0.0, |(_, t)| t.seconds)).max(0.0);
+            host.seconds = (host.seconds - self.timing.step_seconds()).max(0.0);
             if estimates.calls > 0 {
                 host.seconds = (host.seconds - estimates.seconds).max(0.0);
                 times.push(("probe", estimates));

@@ -74,10 +74,10 @@ impl PendingPicture {
     pub(super) fn finish(self) -> Result<Picture> {
         let (camera, alpha, size) = (&self.camera, self.alpha, self.camera.image());
         let (plane, pixels) = (size.plane(), size.0[0] * size.0[1]);
-        let image = self.image.wait()?;
+        let image = self.image.arrived()?;
         let cut = |c: usize| without_padding(&image[c * plane..], size);
         let (mut render, transmittance) = ([cut(0), cut(1), cut(2)], cut(3));
-        let mut depth = without_padding(&self.depth.wait()?, size);
+        let mut depth = without_padding(&self.depth.arrived()?, size);
         for (z, left) in depth.iter_mut().zip(&transmittance) {
             // Weighted by opacity so far; 0/0 where nothing is.
             *z /= 1.0 - left;
@@ -86,18 +86,22 @@ impl PendingPicture {
         // Image space has no birth where the photo has nothing, whatever fog is there.
         let opaque = |i: usize| f32::from(*bytes.get(3 * pixels + i).unwrap_or(&255)) / 255.0;
         let taken = colors(alpha, &bytes, self.background);
-        let mut photo = match alpha {
-            // What is born has the photo's colour and not that of this iteration's background.
-            Alpha::Transparency => colors(Alpha::Mask, &bytes, self.background),
-            _ => taken.clone(),
+        // What is born has the photo's colour and not that of this iteration's background.
+        let free =
+            (alpha == Alpha::Transparency).then(|| colors(Alpha::Mask, &bytes, self.background));
+        let exchanged = match self.transform {
+            None => None,
+            Some(transform) => {
+                let mut photo = free.clone().unwrap_or_else(|| taken.clone());
+                exchange(&transform.wait()?, &mut render, &mut photo);
+                Some(photo)
+            }
         };
-        if let Some(transform) = self.transform {
-            exchange(&transform.wait()?, &mut render, &mut photo);
-        }
         let error = |i: usize| -> f32 {
             let apart = |c: usize| (render[c][i] - taken[c][i]).abs();
             opaque(i) * (0..3).map(apart).sum::<f32>() / 3.0
         };
+        let error = (0..pixels).map(error).collect();
         let masked = match alpha {
             Alpha::Mask => (0..pixels).map(|i| opaque(i) < 0.5).collect(),
             _ => Vec::new(),
@@ -107,8 +111,8 @@ impl PendingPicture {
             intrinsics: camera.intrinsics,
             rotation: camera.w,
             center: camera.center,
-            error: (0..pixels).map(error).collect(),
-            photo,
+            error,
+            photo: exchanged.or(free).unwrap_or(taken),
             depth,
             transmittance,
             masked,

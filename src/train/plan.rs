@@ -85,8 +85,7 @@ impl fmt::Display for Decision {
 /// Training pixels for which there may be a Gaussian, however few the sparse points and the photos are.
 const LEAST_PIXELS: f64 = 64.0;
 
-/// Iterations that a GPU does while a density step is decided on the host: 74 ms of a million Gaussians, by the model of
-/// `docs/results/gpu.md`.
+/// Iterations that a GPU does while a density step is decided on the host, which takes it about as long (docs/results/gpu.md).
 const DENSITY_LAG: u32 = 16;
 
 /// Decisions of one run.

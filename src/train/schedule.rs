@@ -220,7 +220,8 @@ impl Schedule {
     pub fn may_change(&self, done: u32) -> bool {
         let [from, until] = self.density_span(done);
         let away = done.saturating_add(self.density_interval(done)) < from || done >= until;
-        away || self.density_due(done.saturating_sub(1)).is_some()
+        let after = 1 + self.density_lag(done);
+        away || (done.checked_sub(after)).is_some_and(|at| self.density_due(at).is_some())
     }
 
     /// First iteration from which the length holds that holds at one.

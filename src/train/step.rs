@@ -45,7 +45,7 @@ pub enum Event {
         /// Iterations that have settled: the device has done them, and none of them is ever repeated.
         settled: u32,
     },
-    /// Density control acted after this many iterations, all of them settled.
+    /// A density step has ended, with all iterations so far settled; it began after those that it tells.
     Density(DensityEvent),
     /// All iterations so far have settled, and an evaluation, a checkpoint or an export is due.
     Settled(u32),
@@ -228,8 +228,11 @@ impl Trainer {
 
     /// One iteration, enqueued and not waited for.
     fn iterate(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
-        // A density step has computed the filter already.
-        if Smoothing::due(iteration) && self.schedule.density_due(iteration).is_none() {
+        // A density step that has just ended has computed the filter already.
+        let schedule = &self.schedule;
+        let ended =
+            schedule.density_due(iteration).is_some() && schedule.density_lag(iteration) == 0;
+        if Smoothing::due(iteration) && !ended {
             self.smooth()?;
         }
         let view = self.views.at(iteration)?;

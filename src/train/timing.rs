@@ -97,6 +97,11 @@ impl Timing {
         Ok(())
     }
 
+    /// Device time in density steps so far.
+    pub fn step_seconds(&self) -> f64 {
+        self.steps.values().map(|time| time.seconds).sum()
+    }
+
     /// Time by stage so far: those timed stand for all iterations.
     pub fn stages(&self) -> StageTimes {
         let mut times = self.steps.clone();

@@ -1,5 +1,6 @@
 //! Order of the Gaussians along the Z curve, without those that are removed (`kernels/morton.cl`).
 
+use crate::base::constants::MORTON_GRID;
 use crate::base::error::Result;
 use crate::device::tuning::status::SLOTS;
 use crate::device::{Array, Kernels, Launch, Program, Real};
@@ -7,15 +8,12 @@ use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::stage::sort::{Keys, Sort};
 use crate::scene::{Plane, morton};
 
-/// Numbers per axis of the grid of cells.
-const GRID: usize = 4;
-
 /// Order that rows are to have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
     /// That of their Morton codes.
     Morton,
-    /// As they are; removed rows are left out.
+    /// The one that they have; removed rows are left out.
     Kept,
 }
 
@@ -37,7 +35,7 @@ impl Morton {
         Ok(Self {
             program: kernels.build::<R>("morton")?,
             boxes: Array::zeros(device, "boxes", 6 * chunks)?,
-            grid: Array::zeros(device, "grid", 3 * GRID)?,
+            grid: Array::zeros(device, "grid", 3 * MORTON_GRID)?,
         })
     }
 
@@ -61,7 +59,7 @@ impl Morton {
         }
         let (visible, high) = (&mut view.visible, &view.isect_start);
         self.positions("morton_keys", scene)
-            .array(&self.grid, 3 * GRID)
+            .array(&self.grid, 3 * MORTON_GRID)
             .value(i32::from(ordered))
             .arrays([&visible.keys[0], high], count)
             .array(&visible.values[0], count)
@@ -104,7 +102,7 @@ impl Morton {
             .launch("morton_cells")
             .array(&self.boxes, 6 * chunks)
             .uints([chunks])
-            .array(&self.grid, 3 * GRID)
+            .array(&self.grid, 3 * MORTON_GRID)
             .run([3, 1], [1, 1])
     }
 
