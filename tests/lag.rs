@@ -197,11 +197,11 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
         plan.config.work.density_lag
     };
     let config = TrainConfig::default();
-    assert_eq!(lag(DeviceKind::Cpu, &config), Some(0));
+    assert_eq!(lag(DeviceKind::Cpu, &config), None);
     assert_eq!(lag(DeviceKind::Gpu, &config), Some(16));
     assert_eq!(lag(DeviceKind::Cpu, &lagging(Sampler::Mh, 3)), Some(3));
     // Estimates need the device while the step is decided.
     let mut probing = lagging(Sampler::Mh, 3);
     probing.mh.surrogate = Surrogate::Probe;
-    assert_eq!(lag(DeviceKind::Gpu, &probing), Some(0));
+    assert_eq!(lag(DeviceKind::Gpu, &probing), None);
 }

@@ -76,7 +76,7 @@ impl Run {
     ) -> Result<Self> {
         config.validate()?;
         let (config, to_come) = begin(config);
-        let plan = Plan::new(&dataset, &config)?;
+        let plan = Plan::new(&dataset, &config)?.on_device(device);
         let from = From {
             plan,
             to_come,
@@ -173,7 +173,8 @@ impl Run {
         if extended.is_some() {
             to_come.clear();
         }
-        let plan = Plan::new(&dataset, &config)?.begun_with(smoothed, &saved.state.detail);
+        let plan = Plan::new(&dataset, &config)?.on_device(&device);
+        let plan = plan.begun_with(smoothed, &saved.state.detail);
         let from = From {
             plan,
             to_come,
@@ -202,7 +203,6 @@ impl Run {
         } = from;
         let again = lock.is_some();
         check_clock(&plan.config)?;
-        let plan = plan.on_device(device);
         let mut record = start::record(&dataset, &plan, device);
         record.config.lengths.extend(&to_come);
         if saved.is_some() && dir.join(RECORD_FILE).exists() {

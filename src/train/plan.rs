@@ -130,10 +130,10 @@ impl Plan {
     #[must_use]
     pub fn with_strategy(mut self, kind: DeviceKind, strategy: &dyn DensityControl) -> Self {
         let lag = &mut self.config.work.density_lag;
-        let waits = kind == DeviceKind::Cpu;
-        lag.get_or_insert(if waits { 0 } else { DENSITY_LAG });
         if strategy.estimate_views() > 0 {
-            *lag = Some(0);
+            *lag = None;
+        } else if kind != DeviceKind::Cpu {
+            lag.get_or_insert(DENSITY_LAG);
         }
         self
     }
