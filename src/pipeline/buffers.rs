@@ -494,7 +494,7 @@ mod tests {
             too_many(shape, stride, most)
         };
         let [what, fix] = refused(10_000_000).unwrap();
-        assert!(what.contains("2950000000 bytes"), "{what}");
+        assert!(what.contains("2950052864 bytes"), "{what}");
         assert!(what.contains("2000000000 in one buffer"), "{what}");
         let (_, number) = fix.split_once("--max-gaussians ").unwrap();
         let n: usize = number.split(' ').next().unwrap().parse().unwrap();
