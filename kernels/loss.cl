@@ -392,7 +392,8 @@ static inline void window_moments(__local real2 staged[WIDE][WIDE], __local real
 }
 
 // Launch: one work-group of TILE x TILE work-items per tile and channel, each with a pixel. Results as in the other style, but that
-// `partial` has the sums of tiles, and that each channel has derivative maps of its own. Work-items of the padding and of tiles that are left out take part in every barrier.
+// `partial` has the sums of tiles, and that each channel has derivative maps of its own. Work-items of the padding and of tiles that
+// are left out take part in every barrier.
 CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
   const int tile = get_group_id(0), l = get_local_id(0), tiles_x = stride / TILE;
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
