@@ -81,7 +81,8 @@ pub fn trained(dataset: &Dataset, config: &TrainConfig, until: u32) -> (Trainer,
 /// Those that change the set.
 const SAMPLERS: [Sampler; 3] = [Sampler::Mh, Sampler::Mcmc, Sampler::Adc];
 
-fn sampled(sampler: Sampler) -> TrainConfig {
+/// A run of 120 iterations, with a density step every 25 or so.
+pub fn sampled(sampler: Sampler) -> TrainConfig {
     TrainConfig {
         sampler,
         ..config(120)

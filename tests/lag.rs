@@ -2,33 +2,20 @@
 
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
-use mhsplat::config::{MhConfig, Sampler, Surrogate, WorkConfig};
+use mhsplat::config::{Sampler, Surrogate};
 use mhsplat::device::{Device, DeviceKind};
 use mhsplat::run::{checkpoint, initial_gaussians};
 use mhsplat::train::{Event, PendingStep, Trainer};
 
-use crate::determinism::{drive, room, saved, trained};
+use crate::determinism::{drive, room, sampled, saved, trained};
 
 /// Iterations of a run, in which a step comes every 25.
 const ITERATIONS: u32 = 120;
 
 fn lagging(sampler: Sampler, lag: u32) -> TrainConfig {
-    TrainConfig {
-        sampler,
-        iterations: ITERATIONS,
-        max_size: 64,
-        sh_degree: 2,
-        seed: 5,
-        mh: MhConfig {
-            pair_pixels: 0.0,
-            ..MhConfig::default()
-        },
-        work: WorkConfig {
-            density_lag: Some(lag),
-            ..WorkConfig::default()
-        },
-        ..TrainConfig::default()
-    }
+    let mut config = sampled(sampler);
+    config.work.density_lag = Some(lag);
+    config
 }
 
 /// Iterations enqueued when a step was reported, and those after which it began.
