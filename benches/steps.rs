@@ -1,8 +1,8 @@
 //! Cost of density steps within training: `cargo bench --bench steps [-- GAUSSIANS PIXELS STEPS]`.
 //!
 //! Trains the synthetic cloud with learning rates of zero, so that every step finds about as many Gaussians, and prints for each density
-//! step how long `Trainer::advance` took for it, the CPU time of the process meanwhile, and the Gaussians after it. By default 100,000
-//! Gaussians, then a million, at 800 pixels.
+//! step how long `Trainer::advance` took for it, how much of that the decision on the host took, during which the device has nothing to do,
+//! the CPU time of the process meanwhile, and the Gaussians after it. By default 100,000 Gaussians, then a million, at 800 pixels.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use std::time::Instant;
@@ -56,6 +56,7 @@ fn measure(gaussians: usize, pixels: u32, steps: usize) {
             // The iterations under way are none of the step's time.
             trainer.settle().unwrap();
         }
+        let decided = trainer.decision_time().seconds;
         let (start, cpu) = (Instant::now(), process_cpu_seconds());
         let event = trainer.advance().unwrap();
         let (wall, cpu) = (start.elapsed().as_secs_f64(), process_cpu_seconds() - cpu);
@@ -63,9 +64,10 @@ fn measure(gaussians: usize, pixels: u32, steps: usize) {
             Event::Density(event) => {
                 done += 1;
                 println!(
-                    "  step at {}: {:.1} ms, {:.1} CPU ms, {} Gaussians",
+                    "  step at {}: {:.1} ms, decided in {:.1}; {:.1} CPU ms, {} Gaussians",
                     event.iteration,
                     1e3 * wall,
+                    1e3 * (trainer.decision_time().seconds - decided),
                     1e3 * cpu,
                     event.gaussians
                 );

@@ -3,8 +3,10 @@
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::config::{Sampler, Surrogate};
+use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Device, DeviceKind};
 use mhsplat::run::{checkpoint, initial_gaussians};
+use mhsplat::train::reasons::Part;
 use mhsplat::train::{Event, PendingStep, Trainer};
 
 use crate::determinism::{drive, room, sampled, saved, trained};
@@ -190,5 +192,58 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
     // Estimates need the device while the step is decided.
     let mut probing = lagging(Sampler::Mh, 3);
     probing.mh.surrogate = Surrogate::Probe;
-    assert_eq!(lag(DeviceKind::Gpu, &probing), None);
+    assert_eq!(lag(DeviceKind::Gpu, &probing), Some(0));
+}
+
+#[test]
+fn the_plan_says_whether_training_waits() {
+    let data = room(64);
+    let told = |config: &TrainConfig| {
+        let plan = Plan::new(&data, config).unwrap();
+        let parts = plan.parts().into_iter();
+        let mut lines = parts.filter(|(part, ..)| *part == Part::Lag);
+        lines.next().map(|(_, kept, why)| (kept, why.to_string()))
+    };
+    let (kept, why) = told(&TrainConfig::default()).unwrap();
+    assert!(!kept && why.contains("processor"), "{why}");
+    let (kept, why) = told(&lagging(Sampler::Mh, 3)).unwrap();
+    assert!(kept && why.contains("3 iterations"), "{why}");
+    assert_eq!(told(&sampled(Sampler::None)), None);
+}
+
+#[test]
+fn a_length_that_changes_after_a_step_is_repeated_to_the_bit() {
+    let data = room(64);
+    let config = lagging(Sampler::Mh, 6);
+    let mut changed = begun(&config);
+    while changed.stats().proposed == 0 || !changed.schedule().may_change(changed.iteration()) {
+        changed.advance().unwrap();
+    }
+    let (at, longer) = (changed.iteration(), ITERATIONS + 60);
+    changed.set_length(longer).unwrap();
+    drive(&mut changed, longer).unwrap();
+    let mut repeated = config.clone();
+    repeated.lengths = changed.plan().config.lengths.clone();
+    assert_eq!(repeated.lengths.last().unwrap().from, at);
+    let (again, splats) = trained(&data, &repeated, longer);
+    assert_eq!(again.stats(), changed.stats());
+    assert!(splats == changed.state().unwrap().splats);
+}
+
+#[test]
+fn the_group_style_lags_to_the_same_bits() {
+    let data = room(64);
+    let run = |lag: u32| {
+        let config = lagging(Sampler::Mh, lag);
+        let plan = Plan::new(&data, &config).unwrap();
+        let splats = initial_gaussians(&data, &plan).unwrap();
+        let device = Device::open(None).unwrap().with_tuning(Tuning::GPU);
+        let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+        drive(&mut trainer, 60).unwrap();
+        assert!(trainer.stats().accepted > 0);
+        trainer.state().unwrap().splats
+    };
+    let lagged = run(6);
+    assert!(lagged == run(6));
+    assert!(lagged != run(0), "the comparison must be able to fail");
 }

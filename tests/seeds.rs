@@ -9,6 +9,7 @@
 use std::cell::OnceCell;
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::Arc;
 
 use mhsplat::base::rng::Stream;
 use mhsplat::config::{AdcConfig, Init, McmcConfig, MhConfig, Sampler};
@@ -182,17 +183,18 @@ fn offsets(births: &[Edit]) -> Decisions {
 const EDGE: usize = 16;
 
 /// An opaque plane at a depth of 1, pixels being a unit wide there, with the same error everywhere.
-fn picture() -> Picture {
+fn picture() -> Picture<'static> {
     let pixels = EDGE * EDGE;
     Picture {
-        width: EDGE,
+        size: [EDGE; 2],
+        stride: EDGE,
         intrinsics: [1.0, 1.0, 0.0, 0.0],
         rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         center: [0.0; 3],
-        photo: [0, 1, 2].map(|_| vec![0.5; pixels]),
+        photo: Arc::new([(); 3].map(|()| vec![0.5; pixels])),
         error: vec![0.5; pixels],
-        depth: vec![1.0; pixels],
-        transmittance: vec![0.0; pixels],
+        depth: vec![1.0; pixels].into(),
+        transmittance: vec![0.0; pixels].into(),
         masked: Vec::new(),
     }
 }

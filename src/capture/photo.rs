@@ -155,14 +155,43 @@ impl Photo {
 #[must_use]
 pub fn colors(alpha: Alpha, planes: &[u8], background: [f32; 3]) -> [Vec<f32>; 3] {
     let n = planes.len() / alpha.planes();
-    let value = |plane: usize, i: usize| f32::from(planes[plane * n + i]) / 255.0;
-    let pixel = |c: usize, i: usize| match alpha {
-        Alpha::None => value(c, i),
-        Alpha::Transparency => value(c, i) + (1.0 - value(3, i)) * background[c],
-        Alpha::Mask if planes[3 * n + i] > 0 => (value(c, i) / value(3, i)).min(1.0),
-        Alpha::Mask => 0.0,
-    };
-    std::array::from_fn(|c| (0..n).map(|i| pixel(c, i)).collect())
+    let mut out = [(); 3].map(|()| vec![0.0; n]);
+    write_colors(
+        alpha,
+        planes,
+        background,
+        0,
+        out.each_mut().map(Vec::as_mut_slice),
+    );
+    out
+}
+
+/// Writes the colours of the pixels from `first` on, as many as the planes of `out` have room for; see [`colors`].
+pub fn write_colors(
+    alpha: Alpha,
+    planes: &[u8],
+    background: [f32; 3],
+    first: usize,
+    out: [&mut [f32]; 3],
+) {
+    let n = planes.len() / alpha.planes();
+    let value = |v: u8| f32::from(v) / 255.0;
+    for (c, out) in out.into_iter().enumerate() {
+        let channel = &planes[c * n + first..][..out.len()];
+        if alpha == Alpha::None {
+            let pixels = out.iter_mut().zip(channel);
+            pixels.for_each(|(out, v)| *out = value(*v));
+            continue;
+        }
+        let opacity = &planes[3 * n + first..][..out.len()];
+        for ((out, v), a) in out.iter_mut().zip(channel).zip(opacity) {
+            *out = match (alpha, *a) {
+                (Alpha::Transparency, a) => value(*v) + (1.0 - value(a)) * background[c],
+                (_, 0) => 0.0,
+                (_, a) => (value(*v) / value(a)).min(1.0),
+            };
+        }
+    }
 }
 
 /// Area filter: each target pixel is the mean of the source over exactly the rectangle it covers, with colours

@@ -61,7 +61,11 @@ pub fn open_tested(selector: Option<&str>) -> Result<Device> {
 
 /// The device with the tuning for scenes of a size, in which it passes the self-test.
 pub fn tested(device: Device, size: SizeClass) -> Result<Device> {
-    let device = tune::tuned(device, size, &mut output::note)?;
+    self_tested(tune::tuned(device, size, &mut output::note)?)
+}
+
+/// The device, if it passes the self-test with the tuning that it has.
+pub fn self_tested(device: Device) -> Result<Device> {
     self_test(&device)?;
     Ok(device)
 }

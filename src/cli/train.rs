@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-use crate::cli::common::{Common, DeviceOption, Outcome, tested};
+use crate::cli::common::{Common, DeviceOption, Outcome, self_tested, tested};
 use crate::cli::overrides::Overrides;
 use crate::cli::progress::{Display, Form, finish, tell_objects};
 use crate::cli::signals::stop_flag;
@@ -13,6 +13,7 @@ use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
 use mhsplat::device::Device;
+use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::tune::SizeClass;
 use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config};
@@ -117,7 +118,10 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let mut clock = Clock::start();
     let data = read_photos(&dataset, &config)?;
     clock.stop();
-    let device = tested(device, SizeClass::of_run(&data, &config))?;
+    let device = match resume.and_then(|run| tuning_of(run, &device)) {
+        Some(tuning) => self_tested(device.with_tuning(tuning))?,
+        None => tested(device, SizeClass::of_run(&data, &config))?,
+    };
     clock.resume();
     let mut run = match resume {
         Some(run) => {
@@ -171,6 +175,12 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     finish(record, dir, common)?;
     let psnr = record.final_scores.as_ref().map(|f| f.mean.psnr);
     Ok(Outcome::of(args.require_psnr, psnr))
+}
+
+/// The tuning that a run goes on with; `None` if it is not known or not one for the device.
+fn tuning_of(run: &Path, device: &Device) -> Option<Tuning> {
+    let tuning = RunRecord::read(run).ok()?.device.tuning?;
+    tuning.fault(device.info()).is_none().then_some(tuning)
 }
 
 /// Prints the command that resumes a run that ended early.

@@ -41,7 +41,7 @@ pub struct StepContext<'a> {
     /// Centres of the training cameras, local units.
     pub cameras: &'a [[f32; 3]],
     /// Current renders of as many views as [`DensityControl::pictures`] names.
-    pub pictures: &'a [Picture],
+    pub pictures: &'a [Picture<'a>],
 }
 
 impl StepContext<'_> {

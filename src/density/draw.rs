@@ -21,15 +21,15 @@ pub struct Categorical {
 impl Categorical {
     /// The distribution with one weight per item.
     #[must_use]
-    pub fn new(weights: &[f64]) -> Self {
-        let mut cumulative = vec![0.0; weights.len()];
+    pub fn new(weights: Vec<f64>) -> Self {
+        let len = weights.len();
+        let mut cumulative = weights;
         let totals: Vec<f64> = cumulative
             .par_chunks_mut(CHUNK)
-            .zip(weights.par_chunks(CHUNK))
-            .map(|(sums, weights)| {
+            .map(|sums| {
                 let mut total = 0.0;
-                for (sum, &w) in sums.iter_mut().zip(weights) {
-                    total += if w > 0.0 { w } else { 0.0 };
+                for sum in sums {
+                    total += if *sum > 0.0 { *sum } else { 0.0 };
                     *sum = total;
                 }
                 total
@@ -51,10 +51,7 @@ impl Categorical {
             .par_chunks_mut(CHUNK)
             .zip(bases)
             .for_each(|(sums, base)| sums.iter_mut().for_each(|s| *s += base));
-        Self {
-            cumulative,
-            len: weights.len(),
-        }
+        Self { cumulative, len }
     }
 
     /// The item at u ∈ [0, 1); `None` if there are no items. An item of weight 0 is never drawn (unless uniform).

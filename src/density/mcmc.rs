@@ -150,7 +150,7 @@ fn draw_sources(
         }
     };
     let weights: Vec<f64> = logits.par_iter().enumerate().map(weight).collect();
-    let categorical = Categorical::new(&weights);
+    let categorical = Categorical::new(weights);
     let stream = Stream::Growth.stream(context.iteration);
     let mut rows: Vec<u32> = (0..births as u64)
         .into_par_iter()

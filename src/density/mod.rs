@@ -28,7 +28,7 @@ pub use control::{Candidate, DensityControl, Estimator, NoiseLaw, StepContext};
 pub use mcmc::Mcmc;
 pub use none::Fixed;
 pub use outcome::{BirthKind, BirthRecord, DensityStats, Outcome};
-pub use picture::Picture;
+pub use picture::{Colors, Picture};
 pub use state::SceneState;
 pub use statistics::{ErrorStatistics, ScreenGradient, Statistics, StatisticsKind};
 

@@ -1,30 +1,57 @@
 //! A training view for density control: pixels and the camera.
 
-/// A current render of a view, and its photo. Planes are row by row \[height · width\].
-#[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
-    /// Width, pixels.
-    pub width: usize,
+use std::borrow::Cow;
+use std::fmt::Debug;
+use std::sync::Arc;
+
+/// Colours of a photo.
+pub trait Colors: Debug + Send + Sync {
+    /// Red, green, blue of a pixel, row by row, in the scene's colours: without a mask or a background, and without the view's
+    /// exposure if that is compensated.
+    fn at(&self, pixel: usize) -> [f32; 3];
+}
+
+/// Planes \[3\]\[height · width\].
+impl Colors for [Vec<f32>; 3] {
+    fn at(&self, pixel: usize) -> [f32; 3] {
+        self.each_ref().map(|plane| plane[pixel])
+    }
+}
+
+/// A current render of a view, and its photo. Few pixels of all are asked for, so that only the error is computed for each.
+#[derive(Debug, Clone)]
+pub struct Picture<'a> {
+    /// Width and height, pixels.
+    pub size: [usize; 2],
+    /// Values from one row of `depth` and `transmittance` to the next.
+    pub stride: usize,
     /// fx, fy, cx, cy, pixels.
     pub intrinsics: [f32; 4],
     /// Rotation scene → camera, row major.
     pub rotation: [f32; 9],
     /// Centre of projection, local units.
     pub center: [f32; 3],
-    /// The photo's red, green, blue in the scene's colours: without a mask or a background, and without the view's exposure if
-    /// that is compensated.
-    pub photo: [Vec<f32>; 3],
-    /// Mean over the channels of |render − photo|, times the photo's mask and opacity.
+    /// The photo.
+    pub photo: Arc<dyn Colors + 'a>,
+    /// Mean over the channels of |render − photo|, times the photo's mask and opacity \[height · width\].
     pub error: Vec<f32>,
-    /// Mean depth (camera z) of the render, local units; not finite at empty pixels.
-    pub depth: Vec<f32>,
-    /// Remaining transmittance.
-    pub transmittance: Vec<f32>,
-    /// True for each pixel that the photo's mask hides, where no surface is trained; empty without masks.
+    /// Depth (camera z) of the render, weighted by opacity, local units \[height, stride\].
+    pub depth: Cow<'a, [f32]>,
+    /// Remaining transmittance \[height, stride\].
+    pub transmittance: Cow<'a, [f32]>,
+    /// True for each pixel that the photo's mask hides, where no surface is trained \[height · width\]; empty without masks.
     pub masked: Vec<bool>,
 }
 
-impl Picture {
+impl Picture<'_> {
+    /// Remaining transmittance and mean depth at a pixel; the depth is not finite at an empty one. `None` beyond the last pixel.
+    #[must_use]
+    pub fn surface(&self, pixel: usize) -> Option<[f32; 2]> {
+        let at = pixel / self.size[0] * self.stride + pixel % self.size[0];
+        let left = *self.transmittance.get(at)?;
+        Some([left, *self.depth.get(at)? / (1.0 - left)])
+    }
+
     /// The point at depth `z` that is seen at `at` pixels from the image's upper left corner.
     #[must_use]
     pub fn point(&self, at: [f64; 2], z: f64) -> [f64; 3] {
@@ -45,10 +72,9 @@ impl Picture {
         let [x, y, z] = [0, 1, 2].map(|r| (0..3).map(|k| w[3 * r + k] * offset[k]).sum::<f64>());
         let [fx, fy, cx, cy] = self.intrinsics.map(f64::from);
         let (across, down) = (fx * x / z + cx, fy * y / z + cy);
-        let height = self.depth.len() / self.width.max(1);
-        let inside =
-            (0.0..self.width as f64).contains(&across) && (0.0..height as f64).contains(&down);
-        (z > 0.0 && inside).then(|| (z, down as usize * self.width + across as usize))
+        let [width, height] = self.size;
+        let inside = (0.0..width as f64).contains(&across) && (0.0..height as f64).contains(&down);
+        (z > 0.0 && inside).then(|| (z, down as usize * width + across as usize))
     }
 
     /// Width of a pixel across the view at depth `z`: the mean of both axes.

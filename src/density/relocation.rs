@@ -8,6 +8,7 @@
 //!
 //! whose integrand is smooth, positive and falling, for any N.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_2_SQRT_PI, PI};
 use std::sync::OnceLock;
@@ -173,15 +174,25 @@ impl Relocation {
         if count == 0 {
             return;
         }
-        let mut rows = self.alive_rows.clone();
-        let opacity = |row: &u32| scene.opacity_logits[*row as usize];
-        rows.select_nth_unstable_by(count - 1, |a, b| {
-            opacity(a).total_cmp(&opacity(b)).then(a.cmp(b))
+        let logit = |row: &u32| scene.opacity_logits[*row as usize];
+        let mut logits: Vec<f32> = self.alive_rows.par_iter().map(logit).collect();
+        let (lower, &mut bound, _) = logits.select_nth_unstable_by(count - 1, f32::total_cmp);
+        let below = lower.iter().filter(|l| l.total_cmp(&bound).is_lt()).count();
+        let mut ties = count - below;
+        let alive = &mut self.alive;
+        self.alive_rows.retain(|row| {
+            let stays = match logit(row).total_cmp(&bound) {
+                Ordering::Less => false,
+                Ordering::Equal if ties > 0 => {
+                    ties -= 1;
+                    false
+                }
+                Ordering::Equal => true,
+                Ordering::Greater => true,
+            };
+            alive[*row as usize] = stays;
+            stays
         });
-        for row in &rows[..count] {
-            self.alive[*row as usize] = false;
-        }
-        self.alive_rows.retain(|row| self.alive[*row as usize]);
     }
 
     /// The rows that were not alive, rising; empty if no row was alive.
@@ -199,10 +210,9 @@ impl Relocation {
     fn survey(scene: &SceneState<'_>, dead_opacity: f64) -> (Self, Vec<u32>) {
         // The logit of the threshold: one logarithm instead of one exponential per row.
         let threshold = logit(dead_opacity.clamp(0.0, 1.0));
-        let alive: Vec<bool> = (0..scene.len())
-            .into_par_iter()
-            .map(|i| is_alive(scene, i, threshold))
-            .collect();
+        let mut alive = vec![false; scene.len()];
+        let chunks = alive.par_chunks_mut(CHUNK).enumerate();
+        chunks.for_each(|(c, alive)| find_alive(scene, c * CHUNK, threshold, alive));
         let rows = |state: bool| -> Vec<u32> {
             let among = |(c, states): (usize, &[bool])| -> Vec<u32> {
                 ((c * CHUNK) as u32..)
@@ -238,7 +248,7 @@ impl Relocation {
             .par_iter()
             .map(|&r| sigmoid(logit(r)))
             .collect();
-        let categorical = Categorical::new(&weights);
+        let categorical = Categorical::new(weights);
         let stream = Stream::Relocation.stream(context.iteration);
         // (source, dead row), by source: the dead rows of one source lie side by side.
         let mut pairs: Vec<(u32, u32)> = dead_rows
@@ -310,9 +320,16 @@ impl Relocation {
     }
 }
 
-/// True if a row has an opacity logit above `threshold` and finite parameters.
-fn is_alive(scene: &SceneState<'_>, row: usize, threshold: f64) -> bool {
-    f64::from(scene.opacity_logits[row]) > threshold && scene.is_finite(row)
+/// Writes true for each row from `first` on that has an opacity logit above `threshold` and finite parameters, plane by plane.
+fn find_alive(scene: &SceneState<'_>, first: usize, threshold: f64, alive: &mut [bool]) {
+    for (alive, logit) in alive.iter_mut().zip(&scene.opacity_logits[first..]) {
+        *alive = f64::from(*logit) > threshold && logit.is_finite();
+    }
+    for plane in scene.planes() {
+        for (alive, value) in alive.iter_mut().zip(&plane[first..]) {
+            *alive &= value.is_finite();
+        }
+    }
 }
 
 /// Lets births share opacity and scale with their sources: a source with m births becomes 1 + m equal parts, itself being

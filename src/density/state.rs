@@ -37,17 +37,19 @@ impl SceneState<'_> {
         if u32::try_from(n).is_err() {
             return Err(numerics(format!("{n} Gaussians; fewer than 2^32 expected")));
         }
-        let planes = self
-            .positions
-            .iter()
-            .chain(&self.log_scales)
-            .chain(&self.rotations);
-        match planes.map(|p| p.len()).chain(lengths).find(|l| *l != n) {
+        let planes = self.planes().map(<[f32]>::len);
+        match planes.chain(lengths).find(|l| *l != n) {
             Some(l) => Err(numerics(format!(
                 "a parameter or statistic has {l} values; {n} expected"
             ))),
             None => Ok(()),
         }
+    }
+
+    /// All planes but that of opacity.
+    pub(super) fn planes(&self) -> impl Iterator<Item = &[f32]> {
+        let planes = self.positions.iter().chain(&self.log_scales);
+        planes.chain(&self.rotations).copied()
     }
 
     /// True if all parameters of a row are finite.

@@ -156,6 +156,17 @@ pub fn tuned(device: Device, size: SizeClass, note: &mut dyn FnMut(&str)) -> Res
     Ok(device.with_tuning(kept.tuning))
 }
 
+/// The device for runs of another size: [`tuned`], where the device tells sizes apart, else as it is.
+///
+/// # Errors
+/// See [`tuned`].
+pub fn suited(device: &Device, size: SizeClass, note: &mut dyn FnMut(&str)) -> Result<Device> {
+    match SizeClass::told_apart(device.info()).len() {
+        1 => Ok(device.clone()),
+        _ => tuned(device.clone(), size, note),
+    }
+}
+
 /// The tuning of a device for runs of a size without measuring; `None` if it has to be measured.
 ///
 /// # Errors

@@ -5,7 +5,7 @@ use crate::device::tuning::status::{OVERFLOW, SLOTS};
 use crate::device::{Array, Device, Kernels, PendingRead, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::stage::adam::Step;
-use crate::pipeline::stage::exposure::{ENTRIES, Exposures, exposed, unexposed};
+use crate::pipeline::stage::exposure::{ENTRIES, Exposures};
 
 /// Transforms of the training views on the device.
 #[derive(Debug)]
@@ -90,17 +90,5 @@ impl ExposureModel {
     /// The driver's.
     pub fn read_transform(&self, view: usize) -> Result<PendingRead<f32>> {
         self.stage.transforms.read_later(ENTRIES * view, ENTRIES)
-    }
-}
-
-/// Transforms the planes of a render as its view's transform says, and takes that transform out of the photo's.
-pub fn exchange(transform: &[f32], render: &mut [Vec<f32>; 3], photo: &mut [Vec<f32>; 3]) {
-    for i in 0..render[0].len() {
-        let x = exposed(transform, [0, 1, 2].map(|c| render[c][i]));
-        let y = unexposed(transform, [0, 1, 2].map(|c| photo[c][i]));
-        for c in 0..3 {
-            render[c][i] = x[c];
-            photo[c][i] = y[c];
-        }
     }
 }

@@ -60,6 +60,8 @@ pub struct Control {
     pub noted: Option<Noted>,
     /// Time of the steps on the host, with their transfers and edits.
     pub time: StageTime,
+    /// Time of their decisions alone.
+    pub decisions: StageTime,
 }
 
 impl Control {
@@ -96,6 +98,7 @@ impl Control {
             trace: None,
             noted: None,
             time: StageTime::default(),
+            decisions: StageTime::default(),
         })
     }
 
@@ -240,14 +243,20 @@ impl Control {
     /// Ends the density step that has begun: edits the Gaussians and puts them in Morton order. `None` if none has.
     ///
     /// # Errors
-    /// The strategy's, no room, or the driver's.
+    /// The strategy's, no room, or the driver's. The step is lost then: training goes on from a checkpoint.
     pub fn end(&mut self, mut on: Working<'_>) -> Result<Option<DensityEvent>> {
         let Some(deciding) = self.deciding.take() else {
             return Ok(None);
         };
         let began = Instant::now();
         let (iteration, progress) = (deciding.begun, deciding.progress);
-        let Decision { outcome, before } = deciding.wait()?;
+        let Decision {
+            outcome,
+            before,
+            seconds,
+        } = deciding.wait()?;
+        self.decisions.seconds += seconds;
+        self.decisions.calls += 1;
         let rows = on.gaussians.scene.count;
         let order = self.apply(&mut on, &outcome)?;
         if let (Some(trace), Some(before)) = (&mut self.trace, &before) {

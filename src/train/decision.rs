@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
+use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,7 @@ use crate::density::{
 };
 use crate::scene::Plane;
 use crate::train::gaussians::{PendingSnapshot, Snapshot};
-use crate::train::picture::PendingPicture;
+use crate::train::picture::{ArrivedPicture, PendingPicture};
 
 /// Everything that a density step decides from, on its way to the host.
 #[derive(Debug)]
@@ -38,6 +39,8 @@ pub struct Decision {
     pub outcome: Outcome,
     /// Parameters before; `None` after a resumption.
     pub before: Option<Snapshot>,
+    /// Seconds that it took the host, from the end of the transfers on.
+    pub seconds: f64,
 }
 
 /// A density step that is decided and not applied; the parts of [`Outcome`] that change the Gaussians.
@@ -94,8 +97,11 @@ impl Evidence {
         estimate: &mut Estimator<'_>,
     ) -> Result<Decision> {
         let before = self.snapshot.wait()?;
-        let finished = self.pictures.into_par_iter().map(PendingPicture::finish);
-        let pictures: Vec<Picture> = finished.collect::<Result<_>>()?;
+        let arrived = self.pictures.into_iter().map(PendingPicture::arrived);
+        let arrived: Vec<ArrivedPicture> = arrived.collect::<Result<_>>()?;
+        let began = Instant::now();
+        let pictures = arrived.iter().map(ArrivedPicture::picture);
+        let pictures: Vec<Picture<'_>> = pictures.collect();
         let context = StepContext {
             cameras: &self.cameras,
             pictures: &pictures,
@@ -111,7 +117,7 @@ impl Evidence {
             StatisticsKind::Nothing => Vec::new(),
             // The last row counts.
             wanted => {
-                let counts = before.statistics(wanted.rows() - 1).iter();
+                let counts = before.statistics(wanted.rows() - 1).par_iter();
                 counts.map(|v| *v as u32).collect()
             }
         };
@@ -131,6 +137,7 @@ impl Evidence {
         Ok(Decision {
             outcome,
             before: Some(before),
+            seconds: began.elapsed().as_secs_f64(),
         })
     }
 }
@@ -159,6 +166,7 @@ impl From<&PendingStep> for Deciding {
                 ..Outcome::default()
             },
             before: None,
+            seconds: 0.0,
         };
         Self::decided([step.begun, step.ends], step.progress, decision)
     }

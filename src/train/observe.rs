@@ -368,6 +368,12 @@ impl Trainer {
         times
     }
 
+    /// Time that the decisions of density steps took the host, whether training went on meanwhile or not.
+    #[must_use]
+    pub fn decision_time(&self) -> StageTime {
+        self.control.decisions
+    }
+
     /// Photos waited for, and their share of the budget; sets of views that share it are counted, too.
     #[must_use]
     pub fn photo_stats(&self) -> PhotoStats {

@@ -107,6 +107,8 @@ pub struct Plan {
     pub sh_degree: Decided<u32>,
     /// Number of Gaussians beyond which none is born; `None` without a bound.
     pub most_gaussians: Decided<Option<usize>>,
+    /// Iterations that training does while a density step is decided, where its interval has room for so many.
+    pub density_lag: Decided<u32>,
     /// Loss left out of tiles that are blank in render and photo.
     pub skip_blank: Decided<bool>,
     /// Gaussians removed at the end because no training view shows them; `None` before the end, and where all are shown.
@@ -129,11 +131,16 @@ impl Plan {
     /// processor, or the strategy asks the device for estimates meanwhile.
     #[must_use]
     pub fn with_strategy(mut self, kind: DeviceKind, strategy: &dyn DensityControl) -> Self {
-        let lag = &mut self.config.work.density_lag;
-        if strategy.estimate_views() > 0 {
-            *lag = None;
-        } else if kind != DeviceKind::Cpu {
-            lag.get_or_insert(DENSITY_LAG);
+        let asked = self.config.work.density_lag;
+        self.density_lag = match asked {
+            _ if strategy.estimate_views() > 0 => Decided::new(0, Why::EstimatesNeedDevice),
+            Some(0) => Decided::new(0, Why::Off("work.density-lag")),
+            Some(lag) => Decided::new(lag, Why::TrainsOn(lag)),
+            None if kind == DeviceKind::Cpu => Decided::new(0, Why::SameProcessor),
+            None => Decided::new(DENSITY_LAG, Why::TrainsOn(DENSITY_LAG)),
+        };
+        if asked.is_some() || self.density_lag.value > 0 {
+            self.config.work.density_lag = Some(self.density_lag.value);
         }
         self
     }
@@ -156,6 +163,8 @@ impl Plan {
                 degree => Decided::new(degree, Why::BandByBand(degree)),
             },
             most_gaussians: most_gaussians(dataset, config, alpha),
+            // As on a CPU, until the device is known.
+            density_lag: Decided::new(0, Why::SameProcessor),
             skip_blank: skip_blank(&config.work, alpha),
             unseen: None,
             random_start: match config.init {
@@ -170,7 +179,8 @@ impl Plan {
         plan.work();
         plan.density_control();
         plan.start(dataset);
-        Ok(plan)
+        let strategy = density::make(&plan.density_config());
+        Ok(plan.with_strategy(DeviceKind::Cpu, strategy.as_ref()))
     }
 
     /// The plan with anti-aliasing and progressive resolution as the run began: both are decided once per run.
@@ -267,6 +277,11 @@ impl Plan {
             fact(Part::AdaptiveDensityControl),
             fact(Part::ErrorStatistics),
             fact(Part::BirthEstimates),
+            (self.config.sampler != Sampler::None).then_some((
+                Part::Lag,
+                self.density_lag.value > 0,
+                &self.density_lag.why,
+            )),
             fact(Part::Noise),
             fact(Part::EarlyBirths),
             fact(Part::PixelBirths),

@@ -43,6 +43,8 @@ pub enum Part {
     AdaptiveDensityControl,
     /// First-order estimates of births.
     BirthEstimates,
+    /// [`crate::train::Plan::density_lag`].
+    Lag,
     /// Noise on positions.
     Noise,
     /// Births in image space.
@@ -85,6 +87,7 @@ impl fmt::Display for Part {
                 "screen-space gradients, clone, split, prune, opacity reset"
             }
             Self::BirthEstimates => "first-order birth estimates",
+            Self::Lag => "training while density steps are decided",
             Self::Noise => "noise on positions",
             Self::PixelBirths => "births in image space",
             Self::Bound => "bound of the number of Gaussians",
@@ -161,6 +164,12 @@ pub enum Why {
     FixedSet,
     /// Views in which births are estimated.
     EstimatedIn(u32),
+    /// Iterations between the begin of a density step and its end.
+    TrainsOn(u32),
+    /// The device that trains is the processor that decides.
+    SameProcessor,
+    /// Estimates of births, which the device computes in between.
+    EstimatesNeedDevice,
     /// The noise moves faint Gaussians.
     NoiseMovesFaint,
     /// Views rendered for each density step, the weight of surfaces, and true if the views have to agree about them.
@@ -252,6 +261,9 @@ impl fmt::Display for Why {
             Self::Criterion(text) => f.write_str(text),
             Self::FixedSet => f.write_str("a fixed set of Gaussians asked for"),
             Self::EstimatedIn(views) => write!(f, "births are estimated in {views} views"),
+            Self::TrainsOn(lag) => write!(f, "{lag} iterations, in which the host decides"),
+            Self::SameProcessor => f.write_str("the device is the processor that decides"),
+            Self::EstimatesNeedDevice => f.write_str("births are estimated on the device"),
             Self::NoiseMovesFaint => f.write_str("mh.noise-rate moves faint Gaussians"),
             Self::PixelViews(views, surface, asked) => write!(
                 f,

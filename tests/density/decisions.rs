@@ -115,7 +115,7 @@ fn defined(c: &MhConfig, scene: &Scene) -> Decided {
     let own = |&i: &u32| voxel(scene.positions.each_ref().map(|p| p[i as usize]));
     let mut held: Vec<[f64; 3]> = alive.iter().map(own).collect();
     let cues = [c.weight_opacity, c.weight_ssim, c.weight_l1];
-    let importance = importance(&scene.logits, &scene.cues(), cues).values;
+    let importance = importance(&scene.logits, &scene.cues(), cues);
     let all = 2 * alive.len();
     let size = (0..all).map(|k| change(k).abs()).sum::<f64>() / all as f64;
     let mut wanted = Decided::default();

@@ -24,7 +24,7 @@ fn draws_over_ten_million_weights() {
     const N: usize = 10_000_000;
     let probe = |k: usize| (k as f64 + 0.5) / 1000.0;
     for weight in [1.0, 1e-38, 0.0] {
-        let drawn = Categorical::new(&vec![weight; N]);
+        let drawn = Categorical::new(vec![weight; N]);
         for k in 0..1000 {
             let i = drawn.draw(probe(k)).unwrap();
             // The item's own width is no error.
@@ -34,11 +34,11 @@ fn draws_over_ten_million_weights() {
     }
     let mut hot = vec![0.0; N];
     hot[N - 7] = 1e-38;
-    let hot = Categorical::new(&hot);
+    let hot = Categorical::new(hot);
     assert!((0..1000).all(|k| hot.draw(probe(k)) == Some(N - 7)));
     // Weights 1/(i + 1): the sum up to an item is ln(i) + γ + 1/(2i) − 1/(12i²) for large i.
     let harmonic: Vec<f64> = (0..N).map(|i| 1.0 / (i as f64 + 1.0)).collect();
-    let harmonic = Categorical::new(&harmonic);
+    let harmonic = Categorical::new(harmonic);
     let sum = |i: f64| i.ln() + 0.577_215_664_901_532_9 + 0.5 / i - 1.0 / (12.0 * i * i);
     for k in 0..1000 {
         let i = harmonic.draw(probe(k)).unwrap();
@@ -61,7 +61,7 @@ fn importance_of_extreme_cues() {
             l1: &values,
             views: &[1; N],
         };
-        importance(&[0.5; N], &cues, [0.8, 0.5, 0.5]).values
+        importance(&[0.5; N], &cues, [0.8, 0.5, 0.5])
     };
     for value in [0.25, 0.0, 1e-38, f32::MAX] {
         let all = of(&|_| value);

@@ -1,5 +1,8 @@
 //! Births in image space.
 
+use std::borrow::Cow;
+use std::sync::Arc;
+
 use super::step::{breaches, context};
 use super::{Scene, on_threads};
 use mhsplat::config::MhConfig;
@@ -7,20 +10,33 @@ use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::{DensityControl, Edit, Outcome, Picture, StepContext};
 
 const SIZE: [usize; 2] = [40, 30];
+/// Values from one row of a plane of the render to the next.
+const STRIDE: usize = 48;
+
+/// A plane with one value in its left half and one in its right half, and another in the padding.
+fn padded([left, right]: [f32; 2]) -> Cow<'static, [f32]> {
+    let value = |i: usize| match i % STRIDE {
+        column if column < SIZE[0] / 2 => left,
+        column if column < SIZE[0] => right,
+        _ => 0.123,
+    };
+    (0..STRIDE * SIZE[1]).map(value).collect()
+}
 
 /// Looks along +x from (1, 2, 3). The left half is opaque at depth 5, the right half is empty; errors are in the rows from
 /// 10 to 19, three times as large in the right half.
-pub fn picture() -> Picture {
+pub fn picture() -> Picture<'static> {
     let pixels = SIZE[0] * SIZE[1];
     let right = |i: usize| i % SIZE[0] >= SIZE[0] / 2;
     let make = |f: &dyn Fn(usize) -> f32| (0..pixels).map(f).collect::<Vec<f32>>();
     Picture {
-        width: SIZE[0],
+        size: SIZE,
+        stride: STRIDE,
         intrinsics: [50.0, 50.0, 20.0, 15.0],
         // Rows: camera x is −z of the scene, y is y, z is x.
         rotation: [0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0],
         center: [1.0, 2.0, 3.0],
-        photo: [0.25f32, 0.5, 0.75].map(|c| make(&|i| if right(i) { c } else { 0.0 })),
+        photo: Arc::new([0.25f32, 0.5, 0.75].map(|c| make(&|i| if right(i) { c } else { 0.0 }))),
         error: make(&|i| {
             let row = i / SIZE[0];
             let inside = (10..20).contains(&row);
@@ -30,8 +46,8 @@ pub fn picture() -> Picture {
                 0.0
             }
         }),
-        depth: make(&|i| if right(i) { f32::NAN } else { 5.0 }),
-        transmittance: make(&|i| if right(i) { 1.0 } else { 0.0 }),
+        depth: padded([5.0, f32::NAN]),
+        transmittance: padded([0.0, 1.0]),
         masked: Vec::new(),
     }
 }
@@ -158,7 +174,7 @@ fn a_surface_of_zero_leaves_what_is_opaque_alone() {
 }
 
 /// Numbers of births at the opaque half of the first picture, whose surface is 5 away, and at the empty half.
-fn halves(pixel_tolerance: f64, pictures: &[Picture]) -> (usize, usize) {
+fn halves(pixel_tolerance: f64, pictures: &[Picture<'_>]) -> (usize, usize) {
     let at = StepContext {
         pictures,
         ..context(700, 0.0, 1)
@@ -181,7 +197,8 @@ fn views_have_to_agree_about_a_surface() {
         let mut other = picture();
         other.center[1] += 0.5;
         other.error.fill(0.0);
-        other.depth.fill(depth);
+        other.transmittance = padded([0.0; 2]);
+        other.depth = padded([depth; 2]);
         other
     };
     let births = |pixel_tolerance: f64, others: &[f32]| {
@@ -275,9 +292,8 @@ fn without_proposals_no_view_is_rendered() {
 #[test]
 fn the_upper_bound_holds_and_what_broke_is_left_out() {
     let mut broken = picture();
-    for plane in [&mut broken.depth, &mut broken.transmittance] {
-        plane.fill(f32::NAN);
-    }
+    broken.depth = padded([f32::NAN; 2]);
+    broken.transmittance = padded([f32::NAN; 2]);
     let pictures = [broken];
     let at = StepContext {
         pictures: &pictures,
@@ -305,8 +321,9 @@ fn the_upper_bound_holds_and_what_broke_is_left_out() {
 #[test]
 fn places_follow_the_seed_and_stay_behind_the_surface() {
     let mut half = picture();
-    half.transmittance.fill(0.5);
-    half.depth.fill(8.0);
+    half.transmittance = padded([0.5; 2]);
+    // Weighted by opacity: 8 away.
+    half.depth = padded([4.0; 2]);
     let pictures = [half];
     let births = |seed: u64| -> Vec<[f64; 3]> {
         let at = StepContext {

@@ -1,5 +1,7 @@
 //! Training by the definitions in f64, and what each stage is given, from the documentation of the schedules.
 
+use std::sync::Arc;
+
 use mhsplat::TrainConfig;
 use mhsplat::base::constants::{ALPHA_MIN, NEAR};
 use mhsplat::base::rng::{Philox, Stream};
@@ -276,7 +278,7 @@ impl<'a> Definitions<'a> {
         };
         let [ssim, l1, views] = Self::sums(self.window()).map(|s| singles(&s));
         let views: Vec<u32> = views.iter().map(|v| *v as u32).collect();
-        let pictures: Vec<Picture> = (self.iteration + w.pictures..)
+        let pictures: Vec<Picture<'_>> = (self.iteration + w.pictures..)
             .take(mh.pixel_views as usize)
             .map(|at| self.picture(at))
             .collect();
@@ -333,7 +335,7 @@ impl<'a> Definitions<'a> {
     }
 
     /// A view as the iteration `at` will take it.
-    fn picture(&self, at: u32) -> Picture {
+    fn picture(&self, at: u32) -> Picture<'static> {
         let (camera, options) = self.inputs(at);
         let (projected, tiles, image, left) = render(&self.scene, &camera, &options);
         let photo = self.photo(at);
@@ -349,19 +351,21 @@ impl<'a> Definitions<'a> {
         let (depth, _) = splat(&deep, &tiles, &camera, &black);
         let apart = |i: usize, c: usize| (image[c * n + i] - photo[c * n + i]).abs();
         let error = |i: usize| (0..3).map(|c| apart(i, c)).sum::<f64>() / 3.0;
-        let singles = |of: &dyn Fn(usize) -> f64| (0..n).map(|i| of(i) as f32).collect();
+        let singles =
+            |of: &dyn Fn(usize) -> f64| -> Vec<f32> { (0..n).map(|i| of(i) as f32).collect() };
         let [w0, w1, w2] = camera.w;
         let [fx, fy] = camera.focal;
         let [cx, cy] = camera.principal;
         Picture {
-            width: camera.size[0] as usize,
+            size: camera.size.map(|v| v as usize),
+            stride: camera.size[0] as usize,
             intrinsics: [fx, fy, cx, cy].map(|v| v as f32),
             rotation: std::array::from_fn(|k| [w0, w1, w2][k / 3][k % 3] as f32),
             center: camera.center.map(|v| v as f32),
-            photo: [0, 1, 2].map(|c| singles(&|i| photo[c * n + i])),
+            photo: Arc::new([0, 1, 2].map(|c| singles(&|i| photo[c * n + i]))),
             error: singles(&error),
-            depth: singles(&|i| depth[i] / (1.0 - left[i])),
-            transmittance: singles(&|i| left[i]),
+            depth: singles(&|i| depth[i]).into(),
+            transmittance: singles(&|i| left[i]).into(),
             masked: Vec::new(),
         }
     }

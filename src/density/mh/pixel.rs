@@ -22,74 +22,75 @@ use crate::scene::sh::C0;
 
 /// Pixels of all pictures, one after the other.
 struct Pixels<'a> {
-    pictures: &'a [Picture],
+    pictures: &'a [Picture<'a>],
     /// First pixel of each picture, and the number of all.
     starts: Vec<usize>,
     mean: f64,
     deviation: f64,
+    /// Share of all error that the weights of the draw keep, Σ e·(τ + s·(1−τ)) / Σ e; 0 if there is no error.
+    share: f64,
 }
 
 impl<'a> Pixels<'a> {
-    fn new(pictures: &'a [Picture]) -> Self {
+    /// The pixels, and the weights of the draw, one per pixel: e·(τ + s·(1−τ)).
+    fn new(pictures: &'a [Picture<'a>], surface: f64) -> (Self, Vec<f64>) {
         let mut starts = vec![0];
         for picture in pictures {
             starts.push(starts[starts.len() - 1] + picture.error.len());
         }
-        let errors = || {
-            pictures
-                .iter()
-                .flat_map(|p| &p.error)
-                .map(|e| f64::from(*e))
-        };
+        let len = starts[pictures.len()];
+        let mut weights = vec![0.0; len];
+        let of = |(e, t): (&f32, &f32)| f64::from(*e) * reached(f64::from(*t), surface);
+        for (picture, start) in pictures.iter().zip(&starts) {
+            let (width, all) = (picture.size[0], &mut weights[*start..]);
+            let errors = picture.error.par_chunks_exact(width);
+            let rows = errors.zip(picture.transmittance.par_chunks(picture.stride));
+            let write = |(weights, (errors, left)): (&mut [f64], (&[f32], &[f32]))| {
+                let values = errors.iter().zip(left).map(of);
+                weights
+                    .iter_mut()
+                    .zip(values)
+                    .for_each(|(w, value)| *w = value);
+            };
+            all.par_chunks_exact_mut(width).zip(rows).for_each(write);
+        }
         // One order of summation, whatever the number of threads.
-        let n = starts[pictures.len()].max(1) as f64;
-        let mean = errors().sum::<f64>() / n;
-        let variance = errors().map(|e| (e - mean) * (e - mean)).sum::<f64>() / n;
-        Self {
+        let (mut all, mut kept) = (0.0, 0.0);
+        for (picture, start) in pictures.iter().zip(&starts) {
+            for (e, w) in picture.error.iter().zip(&weights[*start..]) {
+                all += f64::from(*e);
+                kept += w;
+            }
+        }
+        let n = len.max(1) as f64;
+        let mean = all / n;
+        let mut variance = 0.0;
+        for e in pictures.iter().flat_map(|p| &p.error) {
+            let apart = f64::from(*e) - mean;
+            variance += apart * apart;
+        }
+        let sum = mean * len as f64;
+        let share = match sum > 0.0 {
+            true => (kept / sum).clamp(0.0, 1.0),
+            false => 0.0,
+        };
+        let pixels = Self {
             pictures,
             starts,
             mean,
-            deviation: variance.sqrt() + 1e-6,
-        }
+            deviation: (variance / n).sqrt() + 1e-6,
+            share,
+        };
+        (pixels, weights)
     }
 
     /// The picture that holds a pixel, and the pixel's number there; `None` beyond the last.
-    fn find(&self, pixel: usize) -> Option<(&'a Picture, usize)> {
+    fn find(&self, pixel: usize) -> Option<(&'a Picture<'a>, usize)> {
         let k = self
             .starts
             .partition_point(|s| *s <= pixel)
             .checked_sub(1)?;
         Some((self.pictures.get(k)?, pixel - self.starts[k]))
-    }
-
-    /// Weights of the draw, one per pixel: e·(τ + s·(1−τ)).
-    fn weights(&self, surface: f64) -> Vec<f64> {
-        let of = |(e, t): (&f32, &f32)| f64::from(*e) * reached(f64::from(*t), surface);
-        let mut weights = vec![0.0; self.len()];
-        for (picture, start) in self.pictures.iter().zip(&self.starts) {
-            let errors = picture.error.par_iter().zip(&picture.transmittance);
-            let of_picture = &mut weights[*start..][..picture.error.len()];
-            of_picture
-                .par_iter_mut()
-                .zip(errors)
-                .for_each(|(w, at)| *w = of(at));
-        }
-        weights
-    }
-
-    /// Number of pixels.
-    fn len(&self) -> usize {
-        self.starts[self.pictures.len()]
-    }
-
-    /// Share of all error that the weights keep, Σ e·(τ + s·(1−τ)) / Σ e; 0 if there is no error.
-    fn share(&self, weights: &[f64]) -> f64 {
-        let all = self.mean * self.len() as f64;
-        if all > 0.0 {
-            (weights.iter().sum::<f64>() / all).clamp(0.0, 1.0)
-        } else {
-            0.0
-        }
     }
 
     /// σ of an error's deviation from the mean, in standard deviations: the counterpart of a Gaussian's I.
@@ -110,13 +111,12 @@ pub(super) fn propose(
     src: u32,
     wanted: usize,
 ) -> Vec<Proposal> {
-    let pixels = Pixels::new(context.pictures);
-    let weights = pixels.weights(config.pixel_surface);
-    let wanted = (wanted as f64 * pixels.share(&weights)).round() as usize;
+    let (pixels, weights) = Pixels::new(context.pictures, config.pixel_surface);
+    let wanted = (wanted as f64 * pixels.share).round() as usize;
     let stream = |purpose: Stream| purpose.stream(context.iteration);
     let (place, accept) = (stream(Stream::PixelPlace), stream(Stream::PixelAccept));
     let drawn =
-        Categorical::new(&weights).draw_unique(wanted, context.seed, stream(Stream::PixelDraw));
+        Categorical::new(weights).draw_unique(wanted, context.seed, stream(Stream::PixelDraw));
     let proposal = |pixel: usize| {
         let (picture, at) = pixels.find(pixel)?;
         let u = Philox::uniform(context.seed, place, pixel as u64);
@@ -136,15 +136,14 @@ pub(super) fn propose(
 /// about the surface that it is to lie on.
 fn birth(
     config: &MhConfig,
-    (all, picture): (&[Picture], &Picture),
+    (all, picture): (&[Picture<'_>], &Picture<'_>),
     at: usize,
     u: [f64; 4],
     src: u32,
 ) -> Option<Edit> {
     let [across, down, kind, far] = u;
-    let depth = f64::from(*picture.depth.get(at)?);
+    let [left, depth] = picture.surface(at)?.map(f64::from);
     let rendered = if depth.is_finite() { depth } else { 0.0 };
-    let left = f64::from(*picture.transmittance.get(at)?);
     let beyond = kind * reached(left, config.pixel_surface) < left;
     let z = if beyond {
         let [from, to] = config.pixel_far;
@@ -152,7 +151,8 @@ fn birth(
     } else {
         rendered
     };
-    let pixel = [at % picture.width, at / picture.width].map(|v| v as f64);
+    let width = picture.size[0];
+    let pixel = [at % width, at / width].map(|v| v as f64);
     let position = picture.point([pixel[0] + across, pixel[1] + down], z);
     let log_scale = (config.pixel_scale * picture.footprint(z)).ln();
     // The same view may come twice, and views from one place agree about everything.
@@ -161,14 +161,14 @@ fn birth(
     let placed = z > 0.0 && z >= config.pixel_near && real;
     let good = placed && log_scale.is_finite() && position.iter().all(|v| v.is_finite());
     let opacity = config.pixel_opacity;
-    let color = [0, 1, 2].map(|c| (f64::from(picture.photo[c][at]) - 0.5) / C0);
-    good.then_some(Edit {
+    let color = || picture.photo.at(at).map(|c| (f64::from(c) - 0.5) / C0);
+    good.then(|| Edit {
         src,
         dst: src,
         position: position.map(|v| v as f32),
         log_scale: [log_scale as f32; 3],
         opacity_logit: logit(opacity) as f32,
-        color: OptionalColor::some(color.map(|v| v as f32)),
+        color: OptionalColor::some(color().map(|v| v as f32)),
     })
 }
 
@@ -177,7 +177,7 @@ fn birth(
 /// pixel. 0: always true.
 fn confirmed(
     tolerance: f64,
-    pictures: &mut dyn Iterator<Item = &Picture>,
+    pictures: &mut dyn Iterator<Item = &Picture<'_>>,
     position: [f64; 3],
 ) -> bool {
     let mut seen = tolerance == 0.0;
@@ -188,7 +188,9 @@ fn confirmed(
         if picture.masked.get(pixel) == Some(&true) {
             continue;
         }
-        let depth = f64::from(picture.depth[pixel]);
+        let depth = picture
+            .surface(pixel)
+            .map_or(f64::NAN, |[_, depth]| depth.into());
         // Nothing is rendered at an empty pixel.
         if !depth.is_finite() || depth > z * (1.0 + tolerance) {
             return false;

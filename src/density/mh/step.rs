@@ -249,34 +249,38 @@ impl MetropolisHastings {
         self.check(context, scene, &errors)?;
         let c = &self.config;
         let (relocation, removed) = self.relocate_or_remove_dead(context, scene);
-        let importance = self.importance(scene, &errors);
-        let alive = relocation.alive_rows.par_iter();
-        let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
-        let step = Step {
-            context,
-            scene,
-            relocation: &relocation,
-            importance: &importance,
-            sources: Categorical::new(&weights),
-        };
         let room = self.has_births(context)
             && context
                 .max_gaussians
                 .is_none_or(|most| scene.len() - removed.len() < most);
-        let kinds = [BirthKind::Pixel, BirthKind::Coarse, BirthKind::Fine];
-        let mut phases = kinds.map(|kind| (kind, Vec::new()));
-        if let (Some(&row), true) = (relocation.alive_rows.first(), room) {
-            let [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
-            let pixels = if context.pictures.is_empty() {
-                Vec::new()
-            } else {
+        let source = relocation.alive_rows.first().filter(|_| room);
+        let pixels = || match source {
+            Some(&row) if !context.pictures.is_empty() => {
                 let wanted = shrinking(c.pixel_proposals as usize, context.progress);
                 pixel::propose(c, context, row, wanted)
-            };
-            for ((_, all), drawn) in phases.iter_mut().zip([pixels, coarse, fine]) {
-                *all = drawn;
             }
+            _ => Vec::new(),
+        };
+        // Sums over pixels have one order, which leaves a core to the rest.
+        let (importance, pixels) = rayon::join(|| self.importance(scene, &errors), pixels);
+        let [mut coarse, mut fine] = [Vec::new(), Vec::new()];
+        if source.is_some() {
+            let alive = relocation.alive_rows.par_iter();
+            let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
+            let step = Step {
+                context,
+                scene,
+                relocation: &relocation,
+                importance: &importance,
+                sources: Categorical::new(weights),
+            };
+            [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
         }
+        let phases = [
+            (BirthKind::Pixel, pixels),
+            (BirthKind::Coarse, coarse),
+            (BirthKind::Fine, fine),
+        ];
         Ok(Proposals {
             phases,
             relocation,
@@ -306,7 +310,7 @@ impl MetropolisHastings {
             return vec![0.5; scene.len()];
         }
         let weights = [c.weight_opacity, c.weight_ssim, c.weight_l1];
-        importance::importance(scene.opacity_logits, errors, weights).values
+        importance::importance(scene.opacity_logits, errors, weights)
     }
 }
 

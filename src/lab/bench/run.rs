@@ -12,6 +12,7 @@ use crate::lab::bench::peak::measure as measure_peak;
 use crate::lab::bench::precision::measure as measure_precision;
 use crate::lab::bench::record::{BenchRecord, Failure, Outcome};
 use crate::lab::bench::scene;
+use crate::lab::tune::{SizeClass, suited};
 use crate::scene::formats::{self, SceneFile};
 use crate::scene::{Gaussians, orbit};
 
@@ -35,7 +36,10 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
             anti_alias,
         };
         note(&subject.title());
-        match measure_case(device, &peak, &subject, options) {
+        let Camera { width, height, .. } = cameras[0];
+        let size = SizeClass::of(splats.len(), width as usize * height as usize);
+        let device = suited(device, size, note);
+        match device.and_then(|device| measure_case(&device, &peak, &subject, options)) {
             Ok(case) => cases.push(case),
             Err(e) => {
                 failed.push(Failure::new(&subject.title(), &e));

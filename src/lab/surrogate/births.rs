@@ -172,7 +172,7 @@ impl Ground<'_> {
     fn by_weight(&self, alive: &[u32], wanted: usize, uniform: impl Fn(u64) -> f64) -> Vec<u32> {
         let weight = |r: &u32| self.importance[*r as usize];
         let weights: Vec<f64> = alive.iter().map(weight).collect();
-        let sources = Categorical::new(&weights);
+        let sources = Categorical::new(weights);
         let mut rows = BTreeSet::new();
         for k in 0..PATIENCE * wanted as u64 {
             if rows.len() == wanted {

@@ -160,7 +160,7 @@ impl Subject<'_> {
             config: c,
             splats,
             errors: base.errors(),
-            importance: &importance(logits, &base.errors(), weights).values,
+            importance: &importance(logits, &base.errors(), weights),
             progress: eta(&schedule, done),
             seed: options.seed,
         };
