@@ -54,6 +54,8 @@ mod stress;
 mod surrogate;
 mod synth;
 mod terminal;
+#[cfg(target_os = "linux")]
+mod threads;
 mod timing;
 mod tiny;
 mod trace;

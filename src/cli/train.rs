@@ -12,7 +12,6 @@ use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
-use mhsplat::device::Device;
 use mhsplat::lab::tune::SizeClass;
 use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config};
@@ -103,7 +102,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         .view
         .map(|port| Door::open("--view", port))
         .transpose()?;
-    let device = Device::open(args.device.selector().as_deref())?;
+    let device = args.device.open()?;
     if resume.is_none() {
         claim_folder(dir)?;
     }

@@ -54,6 +54,7 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     let stop = crate::cli::signals::stop_flag()?;
     let mut processes = Processes {
         device: args.device.selector(),
+        threads: args.device.threads(),
         stop: stop.clone(),
         began: Instant::now(),
     };
@@ -143,6 +144,7 @@ fn list(experiment: &Experiment, json: bool) -> Result<Outcome> {
 /// Trains each run in a process of its own, as by hand.
 struct Processes {
     device: Option<String>,
+    threads: Option<usize>,
     stop: Arc<AtomicBool>,
     began: Instant,
 }
@@ -164,6 +166,9 @@ impl Processes {
         }
         if let Some(device) = &self.device {
             command.arg("--device").arg(device);
+        }
+        if let Some(threads) = self.threads {
+            command.arg("--threads").arg(threads.to_string());
         }
         command.arg("--until-stdin-ends");
         command
