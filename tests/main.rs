@@ -39,6 +39,8 @@ mod learning;
 mod library;
 mod live;
 mod masks;
+#[cfg(target_os = "linux")]
+mod packaging;
 mod photos;
 mod plan;
 mod python;
