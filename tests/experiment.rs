@@ -10,6 +10,7 @@ use mhsplat::config::TrainConfig;
 use mhsplat::lab::experiment::*;
 
 mod cli;
+mod shards;
 mod stale;
 mod summary;
 

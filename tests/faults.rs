@@ -18,7 +18,7 @@ const MEMORY: i32 = -6;
 const BUILD: i32 = -11;
 
 /// The library that fails, built; none where that cannot be.
-fn shim(dir: &Path) -> Option<PathBuf> {
+pub fn shim(dir: &Path) -> Option<PathBuf> {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults/faults.c");
     let library = dir.join("libfaults.so");
     let built = Command::new("cc")
@@ -64,11 +64,11 @@ fn failing(library: &Path, run: &Path, name: &str, number: u32, error: i32) -> O
     command.output().unwrap()
 }
 
-fn said(output: &Output) -> String {
+pub fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-fn refuses(output: &Output, words: &[&str]) {
+pub fn refuses(output: &Output, words: &[&str]) {
     let text = said(output);
     assert_eq!(output.status.code(), Some(2), "{text}");
     for word in words {

@@ -39,6 +39,8 @@ mod learning;
 mod library;
 mod live;
 mod masks;
+#[cfg(target_os = "linux")]
+mod packaging;
 mod photos;
 mod plan;
 mod python;
@@ -54,6 +56,8 @@ mod stress;
 mod surrogate;
 mod synth;
 mod terminal;
+#[cfg(target_os = "linux")]
+mod threads;
 mod timing;
 mod tiny;
 mod trace;

@@ -2,6 +2,7 @@
 
 use std::ffi::OsString;
 use std::fs::{self, File, TryLockError};
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, BufWriter, Write};
 use std::path::{Component, Path, PathBuf};
 
@@ -26,10 +27,11 @@ pub fn write(
             "give a file to write",
         ));
     };
-    // The process id keeps two runs with one output from writing into the same temporary file.
+    // A number of its own keeps two runs with one output from writing into the same temporary file. Process ids repeat from node to node.
+    let own = RandomState::new().build_hasher().finish();
     let mut hidden = OsString::from(".");
     hidden.push(name);
-    hidden.push(format!(".{}{ENDING}", std::process::id()));
+    hidden.push(format!(".{own:x}{ENDING}"));
     let temporary = path.with_file_name(hidden);
     let written = File::create(&temporary).and_then(|file| {
         let mut writer = BufWriter::with_capacity(1 << 20, file);
@@ -120,6 +122,15 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
 /// Those of [`write`].
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write(path, |w| w.write_all(bytes))
+}
+
+/// True for a folder that is not there, or holds nothing but files that others are writing.
+#[must_use]
+pub fn is_free(folder: &Path) -> bool {
+    let temporary = |e: io::Result<fs::DirEntry>| {
+        e.is_ok_and(|e| e.file_name().to_string_lossy().ends_with(ENDING))
+    };
+    fs::read_dir(folder).map_or(!folder.exists(), |mut all| all.all(temporary))
 }
 
 /// Removes temporary files that killed processes left in a folder; failures are ignored.

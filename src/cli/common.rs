@@ -1,5 +1,6 @@
 //! Options, outcomes and devices that the commands share.
 
+use mhsplat::base::cores::Cores;
 use mhsplat::base::error::Result;
 use mhsplat::device::Device;
 use mhsplat::lab::selftest::self_test;
@@ -13,12 +14,15 @@ pub struct Common {
     pub json: bool,
 }
 
-/// Option of the commands that use a device.
+/// Options of the commands that use a device.
 #[derive(clap::Args)]
 pub struct DeviceOption {
     /// OpenCL device: index, part of its name, or cpu, gpu, accelerator (also MHSPLAT_DEVICE).
     #[arg(long, value_name = "SEL", display_order = 901)]
     device: Option<String>,
+    /// Cores that are taken, by a device that is a CPU and beside it (default: those that the process may use).
+    #[arg(long, value_name = "N", display_order = 902)]
+    threads: Option<usize>,
 }
 
 impl DeviceOption {
@@ -27,6 +31,32 @@ impl DeviceOption {
         let variable = || std::env::var("MHSPLAT_DEVICE").ok();
         let asked = self.device.clone().or_else(variable);
         asked.filter(|selector| !selector.is_empty())
+    }
+
+    /// Number of cores that was asked for.
+    pub fn threads(&self) -> Option<usize> {
+        self.threads
+    }
+
+    /// Opens the device.
+    pub fn open(&self) -> Result<Device> {
+        self.open_other(self.selector().as_deref())
+    }
+
+    /// Opens another device than the selector's, with the same number of cores.
+    fn open_other(&self, selector: Option<&str>) -> Result<Device> {
+        Device::open_on(selector, Cores::new(self.threads)?)
+    }
+
+    /// Opens a device with the tuning that suits it with small scenes, to measure or check it; `selector` goes before the option's.
+    pub fn open_tuned(&self, selector: Option<&str>) -> Result<Device> {
+        let device = self.open_other(selector)?;
+        tune::tuned(device, SizeClass::Small, &mut output::note)
+    }
+
+    /// Opens the device, which passes the self-test, with the tuning for small scenes.
+    pub fn open_tested(&self) -> Result<Device> {
+        tested(self.open()?, SizeClass::Small)
     }
 }
 
@@ -47,16 +77,6 @@ impl Outcome {
             _ => Self::Done,
         }
     }
-}
-
-/// Opens a device with the tuning that suits it with small scenes, to measure or check it.
-pub fn open_device(selector: Option<&str>) -> Result<Device> {
-    tune::tuned(Device::open(selector)?, SizeClass::Small, &mut output::note)
-}
-
-/// Opens a device that passes the self-test, with the tuning for small scenes.
-pub fn open_tested(selector: Option<&str>) -> Result<Device> {
-    tested(Device::open(selector)?, SizeClass::Small)
 }
 
 /// The device with the tuning for scenes of a size, in which it passes the self-test.

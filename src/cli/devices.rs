@@ -4,9 +4,10 @@ use serde_json::json;
 
 use crate::cli::common::{Common, Outcome};
 use crate::cli::output;
+use mhsplat::base::cores::Cores;
 use mhsplat::base::error::Result;
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Device, DeviceInfo};
+use mhsplat::device::{Device, DeviceInfo, DeviceKind};
 use mhsplat::lab::tune;
 use mhsplat::lab::tune::{Origin, SizeClass};
 
@@ -29,11 +30,11 @@ pub fn run(common: &Common) -> Result<Outcome> {
     for (d, tunings) in list.iter().zip(&tunings) {
         let mark = if Some(d.index) == default { "*" } else { " " };
         output::line(&format!(
-            "{mark} {}  {} [{:?}, {} compute units, f32 x {}, {}f64, {} MiB, buffers to {} MiB]\n     {}, driver {}",
+            "{mark} {}  {} [{:?}, {}, f32 x {}, {}f64, {} MiB, buffers to {} MiB]\n     {}, driver {}",
             d.index,
             d.name,
             d.kind,
-            d.compute_units,
+            d.units(),
             d.vector_width,
             if d.fp64 { "" } else { "no " },
             d.global_memory >> 20,
@@ -41,6 +42,13 @@ pub fn run(common: &Common) -> Result<Outcome> {
             d.platform,
             d.driver,
         ));
+        if d.kind == DeviceKind::Cpu && d.cores as usize > Cores::allowed().count() {
+            output::line(&format!(
+                "     all of them are taken, though this process may use {}: the driver cannot divide the device (set its own variable, \
+                 POCL_MAX_PTHREAD_COUNT for PoCL)",
+                Cores::allowed().count()
+            ));
+        }
         for tuning in tunings {
             output::line(&format!("     {}", tuning_line(tuning)));
         }

@@ -53,11 +53,11 @@ fn lines(f: &Findings) -> Vec<String> {
     for d in &f.devices {
         let i = &d.info;
         lines.push(format!(
-            "  {} {} [{:?}, {} compute units, {} MiB, buffers to {} MiB, {} KiB local, work-groups to {}]: {}",
+            "  {} {} [{:?}, {}, {} MiB, buffers to {} MiB, {} KiB local, work-groups to {}]: {}",
             i.index,
             i.name,
             i.kind,
-            i.compute_units,
+            i.units(),
             i.global_memory >> 20,
             i.max_alloc >> 20,
             i.local_memory >> 10,

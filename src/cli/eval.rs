@@ -59,7 +59,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     if data.test.is_empty() {
         return Err(nothing_held_out(&dataset));
     }
-    let mut loaded = scene::open(&ply, &data.frame, args.device.selector().as_deref())?;
+    let mut loaded = scene::open(&ply, &data.frame, &args.device)?;
     let photos = Photos::new(&loaded.device, data.image_budget);
     let mut views = ViewSet::new(&photos, data.test)?;
     if let Some(near) = args.near {

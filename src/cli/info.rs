@@ -15,7 +15,6 @@ use mhsplat::base::error::{Error, Result};
 use mhsplat::base::math::{order_statistic, sigmoid, sorted};
 use mhsplat::capture::{self, Alpha, Dataset, Frame, Lens, Temporary, View};
 use mhsplat::config::{Preset, TrainConfig};
-use mhsplat::device::Device;
 use mhsplat::lab::tune::SizeClass;
 use mhsplat::run::{Clock, PlanRecord, RECORD_FILE, Run, RunRecord};
 use mhsplat::scene::Plane;
@@ -142,7 +141,7 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
 
 /// Seconds that a run of a dataset is expected to take on the device, and a sentence on them, after its first iterations.
 fn expected_time(args: &InfoArgs, data: Dataset, config: TrainConfig) -> Result<(f64, String)> {
-    let device = Device::open(args.device.selector().as_deref())?;
+    let device = args.device.open()?;
     let device = tested(device, SizeClass::of_run(&data, &config))?;
     let place = Temporary::new()?;
     let stop = AtomicBool::new(false);

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::cli::{common, output, progress};
+use crate::cli::common::DeviceOption;
+use crate::cli::{output, progress};
 use glam::DVec3;
 
 use mhsplat::base::error::{Error, Result};
@@ -244,9 +245,9 @@ pub fn read(path: &Path, frame: &Frame) -> Result<SceneFile> {
 }
 
 /// Uploads a scene in a local frame, with the 2D filter if its file asks for it.
-pub fn open(path: &Path, frame: &Frame, device: Option<&str>) -> Result<Loaded> {
+pub fn open(path: &Path, frame: &Frame, device: &DeviceOption) -> Result<Loaded> {
     let file = read(path, frame)?;
-    let device = common::open_tested(device)?;
+    let device = device.open_tested()?;
     let defines = Defines {
         anti_alias: file.anti_aliased,
         ..Defines::new(device.tuning())

@@ -104,7 +104,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         .view
         .map(|port| Door::open("--view", port))
         .transpose()?;
-    let device = Device::open(args.device.selector().as_deref())?;
+    let device = args.device.open()?;
     if resume.is_none() {
         claim_folder(dir)?;
     }

@@ -112,7 +112,7 @@ pub fn run(args: &ViewArgs, common: &Common) -> Result<Outcome> {
     let door = Door::open("--port", args.port)?;
     let data = dataset(args, record.as_ref())?;
     let frame = data.as_ref().map_or(Frame::IDENTITY, |data| data.frame);
-    let loaded = scene::open(&file, &frame, args.device.selector().as_deref())?;
+    let loaded = scene::open(&file, &frame, &args.device)?;
     let (mut views, photos, reach) = match &data {
         Some(data) => {
             let (views, remark) = scene_views(data);

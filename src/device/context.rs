@@ -6,9 +6,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ocl_core::{self as core, Event, ProfilingInfo};
 
+use crate::base::cores::Cores;
 use crate::base::error::{Error, Result};
 use crate::device::error::{LOST, device_error};
 use crate::device::info::{DeviceInfo, enumerate, select};
+use crate::device::part::Part;
 use crate::device::queues::{InUse, Queues};
 use crate::device::staging::Staging;
 use crate::device::tuning::Tuning;
@@ -54,6 +56,8 @@ pub(super) struct Inner {
     pending: Mutex<Vec<Enqueued>>,
     /// Bytes of the buffers that are alive.
     pub allocated: AtomicU64,
+    /// The part of the device that `id` is, if it is one; the last to go.
+    _part: Option<Part>,
 }
 
 impl Inner {
@@ -72,13 +76,23 @@ impl Inner {
     }
 }
 
+/// The description of a device of which a part is taken, or all.
+fn taking(info: DeviceInfo, part: Option<&Part>) -> DeviceInfo {
+    let cores = part.map_or(info.compute_units, |part| part.units);
+    DeviceInfo { cores, ..info }
+}
+
 impl Device {
-    /// Every device of every platform.
+    /// Every device of every platform, with the cores that [`Device::open`] takes of it.
     ///
     /// # Errors
     /// No OpenCL loader, platform or device.
     pub fn list() -> Result<Vec<DeviceInfo>> {
-        Ok(enumerate()?.into_iter().map(|(info, _)| info).collect())
+        let taken = |(info, id): (DeviceInfo, core::DeviceId)| {
+            let part = Part::of(&info, id, Cores::allowed())?;
+            Ok(taking(info, part.as_ref()))
+        };
+        enumerate()?.into_iter().map(taken).collect()
     }
 
     /// The device that [`Device::open`] takes without a selector: the first GPU, then accelerator, then CPU.
@@ -87,11 +101,20 @@ impl Device {
         list.iter().min_by_key(|d| (d.kind, d.index))
     }
 
-    /// Opens the device named by an index, a part of its name or platform, or a type (cpu, gpu, accelerator).
+    /// Opens the device named by an index, a part of its name or platform, or a type (cpu, gpu, accelerator). A CPU takes the cores
+    /// that the process may use ([`Cores::allowed`]).
     ///
     /// # Errors
     /// No device, or none that matches.
     pub fn open(selector: Option<&str>) -> Result<Self> {
+        Self::open_on(selector, Cores::allowed())
+    }
+
+    /// Opens a device as [`Device::open`]; a CPU takes these cores, where its driver can divide it. Results do not depend on their number.
+    ///
+    /// # Errors
+    /// Those of [`Device::open`], or a number of cores that was asked for and cannot be had.
+    pub fn open_on(selector: Option<&str>, cores: Cores) -> Result<Self> {
         let (infos, ids): (Vec<DeviceInfo>, Vec<core::DeviceId>) = enumerate()?.into_iter().unzip();
         let found = match selector {
             None => Self::default_of(&infos),
@@ -104,7 +127,10 @@ impl Device {
                 "`mhsplat devices` lists what can be selected",
             ));
         };
-        let id = ids[info.index];
+        let whole = ids[info.index];
+        let part = Part::of(&info, whole, cores)?;
+        let id = part.as_ref().map_or(whole, |part| part.id);
+        let info = taking(info, part.as_ref());
         let fail = |e: core::Error| device_error("open device", &e, "select another with --device");
         let context = core::create_context(None, &[id], None, None).map_err(fail)?;
         let queues = Queues::new(&context, id).map_err(fail)?;
@@ -118,6 +144,7 @@ impl Device {
                 staging: Staging::default(),
                 pending: Mutex::default(),
                 allocated: AtomicU64::new(0),
+                _part: part,
             }),
         })
     }

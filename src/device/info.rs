@@ -39,6 +39,8 @@ pub struct DeviceInfo {
     pub kind: DeviceKind,
     /// Compute units.
     pub compute_units: u32,
+    /// Compute units that are taken: fewer of a CPU if the process may use fewer cores.
+    pub cores: u32,
     /// True if double precision is available (`verify` needs it, training does not).
     pub fp64: bool,
     /// Preferred native vector width for f32.
@@ -53,9 +55,24 @@ pub struct DeviceInfo {
     pub max_work_group: usize,
 }
 
+impl DeviceInfo {
+    /// The compute units in words: how many, and of how many if not all are taken.
+    #[must_use]
+    pub fn units(&self) -> String {
+        match (self.cores, self.compute_units) {
+            (cores, all) if cores < all => format!("{cores} of {all} compute units"),
+            (_, all) => format!("{all} compute units"),
+        }
+    }
+}
+
 /// Advice for a system without a device.
 const INSTALL: &str = "install an OpenCL driver (on Debian/Ubuntu: `apt-get install ocl-icd-libopencl1 pocl-opencl-icd`) \
      or point OCL_ICD_VENDORS at one; `mhsplat doctor` says more";
+
+/// Advice where there is a driver without a device.
+const NO_DEVICE: &str = "`mhsplat doctor` says more; PoCL has none if it may not write its cache: set POCL_CACHE_DIR to a folder that can be \
+     written, such as /tmp/pocl";
 
 /// The device named by an index, a part of its name or platform, or a kind; `None` if nothing matches.
 pub(super) fn select<'a>(list: &'a [DeviceInfo], selector: &str) -> Option<&'a DeviceInfo> {
@@ -116,7 +133,7 @@ fn ask_platforms() -> Result<Vec<(DeviceInfo, core::DeviceId)>> {
         }
     }
     if out.is_empty() {
-        return Err(Error::device("OpenCL", "no device found", INSTALL));
+        return Err(Error::device("OpenCL", "no device found", NO_DEVICE));
     }
     Ok(out)
 }
@@ -144,6 +161,7 @@ fn describe(index: usize, platform: &str, id: core::DeviceId) -> Result<DeviceIn
             _ => 0,
         })
     };
+    let compute_units = number(Query::MaxComputeUnits)? as u32;
     Ok(DeviceInfo {
         index,
         name: text(Query::Name)?.trim().to_owned(),
@@ -151,7 +169,8 @@ fn describe(index: usize, platform: &str, id: core::DeviceId) -> Result<DeviceIn
         platform: platform.trim().to_owned(),
         driver: text(Query::DriverVersion)?.trim().to_owned(),
         kind,
-        compute_units: number(Query::MaxComputeUnits)? as u32,
+        compute_units,
+        cores: compute_units,
         fp64: text(Query::Extensions)?.contains("cl_khr_fp64"),
         vector_width: number(Query::NativeVectorWidthFloat)? as u32,
         max_alloc: number(Query::MaxMemAllocSize)?,

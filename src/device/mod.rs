@@ -9,6 +9,7 @@ mod info;
 mod launch;
 pub mod layout;
 pub mod libraries;
+mod part;
 mod program;
 mod queues;
 mod read;

@@ -8,7 +8,7 @@ use rustc_hash::FxHasher;
 use crate::device::{DeviceInfo, sources_hash};
 
 /// The file for a finding about a device with its driver and these kernels; `more` identifies anything else the finding depends
-/// on. `None` if the system has no place for it.
+/// on. The number of cores that are taken is no part of it: no result depends on it. `None` if the system has no place for it.
 #[must_use]
 pub fn file(kind: &str, info: &DeviceInfo, more: impl Hash) -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty());

@@ -60,6 +60,12 @@ pub struct DeviceRecord {
     pub platform: String,
     /// Driver version.
     pub driver: String,
+    /// Compute units of the device; not in records of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compute_units: Option<u32>,
+    /// Compute units that the run took; not in records of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cores: Option<u32>,
     /// Tuning of the kernels for it; not in records of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tuning: Option<Tuning>,

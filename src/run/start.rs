@@ -168,6 +168,8 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
             vendor: info.vendor.clone(),
             platform: info.platform.clone(),
             driver: info.driver.clone(),
+            compute_units: Some(info.compute_units),
+            cores: Some(info.cores),
             tuning: Some(device.tuning()),
         },
         PlanRecord::of(plan),

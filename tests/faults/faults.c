@@ -48,6 +48,8 @@ INTERPOSE(clEnqueueFillBuffer,
 INTERPOSE(clFlush, (void *queue), (queue))
 INTERPOSE(clBuildProgram, (void *program, unsigned n, list devices, const char *options, void *notify, void *data),
           (program, n, devices, options, notify, data))
+INTERPOSE(clCreateSubDevices, (void *device, list properties, unsigned n, void *devices, unsigned *made),
+          (device, properties, n, devices, made))
 INTERPOSE(clWaitForEvents, (unsigned n, list events), (n, events))
 
 void *clCreateBuffer(void *context, unsigned long flags, size_t size, void *host, int *error) {

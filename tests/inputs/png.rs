@@ -226,11 +226,11 @@ fn a_large_photo_takes_little_memory() {
     dataset(dir.path(), json!({}));
     write_large(&dir.path().join("photo.png"));
     let command = program();
-    let limited = "ulimit -v 480000; exec \"$0\" info \"$1\" --max-size 100 --test-every 0";
+    let limited =
+        "ulimit -v 480000; exec \"$0\" info \"$1\" --max-size 100 --test-every 0 --threads 1";
     let output = std::process::Command::new("sh")
         .args(["-c", limited])
         .args([command.get_program(), dir.path().as_os_str()])
-        .env("RAYON_NUM_THREADS", "1")
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", stderr(&output));

@@ -420,6 +420,8 @@ fn page_escapes_every_string() {
         vendor: evil.into(),
         platform: evil.into(),
         driver: evil.into(),
+        compute_units: None,
+        cores: None,
         tuning: None,
     };
     (record.version, record.commit) = (evil.into(), evil.into());

@@ -92,6 +92,8 @@ pub fn record() -> RunRecord {
             vendor: "AuthenticAMD".into(),
             platform: "Portable Computing Language".into(),
             driver: "3.1".into(),
+            compute_units: Some(8),
+            cores: Some(4),
             tuning: None,
         },
         plan(),

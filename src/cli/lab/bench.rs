@@ -60,13 +60,13 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
             let devices: Vec<_> = all.map(|d| (d.name, Some(d.index.to_string()))).collect();
             bench::run_all(
                 &devices,
-                crate::cli::common::open_device,
+                |selector| args.device.open_tuned(selector),
                 &options,
                 &mut note,
             )
         }
         one => {
-            let record = bench::run(&crate::cli::common::open_device(one)?, &options, &mut note)?;
+            let record = bench::run(&args.device.open_tuned(one)?, &options, &mut note)?;
             vec![Measured::Done(Box::new(record))]
         }
     };

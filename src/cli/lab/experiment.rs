@@ -12,7 +12,7 @@ use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::config::parse_duration;
 use mhsplat::lab::experiment;
-use mhsplat::lab::experiment::{Experiment, Job, Launch};
+use mhsplat::lab::experiment::{Experiment, Job, Launch, Outcome as Ended, Shard};
 
 /// Arguments.
 #[derive(clap::Args)]
@@ -28,6 +28,9 @@ pub struct ExperimentArgs {
     /// Time for this session (90s, 10m, 3h) [default: the file's budget]
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     budget: Option<f64>,
+    /// Train every N-th run alone, from the I-th on, for job arrays: I of 1 to N is another part for each job.
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
     /// List the runs with their states, and train nothing.
     #[arg(long)]
     dry_run: bool,
@@ -44,12 +47,14 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
         experiment.output.clone_from(dir);
     }
     experiment.budget = args.budget.or(experiment.budget);
+    experiment.shard = args.shard;
     if args.dry_run {
         return list(&experiment, common.json);
     }
     let stop = crate::cli::signals::stop_flag()?;
     let mut processes = Processes {
         device: args.device.selector(),
+        threads: args.device.threads(),
         stop: stop.clone(),
         began: Instant::now(),
     };
@@ -59,18 +64,17 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
         output::note("stopped; run the same command to resume");
     }
     let ended = ended?;
-    let summary = experiment::write(&experiment)?;
-    if common.json {
-        output::json(&summary)?;
+    if args.shard.is_none() || experiment::is_complete(&experiment) {
+        compare(&experiment, &ended, args, common)?;
     } else {
-        args.form.print(&summary.report());
+        if common.json {
+            output::json(&ended)?;
+        }
+        let done = ended.done;
+        output::note(&format!(
+            "{done} runs of this shard are done; after those of all shards the command without --shard compares them"
+        ));
     }
-    let page = experiment.output.join("summary.html");
-    output::note(&format!(
-        "{} runs done; page: {}",
-        ended.done,
-        page.display()
-    ));
     if ended.left > 0 {
         output::note(&format!(
             "the budget ended before {} runs; run the same command to resume",
@@ -90,6 +94,23 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     }
 }
 
+/// Writes the comparisons and prints them.
+fn compare(e: &Experiment, ended: &Ended, args: &ExperimentArgs, common: &Common) -> Result<()> {
+    let summary = experiment::write(e)?;
+    if common.json {
+        output::json(&summary)?;
+    } else {
+        args.form.print(&summary.report());
+    }
+    let page = e.output.join("summary.html");
+    output::note(&format!(
+        "{} runs done; page: {}",
+        ended.done,
+        page.display()
+    ));
+    Ok(())
+}
+
 /// A run of the matrix with its state.
 #[derive(serde::Serialize)]
 struct Listed {
@@ -101,7 +122,7 @@ struct Listed {
 fn list(experiment: &Experiment, json: bool) -> Result<Outcome> {
     experiment.check_scenes()?;
     let mut all = Vec::new();
-    for run in experiment::blocks(experiment).iter().flatten() {
+    for run in experiment::mine(experiment).iter().flatten() {
         let found = experiment::look(experiment, run);
         let (state, why) = found.words();
         all.push(Listed {
@@ -123,6 +144,7 @@ fn list(experiment: &Experiment, json: bool) -> Result<Outcome> {
 /// Trains each run in a process of its own, as by hand.
 struct Processes {
     device: Option<String>,
+    threads: Option<usize>,
     stop: Arc<AtomicBool>,
     began: Instant,
 }
@@ -144,6 +166,9 @@ impl Processes {
         }
         if let Some(device) = &self.device {
             command.arg("--device").arg(device);
+        }
+        if let Some(threads) = self.threads {
+            command.arg("--threads").arg(threads.to_string());
         }
         command.arg("--until-stdin-ends");
         command

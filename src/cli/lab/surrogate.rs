@@ -66,7 +66,7 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
     let path = scene::dataset_path(args.dataset.as_deref(), Some(&record), "give it")?;
     remove_unpacked_at_end(&path)?;
     let dataset = scene::dataset(&path, Some(&record), &scene::PhotoOptions::of_run())?;
-    let device = crate::cli::common::open_tested(args.device.selector().as_deref())?;
+    let device = args.device.open_tested()?;
     let options = Options {
         candidates: args.candidates,
         views: args.views,

@@ -59,7 +59,7 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     };
     let results = selectors
         .iter()
-        .map(|s| suite(&crate::cli::common::open_device(s.as_deref())?))
+        .map(|s| suite(&args.device.open_tuned(s.as_deref())?))
         .collect::<Result<Vec<Verification>>>()?;
     if let Some(dir) = &args.output {
         write_folder(dir, &results)?;

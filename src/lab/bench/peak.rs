@@ -61,7 +61,7 @@ pub(super) fn measure(device: &Device, options: &Options) -> Result<Record> {
 /// 10⁹ FLOP per second of device time, and per second of CPU time if the device is the CPU.
 fn fma(device: &Device, stage: &Program, options: &Options) -> Result<(Spread, Option<Spread>)> {
     let cpu = device.info().kind == DeviceKind::Cpu;
-    let items = device.info().compute_units.max(1) as usize * if cpu { 16 } else { 2048 };
+    let items = device.info().cores.max(1) as usize * if cpu { 16 } else { 2048 };
     let out = Array::<f32>::zeros(device, "peak", items * stage.lanes())?;
     let launch = |steps: u32| {
         time(device, || {

@@ -98,10 +98,7 @@ fn device(record: &BenchRecord) -> Report {
     let tables = tables.into_iter().map(Section::Table);
     Report {
         title: record.device.clone(),
-        subtitle: format!(
-            "{}, driver {}, {} compute units",
-            a.platform, a.driver, a.compute_units
-        ),
+        subtitle: format!("{}, driver {}, {}", a.platform, a.driver, a.units()),
         sections: std::iter::once(charts).chain(tables).collect(),
         ..Report::default()
     }

@@ -5,9 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::base::error::{Error, Result};
+use crate::base::files::{FolderLock, is_free};
 use crate::config::TrainConfig;
 use crate::lab::experiment::file::Experiment;
-use crate::lab::experiment::plan::{CAP_FIRST, Planned, State, blocks, expected, look, state};
+use crate::lab::experiment::plan::{
+    CAP_FIRST, Planned, State, blocks, expected, look, mine, state,
+};
 use crate::lab::experiment::summary;
 use crate::lab::folder::json;
 use crate::run::abandon_folder;
@@ -43,7 +46,7 @@ pub trait Launch {
 }
 
 /// Numbers of runs that are done, failed and left.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
 pub struct Outcome {
     /// Finished runs, earlier ones included.
     pub done: usize,
@@ -69,9 +72,9 @@ struct Drive<'a> {
 /// text describes that one. Refuses a folder that holds something else.
 fn claim(e: &Experiment, blocks: &[Vec<Planned>]) -> Result<()> {
     let dir = &e.output;
-    let empty = std::fs::read_dir(dir).map_or(!dir.exists(), |mut d| d.next().is_none());
     let mark = dir.join(MARK);
-    if !empty && !mark.is_file() {
+    // Another job may be putting its text there at this moment.
+    if !is_free(dir) && !mark.is_file() {
         return Err(Error::input(
             dir,
             "holds something that is no experiment; nothing is overwritten",
@@ -86,7 +89,15 @@ fn claim(e: &Experiment, blocks: &[Vec<Planned>]) -> Result<()> {
     }
 }
 
-/// Runs what is missing, as far as the budget goes, and writes the comparisons after every scene of a seed.
+/// True if every run of the experiment is finished, those of other shards included.
+#[must_use]
+pub fn is_complete(experiment: &Experiment) -> bool {
+    let done = |run: &Planned| matches!(look(experiment, run), State::Done(_));
+    blocks(experiment).iter().flatten().all(done)
+}
+
+/// Runs what is missing, as far as the budget goes, and writes the comparisons after every scene of a seed; those of a shard once the
+/// whole experiment is complete.
 ///
 /// A run that fails is named in the outcome, as are those that need its number of Gaussians; the others go on.
 ///
@@ -100,8 +111,12 @@ pub fn run(
     note: &mut dyn FnMut(&str),
 ) -> Result<Outcome> {
     experiment.check_scenes()?;
-    let all = blocks(experiment);
-    claim(experiment, &all)?;
+    claim(experiment, &blocks(experiment))?;
+    let all = mine(experiment);
+    let compare = || match experiment.shard.is_none() || is_complete(experiment) {
+        true => summary::write(experiment).map(drop),
+        false => Ok(()),
+    };
     let mut drive = Drive {
         experiment,
         began: launch.seconds(),
@@ -124,10 +139,10 @@ pub fn run(
         }
         let done = drive.block(block);
         // Whatever ended the block, what there is can be compared.
-        summary::write(experiment)?;
+        compare()?;
         done?;
     }
-    summary::write(experiment)?;
+    compare()?;
     Ok(drive.outcome)
 }
 
@@ -180,6 +195,8 @@ impl Drive<'_> {
             State::Done(_) => return Ok(()),
             State::Refused { what, fix } => return wrong(what, fix),
             State::Broken => {
+                // So is one that has only just begun, in another process.
+                drop(FolderLock::take(&run.dir)?);
                 abandon_folder(&run.dir);
                 if run.dir.exists() {
                     return wrong("holds part of a run and other files", "move it away");

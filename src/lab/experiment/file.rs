@@ -10,6 +10,7 @@ use crate::base::error::{Error, Result};
 use crate::capture::is_archive;
 use crate::config::{TrainConfig, deserialize, parse_duration};
 use crate::lab::compare::thresholds;
+use crate::lab::experiment::shard::Shard;
 
 /// A dataset, and the options that its runs have in common.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
@@ -50,6 +51,9 @@ pub struct Experiment {
     /// Seconds after which no further scene of a seed is begun.
     #[serde(default, deserialize_with = "duration")]
     pub budget: Option<f64>,
+    /// The part of the runs that this session trains; `None` for all.
+    #[serde(skip)]
+    pub shard: Option<Shard>,
     /// Seeds.
     pub seeds: Vec<u64>,
     /// Setting whose final number of Gaussians is the cap of the others.

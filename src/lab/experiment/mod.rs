@@ -9,6 +9,7 @@
 //! |---|---|
 //! | `file.rs` | the TOML file |
 //! | `plan.rs` | runs in their order, and the state of each |
+//! | `shard.rs` | the part of the runs that one of several jobs trains |
 //! | `drive.rs` | runs them within the budget |
 //! | `summary.rs` | the runs of each scene and all scenes side by side |
 //!
@@ -17,9 +18,11 @@
 mod drive;
 mod file;
 mod plan;
+mod shard;
 mod summary;
 
-pub use crate::lab::experiment::drive::{Job, Launch, Outcome, last_error, run};
+pub use crate::lab::experiment::drive::{Job, Launch, Outcome, is_complete, last_error, run};
 pub use crate::lab::experiment::file::{Experiment, Scene, Setting};
-pub use crate::lab::experiment::plan::{Planned, State, blocks, expected, look, state};
+pub use crate::lab::experiment::plan::{Planned, State, blocks, expected, look, mine, state};
+pub use crate::lab::experiment::shard::Shard;
 pub use crate::lab::experiment::summary::{Against, SceneSummary, Summary, write};

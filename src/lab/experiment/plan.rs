@@ -105,6 +105,17 @@ pub fn blocks(e: &Experiment) -> Vec<Vec<Planned>> {
     blocks
 }
 
+/// The runs of this session, in the order of [`blocks`]: all, or those of its shard. A run that needs the number of Gaussians of another
+/// one is in the same shard.
+#[must_use]
+pub fn mine(e: &Experiment) -> Vec<Vec<Planned>> {
+    let all = blocks(e);
+    match e.shard {
+        Some(shard) => shard.take(all, e.cap_from.is_some()),
+        None => all,
+    }
+}
+
 /// State of a run folder; with `config` `None`, of whatever configuration.
 #[must_use]
 pub fn state(dir: &Path, config: Option<&TrainConfig>) -> State {

@@ -17,6 +17,8 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
         escape(&command(record, run_dir))
     );
     let (dataset, device) = (&record.dataset, &record.device);
+    let cores = device.cores.zip(device.compute_units);
+    let cores = cores.map_or_else(String::new, |(n, all)| format!("{n} of {all}"));
     let facts = [
         ("dataset", &*dataset.path),
         ("layout", &dataset.layout),
@@ -24,6 +26,7 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
         ("vendor", &device.vendor),
         ("platform", &device.platform),
         ("driver", &device.driver),
+        ("compute units", &cores),
         (
             "version",
             &format!("{} ({})", record.version, record.commit),
