@@ -166,15 +166,6 @@ static inline void walk_box(uint mask, uint box, uint tiles_x, Pairs *pairs) {
 }
 
 #if GROUP_STYLE
-// Lists the work-items of a group whose Gaussians have no mask; the group takes them together, one after the other.
-static inline uint list_large(int large, __local uint *list, __local ulong *scratch) { // out [number of them]
-  uint n;
-  const uint at = group_scan(large, scratch, &n);
-  if (large) list[at] = ITEM;
-  barrier(CLK_LOCAL_MEM_FENCE);
-  return n;
-}
-
 // A large Gaussian's box of tiles.
 typedef struct {
   Projected g;

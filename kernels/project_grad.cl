@@ -1,6 +1,7 @@
 // project_grad: the nine sums of each Gaussian -> gradients of its raw parameters, regularisers included.
 // Without TAKE_STEP they are written, for a block of Gaussians; with it they go into a step of the optimiser at once, and none
-// of them is stored. A Gaussian's pairs are added in the order of their tiles. Source: chain rule through M = J W R S (see common.clh),
+// of them is stored. A Gaussian's pairs are added in the order of their tiles,
+// those of large ones in the group style by large_sums. Source: chain rule through M = J W R S (see common.clh),
 // [MH] Eq. 4 for the regularisers.
 
 // Destination of the gradients of VW Gaussians: an array, or, where a work-item takes no more of them at a time, the step itself.
@@ -175,6 +176,48 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
     dx[k] = fma(V(cam->w[k]), dt[0], fma(V(cam->w[3 + k]), dt[1], cam->w[6 + k] * dt[2]));
 }
 
+#if GROUP_STYLE
+// Pairs to be added where large_sums has been.
+#define SUMMED_PAIRS(pairs) ((pairs) > LARGE_PAIRS ? 1 : (pairs))
+
+// Launch: one work-item per Gaussian. Leaves the sums of one with more than LARGE_PAIRS pairs in its first slot and 0 in the others,
+// again where it has been before: the work-item of a Gaussian that fills the image would add thousands one after the other. Each
+// work-item of the group adds every GROUP-th pair, then sums are added by halves. Nothing is changed after a pair overflow.
+CHUNK_KERNEL void large_sums(uint count, __global const uint *isect_start,  // in [count] first emission slot
+                             __global const uint *isect_counts,             // in [count]
+                             __global const uint *status,                   // in S_OVERFLOW
+                             __global real *sums) {                         // in/out [pairs, SUMS]
+  SCRATCH;
+  __local uint large[GROUP];
+  __local real parts[SUMS * GROUP];
+  const uint first = CHUNK * GROUP, own = first + ITEM;
+  const int exists = status[S_OVERFLOW] == 0 && own < count;
+  const uint n = list_large(exists && isect_counts[own] > LARGE_PAIRS, large, scratch);
+  for (uint k = 0; k < n; k++) {
+    const uint i = first + large[k], pairs = isect_counts[i];
+    __global real *of = sums + (size_t)isect_start[i] * SUMS;
+    real sum[SUMS];
+    for (int q = 0; q < SUMS; q++) sum[q] = R(0.0);
+    for (uint p = ITEM; p < pairs; p += GROUP)
+      for (int q = 0; q < SUMS; q++) {
+        sum[q] += of[p * SUMS + q];
+        of[p * SUMS + q] = R(0.0);
+      }
+    for (int q = 0; q < SUMS; q++) parts[q * GROUP + ITEM] = sum[q];
+    for (uint near = GROUP / 2; near > 0; near /= 2) {
+      barrier(CLK_LOCAL_MEM_FENCE);
+      if (ITEM < near)
+        for (int q = 0; q < SUMS; q++) parts[q * GROUP + ITEM] += parts[q * GROUP + ITEM + near];
+    }
+    if (ITEM == 0)
+      for (int q = 0; q < SUMS; q++) of[q] = parts[q * GROUP];
+    barrier(CLK_LOCAL_MEM_FENCE); // before parts are written again
+  }
+}
+#else
+#define SUMMED_PAIRS(pairs) (pairs)
+#endif
+
 // Inputs of the gradients of all Gaussians.
 typedef struct {
   __global const real *params; // [planes, stride]
@@ -191,7 +234,7 @@ typedef struct {
 // The nine sums of VW Gaussians from i on over their pairs, and how many of them have any: 1 or 0 for each.
 static inline void sum_pairs(const In *in, uint i, int overflow, real lane[VW][SUMS], real paired[VW]) {
   for (uint l = 0; l < VW; l++) {
-    const uint pairs = i + l < in->count && !overflow ? in->isect_counts[i + l] : 0;
+    const uint pairs = i + l < in->count && !overflow ? SUMMED_PAIRS(in->isect_counts[i + l]) : 0;
     paired[l] = pairs > 0 ? R(1.0) : R(0.0);
     real8 eight = (real8)(R(0.0)); // in registers over the pairs
     real ninth = R(0.0);

@@ -1,7 +1,7 @@
 // screen_grad: how hard this iteration pulls at the projected centre of each Gaussian, added to what earlier ones did.
 // Launch: one work-item per Gaussian. A Gaussian without pairs was not seen and is left as it is, as is one whose gradient
 // is not finite; after a pair overflow nothing is changed: the host repeats the iteration. A Gaussian's pairs are added in
-// the order of their tiles. Source: [3DGS] section 5.2; the gradient is that with respect to the mean in normalised device
+// the order of their tiles; those of a large one may have been added up in the first by then (see project_grad). Source: [3DGS] section 5.2; the gradient is that with respect to the mean in normalised device
 // coordinates, -1 to 1 over the image, so that its two parts are those with respect to pixels times half of the width and height.
 
 #define TWO_LN2 R(1.3862943611198906)

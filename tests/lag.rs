@@ -183,16 +183,18 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
         let strategy = mhsplat::density::make(config);
         let plan = Plan::new(&data, config).unwrap();
         let plan = plan.with_strategy(kind, strategy.as_ref());
-        plan.config.work.density_lag
+        // A record says what was asked for, on any device.
+        assert_eq!(plan.config, *config);
+        plan.density_lag.value
     };
     let config = TrainConfig::default();
-    assert_eq!(lag(DeviceKind::Cpu, &config), None);
-    assert_eq!(lag(DeviceKind::Gpu, &config), Some(16));
-    assert_eq!(lag(DeviceKind::Cpu, &lagging(Sampler::Mh, 3)), Some(3));
+    assert_eq!(lag(DeviceKind::Cpu, &config), 0);
+    assert_eq!(lag(DeviceKind::Gpu, &config), 16);
+    assert_eq!(lag(DeviceKind::Cpu, &lagging(Sampler::Mh, 3)), 3);
     // Estimates need the device while the step is decided.
     let mut probing = lagging(Sampler::Mh, 3);
     probing.mh.surrogate = Surrogate::Probe;
-    assert_eq!(lag(DeviceKind::Gpu, &probing), Some(0));
+    assert_eq!(lag(DeviceKind::Gpu, &probing), 0);
 }
 
 #[test]

@@ -9,7 +9,9 @@ use std::time::{Duration, Instant, SystemTime};
 use mhsplat::base::rng::Philox;
 use mhsplat::capture::{LoadOptions, load};
 use mhsplat::device::Device;
-use mhsplat::run::{Clock, DensityRow, Progress, Run, checkpoint, read_rows, saved_config};
+use mhsplat::run::{
+    Clock, DensityRow, Progress, Run, checkpoint, read_rows, saved_config, saved_tuning,
+};
 
 /// Kills; more with MHSPLAT_KILLS.
 const KILLS: u64 = 6;
@@ -256,6 +258,12 @@ fn resumed_with_one_row_a_step(lag: u32, saved: u32, lost: u32) {
     let state = checkpoint::read(&killed).unwrap().state;
     assert_eq!(state.iteration, step + saved);
     assert_eq!(state.deciding.is_some(), lag > 0);
+    // Without a checkpoint a run begins again, and not as another device had begun it.
+    assert_eq!(saved_tuning(&killed).unwrap(), Some(device.tuning()));
+    let bare = dir.path().join("bare");
+    fs::create_dir(&bare).unwrap();
+    fs::copy(killed.join("run.json"), bare.join("run.json")).unwrap();
+    assert_eq!(saved_tuning(&bare).unwrap(), None);
     assert_eq!(rows(&killed).last().unwrap().iteration, step);
     assert!(train(&room(), &killed, true).status().unwrap().success());
     let steps = |rows: &[DensityRow]| -> Vec<u32> { rows.iter().map(|r| r.iteration).collect() };

@@ -31,6 +31,8 @@ pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
 pub const NEAR: f64 = 1.0 / 256.0;
 /// Sums that splat_grad writes per pair.
 pub const SUMS: usize = 9;
+/// Pairs of a Gaussian beyond which a work-group adds their sums in the group style, so that none has to wait for one work-item.
+pub const LARGE_PAIRS: u32 = 64;
 /// Projected Gaussians that the splat kernels copy to local memory at a time (measured: 32 on CPUs).
 pub const SPLAT_BATCH: u32 = 32;
 /// Work-items that share a tile in splat_grad in the group style: each takes the pixels of a column that lie as many rows apart as

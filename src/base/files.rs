@@ -130,7 +130,10 @@ pub fn is_free(folder: &Path) -> bool {
     let temporary = |e: io::Result<fs::DirEntry>| {
         e.is_ok_and(|e| e.file_name().to_string_lossy().ends_with(ENDING))
     };
-    fs::read_dir(folder).map_or(!folder.exists(), |mut all| all.all(temporary))
+    match fs::read_dir(folder) {
+        Ok(mut all) => all.all(temporary),
+        Err(error) => error.kind() == io::ErrorKind::NotFound,
+    }
 }
 
 /// Removes temporary files that killed processes left in a folder; failures are ignored.

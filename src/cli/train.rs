@@ -13,10 +13,11 @@ use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
 use mhsplat::device::Device;
-use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::tune::SizeClass;
 use mhsplat::run::live::{Door, Server};
-use mhsplat::run::{Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config};
+use mhsplat::run::{
+    Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config, saved_tuning,
+};
 
 /// Keys of a configuration that say how long the run is.
 const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
@@ -118,10 +119,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let mut clock = Clock::start();
     let data = read_photos(&dataset, &config)?;
     clock.stop();
-    let device = match resume.and_then(|run| tuning_of(run, &device)) {
-        Some(tuning) => self_tested(device.with_tuning(tuning))?,
-        None => tested(device, SizeClass::of_run(&data, &config))?,
-    };
+    let device = tuned(device, resume, SizeClass::of_run(&data, &config))?;
     clock.resume();
     let mut run = match resume {
         Some(run) => {
@@ -177,10 +175,13 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     Ok(Outcome::of(args.require_psnr, psnr))
 }
 
-/// The tuning that a run goes on with; `None` if it is not known or not one for the device.
-fn tuning_of(run: &Path, device: &Device) -> Option<Tuning> {
-    let tuning = RunRecord::read(run).ok()?.device.tuning?;
-    tuning.fault(device.info()).is_none().then_some(tuning)
+/// The device with the tuning of the run to resume, or the one for runs of a size, in which it passes the self-test.
+fn tuned(device: Device, resume: Option<&PathBuf>, size: SizeClass) -> Result<Device> {
+    let known = resume.map(|run| saved_tuning(run)).transpose()?.flatten();
+    match known.filter(|tuning| tuning.fault(device.info()).is_none()) {
+        Some(tuning) => self_tested(device.with_tuning(tuning)),
+        None => tested(device, size),
+    }
 }
 
 /// Prints the command that resumes a run that ended early.

@@ -187,8 +187,7 @@ impl Relocation {
                     ties -= 1;
                     false
                 }
-                Ordering::Equal => true,
-                Ordering::Greater => true,
+                Ordering::Equal | Ordering::Greater => true,
             };
             alive[*row as usize] = stays;
             stays

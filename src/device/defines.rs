@@ -78,6 +78,7 @@ impl Defines {
         int("GROUP_STYLE", u64::from(self.tuning.group_style));
         int("SUMS", constants::SUMS as u64);
         int("SPLAT_BATCH", u64::from(constants::SPLAT_BATCH));
+        int("LARGE_PAIRS", u64::from(constants::LARGE_PAIRS));
         int("GRAD_GROUP", u64::from(constants::GRAD_GROUP));
         int("TAPS", constants::SSIM_TAPS as u64);
         int("LOSS_ROWS", u64::from(constants::LOSS_ROWS));

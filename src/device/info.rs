@@ -71,8 +71,8 @@ const INSTALL: &str = "install an OpenCL driver (on Debian/Ubuntu: `apt-get inst
      or point OCL_ICD_VENDORS at one; `mhsplat doctor` says more";
 
 /// Advice where there is a driver without a device.
-const NO_DEVICE: &str = "`mhsplat doctor` says more; PoCL has none if it may not write its cache: set POCL_CACHE_DIR to a folder that can be \
-     written, such as /tmp/pocl";
+const NO_DEVICE: &str = "`mhsplat doctor` says more; PoCL has none if it may not write its cache: set POCL_CACHE_DIR to a folder of \
+     yours that can be written";
 
 /// The device named by an index, a part of its name or platform, or a kind; `None` if nothing matches.
 pub(super) fn select<'a>(list: &'a [DeviceInfo], selector: &str) -> Option<&'a DeviceInfo> {

@@ -8,6 +8,7 @@ use crate::base::files::{FolderLock, LOCK_FILE};
 use crate::capture::{Camera, Dataset};
 use crate::config::{Init, Sampler, TrainConfig};
 use crate::device::Device;
+use crate::device::tuning::Tuning;
 use crate::run::checkpoint;
 use crate::run::record::{DatasetRecord, DeviceRecord, PlanRecord, RECORD_FILE, RunRecord};
 use crate::run::table::{DENSITY_FILE, METRICS_FILE};
@@ -112,6 +113,17 @@ pub fn saved_config(dir: &Path) -> Result<TrainConfig> {
         return Ok(RunRecord::read(dir)?.config);
     }
     Ok(checkpoint::read(dir)?.config)
+}
+
+/// The sizes of the kernels that the run in a folder goes on with; `None` if it begins again, or if they are not on record.
+///
+/// # Errors
+/// A folder that cannot be looked into, or a damaged record.
+pub fn saved_tuning(dir: &Path) -> Result<Option<Tuning>> {
+    match has_checkpoint(dir)? && dir.join(RECORD_FILE).is_file() {
+        true => Ok(RunRecord::read(dir)?.device.tuning),
+        false => Ok(None),
+    }
 }
 
 /// True if a run folder holds a checkpoint.

@@ -93,7 +93,7 @@ impl Control {
             estimates: Estimates::new(device, defines, degree, pipeline, strategy.as_ref())?,
             strategy,
             plan: plan.clone(),
-            schedule: Schedule::new(&plan.config),
+            schedule: plan.schedule(),
             stats: DensityStats::default(),
             trace: None,
             noted: None,

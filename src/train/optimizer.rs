@@ -30,7 +30,7 @@ impl Optimizer {
         let degrees = 0..=plan.sh_degree.value;
         Ok(Self {
             stages: degrees.map(build).collect::<Result<_>>()?,
-            schedule: Schedule::new(&plan.config),
+            schedule: plan.schedule(),
             constants: [o.beta1, o.beta2, o.epsilon],
             lambdas: [l.lambda_opacity, l.lambda_scale],
         })

@@ -131,18 +131,20 @@ impl Plan {
     /// processor, or the strategy asks the device for estimates meanwhile.
     #[must_use]
     pub fn with_strategy(mut self, kind: DeviceKind, strategy: &dyn DensityControl) -> Self {
-        let asked = self.config.work.density_lag;
-        self.density_lag = match asked {
+        self.density_lag = match self.config.work.density_lag {
             _ if strategy.estimate_views() > 0 => Decided::new(0, Why::EstimatesNeedDevice),
             Some(0) => Decided::new(0, Why::Off("work.density-lag")),
             Some(lag) => Decided::new(lag, Why::TrainsOn(lag)),
             None if kind == DeviceKind::Cpu => Decided::new(0, Why::SameProcessor),
             None => Decided::new(DENSITY_LAG, Why::TrainsOn(DENSITY_LAG)),
         };
-        if asked.is_some() || self.density_lag.value > 0 {
-            self.config.work.density_lag = Some(self.density_lag.value);
-        }
         self
+    }
+
+    /// The schedules of the run.
+    #[must_use]
+    pub fn schedule(&self) -> Schedule {
+        Schedule::new(&self.config).with_density_lag(self.density_lag.value)
     }
 
     /// Decides for a dataset and a configuration.

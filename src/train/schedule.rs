@@ -40,6 +40,7 @@ pub fn most_halvings(size: [usize; 2]) -> u32 {
 #[derive(Debug, Clone)]
 pub struct Schedule {
     config: TrainConfig,
+    density_lag: u32,
 }
 
 impl Schedule {
@@ -48,7 +49,15 @@ impl Schedule {
     pub fn new(config: &TrainConfig) -> Self {
         Self {
             config: config.clone(),
+            density_lag: config.work.density_lag.unwrap_or(0),
         }
+    }
+
+    /// The same with a lag of density steps that a plan has decided on, iterations.
+    #[must_use]
+    pub fn with_density_lag(mut self, density_lag: u32) -> Self {
+        self.density_lag = density_lag;
+        self
     }
 
     /// Sets the length of the run from an iteration on.
@@ -206,12 +215,11 @@ impl Schedule {
         asked.min(least.max(MIN_INTERVAL))
     }
 
-    /// Iterations that training does between the begin of a density step after `done` iterations and its end: those asked for, but no more
+    /// Iterations that training does between the begin of a density step after `done` iterations and its end: the plan's, but no more
     /// than half of the interval.
     #[must_use]
     pub fn density_lag(&self, done: u32) -> u32 {
-        let asked = self.config.work.density_lag.unwrap_or(0);
-        asked.min(self.density_interval(done) / 2)
+        self.density_lag.min(self.density_interval(done) / 2)
     }
 
     /// True if the length of the run may change after `done` iterations: right after a density step or away from them all, so that

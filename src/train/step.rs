@@ -205,7 +205,7 @@ impl Trainer {
             gaussians: GaussianState::new(device, splats, room, rows, smoothed)?,
             views: Views::new(&kernels, set, plan)?,
             optimizer: Optimizer::new(&kernels, plan)?,
-            schedule: Schedule::new(config),
+            schedule: plan.schedule(),
             losses: Array::zeros(device, "losses", 2 * LOSS_RING)?,
             seen: seen.transpose()?,
             plan: plan.clone(),

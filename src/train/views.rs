@@ -55,7 +55,7 @@ impl Views {
         Ok(Self {
             small: Array::zeros(kernels.device(), "small", set.alpha.planes() * pixels)?,
             shrink: shrink.transpose()?,
-            schedule: Schedule::new(&plan.config),
+            schedule: plan.schedule(),
             sizes: Sizes::new(detail, &plan.config.work),
             random_background: plan.random_background.value,
             skip_blank: plan.skip_blank.value,

@@ -1,7 +1,8 @@
 //! project_grad: gradients of the raw parameters.
 
 use super::*;
-use mhsplat::base::constants::SUMS;
+use mhsplat::base::constants::{LARGE_PAIRS, SUMS};
+use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
 use mhsplat::device::{Array, CameraArg};
 use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
@@ -133,7 +134,19 @@ const MOMENTS: [f32; 2] = [0.125, 0.25];
 /// Parameters and the moments of the rows in use, and the status after a step of 70 Gaussians, the first of which have a pair with these
 /// sums. What lies beyond them is no number.
 fn step(sums: &[[f32; SUMS]], overflow: u32, tuning: Tuning) -> ([Vec<f32>; 3], Vec<u32>) {
-    let (device, n) = (device(), 70);
+    let counts: Vec<u32> = (0..70).map(|i| u32::from(i < sums.len())).collect();
+    let (rows, status, _) = step_of(&counts, sums, overflow, tuning);
+    (rows, status)
+}
+
+/// The same for these numbers of pairs, whose sums follow each other, and the sums afterwards.
+fn step_of(
+    counts: &[u32],
+    sums: &[[f32; SUMS]],
+    overflow: u32,
+    tuning: Tuning,
+) -> ([Vec<f32>; 3], Vec<u32>, Vec<f32>) {
+    let (device, n) = (device(), counts.len());
     let case = cases::mild("steps", n, [40, 30], 1, 35);
     let scene = GaussianBuffers::<f32>::upload(&device, &case.splats, 0).unwrap();
     for plane in 0..scene.planes() {
@@ -144,10 +157,14 @@ fn step(sums: &[[f32; SUMS]], overflow: u32, tuning: Tuning) -> ([Vec<f32>; 3], 
             .unwrap();
     }
     let mut frame = ViewBuffers::new(&device, &tuning, true).unwrap();
-    let counts: Vec<u32> = (0..n).map(|i| u32::from(i < sums.len())).collect();
-    let starts: Vec<u32> = (0..n as u32).collect();
+    let starts = counts.iter().scan(0, |next, count| {
+        let start = *next;
+        *next += count;
+        Some(start)
+    });
+    let starts: Vec<u32> = starts.collect();
     frame.camera = CameraArg::new(&case.camera);
-    frame.isect_counts = Array::from_slice(&device, "counts", &counts).unwrap();
+    frame.isect_counts = Array::from_slice(&device, "counts", counts).unwrap();
     frame.isect_start = Array::from_slice(&device, "starts", &starts).unwrap();
     frame.sums = Array::from_slice(&device, "sums", &sums.concat()).unwrap();
     frame.status = Array::zeros(&device, "status", SLOTS).unwrap();
@@ -168,7 +185,63 @@ fn step(sums: &[[f32; SUMS]], overflow: u32, tuning: Tuning) -> ([Vec<f32>; 3], 
         let of = |p| array.read(p * scene.stride, n).unwrap();
         planes.flat_map(of).collect::<Vec<f32>>()
     });
-    (rows, frame.status.to_vec().unwrap())
+    let (status, sums) = (frame.status.to_vec(), frame.sums.to_vec().unwrap());
+    // Gradients are computed block by block of the same sums.
+    update(&stage, &scene, &frame, [0.0; 2], [&m, &v], &step).unwrap();
+    let bits = |sums: &[f32]| sums.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
+    assert_eq!(bits(&frame.sums.to_vec().unwrap()), bits(&sums));
+    (rows, status.unwrap(), sums)
+}
+
+/// In the group style a group adds the sums of a Gaussian with many pairs in its first slot.
+#[test]
+fn sums_of_many_pairs_are_added_up() {
+    let mut counts = vec![1; 70];
+    (counts[3], counts[5], counts[6], counts[69]) = (1000, LARGE_PAIRS, LARGE_PAIRS + 1, 300);
+    let pairs: u32 = counts.iter().sum();
+    let value = |k: u64| 1e-3 * (0.1 + Philox::uniform(3, Stream::Synthetic.stream(0), k)[0]);
+    let sums: Vec<[f32; SUMS]> = (0..u64::from(pairs))
+        .map(|p| std::array::from_fn(|q| value(p * SUMS as u64 + q as u64) as f32))
+        .collect();
+    let mut rest = sums.as_slice();
+    let of_each: Vec<&[[f32; SUMS]]> = counts
+        .iter()
+        .map(|count| rest.split_off(..*count as usize).unwrap())
+        .collect();
+    let total = |of: &&[[f32; SUMS]]| -> [f32; SUMS] {
+        std::array::from_fn(|q| of.iter().map(|s| f64::from(s[q])).sum::<f64>() as f32)
+    };
+    let totals: Vec<[f32; SUMS]> = of_each.iter().map(total).collect();
+    for tuning in widths() {
+        let (rows, _, left) = step_of(&counts, &sums, 0, tuning);
+        let ([_, wanted, _], _) = step(&totals, 0, tuning);
+        let apart = |wanted: &[f32]| {
+            let differ = |(a, b): (&f32, &f32)| (a - b).abs() > 1e-5 * b.abs();
+            rows[1].iter().zip(wanted).filter(|p| differ(*p)).count()
+        };
+        assert_eq!(apart(&wanted), 0);
+        // One pair in a thousand left out.
+        let mut wrong = totals.clone();
+        wrong[3] = total(&&of_each[3][1..]);
+        let ([_, wrong, _], _) = step(&wrong, 0, tuning);
+        assert!(apart(&wrong) > 0, "the comparator must be able to fail");
+        let mut slots = left.as_slice();
+        for (i, of) in of_each.iter().enumerate() {
+            let slots = slots.split_off(..of.len() * SUMS).unwrap();
+            if tuning.group_style && counts[i] > LARGE_PAIRS {
+                let near = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-5 * b.abs();
+                assert!(slots.iter().zip(&totals[i]).all(near), "{i}");
+                assert!(slots[SUMS..].iter().all(|v| *v == 0.0), "{i}");
+            } else {
+                assert_eq!(slots, of.concat(), "{i}");
+            }
+        }
+        let changed = step_of(&counts, &sums, 7, tuning).2;
+        assert!(
+            changed == sums.concat(),
+            "after an overflow nothing changes"
+        );
+    }
 }
 
 #[test]

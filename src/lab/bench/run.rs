@@ -1,5 +1,6 @@
 //! The bench of a device, from its peak to its precisions.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::base::error::{Error, Result};
@@ -28,6 +29,7 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
     note("peak");
     let peak = measure_peak(device, options)?;
     let (mut cases, mut failed, mut last) = (Vec::new(), Vec::new(), None);
+    let mut by_size: BTreeMap<SizeClass, Device> = BTreeMap::new();
     let mut measure = |name: &str, splats: &Gaussians, cameras: &[Camera], anti_alias: bool| {
         let subject = Subject {
             name,
@@ -38,7 +40,12 @@ pub fn run(device: &Device, options: &Options, note: &mut dyn FnMut(&str)) -> Re
         note(&subject.title());
         let Camera { width, height, .. } = cameras[0];
         let size = SizeClass::of(splats.len(), width as usize * height as usize);
-        let device = suited(device, size, note);
+        let device = match by_size.get(&size) {
+            Some(known) => Ok(known.clone()),
+            None => suited(device, size, note).inspect(|device| {
+                by_size.insert(size, device.clone());
+            }),
+        };
         match device.and_then(|device| measure_case(&device, &peak, &subject, options)) {
             Ok(case) => cases.push(case),
             Err(e) => {

@@ -195,9 +195,13 @@ impl Drive<'_> {
             State::Done(_) => return Ok(()),
             State::Refused { what, fix } => return wrong(what, fix),
             State::Broken => {
-                // So is one that has only just begun, in another process.
-                drop(FolderLock::take(&run.dir)?);
+                // So is one that has only just begun, in another process, which may have come further meanwhile.
+                let lock = FolderLock::take(&run.dir)?;
+                if state(&run.dir, Some(&config)) != State::Broken {
+                    return wrong("another process trains it", "run the same command later");
+                }
                 abandon_folder(&run.dir);
+                drop(lock);
                 if run.dir.exists() {
                     return wrong("holds part of a run and other files", "move it away");
                 }

@@ -12,6 +12,25 @@ use crate::pipeline::stage::project::{Area64, Shape64, color, cross, shape};
 use crate::pipeline::stage::screen_grad::mean_gradient;
 use crate::scene::{Plane, sh, sh_coefficients};
 
+/// Adds the sums of large Gaussians in the group style, in place; there is nothing to do where it has been done, or in the other style.
+fn add_large<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+) -> Result<()> {
+    let tuning = stage.defines().tuning;
+    if !tuning.group_style {
+        return Ok(());
+    }
+    stage
+        .launch("large_sums")
+        .uints([scene.count])
+        .arrays([&view.isect_start, &view.isect_counts], scene.count)
+        .status(view)
+        .array(&view.sums, 1)
+        .over_groups(scene.count.div_ceil(tuning.tile_group()))
+}
+
 /// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included. After an overflow
 /// in the view no Gaussian has pairs. The kernel is built for one SH degree.
 pub fn backward<R: Real>(
@@ -21,6 +40,7 @@ pub fn backward<R: Real>(
     lambdas: [f64; 2],
     grads: &GradientBlock<'_, R>,
 ) -> Result<()> {
+    add_large(stage, scene, view)?;
     let planes = Plane::count(stage.defines().sh_degree);
     stage
         .launch("project_grad")
@@ -45,6 +65,7 @@ pub fn update<R: Real>(
     moments: [&Array<R>; 2],
     step: &Step<LearningRates>,
 ) -> Result<()> {
+    add_large(stage, scene, view)?;
     let planes = Plane::count(stage.defines().sh_degree);
     stage
         .launch("project_step")
