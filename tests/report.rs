@@ -61,7 +61,14 @@ fn run_json_has_the_contracts_keys() {
     assert_eq!(keys(&value["dataset"]), dataset);
     assert_eq!(
         keys(&value["device"]),
-        ["driver", "name", "platform", "vendor"]
+        [
+            "compute_units",
+            "cores",
+            "driver",
+            "name",
+            "platform",
+            "vendor"
+        ]
     );
     assert_eq!(keys(&value["plan"]), ["kept", "left_out"]);
     assert_eq!(keys(&value["plan"]["left_out"][0]), ["what", "why"]);

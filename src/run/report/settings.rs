@@ -34,7 +34,9 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
         ("whole run", &span(record.wall_seconds)),
         ("density control", &density_control(record)),
     ];
-    table(out, facts);
+    // Records of earlier versions do not have all of them.
+    let known = facts.into_iter().filter(|(_, value)| !value.is_empty());
+    table(out, known);
     let all = flatten(&record.config);
     let set = changed(&record.config);
     out.push_str("\n<h2>Options that differ from the defaults</h2>");
