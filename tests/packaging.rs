@@ -1,4 +1,4 @@
-//! What is said of containers and clusters: there is no container engine and no Slurm here, so that texts are checked.
+//! Texts of containers and clusters, which are checked without a container engine or Slurm.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -89,7 +89,7 @@ fn the_container_takes_what_there_is() {
     let version = manifest.split("rust-version = \"").nth(1).unwrap();
     let version = version.split('"').next().unwrap();
     assert!(file.contains(&format!("rust:{version}-")), "{version}");
-    assert!(file.contains("POCL_CACHE_DIR=/tmp/"));
+    assert!(file.contains("POCL_CACHE_DIR=/cache/"));
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn wrong_containers_are_found() {
     assert!(!is_known("opencl") && is_known("pocl-opencl-icd"));
 }
 
-/// A container's user has no home, and nothing but its output and `/tmp` can be written.
+/// A container's user has no home, and nothing but its output and the cache can be written.
 #[test]
 fn training_needs_no_home() {
     let dir = tempfile::tempdir().unwrap();
