@@ -395,7 +395,7 @@ static inline void window_moments(__local real2 staged[WIDE][WIDE], __local real
 // `partial` has the sums of tiles, and that each channel has derivative maps of its own. Work-items of the padding and of tiles that
 // are left out take part in every barrier.
 CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
-  const int tile = get_group_id(0), l = get_local_id(0), tiles_x = stride / TILE;
+  const int tile = get_global_id(0) / GROUP, l = get_local_id(0), tiles_x = stride / TILE;
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
   const long plane = (long)stride * rows;
@@ -434,7 +434,7 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
   }
   // Nobody has read the images since the last barrier: their place is free for the sums.
   const real2 total = group_total((real2)(difference, ssim), &staged[0][0]);
-  const size_t pair = (size_t)channel * get_num_groups(0) + tile;
+  const size_t pair = (size_t)channel * (tiles_x * (rows / TILE)) + tile;
   if (l == 0) vstore2(total, pair, partial);
 }
 
@@ -473,7 +473,7 @@ static inline void window_maps(__local real staged[3][WIDE][WIDE], __local real4
 
 // Launch: as loss_forward. dL/dx of the channel, zero in the padding.
 CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
-  const int tile = get_group_id(0), l = get_local_id(0), tiles_x = stride / TILE;
+  const int tile = get_global_id(0) / GROUP, l = get_local_id(0), tiles_x = stride / TILE;
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
   const long plane = (long)stride * rows;

@@ -35,6 +35,7 @@ static inline void normal_pair(uintV a, uintV b, realV *x, realV *y) {
 }
 
 __kernel void noise(uint stride, uint count,
+                    uint first_row,                    // row of the first in the whole set
                     uint seed_low, uint seed_high,     // of the run
                     uint stream_low, uint stream_high, // purpose and iteration
                     real rate,                         // times the position's learning rate, local units
@@ -46,7 +47,7 @@ __kernel void noise(uint stride, uint count,
   uint index[VW];
   real row[VW];
   for (uint l = 0; l < VW; l++) {
-    index[l] = i + l;
+    index[l] = first_row + i + l;
     row[l] = i + l < count ? R(1.0) : R(0.0);
   }
 #if VW == 1

@@ -70,7 +70,7 @@ seen_pairs(__global const Projected *records, __global const uint *isect_owner, 
            int tiles_x, int tiles, int width, int height, // pixels of the image
            __global const uint *seen,                     // in [count] 1: by a view before
            __global uchar *shown) {                       // out [pairs]
-  const int tile = get_group_id(0), l = get_local_id(0);
+  const int tile = get_global_id(0) / (TILE * TILE), l = get_local_id(0);
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   const int x = l % TILE, y = l / TILE;
   const uint start = tile_start[tile], end = tile_start[tile + 1];

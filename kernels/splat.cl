@@ -76,7 +76,7 @@ splat(__global const Projected *records, __global const uint *isect_owner, // in
       int tiles_x, int tiles, int height, real bg_red, real bg_green, real bg_blue,
       __global real *image,       // out [4, rows, stride]
       __global uint *tile_used) { // out [tiles] pairs looked at before every pixel was opaque
-  const int tile = get_group_id(0), l = get_local_id(0);
+  const int tile = get_global_id(0) / (TILE * TILE), l = get_local_id(0);
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
   const int x = l % TILE, y = l / TILE;
   const uint start = tile_start[tile], end = tile_start[tile + 1];

@@ -125,7 +125,7 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
            __global const real *image,  // in [4, rows, stride] as splat left it
            __global const real *dimage, // in [3, rows, stride] dL/dC, 0 outside of the image
            __global real *sums) {       // out [pairs, SUMS] at emission slots
-  const int tile = get_group_id(0), l = get_local_id(0);
+  const int tile = get_global_id(0) / GRAD_GROUP, l = get_local_id(0);
   const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
   const int x = l % TILE, y = l / TILE;
   const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);

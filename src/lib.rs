@@ -66,6 +66,8 @@ pub mod evaluate;
 pub mod lab;
 #[doc(hidden)]
 pub mod pipeline;
+#[doc(hidden)]
+pub mod ranks;
 pub mod run;
 pub mod scene;
 pub mod train;

@@ -226,7 +226,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
         sh_degree: 1,
         ..RenderOptions::default()
     };
-    let (scene, renderer) = trainer.scene_and_renderer();
+    let (scene, renderer) = trainer.scene_and_renderer().unwrap();
     renderer.render(scene, &arg, &options).unwrap();
     let trained = renderer.read_image().unwrap();
     let baked = formats::read(&marked, &data.frame).unwrap().splats;
@@ -257,7 +257,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     let device = Device::open(None).unwrap();
     let mut again =
         Trainer::new(&device, &data, &Plan::new(&data, &start).unwrap(), &splats).unwrap();
-    let (scene, renderer) = again.scene_and_renderer();
+    let (scene, renderer) = again.scene_and_renderer().unwrap();
     renderer.render(scene, &arg, &options).unwrap();
     let begun = apart(&trained, &renderer.read_image().unwrap());
     assert!(begun < 3.0 * same.max(0.01), "{begun}");

@@ -239,7 +239,7 @@ fn skipping_what_is_blank_changes_no_bit() {
             "{meaning:?} {sampler:?}"
         );
         let camera = CameraArg::new(&data.train[0].camera);
-        let (scene, renderer) = skipped.scene_and_renderer();
+        let (scene, renderer) = skipped.scene_and_renderer().unwrap();
         renderer
             .render(scene, &camera, &RenderOptions::default())
             .unwrap();

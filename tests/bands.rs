@@ -44,7 +44,7 @@ fn one_band_after_the_other_comes_at_its_interval() {
     let mut degrees = Vec::new();
     for until in [40, 41, 80, 81, 200] {
         drive(&mut trained, until).unwrap();
-        degrees.push(trained.scene_and_renderer().0.sh_degree);
+        degrees.push(trained.scene_and_renderer().unwrap().0.sh_degree);
     }
     assert_eq!(degrees, [0, 1, 1, 2, 2]);
     // Saved and taken up again where a band is due: it comes once.
@@ -81,7 +81,7 @@ fn what_no_training_view_shows_goes_at_the_end_and_nothing_else() {
     let more = Gaussians::new(0, planes).unwrap();
     let mut untrained = trainer(&data, &config(), &more);
     let images = |t: &mut Trainer| {
-        let (scene, renderer) = t.scene_and_renderer();
+        let (scene, renderer) = t.scene_and_renderer().unwrap();
         let options = RenderOptions::default();
         let image = |v: &mhsplat::capture::View| renderer.image(scene, &v.camera, &options);
         data.train

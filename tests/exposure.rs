@@ -109,7 +109,7 @@ fn corrected_psnr(data: &Dataset, trainer: &mut Trainer) -> f64 {
     let device = Device::open(None).unwrap();
     let views = ViewSet::new(&Photos::new(&device, data.image_budget), data.test.clone()).unwrap();
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
-    let (scene, renderer) = trainer.scene_and_renderer();
+    let (scene, renderer) = trainer.scene_and_renderer().unwrap();
     let mut scores = evaluator
         .score_all(scene, renderer, [0.0; 3], false)
         .unwrap();

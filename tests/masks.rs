@@ -58,7 +58,7 @@ fn scores(views: &[View]) -> (Vec<ViewScore>, Vec<f32>) {
     let photos = Photos::new(&device, u64::MAX);
     let views = ViewSet::new(&photos, views.iter().cloned()).unwrap();
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
-    let (scene, renderer) = trainer.scene_and_renderer();
+    let (scene, renderer) = trainer.scene_and_renderer().unwrap();
     let mut scores = evaluator
         .score_all(scene, renderer, [0.0; 3], true)
         .unwrap();

@@ -17,7 +17,8 @@ pub struct Common {
 /// Options of the commands that use a device.
 #[derive(clap::Args)]
 pub struct DeviceOption {
-    /// OpenCL device: index, part of its name, or cpu, gpu, accelerator (also MHSPLAT_DEVICE).
+    /// OpenCL device: index, part of its name, or cpu, gpu, accelerator (also MHSPLAT_DEVICE); `train` takes several, such as 0,1, or
+    /// parts of a CPU, such as cpu/2.
     #[arg(long, value_name = "SEL", display_order = 901)]
     device: Option<String>,
     /// Cores that are taken, by a device that is a CPU and beside it (default: those that the process may use).
@@ -41,6 +42,11 @@ impl DeviceOption {
     /// Opens the device.
     pub fn open(&self) -> Result<Device> {
         self.open_other(self.selector().as_deref())
+    }
+
+    /// Opens the device, or the several that the selector names.
+    pub fn open_all(&self) -> Result<Device> {
+        Device::open_all(self.selector().as_deref(), Cores::new(self.threads)?)
     }
 
     /// Opens another device than the selector's, with the same number of cores.

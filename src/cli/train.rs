@@ -105,7 +105,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         .view
         .map(|port| Door::open("--view", port))
         .transpose()?;
-    let device = args.device.open()?;
+    let device = args.device.open_all()?;
     if resume.is_none() {
         claim_folder(dir)?;
     }

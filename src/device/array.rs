@@ -180,6 +180,64 @@ impl<T: Element> Array<T> {
         Ok(data)
     }
 
+    /// Reads `len` values from `offset` on as 32-bit words, whatever they are, after everything enqueued so far.
+    ///
+    /// # Errors
+    /// A range beyond the array, or the driver's.
+    pub fn read_words(&self, offset: usize, len: usize) -> Result<Vec<u32>> {
+        self.check(offset, len)?;
+        let each = size_of::<T>() / size_of::<u32>();
+        let mut words = vec![0; len * each];
+        if words.is_empty() {
+            return Ok(words);
+        }
+        // SAFETY: a blocking read of words within the array: `words` outlives it.
+        unsafe {
+            core::enqueue_read_buffer(
+                &self.device.queue(),
+                &self.mem,
+                true,
+                offset * each,
+                &mut words,
+                None::<&Event>,
+                None::<&mut Event>,
+            )
+        }
+        .map_err(|e| self.failed("read", &e))?;
+        Ok(words)
+    }
+
+    /// Writes values from `offset` on that [`Array::read_words`] has read from an array of the same type, and waits until `words` may be
+    /// reused.
+    ///
+    /// # Errors
+    /// A range beyond the array, words that are no whole values, or the driver's.
+    pub fn write_words(&self, offset: usize, words: &[u32]) -> Result<()> {
+        let each = size_of::<T>() / size_of::<u32>();
+        let len = words.len().div_ceil(each.max(1));
+        self.check(offset, len)?;
+        if words.len() != len * each {
+            let what = format!("{} words for values of {each}", words.len());
+            return Err(Error::device(self.name, what, BUG));
+        }
+        if words.is_empty() {
+            return Ok(());
+        }
+        // SAFETY: a blocking write of whole values within the array; any bits are a value of `T`.
+        unsafe {
+            core::enqueue_write_buffer(
+                &self.device.queue(),
+                &self.mem,
+                true,
+                offset * each,
+                words,
+                None::<&Event>,
+                None::<&mut Event>,
+            )
+        }
+        .map_err(|e| self.failed("write", &e))
+    }
+
     /// All values; see [`Array::read`].
     pub fn to_vec(&self) -> Result<Vec<T>> {
         self.read(0, self.len)

@@ -32,6 +32,7 @@ pub type StageTimes = BTreeMap<&'static str, StageTime>;
 pub struct Device {
     pub(super) inner: Arc<Inner>,
     tuning: Tuning,
+    helpers: Arc<[Device]>,
 }
 
 /// A timed launch whose profiling counters have not been read yet.
@@ -82,6 +83,24 @@ fn taking(info: DeviceInfo, part: Option<&Part>) -> DeviceInfo {
     DeviceInfo { cores, ..info }
 }
 
+/// The device that a selector names, or the default, with its handle.
+fn find(selector: Option<&str>) -> Result<(DeviceInfo, core::DeviceId)> {
+    let (infos, ids): (Vec<DeviceInfo>, Vec<core::DeviceId>) = enumerate()?.into_iter().unzip();
+    let found = match selector {
+        None => Device::default_of(&infos),
+        Some(s) => select(&infos, s),
+    };
+    let Some(info) = found.cloned() else {
+        return Err(Error::device(
+            "device",
+            format!("no device matches {:?}", selector.unwrap_or("")),
+            "`mhsplat devices` lists what can be selected",
+        ));
+    };
+    let id = ids[info.index];
+    Ok((info, id))
+}
+
 impl Device {
     /// Every device of every platform, with the cores that [`Device::open`] takes of it.
     ///
@@ -115,20 +134,44 @@ impl Device {
     /// # Errors
     /// Those of [`Device::open`], or a number of cores that was asked for and cannot be had.
     pub fn open_on(selector: Option<&str>, cores: Cores) -> Result<Self> {
-        let (infos, ids): (Vec<DeviceInfo>, Vec<core::DeviceId>) = enumerate()?.into_iter().unzip();
-        let found = match selector {
-            None => Self::default_of(&infos),
-            Some(s) => select(&infos, s),
-        };
-        let Some(info) = found.cloned() else {
-            return Err(Error::device(
-                "device",
-                format!("no device matches {:?}", selector.unwrap_or("")),
-                "`mhsplat devices` lists what can be selected",
-            ));
-        };
-        let whole = ids[info.index];
+        let (info, whole) = find(selector)?;
         let part = Part::of(&info, whole, cores)?;
+        Self::make(info, whole, part)
+    }
+
+    /// Opens the devices of a list, such as `0,1`, or several parts of one, such as `cpu/2`; the first has the others as its helpers
+    /// ([`Device::helpers`]). Any other selector is that of [`Device::open_on`].
+    ///
+    /// # Errors
+    /// Those of [`Device::open_on`], or a device that cannot be divided so often.
+    pub fn open_all(selector: Option<&str>, cores: Cores) -> Result<Self> {
+        let known = find(selector);
+        let (Some(list), Err(_)) = (selector, &known) else {
+            return Self::open_on(selector, cores);
+        };
+        let mut all = Vec::new();
+        for one in list.split(',').map(str::trim) {
+            let parts = one.rsplit_once('/');
+            match parts.and_then(|(name, n)| Some((name, n.parse().ok()?))) {
+                Some((name, parts)) => {
+                    let (info, whole) = find(Some(name))?;
+                    for part in Part::even(&info, whole, cores, parts)? {
+                        all.push(Self::make(info.clone(), whole, Some(part))?);
+                    }
+                }
+                None => all.push(Self::open_on(Some(one), cores)?),
+            }
+        }
+        let mut all = all.into_iter();
+        let first = all.next().map_or_else(|| Self::open_on(selector, cores), Ok)?;
+        Ok(Self {
+            helpers: all.collect(),
+            ..first
+        })
+    }
+
+    /// Opens a device, or a part of it.
+    fn make(info: DeviceInfo, whole: core::DeviceId, part: Option<Part>) -> Result<Self> {
         let id = part.as_ref().map_or(whole, |part| part.id);
         let info = taking(info, part.as_ref());
         let fail = |e: core::Error| device_error("open device", &e, "select another with --device");
@@ -146,7 +189,14 @@ impl Device {
                 allocated: AtomicU64::new(0),
                 _part: part,
             }),
+            helpers: Arc::default(),
         })
+    }
+
+    /// Devices that share the training of a scene with this one.
+    #[must_use]
+    pub fn helpers(&self) -> &[Self] {
+        &self.helpers
     }
 
     /// Properties that the device reports.

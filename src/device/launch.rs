@@ -1,5 +1,6 @@
 //! Kernels whose arguments are checked at every launch.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ocl_core::{
@@ -7,7 +8,7 @@ use ocl_core::{
     KernelWorkGroupInfoResult,
 };
 
-use crate::base::constants::SPLAT_BATCH;
+use crate::base::constants::{SPLAT_BATCH, TILE};
 use crate::base::error::{Error, Result};
 use crate::device::array::Array;
 use crate::device::context::{Enqueued, Inner};
@@ -47,6 +48,8 @@ pub struct Launch<'a> {
     most: usize,
     fixed: bool,
     next: u32,
+    /// The first work-item of each axis.
+    first: [usize; 2],
 }
 
 /// Advice where a device has no room for a work-group per tile.
@@ -166,6 +169,7 @@ impl Program {
             fixed: found.is_some_and(|k| k.fixed),
             kernel: guard.ok_or_else(|| Error::device(name, "no such kernel", BUG)),
             next: 0,
+            first: [0, 0],
         }
     }
 }
@@ -293,25 +297,33 @@ impl Launch<'_> {
         self.run([count.div_ceil(SPLAT_BATCH as usize), 1], [1, 1])
     }
 
-    /// Enqueues the kernel with a work-item, or a work-group, for each tile of an image. Does not wait.
+    /// Enqueues the kernel with a work-item, or a work-group, for each tile of some rows of tiles of an image. Does not wait.
     ///
     /// # Errors
     /// Those of [`Launch::run`].
-    pub fn over_tiles(self, size: ImageSize) -> Result<()> {
-        self.over_groups(size.tile_count())
+    pub fn over_tiles(self, size: ImageSize, rows: &Range<usize>) -> Result<()> {
+        self.over_tiles_by(size, rows, TILE * TILE)
     }
 
-    /// Enqueues the kernel with a work-group of so many work-items for each tile of an image, or a work-item where each is a whole core.
-    /// Does not wait.
+    /// Enqueues the kernel with a work-group of so many work-items for each tile of some rows of tiles of an image, or a work-item where
+    /// each is a whole core. Does not wait.
     ///
     /// # Errors
     /// Those of [`Launch::run`].
-    pub fn over_tiles_by(self, size: ImageSize, items: u32) -> Result<()> {
+    pub fn over_tiles_by(self, size: ImageSize, rows: &Range<usize>, items: u32) -> Result<()> {
         let group = match self.defines().tuning.group_style {
             true => items as usize,
             false => 1,
         };
-        self.run([size.tile_count() * group, 1], [group, 1])
+        let row = size.tiles()[0] * group;
+        let launch = self.starting_at([rows.start * row, 0]);
+        launch.run([rows.len() * row, 1], [group, 1])
+    }
+
+    /// The same beginning with another work-item than the first of each axis, one that begins a work-group.
+    #[must_use]
+    pub fn starting_at(self, first: [usize; 2]) -> Self {
+        Self { first, ..self }
     }
 
     /// Enqueues the kernel with so many work-groups of a work-item per pixel of a tile, or work-items where each is a whole core.
@@ -366,6 +378,7 @@ impl Launch<'_> {
         }
         let kernel = self.kernel?;
         let size = |k: usize| global[k].max(1).next_multiple_of(local[k]);
+        let first = [self.first[0], self.first[1], 0];
         let queue = self.owner.device.queue();
         let mut event = Event::null();
         // SAFETY: every argument has been set with its own type; kernels check their bounds against the counts given.
@@ -374,7 +387,7 @@ impl Launch<'_> {
                 &queue,
                 &kernel,
                 2,
-                None,
+                (first != [0; 3]).then_some(first),
                 &[size(0), size(1), 1],
                 Some([local[0], local[1], 1]),
                 None::<&Event>,

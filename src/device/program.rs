@@ -23,6 +23,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("scan", include_str!("../../kernels/scan.cl")),
     ("bin", include_str!("../../kernels/bin.cl")),
     ("sort", include_str!("../../kernels/sort.cl")),
+    ("route", include_str!("../../kernels/route.cl")),
     ("splat", include_str!("../../kernels/splat.cl")),
     ("loss", include_str!("../../kernels/loss.cl")),
     ("exposure", include_str!("../../kernels/exposure.cl")),

@@ -47,6 +47,17 @@ pub struct GaussianBuffers<R: Real = f32> {
     pub count: usize,
     /// SH degree of the stored coefficients.
     pub sh_degree: u32,
+    /// The part of a larger set that these are; `None` if they are all.
+    pub shard: Option<Shard>,
+}
+
+/// Rows of a set of Gaussians of which others have the rest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    /// Row of the first in the whole set.
+    pub first: usize,
+    /// Gaussians of the whole set.
+    pub all: usize,
 }
 
 /// The text on an array of `planes` values of `size` bytes for each of `stride` Gaussians that is larger than `most` bytes: what is
@@ -117,6 +128,7 @@ impl<R: Real> GaussianBuffers<R> {
             stride,
             count,
             sh_degree: splats.sh_degree(),
+            shard: None,
         })
     }
 
@@ -127,6 +139,12 @@ impl<R: Real> GaussianBuffers<R> {
             filter: Array::zeros(device, "filter", self.stride)?,
             ..self
         })
+    }
+
+    /// Gaussians of the whole set, of which others may have some.
+    #[must_use]
+    pub fn all(&self) -> usize {
+        self.shard.map_or(self.count, |shard| shard.all)
     }
 
     /// Number of planes.
@@ -206,6 +224,8 @@ impl SortBuffers {
 pub struct ViewBuffers<R: Real> {
     /// Camera of the view rendered last.
     pub camera: CameraArg<R>,
+    /// Rows of tiles of the image that are composited here: all, unless ranks share them.
+    pub band: Range<usize>,
     /// Gaussians of the scene rendered last.
     pub count: usize,
     /// Projected Gaussians: mean, conic, opacity, colour.
@@ -241,6 +261,8 @@ pub struct ViewBuffers<R: Real> {
     pub image: Array<R>,
     /// Counters; see [`status`].
     pub status: Array<u32>,
+    /// Pairs that there is room for.
+    pub capacity: usize,
     gradients: bool,
     sorts_pairs: bool,
     chunks: usize,
@@ -252,6 +274,7 @@ impl<R: Real> ViewBuffers<R> {
         let ints = |name| Array::<u32>::zeros(device, name, 0);
         Ok(Self {
             camera: CameraArg::default(),
+            band: 0..0,
             count: 0,
             records: Array::zeros(device, "records", 0)?,
             keys: ints("keys")?,
@@ -269,6 +292,7 @@ impl<R: Real> ViewBuffers<R> {
             tile_used: ints("tile_used")?,
             image: Array::zeros(device, "image", 0)?,
             status: Array::zeros(device, "status", status::SLOTS)?,
+            capacity: 0,
             gradients,
             sorts_pairs: tuning.group_style,
             chunks: tuning.chunks,
@@ -314,15 +338,9 @@ impl<R: Real> ViewBuffers<R> {
         }
     }
 
-    /// Pairs there is room for.
-    #[must_use]
-    pub fn intersection_capacity(&self) -> usize {
-        self.isect_owner.len()
-    }
-
     /// Makes room for `pairs` pairs. Contents are lost.
     pub fn fit_intersections(&mut self, device: &Device, pairs: usize) -> Result<()> {
-        if self.intersection_capacity() >= pairs {
+        if self.capacity >= pairs {
             return Ok(());
         }
         self.set_intersections(device, pairs)
@@ -343,6 +361,30 @@ impl<R: Real> ViewBuffers<R> {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
         }
         self.isect_owner = ints("isect_owner")?;
+        self.capacity = pairs;
+        Ok(())
+    }
+
+    /// Number of pairs of the view enqueued last; waits.
+    pub(crate) fn pairs_found(&self) -> Result<u32> {
+        Ok(self.status.read(status::INTERSECTIONS as usize, 1)?[0])
+    }
+
+    /// Number of pairs of each row of tiles of the band; waits.
+    pub(crate) fn pairs_by_row(&self) -> Result<Vec<u32>> {
+        let across = self.camera.tiles[0] as usize;
+        let (first, tiles) = (self.band.start * across, self.band.len() * across);
+        let start = self.tile_start.read(first, tiles + 1)?;
+        let row = |k: usize| start[(k + 1) * across].wrapping_sub(start[k * across]);
+        Ok((0..self.band.len()).map(row).collect())
+    }
+
+    /// Makes room for the sums of `pairs` pairs that others have composited, and for nothing else of them. Contents are lost.
+    pub(crate) fn fit_sums(&mut self, device: &Device, pairs: usize) -> Result<()> {
+        if self.capacity < pairs {
+            self.capacity = pairs + pairs / 4;
+            self.sums = Array::zeros(device, "sums", self.capacity * SUMS)?;
+        }
         Ok(())
     }
 

@@ -109,6 +109,11 @@ impl<R: Real> Renderer<R> {
         &self.device
     }
 
+    /// Choices that the kernels are compiled with.
+    pub(crate) fn defines(&self) -> Defines {
+        *self.splat.defines()
+    }
+
     /// Makes the arrays large enough for a scene and a camera (pairs grow on demand).
     pub fn fit(&mut self, scene: &GaussianBuffers<R>, camera: &CameraArg<R>) -> Result<()> {
         self.frame.fit_gaussians(&self.device, scene.stride)?;
@@ -129,7 +134,7 @@ impl<R: Real> Renderer<R> {
     ) -> Result<()> {
         self.enqueue_intersections(scene, camera, options)?;
         match options.quantity {
-            Quantity::Color => splat::composite(&self.splat, &self.frame, options.background),
+            Quantity::Color => self.composite(options.background),
             Quantity::Depth => self.enqueue_depths(options.background),
         }
     }
@@ -141,7 +146,7 @@ impl<R: Real> Renderer<R> {
     pub(crate) fn enqueue_depths(&mut self, background: [f32; 3]) -> Result<()> {
         // Of whatever degree: no colour is computed.
         project::depths_for_colors(&self.project[0], &self.frame)?;
-        splat::composite(&self.splat, &self.frame, background)
+        self.composite(background)
     }
 
     /// Enqueues the forward stages up to the sorted pairs.
@@ -151,18 +156,48 @@ impl<R: Real> Renderer<R> {
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
-        let degree = options.sh_degree.min(scene.sh_degree) as usize;
-        let Some(project) = self.project.get(degree) else {
-            return Err(Error::device(
+        let rows = 0..camera.image().tiles()[1];
+        (self.frame.camera, self.frame.band, self.frame.count) = (*camera, rows, scene.count);
+        self.project_into(scene, options, &self.frame)?;
+        self.intersect_records(options.active_only)
+    }
+
+    /// The build of project for a scene.
+    fn projection(
+        &self,
+        scene: &GaussianBuffers<R>,
+        options: &RenderOptions,
+    ) -> Result<&Program> {
+        let degree = options.sh_degree.min(scene.sh_degree);
+        let built = self.project.get(degree as usize);
+        built.ok_or_else(|| {
+            Error::device(
                 "project",
                 format!("not built for SH degree {degree}"),
                 "make the renderer for this degree",
-            ));
-        };
-        (self.frame.camera, self.frame.count) = (*camera, scene.count);
-        project::write_records(project, scene, &self.frame)?;
+            )
+        })
+    }
+
+    /// Enqueues the projection of a scene into the records of a view, which may be another than that of this renderer.
+    pub(crate) fn project_into(
+        &self,
+        scene: &GaussianBuffers<R>,
+        options: &RenderOptions,
+        view: &ViewBuffers<R>,
+    ) -> Result<()> {
+        project::write_records(self.projection(scene, options)?, scene, view)
+    }
+
+    /// Enqueues the stages from the records to the sorted pairs.
+    pub(crate) fn intersect_records(&mut self, active_only: bool) -> Result<()> {
         self.sort_visible()?;
-        self.intersect_tiles(options.active_only)
+        self.intersect_tiles(active_only)
+    }
+
+    /// Enqueues the compositing of colours.
+    pub(crate) fn composite(&self, background: [f32; 3]) -> Result<()> {
+        splat::composite(&self.splat, &self.frame, background)
     }
 
     /// Compacts the visible Gaussians and sorts them by depth.
@@ -198,7 +233,7 @@ impl<R: Real> Renderer<R> {
         if self.bin.defines().tuning.group_style {
             scan::sum_pairs(&self.scan, f, f.count, [f.depth_counts(), f.depth_start()])?;
             bin::emit(&self.bin, f, active_only)?;
-            let keys = Keys::tiles(f.intersection_capacity(), f.camera.tile_count());
+            let keys = Keys::tiles(f.capacity, f.camera.tile_count());
             self.sort.run(&mut f.pairs, &keys, &f.status)?;
             return bin::find_tiles(&self.bin, f);
         }
@@ -239,7 +274,7 @@ impl<R: Real> Renderer<R> {
         };
         for camera in cameras {
             self.intersect(scene, camera, &options)?;
-            let capacity = self.frame.intersection_capacity();
+            let capacity = self.frame.capacity;
             if shown.len() < capacity {
                 shown = Array::zeros(&self.device, "shown", capacity)?;
             }

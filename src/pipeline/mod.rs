@@ -10,4 +10,5 @@ pub mod photos;
 pub mod reference;
 pub mod reference_pass;
 pub mod scoring;
+pub mod share;
 pub mod stage;

@@ -3,9 +3,10 @@
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program, Real};
 use crate::pipeline::backward::Backward;
-use crate::pipeline::buffers::GaussianBuffers;
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
+use crate::pipeline::share::Share;
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::{active_tiles, importance};
 use crate::scene::Plane;
@@ -35,6 +36,8 @@ pub struct Pipeline<R: Real = f32> {
     /// Marks the tiles in which a photo's pixels count; `None` if all do.
     active_tiles: Option<Program>,
     loss: Loss<R>,
+    /// This rank's part of every view while ranks share the Gaussians; `None` while it has them all.
+    pub share: Option<Share<R>>,
     /// Per-image exposure, between render and loss; `None` if it is off.
     pub exposure: Option<ExposureModel<R>>,
     dimage: Array<R>,
@@ -56,6 +59,7 @@ impl<R: Real> Pipeline<R> {
             active_tiles: active_tiles
                 .then(|| kernels.build::<R>("active_tiles"))
                 .transpose()?,
+            share: None,
             exposure: None,
             loss: Loss::new(&kernels, largest, 3)?,
             dimage: Array::zeros(device, "dimage", 3 * largest.plane())?,
@@ -63,7 +67,13 @@ impl<R: Real> Pipeline<R> {
         })
     }
 
-    /// Renders a view without waiting; `photo` says which tiles count.
+    /// Choices that the kernels are compiled with.
+    #[must_use]
+    pub fn defines(&self) -> Defines {
+        self.forward.defines()
+    }
+
+    /// Renders a view without waiting, unless ranks share it; `photo` says which tiles count.
     ///
     /// # Errors
     /// Arrays that do not fit, or the driver's.
@@ -75,7 +85,17 @@ impl<R: Real> Pipeline<R> {
         options: &RenderOptions,
     ) -> Result<()> {
         self.mark_tiles(photo, camera)?;
-        self.forward.enqueue(scene, camera, options)
+        match &mut self.share {
+            Some(share) => share.render(&mut self.forward, scene, camera, options),
+            None => self.forward.enqueue(scene, camera, options),
+        }
+    }
+
+    /// The view with the records and the pairs' sums of the Gaussians that are here.
+    #[must_use]
+    pub fn home(&self) -> &ViewBuffers<R> {
+        let share = self.share.as_ref();
+        share.map_or(&self.forward.frame, |share| &share.home)
     }
 
     /// Marks the tiles of a photo in which a pixel counts.
@@ -90,7 +110,8 @@ impl<R: Real> Pipeline<R> {
 
     /// The render made last and its photo as the loss compares them: the render under its view's exposure transform.
     pub fn pair<'a>(&'a self, target: Target<'a>) -> Result<ImagePair<'a, R>> {
-        let skips = target.skip_blank && self.active_tiles.is_some();
+        // What is blank beside a band is not known there.
+        let skips = target.skip_blank && self.active_tiles.is_some() && self.share.is_none();
         let view = &self.forward.frame;
         let mut pair = ImagePair::new(view, target.photo, target.background);
         pair.blank = skips.then(|| view.blank());
@@ -107,6 +128,10 @@ impl<R: Real> Pipeline<R> {
         match &self.exposure {
             Some(exposure) => {
                 let frame = &self.forward.frame;
+                if let Some(share) = &self.share {
+                    share.complete(&frame.image, 3, pair.size)?;
+                    share.complete(&self.dimage, 3, pair.size)?;
+                }
                 exposure.stage.backward(frame, view, &self.dimage)
             }
             None => Ok(()),
@@ -120,7 +145,14 @@ impl<R: Real> Pipeline<R> {
         losses: &Array<R>,
         slot: usize,
     ) -> Result<()> {
-        self.loss.sum(pair, losses, slot)
+        let here = match &self.share {
+            Some(share) => share.sum_loss(&self.loss, pair)?,
+            None => true,
+        };
+        match here {
+            true => self.loss.sum(pair, losses, slot),
+            false => Ok(()),
+        }
     }
 
     /// Mean |x − y| and mean SSIM of a pair; waits.
@@ -149,13 +181,20 @@ impl<R: Real> Pipeline<R> {
         statistics: &Array<R>,
     ) -> Result<()> {
         self.loss.errors(pair)?;
-        let (view, maps) = (&self.forward.frame, &self.loss.maps);
+        if let Some(share) = &self.share {
+            share.complete(&self.loss.maps, 2, pair.size)?;
+        }
+        let (view, maps) = (self.home(), &self.loss.maps);
         importance::add_errors(stage, scene, view, maps, first_view, statistics)
     }
 
-    /// Takes the image gradient back to sums per tile intersection.
-    pub fn splat_gradient(&self) -> Result<()> {
-        self.backward.splats(&self.forward, &self.dimage)
+    /// Takes the image gradient back to sums per tile intersection, those of the Gaussians that are here.
+    pub fn splat_gradient(&mut self) -> Result<()> {
+        self.backward.splats(&self.forward, &self.dimage)?;
+        match &mut self.share {
+            Some(share) => share.return_sums(&self.forward.frame),
+            None => Ok(()),
+        }
     }
 
     /// Blending weight α·T of each Gaussian in a view, summed over its pixels, in single precision; a third is missing for each

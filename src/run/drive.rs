@@ -452,7 +452,7 @@ impl Run {
     fn scores(&mut self, last: bool) -> Result<Option<FinalRecord>> {
         let background = self.trainer.schedule().fixed_background();
         let compensates = self.trainer.compensates_exposure();
-        let (scene, renderer) = self.trainer.scene_and_renderer();
+        let (scene, renderer) = self.trainer.scene_and_renderer()?;
         let Some(evaluator) = &self.evaluator else {
             return Ok(None);
         };
@@ -582,7 +582,7 @@ impl Run {
             return Ok(Vec::new());
         };
         let background = self.trainer.schedule().fixed_background();
-        let (scene, renderer) = self.trainer.scene_and_renderer();
+        let (scene, renderer) = self.trainer.scene_and_renderer()?;
         let n = evaluator.views().len();
         let shown = n.min(GALLERY_VIEWS);
         let mut views: Vec<usize> = (0..shown).map(|k| k * n / shown).collect();

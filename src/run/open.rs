@@ -214,10 +214,15 @@ impl Run {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
             None => Cow::Owned(start::first(&dataset, &plan, &mut exports.remarks)?),
         };
+        let shared = match device.helpers() {
+            [] => Vec::new(),
+            _ => dataset.train.clone(),
+        };
         let photos = Photos::new(device, dataset.image_budget);
         let train = ViewSet::new(&photos, dataset.train)?;
         let test = ViewSet::new(&photos, dataset.test)?;
         let mut trainer = Trainer::with_views(train, &plan, &splats)?;
+        trainer.recruit(device.helpers(), &shared, dataset.image_budget)?;
         let defines = Defines::new(device.tuning());
         let evaluator = (!test.is_empty()).then(|| Evaluator::new(device, defines, test));
         let evaluator = evaluator.transpose()?;

@@ -49,8 +49,10 @@ impl Trainer {
             return Ok(());
         };
         // The queue with counters has to be waited for.
-        if lag == 0 {
+        if lag == 0 || self.crew.is_some() {
             self.settle()?;
+        }
+        if lag == 0 {
             self.timing.begin_step()?;
         }
         let (control, on) = self.controlled();

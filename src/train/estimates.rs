@@ -243,6 +243,7 @@ impl Context<'_> {
             stride,
             count: n + candidates.len(),
             sh_degree: old.sh_degree,
+            shard: None,
         };
         let faint = |(k, t): (usize, &Candidate)| {
             let logit = f64::from(t.birth.opacity_logit);

@@ -1,5 +1,7 @@
 //! [`GaussianState`]: everything that training keeps per Gaussian. Every operation on the set is here and treats all of it.
 
+use std::ops::Range;
+
 use crate::base::error::{Error, Result};
 use crate::device::{Array, Arrived, Device, PendingRead, Program};
 use crate::pipeline::buffers::{GaussianBuffers, check_room, restride};
@@ -126,17 +128,30 @@ impl GaussianState {
     /// Arrays with a value per Gaussian and plane, each with its number of planes, the first [`OPTIMIZED`] being parameters and moments;
     /// and the scratch.
     fn arrays(&mut self) -> ([(&mut Array<f32>, usize); 5], &mut Array<f32>) {
-        let planes = self.scene.planes();
-        let smoothed = usize::from(!self.scene.filter.is_empty());
+        let [params, moments1, moments2, filter, statistics] = self.held().map(|held| held.1);
         let [moment1, moment2] = &mut self.moments;
         let arrays = [
-            (&mut self.scene.params, planes),
-            (moment1, planes),
-            (moment2, planes),
-            (&mut self.scene.filter, smoothed),
-            (&mut self.statistics, self.rows),
+            (&mut self.scene.params, params),
+            (moment1, moments1),
+            (moment2, moments2),
+            (&mut self.scene.filter, filter),
+            (&mut self.statistics, statistics),
         ];
         (arrays, &mut self.scratch)
+    }
+
+    /// The same arrays, to be read.
+    fn held(&self) -> [(&Array<f32>, usize); 5] {
+        let planes = self.scene.planes();
+        let smoothed = usize::from(!self.scene.filter.is_empty());
+        let [moment1, moment2] = &self.moments;
+        [
+            (&self.scene.params, planes),
+            (moment1, planes),
+            (moment2, planes),
+            (&self.scene.filter, smoothed),
+            (&self.statistics, self.rows),
+        ]
     }
 
     /// Makes room for `rows` Gaussians; the new ones are zero.
@@ -251,6 +266,39 @@ impl GaussianState {
             *array = new;
         }
         self.scene.sh_degree = degree;
+        Ok(())
+    }
+
+    /// Everything that belongs to some rows, as words: array by array and plane by plane.
+    pub fn read_words(&self, rows: Range<usize>) -> Result<Vec<u32>> {
+        let (stride, len) = (self.scene.stride, rows.len());
+        let mut words = Vec::new();
+        for (array, planes) in self.held() {
+            for plane in 0..planes {
+                words.extend(array.read_words(plane * stride + rows.start, len)?);
+            }
+        }
+        Ok(words)
+    }
+
+    /// Writes what [`GaussianState::read_words`] has read from a state of as many planes.
+    ///
+    /// # Errors
+    /// Another number of words, or the driver's.
+    pub fn write_words(&self, rows: Range<usize>, words: &[u32]) -> Result<()> {
+        let (stride, len) = (self.scene.stride, rows.len());
+        let held = self.held();
+        let planes: usize = held.iter().map(|(_, planes)| planes).sum();
+        if words.len() != planes * len {
+            let what = format!("{} words for {planes} planes of {len} rows", words.len());
+            return Err(Error::numerics("rows", what));
+        }
+        let mut parts = words.chunks_exact(len.max(1));
+        for (array, planes) in held {
+            for (plane, part) in (0..planes).zip(&mut parts) {
+                array.write_words(plane * stride + rows.start, part)?;
+            }
+        }
         Ok(())
     }
 

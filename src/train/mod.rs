@@ -2,6 +2,7 @@
 
 pub mod brightness;
 pub mod control;
+pub mod crew;
 pub mod decision;
 mod density_steps;
 pub mod estimates;
@@ -16,6 +17,7 @@ pub mod plan;
 pub mod reasons;
 pub mod sampling_rates;
 pub mod schedule;
+mod sharing;
 pub mod sizes;
 pub mod smoothing;
 mod state;

@@ -37,7 +37,7 @@ impl Trainer {
     /// Mean total loss that the last iterations have noted, each over its own background: [`Trainer::recent_loss`] but for that, and
     /// cheap.
     pub fn noted_loss(&mut self) -> Result<Option<f64>> {
-        self.settle()?;
+        self.land()?;
         let n = (self.iteration as usize)
             .min(LOSS_RING)
             .min(self.views.len());
@@ -143,7 +143,7 @@ impl Trainer {
     /// Number of Gaussians.
     #[must_use]
     pub fn gaussians(&self) -> usize {
-        self.gaussians.scene.count
+        self.gaussians.scene.all()
     }
 
     /// The Gaussians and, with anti-aliasing, their smoothing filter \[N\].
@@ -291,6 +291,7 @@ impl Trainer {
             stride,
             count,
             sh_degree: 0,
+            shard: None,
         })
     }
 
@@ -393,7 +394,11 @@ impl Trainer {
     }
 
     /// The scene on the device and the renderer, for evaluation between iterations.
-    pub fn scene_and_renderer(&mut self) -> (&GaussianBuffers, &mut Renderer) {
-        (&self.gaussians.scene, &mut self.pipeline.forward)
+    ///
+    /// # Errors
+    /// See [`Trainer::settle`].
+    pub fn scene_and_renderer(&mut self) -> Result<(&GaussianBuffers, &mut Renderer)> {
+        self.settle()?;
+        Ok((&self.gaussians.scene, &mut self.pipeline.forward))
     }
 }

@@ -55,7 +55,7 @@ impl Optimizer {
             constants: self.constants,
             t: iteration + 1,
         };
-        let (stage, frame) = (&self.stages[sh_degree as usize], &pipeline.forward.frame);
+        let (stage, frame) = (&self.stages[sh_degree as usize], pipeline.home());
         let moments = gaussians.moments.each_ref();
         project_grad::update(stage, &gaussians.scene, frame, self.lambdas, moments, &step)
     }

@@ -20,6 +20,7 @@ use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::adam::Step;
 use crate::scene::Gaussians;
 use crate::train::control::{Control, DensityEvent};
+use crate::train::crew::Crew;
 use crate::train::exposure::compare;
 use crate::train::gaussians::GaussianState;
 use crate::train::optimizer::Optimizer;
@@ -118,6 +119,8 @@ pub struct Trainer {
     pub(super) timing: Timing,
     pub(super) iteration: u32,
     pub(super) next: Next,
+    /// Ranks that train with this one; `None` alone, and for those that do not lead.
+    pub(super) crew: Option<Crew>,
 }
 
 impl Trainer {
@@ -216,6 +219,7 @@ impl Trainer {
             timing: Timing::new(device),
             iteration: 0,
             next: Next::default(),
+            crew: None,
             smoothing,
             pipeline,
             control,
@@ -227,12 +231,9 @@ impl Trainer {
     }
 
     /// One iteration, enqueued and not waited for.
-    fn iterate(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
-        // A density step that has just ended has computed the filter already.
-        let schedule = &self.schedule;
-        let ended =
-            schedule.density_due(iteration).is_some() && schedule.density_lag(iteration) == 0;
-        if Smoothing::due(iteration) && !ended {
+    pub(super) fn iterate(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
+        // It takes the rows of all ranks.
+        if self.pipeline.share.is_none() && self.smoothing_due(iteration) {
             self.smooth()?;
         }
         let view = self.views.at(iteration)?;
@@ -255,7 +256,7 @@ impl Trainer {
             .observe(iteration, &self.pipeline, &self.gaussians, &pair, views)?;
 
         if let Some(exposure) = &self.pipeline.exposure {
-            let status = &self.pipeline.forward.frame.status;
+            let status = &self.pipeline.home().status;
             exposure.step(view.number, self.transform_step(iteration), status)?;
         }
         self.pipeline.splat_gradient()?;
@@ -263,6 +264,14 @@ impl Trainer {
             .step(&self.pipeline, &self.gaussians, iteration, sh_degree)?;
         self.control
             .perturb(iteration, &self.pipeline, &self.gaussians)
+    }
+
+    /// True if the smoothing filter is to be computed before an iteration: a density step that has just ended has done it already.
+    pub(super) fn smoothing_due(&self, iteration: u32) -> bool {
+        let schedule = &self.schedule;
+        let ended =
+            schedule.density_due(iteration).is_some() && schedule.density_lag(iteration) == 0;
+        Smoothing::due(iteration) && !ended
     }
 
     fn options(&self, view: &TrainingView, sh_degree: u32) -> RenderOptions {
@@ -327,7 +336,11 @@ impl Trainer {
     pub fn set_length(&mut self, iterations: u32) -> Result<()> {
         self.settle()?;
         let from = self.iteration;
-        let length = Length { from, iterations };
+        self.apply_length(Length { from, iterations });
+        Ok(())
+    }
+
+    pub(super) fn apply_length(&mut self, length: Length) {
         self.plan.config.set_length(length);
         for schedule in [
             &mut self.schedule,
@@ -337,7 +350,6 @@ impl Trainer {
         ] {
             schedule.set_length(length);
         }
-        Ok(())
     }
 
     /// Makes the pause of the last [`Event::Settled`] come again, if it could not be used.
@@ -396,9 +408,12 @@ impl Trainer {
         if self.schedule.density_lag(at) > 0 {
             self.begin_density_step()?;
         }
+        let degree = self.gaussians.scene.sh_degree;
+        self.share_iteration(at, degree)?;
         self.timing.begin(at, alone)?;
-        self.iterate(at, self.gaussians.scene.sh_degree)?;
-        let status = &self.pipeline.forward.frame.status;
+        self.iterate(at, degree)?;
+        self.note_pairs(at);
+        let status = &self.pipeline.home().status;
         self.in_flight.push_back(InFlight {
             iteration: at,
             counters: status.read_later(0, status::SLOTS)?,
@@ -424,7 +439,8 @@ impl Trainer {
         }
         let max = &mut self.counters.max_intersections;
         *max = (*max).max(counters[status::INTERSECTIONS as usize] as usize);
-        self.counters.non_finite = u64::from(counters[status::NON_FINITE as usize]);
+        let others = self.crew.as_ref().map_or(0, Crew::non_finite);
+        self.counters.non_finite = others + u64::from(counters[status::NON_FINITE as usize]);
         let needed = counters[status::OVERFLOW as usize];
         if needed > 0 {
             self.in_flight.clear();
@@ -439,11 +455,17 @@ impl Trainer {
         Ok(())
     }
 
-    /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed).
+    /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed), and has all Gaussians here.
     ///
     /// # Errors
     /// See [`Trainer::advance`].
     pub fn settle(&mut self) -> Result<()> {
+        self.land()?;
+        self.gather()
+    }
+
+    /// [`Trainer::settle`] but for the Gaussians, which stay with the ranks that have them.
+    pub(super) fn land(&mut self) -> Result<()> {
         let (goal, next) = (self.iteration, self.next);
         loop {
             while !self.in_flight.is_empty() {
@@ -512,7 +534,7 @@ impl Trainer {
     }
 
     /// Recomputes the smoothing filter from the positions; does nothing without anti-aliasing.
-    fn smooth(&self) -> Result<()> {
+    pub(super) fn smooth(&self) -> Result<()> {
         match &self.smoothing {
             Some(s) => s.run(&self.gaussians.scene, &self.pipeline.forward.frame),
             None => Ok(()),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::base::error::Result;
 use crate::config::TrainConfig;
-use crate::device::{Array, CameraArg, Kernels, Program};
+use crate::device::{Array, CameraArg, ImageSize, Kernels, Program};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::pass::Target;
 use crate::pipeline::photos::AHEAD;
@@ -79,6 +79,17 @@ impl Views {
     #[must_use]
     pub fn upcoming(&self, iteration: u32, count: usize) -> Vec<usize> {
         self.schedule.upcoming(iteration, count, self.len())
+    }
+
+    /// Number of the view of an iteration, and its size then.
+    #[must_use]
+    pub fn size_at(&self, iteration: u32) -> (usize, ImageSize) {
+        let number = self.upcoming(iteration, 1)[0];
+        let full = self.set.cameras[number];
+        let divisor = self
+            .schedule
+            .shrink_factor(&self.sizes, iteration, full.image().0);
+        (number, full.shrunk(divisor).image())
     }
 
     /// The view of an iteration; photos of the iterations after it are fetched meanwhile.

@@ -51,6 +51,7 @@ fn step_at(
         stride,
         count: stride,
         sh_degree: 0,
+        shard: None,
     };
     let (m, v) = (array("m", 0.0), array("v", 0.0));
     let frame = ViewBuffers::new(&device, &kernels.defines().tuning, false).unwrap();

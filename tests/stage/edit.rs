@@ -131,6 +131,7 @@ fn a_snapshot_is_the_planes_side_by_side() {
         stride,
         count,
         sh_degree: 1,
+        shard: None,
     };
     let packed = array("packed", &[-1.0; 100]);
     let statistics = array("statistics", statistics);
@@ -154,6 +155,7 @@ fn an_opacity_reset_lowers_what_is_above_and_forgets_the_moments() {
         stride,
         count,
         sh_degree: 0,
+        shard: None,
     };
     let moments = [&array("moment1"), &array("moment2")];
     scene

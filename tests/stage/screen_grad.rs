@@ -52,6 +52,7 @@ fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
         stride: 2,
         count: 2,
         sh_degree: 0,
+        shard: None,
     };
     frame.camera.size = [40, 80];
     let cues = Array::from_slice(&device, "cues", &[100.0, 200.0, 1.0, 2.0]).unwrap();

@@ -134,7 +134,7 @@ pub(super) fn measure(
 /// Means over the views, counted after the timing, and pairs looked at.
 fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result<(Load, u64)> {
     let tuning = device.tuning();
-    let (scene, renderer) = trainer.scene_and_renderer();
+    let (scene, renderer) = trainer.scene_and_renderer()?;
     let options = RenderOptions {
         sh_degree: subject.splats.sh_degree(),
         background: [0.0; 3],

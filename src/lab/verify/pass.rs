@@ -484,7 +484,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let frame = self.frame();
         let before: Vec<u32> = seen_before(self.scene.count).collect();
         let seen = Array::from_slice(self.device, "seen", &before)?;
-        let shown = Array::zeros(self.device, "shown", frame.intersection_capacity())?;
+        let shown = Array::zeros(self.device, "shown", frame.capacity)?;
         let stage = self.kernels.build::<R>("seen")?;
         seen::mark(&stage, frame, &shown, &seen)?;
         let got = seen.to_vec()?.into_iter().map(f64::from).collect();

@@ -1,6 +1,8 @@
 //! L1 + SSIM and its gradient (`kernels/loss.cl`): 3DGS, Kerbl et al. 2023, eq. 7; SSIM, Wang et al. 2004.
 
-use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS};
+use std::ops::Range;
+
+use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS, TILE};
 use crate::base::error::Result;
 use crate::device::{Array, ImageSize, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::{Blank, ViewBuffers};
@@ -17,6 +19,8 @@ pub struct ImagePair<'a, R: Real> {
     pub background: [f32; 3],
     /// Size of both.
     pub size: ImageSize,
+    /// Rows of tiles that are compared: all, unless ranks share them.
+    pub band: Range<usize>,
     /// Arrays that say what is blank in both, for kernels that skip it; `None` if nothing is to be skipped.
     pub blank: Option<Blank<'a>>,
 }
@@ -30,6 +34,7 @@ impl<'a, R: Real> ImagePair<'a, R> {
             photo,
             background,
             size: view.camera.image(),
+            band: view.band.clone(),
             blank: None,
         }
     }
@@ -83,14 +88,37 @@ fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
 /// Planes of the maps of errors.
 const ERRORS: usize = 2;
 
-/// Enqueues a sweep over the strips of an image, or over its tiles in `channels` channels.
-fn sweep(launch: Launch<'_>, strips: [usize; 2], channels: usize) -> Result<()> {
-    let tuning = launch.defines().tuning;
+/// Rows of strips in some rows of tiles: those themselves where a work-group takes a tile.
+fn strip_rows(program: &Program, band: &Range<usize>) -> Range<usize> {
+    let each = match program.defines().tuning.group_style {
+        true => 1,
+        false => (TILE / LOSS_ROWS) as usize,
+    };
+    band.start * each..band.end * each
+}
+
+/// Enqueues a sweep over the strips of some rows of tiles of a pair, or over their tiles in `channels` channels.
+fn sweep<R: Real>(
+    launch: Launch<'_>,
+    program: &Program,
+    (pair, band): (&ImagePair<'_, R>, &Range<usize>),
+    channels: usize,
+) -> Result<()> {
+    let ([columns, _], rows) = (strips(program, pair.size), strip_rows(program, band));
+    let tuning = program.defines().tuning;
     if !tuning.group_style {
-        return launch.over_chunks(strips);
+        let launch = launch.starting_at([0, rows.start]);
+        return launch.over_chunks([columns, rows.len()]);
     }
-    let (tiles, group): (usize, _) = (strips.iter().product(), tuning.tile_group());
-    launch.run([tiles * group, channels], [group, 1])
+    let group = tuning.tile_group();
+    let launch = launch.starting_at([rows.start * columns * group, 0]);
+    launch.run([rows.len() * columns * group, channels], [group, 1])
+}
+
+/// The rows of tiles whose maps the gradient of those of a pair needs: one more on either side.
+fn seen_rows<R: Real>(pair: &ImagePair<'_, R>) -> Range<usize> {
+    let last = (pair.band.end + 1).min(pair.size.tiles()[1]);
+    pair.band.start.saturating_sub(1)..last
 }
 
 /// Length of [`Loss::partial`] for an image.
@@ -119,7 +147,8 @@ impl<R: Real> Loss<R> {
 
     /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render to `dimage`, and the sums of the strips.
     pub fn gradient(&self, pair: &ImagePair<'_, R>, lambda: f64, dimage: &Array<R>) -> Result<()> {
-        let (strips, values) = (strips(&self.program, pair.size), 3 * pair.size.plane());
+        let (program, values) = (&self.program, 3 * pair.size.plane());
+        let seen = seen_rows(pair);
         let weights = [1.0 - lambda, lambda].map(|weight| weight / pair.values());
         let launches = match self.program.defines().tuning.group_style {
             true => 1,
@@ -127,13 +156,14 @@ impl<R: Real> Loss<R> {
         };
         for first in 0..launches {
             let channels = 3 / launches;
-            sweep(self.maps_of(pair, first, 3 * channels), strips, channels)?;
+            let forward = self.maps_of(pair, first, 3 * channels);
+            sweep(forward, program, (pair, &seen), channels)?;
             let backward = self
                 .channel("loss_backward", pair, first)
                 .array(&self.maps, channels * values)
                 .reals::<R>(weights)
                 .array(dimage, values);
-            sweep(backward, strips, channels)?;
+            sweep(backward, program, (pair, &pair.band), channels)?;
         }
         Ok(())
     }
@@ -141,10 +171,10 @@ impl<R: Real> Loss<R> {
     /// Writes the channel means of 1 − SSIM and |x − y| to the maps, and the sums of the strips; the time is counted as
     /// importance's.
     pub fn errors(&self, pair: &ImagePair<'_, R>) -> Result<()> {
-        let strips = strips(&self.program, pair.size);
         (0..3).try_for_each(|channel| {
             let launch = self.maps_of(pair, channel, ERRORS);
-            sweep(launch.counted_as("importance"), strips, 1)
+            let launch = launch.counted_as("importance");
+            sweep(launch, &self.program, (pair, &pair.band), 1)
         })
     }
 
@@ -159,6 +189,15 @@ impl<R: Real> Loss<R> {
             .array(out, 2 * (slot + 1))
             .uints([slot])
             .over_groups(1)
+    }
+
+    /// Places in [`Loss::partial`] of what a rank has summed up in some rows of tiles, one range for each channel.
+    #[must_use]
+    pub fn places(&self, size: ImageSize, band: &Range<usize>) -> [Range<usize>; 3] {
+        let [columns, all] = strips(&self.program, size);
+        let rows = strip_rows(&self.program, band);
+        let place = |channel: usize, row: usize| 2 * columns * (channel * all + row.min(all));
+        [0, 1, 2].map(|channel| place(channel, rows.start)..place(channel, rows.end))
     }
 
     /// Sums of |x − y| and SSIM of each strip and channel of the pair compared last, in turn; waits.

@@ -23,6 +23,7 @@ pub fn perturb<R: Real>(
     stage
         .launch("noise")
         .uints([scene.stride, scene.count])
+        .uints([scene.shard.map_or(0, |shard| shard.first)])
         .uints([seed, seed >> 32, stream, stream >> 32].map(|word| word as usize))
         .reals::<R>([law.rate, law.steepness, law.opacity])
         .status(view)

@@ -82,7 +82,7 @@ pub fn update<R: Real>(
 
 /// λ_o / N and λ_s / 3N.
 fn regularisers<R: Real>(scene: &GaussianBuffers<R>, [opacity, scale]: [f64; 2]) -> [f64; 2] {
-    let n = scene.count.max(1) as f64;
+    let n = scene.all().max(1) as f64;
     [opacity / n, scale / (3.0 * n)]
 }
 

@@ -25,7 +25,7 @@ pub fn sum_pairs<R: Real>(
     over_values("scan_write")
         .array(sums, n)
         .array(&view.status, SLOTS)
-        .uints([INTERSECTIONS as usize, view.intersection_capacity()])
+        .uints([INTERSECTIONS as usize, view.capacity])
         .over_groups(chunks)
 }
 

@@ -24,7 +24,7 @@ pub fn mark<R: Real>(
         .ints(size.0)
         .array(seen, count)
         .array(shown, view.isect_owner.len())
-        .over_tiles(size)?;
+        .over_tiles(size, &view.band)?;
     stage
         .launch("seen_gather")
         .uints([count])

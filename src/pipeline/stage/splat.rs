@@ -21,7 +21,7 @@ pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3
         .reals::<R>(color.map(f64::from))
         .array(&view.image, 4 * size.plane())
         .array(&view.tile_used, size.tile_count())
-        .over_tiles(size)
+        .over_tiles(size, &view.band)
 }
 
 // Definition in f64.

@@ -20,7 +20,7 @@ pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<
         .array(&view.image, 4 * size.plane())
         .array(dimage, 3 * size.plane())
         .array(&view.sums, 1)
-        .over_tiles_by(size, GRAD_GROUP)
+        .over_tiles_by(size, &view.band, GRAD_GROUP)
 }
 
 // Definition in f64.

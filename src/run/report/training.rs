@@ -29,7 +29,7 @@ pub(crate) fn training_views(
     let views = trainer.training_views(VIEWS);
     let device = views.photos().device().clone();
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views)?;
-    let (scene, renderer) = trainer.scene_and_renderer();
+    let (scene, renderer) = trainer.scene_and_renderer()?;
     let mut scores = evaluator.score_all(scene, renderer, background, false)?;
     scores.sort_by(|a, b| a.scores.psnr.total_cmp(&b.scores.psnr));
     let names = &evaluator.views().names;

@@ -51,6 +51,7 @@ fn errors<R: Real>(device: &Device, size: f64, rate: f64) -> Result<Vec<f64>> {
         stride: N,
         count: N,
         sh_degree: 0,
+        shard: None,
     };
     let block = GradientBlock {
         values: &Array::from_slice(device, "grads", &gradients)?,

@@ -1,0 +1,227 @@
+//! [`Share`]: one rank's part of a view, where several train one scene. A rank has some rows of the Gaussians, and composites a band of
+//! tile rows: it projects its rows, sends them to the bands that they touch, composites and compares its band, and gets the sums of its
+//! Gaussians' pairs back. Grendel-GS (Zhao et al. 2024) divides both likewise. Every sum is added in the order in which one rank alone
+//! adds it, so that the result has the same bits for any number of ranks and any bands.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::base::constants::{SSIM_TAPS, TILE};
+use crate::base::error::{Error, Result};
+use crate::device::tuning::status;
+use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program, Real};
+use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
+use crate::pipeline::forward::{RenderOptions, Renderer};
+use crate::pipeline::stage::loss::{ImagePair, Loss};
+use crate::pipeline::stage::route::Route;
+use crate::ranks::{Exchange, LEADER, to_all, to_one};
+
+/// Rows of pixels beside a band that the gradient of its loss sees: two windows of SSIM, one over maps of the other.
+const HALO: usize = SSIM_TAPS - 1;
+
+/// Stages of a view that ranks share, and what lies between them.
+#[derive(Debug)]
+pub struct Share<R: Real> {
+    device: Device,
+    exchange: Arc<dyn Exchange>,
+    route: Route<R>,
+    scan: Program,
+    /// Records of the rows of this rank, and the sums of their pairs.
+    pub home: ViewBuffers<R>,
+    /// First row of tiles of each rank's band, and the number of rows.
+    bands: Vec<u32>,
+    /// First of each rank's Gaussians among those that this rank's band got, and their number.
+    firsts: Vec<usize>,
+    /// Pairs of each row of tiles of the view composited last; at the leader alone.
+    pub pairs_by_row: Vec<u32>,
+}
+
+impl<R: Real> Share<R> {
+    /// Builds the kernels of a rank.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn new(device: &Device, defines: Defines, exchange: Arc<dyn Exchange>) -> Result<Self> {
+        let kernels = Kernels::new(device, defines);
+        Ok(Self {
+            route: Route::new(&kernels, exchange.ranks())?,
+            scan: kernels.build::<R>("scan")?,
+            home: ViewBuffers::new(device, &defines.tuning, true)?,
+            bands: vec![0; exchange.ranks() + 1],
+            firsts: Vec::new(),
+            pairs_by_row: Vec::new(),
+            device: device.clone(),
+            exchange,
+        })
+    }
+
+    /// Sets the bands of the next view: the first row of tiles of each rank, and the number of rows.
+    pub fn set_bands(&mut self, bands: Vec<u32>) -> Result<()> {
+        self.route.set_bands(&bands)?;
+        self.bands = bands;
+        Ok(())
+    }
+
+    /// Rows of tiles of a rank's band.
+    fn band(&self, rank: usize) -> Range<usize> {
+        self.bands[rank] as usize..self.bands[rank + 1] as usize
+    }
+
+    /// Renders this rank's band of a view of all rows, and the pixel rows beside it that its loss sees. Waits.
+    ///
+    /// # Errors
+    /// No room, another rank's failure, or the driver's.
+    pub fn render(
+        &mut self,
+        forward: &mut Renderer<R>,
+        scene: &GaussianBuffers<R>,
+        camera: &CameraArg<R>,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        let home = &mut self.home;
+        home.fit_gaussians(&self.device, scene.stride)?;
+        (home.camera, home.count) = (*camera, scene.count);
+        forward.project_into(scene, options, home)?;
+        let sent = self.route.send(&self.device, &self.home)?;
+        let got = self.exchange.trade(sent)?;
+        let own = self.band(self.exchange.rank());
+        let frame = &mut forward.frame;
+        self.firsts = self.route.receive(&self.device, &got, frame)?;
+        (frame.camera, frame.band) = (*camera, own);
+        loop {
+            forward.intersect_records(options.active_only)?;
+            forward.composite(options.background)?;
+            let needed = self.trade_borders(&forward.frame)?;
+            match needed[self.exchange.rank()] {
+                0 if needed.iter().all(|n| *n == 0) => return Ok(()),
+                0 => {}
+                needed => forward.grow_intersections(needed)?,
+            }
+        }
+    }
+
+    /// Pixel rows of another rank's band, and of those beside it, that this one has: [`HALO`] rows on either side of it.
+    fn border(&self, of: usize, owner: usize, size: ImageSize) -> [Range<usize>; 2] {
+        let (band, own) = (self.band(of), self.band(owner));
+        if band.is_empty() {
+            return [0..0, 0..0];
+        }
+        let tile = TILE as usize;
+        let [first, end] = [band.start, band.end].map(|row| row * tile);
+        let above = first.saturating_sub(HALO)..first;
+        let below = end..(end + HALO).min(size.padded()[1]);
+        [above, below].map(|rows| {
+            let start = rows.start.max(own.start * tile);
+            start..rows.end.min(own.end * tile).max(start)
+        })
+    }
+
+    /// Trades the pixel rows beside the bands; returns the pairs that each rank lacks room for.
+    fn trade_borders(&mut self, frame: &ViewBuffers<R>) -> Result<Vec<u32>> {
+        let (rank, size) = (self.exchange.rank(), frame.camera.image());
+        let ([stride, _], plane) = (size.padded(), size.plane());
+        let needed = frame.status.read(status::OVERFLOW as usize, 1)?[0];
+        let mut messages = to_all(self.exchange.as_ref(), vec![needed]);
+        for (to, message) in messages.iter_mut().enumerate() {
+            for rows in self.border(to, rank, size) {
+                for channel in 0..3 {
+                    let at = channel * plane + rows.start * stride;
+                    message.extend(frame.image.read_words(at, rows.len() * stride)?);
+                }
+            }
+        }
+        messages[LEADER].extend(frame.pairs_by_row()?);
+        let mut got = self.exchange.trade(messages)?;
+        let all = size.tiles()[1];
+        if rank == LEADER {
+            self.pairs_by_row = vec![0; all];
+        }
+        let words = size_of::<R>() / size_of::<u32>();
+        for (from, message) in got.iter_mut().enumerate() {
+            let mut at = 1;
+            for rows in self.border(rank, from, size) {
+                for channel in 0..3 {
+                    let len = rows.len() * stride;
+                    let part = message.get(at..at + len * words).ok_or_else(short)?;
+                    let place = channel * plane + rows.start * stride;
+                    frame.image.write_words(place, part)?;
+                    at += len * words;
+                }
+            }
+            if rank == LEADER {
+                let band = self.band(from);
+                let part = message.get(at..at + band.len()).ok_or_else(short)?;
+                self.pairs_by_row[band].copy_from_slice(part);
+            }
+        }
+        let first = |message: &Vec<u32>| message.first().copied().unwrap_or(0);
+        Ok(got.iter().map(first).collect())
+    }
+
+    /// Takes the sums of the pairs of this rank's band to the ranks whose Gaussians they are, and those of its own rows from the others.
+    /// Waits.
+    ///
+    /// # Errors
+    /// No room, another rank's failure, or the driver's.
+    pub fn return_sums(&mut self, frame: &ViewBuffers<R>) -> Result<()> {
+        let (device, scan) = (&self.device, &self.scan);
+        let given = self.route.give_back(device, scan, frame, &self.firsts)?;
+        let got = self.exchange.trade(given)?;
+        self.route.collect(device, scan, &got, &mut self.home)
+    }
+
+    /// Gives every rank the bands of all others of some planes of images.
+    ///
+    /// # Errors
+    /// Another rank's failure, or the driver's.
+    pub fn complete(&self, planes: &Array<R>, count: usize, size: ImageSize) -> Result<()> {
+        let ([stride, _], plane, tile) = (size.padded(), size.plane(), TILE as usize);
+        let rank = self.exchange.rank();
+        let rows = |of: usize| {
+            let band = self.band(of);
+            (band.start * tile * stride, band.len() * tile * stride)
+        };
+        let (first, len) = rows(rank);
+        let mut own = Vec::new();
+        for k in 0..count {
+            own.extend(planes.read_words(k * plane + first, len)?);
+        }
+        let got = self.exchange.trade(to_all(self.exchange.as_ref(), own))?;
+        for (from, message) in got.iter().enumerate().filter(|(from, _)| *from != rank) {
+            let (first, _) = rows(from);
+            let parts = message.chunks_exact((message.len() / count).max(1));
+            for (k, part) in parts.enumerate() {
+                planes.write_words(k * plane + first, part)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives the leader the sums of the loss of all bands; true there.
+    ///
+    /// # Errors
+    /// Another rank's failure, or the driver's.
+    pub fn sum_loss(&self, loss: &Loss<R>, pair: &ImagePair<'_, R>) -> Result<bool> {
+        let (rank, mut own) = (self.exchange.rank(), Vec::new());
+        for place in loss.places(pair.size, &self.band(rank)) {
+            own.extend(loss.partial.read_words(place.start, place.len())?);
+        }
+        let exchange = self.exchange.as_ref();
+        let got = exchange.trade(to_one(exchange, LEADER, own))?;
+        if rank != LEADER {
+            return Ok(false);
+        }
+        for (from, message) in got.iter().enumerate() {
+            let parts = message.chunks_exact((message.len() / 3).max(1));
+            for (place, part) in loss.places(pair.size, &self.band(from)).iter().zip(parts) {
+                loss.partial.write_words(place.start, part)?;
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// The error of a message that ends too soon.
+fn short() -> Error {
+    Error::numerics("exchange", "a message that is too short")
+}

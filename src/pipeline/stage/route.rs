@@ -1,0 +1,264 @@
+//! Visible Gaussians of a rank → the bands of tile rows that they touch, and the sums of their pairs back (`kernels/route.cl`).
+
+use std::mem::size_of;
+
+use crate::base::constants::SUMS;
+use crate::base::error::{Error, Result};
+use crate::device::{Array, Device, Kernels, Launch, Program, Projected, Real};
+use crate::pipeline::buffers::ViewBuffers;
+use crate::pipeline::reference::TILE;
+use crate::pipeline::stage::project::Projected64;
+use crate::pipeline::stage::scan;
+
+/// Words of a routed Gaussian: its key and its record.
+const fn routed_words<R>() -> usize {
+    1 + size_of::<Projected<R>>() / size_of::<u32>()
+}
+
+/// The kernels, and what is on its way between ranks.
+#[derive(Debug)]
+pub struct Route<R: Real> {
+    program: Program,
+    ranks: usize,
+    /// Gaussians that there is room for.
+    stride: usize,
+    /// First row of tiles of each band, and the number of rows.
+    bands: Array<u32>,
+    /// Gaussians of each chunk that touch a band.
+    chunk_sums: Array<u32>,
+    keys: Array<u32>,
+    sent: Array<Projected<R>>,
+    place: Array<u32>,
+    totals: Array<u32>,
+    starts: Array<u32>,
+    offsets: Array<u32>,
+    returned: Array<R>,
+    row_start: Array<u32>,
+    ordered: Array<R>,
+}
+
+/// `array`, or one with a quarter to spare where it holds fewer than `len` values.
+fn fit<T: crate::device::Element>(device: &Device, array: &mut Array<T>, len: usize) -> Result<()> {
+    if array.len() < len {
+        *array = Array::zeros(device, array.name(), len + len / 4)?;
+    }
+    Ok(())
+}
+
+impl<R: Real> Route<R> {
+    /// Builds the kernels for so many ranks.
+    pub fn new(kernels: &Kernels, ranks: usize) -> Result<Self> {
+        let program = kernels.build::<R>("route")?;
+        let device = kernels.device();
+        let ints = |name, len| Array::<u32>::zeros(device, name, len);
+        Ok(Self {
+            ranks,
+            stride: 0,
+            bands: ints("bands", ranks + 1)?,
+            chunk_sums: ints("route sums", ranks * program.chunks())?,
+            keys: ints("sent keys", 0)?,
+            sent: Array::zeros(device, "sent", 0)?,
+            place: ints("place", 0)?,
+            totals: ints("sent totals", ranks)?,
+            starts: ints("starts", 0)?,
+            offsets: ints("offsets", ranks)?,
+            returned: Array::zeros(device, "returned", 0)?,
+            row_start: ints("row_start", 0)?,
+            ordered: Array::zeros(device, "ordered", 0)?,
+            program,
+        })
+    }
+
+    /// The device's kernels are built for.
+    #[must_use]
+    pub fn program(&self) -> &Program {
+        &self.program
+    }
+
+    /// Sets the bands: the first row of tiles of each, and the number of rows.
+    pub fn set_bands(&self, bands: &[u32]) -> Result<()> {
+        self.bands.write(0, bands)
+    }
+
+    /// Finds the Gaussians of a view that each band gets; returns the message for each rank, keys before records. Waits.
+    pub fn send(&mut self, device: &Device, view: &ViewBuffers<R>) -> Result<Vec<Vec<u32>>> {
+        if self.stride < view.count {
+            self.stride = view.count + view.count / 4;
+            fit(device, &mut self.keys, self.ranks * self.stride)?;
+            fit(device, &mut self.sent, self.ranks * self.stride)?;
+            fit(device, &mut self.place, self.ranks * self.stride)?;
+        }
+        let (chunks, ranks) = (self.program.chunks(), self.ranks);
+        let rooms = ranks * self.stride;
+        let over_bands = |launch: Launch<'_>| {
+            let group = launch.defines().tuning.tile_group();
+            launch.run([chunks * group, ranks], [group, 1])
+        };
+        let launch = self.own("route_count", view).uints([chunks]);
+        over_bands(launch.array(&self.chunk_sums, ranks * chunks))?;
+        let launch = self
+            .own("route_pack", view)
+            .uints([chunks])
+            .array(&self.chunk_sums, ranks * chunks)
+            .uints([self.stride])
+            .array(&self.keys, rooms)
+            .array(&self.sent, rooms)
+            .array(&self.place, rooms)
+            .array(&self.totals, ranks);
+        over_bands(launch)?;
+        let totals = self.totals.to_vec()?;
+        let message = |(rank, total): (usize, u32)| {
+            let (from, n) = (rank * self.stride, total as usize);
+            let mut words = self.keys.read_words(from, n)?;
+            words.extend(self.sent.read_words(from, n)?);
+            Ok(words)
+        };
+        totals.into_iter().enumerate().map(message).collect()
+    }
+
+    /// Takes the messages of [`Route::send`] of all ranks for this one: records and keys of a view, one rank's after the other's. Returns
+    /// the first Gaussian of each rank, and their number.
+    pub fn receive(
+        &self,
+        device: &Device,
+        messages: &[Vec<u32>],
+        view: &mut ViewBuffers<R>,
+    ) -> Result<Vec<usize>> {
+        let mut firsts = vec![0];
+        for message in messages {
+            firsts.push(firsts[firsts.len() - 1] + message.len() / routed_words::<R>());
+        }
+        view.count = firsts[messages.len()];
+        if view.keys.len() < view.count {
+            view.fit_gaussians(device, view.count + view.count / 4)?;
+        }
+        for (message, pair) in messages.iter().zip(firsts.windows(2)) {
+            let (keys, records) = message.split_at(pair[1] - pair[0]);
+            view.keys.write_words(pair[0], keys)?;
+            view.records.write_words(pair[0], records)?;
+        }
+        Ok(firsts)
+    }
+
+    /// The message for each rank whose Gaussians stand in a view from `firsts[rank]` on: first slots and their end, then the sums of
+    /// their pairs. Waits.
+    pub fn give_back(
+        &mut self,
+        device: &Device,
+        scan: &Program,
+        view: &ViewBuffers<R>,
+        firsts: &[usize],
+    ) -> Result<Vec<Vec<u32>>> {
+        let grouped = self.program.defines().tuning.group_style;
+        if grouped {
+            fit(device, &mut self.row_start, view.count)?;
+            fit(device, &mut self.ordered, view.sums.len())?;
+            let counts = [&view.isect_counts, &self.row_start];
+            scan::sum_pairs(scan, view, view.count, counts)?;
+            self.program
+                .launch("route_order")
+                .uints([view.count])
+                .arrays([&view.isect_start, &view.isect_counts], view.count)
+                .array(&self.row_start, view.count)
+                .arrays([&view.sums, &self.ordered], view.sums.len())
+                .over_items([view.count, 1])?;
+        }
+        let (starts, sums) = match grouped {
+            true => (&self.row_start, &self.ordered),
+            false => (&view.isect_start, &view.sums),
+        };
+        let mut starts = starts.read(0, view.count)?;
+        starts.push(view.pairs_found()?);
+        let message = |pair: &[usize]| {
+            let of = &starts[pair[0]..=pair[1]];
+            let (first, end) = (of[0] as usize, of[of.len() - 1] as usize);
+            let mut words: Vec<u32> = of.iter().map(|start| start - of[0]).collect();
+            words.extend(sums.read_words(first * SUMS, (end - first) * SUMS)?);
+            Ok(words)
+        };
+        firsts.windows(2).map(message).collect()
+    }
+
+    /// Takes the messages of [`Route::give_back`] of all ranks for this one: pairs and their sums of the Gaussians of a view, by bands
+    /// from top to bottom.
+    ///
+    /// # Errors
+    /// Messages of another shape.
+    pub fn collect(
+        &mut self,
+        device: &Device,
+        scan: &Program,
+        messages: &[Vec<u32>],
+        view: &mut ViewBuffers<R>,
+    ) -> Result<()> {
+        let totals = self.totals.to_vec()?;
+        let words = size_of::<R>() / size_of::<u32>() * SUMS;
+        let (mut starts, mut offsets, mut pairs) = (Vec::new(), Vec::new(), 0);
+        let mut parts = Vec::new();
+        for (message, total) in messages.iter().zip(totals) {
+            let at = total as usize + 1;
+            let (Some(&end), Some(sums)) = (message.get(at - 1), message.get(at..)) else {
+                return Err(Error::numerics("exchange", "a message that is too short"));
+            };
+            if sums.len() != end as usize * words {
+                let what = format!("sums of {} words for {end} pairs", sums.len());
+                return Err(Error::numerics("exchange", what));
+            }
+            offsets.push(starts.len() as u32);
+            starts.extend(message[..at].iter().map(|start| start + pairs as u32));
+            parts.push((pairs, sums));
+            pairs += end as usize;
+        }
+        fit(device, &mut self.starts, starts.len())?;
+        fit(device, &mut self.returned, pairs * SUMS)?;
+        view.fit_sums(device, pairs)?;
+        self.starts.write(0, &starts)?;
+        self.offsets.write(0, &offsets)?;
+        for (first, sums) in parts {
+            self.returned.write_words(first * SUMS, sums)?;
+        }
+        self.returning("route_pairs", view)
+            .array(&view.isect_counts, view.count)
+            .over_items([view.count, 1])?;
+        let counts = [&view.isect_counts, &view.isect_start];
+        scan::sum_pairs(scan, view, view.count, counts)?;
+        self.returning("route_sums", view)
+            .array(&self.returned, pairs * SUMS)
+            .array(&view.isect_start, view.count)
+            .array(&view.sums, pairs * SUMS)
+            .over_items([view.count, 1])
+    }
+
+    /// A sweep over the Gaussians of a view.
+    fn own(&self, kernel: &'static str, view: &ViewBuffers<R>) -> Launch<'_> {
+        self.program
+            .launch(kernel)
+            .array(&view.records, view.count)
+            .array(&view.keys, view.count)
+            .uints([view.count])
+            .array(&self.bands, self.ranks + 1)
+    }
+
+    /// A sweep over the Gaussians of a view that takes what has come back.
+    fn returning(&self, kernel: &'static str, view: &ViewBuffers<R>) -> Launch<'_> {
+        self.own(kernel, view)
+            .uints([self.ranks, self.stride])
+            .array(&self.place, self.ranks * self.stride)
+            .array(&self.starts, self.ranks)
+            .array(&self.offsets, self.ranks)
+    }
+}
+
+// Definition in f64.
+
+/// Numbers of the Gaussians that a band of tile rows gets, and their first and last pixel row there.
+#[must_use]
+pub fn route(projected: &[Option<Projected64>], band: [u32; 2]) -> Vec<(usize, [i32; 2])> {
+    let [from, to] = band.map(|row| row as i32 * TILE);
+    let inside = |(i, g): (usize, &Option<Projected64>)| {
+        let [first, last] = g.as_ref()?.bounds[1];
+        let cut = [first.max(from), last.min(to - 1)];
+        (cut[0] <= cut[1]).then_some((i, cut))
+    };
+    projected.iter().enumerate().filter_map(inside).collect()
+}

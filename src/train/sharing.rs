@@ -1,0 +1,269 @@
+//! Training by several ranks, threads of this process with a device each. The leader trains as if it were alone; for an iteration the rows
+//! of the Gaussians are spread over the ranks, for everything else they are gathered.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::thread::Builder;
+
+use crate::base::error::{Error, Result};
+use crate::capture::View;
+use crate::config::Length;
+use crate::device::Device;
+use crate::device::tuning::status;
+use crate::pipeline::buffers::{Shard, ViewSet};
+use crate::pipeline::photos::Photos;
+use crate::pipeline::share::Share;
+use crate::ranks::{Exchange, LEADER, threads, to_one};
+use crate::scene::Gaussians;
+use crate::train::crew::{Crew, Words, rows_of};
+use crate::train::gaussians::GaussianState;
+use crate::train::plan::Plan;
+use crate::train::step::Trainer;
+
+/// Orders of the leader: the first word of a message.
+mod order {
+    /// Iterate: iteration, SH degree, bands.
+    pub const ITERATE: u32 = 0;
+    /// Take rows: see [`super::Trainer::rows_for`].
+    pub const SPREAD: u32 = 1;
+    /// Give the rows back.
+    pub const GATHER: u32 = 2;
+}
+
+impl Trainer {
+    /// Has other devices train with this one, each in a thread of its own: the result has the same bits. `views` are those of this
+    /// trainer; each device reads their photos itself, within `image_budget` bytes.
+    ///
+    /// # Errors
+    /// No thread, a build failure or no room on any of the devices.
+    pub fn recruit(
+        &mut self,
+        devices: &[Device],
+        views: &[View],
+        image_budget: u64,
+    ) -> Result<()> {
+        if devices.is_empty() || self.crew.is_some() {
+            return Ok(());
+        }
+        let mut ends = threads(1 + devices.len()).into_iter();
+        let Some(exchange) = ends.next() else {
+            return Ok(());
+        };
+        let start = Gaussians::zeros(self.gaussians.scene.sh_degree, 1);
+        let mut threads = Vec::new();
+        for (device, exchange) in devices.iter().zip(ends) {
+            let device = device.clone().with_tuning(self.device.tuning());
+            let (views, plan, start) = (views.to_vec(), self.plan.clone(), start.clone());
+            let work = move || {
+                let _ended = Ended(exchange.clone());
+                let photos = Photos::new(&device, image_budget);
+                let set = ViewSet::new(&photos, views);
+                let error = set.and_then(|set| work(&exchange, set, &plan, &start));
+                if let Err(error) = error {
+                    exchange.fail(&error.to_string());
+                }
+            };
+            let name = format!("rank {}", threads.len() + 1);
+            let thread = Builder::new().name(name).spawn(work);
+            threads.push(thread.map_err(|e| {
+                let what = format!("no thread can be made: {e}");
+                Error::device("ranks", what, "allow more threads (ulimit -u)")
+            })?);
+        }
+        let idle = self.share(exchange.clone())?;
+        let crew = Crew::new(exchange, threads, idle);
+        // Everybody is ready.
+        crew.order(Vec::new())?;
+        self.crew = Some(crew);
+        Ok(())
+    }
+
+    /// This rank's part of a view.
+    fn share(&self, exchange: Arc<dyn Exchange>) -> Result<Share<f32>> {
+        Share::new(&self.device, self.pipeline.defines(), exchange)
+    }
+
+    /// Makes ready for an iteration of all ranks, and tells them to begin it; does nothing alone.
+    pub(super) fn share_iteration(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
+        if self.crew.is_none() {
+            return Ok(());
+        }
+        if self.smoothing_due(iteration) {
+            self.gather()?;
+            self.smooth()?;
+        }
+        self.spread()?;
+        let (number, size) = self.views.size_at(iteration);
+        let [across, rows] = size.tiles();
+        let (Some(crew), Some(share)) = (&mut self.crew, &mut self.pipeline.share) else {
+            return Ok(());
+        };
+        let bands = crew.bands(number, [across, rows]);
+        let words = [&[order::ITERATE, iteration, sh_degree], bands.as_slice()].concat();
+        share.set_bands(bands)?;
+        crew.order(words)
+    }
+
+    /// Notes the pairs of the view of an iteration of all ranks, for its next bands.
+    pub(super) fn note_pairs(&mut self, iteration: u32) {
+        let (number, _) = self.views.size_at(iteration);
+        if let (Some(crew), Some(share)) = (&mut self.crew, &self.pipeline.share) {
+            crew.note_pairs(number, &share.pairs_by_row);
+        }
+    }
+
+    /// Spreads the rows over the ranks, if they are not.
+    fn spread(&mut self) -> Result<()> {
+        let Some(exchange) = self.crew.as_ref().map(|crew| crew.exchange.clone()) else {
+            return Ok(());
+        };
+        if self.pipeline.share.is_some() {
+            return Ok(());
+        }
+        let (all, ranks) = (self.gaussians.scene.count, exchange.ranks());
+        let messages = (0..ranks).map(|rank| match rank {
+            LEADER => Ok(Vec::new()),
+            _ => self.rows_for(rows_of(rank, ranks, all), all),
+        });
+        exchange.trade(messages.collect::<Result<_>>()?)?;
+        let scene = &mut self.gaussians.scene;
+        scene.count = rows_of(LEADER, ranks, all).len();
+        scene.shard = Some(Shard { first: 0, all });
+        self.pipeline.share = self.crew.as_mut().and_then(|crew| crew.idle.take());
+        Ok(())
+    }
+
+    /// The message that spreads some of all rows: first row, number, all rows, SH degree, the lengths of the run, the iteration from which
+    /// exposure is compensated (one more; 0: not) with the transforms of the views and their moments, then the rows.
+    fn rows_for(&self, rows: Range<usize>, all: usize) -> Result<Vec<u32>> {
+        let degree = self.gaussians.scene.sh_degree;
+        let mut words = vec![order::SPREAD];
+        words.extend([rows.start, rows.len(), all].map(|n| n as u32));
+        words.push(degree);
+        let lengths = &self.plan.config.lengths;
+        words.push(lengths.len() as u32);
+        words.extend(lengths.iter().flat_map(|l| [l.from, l.iterations]));
+        let exposures = self.exposures()?;
+        let exposed = self
+            .learned
+            .exposed_from
+            .filter(|_| !exposures.is_empty())
+            .map_or(0, |from| from + 1);
+        words.push(exposed);
+        for row in exposures {
+            words.push(row.len() as u32);
+            words.extend(row.iter().map(|v| v.to_bits()));
+        }
+        words.extend(self.gaussians.read_words(rows)?);
+        Ok(words)
+    }
+
+    /// Takes the rows of a message of [`Trainer::rows_for`].
+    fn take_rows(&mut self, words: &[u32]) -> Result<()> {
+        let mut words = Words(words);
+        let [first, count, all] = words.take()?.map(|n: u32| n as usize);
+        let [degree, lengths] = words.take()?;
+        for _ in 0..lengths {
+            let [from, iterations] = words.take()?;
+            let length = Length { from, iterations };
+            if !self.plan.config.lengths.contains(&length) {
+                self.apply_length(length);
+            }
+        }
+        let [exposed] = words.take()?;
+        if exposed > 0 {
+            self.learned.exposed_from = Some(exposed - 1);
+            if self.pipeline.exposure.is_none() {
+                self.build_exposure()?;
+            }
+            let mut rows = Vec::new();
+            for _ in 0..3 {
+                let [len] = words.take()?;
+                let row = words.some(len as usize)?.iter();
+                rows.push(row.map(|v| f32::from_bits(*v)).collect());
+            }
+            if let Some(model) = &self.pipeline.exposure {
+                model.restore(&rows)?;
+            }
+        }
+        let scene = &self.gaussians.scene;
+        if scene.sh_degree != degree || scene.stride < count {
+            let (rows, smoothed) = (self.gaussians.rows, self.smoothing.is_some());
+            let none = Gaussians::zeros(degree, 0);
+            let room = count + count / 4;
+            self.gaussians = GaussianState::new(&self.device, &none, room, rows, smoothed)?;
+        }
+        let scene = &mut self.gaussians.scene;
+        scene.count = count;
+        scene.shard = Some(Shard { first, all });
+        self.gaussians.write_words(0..count, words.0)
+    }
+
+    /// Gathers the rows of all ranks, if they are spread.
+    pub(super) fn gather(&mut self) -> Result<()> {
+        let (Some(crew), Some(shard)) = (&mut self.crew, self.gaussians.scene.shard) else {
+            return Ok(());
+        };
+        crew.order(vec![order::GATHER])?;
+        let (exchange, ranks) = (crew.exchange.clone(), crew.exchange.ranks());
+        let got = exchange.trade(vec![Vec::new(); ranks])?;
+        for (rank, message) in got.iter().enumerate().filter(|(rank, _)| *rank != LEADER) {
+            let mut words = Words(message);
+            let [non_finite] = words.take()?;
+            crew.note_non_finite(rank, non_finite.into());
+            let rows = rows_of(rank, ranks, shard.all);
+            self.gaussians.write_words(rows, words.0)?;
+        }
+        self.gaussians.scene.count = shard.all;
+        self.gaussians.scene.shard = None;
+        crew.idle = self.pipeline.share.take();
+        Ok(())
+    }
+
+    /// Does what the leader orders, until it ends.
+    fn follow(&mut self, exchange: &dyn Exchange) -> Result<()> {
+        loop {
+            let mut got = exchange.trade(vec![Vec::new(); exchange.ranks()])?;
+            let message = got.swap_remove(LEADER);
+            match message.as_slice() {
+                // Everybody is ready.
+                [] => {}
+                [order::ITERATE, iteration, sh_degree, bands @ ..] => {
+                    if let Some(share) = &mut self.pipeline.share {
+                        share.set_bands(bands.to_vec())?;
+                    }
+                    self.iterate(*iteration, *sh_degree)?;
+                    self.device.flush()?;
+                }
+                [order::SPREAD, words @ ..] => self.take_rows(words)?,
+                [order::GATHER] => {
+                    let slot = status::NON_FINITE as usize;
+                    let mut words = self.pipeline.home().status.read(slot, 1)?;
+                    let rows = 0..self.gaussians.scene.count;
+                    words.extend(self.gaussians.read_words(rows)?);
+                    exchange.trade(to_one(exchange, LEADER, words))?;
+                }
+                other => {
+                    let what = format!("an unknown order of {} words", other.len());
+                    return Err(Error::numerics("exchange", what));
+                }
+            }
+        }
+    }
+}
+
+/// Trains as a rank that is not the leader, until that ends.
+fn work(exchange: &Arc<dyn Exchange>, set: ViewSet, plan: &Plan, start: &Gaussians) -> Result<()> {
+    let mut trainer = Trainer::with_views(set, plan, start)?;
+    trainer.pipeline.share = Some(trainer.share(exchange.clone())?);
+    trainer.follow(exchange.as_ref())
+}
+
+/// Lets the others go on to their end when a thread ends, in whatever way.
+struct Ended(Arc<dyn Exchange>);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        self.0.fail("has ended");
+    }
+}
