@@ -16,6 +16,7 @@
 //! | project | `kernels/project.cl` | Gaussians → 2D Gaussians of one camera |
 //! | scan, bin, sort | `kernels/{scan,bin,sort}.cl` | 2D Gaussians → tile intersections, front to back |
 //! | splat | `kernels/splat.cl` | tiles → image |
+//! | route | `kernels/route.cl`, [`ranks`] | where several devices train one scene: 2D Gaussians → the bands that they touch, sums of their pairs back |
 //! | shrink, loss | `kernels/{shrink,loss}.cl` | photo at a fraction of its size early in a run; L1 + SSIM and its gradient |
 //! | exposure | `kernels/exposure.cl` | affine colour transform per photo, between render and loss |
 //! | splat_grad, project_grad | `kernels/{splat_grad,project_grad}.cl` | gradient of the image → of the raw parameters, and a step of the optimiser with it |
@@ -30,7 +31,7 @@
 //! | measure | [`lab`], `kernels/{peak,adam}.cl` | verify, bench, compare, experiment, surrogate: only the command line uses it |
 //!
 //! `pipeline` alone (`forward.rs`, `backward.rs`, `pass.rs`) knows the order of the stages, and [`train::step`] the order of an iteration. Every stage file
-//! in `src/pipeline/stage` has the kernel's launcher and its definition in f64, which [`lab::verify`] compares on a device (but for the sizes of photos and marks of tiles, which tests compare).
+//! in `src/pipeline/stage` has the kernel's launcher and its definition in f64, which [`lab::verify`] compares on a device (but for the sizes of photos, marks of tiles and routes between devices, which tests compare).
 //!
 //! ```no_run
 //! use mhsplat::train::Event;

@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Rooms in the order of the data: a room uses only rooms before it.
-const ROOMS: [&str; 13] = [
-    "base", "chart", "config", "capture", "scene", "device", "density", "pipeline", "train",
-    "evaluate", "run", "lab", "cli",
+const ROOMS: [&str; 14] = [
+    "base", "chart", "config", "capture", "scene", "ranks", "device", "density", "pipeline",
+    "train", "evaluate", "run", "lab", "cli",
 ];
 
 /// Path of a module from its file: `src/run/mod.rs` is `run`.

@@ -44,6 +44,7 @@ mod packaging;
 mod photos;
 mod plan;
 mod python;
+mod ranks;
 mod recovery;
 mod reference;
 mod report;

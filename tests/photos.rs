@@ -283,6 +283,7 @@ fn rows_against(device: &Device, photo: Array<u8>, side: usize, drop_early: bool
         photo: &photo,
         background: [0.0; 3],
         size: ImageSize([side, side]),
+        band: 0..side.div_ceil(16),
         blank: None,
     };
     for _ in 0..20 {

@@ -11,6 +11,7 @@ mod lab;
 mod output;
 mod overrides;
 mod progress;
+mod ranks;
 mod render;
 mod scene;
 mod shell;

@@ -7,13 +7,14 @@ use crate::cli::common::{Common, DeviceOption, Outcome, self_tested, tested};
 use crate::cli::overrides::Overrides;
 use crate::cli::progress::{Display, Form, finish, tell_objects};
 use crate::cli::signals::stop_flag;
-use crate::cli::{output, scene, view};
+use crate::cli::{output, ranks, scene, view};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
 use mhsplat::device::Device;
 use mhsplat::lab::tune::SizeClass;
+use mhsplat::ranks::LEADER;
 use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{
     Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config, saved_tuning,
@@ -94,6 +95,11 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let dir = resume.unwrap_or(&args.output);
     // Before the device: some drivers' compilers set handlers that end the process, and the first one set is the last to run.
     let stop = stop_flag()?;
+    let exchange = ranks::launched()?;
+    if let Some(exchange) = exchange.as_ref().filter(|e| e.rank() != LEADER) {
+        ranks::follow(exchange, &args.device.open()?)?;
+        return Ok(Outcome::Done);
+    }
     if args.until_stdin_ends {
         let stop = stop.clone();
         std::thread::spawn(move || {
@@ -105,7 +111,11 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         .view
         .map(|port| Door::open("--view", port))
         .transpose()?;
-    let device = args.device.open_all()?;
+    let device = match exchange {
+        // One each.
+        Some(exchange) => args.device.open()?.with_processes(exchange),
+        None => args.device.open_all()?,
+    };
     if resume.is_none() {
         claim_folder(dir)?;
     }

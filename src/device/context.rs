@@ -14,6 +14,8 @@ use crate::device::part::Part;
 use crate::device::queues::{InUse, Queues};
 use crate::device::staging::Staging;
 use crate::device::tuning::Tuning;
+use crate::ranks::Exchange;
+use crate::ranks::launched::local_rank;
 
 /// Device time of one stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -32,7 +34,19 @@ pub type StageTimes = BTreeMap<&'static str, StageTime>;
 pub struct Device {
     pub(super) inner: Arc<Inner>,
     tuning: Tuning,
-    helpers: Arc<[Device]>,
+    helpers: Helpers,
+}
+
+/// Those who train a scene together with a device.
+#[derive(Clone, Debug, Default)]
+pub enum Helpers {
+    /// Nobody.
+    #[default]
+    None,
+    /// Other devices of this process.
+    Devices(Arc<[Device]>),
+    /// Other processes, which have devices of their own.
+    Processes(Arc<dyn Exchange>),
 }
 
 /// A timed launch whose profiling counters have not been read yet.
@@ -88,6 +102,12 @@ fn find(selector: Option<&str>) -> Result<(DeviceInfo, core::DeviceId)> {
     let (infos, ids): (Vec<DeviceInfo>, Vec<core::DeviceId>) = enumerate()?.into_iter().unzip();
     let found = match selector {
         None => Device::default_of(&infos),
+        Some("") => None,
+        Some("local-rank") => {
+            let best = Device::default_of(&infos).map(|d| d.kind);
+            let best: Vec<&DeviceInfo> = infos.iter().filter(|d| Some(d.kind) == best).collect();
+            best.get(local_rank() % best.len().max(1)).copied()
+        }
         Some(s) => select(&infos, s),
     };
     let Some(info) = found.cloned() else {
@@ -120,8 +140,8 @@ impl Device {
         list.iter().min_by_key(|d| (d.kind, d.index))
     }
 
-    /// Opens the device named by an index, a part of its name or platform, or a type (cpu, gpu, accelerator). A CPU takes the cores
-    /// that the process may use ([`Cores::allowed`]).
+    /// Opens the device named by an index, a part of its name or platform, a type (cpu, gpu, accelerator), or `local-rank`: the device of
+    /// the default's kind that has the number of this process among those on its node. A CPU takes the cores that the process may use ([`Cores::allowed`]).
     ///
     /// # Errors
     /// No device, or none that matches.
@@ -163,11 +183,14 @@ impl Device {
             }
         }
         let mut all = all.into_iter();
-        let first = all.next().map_or_else(|| Self::open_on(selector, cores), Ok)?;
-        Ok(Self {
-            helpers: all.collect(),
-            ..first
-        })
+        let first = all
+            .next()
+            .map_or_else(|| Self::open_on(selector, cores), Ok)?;
+        let helpers = match all.len() {
+            0 => Helpers::None,
+            _ => Helpers::Devices(all.collect()),
+        };
+        Ok(Self { helpers, ..first })
     }
 
     /// Opens a device, or a part of it.
@@ -189,14 +212,21 @@ impl Device {
                 allocated: AtomicU64::new(0),
                 _part: part,
             }),
-            helpers: Arc::default(),
+            helpers: Helpers::None,
         })
     }
 
-    /// Devices that share the training of a scene with this one.
+    /// Those who share the training of a scene with this device.
     #[must_use]
-    pub fn helpers(&self) -> &[Self] {
+    pub fn helpers(&self) -> &Helpers {
         &self.helpers
+    }
+
+    /// The same device with the processes of an exchange as its helpers.
+    #[must_use]
+    pub fn with_processes(mut self, exchange: Arc<dyn Exchange>) -> Self {
+        self.helpers = Helpers::Processes(exchange);
+        self
     }
 
     /// Properties that the device reports.

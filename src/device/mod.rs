@@ -17,7 +17,7 @@ mod staging;
 pub mod tuning;
 
 pub use crate::device::array::Array;
-pub use crate::device::context::{Device, StageTime, StageTimes};
+pub use crate::device::context::{Device, Helpers, StageTime, StageTimes};
 pub use crate::device::defines::Defines;
 pub use crate::device::info::{DeviceInfo, DeviceKind};
 pub use crate::device::launch::{Launch, Program};

@@ -59,7 +59,11 @@ impl Part {
         let all = cores.count().min(info.compute_units as usize);
         let refused = |why: String| {
             let what = format!("{parts} parts of {}, which {why}", info.name);
-            Error::device("--device", what, "ask for fewer parts, or for whole devices")
+            Error::device(
+                "--device",
+                what,
+                "ask for fewer parts, or for whole devices",
+            )
         };
         match all.checked_div(parts) {
             Some(units @ 1..) => Self::create(whole, units as u32, parts).map_err(refused),

@@ -380,7 +380,7 @@ impl<R: Real> ViewBuffers<R> {
     }
 
     /// Makes room for the sums of `pairs` pairs that others have composited, and for nothing else of them. Contents are lost.
-    pub(crate) fn fit_sums(&mut self, device: &Device, pairs: usize) -> Result<()> {
+    pub fn fit_sums(&mut self, device: &Device, pairs: usize) -> Result<()> {
         if self.capacity < pairs {
             self.capacity = pairs + pairs / 4;
             self.sums = Array::zeros(device, "sums", self.capacity * SUMS)?;

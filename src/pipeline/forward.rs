@@ -163,11 +163,7 @@ impl<R: Real> Renderer<R> {
     }
 
     /// The build of project for a scene.
-    fn projection(
-        &self,
-        scene: &GaussianBuffers<R>,
-        options: &RenderOptions,
-    ) -> Result<&Program> {
+    fn projection(&self, scene: &GaussianBuffers<R>, options: &RenderOptions) -> Result<&Program> {
         let degree = options.sh_degree.min(scene.sh_degree);
         let built = self.project.get(degree as usize);
         built.ok_or_else(|| {

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use crate::base::error::{Error, Result};
-use crate::ranks::Exchange;
+use crate::ranks::exchange::Exchange;
 
 /// Messages on their way between threads.
 #[derive(Debug)]
@@ -103,6 +103,8 @@ impl Exchange for Thread {
         state.failed.get_or_insert((self.rank, why.to_owned()));
         self.hub.changed.notify_all();
     }
+
+    fn end(&self) {}
 }
 
 #[cfg(test)]
@@ -110,7 +112,7 @@ mod tests {
     use std::thread;
 
     use super::threads;
-    use crate::ranks::Exchange;
+    use crate::ranks::exchange::Exchange;
 
     #[test]
     fn every_rank_gets_what_each_has_sent_to_it() {

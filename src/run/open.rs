@@ -7,7 +7,7 @@ use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
 use crate::capture::Dataset;
 use crate::config::{Length, TrainConfig};
-use crate::device::{Defines, Device};
+use crate::device::{Defines, Device, Helpers};
 use crate::evaluate::Evaluator;
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
@@ -18,10 +18,12 @@ use crate::run::drive::Run;
 use crate::run::export::Exports;
 use crate::run::forecast::{Forecast, HostCost};
 use crate::run::patience;
+use crate::run::rank::beginning;
 use crate::run::record::{RECORD_FILE, RunRecord};
 use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
+use crate::scene::Gaussians;
 use crate::train::{Next, Plan, Trainer};
 
 /// State that a run begins with.
@@ -214,15 +216,7 @@ impl Run {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
             None => Cow::Owned(start::first(&dataset, &plan, &mut exports.remarks)?),
         };
-        let shared = match device.helpers() {
-            [] => Vec::new(),
-            _ => dataset.train.clone(),
-        };
-        let photos = Photos::new(device, dataset.image_budget);
-        let train = ViewSet::new(&photos, dataset.train)?;
-        let test = ViewSet::new(&photos, dataset.test)?;
-        let mut trainer = Trainer::with_views(train, &plan, &splats)?;
-        trainer.recruit(device.helpers(), &shared, dataset.image_budget)?;
+        let (mut trainer, test) = trainer(device, dataset, &plan, &splats)?;
         let defines = Defines::new(device.tuning());
         let evaluator = (!test.is_empty()).then(|| Evaluator::new(device, defines, test));
         let evaluator = evaluator.transpose()?;
@@ -292,6 +286,32 @@ impl Run {
         run.write_record().inspect_err(free)?;
         Ok(run)
     }
+}
+
+/// The trainer of a dataset's training views, and the held-out views, whose photos share one budget. The device's helpers train, too.
+fn trainer(
+    device: &Device,
+    dataset: Dataset,
+    plan: &Plan,
+    splats: &Gaussians,
+) -> Result<(Trainer, ViewSet)> {
+    let budget = dataset.image_budget;
+    let shared = match device.helpers() {
+        Helpers::Devices(_) => dataset.train.clone(),
+        _ => Vec::new(),
+    };
+    let (path, fingerprint) = match device.helpers() {
+        Helpers::Processes(_) => (dataset.path.clone(), dataset.fingerprint()),
+        _ => Default::default(),
+    };
+    let photos = Photos::new(device, budget);
+    let train = ViewSet::new(&photos, dataset.train)?;
+    let test = ViewSet::new(&photos, dataset.test)?;
+    let mut trainer = Trainer::with_views(train, plan, splats)?;
+    trainer.recruit(device.helpers(), &shared, budget, |trainer| {
+        beginning((&path, fingerprint), trainer, splats.sh_degree())
+    })?;
+    Ok((trainer, test))
 }
 
 /// The budget that a run goes by, or the one of time if it has none.

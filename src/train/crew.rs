@@ -24,7 +24,12 @@ pub struct Crew {
     pairs: BTreeMap<(usize, usize), Vec<u32>>,
     /// Non-finite gradient values of the other ranks, and of before there were any.
     non_finite: Vec<u64>,
+    /// False while the others may be amidst something.
+    pub at_rest: bool,
 }
+
+/// The first word of the order to end.
+pub const END: u32 = 3;
 
 /// Rows of a rank: even parts, one after the other.
 #[must_use]
@@ -62,6 +67,7 @@ impl Crew {
             non_finite: vec![0; exchange.ranks()],
             pairs: BTreeMap::new(),
             idle: Some(idle),
+            at_rest: true,
             threads,
             exchange,
         }
@@ -107,7 +113,11 @@ impl Crew {
 
 impl Drop for Crew {
     fn drop(&mut self) {
-        self.exchange.fail("the leader has ended");
+        // Who is amidst something would take the order for something else.
+        match self.at_rest && self.order(vec![END]).is_ok() {
+            true => self.exchange.end(),
+            false => self.exchange.fail("the leader has ended"),
+        }
         for thread in self.threads.drain(..) {
             let _ = thread.join();
         }

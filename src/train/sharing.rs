@@ -1,21 +1,21 @@
-//! Training by several ranks, threads of this process with a device each. The leader trains as if it were alone; for an iteration the rows
+//! Training by several ranks, threads of this process or processes, with a device each. The leader trains as if it were alone; for an iteration the rows
 //! of the Gaussians are spread over the ranks, for everything else they are gathered.
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::thread::Builder;
+use std::thread::{Builder, JoinHandle};
 
 use crate::base::error::{Error, Result};
 use crate::capture::View;
 use crate::config::Length;
-use crate::device::Device;
 use crate::device::tuning::status;
+use crate::device::{Device, Helpers};
 use crate::pipeline::buffers::{Shard, ViewSet};
 use crate::pipeline::photos::Photos;
 use crate::pipeline::share::Share;
-use crate::ranks::{Exchange, LEADER, threads, to_one};
+use crate::ranks::{Exchange, LEADER, threads, to_all, to_one};
 use crate::scene::Gaussians;
-use crate::train::crew::{Crew, Words, rows_of};
+use crate::train::crew::{Crew, END, Words, rows_of};
 use crate::train::gaussians::GaussianState;
 use crate::train::plan::Plan;
 use crate::train::step::Trainer;
@@ -31,51 +31,90 @@ mod order {
 }
 
 impl Trainer {
-    /// Has other devices train with this one, each in a thread of its own: the result has the same bits. `views` are those of this
-    /// trainer; each device reads their photos itself, within `image_budget` bytes.
+    /// Has the device's helpers train with this trainer; the result has the same bits. Other devices get a thread each; `views` are those
+    /// of this trainer, whose photos each device reads itself, within `image_budget` bytes. Other processes get `beginning`, and
+    /// make their trainers from that ([`Trainer::follow`]).
     ///
     /// # Errors
     /// No thread, a build failure or no room on any of the devices.
     pub fn recruit(
         &mut self,
-        devices: &[Device],
+        helpers: &Helpers,
         views: &[View],
         image_budget: u64,
+        beginning: impl FnOnce(&Self) -> Result<Vec<u32>>,
     ) -> Result<()> {
-        if devices.is_empty() || self.crew.is_some() {
-            return Ok(());
-        }
-        let mut ends = threads(1 + devices.len()).into_iter();
-        let Some(exchange) = ends.next() else {
-            return Ok(());
+        let (exchange, threads) = match helpers {
+            _ if self.crew.is_some() => return Ok(()),
+            Helpers::None => return Ok(()),
+            Helpers::Devices(devices) => self.begin_threads(devices, views, image_budget)?,
+            Helpers::Processes(exchange) => {
+                let words = beginning(self)?;
+                exchange.trade(to_all(exchange.as_ref(), words))?;
+                (exchange.clone(), Vec::new())
+            }
         };
-        let start = Gaussians::zeros(self.gaussians.scene.sh_degree, 1);
-        let mut threads = Vec::new();
-        for (device, exchange) in devices.iter().zip(ends) {
-            let device = device.clone().with_tuning(self.device.tuning());
-            let (views, plan, start) = (views.to_vec(), self.plan.clone(), start.clone());
-            let work = move || {
-                let _ended = Ended(exchange.clone());
-                let photos = Photos::new(&device, image_budget);
-                let set = ViewSet::new(&photos, views);
-                let error = set.and_then(|set| work(&exchange, set, &plan, &start));
-                if let Err(error) = error {
-                    exchange.fail(&error.to_string());
-                }
-            };
-            let name = format!("rank {}", threads.len() + 1);
-            let thread = Builder::new().name(name).spawn(work);
-            threads.push(thread.map_err(|e| {
-                let what = format!("no thread can be made: {e}");
-                Error::device("ranks", what, "allow more threads (ulimit -u)")
-            })?);
-        }
         let idle = self.share(exchange.clone())?;
         let crew = Crew::new(exchange, threads, idle);
         // Everybody is ready.
         crew.order(Vec::new())?;
         self.crew = Some(crew);
         Ok(())
+    }
+
+    /// Begins a thread for each device that trains with this one; the exchange is the leader's end.
+    fn begin_threads(
+        &self,
+        devices: &[Device],
+        views: &[View],
+        image_budget: u64,
+    ) -> Result<(Arc<dyn Exchange>, Vec<JoinHandle<()>>)> {
+        let mut ends = threads(1 + devices.len()).into_iter();
+        let Some(leader) = ends.next() else {
+            return Err(Error::numerics("ranks", "no end of an exchange"));
+        };
+        let mut begun = Vec::new();
+        for (device, exchange) in devices.iter().zip(ends) {
+            let device = device.clone().with_tuning(self.device.tuning());
+            let mut plan = self.plan.clone();
+            // The devices may be of other kinds.
+            plan.config.work.density_lag = Some(plan.density_lag.value);
+            let (views, degree) = (views.to_vec(), self.gaussians.scene.sh_degree);
+            let work = move || {
+                let _ended = Ended(exchange.clone());
+                let photos = Photos::new(&device, image_budget);
+                let set = ViewSet::new(&photos, views);
+                let error = set.and_then(|set| Self::follow(&exchange, set, &plan, degree));
+                if let Err(error) = error {
+                    exchange.fail(&error.to_string());
+                }
+            };
+            let name = format!("rank {}", begun.len() + 1);
+            let thread = Builder::new().name(name).spawn(work);
+            begun.push(thread.map_err(|e| {
+                let what = format!("no thread can be made: {e}");
+                Error::device("ranks", what, "allow more threads (ulimit -u)")
+            })?);
+        }
+        Ok((leader, begun))
+    }
+
+    /// Trains as a rank that does not lead, with views and a plan like the leader's, until that ends. `sh_degree` is the highest of the
+    /// Gaussians that training begins with.
+    ///
+    /// # Errors
+    /// Another rank's failure, no room, or the driver's.
+    pub fn follow(
+        exchange: &Arc<dyn Exchange>,
+        set: ViewSet,
+        plan: &Plan,
+        sh_degree: u32,
+    ) -> Result<()> {
+        // Of no meaning: the leader sends this rank's rows.
+        let start = Gaussians::zeros(sh_degree, 1);
+        let mut trainer = Self::with_views(set, plan, &start)?;
+        trainer.pipeline.share = Some(trainer.share(exchange.clone())?);
+        trainer.obey(exchange.as_ref())
     }
 
     /// This rank's part of a view.
@@ -101,14 +140,16 @@ impl Trainer {
         let bands = crew.bands(number, [across, rows]);
         let words = [&[order::ITERATE, iteration, sh_degree], bands.as_slice()].concat();
         share.set_bands(bands)?;
+        crew.at_rest = false;
         crew.order(words)
     }
 
-    /// Notes the pairs of the view of an iteration of all ranks, for its next bands.
-    pub(super) fn note_pairs(&mut self, iteration: u32) {
+    /// Notes that an iteration of all ranks has been done, and the pairs of its view, for the next bands.
+    pub(super) fn end_iteration(&mut self, iteration: u32) {
         let (number, _) = self.views.size_at(iteration);
         if let (Some(crew), Some(share)) = (&mut self.crew, &self.pipeline.share) {
             crew.note_pairs(number, &share.pairs_by_row);
+            crew.at_rest = true;
         }
     }
 
@@ -204,6 +245,7 @@ impl Trainer {
         let (Some(crew), Some(shard)) = (&mut self.crew, self.gaussians.scene.shard) else {
             return Ok(());
         };
+        crew.at_rest = false;
         crew.order(vec![order::GATHER])?;
         let (exchange, ranks) = (crew.exchange.clone(), crew.exchange.ranks());
         let got = exchange.trade(vec![Vec::new(); ranks])?;
@@ -217,11 +259,12 @@ impl Trainer {
         self.gaussians.scene.count = shard.all;
         self.gaussians.scene.shard = None;
         crew.idle = self.pipeline.share.take();
+        crew.at_rest = true;
         Ok(())
     }
 
     /// Does what the leader orders, until it ends.
-    fn follow(&mut self, exchange: &dyn Exchange) -> Result<()> {
+    fn obey(&mut self, exchange: &dyn Exchange) -> Result<()> {
         loop {
             let mut got = exchange.trade(vec![Vec::new(); exchange.ranks()])?;
             let message = got.swap_remove(LEADER);
@@ -243,6 +286,10 @@ impl Trainer {
                     words.extend(self.gaussians.read_words(rows)?);
                     exchange.trade(to_one(exchange, LEADER, words))?;
                 }
+                [END] => {
+                    exchange.end();
+                    return Ok(());
+                }
                 other => {
                     let what = format!("an unknown order of {} words", other.len());
                     return Err(Error::numerics("exchange", what));
@@ -250,13 +297,6 @@ impl Trainer {
             }
         }
     }
-}
-
-/// Trains as a rank that is not the leader, until that ends.
-fn work(exchange: &Arc<dyn Exchange>, set: ViewSet, plan: &Plan, start: &Gaussians) -> Result<()> {
-    let mut trainer = Trainer::with_views(set, plan, start)?;
-    trainer.pipeline.share = Some(trainer.share(exchange.clone())?);
-    trainer.follow(exchange.as_ref())
 }
 
 /// Lets the others go on to their end when a thread ends, in whatever way.

@@ -412,7 +412,7 @@ impl Trainer {
         self.share_iteration(at, degree)?;
         self.timing.begin(at, alone)?;
         self.iterate(at, degree)?;
-        self.note_pairs(at);
+        self.end_iteration(at);
         let status = &self.pipeline.home().status;
         self.in_flight.push_back(InFlight {
             iteration: at,

@@ -115,6 +115,7 @@ fn of_blankish(
         photo: &Array::from_slice(&device, "photo", &picture.photo).unwrap(),
         background: BACKGROUND,
         size,
+        band: 0..size.tiles()[1],
         blank: Some(Blank {
             active_tiles: &active_tiles,
             tile_start: &tile_start,
@@ -196,6 +197,7 @@ fn of_noise(tuning: Tuning, size: ImageSize) -> [Vec<f64>; 3] {
         photo: &Array::from_slice(&device, "photo", &photo).unwrap(),
         background: BACKGROUND,
         size,
+        band: 0..size.tiles()[1],
         blank: None,
     };
     let loss = Loss::<f64>::new(&Kernels::new(&device, Defines::new(tuning)), size, 3).unwrap();

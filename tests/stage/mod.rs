@@ -14,6 +14,7 @@ mod noise;
 mod peak;
 mod project;
 mod project_grad;
+mod route;
 mod scan;
 mod screen_grad;
 mod seen;

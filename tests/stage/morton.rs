@@ -23,6 +23,7 @@ fn sorted(device: &Device, planes: &[Vec<f32>; 3], removed: &[u32], order: Order
         stride,
         count: n,
         sh_degree: 0,
+        shard: None,
     };
     let tuning = kernels.defines().tuning;
     let mut view = ViewBuffers::new(device, &tuning, false).unwrap();

@@ -25,7 +25,7 @@ fn scanned(values: &[u32], capacity: usize, tuning: Tuning) -> (Vec<u32>, Vec<u3
     input.write(0, values).unwrap();
     let out = Array::zeros(&device, "out", room).unwrap();
     let mut frame = ViewBuffers::<f32>::new(&device, &kernels.defines().tuning, false).unwrap();
-    frame.isect_owner = Array::zeros(&device, "isect_owner", capacity).unwrap();
+    frame.capacity = capacity;
     let stage = kernels.build::<f32>("scan").unwrap();
     sum_pairs(&stage, &frame, values.len(), [&input, &out]).unwrap();
     let status = frame.status.to_vec().unwrap();

@@ -211,7 +211,8 @@ impl<R: Real> Route<R> {
         }
         fit(device, &mut self.starts, starts.len())?;
         fit(device, &mut self.returned, pairs * SUMS)?;
-        view.fit_sums(device, pairs)?;
+        // A kernel takes no empty array.
+        view.fit_sums(device, pairs.max(1))?;
         self.starts.write(0, &starts)?;
         self.offsets.write(0, &offsets)?;
         for (first, sums) in parts {

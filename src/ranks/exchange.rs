@@ -1,0 +1,81 @@
+//! [`Exchange`]: messages between ranks.
+
+use std::fmt::Debug;
+
+use crate::base::error::Result;
+
+/// The rank that leads: it takes the decisions and has the run's folder.
+pub const LEADER: usize = 0;
+
+/// Messages between ranks. All of them make the same calls in the same order.
+pub trait Exchange: Debug + Send + Sync {
+    /// Number of this rank.
+    fn rank(&self) -> usize;
+
+    /// Number of ranks.
+    fn ranks(&self) -> usize;
+
+    /// Sends a message to each rank, this one included, and waits for one from each: those for and from rank r stand at r.
+    ///
+    /// # Errors
+    /// Another rank has failed, or is gone.
+    fn trade(&self, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>>;
+
+    /// Tells the others that this rank cannot go on: what they trade from now on fails with this text. Processes need not be told: the end
+    /// of one in disorder ends them all.
+    fn fail(&self, why: &str);
+
+    /// Ends the exchange in order, once no rank trades any more.
+    fn end(&self);
+}
+
+/// One message for each rank.
+#[must_use]
+pub fn to_all(exchange: &dyn Exchange, message: Vec<u32>) -> Vec<Vec<u32>> {
+    vec![message; exchange.ranks()]
+}
+
+/// A message for one rank, none for the others.
+#[must_use]
+pub fn to_one(exchange: &dyn Exchange, rank: usize, message: Vec<u32>) -> Vec<Vec<u32>> {
+    let mut all = vec![Vec::new(); exchange.ranks()];
+    all[rank] = message;
+    all
+}
+
+/// A text as words: its length in bytes, then four bytes a word.
+#[must_use]
+pub fn words_of(text: &str) -> Vec<u32> {
+    let word = |bytes: &[u8]| {
+        let mut four = [0; 4];
+        four[..bytes.len()].copy_from_slice(bytes);
+        u32::from_le_bytes(four)
+    };
+    let mut words = vec![text.len() as u32];
+    words.extend(text.as_bytes().chunks(4).map(word));
+    words
+}
+
+/// The text of [`words_of`]; `None` for other words.
+#[must_use]
+pub fn text_of(words: &[u32]) -> Option<String> {
+    let (len, words) = words.split_first()?;
+    let mut bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+    bytes.truncate(*len as usize);
+    let whole = bytes.len() == *len as usize;
+    String::from_utf8(bytes).ok().filter(|_| whole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{text_of, words_of};
+
+    #[test]
+    fn texts_come_back() {
+        for text in ["", "a", "four", "fünf!", "{\"seed\": 7}"] {
+            assert_eq!(text_of(&words_of(text)).as_deref(), Some(text));
+        }
+        assert_eq!(text_of(&[9, 0x6161_6161]), None, "too short");
+        assert_eq!(text_of(&[]), None);
+    }
+}

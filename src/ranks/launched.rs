@@ -1,0 +1,45 @@
+//! What the program that launches processes says in their environment.
+
+/// Variables of the number of processes: Open MPI's, MPICH's and Intel's.
+const SIZES: [&str; 2] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"];
+/// Variables of the number of a process on its node: Open MPI's, MPICH's, Slurm's.
+const LOCAL_RANKS: [&str; 3] = [
+    "OMPI_COMM_WORLD_LOCAL_RANK",
+    "MPI_LOCALRANKID",
+    "SLURM_LOCALID",
+];
+
+fn first(names: &[&str], value: impl Fn(&str) -> Option<String>) -> Option<usize> {
+    let known = names.iter().filter_map(|name| value(name));
+    known.filter_map(|text| text.trim().parse().ok()).next()
+}
+
+fn variable(name: &str) -> Option<String> {
+    std::env::var(name).ok()
+}
+
+/// Number of processes that were launched together, one or more.
+#[must_use]
+pub fn processes() -> usize {
+    first(&SIZES, variable).unwrap_or(1).max(1)
+}
+
+/// Number of this process among those on its node; 0 where nobody says.
+#[must_use]
+pub fn local_rank() -> usize {
+    first(&LOCAL_RANKS, variable).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{LOCAL_RANKS, SIZES, first};
+
+    #[test]
+    fn the_first_number_counts() {
+        let open_mpi = |name: &str| (name == "OMPI_COMM_WORLD_SIZE").then(|| "4".to_owned());
+        assert_eq!(first(&SIZES, open_mpi), Some(4));
+        assert_eq!(first(&LOCAL_RANKS, open_mpi), None);
+        let odd = |name: &str| Some(if name == "PMI_SIZE" { "2" } else { "many" }.to_owned());
+        assert_eq!(first(&SIZES, odd), Some(2));
+    }
+}

@@ -1,0 +1,183 @@
+//! [`mpi`]: ranks that are processes, launched together by MPI (`mpirun`, `srun`).
+
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{Builder, sleep, yield_now};
+use std::time::{Duration, Instant};
+
+use mpi::Threading;
+use mpi::topology::SimpleCommunicator;
+use mpi::traits::{Communicator, Destination, MatchedReceiveVec, Source};
+
+use crate::base::error::{Error, Result};
+use crate::ranks::exchange::{Exchange, LEADER};
+
+/// Looks for a message without a pause, before others may have the core for longer.
+const EAGER: u32 = 200;
+/// Pause between two looks after that.
+const PAUSE: Duration = Duration::from_micros(40);
+
+/// A task of the thread that has MPI.
+enum Task {
+    Trade(Vec<Vec<u32>>, SyncSender<Vec<Vec<u32>>>),
+    End(SyncSender<()>),
+}
+
+/// This process's end of an exchange. MPI is asked by one thread alone: that is all that every library offers.
+#[derive(Debug)]
+struct Process {
+    rank: usize,
+    ranks: usize,
+    tasks: Mutex<Sender<Task>>,
+}
+
+/// How long a rank is waited for that does not lead, and what tells that it has taken longer, before the job is aborted.
+#[derive(Debug, Clone, Copy)]
+pub struct Patience {
+    /// Seconds.
+    pub seconds: f64,
+    /// Takes the sentence.
+    pub tell: fn(&str),
+}
+
+/// The exchange of the processes that this one was launched with.
+///
+/// # Errors
+/// MPI does not start, or no thread can be made.
+pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
+    let (tasks, to_do) = channel();
+    let (begun, ready) = sync_channel(1);
+    let work = move || serve(&to_do, &begun, patience);
+    let thread = Builder::new().name("mpi".to_owned()).spawn(work);
+    let fix = "start it with mpirun or srun, as docs/guide/clusters.md shows";
+    thread.map_err(|e| Error::device("MPI", format!("no thread can be made: {e}"), fix))?;
+    match ready.recv() {
+        Ok([rank, ranks]) => Ok(Arc::new(Process {
+            rank,
+            ranks,
+            tasks: Mutex::new(tasks),
+        })),
+        Err(_) => Err(Error::device("MPI", "it does not start", fix)),
+    }
+}
+
+/// Starts MPI and does what is asked of it.
+fn serve(tasks: &Receiver<Task>, begun: &SyncSender<[usize; 2]>, patience: Patience) {
+    let Some((universe, _)) = mpi::initialize_with_threading(Threading::Serialized) else {
+        return;
+    };
+    let world = universe.world();
+    let numbers = [world.rank(), world.size()].map(|n| n as usize);
+    if begun.send(numbers).is_err() {
+        return;
+    }
+    loop {
+        match tasks.recv() {
+            Ok(Task::Trade(messages, answer)) => {
+                let _ = answer.send(trade(&world, messages, patience));
+            }
+            Ok(Task::End(ended)) => {
+                drop(universe);
+                let _ = ended.send(());
+                return;
+            }
+            // An end in disorder: the others are not waited for, as the end of MPI would.
+            Err(_) => {
+                std::mem::forget(universe);
+                return;
+            }
+        }
+    }
+}
+
+/// Sends a message to each rank and waits for one from each.
+fn trade(
+    world: &SimpleCommunicator,
+    mut messages: Vec<Vec<u32>>,
+    patience: Patience,
+) -> Vec<Vec<u32>> {
+    let rank = world.rank() as usize;
+    let mut got = vec![None; messages.len()];
+    got[rank] = Some(std::mem::take(&mut messages[rank]));
+    mpi::request::scope(|scope| {
+        let others = messages.iter().enumerate().filter(|(to, _)| *to != rank);
+        let sent: Vec<_> = others
+            .map(|(to, message)| {
+                let to = world.process_at_rank(to as i32);
+                to.immediate_send(scope, message.as_slice())
+            })
+            .collect();
+        let (began, mut looks) = (Instant::now(), 0);
+        while let Some(missing) = got.iter().position(Option::is_none) {
+            let mut any = false;
+            for (from, place) in got.iter_mut().enumerate().filter(|(_, g)| g.is_none()) {
+                let from = world.process_at_rank(from as i32);
+                if let Some(found) = from.immediate_matched_probe() {
+                    *place = Some(found.matched_receive_vec().0);
+                    any = true;
+                }
+            }
+            looks = if any { 0 } else { looks + 1 };
+            match looks {
+                0 => {}
+                1..=EAGER => yield_now(),
+                _ => sleep(PAUSE),
+            }
+            // The leader may write a report meanwhile.
+            let waited = began.elapsed().as_secs_f64();
+            if missing != LEADER && waited > patience.seconds {
+                (patience.tell)(&format!(
+                    "rank {missing} has not answered rank {rank} for {waited:.0} s; the job ends"
+                ));
+                world.abort(3);
+            }
+        }
+        sent.into_iter().for_each(|request| {
+            request.wait_without_status();
+        });
+    });
+    got.into_iter().map(Option::unwrap_or_default).collect()
+}
+
+impl Process {
+    fn ask(&self, task: Task) -> Result<()> {
+        let tasks = self.tasks.lock().unwrap_or_else(PoisonError::into_inner);
+        tasks.send(task).map_err(|_| gone())
+    }
+}
+
+impl Exchange for Process {
+    fn rank(&self) -> usize {
+        self.rank
+    }
+
+    fn ranks(&self) -> usize {
+        self.ranks
+    }
+
+    fn trade(&self, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+        // MPI counts by 31 bits.
+        let fits = messages.iter().all(|m| i32::try_from(m.len()).is_ok());
+        if messages.len() != self.ranks || !fits {
+            let what = "a message of 8 GiB or more; take more ranks, or fewer Gaussians";
+            return Err(Error::numerics("exchange", what));
+        }
+        let (answer, got) = sync_channel(1);
+        self.ask(Task::Trade(messages, answer))?;
+        got.recv().map_err(|_| gone())
+    }
+
+    fn fail(&self, _why: &str) {}
+
+    fn end(&self) {
+        let (ended, wait) = sync_channel(1);
+        if self.ask(Task::End(ended)).is_ok() {
+            let _ = wait.recv();
+        }
+    }
+}
+
+/// The error of an exchange that has ended.
+fn gone() -> Error {
+    Error::numerics("exchange", "MPI has ended")
+}

@@ -1,0 +1,115 @@
+//! A process that trains with others and does not lead: it has no run folder, and gets everything from the leader.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::error::{Error, Result};
+use crate::capture::Dataset;
+use crate::config::TrainConfig;
+use crate::device::tuning::Tuning;
+use crate::device::{Device, sources_hash};
+use crate::pipeline::buffers::ViewSet;
+use crate::pipeline::photos::Photos;
+use crate::ranks::{Exchange, LEADER, text_of, words_of};
+use crate::train::{Plan, Trainer};
+
+/// What the leader sends to the other processes before they train.
+#[derive(Debug, Serialize, Deserialize)]
+struct Beginning {
+    /// Hash of the kernels' sources, and the program's version.
+    program: String,
+    /// The dataset, and what it holds.
+    dataset: PathBuf,
+    fingerprint: String,
+    config: TrainConfig,
+    tuning: Tuning,
+    /// Decisions that belong to the whole run.
+    anti_aliasing: bool,
+    detail: Vec<f32>,
+    /// Highest SH degree of the first Gaussians.
+    sh_degree: u32,
+}
+
+fn version() -> String {
+    let sources = sources_hash();
+    format!("{} {sources:016x}", env!("CARGO_PKG_VERSION"))
+}
+
+/// The message with which the leader has other processes begin.
+///
+/// # Errors
+/// A configuration that cannot be written.
+pub(super) fn beginning(
+    (dataset, fingerprint): (&Path, String),
+    trainer: &Trainer,
+    sh_degree: u32,
+) -> Result<Vec<u32>> {
+    let plan = trainer.plan();
+    let mut config = plan.config.clone();
+    // The devices may be of other kinds.
+    config.work.density_lag = Some(plan.density_lag.value);
+    let text = serde_json::to_string(&Beginning {
+        program: version(),
+        dataset: std::path::absolute(dataset).unwrap_or_else(|_| dataset.to_path_buf()),
+        fingerprint,
+        config,
+        tuning: trainer.tuning(),
+        anti_aliasing: plan.anti_aliasing.value,
+        detail: plan.detail.value.clone(),
+        sh_degree,
+    });
+    text.map(|text| words_of(&text))
+        .map_err(|e| Error::numerics("ranks", format!("the configuration cannot be sent: {e}")))
+}
+
+/// Trains with the leader of an exchange, until it ends. `load` reads a dataset.
+///
+/// # Errors
+/// Another program or dataset than the leader's, another rank's failure, no room, or the driver's.
+pub fn serve(
+    exchange: &Arc<dyn Exchange>,
+    device: &Device,
+    load: impl FnOnce(&Path, &TrainConfig) -> Result<Dataset>,
+) -> Result<()> {
+    let mut got = exchange.trade(vec![Vec::new(); exchange.ranks()])?;
+    let rank = format!("rank {}", exchange.rank());
+    let wrong = |what: String| Error::numerics(&rank, what);
+    let text = text_of(&got.swap_remove(LEADER));
+    let text = text.ok_or_else(|| wrong("the leader does not say how to begin".to_owned()))?;
+    let said: Beginning = serde_json::from_str(&text).map_err(|e| {
+        wrong(format!(
+            "it is another program than the leader, whose configuration it cannot read: {e}"
+        ))
+    })?;
+    if said.program != version() {
+        let (own, leader) = (version(), said.program);
+        let what =
+            format!("it is mhsplat {own}, the leader {leader}; start one program on all nodes");
+        return Err(wrong(what));
+    }
+    let dataset = load(&said.dataset, &said.config)?;
+    if dataset.fingerprint() != said.fingerprint {
+        let what = "is another dataset here than on the leader's node";
+        let fix = "give all nodes one file system, or copies of one dataset";
+        return Err(Error::input(&said.dataset, what, fix));
+    }
+    if let Some(fault) = said.tuning.fault(device.info()) {
+        let what = format!(
+            "the leader's kernels cannot be built for {}: {fault}",
+            device.info().name
+        );
+        return Err(Error::device(
+            &rank,
+            what,
+            "select alike devices on all nodes",
+        ));
+    }
+    let device = device.clone().with_tuning(said.tuning);
+    let plan = Plan::new(&dataset, &said.config)?.on_device(&device);
+    let plan = plan.begun_with(said.anti_aliasing, &said.detail);
+    let photos = Photos::new(&device, dataset.image_budget);
+    let set = ViewSet::new(&photos, dataset.train)?;
+    Trainer::follow(exchange, set, &plan, said.sh_degree)
+}

@@ -1,0 +1,194 @@
+//! Several devices that train one scene: the same bits as one.
+
+use std::fs;
+use std::path::Path;
+
+use mhsplat::base::cores::Cores;
+use mhsplat::capture::Dataset;
+use mhsplat::config::{AntiAliasing, ExposureChoice, Sampler};
+use mhsplat::device::Device;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::run::initial_gaussians;
+use mhsplat::train::{Trainer, TrainerState};
+use mhsplat::{Plan, TrainConfig};
+
+use crate::cli::{program, room as room_path, stderr, text};
+use crate::determinism::{room, sampled, trained};
+
+/// A trainer with so many ranks, contexts of one device.
+fn shared(data: &Dataset, config: &TrainConfig, tuning: Option<Tuning>, ranks: usize) -> Trainer {
+    let list = vec!["cpu"; ranks].join(",");
+    let device = Device::open_all(Some(&list), Cores::allowed()).unwrap();
+    let device = match tuning {
+        Some(tuning) => device.with_tuning(tuning),
+        None => device,
+    };
+    assert_eq!(device.helpers().len(), ranks - 1);
+    let plan = Plan::new(data, config).unwrap();
+    let splats = initial_gaussians(data, &plan).unwrap();
+    let mut trainer = Trainer::new(&device, data, &plan, &splats).unwrap();
+    trainer
+        .recruit(device.helpers(), &data.train, data.image_budget)
+        .unwrap();
+    trainer
+}
+
+/// Asserts that two states continue alike.
+fn same(a: &TrainerState, b: &TrainerState) {
+    assert_eq!(a.iteration, b.iteration);
+    assert_eq!(a.splats.len(), b.splats.len());
+    assert!(a.splats == b.splats, "the Gaussians differ");
+    assert!(a.rows == b.rows, "moments, statistics or filter differ");
+    assert!(a.losses == b.losses, "the losses differ");
+    assert!(a.exposures == b.exposures, "the transforms differ");
+    assert_eq!(a.stats, b.stats);
+}
+
+#[test]
+fn ranks_change_no_bit_of_any_sampler() {
+    let data = room(64);
+    for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
+        let config = sampled(sampler);
+        let (mut alone, _) = trained(&data, &config, 120);
+        let want = alone.state().unwrap();
+        let mut together = shared(&data, &config, None, 3);
+        together.advance_to(120).unwrap();
+        assert_eq!(together.gaussians(), want.splats.len());
+        same(&together.state().unwrap(), &want);
+        assert!(want.stats.accepted + want.stats.cloned > 0);
+    }
+}
+
+#[test]
+fn ranks_change_no_bit_with_exposure_filters_or_a_lag() {
+    let data = room(64);
+    let mut exposed = sampled(Sampler::Mh);
+    exposed.exposure = ExposureChoice::On;
+    exposed.work.density_lag = Some(5);
+    let mut filtered = sampled(Sampler::Mh);
+    filtered.anti_aliasing = AntiAliasing::On;
+    for config in [exposed, filtered] {
+        let (mut alone, _) = trained(&data, &config, 120);
+        let want = alone.state().unwrap();
+        assert!(want.exposures.is_empty() != want.rows.filter.is_empty());
+        let mut together = shared(&data, &config, None, 2);
+        together.advance_to(120).unwrap();
+        same(&together.state().unwrap(), &want);
+    }
+}
+
+#[test]
+fn a_run_goes_on_with_another_number_of_ranks() {
+    let data = room(64);
+    let config = sampled(Sampler::Mh);
+    let (mut alone, _) = trained(&data, &config, 120);
+    let want = alone.state().unwrap();
+    let mut half = shared(&data, &config, None, 2);
+    half.advance_to(48).unwrap();
+    let state = half.state().unwrap();
+    drop(half);
+    let device = Device::open(None).unwrap();
+    let plan = Plan::new(&data, &config).unwrap();
+    for ranks in [1, 3] {
+        let list = vec!["cpu"; ranks].join(",");
+        let all = Device::open_all(Some(&list), Cores::allowed()).unwrap();
+        let mut trainer = Trainer::new(&device, &data, &plan, &state.splats).unwrap();
+        trainer
+            .recruit(all.helpers(), &data.train, data.image_budget)
+            .unwrap();
+        trainer.restore(&state).unwrap();
+        trainer.advance_to(120).unwrap();
+        same(&trainer.state().unwrap(), &want);
+    }
+}
+
+/// Between iterations everything is as it was: renders, losses and a length that changes on the way.
+#[test]
+fn a_look_and_a_new_length_change_nothing() {
+    let data = room(64);
+    let config = sampled(Sampler::Mh);
+    let run = |mut trainer: Trainer| {
+        trainer.advance_to(30).unwrap();
+        let image = trainer.render(&data.train[0].camera).unwrap();
+        trainer.advance_to(33).unwrap();
+        let noted = trainer.noted_loss().unwrap();
+        trainer.set_length(90).unwrap();
+        trainer.advance_to(90).unwrap();
+        (image, noted, trainer.state().unwrap())
+    };
+    let alone = run(trained(&data, &config, 0).0);
+    let together = run(shared(&data, &config, None, 2));
+    assert!(alone.0 == together.0 && alone.1 == together.1);
+    same(&alone.2, &together.2);
+}
+
+#[test]
+fn ranks_change_no_bit_in_the_group_style() {
+    let data = room(32);
+    let mut config = sampled(Sampler::Mh);
+    config.max_size = 32;
+    let run = |ranks| {
+        let mut trainer = shared(&data, &config, Some(Tuning::GPU), ranks);
+        trainer.advance_to(30).unwrap();
+        trainer.state().unwrap()
+    };
+    same(&run(2), &run(1));
+}
+
+/// The scene of a short run.
+fn scene(dir: &Path, device: &str) -> Vec<u8> {
+    let run = dir.join(device.replace('/', "-"));
+    let mut command = program();
+    command.args(["train", &room_path(), "-o", text(&run), "-q"]);
+    command.args([
+        "--iterations",
+        "200",
+        "--max-size",
+        "64",
+        "--device",
+        device,
+    ]);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    fs::read(run.join("scene.ply")).unwrap()
+}
+
+#[test]
+fn the_program_takes_lists_of_devices_and_parts_of_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let want = scene(dir.path(), "cpu");
+    assert!(scene(dir.path(), "cpu,cpu") == want);
+    if Cores::allowed().count() < 2 {
+        println!("skipped: one core");
+        return;
+    }
+    assert!(scene(dir.path(), "cpu/2") == want);
+}
+
+#[test]
+fn what_cannot_be_had_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let refused = |device: &str| {
+        let mut command = program();
+        command.args(["train", &room_path(), "-o", text(&run), "--device", device]);
+        let output = command.output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{device}");
+        assert!(!run.exists());
+        stderr(&output)
+    };
+    for (device, said) in [
+        ("cpu/0", "0 parts of"),
+        ("cpu/4096", "4096 parts of"),
+        ("cpu,nonsense", "no device matches \"nonsense\""),
+        ("cpu/x", "no device matches \"cpu/x\""),
+        (",", "no device matches \"\""),
+    ] {
+        let text = refused(device);
+        assert!(text.contains(said), "{device}: {text}");
+    }
+    let mut command = program();
+    command.args(["eval", text(dir.path()), "--device", "cpu,cpu"]);
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+}

@@ -1,0 +1,221 @@
+//! route: Gaussians to the bands that they touch, and the sums of their pairs back.
+
+use std::sync::Arc;
+use std::thread;
+
+use super::*;
+use mhsplat::base::constants::SUMS;
+use mhsplat::device::{Array, CameraArg, Projected, Real};
+use mhsplat::lab::verify::definition::inputs;
+use mhsplat::pipeline::buffers::{GaussianBuffers, Shard, ViewBuffers};
+use mhsplat::pipeline::forward::RenderOptions;
+use mhsplat::pipeline::pass::{Pipeline, Target};
+use mhsplat::pipeline::share::Share;
+use mhsplat::pipeline::stage::project::{project, write_records};
+use mhsplat::pipeline::stage::route::{Route, route};
+use mhsplat::ranks::{Exchange, threads};
+use mhsplat::scene::Gaussians;
+
+/// Those of CPUs and GPUs, and of GPUs with chunks that groups go over in several steps.
+const TUNINGS: [Tuning; 3] = [
+    Tuning::CPU,
+    Tuning::GPU,
+    Tuning {
+        chunks: 3,
+        ..Tuning::GPU
+    },
+];
+
+/// Words of a key and a record.
+fn words<R: Real>() -> usize {
+    1 + size_of::<Projected<R>>() / 4
+}
+
+#[test]
+fn bands_get_the_gaussians_that_touch_them_cut_to_their_rows() {
+    let (device, case) = (device(), cases::mild("routed", 900, [90, 75], 1, 41));
+    let (scene, camera, options) = inputs(&case);
+    let projected: Vec<_> = (0..scene.len())
+        .map(|i| project(&scene, i, &camera, &options))
+        .collect();
+    // 5 rows of tiles; the second rank has none of them.
+    let bands = [0, 2, 2, 5];
+    for tuning in TUNINGS {
+        let kernels = Kernels::new(&device, Defines::new(tuning)).of_degree(1);
+        let stage = kernels.build::<f64>("project").unwrap();
+        let buffers = GaussianBuffers::<f64>::upload(&device, &case.splats, 0).unwrap();
+        let mut view = ViewBuffers::<f64>::new(&device, &tuning, false).unwrap();
+        view.fit_gaussians(&device, buffers.stride).unwrap();
+        (view.camera, view.count) = (CameraArg::new(&case.camera), buffers.count);
+        write_records(&stage, &buffers, &view).unwrap();
+        let records = view.records.read(0, view.count).unwrap();
+        let keys = view.keys.read(0, view.count).unwrap();
+        let mut stage = Route::<f64>::new(&kernels, 3).unwrap();
+        stage.set_bands(&bands).unwrap();
+        let sent = stage.send(&device, &view).unwrap();
+        let mut shared = 0;
+        for (rank, message) in sent.iter().enumerate() {
+            let want = route(&projected, [bands[rank], bands[rank + 1]]);
+            assert_eq!(message.len(), want.len() * words::<f64>(), "rank {rank}");
+            shared += want.len();
+            // As another rank takes it.
+            let mut taken = ViewBuffers::<f64>::new(&device, &tuning, false).unwrap();
+            let alone = std::slice::from_ref(message);
+            let firsts = stage.receive(&device, alone, &mut taken).unwrap();
+            assert_eq!(firsts, [0, want.len()]);
+            let got = taken.records.read(0, want.len()).unwrap();
+            let got_keys = taken.keys.read(0, want.len()).unwrap();
+            for (k, (i, rows)) in want.into_iter().enumerate() {
+                let by = rows[0] as u32 | (rows[1] as u32) << 16;
+                let cut = Projected { by, ..records[i] };
+                assert_eq!((got[k], got_keys[k]), (cut, keys[i]), "rank {rank}, {i}");
+            }
+        }
+        assert!(shared > projected.iter().flatten().count() + 20, "{shared}");
+    }
+}
+
+/// A scene's rows from `first` to before `end`.
+fn rows(splats: &Gaussians, first: usize, end: usize) -> Gaussians {
+    let planes = splats.planes().iter().map(|p| p[first..end].to_vec());
+    Gaussians::new(splats.sh_degree(), planes.collect()).unwrap()
+}
+
+/// The sums of each Gaussian's pairs, in their order.
+type Sums = Vec<Vec<f32>>;
+
+/// Sums of the pairs of each Gaussian, and the image gradient, of a pass over some rows: of all, or as one of some ranks.
+fn pass(
+    case: &Case,
+    tuning: Tuning,
+    part: Option<(Arc<dyn Exchange>, [usize; 2], Vec<u32>)>,
+) -> (Sums, Vec<f32>) {
+    let device = device();
+    let defines = Defines {
+        alpha: case.photo.alpha,
+        ..Defines::new(tuning)
+    };
+    let camera = CameraArg::<f32>::new(&case.camera);
+    let mut pipeline =
+        Pipeline::<f32>::new(&device, defines, case.sh_degree, camera.image()).unwrap();
+    let all = case.splats.len();
+    let [first, end] = part.as_ref().map_or([0, all], |(_, rows, _)| *rows);
+    let own = rows(&case.splats, first, end);
+    let mut scene = GaussianBuffers::<f32>::upload(&device, &own, 0).unwrap();
+    pipeline.forward.fit(&scene, &camera).unwrap();
+    if let Some((exchange, _, bands)) = part {
+        scene.shard = Some(Shard { first, all });
+        let mut share = Share::new(&device, defines, exchange).unwrap();
+        share.set_bands(bands).unwrap();
+        pipeline.share = Some(share);
+    }
+    let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
+    let options = RenderOptions {
+        sh_degree: case.sh_degree,
+        background: case.background,
+        ..RenderOptions::default()
+    };
+    if pipeline.share.is_none() {
+        // Makes room for all pairs.
+        pipeline.forward.render(&scene, &camera, &options).unwrap();
+    }
+    pipeline.enqueue(&scene, &camera, &photo, &options).unwrap();
+    let pair = pipeline
+        .pair(Target {
+            view: 0,
+            photo: &photo,
+            background: case.background,
+            skip_blank: false,
+        })
+        .unwrap();
+    pipeline.loss_gradient(0, &pair, case.lambdas[0]).unwrap();
+    let losses = Array::<f32>::zeros(&device, "losses", 2).unwrap();
+    pipeline.record_loss(&pair, &losses, 0).unwrap();
+    pipeline.splat_gradient().unwrap();
+    let home = pipeline.home();
+    let starts = home.isect_start.read(0, scene.count).unwrap();
+    let counts = home.isect_counts.read(0, scene.count).unwrap();
+    let sums = home.sums.to_vec().unwrap();
+    let of = |(start, count): (u32, u32)| {
+        let [from, n] = [start, count].map(|v| v as usize * SUMS);
+        sums[from..from + n].to_vec()
+    };
+    let mut all: Sums = starts.into_iter().zip(counts).map(of).collect();
+    // Whoever is not the leader has none.
+    all.push(losses.to_vec().unwrap());
+    (all, pipeline.image_gradient().to_vec().unwrap())
+}
+
+/// Bands that cut Gaussians, one of a row of tiles, and one of none.
+#[test]
+fn ranks_have_the_sums_of_one_that_has_all() {
+    let mut case = cases::mild("shared", 400, [100, 170], 2, 43);
+    // Some cover many tiles.
+    for i in (0..400).step_by(37) {
+        let wider = case.splats.gather::<3>(3, i).map(|v| v + 2.0);
+        case.splats.scatter(3, i, wider);
+    }
+    let cuts = [vec![0, 5, 11], vec![0, 4, 4, 5, 11]];
+    for (tuning, case) in [
+        (Tuning::CPU, case.clone()),
+        (Tuning::GPU, case.clone()),
+        (Tuning::CPU, case.with_mask()),
+    ] {
+        let (want, gradient) = pass(&case, tuning, None);
+        let pairs: usize = want.iter().map(|s| s.len() / SUMS).sum();
+        assert!(pairs > 1500, "{pairs}");
+        for bands in &cuts {
+            let ranks = bands.len() - 1;
+            let ends = [0, 150, 151, 400, 400];
+            let shares = thread::scope(|scope| {
+                let begin = |(rank, exchange): (usize, Arc<dyn Exchange>)| {
+                    let end = if rank + 1 == ranks {
+                        400
+                    } else {
+                        ends[rank + 1]
+                    };
+                    let part = Some((exchange, [ends[rank], end], bands.clone()));
+                    let case = &case;
+                    scope.spawn(move || pass(case, tuning, part))
+                };
+                let begun: Vec<_> = threads(ranks).into_iter().enumerate().map(begin).collect();
+                let ended = begun.into_iter().map(|thread| thread.join().unwrap());
+                ended.collect::<Vec<_>>()
+            });
+            let losses = shares[0].0.last().unwrap();
+            assert_eq!(losses, want.last().unwrap(), "the leader's loss");
+            let mut got = Vec::new();
+            for (rank, (mut sums, own)) in shares.into_iter().enumerate() {
+                sums.pop();
+                got.extend(sums);
+                let rows = bands[rank] as usize * 16..bands[rank + 1] as usize * 16;
+                let stride = 112;
+                for c in 0..3 {
+                    let at = (c * 176 + rows.start) * stride..(c * 176 + rows.end) * stride;
+                    assert!(own[at.clone()] == gradient[at], "gradient of rank {rank}");
+                }
+            }
+            for (i, sums) in got.iter().enumerate() {
+                assert!(*sums == want[i], "Gaussian {i}, {ranks} ranks, {tuning:?}");
+            }
+            assert_eq!(got.len(), 400);
+        }
+    }
+}
+
+/// A band of more pairs than there is room for is composited again once there is.
+#[test]
+fn a_rank_without_room_for_its_pairs_makes_some() {
+    let mut case = cases::mild("crowded", 300, [64, 160], 0, 47);
+    for i in 0..300 {
+        let wider = case.splats.gather::<3>(3, i).map(|v| v + 3.0);
+        case.splats.scatter(3, i, wider);
+    }
+    let pairs = |sums: &Sums| sums.iter().map(|s| s.len() / SUMS).sum::<usize>();
+    let (want, _) = pass(&case, Tuning::CPU, None);
+    // The first room, see `Renderer::fit`.
+    assert!(pairs(&want) > 4096, "{}", pairs(&want));
+    let exchange = threads(1).remove(0);
+    let (got, _) = pass(&case, Tuning::CPU, Some((exchange, [0, 300], vec![0, 10])));
+    assert!(got == want);
+}
