@@ -1,6 +1,6 @@
 // route: where several ranks train one scene, the visible Gaussians of one of them -> the bands of tile rows that they touch, one band a
 // rank; and the sums of their pairs there -> one list for each Gaussian, by bands from top to bottom, which is the order of its pairs
-// where one rank has them all. A Gaussian that a band gets is cut to the rows of the band, so that its pairs there are those of these
+// where one rank has them all; pairs of a Gaussian that lies in one band are added up there, in the same order. A Gaussian that a band gets is cut to the rows of the band, so that its pairs there are those of these
 // rows. Launches are over chunks of Gaussians, or Gaussians. Source: the division of Gaussians and pixels among devices of Grendel-GS,
 // Zhao et al. 2024.
 
@@ -93,16 +93,40 @@ __kernel void route_sums(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global const real 
     }
 }
 
-// Launch: one work-item per Gaussian that a band got. Puts the sums of its pairs in the order of the Gaussians, where pairs have theirs by
-// depth.
-__kernel void route_order(uint count, __global const uint *isect_start, // in [count] first slot by depth
-                          __global const uint *isect_counts,            // in [count]
-                          __global const uint *row_start,               // in [count] exclusive sums of isect_counts
-                          __global const real *sums,                    // in [pairs, SUMS]
-                          __global real *ordered) {                     // out [pairs, SUMS]
+// Pairs of a Gaussian that a band got whose sums go back: one for all of them where the band has it whole, which has then been added up as
+// project_grad adds pairs, in their order. One at the edge of the band may have pairs elsewhere; one with more than LARGE_PAIRS pairs is
+// added up by a group where work-items are many.
+static inline uint pairs_back(const uint pairs, uint by, uint from, uint to, uint rows) {
+  const int whole = (from == 0 || (uint)BOUND_LO(by) > from * TILE) && (to == rows || (uint)BOUND_HI(by) < to * TILE - 1);
+  return whole && (!GROUP_STYLE || pairs <= LARGE_PAIRS) ? min(pairs, 1u) : pairs;
+}
+
+// Gaussians that a band got: in [count] records, numbers of pairs; first row of tiles of the band, the one after it, rows of tiles.
+#define BAND_ARGUMENTS                                                                                                \
+  __global const Projected *records, uint count, uint from, uint to, uint rows, __global const uint *isect_counts
+
+// Launch: one work-item per Gaussian that a band got. Counts the pairs whose sums go back.
+__kernel void route_lengths(BAND_ARGUMENTS, __global uint *lengths) { // out [count]
+  const uint i = get_global_id(0);
+  if (i < count) lengths[i] = pairs_back(isect_counts[i], records[i].by, from, to, rows);
+}
+
+// Launch: as route_lengths. Writes their sums, in the order of the Gaussians.
+__kernel void route_return(BAND_ARGUMENTS, __global const uint *isect_start, // in [count] first slot
+                           __global const uint *row_start,                   // in [count] exclusive sums of the lengths
+                           __global const real *sums,                        // in [pairs, SUMS]
+                           __global real *ordered) {                         // out [pairs that go back, SUMS]
   const uint i = get_global_id(0);
   if (i >= count) return;
-  __global const real *from = sums + (size_t)isect_start[i] * SUMS;
-  __global real *to = ordered + (size_t)row_start[i] * SUMS;
-  for (uint k = 0; k < isect_counts[i] * SUMS; k++) to[k] = from[k];
+  const uint pairs = isect_counts[i], back = pairs_back(pairs, records[i].by, from, to, rows);
+  __global const real *of = sums + (size_t)isect_start[i] * SUMS;
+  __global real *to_row = ordered + (size_t)row_start[i] * SUMS;
+  if (back < pairs) {
+    real sum[SUMS];
+    for (int q = 0; q < SUMS; q++) sum[q] = R(0.0);
+    for (uint p = 0; p < pairs; p++)
+      for (int q = 0; q < SUMS; q++) sum[q] += of[p * SUMS + q];
+    for (int q = 0; q < SUMS; q++) to_row[q] = sum[q];
+  } else
+    for (uint k = 0; k < pairs * SUMS; k++) to_row[k] = of[k];
 }

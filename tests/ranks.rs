@@ -6,14 +6,27 @@ use std::path::Path;
 use mhsplat::base::cores::Cores;
 use mhsplat::capture::Dataset;
 use mhsplat::config::{AntiAliasing, ExposureChoice, Sampler};
-use mhsplat::device::Device;
 use mhsplat::device::tuning::Tuning;
+use mhsplat::device::{Device, Helpers};
 use mhsplat::run::initial_gaussians;
 use mhsplat::train::{Trainer, TrainerState};
 use mhsplat::{Plan, TrainConfig};
 
 use crate::cli::{program, room as room_path, stderr, text};
 use crate::determinism::{room, sampled, trained};
+
+/// Number of devices that help one.
+fn helpers(device: &Device) -> usize {
+    match device.helpers() {
+        Helpers::Devices(devices) => devices.len(),
+        _ => 0,
+    }
+}
+
+/// No other process is to begin.
+fn nobody(_: &Trainer) -> mhsplat::Result<Vec<u32>> {
+    unreachable!("no processes")
+}
 
 /// A trainer with so many ranks, contexts of one device.
 fn shared(data: &Dataset, config: &TrainConfig, tuning: Option<Tuning>, ranks: usize) -> Trainer {
@@ -23,12 +36,12 @@ fn shared(data: &Dataset, config: &TrainConfig, tuning: Option<Tuning>, ranks: u
         Some(tuning) => device.with_tuning(tuning),
         None => device,
     };
-    assert_eq!(device.helpers().len(), ranks - 1);
+    assert_eq!(helpers(&device), ranks - 1);
     let plan = Plan::new(data, config).unwrap();
     let splats = initial_gaussians(data, &plan).unwrap();
     let mut trainer = Trainer::new(&device, data, &plan, &splats).unwrap();
     trainer
-        .recruit(device.helpers(), &data.train, data.image_budget)
+        .recruit(device.helpers(), &data.train, data.image_budget, nobody)
         .unwrap();
     trainer
 }
@@ -94,7 +107,7 @@ fn a_run_goes_on_with_another_number_of_ranks() {
         let all = Device::open_all(Some(&list), Cores::allowed()).unwrap();
         let mut trainer = Trainer::new(&device, &data, &plan, &state.splats).unwrap();
         trainer
-            .recruit(all.helpers(), &data.train, data.image_budget)
+            .recruit(all.helpers(), &data.train, data.image_budget, nobody)
             .unwrap();
         trainer.restore(&state).unwrap();
         trainer.advance_to(120).unwrap();
@@ -163,6 +176,28 @@ fn the_program_takes_lists_of_devices_and_parts_of_one() {
         return;
     }
     assert!(scene(dir.path(), "cpu/2") == want);
+}
+
+/// A program without MPI does not train as many scenes as there are processes.
+#[test]
+fn processes_without_mpi_are_refused() {
+    if cfg!(feature = "mpi") {
+        println!("skipped: with MPI");
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let mut command = program();
+    command.args(["train", &room_path(), "-o", text(&run)]);
+    command.env("OMPI_COMM_WORLD_SIZE", "2");
+    let output = command.output().unwrap();
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(
+        said.contains("2 processes") && said.contains("--features mpi"),
+        "{said}"
+    );
+    assert!(!run.exists());
 }
 
 #[test]

@@ -18,7 +18,7 @@ pub struct Common {
 #[derive(clap::Args)]
 pub struct DeviceOption {
     /// OpenCL device: index, part of its name, or cpu, gpu, accelerator, or local-rank, the one with this process's number on its node
-    /// (also MHSPLAT_DEVICE); `train` takes several, such as 0,1, or parts of a CPU, such as cpu/2.
+    /// (also MHSPLAT_DEVICE); train takes several, such as 0,1, or parts of a CPU, such as cpu/2.
     #[arg(long, value_name = "SEL", display_order = 901)]
     device: Option<String>,
     /// Cores that are taken, by a device that is a CPU and beside it (default: those that the process may use).

@@ -7,16 +7,26 @@ use mhsplat::base::error::Result;
 use mhsplat::capture::{self, Dataset, LoadOptions};
 use mhsplat::config::TrainConfig;
 use mhsplat::device::Device;
-use mhsplat::ranks::{Exchange, launched};
+use mhsplat::ranks::{Exchange, LEADER, launched};
 use mhsplat::run;
 
+use crate::cli::common::DeviceOption;
 use crate::cli::scene;
 
-/// Returns the exchange of the processes that this one was launched with; `None` alone.
-pub fn launched() -> Result<Option<Arc<dyn Exchange>>> {
+/// Opens the devices to train with, those of all processes that were launched together; `None` in a process that does not lead, after it
+/// has trained with the one that does.
+pub fn open(option: &DeviceOption) -> Result<Option<Device>> {
     match launched::processes() {
-        1 => Ok(None),
-        processes => exchange(processes).map(Some),
+        1 => option.open_all().map(Some),
+        processes => {
+            let exchange = exchange(processes)?;
+            // One each.
+            let device = option.open()?;
+            if exchange.rank() == LEADER {
+                return Ok(Some(device.with_processes(exchange)));
+            }
+            follow(&exchange, &device).map(|()| None)
+        }
     }
 }
 
@@ -43,7 +53,7 @@ fn exchange(processes: usize) -> Result<Arc<dyn Exchange>> {
 }
 
 /// Trains as a process that does not lead.
-pub fn follow(exchange: &Arc<dyn Exchange>, device: &Device) -> Result<()> {
+fn follow(exchange: &Arc<dyn Exchange>, device: &Device) -> Result<()> {
     let load = |path: &Path, config: &TrainConfig| -> Result<Dataset> {
         let options = LoadOptions {
             // The leader shows it.

@@ -14,7 +14,6 @@ use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
 use mhsplat::device::Device;
 use mhsplat::lab::tune::SizeClass;
-use mhsplat::ranks::LEADER;
 use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{
     Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config, saved_tuning,
@@ -95,11 +94,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let dir = resume.unwrap_or(&args.output);
     // Before the device: some drivers' compilers set handlers that end the process, and the first one set is the last to run.
     let stop = stop_flag()?;
-    let exchange = ranks::launched()?;
-    if let Some(exchange) = exchange.as_ref().filter(|e| e.rank() != LEADER) {
-        ranks::follow(exchange, &args.device.open()?)?;
+    let Some(device) = ranks::open(&args.device)? else {
         return Ok(Outcome::Done);
-    }
+    };
     if args.until_stdin_ends {
         let stop = stop.clone();
         std::thread::spawn(move || {
@@ -111,11 +108,6 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         .view
         .map(|port| Door::open("--view", port))
         .transpose()?;
-    let device = match exchange {
-        // One each.
-        Some(exchange) => args.device.open()?.with_processes(exchange),
-        None => args.device.open_all()?,
-    };
     if resume.is_none() {
         claim_folder(dir)?;
     }

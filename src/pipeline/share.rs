@@ -44,7 +44,7 @@ impl<R: Real> Share<R> {
     pub fn new(device: &Device, defines: Defines, exchange: Arc<dyn Exchange>) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         Ok(Self {
-            route: Route::new(&kernels, exchange.ranks())?,
+            route: Route::new(&kernels, [exchange.rank(), exchange.ranks()])?,
             scan: kernels.build::<R>("scan")?,
             home: ViewBuffers::new(device, &defines.tuning, true)?,
             bands: vec![0; exchange.ranks() + 1],

@@ -20,6 +20,9 @@ use crate::train::gaussians::GaussianState;
 use crate::train::plan::Plan;
 use crate::train::step::Trainer;
 
+/// Threads of the ranks that do not lead.
+type Threads = Vec<JoinHandle<()>>;
+
 /// Orders of the leader: the first word of a message.
 mod order {
     /// Iterate: iteration, SH degree, bands.
@@ -68,7 +71,7 @@ impl Trainer {
         devices: &[Device],
         views: &[View],
         image_budget: u64,
-    ) -> Result<(Arc<dyn Exchange>, Vec<JoinHandle<()>>)> {
+    ) -> Result<(Arc<dyn Exchange>, Threads)> {
         let mut ends = threads(1 + devices.len()).into_iter();
         let Some(leader) = ends.next() else {
             return Err(Error::numerics("ranks", "no end of an exchange"));

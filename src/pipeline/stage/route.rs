@@ -19,6 +19,7 @@ const fn routed_words<R>() -> usize {
 #[derive(Debug)]
 pub struct Route<R: Real> {
     program: Program,
+    rank: usize,
     ranks: usize,
     /// Gaussians that there is room for.
     stride: usize,
@@ -33,8 +34,11 @@ pub struct Route<R: Real> {
     starts: Array<u32>,
     offsets: Array<u32>,
     returned: Array<R>,
+    lengths: Array<u32>,
     row_start: Array<u32>,
     ordered: Array<R>,
+    /// First of this rank's own sums in `ordered`, pairs.
+    own_sums: usize,
 }
 
 /// `array`, or one with a quarter to spare where it holds fewer than `len` values.
@@ -46,13 +50,15 @@ fn fit<T: crate::device::Element>(device: &Device, array: &mut Array<T>, len: us
 }
 
 impl<R: Real> Route<R> {
-    /// Builds the kernels for so many ranks.
-    pub fn new(kernels: &Kernels, ranks: usize) -> Result<Self> {
+    /// Builds the kernels for one of so many ranks.
+    pub fn new(kernels: &Kernels, [rank, ranks]: [usize; 2]) -> Result<Self> {
         let program = kernels.build::<R>("route")?;
         let device = kernels.device();
         let ints = |name, len| Array::<u32>::zeros(device, name, len);
         Ok(Self {
+            rank,
             ranks,
+            own_sums: 0,
             stride: 0,
             bands: ints("bands", ranks + 1)?,
             chunk_sums: ints("route sums", ranks * program.chunks())?,
@@ -63,16 +69,11 @@ impl<R: Real> Route<R> {
             starts: ints("starts", 0)?,
             offsets: ints("offsets", ranks)?,
             returned: Array::zeros(device, "returned", 0)?,
+            lengths: ints("lengths", 0)?,
             row_start: ints("row_start", 0)?,
             ordered: Array::zeros(device, "ordered", 0)?,
             program,
         })
-    }
-
-    /// The device's kernels are built for.
-    #[must_use]
-    pub fn program(&self) -> &Program {
-        &self.program
     }
 
     /// Sets the bands: the first row of tiles of each, and the number of rows.
@@ -80,7 +81,8 @@ impl<R: Real> Route<R> {
         self.bands.write(0, bands)
     }
 
-    /// Finds the Gaussians of a view that each band gets; returns the message for each rank, keys before records. Waits.
+    /// Finds the Gaussians of a view that each band gets; returns the message for each rank, keys before records. Those of this rank's own
+    /// band stay on the device, and their message is their number. Waits.
     pub fn send(&mut self, device: &Device, view: &ViewBuffers<R>) -> Result<Vec<Vec<u32>>> {
         if self.stride < view.count {
             self.stride = view.count + view.count / 4;
@@ -109,6 +111,9 @@ impl<R: Real> Route<R> {
         let totals = self.totals.to_vec()?;
         let message = |(rank, total): (usize, u32)| {
             let (from, n) = (rank * self.stride, total as usize);
+            if rank == self.rank {
+                return Ok(vec![total]);
+            }
             let mut words = self.keys.read_words(from, n)?;
             words.extend(self.sent.read_words(from, n)?);
             Ok(words)
@@ -125,23 +130,34 @@ impl<R: Real> Route<R> {
         view: &mut ViewBuffers<R>,
     ) -> Result<Vec<usize>> {
         let mut firsts = vec![0];
-        for message in messages {
-            firsts.push(firsts[firsts.len() - 1] + message.len() / routed_words::<R>());
+        for (rank, message) in messages.iter().enumerate() {
+            let n = match rank == self.rank {
+                true => message.first().copied().unwrap_or(0) as usize,
+                false => message.len() / routed_words::<R>(),
+            };
+            firsts.push(firsts[rank] + n);
         }
         view.count = firsts[messages.len()];
         if view.keys.len() < view.count {
             view.fit_gaussians(device, view.count + view.count / 4)?;
         }
-        for (message, pair) in messages.iter().zip(firsts.windows(2)) {
-            let (keys, records) = message.split_at(pair[1] - pair[0]);
-            view.keys.write_words(pair[0], keys)?;
-            view.records.write_words(pair[0], records)?;
+        for (rank, message) in messages.iter().enumerate() {
+            let (first, n) = (firsts[rank], firsts[rank + 1] - firsts[rank]);
+            if rank == self.rank {
+                let from = rank * self.stride;
+                view.keys.copy_from(first, &self.keys, from, n)?;
+                view.records.copy_from(first, &self.sent, from, n)?;
+            } else {
+                let (keys, records) = message.split_at(n);
+                view.keys.write_words(first, keys)?;
+                view.records.write_words(first, records)?;
+            }
         }
         Ok(firsts)
     }
 
     /// The message for each rank whose Gaussians stand in a view from `firsts[rank]` on: first slots and their end, then the sums of
-    /// their pairs. Waits.
+    /// their pairs. This rank's own stay on the device, and its message has the slots alone. Waits.
     pub fn give_back(
         &mut self,
         device: &Device,
@@ -149,34 +165,33 @@ impl<R: Real> Route<R> {
         view: &ViewBuffers<R>,
         firsts: &[usize],
     ) -> Result<Vec<Vec<u32>>> {
-        let grouped = self.program.defines().tuning.group_style;
-        if grouped {
-            fit(device, &mut self.row_start, view.count)?;
-            fit(device, &mut self.ordered, view.sums.len())?;
-            let counts = [&view.isect_counts, &self.row_start];
-            scan::sum_pairs(scan, view, view.count, counts)?;
-            self.program
-                .launch("route_order")
-                .uints([view.count])
-                .arrays([&view.isect_start, &view.isect_counts], view.count)
-                .array(&self.row_start, view.count)
-                .arrays([&view.sums, &self.ordered], view.sums.len())
-                .over_items([view.count, 1])?;
-        }
-        let (starts, sums) = match grouped {
-            true => (&self.row_start, &self.ordered),
-            false => (&view.isect_start, &view.sums),
-        };
-        let mut starts = starts.read(0, view.count)?;
+        fit(device, &mut self.lengths, view.count)?;
+        fit(device, &mut self.row_start, view.count)?;
+        fit(device, &mut self.ordered, view.sums.len())?;
+        self.band("route_lengths", view)
+            .array(&self.lengths, view.count)
+            .over_items([view.count, 1])?;
+        let lengths = [&self.lengths, &self.row_start];
+        scan::sum_pairs(scan, view, view.count, lengths)?;
+        self.band("route_return", view)
+            .array(&view.isect_start, view.count)
+            .array(&self.row_start, view.count)
+            .arrays([&view.sums, &self.ordered], view.sums.len())
+            .over_items([view.count, 1])?;
+        let mut starts = self.row_start.read(0, view.count)?;
         starts.push(view.pairs_found()?);
-        let message = |pair: &[usize]| {
+        let message = |(rank, pair): (usize, &[usize])| {
             let of = &starts[pair[0]..=pair[1]];
             let (first, end) = (of[0] as usize, of[of.len() - 1] as usize);
             let mut words: Vec<u32> = of.iter().map(|start| start - of[0]).collect();
-            words.extend(sums.read_words(first * SUMS, (end - first) * SUMS)?);
+            if rank != self.rank {
+                let sums = &self.ordered;
+                words.extend(sums.read_words(first * SUMS, (end - first) * SUMS)?);
+            }
             Ok(words)
         };
-        firsts.windows(2).map(message).collect()
+        self.own_sums = starts[firsts[self.rank]] as usize;
+        firsts.windows(2).enumerate().map(message).collect()
     }
 
     /// Takes the messages of [`Route::give_back`] of all ranks for this one: pairs and their sums of the Gaussians of a view, by bands
@@ -200,13 +215,14 @@ impl<R: Real> Route<R> {
             let (Some(&end), Some(sums)) = (message.get(at - 1), message.get(at..)) else {
                 return Err(Error::numerics("exchange", "a message that is too short"));
             };
-            if sums.len() != end as usize * words {
+            let own = offsets.len() == self.rank;
+            if !own && sums.len() != end as usize * words {
                 let what = format!("sums of {} words for {end} pairs", sums.len());
                 return Err(Error::numerics("exchange", what));
             }
             offsets.push(starts.len() as u32);
             starts.extend(message[..at].iter().map(|start| start + pairs as u32));
-            parts.push((pairs, sums));
+            parts.push((pairs, end as usize, sums));
             pairs += end as usize;
         }
         fit(device, &mut self.starts, starts.len())?;
@@ -215,8 +231,14 @@ impl<R: Real> Route<R> {
         view.fit_sums(device, pairs.max(1))?;
         self.starts.write(0, &starts)?;
         self.offsets.write(0, &offsets)?;
-        for (first, sums) in parts {
-            self.returned.write_words(first * SUMS, sums)?;
+        for (rank, (first, len, sums)) in parts.into_iter().enumerate() {
+            if rank == self.rank {
+                let (from, len) = (self.own_sums * SUMS, len * SUMS);
+                let own = &self.ordered;
+                self.returned.copy_from(first * SUMS, own, from, len)?;
+            } else {
+                self.returned.write_words(first * SUMS, sums)?;
+            }
         }
         self.returning("route_pairs", view)
             .array(&view.isect_counts, view.count)
@@ -238,6 +260,16 @@ impl<R: Real> Route<R> {
             .array(&view.keys, view.count)
             .uints([view.count])
             .array(&self.bands, self.ranks + 1)
+    }
+
+    /// A sweep over the Gaussians that a band got.
+    fn band(&self, kernel: &'static str, view: &ViewBuffers<R>) -> Launch<'_> {
+        let rows = view.camera.tiles[1] as usize;
+        self.program
+            .launch(kernel)
+            .array(&view.records, view.count)
+            .uints([view.count, view.band.start, view.band.end, rows])
+            .array(&view.isect_counts, view.count)
     }
 
     /// A sweep over the Gaussians of a view that takes what has come back.
