@@ -49,6 +49,11 @@ impl DeviceOption {
         Device::open_all(self.selector().as_deref(), Cores::new(self.threads)?)
     }
 
+    /// Opens the devices of a list that is not the option's.
+    pub fn open_list(&self, list: &str) -> Result<Device> {
+        Device::open_all(Some(list), Cores::new(self.threads)?)
+    }
+
     /// Opens another device than the selector's, with the same number of cores.
     fn open_other(&self, selector: Option<&str>) -> Result<Device> {
         Device::open_on(selector, Cores::new(self.threads)?)

@@ -14,7 +14,7 @@ use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::route::Route;
-use crate::ranks::{Exchange, LEADER, to_all, to_one};
+use crate::ranks::{Exchange, LEADER, Part, to_all, to_one};
 
 /// Rows of pixels beside a band that the gradient of its loss sees: two windows of SSIM, one over maps of the other.
 const HALO: usize = SSIM_TAPS - 1;
@@ -83,7 +83,7 @@ impl<R: Real> Share<R> {
         (home.camera, home.count) = (*camera, scene.count);
         forward.project_into(scene, options, home)?;
         let sent = self.route.send(&self.device, &self.home)?;
-        let got = self.exchange.trade(sent)?;
+        let got = self.exchange.trade(Part::Records, sent)?;
         let own = self.band(self.exchange.rank());
         let frame = &mut forward.frame;
         self.firsts = self.route.receive(&self.device, &got, frame)?;
@@ -131,7 +131,7 @@ impl<R: Real> Share<R> {
             }
         }
         messages[LEADER].extend(frame.pairs_by_row()?);
-        let mut got = self.exchange.trade(messages)?;
+        let mut got = self.exchange.trade(Part::Borders, messages)?;
         let all = size.tiles()[1];
         if rank == LEADER {
             self.pairs_by_row = vec![0; all];
@@ -166,7 +166,7 @@ impl<R: Real> Share<R> {
     pub fn return_sums(&mut self, frame: &ViewBuffers<R>) -> Result<()> {
         let (device, scan) = (&self.device, &self.scan);
         let given = self.route.give_back(device, scan, frame, &self.firsts)?;
-        let got = self.exchange.trade(given)?;
+        let got = self.exchange.trade(Part::Sums, given)?;
         self.route.collect(device, scan, &got, &mut self.home)
     }
 
@@ -186,7 +186,9 @@ impl<R: Real> Share<R> {
         for k in 0..count {
             own.extend(planes.read_words(k * plane + first, len)?);
         }
-        let got = self.exchange.trade(to_all(self.exchange.as_ref(), own))?;
+        let got = self
+            .exchange
+            .trade(Part::Images, to_all(self.exchange.as_ref(), own))?;
         for (from, message) in got.iter().enumerate().filter(|(from, _)| *from != rank) {
             let (first, _) = rows(from);
             let parts = message.chunks_exact((message.len() / count).max(1));
@@ -207,7 +209,7 @@ impl<R: Real> Share<R> {
             own.extend(loss.partial.read_words(place.start, place.len())?);
         }
         let exchange = self.exchange.as_ref();
-        let got = exchange.trade(to_one(exchange, LEADER, own))?;
+        let got = exchange.trade(Part::Loss, to_one(exchange, LEADER, own))?;
         if rank != LEADER {
             return Ok(false);
         }

@@ -7,6 +7,62 @@ use crate::base::error::Result;
 /// The rank that leads: it takes the decisions and has the run's folder.
 pub const LEADER: usize = 0;
 
+/// Kinds of messages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Orders of the leader.
+    Orders,
+    /// Projected Gaussians, to the bands that they touch.
+    Records,
+    /// Pixel rows beside bands.
+    Borders,
+    /// Sums of pairs, back to the Gaussians.
+    Sums,
+    /// Sums of the loss, to the leader.
+    Loss,
+    /// Bands of images, to all.
+    Images,
+    /// Parameters, moments and statistics of Gaussians, between iterations.
+    Rows,
+}
+
+impl Part {
+    /// All kinds.
+    pub const ALL: [Self; 7] = [
+        Self::Orders,
+        Self::Records,
+        Self::Borders,
+        Self::Sums,
+        Self::Loss,
+        Self::Images,
+        Self::Rows,
+    ];
+
+    /// Name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Orders => "orders",
+            Self::Records => "records",
+            Self::Borders => "borders",
+            Self::Sums => "sums",
+            Self::Loss => "loss",
+            Self::Images => "images",
+            Self::Rows => "rows",
+        }
+    }
+}
+
+/// Bytes that a rank has sent to others, by [`Part::ALL`].
+pub type Traffic = [u64; Part::ALL.len()];
+
+/// Bytes that one rank sends to others with these messages.
+#[must_use]
+pub fn bytes_sent(rank: usize, messages: &[Vec<u32>]) -> u64 {
+    let others = messages.iter().enumerate().filter(|(to, _)| *to != rank);
+    others.map(|(_, m)| 4 * m.len() as u64).sum()
+}
+
 /// Messages between ranks. All of them make the same calls in the same order.
 pub trait Exchange: Debug + Send + Sync {
     /// Number of this rank.
@@ -19,7 +75,10 @@ pub trait Exchange: Debug + Send + Sync {
     ///
     /// # Errors
     /// Another rank has failed, or is gone.
-    fn trade(&self, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>>;
+    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>>;
+
+    /// Bytes that this rank has sent to others so far.
+    fn sent(&self) -> Traffic;
 
     /// Tells the others that this rank cannot go on: what they trade from now on fails with this text. Processes need not be told: the end
     /// of one in disorder ends them all.

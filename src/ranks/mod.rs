@@ -6,7 +6,7 @@ pub mod launched;
 mod mpi;
 mod threads;
 
-pub use exchange::{Exchange, LEADER, text_of, to_all, to_one, words_of};
+pub use exchange::{Exchange, LEADER, Part, Traffic, text_of, to_all, to_one, words_of};
 #[cfg(feature = "mpi")]
 pub use mpi::{Patience, mpi};
 pub use threads::threads;

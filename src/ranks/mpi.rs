@@ -1,5 +1,6 @@
 //! [`mpi`]: ranks that are processes, launched together by MPI (`mpirun`, `srun`).
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{Builder, sleep, yield_now};
@@ -10,7 +11,7 @@ use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, Destination, MatchedReceiveVec, Source};
 
 use crate::base::error::{Error, Result};
-use crate::ranks::exchange::{Exchange, LEADER};
+use crate::ranks::exchange::{Exchange, LEADER, Part, Traffic, bytes_sent};
 
 /// Looks for a message without a pause, before others may have the core for longer.
 const EAGER: u32 = 200;
@@ -29,6 +30,7 @@ struct Process {
     rank: usize,
     ranks: usize,
     tasks: Mutex<Sender<Task>>,
+    sent: [AtomicU64; Part::ALL.len()],
 }
 
 /// How long a rank is waited for that does not lead, and what tells that it has taken longer, before the job is aborted.
@@ -56,6 +58,7 @@ pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
             rank,
             ranks,
             tasks: Mutex::new(tasks),
+            sent: Default::default(),
         })),
         Err(_) => Err(Error::device("MPI", "it does not start", fix)),
     }
@@ -155,16 +158,22 @@ impl Exchange for Process {
         self.ranks
     }
 
-    fn trade(&self, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
         // MPI counts by 31 bits.
         let fits = messages.iter().all(|m| i32::try_from(m.len()).is_ok());
         if messages.len() != self.ranks || !fits {
             let what = "a message of 8 GiB or more; take more ranks, or fewer Gaussians";
             return Err(Error::numerics("exchange", what));
         }
+        let bytes = bytes_sent(self.rank, &messages);
+        self.sent[part as usize].fetch_add(bytes, Ordering::Relaxed);
         let (answer, got) = sync_channel(1);
         self.ask(Task::Trade(messages, answer))?;
         got.recv().map_err(|_| gone())
+    }
+
+    fn sent(&self) -> Traffic {
+        self.sent.each_ref().map(|n| n.load(Ordering::Relaxed))
     }
 
     fn fail(&self, _why: &str) {}

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use crate::base::error::{Error, Result};
-use crate::ranks::exchange::Exchange;
+use crate::ranks::exchange::{Exchange, Part, Traffic, bytes_sent};
 
 /// Messages on their way between threads.
 #[derive(Debug)]
@@ -17,6 +17,8 @@ struct Hub {
 struct State {
     /// Messages from each rank to each, the oldest first.
     queues: Vec<Vec<VecDeque<Vec<u32>>>>,
+    /// Bytes that each rank has sent to others.
+    sent: Vec<Traffic>,
     /// The first rank that has failed, and why.
     failed: Option<(usize, String)>,
 }
@@ -35,6 +37,7 @@ pub fn threads(ranks: usize) -> Vec<Arc<dyn Exchange>> {
     let hub = Arc::new(Hub {
         state: Mutex::new(State {
             queues: vec![vec![VecDeque::new(); ranks]; ranks],
+            sent: vec![Traffic::default(); ranks],
             failed: None,
         }),
         changed: Condvar::new(),
@@ -73,12 +76,13 @@ impl Exchange for Thread {
         self.ranks
     }
 
-    fn trade(&self, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
         if messages.len() != self.ranks {
             let what = format!("{} messages for {} ranks", messages.len(), self.ranks);
             return Err(Error::numerics("exchange", what));
         }
         let mut state = self.hub.state();
+        state.sent[self.rank][part as usize] += bytes_sent(self.rank, &messages);
         for (queue, message) in state.queues[self.rank].iter_mut().zip(messages) {
             queue.push_back(message);
         }
@@ -98,6 +102,10 @@ impl Exchange for Thread {
         }
     }
 
+    fn sent(&self) -> Traffic {
+        self.hub.state().sent[self.rank]
+    }
+
     fn fail(&self, why: &str) {
         let mut state = self.hub.state();
         state.failed.get_or_insert((self.rank, why.to_owned()));
@@ -112,7 +120,7 @@ mod tests {
     use std::thread;
 
     use super::threads;
-    use crate::ranks::exchange::Exchange;
+    use crate::ranks::exchange::{Exchange, Part};
 
     #[test]
     fn every_rank_gets_what_each_has_sent_to_it() {
@@ -120,7 +128,7 @@ mod tests {
         let trade = |end: &dyn Exchange, round: u32| {
             let from = end.rank() as u32;
             let sent = (0..3).map(|to| vec![round; (10 * from + to) as usize]);
-            let got = end.trade(sent.collect()).unwrap();
+            let got = end.trade(Part::Records, sent.collect()).unwrap();
             for (rank, message) in got.iter().enumerate() {
                 assert_eq!(message.len(), 10 * rank + from as usize);
                 assert!(message.iter().all(|v| *v == round));
@@ -131,14 +139,19 @@ mod tests {
                 scope.spawn(move || (0..20).for_each(|round| trade(end.as_ref(), round)));
             }
         });
+        // To itself it sends nothing.
+        let records = ends[1].sent()[Part::Records as usize];
+        assert_eq!(records, 20 * 4 * (10 + 12));
     }
 
     #[test]
     fn a_rank_that_fails_ends_the_others() {
         let ends = threads(2);
         ends[1].fail("no memory");
-        let said = ends[0].trade(vec![vec![1], vec![2]]).unwrap_err();
+        let said = ends[0]
+            .trade(Part::Sums, vec![vec![1], vec![2]])
+            .unwrap_err();
         assert_eq!(said.to_string(), "rank 1: no memory");
-        assert!(ends[0].trade(vec![vec![1]]).is_err());
+        assert!(ends[0].trade(Part::Sums, vec![vec![1]]).is_err());
     }
 }

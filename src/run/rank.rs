@@ -12,7 +12,7 @@ use crate::device::tuning::Tuning;
 use crate::device::{Device, sources_hash};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
-use crate::ranks::{Exchange, LEADER, text_of, words_of};
+use crate::ranks::{Exchange, LEADER, Part, text_of, words_of};
 use crate::train::{Plan, Trainer};
 
 /// What the leader sends to the other processes before they train.
@@ -73,7 +73,7 @@ pub fn serve(
     device: &Device,
     load: impl FnOnce(&Path, &TrainConfig) -> Result<Dataset>,
 ) -> Result<()> {
-    let mut got = exchange.trade(vec![Vec::new(); exchange.ranks()])?;
+    let mut got = exchange.trade(Part::Orders, vec![Vec::new(); exchange.ranks()])?;
     let rank = format!("rank {}", exchange.rank());
     let wrong = |what: String| Error::numerics(&rank, what);
     let text = text_of(&got.swap_remove(LEADER));

@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 
 use crate::base::error::{Error, Result};
 use crate::pipeline::share::Share;
-use crate::ranks::{Exchange, LEADER, to_all};
+use crate::ranks::{Exchange, LEADER, Part, to_all};
 
 /// Weight of a row of tiles in a division by bands, in pairs per tile: compositing and loss of a tile without any.
 const EMPTY_TILE: u64 = 16;
@@ -91,7 +91,7 @@ impl Crew {
     pub fn order(&self, words: Vec<u32>) -> Result<()> {
         let mut messages = to_all(self.exchange.as_ref(), words);
         messages[LEADER].clear();
-        self.exchange.trade(messages).map(|_| ())
+        self.exchange.trade(Part::Orders, messages).map(|_| ())
     }
 
     /// Bands of the next render of a view of so many rows of `across` tiles.

@@ -13,7 +13,7 @@ use crate::device::{Device, Helpers};
 use crate::pipeline::buffers::{Shard, ViewSet};
 use crate::pipeline::photos::Photos;
 use crate::pipeline::share::Share;
-use crate::ranks::{Exchange, LEADER, threads, to_all, to_one};
+use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
 use crate::scene::Gaussians;
 use crate::train::crew::{Crew, END, Words, rows_of};
 use crate::train::gaussians::GaussianState;
@@ -53,7 +53,7 @@ impl Trainer {
             Helpers::Devices(devices) => self.begin_threads(devices, views, image_budget)?,
             Helpers::Processes(exchange) => {
                 let words = beginning(self)?;
-                exchange.trade(to_all(exchange.as_ref(), words))?;
+                exchange.trade(Part::Orders, to_all(exchange.as_ref(), words))?;
                 (exchange.clone(), Vec::new())
             }
         };
@@ -125,6 +125,12 @@ impl Trainer {
         Share::new(&self.device, self.pipeline.defines(), exchange)
     }
 
+    /// Bytes that this rank has sent to others so far; `None` alone.
+    #[must_use]
+    pub fn traffic(&self) -> Option<Traffic> {
+        self.crew.as_ref().map(|crew| crew.exchange.sent())
+    }
+
     /// Makes ready for an iteration of all ranks, and tells them to begin it; does nothing alone.
     pub(super) fn share_iteration(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
         if self.crew.is_none() {
@@ -169,7 +175,7 @@ impl Trainer {
             LEADER => Ok(Vec::new()),
             _ => self.rows_for(rows_of(rank, ranks, all), all),
         });
-        exchange.trade(messages.collect::<Result<_>>()?)?;
+        exchange.trade(Part::Rows, messages.collect::<Result<_>>()?)?;
         let scene = &mut self.gaussians.scene;
         scene.count = rows_of(LEADER, ranks, all).len();
         scene.shard = Some(Shard { first: 0, all });
@@ -251,7 +257,7 @@ impl Trainer {
         crew.at_rest = false;
         crew.order(vec![order::GATHER])?;
         let (exchange, ranks) = (crew.exchange.clone(), crew.exchange.ranks());
-        let got = exchange.trade(vec![Vec::new(); ranks])?;
+        let got = exchange.trade(Part::Rows, vec![Vec::new(); ranks])?;
         for (rank, message) in got.iter().enumerate().filter(|(rank, _)| *rank != LEADER) {
             let mut words = Words(message);
             let [non_finite] = words.take()?;
@@ -269,7 +275,7 @@ impl Trainer {
     /// Does what the leader orders, until it ends.
     fn obey(&mut self, exchange: &dyn Exchange) -> Result<()> {
         loop {
-            let mut got = exchange.trade(vec![Vec::new(); exchange.ranks()])?;
+            let mut got = exchange.trade(Part::Orders, vec![Vec::new(); exchange.ranks()])?;
             let message = got.swap_remove(LEADER);
             match message.as_slice() {
                 // Everybody is ready.
@@ -287,7 +293,7 @@ impl Trainer {
                     let mut words = self.pipeline.home().status.read(slot, 1)?;
                     let rows = 0..self.gaussians.scene.count;
                     words.extend(self.gaussians.read_words(rows)?);
-                    exchange.trade(to_one(exchange, LEADER, words))?;
+                    exchange.trade(Part::Rows, to_one(exchange, LEADER, words))?;
                 }
                 [END] => {
                     exchange.end();

@@ -9,7 +9,10 @@ use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
 use mhsplat::lab::bench;
 use mhsplat::lab::bench::{Options, Outcome as Measured};
-use mhsplat::lab::folder::check_folder;
+use mhsplat::lab::folder::{check_folder, write_files};
+
+/// Cases of several ranks: Gaussians, pixels.
+const SCALED: [(usize, u32); 2] = [(100_000, 800), (500_000, 800)];
 
 /// Arguments.
 #[derive(clap::Args)]
@@ -23,6 +26,9 @@ pub struct BenchArgs {
     /// Folder for bench.json, bench.csv, bench.md and bench.html; must be empty or not exist.
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    /// Measure how one scene of 100k and 500k Gaussians trains on 1, 2 and 4 ranks of the device, and model more of them over networks.
+    #[arg(long, conflicts_with_all = ["full", "scene"])]
+    scaling: bool,
     /// N@PX, one or more, in a hurry: shows that everything works, measures nothing.
     #[arg(long, hide = true, value_parser = brief_case, value_delimiter = ',', conflicts_with = "full")]
     brief: Vec<(usize, u32)>,
@@ -54,6 +60,9 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
         }
     };
     let mut note = |text: &str| output::note(text);
+    if args.scaling {
+        return scaling(args, &options, &mut note, common);
+    }
     let outcomes = match args.device.selector().as_deref() {
         Some("all") => {
             let all = Device::list()?.into_iter();
@@ -85,6 +94,41 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Outcome> {
             "no device could be measured",
             "see why above, and `mhsplat devices`",
         ));
+    }
+    Ok(Outcome::Done)
+}
+
+/// Measures several ranks of one device.
+fn scaling(
+    args: &BenchArgs,
+    options: &Options,
+    note: &mut dyn FnMut(&str),
+    common: &Common,
+) -> Result<Outcome> {
+    let options = match args.brief.as_slice() {
+        [] => Options {
+            cases: SCALED.to_vec(),
+            ..options.clone()
+        },
+        _ => options.clone(),
+    };
+    let open = |list: &str| args.device.open_list(list);
+    let selector = args.device.selector().unwrap_or_else(|| "cpu".to_owned());
+    let all = bench::scaling::measure(&open, &selector, &options, note)?;
+    let report = bench::scaling::report(&all);
+    if let Some(dir) = &args.output {
+        let json = serde_json::to_string_pretty(&all);
+        let json = json.map_err(|e| Error::numerics("bench", e.to_string()))?;
+        let files = [
+            ("bench.json", json + "\n"),
+            ("bench.md", report.to_markdown()),
+            ("bench.html", report.to_html()),
+        ];
+        write_files(dir, &files)?;
+    }
+    match common.json {
+        true => output::json(&all)?,
+        false => args.form.print(&report),
     }
     Ok(Outcome::Done)
 }

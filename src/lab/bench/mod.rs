@@ -14,6 +14,7 @@ mod precision;
 pub mod record;
 mod report;
 mod run;
+pub mod scaling;
 pub mod scene;
 pub mod work;
 

@@ -1,0 +1,352 @@
+//! Several ranks on one scene: what an iteration takes and sends, and a model of as many nodes like this one.
+
+use std::time::Instant;
+
+use serde::Serialize;
+
+use crate::base::error::{Error, Result};
+use crate::device::{Device, DeviceKind, Helpers};
+use crate::lab::bench::options::Options;
+use crate::lab::bench::record::spread;
+use crate::lab::bench::scene::{self, VIEWS};
+use crate::lab::report::{Report, Section};
+use crate::lab::stats::{Ratio, Spread, ratio};
+use crate::lab::table::{Table, digits, few, or_dash};
+use crate::ranks::Part;
+use crate::run::clock::process_cpu_seconds;
+use crate::train::{Plan, Trainer};
+
+/// Numbers of ranks that are measured.
+const MEASURED: [usize; 3] = [1, 2, 4];
+/// Numbers of ranks that the model tells.
+const TOLD: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
+/// Networks of the model: name, bits a second, seconds from one rank to another.
+const NETWORKS: [(&str, f64, f64); 3] = [
+    ("1 Gb/s", 1e9, 5e-5),
+    ("10 Gb/s", 1e10, 2e-5),
+    ("100 Gb/s", 1e11, 3e-6),
+];
+/// Trades of an iteration, one after the other: order, records, borders, loss, sums.
+const TRADES: f64 = 5.0;
+
+/// Figures of an iteration by so many ranks.
+#[derive(Debug, Clone, Serialize)]
+pub struct Shared {
+    /// Number of ranks.
+    pub ranks: usize,
+    /// Wall time, ms; it means something where every rank has its own cores.
+    pub ms: Spread,
+    /// CPU time of all ranks, ms.
+    pub cpu_ms: Spread,
+    /// True if every rank has its own cores.
+    pub apart: bool,
+    /// Bytes that one rank sends, by part.
+    pub bytes: Vec<(&'static str, f64)>,
+}
+
+/// Figures of a scene by several numbers of ranks.
+#[derive(Debug, Clone, Serialize)]
+pub struct Scaling {
+    /// Gaussians.
+    pub gaussians: usize,
+    /// Width and height, pixels.
+    pub size: u32,
+    /// Measured numbers of ranks.
+    pub shared: Vec<Shared>,
+}
+
+/// A trainer that changes nothing, by so many ranks of one core each, or of as many as there are for four ranks on a larger machine.
+fn trainer(
+    open: &dyn Fn(&str) -> Result<Device>,
+    (device, cores): (&str, usize),
+    (gaussians, size): (usize, u32),
+    ranks: usize,
+) -> Result<Trainer> {
+    let parts = cores.clamp(1, MEASURED[MEASURED.len() - 1]);
+    let part = match parts {
+        1 => device.to_owned(),
+        _ => format!("{device}/{parts}"),
+    };
+    // Of each list of parts there are as many as parts.
+    let lists = vec![part; ranks.div_ceil(parts).max(1)];
+    let all = open(&lists.join(","))?;
+    let data = scene::dataset(&scene::circle(size));
+    let plan = Plan::new(&data, &scene::still(scene::SH_DEGREE))?;
+    let mut trainer = Trainer::new(&all, &data, &plan, &scene::cloud(gaussians))?;
+    let helpers = match all.helpers() {
+        Helpers::Devices(devices) if ranks > 1 => {
+            Helpers::Devices(devices.iter().take(ranks - 1).cloned().collect())
+        }
+        _ => Helpers::None,
+    };
+    let none = |_: &Trainer| Err(Error::numerics("bench", "processes"));
+    trainer.recruit(&helpers, &data.train, data.image_budget, none)?;
+    Ok(trainer)
+}
+
+/// Wall and CPU seconds of an iteration.
+fn sample(trainer: &mut Trainer, iterations: u32) -> Result<[f64; 2]> {
+    let (began, cpu) = (Instant::now(), process_cpu_seconds());
+    trainer.advance_to(trainer.iteration() + iterations)?;
+    let each = f64::from(iterations);
+    Ok([began.elapsed().as_secs_f64(), process_cpu_seconds() - cpu].map(|s| s / each))
+}
+
+/// Measures the cases of the options that are large enough to be worth it, by turns of the numbers of ranks. `open` opens a list of
+/// devices, and `device` is the selector of the one to be measured.
+///
+/// # Errors
+/// A device that cannot be divided, no room, or the driver's.
+pub fn measure(
+    open: &dyn Fn(&str) -> Result<Device>,
+    device: &str,
+    options: &Options,
+    note: &mut dyn FnMut(&str),
+) -> Result<Vec<Scaling>> {
+    let info = open(device)?.info().clone();
+    let cores = match info.kind {
+        DeviceKind::Cpu => info.cores as usize,
+        _ => 1,
+    };
+    let measure_case = |case: &(usize, u32)| {
+        note(&format!("{} Gaussians, {} px", case.0, case.1));
+        let make = |ranks: &usize| trainer(open, (device, cores), *case, *ranks);
+        let mut trainers: Vec<Trainer> = MEASURED.iter().map(make).collect::<Result<_>>()?;
+        let mut iterations = VIEWS;
+        for trainer in &mut trainers {
+            // Every view once, for its bands; then the length of a sample.
+            sample(trainer, VIEWS)?;
+            let [wall, _] = sample(trainer, VIEWS)?;
+            let passes = options.sample_seconds / (wall * f64::from(VIEWS)).max(1e-9);
+            iterations = iterations.max(VIEWS * passes.ceil().clamp(1.0, 100.0) as u32);
+        }
+        let before: Vec<_> = trainers.iter().map(Trainer::traffic).collect();
+        let mut samples = vec![Vec::new(); trainers.len()];
+        for _ in 0..options.samples {
+            for (trainer, samples) in trainers.iter_mut().zip(&mut samples) {
+                samples.push(sample(trainer, iterations)?);
+            }
+        }
+        let mut shared = Vec::new();
+        for (k, (trainer, before)) in trainers.iter().zip(before).enumerate() {
+            let of = |which: usize| {
+                let figures = samples[k].iter().map(|s| 1e3 * s[which]);
+                spread("bench", figures)
+            };
+            let (before, after) = (before.unwrap_or_default(), trainer.traffic());
+            let after = after.unwrap_or_default();
+            let done = f64::from(iterations) * options.samples as f64;
+            let bytes = |part: Part| (after[part as usize] - before[part as usize]) as f64 / done;
+            shared.push(Shared {
+                ranks: MEASURED[k],
+                ms: of(0)?,
+                cpu_ms: of(1)?,
+                apart: MEASURED[k] <= cores,
+                bytes: Part::ALL.map(|part| (part.name(), bytes(part))).to_vec(),
+            });
+        }
+        Ok(Scaling {
+            gaussians: case.0,
+            size: case.1,
+            shared,
+        })
+    };
+    options.cases.iter().map(measure_case).collect()
+}
+
+/// Seconds of an iteration by so many ranks, by part.
+#[derive(Debug, Clone, Copy)]
+struct Predicted {
+    compute: f64,
+    network: f64,
+    latency: f64,
+}
+
+impl Predicted {
+    fn total(self) -> f64 {
+        self.compute + self.network + self.latency
+    }
+
+    /// Name of the largest part.
+    fn limit(self) -> &'static str {
+        match self {
+            p if p.compute >= p.network.max(p.latency) => "computing",
+            p if p.network >= p.latency => "bandwidth",
+            _ => "latency",
+        }
+    }
+}
+
+impl Scaling {
+    fn of(&self, ranks: usize) -> Option<&Shared> {
+        self.shared.iter().find(|s| s.ranks == ranks)
+    }
+
+    /// Wall time of one rank over that of two, if both have their own cores.
+    fn speedup(&self) -> Option<Ratio> {
+        let [one, two] = [self.of(1)?, self.of(2)?];
+        two.apart.then(|| ratio(&one.ms, &two.ms)).flatten()
+    }
+
+    /// Milliseconds of CPU that one rank takes, and that each further rank adds: least squares over what was measured.
+    fn compute(&self) -> [f64; 2] {
+        let one = self.of(1).map_or(0.0, |s| s.cpu_ms.median);
+        let more = self.shared.iter().filter(|s| s.ranks > 1);
+        let points = more.map(|s| ((s.ranks - 1) as f64, s.cpu_ms.median - one));
+        let (xy, xx) = points.fold((0.0, 0.0), |(xy, xx), (x, y)| (xy + x * y, xx + x * x));
+        [one, if xx > 0.0 { (xy / xx).max(0.0) } else { 0.0 }]
+    }
+
+    /// Bytes that one of so many ranks sends: of all Gaussians those that leave, a·(R − 1)/R², and what bands cut or have at their borders,
+    /// b·(R − 1)/R, by two and four ranks.
+    fn bytes(&self, ranks: usize) -> f64 {
+        let sent = |ranks| {
+            let shared = self.of(ranks);
+            shared.map_or(0.0, |s| s.bytes.iter().map(|(_, bytes)| bytes).sum::<f64>())
+        };
+        let [two, four] = [2, 4].map(sent);
+        // 1/4 a + 1/2 b = two, 3/16 a + 3/4 b = four.
+        let b = ((four - 0.75 * two) / 0.375).max(0.0);
+        let a = 4.0 * (two - 0.5 * b);
+        let r = ranks as f64;
+        (a / r + b) * (r - 1.0) / r
+    }
+
+    /// Seconds of an iteration by so many ranks, each with the cores that one has here, over a network.
+    fn predict(&self, ranks: usize, (_, bits, delay): (&str, f64, f64)) -> Predicted {
+        let [one, more] = self.compute();
+        let r = ranks as f64;
+        let alone = if ranks == 1 { 0.0 } else { 1.0 };
+        Predicted {
+            compute: 1e-3 * (one + more * (r - 1.0)) / r,
+            network: 8.0 * self.bytes(ranks) / bits,
+            latency: alone * TRADES * delay * (1.0 + r.log2()),
+        }
+    }
+
+    fn title(&self) -> String {
+        format!(
+            "{} Gaussians, {} × {} px",
+            self.gaussians, self.size, self.size
+        )
+    }
+
+    fn sections(&self) -> Vec<Section> {
+        let row = |s: &Shared| {
+            let bytes = |name: &str| {
+                let found = s.bytes.iter().find(|(part, _)| *part == name);
+                digits(found.map_or(0.0, |(_, bytes)| bytes / 1e3))
+            };
+            let ms = |spread: &Spread| few(spread, digits);
+            vec![
+                s.ranks.to_string(),
+                if s.apart { ms(&s.ms) } else { "–".to_owned() },
+                ms(&s.cpu_ms),
+                bytes("records"),
+                bytes("sums"),
+                bytes("borders"),
+                bytes("loss"),
+            ]
+        };
+        let columns = [
+            "ranks",
+            "ms",
+            "CPU ms of all",
+            "records, kB",
+            "sums, kB",
+            "borders, kB",
+            "loss, kB",
+        ];
+        let speedup = or_dash(self.speedup(), |r| crate::lab::table::ratio(&r));
+        let measured = format!("{}, two ranks {speedup} as fast as one", self.title());
+        let model = |ranks: &usize| {
+            let one = self.predict(1, NETWORKS[0]).total();
+            let cells = NETWORKS.map(|network| {
+                let p = self.predict(*ranks, network);
+                format!("{} ({})", digits(one / p.total()), p.limit())
+            });
+            let bytes = digits(self.bytes(*ranks) / 1e3);
+            [vec![ranks.to_string(), bytes], cells.to_vec()].concat()
+        };
+        let [a, b, c] = NETWORKS.map(|(name, ..)| name);
+        vec![
+            Section::Table(Table::new(
+                measured,
+                "An iteration; what one rank sends to others.",
+                &columns,
+                self.shared.iter().map(row),
+            )),
+            Section::Table(Table::new(
+                format!(
+                    "{}, as many nodes as ranks: model of the speed-up",
+                    self.title()
+                ),
+                "In brackets the largest part of an iteration's time. Density steps and evaluations are not in it.",
+                &["ranks", "kB sent by one", a, b, c],
+                TOLD.iter().map(model),
+            )),
+        ]
+    }
+}
+
+/// The report on several ranks.
+#[must_use]
+pub fn report(all: &[Scaling]) -> Report {
+    Report {
+        title: "Several ranks".to_owned(),
+        note: "One scene, trained by ranks with a core each, or as many as a quarter of the device has. CPU time is that of all ranks; \
+               times by turns."
+            .to_owned(),
+        sections: all.iter().flat_map(Scaling::sections).collect(),
+        ..Report::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{NETWORKS, Part, Scaling, Shared};
+    use crate::lab::stats::Spread;
+
+    fn shared(ranks: usize, cpu: f64, bytes: f64) -> Shared {
+        let spread = |v: f64| Spread::of(&[v, v, v]).unwrap();
+        Shared {
+            ranks,
+            ms: spread(cpu / ranks as f64),
+            cpu_ms: spread(cpu),
+            apart: true,
+            bytes: vec![(Part::Records.name(), bytes)],
+        }
+    }
+
+    #[test]
+    fn the_model_goes_through_what_was_measured() {
+        // 100 ms, 2 more for each rank; a = 8 MB, b = 1 MB.
+        let bytes = |r: f64| (8e6 / r + 1e6) * (r - 1.0) / r;
+        let of = |ranks: usize| {
+            let r = ranks as f64;
+            shared(
+                ranks,
+                98.0 + 2.0 * r,
+                if ranks == 1 { 0.0 } else { bytes(r) },
+            )
+        };
+        let scaling = Scaling {
+            gaussians: 1,
+            size: 1,
+            shared: vec![of(1), of(2), of(4)],
+        };
+        assert_eq!(scaling.compute(), [100.0, 2.0]);
+        for ranks in [1, 2, 4, 64] {
+            let (got, want) = (scaling.bytes(ranks), bytes(ranks as f64));
+            assert!((got - want).abs() < 1e-3, "{ranks}: {got} {want}");
+        }
+        let slow = scaling.predict(64, NETWORKS[0]);
+        assert_eq!(slow.limit(), "bandwidth");
+        let fast = scaling.predict(2, NETWORKS[2]);
+        assert_eq!(fast.limit(), "computing");
+        assert!((fast.compute - 0.051).abs() < 1e-9);
+        assert_eq!(scaling.predict(1, NETWORKS[0]).total(), 0.1);
+        let speedup = scaling.speedup().unwrap();
+        assert!((speedup.median - 100.0 / 51.0).abs() < 1e-9);
+    }
+}
