@@ -106,7 +106,7 @@ static inline int may_differ(__global const uint *active_tiles, __global const u
 #if HAS_MASK
       if (active_tiles[tile]) return 1;
 #else
-      if (active_tiles[tile] || tile_start[tile + 1] > tile_start[tile]) return 1;
+      if (active_tiles[tile] || tile_start[tile + 1] != tile_start[tile]) return 1;
 #endif
   return 0;
 }

@@ -4,13 +4,25 @@
 // rows. Launches are over chunks of Gaussians, or Gaussians. Source: the division of Gaussians and pixels among devices of Grendel-GS,
 // Zhao et al. 2024.
 
-// True if a Gaussian touches the rows of tiles from `from` to before `to`.
-static inline int touches_band(uint key, uint by, uint from, uint to) {
-  return key != KEY_CULLED && from < to && (uint)BOUND_HI(by) / TILE >= from && (uint)BOUND_LO(by) / TILE < to;
+// Rows of tiles of a Gaussian: the first, and the last in the high half; of a culled one no row.
+#define NO_ROWS 0xffffu
+#define FIRST_ROW(span) ((span) & 0xffffu)
+#define LAST_ROW(span) ((span) >> 16)
+
+// Launch: one work-item per Gaussian. Writes its rows of tiles, so that nobody fetches whole records for them.
+__kernel void route_spans(__global const Projected *records, __global const uint *keys, uint count, // in [count] depth bits or KEY_CULLED
+                          __global uint *spans) {                                                   // out [count]
+  const uint i = get_global_id(0);
+  if (i >= count) return;
+  const uint by = keys[i] != KEY_CULLED ? records[i].by : 0;
+  spans[i] = keys[i] != KEY_CULLED ? (uint)BOUND_LO(by) / TILE | (uint)BOUND_HI(by) / TILE << 16 : NO_ROWS;
 }
 
-// Own Gaussians: in [count] records and depth bits or KEY_CULLED; bands in [ranks + 1] first row of tiles of each.
-#define ROUTE_ARGUMENTS __global const Projected *records, __global const uint *keys, uint count, __global const uint *bands
+// True if a Gaussian touches the rows of tiles from `from` to before `to`.
+static inline int touches_band(uint span, uint from, uint to) { return LAST_ROW(span) >= from && FIRST_ROW(span) < to && from < to; }
+
+// Own Gaussians: in [count] rows of tiles; bands in [ranks + 1] first row of tiles of each.
+#define ROUTE_ARGUMENTS __global const uint *spans, uint count, __global const uint *bands
 
 // Launch: over chunks of Gaussians (first axis) and ranks (second). Counts those that touch a rank's band.
 CHUNK_KERNEL void route_count(ROUTE_ARGUMENTS, uint chunks, __global uint *sums) { // out [ranks, chunks]
@@ -20,13 +32,14 @@ CHUNK_KERNEL void route_count(ROUTE_ARGUMENTS, uint chunks, __global uint *sums)
   const uint size = chunk_size(count, chunks), first = min(c * size, count), last = min(first + size, count);
   const uint from = bands[rank], to = bands[rank + 1];
   uint n = 0;
-  for (uint i = first + ITEM; i < last; i += GROUP) n += touches_band(keys[i], records[i].by, from, to);
+  for (uint i = first + ITEM; i < last; i += GROUP) n += touches_band(spans[i], from, to);
   n = (uint)group_sum(n, scratch);
   if (ITEM == 0) sums[rank * chunks + c] = n;
 }
 
 // Launch: as route_count. Writes what each rank gets, in the order of the Gaussians, and its number.
 CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *sums, // in [ranks, chunks]
+                             __global const Projected *records, __global const uint *keys, // in [count]
                              uint stride, __global uint *sent_keys,                   // out [ranks, stride]
                              __global Projected *sent,                                // out [ranks, stride], cut to the band
                              __global uint *place,                                    // out [ranks, stride] number among those sent
@@ -43,7 +56,7 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
   if (c == chunks - 1 && ITEM == 0) totals[rank] = before + of[c];
   for (uint block = first; block < last; block += GROUP) {
     const uint i = block + ITEM;
-    const int touches = i < last && touches_band(keys[i], records[i].by, from, to);
+    const int touches = i < last && touches_band(spans[i], from, to);
     uint total;
     const uint at = before + group_scan(touches, scratch, &total);
     if (touches) {
@@ -65,10 +78,10 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
 __kernel void route_pairs(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global uint *isect_counts) { // out [count]
   const uint i = get_global_id(0);
   if (i >= count) return;
-  const uint key = keys[i], by = records[i].by;
+  const uint span = spans[i];
   uint n = 0;
   for (uint rank = 0; rank < ranks; rank++)
-    if (touches_band(key, by, bands[rank], bands[rank + 1])) {
+    if (touches_band(span, bands[rank], bands[rank + 1])) {
       __global const uint *slot = RETURNED(rank);
       n += slot[1] - slot[0];
     }
@@ -81,10 +94,10 @@ __kernel void route_sums(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global const real 
                          __global real *sums) {                                            // out [pairs, SUMS]
   const uint i = get_global_id(0);
   if (i >= count) return;
-  const uint key = keys[i], by = records[i].by;
+  const uint span = spans[i];
   __global real *to = sums + (size_t)isect_start[i] * SUMS;
   for (uint rank = 0; rank < ranks; rank++)
-    if (touches_band(key, by, bands[rank], bands[rank + 1])) {
+    if (touches_band(span, bands[rank], bands[rank + 1])) {
       __global const uint *slot = RETURNED(rank);
       __global const real *from = returned + (size_t)slot[0] * SUMS;
       const uint n = (slot[1] - slot[0]) * SUMS;

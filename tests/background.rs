@@ -12,7 +12,7 @@ use mhsplat::train::Trainer;
 use mhsplat::train::schedule::Schedule;
 
 /// The room's photos with this alpha in their left halves.
-fn holed(alpha: u8, meaning: Alpha) -> Dataset {
+pub fn holed(alpha: u8, meaning: Alpha) -> Dataset {
     let mut data = room(64);
     for view in data.train.iter_mut().chain(&mut data.test) {
         let photo = view.photo.load().unwrap();

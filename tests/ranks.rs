@@ -4,14 +4,16 @@ use std::fs;
 use std::path::Path;
 
 use mhsplat::base::cores::Cores;
-use mhsplat::capture::Dataset;
+use mhsplat::capture::{Alpha, Dataset};
 use mhsplat::config::{AntiAliasing, ExposureChoice, Sampler};
+use mhsplat::density::make;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Device, Helpers};
 use mhsplat::run::initial_gaussians;
 use mhsplat::train::{Trainer, TrainerState};
 use mhsplat::{Plan, TrainConfig};
 
+use crate::background::holed;
 use crate::cli::{program, room as room_path, stderr, text};
 use crate::determinism::{room, sampled, trained};
 
@@ -54,7 +56,7 @@ fn same(a: &TrainerState, b: &TrainerState) {
     assert!(a.rows == b.rows, "moments, statistics or filter differ");
     assert!(a.losses == b.losses, "the losses differ");
     assert!(a.exposures == b.exposures, "the transforms differ");
-    assert_eq!(a.stats, b.stats);
+    assert_eq!((a.stats, a.non_finite), (b.stats, b.non_finite));
 }
 
 #[test]
@@ -87,6 +89,60 @@ fn ranks_change_no_bit_with_exposure_filters_or_a_lag() {
         let mut together = shared(&data, &config, None, 2);
         together.advance_to(120).unwrap();
         same(&together.state().unwrap(), &want);
+    }
+}
+
+/// What is blank beside a band is known there: the losses, too, are those of one rank.
+#[test]
+fn ranks_change_no_bit_of_transparent_or_masked_photos() {
+    for meaning in [Alpha::Transparency, Alpha::Mask] {
+        let data = holed(0, meaning);
+        let config = sampled(Sampler::Mh);
+        let (mut alone, _) = trained(&data, &config, 80);
+        let mut together = shared(&data, &config, None, 3);
+        together.advance_to(80).unwrap();
+        same(&together.state().unwrap(), &alone.state().unwrap());
+    }
+}
+
+/// The strategy of the caller's own is that of all ranks.
+#[test]
+fn ranks_change_no_bit_of_a_strategy_of_ones_own() {
+    let data = room(64);
+    let config = sampled(Sampler::Mh);
+    let plan = Plan::new(&data, &config).unwrap();
+    let splats = initial_gaussians(&data, &plan).unwrap();
+    let mut mcmc = config.clone();
+    mcmc.sampler = Sampler::Mcmc;
+    let run = |ranks: usize| {
+        let list = vec!["cpu"; ranks].join(",");
+        let device = Device::open_all(Some(&list), Cores::allowed()).unwrap();
+        let strategy = make(&mcmc);
+        let mut trainer = Trainer::with_strategy(&device, &data, &plan, &splats, strategy).unwrap();
+        trainer
+            .recruit(device.helpers(), &data.train, data.image_budget, nobody)
+            .unwrap();
+        trainer.advance_to(60).unwrap();
+        trainer.state().unwrap()
+    };
+    same(&run(2), &run(1));
+}
+
+/// Gradients that are not finite are counted once each, whoever has them.
+#[test]
+fn ranks_count_what_is_not_finite_once() {
+    let data = room(64);
+    let mut config = sampled(Sampler::None);
+    config.optimizer.lr_sh0 = 1e38;
+    let (mut alone, _) = trained(&data, &config, 20);
+    let want = alone.state();
+    let mut together = shared(&data, &config, None, 2);
+    together.advance_to(20).unwrap();
+    let got = together.state();
+    assert_eq!(together.non_finite(), alone.non_finite());
+    match (got, want) {
+        (Ok(got), Ok(want)) => same(&got, &want),
+        (got, want) => assert!(got.is_err() && want.is_err()),
     }
 }
 
@@ -137,6 +193,7 @@ fn a_look_and_a_new_length_change_nothing() {
 
 #[test]
 fn ranks_change_no_bit_in_the_group_style() {
+    // Of two rows of tiles, so that two of four ranks have none.
     let data = room(32);
     let mut config = sampled(Sampler::Mh);
     config.max_size = 32;
@@ -145,7 +202,9 @@ fn ranks_change_no_bit_in_the_group_style() {
         trainer.advance_to(30).unwrap();
         trainer.state().unwrap()
     };
-    same(&run(2), &run(1));
+    let want = run(1);
+    same(&run(2), &want);
+    same(&run(4), &want);
 }
 
 /// The scene of a short run.

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use mhsplat::base::error::Result;
+use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{self, Dataset, LoadOptions};
 use mhsplat::config::TrainConfig;
 use mhsplat::device::Device;
@@ -25,7 +25,11 @@ pub fn open(option: &DeviceOption) -> Result<Option<Device>> {
             if exchange.rank() == LEADER {
                 return Ok(Some(device.with_processes(exchange)));
             }
-            follow(&exchange, &device).map(|()| None)
+            let followed = follow(&exchange, &device);
+            if let Err(error) = &followed {
+                exchange.fail(&error.to_string());
+            }
+            followed.map(|()| None)
         }
     }
 }
@@ -34,18 +38,23 @@ pub fn open(option: &DeviceOption) -> Result<Option<Device>> {
 fn exchange(_processes: usize) -> Result<Arc<dyn Exchange>> {
     use mhsplat::ranks::{Patience, mpi};
 
-    let asked = std::env::var("MHSPLAT_RANK_TIMEOUT").ok();
-    let seconds = asked.and_then(|text| text.trim().parse().ok());
+    const NAME: &str = "MHSPLAT_RANK_TIMEOUT";
+    let seconds = match std::env::var(NAME) {
+        Err(_) => 600.0,
+        Ok(text) => {
+            let seconds = text.trim().parse().ok().filter(|s: &f64| *s > 0.0);
+            let wrong = || Error::config(NAME, format!("{text:?}; seconds expected"));
+            seconds.ok_or_else(wrong)?
+        }
+    };
     mpi(Patience {
-        seconds: seconds.unwrap_or(600.0),
+        seconds,
         tell: |text| crate::cli::output::note(text),
     })
 }
 
 #[cfg(not(feature = "mpi"))]
 fn exchange(processes: usize) -> Result<Arc<dyn Exchange>> {
-    use mhsplat::base::error::Error;
-
     let what =
         format!("{processes} processes were launched, by a program that was built without MPI");
     let fix = "start one process, or build with `cargo build --release --features mpi`";

@@ -1,7 +1,8 @@
 //! `mhsplat train`.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::cli::common::{Common, DeviceOption, Outcome, self_tested, tested};
 use crate::cli::overrides::Overrides;
@@ -12,7 +13,7 @@ use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{self, Dataset};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
-use mhsplat::device::Device;
+use mhsplat::device::{Device, Helpers};
 use mhsplat::lab::tune::SizeClass;
 use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{
@@ -91,12 +92,28 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     if args.progress == Form::Json {
         tell_objects();
     }
-    let dir = resume.unwrap_or(&args.output);
     // Before the device: some drivers' compilers set handlers that end the process, and the first one set is the last to run.
     let stop = stop_flag()?;
     let Some(device) = ranks::open(&args.device)? else {
         return Ok(Outcome::Done);
     };
+    let trained = train(args, common, (config, resume), &device, &stop);
+    if let (Err(error), Helpers::Processes(exchange)) = (&trained, device.helpers()) {
+        // Does nothing where training has come to its end before.
+        exchange.fail(&error.to_string());
+    }
+    trained
+}
+
+/// Trains on the devices that are open.
+fn train(
+    args: &TrainArgs,
+    common: &Common,
+    (config, resume): (TrainConfig, Option<&PathBuf>),
+    device: &Device,
+    stop: &Arc<AtomicBool>,
+) -> Result<Outcome> {
+    let dir = resume.unwrap_or(&args.output);
     if args.until_stdin_ends {
         let stop = stop.clone();
         std::thread::spawn(move || {
@@ -121,7 +138,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let mut clock = Clock::start();
     let data = read_photos(&dataset, &config)?;
     clock.stop();
-    let device = tuned(device, resume, SizeClass::of_run(&data, &config))?;
+    let device = tuned(device.clone(), resume, SizeClass::of_run(&data, &config))?;
     clock.resume();
     let mut run = match resume {
         Some(run) => {
@@ -160,7 +177,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         false => args.progress,
     };
     let mut display = Display::new(form);
-    let driven = run.drive(&stop, |p| display.show(p)).map(|_| ());
+    let driven = run.drive(stop, |p| display.show(p)).map(|_| ());
     display.end();
     run.take_remarks().iter().for_each(|r| output::note(r));
     let stopped = matches!(driven, Err(Error::Interrupted));

@@ -37,7 +37,7 @@ pub struct Device {
     helpers: Helpers,
 }
 
-/// Those who train a scene together with a device.
+/// Devices or processes that train a scene together with a device.
 #[derive(Clone, Debug, Default)]
 pub enum Helpers {
     /// Nobody.
@@ -47,6 +47,18 @@ pub enum Helpers {
     Devices(Arc<[Device]>),
     /// Other processes, which have devices of their own.
     Processes(Arc<dyn Exchange>),
+}
+
+impl Helpers {
+    /// Number of ranks, that of the device itself included.
+    #[must_use]
+    pub fn ranks(&self) -> usize {
+        match self {
+            Self::None => 1,
+            Self::Devices(devices) => 1 + devices.len(),
+            Self::Processes(exchange) => exchange.ranks(),
+        }
+    }
 }
 
 /// A timed launch whose profiling counters have not been read yet.
@@ -114,7 +126,7 @@ fn find(selector: Option<&str>) -> Result<(DeviceInfo, core::DeviceId)> {
         return Err(Error::device(
             "device",
             format!("no device matches {:?}", selector.unwrap_or("")),
-            "`mhsplat devices` lists what can be selected",
+            "`mhsplat devices` lists what can be selected; a list or a part of one is for `mhsplat train` alone",
         ));
     };
     let id = ids[info.index];
@@ -216,7 +228,7 @@ impl Device {
         })
     }
 
-    /// Those who share the training of a scene with this device.
+    /// Devices or processes that share the training of a scene with this device.
     #[must_use]
     pub fn helpers(&self) -> &Helpers {
         &self.helpers

@@ -316,6 +316,10 @@ impl Launch<'_> {
             false => 1,
         };
         let row = size.tiles()[0] * group;
+        if rows.is_empty() {
+            // A launch has one work-group at least, beyond the image here.
+            return self.kernel.map(|_| ());
+        }
         let launch = self.starting_at([rows.start * row, 0]);
         launch.run([rows.len() * row, 1], [group, 1])
     }

@@ -370,6 +370,36 @@ impl<R: Real> ViewBuffers<R> {
         Ok(self.status.read(status::INTERSECTIONS as usize, 1)?[0])
     }
 
+    /// Flags of the tiles of a row of the band that have pairs, 1 or 0; waits.
+    pub(crate) fn paired_tiles(&self, row: usize) -> Result<Vec<u32>> {
+        let across = self.camera.tiles[0] as usize;
+        let start = self.tile_start.read(row * across, across + 1)?;
+        Ok(start.windows(2).map(|w| u32::from(w[0] != w[1])).collect())
+    }
+
+    /// Marks the tiles of a row beside the band that have pairs elsewhere: their first pairs differ from those of the next tile, and mean
+    /// nothing else.
+    pub(crate) fn mark_paired(&self, row: usize, flags: &[u32]) -> Result<()> {
+        let across = self.camera.tiles[0] as usize;
+        let mut at = row * across;
+        if row < self.band.start {
+            let mut value = self.tile_start.read(self.band.start * across, 1)?[0];
+            let mut starts = vec![0; across];
+            for (start, flag) in starts.iter_mut().zip(flags).rev() {
+                value = value.wrapping_add(*flag);
+                *start = value;
+            }
+            return self.tile_start.write(at, &starts);
+        }
+        let mut value = self.tile_start.read(at, 1)?[0];
+        let next = flags.iter().map(|flag| {
+            value = value.wrapping_add(*flag);
+            value
+        });
+        at += 1;
+        self.tile_start.write(at, &next.collect::<Vec<_>>())
+    }
+
     /// Number of pairs of each row of tiles of the band; waits.
     pub(crate) fn pairs_by_row(&self) -> Result<Vec<u32>> {
         let across = self.camera.tiles[0] as usize;

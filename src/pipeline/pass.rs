@@ -110,8 +110,7 @@ impl<R: Real> Pipeline<R> {
 
     /// The render made last and its photo as the loss compares them: the render under its view's exposure transform.
     pub fn pair<'a>(&'a self, target: Target<'a>) -> Result<ImagePair<'a, R>> {
-        // What is blank beside a band is not known there.
-        let skips = target.skip_blank && self.active_tiles.is_some() && self.share.is_none();
+        let skips = target.skip_blank && self.active_tiles.is_some();
         let view = &self.forward.frame;
         let mut pair = ImagePair::new(view, target.photo, target.background);
         pair.blank = skips.then(|| view.blank());

@@ -116,7 +116,16 @@ impl<R: Real> Share<R> {
         })
     }
 
-    /// Trades the pixel rows beside the bands; returns the pairs that each rank lacks room for.
+    /// Rows of tiles beside another rank's band that this one has.
+    fn beside(&self, of: usize, owner: usize, size: ImageSize) -> impl Iterator<Item = usize> {
+        let (band, own) = (self.band(of), self.band(owner));
+        let above = band.start.checked_sub(1);
+        let below = Some(band.end).filter(|row| *row < size.tiles()[1]);
+        let rows = [above, below].into_iter().flatten();
+        rows.filter(move |row| !band.is_empty() && of != owner && own.contains(row))
+    }
+
+    /// Trades the pixel rows beside the bands, and the flags of the tiles there that have pairs; returns the pairs that each rank lacks room for.
     fn trade_borders(&mut self, frame: &ViewBuffers<R>) -> Result<Vec<u32>> {
         let (rank, size) = (self.exchange.rank(), frame.camera.image());
         let ([stride, _], plane) = (size.padded(), size.plane());
@@ -128,6 +137,9 @@ impl<R: Real> Share<R> {
                     let at = channel * plane + rows.start * stride;
                     message.extend(frame.image.read_words(at, rows.len() * stride)?);
                 }
+            }
+            for row in self.beside(to, rank, size) {
+                message.extend(frame.paired_tiles(row)?);
             }
         }
         messages[LEADER].extend(frame.pairs_by_row()?);
@@ -147,6 +159,12 @@ impl<R: Real> Share<R> {
                     frame.image.write_words(place, part)?;
                     at += len * words;
                 }
+            }
+            for row in self.beside(rank, from, size) {
+                let across = size.tiles()[0];
+                let flags = message.get(at..at + across).ok_or_else(short)?;
+                frame.mark_paired(row, flags)?;
+                at += across;
             }
             if rank == LEADER {
                 let band = self.band(from);

@@ -80,8 +80,8 @@ pub trait Exchange: Debug + Send + Sync {
     /// Bytes that this rank has sent to others so far.
     fn sent(&self) -> Traffic;
 
-    /// Tells the others that this rank cannot go on: what they trade from now on fails with this text. Processes need not be told: the end
-    /// of one in disorder ends them all.
+    /// Tells the others that this rank cannot go on: what they trade from now on fails with this text. Processes are all ended at once, this
+    /// one, too.
     fn fail(&self, why: &str);
 
     /// Ends the exchange in order, once no rank trades any more.

@@ -1,7 +1,7 @@
-//! What the program that launches processes says in their environment.
+//! Variables by which a program that launches processes tells them how many there are.
 
-/// Variables of the number of processes: Open MPI's, MPICH's and Intel's.
-const SIZES: [&str; 2] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"];
+/// Variables of the number of processes: Open MPI's, MPICH's and Intel's, Slurm's.
+const SIZES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"];
 /// Variables of the number of a process on its node: Open MPI's, MPICH's, Slurm's.
 const LOCAL_RANKS: [&str; 3] = [
     "OMPI_COMM_WORLD_LOCAL_RANK",

@@ -13,7 +13,7 @@ use mpi::traits::{Communicator, Destination, MatchedReceiveVec, Source};
 use crate::base::error::{Error, Result};
 use crate::ranks::exchange::{Exchange, LEADER, Part, Traffic, bytes_sent};
 
-/// Looks for a message without a pause, before others may have the core for longer.
+/// Number of looks for a message before the first pause.
 const EAGER: u32 = 200;
 /// Pause between two looks after that.
 const PAUSE: Duration = Duration::from_micros(40);
@@ -22,6 +22,7 @@ const PAUSE: Duration = Duration::from_micros(40);
 enum Task {
     Trade(Vec<Vec<u32>>, SyncSender<Vec<Vec<u32>>>),
     End(SyncSender<()>),
+    Abort(String),
 }
 
 /// This process's end of an exchange. MPI is asked by one thread alone: that is all that every library offers.
@@ -33,7 +34,7 @@ struct Process {
     sent: [AtomicU64; Part::ALL.len()],
 }
 
-/// How long a rank is waited for that does not lead, and what tells that it has taken longer, before the job is aborted.
+/// Time for which a rank is waited for that does not lead, and what takes the sentence on the end of the job, before it is aborted.
 #[derive(Debug, Clone, Copy)]
 pub struct Patience {
     /// Seconds.
@@ -83,6 +84,10 @@ fn serve(tasks: &Receiver<Task>, begun: &SyncSender<[usize; 2]>, patience: Patie
                 drop(universe);
                 let _ = ended.send(());
                 return;
+            }
+            Ok(Task::Abort(why)) => {
+                (patience.tell)(&why);
+                world.abort(2)
             }
             // An end in disorder: the others are not waited for, as the end of MPI would.
             Err(_) => {
@@ -159,9 +164,12 @@ impl Exchange for Process {
     }
 
     fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+        if messages.len() != self.ranks {
+            let what = format!("{} messages for {} ranks", messages.len(), self.ranks);
+            return Err(Error::numerics("exchange", what));
+        }
         // MPI counts by 31 bits.
-        let fits = messages.iter().all(|m| i32::try_from(m.len()).is_ok());
-        if messages.len() != self.ranks || !fits {
+        if messages.iter().any(|m| i32::try_from(m.len()).is_err()) {
             let what = "a message of 8 GiB or more; take more ranks, or fewer Gaussians";
             return Err(Error::numerics("exchange", what));
         }
@@ -176,7 +184,13 @@ impl Exchange for Process {
         self.sent.each_ref().map(|n| n.load(Ordering::Relaxed))
     }
 
-    fn fail(&self, _why: &str) {}
+    fn fail(&self, why: &str) {
+        let why = format!("error: rank {}: {why}", self.rank);
+        if self.ask(Task::Abort(why)).is_ok() {
+            // Until then.
+            std::thread::sleep(Duration::from_secs(10));
+        }
+    }
 
     fn end(&self) {
         let (ended, wait) = sync_channel(1);

@@ -18,7 +18,7 @@ use crate::train::{Plan, Trainer};
 /// What the leader sends to the other processes before they train.
 #[derive(Debug, Serialize, Deserialize)]
 struct Beginning {
-    /// Hash of the kernels' sources, and the program's version.
+    /// Version, revision and hash of the kernels' sources.
     program: String,
     /// The dataset, and what it holds.
     dataset: PathBuf,
@@ -34,7 +34,9 @@ struct Beginning {
 
 fn version() -> String {
     let sources = sources_hash();
-    format!("{} {sources:016x}", env!("CARGO_PKG_VERSION"))
+    let commit = option_env!("MHSPLAT_COMMIT").unwrap_or("unknown");
+    let version = env!("CARGO_PKG_VERSION");
+    format!("{version} ({commit}, kernels {sources:016x})")
 }
 
 /// The message with which the leader has other processes begin.
@@ -111,5 +113,6 @@ pub fn serve(
     let plan = plan.begun_with(said.anti_aliasing, &said.detail);
     let photos = Photos::new(&device, dataset.image_budget);
     let set = ViewSet::new(&photos, dataset.train)?;
-    Trainer::follow(exchange, set, &plan, said.sh_degree)
+    let strategy = plan.strategy();
+    Trainer::follow(exchange, set, &plan, said.sh_degree, strategy)
 }

@@ -66,6 +66,9 @@ pub struct DeviceRecord {
     /// Compute units that the run took; not in records of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cores: Option<u32>,
+    /// Devices that trained together, this one included; absent for one alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ranks: Option<usize>,
     /// Tuning of the kernels for it; not in records of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tuning: Option<Tuning>,

@@ -182,6 +182,7 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
             driver: info.driver.clone(),
             compute_units: Some(info.compute_units),
             cores: Some(info.cores),
+            ranks: Some(device.helpers().ranks()).filter(|n| *n > 1),
             tuning: Some(device.tuning()),
         },
         PlanRecord::of(plan),

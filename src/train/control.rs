@@ -102,6 +102,12 @@ impl Control {
         })
     }
 
+    /// The strategy.
+    #[must_use]
+    pub fn strategy(&self) -> Arc<dyn DensityControl> {
+        self.strategy.clone()
+    }
+
     /// Rows of statistics that the strategy wants gathered.
     #[must_use]
     pub fn rows(&self) -> usize {

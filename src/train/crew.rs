@@ -28,7 +28,13 @@ pub struct Crew {
     pub at_rest: bool,
 }
 
-/// The first word of the order to end.
+/// Iterate: iteration, SH degree, bands. An order is the first word of a message.
+pub const ITERATE: u32 = 0;
+/// Take rows.
+pub const SPREAD: u32 = 1;
+/// Give the rows back.
+pub const GATHER: u32 = 2;
+/// End.
 pub const END: u32 = 3;
 
 /// Rows of a rank: even parts, one after the other.
@@ -56,18 +62,14 @@ fn divide(weights: &[u64], ranks: usize) -> Vec<u32> {
 }
 
 impl Crew {
-    /// The ranks of an exchange: the leader, whose part of a view is given, and so many threads.
+    /// The ranks of an exchange, of which these are threads.
     #[must_use]
-    pub fn new(
-        exchange: Arc<dyn Exchange>,
-        threads: Vec<JoinHandle<()>>,
-        idle: Share<f32>,
-    ) -> Self {
+    pub fn new(exchange: Arc<dyn Exchange>, threads: Vec<JoinHandle<()>>) -> Self {
         Self {
             non_finite: vec![0; exchange.ranks()],
             pairs: BTreeMap::new(),
-            idle: Some(idle),
-            at_rest: true,
+            idle: None,
+            at_rest: false,
             threads,
             exchange,
         }
@@ -116,6 +118,8 @@ impl Drop for Crew {
         // Who is amidst something would take the order for something else.
         match self.at_rest && self.order(vec![END]).is_ok() {
             true => self.exchange.end(),
+            // Processes are ended by whoever tells the error.
+            false if self.threads.is_empty() => {}
             false => self.exchange.fail("the leader has ended"),
         }
         for thread in self.threads.drain(..) {

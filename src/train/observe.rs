@@ -340,6 +340,7 @@ impl Trainer {
     /// First-order estimates of births in the views that training takes next; empty if density control asks for none.
     #[doc(hidden)]
     pub fn estimate(&mut self, candidates: &[Candidate]) -> Result<Vec<f64>> {
+        self.settle()?;
         let at = self.iteration;
         let (control, mut on) = self.controlled();
         control.estimate(&mut on, at, candidates)

@@ -4,6 +4,7 @@
 //! differ in brightness, which Gaussians no view shows) is added to it as [`Learned`].
 
 use std::fmt;
+use std::sync::Arc;
 
 use rustc_hash::FxHashSet;
 use serde::{Deserialize, Serialize};
@@ -123,8 +124,14 @@ impl Plan {
     /// The plan with what depends on the device, for the strategy that the configuration names; see [`Plan::with_strategy`].
     #[must_use]
     pub fn on_device(self, device: &Device) -> Self {
-        let strategy = density::make(&self.density_config());
+        let strategy = self.strategy();
         self.with_strategy(device.info().kind, strategy.as_ref())
+    }
+
+    /// The strategy that the configuration names.
+    #[must_use]
+    pub fn strategy(&self) -> Arc<dyn DensityControl> {
+        density::make(&self.density_config())
     }
 
     /// The plan for a kind of device and a strategy: a density step is decided while training goes on unless that takes the same

@@ -8,6 +8,7 @@ use std::thread::{Builder, JoinHandle};
 use crate::base::error::{Error, Result};
 use crate::capture::View;
 use crate::config::Length;
+use crate::density::DensityControl;
 use crate::device::tuning::status;
 use crate::device::{Device, Helpers};
 use crate::pipeline::buffers::{Shard, ViewSet};
@@ -15,23 +16,13 @@ use crate::pipeline::photos::Photos;
 use crate::pipeline::share::Share;
 use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
 use crate::scene::Gaussians;
-use crate::train::crew::{Crew, END, Words, rows_of};
+use crate::train::crew::{Crew, END, GATHER, ITERATE, SPREAD, Words, rows_of};
 use crate::train::gaussians::GaussianState;
 use crate::train::plan::Plan;
 use crate::train::step::Trainer;
 
 /// Threads of the ranks that do not lead.
 type Threads = Vec<JoinHandle<()>>;
-
-/// Orders of the leader: the first word of a message.
-mod order {
-    /// Iterate: iteration, SH degree, bands.
-    pub const ITERATE: u32 = 0;
-    /// Take rows: see [`super::Trainer::rows_for`].
-    pub const SPREAD: u32 = 1;
-    /// Give the rows back.
-    pub const GATHER: u32 = 2;
-}
 
 impl Trainer {
     /// Has the device's helpers train with this trainer; the result has the same bits. Other devices get a thread each; `views` are those
@@ -57,12 +48,31 @@ impl Trainer {
                 (exchange.clone(), Vec::new())
             }
         };
-        let idle = self.share(exchange.clone())?;
-        let crew = Crew::new(exchange, threads, idle);
+        let mut crew = Crew::new(exchange, threads);
+        crew.idle = Some(self.share(crew.exchange.clone())?);
         // Everybody is ready.
         crew.order(Vec::new())?;
+        crew.at_rest = true;
         self.crew = Some(crew);
-        Ok(())
+        self.warm_up_shared()
+    }
+
+    /// Has all ranks run every kernel once on no Gaussians, for every SH degree.
+    fn warm_up_shared(&mut self) -> Result<()> {
+        for degree in 0..=self.plan.sh_degree.value {
+            let empty = self.gaussians.empty(&self.device, degree)?;
+            let gaussians = std::mem::replace(&mut self.gaussians, empty);
+            let ran = self
+                .share_iteration(0, degree)
+                .and_then(|()| self.iterate(0, degree))
+                .and_then(|()| {
+                    self.end_iteration(0);
+                    self.gather()
+                });
+            self.gaussians = gaussians;
+            ran?;
+        }
+        self.fit_views()
     }
 
     /// Begins a thread for each device that trains with this one; the exchange is the leader's end.
@@ -77,17 +87,26 @@ impl Trainer {
             return Err(Error::numerics("ranks", "no end of an exchange"));
         };
         let mut begun = Vec::new();
+        let released = Ended(leader.clone());
         for (device, exchange) in devices.iter().zip(ends) {
-            let device = device.clone().with_tuning(self.device.tuning());
+            let tuning = self.device.tuning();
+            if let Some(fault) = tuning.fault(device.info()) {
+                let name = &device.info().name;
+                let what = format!("{name} cannot have the kernels of the first device: {fault}");
+                return Err(Error::device("ranks", what, "select devices of one kind"));
+            }
+            let device = device.clone().with_tuning(tuning);
             let mut plan = self.plan.clone();
             // The devices may be of other kinds.
             plan.config.work.density_lag = Some(plan.density_lag.value);
             let (views, degree) = (views.to_vec(), self.gaussians.scene.sh_degree);
+            let strategy = self.control.strategy();
             let work = move || {
                 let _ended = Ended(exchange.clone());
                 let photos = Photos::new(&device, image_budget);
                 let set = ViewSet::new(&photos, views);
-                let error = set.and_then(|set| Self::follow(&exchange, set, &plan, degree));
+                let error =
+                    set.and_then(|set| Self::follow(&exchange, set, &plan, degree, strategy));
                 if let Err(error) = error {
                     exchange.fail(&error.to_string());
                 }
@@ -99,6 +118,7 @@ impl Trainer {
                 Error::device("ranks", what, "allow more threads (ulimit -u)")
             })?);
         }
+        released.forget();
         Ok((leader, begun))
     }
 
@@ -112,10 +132,11 @@ impl Trainer {
         set: ViewSet,
         plan: &Plan,
         sh_degree: u32,
+        strategy: Arc<dyn DensityControl>,
     ) -> Result<()> {
         // Of no meaning: the leader sends this rank's rows.
         let start = Gaussians::zeros(sh_degree, 1);
-        let mut trainer = Self::with_views(set, plan, &start)?;
+        let mut trainer = Self::assemble(set, plan, &start, strategy)?;
         trainer.pipeline.share = Some(trainer.share(exchange.clone())?);
         trainer.obey(exchange.as_ref())
     }
@@ -141,13 +162,15 @@ impl Trainer {
             self.smooth()?;
         }
         self.spread()?;
+        // A photo that cannot be read is an error before the others begin.
+        self.views.at(iteration)?;
         let (number, size) = self.views.size_at(iteration);
         let [across, rows] = size.tiles();
         let (Some(crew), Some(share)) = (&mut self.crew, &mut self.pipeline.share) else {
             return Ok(());
         };
         let bands = crew.bands(number, [across, rows]);
-        let words = [&[order::ITERATE, iteration, sh_degree], bands.as_slice()].concat();
+        let words = [&[ITERATE, iteration, sh_degree], bands.as_slice()].concat();
         share.set_bands(bands)?;
         crew.at_rest = false;
         crew.order(words)
@@ -187,7 +210,7 @@ impl Trainer {
     /// exposure is compensated (one more; 0: not) with the transforms of the views and their moments, then the rows.
     fn rows_for(&self, rows: Range<usize>, all: usize) -> Result<Vec<u32>> {
         let degree = self.gaussians.scene.sh_degree;
-        let mut words = vec![order::SPREAD];
+        let mut words = vec![SPREAD];
         words.extend([rows.start, rows.len(), all].map(|n| n as u32));
         words.push(degree);
         let lengths = &self.plan.config.lengths;
@@ -255,7 +278,7 @@ impl Trainer {
             return Ok(());
         };
         crew.at_rest = false;
-        crew.order(vec![order::GATHER])?;
+        crew.order(vec![GATHER])?;
         let (exchange, ranks) = (crew.exchange.clone(), crew.exchange.ranks());
         let got = exchange.trade(Part::Rows, vec![Vec::new(); ranks])?;
         for (rank, message) in got.iter().enumerate().filter(|(rank, _)| *rank != LEADER) {
@@ -267,6 +290,9 @@ impl Trainer {
         }
         self.gaussians.scene.count = shard.all;
         self.gaussians.scene.shard = None;
+        let slot = status::NON_FINITE as usize;
+        let own = self.pipeline.home().status.read(slot, 1)?[0];
+        self.counters.non_finite = crew.non_finite() + u64::from(own);
         crew.idle = self.pipeline.share.take();
         crew.at_rest = true;
         Ok(())
@@ -280,15 +306,15 @@ impl Trainer {
             match message.as_slice() {
                 // Everybody is ready.
                 [] => {}
-                [order::ITERATE, iteration, sh_degree, bands @ ..] => {
+                [ITERATE, iteration, sh_degree, bands @ ..] => {
                     if let Some(share) = &mut self.pipeline.share {
                         share.set_bands(bands.to_vec())?;
                     }
                     self.iterate(*iteration, *sh_degree)?;
                     self.device.flush()?;
                 }
-                [order::SPREAD, words @ ..] => self.take_rows(words)?,
-                [order::GATHER] => {
+                [SPREAD, words @ ..] => self.take_rows(words)?,
+                [GATHER] => {
                     let slot = status::NON_FINITE as usize;
                     let mut words = self.pipeline.home().status.read(slot, 1)?;
                     let rows = 0..self.gaussians.scene.count;
@@ -310,6 +336,13 @@ impl Trainer {
 
 /// Lets the others go on to their end when a thread ends, in whatever way.
 struct Ended(Arc<dyn Exchange>);
+
+impl Ended {
+    /// Nobody is to be told any more.
+    fn forget(self) {
+        std::mem::forget(self);
+    }
+}
 
 impl Drop for Ended {
     fn drop(&mut self) {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset};
 use crate::config::Length;
-use crate::density::{self, DensityControl};
+use crate::density::DensityControl;
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, PendingRead, Program};
 use crate::pipeline::buffers::ViewSet;
@@ -162,10 +162,10 @@ impl Trainer {
     /// # Errors
     /// See [`Trainer::new`].
     pub fn with_views(set: ViewSet, plan: &Plan, splats: &Gaussians) -> Result<Self> {
-        Self::assemble(set, plan, splats, density::make(&plan.density_config()))
+        Self::assemble(set, plan, splats, plan.strategy())
     }
 
-    fn assemble(
+    pub(super) fn assemble(
         set: ViewSet,
         plan: &Plan,
         splats: &Gaussians,
@@ -256,7 +256,11 @@ impl Trainer {
             .observe(iteration, &self.pipeline, &self.gaussians, &pair, views)?;
 
         if let Some(exposure) = &self.pipeline.exposure {
-            let status = &self.pipeline.home().status;
+            // All ranks take this step alike; the leader counts for them.
+            let status = match (&self.crew, &self.pipeline.share) {
+                (None, Some(_)) => &self.pipeline.forward.frame.status,
+                _ => &self.pipeline.home().status,
+            };
             exposure.step(view.number, self.transform_step(iteration), status)?;
         }
         self.pipeline.splat_gradient()?;
@@ -438,7 +442,11 @@ impl Trainer {
             later.launches -= done.launches.min(later.launches);
         }
         let max = &mut self.counters.max_intersections;
-        *max = (*max).max(counters[status::INTERSECTIONS as usize] as usize);
+        let found = match &self.pipeline.share {
+            Some(share) => share.pairs_by_row.iter().map(|n| *n as usize).sum(),
+            None => counters[status::INTERSECTIONS as usize] as usize,
+        };
+        *max = (*max).max(found);
         let others = self.crew.as_ref().map_or(0, Crew::non_finite);
         self.counters.non_finite = others + u64::from(counters[status::NON_FINITE as usize]);
         let needed = counters[status::OVERFLOW as usize];

@@ -421,6 +421,7 @@ fn page_escapes_every_string() {
         platform: evil.into(),
         driver: evil.into(),
         compute_units: None,
+        ranks: None,
         cores: None,
         tuning: None,
     };

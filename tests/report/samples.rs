@@ -93,6 +93,7 @@ pub fn record() -> RunRecord {
             platform: "Portable Computing Language".into(),
             driver: "3.1".into(),
             compute_units: Some(8),
+            ranks: None,
             cores: Some(4),
             tuning: None,
         },

@@ -105,6 +105,10 @@ fn sweep<R: Real>(
     channels: usize,
 ) -> Result<()> {
     let ([columns, _], rows) = (strips(program, pair.size), strip_rows(program, band));
+    if rows.is_empty() {
+        // A launch has one work-item at least, beyond the image here.
+        return Ok(());
+    }
     let tuning = program.defines().tuning;
     if !tuning.group_style {
         let launch = launch.starting_at([0, rows.start]);
@@ -117,6 +121,9 @@ fn sweep<R: Real>(
 
 /// The rows of tiles whose maps the gradient of those of a pair needs: one more on either side.
 fn seen_rows<R: Real>(pair: &ImagePair<'_, R>) -> Range<usize> {
+    if pair.band.is_empty() {
+        return pair.band.clone();
+    }
     let last = (pair.band.end + 1).min(pair.size.tiles()[1]);
     pair.band.start.saturating_sub(1)..last
 }

@@ -4,7 +4,7 @@ use std::mem::size_of;
 
 use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
-use crate::device::{Array, Device, Kernels, Launch, Program, Projected, Real};
+use crate::device::{Array, Device, Element, Kernels, Launch, Program, Projected, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::reference::TILE;
 use crate::pipeline::stage::project::Projected64;
@@ -25,6 +25,7 @@ pub struct Route<R: Real> {
     stride: usize,
     /// First row of tiles of each band, and the number of rows.
     bands: Array<u32>,
+    spans: Array<u32>,
     /// Gaussians of each chunk that touch a band.
     chunk_sums: Array<u32>,
     keys: Array<u32>,
@@ -41,8 +42,8 @@ pub struct Route<R: Real> {
     own_sums: usize,
 }
 
-/// `array`, or one with a quarter to spare where it holds fewer than `len` values.
-fn fit<T: crate::device::Element>(device: &Device, array: &mut Array<T>, len: usize) -> Result<()> {
+/// Makes an array hold `len` values, with a quarter to spare where it is to grow. Contents are lost then.
+fn fit<T: Element>(device: &Device, array: &mut Array<T>, len: usize) -> Result<()> {
     if array.len() < len {
         *array = Array::zeros(device, array.name(), len + len / 4)?;
     }
@@ -61,6 +62,7 @@ impl<R: Real> Route<R> {
             own_sums: 0,
             stride: 0,
             bands: ints("bands", ranks + 1)?,
+            spans: ints("spans", 0)?,
             chunk_sums: ints("route sums", ranks * program.chunks())?,
             keys: ints("sent keys", 0)?,
             sent: Array::zeros(device, "sent", 0)?,
@@ -89,6 +91,7 @@ impl<R: Real> Route<R> {
             fit(device, &mut self.keys, self.ranks * self.stride)?;
             fit(device, &mut self.sent, self.ranks * self.stride)?;
             fit(device, &mut self.place, self.ranks * self.stride)?;
+            fit(device, &mut self.spans, self.stride)?;
         }
         let (chunks, ranks) = (self.program.chunks(), self.ranks);
         let rooms = ranks * self.stride;
@@ -96,12 +99,21 @@ impl<R: Real> Route<R> {
             let group = launch.defines().tuning.tile_group();
             launch.run([chunks * group, ranks], [group, 1])
         };
+        self.program
+            .launch("route_spans")
+            .array(&view.records, view.count)
+            .array(&view.keys, view.count)
+            .uints([view.count])
+            .array(&self.spans, view.count)
+            .over_items([view.count, 1])?;
         let launch = self.own("route_count", view).uints([chunks]);
         over_bands(launch.array(&self.chunk_sums, ranks * chunks))?;
         let launch = self
             .own("route_pack", view)
             .uints([chunks])
             .array(&self.chunk_sums, ranks * chunks)
+            .array(&view.records, view.count)
+            .array(&view.keys, view.count)
             .uints([self.stride])
             .array(&self.keys, rooms)
             .array(&self.sent, rooms)
@@ -133,6 +145,10 @@ impl<R: Real> Route<R> {
         for (rank, message) in messages.iter().enumerate() {
             let n = match rank == self.rank {
                 true => message.first().copied().unwrap_or(0) as usize,
+                false if !message.len().is_multiple_of(routed_words::<R>()) => {
+                    let what = format!("{} words are no records", message.len());
+                    return Err(Error::numerics("exchange", what));
+                }
                 false => message.len() / routed_words::<R>(),
             };
             firsts.push(firsts[rank] + n);
@@ -167,19 +183,21 @@ impl<R: Real> Route<R> {
     ) -> Result<Vec<Vec<u32>>> {
         fit(device, &mut self.lengths, view.count)?;
         fit(device, &mut self.row_start, view.count)?;
-        fit(device, &mut self.ordered, view.sums.len())?;
         self.band("route_lengths", view)
             .array(&self.lengths, view.count)
             .over_items([view.count, 1])?;
         let lengths = [&self.lengths, &self.row_start];
         scan::sum_pairs(scan, view, view.count, lengths)?;
+        let mut starts = self.row_start.read(0, view.count)?;
+        starts.push(view.pairs_found()?);
+        let back = starts[view.count] as usize;
+        fit(device, &mut self.ordered, back * SUMS)?;
         self.band("route_return", view)
             .array(&view.isect_start, view.count)
             .array(&self.row_start, view.count)
-            .arrays([&view.sums, &self.ordered], view.sums.len())
+            .array(&view.sums, back * SUMS)
+            .array(&self.ordered, back * SUMS)
             .over_items([view.count, 1])?;
-        let mut starts = self.row_start.read(0, view.count)?;
-        starts.push(view.pairs_found()?);
         let message = |(rank, pair): (usize, &[usize])| {
             let of = &starts[pair[0]..=pair[1]];
             let (first, end) = (of[0] as usize, of[of.len() - 1] as usize);
@@ -220,8 +238,15 @@ impl<R: Real> Route<R> {
                 let what = format!("sums of {} words for {end} pairs", sums.len());
                 return Err(Error::numerics("exchange", what));
             }
+            let all = pairs + end as usize;
+            let first = u32::try_from(all).ok().and(u32::try_from(pairs).ok());
+            let Some(first) = first else {
+                let what = format!("{all} pairs of the Gaussians of one rank in one view");
+                let fix = "train with more ranks, or lower --max-size or --max-gaussians";
+                return Err(Error::device("route", what, fix));
+            };
             offsets.push(starts.len() as u32);
-            starts.extend(message[..at].iter().map(|start| start + pairs as u32));
+            starts.extend(message[..at].iter().map(|start| start + first));
             parts.push((pairs, end as usize, sums));
             pairs += end as usize;
         }
@@ -256,8 +281,7 @@ impl<R: Real> Route<R> {
     fn own(&self, kernel: &'static str, view: &ViewBuffers<R>) -> Launch<'_> {
         self.program
             .launch(kernel)
-            .array(&view.records, view.count)
-            .array(&view.keys, view.count)
+            .array(&self.spans, view.count)
             .uints([view.count])
             .array(&self.bands, self.ranks + 1)
     }
