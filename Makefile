@@ -3,11 +3,12 @@
 # make deb    a Debian package in target/debian (cargo install cargo-deb); make wheel: a Python wheel in target/wheels (pip)
 # make archive    the archive of a release for this machine in target/distrib (cargo install cargo-dist)
 # make gpu-check  compile the kernels for GPUs (NVIDIA, AMD, Intel) without one; what they take, and their use of local memory's banks, against data/gpu (.ci/gpu-check tells what it needs)
+# make mpi    several processes on one scene: build with MPI, compare scenes with that of one process (.ci/mpi)
 # make gpu-report everything to be known of a GPU, in one folder, within eight minutes; SET=dataset, DEVICE=selector, OUT=folder (.ci/gpu-report)
 DEMO ?= run-demo
 FILES = target/package-files
 
-.PHONY: demo install test bench deb wheel archive gpu-check gpu-report
+.PHONY: demo install test bench deb wheel archive gpu-check gpu-report mpi
 
 install:
 	.ci/install
@@ -40,6 +41,9 @@ archive: install
 
 gpu-check:
 	.ci/gpu-check
+
+mpi: install
+	.ci/mpi
 
 gpu-report:
 	cargo build --release --locked

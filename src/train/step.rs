@@ -98,7 +98,7 @@ pub(super) struct Counters {
     pub(super) overflows: u64,
 }
 
-/// Trains a scene on one device. Every random number is keyed by (seed, purpose, iteration, index).
+/// Trains a scene on a device, with others where it has helpers. Every random number is keyed by (seed, purpose, iteration, index).
 pub struct Trainer {
     pub(super) plan: Plan,
     pub(super) schedule: Schedule,
