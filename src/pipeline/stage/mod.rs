@@ -1,7 +1,7 @@
 //! One file per stage: its launchers, then its definition in f64. `kernels/README.md` lists shapes and units of all arrays.
 //!
 //! A launcher is a function that takes the stage's compiled [`crate::device::Program`], which its caller builds, and the buffers;
-//! the stages with arrays of their own (sort, loss, exposure) are structs. Constructors fail if the device's compiler does; launches
+//! the stages with arrays of their own (sort, loss, exposure, photo_error) are structs. Constructors fail if the device's compiler does; launches
 //! fail for arrays that are too short and on the driver's errors. A launch does not wait.
 #![allow(clippy::missing_errors_doc)]
 
@@ -17,6 +17,7 @@ pub mod metrics;
 pub mod morton;
 pub mod noise;
 pub mod peak;
+pub mod photo_error;
 pub mod project;
 pub mod project_grad;
 pub mod scan;
