@@ -33,7 +33,7 @@ fn variants(stage: &str) -> Vec<(&'static str, Defines)> {
             ("-step-sh3", stepping(base)),
             ("-step-sh3-aa", stepping(filtered)),
         ],
-        "loss" | "metrics" => vec![
+        "loss" | "metrics" | "photo_error" => vec![
             ("", base),
             ("-alpha", alpha(Alpha::Transparency)),
             ("-mask", alpha(Alpha::Mask)),

@@ -177,9 +177,6 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
 }
 
 #if GROUP_STYLE
-// Pairs to be added where large_sums has been.
-#define SUMMED_PAIRS(pairs) ((pairs) > LARGE_PAIRS ? 1 : (pairs))
-
 // Launch: one work-item per Gaussian. Leaves the sums of one with more than LARGE_PAIRS pairs in its first slot and 0 in the others,
 // again where it has been before: the work-item of a Gaussian that fills the image would add thousands one after the other. Each
 // work-item of the group adds every GROUP-th pair, then sums are added by halves. Nothing is changed after a pair overflow.
@@ -214,8 +211,6 @@ CHUNK_KERNEL void large_sums(uint count, __global const uint *isect_start,  // i
     barrier(CLK_LOCAL_MEM_FENCE); // before parts are written again
   }
 }
-#else
-#define SUMMED_PAIRS(pairs) (pairs)
 #endif
 
 // Inputs of the gradients of all Gaussians.

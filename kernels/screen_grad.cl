@@ -1,8 +1,9 @@
 // screen_grad: how hard this iteration pulls at the projected centre of each Gaussian, added to what earlier ones did.
 // Launch: one work-item per Gaussian. A Gaussian without pairs was not seen and is left as it is, as is one whose gradient
 // is not finite; after a pair overflow nothing is changed: the host repeats the iteration. A Gaussian's pairs are added in
-// the order of their tiles; those of a large one may have been added up in the first by then (see project_grad). Source: [3DGS] section 5.2; the gradient is that with respect to the mean in normalised device
-// coordinates, -1 to 1 over the image, so that its two parts are those with respect to pixels times half of the width and height.
+// the order of their tiles; those of a large one in the group style have been by project_grad, after which this is launched. Source:
+// [3DGS] section 5.2; the gradient is that with respect to the mean in normalised device coordinates, -1 to 1 over the image, so that
+// its two parts are those with respect to pixels times half of the width and height.
 
 #define TWO_LN2 R(1.3862943611198906)
 
@@ -15,7 +16,7 @@ __kernel void screen_grad(__global const Projected *records, uint stride, uint c
                           __global real *statistics) { // in/out [2, stride] sum of the norms, iterations that saw the Gaussian
   const uint i = get_global_id(0);
   if (i >= count || status[S_OVERFLOW] != 0) return;
-  const uint pairs = isect_counts[i];
+  const uint pairs = SUMMED_PAIRS(isect_counts[i]);
   if (pairs == 0) return;
   real first = R(0.0), second = R(0.0);
   __global const real *from = sums + (size_t)isect_start[i] * SUMS;

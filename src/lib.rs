@@ -24,6 +24,7 @@
 //! | active_tiles | `kernels/active_tiles.cl` | active tiles of photos with masks or transparency |
 //! | seen | `kernels/seen.cl` | Gaussians that the training views show; the others are removed at the end |
 //! | importance, screen_grad | `kernels/{importance,screen_grad}.cl` | error statistics (mh) or screen-space gradients (adc) of each Gaussian |
+//! | photo_error | `kernels/photo_error.cl` | error of each pixel of a render, from which births in image space are drawn (mh) |
 //! | density control | [`density`] | births, moves and removals, decided on the host |
 //! | edit, morton | `kernels/{edit,morton}.cl` | rows written by density control, and the order of all |
 //! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |

@@ -60,6 +60,7 @@ fn case(gaussians: usize, size: u32, ms: f64) -> Case {
         gaussians,
         width: size,
         height: size,
+        tuning: Tuning::CPU,
         pairs: 1,
         stages: Vec::new(),
         iteration: Iteration {

@@ -192,10 +192,9 @@ fn picture() -> Picture<'static> {
         rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         center: [0.0; 3],
         photo: Arc::new([(); 3].map(|()| vec![0.5; pixels])),
-        error: vec![0.5; pixels],
+        error: vec![0.5; pixels].into(),
         depth: vec![1.0; pixels].into(),
         transmittance: vec![0.0; pixels].into(),
-        masked: Vec::new(),
     }
 }
 

@@ -95,6 +95,7 @@ fn a_bound_can_be_missed_and_the_page_says_so() {
     assert!(double.into_iter().all(|r| r.pass));
     let v = Verification {
         device: "a device <1>".into(),
+        tuning: device.tuning(),
         suite: "stress",
         passed: cases.len() - failed,
         failed,

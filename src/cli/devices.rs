@@ -96,7 +96,7 @@ fn tuning_line(known: &Known) -> String {
         let [gaussians, side] = size.case();
         format!(" with {gaussians} Gaussians at {side} pixels")
     });
-    let Some((t, origin)) = known.tuning else {
+    let Some((tuning, origin)) = known.tuning else {
         return format!("tuning{of}: measured at first use");
     };
     let from = match origin {
@@ -104,7 +104,5 @@ fn tuning_line(known: &Known) -> String {
         Origin::Measured => "measured",
         Origin::UserSupplied => "given",
     };
-    let fields = serde_json::to_string(&t).unwrap_or_default();
-    let fields = fields.replace(['{', '}', '"'], "").replace(':', "=");
-    format!("tuning{of} ({from}): {fields}")
+    format!("tuning{of} ({from}): {tuning}")
 }

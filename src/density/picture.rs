@@ -4,11 +4,16 @@ use std::borrow::Cow;
 use std::fmt::Debug;
 use std::sync::Arc;
 
-/// Colours of a photo.
+/// Pixels of a photo.
 pub trait Colors: Debug + Send + Sync {
     /// Red, green, blue of a pixel, row by row, in the scene's colours: without a mask or a background, and without the view's
     /// exposure if that is compensated.
     fn at(&self, pixel: usize) -> [f32; 3];
+
+    /// True if the photo's mask hides a pixel: no surface is trained there.
+    fn is_masked(&self, _pixel: usize) -> bool {
+        false
+    }
 }
 
 /// Planes \[3\]\[height · width\].
@@ -18,12 +23,12 @@ impl Colors for [Vec<f32>; 3] {
     }
 }
 
-/// A current render of a view, and its photo. Few pixels of all are asked for, so that only the error is computed for each.
+/// A current render of a view, and its photo, few of whose pixels are asked for.
 #[derive(Debug, Clone)]
 pub struct Picture<'a> {
     /// Width and height, pixels.
     pub size: [usize; 2],
-    /// Values from one row of `depth` and `transmittance` to the next.
+    /// Values from one row of `error`, `depth` and `transmittance` to the next.
     pub stride: usize,
     /// fx, fy, cx, cy, pixels.
     pub intrinsics: [f32; 4],
@@ -33,21 +38,25 @@ pub struct Picture<'a> {
     pub center: [f32; 3],
     /// The photo.
     pub photo: Arc<dyn Colors + 'a>,
-    /// Mean over the channels of |render − photo|, times the photo's mask and opacity \[height · width\].
-    pub error: Vec<f32>,
+    /// Mean over the channels of |render − photo|, times the photo's mask and opacity \[height, stride\].
+    pub error: Cow<'a, [f32]>,
     /// Depth (camera z) of the render, weighted by opacity, local units \[height, stride\].
     pub depth: Cow<'a, [f32]>,
     /// Remaining transmittance \[height, stride\].
     pub transmittance: Cow<'a, [f32]>,
-    /// True for each pixel that the photo's mask hides, where no surface is trained \[height · width\]; empty without masks.
-    pub masked: Vec<bool>,
 }
 
 impl Picture<'_> {
+    /// Place of a pixel in the planes of the render.
+    #[must_use]
+    pub fn at(&self, pixel: usize) -> usize {
+        pixel / self.size[0] * self.stride + pixel % self.size[0]
+    }
+
     /// Remaining transmittance and mean depth at a pixel; the depth is not finite at an empty one. `None` beyond the last pixel.
     #[must_use]
     pub fn surface(&self, pixel: usize) -> Option<[f32; 2]> {
-        let at = pixel / self.size[0] * self.stride + pixel % self.size[0];
+        let at = self.at(pixel);
         let left = *self.transmittance.get(at)?;
         Some([left, *self.depth.get(at)? / (1.0 - left)])
     }

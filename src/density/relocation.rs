@@ -155,7 +155,8 @@ impl Relocation {
     /// invalid parameters is relocated like a dead one. If no row is alive, none can be relocated, and there are no edits.
     #[must_use]
     pub fn plan(context: &StepContext<'_>, scene: &SceneState<'_>, dead_opacity: f64) -> Self {
-        let (mut plan, dead_rows) = Self::survey(scene, dead_opacity);
+        let mut plan = Self::none(scene, dead_opacity);
+        let dead_rows = plan.dead_rows();
         if !(dead_rows.is_empty() || plan.alive_rows.is_empty()) {
             plan.assign(context, scene, &dead_rows, dead_opacity.clamp(0.0, 1.0));
         }
@@ -165,7 +166,18 @@ impl Relocation {
     /// Finds the alive rows like [`Relocation::plan`] and relocates none of the others.
     #[must_use]
     pub fn none(scene: &SceneState<'_>, dead_opacity: f64) -> Self {
-        Self::survey(scene, dead_opacity).0
+        // The logit of the threshold: one logarithm instead of one exponential per row.
+        let threshold = logit(dead_opacity.clamp(0.0, 1.0));
+        let mut alive = vec![false; scene.len()];
+        let chunks = alive.par_chunks_mut(CHUNK).enumerate();
+        chunks.for_each(|(c, alive)| find_alive(scene, c * CHUNK, threshold, alive));
+        Self {
+            alive_rows: rows_where(&alive, true),
+            alive,
+            moved: 0,
+            edits: Vec::new(),
+            sources: 0,
+        }
     }
 
     /// Makes a share of the alive rows dead: those of least opacity, ties by row.
@@ -200,37 +212,7 @@ impl Relocation {
         if self.alive_rows.is_empty() {
             return Vec::new();
         }
-        let rows = (0u32..).zip(&self.alive);
-        rows.filter_map(|(i, alive)| (!alive).then_some(i))
-            .collect()
-    }
-
-    /// A plan that relocates no row, and the dead rows, rising.
-    fn survey(scene: &SceneState<'_>, dead_opacity: f64) -> (Self, Vec<u32>) {
-        // The logit of the threshold: one logarithm instead of one exponential per row.
-        let threshold = logit(dead_opacity.clamp(0.0, 1.0));
-        let mut alive = vec![false; scene.len()];
-        let chunks = alive.par_chunks_mut(CHUNK).enumerate();
-        chunks.for_each(|(c, alive)| find_alive(scene, c * CHUNK, threshold, alive));
-        let rows = |state: bool| -> Vec<u32> {
-            let among = |(c, states): (usize, &[bool])| -> Vec<u32> {
-                ((c * CHUNK) as u32..)
-                    .zip(states)
-                    .filter_map(|(i, a)| (*a == state).then_some(i))
-                    .collect()
-            };
-            let parts: Vec<Vec<u32>> = alive.par_chunks(CHUNK).enumerate().map(among).collect();
-            parts.concat()
-        };
-        let (alive_rows, dead_rows) = (rows(true), rows(false));
-        let plan = Self {
-            alive,
-            alive_rows,
-            moved: 0,
-            edits: Vec::new(),
-            sources: 0,
-        };
-        (plan, dead_rows)
+        rows_where(&self.alive, false)
     }
 
     /// Draws a source for each dead row, and writes the edits.
@@ -317,6 +299,17 @@ impl Relocation {
     pub fn moved_edits(&self) -> &[Edit] {
         self.edits.get(self.sources..).unwrap_or_default()
     }
+}
+
+/// Rows whose state is `wanted`, rising.
+fn rows_where(states: &[bool], wanted: bool) -> Vec<u32> {
+    let among = |(c, states): (usize, &[bool])| -> Vec<u32> {
+        let rows = ((c * CHUNK) as u32..).zip(states);
+        rows.filter_map(|(i, state)| (*state == wanted).then_some(i))
+            .collect()
+    };
+    let parts: Vec<Vec<u32>> = states.par_chunks(CHUNK).enumerate().map(among).collect();
+    parts.concat()
 }
 
 /// Writes true for each row from `first` on that has an opacity logit above `threshold` and finite parameters, plane by plane.

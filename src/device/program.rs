@@ -37,6 +37,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("seen", include_str!("../../kernels/seen.cl")),
     ("screen_grad", include_str!("../../kernels/screen_grad.cl")),
     ("importance", include_str!("../../kernels/importance.cl")),
+    ("photo_error", include_str!("../../kernels/photo_error.cl")),
     ("filter", include_str!("../../kernels/filter.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),

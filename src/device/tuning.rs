@@ -1,5 +1,7 @@
 //! Constants that only the device side knows, and the sizes that depend on the class of device.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 use crate::base::constants::TILE;
@@ -41,6 +43,14 @@ pub struct Tuning {
     pub radix_bits: u32,
     /// Columns per strip of the loss kernels; without meaning in the group style, in which they go by tiles.
     pub strip: u32,
+}
+
+/// The syntax of `MHSPLAT_TUNING`.
+impl fmt::Display for Tuning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let fields = serde_json::to_string(self).map_err(|_| fmt::Error)?;
+        f.write_str(&fields.replace(['{', '}', '"'], "").replace(':', "="))
+    }
 }
 
 impl Tuning {

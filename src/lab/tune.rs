@@ -167,6 +167,20 @@ pub fn suited(device: &Device, size: SizeClass, note: &mut dyn FnMut(&str)) -> R
     }
 }
 
+/// The device with each tuning that it is known to have for runs of some size, every one once; the first is the one that it has.
+///
+/// # Errors
+/// An invalid value of `MHSPLAT_TUNING`.
+pub fn variants(device: &Device) -> Result<Vec<Device>> {
+    let mut all = vec![device.clone()];
+    for size in SizeClass::told_apart(device.info()) {
+        let other = known(device.info(), *size)?.map(|(tuning, _)| tuning);
+        let new = other.filter(|tuning| all.iter().all(|d| d.tuning() != *tuning));
+        all.extend(new.map(|tuning| device.clone().with_tuning(tuning)));
+    }
+    Ok(all)
+}
+
 /// The tuning of a device for runs of a size without measuring; `None` if it has to be measured.
 ///
 /// # Errors

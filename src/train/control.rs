@@ -13,6 +13,7 @@ use crate::device::{Kernels, Program, StageTime};
 use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::loss::ImagePair;
 use crate::pipeline::stage::morton::{Morton, Order};
+use crate::pipeline::stage::photo_error::PhotoErrors;
 use crate::pipeline::stage::{noise, screen_grad};
 use crate::scene::{self, Plane};
 use crate::train::decision::{Deciding, Decision, Evidence, PendingStep};
@@ -46,6 +47,8 @@ pub struct Control {
     noise: Option<(Program, NoiseLaw)>,
     screen_grad: Option<Program>,
     importance: Option<Program>,
+    /// Errors of pictures, if the strategy ever asks for one.
+    photo_errors: Option<PhotoErrors<f32>>,
     edit: Program,
     morton: Morton,
     /// The step that has begun and not ended.
@@ -81,12 +84,14 @@ impl Control {
             (wanted == StatisticsKind::ScreenGradient).then(|| kernels.build::<f32>("screen_grad"));
         let errors = matches!(wanted, StatisticsKind::Errors { .. })
             .then(|| kernels.build::<f32>("importance"));
+        let pictures = (strategy.pictures(1.0) > 0).then(|| PhotoErrors::new(kernels));
         let (device, degree) = (kernels.device(), plan.sh_degree.value);
         let defines = *kernels.defines();
         Ok(Self {
             noise: noise.transpose()?,
             screen_grad: screen.transpose()?,
             importance: errors.transpose()?,
+            photo_errors: pictures.transpose()?,
             edit: kernels.build::<f32>("edit")?,
             morton: Morton::new::<f32>(kernels)?,
             deciding: None,
@@ -399,13 +404,13 @@ impl Control {
         progress: f64,
     ) -> Result<Vec<PendingPicture>> {
         let count = self.strategy.pictures(progress).min(on.views.len());
-        if count == 0 {
+        let Some(errors) = self.photo_errors.as_ref().filter(|_| count > 0) else {
             return Ok(Vec::new());
-        }
+        };
         let views = on.views.upcoming(iteration, count);
         (iteration..)
             .zip(views)
-            .map(|(at, view)| PendingPicture::enqueue(on, iteration, at, view))
+            .map(|(at, view)| PendingPicture::enqueue(on, errors, iteration, at, view))
             .collect()
     }
 

@@ -1,24 +1,31 @@
 //! Births in image space.
 
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use super::step::{breaches, context};
 use super::{Scene, on_threads};
 use mhsplat::config::MhConfig;
 use mhsplat::density::mh::MetropolisHastings;
-use mhsplat::density::{DensityControl, Edit, Outcome, Picture, StepContext};
+use mhsplat::density::{Colors, DensityControl, Edit, Outcome, Picture, StepContext};
 
 const SIZE: [usize; 2] = [40, 30];
 /// Values from one row of a plane of the render to the next.
 const STRIDE: usize = 48;
 
 /// A plane with one value in its left half and one in its right half, and another in the padding.
-fn padded([left, right]: [f32; 2]) -> Cow<'static, [f32]> {
+fn padded(halves: [f32; 2]) -> Cow<'static, [f32]> {
+    in_rows(0..SIZE[1], halves)
+}
+
+/// [`padded`] in some rows, and 0 in the others.
+fn in_rows(rows: Range<usize>, [left, right]: [f32; 2]) -> Cow<'static, [f32]> {
     let value = |i: usize| match i % STRIDE {
+        column if column >= SIZE[0] => 0.123,
+        _ if !rows.contains(&(i / STRIDE)) => 0.0,
         column if column < SIZE[0] / 2 => left,
-        column if column < SIZE[0] => right,
-        _ => 0.123,
+        _ => right,
     };
     (0..STRIDE * SIZE[1]).map(value).collect()
 }
@@ -37,18 +44,23 @@ pub fn picture() -> Picture<'static> {
         rotation: [0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0],
         center: [1.0, 2.0, 3.0],
         photo: Arc::new([0.25f32, 0.5, 0.75].map(|c| make(&|i| if right(i) { c } else { 0.0 }))),
-        error: make(&|i| {
-            let row = i / SIZE[0];
-            let inside = (10..20).contains(&row);
-            if inside {
-                [0.1, 0.3][usize::from(right(i))]
-            } else {
-                0.0
-            }
-        }),
+        error: in_rows(10..20, [0.1, 0.3]),
         depth: padded([5.0, f32::NAN]),
         transmittance: padded([0.0, 1.0]),
-        masked: Vec::new(),
+    }
+}
+
+/// A photo of which all is masked.
+#[derive(Debug)]
+struct Hidden;
+
+impl Colors for Hidden {
+    fn at(&self, _pixel: usize) -> [f32; 3] {
+        [0.0; 3]
+    }
+
+    fn is_masked(&self, _pixel: usize) -> bool {
+        true
     }
 }
 
@@ -196,7 +208,7 @@ fn views_have_to_agree_about_a_surface() {
     let aside = |depth: f32| {
         let mut other = picture();
         other.center[1] += 0.5;
-        other.error.fill(0.0);
+        other.error = padded([0.0; 2]);
         other.transmittance = padded([0.0; 2]);
         other.depth = padded([depth; 2]);
         other
@@ -233,7 +245,7 @@ fn views_have_to_agree_about_a_surface() {
     let hidden = |depths: &[f32]| {
         let others = depths.iter().map(|depth| aside(*depth));
         let mut pictures: Vec<_> = [picture()].into_iter().chain(others).collect();
-        pictures[1].masked = vec![true; SIZE[0] * SIZE[1]];
+        pictures[1].photo = Arc::new(Hidden);
         halves(0.1, &pictures).0
     };
     assert_eq!(hidden(&[5.0]), 0);

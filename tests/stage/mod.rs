@@ -12,6 +12,7 @@ mod metrics;
 mod morton;
 mod noise;
 mod peak;
+mod photo_error;
 mod project;
 mod project_grad;
 mod route;

@@ -1,7 +1,7 @@
 //! screen_grad: gradients with respect to the projected centres.
 
 use super::*;
-use mhsplat::base::constants::SUMS;
+use mhsplat::base::constants::{LARGE_PAIRS, SUMS};
 use mhsplat::device::tuning::status::OVERFLOW;
 use mhsplat::device::{Array, Projected};
 use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
@@ -21,16 +21,42 @@ fn wrong_sums_are_rejected() {
     rejects("screen_grad", "iterations", |n| n[5] += 1.0);
 }
 
-/// ErrorStatistics after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
-/// second pair of the second Gaussian holds for the sums by u and dy.
-fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
-    let device = device();
+/// Gaussians whose covariance is the unit matrix in an image of 40 × 80 pixels: their first slots, pairs and sums.
+fn seen(
+    kernels: &Kernels,
+    start: &[u32],
+    pairs: &[u32],
+    sums: &[f64],
+) -> (ViewBuffers<f64>, GaussianBuffers<f64>) {
+    let (device, count) = (kernels.device(), pairs.len());
     // a = c = log2(e)/2 for the unit matrix.
     let record = Projected {
         a: std::f64::consts::LOG2_E / 2.0,
         c: std::f64::consts::LOG2_E / 2.0,
         ..Projected::default()
     };
+    let ints = |name, values: &[u32]| Array::from_slice(device, name, values).unwrap();
+    let mut frame = ViewBuffers::new(device, &kernels.defines().tuning, false).unwrap();
+    frame.records = Array::from_slice(device, "records", &vec![record; count]).unwrap();
+    frame.isect_start = ints("isect_start", start);
+    frame.isect_counts = ints("isect_counts", pairs);
+    frame.sums = Array::from_slice(device, "sums", sums).unwrap();
+    frame.camera.size = [40, 80];
+    let scene = GaussianBuffers {
+        params: Array::zeros(device, "params", 0).unwrap(),
+        filter: Array::zeros(device, "filter", 0).unwrap(),
+        stride: count,
+        count,
+        sh_degree: 0,
+        shard: None,
+    };
+    (frame, scene)
+}
+
+/// ErrorStatistics after one iteration of two Gaussians with two pairs each, whose covariance is the unit matrix; `second` is what the
+/// second pair of the second Gaussian holds for the sums by u and dy.
+fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
+    let device = device();
     let mut sums = vec![7.0; 4 * SUMS];
     for (pair, by) in [[1.0, 0.5], [2.0, 0.5], [10.0, 0.0], second]
         .iter()
@@ -39,22 +65,8 @@ fn cues(pairs: [u32; 2], second: [f64; 2], overflow: u32) -> Vec<f64> {
         sums[pair * SUMS + 1..pair * SUMS + 3].copy_from_slice(by);
     }
     let kernels = kernels(&device);
-    let ints = |name, values: &[u32]| Array::from_slice(&device, name, values).unwrap();
-    let mut frame = ViewBuffers::new(&device, &kernels.defines().tuning, false).unwrap();
-    frame.records = Array::from_slice(&device, "records", &[record; 2]).unwrap();
-    frame.isect_start = ints("isect_start", &[0, 2]);
-    frame.isect_counts = ints("isect_counts", &pairs);
-    frame.sums = Array::from_slice(&device, "sums", &sums).unwrap();
+    let (frame, scene) = seen(&kernels, &[0, 2], &pairs, &sums);
     frame.status.write(OVERFLOW as usize, &[overflow]).unwrap();
-    let scene = GaussianBuffers {
-        params: Array::zeros(&device, "params", 0).unwrap(),
-        filter: Array::zeros(&device, "filter", 0).unwrap(),
-        stride: 2,
-        count: 2,
-        sh_degree: 0,
-        shard: None,
-    };
-    frame.camera.size = [40, 80];
     let cues = Array::from_slice(&device, "cues", &[100.0, 200.0, 1.0, 2.0]).unwrap();
     let stage = kernels.build::<f64>("screen_grad").unwrap();
     add_norms(&stage, &scene, &frame, &cues).unwrap();
@@ -72,6 +84,34 @@ fn a_norm_in_device_coordinates_is_added_for_what_was_seen() {
     );
     let unseen = cues([2, 0], [4.0, 0.0], 0);
     assert_eq!(unseen[1..], [200.0, 2.0, 2.0]);
+}
+
+/// The stage project_grad leaves the sums of a large Gaussian in its first slot in the group style, and nothing else is read.
+#[test]
+fn of_a_large_gaussian_one_slot_is_read_in_the_group_style() {
+    let device = device();
+    let pairs = LARGE_PAIRS as usize + 1;
+    let norms = |tuning: Tuning| {
+        let kernels = Kernels::new(&device, Defines::new(tuning));
+        let mut sums = vec![0.0; pairs * SUMS];
+        for pair in sums.chunks_exact_mut(SUMS) {
+            pair[1] = 1.0;
+        }
+        let (frame, scene) = seen(&kernels, &[0], &[pairs as u32], &sums);
+        let cues = Array::zeros(&device, "cues", 2).unwrap();
+        let stage = kernels.build::<f64>("screen_grad").unwrap();
+        add_norms(&stage, &scene, &frame, &cues).unwrap();
+        cues.to_vec().unwrap()
+    };
+    let group = Tuning {
+        chunks: 64,
+        ..Tuning::GPU
+    };
+    // Half of a width of 40 pixels for each pair.
+    let apart = |got: f64, want: f64| (got - want).abs();
+    assert!(apart(norms(group)[0], 20.0) < 1e-9, "{:?}", norms(group));
+    let all = norms(Tuning::for_device(device.info()));
+    assert!(apart(all[0], 20.0 * pairs as f64) < 1e-6, "{all:?}");
 }
 
 #[test]

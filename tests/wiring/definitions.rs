@@ -363,10 +363,9 @@ impl<'a> Definitions<'a> {
             rotation: std::array::from_fn(|k| [w0, w1, w2][k / 3][k % 3] as f32),
             center: camera.center.map(|v| v as f32),
             photo: Arc::new([0, 1, 2].map(|c| singles(&|i| photo[c * n + i]))),
-            error: singles(&error),
+            error: singles(&error).into(),
             depth: singles(&|i| depth[i]).into(),
             transmittance: singles(&|i| left[i]).into(),
-            masked: Vec::new(),
         }
     }
 }

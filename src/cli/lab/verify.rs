@@ -10,6 +10,7 @@ use crate::cli::output;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::device::Device;
 use mhsplat::lab::folder::check_folder;
+use mhsplat::lab::tune::variants;
 use mhsplat::lab::verify::page::{json, report, write_folder};
 use mhsplat::lab::verify::stress::stress;
 use mhsplat::lab::verify::{Verification, quick, tiny};
@@ -40,7 +41,7 @@ pub struct VerifyArgs {
     form: Form,
 }
 
-/// Checks one device, or all of them with --device all.
+/// Checks one device, or all of them with --device all, in every tuning that it is known to have for scenes of some size.
 pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
     if let Some(dir) = &args.output {
         check_folder(dir)?;
@@ -57,10 +58,13 @@ pub fn run(args: &VerifyArgs, common: &Common) -> Result<Outcome> {
             .collect(),
         other => vec![other.map(str::to_owned)],
     };
-    let results = selectors
-        .iter()
-        .map(|s| suite(&args.device.open_tuned(s.as_deref())?))
-        .collect::<Result<Vec<Verification>>>()?;
+    let mut results: Vec<Verification> = Vec::new();
+    for selector in &selectors {
+        let device = args.device.open_tuned(selector.as_deref())?;
+        for device in variants(&device)? {
+            results.push(suite(&device)?);
+        }
+    }
     if let Some(dir) = &args.output {
         write_folder(dir, &results)?;
     }

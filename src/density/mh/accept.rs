@@ -16,6 +16,8 @@
 //!
 //! A temperature T turns ρ into ρ^{1/T}: the posterior's 1/T-th power for the exact form, a plain knob for the others.
 
+use rayon::prelude::*;
+
 use crate::base::math::ln_sigmoid;
 use crate::config::Acceptance;
 
@@ -97,9 +99,13 @@ const HALVINGS: usize = 40;
 #[must_use]
 pub fn temperature_for(ln_rhos: &[f64], wanted: f64) -> f64 {
     let [mut low, mut high] = TEMPERATURES.map(f64::ln);
-    let reached = |ln_temperature: f64| {
+    let mut accepted = Vec::with_capacity(ln_rhos.len());
+    let mut reached = |ln_temperature: f64| {
         let power = (-ln_temperature).exp();
-        let sum: f64 = ln_rhos.iter().map(|l| (l * power).min(0.0).exp()).sum();
+        let each = ln_rhos.par_iter().map(|l| (l * power).min(0.0).exp());
+        each.collect_into_vec(&mut accepted);
+        // One order of summation, whatever the number of threads.
+        let sum: f64 = accepted.iter().sum();
         // The mean rises with T, because no ρ is above 1.
         sum >= wanted * ln_rhos.len() as f64
     };

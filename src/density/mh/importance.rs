@@ -24,16 +24,10 @@ pub fn importance(
     let n = [errors.ssim.len(), errors.l1.len(), errors.views.len()]
         .into_iter()
         .fold(opacity_logits.len(), usize::min);
-    let mut values = vec![0.0; n];
-    let opacities = values.par_iter_mut().zip(opacity_logits);
-    opacities.for_each(|(value, logit)| *value = sigmoid(f64::from(*logit)));
-    let cues = Cues {
-        opacities: &values,
-        errors,
-    };
-    let scales = Scale::of(&cues);
+    let (cues, mut values) = (Cues { errors }, vec![0.0; n]);
+    let scales = cues.scales(&opacity_logits[..n], &mut values);
     let importance = |(i, value): (usize, &mut f64)| {
-        let row = cue_row(*value, errors, i);
+        let row = cues.row(*value, i);
         let term = |k: usize| weights[k] * scales[k].apply(row[k]);
         *value = sigmoid(term(0) + term(1) + term(2));
     };
@@ -41,59 +35,83 @@ pub fn importance(
     values
 }
 
-/// Opacity, 1 − SSIM, L1 of a Gaussian; an absent value is not finite, because it is divided by no views.
-fn cue_row(opacity: f64, errors: &ErrorStatistics<'_>, i: usize) -> [f64; 3] {
-    let average = |sums: &[f32]| f64::from(sums[i]) / f64::from(errors.views[i]);
-    [opacity, average(errors.ssim), average(errors.l1)]
-}
-
 /// The cues of all Gaussians. Averages are computed where they are read, which costs less than memory for them.
 struct Cues<'a> {
-    opacities: &'a [f64],
     errors: &'a ErrorStatistics<'a>,
 }
 
+/// Sums over the finite values of each cue, and their numbers.
+type Sums = ([f64; 3], [usize; 3]);
+
 impl Cues<'_> {
-    fn row(&self, i: usize) -> [f64; 3] {
-        cue_row(self.opacities[i], self.errors, i)
+    /// Opacity, 1 − SSIM, L1 of a Gaussian; an absent value is not finite, because it is divided by no views.
+    fn row(&self, opacity: f64, i: usize) -> [f64; 3] {
+        let average = |sums: &[f32]| f64::from(sums[i]) / f64::from(self.errors.views[i]);
+        [opacity, average(self.errors.ssim), average(self.errors.l1)]
     }
 
     /// The first finite value of each cue, or 0.
-    fn first(&self) -> [f64; 3] {
+    fn first(&self, logits: &[f32]) -> [f64; 3] {
         std::array::from_fn(|k| {
-            let mut column = (0..self.opacities.len()).map(|i| self.row(i)[k]);
+            let rows = logits.iter().enumerate();
+            let mut column = rows.map(|(i, logit)| self.row(sigmoid(f64::from(*logit)), i)[k]);
             column.find(|v| v.is_finite()).unwrap_or(0.0)
         })
     }
 
-    /// Sum of `term(column, value)` and number of the finite values of each column, in an order that depends on the number
-    /// of rows alone.
-    fn ordered_sums(&self, term: impl Fn(usize, f64) -> f64 + Sync) -> ([f64; 3], [usize; 3]) {
-        let n = self.opacities.len();
-        let sum_chunk = |c: usize| {
-            let (mut sums, mut counts) = ([0.0; 3], [0; 3]);
-            for i in c * CHUNK..n.min((c + 1) * CHUNK) {
-                let row = self.row(i);
-                for k in 0..3 {
-                    // No branch: which values are there is not to be predicted. A 0 changes no bit of a sum.
-                    let there = row[k].is_finite();
-                    sums[k] += if there { term(k, row[k]) } else { 0.0 };
-                    counts[k] += usize::from(there);
-                }
-            }
-            (sums, counts)
-        };
-        let chunks = (0..n.div_ceil(CHUNK)).into_par_iter();
-        let partial: Vec<_> = chunks.map(sum_chunk).collect();
+    /// Sum of `term(column, value)` over the finite values of each cue in the rows from `first` on.
+    fn sums(&self, first: usize, opacities: &[f64], term: impl Fn(usize, f64) -> f64) -> Sums {
         let (mut sums, mut counts) = ([0.0; 3], [0; 3]);
-        for (s, c) in partial {
+        for (i, opacity) in (first..).zip(opacities) {
+            let row = self.row(*opacity, i);
             for k in 0..3 {
-                sums[k] += s[k];
-                counts[k] += c[k];
+                // No branch: which values are there is not to be predicted. A 0 changes no bit of a sum.
+                let there = row[k].is_finite();
+                sums[k] += if there { term(k, row[k]) } else { 0.0 };
+                counts[k] += usize::from(there);
             }
         }
         (sums, counts)
     }
+
+    /// Writes the opacities, and returns the scale of the finite values of each cue.
+    fn scales(&self, logits: &[f32], opacities: &mut [f64]) -> [Scale; 3] {
+        // Relative to a value of the column: the mean of equal values is that value to the last bit.
+        let origins = self.first(logits);
+        let chunks = opacities.par_chunks_mut(CHUNK).enumerate();
+        let apart = chunks.map(|(c, opacities)| {
+            for (opacity, logit) in opacities.iter_mut().zip(&logits[c * CHUNK..]) {
+                *opacity = sigmoid(f64::from(*logit));
+            }
+            self.sums(c * CHUNK, opacities, |k, v| v - origins[k])
+        });
+        let (sums, counts) = total(apart);
+        let counts = counts.map(|c| c.max(1) as f64);
+        let means: [f64; 3] = std::array::from_fn(|k| origins[k] + sums[k] / counts[k]);
+        // Around the mean in a second pass: E[v²] − E[v]² goes negative on a constant cue.
+        let chunks = opacities.par_chunks(CHUNK).enumerate();
+        let (squares, _) = total(chunks.map(|(c, opacities)| {
+            let square = |k: usize, v: f64| (v - means[k]) * (v - means[k]);
+            self.sums(c * CHUNK, opacities, square)
+        }));
+        std::array::from_fn(|k| Scale {
+            mean: means[k],
+            std: (squares[k] / counts[k]).sqrt(),
+        })
+    }
+}
+
+/// Sums of all chunks, in an order that depends on the number of rows alone.
+fn total(chunks: impl IndexedParallelIterator<Item = Sums>) -> Sums {
+    let partial: Vec<Sums> = chunks.collect();
+    let (mut sums, mut counts) = ([0.0; 3], [0; 3]);
+    for (s, c) in partial {
+        for k in 0..3 {
+            sums[k] += s[k];
+            counts[k] += c[k];
+        }
+    }
+    (sums, counts)
 }
 
 /// Mean and standard deviation of a cue.
@@ -104,21 +122,6 @@ struct Scale {
 }
 
 impl Scale {
-    /// Scales of the finite values of each cue.
-    fn of(cues: &Cues<'_>) -> [Self; 3] {
-        // Relative to a value of the column: the mean of equal values is that value to the last bit.
-        let origins = cues.first();
-        let (sums, counts) = cues.ordered_sums(|k, v| v - origins[k]);
-        let counts = counts.map(|c| c.max(1) as f64);
-        let means: [f64; 3] = std::array::from_fn(|k| origins[k] + sums[k] / counts[k]);
-        // Around the mean in a second pass: E[v²] − E[v]² goes negative on a constant cue.
-        let (squares, _) = cues.ordered_sums(|k, v| (v - means[k]) * (v - means[k]));
-        std::array::from_fn(|k| Self {
-            mean: means[k],
-            std: (squares[k] / counts[k]).sqrt(),
-        })
-    }
-
     fn apply(self, v: f64) -> f64 {
         if v.is_finite() {
             (v - self.mean) / (self.std + STD_FLOOR)

@@ -12,7 +12,7 @@ use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Stream};
 use crate::config::MhConfig;
 use crate::density::control::StepContext;
-use crate::density::draw::Categorical;
+use crate::density::draw::{Categorical, Weights};
 use crate::density::mh::accept;
 use crate::density::mh::proposal::Proposal;
 use crate::density::picture::Picture;
@@ -20,11 +20,13 @@ use crate::scene::Edit;
 use crate::scene::OptionalColor;
 use crate::scene::sh::C0;
 
-/// Pixels of all pictures, one after the other.
+/// Pixels of all pictures, one after the other; the weights of the draw are e·(τ + s·(1−τ)).
 struct Pixels<'a> {
     pictures: &'a [Picture<'a>],
     /// First pixel of each picture, and the number of all.
     starts: Vec<usize>,
+    /// s: share of a rendered surface that births may lie on.
+    surface: f64,
     mean: f64,
     deviation: f64,
     /// Share of all error that the weights of the draw keep, Σ e·(τ + s·(1−τ)) / Σ e; 0 if there is no error.
@@ -32,56 +34,61 @@ struct Pixels<'a> {
 }
 
 impl<'a> Pixels<'a> {
-    /// The pixels, and the weights of the draw, one per pixel: e·(τ + s·(1−τ)).
-    fn new(pictures: &'a [Picture<'a>], surface: f64) -> (Self, Vec<f64>) {
+    /// The pixels of some pictures, of which the share `surface` of what is rendered counts.
+    fn new(pictures: &'a [Picture<'a>], surface: f64) -> Self {
         let mut starts = vec![0];
         for picture in pictures {
-            starts.push(starts[starts.len() - 1] + picture.error.len());
+            let [width, height] = picture.size;
+            starts.push(starts[starts.len() - 1] + width * height);
         }
-        let len = starts[pictures.len()];
-        let mut weights = vec![0.0; len];
-        let of = |(e, t): (&f32, &f32)| f64::from(*e) * reached(f64::from(*t), surface);
-        for (picture, start) in pictures.iter().zip(&starts) {
-            let (width, all) = (picture.size[0], &mut weights[*start..]);
-            let errors = picture.error.par_chunks_exact(width);
-            let rows = errors.zip(picture.transmittance.par_chunks(picture.stride));
-            let write = |(weights, (errors, left)): (&mut [f64], (&[f32], &[f32]))| {
-                let values = errors.iter().zip(left).map(of);
-                weights
-                    .iter_mut()
-                    .zip(values)
-                    .for_each(|(w, value)| *w = value);
-            };
-            all.par_chunks_exact_mut(width).zip(rows).for_each(write);
-        }
-        // One order of summation, whatever the number of threads.
-        let (mut all, mut kept) = (0.0, 0.0);
-        for (picture, start) in pictures.iter().zip(&starts) {
-            for (e, w) in picture.error.iter().zip(&weights[*start..]) {
-                all += f64::from(*e);
-                kept += w;
-            }
-        }
-        let n = len.max(1) as f64;
-        let mean = all / n;
-        let mut variance = 0.0;
-        for e in pictures.iter().flat_map(|p| &p.error) {
-            let apart = f64::from(*e) - mean;
-            variance += apart * apart;
-        }
-        let sum = mean * len as f64;
-        let share = match sum > 0.0 {
-            true => (kept / sum).clamp(0.0, 1.0),
-            false => 0.0,
-        };
-        let pixels = Self {
+        let mut pixels = Self {
             pictures,
             starts,
-            mean,
-            deviation: (variance / n).sqrt() + 1e-6,
-            share,
+            surface,
+            mean: 0.0,
+            deviation: 0.0,
+            share: 0.0,
         };
-        (pixels, weights)
+        // One order of summation, whatever the number of threads.
+        let (mut all, mut kept) = (0.0, 0.0);
+        for [errors, left] in pixels.rows(0, pixels.count()) {
+            for (e, t) in errors.iter().zip(left) {
+                all += f64::from(*e);
+                kept += pixels.weight(*e, *t);
+            }
+        }
+        let n = pixels.count().max(1) as f64;
+        let mean = all / n;
+        let mut variance = 0.0;
+        for [errors, _] in pixels.rows(0, pixels.count()) {
+            for e in errors {
+                let apart = f64::from(*e) - mean;
+                variance += apart * apart;
+            }
+        }
+        let sum = mean * pixels.count() as f64;
+        if sum > 0.0 {
+            pixels.share = (kept / sum).clamp(0.0, 1.0);
+        }
+        (pixels.mean, pixels.deviation) = (mean, (variance / n).sqrt() + 1e-6);
+        pixels
+    }
+
+    /// Errors and remaining transmittances of `count` pixels from `first` on, row by row.
+    fn rows(&self, first: usize, count: usize) -> impl Iterator<Item = [&'a [f32]; 2]> {
+        let (mut next, end) = (first, first + count);
+        std::iter::from_fn(move || {
+            let (picture, pixel) = self.find(next).filter(|_| next < end)?;
+            let width = picture.size[0];
+            let (from, len) = (picture.at(pixel), (width - pixel % width).min(end - next));
+            next += len;
+            Some([&picture.error, &picture.transmittance].map(|plane| &plane[from..][..len]))
+        })
+    }
+
+    /// Weight of a pixel of error `e` and remaining transmittance `t`.
+    fn weight(&self, e: f32, t: f32) -> f64 {
+        f64::from(e) * reached(f64::from(t), self.surface)
     }
 
     /// The picture that holds a pixel, and the pixel's number there; `None` beyond the last.
@@ -99,6 +106,22 @@ impl<'a> Pixels<'a> {
     }
 }
 
+impl Weights for Pixels<'_> {
+    fn count(&self) -> usize {
+        self.starts[self.pictures.len()]
+    }
+
+    fn write(&self, first: usize, mut out: &mut [f64]) {
+        for [errors, left] in self.rows(first, out.len()) {
+            let (row, rest) = std::mem::take(&mut out).split_at_mut(errors.len());
+            for (out, (e, t)) in row.iter_mut().zip(errors.iter().zip(left)) {
+                *out = self.weight(*e, *t);
+            }
+            out = rest;
+        }
+    }
+}
+
 /// Share of a pixel's light in which births may lie: the remaining transmittance, and the part `surface` of the rest.
 fn reached(left: f64, surface: f64) -> f64 {
     left + surface * (1.0 - left)
@@ -111,16 +134,16 @@ pub(super) fn propose(
     src: u32,
     wanted: usize,
 ) -> Vec<Proposal> {
-    let (pixels, weights) = Pixels::new(context.pictures, config.pixel_surface);
+    let pixels = &Pixels::new(context.pictures, config.pixel_surface);
     let wanted = (wanted as f64 * pixels.share).round() as usize;
     let stream = |purpose: Stream| purpose.stream(context.iteration);
     let (place, accept) = (stream(Stream::PixelPlace), stream(Stream::PixelAccept));
     let drawn =
-        Categorical::new(weights).draw_unique(wanted, context.seed, stream(Stream::PixelDraw));
+        Categorical::new(pixels).draw_unique(wanted, context.seed, stream(Stream::PixelDraw));
     let proposal = |pixel: usize| {
         let (picture, at) = pixels.find(pixel)?;
         let u = Philox::uniform(context.seed, place, pixel as u64);
-        let importance = pixels.importance(*picture.error.get(at)?);
+        let importance = pixels.importance(*picture.error.get(picture.at(at))?);
         Some(Proposal {
             edit: birth(config, (context.pictures, picture), at, u, src)?,
             importance,
@@ -129,7 +152,7 @@ pub(super) fn propose(
             u: Philox::uniform(context.seed, accept, pixel as u64)[0],
         })
     };
-    drawn.into_iter().filter_map(proposal).collect()
+    drawn.into_par_iter().filter_map(proposal).collect()
 }
 
 /// The birth at pixel `at` of one of all pictures; `None` if its position or size is not finite, or the pictures do not agree
@@ -185,7 +208,7 @@ fn confirmed(
         let Some((z, pixel)) = picture.project(position) else {
             continue;
         };
-        if picture.masked.get(pixel) == Some(&true) {
+        if picture.photo.is_masked(pixel) {
             continue;
         }
         let depth = picture

@@ -7,7 +7,7 @@ use crate::base::math::logit;
 use crate::base::rng::{Philox, Stream};
 use crate::config::{Birth, MhConfig, ViewSubset};
 use crate::density::control::{Candidate, DensityControl, Estimator, NoiseLaw, StepContext};
-use crate::density::draw::{Categorical, birth_position};
+use crate::density::draw::{Categorical, RowWeights, birth_position};
 use crate::density::mh::births::Births;
 use crate::density::mh::progress::{lerp, shrinking};
 use crate::density::mh::proposal::{Decision, Proposal, Proposals};
@@ -49,7 +49,7 @@ struct Step<'a> {
     /// Importance of each row.
     importance: &'a [f64],
     /// Distribution of sources over `relocation.alive_rows`.
-    sources: Categorical,
+    sources: Categorical<RowWeights<'a>>,
 }
 
 impl MetropolisHastings {
@@ -113,7 +113,7 @@ impl MetropolisHastings {
         let count = |p: &Proposal| counts.get(p.edit.position.map(f64::from));
         let counts: Vec<u32> = proposals.par_iter().map(count).collect();
         let ln_rhos: Vec<f64> = proposals
-            .iter()
+            .par_iter()
             .zip(&counts)
             .map(|(p, n)| accept::ln_ratio(c.acceptance, p.ln_gain, c.lambda_voxel, *n))
             .collect();
@@ -248,25 +248,31 @@ impl MetropolisHastings {
         };
         self.check(context, scene, &errors)?;
         let c = &self.config;
-        let (relocation, removed) = self.relocate_or_remove_dead(context, scene);
-        let room = self.has_births(context)
-            && context
-                .max_gaussians
-                .is_none_or(|most| scene.len() - removed.len() < most);
-        let source = relocation.alive_rows.first().filter(|_| room);
-        let pixels = || match source {
-            Some(&row) if !context.pictures.is_empty() => {
-                let wanted = shrinking(c.pixel_proposals as usize, context.progress);
-                pixel::propose(c, context, row, wanted)
-            }
-            _ => Vec::new(),
+        let dead_and_pixels = || {
+            let (relocation, removed) = self.relocate_or_remove_dead(context, scene);
+            let room = self.has_births(context)
+                && context
+                    .max_gaussians
+                    .is_none_or(|most| scene.len() - removed.len() < most);
+            let source = relocation.alive_rows.first().copied().filter(|_| room);
+            let pixels = match source {
+                Some(row) if !context.pictures.is_empty() => {
+                    let wanted = shrinking(c.pixel_proposals as usize, context.progress);
+                    pixel::propose(c, context, row, wanted)
+                }
+                _ => Vec::new(),
+            };
+            (relocation, removed, source.is_some(), pixels)
         };
-        // Sums over pixels have one order, which leaves a core to the rest.
-        let (importance, pixels) = rayon::join(|| self.importance(scene, &errors), pixels);
+        // Sums over pixels and the selection of the dead have one order, which leaves a core to the rest.
+        let (importance, (relocation, removed, bears, pixels)) =
+            rayon::join(|| self.importance(scene, &errors), dead_and_pixels);
         let [mut coarse, mut fine] = [Vec::new(), Vec::new()];
-        if source.is_some() {
-            let alive = relocation.alive_rows.par_iter();
-            let weights: Vec<f64> = alive.map(|&r| importance[r as usize]).collect();
+        if bears {
+            let weights = RowWeights {
+                weights: &importance,
+                rows: &relocation.alive_rows,
+            };
             let step = Step {
                 context,
                 scene,

@@ -115,6 +115,7 @@ pub(super) fn measure(
         gaussians: subject.splats.len(),
         width: camera.width,
         height: camera.height,
+        tuning: device.tuning(),
         pairs: load.pairs.round() as u64,
         stages: rows.collect::<Result<_>>()?,
         iteration: Iteration {

@@ -5,6 +5,7 @@ use serde::{Serialize, Serializer};
 
 use crate::base::error::Error;
 use crate::device::DeviceInfo;
+use crate::device::tuning::Tuning;
 use crate::lab::stats::{Ratio, Spread};
 
 /// One device, measured.
@@ -54,6 +55,8 @@ pub struct Case {
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
+    /// Sizes that its kernels were built with.
+    pub tuning: Tuning,
     /// (tile, Gaussian) pairs of a view.
     pub pairs: u64,
     /// The stages, in the order of an iteration.

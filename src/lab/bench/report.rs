@@ -177,11 +177,14 @@ fn stages(case: &Case) -> Table {
             or_dash(s.share, |r| ratio(&r.scaled(100.0))),
         ]
     };
-    let note = "Device time per iteration, median (min–max). CPU ms and core-s are device time times the cores busy over the whole \
+    let tuning = case.tuning;
+    let note = format!(
+        "Device time per iteration, median (min–max). CPU ms and core-s are device time times the cores busy over the whole \
          iteration, so they are too low by what other stages leave idle (see above). Share of the measured peak: FLOP of the lanes over the multiply-adds, \
-         bytes over the copy; above 100 % where data stay in a cache.";
+         bytes over the copy; above 100 % where data stay in a cache. Tuning: {tuning}."
+    );
     let columns = ["stage", "ms", "CPU ms", "rate", "% of peak"];
-    Table::new(title(case), note, &columns, case.stages.iter().map(row))
+    Table::new(title(case), &note, &columns, case.stages.iter().map(row))
 }
 
 fn growth(record: &BenchRecord) -> Table {

@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::base::math::{logit, sigmoid};
 use crate::base::rng::{Philox, Stream};
 use crate::config::MhConfig;
-use crate::density::draw::{Categorical, birth_position};
+use crate::density::draw::{Categorical, RowWeights, birth_position};
 use crate::density::mh::accept::{ln_acceptance, voxel_prior};
 use crate::density::mh::lerp;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
@@ -170,9 +170,10 @@ impl Ground<'_> {
     }
 
     fn by_weight(&self, alive: &[u32], wanted: usize, uniform: impl Fn(u64) -> f64) -> Vec<u32> {
-        let weight = |r: &u32| self.importance[*r as usize];
-        let weights: Vec<f64> = alive.iter().map(weight).collect();
-        let sources = Categorical::new(weights);
+        let sources = Categorical::new(RowWeights {
+            weights: self.importance,
+            rows: alive,
+        });
         let mut rows = BTreeSet::new();
         for k in 0..PATIENCE * wanted as u64 {
             if rows.len() == wanted {

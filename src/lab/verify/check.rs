@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use serde::Serialize;
 
 use crate::device::Device;
+use crate::device::tuning::Tuning;
 use crate::lab::error::{Report, Tolerance, compare, measure};
 use crate::lab::verify::cases::Case;
 use crate::lab::verify::pass::{Outcome, Quantity};
@@ -88,6 +89,8 @@ pub struct FamilyNote {
 pub struct Verification {
     /// Device name.
     pub device: String,
+    /// Sizes that its kernels were built with.
+    pub tuning: Tuning,
     /// Suite.
     pub suite: &'static str,
     /// Families of the cases (suite "stress").
@@ -106,6 +109,7 @@ impl Verification {
         let failed = cases.iter().filter(|r| !r.pass).count();
         Self {
             device: device.info().name.clone(),
+            tuning: device.tuning(),
             suite,
             passed: cases.len() - failed,
             failed,

@@ -132,6 +132,8 @@ pub struct Reference {
     pub options: Options,
     /// Photo over the background \[3, height, width\].
     pub photo: Vec<f64>,
+    /// Fourth plane of the photo \[height, width\]; empty if it has none.
+    pub opacity: Vec<f64>,
     /// Mask \[height, width\]; `None` if the photo has none.
     pub mask: Option<Vec<f64>>,
     /// Forward and backward stages.
@@ -144,15 +146,16 @@ impl Reference {
     pub fn new(case: &Case) -> Self {
         let (scene, camera, options) = inputs(case);
         let (photo, weights) = (photo(case), case.lambdas);
-        let fourth = &case.photo.data[photo.len()..];
-        let mask: Option<Vec<f64>> = (case.photo.alpha == Alpha::Mask)
-            .then(|| fourth.iter().map(|m| f64::from(*m) / 255.0).collect());
+        let fourth = case.photo.data[photo.len()..].iter();
+        let opacity: Vec<f64> = fourth.map(|v| f64::from(*v) / 255.0).collect();
+        let mask = (case.photo.alpha == Alpha::Mask).then(|| opacity.clone());
         Self {
             pass: run(&scene, &camera, &options, &photo, mask.as_deref(), weights),
             scene,
             camera,
             options,
             photo,
+            opacity,
             mask,
         }
     }

@@ -7,6 +7,7 @@ pub mod cases;
 pub mod check;
 pub mod definition;
 mod optimise;
+mod outcome;
 pub mod page;
 pub mod pass;
 pub mod stress;

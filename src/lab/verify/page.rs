@@ -15,7 +15,7 @@ const MIN_ERROR: f64 = 1e-17;
 const CURVES: [&[&str]; 5] = [
     &["project"],
     &["splat", "scan", "bin", "sort"],
-    &["loss", "metrics", "importance"],
+    &["loss", "metrics", "importance", "photo_error"],
     &["exposure", "splat_grad", "screen_grad", "seen"],
     &["project_grad", "adam", "noise", "edit", "morton"],
 ];
@@ -172,8 +172,8 @@ fn device(v: &Verification) -> Report {
     let mut part = Report {
         title: v.device.clone(),
         subtitle: format!(
-            "Suite {}: {} comparisons passed, {} failed.",
-            v.suite, v.passed, v.failed
+            "Suite {}: {} comparisons passed, {} failed. Tuning: {}.",
+            v.suite, v.passed, v.failed, v.tuning
         ),
         ..Report::default()
     };

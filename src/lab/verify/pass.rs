@@ -14,6 +14,7 @@ use crate::lab::verify::definition::{
     largest_sum, lists, ordered, removed, seen_before,
 };
 use crate::lab::verify::optimise::optimise;
+pub use crate::lab::verify::outcome::{Outcome, Quantity};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::RenderOptions;
@@ -22,50 +23,9 @@ use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::exposure::{apply, backward};
 use crate::pipeline::stage::loss::ImagePair;
 use crate::pipeline::stage::morton::{Morton, Order};
+use crate::pipeline::stage::photo_error::{PhotoErrors, photo_error};
 use crate::pipeline::stage::{edit, filter, metrics, noise, project_grad, screen_grad, seen};
 use crate::scene::Plane;
-
-/// A named array of numbers.
-#[derive(Debug, Clone)]
-pub struct Quantity {
-    /// Stage that computed it.
-    pub stage: &'static str,
-    /// Name.
-    pub name: &'static str,
-    /// Numbers of the device.
-    pub got: Vec<f64>,
-    /// Numbers of the reference; empty after a pass without one.
-    pub want: Vec<f64>,
-    /// Least scale of relative errors.
-    pub floor: f64,
-}
-
-/// Quantities and times of one pass.
-#[derive(Debug, Clone, Default)]
-pub struct Outcome {
-    /// Quantities in the order of the stages.
-    pub quantities: Vec<Quantity>,
-    /// Non-finite gradients that the optimiser counted.
-    pub non_finite: u32,
-    /// Seconds of device time per stage.
-    pub seconds: Vec<(&'static str, f64)>,
-}
-
-impl Outcome {
-    /// Numbers of the device; empty if there is no such quantity.
-    #[must_use]
-    pub fn got(&self, stage: &str, name: &str) -> &[f64] {
-        let mut all = self.quantities.iter();
-        all.find(|q| q.stage == stage && q.name == name)
-            .map_or(&[], |q| &q.got)
-    }
-
-    /// Gradients of all planes, one after the other.
-    fn gradients(&self) -> Vec<f64> {
-        let of = self.quantities.iter().filter(|q| q.stage == "project_grad");
-        of.flat_map(|q| q.got.iter().copied()).collect()
-    }
-}
 
 /// Runs every stage in precision `R` on a case, and its definition if there is a reference.
 pub fn run<R: Real>(
@@ -96,6 +56,7 @@ pub fn run<R: Real>(
             pass.add("filter", "standard deviation", got, want);
         }
         pass.exposure()?;
+        pass.photo_errors()?;
         pass.order()?;
         let times = device.take_times(usize::MAX)?.into_iter();
         pass.out.seconds = times.map(|(stage, t)| (stage, t.seconds)).collect();
@@ -543,6 +504,33 @@ impl<'a, R: Real> Pass<'a, R> {
         });
         // It is nothing but rounding where pictures agree.
         *floor = 1e-3 * (w * h) as f64;
+        Ok(())
+    }
+
+    /// Errors of the pixels of the render, under the transform of the case's view.
+    fn photo_errors(&mut self) -> Result<()> {
+        let stage = PhotoErrors::<R>::new(&self.kernels)?;
+        let transforms: Vec<R> = EXPOSURES.as_flattened().iter().map(|v| R::of(*v)).collect();
+        let transforms = Array::from_slice(self.device, "exposures", &transforms)?;
+        // The stage writes to the render.
+        let image = self.copy(&self.frame().image)?;
+        let pair = ImagePair {
+            image: &image,
+            ..self.pair()?
+        };
+        stage.write(&pair, Some((&transforms, VIEW)))?;
+        let plane = PhotoErrors::<R>::PLANE;
+        let got = self.image(&image, plane..plane + 1)?;
+        let alpha = self.case.photo.alpha;
+        self.add("photo_error", "errors", got, |r, out| {
+            let opacity = (alpha, r.opacity.as_slice());
+            photo_error(
+                out.got("splat", "image"),
+                &EXPOSURES[VIEW],
+                &r.photo,
+                opacity,
+            )
+        });
         Ok(())
     }
 

@@ -1,8 +1,8 @@
 //! One file per stage: its launchers, then its definition in f64. `kernels/README.md` lists shapes and units of all arrays.
 //!
 //! A launcher is a function that takes the stage's compiled [`crate::device::Program`], which its caller builds, and the buffers;
-//! the stages with arrays of their own (sort, loss, exposure, route) are structs. Constructors fail if the device's compiler does; launches
-//! fail for arrays that are too short and on the driver's errors. A launch does not wait.
+//! the stages with arrays of their own (sort, loss, exposure, photo_error, route) are structs. Constructors fail if the device's compiler does;
+//! launches fail for arrays that are too short and on the driver's errors. A launch does not wait.
 #![allow(clippy::missing_errors_doc)]
 
 pub mod active_tiles;
@@ -17,6 +17,7 @@ pub mod metrics;
 pub mod morton;
 pub mod noise;
 pub mod peak;
+pub mod photo_error;
 pub mod project;
 pub mod project_grad;
 pub mod route;

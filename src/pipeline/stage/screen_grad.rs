@@ -9,7 +9,7 @@ use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
 use crate::pipeline::stage::project::{Shape64, shape};
 
-/// Adds the norms of one iteration to `statistics`; after an overflow in the view nothing changes.
+/// Adds the norms of one iteration, whose stage project_grad has run, to `statistics`; after an overflow in the view nothing changes.
 pub fn add_norms<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
