@@ -80,6 +80,7 @@ fn errors_are_those_of_the_formula_to_the_bit() {
                 photo: &photo,
                 background: case.background,
                 size,
+                band: 0..size.tiles()[1],
                 blank: None,
             };
             stage
