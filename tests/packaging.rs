@@ -172,19 +172,21 @@ fn queued(dir: &Path, script: &str, ends: i32) -> (i32, String) {
 fn jobs_of_the_guide_queue_themselves_again_and_share_the_runs() {
     let dir = tempfile::tempdir().unwrap();
     let scripts = scripts();
-    let [train, array] = &scripts[..] else {
+    let [nodes, train, array] = &scripts[..] else {
         panic!("{scripts:?}")
     };
-    let (code, said) = queued(dir.path(), train, 130);
-    assert_eq!(code, 130);
-    let begins = "srun 16 mhsplat train dataset -o run --resume-or-start";
-    assert!(
-        said.starts_with(begins) && said.contains("scontrol 16 requeue 77"),
-        "{said}"
-    );
-    for ends in [0, 2] {
-        let (code, said) = queued(dir.path(), train, ends);
-        assert!(code == ends && !said.contains("requeue"), "{said}");
+    for (script, how) in [(nodes, " --mpi=pmix --kill-on-bad-exit=1"), (train, "")] {
+        let (code, said) = queued(dir.path(), script, 130);
+        assert_eq!(code, 130);
+        let begins = format!("srun 16{how} mhsplat train dataset -o run --resume-or-start");
+        assert!(
+            said.starts_with(&begins) && said.contains("scontrol 16 requeue 77"),
+            "{said}"
+        );
+        for ends in [0, 2] {
+            let (code, said) = queued(dir.path(), script, ends);
+            assert!(code == ends && !said.contains("requeue"), "{said}");
+        }
     }
     let (_, said) = queued(dir.path(), array, 0);
     assert_eq!(

@@ -7,6 +7,7 @@ pub mod decision;
 mod density_steps;
 pub mod estimates;
 mod exposure;
+mod exposure_steps;
 mod finish;
 pub mod gaussians;
 mod noted;

@@ -13,7 +13,6 @@ use crate::density::DensityControl;
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, PendingRead, Program};
 use crate::pipeline::buffers::ViewSet;
-use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
@@ -21,10 +20,9 @@ use crate::pipeline::stage::adam::Step;
 use crate::scene::Gaussians;
 use crate::train::control::{Control, DensityEvent};
 use crate::train::crew::Crew;
-use crate::train::exposure::compare;
 use crate::train::gaussians::GaussianState;
 use crate::train::optimizer::Optimizer;
-use crate::train::plan::{Decision, Exposure, Learned, Plan};
+use crate::train::plan::{Decision, Learned, Plan};
 use crate::train::schedule::Schedule;
 use crate::train::smoothing::Smoothing;
 use crate::train::timing::Timing;
@@ -287,7 +285,7 @@ impl Trainer {
         }
     }
 
-    fn transform_step(&self, iteration: u32) -> Step {
+    pub(super) fn transform_step(&self, iteration: u32) -> Step {
         Step {
             rate: self.schedule.exposure_rate(iteration),
             constants: self.optimizer.constants(),
@@ -500,45 +498,6 @@ impl Trainer {
         }
         self.settle()?;
         self.gaussians.raise_sh_degree(&self.device, degree + 1)
-    }
-
-    /// Compares photos with their renders if that is due, or says that kernels are to be compiled.
-    fn exposure_due(&mut self) -> Result<(Option<Event>, Next)> {
-        let at = self.iteration;
-        if at < self.schedule.exposure_from(at) {
-            return Ok((None, Next::Iterate));
-        }
-        match self.plan.exposure.value {
-            Exposure::Compare => {
-                self.settle()?;
-                let iterations = self.schedule.iterations(at);
-                let (pipeline, scene) = (&mut self.pipeline, &self.gaussians.scene);
-                let gains = compare(pipeline, scene, &self.views, at, iterations)?;
-                self.learned.gains = Some(gains);
-                let decision = self.plan.learn(&self.learned).into_iter().next();
-                Ok((decision.map(Event::Decided), Next::Exposure))
-            }
-            Exposure::On if self.pipeline.exposure.is_none() => {
-                self.settle()?;
-                Ok((Some(Event::Compiling), Next::Compile))
-            }
-            _ => Ok((None, Next::Iterate)),
-        }
-    }
-
-    /// Compiles the kernels of exposure compensation and runs each once; the transforms are the identity.
-    pub(super) fn build_exposure(&mut self) -> Result<()> {
-        let kernels = Kernels::new(&self.device, Defines::new(self.device.tuning()));
-        let dimage = self.pipeline.image_gradient();
-        let (views, plane) = (self.views.len(), dimage.len() / 3);
-        let from = *self.learned.exposed_from.get_or_insert(self.iteration);
-        let built = ExposureModel::new(&kernels, views, plane, from)?;
-        let view = &self.pipeline.forward.frame;
-        let step = self.transform_step(self.iteration);
-        built.warm_up(&self.device, view, dimage, step)?;
-        self.device.finish()?;
-        self.pipeline.exposure = Some(built);
-        Ok(())
     }
 
     /// Recomputes the smoothing filter from the positions; does nothing without anti-aliasing.
