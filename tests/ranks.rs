@@ -9,7 +9,7 @@ use mhsplat::config::{AntiAliasing, ExposureChoice, Sampler};
 use mhsplat::density::make;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Device, Helpers};
-use mhsplat::run::initial_gaussians;
+use mhsplat::run::{RunRecord, initial_gaussians};
 use mhsplat::train::{Trainer, TrainerState};
 use mhsplat::{Plan, TrainConfig};
 
@@ -222,6 +222,10 @@ fn scene(dir: &Path, device: &str) -> Vec<u8> {
     ]);
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
+    let ranks = RunRecord::read(&run).unwrap().device.ranks;
+    assert_eq!(ranks, (device != "cpu").then_some(2));
+    let report = fs::read_to_string(run.join("report.html")).unwrap();
+    assert_eq!(report.contains("ranks, the first"), ranks.is_some());
     fs::read(run.join("scene.ply")).unwrap()
 }
 

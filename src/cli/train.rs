@@ -152,11 +152,12 @@ fn train(
     if args.profile {
         run.time_every_iteration();
     }
-    output::info(&format!(
-        "device: {} ({})",
-        device.info().name,
-        device.info().platform
-    ));
+    let ranks = match device.helpers().ranks() {
+        1 => String::new(),
+        ranks => format!(", the first of {ranks} ranks"),
+    };
+    let info = device.info();
+    output::info(&format!("device: {} ({}){ranks}", info.name, info.platform));
     for line in run.record().plan.summary(args.verbose) {
         output::info(&line);
     }

@@ -174,7 +174,7 @@ mod tests {
         assert_eq!(divide(&[1; 8], 2), [0, 4, 8]);
         assert_eq!(divide(&[9, 1, 1, 1, 1, 1], 2), [0, 1, 6]);
         assert_eq!(divide(&[0, 0, 5], 2), [0, 2, 3]);
-        assert_eq!(divide(&[1], 3), [0, 0, 1, 1], "bands may be empty");
+        assert_eq!(divide(&[1], 3), [0, 0, 0, 1], "bands may be empty");
         for (weights, ranks) in [(vec![3, 1, 4, 1, 5, 9, 2, 6], 3), (vec![7; 50], 16)] {
             let bands = divide(&weights, ranks);
             assert!(bands.is_sorted() && bands.len() == ranks + 1);

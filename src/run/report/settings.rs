@@ -19,6 +19,7 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
     let (dataset, device) = (&record.dataset, &record.device);
     let cores = device.cores.zip(device.compute_units);
     let cores = cores.map_or_else(String::new, |(n, all)| format!("{n} of {all}"));
+    let ranks = device.ranks.map_or_else(String::new, |n| n.to_string());
     let facts = [
         ("dataset", &*dataset.path),
         ("layout", &dataset.layout),
@@ -27,6 +28,7 @@ pub(super) fn section(out: &mut String, record: &RunRecord, run_dir: &Path) {
         ("platform", &device.platform),
         ("driver", &device.driver),
         ("compute units", &cores),
+        ("ranks, the first of which this is", &ranks),
         (
             "version",
             &format!("{} ({})", record.version, record.commit),
