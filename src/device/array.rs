@@ -136,10 +136,51 @@ impl<T: Element> Array<T> {
     /// A range beyond the array, or the driver's.
     pub fn write(&self, offset: usize, data: &[T]) -> Result<()> {
         self.check(offset, data.len())?;
+        self.write_as(offset, data)
+    }
+
+    /// Reads `len` values from `offset` on, after everything enqueued so far.
+    ///
+    /// # Errors
+    /// A range beyond the array, or the driver's.
+    pub fn read(&self, offset: usize, len: usize) -> Result<Vec<T>> {
+        self.check(offset, len)?;
+        self.read_as(offset, vec![T::default(); len])
+    }
+
+    /// 32-bit words of a value.
+    const WORDS: usize = size_of::<T>() / size_of::<u32>();
+
+    /// Reads `len` values of whole words from `offset` on as words, after everything enqueued so far.
+    ///
+    /// # Errors
+    /// A range beyond the array, or the driver's.
+    pub fn read_words(&self, offset: usize, len: usize) -> Result<Vec<u32>> {
+        self.check(offset, len)?;
+        self.read_as(offset * Self::WORDS, vec![0; len * Self::WORDS])
+    }
+
+    /// Writes values from `offset` on that [`Array::read_words`] has read from an array of the same type, and waits until `words` may be
+    /// reused.
+    ///
+    /// # Errors
+    /// A range beyond the array, words that are no whole values, or the driver's.
+    pub fn write_words(&self, offset: usize, words: &[u32]) -> Result<()> {
+        let len = words.len().checked_div(Self::WORDS).unwrap_or(0);
+        self.check(offset, len)?;
+        if words.len() != len * Self::WORDS {
+            let what = format!("{} words for values of {}", words.len(), Self::WORDS);
+            return Err(Error::device(self.name, what, BUG));
+        }
+        self.write_as(offset * Self::WORDS, words)
+    }
+
+    /// Writes values of a type, from the place of the `offset`-th of them on, all within the array.
+    fn write_as<U: OclPrm>(&self, offset: usize, data: &[U]) -> Result<()> {
         if data.is_empty() {
             return Ok(());
         }
-        // SAFETY: a blocking write: `data` outlives it.
+        // SAFETY: a blocking write: `data` outlives it; any bits are a value of `T`.
         unsafe {
             core::enqueue_write_buffer(
                 &self.device.queue(),
@@ -154,17 +195,12 @@ impl<T: Element> Array<T> {
         .map_err(|e| self.failed("write", &e))
     }
 
-    /// Reads `len` values from `offset` on, after everything enqueued so far.
-    ///
-    /// # Errors
-    /// A range beyond the array, or the driver's.
-    pub fn read(&self, offset: usize, len: usize) -> Result<Vec<T>> {
-        self.check(offset, len)?;
-        let mut data = vec![T::default(); len];
+    /// Values of a type in the place of `data`, from the place of the `offset`-th of them on, all within the array.
+    fn read_as<U: OclPrm>(&self, offset: usize, mut data: Vec<U>) -> Result<Vec<U>> {
         if data.is_empty() {
             return Ok(data);
         }
-        // SAFETY: a blocking read: `data` outlives it.
+        // SAFETY: a blocking read: `data` outlives it; any bits are a value of `U`.
         unsafe {
             core::enqueue_read_buffer(
                 &self.device.queue(),
@@ -178,64 +214,6 @@ impl<T: Element> Array<T> {
         }
         .map_err(|e| self.failed("read", &e))?;
         Ok(data)
-    }
-
-    /// Reads `len` values from `offset` on as 32-bit words, whatever they are, after everything enqueued so far.
-    ///
-    /// # Errors
-    /// A range beyond the array, or the driver's.
-    pub fn read_words(&self, offset: usize, len: usize) -> Result<Vec<u32>> {
-        self.check(offset, len)?;
-        let each = size_of::<T>() / size_of::<u32>();
-        let mut words = vec![0; len * each];
-        if words.is_empty() {
-            return Ok(words);
-        }
-        // SAFETY: a blocking read of words within the array: `words` outlives it.
-        unsafe {
-            core::enqueue_read_buffer(
-                &self.device.queue(),
-                &self.mem,
-                true,
-                offset * each,
-                &mut words,
-                None::<&Event>,
-                None::<&mut Event>,
-            )
-        }
-        .map_err(|e| self.failed("read", &e))?;
-        Ok(words)
-    }
-
-    /// Writes values from `offset` on that [`Array::read_words`] has read from an array of the same type, and waits until `words` may be
-    /// reused.
-    ///
-    /// # Errors
-    /// A range beyond the array, words that are no whole values, or the driver's.
-    pub fn write_words(&self, offset: usize, words: &[u32]) -> Result<()> {
-        let each = size_of::<T>() / size_of::<u32>();
-        let len = words.len().div_ceil(each.max(1));
-        self.check(offset, len)?;
-        if words.len() != len * each {
-            let what = format!("{} words for values of {each}", words.len());
-            return Err(Error::device(self.name, what, BUG));
-        }
-        if words.is_empty() {
-            return Ok(());
-        }
-        // SAFETY: a blocking write of whole values within the array; any bits are a value of `T`.
-        unsafe {
-            core::enqueue_write_buffer(
-                &self.device.queue(),
-                &self.mem,
-                true,
-                offset * each,
-                words,
-                None::<&Event>,
-                None::<&mut Event>,
-            )
-        }
-        .map_err(|e| self.failed("write", &e))
     }
 
     /// All values; see [`Array::read`].

@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use crate::base::error::Result;
+use crate::base::error::{Error, Result};
 
 /// The rank that leads: it takes the decisions and has the run's folder.
 pub const LEADER: usize = 0;
@@ -61,6 +61,18 @@ pub type Traffic = [u64; Part::ALL.len()];
 pub fn bytes_sent(rank: usize, messages: &[Vec<u32>]) -> u64 {
     let others = messages.iter().enumerate().filter(|(to, _)| *to != rank);
     others.map(|(_, m)| 4 * m.len() as u64).sum()
+}
+
+/// Refuses another number of messages than there are ranks.
+///
+/// # Errors
+/// That.
+pub fn check_number(messages: &[Vec<u32>], ranks: usize) -> Result<()> {
+    let what = format!("{} messages for {ranks} ranks", messages.len());
+    match messages.len() == ranks {
+        true => Ok(()),
+        false => Err(Error::numerics("exchange", what)),
+    }
 }
 
 /// Messages between ranks. All of them make the same calls in the same order.

@@ -11,7 +11,7 @@ use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, Destination, MatchedReceiveVec, Source};
 
 use crate::base::error::{Error, Result};
-use crate::ranks::exchange::{Exchange, LEADER, Part, Traffic, bytes_sent};
+use crate::ranks::exchange::{Exchange, LEADER, Part, Traffic, bytes_sent, check_number};
 
 /// Number of looks for a message before the first pause.
 const EAGER: u32 = 200;
@@ -164,10 +164,7 @@ impl Exchange for Process {
     }
 
     fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
-        if messages.len() != self.ranks {
-            let what = format!("{} messages for {} ranks", messages.len(), self.ranks);
-            return Err(Error::numerics("exchange", what));
-        }
+        check_number(&messages, self.ranks)?;
         // MPI counts by 31 bits.
         if messages.iter().any(|m| i32::try_from(m.len()).is_err()) {
             let what = "a message of 8 GiB or more; take more ranks, or fewer Gaussians";

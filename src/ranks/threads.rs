@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use crate::base::error::{Error, Result};
-use crate::ranks::exchange::{Exchange, Part, Traffic, bytes_sent};
+use crate::ranks::exchange::{Exchange, Part, Traffic, bytes_sent, check_number};
 
 /// Messages on their way between threads.
 #[derive(Debug)]
@@ -77,10 +77,7 @@ impl Exchange for Thread {
     }
 
     fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
-        if messages.len() != self.ranks {
-            let what = format!("{} messages for {} ranks", messages.len(), self.ranks);
-            return Err(Error::numerics("exchange", what));
-        }
+        check_number(&messages, self.ranks)?;
         let mut state = self.hub.state();
         state.sent[self.rank][part as usize] += bytes_sent(self.rank, &messages);
         for (queue, message) in state.queues[self.rank].iter_mut().zip(messages) {

@@ -48,6 +48,7 @@ fn seen_of(gaussians: &[Projected<f64>], before: &[u32], tuning: Tuning) -> Vec<
     // Left over from another view.
     let shown = Array::from_slice(&device, "shown", &vec![1; n]).unwrap();
     let mut frame = ViewBuffers::new(&device, &tuning, false).unwrap();
+    frame.band = 0..1;
     frame.records = Array::from_slice(&device, "records", gaussians).unwrap();
     frame.isect_owner = array("isect_owner", &order);
     frame.tile_start = array("tile_start", &[0, n as u32]);
