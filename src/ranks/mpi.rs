@@ -109,14 +109,14 @@ fn trade(
     got[rank] = Some(std::mem::take(&mut messages[rank]));
     mpi::request::scope(|scope| {
         let others = messages.iter().enumerate().filter(|(to, _)| *to != rank);
-        let sent: Vec<_> = others
+        let mut sent: Vec<_> = others
             .map(|(to, message)| {
-                let to = world.process_at_rank(to as i32);
-                to.immediate_send(scope, message.as_slice())
+                let process = world.process_at_rank(to as i32);
+                (to, process.immediate_send(scope, message.as_slice()))
             })
             .collect();
         let (began, mut looks) = (Instant::now(), 0);
-        while let Some(missing) = got.iter().position(Option::is_none) {
+        loop {
             let mut any = false;
             for (from, place) in got.iter_mut().enumerate().filter(|(_, g)| g.is_none()) {
                 let from = world.process_at_rank(from as i32);
@@ -124,6 +124,14 @@ fn trade(
                     *place = Some(found.matched_receive_vec().0);
                     any = true;
                 }
+            }
+            let left = sent.into_iter();
+            let left = left.filter_map(|(to, request)| Some((to, request.test().err()?)));
+            sent = left.collect();
+            let missing = (0..got.len()).filter(|from| got[*from].is_none());
+            let missing: Vec<usize> = missing.chain(sent.iter().map(|(to, _)| *to)).collect();
+            if missing.is_empty() {
+                break;
             }
             looks = if any { 0 } else { looks + 1 };
             match looks {
@@ -133,16 +141,14 @@ fn trade(
             }
             // The leader may write a report meanwhile.
             let waited = began.elapsed().as_secs_f64();
-            if missing != LEADER && waited > patience.seconds {
+            let late = missing.iter().find(|other| **other != LEADER);
+            if let Some(late) = late.filter(|_| waited > patience.seconds) {
                 (patience.tell)(&format!(
-                    "rank {missing} has not answered rank {rank} for {waited:.0} s; the job ends"
+                    "rank {late} has not answered rank {rank} for {waited:.0} s; the job ends"
                 ));
                 world.abort(3);
             }
         }
-        sent.into_iter().for_each(|request| {
-            request.wait_without_status();
-        });
     });
     got.into_iter().map(Option::unwrap_or_default).collect()
 }
