@@ -92,7 +92,7 @@ fn ranks_change_no_bit_with_exposure_filters_or_a_lag() {
     }
 }
 
-/// What is blank beside a band is known there: the losses, too, are those of one rank.
+/// Tiles beside a band that are blank are known there, so that the losses, too, are those of one rank.
 #[test]
 fn ranks_change_no_bit_of_transparent_or_masked_photos() {
     for meaning in [Alpha::Transparency, Alpha::Mask] {

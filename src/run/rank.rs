@@ -15,7 +15,7 @@ use crate::pipeline::photos::Photos;
 use crate::ranks::{Exchange, LEADER, Part, text_of, words_of};
 use crate::train::{Plan, Trainer};
 
-/// What the leader sends to the other processes before they train.
+/// The leader's first message to the other processes, before they train.
 #[derive(Debug, Serialize, Deserialize)]
 struct Beginning {
     /// Version, revision and hash of the kernels' sources.

@@ -12,7 +12,7 @@ use crate::ranks::{Exchange, LEADER, Part, to_all};
 /// Weight of a row of tiles in a division by bands, in pairs per tile: compositing and loss of a tile without any.
 const EMPTY_TILE: u64 = 16;
 
-/// What the leader knows of the other ranks.
+/// The ranks as the leader sees them: messages, threads, pairs of views, counts.
 #[derive(Debug)]
 pub struct Crew {
     /// Messages to the others and from them.

@@ -34,6 +34,16 @@ use mhsplat::lab::verify::definition::Reference;
 use mhsplat::lab::verify::pass::Outcome;
 use mhsplat::lab::verify::{pass, verify_case};
 
+/// Tunings of CPUs and GPUs, and of GPUs with chunks that groups go over in several steps.
+const TUNINGS: [Tuning; 3] = [
+    Tuning::CPU,
+    Tuning::GPU,
+    Tuning {
+        chunks: 3,
+        ..Tuning::GPU
+    },
+];
+
 fn device() -> Device {
     Device::open(None).unwrap()
 }

@@ -16,16 +16,6 @@ use mhsplat::pipeline::stage::route::{Route, route};
 use mhsplat::ranks::{Exchange, threads};
 use mhsplat::scene::Gaussians;
 
-/// Those of CPUs and GPUs, and of GPUs with chunks that groups go over in several steps.
-const TUNINGS: [Tuning; 3] = [
-    Tuning::CPU,
-    Tuning::GPU,
-    Tuning {
-        chunks: 3,
-        ..Tuning::GPU
-    },
-];
-
 /// Words of a key and a record.
 fn words<R: Real>() -> usize {
     1 + size_of::<Projected<R>>() / 4

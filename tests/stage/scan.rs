@@ -32,16 +32,6 @@ fn scanned(values: &[u32], capacity: usize, tuning: Tuning) -> (Vec<u32>, Vec<u3
     (out.read(0, values.len()).unwrap(), status)
 }
 
-/// Those of CPUs and GPUs, and of GPUs with chunks that groups go over in several steps.
-const TUNINGS: [Tuning; 3] = [
-    Tuning::CPU,
-    Tuning::GPU,
-    Tuning {
-        chunks: 3,
-        ..Tuning::GPU
-    },
-];
-
 #[test]
 fn sums_of_every_length() {
     for n in [0usize, 1, 2, 15, 16, 17, 1000, 4097] {
