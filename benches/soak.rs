@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
+use mhsplat::base::process::process_cpu_seconds;
 use mhsplat::config::Sampler;
-use mhsplat::run::clock::process_cpu_seconds;
 use mhsplat::run::{Clock, Run, saved_config};
 use mhsplat::{Device, LoadOptions, TrainConfig, load_dataset};
 

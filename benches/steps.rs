@@ -7,9 +7,9 @@
 
 use std::time::Instant;
 
+use mhsplat::base::process::process_cpu_seconds;
 use mhsplat::config::Sampler;
 use mhsplat::lab::bench::scene;
-use mhsplat::run::clock::process_cpu_seconds;
 use mhsplat::train::Event;
 use mhsplat::{Device, Plan, TrainConfig, Trainer};
 

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use mutate::{Dice, mutated};
 use readers::{CLOUDS, COLMAP, EXPORTS, PHOTOS, RUNS, Reader, SETTINGS, reader};
 
-use mhsplat::run::clock;
+use mhsplat::base::process;
 
 /// Inputs per reader in a plain test run.
 const INPUTS: u64 = 400;
@@ -66,7 +66,7 @@ fn feed(name: &str) {
     for seed in &good {
         assert!((of.read)(seed), "{name}: the seeds themselves are good");
     }
-    let before = clock::peak_rss_bytes();
+    let before = process::peak_rss_bytes();
     let (mut taken, mut slowest) = (0u64, Duration::ZERO);
     let mut pool = Vec::new();
     for (file, stored) in corpus(name) {
@@ -86,7 +86,7 @@ fn feed(name: &str) {
         taken += u64::from(good);
         slowest = slowest.max(took);
     }
-    let grown = clock::peak_rss_bytes().saturating_sub(before);
+    let grown = process::peak_rss_bytes().saturating_sub(before);
     println!(
         "{name}: {stored} stored inputs, {count} mutated, {taken} taken, slowest {slowest:?}, peak grew by {} MiB",
         grown >> 20

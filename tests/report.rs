@@ -385,12 +385,12 @@ fn cpu_seconds_count_threads_that_have_ended() {
         clock.cpu_seconds() - before >= 0.05
     });
     assert!(counted);
-    assert!(mhsplat::run::clock::peak_rss_bytes() > 1 << 20);
+    assert!(mhsplat::base::process::peak_rss_bytes() > 1 << 20);
 }
 
 #[test]
 fn proc_lines_parse_whatever_the_program_is_called() {
-    use mhsplat::run::clock::{parse_peak, parse_stat};
+    use mhsplat::base::process::{parse_peak, parse_stat};
     let stat = "7 (a ) b (c) R 1 7 7 0 -1 4194304 100 0 0 0 250 50 9 9 20 0 1 0";
     assert_eq!(parse_stat(stat), Some(3.0));
     assert_eq!(parse_stat("7 (a) R 1 7"), None);

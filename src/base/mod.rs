@@ -7,4 +7,5 @@ pub mod files;
 pub mod hash;
 pub mod math;
 pub(crate) mod ply;
+pub mod process;
 pub mod rng;

@@ -3,11 +3,14 @@
 //! Gaussians' pairs back. Grendel-GS (Zhao et al. 2024) divides both likewise. Every sum is added in the order in which one rank alone
 //! adds it, so that the result has the same bits for any number of ranks and any bands.
 
+use std::cell::Cell;
 use std::ops::Range;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use crate::base::constants::{SSIM_TAPS, TILE};
 use crate::base::error::{Error, Result};
+use crate::base::process::process_cpu_seconds;
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
@@ -18,6 +21,40 @@ use crate::ranks::{Exchange, LEADER, Part, to_all, to_one};
 
 /// Rows of pixels beside a band that the gradient of its loss sees: two windows of SSIM, one over maps of the other.
 const HALO: usize = SSIM_TAPS - 1;
+
+/// Time that a rank works, without that in which it waits for others.
+#[derive(Debug, Clone, Copy)]
+struct Stopwatch {
+    worked: Duration,
+    /// End of the last wait.
+    since: Instant,
+}
+
+/// Seconds that a rank worked.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Worked {
+    /// On its rows in a view: projection, and the update before.
+    pub rows: f32,
+    /// On its band, in the view before.
+    pub band: f32,
+    /// By all cores since its process began, if that is not the leader's; 0 else.
+    pub process: f32,
+}
+
+impl Worked {
+    fn words(self) -> [u32; 3] {
+        [self.rows, self.band, self.process].map(f32::to_bits)
+    }
+
+    fn from_words(words: &[u32]) -> Option<Self> {
+        let [rows, band, process] = <[u32; 3]>::try_from(words).ok()?.map(f32::from_bits);
+        Some(Self {
+            rows,
+            band,
+            process,
+        })
+    }
+}
 
 /// Stages of a view that ranks share, and what lies between them.
 #[derive(Debug)]
@@ -34,6 +71,10 @@ pub struct Share<R: Real> {
     firsts: Vec<usize>,
     /// Pairs of each row of tiles of the view composited last; at the leader alone.
     pub pairs_by_row: Vec<u32>,
+    /// What each rank told with the view composited last; at the leader alone.
+    pub worked_by_rank: Vec<Worked>,
+    worked: Worked,
+    stopwatch: Cell<Stopwatch>,
 }
 
 impl<R: Real> Share<R> {
@@ -50,6 +91,12 @@ impl<R: Real> Share<R> {
             bands: vec![0; exchange.ranks() + 1],
             firsts: Vec::new(),
             pairs_by_row: Vec::new(),
+            worked_by_rank: vec![Worked::default(); exchange.ranks()],
+            worked: Worked::default(),
+            stopwatch: Cell::new(Stopwatch {
+                worked: Duration::ZERO,
+                since: Instant::now(),
+            }),
             device: device.clone(),
             exchange,
         })
@@ -59,7 +106,30 @@ impl<R: Real> Share<R> {
     pub fn set_bands(&mut self, bands: Vec<u32>) -> Result<()> {
         self.route.set_bands(&bands)?;
         self.bands = bands;
+        // What lay between two views is no work on them.
+        self.lap();
         Ok(())
+    }
+
+    /// Trades messages; the time of that is no work.
+    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+        let mut watch = self.stopwatch.get();
+        watch.worked += watch.since.elapsed();
+        let got = self.exchange.trade(part, messages);
+        watch.since = Instant::now();
+        self.stopwatch.set(watch);
+        got
+    }
+
+    /// Seconds worked since the last call.
+    fn lap(&self) -> f32 {
+        let watch = self.stopwatch.get();
+        let worked = watch.worked + watch.since.elapsed();
+        self.stopwatch.set(Stopwatch {
+            worked: Duration::ZERO,
+            since: Instant::now(),
+        });
+        worked.as_secs_f32()
     }
 
     /// Rows of tiles of a rank's band.
@@ -83,7 +153,8 @@ impl<R: Real> Share<R> {
         (home.camera, home.count) = (*camera, scene.count);
         forward.project_into(scene, options, home)?;
         let sent = self.route.send(&self.device, &self.home)?;
-        let got = self.exchange.trade(Part::Records, sent)?;
+        self.worked.rows = self.lap();
+        let got = self.trade(Part::Records, sent)?;
         let own = self.band(self.exchange.rank());
         let frame = &mut forward.frame;
         self.firsts = self.route.receive(&self.device, &got, frame)?;
@@ -130,7 +201,11 @@ impl<R: Real> Share<R> {
         let (rank, size) = (self.exchange.rank(), frame.camera.image());
         let ([stride, _], plane) = (size.padded(), size.plane());
         let needed = frame.status.read(status::OVERFLOW as usize, 1)?[0];
-        let mut messages = to_all(self.exchange.as_ref(), vec![needed]);
+        if self.exchange.apart() && rank != LEADER {
+            self.worked.process = process_cpu_seconds() as f32;
+        }
+        let header = [&[needed], self.worked.words().as_slice()].concat();
+        let (begins, mut messages) = (header.len(), to_all(self.exchange.as_ref(), header));
         for (to, message) in messages.iter_mut().enumerate() {
             for rows in self.border(to, rank, size) {
                 for channel in 0..3 {
@@ -143,14 +218,14 @@ impl<R: Real> Share<R> {
             }
         }
         messages[LEADER].extend(frame.pairs_by_row()?);
-        let mut got = self.exchange.trade(Part::Borders, messages)?;
+        let mut got = self.trade(Part::Borders, messages)?;
         let all = size.tiles()[1];
         if rank == LEADER {
             self.pairs_by_row = vec![0; all];
         }
         let words = size_of::<R>() / size_of::<u32>();
         for (from, message) in got.iter_mut().enumerate() {
-            let mut at = 1;
+            let mut at = begins;
             for rows in self.border(rank, from, size) {
                 for channel in 0..3 {
                     let len = rows.len() * stride;
@@ -167,6 +242,8 @@ impl<R: Real> Share<R> {
                 at += across;
             }
             if rank == LEADER {
+                let told = message.get(1..begins).ok_or_else(short)?;
+                self.worked_by_rank[from] = Worked::from_words(told).ok_or_else(short)?;
                 let band = self.band(from);
                 let part = message.get(at..at + band.len()).ok_or_else(short)?;
                 self.pairs_by_row[band].copy_from_slice(part);
@@ -184,7 +261,8 @@ impl<R: Real> Share<R> {
     pub fn return_sums(&mut self, frame: &ViewBuffers<R>) -> Result<()> {
         let (device, scan) = (&self.device, &self.scan);
         let given = self.route.give_back(device, scan, frame, &self.firsts)?;
-        let got = self.exchange.trade(Part::Sums, given)?;
+        self.worked.band = self.lap();
+        let got = self.trade(Part::Sums, given)?;
         self.route.collect(device, scan, &got, &mut self.home)
     }
 
@@ -204,9 +282,7 @@ impl<R: Real> Share<R> {
         for k in 0..count {
             own.extend(planes.read_words(k * plane + first, len)?);
         }
-        let got = self
-            .exchange
-            .trade(Part::Images, to_all(self.exchange.as_ref(), own))?;
+        let got = self.trade(Part::Images, to_all(self.exchange.as_ref(), own))?;
         for (from, message) in got.iter().enumerate().filter(|(from, _)| *from != rank) {
             let (first, _) = rows(from);
             let parts = message.chunks_exact((message.len() / count).max(1));
@@ -226,8 +302,8 @@ impl<R: Real> Share<R> {
         for place in loss.places(pair.size, &self.band(rank)) {
             own.extend(loss.partial.read_words(place.start, place.len())?);
         }
-        let exchange = self.exchange.as_ref();
-        let got = exchange.trade(Part::Loss, to_one(exchange, LEADER, own))?;
+        let messages = to_one(self.exchange.as_ref(), LEADER, own);
+        let got = self.trade(Part::Loss, messages)?;
         if rank != LEADER {
             return Ok(false);
         }

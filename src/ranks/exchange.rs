@@ -83,6 +83,9 @@ pub trait Exchange: Debug + Send + Sync {
     /// Number of ranks.
     fn ranks(&self) -> usize;
 
+    /// True if every rank is a process of its own.
+    fn apart(&self) -> bool;
+
     /// Sends a message to each rank, this one included, and waits for one from each: those for and from rank r stand at r.
     ///
     /// # Errors

@@ -169,6 +169,10 @@ impl Exchange for Process {
         self.ranks
     }
 
+    fn apart(&self) -> bool {
+        true
+    }
+
     fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
         check_number(&messages, self.ranks)?;
         // MPI counts by 31 bits.

@@ -76,6 +76,10 @@ impl Exchange for Thread {
         self.ranks
     }
 
+    fn apart(&self) -> bool {
+        false
+    }
+
     fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
         check_number(&messages, self.ranks)?;
         let mut state = self.hub.state();

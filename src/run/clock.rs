@@ -1,53 +1,11 @@
-//! The clocks of a run, and the process figures of `/proc`.
+//! The clocks of a run.
 //!
 //! All start together. `wall` and `all_cpu` run on, unless the run waits for its user; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
 //! kernels, so that both cover the same span. On shared machines `cpu` is the one to compare by.
 
 use std::time::Instant;
 
-/// Clock ticks per second of `/proc/self/stat`: Linux's `USER_HZ`, which is 100 on every architecture Rust's standard
-/// library supports. (Asking `sysconf` would need a dependency on libc.)
-const TICKS_PER_SECOND: f64 = 100.0;
-
-/// CPU seconds (user + system) of this process so far, over all its threads, ended ones included.
-///
-/// From fields 14 and 15 of `/proc/self/stat` (proc(5)). The resolution is one tick, 10 ms; the nanosecond figures of
-/// `/proc/self/task/*/schedstat` are finer but lose the threads that have ended. 0 without `/proc`.
-#[must_use]
-pub fn process_cpu_seconds() -> f64 {
-    std::fs::read_to_string("/proc/self/stat")
-        .ok()
-        .and_then(|text| parse_stat(&text))
-        .unwrap_or(0.0)
-}
-
-/// CPU seconds of one `/proc/*/stat` line; `None` for any other line.
-#[must_use]
-pub fn parse_stat(text: &str) -> Option<f64> {
-    // Field 2 is the program's name in brackets and may itself hold blanks and brackets.
-    let (_, rest) = text.rsplit_once(')')?;
-    let mut fields = rest.split_ascii_whitespace().skip(11);
-    let user: u64 = fields.next()?.parse().ok()?;
-    let system: u64 = fields.next()?.parse().ok()?;
-    Some(user.saturating_add(system) as f64 / TICKS_PER_SECOND)
-}
-
-/// Largest resident set of this process so far in bytes (`VmHWM` of `/proc/self/status`); 0 without `/proc`.
-#[must_use]
-pub fn peak_rss_bytes() -> u64 {
-    std::fs::read_to_string("/proc/self/status")
-        .ok()
-        .and_then(|text| parse_peak(&text))
-        .unwrap_or(0)
-}
-
-/// Bytes of the `VmHWM` line of `/proc/*/status`; `None` without such a line.
-#[must_use]
-pub fn parse_peak(text: &str) -> Option<u64> {
-    let line = text.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
-    let kib: u64 = line.split_ascii_whitespace().next()?.parse().ok()?;
-    kib.checked_mul(1024)
-}
+use crate::base::process::process_cpu_seconds;
 
 /// A reading of the clocks, in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
@@ -56,9 +14,9 @@ pub struct Reading {
     pub train_seconds: f64,
     /// Time since the start.
     pub wall_seconds: f64,
-    /// CPU time of the process over the span of `train_seconds`; 0 if the system does not report it.
+    /// CPU time of all its processes over the span of `train_seconds`; 0 if the system does not report it.
     pub cpu_seconds: f64,
-    /// CPU time of the process since the start; 0 as before.
+    /// CPU time of all its processes since the start; 0 as before.
     pub all_cpu_seconds: f64,
 }
 
@@ -88,6 +46,8 @@ pub struct Clock {
     all: Option<Mark>,
     /// Beginning of the running span of `train` and `cpu`.
     running: Option<Mark>,
+    /// CPU seconds of the run's other processes that are counted.
+    elsewhere: f64,
 }
 
 impl Clock {
@@ -99,7 +59,16 @@ impl Clock {
             before: Reading::default(),
             all: Some(mark),
             running: Some(mark),
+            elsewhere: 0.0,
         }
+    }
+
+    /// Counts the CPU time of the run's other processes, which is `seconds` in all so far; they work while the run trains.
+    pub fn note_elsewhere(&mut self, seconds: f64) {
+        let more = (seconds - self.elsewhere).max(0.0);
+        self.before.cpu_seconds += more;
+        self.before.all_cpu_seconds += more;
+        self.elsewhere += more;
     }
 
     /// The clocks of a run that goes on, which show more by what an earlier part of it took (from a checkpoint).

@@ -1,17 +1,16 @@
 //! [`Run`]: one training run and its folder. Evaluations, exports, checkpoints, records and the report.
 
-use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
-use crate::chart::text::about;
-use crate::config::{Preset, TrainConfig};
+use crate::base::process::peak_rss_bytes;
+use crate::config::TrainConfig;
 use crate::evaluate::Evaluator;
 use crate::run::budget::{Budget, Pace};
 use crate::run::checkpoint::{self, Checkpoint};
-use crate::run::clock::{self, Clock};
+use crate::run::clock::Clock;
 use crate::run::density_trace::{TRACE_FILE, funnel, write_trace};
 use crate::run::export::Exports;
 use crate::run::forecast::Forecast;
@@ -103,7 +102,7 @@ impl Run {
                     && self.pace.budget().is_none()
                     && let Some(left) = self.left()
                 {
-                    let what = self.expected(left);
+                    let what = self.forecast.told(self.iterations(), left);
                     progress(&self.progress(Some(what)));
                 }
                 if self.trainer.schedule().may_change(done) {
@@ -125,7 +124,10 @@ impl Run {
                     Some(length) => self.set_length(length)?,
                     None => break,
                 },
-                Event::Iteration { .. } => progress(&self.progress(None)),
+                Event::Iteration { .. } => {
+                    self.clock.note_elsewhere(self.trainer.cpu_elsewhere());
+                    progress(&self.progress(None));
+                }
                 Event::Decided(decision) => progress(&self.progress(Some(decision.to_string()))),
                 Event::Density(event) => self.log_density(&event)?,
                 Event::Settled(done) => {
@@ -314,20 +316,6 @@ impl Run {
         Some(left.min(budget.seconds - spent).max(0.0) * pace)
     }
 
-    /// The time that the run is expected to take yet, and that of the presets beside it.
-    fn expected(&self, left: f64) -> String {
-        let iterations = self.iterations();
-        let mut text = format!("{iterations} iterations: about {} left", about(left));
-        let others = Preset::ALL.iter().filter(|p| p.iterations() != iterations);
-        let times = others.filter_map(|p| {
-            let whole = self.forecast.left(0, p.iterations())?;
-            Some(format!("{} {}", p.name(), about(whole)))
-        });
-        let times: Vec<String> = times.collect();
-        let _ = write!(text, " (on this device --preset {})", times.join(", "));
-        text
-    }
-
     /// Seconds of training and of everything, on the clock that the run goes by.
     fn spent(&self) -> (f64, f64) {
         Budget::spent(self.pace.budget(), &self.clock)
@@ -475,7 +463,7 @@ impl Run {
         r.train_seconds = now.train_seconds;
         r.wall_seconds = now.wall_seconds;
         r.cpu_seconds = now.cpu_seconds;
-        r.peak_rss_bytes = clock::peak_rss_bytes();
+        r.peak_rss_bytes = peak_rss_bytes();
         r.density = *self.trainer.stats();
         r.photos = self.trainer.photo_stats();
         r.stages = stages;

@@ -1,9 +1,11 @@
 //! [`Forecast`]: the time that a run still takes, from that of its iterations so far.
 
+use std::fmt::Write;
 use std::time::Instant;
 
 use crate::base::error::Result;
-use crate::config::{Sampler, TrainConfig};
+use crate::chart::text::about;
+use crate::config::{Preset, Sampler, TrainConfig};
 use crate::evaluate::Evaluator;
 use crate::evaluate::flip::flip;
 use crate::run::report::training::VIEWS;
@@ -298,6 +300,19 @@ impl Forecast {
     /// Number of measurements of an iteration so far.
     pub fn measured(&self) -> u32 {
         self.measured
+    }
+
+    /// The time `left` that a run of `iterations` is expected to take yet, and that of the presets beside it.
+    pub fn told(&self, iterations: u32, left: f64) -> String {
+        let mut text = format!("{iterations} iterations: about {} left", about(left));
+        let others = Preset::ALL.iter().filter(|p| p.iterations() != iterations);
+        let times = others.filter_map(|p| {
+            let whole = self.left(0, p.iterations())?;
+            Some(format!("{} {}", p.name(), about(whole)))
+        });
+        let times: Vec<String> = times.collect();
+        let _ = write!(text, " (on this device --preset {})", times.join(", "));
+        text
     }
 
     /// Seconds from `done` iterations to the very end of a run of `length`; `None` before the first measurement.

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
+use crate::base::process::process_cpu_seconds;
 use crate::capture::Dataset;
 use crate::config::{Length, TrainConfig};
 use crate::device::{Defines, Device, Helpers};
@@ -13,7 +14,7 @@ use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::run::budget::{Budget, Pace, begin, go_on};
 use crate::run::checkpoint::{self, Checkpoint};
-use crate::run::clock::{Clock, process_cpu_seconds};
+use crate::run::clock::Clock;
 use crate::run::drive::Run;
 use crate::run::export::Exports;
 use crate::run::forecast::{Forecast, HostCost};

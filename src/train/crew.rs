@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use crate::base::error::{Error, Result};
-use crate::pipeline::share::Share;
+use crate::pipeline::share::{Share, Worked};
 use crate::ranks::{Exchange, LEADER, Part, to_all};
 
 /// Weight of a row of tiles in a division by bands, in pairs per tile: compositing and loss of a tile without any.
@@ -22,11 +22,22 @@ pub struct Crew {
     pub idle: Option<Share<f32>>,
     /// Pairs of each row of tiles of a view when it was seen last, by view and number of rows.
     pairs: BTreeMap<(usize, usize), Vec<u32>>,
+    /// Parts of the ranks in rows, and in rows of tiles.
+    parts: [Parts; 2],
+    /// Seconds that each rank worked on its rows since they were spread.
+    worked_on_rows: Vec<f64>,
+    /// CPU seconds of the processes of other ranks.
+    process_seconds: f64,
+    /// First row of each rank, and the number of all, when they were spread last.
+    rows: Vec<usize>,
     /// Non-finite gradient values of the other ranks, and of before there were any.
     non_finite: Vec<u64>,
     /// False while the others may be amidst something.
     pub at_rest: bool,
 }
+
+/// Least share of a rank, as a part of an even one: it goes on being measured.
+const LEAST_PART: f64 = 0.02;
 
 /// Iterate: iteration, SH degree, bands. An order is the first word of a message.
 pub const ITERATE: u32 = 0;
@@ -37,28 +48,70 @@ pub const GATHER: u32 = 2;
 /// End.
 pub const END: u32 = 3;
 
-/// Rows of a rank: even parts, one after the other.
-#[must_use]
-pub fn rows_of(rank: usize, ranks: usize, all: usize) -> Range<usize> {
-    rank * all / ranks..(rank + 1) * all / ranks
-}
+/// Gain of a step towards even times: of bands, after every view, and of rows, when they are spread.
+const GAINS: [f64; 2] = [0.1, 0.5];
 
-/// First row of tiles of each band, and the number of rows: bands of about the same weight.
-fn divide(weights: &[u64], ranks: usize) -> Vec<u32> {
-    let all: u64 = weights.iter().sum();
-    let mut bands = vec![0];
-    let (mut row, mut before) = (0, 0);
-    for rank in 1..ranks {
-        let goal = all * rank as u64 / ranks as u64;
-        // A row belongs to the band in which most of it lies.
-        while row < weights.len() && before + weights[row] / 2 < goal {
-            before += weights[row];
-            row += 1;
-        }
-        bands.push(row as u32);
+/// Shares of the ranks in a work, above 0, with the sum 1.
+#[derive(Debug, Clone, PartialEq)]
+struct Parts(Vec<f64>);
+
+impl Parts {
+    fn even(ranks: usize) -> Self {
+        Self(vec![1.0 / ranks.max(1) as f64; ranks])
     }
-    bands.push(weights.len() as u32);
-    bands
+
+    /// Steps towards shares that take all ranks the same time, from the seconds that the present ones took. One view that took a rank
+    /// long for another reason changes little.
+    fn level(&mut self, seconds: &[f64], gain: f64) {
+        let mean = seconds.iter().sum::<f64>() / seconds.len().max(1) as f64;
+        if !(mean > 0.0 && mean.is_finite()) {
+            return;
+        }
+        let least = LEAST_PART / self.0.len() as f64;
+        for (part, seconds) in self.0.iter_mut().zip(seconds) {
+            let ratio = (mean / seconds).clamp(0.5, 2.0);
+            *part = (*part * ratio.powf(gain)).max(least);
+        }
+        let sum: f64 = self.0.iter().sum();
+        self.0.iter_mut().for_each(|part| *part /= sum);
+    }
+
+    /// Sum of the shares before each rank, and 1.
+    fn ends(&self) -> Vec<f64> {
+        let mut before = 0.0;
+        let mut ends = vec![0.0];
+        ends.extend(self.0.iter().map(|part| {
+            before += part;
+            before
+        }));
+        // Rounding must not lose a row.
+        ends.pop();
+        ends.push(1.0);
+        ends
+    }
+
+    /// First row of each rank, and the number of all: parts that lie one after the other.
+    fn rows(&self, all: usize) -> Vec<usize> {
+        let at = |end: f64| (end * all as f64).round() as usize;
+        self.ends().into_iter().map(at).collect()
+    }
+
+    /// First row of tiles of each band, and the number of rows: bands whose weights have these shares.
+    fn bands(&self, weights: &[u64]) -> Vec<u32> {
+        let all = weights.iter().sum::<u64>() as f64;
+        let (ends, mut bands) = (self.ends(), vec![0]);
+        let (mut row, mut before) = (0, 0.0);
+        for end in &ends[1..self.0.len()] {
+            // A row belongs to the band in which most of it lies.
+            while row < weights.len() && before + weights[row] as f64 / 2.0 < all * end {
+                before += weights[row] as f64;
+                row += 1;
+            }
+            bands.push(row as u32);
+        }
+        bands.push(weights.len() as u32);
+        bands
+    }
 }
 
 impl Crew {
@@ -67,6 +120,10 @@ impl Crew {
     pub fn new(exchange: Arc<dyn Exchange>, threads: Vec<JoinHandle<()>>) -> Self {
         Self {
             non_finite: vec![0; exchange.ranks()],
+            parts: [0, 1].map(|_| Parts::even(exchange.ranks())),
+            worked_on_rows: vec![0.0; exchange.ranks()],
+            process_seconds: 0.0,
+            rows: Vec::new(),
             pairs: BTreeMap::new(),
             idle: None,
             at_rest: false,
@@ -79,6 +136,12 @@ impl Crew {
     #[must_use]
     pub fn non_finite(&self) -> u64 {
         self.non_finite.iter().sum()
+    }
+
+    /// CPU seconds of the processes of other ranks so far.
+    #[must_use]
+    pub fn process_seconds(&self) -> f64 {
+        self.process_seconds
     }
 
     /// Notes the non-finite gradient values of another rank, or, for the leader, those of before there were ranks.
@@ -104,12 +167,32 @@ impl Crew {
             Some(pairs) => pairs.iter().map(|n| u64::from(*n) + empty).collect(),
             None => vec![empty; rows],
         };
-        divide(&weights, self.exchange.ranks())
+        self.parts[1].bands(&weights)
     }
 
-    /// Notes the pairs of each row of tiles of a view, for its next bands.
-    pub fn note_pairs(&mut self, view: usize, pairs: &[u32]) {
+    /// Notes the pairs of each row of tiles of a view, for its next bands, and how long each rank worked, for the next parts.
+    pub fn note_view(&mut self, view: usize, pairs: &[u32], worked: &[Worked]) {
         self.pairs.insert((view, pairs.len()), pairs.to_vec());
+        for (sum, worked) in self.worked_on_rows.iter_mut().zip(worked) {
+            *sum += f64::from(worked.rows);
+        }
+        self.process_seconds = worked.iter().map(|worked| f64::from(worked.process)).sum();
+        let seconds: Vec<f64> = worked.iter().map(|worked| worked.band.into()).collect();
+        self.parts[1].level(&seconds, GAINS[0]);
+    }
+
+    /// Divides rows among the ranks.
+    pub fn divide_rows(&mut self, all: usize) {
+        let ranks = self.exchange.ranks();
+        let worked = std::mem::replace(&mut self.worked_on_rows, vec![0.0; ranks]);
+        self.parts[0].level(&worked, GAINS[1]);
+        self.rows = self.parts[0].rows(all);
+    }
+
+    /// Rows of a rank, since they were divided last.
+    #[must_use]
+    pub fn rows_of(&self, rank: usize) -> Range<usize> {
+        self.rows[rank]..self.rows[rank + 1]
     }
 }
 
@@ -159,18 +242,25 @@ impl<'a> Words<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::{divide, rows_of};
+    use super::{GAINS, Parts};
 
     #[test]
     fn every_row_belongs_to_one_rank() {
         for (ranks, all) in [(1, 7), (2, 7), (3, 2), (4, 1000)] {
-            let rows: Vec<usize> = (0..ranks).flat_map(|r| rows_of(r, ranks, all)).collect();
-            assert!(rows.into_iter().eq(0..all), "{ranks} ranks");
+            let mut parts = Parts::even(ranks);
+            for seconds in [1.0, 9.0, 0.1] {
+                let rows = parts.rows(all);
+                assert!(rows.is_sorted() && rows.len() == ranks + 1);
+                assert_eq!((rows[0], rows[ranks]), (0, all), "{ranks} ranks");
+                let seconds: Vec<f64> = (0..ranks).map(|r| seconds + r as f64).collect();
+                parts.level(&seconds, GAINS[1]);
+            }
         }
     }
 
     #[test]
     fn bands_have_even_weights() {
+        let divide = |weights: &[u64], ranks| Parts::even(ranks).bands(weights);
         assert_eq!(divide(&[1; 8], 2), [0, 4, 8]);
         assert_eq!(divide(&[9, 1, 1, 1, 1, 1], 2), [0, 1, 6]);
         assert_eq!(divide(&[0, 0, 5], 2), [0, 2, 3]);
@@ -183,5 +273,36 @@ mod tests {
                 (0, u32::try_from(weights.len()).unwrap())
             );
         }
+    }
+
+    #[test]
+    fn parts_follow_measured_time() {
+        let (speeds, fixed) = ([1.0, 3.0, 0.5], 0.01);
+        let mut parts = Parts::even(3);
+        let times = |parts: &Parts| -> Vec<f64> {
+            let ranks = parts.0.iter().zip(speeds);
+            ranks.map(|(part, speed)| fixed + part / speed).collect()
+        };
+        for _ in 0..200 {
+            parts.level(&times(&parts), GAINS[0]);
+        }
+        for seconds in times(&parts) {
+            assert!((seconds - (fixed + 1.0 / 4.5)).abs() < 1e-6, "{seconds}");
+        }
+        // One hiccup does not overturn that, nor do times that are none.
+        let before = parts.clone();
+        parts.level(&[100.0, 0.01, 0.01], GAINS[0]);
+        for (now, before) in parts.0.iter().zip(&before.0) {
+            assert!((now / before - 1.0).abs() < 0.15, "{now} {before}");
+        }
+        let before = parts.clone();
+        parts.level(&[0.0; 3], GAINS[0]);
+        parts.level(&[f64::NAN, 1.0, 1.0], GAINS[0]);
+        assert_eq!(parts, before);
+        // A rank that is hopeless keeps a little, which shows when it recovers.
+        for _ in 0..1000 {
+            parts.level(&[10.0, 1.0, 1.0], GAINS[0]);
+        }
+        assert!(parts.0[0] > 0.005 && parts.0[0] < 0.01, "{parts:?}");
     }
 }

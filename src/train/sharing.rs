@@ -16,7 +16,7 @@ use crate::pipeline::photos::Photos;
 use crate::pipeline::share::Share;
 use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
 use crate::scene::Gaussians;
-use crate::train::crew::{Crew, END, GATHER, ITERATE, SPREAD, Words, rows_of};
+use crate::train::crew::{Crew, END, GATHER, ITERATE, SPREAD, Words};
 use crate::train::gaussians::GaussianState;
 use crate::train::plan::Plan;
 use crate::train::step::Trainer;
@@ -152,6 +152,12 @@ impl Trainer {
         self.crew.as_ref().map(|crew| crew.exchange.sent())
     }
 
+    /// CPU seconds of other processes that train with this one, so far.
+    #[must_use]
+    pub fn cpu_elsewhere(&self) -> f64 {
+        self.crew.as_ref().map_or(0.0, Crew::process_seconds)
+    }
+
     /// Makes ready for an iteration of all ranks, and tells them to begin it; does nothing alone.
     pub(super) fn share_iteration(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
         if self.crew.is_none() {
@@ -180,27 +186,30 @@ impl Trainer {
     pub(super) fn end_iteration(&mut self, iteration: u32) {
         let (number, _) = self.views.size_at(iteration);
         if let (Some(crew), Some(share)) = (&mut self.crew, &self.pipeline.share) {
-            crew.note_pairs(number, &share.pairs_by_row);
+            crew.note_view(number, &share.pairs_by_row, &share.worked_by_rank);
             crew.at_rest = true;
         }
     }
 
     /// Spreads the rows over the ranks, if they are not.
     fn spread(&mut self) -> Result<()> {
-        let Some(exchange) = self.crew.as_ref().map(|crew| crew.exchange.clone()) else {
-            return Ok(());
-        };
         if self.pipeline.share.is_some() {
             return Ok(());
         }
-        let (all, ranks) = (self.gaussians.scene.count, exchange.ranks());
-        let messages = (0..ranks).map(|rank| match rank {
-            LEADER => Ok(Vec::new()),
-            _ => self.rows_for(rows_of(rank, ranks, all), all),
-        });
-        exchange.trade(Part::Rows, messages.collect::<Result<_>>()?)?;
+        let all = self.gaussians.scene.count;
+        let Some(crew) = &mut self.crew else {
+            return Ok(());
+        };
+        crew.divide_rows(all);
+        let (exchange, own) = (crew.exchange.clone(), crew.rows_of(LEADER).len());
+        let others: Vec<Range<usize>> = (1..exchange.ranks()).map(|r| crew.rows_of(r)).collect();
+        let mut messages = vec![Vec::new()];
+        for rows in others {
+            messages.push(self.rows_for(rows, all)?);
+        }
+        exchange.trade(Part::Rows, messages)?;
         let scene = &mut self.gaussians.scene;
-        scene.count = rows_of(LEADER, ranks, all).len();
+        scene.count = own;
         scene.shard = Some(Shard { first: 0, all });
         self.pipeline.share = self.crew.as_mut().and_then(|crew| crew.idle.take());
         Ok(())
@@ -285,7 +294,7 @@ impl Trainer {
             let mut words = Words(message);
             let [non_finite] = words.take()?;
             crew.note_non_finite(rank, non_finite.into());
-            let rows = rows_of(rank, ranks, shard.all);
+            let rows = crew.rows_of(rank);
             self.gaussians.write_words(rows, words.0)?;
         }
         self.gaussians.scene.count = shard.all;

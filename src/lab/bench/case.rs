@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use crate::base::constants::TILE;
 use crate::base::error::Result;
+use crate::base::process::process_cpu_seconds;
 use crate::capture::Dataset;
 use crate::config::AntiAliasing;
 use crate::device::{CameraArg, Device, DeviceKind};
@@ -14,7 +15,6 @@ use crate::lab::bench::scene::VIEWS;
 use crate::lab::bench::work::{Load, STAGES, TileWork};
 use crate::lab::stats::ratio;
 use crate::pipeline::forward::{Quantity, RenderOptions};
-use crate::run::clock::process_cpu_seconds;
 use crate::scene::without_filter;
 use crate::scene::{Gaussians, Plane};
 use crate::train::{Plan, Trainer};

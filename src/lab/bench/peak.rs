@@ -3,13 +3,13 @@
 use std::time::Instant;
 
 use crate::base::error::Result;
+use crate::base::process::process_cpu_seconds;
 use crate::device::tuning::Tuning;
 use crate::device::{Array, Defines, Device, DeviceKind, Kernels, Program};
 use crate::lab::bench::options::Options;
 use crate::lab::bench::record::{Peak as Record, spread};
 use crate::lab::stats::Spread;
 use crate::pipeline::stage::peak;
-use crate::run::clock::process_cpu_seconds;
 
 /// Bytes of each of the two arrays of the copy: far beyond the last level of any cache.
 const COPY_BYTES: u64 = 256 << 20;

@@ -5,6 +5,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use crate::base::error::{Error, Result};
+use crate::base::process::process_cpu_seconds;
 use crate::device::{Device, DeviceKind, Helpers};
 use crate::lab::bench::options::Options;
 use crate::lab::bench::record::spread;
@@ -13,7 +14,6 @@ use crate::lab::report::{Report, Section};
 use crate::lab::stats::{Ratio, Spread, ratio};
 use crate::lab::table::{Table, digits, few, or_dash};
 use crate::ranks::Part;
-use crate::run::clock::process_cpu_seconds;
 use crate::train::{Plan, Trainer};
 
 /// Numbers of ranks that are measured.
