@@ -9,12 +9,9 @@ pub fn softplus(x: f64) -> f64 {
 /// The logistic function 1/(1 + e⁻ˣ), without overflow.
 #[must_use]
 pub fn sigmoid(x: f64) -> f64 {
-    if x >= 0.0 {
-        1.0 / (1.0 + (-x).exp())
-    } else {
-        let e = x.exp();
-        e / (1.0 + e)
-    }
+    // One exponential for both signs: which it is cannot be predicted.
+    let e = (-x.abs()).exp();
+    (if x >= 0.0 { 1.0 } else { e }) / (1.0 + e)
 }
 
 /// ln σ(x) = −softplus(−x).

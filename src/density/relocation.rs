@@ -8,7 +8,6 @@
 //!
 //! whose integrand is smooth, positive and falling, for any N.
 
-use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_2_SQRT_PI, PI};
 use std::sync::OnceLock;
@@ -191,19 +190,14 @@ impl Relocation {
         let (lower, &mut bound, _) = logits.select_nth_unstable_by(count - 1, f32::total_cmp);
         let below = lower.iter().filter(|l| l.total_cmp(&bound).is_lt()).count();
         let mut ties = count - below;
-        let alive = &mut self.alive;
-        self.alive_rows.retain(|row| {
-            let stays = match logit(row).total_cmp(&bound) {
-                Ordering::Less => false,
-                Ordering::Equal if ties > 0 => {
-                    ties -= 1;
-                    false
-                }
-                Ordering::Equal | Ordering::Greater => true,
-            };
-            alive[*row as usize] = stays;
-            stays
-        });
+        // Without branches: which rows die is not to be predicted.
+        for row in &self.alive_rows {
+            let order = logit(row).total_cmp(&bound);
+            let tie = order.is_eq() && ties > 0;
+            ties -= usize::from(tie);
+            self.alive[*row as usize] = !(order.is_lt() || tie);
+        }
+        self.alive_rows = rows_where(&self.alive, true);
     }
 
     /// The rows that were not alive, rising; empty if no row was alive.
@@ -304,9 +298,13 @@ impl Relocation {
 /// Rows whose state is `wanted`, rising.
 fn rows_where(states: &[bool], wanted: bool) -> Vec<u32> {
     let among = |(c, states): (usize, &[bool])| -> Vec<u32> {
-        let rows = ((c * CHUNK) as u32..).zip(states);
-        rows.filter_map(|(i, state)| (*state == wanted).then_some(i))
-            .collect()
+        let (mut rows, mut found) = (vec![0; states.len()], 0);
+        for (row, state) in ((c * CHUNK) as u32..).zip(states) {
+            rows[found] = row;
+            found += usize::from(*state == wanted);
+        }
+        rows.truncate(found);
+        rows
     };
     let parts: Vec<Vec<u32>> = states.par_chunks(CHUNK).enumerate().map(among).collect();
     parts.concat()
