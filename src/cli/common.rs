@@ -2,7 +2,7 @@
 
 use mhsplat::base::cores::Cores;
 use mhsplat::base::error::Result;
-use mhsplat::device::Device;
+use mhsplat::device::{Device, Helpers};
 use mhsplat::lab::selftest::self_test;
 use mhsplat::lab::tune::{self, SizeClass};
 
@@ -95,8 +95,16 @@ pub fn tested(device: Device, size: SizeClass) -> Result<Device> {
     self_tested(tune::tuned(device, size, &mut output::note)?)
 }
 
-/// The device, if it passes the self-test with the tuning that it has.
+/// The device, if it passes the self-test with the tuning that it has, as the devices must that help it, with that tuning.
 pub fn self_tested(device: Device) -> Result<Device> {
     self_test(&device)?;
+    if let Helpers::Devices(others) = device.helpers() {
+        let tuning = device.tuning();
+        // One that cannot have these kernels is refused with that reason when training begins.
+        let able = others.iter().filter(|d| tuning.fault(d.info()).is_none());
+        for other in able {
+            self_test(&other.clone().with_tuning(tuning))?;
+        }
+    }
     Ok(device)
 }

@@ -7,6 +7,7 @@ use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::{self, Dataset, LoadOptions};
 use mhsplat::config::TrainConfig;
 use mhsplat::device::Device;
+use mhsplat::lab::selftest::self_test;
 use mhsplat::ranks::{Exchange, LEADER, launched};
 use mhsplat::run;
 
@@ -71,5 +72,5 @@ fn follow(exchange: &Arc<dyn Exchange>, device: &Device) -> Result<()> {
         };
         capture::load(path, &options)
     };
-    run::serve(exchange, device, load)
+    run::serve(exchange, device, load, self_test)
 }

@@ -66,14 +66,15 @@ pub(super) fn beginning(
         .map_err(|e| Error::numerics("ranks", format!("the configuration cannot be sent: {e}")))
 }
 
-/// Trains with the leader of an exchange, until it ends. `load` reads a dataset.
+/// Trains with the leader of an exchange, until it ends. `load` reads a dataset, `test` refuses a device that computes wrong results.
 ///
 /// # Errors
-/// Another program or dataset than the leader's, another rank's failure, no room, or the driver's.
+/// That, another program or dataset than the leader's, another rank's failure, no room, or the driver's.
 pub fn serve(
     exchange: &Arc<dyn Exchange>,
     device: &Device,
     load: impl FnOnce(&Path, &TrainConfig) -> Result<Dataset>,
+    test: impl FnOnce(&Device) -> Result<()>,
 ) -> Result<()> {
     let mut got = exchange.trade(Part::Orders, vec![Vec::new(); exchange.ranks()])?;
     let rank = format!("rank {}", exchange.rank());
@@ -109,6 +110,7 @@ pub fn serve(
         ));
     }
     let device = device.clone().with_tuning(said.tuning);
+    test(&device)?;
     let plan = Plan::new(&dataset, &said.config)?.on_device(&device);
     let plan = plan.begun_with(said.anti_aliasing, &said.detail);
     let photos = Photos::new(&device, dataset.image_budget);

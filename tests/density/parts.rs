@@ -274,6 +274,46 @@ fn categorical_draws_follow_the_weights() {
     );
 }
 
+/// Sums that are kept for blocks give the items that all prefix sums give, to the bit: an item on the edge of a draw is another scene.
+#[test]
+fn categorical_draws_what_all_prefix_sums_draw() {
+    const CHUNK: usize = 8192;
+    for count in [1, 127, 128, 129, CHUNK, 3 * CHUNK + 77] {
+        let weight = |i: u64| {
+            let [u, scale, kind, _] = Philox::uniform(3, 1, i);
+            match kind {
+                k if k < 0.2 => 0.0,
+                k if k < 0.25 => -u,
+                k if k < 0.3 => f64::NAN,
+                _ => u * (40.0 * scale - 20.0).exp(),
+            }
+        };
+        let weights: Vec<f64> = (0..count as u64).map(weight).collect();
+        let (mut sums, mut base) = (Vec::new(), 0.0);
+        for chunk in weights.chunks(CHUNK) {
+            let mut run = 0.0;
+            for weight in chunk {
+                run += if *weight > 0.0 { *weight } else { 0.0 };
+                sums.push(base + run);
+            }
+            base += run;
+        }
+        let plain = |u: f64| {
+            let at = u * base;
+            match at < base {
+                true => sums.iter().position(|sum| *sum > at),
+                false => sums.iter().position(|sum| *sum >= base),
+            }
+        };
+        let c = Categorical::new(weights);
+        let edges = sums.iter().step_by(97).map(|sum| sum / base);
+        let draws = (0..2000).map(|k| Philox::uniform_53(4, 2, k)[0]);
+        for u in draws.chain(edges).filter(|u| *u < 1.0) {
+            assert_eq!(c.draw(u), plain(u), "{count} weights, u = {u}");
+        }
+    }
+}
+
 #[test]
 fn categorical_handles_one_hot_zero_and_broken_weights() {
     let mut one = vec![0.0; 30_000];
