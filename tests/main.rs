@@ -13,6 +13,7 @@ mod background;
 mod bands;
 mod bench;
 mod budget;
+mod cells;
 mod cli;
 mod compare;
 mod dataset;

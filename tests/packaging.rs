@@ -161,6 +161,7 @@ fn queued(dir: &Path, script: &str, ends: i32) -> (i32, String) {
         .envs([
             ("SLURM_ARRAY_TASK_ID", "3"),
             ("SLURM_ARRAY_TASK_COUNT", "8"),
+            ("SLURM_ARRAY_JOB_ID", "70"),
         ])
         .output()
         .unwrap();
@@ -172,15 +173,24 @@ fn queued(dir: &Path, script: &str, ends: i32) -> (i32, String) {
 fn jobs_of_the_guide_queue_themselves_again_and_share_the_runs() {
     let dir = tempfile::tempdir().unwrap();
     let scripts = scripts();
-    let [nodes, train, array] = &scripts[..] else {
+    let [nodes, cells, train, array] = &scripts[..] else {
         panic!("{scripts:?}")
     };
-    for (script, how) in [(nodes, " --mpi=pmix --kill-on-bad-exit=1"), (train, "")] {
+    for (script, how, job) in [
+        (
+            nodes,
+            " --mpi=pmix --kill-on-bad-exit=1 mhsplat train dataset -o run",
+            "77",
+        ),
+        (cells, " mhsplat train parts/cell-3 -o parts/run-3", "70_3"),
+        (train, " mhsplat train dataset -o run", "77"),
+    ] {
         let (code, said) = queued(dir.path(), script, 130);
         assert_eq!(code, 130);
-        let begins = format!("srun 16{how} mhsplat train dataset -o run --resume-or-start");
+        let begins = format!("srun 16{how} --resume-or-start");
+        let again = format!("scontrol 16 requeue {job}\n");
         assert!(
-            said.starts_with(&begins) && said.contains("scontrol 16 requeue 77"),
+            said.starts_with(&begins) && said.ends_with(&again),
             "{said}"
         );
         for ends in [0, 2] {

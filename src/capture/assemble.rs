@@ -22,7 +22,7 @@ use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, Resampling, heade
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
 #[derive(Clone)]
-pub(super) struct RawView {
+pub(crate) struct RawView {
     /// Name of the image, unique within the dataset.
     pub name: String,
     /// The image file.
@@ -38,7 +38,7 @@ pub(super) struct RawView {
 }
 
 /// A dataset as read, in its own frame.
-pub(super) struct RawScene {
+pub(crate) struct RawScene {
     /// Layout it was read from.
     pub layout: Layout,
     /// Places of its model and its photos, in words.
@@ -130,12 +130,9 @@ pub(super) fn find_mask(root: &Path, name: &str) -> Option<PathBuf> {
 /// # Errors
 /// No photo there, a name given twice, an empty training set, an unreadable photo or one of another shape than its camera,
 /// a photo larger than the budget, poses or points that leave the range of numbers.
-pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> Result<Dataset> {
-    let mut missing = scene.missing;
-    missing.sort();
-    let (train, test) = split(path, scene.train, scene.test, &missing, options.test_every)?;
-    let (train, test, outliers) = without_outliers(train, test);
-    let mut remarks = scene.remarks;
+pub(super) fn assemble(path: &Path, mut scene: RawScene, options: &LoadOptions) -> Result<Dataset> {
+    let (train, test, outliers) = sides(path, &mut scene, options.test_every)?;
+    let (mut remarks, missing) = (scene.remarks, scene.missing);
     remarks.extend(remark(train.iter().chain(&test)));
     // After the split: the sides of a panorama are all trained on or all held out.
     let [train, test] = [train, test].map(cut);
@@ -213,6 +210,22 @@ pub(super) fn assemble(path: &Path, scene: RawScene, options: &LoadOptions) -> R
         masked_out: black.into_iter().map(|v| v.name).collect(),
         image_budget: budget,
     })
+}
+
+/// Takes the views of a dataset: those to train on, held-out ones, and the names of outliers, which are in neither list. The
+/// missing ones are sorted.
+///
+/// # Errors
+/// Those of [`split`].
+pub(super) fn sides(
+    path: &Path,
+    scene: &mut RawScene,
+    test_every: u32,
+) -> Result<(Vec<RawView>, Vec<RawView>, Vec<String>)> {
+    scene.missing.sort();
+    let (train, test) = (std::mem::take(&mut scene.train), scene.test.take());
+    let (train, test) = split(path, train, test, &scene.missing, test_every)?;
+    Ok(without_outliers(train, test))
 }
 
 /// Sorts by name; without a held-out list, every `test_every`-th image is held out, beginning with the first. Missing ones

@@ -23,6 +23,9 @@ use crate::capture::source;
 /// Remedy for an unusable value.
 const CORRECT: &str = "correct the file";
 
+/// Remedy for a lens that has no place in such files.
+const UNDISTORT: &str = "undistort the photos first (colmap image_undistorter, for example)";
+
 /// Coefficients of a fisheye lens, in order.
 const FISHEYE: [&str; 4] = ["k1", "k2", "k3", "k4"];
 /// Coefficients of a perspective lens, in order; the last three in `FULL_OPENCV` alone.
@@ -81,6 +84,14 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
     let held_out = root.join("transforms_test.json");
     let named_split = file.ends_with("transforms_train.json") && held_out.is_file();
     let train = read(file)?;
+    // A list of held-out views may be empty: then none is held out.
+    if train.frames.is_empty() {
+        return Err(Error::input(
+            file,
+            "no view in `frames`",
+            "list one frame per photo, with `file_path` and `transform_matrix`",
+        ));
+    }
     let test = named_split.then(|| read(&held_out)).transpose()?;
     let frames = || {
         train
@@ -121,18 +132,10 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
 /// The content of one file.
 fn read(file: &Path) -> Result<File> {
     let text = crate::base::files::read(file)?;
-    let parsed: File = serde_json::from_slice(&text).map_err(|e| {
+    serde_json::from_slice(&text).map_err(|e| {
         let fix = "a list `frames` with `file_path` and a 4×4 `transform_matrix` each is expected";
         Error::input(file, e.to_string(), fix)
-    })?;
-    if parsed.frames.is_empty() {
-        return Err(Error::input(
-            file,
-            "no view in `frames`",
-            "list one frame per photo, with `file_path` and `transform_matrix`",
-        ));
-    }
-    Ok(parsed)
+    })
 }
 
 /// The views of one file in a folder, with their images; names of images that are not there are added to `missing`. `resized` if the
@@ -218,7 +221,6 @@ impl Place<'_> {
             let found = found.unwrap_or_default();
             number.ok_or_else(|| self.bad(&format!("{key} = {found}; a number expected"), CORRECT))
         };
-        let fix = "undistort the photos first (colmap image_undistorter, for example)";
         let model = self.find(|l| l.camera_model.clone());
         let used: &[&str] = match model.as_deref() {
             Some("OPENCV_FISHEYE" | "FISHEYE") => &FISHEYE,
@@ -230,7 +232,7 @@ impl Place<'_> {
             Some(SPHERE) => &[],
             Some(other) => {
                 let what = format!("the camera model {other} is not read");
-                return Err(self.bad(&what, fix));
+                return Err(self.bad(&what, UNDISTORT));
             }
         };
         let fisheye = used == FISHEYE;
@@ -239,7 +241,7 @@ impl Place<'_> {
             let right = used.contains(&key) || (fisheye && key == "is_fisheye");
             if v != 0.0 && !right {
                 let what = format!("{key} = {v} has no place in this camera model");
-                return Err(self.bad(&what, fix));
+                return Err(self.bad(&what, UNDISTORT));
             }
         }
         if model.as_deref() == Some(SPHERE) {
@@ -348,6 +350,18 @@ impl Place<'_> {
     }
 }
 
+/// A view as a transforms file lists it.
+pub(super) struct Listed {
+    /// Path of the image, relative to the file's folder.
+    pub name: String,
+    /// Camera in the dataset's frame.
+    pub camera: Camera,
+    /// Its lens.
+    pub lens: Lens,
+    /// Path of the mask, relative to the file's folder.
+    pub mask: Option<String>,
+}
+
 /// Writes a nerfstudio-style transforms file for cameras in the dataset's frame, named by image path relative to the
 /// file's folder; `points` is the relative path of a PLY with sparse points. Every frame carries its own intrinsics.
 ///
@@ -358,27 +372,73 @@ pub fn write_transforms(
     views: &[(String, Camera)],
     points: Option<&str>,
 ) -> Result<()> {
-    let mut frames = Vec::with_capacity(views.len());
-    for (name, camera) in views {
-        let c = camera.center();
-        let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
-        let intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
-        let finite = c.is_finite() && camera.rotation.is_finite();
-        if !finite || intrinsics.iter().any(|v| !v.is_finite()) {
-            let what = format!("the camera of {name} is not finite");
-            return Err(Error::numerics("transforms", what));
-        }
-        let row = |k: usize, c: f64| json!([x[k], -y[k], -z[k], c]);
-        frames.push(json!({
-            "file_path": name,
-            "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,
-            "w": camera.width, "h": camera.height,
-            "transform_matrix": [row(0, c.x), row(1, c.y), row(2, c.z), json!([0.0, 0.0, 0.0, 1.0])],
-        }));
-    }
+    let pinhole = |(name, camera): &(String, Camera)| Listed {
+        name: name.clone(),
+        camera: *camera,
+        lens: Lens::Pinhole,
+        mask: None,
+    };
+    let views: Vec<Listed> = views.iter().map(pinhole).collect();
+    write_listed(file, &views, points)
+}
+
+/// Writes what [`write_transforms`] does, with lenses and masks.
+///
+/// # Errors
+/// Those of [`write_transforms`], and [`Error::Input`] for a lens that a transforms file has no keys for.
+pub(super) fn write_listed(file: &Path, views: &[Listed], points: Option<&str>) -> Result<()> {
+    let frames: Vec<Value> = views
+        .iter()
+        .map(|v| frame(file, v))
+        .collect::<Result<_>>()?;
     let mut root = json!({ "frames": frames });
     if let Some(points) = points {
         root["ply_file_path"] = json!(points);
     }
     std::fs::write(file, format!("{root:#}")).map_err(|e| Error::io(file, e))
+}
+
+/// The frame of a view.
+fn frame(file: &Path, view: &Listed) -> Result<Value> {
+    let (name, camera) = (&view.name, &view.camera);
+    let c = camera.center();
+    let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
+    let intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
+    let finite = c.is_finite() && camera.rotation.is_finite();
+    if !finite || intrinsics.iter().any(|v| !v.is_finite()) {
+        let what = format!("the camera of {name} is not finite");
+        return Err(Error::numerics("transforms", what));
+    }
+    let row = |k: usize, c: f64| json!([x[k], -y[k], -z[k], c]);
+    let mut frame = json!({
+        "file_path": name,
+        "w": camera.width, "h": camera.height,
+        "transform_matrix": [row(0, c.x), row(1, c.y), row(2, c.z), json!([0.0, 0.0, 0.0, 1.0])],
+    });
+    let (model, keys, coefficients): (_, &[&str], Vec<f64>) = match view.lens {
+        Lens::Pinhole => (None, &[], Vec::new()),
+        Lens::Equirectangular => (Some(SPHERE), &[], Vec::new()),
+        Lens::Fisheye { radial } => (Some("OPENCV_FISHEYE"), &FISHEYE, radial.to_vec()),
+        Lens::Perspective { radial, tangential } => {
+            let k = [&radial[..2], &tangential, &radial[2..]].concat();
+            (Some("FULL_OPENCV"), &PERSPECTIVE, k)
+        }
+        lens => {
+            let what = format!("the lens of {name} ({lens:?}) has no place in a transforms file");
+            return Err(Error::input(file, what, UNDISTORT));
+        }
+    };
+    if view.lens != Lens::Equirectangular {
+        let named = ["fl_x", "fl_y", "cx", "cy"].into_iter().zip(intrinsics);
+        named.for_each(|(key, v)| frame[key] = json!(v));
+    }
+    if let Some(model) = model {
+        frame["camera_model"] = json!(model);
+    }
+    let lens = keys.iter().zip(coefficients);
+    lens.for_each(|(key, k)| frame[*key] = json!(k));
+    if let Some(mask) = &view.mask {
+        frame["mask_path"] = json!(mask);
+    }
+    Ok(frame)
 }

@@ -7,7 +7,9 @@ use clap::{Arg, Command, CommandFactory, Parser, Subcommand};
 use mhsplat::base::error::Result;
 
 use crate::cli::common::{Common, Outcome};
-use crate::cli::{convert, devices, doctor, eval, info, lab, render, shell, train, view};
+use crate::cli::{
+    convert, devices, doctor, eval, info, lab, merge, render, shell, split, train, view,
+};
 
 /// Posed photos to a 3D Gaussian scene, on any OpenCL device.
 ///
@@ -49,6 +51,12 @@ enum Make {
     /// Write a scene in another format, or a part of it.
     #[command(after_help = "Example: mhsplat convert run scene.spz")]
     Convert(convert::ConvertArgs),
+    /// Divide a dataset into cells that are trained one by one.
+    #[command(after_help = "Example: mhsplat split dataset --cells 4 -o parts")]
+    Split(split::SplitArgs),
+    /// Join the scenes of the cells of a dataset.
+    #[command(after_help = "Example: mhsplat merge parts -o scene.ply")]
+    Merge(merge::MergeArgs),
 }
 
 #[derive(Subcommand)]
@@ -120,6 +128,8 @@ impl Cli {
             Group::Make(Make::View(args)) => view::run(&args, &common),
             Group::Make(Make::Eval(args)) => eval::run(&args, &common),
             Group::Make(Make::Convert(args)) => convert::run(&args, &common),
+            Group::Make(Make::Split(args)) => split::run(&args, &common),
+            Group::Make(Make::Merge(args)) => merge::run(&args, &common),
             Group::Measure(Measure::Bench(args)) => lab::bench::run(&args, &common),
             Group::Measure(Measure::Verify(args)) => lab::verify::run(&args, &common),
             Group::Measure(Measure::Compare(args)) => lab::compare::run(&args, &common),

@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use crate::cli::common::{Common, Outcome};
+use crate::cli::scene::Written;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::Frame;
-use mhsplat::scene::formats::{self, SceneFile};
+use mhsplat::scene::formats::SceneFile;
 
 /// Arguments of `mhsplat convert`.
 #[derive(clap::Args)]
@@ -49,11 +50,7 @@ fn opacity(text: &str) -> std::result::Result<f64, String> {
 /// Reads a scene, leaves out what is not wanted, and writes it.
 pub fn run(args: &ConvertArgs, common: &Common) -> Result<Outcome> {
     let out = &args.output;
-    let format = formats::of_name(out)?;
-    if out.symlink_metadata().is_ok() {
-        let what = "exists already; nothing is overwritten";
-        return Err(Error::input(out, what, "name another file"));
-    }
+    let format = scene::new_file(out)?;
     let (input, _) = scene::locate(&args.input)?;
     let file = scene::read(&input, &Frame::IDENTITY)?;
     let found = file.splats.len();
@@ -69,17 +66,13 @@ pub fn run(args: &ConvertArgs, common: &Common) -> Result<Outcome> {
             "look at --crop (the scene's own units; `mhsplat info` tells them) and --min-opacity";
         return Err(Error::input(&input, what, fix));
     }
-    let scene = SceneFile { splats, ..file };
-    let lost = formats::write(out, format, &scene, &Frame::IDENTITY)?;
-    for what in &lost {
-        output::note(&format!("{}: {what}", out.display()));
-    }
-    let bytes = out.metadata().map_err(|e| Error::io(out, e))?.len();
+    let file = SceneFile { splats, ..file };
+    let Written { bytes, lost } = scene::write(out, format, &file)?;
     if common.json {
-        let remarks = [scene.changes(), lost].concat();
+        let remarks = [file.changes(), lost].concat();
         output::json(&json!({
             "input": input, "output": out, "read": found, "gaussians": kept, "sh_degree": degree,
-            "anti_aliased": scene.anti_aliased, "bytes": bytes, "remarks": remarks,
+            "anti_aliased": file.anti_aliased, "bytes": bytes, "remarks": remarks,
         }))?;
         return Ok(Outcome::Done);
     }

@@ -8,6 +8,7 @@ mod doctor;
 mod eval;
 mod info;
 mod lab;
+mod merge;
 mod output;
 mod overrides;
 mod progress;
@@ -17,6 +18,7 @@ mod scene;
 mod shell;
 mod shots;
 mod signals;
+mod split;
 mod train;
 mod view;
 

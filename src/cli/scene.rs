@@ -9,7 +9,7 @@ use glam::DVec3;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
 use mhsplat::capture::{Camera, Dataset, Frame, LoadOptions, View};
-use mhsplat::config::{Background, TrainConfig};
+use mhsplat::config::{Background, SceneFormat, TrainConfig};
 use mhsplat::device::{Defines, Device};
 use mhsplat::pipeline::buffers::GaussianBuffers;
 use mhsplat::pipeline::forward::Renderer;
@@ -43,6 +43,37 @@ pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
     let recorded = path.join(RECORD_FILE).exists();
     let record = recorded.then(|| RunRecord::read(path)).transpose()?;
     Ok((ply, record))
+}
+
+/// Returns the format of a scene file to be written, by its name.
+///
+/// # Errors
+/// Another ending, and a file that is there: nothing is overwritten.
+pub fn new_file(out: &Path) -> Result<SceneFormat> {
+    let format = formats::of_name(out)?;
+    if out.symlink_metadata().is_ok() {
+        let what = "exists already; nothing is overwritten";
+        return Err(Error::input(out, what, "name another file"));
+    }
+    Ok(format)
+}
+
+/// Scene file that was written.
+pub struct Written {
+    /// Its size.
+    pub bytes: u64,
+    /// Sentences on what the format could not keep.
+    pub lost: Vec<String>,
+}
+
+/// Writes a scene in the dataset's own frame, and notes what the format could not keep.
+pub fn write(out: &Path, format: SceneFormat, scene: &SceneFile) -> Result<Written> {
+    let lost = formats::write(out, format, scene, &Frame::IDENTITY)?;
+    for what in &lost {
+        output::note(&format!("{}: {what}", out.display()));
+    }
+    let bytes = out.metadata().map_err(|e| Error::io(out, e))?.len();
+    Ok(Written { bytes, lost })
 }
 
 /// Options that say which photos a scene is looked at with.

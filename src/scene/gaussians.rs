@@ -1,5 +1,6 @@
 //! [`Gaussians`]: struct of arrays of raw parameters, in the very order the device keeps them.
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
@@ -117,7 +118,7 @@ impl Gaussians {
 
     /// The Gaussians with centres in a box (the least coordinates, then the largest), and of at least an opacity.
     #[must_use]
-    pub fn within(mut self, corners: Option<[f64; 6]>, opacity: Option<f64>) -> Self {
+    pub fn within(self, corners: Option<[f64; 6]>, opacity: Option<f64>) -> Self {
         let inside = |i: &usize| {
             let position = self.gather::<3>(Plane::POSITION, *i).map(f64::from);
             corners.is_none_or(|c| (0..3).all(|k| (c[k]..=c[3 + k]).contains(&position[k])))
@@ -127,10 +128,39 @@ impl Gaussians {
             opacity.is_none_or(|least| sigmoid(logit) >= least)
         };
         let kept: Vec<usize> = (0..self.len()).filter(inside).filter(solid).collect();
+        self.rows(&kept)
+    }
+
+    /// The Gaussians whose centres are as wanted.
+    #[must_use]
+    pub fn centered(self, wanted: impl Fn(DVec3) -> bool) -> Self {
+        let center = |i: &usize| self.gather(Plane::POSITION, *i).map(f64::from);
+        let kept = (0..self.len()).filter(|i| wanted(DVec3::from_array(center(i))));
+        let kept: Vec<usize> = kept.collect();
+        self.rows(&kept)
+    }
+
+    /// The Gaussians of these numbers.
+    fn rows(mut self, kept: &[usize]) -> Self {
         self.planes.par_iter_mut().for_each(|plane| {
             *plane = kept.iter().map(|&i| plane[i]).collect();
         });
         self
+    }
+
+    /// Adds Gaussians after these.
+    ///
+    /// # Errors
+    /// Another SH degree.
+    pub fn append(&mut self, other: &Self) -> Result<()> {
+        let (own, degree) = (self.sh_degree, other.sh_degree);
+        if own != degree {
+            let what = format!("SH degree {degree} after {own}; equal ones expected");
+            return Err(Error::numerics("splats", what));
+        }
+        let planes = self.planes.iter_mut().zip(&other.planes);
+        planes.for_each(|(plane, more)| plane.extend_from_slice(more));
+        Ok(())
     }
 
     /// The same Gaussians in Morton order (see [`morton`]).

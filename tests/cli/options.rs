@@ -24,7 +24,9 @@ fn help_groups_the_commands() {
         let groups = [
             (
                 "Make a scene",
-                &["train", "render", "view", "eval", "convert"][..],
+                &[
+                    "train", "render", "view", "eval", "convert", "split", "merge",
+                ][..],
             ),
             (
                 "Measure",

@@ -11,7 +11,7 @@ mod model;
 mod places;
 
 pub use crate::capture::colmap::model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
-pub(in crate::capture) use crate::capture::colmap::places::{Place, find, photos};
+pub(crate) use crate::capture::colmap::places::{Place, find, photos};
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -28,7 +28,7 @@ use crate::capture::images::{Images, short};
 ///
 /// # Errors
 /// See [`ColmapModel::read`]; also a missing folder of photos or image names that leave it.
-pub(in crate::capture) fn load(
+pub(crate) fn load(
     root: &Path,
     place: &Place,
     remarks: Vec<String>,

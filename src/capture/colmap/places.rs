@@ -22,7 +22,7 @@ const DEPTH: usize = 4;
 
 /// A model with its photos.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::capture) struct Place {
+pub(crate) struct Place {
     /// Folder of the model.
     pub model: PathBuf,
     /// Form of its files.
@@ -37,7 +37,7 @@ pub(in crate::capture) struct Place {
 
 /// The model of most images below `root`, of equals the first by place and number, and remarks on what else there is: photos that
 /// the model does not have, and other models. With a folder that is `asked` for, that has the photos of every model.
-pub(in crate::capture) fn find(root: &Path, asked: Option<&Path>) -> Option<(Place, Vec<String>)> {
+pub(crate) fn find(root: &Path, asked: Option<&Path>) -> Option<(Place, Vec<String>)> {
     let mut all = Vec::new();
     for (below, photos) in PLACES {
         let folder = root.join(below);
@@ -153,7 +153,7 @@ fn remarks(root: &Path, chosen: &Place, others: &[Place]) -> Vec<String> {
 }
 
 /// Number of photos in a folder and in those below it.
-pub(in crate::capture) fn photos(folder: &Path) -> u64 {
+pub(crate) fn photos(folder: &Path) -> u64 {
     count(folder, DEPTH)
 }
 
