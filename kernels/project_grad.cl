@@ -1,6 +1,6 @@
 // project_grad: the nine sums of each Gaussian -> gradients of its raw parameters, regularisers included.
-// Without TAKE_STEP they are written, for a block of Gaussians; with it they go into a step of the optimiser at once, and none
-// of them is stored. A Gaussian's pairs are added in the order of their tiles,
+// Without TAKE_STEP they are written, for a block of Gaussians, or added to those of the views before in a batch; with it they go into a
+// step of the optimiser at once, and none of them is stored. A Gaussian's pairs are added in the order of their tiles,
 // those of large ones in the group style by large_sums. Source: chain rule through M = J W R S (see common.clh),
 // [MH] Eq. 4 for the regularisers.
 
@@ -22,10 +22,16 @@ typedef struct {
 #endif
 typedef struct {
   GRADS real *grads; // [planes, stride]
-  uint stride, at;
+  uint stride, at, adds;
 } Out;
 
-#define PUT(lr, plane, old, gradient) vstore_real(gradient, 0, out->grads + (size_t)(plane) * out->stride + out->at)
+static inline void put(const Out *out, uint plane, realV gradient) {
+  GRADS real *to = out->grads + (size_t)plane * out->stride + out->at;
+  if (out->adds) gradient += vload_real(0, to);
+  vstore_real(gradient, 0, to);
+}
+
+#define PUT(lr, plane, old, gradient) put(out, plane, gradient)
 #define PUT_SH(k, channel, old, gradient) PUT(lr_sh, P_SH + 3 * (k) + (channel), old, gradient)
 #endif
 
@@ -227,9 +233,9 @@ typedef struct {
 } In;
 
 // The nine sums of VW Gaussians from i on over their pairs, and how many of them have any: 1 or 0 for each.
-static inline void sum_pairs(const In *in, uint i, int overflow, real lane[VW][SUMS], real paired[VW]) {
+static inline void sum_pairs(const In *in, uint i, real lane[VW][SUMS], real paired[VW]) {
   for (uint l = 0; l < VW; l++) {
-    const uint pairs = i + l < in->count && !overflow ? SUMMED_PAIRS(in->isect_counts[i + l]) : 0;
+    const uint pairs = i + l < in->count ? SUMMED_PAIRS(in->isect_counts[i + l]) : 0;
     paired[l] = pairs > 0 ? R(1.0) : R(0.0);
     real8 eight = (real8)(R(0.0)); // in registers over the pairs
     real ninth = R(0.0);
@@ -246,12 +252,12 @@ static inline void sum_pairs(const In *in, uint i, int overflow, real lane[VW][S
 }
 
 // Gradients of VW Gaussians from i on. Culled ones get the regularisers alone, rows beyond the last Gaussian zero.
-static inline void gaussian_grads(const In *in, uint i, int overflow, const Out *out) {
+static inline void gaussian_grads(const In *in, uint i, const Out *out) {
   __global const real *params = in->params;
   const uint stride = in->stride;
   const realV zero = V(R(0.0));
   real lane[VW][SUMS], paired[VW], row[VW];
-  sum_pairs(in, i, overflow, lane, paired);
+  sum_pairs(in, i, lane, paired);
   for (uint l = 0; l < VW; l++) row[l] = i + l < in->count ? R(1.0) : R(0.0);
   const maskV exists = vload_real(0, row) > zero;
   realV x[3], ls[3], q[4], s[SUMS], dx[3], dls[3], dq[4];
@@ -316,12 +322,12 @@ __kernel void project_step(__global real *params, uint stride, uint count, // in
   const Adam adam = ADAM;
 #if UPDATE_RUN == VW
   const Out out = {&adam, first};
-  gaussian_grads(&in, first, 0, &out);
+  gaussian_grads(&in, first, &out);
 #else
   real grads[(P_SH + 3 * SH_COUNT) * UPDATE_RUN];
   for (uint at = 0; at < UPDATE_RUN; at += VW) {
-    const Out out = {grads, UPDATE_RUN, at};
-    gaussian_grads(&in, first + at, 0, &out);
+    const Out out = {grads, UPDATE_RUN, at, 0};
+    gaussian_grads(&in, first + at, &out);
   }
   for (uint plane = 0; plane < P_SH + 3 * SH_COUNT; plane++)
     for (uint at = 0; at < UPDATE_RUN; at += VW) {
@@ -331,21 +337,22 @@ __kernel void project_step(__global real *params, uint stride, uint count, // in
 #endif
 }
 #else
-// Launch: one work-item per VW Gaussians of a block.
+// Launch: one work-item per VW Gaussians of a block. Nothing is written after a pair overflow.
 __kernel void project_grad(__global const real *params, uint stride, uint count, // in [planes, stride]
                            FILTER
                            uint first, uint grad_stride,                         // block: first Gaussian, room
+                           uint adds,                                            // to what grads has, or writes over it
                            const Camera cam, __global const uint *isect_start,    // in [count] first emission slot
                            __global const uint *isect_counts,                     // in [count]; counted only
-                           __global const uint *status,                          // unless S_OVERFLOW: then nothing was emitted
+                           __global const uint *status,                          // in S_OVERFLOW
                            __global const real *sums,                            // in [pairs, SUMS]
                            real weight_opacity, // lambda_o / N
                            real weight_scale,   // lambda_s / (3 N), per local unit
-                           __global real *grads) { // out [planes, grad_stride] of the block
+                           __global real *grads) { // in/out [planes, grad_stride] of the block
   const uint at = get_global_id(0) * VW, i = first + at;
-  if (at >= grad_stride || i >= count) return;
+  if (at >= grad_stride || i >= count || status[S_OVERFLOW] != 0) return;
   const In in = IN;
-  const Out out = {grads, grad_stride, at};
-  gaussian_grads(&in, i, status[S_OVERFLOW] != 0, &out);
+  const Out out = {grads, grad_stride, at, adds};
+  gaussian_grads(&in, i, &out);
 }
 #endif

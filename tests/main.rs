@@ -11,6 +11,7 @@ mod antialias;
 mod arrays;
 mod background;
 mod bands;
+mod batches;
 mod bench;
 mod budget;
 mod cells;

@@ -31,7 +31,12 @@ fn nobody(_: &Trainer) -> mhsplat::Result<Vec<u32>> {
 }
 
 /// A trainer with so many ranks, contexts of one device.
-fn shared(data: &Dataset, config: &TrainConfig, tuning: Option<Tuning>, ranks: usize) -> Trainer {
+pub fn shared(
+    data: &Dataset,
+    config: &TrainConfig,
+    tuning: Option<Tuning>,
+    ranks: usize,
+) -> Trainer {
     let list = vec!["cpu"; ranks].join(",");
     let device = Device::open_all(Some(&list), Cores::allowed()).unwrap();
     let device = match tuning {
@@ -49,7 +54,7 @@ fn shared(data: &Dataset, config: &TrainConfig, tuning: Option<Tuning>, ranks: u
 }
 
 /// Asserts that two states continue alike.
-fn same(a: &TrainerState, b: &TrainerState) {
+pub fn same(a: &TrainerState, b: &TrainerState) {
     assert_eq!(a.iteration, b.iteration);
     assert_eq!(a.splats.len(), b.splats.len());
     assert!(a.splats == b.splats, "the Gaussians differ");

@@ -26,6 +26,10 @@ pub struct TrainConfig {
     /// have altogether [default: those of the preset; 30000 with a budget].
     #[arg(long, value_name = "N", default_value_t = Self::default().iterations, hide_default_value = true)]
     pub iterations: u32,
+    /// Views per step of the optimiser, which takes their mean gradient at rates larger by the square root of N; an iteration is one
+    /// view, so that a run sees as many for any N.
+    #[arg(long, value_name = "N", default_value_t = Self::default().batch)]
+    pub batch: u32,
     /// Take this long (90s, 10m, 1h30m), evaluations and report included: a whole run of as many iterations as fit.
     #[arg(long, value_name = "TIME", value_parser = parse_duration, help_heading = RUN_CONTROL)]
     #[serde(deserialize_with = "time_budget")]
@@ -138,6 +142,7 @@ impl Default for TrainConfig {
         Self {
             sampler: Sampler::Mh,
             iterations: 30_000,
+            batch: 1,
             time_budget: None,
             budget_cpu: None,
             patience: None,
@@ -182,6 +187,8 @@ impl TrainConfig {
             "--iterations",
             "0; at least 1 expected",
         )?;
+        let what = "0; at least 1 view expected";
+        check(self.batch > 0, "--batch", what)?;
         let others = !self.export.contains(&SceneFormat::Ply);
         check(others, "--export", "scene.ply is written anyway")?;
         let what = format!("{}; 0 to 3 expected", self.sh_degree);

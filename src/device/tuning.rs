@@ -10,6 +10,9 @@ use crate::device::info::{DeviceInfo, DeviceKind};
 /// Key of a Gaussian that is not visible.
 pub const KEY_CULLED: u32 = u32::MAX;
 
+/// Gaussians that a work-item of the optimiser takes where it is a whole core: of 32 it takes nearly twice as long (docs/results/speed.md).
+const UPDATE_RUN: usize = 64;
+
 /// Slots of the device's status array.
 pub mod status {
     /// Visible Gaussians.
@@ -160,8 +163,11 @@ impl Tuning {
     /// (docs/results/speed.md).
     #[must_use]
     pub fn update_run(&self) -> usize {
-        let vectors = if self.vector_width == 1 { 1 } else { 4 };
-        vectors * self.vector_width as usize
+        if self.vector_width == 1 {
+            1
+        } else {
+            UPDATE_RUN
+        }
     }
 
     /// Local size of the optimiser's kernel: one work-item where it holds the gradients of a run in private memory.

@@ -97,6 +97,7 @@ impl Backward {
                 planes: Plane::count(sh_degree as u32),
                 stride,
                 rows: from..count.min(from + BLOCK),
+                views: 0,
             };
             self.parameters(forward, scene, sh_degree as u32, [0.0; 2], &grads)?;
             for (to, plane) in read.iter_mut().zip(planes) {

@@ -188,6 +188,8 @@ pub struct GradientBlock<'a, R: Real> {
     pub stride: usize,
     /// Rows of the Gaussians; the first is a multiple of 16.
     pub rows: Range<usize>,
+    /// Views whose gradients the values are the sum of.
+    pub views: usize,
 }
 
 /// Keys and values to be sorted, twice: a pass of the sort goes from one pair of arrays to the other.

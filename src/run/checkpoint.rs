@@ -2,7 +2,7 @@
 //!
 //! `checkpoint/state.safetensors` holds the f32 tensors `params`, `moment1` and `moment2` \[planes, N\] (planes in the
 //! order of [`crate::scene::Plane`]), `cues` \[rows, N\] (where the sampler has any), `filter` \[N\] (with anti-aliasing),
-//! `exposures` \[3, 12 · views\] (with per-image exposure), `edits` \[13, edits\] and `removed` (of a density step under way) and `losses` \[2 · ring\] and, as metadata, format version,
+//! `exposures` \[3, 12 · views\] (with per-image exposure), `gradients` \[planes, N\] (amidst a batch of views), `edits` \[13, edits\] and `removed` (of a density step under way) and `losses` \[2 · ring\] and, as metadata, format version,
 //! fingerprint of the dataset, iteration, configuration, clocks, stage times and tuning, with a checksum of all that. It is
 //! written beside the old one and renamed over it.
 
@@ -26,7 +26,7 @@ use crate::train::{Learned, Next, PendingStep, TrainerState};
 const VERSION: u32 = 11;
 
 /// Tensors in the order of the checksum.
-const NAMES: [&str; 9] = [
+const NAMES: [&str; 10] = [
     "params",
     "moment1",
     "moment2",
@@ -36,10 +36,18 @@ const NAMES: [&str; 9] = [
     "exposures",
     "edits",
     "removed",
+    "gradients",
 ];
 
 /// Tensors that are left out where they have no value.
-const OPTIONAL: [&str; 5] = ["cues", "filter", "exposures", "edits", "removed"];
+const OPTIONAL: [&str; 6] = [
+    "cues",
+    "filter",
+    "exposures",
+    "edits",
+    "removed",
+    "gradients",
+];
 
 /// First entry of the header, in every version.
 #[derive(Deserialize)]
@@ -137,6 +145,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         &state.exposures,
         &edits,
         one(&removed),
+        &rows.gradients,
     ];
     let tensors = NAMES.iter().zip(values).filter_map(|(name, rows)| {
         let count = rows.first().map_or(0, Vec::len);
@@ -262,6 +271,10 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
         true => read("exposures", 3, None)?,
         false => Vec::new(),
     };
+    let gradients = match has("gradients") {
+        true => beside("gradients", expected)?,
+        false => Vec::new(),
+    };
     let losses = read("losses", 1, None)?.concat();
     let deciding = header
         .deciding
@@ -280,6 +293,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
                 moment2,
                 statistics,
                 filter,
+                gradients,
             },
             stats: header.stats,
             non_finite: header.non_finite,

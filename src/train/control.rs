@@ -194,7 +194,7 @@ impl Control {
     }
 
     /// The strategy's part of an iteration, after the optimiser: screen-space gradients are added up until the last density
-    /// step; noise goes on to the end.
+    /// step; noise goes on to the end, with the steps of the optimiser.
     pub fn perturb(
         &self,
         iteration: u32,
@@ -207,7 +207,9 @@ impl Control {
         {
             screen_grad::add_norms(stage, scene, frame, &gaussians.statistics)?;
         }
-        if let Some((stage, law)) = &self.noise {
+        if let Some((stage, law)) = &self.noise
+            && self.schedule.step_of(iteration).is_some()
+        {
             let law = NoiseLaw {
                 rate: law.rate * self.schedule.position_rate(iteration),
                 ..*law

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::base::error::{Error, Result};
 use crate::device::{Array, Arrived, Device, PendingRead, Program};
-use crate::pipeline::buffers::{GaussianBuffers, check_room, restride};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, check_room, restride};
 use crate::pipeline::stage::edit;
 use crate::scene::{self, Gaussians, Plane};
 
@@ -24,6 +24,9 @@ pub struct GaussianState {
     pub statistics: Array<f32>,
     /// Rows of the statistics.
     pub rows: usize,
+    /// Sums of the gradients of the views of a batch so far \[planes, stride\]; empty unless views come in batches.
+    gradients: Array<f32>,
+    batched: bool,
     /// Planes on their way to another order or to the host \[[`SCRATCH`], stride\]; empty before the first change.
     scratch: Array<f32>,
 }
@@ -39,6 +42,8 @@ pub struct GaussianRows {
     pub statistics: Vec<Vec<f32>>,
     /// Standard deviations of the smoothing filter \[N\], local units; empty without anti-aliasing.
     pub filter: Vec<f32>,
+    /// Sums of the gradients of a batch that has begun, planes as in [`Gaussians`]; empty between batches.
+    pub gradients: Vec<Vec<f32>>,
 }
 
 /// Position, log-scale, rotation, opacity logit and the statistics of all Gaussians as they were at one time \[11 + rows\]\[N\].
@@ -88,13 +93,14 @@ pub(super) fn mismatch(what: String) -> Error {
 }
 
 impl GaussianState {
-    /// Uploads Gaussians with room for `capacity`; moments and statistics are zero.
+    /// Uploads Gaussians with room for `capacity`, a smoothing filter if they are `smoothed` and sums of gradients if views are
+    /// `batched`; moments and statistics are zero.
     pub fn new(
         device: &Device,
         splats: &Gaussians,
         capacity: usize,
         rows: usize,
-        smoothed: bool,
+        [smoothed, batched]: [bool; 2],
     ) -> Result<Self> {
         let mut scene = GaussianBuffers::upload(device, splats, capacity)?;
         if smoothed {
@@ -107,6 +113,8 @@ impl GaussianState {
                 Array::zeros(device, "moment2", len)?,
             ],
             statistics: Array::zeros(device, "statistics", rows * scene.stride)?,
+            gradients: Array::zeros(device, "gradients", if batched { len } else { 0 })?,
+            batched,
             scratch: Array::zeros(device, "scratch", 0)?,
             rows,
             scene,
@@ -121,14 +129,27 @@ impl GaussianState {
             &Gaussians::zeros(sh_degree, 0),
             0,
             self.rows,
-            smoothed,
+            [smoothed, self.batched],
         )
+    }
+
+    /// The sums of the gradients of so many views of a batch.
+    #[must_use]
+    pub fn gradients(&self, views: usize) -> GradientBlock<'_, f32> {
+        GradientBlock {
+            values: &self.gradients,
+            planes: self.scene.planes(),
+            stride: self.scene.stride,
+            rows: 0..self.scene.count,
+            views,
+        }
     }
 
     /// Arrays with a value per Gaussian and plane, each with its number of planes, the first [`OPTIMIZED`] being parameters and moments;
     /// and the scratch.
-    fn arrays(&mut self) -> ([(&mut Array<f32>, usize); 5], &mut Array<f32>) {
-        let [params, moments1, moments2, filter, statistics] = self.held().map(|held| held.1);
+    fn arrays(&mut self) -> ([(&mut Array<f32>, usize); 6], &mut Array<f32>) {
+        let [params, moments1, moments2, filter, statistics, gradients] =
+            self.held().map(|held| held.1);
         let [moment1, moment2] = &mut self.moments;
         let arrays = [
             (&mut self.scene.params, params),
@@ -136,12 +157,13 @@ impl GaussianState {
             (moment2, moments2),
             (&mut self.scene.filter, filter),
             (&mut self.statistics, statistics),
+            (&mut self.gradients, gradients),
         ];
         (arrays, &mut self.scratch)
     }
 
     /// The same arrays, to be read.
-    fn held(&self) -> [(&Array<f32>, usize); 5] {
+    fn held(&self) -> [(&Array<f32>, usize); 6] {
         let planes = self.scene.planes();
         let smoothed = usize::from(!self.scene.filter.is_empty());
         let [moment1, moment2] = &self.moments;
@@ -151,6 +173,7 @@ impl GaussianState {
             (moment2, planes),
             (&self.scene.filter, smoothed),
             (&self.statistics, self.rows),
+            (&self.gradients, if self.batched { planes } else { 0 }),
         ]
     }
 
@@ -254,12 +277,16 @@ impl GaussianState {
         })
     }
 
-    /// Makes room for the coefficients of a higher SH degree, which are zero, as are their moments.
+    /// Makes room for the coefficients of a higher SH degree, which are zero, as are their moments and gradients.
     pub fn raise_sh_degree(&mut self, device: &Device, degree: u32) -> Result<()> {
         let stride = self.scene.stride;
         let [from, to] = [self.scene.sh_degree, degree].map(|d| Plane::count(d) * stride);
         let [moment1, moment2] = &mut self.moments;
-        for array in [&mut self.scene.params, moment1, moment2] {
+        let summed = self.batched.then_some(&mut self.gradients);
+        for array in [&mut self.scene.params, moment1, moment2]
+            .into_iter()
+            .chain(summed)
+        {
             check_room::<f32>(device, array.name(), to / stride, stride)?;
             let new = Array::zeros(device, array.name(), to)?;
             new.copy_from(0, array, 0, from)?;
@@ -316,14 +343,15 @@ impl GaussianState {
         (0..planes).map(row).collect()
     }
 
-    /// Reads everything but the parameters.
-    pub fn rows(&self) -> Result<GaussianRows> {
+    /// Reads everything but the parameters, with the sums of gradients only amidst a batch.
+    pub fn rows(&self, amidst: bool) -> Result<GaussianRows> {
         let planes = self.scene.planes();
         Ok(GaussianRows {
             moment1: self.planes(&self.moments[0], planes)?,
             moment2: self.planes(&self.moments[1], planes)?,
             statistics: self.planes(&self.statistics, self.rows)?,
             filter: self.read_filter()?,
+            gradients: self.planes(&self.gradients, if amidst { planes } else { 0 })?,
         })
     }
 
@@ -353,6 +381,7 @@ impl GaussianState {
             (&self.moments[0], &rows.moment1),
             (&self.moments[1], &rows.moment2),
             (&self.statistics, &rows.statistics),
+            (&self.gradients, &rows.gradients),
         ] {
             for (p, plane) in planes.iter().enumerate() {
                 array.write(p * stride, plane)?;

@@ -4,7 +4,7 @@ use crate::base::error::Result;
 use crate::device::{Kernels, Program};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::stage::adam::Step;
-use crate::pipeline::stage::project_grad;
+use crate::pipeline::stage::{adam, project_grad};
 use crate::train::gaussians::GaussianState;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
@@ -14,9 +14,13 @@ use crate::train::schedule::Schedule;
 pub struct Optimizer {
     /// One build for every SH degree.
     stages: Vec<Program>,
+    /// Step with the mean gradient of a batch; `None` where every view has a step of its own, which the stages take.
+    batched: Option<Program>,
     pub(super) schedule: Schedule,
-    /// β₁, β₂, ε.
+    /// β₁, β₂, ε of the steps of single views.
     constants: [f64; 3],
+    /// Views of a batch.
+    batch: u32,
     /// Weights of the regularisers on opacity and scale.
     lambdas: [f64; 2],
 }
@@ -25,24 +29,32 @@ impl Optimizer {
     /// Builds the kernels.
     pub fn new(kernels: &Kernels, plan: &Plan) -> Result<Self> {
         let (o, l) = (&plan.config.optimizer, &plan.config.loss);
-        let kernels = kernels.taking_steps();
-        let build = |degree| kernels.of_degree(degree).build::<f32>("project_grad");
+        let batch = plan.config.batch;
+        let stages = match batch {
+            1 => kernels.taking_steps(),
+            _ => kernels.clone(),
+        };
+        let build = |degree| stages.of_degree(degree).build::<f32>("project_grad");
         let degrees = 0..=plan.sh_degree.value;
+        let batched = (batch > 1).then(|| kernels.build::<f32>("adam"));
         Ok(Self {
             stages: degrees.map(build).collect::<Result<_>>()?,
+            batched: batched.transpose()?,
             schedule: plan.schedule(),
             constants: [o.beta1, o.beta2, o.epsilon],
             lambdas: [l.lambda_opacity, l.lambda_scale],
+            batch,
         })
     }
 
-    /// β₁, β₂, ε.
+    /// β₁, β₂, ε of the steps of single views.
     #[must_use]
     pub fn constants(&self) -> [f64; 3] {
         self.constants
     }
 
-    /// Takes the sums of the view rendered last back to the parameters and updates them.
+    /// Takes the sums of the view rendered last back to the parameters and updates them, or adds their gradients to those of the batch,
+    /// whose last view updates the parameters.
     pub fn step(
         &self,
         pipeline: &Pipeline,
@@ -50,13 +62,29 @@ impl Optimizer {
         iteration: u32,
         sh_degree: u32,
     ) -> Result<()> {
+        let (stage, frame) = (&self.stages[sh_degree as usize], pipeline.home());
+        let (scene, moments) = (&gaussians.scene, gaussians.moments.each_ref());
+        if self.batched.is_some() {
+            let sums = gaussians.gradients(self.schedule.views_before(iteration));
+            project_grad::backward(stage, scene, frame, self.lambdas, &sums)?;
+        }
+        let Some(t) = self.schedule.step_of(iteration) else {
+            return Ok(());
+        };
+        let [beta1, beta2, epsilon] = self.constants;
+        // The moments forget a view as fast as if each had a step of its own.
+        let [beta1, beta2] = [beta1, beta2].map(|beta| beta.powf(self.batch.into()));
         let step = Step {
             rate: self.schedule.rates(iteration),
-            constants: self.constants,
-            t: iteration + 1,
+            constants: [beta1, beta2, epsilon],
+            t,
         };
-        let (stage, frame) = (&self.stages[sh_degree as usize], pipeline.home());
-        let moments = gaussians.moments.each_ref();
-        project_grad::update(stage, &gaussians.scene, frame, self.lambdas, moments, &step)
+        match &self.batched {
+            Some(adam) => {
+                let sums = gaussians.gradients(self.batch as usize);
+                adam::update(adam, scene, moments, &sums, &step, frame)
+            }
+            None => project_grad::update(stage, scene, frame, self.lambdas, moments, &step),
+        }
     }
 }

@@ -160,6 +160,9 @@ impl Plan {
     /// An invalid configuration, or exposure transforms asked for transparent photos.
     pub fn new(dataset: &Dataset, config: &TrainConfig) -> Result<Self> {
         config.validate()?;
+        let (batch, views) = (config.batch, dataset.train.len());
+        let what = format!("{batch}; no more than the {views} training views expected");
+        Error::unless(batch as usize <= views.max(1), "--batch", &what)?;
         let alpha = Alpha::common(dataset.train.iter().map(|v| v.photo.alpha()));
         let mut plan = Self {
             alpha,

@@ -119,6 +119,27 @@ impl Schedule {
         reached.unwrap_or(0)
     }
 
+    /// Views of a batch that come before the one of an iteration.
+    #[must_use]
+    pub fn views_before(&self, iteration: u32) -> usize {
+        (iteration % self.config.batch) as usize
+    }
+
+    /// Step of the optimiser, from 1, that an iteration takes: the last one of a batch, with the mean gradient of its views. `None`
+    /// for the others.
+    #[must_use]
+    pub fn step_of(&self, iteration: u32) -> Option<u32> {
+        let done = iteration + 1;
+        let batch = self.config.batch;
+        done.is_multiple_of(batch).then_some(done / batch)
+    }
+
+    /// The first iteration that takes a step of the optimiser.
+    #[must_use]
+    pub fn first_step(&self) -> u32 {
+        self.config.batch - 1
+    }
+
     /// Learning rates of an iteration: positions decay log-linearly over the run, the others settle at its end. Local units: the
     /// scene extent is 1.
     ///
@@ -126,7 +147,9 @@ impl Schedule {
     /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for
     /// positions, which have the longest way to go, f times for the higher SH bands and √f times for the rest (measured on
     /// one indoor scene at 1,500 and 3,000 iterations). From 30,000 iterations on the rates are the papers'. Towards the end all
-    /// but the position's settle (`lr-settle`).
+    /// but the position's settle (`lr-settle`). A step for a batch of B views takes √B times the rates: the gradients of B views have
+    /// a mean whose scatter is 1/√B of that of one, and B steps of one view get as far at random as one of √B times the length
+    /// (Grendel-GS, Zhao et al. 2024).
     #[must_use]
     pub fn rates(&self, iteration: u32) -> LearningRates {
         let o = &self.config.optimizer;
@@ -135,16 +158,21 @@ impl Schedule {
         } else {
             1.0
         };
-        let settle = self.settle(iteration);
-        let slow = settle * boost.sqrt();
+        let factor = self.settle(iteration) * self.batch_boost();
+        let slow = factor * boost.sqrt();
         LearningRates {
             position: boost.powf(1.5) * self.position_rate(iteration),
             scale: slow * o.lr_scale,
             rotation: slow * o.lr_rotation,
             opacity: slow * o.lr_opacity,
             sh0: slow * o.lr_sh0,
-            sh: settle * boost * o.lr_sh,
+            sh: factor * boost * o.lr_sh,
         }
+    }
+
+    /// Factor on the rates of the steps of batches.
+    fn batch_boost(&self) -> f64 {
+        f64::from(self.config.batch).sqrt()
     }
 
     /// Factor by which the rates settle towards the end: 1, then log-linear down to `lr-settle`.
@@ -158,11 +186,12 @@ impl Schedule {
 
     /// Learning rate of the positions without what short runs add to it: log-linear over the run. The noise on positions is
     /// in proportion to this one: n·lr² is its variance after n iterations, and with the rate of [`Schedule::rates`] that of a
-    /// short run would be more than a long one's, which costs (docs/results/samplers.md, short runs).
+    /// short run would be more than a long one's, which costs (docs/results/samplers.md, short runs). By the same law √B times the rate
+    /// for batches of B views keeps the variance.
     #[must_use]
     pub fn position_rate(&self, iteration: u32) -> f64 {
         let o = &self.config.optimizer;
-        self.log_linear(iteration, [o.lr_position, o.lr_position_final])
+        self.batch_boost() * self.log_linear(iteration, [o.lr_position, o.lr_position_final])
     }
 
     /// Learning rate of the photos' colour transforms: log-linear over the run.
@@ -206,20 +235,23 @@ impl Schedule {
         })
     }
 
-    /// Iterations between two density steps at an iteration: the paper's, or fewer where a short run would have less than 15 steps.
+    /// Iterations between two density steps at an iteration: the paper's, or fewer where a short run would have less than 15 steps; whole
+    /// batches, whose gradients are of one set of Gaussians.
     #[must_use]
     pub fn density_interval(&self, at: u32) -> u32 {
         let [from, until] = self.density_span(at);
         let least = until.saturating_sub(from) / MIN_DENSITY_STEPS;
         let asked = self.config.density_times().map_or(1, |t| t.interval);
-        asked.min(least.max(MIN_INTERVAL))
+        let interval = asked.min(least.max(MIN_INTERVAL));
+        interval.next_multiple_of(self.config.batch)
     }
 
     /// Iterations that training does between the begin of a density step after `done` iterations and its end: the plan's, but no more
-    /// than half of the interval.
+    /// than half of the interval, and whole batches.
     #[must_use]
     pub fn density_lag(&self, done: u32) -> u32 {
-        self.density_lag.min(self.density_interval(done) / 2)
+        let lag = self.density_lag.min(self.density_interval(done) / 2);
+        lag - lag % self.config.batch
     }
 
     /// True if the length of the run may change after `done` iterations: right after a density step or away from them all, so that
@@ -342,10 +374,12 @@ impl Schedule {
         done > 0 && done < self.iterations(done) && any
     }
 
-    /// Views of `count` iterations from `iteration` on: every epoch is a permutation of the views, keyed by (seed, epoch).
+    /// Views of `count` iterations from `iteration` on: every epoch is a permutation of the views, keyed by (seed, epoch). Its last
+    /// ones that fill no batch are left out, so that no batch has a view twice.
     #[must_use]
     pub fn upcoming(&self, iteration: u32, count: usize, views: usize) -> Vec<usize> {
-        let n = views.max(1);
+        let batch = self.config.batch as usize;
+        let n = (views / batch * batch).max(1);
         let first = iteration as usize;
         let mut epoch = first / n;
         let mut order = self.permutation(epoch as u32, views);

@@ -59,14 +59,15 @@ impl Trainer {
 
     /// Has all ranks run every kernel once on no Gaussians, for every SH degree.
     fn warm_up_shared(&mut self) -> Result<()> {
+        let first = self.schedule.first_step();
         for degree in 0..=self.plan.sh_degree.value {
             let empty = self.gaussians.empty(&self.device, degree)?;
             let gaussians = std::mem::replace(&mut self.gaussians, empty);
             let ran = self
-                .share_iteration(0, degree)
-                .and_then(|()| self.iterate(0, degree))
+                .share_iteration(first, degree)
+                .and_then(|()| self.iterate(first, degree))
                 .and_then(|()| {
-                    self.end_iteration(0);
+                    self.end_iteration(first);
                     self.gather()
                 });
             self.gaussians = gaussians;
@@ -270,10 +271,11 @@ impl Trainer {
         }
         let scene = &self.gaussians.scene;
         if scene.sh_degree != degree || scene.stride < count {
-            let (rows, smoothed) = (self.gaussians.rows, self.smoothing.is_some());
+            let rows = self.gaussians.rows;
+            let kept = [self.smoothing.is_some(), self.plan.config.batch > 1];
             let none = Gaussians::zeros(degree, 0);
             let room = count + count / 4;
-            self.gaussians = GaussianState::new(&self.device, &none, room, rows, smoothed)?;
+            self.gaussians = GaussianState::new(&self.device, &none, room, rows, kept)?;
         }
         let scene = &mut self.gaussians.scene;
         scene.count = count;

@@ -22,7 +22,7 @@ pub struct TrainerState {
     pub detail: Vec<f32>,
     /// Parameters.
     pub splats: Gaussians,
-    /// Moments, statistics and smoothing filter.
+    /// Moments, statistics, smoothing filter and gradients of a batch that has begun.
     pub rows: GaussianRows,
     /// Density step that has begun and not ended.
     pub deciding: Option<PendingStep>,
@@ -45,6 +45,7 @@ impl Trainer {
     /// The driver's, or non-finite parameters.
     pub fn state(&mut self) -> Result<TrainerState> {
         self.settle()?;
+        let amidst = self.amidst_batch(self.iteration);
         let deciding = self.control.settle()?;
         Ok(TrainerState {
             deciding,
@@ -56,7 +57,7 @@ impl Trainer {
             },
             detail: self.plan.detail.value.clone(),
             splats: self.gaussians.scene.download()?,
-            rows: self.gaussians.rows()?,
+            rows: self.gaussians.rows(amidst)?,
             stats: self.control.stats,
             non_finite: self.counters.non_finite,
             learned: self.learned,
@@ -80,6 +81,10 @@ impl Trainer {
             let (found, wanted) = (state.losses.len(), self.losses.len());
             return Err(mismatch(format!("{found} losses; {wanted} expected")));
         }
+        if state.rows.gradients.is_empty() == self.amidst_batch(state.iteration) {
+            let what = "gradients of a batch where none has begun, or none where one has";
+            return Err(mismatch(what.into()));
+        }
         self.gaussians.restore(&state.rows)?;
         self.losses.write(0, &state.losses)?;
         self.iteration = state.iteration;
@@ -99,6 +104,11 @@ impl Trainer {
         let non_finite = state.non_finite.min(u64::from(u32::MAX)) as u32;
         let frame = &self.pipeline.forward.frame;
         frame.status.write(slot, &[non_finite])
+    }
+
+    /// True if a batch of views has begun before an iteration and not ended.
+    fn amidst_batch(&self, iteration: u32) -> bool {
+        self.schedule.views_before(iteration) > 0
     }
 
     fn restore_exposures(&mut self, rows: &[Vec<f32>]) -> Result<()> {

@@ -197,13 +197,13 @@ impl Trainer {
         let control = Control::new(&kernels, plan, &pipeline, strategy)?;
         let smoothing = Smoothing::new(&kernels, &set)?;
         let room = capacity(config, splats.len());
-        let (rows, smoothed) = (control.rows(), smoothing.is_some());
+        let (rows, kept) = (control.rows(), [smoothing.is_some(), config.batch > 1]);
         let seen = config
             .work
             .remove_unseen
             .then(|| kernels.build::<f32>("seen"));
         let mut trainer = Self {
-            gaussians: GaussianState::new(device, splats, room, rows, smoothed)?,
+            gaussians: GaussianState::new(device, splats, room, rows, kept)?,
             views: Views::new(&kernels, set, plan)?,
             optimizer: Optimizer::new(&kernels, plan)?,
             schedule: plan.schedule(),
@@ -526,7 +526,7 @@ impl Trainer {
         let gaussians = std::mem::replace(&mut self.gaussians, empty);
         self.fit_views()?;
         for degree in 0..=highest {
-            self.iterate(0, degree)?;
+            self.iterate(self.schedule.first_step(), degree)?;
             self.warm_up_control(degree)?;
         }
         self.seen(1)?;

@@ -62,6 +62,7 @@ fn step_at(
         planes,
         stride,
         rows: block,
+        views: 1,
     };
     let step = Step {
         rate: case.rates,

@@ -4,9 +4,13 @@ use super::*;
 use mhsplat::base::constants::{LARGE_PAIRS, SUMS};
 use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::device::tuning::status::{NON_FINITE, OVERFLOW, SLOTS};
-use mhsplat::device::{Array, CameraArg};
-use mhsplat::pipeline::buffers::{GaussianBuffers, ViewBuffers};
-use mhsplat::pipeline::stage::adam::Step;
+use mhsplat::device::{Array, CameraArg, Real};
+use mhsplat::lab::error::{Tolerance, compare};
+use mhsplat::lab::verify::cases::ADAM;
+use mhsplat::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
+use mhsplat::pipeline::forward::RenderOptions;
+use mhsplat::pipeline::pass::{Pipeline, Target};
+use mhsplat::pipeline::stage::adam::{self, Step};
 use mhsplat::pipeline::stage::project_grad::update;
 use mhsplat::scene::Plane;
 
@@ -93,6 +97,102 @@ fn culled_gaussians_have_the_regularisers_alone() {
                 .all(|g| if regularised { *g > 0.0 } else { *g == 0.0 }),
             "plane {p}"
         );
+    }
+}
+
+/// Errors of a precision.
+const BOUNDS: [f64; 2] = [EXACT, 1e-5];
+
+/// First moments after a step with the gradients of some views of one scene, as a batch of so many, over 1 − β₁: their mean. The
+/// views come one after the other; after the last of them one that overflows changes nothing.
+fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
+    let (device, case) = (device(), &cases[0]);
+    let defines = Defines {
+        sh_degree: case.sh_degree,
+        ..Defines::new(tuning)
+    };
+    let scene = GaussianBuffers::<R>::upload(&device, &case.splats, 0).unwrap();
+    let size = CameraArg::<R>::new(&case.camera).image();
+    let mut pipeline = Pipeline::<R>::new(&device, defines, case.sh_degree, size).unwrap();
+    let zeros = |name| Array::<R>::zeros(&device, name, scene.params.len()).unwrap();
+    let (values, m, v) = (zeros("grads"), zeros("m"), zeros("v"));
+    let block = |views: usize| GradientBlock {
+        values: &values,
+        planes: scene.planes(),
+        stride: scene.stride,
+        rows: 0..scene.count,
+        views,
+    };
+    let [lambda, opacity, scale] = case.lambdas;
+    for (k, case) in cases.iter().enumerate() {
+        let options = RenderOptions {
+            sh_degree: case.sh_degree,
+            background: case.background,
+            ..RenderOptions::default()
+        };
+        let camera = CameraArg::new(&case.camera);
+        pipeline.forward.render(&scene, &camera, &options).unwrap();
+        let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
+        let target = Target {
+            view: 0,
+            photo: &photo,
+            background: case.background,
+            skip_blank: true,
+        };
+        let pair = pipeline.pair(target).unwrap();
+        pipeline.loss_gradient(0, &pair, lambda).unwrap();
+        pipeline.splat_gradient().unwrap();
+        let of = |views| {
+            let (backward, forward) = (&pipeline.backward, &pipeline.forward);
+            let lambdas = [opacity, scale];
+            backward.parameters(forward, &scene, case.sh_degree, lambdas, &block(views))
+        };
+        of(k).unwrap();
+        let status = &pipeline.home().status;
+        status.write(OVERFLOW as usize, &[1]).unwrap();
+        of(0).and_then(|()| of(1)).unwrap();
+        status.write(OVERFLOW as usize, &[0]).unwrap();
+    }
+    let step = Step {
+        rate: case.rates,
+        constants: ADAM,
+        t: 1,
+    };
+    let adam = Kernels::new(&device, defines).build::<R>("adam").unwrap();
+    let (grads, frame) = (block(cases.len()), pipeline.home());
+    adam::update(&adam, &scene, [&m, &v], &grads, &step, frame).unwrap();
+    let plane = |p: usize| m.read(p * scene.stride, scene.count).unwrap();
+    let moments = (0..scene.planes()).flat_map(plane);
+    moments.map(|m| m.into() / (1.0 - ADAM[0])).collect()
+}
+
+/// The gradient of a batch is the mean of those of its views by the definitions, the regularisers counted once.
+#[test]
+fn a_batch_has_the_mean_gradient_of_its_views() {
+    let first = cases::mild("first view", 90, [60, 44], 2, 36);
+    let mut second = cases::mild("second view", 90, [60, 44], 2, 37);
+    second.splats = first.splats.clone();
+    second.camera.translation += glam::DVec3::new(-0.4, 0.2, 0.3);
+    let cases = [first, second];
+    let of_each = cases.each_ref().map(|case| {
+        let planes = Reference::new(case).pass.grads.planes;
+        planes.into_iter().flatten().collect::<Vec<f64>>()
+    });
+    let [a, b] = &of_each;
+    let mean: Vec<f64> = a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect();
+    let sum: Vec<f64> = mean.iter().map(|g| 2.0 * g).collect();
+    for tuning in widths() {
+        let got = [
+            mean_of::<f64>(tuning, &cases),
+            mean_of::<f32>(tuning, &cases),
+        ];
+        for (got, bound) in got.iter().zip(BOUNDS) {
+            let against = |want: &[f64]| compare(got, want, Tolerance::all(bound));
+            assert!(against(&mean).is_ok(), "{:?}", against(&mean));
+            for wrong in [a, b, &sum] {
+                assert!(against(wrong).is_err(), "the comparator must fail");
+            }
+        }
     }
 }
 

@@ -55,6 +55,14 @@ pub struct Wrong {
     pub pictures: u32,
     /// True if moments of rows that the density step writes are kept.
     pub kept_moments: bool,
+    /// True if the rates of a batch's steps are those of single views.
+    pub batch_rates: bool,
+    /// True if the moments forget by steps and not by views.
+    pub batch_moments: bool,
+    /// True if the step takes the sum of a batch's gradients and not their mean.
+    pub batch_sum: bool,
+    /// True if the step takes the gradients of a batch's last view alone.
+    pub batch_last: bool,
 }
 
 /// Errors under the centre of each Gaussian in one view: 1 − SSIM and L1; `None` if it is not seen.
@@ -68,6 +76,8 @@ pub struct Definitions<'a> {
     /// Parameters.
     pub scene: Scene64,
     moments: [Vec<Vec<f64>>; 2],
+    /// Gradients of the views of the batch so far.
+    gradients: Vec<Vec<f64>>,
     /// Iterations done.
     pub iteration: u32,
     /// L1 and SSIM of each iteration.
@@ -92,7 +102,8 @@ impl<'a> Definitions<'a> {
             config,
             wrong,
             scene,
-            moments: [zeros.clone(), zeros],
+            moments: [zeros.clone(), zeros.clone()],
+            gradients: zeros,
             iteration: 0,
             losses: Vec::new(),
             errors: Vec::new(),
@@ -114,17 +125,19 @@ impl<'a> Definitions<'a> {
         }
     }
 
-    /// The view of an iteration: every epoch is a permutation of the views, by Fisher and Yates from the last one on.
+    /// The view of an iteration: every epoch is a permutation of the views, by Fisher and Yates from the last one on, without those at its
+    /// end that fill no batch.
     fn view(&self, iteration: u32) -> &'a View {
         let n = self.data.train.len();
         let seed = self.config.seed + self.wrong.view_seed;
-        let stream = Stream::ViewOrder.stream(iteration / n as u32);
+        let epoch = n - n % self.config.batch as usize;
+        let stream = Stream::ViewOrder.stream(iteration / epoch as u32);
         let mut order: Vec<usize> = (0..n).collect();
         for i in (1..n).rev() {
             let u = Philox::uniform(seed, stream, i as u64)[0];
             order.swap(i, (u * (i + 1) as f64) as usize);
         }
-        &self.data.train[order[iteration as usize % n]]
+        &self.data.train[order[iteration as usize % epoch]]
     }
 
     /// Camera and options of an iteration with a background of its own.
@@ -181,22 +194,46 @@ impl<'a> Definitions<'a> {
         let maps = [&pass.loss.ssim_error[..], &pass.loss.l1_error];
         let under = |i: usize| importance(&self.scene, i, &camera, maps);
         self.errors.push((0..self.scene.len()).map(under).collect());
-        self.optimize(&pass.grads.planes);
-        self.perturb();
+        let first = self.iteration.is_multiple_of(self.config.batch);
+        let afresh = first || self.wrong.batch_last;
+        for (sums, plane) in self.gradients.iter_mut().zip(&pass.grads.planes) {
+            for (sum, g) in sums.iter_mut().zip(plane) {
+                *sum = if afresh { *g } else { *sum + g };
+            }
+        }
+        if (self.iteration + 1).is_multiple_of(self.config.batch) {
+            self.optimize();
+            self.perturb();
+        }
         self.iteration += 1;
     }
 
-    fn optimize(&mut self, grads: &[Vec<f64>]) {
-        let (o, at) = (self.config.optimizer, self.iteration);
-        for (p, plane) in grads.iter().enumerate() {
+    /// A step with the mean gradient of a batch.
+    fn optimize(&mut self) {
+        let (o, w, views) = (self.config.optimizer, self.wrong, self.config.batch);
+        let divisor = match w.batch_sum || w.batch_last {
+            true => 1.0,
+            false => f64::from(views),
+        };
+        let power = if w.batch_moments { 1.0 } else { views.into() };
+        for p in 0..self.gradients.len() {
+            let mean: Vec<f64> = self.gradients[p].iter().map(|g| g / divisor).collect();
             let step = Step {
-                rate: self.rate(p),
-                constants: [o.beta1, o.beta2, o.epsilon],
-                t: at + 1 + self.wrong.step,
+                rate: self.boost() * self.rate(p),
+                constants: [o.beta1.powf(power), o.beta2.powf(power), o.epsilon],
+                t: (self.iteration + 1) / views + w.step,
             };
             let [m, v] = &mut self.moments;
             let params = &mut self.scene.planes[p];
-            assert_eq!(adam(plane, &step, params, &mut m[p], &mut v[p]), 0);
+            assert_eq!(adam(&mean, &step, params, &mut m[p], &mut v[p]), 0);
+        }
+    }
+
+    /// Factor on the rates of a batch's steps.
+    fn boost(&self) -> f64 {
+        match self.wrong.batch_rates {
+            true => 1.0,
+            false => f64::from(self.config.batch).sqrt(),
         }
     }
 
@@ -204,7 +241,7 @@ impl<'a> Definitions<'a> {
         let (mh, w) = (&self.config.mh, &self.wrong);
         let factor = if w.boosted_noise { 8.0 } else { 1.0 };
         let law = NoiseLaw {
-            rate: factor * mh.noise_rate * self.position_rate(self.iteration),
+            rate: factor * mh.noise_rate * self.boost() * self.position_rate(self.iteration),
             steepness: 100.0,
             opacity: mh.dead_opacity,
         };
@@ -227,7 +264,7 @@ impl<'a> Definitions<'a> {
         self.scene.sh_degree += 1;
         let (planes, n) = (Plane::count(self.scene.sh_degree), self.scene.len());
         let [m, v] = &mut self.moments;
-        for all in [&mut self.scene.planes, m, v] {
+        for all in [&mut self.scene.planes, m, v, &mut self.gradients] {
             all.resize(planes, vec![0.0; n]);
         }
     }
@@ -332,6 +369,8 @@ impl<'a> Definitions<'a> {
         for plane in self.scene.planes.iter_mut().chain(m).chain(v) {
             *plane = reorder(&order, plane);
         }
+        // No batch is under way.
+        self.gradients = self.scene.zeros_like().planes;
     }
 
     /// A view as the iteration `at` will take it.

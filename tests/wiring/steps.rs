@@ -12,6 +12,9 @@ use mhsplat::{Plan, TrainConfig};
 use super::definitions::{Definitions, Wrong};
 use crate::determinism::room;
 
+/// A change of the definitions that makes them wrong.
+type Mistake = fn(&mut Wrong);
+
 /// Bound on the difference of a parameter, relative to its size or to 1.
 const BOUND: f64 = 1e-5;
 
@@ -130,13 +133,13 @@ fn apart(got: &[Vec<f32>], want: &[Vec<f64>]) -> f64 {
     })
 }
 
-/// Differences of parameters after three iterations, the density step, and one more iteration.
-fn differences(
+/// Differences of parameters after three iterations, the density step, and more iterations.
+fn differences<const N: usize>(
     data: &Dataset,
     config: &TrainConfig,
     states: &[TrainerState],
     wrong: Wrong,
-) -> [f64; 5] {
+) -> [f64; N] {
     let aliased = config.anti_aliasing == AntiAliasing::On;
     let mut defined = Definitions::new(data, config, &start(data), aliased, wrong);
     std::array::from_fn(|k| {
@@ -149,10 +152,10 @@ fn differences(
     })
 }
 
-/// States of the trainer after three iterations, the density step, and one more iteration.
-fn states(data: &Dataset, config: &TrainConfig) -> Vec<TrainerState> {
+/// States of the trainer after three iterations, the density step, and so many more iterations.
+fn states(data: &Dataset, config: &TrainConfig, more: usize) -> Vec<TrainerState> {
     let mut trainer = trainer(data, config);
-    let states: Vec<_> = (0..5).map(|_| next(&mut trainer)).collect();
+    let states: Vec<_> = (0..4 + more).map(|_| next(&mut trainer)).collect();
     assert_eq!([2, 3, 4].map(|k| states[k].iteration), [3, 3, 4]);
     assert_eq!(states[1].splats.sh_degree(), 0);
     assert_eq!(states[2].splats.sh_degree(), 1);
@@ -175,8 +178,8 @@ fn training_follows_its_definitions() {
     let data = views();
     for relocation in [false, true] {
         let config = config(relocation);
-        let states = states(&data, &config);
-        let found = differences(&data, &config, &states, Wrong::default());
+        let states = states(&data, &config, 1);
+        let found: [f64; 5] = differences(&data, &config, &states, Wrong::default());
         println!("relocation {relocation}: {found:?}");
         assert!(found.iter().all(|e| *e <= BOUND), "{found:?}");
     }
@@ -226,8 +229,7 @@ fn losses_on_record_are_those_of_the_iterations() {
 fn mistakes_are_found() {
     let data = views();
     let config = config(false);
-    let states = states(&data, &config);
-    type Mistake = fn(&mut Wrong);
+    let states = states(&data, &config, 1);
     let cases: [(&str, usize, Mistake); 15] = [
         ("number of Adam's step", 0, |w| w.step = 1),
         ("rates", 0, |w| w.rates = 1),
@@ -248,8 +250,40 @@ fn mistakes_are_found() {
     for (what, first, mistake) in cases {
         let mut wrong = Wrong::default();
         mistake(&mut wrong);
-        let found = differences(&data, &config, &states, wrong);
+        let found: [f64; 5] = differences(&data, &config, &states, wrong);
         let at = found.iter().position(|e| *e > BOUND);
         assert_eq!(at, Some(first), "{what}: {found:?}");
+    }
+}
+
+/// A batch of three views before the density step, amidst which a band is added, and one after it.
+#[test]
+fn batches_follow_their_definitions_and_mistakes_are_found() {
+    let data = views();
+    for relocation in [false, true] {
+        let config = TrainConfig {
+            batch: 3,
+            ..config(relocation)
+        };
+        let states = states(&data, &config, 3);
+        assert!(states[0].splats.planes()[0] == states[1].splats.planes()[0]);
+        assert!(states[1].splats.planes()[0] != states[2].splats.planes()[0]);
+        let found: [f64; 7] = differences(&data, &config, &states, Wrong::default());
+        println!("relocation {relocation}: {found:?}");
+        assert!(found.iter().all(|e| *e <= BOUND), "{found:?}");
+        let cases: [(&str, usize, Mistake); 5] = [
+            ("number of Adam's step", 2, |w| w.step = 1),
+            ("rates", 2, |w| w.batch_rates = true),
+            ("sum of gradients", 2, |w| w.batch_sum = true),
+            ("last view alone", 2, |w| w.batch_last = true),
+            ("powers of the decays", 6, |w| w.batch_moments = true),
+        ];
+        for (what, first, mistake) in cases {
+            let mut wrong = Wrong::default();
+            mistake(&mut wrong);
+            let found: [f64; 7] = differences(&data, &config, &states, wrong);
+            let at = found.iter().position(|e| *e > BOUND);
+            assert_eq!(at, Some(first), "{what}: {found:?}");
+        }
     }
 }

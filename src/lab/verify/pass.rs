@@ -308,7 +308,7 @@ impl<'a, R: Real> Pass<'a, R> {
 
         let values = Array::zeros(self.device, "grads", self.scene.params.len())?;
         let [_, opacity, scale] = self.case.lambdas;
-        let (pipeline, block) = (&self.pipeline, self.block(&values));
+        let (pipeline, block) = (&self.pipeline, self.block(&values, 0));
         let (backward, lambdas) = (&pipeline.backward, [opacity, scale]);
         let degree = self.case.sh_degree;
         backward.parameters(&pipeline.forward, &self.scene, degree, lambdas, &block)?;
@@ -349,19 +349,20 @@ impl<'a, R: Real> Pass<'a, R> {
         Ok(counts.iter().zip(&starts).flat_map(of).collect())
     }
 
-    fn block<'b>(&self, values: &'b Array<R>) -> GradientBlock<'b, R> {
+    fn block<'b>(&self, values: &'b Array<R>, views: usize) -> GradientBlock<'b, R> {
         GradientBlock {
             values,
             planes: Plane::count(self.case.sh_degree),
             stride: self.scene.stride,
             rows: 0..self.scene.count,
+            views,
         }
     }
 
     /// Two steps with the same gradients; returns the copy of the scene that they changed, and its moments.
     fn optimiser(&mut self, grads: &Array<R>) -> Result<(GaussianBuffers<R>, [Array<R>; 2])> {
         let scene = self.copy_of_scene()?;
-        let (block, steps) = (self.block(grads), (self.case.rates, 2));
+        let (block, steps) = (self.block(grads, 1), (self.case.rates, 2));
         let moments = optimise(&self.kernels, &scene, &block, steps, self.frame())?;
         let names = ["parameters", "first moments", "second moments"];
         self.add_steps(names, &scene, &moments, 2)?;

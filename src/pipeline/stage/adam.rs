@@ -54,7 +54,7 @@ impl Step<LearningRates> {
     }
 }
 
-/// Enqueues one step of the Gaussians of a block with gradients that are given; after an overflow in the view nothing changes.
+/// Enqueues one step of the Gaussians of a block with the mean gradient of its views; after an overflow in the view nothing changes.
 pub fn update<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
@@ -68,6 +68,7 @@ pub fn update<R: Real>(
         .launch("adam")
         .array(grads.values, grads.planes * grads.stride)
         .uints([grads.stride, grads.rows.start, vectors])
+        .reals::<R>([1.0 / grads.views as f64])
         .array(&scene.params, grads.planes * scene.stride)
         .uints([scene.stride])
         .reals::<R>(step.numbers::<R>())

@@ -31,8 +31,8 @@ fn add_large<R: Real>(
         .over_groups(scene.count.div_ceil(tuning.tile_group()))
 }
 
-/// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included. After an overflow
-/// in the view no Gaussian has pairs. The kernel is built for one SH degree.
+/// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included, or adds them to those of the
+/// block's views where it has some. After an overflow in the view nothing changes. The kernel is built for one SH degree.
 pub fn backward<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
@@ -45,7 +45,7 @@ pub fn backward<R: Real>(
     stage
         .launch("project_grad")
         .gaussians(scene)
-        .uints([grads.rows.start, grads.stride])
+        .uints([grads.rows.start, grads.stride, usize::from(grads.views > 0)])
         .value(view.camera)
         .arrays([&view.isect_start, &view.isect_counts], scene.count)
         .status(view)

@@ -58,6 +58,7 @@ fn errors<R: Real>(device: &Device, size: f64, rate: f64) -> Result<Vec<f64>> {
         planes,
         stride: N,
         rows: 0..N,
+        views: 1,
     };
     let rates = LearningRates {
         position: rate,
