@@ -49,6 +49,8 @@ pub(crate) struct RawScene {
     pub train: Vec<RawView>,
     /// Held-out views, if the dataset names them itself.
     pub test: Option<Vec<RawView>>,
+    /// True for a part of a dataset: which cameras are outliers was judged in the whole.
+    pub part: bool,
     /// Names of views whose images are missing; they are in neither list.
     pub missing: Vec<String>,
     /// Sparse points, dataset units.
@@ -225,7 +227,10 @@ pub(super) fn sides(
     scene.missing.sort();
     let (train, test) = (std::mem::take(&mut scene.train), scene.test.take());
     let (train, test) = split(path, train, test, &scene.missing, test_every)?;
-    Ok(without_outliers(train, test))
+    Ok(match scene.part {
+        true => (train, test, Vec::new()),
+        false => without_outliers(train, test),
+    })
 }
 
 /// Sorts by name; without a held-out list, every `test_every`-th image is held out, beginning with the first. Missing ones

@@ -124,6 +124,9 @@ impl Bounds {
 /// are as many strips as make the cells most nearly square. `None` if so many cells cannot each have a place of its own.
 #[must_use]
 pub fn divide(places: &[DVec3], cells: usize) -> Option<Vec<Bounds>> {
+    if cells > places.len() {
+        return None;
+    }
     let reach = |k: usize| {
         let along = sorted(places.iter().map(|p| p[k]));
         along.first().zip(along.last()).map(|(a, b)| b - a)
@@ -163,10 +166,13 @@ fn between(places: &[DVec3], axis: usize, shares: &[usize]) -> Option<Vec<[Optio
     let total: usize = shares.iter().sum();
     let (mut taken, mut last, mut from) = (0, 0, None);
     let mut intervals = Vec::with_capacity(shares.len());
-    for share in &shares[..shares.len() - 1] {
+    for (i, share) in shares[..shares.len() - 1].iter().enumerate() {
         taken += share;
         let due = (along.len() * taken + total / 2) / total;
-        let later = gaps.iter().filter(|k| **k > last);
+        // A gap is left for each edge that comes after.
+        let left = shares.len() - 2 - i;
+        let free = gaps.get(..gaps.len().checked_sub(left)?)?;
+        let later = free.iter().filter(|k| **k > last);
         last = *later.min_by_key(|k| k.abs_diff(due))?;
         let to = Some(f64::midpoint(along[last - 1], along[last]));
         intervals.push([from, to]);
@@ -186,6 +192,20 @@ mod tests {
         let place =
             |i: usize| DVec3::new(part(i, 0.618_034), part(i, 0.754_878), part(i, 0.569_84));
         (1..=n).map(|i| place(i) * size).collect()
+    }
+
+    #[test]
+    fn an_edge_leaves_gaps_for_those_after_it() {
+        let places: Vec<DVec3> = [0.0, 1.0, 2.0]
+            .into_iter()
+            .chain([3.0; 100])
+            .map(|x| DVec3::new(x, 0.0, 0.0))
+            .collect();
+        let intervals = between(&places, 0, &[1; 4]).unwrap();
+        let edges: Vec<Option<f64>> = intervals.iter().map(|i| i[1]).collect();
+        assert_eq!(edges, [Some(0.5), Some(1.5), Some(2.5), None]);
+        assert_eq!(between(&places, 0, &[1; 5]), None);
+        assert_eq!(divide(&places, 4_000_000_000), None);
     }
 
     #[test]

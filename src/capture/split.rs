@@ -29,6 +29,12 @@ use crate::capture::transforms::{Listed, write_listed};
 /// File that tells the cells, in the folder of the parts.
 pub const CELLS_FILE: &str = "cells.json";
 
+/// File of a part's points.
+const CLOUD: &str = "points3d.ply";
+
+/// Folders of a part's links: to photos, and to masks. One called `masks` would be searched for those of other photos.
+const LINKS: [&str; 2] = ["images", "mask"];
+
 /// Rays along each side of an image that measure how much of it a cell covers.
 const RAYS: u32 = 16;
 
@@ -356,17 +362,11 @@ impl Part {
         // The list of held-out views, even an empty one, keeps the part from choosing its own.
         for (side, views) in [("train", train), ("test", held_out)] {
             let file = folder.join(format!("transforms_{side}.json"));
-            write_listed(&file, views, cloud)?;
+            write_listed(&file, views, cloud, true)?;
         }
         Ok(())
     }
 }
-
-/// File of a part's points.
-const CLOUD: &str = "points3d.ply";
-
-/// Folders of a part's links: to photos, and to masks. One called `masks` would be searched for those of other photos.
-const LINKS: [&str; 2] = ["images", "mask"];
 
 /// Lists a view, with links to its files.
 fn list(folder: &Path, view: &RawView) -> Result<Listed> {

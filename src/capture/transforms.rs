@@ -39,6 +39,9 @@ const OTHERS: [&str; 3] = ["p3", "p4", "is_fisheye"];
 struct File {
     frames: Vec<Frame>,
     ply_file_path: Option<String>,
+    /// True for a part of a dataset that `split` has written.
+    #[serde(default)]
+    part: bool,
     #[serde(flatten)]
     lens: Intrinsics,
 }
@@ -115,6 +118,7 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
         let files = std::mem::replace(&mut found.files, rest);
         views((root, file, asked.is_some()), parsed, files, &mut missing)
     };
+    let part = train.part;
     let train = views(file, &train)?;
     let test = test.map(|test| views(&held_out, &test)).transpose()?;
     Ok(RawScene {
@@ -123,6 +127,7 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
         remarks: Vec::new(),
         train,
         test,
+        part,
         missing,
         positions,
         colors,
@@ -379,14 +384,19 @@ pub fn write_transforms(
         mask: None,
     };
     let views: Vec<Listed> = views.iter().map(pinhole).collect();
-    write_listed(file, &views, points)
+    write_listed(file, &views, points, false)
 }
 
 /// Writes what [`write_transforms`] does, with lenses and masks.
 ///
 /// # Errors
 /// Those of [`write_transforms`], and [`Error::Input`] for a lens that a transforms file has no keys for.
-pub(super) fn write_listed(file: &Path, views: &[Listed], points: Option<&str>) -> Result<()> {
+pub(super) fn write_listed(
+    file: &Path,
+    views: &[Listed],
+    points: Option<&str>,
+    part: bool,
+) -> Result<()> {
     let frames: Vec<Value> = views
         .iter()
         .map(|v| frame(file, v))
@@ -394,6 +404,9 @@ pub(super) fn write_listed(file: &Path, views: &[Listed], points: Option<&str>) 
     let mut root = json!({ "frames": frames });
     if let Some(points) = points {
         root["ply_file_path"] = json!(points);
+    }
+    if part {
+        root["part"] = json!(true);
     }
     std::fs::write(file, format!("{root:#}")).map_err(|e| Error::io(file, e))
 }

@@ -73,6 +73,14 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
     let Some((mut whole, convention)) = whole else {
         return Err(Error::input(parts, "no cell", "split the dataset again"));
     };
+    if whole.splats.is_empty() {
+        let what = "none of the runs has a Gaussian in its cell";
+        let fix = "give the runs in the order of the cells, trained on the parts of this folder";
+        return Err(Error::input(parts, what, fix));
+    }
+    for (run, ..) in counts.iter().filter(|(.., kept)| *kept == 0) {
+        output::note(&format!("{}: no Gaussian lies in its cell", run.display()));
+    }
     whole.up = up.try_normalize().map(|up| up.to_array());
     if convention.exposure == Some(true) {
         output::note(

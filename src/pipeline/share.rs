@@ -71,7 +71,7 @@ pub struct Share<R: Real> {
     firsts: Vec<usize>,
     /// Pairs of each row of tiles of the view composited last; at the leader alone.
     pub pairs_by_row: Vec<u32>,
-    /// What each rank told with the view composited last; at the leader alone.
+    /// Work that each rank told with the view composited last; at the leader alone.
     pub worked_by_rank: Vec<Worked>,
     worked: Worked,
     stopwatch: Cell<Stopwatch>,
@@ -106,8 +106,6 @@ impl<R: Real> Share<R> {
     pub fn set_bands(&mut self, bands: Vec<u32>) -> Result<()> {
         self.route.set_bands(&bands)?;
         self.bands = bands;
-        // What lay between two views is no work on them.
-        self.lap();
         Ok(())
     }
 
@@ -148,6 +146,8 @@ impl<R: Real> Share<R> {
         camera: &CameraArg<R>,
         options: &RenderOptions,
     ) -> Result<()> {
+        // What lay between two views is no work on them: orders, photos.
+        self.lap();
         let home = &mut self.home;
         home.fit_gaussians(&self.device, scene.stride)?;
         (home.camera, home.count) = (*camera, scene.count);

@@ -104,7 +104,7 @@ impl Pace {
 pub(super) struct Budget {
     /// All of the run's time, seconds.
     pub seconds: f64,
-    /// True for CPU seconds of the process, false for those of a clock.
+    /// True for CPU seconds of all processes, false for those of a clock.
     pub cpu: bool,
     /// Largest number of iterations.
     most: u32,

@@ -93,6 +93,7 @@ impl Run {
 
     fn train(&mut self, stop: &AtomicBool, mut progress: impl FnMut(&Progress)) -> Result<()> {
         loop {
+            self.clock.note_elsewhere(self.trainer.cpu_elsewhere());
             let done = self.trainer.iteration();
             if self.trainer.rested() {
                 let (training, all) = self.spent();
@@ -124,10 +125,7 @@ impl Run {
                     Some(length) => self.set_length(length)?,
                     None => break,
                 },
-                Event::Iteration { .. } => {
-                    self.clock.note_elsewhere(self.trainer.cpu_elsewhere());
-                    progress(&self.progress(None));
-                }
+                Event::Iteration { .. } => progress(&self.progress(None)),
                 Event::Decided(decision) => progress(&self.progress(Some(decision.to_string()))),
                 Event::Density(event) => self.log_density(&event)?,
                 Event::Settled(done) => {

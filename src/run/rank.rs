@@ -69,7 +69,7 @@ pub(super) fn beginning(
 /// Trains with the leader of an exchange, until it ends. `load` reads a dataset, `test` refuses a device that computes wrong results.
 ///
 /// # Errors
-/// That, another program or dataset than the leader's, another rank's failure, no room, or the driver's.
+/// Such a device, another program or dataset than the leader's, another rank's failure, no room, or the driver's.
 pub fn serve(
     exchange: &Arc<dyn Exchange>,
     device: &Device,

@@ -22,8 +22,10 @@ pub struct Crew {
     pub idle: Option<Share<f32>>,
     /// Pairs of each row of tiles of a view when it was seen last, by view and number of rows.
     pairs: BTreeMap<(usize, usize), Vec<u32>>,
-    /// Parts of the ranks in rows, and in rows of tiles.
-    parts: [Parts; 2],
+    /// Parts of the ranks in the rows of the Gaussians.
+    row_parts: Parts,
+    /// Parts of the ranks in the rows of tiles.
+    band_parts: Parts,
     /// Seconds that each rank worked on its rows since they were spread.
     worked_on_rows: Vec<f64>,
     /// CPU seconds of the processes of other ranks.
@@ -36,9 +38,6 @@ pub struct Crew {
     pub at_rest: bool,
 }
 
-/// Least share of a rank, as a part of an even one: it goes on being measured.
-const LEAST_PART: f64 = 0.02;
-
 /// Iterate: iteration, SH degree, bands. An order is the first word of a message.
 pub const ITERATE: u32 = 0;
 /// Take rows.
@@ -48,8 +47,12 @@ pub const GATHER: u32 = 2;
 /// End.
 pub const END: u32 = 3;
 
-/// Gain of a step towards even times: of bands, after every view, and of rows, when they are spread.
-const GAINS: [f64; 2] = [0.1, 0.5];
+/// Gain of a step of the bands towards even times, after every view.
+const BAND_GAIN: f64 = 0.1;
+/// The same of the rows, when they are spread.
+const ROW_GAIN: f64 = 0.5;
+/// Least share of a rank, as a part of an even one: it goes on being measured.
+const LEAST_PART: f64 = 0.02;
 
 /// Shares of the ranks in a work, above 0, with the sum 1.
 #[derive(Debug, Clone, PartialEq)]
@@ -120,7 +123,8 @@ impl Crew {
     pub fn new(exchange: Arc<dyn Exchange>, threads: Vec<JoinHandle<()>>) -> Self {
         Self {
             non_finite: vec![0; exchange.ranks()],
-            parts: [0, 1].map(|_| Parts::even(exchange.ranks())),
+            row_parts: Parts::even(exchange.ranks()),
+            band_parts: Parts::even(exchange.ranks()),
             worked_on_rows: vec![0.0; exchange.ranks()],
             process_seconds: 0.0,
             rows: Vec::new(),
@@ -167,7 +171,7 @@ impl Crew {
             Some(pairs) => pairs.iter().map(|n| u64::from(*n) + empty).collect(),
             None => vec![empty; rows],
         };
-        self.parts[1].bands(&weights)
+        self.band_parts.bands(&weights)
     }
 
     /// Notes the pairs of each row of tiles of a view, for its next bands, and how long each rank worked, for the next parts.
@@ -178,15 +182,23 @@ impl Crew {
         }
         self.process_seconds = worked.iter().map(|worked| f64::from(worked.process)).sum();
         let seconds: Vec<f64> = worked.iter().map(|worked| worked.band.into()).collect();
-        self.parts[1].level(&seconds, GAINS[0]);
+        self.band_parts.level(&seconds, BAND_GAIN);
+    }
+
+    /// Forgets how long the ranks worked: on nothing, to warm up.
+    pub fn forget_times(&mut self) {
+        let ranks = self.exchange.ranks();
+        self.worked_on_rows = vec![0.0; ranks];
+        self.row_parts = Parts::even(ranks);
+        self.band_parts = Parts::even(ranks);
     }
 
     /// Divides rows among the ranks.
     pub fn divide_rows(&mut self, all: usize) {
         let ranks = self.exchange.ranks();
         let worked = std::mem::replace(&mut self.worked_on_rows, vec![0.0; ranks]);
-        self.parts[0].level(&worked, GAINS[1]);
-        self.rows = self.parts[0].rows(all);
+        self.row_parts.level(&worked, ROW_GAIN);
+        self.rows = self.row_parts.rows(all);
     }
 
     /// Rows of a rank, since they were divided last.
@@ -242,7 +254,7 @@ impl<'a> Words<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::{GAINS, Parts};
+    use super::{BAND_GAIN, Parts, ROW_GAIN};
 
     #[test]
     fn every_row_belongs_to_one_rank() {
@@ -253,7 +265,7 @@ mod tests {
                 assert!(rows.is_sorted() && rows.len() == ranks + 1);
                 assert_eq!((rows[0], rows[ranks]), (0, all), "{ranks} ranks");
                 let seconds: Vec<f64> = (0..ranks).map(|r| seconds + r as f64).collect();
-                parts.level(&seconds, GAINS[1]);
+                parts.level(&seconds, ROW_GAIN);
             }
         }
     }
@@ -264,7 +276,7 @@ mod tests {
         assert_eq!(divide(&[1; 8], 2), [0, 4, 8]);
         assert_eq!(divide(&[9, 1, 1, 1, 1, 1], 2), [0, 1, 6]);
         assert_eq!(divide(&[0, 0, 5], 2), [0, 2, 3]);
-        assert_eq!(divide(&[1], 3), [0, 0, 0, 1], "bands may be empty");
+        assert_eq!(divide(&[1], 3), [0, 0, 1, 1], "bands may be empty");
         for (weights, ranks) in [(vec![3, 1, 4, 1, 5, 9, 2, 6], 3), (vec![7; 50], 16)] {
             let bands = divide(&weights, ranks);
             assert!(bands.is_sorted() && bands.len() == ranks + 1);
@@ -284,24 +296,24 @@ mod tests {
             ranks.map(|(part, speed)| fixed + part / speed).collect()
         };
         for _ in 0..200 {
-            parts.level(&times(&parts), GAINS[0]);
+            parts.level(&times(&parts), BAND_GAIN);
         }
         for seconds in times(&parts) {
             assert!((seconds - (fixed + 1.0 / 4.5)).abs() < 1e-6, "{seconds}");
         }
         // One hiccup does not overturn that, nor do times that are none.
         let before = parts.clone();
-        parts.level(&[100.0, 0.01, 0.01], GAINS[0]);
+        parts.level(&[100.0, 0.01, 0.01], BAND_GAIN);
         for (now, before) in parts.0.iter().zip(&before.0) {
             assert!((now / before - 1.0).abs() < 0.15, "{now} {before}");
         }
         let before = parts.clone();
-        parts.level(&[0.0; 3], GAINS[0]);
-        parts.level(&[f64::NAN, 1.0, 1.0], GAINS[0]);
+        parts.level(&[0.0; 3], BAND_GAIN);
+        parts.level(&[f64::NAN, 1.0, 1.0], BAND_GAIN);
         assert_eq!(parts, before);
         // A rank that is hopeless keeps a little, which shows when it recovers.
         for _ in 0..1000 {
-            parts.level(&[10.0, 1.0, 1.0], GAINS[0]);
+            parts.level(&[10.0, 1.0, 1.0], BAND_GAIN);
         }
         assert!(parts.0[0] > 0.005 && parts.0[0] < 0.01, "{parts:?}");
     }

@@ -34,6 +34,10 @@ impl Trainer {
         let (control, on) = self.controlled();
         let event = control.end(on)?;
         self.timing.end_step()?;
+        if self.amidst_batch(at) {
+            // At the end of a run alone; the rows are others now.
+            self.gaussians.clear_gradients()?;
+        }
         let max = self.counters.max_intersections as f64;
         let after = self.gaussians.scene.count as f64;
         self.counters.max_intersections = (max * after / before.max(1) as f64) as usize;

@@ -145,6 +145,11 @@ impl GaussianState {
         }
     }
 
+    /// Forgets the gradients of a batch that has begun.
+    pub fn clear_gradients(&self) -> Result<()> {
+        self.gradients.clear()
+    }
+
     /// Arrays with a value per Gaussian and plane, each with its number of planes, the first [`OPTIMIZED`] being parameters and moments;
     /// and the scratch.
     fn arrays(&mut self) -> ([(&mut Array<f32>, usize); 6], &mut Array<f32>) {

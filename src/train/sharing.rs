@@ -73,6 +73,9 @@ impl Trainer {
             self.gaussians = gaussians;
             ran?;
         }
+        if let Some(crew) = &mut self.crew {
+            crew.forget_times();
+        }
         self.fit_views()
     }
 

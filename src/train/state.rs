@@ -107,7 +107,7 @@ impl Trainer {
     }
 
     /// True if a batch of views has begun before an iteration and not ended.
-    fn amidst_batch(&self, iteration: u32) -> bool {
+    pub(super) fn amidst_batch(&self, iteration: u32) -> bool {
         self.schedule.views_before(iteration) > 0
     }
 

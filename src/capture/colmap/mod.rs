@@ -82,6 +82,7 @@ pub(crate) fn load(
         remarks,
         train,
         test: None,
+        part: false,
         missing,
         positions: model.points.iter().map(|p| p.position.into()).collect(),
         colors: model.points.iter().map(|p| p.color).collect(),

@@ -65,6 +65,7 @@ pub(super) fn scene(
         remarks: Vec::new(),
         train,
         test: None,
+        part: false,
         missing,
         positions: Vec::new(),
         colors: Vec::new(),
