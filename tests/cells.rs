@@ -123,6 +123,24 @@ fn without_margins_and_views_across_every_photo_is_in_one_part() {
     assert!(read.iter().all(|p| p.test.is_empty()));
 }
 
+/// Which cameras are outliers is judged in the whole: a few distant ones that show a compact cell are no wrong poses of its part.
+#[test]
+fn a_part_keeps_the_cameras_chosen_for_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let (cells, _) = parts(Path::new(&room()), dir.path(), &options(1));
+    let part = Cells::part(dir.path(), 0);
+    let file = part.join("transforms_train.json");
+    let mut json: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    json["frames"][0]["transform_matrix"][0][3] = json!(1e4);
+    fs::write(&file, json.to_string()).unwrap();
+    let read = load_every(&part, 8).unwrap();
+    assert_eq!(read.train.len(), cells.cells[0].train);
+    assert!(read.outliers.is_empty());
+    json.as_object_mut().unwrap().remove("part");
+    fs::write(&file, json.to_string()).unwrap();
+    assert_eq!(load_every(&part, 8).unwrap().outliers.len(), 1);
+}
+
 #[test]
 fn lenses_and_masks_go_with_their_photos() {
     let dir = tempfile::tempdir().unwrap();
@@ -291,6 +309,24 @@ fn not_merged(parts: &Path, runs: &[&Path], words: &[&str]) {
         assert!(said.contains(word), "{word:?} is not in: {said}");
     }
     assert!(!out.exists());
+}
+
+#[test]
+fn scenes_of_other_cells_are_not_merged() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("parts");
+    let cells = split(Path::new(&room()), &out, &options(2)).unwrap();
+    let other = |i: usize| {
+        let scene = everywhere(0, 300);
+        let splats = scene.splats.centered(|p| cells.owns(i, p));
+        written(dir.path().join(format!("{i}.ply")), &SceneFile::new(splats))
+    };
+    let runs = [1, 0].map(other);
+    let words = [
+        "none of the runs has a Gaussian in its cell",
+        "in the order",
+    ];
+    not_merged(&out, &runs.each_ref().map(PathBuf::as_path), &words);
 }
 
 /// A copy of a run's scene and record, the record changed.

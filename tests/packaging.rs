@@ -59,11 +59,14 @@ fn installed(file: &str) -> Vec<String> {
     names
 }
 
-/// True if `.ci/install` names the package as a whole word.
+/// True if `.ci/install` or `.ci/mpi` names the package as a whole word.
 fn is_known(package: &str) -> bool {
-    let install = text(".ci/install");
-    let mut words = install.split(|c: char| !(c.is_alphanumeric() || c == '-'));
-    MORE.contains(&package) || words.any(|word| word == package)
+    let named = |script: &str| {
+        let script = text(script);
+        let mut words = script.split(|c: char| !(c.is_alphanumeric() || c == '-'));
+        words.any(|word| word == package)
+    };
+    MORE.contains(&package) || named(".ci/install") || named(".ci/mpi")
 }
 
 #[test]
