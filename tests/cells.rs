@@ -123,7 +123,7 @@ fn without_margins_and_views_across_every_photo_is_in_one_part() {
     assert!(read.iter().all(|p| p.test.is_empty()));
 }
 
-/// Which cameras are outliers is judged in the whole: a few distant ones that show a compact cell are no wrong poses of its part.
+/// Outliers are judged in the whole: a few distant cameras that show a compact cell are no wrong poses of its part.
 #[test]
 fn a_part_keeps_the_cameras_chosen_for_it() {
     let dir = tempfile::tempdir().unwrap();
