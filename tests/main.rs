@@ -46,6 +46,7 @@ mod packaging;
 mod photos;
 mod plan;
 mod python;
+mod queues;
 mod ranks;
 mod recovery;
 mod reference;

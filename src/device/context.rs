@@ -12,6 +12,7 @@ use crate::device::error::{LOST, device_error};
 use crate::device::info::{DeviceInfo, enumerate, select};
 use crate::device::part::Part;
 use crate::device::queues::{InUse, Queues};
+use crate::device::seat::Seat;
 use crate::device::staging::Staging;
 use crate::device::tuning::Tuning;
 use crate::ranks::Exchange;
@@ -83,6 +84,8 @@ pub(super) struct Inner {
     pending: Mutex<Vec<Enqueued>>,
     /// Bytes of the buffers that are alive.
     pub allocated: AtomicU64,
+    /// Number of the device among those that are open.
+    pub seat: Option<Seat>,
     /// The part of the device that `id` is, if it is one; the last to go.
     _part: Option<Part>,
 }
@@ -100,6 +103,13 @@ impl Inner {
     /// Adds a timed launch.
     pub(super) fn add_launch(&self, launch: Enqueued) {
         self.pending().push(launch);
+    }
+}
+
+impl Drop for Inner {
+    /// Waits until everything enqueued is done, so that the seat is free when the next device takes it.
+    fn drop(&mut self) {
+        let _ = core::finish(&self.queue());
     }
 }
 
@@ -215,6 +225,7 @@ impl Device {
         Ok(Self {
             tuning: Tuning::for_device(&info),
             inner: Arc::new(Inner {
+                seat: Seat::of(&info),
                 info,
                 id,
                 context,

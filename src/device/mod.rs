@@ -13,6 +13,7 @@ mod part;
 mod program;
 mod queues;
 mod read;
+mod seat;
 mod staging;
 pub mod tuning;
 

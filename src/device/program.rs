@@ -14,6 +14,7 @@ use crate::device::defines::Defines;
 use crate::device::error::device_error;
 use crate::device::launch::{Kernel, Program};
 use crate::device::layout::Real;
+use crate::device::seat::Seat;
 
 const COMMON: &str = include_str!("../../kernels/common.clh");
 
@@ -132,7 +133,10 @@ impl Kernels {
         let inner = &self.device.inner;
         let program = core::create_program_with_source(&inner.context, &[bytes])
             .map_err(|e| device_error(stage, &e, bug))?;
-        let options = c"-cl-std=CL1.2 -cl-kernel-arg-info".to_owned();
+        let apart = inner.seat.as_ref().map(Seat::options).unwrap_or_default();
+        let options = format!("-cl-std=CL1.2 -cl-kernel-arg-info{apart}");
+        let options = CString::new(options)
+            .map_err(|_| Error::device(stage, "the options hold a NUL byte", bug))?;
         let built = core::build_program(&program, Some(&[inner.id]), &options, None, None);
         // A build that fails without a log is no error to `ocl_core`.
         let status =
