@@ -185,19 +185,21 @@ impl Relocation {
         if count == 0 {
             return;
         }
-        let logit = |row: &u32| scene.opacity_logits[*row as usize];
-        let mut logits: Vec<f32> = self.alive_rows.par_iter().map(logit).collect();
-        let (lower, &mut bound, _) = logits.select_nth_unstable_by(count - 1, f32::total_cmp);
-        let below = lower.iter().filter(|l| l.total_cmp(&bound).is_lt()).count();
-        let mut ties = count - below;
+        let order = |row: u32| total_order(scene.opacity_logits[row as usize]);
+        let (bound, below) = select(&self.alive_rows, order, count - 1);
+        let (mut ties, mut left) = (count - below, 0);
         // Without branches: which rows die is not to be predicted.
-        for row in &self.alive_rows {
-            let order = logit(row).total_cmp(&bound);
-            let tie = order.is_eq() && ties > 0;
+        for at in 0..self.alive_rows.len() {
+            let row = self.alive_rows[at];
+            let order = order(row);
+            let tie = order == bound && ties > 0;
             ties -= usize::from(tie);
-            self.alive[*row as usize] = !(order.is_lt() || tie);
+            let lives = !(order < bound || tie);
+            self.alive[row as usize] = lives;
+            self.alive_rows[left] = row;
+            left += usize::from(lives);
         }
-        self.alive_rows = rows_where(&self.alive, true);
+        self.alive_rows.truncate(left);
     }
 
     /// The rows that were not alive, rising; empty if no row was alive.
@@ -295,6 +297,35 @@ impl Relocation {
     }
 }
 
+/// A number that orders floats as [`f32::total_cmp`] does.
+fn total_order(v: f32) -> u32 {
+    let bits = v.to_bits();
+    // A negative number is the smaller, the larger its other bits are.
+    bits ^ (((bits as i32) >> 31) as u32 | 1 << 31)
+}
+
+/// The key of rank `rank`, from 0, among those of some rows, and the number of smaller ones: by counting digits, the highest first.
+fn select(rows: &[u32], key: impl Fn(u32) -> u32, mut rank: usize) -> (u32, usize) {
+    let (mut found, mut below) = (0, 0);
+    for [low, high] in [[22, 32], [11, 22], [0, 11]] {
+        let digits = 1 << (high - low);
+        let mut counts = vec![0usize; digits];
+        for row in rows {
+            let key = key(*row);
+            let same = high == 32 || key >> high == found;
+            counts[(key >> low) as usize & (digits - 1)] += usize::from(same);
+        }
+        let mut digit = 0;
+        while digit + 1 < digits && rank >= counts[digit] {
+            rank -= counts[digit];
+            below += counts[digit];
+            digit += 1;
+        }
+        found = (found << (high - low)) | digit as u32;
+    }
+    (found, below)
+}
+
 /// Rows whose state is `wanted`, rising.
 fn rows_where(states: &[bool], wanted: bool) -> Vec<u32> {
     let among = |(c, states): (usize, &[bool])| -> Vec<u32> {
@@ -353,4 +384,39 @@ pub(super) fn share(births: &mut [Edit], scene: &SceneState<'_>) -> Vec<Edit> {
         }
     }
     sources
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{select, total_order};
+
+    #[test]
+    fn selection_is_that_of_a_sort() {
+        let mut values: Vec<f32> = (0..1000)
+            .map(|i| (i * 37 % 101) as f32 / 7.0 - 6.0)
+            .collect();
+        values.extend([
+            0.0,
+            -0.0,
+            f32::NAN,
+            -f32::NAN,
+            f32::INFINITY,
+            f32::MIN_POSITIVE,
+        ]);
+        let rows: Vec<u32> = (0..values.len() as u32)
+            .filter(|row| row % 5 != 1)
+            .collect();
+        let key = |row: u32| total_order(values[row as usize]);
+        let mut sorted: Vec<f32> = rows.iter().map(|row| values[*row as usize]).collect();
+        sorted.sort_by(f32::total_cmp);
+        for (rank, wanted) in sorted.iter().enumerate() {
+            let (found, below) = select(&rows, key, rank);
+            let less = sorted.iter().filter(|v| v.total_cmp(wanted).is_lt());
+            assert_eq!(
+                (found, below),
+                (total_order(*wanted), less.count()),
+                "{rank}"
+            );
+        }
+    }
 }

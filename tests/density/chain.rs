@@ -195,3 +195,50 @@ fn a_temperature_gives_the_wanted_rate() {
     let some = temperature_for(&[f64::NEG_INFINITY, -1.0, -1.0], 0.5);
     assert!((2.0 / 3.0 * (-1.0 / some).exp() - 0.5).abs() < 1e-8);
 }
+
+/// Bisection of ln T alone, which `temperature_for` is to equal to the bit.
+fn by_halving(ln_rhos: &[f64], wanted: f64) -> f64 {
+    let [mut low, mut high] = [1e-4f64, 1e4].map(f64::ln);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        let power = (-middle).exp();
+        let sum: f64 = ln_rhos.iter().map(|l| (l * power).min(0.0).exp()).sum();
+        if sum >= wanted * ln_rhos.len() as f64 {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    high.exp()
+}
+
+#[test]
+fn temperatures_are_those_of_halving_alone() {
+    let draw = |k: u64| Philox::uniform(5, Stream::Synthetic.stream(10), k)[0];
+    let mut sets = vec![
+        vec![-1.0],
+        vec![0.0; 3],
+        vec![f64::NEG_INFINITY, -1.0, -1.0],
+        vec![f64::NAN, -1.0],
+        vec![f64::NEG_INFINITY; 2],
+        Vec::new(),
+    ];
+    for (n, spread) in [(7, 1.0), (300, 1e-3), (2000, 3.0), (500, 1e5), (400, 1e-9)] {
+        let all = (0..n).map(|k| -spread * draw(k + n) * draw(k)).collect();
+        sets.push(all);
+    }
+    for ln_rhos in &sets {
+        for wanted in [1e-9, 0.01, 0.2, 0.37, 0.5, 0.75, 0.999, 1.0, 2.0] {
+            let (found, halved) = (
+                temperature_for(ln_rhos, wanted),
+                by_halving(ln_rhos, wanted),
+            );
+            assert_eq!(
+                found.to_bits(),
+                halved.to_bits(),
+                "{} of {wanted}",
+                ln_rhos.len()
+            );
+        }
+    }
+}

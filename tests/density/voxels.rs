@@ -84,6 +84,26 @@ fn voxel_counts_grow_and_ignore_what_is_not_finite() {
 }
 
 #[test]
+fn far_voxels_are_counted_like_near_ones() {
+    // Around 2¹⁸ edges from the origin keys no longer fit into 64 bits.
+    let line: Vec<f32> = (0..16).map(|i| 262_136.0 + i as f32).collect();
+    let line: Vec<f32> = line.iter().flat_map(|x| [*x, *x, -x]).collect();
+    let zeros = vec![0.5; line.len()];
+    for planes in [[&line, &zeros, &zeros], [&zeros, &zeros, &line]] {
+        let mut counts = VoxelCounts::count(planes.map(Vec::as_slice), 1.0);
+        assert_eq!(counts.occupied(), 32);
+        let at = |i: usize| planes.map(|p| f64::from(p[i]));
+        for (i, x) in line.iter().enumerate() {
+            assert_eq!(counts.get(at(i)), if *x > 0.0 { 2 } else { 1 }, "{x}");
+        }
+        for i in 0..line.len() {
+            counts.add(at(i));
+        }
+        assert_eq!((counts.get(at(0)), counts.occupied()), (4, 32));
+    }
+}
+
+#[test]
 fn edges_grow_with_the_distance_from_the_nearest_camera() {
     let centres = [[0.0f32; 3], [100.0, 0.0, 0.0]];
     let lattice = Lattice::growing(0.5, 2.0, &centres);

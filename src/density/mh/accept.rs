@@ -93,31 +93,69 @@ pub fn exact_ln_prior_ratio_of_death(lambda: f64, count: u32) -> f64 {
 const TEMPERATURES: [f64; 2] = [1e-4, 1e4];
 /// Number of halvings of their logarithms' range: 18.4 / 2⁴⁰ is 2e-11.
 const HALVINGS: usize = 40;
+/// Number of trials that enclose the result before the halvings.
+const TRIALS: usize = 12;
+/// Width in ln T at which it counts as enclosed.
+const ENCLOSED: f64 = 1e-11;
 
 /// The T at which the mean of ρ^{1/T} over the proposals is `wanted`, by bisection in ln T between 1e-4 and 1e4; the nearer
 /// end if there is none. A function of the proposals alone, so that nothing has to be kept between steps.
 #[must_use]
 pub fn temperature_for(ln_rhos: &[f64], wanted: f64) -> f64 {
-    let [mut low, mut high] = TEMPERATURES.map(f64::ln);
     let mut accepted = Vec::with_capacity(ln_rhos.len());
-    let mut reached = |ln_temperature: f64| {
+    let mut excess = |ln_temperature: f64| -> f64 {
         let power = (-ln_temperature).exp();
         let each = ln_rhos.par_iter().map(|l| (l * power).min(0.0).exp());
         each.collect_into_vec(&mut accepted);
         // One order of summation, whatever the number of threads.
         let sum: f64 = accepted.iter().sum();
-        // The mean rises with T, because no ρ is above 1.
-        sum >= wanted * ln_rhos.len() as f64
+        sum - wanted * ln_rhos.len() as f64
     };
+    // The mean rises with T, because no ρ is above 1: what trials have found out spares most of the halvings their sums.
+    let [below, above] = enclose(&mut excess);
+    let [mut low, mut high] = TEMPERATURES.map(f64::ln);
     for _ in 0..HALVINGS {
         let middle = 0.5 * (low + high);
-        if reached(middle) {
+        let reached = middle >= above || (middle > below && excess(middle) >= 0.0);
+        if reached {
             high = middle;
         } else {
             low = middle;
         }
     }
     high.exp()
+}
+
+/// Two ln T between 1e-4 and 1e4, ±∞ beyond, such that a rising function is below 0 at the first and not at the second: by false position, with the
+/// value halved of an end that stays (Dowell and Jarratt 1971).
+fn enclose(excess: &mut impl FnMut(f64) -> f64) -> [f64; 2] {
+    let [mut low, mut high] = TEMPERATURES.map(f64::ln);
+    let [mut at_low, mut at_high] = [excess(low), excess(high)];
+    if at_low >= 0.0 {
+        return [f64::NEG_INFINITY, low];
+    }
+    if at_high < 0.0 || at_high.is_nan() {
+        return [high, f64::INFINITY];
+    }
+    let mut moved_up = None;
+    for _ in 0..TRIALS {
+        if high - low < ENCLOSED || at_high == 0.0 {
+            break;
+        }
+        let secant = high - at_high * (high - low) / (at_high - at_low);
+        let trial = secant.clamp(low, high);
+        let value = excess(trial);
+        let up = value < 0.0;
+        if up {
+            (low, at_low) = (trial, value);
+            at_high *= if moved_up == Some(true) { 0.5 } else { 1.0 };
+        } else {
+            (high, at_high) = (trial, value);
+            at_low *= if moved_up == Some(false) { 0.5 } else { 1.0 };
+        }
+        moved_up = Some(up);
+    }
+    [low, high]
 }
 
 /// The Metropolis decision: accept if ln u < ln ρ, u uniform in [0, 1). A NaN ratio is never accepted.

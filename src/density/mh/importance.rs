@@ -7,6 +7,8 @@ use crate::density::statistics::ErrorStatistics;
 
 /// Number of rows per partial sum; fixed, so that sums round alike for any number of threads.
 const CHUNK: usize = 8192;
+/// Number of rows that are worked on column by column.
+const BLOCK: usize = 128;
 /// Addend to the standard deviation (the released implementation's value): a constant cue becomes 0, not NaN.
 const STD_FLOOR: f64 = 1e-6;
 
@@ -24,14 +26,13 @@ pub fn importance(
     let n = [errors.ssim.len(), errors.l1.len(), errors.views.len()]
         .into_iter()
         .fold(opacity_logits.len(), usize::min);
-    let (cues, mut values) = (Cues { errors }, vec![0.0; n]);
+    let cues = Cues { errors };
+    // With room for those of the births: it costs nothing until it is written, a larger copy does.
+    let mut values = vec![0.0; n + n / 8];
+    values.truncate(n);
     let scales = cues.scales(&opacity_logits[..n], &mut values);
-    let importance = |(i, value): (usize, &mut f64)| {
-        let row = cues.row(*value, i);
-        let term = |k: usize| weights[k] * scales[k].apply(row[k]);
-        *value = sigmoid(term(0) + term(1) + term(2));
-    };
-    values.par_iter_mut().enumerate().for_each(importance);
+    let chunks = values.par_chunks_mut(CHUNK).enumerate();
+    chunks.for_each(|(c, values)| cues.weigh(c * CHUNK, values, &scales, weights));
     values
 }
 
@@ -40,38 +41,78 @@ struct Cues<'a> {
     errors: &'a ErrorStatistics<'a>,
 }
 
+/// Opacity, 1 − SSIM and L1 of a block of Gaussians; an absent value is not finite, because it is divided by no views.
+type Block = [[f64; BLOCK]; 3];
+
 /// Sums over the finite values of each cue, and their numbers.
 type Sums = ([f64; 3], [usize; 3]);
 
 impl Cues<'_> {
-    /// Opacity, 1 − SSIM, L1 of a Gaussian; an absent value is not finite, because it is divided by no views.
-    fn row(&self, opacity: f64, i: usize) -> [f64; 3] {
-        let average = |sums: &[f32]| f64::from(sums[i]) / f64::from(self.errors.views[i]);
-        [opacity, average(self.errors.ssim), average(self.errors.l1)]
+    /// Fills in the cues of the Gaussians from `first` on, of which these are the opacities. Loops without branches over one column at
+    /// a time: the compiler makes vectors of them.
+    fn read(&self, first: usize, opacities: &[f64], block: &mut Block) {
+        let n = opacities.len();
+        let [opacity, averages @ ..] = block;
+        opacity[..n].copy_from_slice(opacities);
+        let views = &self.errors.views[first..][..n];
+        for (column, sums) in averages.iter_mut().zip([self.errors.ssim, self.errors.l1]) {
+            let rows = sums[first..][..n].iter().zip(views);
+            for (average, (sum, views)) in column.iter_mut().zip(rows) {
+                *average = f64::from(*sum) / f64::from(*views);
+            }
+        }
     }
 
     /// The first finite value of each cue, or 0.
     fn first(&self, logits: &[f32]) -> [f64; 3] {
-        std::array::from_fn(|k| {
-            let rows = logits.iter().enumerate();
-            let mut column = rows.map(|(i, logit)| self.row(sigmoid(f64::from(*logit)), i)[k]);
+        let average = |sums: &[f32], i: usize| f64::from(sums[i]) / f64::from(self.errors.views[i]);
+        let first = |value: &dyn Fn(usize) -> f64| {
+            let mut column = (0..logits.len()).map(value);
             column.find(|v| v.is_finite()).unwrap_or(0.0)
-        })
+        };
+        [
+            first(&|i| sigmoid(f64::from(logits[i]))),
+            first(&|i| average(self.errors.ssim, i)),
+            first(&|i| average(self.errors.l1, i)),
+        ]
     }
 
     /// Sum of `term(column, value)` over the finite values of each cue in the rows from `first` on.
     fn sums(&self, first: usize, opacities: &[f64], term: impl Fn(usize, f64) -> f64) -> Sums {
-        let (mut sums, mut counts) = ([0.0; 3], [0; 3]);
-        for (i, opacity) in (first..).zip(opacities) {
-            let row = self.row(*opacity, i);
-            for k in 0..3 {
-                // No branch: which values are there is not to be predicted. A 0 changes no bit of a sum.
-                let there = row[k].is_finite();
-                sums[k] += if there { term(k, row[k]) } else { 0.0 };
-                counts[k] += usize::from(there);
+        let (mut sums, mut counts, mut block) = ([0.0; 3], [0; 3], [[0.0; BLOCK]; 3]);
+        for (b, opacities) in opacities.chunks(BLOCK).enumerate() {
+            self.read(first + b * BLOCK, opacities, &mut block);
+            for (k, column) in block.iter_mut().enumerate() {
+                let column = &mut column[..opacities.len()];
+                counts[k] += column.iter().filter(|v| v.is_finite()).count();
+                for v in column {
+                    // A 0 changes no bit of a sum.
+                    *v = if v.is_finite() { term(k, *v) } else { 0.0 };
+                }
+            }
+            for i in 0..opacities.len() {
+                for (sum, column) in sums.iter_mut().zip(&block) {
+                    *sum += column[i];
+                }
             }
         }
         (sums, counts)
+    }
+
+    /// Writes the importances of the Gaussians from `first` on in place of their opacities.
+    fn weigh(&self, first: usize, values: &mut [f64], scales: &[Scale; 3], weights: [f64; 3]) {
+        let mut block = [[0.0; BLOCK]; 3];
+        for (b, values) in values.chunks_mut(BLOCK).enumerate() {
+            self.read(first + b * BLOCK, values, &mut block);
+            for (k, column) in block.iter_mut().enumerate() {
+                for v in &mut column[..values.len()] {
+                    *v = weights[k] * scales[k].apply(*v);
+                }
+            }
+            for (i, value) in values.iter_mut().enumerate() {
+                *value = sigmoid(block[0][i] + block[1][i] + block[2][i]);
+            }
+        }
     }
 
     /// Writes the opacities, and returns the scale of the finite values of each cue.

@@ -1,10 +1,11 @@
 //! Numbers of Gaussian centres per voxel: the c(v) of the sparsity prior (\[MH\] Eq. 7).
 //!
-//! The grid is only ever counted, so the store is a hash table of the occupied voxels with exact lattice keys. It is
-//! split into shards by hash: each shard is filled by one task, and counts do not depend on the order of counting, so
-//! the result is the same for any number of threads.
+//! The grid is only ever counted, so the store is a hash table of the occupied voxels with exact lattice keys, in 64 bits but for a
+//! few far ones. It is split into shards by hash: each shard is filled by one task, and counts do not depend on the order of
+//! counting, so the result is the same for any number of threads.
 
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 use crate::config::MhConfig;
 use crate::density::mh::progress::lerp;
@@ -20,6 +21,25 @@ type Key = [i32; 4];
 
 /// Greatest level: edges are doubled this often at most.
 const MAX_LEVEL: i32 = 30;
+
+/// Bits of a lattice coordinate in a packed key; ±1300 scene extents at the finest edge of the paper.
+const BITS: u32 = 19;
+
+/// A key in 64 bits; 0, which is none, if a coordinate is too large or no number.
+#[inline]
+fn pack(level: i32, lattice: [f64; 3]) -> u64 {
+    const HALF: f64 = (1 << (BITS - 1)) as f64;
+    // Beside 2⁵² a number has no fraction: the lowest bits of the sum are those of the integer next to v, plus 2¹⁸.
+    const ROUNDING: f64 = 1.5 * (1u64 << 52) as f64 + HALF;
+    let (mut near, mut packed) = (true, 1 << 6 | level as u64);
+    for v in lattice {
+        near &= (-HALF..HALF).contains(&v);
+        let sum = v + ROUNDING;
+        let above = u32::from(sum - ROUNDING > v);
+        packed = packed << BITS | u64::from((sum.to_bits() as u32).wrapping_sub(above));
+    }
+    if near { packed } else { 0 }
+}
 
 /// Division of space into voxels: cubes whose edge is the same everywhere, or grows with the distance from the cameras.
 ///
@@ -76,11 +96,16 @@ impl<'a> Lattice<'a> {
         exponent.div_euclid(2).clamp(0, MAX_LEVEL)
     }
 
-    /// The key of the voxel around a position; `None` at a non-finite one.
-    fn key(&self, position: [f64; 3]) -> Option<Key> {
+    /// The level of a position and its coordinates x/s.
+    #[inline]
+    fn place(&self, position: [f64; 3]) -> (i32, [f64; 3]) {
         let level = self.level(position);
         let edge = self.edge * f64::from(1u32 << level);
-        let lattice = position.map(|x| x / edge);
+        (level, position.map(|x| x / edge))
+    }
+
+    /// The key of the voxel around a place, however far; `None` at a non-finite one.
+    fn key((level, lattice): (i32, [f64; 3])) -> Option<Key> {
         // Casts saturate; NaN and ±∞ are turned away first.
         let finite = lattice.iter().all(|v| v.is_finite());
         let [x, y, z] = lattice.map(floor_to_i32);
@@ -93,6 +118,8 @@ impl<'a> Lattice<'a> {
 pub struct VoxelCounts<'a> {
     lattice: Lattice<'a>,
     shards: Vec<Shard>,
+    /// Those of keys that cannot be packed.
+    far: FxHashMap<Key, u32>,
 }
 
 impl<'a> VoxelCounts<'a> {
@@ -115,10 +142,13 @@ impl<'a> VoxelCounts<'a> {
         let n = positions.iter().map(|p| p.len()).min().unwrap_or(0);
         let chunks: Vec<Chunk> = (0..n.div_ceil(CHUNK))
             .into_par_iter()
-            .map_init(Vec::new, |found, c| {
-                let range = c * CHUNK..n.min((c + 1) * CHUNK);
-                Chunk::new(positions, &lattice, range, &keep, found)
-            })
+            .map_init(
+                || vec![(0, 0); CHUNK],
+                |found, c| {
+                    let range = c * CHUNK..n.min((c + 1) * CHUNK);
+                    Chunk::new(positions, &lattice, range, &keep, found)
+                },
+            )
             .collect();
         let shards = (0..SHARDS)
             .into_par_iter()
@@ -133,57 +163,74 @@ impl<'a> VoxelCounts<'a> {
                 shard
             })
             .collect();
-        Self { lattice, shards }
+        let mut counts = Self {
+            lattice,
+            shards,
+            far: FxHashMap::default(),
+        };
+        for &key in chunks.iter().flat_map(|chunk| &chunk.far) {
+            counts.add_far(Some(key));
+        }
+        counts
     }
 
     /// Number of centres in the voxel around a position; 0 at a non-finite one.
     #[must_use]
     pub fn get(&self, position: [f64; 3]) -> u32 {
-        self.lattice.key(position).map_or(0, |key| {
-            let hash = hash(key);
-            self.shards
-                .get(shard_of(hash))
-                .map_or(0, |s| s.get(key, hash))
-        })
+        let place = self.lattice.place(position);
+        match pack(place.0, place.1) {
+            0 => {
+                let far = Lattice::key(place).and_then(|key| self.far.get(&key));
+                far.copied().unwrap_or(0)
+            }
+            key => {
+                let hash = hash(key);
+                self.shards[shard_of(hash)].get(key, hash)
+            }
+        }
     }
 
     /// Counts one more centre; a non-finite one is not counted.
     pub fn add(&mut self, position: [f64; 3]) {
-        if let Some(key) = self.lattice.key(position) {
-            let hash = hash(key);
-            if let Some(shard) = self.shards.get_mut(shard_of(hash)) {
-                shard.add(key, hash);
+        let place = self.lattice.place(position);
+        match pack(place.0, place.1) {
+            0 => self.add_far(Lattice::key(place)),
+            key => {
+                let hash = hash(key);
+                self.shards[shard_of(hash)].add(key, hash);
             }
+        }
+    }
+
+    fn add_far(&mut self, key: Option<Key>) {
+        if let Some(key) = key {
+            let count = self.far.entry(key).or_insert(0);
+            *count = count.saturating_add(1);
         }
     }
 
     /// Number of voxels that hold a centre.
     #[must_use]
     pub fn occupied(&self) -> usize {
-        self.shards.iter().map(|s| s.occupied).sum()
+        self.shards.iter().map(|s| s.occupied).sum::<usize>() + self.far.len()
     }
 }
 
-/// ⌊v⌋ saturated to 32 bits. `f64::floor` is a library call on baseline x86-64, and there are three per Gaussian.
+/// ⌊v⌋ saturated to 32 bits.
 fn floor_to_i32(v: f64) -> i32 {
     let truncated = v as i32;
     truncated.saturating_sub(i32::from(f64::from(truncated) > v))
 }
 
 /// Multiply and fold (wyhash's mixing step): every key bit reaches both the upper bits (shard) and the lower (slot).
-fn hash(key: Key) -> u64 {
+#[inline]
+fn hash(key: u64) -> u64 {
     let fold = |a: u64, b: u64| {
         let p = u128::from(a) * u128::from(b);
         (p as u64) ^ ((p >> 64) as u64)
     };
-    let [level, x, y, z] = key.map(|v| u64::from(v as u32));
-    let z = z | (level << 32);
-    let a = fold(
-        (x | (y << 32)) ^ 0x9E37_79B9_7F4A_7C15,
-        0xD6E8_FEB8_6659_FD93,
-    );
     fold(
-        a ^ z.wrapping_mul(0xA076_1D64_78BD_642F),
+        fold(key ^ 0x9E37_79B9_7F4A_7C15, 0xD6E8_FEB8_6659_FD93),
         0xE703_7ED1_A0B4_28DB,
     )
 }
@@ -195,101 +242,119 @@ fn shard_of(hash: u64) -> usize {
 
 /// Keys of a range of points, sorted by shard.
 struct Chunk {
-    keys: Vec<Key>,
+    keys: Vec<u64>,
     /// `starts[s]..starts[s + 1]` are the keys of shard s.
     starts: [usize; SHARDS + 1],
+    /// Keys that cannot be packed.
+    far: Vec<Key>,
 }
 
 impl Chunk {
-    /// Keys of the rows of `range` for which `keep` is true; `found` is scratch space, kept between chunks.
+    /// Keys of the rows of `range` for which `keep` is true; `found` is scratch space for so many, kept between chunks.
     fn new(
         positions: [&[f32]; 3],
         lattice: &Lattice<'_>,
         range: std::ops::Range<usize>,
         keep: &(impl Fn(usize) -> bool + Sync),
-        found: &mut Vec<(u8, Key)>,
+        found: &mut [(u8, u64)],
     ) -> Self {
-        found.clear();
-        let mut starts = [0; SHARDS + 1];
+        let (mut starts, mut far, mut len) = ([0; SHARDS + 1], Vec::new(), 0);
         for i in range {
-            let at = positions.map(|p| f64::from(p[i]));
-            if let Some(key) = keep(i).then(|| lattice.key(at)).flatten() {
-                let shard = shard_of(hash(key));
-                starts[shard + 1] += 1;
-                found.push((shard as u8, key));
+            let place = lattice.place(positions.map(|p| f64::from(p[i])));
+            let (counts, key) = (keep(i), pack(place.0, place.1));
+            if key == 0 && counts {
+                far.extend(Lattice::key(place));
             }
+            // Without branches: which rows count is not to be predicted.
+            let key = if counts { key } else { 0 };
+            let shard = shard_of(hash(key));
+            starts[shard + 1] += usize::from(key != 0);
+            found[len] = (shard as u8, key);
+            len += usize::from(key != 0);
         }
         for s in 0..SHARDS {
             starts[s + 1] += starts[s];
         }
         let mut next = starts;
-        let mut keys = vec![[0; 4]; found.len()];
-        for &(shard, key) in found.iter() {
+        let mut keys = vec![0; len];
+        for &(shard, key) in &found[..len] {
             let slot = &mut next[usize::from(shard)];
             keys[*slot] = key;
             *slot += 1;
         }
-        Self { keys, starts }
+        Self { keys, starts, far }
     }
 
-    fn shard(&self, s: usize) -> &[Key] {
+    fn shard(&self, s: usize) -> &[u64] {
         &self.keys[self.starts[s]..self.starts[s + 1]]
     }
 }
 
-/// Open addressing with linear probing; a count of 0 marks a free slot. Nothing is ever removed.
+/// Open addressing with linear probing; a key of 0 marks a free slot. Nothing is ever removed.
 #[derive(Debug, Clone)]
 struct Shard {
-    slots: Vec<(Key, u32)>,
+    keys: Vec<u64>,
+    counts: Vec<u32>,
     occupied: usize,
 }
 
 impl Shard {
-    /// An empty table with room for so many points if no two share a voxel.
-    fn with_points(points: usize) -> Self {
+    /// An empty table with so many slots.
+    fn with_slots(slots: usize) -> Self {
         Self {
-            slots: vec![([0; 4], 0); points + points / 4 + 16],
+            keys: vec![0; slots],
+            counts: vec![0; slots],
             occupied: 0,
         }
     }
 
+    /// An empty table with room for so many points if no two share a voxel.
+    fn with_points(points: usize) -> Self {
+        Self::with_slots(points + points / 4 + 16)
+    }
+
     /// Index of the key's slot, or of the free slot it would take. Ends because a slot is always free.
-    fn find(&self, key: Key, hash: u64) -> usize {
+    fn find(&self, key: u64, hash: u64) -> usize {
         // The lower half of the hash scaled to the table (Lemire 2019): no power of two, no division.
-        let home = (hash & 0xFFFF_FFFF) * self.slots.len() as u64;
+        let home = (hash & 0xFFFF_FFFF) * self.keys.len() as u64;
         let mut i = (home >> 32) as usize;
-        while self.slots[i].1 != 0 && self.slots[i].0 != key {
+        while self.keys[i] != 0 && self.keys[i] != key {
             i += 1;
-            if i == self.slots.len() {
+            if i == self.keys.len() {
                 i = 0;
             }
         }
         i
     }
 
-    fn get(&self, key: Key, hash: u64) -> u32 {
-        self.slots[self.find(key, hash)].1
+    fn get(&self, key: u64, hash: u64) -> u32 {
+        self.counts[self.find(key, hash)]
     }
 
-    fn add(&mut self, key: Key, hash: u64) {
+    fn add(&mut self, key: u64, hash: u64) {
         let mut i = self.find(key, hash);
-        if self.slots[i].1 == 0 {
-            if (self.occupied + 1) * 8 > self.slots.len() * 7 {
+        if self.keys[i] == 0 {
+            if (self.occupied + 1) * 8 > self.keys.len() * 7 {
                 self.grow();
                 i = self.find(key, hash);
             }
             self.occupied += 1;
-            self.slots[i].0 = key;
+            self.keys[i] = key;
         }
-        self.slots[i].1 = self.slots[i].1.saturating_add(1);
+        self.counts[i] = self.counts[i].saturating_add(1);
     }
 
     fn grow(&mut self) {
-        let larger = vec![([0; 4], 0); self.slots.len() * 2];
-        let old = std::mem::replace(&mut self.slots, larger);
-        for (key, count) in old.into_iter().filter(|(_, count)| *count != 0) {
-            let i = self.find(key, hash(key));
-            self.slots[i] = (key, count);
+        let larger = Self {
+            occupied: self.occupied,
+            ..Self::with_slots(self.keys.len() * 2)
+        };
+        let old = std::mem::replace(self, larger);
+        for (key, count) in old.keys.into_iter().zip(old.counts) {
+            if key != 0 {
+                let i = self.find(key, hash(key));
+                (self.keys[i], self.counts[i]) = (key, count);
+            }
         }
     }
 }
