@@ -5,38 +5,57 @@ use std::thread;
 
 use mhsplat::base::error::Result;
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Array, Defines, Device, Kernels};
+use mhsplat::device::{Array, Defines, Device, Kernels, Program};
 use mhsplat::pipeline::stage::peak;
 
 const QUEUES: usize = 4;
 const ROUNDS: usize = 256;
 
-/// Runs one kernel on a device of its own, over more work-items from round to round, at the same time as the others.
-fn rounds(queue: usize, together: &Barrier) -> Result<()> {
-    let device = Device::open(Some("cpu"))?;
-    let kernels = Kernels::new(&device, Defines::new(Tuning::CPU));
-    let stage = kernels.build::<f32>("peak")?;
-    let most = (ROUNDS + QUEUES) * stage.lanes();
-    let out = Array::<f32>::zeros(&device, "out", most)?;
-    for round in 1..=ROUNDS {
-        together.wait();
-        for items in [round, round + queue] {
-            peak::multiply_add(&stage, items, 100, [0.5, 0.5], &out)?;
-        }
-        device.finish()?;
+/// A device, a program and room for its results.
+struct Queue {
+    device: Device,
+    stage: Program,
+    out: Array<f32>,
+}
+
+impl Queue {
+    fn new() -> Result<Self> {
+        let device = Device::open(Some("cpu"))?;
+        let kernels = Kernels::new(&device, Defines::new(Tuning::CPU));
+        let stage = kernels.build::<f32>("peak")?;
+        let out = Array::zeros(&device, "out", (ROUNDS + QUEUES) * stage.lanes())?;
+        Ok(Self { device, stage, out })
     }
-    Ok(())
+
+    /// Runs a kernel over so many work-items, and over some more.
+    fn round(&self, items: usize, more: usize) -> Result<()> {
+        for items in [items, items + more] {
+            peak::multiply_add(&self.stage, items, 100, [0.5, 0.5], &self.out)?;
+        }
+        self.device.finish()
+    }
 }
 
 /// PoCL 3.1 loads a kernel once more for more work-items, counts its uses by program and work-group alone, and aborts when devices with
 /// the same program mix those counts up.
 #[test]
 fn devices_run_the_same_kernel_at_the_same_time() {
+    let queues: Vec<Queue> = (0..QUEUES).map(|_| Queue::new().unwrap()).collect();
     let together = Barrier::new(QUEUES);
+    let work = |(number, queue): (usize, &Queue)| -> Result<()> {
+        let mut so_far = Ok(());
+        for round in 1..=ROUNDS {
+            // Who fails goes on waiting for the others, who would wait for ever.
+            together.wait();
+            so_far = so_far.and(queue.round(round, number));
+        }
+        so_far
+    };
     thread::scope(|scope| {
-        for queue in 0..QUEUES {
-            let together = &together;
-            scope.spawn(move || rounds(queue, together).unwrap());
+        let begin = |one| scope.spawn(move || work(one));
+        let all: Vec<_> = queues.iter().enumerate().map(begin).collect();
+        for one in all {
+            one.join().unwrap().unwrap();
         }
     });
 }

@@ -7,8 +7,9 @@ use crate::density::state::{SceneState, gather};
 
 /// Number of weights per partial sum; fixed, so that sums round alike for any number of threads.
 const CHUNK: usize = 8192;
-/// Number of weights that a draw adds up again, a part of a chunk.
+/// Number of weights that a draw adds up again.
 const BLOCK: usize = 32;
+const _: () = assert!(CHUNK.is_multiple_of(BLOCK));
 
 /// Weights of N items, computed where they are read: written out, those of a million items cost more time than all draws.
 pub trait Weights: Sync {

@@ -86,7 +86,7 @@ pub(super) struct Inner {
     pub allocated: AtomicU64,
     /// Number of the device among those that are open.
     pub seat: Option<Seat>,
-    /// The part of the device that `id` is, if it is one; the last to go.
+    /// The part of the device that `id` is, if it is one; contexts and queues go before it.
     _part: Option<Part>,
 }
 
@@ -107,9 +107,11 @@ impl Inner {
 }
 
 impl Drop for Inner {
-    /// Waits until everything enqueued is done, so that the seat is free when the next device takes it.
+    /// Waits for what is enqueued on a device that has a seat: nothing of it runs any more when another device takes the seat.
     fn drop(&mut self) {
-        let _ = core::finish(&self.queue());
+        if self.seat.is_some() {
+            let _ = core::finish(&self.queue());
+        }
     }
 }
 

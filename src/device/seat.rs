@@ -10,17 +10,23 @@ static TAKEN: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
 
 /// The smallest number that no other open device of the process has, free again when this is dropped.
 ///
-/// PoCL loads a program's kernels once for a process, and once more for more work-items or another first one; it counts their uses by
-/// program and work-group size alone. With the same program in the queues of several devices it confuses those counts, and version 3.1
+/// PoCL loads a kernel once for a process, and once more for more work-items or another first one; it counts the uses by
+/// kernel, program and work-group size alone. With the same program in the queues of several devices it confuses those counts, and version 3.1
 /// aborts (`pocl_release_dlhandle_cache: Assertion found->ref_count > 0`). Programs that differ in one macro are apart.
 #[derive(Debug)]
 pub(super) struct Seat(u32);
+
+/// The smallest number that is not among these.
+fn smallest_free(taken: &BTreeSet<u32>) -> u32 {
+    (0..).find(|n| !taken.contains(n)).unwrap_or(u32::MAX)
+}
 
 fn taken() -> MutexGuard<'static, BTreeSet<u32>> {
     TAKEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// True for PoCL before version 6, which has counts that are right.
+/// True for PoCL before version 6. That of Debian 12 (3.1) was seen to abort; sources of 2024 and later release what they took, so that
+/// versions between are doubtful.
 fn confuses_counts(info: &DeviceInfo) -> bool {
     let major = info.driver.split('.').next().and_then(|v| v.parse().ok());
     info.platform == "Portable Computing Language" && major.is_none_or(|major: u32| major < 6)
@@ -31,13 +37,13 @@ impl Seat {
     pub fn of(info: &DeviceInfo) -> Option<Self> {
         confuses_counts(info).then(|| {
             let mut taken = taken();
-            let number = (0..).find(|n| !taken.contains(n)).unwrap_or(u32::MAX);
+            let number = smallest_free(&taken);
             taken.insert(number);
             Self(number)
         })
     }
 
-    /// Options that programs of the device are built with; none for the first device, whose compiled kernels all processes share.
+    /// Further options that programs of the device are built with; none for the first device, whose compiled kernels all processes share.
     pub fn options(&self) -> String {
         match self.0 {
             0 => String::new(),
@@ -54,7 +60,9 @@ impl Drop for Seat {
 
 #[cfg(test)]
 mod tests {
-    use super::{Seat, confuses_counts};
+    use std::collections::BTreeSet;
+
+    use super::{Seat, confuses_counts, smallest_free, taken};
     use crate::device::info::{DeviceInfo, DeviceKind};
 
     fn of_driver(platform: &str, driver: &str) -> DeviceInfo {
@@ -88,8 +96,12 @@ mod tests {
     fn seats_differ_as_long_as_they_are_held() {
         let info = of_driver("Portable Computing Language", "3.1");
         let seats: Vec<Seat> = (0..4).filter_map(|_| Seat::of(&info)).collect();
-        let mut options: Vec<String> = seats.iter().map(Seat::options).collect();
-        options.dedup();
+        let options: BTreeSet<String> = seats.iter().map(Seat::options).collect();
         assert_eq!(options.len(), 4, "{options:?}");
+        let numbers: BTreeSet<u32> = seats.iter().map(|seat| seat.0).collect();
+        assert!(taken().is_superset(&numbers));
+        drop(seats);
+        assert_eq!(smallest_free(&BTreeSet::from([0, 1, 3])), 2);
+        assert_eq!(smallest_free(&BTreeSet::from([1])), 0);
     }
 }

@@ -196,7 +196,7 @@ fn a_temperature_gives_the_wanted_rate() {
     assert!((2.0 / 3.0 * (-1.0 / some).exp() - 0.5).abs() < 1e-8);
 }
 
-/// Bisection of ln T alone, which `temperature_for` is to equal to the bit.
+/// The result of bisection in ln T alone, which `temperature_for` is to equal to the bit.
 fn by_halving(ln_rhos: &[f64], wanted: f64) -> f64 {
     let [mut low, mut high] = [1e-4f64, 1e4].map(f64::ln);
     for _ in 0..40 {

@@ -93,7 +93,7 @@ pub fn exact_ln_prior_ratio_of_death(lambda: f64, count: u32) -> f64 {
 const TEMPERATURES: [f64; 2] = [1e-4, 1e4];
 /// Number of halvings of their logarithms' range: 18.4 / 2⁴⁰ is 2e-11.
 const HALVINGS: usize = 40;
-/// Number of trials that enclose the result before the halvings.
+/// Greatest number of trials that enclose the result before the halvings.
 const TRIALS: usize = 12;
 /// Width in ln T at which it counts as enclosed.
 const ENCLOSED: f64 = 1e-11;
@@ -111,7 +111,8 @@ pub fn temperature_for(ln_rhos: &[f64], wanted: f64) -> f64 {
         let sum: f64 = accepted.iter().sum();
         sum - wanted * ln_rhos.len() as f64
     };
-    // The mean rises with T, because no ρ is above 1: what trials have found out spares most of the halvings their sums.
+    // The mean rises with T, because no ρ is above 1, and so does its computed sum as far as `exp` rises: what trials have found out spares
+    // most of the halvings their sums.
     let [below, above] = enclose(&mut excess);
     let [mut low, mut high] = TEMPERATURES.map(f64::ln);
     for _ in 0..HALVINGS {
@@ -126,8 +127,8 @@ pub fn temperature_for(ln_rhos: &[f64], wanted: f64) -> f64 {
     high.exp()
 }
 
-/// Two ln T between 1e-4 and 1e4, ±∞ beyond, such that a rising function is below 0 at the first and not at the second: by false position, with the
-/// value halved of an end that stays (Dowell and Jarratt 1971).
+/// Two values of ln T between which a rising function reaches 0: it is below 0 at the first and not at the second, ±∞ if it does not
+/// cross between T = 1e-4 and 1e4. By false position, with the value halved of an end that stays (Dowell and Jarratt 1971).
 fn enclose(excess: &mut impl FnMut(f64) -> f64) -> [f64; 2] {
     let [mut low, mut high] = TEMPERATURES.map(f64::ln);
     let [mut at_low, mut at_high] = [excess(low), excess(high)];
