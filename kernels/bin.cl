@@ -194,7 +194,7 @@ CHUNK_KERNEL void bin_count(WALK_ARGUMENTS
                             uint count, __global uint *depth_counts) { // out [count] the same by depth
   SCRATCH;
   __local uint large[GROUP], pairs[GROUP];
-  const uint first = CHUNK * GROUP, j = first + ITEM;
+  const uint j = SPREAD_ITEM(ITEM);
   const int exists = j < status[S_VISIBLE];
   uint mask = 0, box = 0;
   pairs[ITEM] = 0;
@@ -207,7 +207,7 @@ CHUNK_KERNEL void bin_count(WALK_ARGUMENTS
   }
   const uint n = list_large(exists && !box, large, scratch);
   for (uint k = 0; k < n; k++) {
-    const Large o = large_of(records[visible[first + large[k]]]);
+    const Large o = large_of(records[visible[SPREAD_ITEM(large[k])]]);
     uint sum = 0, tile;
     for (uint at = ITEM; at < o.tiles; at += GROUP) sum += touches_at(&o, at, tiles_x, ACTIVE_ARGUMENTS, &tile);
     if (sum) atomic_add(pairs + large[k], sum); // of integers: the same in any order
@@ -226,7 +226,7 @@ CHUNK_KERNEL void bin_emit(WALK_ARGUMENTS
                            __global uint *keys, __global uint *values) { // out [pairs] tile and slot, by slot
   SCRATCH;
   __local uint large[GROUP];
-  const uint first = CHUNK * GROUP, j = first + ITEM;
+  const uint j = SPREAD_ITEM(ITEM);
   const int exists = status[S_OVERFLOW] == 0 && j < status[S_VISIBLE];
   uint box = 0;
   if (exists) {
@@ -237,7 +237,7 @@ CHUNK_KERNEL void bin_emit(WALK_ARGUMENTS
   }
   const uint n = list_large(exists && !box, large, scratch);
   for (uint k = 0; k < n; k++) {
-    const uint at_depth = first + large[k], owner = visible[at_depth];
+    const uint at_depth = SPREAD_ITEM(large[k]), owner = visible[at_depth];
     const Large o = large_of(records[owner]);
     uint slot = depth_start[at_depth];
     for (uint block = 0; block < o.tiles; block += GROUP) {

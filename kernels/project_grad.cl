@@ -8,12 +8,15 @@
 #if TAKE_STEP && UPDATE_RUN == VW
 typedef struct {
   const Adam *adam;
-  uint i;
+  uint i, *bad; // first Gaussian; gradients that are not finite
 } Out;
 
-#define PUT(lr, plane, old, gradient) adam_step(out->adam, out->adam->lr, plane, out->i, old, gradient)
-#define PUT_SH(k, channel, old, gradient)                                                                              \
-  adam_step(out->adam, (k) == 0 ? out->adam->lr_sh0 : out->adam->lr_sh, P_SH + 3 * (k) + (channel), out->i, old, gradient)
+// Fetched for several planes before the first is put: a GPU waits for memory once then, not once for each.
+#define FETCH(plane) adam_moments(out->adam, plane, out->i)
+#define PUT(lr, plane, old, had, gradient) *out->bad += adam_step(out->adam, out->adam->lr, plane, out->i, old, had, gradient)
+#define PUT_SH(k, channel, old, had, gradient)                                                                         \
+  *out->bad += adam_step(out->adam, (k) == 0 ? out->adam->lr_sh0 : out->adam->lr_sh, P_SH + 3 * (k) + (channel), out->i, \
+                         old, had, gradient)
 #else
 #if TAKE_STEP
 #define GRADS // in private memory
@@ -31,9 +34,18 @@ static inline void put(const Out *out, uint plane, realV gradient) {
   vstore_real(gradient, 0, to);
 }
 
-#define PUT(lr, plane, old, gradient) put(out, plane, gradient)
-#define PUT_SH(k, channel, old, gradient) PUT(lr_sh, P_SH + 3 * (k) + (channel), old, gradient)
+#define FETCH(plane) no_moments()
+#define PUT(lr, plane, old, had, gradient) put(out, plane, gradient)
+#define PUT_SH(k, channel, old, had, gradient) PUT(lr_sh, P_SH + 3 * (k) + (channel), old, had, gradient)
+
+static inline Moments no_moments(void) {
+  const Moments none = {V(R(0.0)), V(R(0.0))};
+  return none;
+}
 #endif
+
+// SH coefficients of a channel that are fetched together: of a vector of Gaussians one.
+#define SH_BATCH (VW > 1 || SH_DEGREE == 0 ? 1 : SH_DEGREE == 2 ? 3 : 4)
 
 // dL/d(unit quaternion) from dL/dR, then through the normalisation.
 static inline void quaternion_grad(const realV n[4], realV inv_norm, const realV d[9], realV out[4]) {
@@ -77,10 +89,12 @@ static inline void sh_direction_grad(const realV d[3], const realV *weight, real
 #endif
 }
 
-// Colour gradient -> SH coefficient gradients (to `out`) and position gradient (added), 0 where `active` is off.
-static inline void color_grad(__global const real *params, uint stride, uint i, const Out *out, const Camera *cam, maskV active, const realV x[3], const realV dcolor[3], realV dx[3]) {
+// Colour gradient -> d, where the colour is not clamped and `active` is on, else 0; the SH basis, by which d is that of the
+// coefficients; position gradient (added).
+static inline void color_grad(__global const real *params, uint stride, uint i, const Camera *cam, maskV active, const realV x[3],
+                              const realV dcolor[3], realV d[3], realV basis[SH_COUNT], realV dx[3]) {
   const realV zero = V(R(0.0));
-  realV dir[3], basis[SH_COUNT], weight[SH_COUNT];
+  realV dir[3], weight[SH_COUNT];
   const realV inv_distance = view_direction(cam, x, dir);
   for (int k = 0; k < 3; k++) dir[k] = choose(active, dir[k], zero);
   sh_basis(dir, basis);
@@ -88,17 +102,30 @@ static inline void color_grad(__global const real *params, uint stride, uint i, 
   for (int ch = 0; ch < 3; ch++) {
     realV sum = V(R(0.5));
     for (int k = 0; k < SH_COUNT; k++) sum = fma(basis[k], PLANE(params, P_SH + 3 * k + ch), sum);
-    const realV d = choose(active & (sum > zero), dcolor[ch], zero);
-    for (int k = 0; k < SH_COUNT; k++) {
-      const realV old = PLANE(params, P_SH + 3 * k + ch);
-      weight[k] = fma(d, old, weight[k]);
-      PUT_SH(k, ch, old, d * basis[k]);
-    }
+    d[ch] = choose(active & (sum > zero), dcolor[ch], zero);
+    for (int k = 0; k < SH_COUNT; k++) weight[k] = fma(d[ch], PLANE(params, P_SH + 3 * k + ch), weight[k]);
   }
   realV dd[3];
   sh_direction_grad(dir, weight, dd);
   const realV along = dot3(dd, dir);
   for (int k = 0; k < 3; k++) dx[k] = fma(dd[k] - along * dir[k], inv_distance, dx[k]);
+}
+
+// Gradients of the SH coefficients.
+static inline void put_colors(__global const real *params, uint stride, uint i, const Out *out, const realV d[3],
+                              const realV basis[SH_COUNT]) {
+  for (int k = 0; k < SH_COUNT; k += SH_BATCH)
+    for (int ch = 0; ch < 3; ch++) {
+      realV old[SH_BATCH];
+      Moments had[SH_BATCH];
+#pragma unroll
+      for (int j = 0; j < SH_BATCH; j++) {
+        old[j] = PLANE(params, P_SH + 3 * (k + j) + ch);
+        had[j] = FETCH(P_SH + 3 * (k + j) + ch);
+      }
+#pragma unroll
+      for (int j = 0; j < SH_BATCH; j++) PUT_SH(k + j, ch, old[j], had[j], d[ch] * basis[k + j]);
+    }
 }
 
 #if ANTI_ALIAS
@@ -193,11 +220,11 @@ CHUNK_KERNEL void large_sums(uint count, __global const uint *isect_start,  // i
   SCRATCH;
   __local uint large[GROUP];
   __local real parts[SUMS * GROUP];
-  const uint first = CHUNK * GROUP, own = first + ITEM;
+  const uint own = SPREAD_ITEM(ITEM);
   const int exists = status[S_OVERFLOW] == 0 && own < count;
   const uint n = list_large(exists && isect_counts[own] > LARGE_PAIRS, large, scratch);
   for (uint k = 0; k < n; k++) {
-    const uint i = first + large[k], pairs = isect_counts[i];
+    const uint i = SPREAD_ITEM(large[k]), pairs = isect_counts[i];
     __global real *of = sums + (size_t)isect_start[i] * SUMS;
     real sum[SUMS];
     for (int q = 0; q < SUMS; q++) sum[q] = R(0.0);
@@ -260,7 +287,7 @@ static inline void gaussian_grads(const In *in, uint i, const Out *out) {
   sum_pairs(in, i, lane, paired);
   for (uint l = 0; l < VW; l++) row[l] = i + l < in->count ? R(1.0) : R(0.0);
   const maskV exists = vload_real(0, row) > zero;
-  realV x[3], ls[3], q[4], s[SUMS], dx[3], dls[3], dq[4];
+  realV x[3], ls[3], q[4], s[SUMS], dx[3], dls[3], dq[4], d[3], basis[SH_COUNT];
   for (int k = 0; k < 3; k++) x[k] = PLANE(params, P_POSITION + k);
   for (int k = 0; k < 3; k++) ls[k] = PLANE(params, P_LOG_SCALE + k);
   for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
@@ -277,22 +304,28 @@ static inline void gaussian_grads(const In *in, uint i, const Out *out) {
 #endif
     active &= shape_of(&in->cam, x, ls, q, &o);
     shape_grad(&in->cam, &o, s, dx, dls, dq);
-    color_grad(params, stride, i, out, &in->cam, active, x, s + 6, dx);
+    color_grad(params, stride, i, &in->cam, active, x, s + 6, d, basis, dx);
   } else { // neighbours that no pixel saw
-    s[0] = dx[0] = dx[1] = dx[2] = dls[0] = dls[1] = dls[2] = dq[0] = dq[1] = dq[2] = dq[3] = zero;
-    for (int k = 0; k < SH_COUNT; k++)
-      for (int ch = 0; ch < 3; ch++) PUT_SH(k, ch, PLANE(params, P_SH + 3 * k + ch), zero);
+    s[0] = dx[0] = dx[1] = dx[2] = dls[0] = dls[1] = dls[2] = dq[0] = dq[1] = dq[2] = dq[3] = d[0] = d[1] = d[2] = zero;
+    for (int k = 0; k < SH_COUNT; k++) basis[k] = zero;
   }
+  const realV logit = PLANE(params, P_OPACITY), complement = sigmoid(-logit);
+  Moments had[P_SH];
+#pragma unroll
+  for (int k = 0; k < P_SH; k++) had[k] = FETCH(k);
+#pragma unroll
   for (int k = 0; k < 3; k++) {
     const maskV free_scale = exists & (ls[k] > V(LOG_SCALE_MIN)) & (ls[k] < V(LOG_SCALE_MAX));
     const realV regular = fma(V(in->weight_scale), exp(ls[k]), choose(active, dls[k], zero));
-    PUT(lr_position, P_POSITION + k, x[k], choose(active, dx[k], zero));
-    PUT(lr_scale, P_LOG_SCALE + k, ls[k], choose(free_scale, regular, zero));
+    PUT(lr_position, P_POSITION + k, x[k], had[P_POSITION + k], choose(active, dx[k], zero));
+    PUT(lr_scale, P_LOG_SCALE + k, ls[k], had[P_LOG_SCALE + k], choose(free_scale, regular, zero));
   }
-  for (int k = 0; k < 4; k++) PUT(lr_rotation, P_ROTATION + k, q[k], choose(active, dq[k], zero));
-  const realV logit = PLANE(params, P_OPACITY), complement = sigmoid(-logit);
+#pragma unroll
+  for (int k = 0; k < 4; k++)
+    PUT(lr_rotation, P_ROTATION + k, q[k], had[P_ROTATION + k], choose(active, dq[k], zero));
   const realV dlogit = fma(s[0], complement, in->weight_opacity * sigmoid(logit) * complement);
-  PUT(lr_opacity, P_OPACITY, logit, choose(exists & (logit == logit), dlogit, zero));
+  PUT(lr_opacity, P_OPACITY, logit, had[P_OPACITY], choose(exists & (logit == logit), dlogit, zero));
+  put_colors(params, stride, i, out, d, basis);
 }
 
 #if ANTI_ALIAS
@@ -307,7 +340,7 @@ static inline void gaussian_grads(const In *in, uint i, const Out *out) {
 #if TAKE_STEP
 // Launch: one work-item per UPDATE_RUN Gaussians: VW where a work-item is one of many, more of them where it is a whole core, which
 // reads a plane after the other then, along cache lines. Nothing is changed after a pair overflow: the host repeats the iteration.
-__kernel void project_step(__global real *params, uint stride, uint count, // in/out [planes, stride]
+__kernel void project_step(__global real *restrict params, uint stride, uint count, // in/out [planes, stride]
                            FILTER
                            const Camera cam, __global const uint *isect_start, // in [count] first emission slot
                            __global const uint *isect_counts,                  // in [count]
@@ -320,8 +353,9 @@ __kernel void project_step(__global real *params, uint stride, uint count, // in
   if (first >= count || status[S_OVERFLOW] != 0) return;
   const In in = IN;
   const Adam adam = ADAM;
+  uint bad = 0;
 #if UPDATE_RUN == VW
-  const Out out = {&adam, first};
+  const Out out = {&adam, first, &bad};
   gaussian_grads(&in, first, &out);
 #else
   real grads[(P_SH + 3 * SH_COUNT) * UPDATE_RUN];
@@ -332,9 +366,11 @@ __kernel void project_step(__global real *params, uint stride, uint count, // in
   for (uint plane = 0; plane < P_SH + 3 * SH_COUNT; plane++)
     for (uint at = 0; at < UPDATE_RUN; at += VW) {
       const uint i = first + at;
-      adam_step(&adam, RATE(plane), plane, i, PLANE(params, plane), vload_real(0, grads + plane * UPDATE_RUN + at));
+      bad += adam_step(&adam, RATE(plane), plane, i, PLANE(params, plane), adam_moments(&adam, plane, i),
+                       vload_real(0, grads + plane * UPDATE_RUN + at));
     }
 #endif
+  count_bad(bad, status);
 }
 #else
 // Launch: one work-item per VW Gaussians of a block. Nothing is written after a pair overflow.

@@ -41,28 +41,29 @@ CHUNK_KERNEL void sort_histogram(__global const uint *keys, // in [n]
 }
 
 #if GROUP_STYLE
-// Launch: one work-group per TILE bins. Turns a bin's counts into those of the chunks before, and sums them up: a work-item has one
-// bin, and every TILE-th chunk of it.
+// Bins of a group of sort_totals, and runs of chunks that its work-items share out.
+#define GROUP_BINS 8
+#define RUNS (GROUP / GROUP_BINS)
+
+// Launch: one work-group per GROUP_BINS bins. Turns a bin's counts into those of the chunks before, and sums them up: a work-item has a
+// run of the chunks of one bin.
 CHUNK_KERNEL void sort_totals(__global uint *histogram, uint chunks, uint bins, // in/out [chunks, bins]
                               __global uint *totals) {                          // out [bins]
-  __local uint counts[TILE][TILE];
-  const uint x = ITEM % TILE, y = ITEM / TILE, b = CHUNK * TILE + x;
-  uint sum = 0;
-  for (uint block = 0; block < chunks; block += TILE) {
-    const uint c = block + y;
+  __local uint counts[RUNS][GROUP_BINS];
+  const uint x = ITEM % GROUP_BINS, y = ITEM / GROUP_BINS, b = CHUNK * GROUP_BINS + x, run = (chunks + RUNS - 1) / RUNS;
+  const uint first = min(y * run, chunks), last = b < bins ? min(first + run, chunks) : first;
+  uint sum = 0, before = 0;
+  for (uint c = first; c < last; c++) sum += histogram[(size_t)c * bins + b];
+  counts[y][x] = sum;
+  barrier(CLK_LOCAL_MEM_FENCE);
+  for (uint k = 0; k < y; k++) before += counts[k][x];
+  for (uint c = first; c < last; c++) {
     const size_t at = (size_t)c * bins + b;
-    const int inside = b < bins && c < chunks;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    counts[y][x] = inside ? histogram[at] : 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    uint before = sum;
-    for (uint k = 0; k < TILE; k++) {
-      sum += counts[k][x];
-      if (k < y) before += counts[k][x];
-    }
-    if (inside) histogram[at] = before;
+    const uint count = histogram[at];
+    histogram[at] = before;
+    before += count;
   }
-  if (b < bins && y == 0) totals[b] = sum;
+  if (b < bins && y == RUNS - 1) totals[b] = before;
 }
 #else
 // Launch: one work-item. Turns counts into those of the chunks before, along the rows of the histogram, and writes first places of the
@@ -84,6 +85,13 @@ __kernel void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/
 }
 #endif
 
+#if GROUP_STYLE
+// Elements of a work-item, and of a group at a time.
+#define SORT_RUN 4
+#define BLOCK (GROUP * SORT_RUN)
+#define BLOCK_BITS 10
+#endif
+
 // Launch: over chunks.
 CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
                                __global const uint *status, uint counter, uint chunks, uint shift, uint bins,
@@ -98,32 +106,54 @@ CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
   const uint first = min(c * size, n), last = min(first + size, n);
 #if GROUP_STYLE
   SCRATCH;
-  __local uint place[GROUP], head[GROUP], sorted[GROUP];
+  __local uint place[GROUP], head[GROUP], sorted[BLOCK + 1]; // of sorted: digit and place in the block, after one that is no digit
   const uint l = ITEM;
   uint all;
   const uint before_bin = group_scan(l < bins ? totals[l] : 0, scratch, &all);
   if (l < bins) place[l] = before_bin + row[l];
-  for (uint block = first; block < last; block += GROUP) {
-    const uint here = min((uint)GROUP, last - block);
-    // A block is sorted by its digits first, one bit after the other. What is not there comes last.
-    uint from = l, digit = l < here ? digit_of(keys[block + l], shift, bins) : bins - 1;
-    for (uint bit = 1; bit < bins; bit *= 2) {
-      uint zeros;
-      const uint zero = !(digit & bit), before = group_scan(zero, scratch, &zeros);
-      sorted[zero ? before : zeros + l - before] = digit * GROUP + from;
+  if (l == 0) sorted[0] = bins * BLOCK;
+  for (uint block = first; block < last; block += BLOCK) {
+    const uint here = min((uint)BLOCK, last - block);
+    uint own[SORT_RUN];
+    // A block is sorted by its digits first, two bits after the other. What is not there comes last.
+#pragma unroll
+    for (uint k = 0; k < SORT_RUN; k++) {
+      const uint from = l * SORT_RUN + k;
+      own[k] = (from < here ? digit_of(keys[block + from], shift, bins) : bins - 1) * BLOCK + from;
+    }
+    for (uint bit = BLOCK_BITS; 1u << bit < bins * BLOCK; bit += 2) {
+      // Four counters of 16 bits.
+      ulong counts = 0, sums;
+#pragma unroll
+      for (uint k = 0; k < SORT_RUN; k++) counts += 1ul << 16 * (own[k] >> bit & 3);
+      ulong next = group_scan_long(counts, scratch, &sums);
+      next += (sums << 16) + (sums << 32) + (sums << 48);
+#pragma unroll
+      for (uint k = 0; k < SORT_RUN; k++) {
+        const uint field = 16 * (own[k] >> bit & 3);
+        sorted[1 + (uint)(next >> field & 0xffff)] = own[k];
+        next += 1ul << field;
+      }
       barrier(CLK_LOCAL_MEM_FENCE);
-      digit = sorted[l] / GROUP;
-      from = sorted[l] % GROUP;
+#pragma unroll
+      for (uint k = 0; k < SORT_RUN; k++) own[k] = sorted[1 + l * SORT_RUN + k];
     }
-    if (l == 0 || sorted[l - 1] / GROUP != digit) head[digit] = l;
+    for (uint k = l; k < BLOCK; k += GROUP)
+      if (sorted[k] / BLOCK != sorted[1 + k] / BLOCK) head[sorted[1 + k] / BLOCK] = k;
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (from < here) {
-      const uint at = place[digit] + l - head[digit];
-      keys_out[at] = keys[block + from];
-      values_out[at] = values[block + from];
+    for (uint k = l; k < BLOCK; k += GROUP) {
+      const uint digit = sorted[1 + k] / BLOCK, from = sorted[1 + k] % BLOCK;
+      if (from < here) {
+        const uint at = place[digit] + k - head[digit];
+        keys_out[at] = keys[block + from];
+        values_out[at] = values[block + from];
+      }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (l == GROUP - 1 || sorted[l + 1] / GROUP != digit) place[digit] += l + 1 - head[digit];
+    for (uint k = l; k < BLOCK; k += GROUP) {
+      const uint digit = sorted[1 + k] / BLOCK;
+      if (k == BLOCK - 1 || sorted[2 + k] / BLOCK != digit) place[digit] += k + 1 - head[digit];
+    }
   }
 #else
   for (uint i = first; i < last; i++) {

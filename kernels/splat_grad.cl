@@ -112,42 +112,67 @@ __kernel void splat_grad(__global const Projected *records, __global const uint 
 // Pixels of a work-item, those of its column every ROW_STEP rows, so that the rows of a Gaussian are shared out evenly.
 #define PIXELS (TILE * TILE / GRAD_GROUP)
 #define ROW_STEP (GRAD_GROUP / TILE)
-// Pairs whose sums by work-item wait in local memory for the sum over the group: as many as fit into 32 KiB in f64.
-#define SUM_BATCH 3
+// Pairs whose sums by work-item wait in local memory for the sum over the group: in f64 as many as fit into 32 KiB.
+#ifndef SUM_BATCH
+#define SUM_BATCH (REAL_IS_DOUBLE ? 4 : 5)
+#endif
 
-// Launch: one work-group of GRAD_GROUP work-items per tile. A work-item adds up its pixels in registers, then every SUM_BATCH pairs one
-// work-item adds up each of their sums: a fixed order, no assumption on sub-groups. Rows of local memory are padded by four numbers, so
-// that the work-items that read them side by side do so from different banks.
+// Launch: one work-group of GRAD_GROUP work-items per GRAD_SEGMENT pairs that there is room for. A tile's pairs are cut into segments of
+// as many, from the first one on, and a group takes those that begin among its pairs, at most one of each tile: no tile, however many
+// Gaussians it has, keeps a group longer than others, and the segments are the same however tiles are shared out. A work-item adds up
+// its pixels in registers, then every SUM_BATCH pairs one work-item adds up each of their sums: a fixed order, no assumption on sub-groups.
+// Rows of local memory are padded by four numbers, so that the work-items that read them side by side do so from different banks.
 __kernel __attribute__((reqd_work_group_size(GRAD_GROUP, 1, 1))) void
 splat_grad(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
            __global const uint *order, __global const uint *tile_start,     // in [pairs], [tiles + 1]
            __global const uint *tile_used, int tiles_x, int tiles,          // in [tiles]
            __global const real *image,  // in [4, rows, stride] as splat left it
            __global const real *dimage, // in [3, rows, stride] dL/dC, 0 outside of the image
+           __global const uint *status, __global const uint *tile_of, // in S_INTERSECTIONS; [pairs] tiles in ascending order
+           __global const real *snapshots, // in [pairs / GRAD_SEGMENT, 4, TILE * TILE] as splat left them
            __global real *sums) {       // out [pairs, SUMS] at emission slots
-  const int tile = get_global_id(0) / GRAD_GROUP, l = get_local_id(0);
-  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE, stride = tiles_x * TILE;
-  const int x = l % TILE, y = l / TILE;
+  const int l = get_local_id(0), x = l % TILE, y = l / TILE, stride = tiles_x * TILE;
   const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
-  const uint start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
+  const uint pairs = status[S_INTERSECTIONS];
+  const uint first_pair = min((uint)get_group_id(0) * GRAD_SEGMENT, pairs), last_pair = min(first_pair + GRAD_SEGMENT, pairs);
   real T[PIXELS], behind[PIXELS], dred[PIXELS], dgreen[PIXELS], dblue[PIXELS];
-#pragma unroll
-  for (int k = 0; k < PIXELS; k++) {
-    const size_t at = (size_t)(tile_y + y + k * ROW_STEP) * stride + (tile_x + x);
-    T[k] = R(1.0);
-    dred[k] = dimage[at];
-    dgreen[k] = dimage[plane + at];
-    dblue[k] = dimage[2 * plane + at];
-    behind[k] = dred[k] * image[at] + dgreen[k] * image[plane + at] + dblue[k] * image[2 * plane + at];
-  }
   __local Projected staged[SPLAT_BATCH];
   __local uint slot[SPLAT_BATCH];
   __local real4 part[SUM_BATCH][SUMS][GRAD_GROUP / 4 + 1];
-  // Before the loop: what stands after one that holds barriers and has no turn, PoCL 3.1 leaves out.
-  for (uint p = used + l; p < end; p += GRAD_GROUP)
-    for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
-  for (uint p = start; p < used; p += SPLAT_BATCH) {
-    const uint n = min((uint)SPLAT_BATCH, used - p);
+  uint next = first_pair, p = 0, last = 0; // first pair of the tile after this; next and last pair of the segment
+  int tile_x = 0, tile_y = 0;
+  for (;;) {
+    while (p == last && next < last_pair) {
+      const uint tile = tile_of[next], start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
+      p = start + (next - start + GRAD_SEGMENT - 1) / GRAD_SEGMENT * GRAD_SEGMENT;
+      const uint all = p < last_pair ? min(p + GRAD_SEGMENT, end) : p;
+      last = max(p, min(all, used));
+      next = end;
+      for (uint unused = last + l; unused < all; unused += GRAD_GROUP)
+        for (int q = 0; q < SUMS; q++) sums[(size_t)order[unused] * SUMS + q] = R(0.0);
+      if (p == last) continue;
+      tile_x = tile % tiles_x * TILE;
+      tile_y = tile / tiles_x * TILE;
+      __global const real *before = snapshots + (size_t)(p / GRAD_SEGMENT) * 4 * (TILE * TILE) + l;
+#pragma unroll
+      for (int k = 0; k < PIXELS; k++, before += GRAD_GROUP) {
+        const size_t at = (size_t)(tile_y + y + k * ROW_STEP) * stride + (tile_x + x);
+        real red = image[at], green = image[plane + at], blue = image[2 * plane + at];
+        T[k] = R(1.0);
+        if (p > start) {
+          red -= before[0];
+          green -= before[TILE * TILE];
+          blue -= before[2 * TILE * TILE];
+          T[k] = before[3 * TILE * TILE];
+        }
+        dred[k] = dimage[at];
+        dgreen[k] = dimage[plane + at];
+        dblue[k] = dimage[2 * plane + at];
+        behind[k] = dred[k] * red + dgreen[k] * green + dblue[k] * blue;
+      }
+    }
+    if (p == last) break;
+    const uint n = min((uint)SPLAT_BATCH, last - p);
     if ((uint)l < n) {
       slot[l] = order[p + l];
       staged[l] = records[isect_owner[slot[l]]];
@@ -161,11 +186,11 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
         real s[SUMS];
         for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
 #pragma unroll
-        for (int k = 0; k < PIXELS; k++)
-          if (reaches(g.by, tile_y + y + k * ROW_STEP)) {
-            const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
+        for (int k = 0; k < PIXELS; k++) {
+          const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
+          if (reaches(g.by, tile_y + y + k * ROW_STEP) && counts(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]))
             grad_block(&g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
-          }
+        }
         for (int q = 0; q < SUMS; q++) ((__local real *)part[j][q])[l] = s[q];
       }
       barrier(CLK_LOCAL_MEM_FENCE);
@@ -176,6 +201,7 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
       }
       barrier(CLK_LOCAL_MEM_FENCE);
     }
+    p += n;
   }
 }
 #endif

@@ -18,8 +18,8 @@ const LEAST: usize = 10_000;
 const FEWER: [(&str, usize); 3] = [
     // Two numbers of each tile and channel, 20,000 in all.
     ("loss_sum", 256),
-    // 16 chunks of 16 bins for each group: 128 or 256 bins of a digit.
-    ("sort_totals", 2048),
+    // Runs of chunks of eight bins for each group: 128 or 256 bins of a digit.
+    ("sort_totals", 4096),
     // One for each of 6700 tiles.
     ("bin_ranges", 6700),
 ];

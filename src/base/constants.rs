@@ -33,11 +33,17 @@ pub const NEAR: f64 = 1.0 / 256.0;
 pub const SUMS: usize = 9;
 /// Pairs of a Gaussian beyond which a work-group adds their sums in the group style, so that none has to wait for one work-item.
 pub const LARGE_PAIRS: u32 = 64;
-/// Projected Gaussians that the splat kernels copy to local memory at a time (measured: 32 on CPUs).
+/// Projected Gaussians that the splat kernels copy at a time where a work-item is a whole core (measured: 32 on CPUs).
 pub const SPLAT_BATCH: u32 = 32;
-/// Work-items that share a tile in splat_grad in the group style: each takes the pixels of a column that lie as many rows apart as
-/// fit into the group (docs/results/gpu.md).
-pub const GRAD_GROUP: u32 = 128;
+/// The same in the group style, to local memory: no more than the smaller one of the groups below (docs/results/gpu.md).
+pub const GROUP_BATCH: u32 = 64;
+/// Work-items that share a tile in splat in the group style: each takes the pixels of a column that lie as many rows apart as fit into the
+/// group (docs/results/gpu.md).
+pub const SPLAT_GROUP: u32 = 128;
+/// The same in splat_grad.
+pub const GRAD_GROUP: u32 = 64;
+/// Pairs of a tile that a work-group of splat_grad takes in the group style; a multiple of [`GROUP_BATCH`].
+pub const GRAD_SEGMENT: u32 = 512;
 /// Image rows per work-item of the loss.
 pub const LOSS_ROWS: u32 = 8;
 /// Pixels of a row per work-item of the shrink stage.

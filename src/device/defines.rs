@@ -77,9 +77,15 @@ impl Defines {
         int("TILE", u64::from(constants::TILE));
         int("GROUP_STYLE", u64::from(self.tuning.group_style));
         int("SUMS", constants::SUMS as u64);
-        int("SPLAT_BATCH", u64::from(constants::SPLAT_BATCH));
+        let batch = match self.tuning.group_style {
+            true => constants::GROUP_BATCH,
+            false => constants::SPLAT_BATCH,
+        };
+        int("SPLAT_BATCH", u64::from(batch));
         int("LARGE_PAIRS", u64::from(constants::LARGE_PAIRS));
+        int("SPLAT_GROUP", u64::from(constants::SPLAT_GROUP));
         int("GRAD_GROUP", u64::from(constants::GRAD_GROUP));
+        int("GRAD_SEGMENT", u64::from(constants::GRAD_SEGMENT));
         int("TAPS", constants::SSIM_TAPS as u64);
         int("LOSS_ROWS", u64::from(constants::LOSS_ROWS));
         int("SHRINK_RUN", u64::from(constants::SHRINK_RUN));

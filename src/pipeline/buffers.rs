@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::base::constants::SUMS;
+use crate::base::constants::{GRAD_SEGMENT, SUMS, TILE};
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
@@ -251,6 +251,8 @@ pub struct ViewBuffers<R: Real> {
     pub isect_owner: Array<u32>,
     /// Partial gradients of each tile intersection (splat_grad); empty when only rendering.
     pub sums: Array<R>,
+    /// Colours and transmittance of tiles where segments of their pairs begin, for splat_grad in the group style.
+    pub snapshots: Array<R>,
     /// First tile intersection of each tile.
     pub tile_start: Array<u32>,
     /// Tile intersections of each chunk of the visible Gaussians and tile, then those of the chunks before.
@@ -288,6 +290,7 @@ impl<R: Real> ViewBuffers<R> {
             pairs: SortBuffers::new(device, PAIRS, 0)?,
             isect_owner: ints("isect_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
+            snapshots: Array::zeros(device, "snapshots", 0)?,
             tile_start: ints("tile_start")?,
             tile_counts: ints("tile_counts")?,
             active_tiles: ints("active_tiles")?,
@@ -320,6 +323,16 @@ impl<R: Real> ViewBuffers<R> {
     #[must_use]
     pub fn order(&self) -> &Array<u32> {
         self.pairs.sorted_values()
+    }
+
+    /// Tiles of the tile intersections in ascending order, where those are sorted.
+    pub(crate) fn tile_of_pairs(&self) -> &Array<u32> {
+        &self.pairs.keys[self.pairs.sorted]
+    }
+
+    /// True if the sums of splat_grad will be needed.
+    pub(crate) fn gradients(&self) -> bool {
+        self.gradients
     }
 
     /// Tile intersections of each visible Gaussian by depth: in the place of the keys that have been sorted.
@@ -361,6 +374,10 @@ impl<R: Real> ViewBuffers<R> {
         }
         if self.gradients {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
+        }
+        if self.gradients && self.sorts_pairs {
+            let values = pairs.div_ceil(GRAD_SEGMENT as usize) * 4 * (TILE * TILE) as usize;
+            self.snapshots = Array::zeros(device, "snapshots", values)?;
         }
         self.isect_owner = ints("isect_owner")?;
         self.capacity = pairs;

@@ -1,7 +1,7 @@
 //! seen: which Gaussians views show.
 
 use super::*;
-use mhsplat::base::constants::SPLAT_BATCH;
+use mhsplat::base::constants::GROUP_BATCH;
 use mhsplat::device::{Array, Projected};
 use mhsplat::pipeline::buffers::ViewBuffers;
 use mhsplat::pipeline::stage::seen::mark;
@@ -92,7 +92,7 @@ fn long_lists_are_looked_at_as_far_as_there_is_anything_unseen() {
         ..projected([1.5, 1.5], 1, 10.0)
     };
     let opaque = projected([3.5, 3.5], 0, 1e-6);
-    let many = 2 * SPLAT_BATCH as usize + 7;
+    let many = 2 * GROUP_BATCH as usize + 7;
     let mut gaussians = vec![faint; many];
     gaussians.extend([opaque; 4]);
     let seen_but = |unseen: &[usize]| -> Vec<u32> {

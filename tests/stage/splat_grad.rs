@@ -1,6 +1,8 @@
 //! splat_grad: derivative of the compositing.
 
 use super::*;
+use mhsplat::base::constants::GRAD_SEGMENT;
+use mhsplat::scene::Plane;
 
 #[test]
 fn agrees_with_the_reference() {
@@ -13,4 +15,25 @@ fn wrong_sums_are_rejected() {
         sums.iter_mut().skip(3).step_by(9).for_each(|s| *s = -*s)
     });
     rejects("splat_grad", "sums", |sums| sums.fill(0.0));
+}
+
+/// Tiles with several segments of pairs, beside others with none or one: faint Gaussians, most of them over the left of the image.
+#[test]
+fn long_tiles_agree_with_the_reference() {
+    let mut case = cases::mild("long tiles", 1500, [70, 40], 0, 29);
+    for i in 0..case.splats.len() {
+        case.splats.scatter(Plane::OPACITY, i, [-4.0]);
+        if i % 10 > 0 {
+            case.splats.scatter(Plane::POSITION, i, [-0.5, 0.0, 1e-3 * i as f32]);
+            case.splats.scatter(Plane::LOG_SCALE, i, [-1.0; 3]);
+        }
+    }
+    let out = run(Tuning::GPU, &case);
+    let lists = out.got("sort", "tile lists");
+    let (_, closed) = lists.split_last().unwrap();
+    let longest = closed.split(|g| *g < 0.0).map(<[f64]>::len).max();
+    assert!(longest > Some(2 * GRAD_SEGMENT as usize), "{longest:?}");
+    for row in verify_case(&device(), &case).unwrap() {
+        assert!(row.pass && row.non_finite == 0, "{row:?}");
+    }
 }

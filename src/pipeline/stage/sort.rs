@@ -1,6 +1,5 @@
 //! Stable radix sort of (key, value) pairs (`kernels/sort.cl`).
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::device::tuning::status::{self, SLOTS};
 use crate::device::{Array, Kernels, Program, Real};
@@ -13,6 +12,9 @@ const BITS: u32 = 32;
 const FEW: usize = 1 << 14;
 /// Elements that a work-group sorts at least before there is another.
 const PER_GROUP: usize = 1024;
+
+/// Bins that a work-group of `sort_totals` takes (`kernels/sort.cl`).
+const GROUP_BINS: usize = 8;
 
 /// Number and range of the keys to be sorted.
 #[derive(Debug, Clone, Copy)]
@@ -163,7 +165,7 @@ impl Sort {
                 .array(totals, bins + 1)
         };
         match self.program.defines().tuning.group_style {
-            true => launch("sort_totals").over_groups(bins.div_ceil(TILE as usize)),
+            true => launch("sort_totals").over_groups(bins.div_ceil(GROUP_BINS)),
             false => launch("sort_bins").once(),
         }
     }

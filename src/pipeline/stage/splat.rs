@@ -1,6 +1,6 @@
 //! Front-to-back compositing (`kernels/splat.cl`): 3DGS, Kerbl et al. 2023, eq. 3.
 
-use crate::base::constants::{ALPHA_MAX, T_MIN};
+use crate::base::constants::{ALPHA_MAX, SPLAT_GROUP, T_MIN};
 use crate::base::error::Result;
 use crate::device::{Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
@@ -17,11 +17,17 @@ pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3
         true => launch.ints([size.0[1]]),
         false => launch,
     };
-    launch
+    let launch = launch
         .reals::<R>(color.map(f64::from))
         .array(&view.image, 4 * size.plane())
-        .array(&view.tile_used, size.tile_count())
-        .over_tiles(size, &view.band)
+        .array(&view.tile_used, size.tile_count());
+    let launch = match stage.defines().tuning.group_style {
+        true => launch
+            .ints([usize::from(view.gradients())])
+            .array(&view.snapshots, 0),
+        false => launch,
+    };
+    launch.over_tiles_by(size, &view.band, SPLAT_GROUP)
 }
 
 // Definition in f64.

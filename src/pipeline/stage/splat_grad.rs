@@ -1,6 +1,6 @@
 //! Derivative of the compositing (`kernels/splat_grad.cl`).
 
-use crate::base::constants::GRAD_GROUP;
+use crate::base::constants::{GRAD_GROUP, GRAD_SEGMENT};
 use crate::base::error::Result;
 use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
@@ -12,15 +12,23 @@ use crate::pipeline::stage::splat::{contributions, list_at};
 /// Writes nine sums for each pair of the view composited last, from the gradient of the loss with respect to its image.
 pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<R>) -> Result<()> {
     let size = view.camera.image();
-    stage
+    let launch = stage
         .launch("splat_grad")
         .tile_lists(view)
         .array(&view.tile_used, size.tile_count())
         .tiles(size)
         .array(&view.image, 4 * size.plane())
-        .array(dimage, 3 * size.plane())
+        .array(dimage, 3 * size.plane());
+    if !stage.defines().tuning.group_style {
+        return launch.array(&view.sums, 1).over_tiles(size, &view.band);
+    }
+    let segments = view.capacity.div_ceil(GRAD_SEGMENT as usize).max(1);
+    launch
+        .status(view)
+        .array(view.tile_of_pairs(), 1)
+        .array(&view.snapshots, 1)
         .array(&view.sums, 1)
-        .over_tiles_by(size, &view.band, GRAD_GROUP)
+        .run([segments * GRAD_GROUP as usize, 1], [GRAD_GROUP as usize, 1])
 }
 
 // Definition in f64.
