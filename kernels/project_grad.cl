@@ -228,11 +228,11 @@ CHUNK_KERNEL void large_sums(uint count, __global const uint *isect_start,  // i
     __global real *of = sums + (size_t)isect_start[i] * SUMS;
     real sum[SUMS];
     for (int q = 0; q < SUMS; q++) sum[q] = R(0.0);
+    // All are read before any is written: a GPU need not wait for one to read the next.
     for (uint p = ITEM; p < pairs; p += GROUP)
-      for (int q = 0; q < SUMS; q++) {
-        sum[q] += of[p * SUMS + q];
-        of[p * SUMS + q] = R(0.0);
-      }
+      for (int q = 0; q < SUMS; q++) sum[q] += of[p * SUMS + q];
+    for (uint p = ITEM; p < pairs; p += GROUP)
+      for (int q = 0; q < SUMS; q++) of[p * SUMS + q] = R(0.0);
     for (int q = 0; q < SUMS; q++) parts[q * GROUP + ITEM] = sum[q];
     for (uint near = GROUP / 2; near > 0; near /= 2) {
       barrier(CLK_LOCAL_MEM_FENCE);

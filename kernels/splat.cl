@@ -121,17 +121,16 @@ splat(__global const Projected *records, __global const uint *isect_owner, // in
       const Projected g = staged[j];
       const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
 #pragma unroll
-      for (int k = 0; k < PIXELS; k++) {
-        const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
-        const real log2_alpha = LOG2_ALPHA(u, dy, g.a, g.c, g.lo);
-        if (reaches(g.by, tile_y + y + k * ROW_STEP) && counts(log2_alpha, T[k])) {
-          const real w = min(exp2_negative(log2_alpha), (real)ALPHA_MAX) * T[k];
+      for (int k = 0; k < PIXELS; k++)
+        if (reaches(g.by, tile_y + y + k * ROW_STEP)) {
+          const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
+          const real alpha = min(effective_alpha(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]), (real)ALPHA_MAX);
+          const real w = alpha * T[k];
           red[k] = fma(w, g.red, red[k]);
           green[k] = fma(w, g.green, green[k]);
           blue[k] = fma(w, g.blue, blue[k]);
           T[k] -= w;
         }
-      }
     }
     p += n;
   }

@@ -109,13 +109,20 @@ __kernel void splat_grad(__global const Projected *records, __global const uint 
     for (int q = 0; q < SUMS; q++) sums[(size_t)order[p] * SUMS + q] = R(0.0);
 }
 #else
-// Pixels of a work-item, those of its column every ROW_STEP rows, so that the rows of a Gaussian are shared out evenly.
+// Pixels of a work-item, those of its column every ROW_STEP rows. Work-items that run together, on many GPUs 32, have blocks of 8 x 4
+// pixels: fewer Gaussians reach one of those than two whole rows of a tile.
 #define PIXELS (TILE * TILE / GRAD_GROUP)
 #define ROW_STEP (GRAD_GROUP / TILE)
+#define BLOCK_X (get_local_id(0) % 8 + get_local_id(0) / 32 % 2 * 8)
+#define BLOCK_Y (get_local_id(0) / 8 % 4 + get_local_id(0) / 64 * 4)
+// True inside of pixel bounds and next to them: splat, in the group style, leaves out rows beyond them and no columns, so that one at the
+// bounds' very edge may take a contribution.
+static inline int beside(uint bounds, int pixel) {
+  return pixel + 1 >= (int)BOUND_LO(bounds) && pixel <= (int)BOUND_HI(bounds) + 1;
+}
+
 // Pairs whose sums by work-item wait in local memory for the sum over the group: in f64 as many as fit into 32 KiB.
-#ifndef SUM_BATCH
 #define SUM_BATCH (REAL_IS_DOUBLE ? 4 : 5)
-#endif
 
 // Launch: one work-group of GRAD_GROUP work-items per GRAD_SEGMENT pairs that there is room for. A tile's pairs are cut into segments of
 // as many, from the first one on, and a group takes those that begin among its pairs, at most one of each tile: no tile, however many
@@ -131,7 +138,7 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
            __global const uint *status, __global const uint *tile_of, // in S_INTERSECTIONS; [pairs] tiles in ascending order
            __global const real *snapshots, // in [pairs / GRAD_SEGMENT, 4, TILE * TILE] as splat left them
            __global real *sums) {       // out [pairs, SUMS] at emission slots
-  const int l = get_local_id(0), x = l % TILE, y = l / TILE, stride = tiles_x * TILE;
+  const int l = get_local_id(0), x = BLOCK_X, y = BLOCK_Y, stride = tiles_x * TILE;
   const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
   const uint pairs = status[S_INTERSECTIONS];
   const uint first_pair = min((uint)get_group_id(0) * GRAD_SEGMENT, pairs), last_pair = min(first_pair + GRAD_SEGMENT, pairs);
@@ -153,9 +160,9 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
       if (p == last) continue;
       tile_x = tile % tiles_x * TILE;
       tile_y = tile / tiles_x * TILE;
-      __global const real *before = snapshots + (size_t)(p / GRAD_SEGMENT) * 4 * (TILE * TILE) + l;
+      __global const real *before = snapshots + (size_t)(p / GRAD_SEGMENT) * 4 * (TILE * TILE) + y * TILE + x;
 #pragma unroll
-      for (int k = 0; k < PIXELS; k++, before += GRAD_GROUP) {
+      for (int k = 0; k < PIXELS; k++, before += ROW_STEP * TILE) {
         const size_t at = (size_t)(tile_y + y + k * ROW_STEP) * stride + (tile_x + x);
         real red = image[at], green = image[plane + at], blue = image[2 * plane + at];
         T[k] = R(1.0);
@@ -186,11 +193,12 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
         real s[SUMS];
         for (int q = 0; q < SUMS; q++) s[q] = R(0.0);
 #pragma unroll
-        for (int k = 0; k < PIXELS; k++) {
-          const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
-          if (reaches(g.by, tile_y + y + k * ROW_STEP) && counts(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]))
-            grad_block(&g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
-        }
+        for (int k = 0; k < PIXELS; k++)
+          if (beside(g.bx, tile_x + x) && reaches(g.by, tile_y + y + k * ROW_STEP)) {
+            const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
+            if (counts(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]))
+              grad_block(&g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
+          }
         for (int q = 0; q < SUMS; q++) ((__local real *)part[j][q])[l] = s[q];
       }
       barrier(CLK_LOCAL_MEM_FENCE);

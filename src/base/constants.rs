@@ -43,7 +43,7 @@ pub const SPLAT_GROUP: u32 = 128;
 /// The same in splat_grad.
 pub const GRAD_GROUP: u32 = 64;
 /// Pairs of a tile that a work-group of splat_grad takes in the group style; a multiple of [`GROUP_BATCH`].
-pub const GRAD_SEGMENT: u32 = 512;
+pub const GRAD_SEGMENT: u32 = 128;
 /// Image rows per work-item of the loss.
 pub const LOSS_ROWS: u32 = 8;
 /// Pixels of a row per work-item of the shrink stage.

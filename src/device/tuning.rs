@@ -27,7 +27,7 @@ pub mod status {
     pub const SLOTS: usize = 8;
 }
 
-/// Sizes that kernels are built with. The defaults of its class were measured for CPUs and are conservative for GPUs; a
+/// Sizes that kernels are built with. The defaults of its class were measured, for GPUs on one of NVIDIA's (docs/results/gpu.md); a
 /// choice for the device at hand can be measured and passed with `Device::with_tuning`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -74,7 +74,7 @@ impl Tuning {
         block_width: 1,
         group_style: true,
         local: 128,
-        chunks: 2048,
+        chunks: 1024,
         radix_bits: 8,
         strip: 8,
     };

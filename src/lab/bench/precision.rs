@@ -6,7 +6,7 @@
 use crate::base::constants::{ALPHA_MIN, TILE};
 use crate::base::error::{Error, Result};
 use crate::device::tuning::Tuning;
-use crate::device::{Device, Real};
+use crate::device::{Device, DeviceKind, Real};
 use crate::lab::bench::options::Options;
 use crate::lab::bench::record::{Failure, Precision, spread};
 use crate::lab::bench::scene;
@@ -48,8 +48,8 @@ struct Variant {
     cut: bool,
 }
 
-/// Every vector width in the style of CPUs, the style of GPUs, f64 as the device would have it, and every cut: as far as the
-/// device supports them.
+/// On CPUs every vector width in their style; the style of GPUs, f64 as the device would have it, and every cut: as far as the
+/// device supports them. Compilers of GPUs take minutes for the widths, with which nobody runs there.
 fn variants(device: &Device) -> Vec<Variant> {
     let (info, own) = (device.info(), device.tuning());
     let single = |name: String, tuning: Tuning| Variant {
@@ -67,7 +67,8 @@ fn variants(device: &Device) -> Vec<Variant> {
         };
         single(format!("f32 × {vector_width}"), tuning)
     };
-    let mut all: Vec<Variant> = WIDTHS.into_iter().map(by_width).collect();
+    let widths = WIDTHS.into_iter().filter(|_| info.kind == DeviceKind::Cpu);
+    let mut all: Vec<Variant> = widths.map(by_width).collect();
     if info.max_work_group >= (TILE * TILE) as usize {
         let chunks = own.chunks;
         let group = Tuning {
