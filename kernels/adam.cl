@@ -13,5 +13,7 @@ __kernel void adam(__global const real *grads, uint grad_stride, // in [planes, 
   if (group >= groups || status[S_OVERFLOW] != 0) return;
   const Adam a = ADAM;
   const realV mean = share * vload_real(group, grads + (size_t)plane * grad_stride);
-  count_bad(adam_step(&a, RATE(plane), plane, i, PLANE(params, plane), adam_moments(&a, plane, i), mean), status);
+  Moments had;
+  adam_moments(&a, plane, i, &had);
+  count_bad(adam_step(&a, RATE(plane), plane, i, PLANE(params, plane), &had, mean), status);
 }

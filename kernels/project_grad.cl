@@ -12,7 +12,7 @@ typedef struct {
 } Out;
 
 // Fetched for several planes before the first is put: a GPU waits for memory once then, not once for each.
-#define FETCH(plane) adam_moments(out->adam, plane, out->i)
+#define FETCH(plane, had) adam_moments(out->adam, plane, out->i, had)
 #define PUT(lr, plane, old, had, gradient) *out->bad += adam_step(out->adam, out->adam->lr, plane, out->i, old, had, gradient)
 #define PUT_SH(k, channel, old, had, gradient)                                                                         \
   *out->bad += adam_step(out->adam, (k) == 0 ? out->adam->lr_sh0 : out->adam->lr_sh, P_SH + 3 * (k) + (channel), out->i, \
@@ -34,14 +34,9 @@ static inline void put(const Out *out, uint plane, realV gradient) {
   vstore_real(gradient, 0, to);
 }
 
-#define FETCH(plane) no_moments()
+#define FETCH(plane, had)
 #define PUT(lr, plane, old, had, gradient) put(out, plane, gradient)
 #define PUT_SH(k, channel, old, had, gradient) PUT(lr_sh, P_SH + 3 * (k) + (channel), old, had, gradient)
-
-static inline Moments no_moments(void) {
-  const Moments none = {V(R(0.0)), V(R(0.0))};
-  return none;
-}
 #endif
 
 // SH coefficients of a channel that are fetched together: of a vector of Gaussians one.
@@ -121,10 +116,10 @@ static inline void put_colors(__global const real *params, uint stride, uint i, 
 #pragma unroll
       for (int j = 0; j < SH_BATCH; j++) {
         old[j] = PLANE(params, P_SH + 3 * (k + j) + ch);
-        had[j] = FETCH(P_SH + 3 * (k + j) + ch);
+        FETCH(P_SH + 3 * (k + j) + ch, &had[j]);
       }
 #pragma unroll
-      for (int j = 0; j < SH_BATCH; j++) PUT_SH(k + j, ch, old[j], had[j], d[ch] * basis[k + j]);
+      for (int j = 0; j < SH_BATCH; j++) PUT_SH(k + j, ch, old[j], &had[j], d[ch] * basis[k + j]);
     }
 }
 
@@ -312,19 +307,19 @@ static inline void gaussian_grads(const In *in, uint i, const Out *out) {
   const realV logit = PLANE(params, P_OPACITY), complement = sigmoid(-logit);
   Moments had[P_SH];
 #pragma unroll
-  for (int k = 0; k < P_SH; k++) had[k] = FETCH(k);
+  for (int k = 0; k < P_SH; k++) FETCH(k, &had[k]);
 #pragma unroll
   for (int k = 0; k < 3; k++) {
     const maskV free_scale = exists & (ls[k] > V(LOG_SCALE_MIN)) & (ls[k] < V(LOG_SCALE_MAX));
     const realV regular = fma(V(in->weight_scale), exp(ls[k]), choose(active, dls[k], zero));
-    PUT(lr_position, P_POSITION + k, x[k], had[P_POSITION + k], choose(active, dx[k], zero));
-    PUT(lr_scale, P_LOG_SCALE + k, ls[k], had[P_LOG_SCALE + k], choose(free_scale, regular, zero));
+    PUT(lr_position, P_POSITION + k, x[k], &had[P_POSITION + k], choose(active, dx[k], zero));
+    PUT(lr_scale, P_LOG_SCALE + k, ls[k], &had[P_LOG_SCALE + k], choose(free_scale, regular, zero));
   }
 #pragma unroll
   for (int k = 0; k < 4; k++)
-    PUT(lr_rotation, P_ROTATION + k, q[k], had[P_ROTATION + k], choose(active, dq[k], zero));
+    PUT(lr_rotation, P_ROTATION + k, q[k], &had[P_ROTATION + k], choose(active, dq[k], zero));
   const realV dlogit = fma(s[0], complement, in->weight_opacity * sigmoid(logit) * complement);
-  PUT(lr_opacity, P_OPACITY, logit, had[P_OPACITY], choose(exists & (logit == logit), dlogit, zero));
+  PUT(lr_opacity, P_OPACITY, logit, &had[P_OPACITY], choose(exists & (logit == logit), dlogit, zero));
   put_colors(params, stride, i, out, d, basis);
 }
 
@@ -340,7 +335,7 @@ static inline void gaussian_grads(const In *in, uint i, const Out *out) {
 #if TAKE_STEP
 // Launch: one work-item per UPDATE_RUN Gaussians: VW where a work-item is one of many, more of them where it is a whole core, which
 // reads a plane after the other then, along cache lines. Nothing is changed after a pair overflow: the host repeats the iteration.
-__kernel void project_step(__global real *restrict params, uint stride, uint count, // in/out [planes, stride]
+__kernel void project_step(__global real *params, uint stride, uint count, // in/out [planes, stride]
                            FILTER
                            const Camera cam, __global const uint *isect_start, // in [count] first emission slot
                            __global const uint *isect_counts,                  // in [count]
@@ -366,8 +361,9 @@ __kernel void project_step(__global real *restrict params, uint stride, uint cou
   for (uint plane = 0; plane < P_SH + 3 * SH_COUNT; plane++)
     for (uint at = 0; at < UPDATE_RUN; at += VW) {
       const uint i = first + at;
-      bad += adam_step(&adam, RATE(plane), plane, i, PLANE(params, plane), adam_moments(&adam, plane, i),
-                       vload_real(0, grads + plane * UPDATE_RUN + at));
+      Moments had;
+      adam_moments(&adam, plane, i, &had);
+      bad += adam_step(&adam, RATE(plane), plane, i, PLANE(params, plane), &had, vload_real(0, grads + plane * UPDATE_RUN + at));
     }
 #endif
   count_bad(bad, status);

@@ -41,8 +41,7 @@ CHUNK_KERNEL void sort_histogram(__global const uint *keys, // in [n]
 }
 
 #if GROUP_STYLE
-// Bins of a group of sort_totals, and runs of chunks that its work-items share out.
-#define GROUP_BINS 8
+// Runs of chunks that the work-items of a group of sort_totals share out.
 #define RUNS (GROUP / GROUP_BINS)
 
 // Launch: one work-group per GROUP_BINS bins. Turns a bin's counts into those of the chunks before, and sums them up: a work-item has a
@@ -86,10 +85,9 @@ __kernel void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/
 #endif
 
 #if GROUP_STYLE
-// Elements of a work-item, and of a group at a time.
-#define SORT_RUN 4
-#define BLOCK (GROUP * SORT_RUN)
-#define BLOCK_BITS 10
+// Elements that a group sorts at a time, and those of a work-item.
+#define BLOCK (1 << BLOCK_BITS)
+#define SORT_RUN (BLOCK / GROUP)
 #endif
 
 // Launch: over chunks.

@@ -122,7 +122,7 @@ static inline int beside(uint bounds, int pixel) {
 }
 
 // Pairs whose sums by work-item wait in local memory for the sum over the group: in f64 as many as fit into 32 KiB.
-#define SUM_BATCH (REAL_IS_DOUBLE ? 4 : 5)
+#define SUM_BATCH 5
 
 // Launch: one work-group of GRAD_GROUP work-items per GRAD_SEGMENT pairs that there is room for. A tile's pairs are cut into segments of
 // as many, from the first one on, and a group takes those that begin among its pairs, at most one of each tile: no tile, however many
@@ -196,7 +196,7 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
         for (int k = 0; k < PIXELS; k++)
           if (beside(g.bx, tile_x + x) && reaches(g.by, tile_y + y + k * ROW_STEP)) {
             const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
-            if (counts(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]))
+            if (contributes(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]))
               grad_block(&g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
           }
         for (int q = 0; q < SUMS; q++) ((__local real *)part[j][q])[l] = s[q];

@@ -86,6 +86,8 @@ impl Defines {
         int("SPLAT_GROUP", u64::from(constants::SPLAT_GROUP));
         int("GRAD_GROUP", u64::from(constants::GRAD_GROUP));
         int("GRAD_SEGMENT", u64::from(constants::GRAD_SEGMENT));
+        int("GROUP_BINS", u64::from(constants::SORT_BINS));
+        int("BLOCK_BITS", u64::from(constants::SORT_BLOCK_BITS));
         int("TAPS", constants::SSIM_TAPS as u64);
         int("LOSS_ROWS", u64::from(constants::LOSS_ROWS));
         int("SHRINK_RUN", u64::from(constants::SHRINK_RUN));

@@ -27,8 +27,8 @@ pub mod status {
     pub const SLOTS: usize = 8;
 }
 
-/// Sizes that kernels are built with. The defaults of its class were measured, for GPUs on one of NVIDIA's (docs/results/gpu.md); a
-/// choice for the device at hand can be measured and passed with `Device::with_tuning`.
+/// Sizes that kernels are built with. The defaults of its class were measured for CPUs; for GPUs the number of chunks was
+/// (docs/results/gpu-measured.md), the others are conservative. A choice for the device at hand can be measured and passed with `Device::with_tuning`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Tuning {
@@ -68,7 +68,7 @@ impl Tuning {
         strip: 400,
     };
 
-    /// One pixel per work-item, a work-group per tile: for GPUs.
+    /// Work-groups for tiles or parts of them, with a few pixels a work-item: for GPUs.
     pub const GPU: Self = Self {
         vector_width: 1,
         block_width: 1,

@@ -242,7 +242,7 @@ pub fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
     let own = Tuning::for_device(info);
     let others: Vec<Tuning> = if own.group_style {
         let locals = [64, 128, 256].map(|local| Tuning { local, ..own });
-        let chunks = [512, 2048, 8192].map(|chunks| Tuning { chunks, ..own });
+        let chunks = [512, 1024, 2048].map(|chunks| Tuning { chunks, ..own });
         let bits = [4, 6, 8].map(|radix_bits| Tuning { radix_bits, ..own });
         [locals, chunks, bits].concat()
     } else {

@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::base::constants::{GRAD_SEGMENT, SUMS, TILE};
+use crate::base::constants::{SUMS, snapshot_values};
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
@@ -376,8 +376,7 @@ impl<R: Real> ViewBuffers<R> {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
         }
         if self.gradients && self.sorts_pairs {
-            let values = pairs.div_ceil(GRAD_SEGMENT as usize) * 4 * (TILE * TILE) as usize;
-            self.snapshots = Array::zeros(device, "snapshots", values)?;
+            self.snapshots = Array::zeros(device, "snapshots", snapshot_values(pairs))?;
         }
         self.isect_owner = ints("isect_owner")?;
         self.capacity = pairs;

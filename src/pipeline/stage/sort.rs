@@ -1,5 +1,6 @@
 //! Stable radix sort of (key, value) pairs (`kernels/sort.cl`).
 
+use crate::base::constants::{SORT_BINS, SORT_BLOCK_BITS};
 use crate::base::error::Result;
 use crate::device::tuning::status::{self, SLOTS};
 use crate::device::{Array, Kernels, Program, Real};
@@ -11,10 +12,7 @@ const BITS: u32 = 32;
 /// launches that it takes (`docs/results/speed.md`).
 const FEW: usize = 1 << 14;
 /// Elements that a work-group sorts at least before there is another.
-const PER_GROUP: usize = 1024;
-
-/// Bins that a work-group of `sort_totals` takes (`kernels/sort.cl`).
-const GROUP_BINS: usize = 8;
+const PER_GROUP: usize = 1 << SORT_BLOCK_BITS;
 
 /// Number and range of the keys to be sorted.
 #[derive(Debug, Clone, Copy)]
@@ -165,7 +163,7 @@ impl Sort {
                 .array(totals, bins + 1)
         };
         match self.program.defines().tuning.group_style {
-            true => launch("sort_totals").over_groups(bins.div_ceil(GROUP_BINS)),
+            true => launch("sort_totals").over_groups(bins.div_ceil(SORT_BINS as usize)),
             false => launch("sort_bins").once(),
         }
     }

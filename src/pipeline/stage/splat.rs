@@ -1,6 +1,6 @@
 //! Front-to-back compositing (`kernels/splat.cl`): 3DGS, Kerbl et al. 2023, eq. 3.
 
-use crate::base::constants::{ALPHA_MAX, SPLAT_GROUP, T_MIN};
+use crate::base::constants::{ALPHA_MAX, SPLAT_GROUP, T_MIN, snapshot_values};
 use crate::base::error::Result;
 use crate::device::{Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
@@ -12,7 +12,7 @@ use crate::pipeline::stage::project::Projected64;
 pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3]) -> Result<()> {
     let size = view.camera.image();
     let launch = stage.launch("splat").tile_lists(view).tiles(size);
-    // Where pixels are work-items of their own, those below the image must not keep a tile open.
+    // Where work-items have pixels of their own, those below the image must not keep a tile open.
     let launch = match stage.defines().tuning.group_style {
         true => launch.ints([size.0[1]]),
         false => launch,
@@ -21,10 +21,15 @@ pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3
         .reals::<R>(color.map(f64::from))
         .array(&view.image, 4 * size.plane())
         .array(&view.tile_used, size.tile_count());
+    let kept = if view.gradients() {
+        snapshot_values(view.capacity)
+    } else {
+        0
+    };
     let launch = match stage.defines().tuning.group_style {
         true => launch
             .ints([usize::from(view.gradients())])
-            .array(&view.snapshots, 0),
+            .array(&view.snapshots, kept),
         false => launch,
     };
     launch.over_tiles_by(size, &view.band, SPLAT_GROUP)

@@ -1,6 +1,6 @@
 //! Derivative of the compositing (`kernels/splat_grad.cl`).
 
-use crate::base::constants::{GRAD_GROUP, GRAD_SEGMENT};
+use crate::base::constants::{GRAD_GROUP, GRAD_SEGMENT, snapshot_values};
 use crate::base::error::Result;
 use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
@@ -26,9 +26,12 @@ pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<
     launch
         .status(view)
         .array(view.tile_of_pairs(), 1)
-        .array(&view.snapshots, 1)
+        .array(&view.snapshots, snapshot_values(view.capacity))
         .array(&view.sums, 1)
-        .run([segments * GRAD_GROUP as usize, 1], [GRAD_GROUP as usize, 1])
+        .run(
+            [segments * GRAD_GROUP as usize, 1],
+            [GRAD_GROUP as usize, 1],
+        )
 }
 
 // Definition in f64.

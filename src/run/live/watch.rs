@@ -29,7 +29,7 @@ const SAMPLING: Duration = Duration::from_secs(2);
 /// Largest side of pictures of a run, pixels.
 pub const LARGEST_LIVE: u32 = 1024;
 
-/// Tile intersections that a picture may have whatever training needs: they take some 60 bytes each.
+/// Tile intersections that a picture may have whatever training needs: they take some 60 bytes each, on GPUs 90.
 const INTERSECTIONS: usize = 1 << 20;
 
 /// Longest time between two looks at a paused run's signals.
