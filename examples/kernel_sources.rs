@@ -1,5 +1,5 @@
-//! Writes the kernels' sources as drivers of GPUs get them, a file for each stage and variant:
-//! `cargo run --release --example kernel_sources -- FOLDER`. `.ci/gpu-check` compiles them without a GPU.
+//! Writes the kernels' sources as drivers of GPUs get them, a folder for the sizes of each class of GPU, in it a file for each stage and
+//! variant: `cargo run --release --example kernel_sources -- FOLDER`. `.ci/gpu-check` compiles them without a GPU.
 
 use mhsplat::capture::Alpha;
 use mhsplat::device::tuning::Tuning;
@@ -7,10 +7,10 @@ use mhsplat::device::{Defines, source, stages};
 use mhsplat::{Error, Result};
 
 /// Variants of a stage: a suffix of the file's name and what differs from the default.
-fn variants(stage: &str) -> Vec<(&'static str, Defines)> {
+fn variants(stage: &str, tuning: Tuning) -> Vec<(&'static str, Defines)> {
     let base = Defines {
         sh_degree: 3,
-        ..Defines::new(Tuning::GPU)
+        ..Defines::new(tuning)
     };
     let filtered = Defines {
         anti_alias: true,
@@ -48,12 +48,15 @@ fn variants(stage: &str) -> Vec<(&'static str, Defines)> {
 fn main() -> Result<()> {
     let folder = std::env::args().nth(1);
     let folder = folder.ok_or_else(|| Error::config("FOLDER", "missing: where to write to"))?;
-    std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
-    for stage in stages() {
-        for (variant, defines) in variants(stage) {
-            let file = std::path::Path::new(&folder).join(format!("{stage}{variant}.cl"));
-            let text = source(stage, &defines, false);
-            std::fs::write(&file, text).map_err(|e| Error::io(&file, e))?;
+    for (class, tuning) in [("gpu", Tuning::GPU), ("gpu-wide", Tuning::GPU_WIDE)] {
+        let folder = std::path::Path::new(&folder).join(class);
+        std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+        for stage in stages() {
+            for (variant, defines) in variants(stage, tuning) {
+                let file = folder.join(format!("{stage}{variant}.cl"));
+                let text = source(stage, &defines, false);
+                std::fs::write(&file, text).map_err(|e| Error::io(&file, e))?;
+            }
         }
     }
     Ok(())

@@ -121,13 +121,10 @@ static inline int beside(uint bounds, int pixel) {
   return pixel + 1 >= (int)BOUND_LO(bounds) && pixel <= (int)BOUND_HI(bounds) + 1;
 }
 
-// Pairs whose sums by work-item wait in local memory for the sum over the group: in f64 as many as fit into 32 KiB.
-#define SUM_BATCH 5
-
 // Launch: one work-group of GRAD_GROUP work-items per GRAD_SEGMENT pairs that there is room for. A tile's pairs are cut into segments of
 // as many, from the first one on, and a group takes those that begin among its pairs, at most one of each tile: no tile, however many
 // Gaussians it has, keeps a group longer than others, and the segments are the same however tiles are shared out. A work-item adds up
-// its pixels in registers, then every SUM_BATCH pairs one work-item adds up each of their sums: a fixed order, no assumption on sub-groups.
+// its pixels in registers, then every GRAD_SUMS pairs one work-item adds up each of their sums: a fixed order, no assumption on sub-groups.
 // Rows of local memory are padded by four numbers, so that the work-items that read them side by side do so from different banks.
 __kernel __attribute__((reqd_work_group_size(GRAD_GROUP, 1, 1))) void
 splat_grad(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
@@ -145,7 +142,7 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
   real T[PIXELS], behind[PIXELS], dred[PIXELS], dgreen[PIXELS], dblue[PIXELS];
   __local Projected staged[SPLAT_BATCH];
   __local uint slot[SPLAT_BATCH];
-  __local real4 part[SUM_BATCH][SUMS][GRAD_GROUP / 4 + 1];
+  __local real4 part[GRAD_SUMS][SUMS][GRAD_GROUP / 4 + 1];
   uint next = first_pair, p = 0, last = 0; // first pair of the tile after this; next and last pair of the segment
   int tile_x = 0, tile_y = 0;
   for (;;) {
@@ -185,8 +182,8 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
       staged[l] = records[isect_owner[slot[l]]];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint first = 0; first < n; first += SUM_BATCH) {
-      const uint count = min((uint)SUM_BATCH, n - first);
+    for (uint first = 0; first < n; first += GRAD_SUMS) {
+      const uint count = min((uint)GRAD_SUMS, n - first);
       for (uint j = 0; j < count; j++) {
         const Projected g = staged[first + j];
         const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);

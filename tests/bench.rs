@@ -138,7 +138,7 @@ fn lanes_are_those_of_a_brute_force_count() {
         vector_width: 8,
         ..Tuning::CPU
     };
-    for tuning in [Tuning::CPU, eight] {
+    for tuning in [Tuning::CPU, eight, Tuning::GPU] {
         let mut renderer =
             Renderer::<f32>::new(&device, Defines::new(tuning), scene::SH_DEGREE, false).unwrap();
         let on_device = GaussianBuffers::upload(&device, &splats, 0).unwrap();
@@ -153,7 +153,6 @@ fn lanes_are_those_of_a_brute_force_count() {
         assert_eq!(lanes, brute_force(&work, &tuning));
         let all = work.used() as u64 * 256;
         assert!(lanes > 0 && lanes < all);
-        assert_eq!(work.lanes(&Tuning::GPU), all);
     }
 }
 

@@ -48,6 +48,10 @@ fn a_bad_file_is_ignored() {
         ("local", 1 << 30),
         ("strip", 7),
         ("radix-bits", 40),
+        ("splat-group", 96),
+        ("grad-group", 32),
+        ("grad-segment", 100),
+        ("grad-sums", 8),
         ("unheard-of", 1),
     ] {
         let mut bad = serde_json::to_value(own).unwrap();
@@ -98,21 +102,74 @@ fn a_run_is_tuned_for_its_size() {
 fn a_gpu_tries_one_size_after_the_other() {
     let mut info = Device::open(None).unwrap().info().clone();
     (info.kind, info.max_work_group) = (DeviceKind::Gpu, 256);
+    (info.local_memory, info.vendor) = (48 << 10, "NVIDIA Corporation".into());
     let all = candidates(&info);
-    assert_eq!((all.len(), all[0]), (7, Tuning::GPU));
+    assert_eq!((all.len(), all[0]), (14, Tuning::GPU));
     let values = |t: &Tuning| {
         let value = serde_json::to_value(t).unwrap();
         value.as_object().unwrap().clone()
     };
     let own = values(&Tuning::GPU);
-    let mut changed = std::collections::BTreeMap::<String, usize>::new();
+    let mut changed = std::collections::BTreeMap::<Vec<&str>, usize>::new();
     for candidate in &all[1..] {
         let others = values(candidate);
-        let mut others = own.iter().filter(|(name, value)| others[*name] != **value);
-        let (name, _) = others.next().unwrap();
-        assert!(others.next().is_none(), "{candidate:?}");
-        *changed.entry(name.clone()).or_default() += 1;
+        let others = own.iter().filter(|(name, value)| others[*name] != **value);
+        let names = others.map(|(name, _)| name.as_str()).collect();
+        *changed.entry(names).or_default() += 1;
     }
-    let two = ["chunks", "local", "radix-bits"].map(|name| (name.to_owned(), 2));
-    assert_eq!(changed, two.into());
+    let twice = [
+        "chunks",
+        "grad-segment",
+        "local",
+        "radix-bits",
+        "splat-group",
+    ];
+    let mut wanted: std::collections::BTreeMap<_, _> = twice.map(|name| (vec![name], 2)).into();
+    // Sums of a larger group take more room, and may be fewer.
+    wanted.extend([(vec!["grad-sums"], 1), (vec!["grad-group", "grad-sums"], 2)]);
+    assert_eq!(changed, wanted);
+    // What does not fit into the device's local memory is not tried.
+    info.local_memory = 16 << 10;
+    let fit = candidates(&info);
+    assert!(
+        fit.len() == 13
+            && fit
+                .iter()
+                .all(|t| t.grad_local_bytes() <= info.local_memory)
+    );
+}
+
+#[test]
+fn sizes_without_a_meaning_are_not_shown() {
+    let names = |t: Tuning| {
+        t.to_string()
+            .split(',')
+            .filter_map(|f| f.split_once('='))
+            .count()
+    };
+    assert_eq!([names(Tuning::CPU), names(Tuning::GPU)], [7, 11]);
+    assert!(
+        Tuning::CPU
+            .to_string()
+            .starts_with("vector-width=16,block-width=4")
+    );
+}
+
+#[test]
+fn group_sizes_go_by_the_vendor() {
+    let mut info = Device::open(None).unwrap().info().clone();
+    (info.kind, info.max_work_group, info.local_memory) = (DeviceKind::Gpu, 256, 64 << 10);
+    for (vendor, wanted) in [
+        ("NVIDIA Corporation", Tuning::GPU),
+        ("Advanced Micro Devices, Inc.", Tuning::GPU_WIDE),
+        ("Intel(R) Corporation", Tuning::GPU_WIDE),
+        ("somebody else", Tuning::GPU),
+    ] {
+        info.vendor = vendor.into();
+        let own = Tuning::for_device(&info);
+        assert_eq!((own, own.fault(&info)), (wanted, None), "{vendor}");
+        assert_eq!(candidates(&info)[0], wanted);
+    }
+    info.kind = DeviceKind::Cpu;
+    assert!(!Tuning::for_device(&info).group_style);
 }

@@ -31,35 +31,18 @@ pub const LOG_SCALE: [f64; 2] = [-30.0, 15.0];
 pub const NEAR: f64 = 1.0 / 256.0;
 /// Sums that splat_grad writes per pair.
 pub const SUMS: usize = 9;
+/// Bytes of a projected Gaussian in f32.
+pub const RECORD_BYTES: usize = 48;
 /// Pairs of a Gaussian beyond which a work-group adds their sums in the group style, so that none has to wait for one work-item.
 pub const LARGE_PAIRS: u32 = 64;
 /// Projected Gaussians that the splat kernels copy at a time where a work-item is a whole core (measured: 32 on CPUs).
 pub const SPLAT_BATCH: u32 = 32;
 /// The same in the group style, to local memory (docs/results/gpu-measured.md).
 pub const GROUP_BATCH: u32 = 64;
-/// Work-items that share a tile in splat in the group style: each takes the pixels of a column that lie as many rows apart as fit into the
-/// group (docs/results/gpu-measured.md).
-pub const SPLAT_GROUP: u32 = 128;
-/// The same in splat_grad.
-pub const GRAD_GROUP: u32 = 64;
-/// Pairs of a tile that a work-group of splat_grad takes in the group style (docs/results/gpu-measured.md).
-pub const GRAD_SEGMENT: u32 = 128;
-/// Numbers that splat keeps of the segments of so many pairs: three colours and the transmittance of each pixel of a tile.
-#[must_use]
-pub const fn snapshot_values(pairs: usize) -> usize {
-    pairs.div_ceil(GRAD_SEGMENT as usize) * 4 * (TILE * TILE) as usize
-}
 /// Bins whose chunks a work-group of sort_totals sums up.
 pub const SORT_BINS: u32 = 8;
 /// Bits of the number of elements that a work-group of sort_scatter sorts at a time.
 pub const SORT_BLOCK_BITS: u32 = 10;
-// One work-item fetches each record of a batch, and segments begin with batches; rows and columns of a tile are shared out by blocks of 8 × 4.
-const _: () = {
-    assert!(GROUP_BATCH <= SPLAT_GROUP && GROUP_BATCH <= GRAD_GROUP);
-    assert!(GRAD_SEGMENT.is_multiple_of(GROUP_BATCH));
-    assert!(GRAD_GROUP.is_multiple_of(64) && (TILE * TILE).is_multiple_of(GRAD_GROUP));
-    assert!((TILE * TILE).is_multiple_of(SPLAT_GROUP) && SPLAT_GROUP >= TILE);
-};
 /// Image rows per work-item of the loss.
 pub const LOSS_ROWS: u32 = 8;
 /// Pixels of a row per work-item of the shrink stage.

@@ -83,9 +83,10 @@ impl Defines {
         };
         int("SPLAT_BATCH", u64::from(batch));
         int("LARGE_PAIRS", u64::from(constants::LARGE_PAIRS));
-        int("SPLAT_GROUP", u64::from(constants::SPLAT_GROUP));
-        int("GRAD_GROUP", u64::from(constants::GRAD_GROUP));
-        int("GRAD_SEGMENT", u64::from(constants::GRAD_SEGMENT));
+        int("SPLAT_GROUP", u64::from(self.tuning.splat_group));
+        int("GRAD_GROUP", u64::from(self.tuning.grad_group));
+        int("GRAD_SEGMENT", u64::from(self.tuning.grad_segment));
+        int("GRAD_SUMS", u64::from(self.tuning.grad_sums));
         int("GROUP_BINS", u64::from(constants::SORT_BINS));
         int("BLOCK_BITS", u64::from(constants::SORT_BLOCK_BITS));
         int("TAPS", constants::SSIM_TAPS as u64);

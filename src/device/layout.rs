@@ -5,7 +5,7 @@ use std::fmt::Debug;
 
 use ocl_core::OclPrm;
 
-use crate::base::constants::{NEAR, TILE};
+use crate::base::constants::{NEAR, RECORD_BYTES, TILE};
 use crate::capture::Camera;
 use crate::scene::Edit;
 
@@ -67,6 +67,7 @@ pub struct Projected<R> {
     /// Inclusive pixel bounds in y, likewise.
     pub by: u32,
 }
+const _: () = assert!(size_of::<Projected<f32>>() == RECORD_BYTES);
 
 /// A camera (`Camera` in `kernels/common.clh`).
 #[repr(C)]

@@ -60,11 +60,15 @@ pub fn stages() -> impl Iterator<Item = &'static str> {
 #[must_use]
 pub fn source(stage: &str, defines: &Defines, is_double: bool) -> String {
     let own = SOURCES.iter().find(|(name, _)| *name == stage);
-    format!(
-        "{}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{}",
-        defines.prelude(is_double),
-        own.map_or("", |(_, text)| text)
-    )
+    let own = own.map_or("", |(_, text)| text);
+    // Without what it does not use, a kernel stays what it is when something else changes: drivers keep what they have compiled.
+    let used = |line: &&str| {
+        let name = line.split(' ').nth(1).unwrap_or_default();
+        COMMON.contains(name) || own.contains(name)
+    };
+    let prelude = defines.prelude(is_double);
+    let prelude: String = prelude.split_inclusive('\n').filter(used).collect();
+    format!("{prelude}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{own}")
 }
 
 /// Hash of the sources of all kernels.

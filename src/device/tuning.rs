@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::constants::TILE;
+use crate::base::constants::{GROUP_BATCH, RECORD_BYTES, SUMS, TILE};
 use crate::device::info::{DeviceInfo, DeviceKind};
 
 /// Key of a Gaussian that is not visible.
@@ -12,6 +12,9 @@ pub const KEY_CULLED: u32 = u32::MAX;
 
 /// Gaussians that a work-item of the optimiser takes where it is a whole core: of 32 it takes nearly twice as long (docs/results/speed.md).
 const UPDATE_RUN: usize = 64;
+
+/// Parts of the names of vendors whose GPUs have [`Tuning::GPU_WIDE`] by default.
+const WIDE_VENDORS: [&str; 3] = ["Advanced Micro Devices", "AMD", "Intel"];
 
 /// Slots of the device's status array.
 pub mod status {
@@ -46,13 +49,30 @@ pub struct Tuning {
     pub radix_bits: u32,
     /// Columns per strip of the loss kernels; without meaning in the group style, in which they go by tiles.
     pub strip: u32,
+    /// Work-items that share a tile in splat in the group style: each takes the pixels of a column that lie as many rows apart as fit
+    /// into the group. This and the following have no meaning where a work-item takes a tile.
+    #[serde(default = "usual_splat_group")]
+    pub splat_group: u32,
+    /// The same in splat_grad.
+    #[serde(default = "usual_grad_group")]
+    pub grad_group: u32,
+    /// Pairs of a tile that a work-group of splat_grad takes.
+    #[serde(default = "usual_grad_segment")]
+    pub grad_segment: u32,
+    /// Pairs whose sums by work-item wait in local memory for the sum over the group.
+    #[serde(default = "usual_grad_sums")]
+    pub grad_sums: u32,
 }
 
-/// The syntax of `MHSPLAT_TUNING`.
+/// The syntax of `MHSPLAT_TUNING`, without sizes that have no meaning in this style.
 impl fmt::Display for Tuning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let fields = serde_json::to_string(self).map_err(|_| fmt::Error)?;
-        f.write_str(&fields.replace(['{', '}', '"'], "").replace(':', "="))
+        let text = serde_json::to_string(self).map_err(|_| fmt::Error)?;
+        let text = text.replace(['{', '}', '"'], "").replace(':', "=");
+        let means =
+            |f: &&str| self.group_style || !f.starts_with("splat-") && !f.starts_with("grad-");
+        let fields: Vec<&str> = text.split(',').filter(means).collect();
+        f.write_str(&fields.join(","))
     }
 }
 
@@ -66,6 +86,7 @@ impl Tuning {
         chunks: 16,
         radix_bits: 12,
         strip: 400,
+        ..Self::GPU
     };
 
     /// Work-groups for tiles or parts of them, with a few pixels a work-item: for GPUs.
@@ -77,6 +98,17 @@ impl Tuning {
         chunks: 1024,
         radix_bits: 8,
         strip: 8,
+        splat_group: 128,
+        grad_group: 64,
+        grad_segment: 128,
+        grad_sums: 5,
+    };
+
+    /// The same for GPUs of AMD and Intel, where local memory or registers leave groups of 64 too few in number (docs/results/gpu.md).
+    pub const GPU_WIDE: Self = Self {
+        grad_group: 128,
+        grad_sums: 2,
+        ..Self::GPU
     };
 
     /// The default for a device.
@@ -95,6 +127,7 @@ impl Tuning {
                 local: info.max_work_group.clamp(1, Self::GPU.local),
                 ..Self::GPU
             },
+            _ if WIDE_VENDORS.iter().any(|v| info.vendor.contains(v)) => Self::GPU_WIDE,
             _ => Self::GPU,
         }
     }
@@ -145,11 +178,48 @@ impl Tuning {
                 self.strip > 0 && self.strip.is_multiple_of(lanes.max(1)) && self.strip <= 4096,
                 "strip is a multiple of vector-width, up to 4096",
             ),
+            (
+                matches!(self.splat_group, 64 | 128 | 256),
+                "splat-group is 64, 128 or 256",
+            ),
+            (
+                matches!(self.grad_group, 64 | 128 | 256),
+                "grad-group is 64, 128 or 256",
+            ),
+            (
+                self.grad_segment > 0
+                    && self.grad_segment.is_multiple_of(GROUP_BATCH)
+                    && self.grad_segment <= 4096,
+                "grad-segment is a multiple of 64, up to 4096",
+            ),
+            (
+                (1..=self.grad_group / SUMS as u32).contains(&self.grad_sums),
+                "grad-sums is between 1 and a ninth of grad-group",
+            ),
+            (
+                !self.group_style || self.grad_local_bytes() <= info.local_memory,
+                "grad-group and grad-sums need no more than the device's local memory",
+            ),
         ];
         checks
             .into_iter()
             .find(|(good, _)| !good)
             .map(|(_, what)| what)
+    }
+
+    /// Numbers that splat keeps of the segments of so many pairs, for splat_grad: three colours and the transmittance of each pixel of a tile.
+    #[must_use]
+    pub fn snapshot_values(&self, pairs: usize) -> usize {
+        pairs.div_ceil(self.grad_segment as usize) * 4 * (TILE * TILE) as usize
+    }
+
+    /// Bytes of local memory that a work-group of splat_grad takes in f32: records and slots of a batch, and sums by work-item in rows that
+    /// are padded by four.
+    #[must_use]
+    pub fn grad_local_bytes(&self) -> u64 {
+        let staged = u64::from(GROUP_BATCH) * (RECORD_BYTES + size_of::<u32>()) as u64;
+        let row = u64::from(self.grad_group + 4) * size_of::<f32>() as u64;
+        staged + u64::from(self.grad_sums) * SUMS as u64 * row
     }
 
     /// Local size of kernels in which a work-item takes a vector of Gaussians.
@@ -195,4 +265,24 @@ impl Tuning {
             1
         }
     }
+}
+
+/// The value in records that are older than the field.
+const fn usual_splat_group() -> u32 {
+    Tuning::GPU.splat_group
+}
+
+/// The value in records that are older than the field.
+const fn usual_grad_group() -> u32 {
+    Tuning::GPU.grad_group
+}
+
+/// The value in records that are older than the field.
+const fn usual_grad_segment() -> u32 {
+    Tuning::GPU.grad_segment
+}
+
+/// The value in records that are older than the field.
+const fn usual_grad_sums() -> u32 {
+    Tuning::GPU.grad_sums
 }

@@ -34,7 +34,7 @@ const LONG: f64 = 2.0;
 /// Views of the scene that candidates run on: a sample is an iteration with each.
 const VIEWS: usize = 2;
 /// Memory of a device below which it tunes for no large runs: all candidates hold their scenes at once.
-const ROOMY: u64 = 8 << 30;
+const ROOMY: u64 = 12 << 30;
 
 /// Class of runs by their size, for each of which a device has a tuning of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -244,7 +244,18 @@ pub fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
         let locals = [64, 128, 256].map(|local| Tuning { local, ..own });
         let chunks = [512, 1024, 2048].map(|chunks| Tuning { chunks, ..own });
         let bits = [4, 6, 8].map(|radix_bits| Tuning { radix_bits, ..own });
-        [locals, chunks, bits].concat()
+        let groups = [64, 128, 256].map(|splat_group| Tuning { splat_group, ..own });
+        let sums = [(64, 5), (64, 2), (128, 3), (128, 2)];
+        let sums = sums.map(|(grad_group, grad_sums)| Tuning {
+            grad_group,
+            grad_sums,
+            ..own
+        });
+        let segments = [64, 128, 256].map(|grad_segment| Tuning {
+            grad_segment,
+            ..own
+        });
+        [&locals[..], &chunks, &bits, &groups, &sums, &segments].concat()
     } else {
         let widths = [(16, 4), (16, 8), (8, 4), (4, 4)];
         let width = |(vector_width, block_width)| Tuning {

@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::base::constants::{SUMS, snapshot_values};
+use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
@@ -268,8 +268,7 @@ pub struct ViewBuffers<R: Real> {
     /// Pairs that there is room for.
     pub capacity: usize,
     gradients: bool,
-    sorts_pairs: bool,
-    chunks: usize,
+    tuning: Tuning,
 }
 
 impl<R: Real> ViewBuffers<R> {
@@ -299,8 +298,7 @@ impl<R: Real> ViewBuffers<R> {
             status: Array::zeros(device, "status", status::SLOTS)?,
             capacity: 0,
             gradients,
-            sorts_pairs: tuning.group_style,
-            chunks: tuning.chunks,
+            tuning: *tuning,
         })
     }
 
@@ -367,7 +365,7 @@ impl<R: Real> ViewBuffers<R> {
         let most = u32::MAX as usize - (ROUND - 1);
         let pairs = pairs.min(most).next_multiple_of(ROUND);
         let ints = |name| Array::<u32>::zeros(device, name, pairs);
-        if self.sorts_pairs {
+        if self.tuning.group_style {
             self.pairs = SortBuffers::new(device, PAIRS, pairs)?;
         } else {
             self.pairs.values[0] = ints(PAIRS[1])?;
@@ -375,8 +373,8 @@ impl<R: Real> ViewBuffers<R> {
         if self.gradients {
             self.sums = Array::zeros(device, "sums", pairs * SUMS)?;
         }
-        if self.gradients && self.sorts_pairs {
-            self.snapshots = Array::zeros(device, "snapshots", snapshot_values(pairs))?;
+        if self.gradients && self.tuning.group_style {
+            self.snapshots = Array::zeros(device, "snapshots", self.tuning.snapshot_values(pairs))?;
         }
         self.isect_owner = ints("isect_owner")?;
         self.capacity = pairs;
@@ -440,7 +438,7 @@ impl<R: Real> ViewBuffers<R> {
     #[must_use]
     pub fn tile_chunks(&self) -> usize {
         let most = MAX_COUNTERS / self.camera.tile_count().max(1);
-        self.chunks.min(most).max(1)
+        self.tuning.chunks.min(most).max(1)
     }
 
     /// Makes room for an image. Contents are lost.
@@ -457,9 +455,9 @@ impl<R: Real> ViewBuffers<R> {
             return Ok(());
         }
         self.tile_start = Array::zeros(device, "tile_start", tiles + 1)?;
-        let counters = match self.sorts_pairs {
+        let counters = match self.tuning.group_style {
             true => 0,
-            false => (self.chunks * tiles).min(MAX_COUNTERS).max(tiles),
+            false => (self.tuning.chunks * tiles).min(MAX_COUNTERS).max(tiles),
         };
         self.tile_counts = Array::zeros(device, "tile_counts", counters)?;
         self.image = Array::zeros(device, "image", 4 * size.plane())?;

@@ -1,7 +1,6 @@
 //! splat_grad: derivative of the compositing.
 
 use super::*;
-use mhsplat::base::constants::GRAD_SEGMENT;
 use mhsplat::scene::Plane;
 
 #[test]
@@ -45,7 +44,8 @@ fn long_tiles_agree_with_the_reference() {
     let lists = out.got("sort", "tile lists");
     let (_, closed) = lists.split_last().unwrap();
     let longest = closed.split(|g| *g < 0.0).map(<[f64]>::len).max();
-    assert!(longest > Some(4 * GRAD_SEGMENT as usize), "{longest:?}");
+    let segment = Tuning::GPU.grad_segment as usize;
+    assert!(longest > Some(4 * segment), "{longest:?}");
     let opaque = out
         .got("splat", "transmittance")
         .iter()
@@ -55,8 +55,23 @@ fn long_tiles_agree_with_the_reference() {
         assert!(row.pass && row.non_finite == 0, "{row:?}");
     }
     let reference = Reference::new(&case);
-    let double = pass::run::<f64>(&device(), Tuning::GPU, &case, Some(&reference)).unwrap();
-    for row in check(&case, &double, "f64", EXACT) {
-        assert!(row.pass, "{row:?}");
+    let sizes = |splat_group, grad_group, grad_segment, grad_sums| Tuning {
+        splat_group,
+        grad_group,
+        grad_segment,
+        grad_sums,
+        ..Tuning::GPU
+    };
+    for tuning in [
+        Tuning::GPU,
+        Tuning::GPU_WIDE,
+        sizes(64, 64, 64, 7),
+        sizes(256, 256, 4096, 1),
+    ] {
+        assert_eq!(tuning.fault(device().info()), None);
+        let double = pass::run::<f64>(&device(), tuning, &case, Some(&reference)).unwrap();
+        for row in check(&case, &double, "f64", EXACT) {
+            assert!(row.pass, "{tuning}: {row:?}");
+        }
     }
 }

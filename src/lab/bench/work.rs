@@ -78,12 +78,9 @@ impl TileWork {
     }
 
     /// Pixel lanes that the kernels of this tuning evaluate: the blocks that a Gaussian's pixel bounds reach (`block_range`
-    /// in `kernels/common.clh`), or every pixel of the tile where a work-group takes a tile.
+    /// in `kernels/common.clh`), or the pixels within the bounds where a work-group takes a tile.
     #[must_use]
     pub fn lanes(&self, tuning: &Tuning) -> u64 {
-        if tuning.group_style {
-            return self.used() as u64 * u64::from(TILE * TILE);
-        }
         let block = [tuning.block_width, tuning.vector_width / tuning.block_width];
         let blocks = |bounds: u32, tile: usize, k: usize| -> u64 {
             let (first, block) = (tile as i64 * i64::from(TILE), i64::from(block[k]));

@@ -302,6 +302,9 @@ impl<'a, R: Real> Pass<'a, R> {
 
     /// Sums of the Gaussians and the gradients of their parameters, which are returned.
     fn gradients(&mut self) -> Result<Array<R>> {
+        // Sums that are not written must not go unnoticed.
+        let sums = &self.frame().sums;
+        sums.write(0, &vec![R::of(f64::NAN); sums.len()])?;
         self.pipeline.splat_gradient()?;
         let got = self.sums()?;
         self.add("splat_grad", "sums", got, |r, _| r.sums());

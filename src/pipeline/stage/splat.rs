@@ -1,6 +1,6 @@
 //! Front-to-back compositing (`kernels/splat.cl`): 3DGS, Kerbl et al. 2023, eq. 3.
 
-use crate::base::constants::{ALPHA_MAX, SPLAT_GROUP, T_MIN, snapshot_values};
+use crate::base::constants::{ALPHA_MAX, T_MIN};
 use crate::base::error::Result;
 use crate::device::{Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
@@ -11,9 +11,10 @@ use crate::pipeline::stage::project::Projected64;
 /// Composites the sorted pairs of a view over a background colour.
 pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3]) -> Result<()> {
     let size = view.camera.image();
+    let tuning = &stage.defines().tuning;
     let launch = stage.launch("splat").tile_lists(view).tiles(size);
     // Where work-items have pixels of their own, those below the image must not keep a tile open.
-    let launch = match stage.defines().tuning.group_style {
+    let launch = match tuning.group_style {
         true => launch.ints([size.0[1]]),
         false => launch,
     };
@@ -22,17 +23,17 @@ pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3
         .array(&view.image, 4 * size.plane())
         .array(&view.tile_used, size.tile_count());
     let kept = if view.gradients() {
-        snapshot_values(view.capacity)
+        tuning.snapshot_values(view.capacity)
     } else {
         0
     };
-    let launch = match stage.defines().tuning.group_style {
+    let launch = match tuning.group_style {
         true => launch
             .ints([usize::from(view.gradients())])
             .array(&view.snapshots, kept),
         false => launch,
     };
-    launch.over_tiles_by(size, &view.band, SPLAT_GROUP)
+    launch.over_tiles_by(size, &view.band, tuning.splat_group)
 }
 
 // Definition in f64.

@@ -1,6 +1,5 @@
 //! Derivative of the compositing (`kernels/splat_grad.cl`).
 
-use crate::base::constants::{GRAD_GROUP, GRAD_SEGMENT, snapshot_values};
 use crate::base::error::Result;
 use crate::device::{Array, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
@@ -19,19 +18,18 @@ pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<
         .tiles(size)
         .array(&view.image, 4 * size.plane())
         .array(dimage, 3 * size.plane());
-    if !stage.defines().tuning.group_style {
+    let tuning = &stage.defines().tuning;
+    if !tuning.group_style {
         return launch.array(&view.sums, 1).over_tiles(size, &view.band);
     }
-    let segments = view.capacity.div_ceil(GRAD_SEGMENT as usize).max(1);
+    let segments = view.capacity.div_ceil(tuning.grad_segment as usize).max(1);
+    let group = tuning.grad_group as usize;
     launch
         .status(view)
         .array(view.tile_of_pairs(), 1)
-        .array(&view.snapshots, snapshot_values(view.capacity))
+        .array(&view.snapshots, tuning.snapshot_values(view.capacity))
         .array(&view.sums, 1)
-        .run(
-            [segments * GRAD_GROUP as usize, 1],
-            [GRAD_GROUP as usize, 1],
-        )
+        .run([segments * group, 1], [group, 1])
 }
 
 // Definition in f64.
