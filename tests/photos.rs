@@ -22,6 +22,7 @@ use mhsplat::pipeline::stage::loss::ImagePair;
 use mhsplat::pipeline::stage::metrics::score;
 use mhsplat::run::initial_gaussians;
 use mhsplat::scene::Gaussians;
+use mhsplat::train::Begun;
 use mhsplat::train::schedule::Schedule;
 use mhsplat::{TrainConfig, Trainer};
 
@@ -164,6 +165,28 @@ fn photos_on_demand_are_those_in_memory() {
             );
         }
     }
+}
+
+#[test]
+fn a_run_that_goes_on_measures_no_photo_again() {
+    let dir = colmap_scene(5, DVec3::ZERO, true);
+    let lazy = within(dir.path(), 2 * SMALL).unwrap();
+    let mut config = TrainConfig::default();
+    let plan = Plan::new(&lazy, &config).unwrap();
+    fs::remove_dir_all(dir.path().join("images")).unwrap();
+    assert!(Plan::new(&lazy, &config).is_err());
+    let begun = |detail: &[f32]| Begun {
+        anti_aliasing: Some(plan.anti_aliasing.value),
+        detail: Some(detail.to_vec()),
+    };
+    let same = Plan::begun(&lazy, &config, &begun(&plan.detail.value)).unwrap();
+    assert_eq!(same, plan);
+    let other = Plan::begun(&lazy, &config, &begun(&[0.5])).unwrap();
+    assert_eq!(other.detail.value, [0.5]);
+    // It goes on as it began, whatever the configuration says now.
+    config.work.resolution_levels = 0;
+    let kept = Plan::begun(&lazy, &config, &begun(&[0.5])).unwrap();
+    assert_eq!(kept.detail.value, [0.5]);
 }
 
 #[test]

@@ -39,15 +39,8 @@ const NAMES: [&str; 10] = [
     "gradients",
 ];
 
-/// Tensors that are left out where they have no value.
-const OPTIONAL: [&str; 6] = [
-    "cues",
-    "filter",
-    "exposures",
-    "edits",
-    "removed",
-    "gradients",
-];
+/// Number of the first of them, which are there even without a value.
+const ALWAYS: usize = 4;
 
 /// First entry of the header, in every version.
 #[derive(Deserialize)]
@@ -147,16 +140,20 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         one(&removed),
         &rows.gradients,
     ];
-    let tensors = NAMES.iter().zip(values).filter_map(|(name, rows)| {
-        let count = rows.first().map_or(0, Vec::len);
-        let shape = match *name {
-            "losses" | "filter" | "removed" => vec![count],
-            _ => vec![rows.len(), count],
-        };
-        let bytes = rows.iter().flatten().flat_map(|v| v.to_le_bytes());
-        let there = count > 0 || !OPTIONAL.contains(name);
-        there.then(|| (name, shape, bytes.collect::<Vec<u8>>()))
-    });
+    let tensors = NAMES
+        .iter()
+        .zip(values)
+        .enumerate()
+        .filter_map(|(k, (name, rows))| {
+            let count = rows.first().map_or(0, Vec::len);
+            let shape = match *name {
+                "losses" | "filter" | "removed" => vec![count],
+                _ => vec![rows.len(), count],
+            };
+            let bytes = rows.iter().flatten().flat_map(|v| v.to_le_bytes());
+            let there = count > 0 || k < ALWAYS;
+            there.then(|| (name, shape, bytes.collect::<Vec<u8>>()))
+        });
     let tensors: Vec<_> = tensors.collect();
     let parts = tensors.iter().map(|(_, _, data)| data.as_slice());
     let sum = checksum(&header, parts);

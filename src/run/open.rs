@@ -25,7 +25,7 @@ use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::Gaussians;
-use crate::train::{Next, Plan, Trainer};
+use crate::train::{Begun, Next, Plan, Trainer};
 
 /// State that a run begins with.
 struct From {
@@ -176,8 +176,11 @@ impl Run {
         if extended.is_some() {
             to_come.clear();
         }
-        let plan = Plan::new(&dataset, &config)?.on_device(&device);
-        let plan = plan.begun_with(smoothed, &saved.state.detail);
+        let begun = Begun {
+            anti_aliasing: Some(smoothed),
+            detail: Some(saved.state.detail.clone()),
+        };
+        let plan = Plan::begun(&dataset, &config, &begun)?.on_device(&device);
         let from = From {
             plan,
             to_come,

@@ -13,7 +13,7 @@ use crate::device::{Device, sources_hash};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::ranks::{Exchange, LEADER, Part, text_of, words_of};
-use crate::train::{Plan, Trainer};
+use crate::train::{Begun, Plan, Trainer};
 
 /// The leader's first message to the other processes, before they train.
 #[derive(Debug, Serialize, Deserialize)]
@@ -111,8 +111,11 @@ pub fn serve(
     }
     let device = device.clone().with_tuning(said.tuning);
     test(&device)?;
-    let plan = Plan::new(&dataset, &said.config)?.on_device(&device);
-    let plan = plan.begun_with(said.anti_aliasing, &said.detail);
+    let begun = Begun {
+        anti_aliasing: Some(said.anti_aliasing),
+        detail: Some(said.detail),
+    };
+    let plan = Plan::begun(&dataset, &said.config, &begun)?.on_device(&device);
     let photos = Photos::new(&device, dataset.image_budget);
     let set = ViewSet::new(&photos, dataset.train)?;
     let strategy = plan.strategy();

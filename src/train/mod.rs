@@ -31,7 +31,7 @@ pub mod working;
 pub use control::DensityEvent;
 pub use decision::PendingStep;
 pub use noted::Noted;
-pub use plan::{Learned, Plan};
+pub use plan::{Begun, Learned, Plan};
 pub use state::TrainerState;
 pub use step::{Event, Next, Trainer};
 pub use timing::TIMING_INTERVAL;

@@ -83,6 +83,15 @@ impl fmt::Display for Decision {
     }
 }
 
+/// Decisions of a run that has begun, which are taken once per run; `None` for those that are to be taken.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Begun {
+    /// [`Plan::anti_aliasing`].
+    pub anti_aliasing: Option<bool>,
+    /// [`Plan::detail`].
+    pub detail: Option<Vec<f32>>,
+}
+
 /// Training pixels for which there may be a Gaussian, however few the sparse points and the photos are.
 const LEAST_PIXELS: f64 = 64.0;
 
@@ -159,6 +168,14 @@ impl Plan {
     /// # Errors
     /// An invalid configuration, or exposure transforms asked for transparent photos.
     pub fn new(dataset: &Dataset, config: &TrainConfig) -> Result<Self> {
+        Self::begun(dataset, config, &Begun::default())
+    }
+
+    /// The plan of a run that has begun already: what is decided once per run is as it was, and no photo is read for it.
+    ///
+    /// # Errors
+    /// See [`Plan::new`].
+    pub fn begun(dataset: &Dataset, config: &TrainConfig, begun: &Begun) -> Result<Self> {
         config.validate()?;
         let (batch, views) = (config.batch, dataset.train.len());
         let what = format!("{batch}; no more than the {views} training views expected");
@@ -167,8 +184,8 @@ impl Plan {
         let mut plan = Self {
             alpha,
             random_background: random_background(config, alpha == Alpha::Transparency),
-            anti_aliasing: anti_aliasing(dataset, config),
-            detail: detail(dataset, config)?,
+            anti_aliasing: as_begun(anti_aliasing(dataset, config), begun.anti_aliasing),
+            detail: detail(dataset, config, begun.detail.as_ref())?,
             exposure: exposure(config, alpha)?,
             sh_degree: match config.sh_degree {
                 0 => Decided::new(0, Why::NoBands),
@@ -193,18 +210,6 @@ impl Plan {
         plan.start(dataset);
         let strategy = density::make(&plan.density_config());
         Ok(plan.with_strategy(DeviceKind::Cpu, strategy.as_ref()))
-    }
-
-    /// The plan with anti-aliasing and progressive resolution as the run began: both are decided once per run.
-    #[must_use]
-    pub fn begun_with(mut self, anti_aliasing: bool, detail: &[f32]) -> Self {
-        if self.anti_aliasing.value != anti_aliasing {
-            self.anti_aliasing = Decided::new(anti_aliasing, Why::Checkpoint);
-        }
-        if self.detail.value != detail {
-            self.detail = Decided::new(detail.to_vec(), Why::Checkpoint);
-        }
-        self
     }
 
     /// The plan for a strategy of the caller's own, which the photos do not bound.
@@ -450,21 +455,41 @@ fn anti_aliasing(dataset: &Dataset, config: &TrainConfig) -> Decided<bool> {
     }
 }
 
-fn detail(dataset: &Dataset, config: &TrainConfig) -> Result<Decided<Vec<f32>>> {
+fn detail(
+    dataset: &Dataset,
+    config: &TrainConfig,
+    begun: Option<&Vec<f32>>,
+) -> Result<Decided<Vec<f32>>> {
     let levels = config.work.resolution_levels;
     if levels == 0 {
         let why = Why::Criterion("work.resolution-levels is 0");
-        return Ok(Decided::new(Vec::new(), why));
+        return Ok(as_begun(Decided::new(Vec::new(), why), begun.cloned()));
     }
-    let most = |v: &View| most_halvings([v.camera.width, v.camera.height].map(|s| s as usize));
-    let levels = levels.min(dataset.train.iter().map(most).max().unwrap_or(0));
-    let photos: Vec<&PhotoSource> = dataset.train.iter().map(|v| &v.photo).collect();
-    let detail = sizes::detail(&photos, levels)?;
+    let detail = match begun {
+        Some(detail) => detail.clone(),
+        None => measured_detail(dataset, levels)?,
+    };
     let why = match detail.is_empty() {
         true => Why::SmallPhotos,
         false => Why::Detail(detail.clone()),
     };
     Ok(Decided::new(detail, why))
+}
+
+/// Detail that the photos lose by as many halvings, or fewer if they are small.
+fn measured_detail(dataset: &Dataset, levels: u32) -> Result<Vec<f32>> {
+    let most = |v: &View| most_halvings([v.camera.width, v.camera.height].map(|s| s as usize));
+    let levels = levels.min(dataset.train.iter().map(most).max().unwrap_or(0));
+    let photos: Vec<&PhotoSource> = dataset.train.iter().map(|v| &v.photo).collect();
+    sizes::detail(&photos, levels)
+}
+
+/// A decision with the value that the run began with, if that is another one.
+fn as_begun<T: PartialEq>(decided: Decided<T>, begun: Option<T>) -> Decided<T> {
+    match begun {
+        Some(value) if value != decided.value => Decided::new(value, Why::Checkpoint),
+        _ => decided,
+    }
 }
 
 /// Bound on the number of Gaussians: the user's, or for mh that of the photos. More Gaussians than the sparse points overfit few photos:

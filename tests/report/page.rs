@@ -313,6 +313,17 @@ fn advice_follows_from_the_figures() {
         advice(gap, level).contains("photos are too few or too far apart")
     };
     assert!(by_heart(33.5) && !by_heart(32.5));
+    // More Gaussians would fit such photos alone.
+    let both = |psnr: f64| {
+        let gap = move |record: &mut RunRecord| {
+            full(record);
+            capped(record);
+            let (views, ssim) = (8, 0.95);
+            record.training = Some(TrainingScores { views, psnr, ssim });
+        };
+        advice(gap, level).contains("was reached")
+    };
+    assert!(both(32.5) && !both(33.5));
     let absent = |record: &mut RunRecord| record.dataset.missing = vec!["a.jpg".to_owned(); 3];
     assert!(advice(absent, level).contains("3 photos that the model names"));
 }

@@ -107,10 +107,11 @@ fn by_heart(record: &RunRecord) -> Option<String> {
     })
 }
 
-/// A number of Gaussians that was held down.
+/// A number of Gaussians that was held down, unless photos are too few for more.
 fn capped(record: &RunRecord) -> Option<String> {
     let most = record.config.max_gaussians? as u64;
-    (record.gaussians + record.removed >= most).then(|| {
+    let reached = record.gaussians + record.removed >= most;
+    (reached && by_heart(record).is_none()).then(|| {
         format!(
             "--max-gaussians {most} was reached: more would show finer detail, for more time and memory."
         )
