@@ -2,11 +2,15 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use mhsplat::base::cores::Cores;
 use mhsplat::capture::{Alpha, Dataset};
 use mhsplat::config::{AntiAliasing, ExposureChoice, Sampler};
-use mhsplat::density::make;
+use mhsplat::density::{
+    DensityControl, Outcome, SceneState, Statistics, StatisticsKind, StepContext, make,
+};
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Device, Helpers};
 use mhsplat::run::{RunRecord, initial_gaussians};
@@ -131,6 +135,54 @@ fn ranks_change_no_bit_of_a_strategy_of_ones_own() {
         trainer.state().unwrap()
     };
     same(&run(2), &run(1));
+}
+
+/// Removes another row each time that it is asked.
+#[derive(Default)]
+struct Fickle(AtomicU32);
+
+impl DensityControl for Fickle {
+    fn wanted(&self, _: usize, _: f64) -> StatisticsKind {
+        StatisticsKind::Nothing
+    }
+
+    fn step(
+        &self,
+        _: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        _: &Statistics<'_>,
+    ) -> mhsplat::Result<Outcome> {
+        Ok(Outcome {
+            removed: vec![self.0.fetch_add(1, Ordering::Relaxed)],
+            ..Outcome::unchanged(scene.len())
+        })
+    }
+}
+
+#[test]
+fn ranks_that_decide_differently_end_the_run() {
+    let data = room(32);
+    let mut config = sampled(Sampler::Mh);
+    config.max_size = 32;
+    for lag in [0, 4] {
+        config.work.density_lag = Some(lag);
+        let plan = Plan::new(&data, &config).unwrap();
+        let splats = initial_gaussians(&data, &plan).unwrap();
+        let run = |ranks: usize| {
+            let list = vec!["cpu"; ranks].join(",");
+            let device = Device::open_all(Some(&list), Cores::allowed()).unwrap();
+            let fickle = Arc::new(Fickle::default());
+            let mut trainer =
+                Trainer::with_strategy(&device, &data, &plan, &splats, fickle).unwrap();
+            trainer
+                .recruit(device.helpers(), &data.train, data.image_budget, nobody)
+                .unwrap();
+            trainer.advance_to(60)
+        };
+        run(1).unwrap();
+        let said = run(2).unwrap_err().to_string();
+        assert!(said.contains("decided a density step otherwise"), "{said}");
+    }
 }
 
 /// Gradients that are not finite are counted once each, whoever has them.

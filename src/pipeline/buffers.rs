@@ -94,7 +94,7 @@ pub(crate) fn check_room<R: Real>(
     }
 }
 
-/// `old` with a larger stride, the rows beyond the old ones zero.
+/// `old` with another stride, the rows beyond the old ones zero.
 pub(crate) fn restride<R: Real>(
     device: &Device,
     old: &Array<R>,
@@ -105,7 +105,7 @@ pub(crate) fn restride<R: Real>(
     check_room::<R>(device, old.name(), planes, to)?;
     let new = Array::zeros(device, old.name(), planes * to)?;
     for p in 0..planes {
-        new.copy_from(p * to, old, p * from, from)?;
+        new.copy_from(p * to, old, p * from, from.min(to))?;
     }
     Ok(new)
 }

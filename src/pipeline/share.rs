@@ -109,8 +109,31 @@ impl<R: Real> Share<R> {
         Ok(())
     }
 
+    /// Number of this rank.
+    #[must_use]
+    pub fn rank(&self) -> usize {
+        self.exchange.rank()
+    }
+
+    /// Divides the next view evenly.
+    pub fn divide_evenly(&mut self, size: ImageSize) -> Result<()> {
+        let (rows, ranks) = (size.tiles()[1], self.exchange.ranks());
+        self.set_bands((0..=ranks).map(|r| (r * rows / ranks) as u32).collect())
+    }
+
+    /// Gives every rank the words of each, by rank.
+    ///
+    /// # Errors
+    /// Another rank's failure.
+    pub fn tell_all(&self, part: Part, words: Vec<u32>) -> Result<Vec<Vec<u32>>> {
+        self.trade(part, to_all(self.exchange.as_ref(), words))
+    }
+
     /// Trades messages; the time of that is no work.
-    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+    ///
+    /// # Errors
+    /// Another rank's failure.
+    pub fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
         let mut watch = self.stopwatch.get();
         watch.worked += watch.since.elapsed();
         let got = self.exchange.trade(part, messages);

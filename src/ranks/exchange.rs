@@ -24,11 +24,13 @@ pub enum Part {
     Images,
     /// Parameters, moments and statistics of Gaussians, between iterations.
     Rows,
+    /// Planes that all ranks decide a density step from.
+    Evidence,
 }
 
 impl Part {
     /// All kinds.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Orders,
         Self::Records,
         Self::Borders,
@@ -36,6 +38,7 @@ impl Part {
         Self::Loss,
         Self::Images,
         Self::Rows,
+        Self::Evidence,
     ];
 
     /// Name.
@@ -49,6 +52,7 @@ impl Part {
             Self::Loss => "loss",
             Self::Images => "images",
             Self::Rows => "rows",
+            Self::Evidence => "evidence",
         }
     }
 }

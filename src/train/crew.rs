@@ -46,6 +46,14 @@ pub const SPREAD: u32 = 1;
 pub const GATHER: u32 = 2;
 /// End.
 pub const END: u32 = 3;
+/// Begin a density step: iterations done.
+pub const DECIDE: u32 = 4;
+/// End a density step: iterations done, first rows of the ranks afterwards and the number of all, maybe the decision.
+pub const EDIT: u32 = 5;
+/// Raise the SH degree: the new one.
+pub const RAISE: u32 = 6;
+/// Go by another length of the run: from which iteration on, iterations.
+pub const LENGTH: u32 = 7;
 
 /// Gain of a step of the bands towards even times, after every view.
 const BAND_GAIN: f64 = 0.1;
@@ -193,12 +201,13 @@ impl Crew {
         self.band_parts = Parts::even(ranks);
     }
 
-    /// Divides rows among the ranks.
-    pub fn divide_rows(&mut self, all: usize) {
+    /// Divides rows among the ranks; returns the first row of each, and the number of all.
+    pub fn divide_rows(&mut self, all: usize) -> Vec<usize> {
         let ranks = self.exchange.ranks();
         let worked = std::mem::replace(&mut self.worked_on_rows, vec![0.0; ranks]);
         self.row_parts.level(&worked, ROW_GAIN);
         self.rows = self.row_parts.rows(all);
+        self.rows.clone()
     }
 
     /// Rows of a rank, since they were divided last.

@@ -10,6 +10,7 @@ mod exposure;
 mod exposure_steps;
 mod finish;
 pub mod gaussians;
+mod moves;
 mod noted;
 mod observe;
 mod optimizer;

@@ -1,5 +1,5 @@
-//! Training by several ranks, threads of this process or processes, with a device each. The leader trains as if it were alone; for an iteration the rows
-//! of the Gaussians are spread over the ranks, for everything else they are gathered.
+//! Training by several ranks, threads of this process or processes, with a device each. The leader trains as if it were alone; for iterations and density
+//! steps the rows of the Gaussians are spread over the ranks, for everything else they are gathered.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use crate::pipeline::photos::Photos;
 use crate::pipeline::share::Share;
 use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
 use crate::scene::Gaussians;
-use crate::train::crew::{Crew, END, GATHER, ITERATE, SPREAD, Words};
+use crate::train::crew::{Crew, DECIDE, EDIT, END, GATHER, ITERATE, LENGTH, RAISE, SPREAD, Words};
 use crate::train::gaussians::GaussianState;
 use crate::train::plan::Plan;
 use crate::train::step::Trainer;
@@ -167,10 +167,6 @@ impl Trainer {
         if self.crew.is_none() {
             return Ok(());
         }
-        if self.smoothing_due(iteration) {
-            self.gather()?;
-            self.smooth()?;
-        }
         self.spread()?;
         // A photo that cannot be read is an error before the others begin.
         self.views.at(iteration)?;
@@ -195,8 +191,26 @@ impl Trainer {
         }
     }
 
+    /// Tells the others an order while the rows are spread; what they do for it is over at [`Trainer::rest`].
+    pub(super) fn tell(&mut self, words: Vec<u32>) -> Result<()> {
+        match &mut self.crew {
+            Some(crew) if self.pipeline.share.is_some() => {
+                crew.at_rest = false;
+                crew.order(words)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Notes that the others wait for an order.
+    pub(super) fn rest(&mut self) {
+        if let Some(crew) = &mut self.crew {
+            crew.at_rest = true;
+        }
+    }
+
     /// Spreads the rows over the ranks, if they are not.
-    fn spread(&mut self) -> Result<()> {
+    pub(super) fn spread(&mut self) -> Result<()> {
         if self.pipeline.share.is_some() {
             return Ok(());
         }
@@ -212,9 +226,8 @@ impl Trainer {
             messages.push(self.rows_for(rows, all)?);
         }
         exchange.trade(Part::Rows, messages)?;
-        let scene = &mut self.gaussians.scene;
-        scene.count = own;
-        scene.shard = Some(Shard { first: 0, all });
+        self.gaussians.shrink(&self.device, own)?;
+        self.gaussians.scene.shard = Some(Shard { first: 0, all });
         self.pipeline.share = self.crew.as_mut().and_then(|crew| crew.idle.take());
         Ok(())
     }
@@ -295,6 +308,7 @@ impl Trainer {
         crew.order(vec![GATHER])?;
         let (exchange, ranks) = (crew.exchange.clone(), crew.exchange.ranks());
         let got = exchange.trade(Part::Rows, vec![Vec::new(); ranks])?;
+        self.gaussians.grow(&self.device, shard.all)?;
         for (rank, message) in got.iter().enumerate().filter(|(rank, _)| *rank != LEADER) {
             let mut words = Words(message);
             let [non_finite] = words.take()?;
@@ -328,6 +342,15 @@ impl Trainer {
                     self.device.flush()?;
                 }
                 [SPREAD, words @ ..] => self.take_rows(words)?,
+                [DECIDE, iterations] => self.follow_decision(*iterations)?,
+                [EDIT, iterations, words @ ..] => {
+                    self.follow_edits(*iterations, exchange.ranks(), words)?;
+                }
+                [RAISE, degree] => self.gaussians.raise_sh_degree(&self.device, *degree)?,
+                [LENGTH, from, iterations] => self.apply_length(Length {
+                    from: *from,
+                    iterations: *iterations,
+                }),
                 [GATHER] => {
                     let slot = status::NON_FINITE as usize;
                     let mut words = self.pipeline.home().status.read(slot, 1)?;
