@@ -159,17 +159,6 @@ impl<R: Real> GaussianBuffers<R> {
         Ok(values.into_iter().map(|v| v.into() as f32).collect())
     }
 
-    /// Reads the scene back.
-    ///
-    /// # Errors
-    /// The driver's, or non-finite parameters.
-    pub fn download(&self) -> Result<Gaussians> {
-        let planes = (0..self.planes())
-            .map(|p| self.plane(p))
-            .collect::<Result<_>>()?;
-        Gaussians::new(self.sh_degree, planes)
-    }
-
     /// A stride for at least `capacity` Gaussians, with a quarter as many again to grow into.
     #[must_use]
     pub fn grown_stride(capacity: usize) -> usize {

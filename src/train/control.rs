@@ -18,13 +18,14 @@ use crate::pipeline::stage::{noise, screen_grad};
 use crate::scene::{self, Plane};
 use crate::train::decision::{Deciding, Decision, Evidence, PendingStep};
 use crate::train::estimates::{Context, Estimates};
-use crate::train::gaussians::GaussianState;
+use crate::train::gaussians::{Carried, GaussianState};
 use crate::train::moves;
 use crate::train::noted::Noted;
 use crate::train::picture::PendingPicture;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
 use crate::train::trace::DensityTrace;
+use crate::train::views::Views;
 use crate::train::working::Working;
 
 /// Result of one density step.
@@ -420,7 +421,8 @@ impl Control {
             let (forward, scene) = (&mut on.pipeline.forward, &on.gaussians.scene);
             let sorted = forward.sort_rows(&self.morton, scene, removed, order)?;
             let kept = (sorted, outcome.gaussians());
-            on.gaussians.reorder(device, &self.edit, kept)?;
+            on.gaussians
+                .reorder(device, &self.edit, kept, Carried::Optimized)?;
             if self.trace.is_some() || self.noted.is_some() {
                 known = Some(sorted.read(0, outcome.gaussians())?);
             }
@@ -428,18 +430,24 @@ impl Control {
         Ok(known)
     }
 
-    /// The views that training takes next, as many as the strategy wants, at the size that they have now.
+    /// Numbers of the views that a step wants rendered: those that training takes next.
+    #[must_use]
+    pub fn pictured(&self, views: &Views, iteration: u32, progress: f64) -> Vec<usize> {
+        let count = self.strategy.pictures(progress).min(views.len());
+        views.upcoming(iteration, count)
+    }
+
+    /// The views that the strategy wants rendered, at the size that they have now.
     fn pictures(
         &self,
         on: &mut Working<'_>,
         iteration: u32,
         progress: f64,
     ) -> Result<Vec<PendingPicture>> {
-        let count = self.strategy.pictures(progress).min(on.views.len());
-        let Some(errors) = self.photo_errors.as_ref().filter(|_| count > 0) else {
+        let Some(errors) = &self.photo_errors else {
             return Ok(Vec::new());
         };
-        let views = on.views.upcoming(iteration, count);
+        let views = self.pictured(on.views, iteration, progress);
         (iteration..)
             .zip(views)
             .map(|(at, view)| PendingPicture::enqueue(on, errors, iteration, at, view))

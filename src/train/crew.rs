@@ -54,6 +54,14 @@ pub const EDIT: u32 = 5;
 pub const RAISE: u32 = 6;
 /// Go by another length of the run: from which iteration on, iterations.
 pub const LENGTH: u32 = 7;
+/// Compile the kernels of exposure compensation: the iteration that it begins with.
+pub const EXPOSE: u32 = 8;
+/// Render a view: background, camera.
+pub const LOOK: u32 = 9;
+/// Tell which rows any training view shows.
+pub const SEEN: u32 = 10;
+/// Keep some rows: first rows of the ranks and the number of all, before and afterwards, and flags of those that are kept.
+pub const KEEP: u32 = 11;
 
 /// Gain of a step of the bands towards even times, after every view.
 const BAND_GAIN: f64 = 0.1;
@@ -208,6 +216,12 @@ impl Crew {
         self.row_parts.level(&worked, ROW_GAIN);
         self.rows = self.row_parts.rows(all);
         self.rows.clone()
+    }
+
+    /// First row of each rank, and the number of all, since they were divided last.
+    #[must_use]
+    pub fn division(&self) -> &[usize] {
+        &self.rows
     }
 
     /// Rows of a rank, since they were divided last.

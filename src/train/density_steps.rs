@@ -30,7 +30,7 @@ impl Trainer {
         if !(self.control.deciding.as_ref()).is_some_and(|step| over || at >= step.ends) {
             return Ok(None);
         }
-        self.land()?;
+        self.settle()?;
         let before = self.gaussians.scene.all();
         self.timing.begin_step()?;
         let division = self.end_together()?;
@@ -53,17 +53,20 @@ impl Trainer {
         };
         // The queue with counters has to be waited for.
         if lag == 0 || self.crew.is_some() {
-            self.land()?;
+            self.settle()?;
         }
         if lag == 0 {
             self.timing.begin_step()?;
         }
-        match self.decides_together() {
-            true => {
-                self.spread()?;
-                self.tell(vec![DECIDE, at])?;
+        if self.decides_together() {
+            self.spread()?;
+            // A photo that cannot be read is an error before the others begin.
+            for view in self.control.pictured(&self.views, at, progress) {
+                self.views.set.photo(view, &[])?;
             }
-            false => self.gather()?,
+            self.tell(vec![DECIDE, at])?;
+        } else if self.crew.is_some() {
+            self.gather()?;
         }
         self.decide(at, progress)?;
         self.rest();

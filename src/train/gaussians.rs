@@ -33,6 +33,25 @@ pub struct GaussianState {
     scratch: Array<f32>,
 }
 
+/// Arrays that go with Gaussians to other places.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Carried {
+    /// Parameters and moments. The statistics and the smoothing filter stay as they are: they are to start anew.
+    Optimized,
+    /// Everything that belongs to them.
+    All,
+}
+
+impl Carried {
+    /// Number of arrays, the first ones.
+    fn arrays(self) -> usize {
+        match self {
+            Self::Optimized => OPTIMIZED,
+            Self::All => usize::MAX,
+        }
+    }
+}
+
 /// Rows of a checkpoint, in the order of the Gaussians.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GaussianRows {
@@ -291,34 +310,18 @@ impl GaussianState {
         }
     }
 
-    /// Keeps the first `kept` Gaussians of `order`, in that order, with their moments. The statistics and the smoothing filter stay as they
-    /// are: they are to start anew.
+    /// Keeps the first `kept` Gaussians of an order, in that order.
     pub fn reorder(
         &mut self,
         device: &Device,
         stage: &Program,
         kept: (&Array<u32>, usize),
-    ) -> Result<()> {
-        self.gather(device, stage, kept, OPTIMIZED)
-    }
-
-    /// Keeps the Gaussians of `order`, in that order, with everything that belongs to them.
-    pub fn keep(&mut self, device: &Device, stage: &Program, order: &[u32]) -> Result<()> {
-        let kept = Array::from_slice(device, "row order", order)?;
-        self.gather(device, stage, (&kept, order.len()), usize::MAX)
-    }
-
-    fn gather(
-        &mut self,
-        device: &Device,
-        stage: &Program,
-        kept: (&Array<u32>, usize),
-        most_arrays: usize,
+        carried: Carried,
     ) -> Result<()> {
         self.fit_scratch(device)?;
         let stride = self.scene.stride;
         let (arrays, scratch) = self.arrays();
-        for (array, planes) in arrays.into_iter().take(most_arrays) {
+        for (array, planes) in arrays.into_iter().take(carried.arrays()) {
             for first in (0..planes).step_by(SCRATCH) {
                 let some = SCRATCH.min(planes - first);
                 edit::gather_rows(stage, kept, [first, some, stride], [array, scratch])?;
@@ -370,53 +373,13 @@ impl GaussianState {
         Ok(())
     }
 
-    /// Everything that belongs to some rows, as words: array by array and plane by plane.
-    pub fn read_words(&self, rows: Range<usize>) -> Result<Vec<u32>> {
-        let (stride, len) = (self.scene.stride, rows.len());
-        let mut words = Vec::new();
-        for (array, planes) in self.held() {
-            for plane in 0..planes {
-                words.extend(array.read_words(plane * stride + rows.start, len)?);
-            }
-        }
-        Ok(words)
-    }
-
-    /// Writes what [`GaussianState::read_words`] has read from a state of as many planes.
-    ///
-    /// # Errors
-    /// Another number of words, or the driver's.
-    pub fn write_words(&self, rows: Range<usize>, words: &[u32]) -> Result<()> {
-        self.write_arrays(&self.held(), rows, words)
-    }
-
-    fn write_arrays(
-        &self,
-        arrays: &[(&Array<f32>, usize)],
-        rows: Range<usize>,
-        words: &[u32],
-    ) -> Result<()> {
-        let (stride, len) = (self.scene.stride, rows.len());
-        let planes: usize = arrays.iter().map(|(_, planes)| planes).sum();
-        if words.len() != planes * len {
-            let what = format!("{} words for {planes} planes of {len} rows", words.len());
-            return Err(Error::numerics("rows", what));
-        }
-        let mut parts = words.chunks_exact(len.max(1));
-        for (array, planes) in arrays {
-            for (plane, part) in (0..*planes).zip(&mut parts) {
-                array.write_words(plane * stride + rows.start, part)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Parameters and moments of some rows, as words: array by array and plane by plane. `stage` is a build of `kernels/edit.cl`.
+    /// The arrays that some rows carry, as words: array by array and plane by plane. `stage` is a build of `kernels/edit.cl`.
     pub fn pick_words(
         &mut self,
         device: &Device,
         stage: &Program,
         rows: &[u32],
+        carried: Carried,
     ) -> Result<Vec<u32>> {
         if rows.is_empty() {
             return Ok(Vec::new());
@@ -426,7 +389,7 @@ impl GaussianState {
         let stride = self.scene.stride;
         let (arrays, scratch) = self.arrays();
         let mut words = Vec::new();
-        for (array, planes) in arrays.into_iter().take(OPTIMIZED) {
+        for (array, planes) in arrays.into_iter().take(carried.arrays()) {
             for first in (0..planes).step_by(SCRATCH) {
                 let some = SCRATCH.min(planes - first);
                 let kept = (&order, rows.len());
@@ -439,38 +402,77 @@ impl GaussianState {
         Ok(words)
     }
 
-    /// Writes parameters and moments that [`GaussianState::pick_words`] has read of as many rows elsewhere to those from `first` on.
+    /// Everything that belongs to some rows, as words: array by array and plane by plane.
+    pub fn read_words(&self, rows: Range<usize>) -> Result<Vec<u32>> {
+        let (stride, len) = (self.scene.stride, rows.len());
+        let mut words = Vec::new();
+        for (array, planes) in self.held() {
+            for plane in 0..planes {
+                words.extend(array.read_words(plane * stride + rows.start, len)?);
+            }
+        }
+        Ok(words)
+    }
+
+    /// Writes what [`GaussianState::read_words`] or [`GaussianState::pick_words`] has read from a state of as many planes.
     ///
     /// # Errors
     /// Another number of words, or the driver's.
-    pub fn put_words(&self, rows: Range<usize>, words: &[u32]) -> Result<()> {
-        self.write_arrays(&self.held()[..OPTIMIZED], rows, words)
-    }
-
-    /// Reads the smoothing filter \[N\]; empty without anti-aliasing.
-    pub fn read_filter(&self) -> Result<Vec<f32>> {
-        match self.scene.filter.is_empty() {
-            true => Ok(Vec::new()),
-            false => self.scene.filter.read(0, self.scene.count),
+    pub fn write_words(&self, rows: Range<usize>, words: &[u32], carried: Carried) -> Result<()> {
+        let (stride, len) = (self.scene.stride, rows.len());
+        let held = || self.held().into_iter().take(carried.arrays());
+        let planes: usize = held().map(|(_, planes)| planes).sum();
+        if words.len() != planes * len {
+            let what = format!("{} words for {planes} planes of {len} rows", words.len());
+            return Err(Error::numerics("rows", what));
         }
+        let mut parts = words.chunks_exact(len.max(1));
+        for (array, planes) in held() {
+            for (plane, part) in (0..planes).zip(&mut parts) {
+                array.write_words(plane * stride + rows.start, part)?;
+            }
+        }
+        Ok(())
     }
 
-    fn planes(&self, array: &Array<f32>, planes: usize) -> Result<Vec<Vec<f32>>> {
-        let (stride, count) = (self.scene.stride, self.scene.count);
-        let row = |k: usize| array.read(k * stride, count);
-        (0..planes).map(row).collect()
-    }
-
-    /// Reads everything but the parameters, with the sums of gradients only amidst a batch.
-    pub fn rows(&self, amidst: bool) -> Result<GaussianRows> {
-        let planes = self.scene.planes();
-        Ok(GaussianRows {
-            moment1: self.planes(&self.moments[0], planes)?,
-            moment2: self.planes(&self.moments[1], planes)?,
-            statistics: self.planes(&self.statistics, self.rows)?,
-            filter: self.read_filter()?,
-            gradients: self.planes(&self.gradients, if amidst { planes } else { 0 })?,
-        })
+    /// All Gaussians with everything that belongs to them: the rows here, then those of others, of which [`GaussianState::read_words`] has
+    /// read the words; with the sums of gradients only amidst a batch.
+    ///
+    /// # Errors
+    /// Words of other planes, the driver's, or non-finite parameters.
+    pub fn joined(&self, others: &[Vec<u32>], amidst: bool) -> Result<(Gaussians, GaussianRows)> {
+        let (stride, count, held) = (self.scene.stride, self.scene.count, self.held());
+        let all: usize = held.iter().map(|(_, planes)| planes).sum();
+        if others.iter().any(|words| !words.len().is_multiple_of(all)) {
+            return Err(Error::numerics(
+                "rows",
+                "words of other planes than those here",
+            ));
+        }
+        let mut before = 0;
+        let arrays = held.map(|(array, planes)| {
+            let first = before;
+            before += planes;
+            let plane = |k: usize| {
+                let mut values = array.read(k * stride, count)?;
+                for words in others {
+                    let len = words.len() / all;
+                    let part = &words[(first + k) * len..][..len];
+                    values.extend(part.iter().map(|v| f32::from_bits(*v)));
+                }
+                Ok(values)
+            };
+            (0..planes).map(plane).collect::<Result<Vec<Vec<f32>>>>()
+        });
+        let [params, moment1, moment2, filter, statistics, gradients] = arrays;
+        let rows = GaussianRows {
+            moment1: moment1?,
+            moment2: moment2?,
+            statistics: statistics?,
+            filter: filter?.pop().unwrap_or_default(),
+            gradients: if amidst { gradients? } else { Vec::new() },
+        };
+        Ok((Gaussians::new(self.scene.sh_degree, params?)?, rows))
     }
 
     /// Continues with the rows of a checkpoint.

@@ -11,7 +11,7 @@ use crate::pipeline::stage::morton::{Order, kept};
 use crate::ranks::Part;
 use crate::scene::{Edit, Plane};
 use crate::train::decision::words_of;
-use crate::train::gaussians::GaussianState;
+use crate::train::gaussians::{Carried, GaussianState};
 
 /// Rank of a row, and its number there.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -138,6 +138,45 @@ impl Places {
     }
 }
 
+impl Places {
+    /// Has each rank take its part of the rows in an order.
+    fn arrange(
+        &self,
+        share: &Share<f32>,
+        (device, gaussians, stage): (&Device, &mut GaussianState, &Program),
+        (order, division): (&[u32], &[usize]),
+        carried: Carried,
+    ) -> Result<()> {
+        if division.last() != Some(&order.len()) {
+            return Err(wrong("a division of another number of rows"));
+        }
+        let rank = share.rank();
+        let moves = self.moves(order, division, rank);
+        let sent = moves.sent.concat();
+        let words = gaussians.pick_words(device, stage, &sent, carried)?;
+        let got = share.trade(Part::Rows, by_rank(&words, &moves.sent))?;
+        let mut first = self.counts[rank];
+        gaussians.grow(device, first + moves.received.iter().sum::<usize>())?;
+        for (message, rows) in got.iter().zip(&moves.received) {
+            gaussians.write_words(first..first + rows, message, carried)?;
+            first += rows;
+        }
+        let sorted = match moves.order.is_empty() {
+            // A kernel takes no empty array.
+            true => vec![0],
+            false => moves.order,
+        };
+        let sorted = Array::from_slice(device, "row order", &sorted)?;
+        let [start, end] = [division[rank], division[rank + 1]];
+        gaussians.reorder(device, stage, (&sorted, end - start), carried)?;
+        gaussians.scene.shard = Some(Shard {
+            first: start,
+            all: order.len(),
+        });
+        Ok(())
+    }
+}
+
 /// Numbers of rows of all ranks, once it is sure that they have decided alike.
 fn agree(share: &Share<f32>, outcome: &Outcome, own: usize) -> Result<Vec<usize>> {
     let mut sum = Fnv::default();
@@ -180,33 +219,29 @@ pub(super) fn apply(
     let got = share.tell_all(Part::Evidence, told)?;
     let [x, y, z] = [0, 1, 2].map(|axis| places.plane(&got, axis));
     let order = kept([&x?, &y?, &z?], &outcome.removed, order);
-    if division.last() != Some(&order.len()) {
-        return Err(wrong("a division of another number of rows"));
-    }
 
-    let moves = places.moves(&order, division, rank);
-    let words = gaussians.pick_words(device, stage, &moves.sent.concat())?;
-    let got = share.trade(Part::Rows, by_rank(&words, &moves.sent))?;
-    let received: usize = moves.received.iter().sum();
-    gaussians.grow(device, own + received)?;
-    let mut first = own;
-    for (message, rows) in got.iter().zip(&moves.received) {
-        gaussians.put_words(first..first + rows, message)?;
-        first += rows;
-    }
-    let sorted = match moves.order.is_empty() {
-        // A kernel takes no empty array.
-        true => vec![0],
-        false => moves.order,
-    };
-    let sorted = Array::from_slice(device, "row order", &sorted)?;
-    let bounds = [division[rank], division[rank + 1]];
-    gaussians.reorder(device, stage, (&sorted, bounds[1] - bounds[0]))?;
-    gaussians.scene.shard = Some(Shard {
-        first: bounds[0],
-        all: order.len(),
-    });
+    let carried = Carried::Optimized;
+    places.arrange(
+        share,
+        (device, gaussians, stage),
+        (&order, division),
+        carried,
+    )?;
     Ok(order)
+}
+
+/// Has ranks that have `counts` rows each, one rank's after the other's, take their parts of some of them, with everything that belongs
+/// to these; see [`apply`].
+///
+/// # Errors
+/// Another rank's failure, no room, or the driver's.
+pub(super) fn keep(
+    share: &Share<f32>,
+    on: (&Device, &mut GaussianState, &Program),
+    counts: Vec<usize>,
+    kept: (&[u32], &[usize]),
+) -> Result<()> {
+    Places::new(counts).arrange(share, on, kept, Carried::All)
 }
 
 /// Messages for the ranks from planes of rows for all of them, one rank's after the other's.

@@ -16,8 +16,11 @@ use crate::pipeline::photos::Photos;
 use crate::pipeline::share::Share;
 use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
 use crate::scene::Gaussians;
-use crate::train::crew::{Crew, DECIDE, EDIT, END, GATHER, ITERATE, LENGTH, RAISE, SPREAD, Words};
-use crate::train::gaussians::GaussianState;
+use crate::train::crew::{
+    Crew, DECIDE, EDIT, END, EXPOSE, GATHER, ITERATE, KEEP, LENGTH, LOOK, RAISE, SEEN, SPREAD,
+    Words,
+};
+use crate::train::gaussians::{Carried, GaussianRows, GaussianState};
 use crate::train::plan::Plan;
 use crate::train::step::Trainer;
 
@@ -178,8 +181,7 @@ impl Trainer {
         let bands = crew.bands(number, [across, rows]);
         let words = [&[ITERATE, iteration, sh_degree], bands.as_slice()].concat();
         share.set_bands(bands)?;
-        crew.at_rest = false;
-        crew.order(words)
+        self.tell(words)
     }
 
     /// Notes that an iteration of all ranks has been done, and the pairs of its view, for the next bands.
@@ -195,6 +197,10 @@ impl Trainer {
     pub(super) fn tell(&mut self, words: Vec<u32>) -> Result<()> {
         match &mut self.crew {
             Some(crew) if self.pipeline.share.is_some() => {
+                if !crew.at_rest {
+                    let what = "the other ranks are amidst what has failed; go on from the last checkpoint";
+                    return Err(Error::numerics("ranks", what));
+                }
                 crew.at_rest = false;
                 crew.order(words)
             }
@@ -296,34 +302,60 @@ impl Trainer {
         let scene = &mut self.gaussians.scene;
         scene.count = count;
         scene.shard = Some(Shard { first, all });
-        self.gaussians.write_words(0..count, words.0)
+        self.gaussians.write_words(0..count, words.0, Carried::All)
     }
 
-    /// Gathers the rows of all ranks, if they are spread.
+    /// Gathers the rows of all ranks on this device, if they are spread.
     pub(super) fn gather(&mut self) -> Result<()> {
-        let (Some(crew), Some(shard)) = (&mut self.crew, self.gaussians.scene.shard) else {
+        let others = self.collect()?;
+        let Some(shard) = self.gaussians.scene.shard else {
             return Ok(());
         };
-        crew.at_rest = false;
-        crew.order(vec![GATHER])?;
-        let (exchange, ranks) = (crew.exchange.clone(), crew.exchange.ranks());
-        let got = exchange.trade(Part::Rows, vec![Vec::new(); ranks])?;
         self.gaussians.grow(&self.device, shard.all)?;
-        for (rank, message) in got.iter().enumerate().filter(|(rank, _)| *rank != LEADER) {
-            let mut words = Words(message);
-            let [non_finite] = words.take()?;
-            crew.note_non_finite(rank, non_finite.into());
-            let rows = crew.rows_of(rank);
-            self.gaussians.write_words(rows, words.0)?;
+        if let Some(crew) = &mut self.crew {
+            for (rank, words) in (1..).zip(&others) {
+                let rows = crew.rows_of(rank);
+                self.gaussians.write_words(rows, words, Carried::All)?;
+            }
+            crew.idle = self.pipeline.share.take();
         }
         self.gaussians.scene.count = shard.all;
         self.gaussians.scene.shard = None;
+        Ok(())
+    }
+
+    /// Everything that belongs to the rows of each of the other ranks, as words, once all iterations have settled; nothing unless rows
+    /// are spread.
+    fn collect(&mut self) -> Result<Vec<Vec<u32>>> {
+        self.settle()?;
+        if self.pipeline.share.is_none() {
+            return Ok(Vec::new());
+        }
+        self.tell(vec![GATHER])?;
+        let Some(crew) = &mut self.crew else {
+            return Ok(Vec::new());
+        };
+        let nothing = vec![Vec::new(); crew.exchange.ranks()];
+        let mut got = crew.exchange.trade(Part::Rows, nothing)?;
+        got.remove(LEADER);
+        for (rank, message) in (1..).zip(&mut got) {
+            let non_finite = message.pop().unwrap_or(0);
+            crew.note_non_finite(rank, non_finite.into());
+        }
         let slot = status::NON_FINITE as usize;
         let own = self.pipeline.home().status.read(slot, 1)?[0];
         self.counters.non_finite = crew.non_finite() + u64::from(own);
-        crew.idle = self.pipeline.share.take();
-        crew.at_rest = true;
-        Ok(())
+        self.rest();
+        Ok(got)
+    }
+
+    /// All Gaussians with everything that belongs to them, in the host's memory, with the gradients of a batch if it is `amidst` one.
+    ///
+    /// # Errors
+    /// Another rank's failure, the driver's, or non-finite parameters.
+    pub(super) fn held(&mut self, amidst: bool) -> Result<(Gaussians, GaussianRows)> {
+        let others = self.collect()?;
+        self.gaussians.joined(&others, amidst)
     }
 
     /// Does what the leader orders, until it ends.
@@ -346,16 +378,23 @@ impl Trainer {
                 [EDIT, iterations, words @ ..] => {
                     self.follow_edits(*iterations, exchange.ranks(), words)?;
                 }
+                [SEEN] => self.tell_seen().map(|_| ())?,
+                [KEEP, words @ ..] => self.follow_keep(words)?,
+                [LOOK, words @ ..] => self.follow_look(words)?,
+                [EXPOSE, from] => {
+                    self.learned.exposed_from = Some(*from);
+                    self.build_exposure()?;
+                }
                 [RAISE, degree] => self.gaussians.raise_sh_degree(&self.device, *degree)?,
                 [LENGTH, from, iterations] => self.apply_length(Length {
                     from: *from,
                     iterations: *iterations,
                 }),
                 [GATHER] => {
-                    let slot = status::NON_FINITE as usize;
-                    let mut words = self.pipeline.home().status.read(slot, 1)?;
                     let rows = 0..self.gaussians.scene.count;
-                    words.extend(self.gaussians.read_words(rows)?);
+                    let mut words = self.gaussians.read_words(rows)?;
+                    let slot = status::NON_FINITE as usize;
+                    words.extend(self.pipeline.home().status.read(slot, 1)?);
                     exchange.trade(Part::Rows, to_one(exchange, LEADER, words))?;
                 }
                 [END] => {

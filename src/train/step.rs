@@ -335,7 +335,7 @@ impl Trainer {
     /// # Errors
     /// The driver's.
     pub fn set_length(&mut self, iterations: u32) -> Result<()> {
-        self.land()?;
+        self.settle()?;
         let from = self.iteration;
         self.tell(vec![LENGTH, from, iterations])?;
         self.rest();
@@ -388,7 +388,7 @@ impl Trainer {
             }
             Next::Exposure => self.exposure_due()?,
             Next::Compile => {
-                self.build_exposure()?;
+                self.begin_exposure()?;
                 (Some(Event::Compiled), Next::Iterate)
             }
             Next::Iterate => {
@@ -462,17 +462,11 @@ impl Trainer {
         Ok(())
     }
 
-    /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed), and has all Gaussians here.
+    /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed).
     ///
     /// # Errors
     /// See [`Trainer::advance`].
     pub fn settle(&mut self) -> Result<()> {
-        self.land()?;
-        self.gather()
-    }
-
-    /// [`Trainer::settle`] but for the Gaussians, which stay with the ranks that have them.
-    pub(super) fn land(&mut self) -> Result<()> {
         let (goal, next) = (self.iteration, self.next);
         loop {
             while !self.in_flight.is_empty() {
@@ -497,7 +491,7 @@ impl Trainer {
         if !due || degree >= self.plan.sh_degree.value {
             return Ok(());
         }
-        self.land()?;
+        self.settle()?;
         self.tell(vec![RAISE, degree + 1])?;
         self.rest();
         self.gaussians.raise_sh_degree(&self.device, degree + 1)
