@@ -211,10 +211,15 @@ fn ranks_count_what_is_not_finite_once() {
     let data = room(64);
     let mut config = sampled(Sampler::None);
     config.optimizer.lr_sh0 = 1e38;
+    // Gradients of 1e18 and more count as not finite.
+    config.loss.lambda_opacity = 1e30;
     let (mut alone, _) = trained(&data, &config, 20);
     let want = alone.state();
     let mut together = shared(&data, &config, None, 2);
     together.advance_to(20).unwrap();
+    together.count_non_finite().unwrap();
+    assert!(alone.non_finite() > 0);
+    assert_eq!(together.non_finite(), alone.non_finite());
     let got = together.state();
     assert_eq!(together.non_finite(), alone.non_finite());
     match (got, want) {

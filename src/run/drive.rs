@@ -397,7 +397,7 @@ impl Run {
 
     /// Scores the held-out views; the `last` evaluation takes FLIP, too.
     fn evaluate(&mut self, last: bool) -> Result<()> {
-        self.trainer.settle()?;
+        self.trainer.count_non_finite()?;
         self.clock.pause();
         let loss = self.trainer.recent_loss()?.filter(|l| l.is_finite());
         let done = self.trainer.iteration();

@@ -62,6 +62,8 @@ pub const LOOK: u32 = 9;
 pub const SEEN: u32 = 10;
 /// Keep some rows: first rows of the ranks and the number of all, before and afterwards, and flags of those that are kept.
 pub const KEEP: u32 = 11;
+/// Tell how many gradient values were not finite.
+pub const COUNT: u32 = 12;
 
 /// Gain of a step of the bands towards even times, after every view.
 const BAND_GAIN: f64 = 0.1;

@@ -1,5 +1,5 @@
-//! Training by several ranks, threads of this process or processes, with a device each. The leader trains as if it were alone; for iterations and density
-//! steps the rows of the Gaussians are spread over the ranks, for everything else they are gathered.
+//! Training by several ranks, threads of this process or processes, with a device each. The leader trains as if it were alone; the rows of the Gaussians are
+//! spread over the ranks, and gathered for what takes all of them on one device.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -17,8 +17,8 @@ use crate::pipeline::share::Share;
 use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
 use crate::scene::Gaussians;
 use crate::train::crew::{
-    Crew, DECIDE, EDIT, END, EXPOSE, GATHER, ITERATE, KEEP, LENGTH, LOOK, RAISE, SEEN, SPREAD,
-    Words,
+    COUNT, Crew, DECIDE, EDIT, END, EXPOSE, GATHER, ITERATE, KEEP, LENGTH, LOOK, RAISE, SEEN,
+    SPREAD, Words,
 };
 use crate::train::gaussians::{Carried, GaussianRows, GaussianState};
 use crate::train::plan::Plan;
@@ -327,26 +327,48 @@ impl Trainer {
     /// Everything that belongs to the rows of each of the other ranks, as words, once all iterations have settled; nothing unless rows
     /// are spread.
     fn collect(&mut self) -> Result<Vec<Vec<u32>>> {
-        self.settle()?;
-        if self.pipeline.share.is_none() {
-            return Ok(Vec::new());
-        }
-        self.tell(vec![GATHER])?;
-        let Some(crew) = &mut self.crew else {
+        self.count_non_finite()?;
+        let Some(crew) = self.crew.as_ref().filter(|_| self.pipeline.share.is_some()) else {
             return Ok(Vec::new());
         };
-        let nothing = vec![Vec::new(); crew.exchange.ranks()];
-        let mut got = crew.exchange.trade(Part::Rows, nothing)?;
+        let exchange = crew.exchange.clone();
+        self.tell(vec![GATHER])?;
+        let nothing = vec![Vec::new(); exchange.ranks()];
+        let mut got = exchange.trade(Part::Rows, nothing)?;
         got.remove(LEADER);
-        for (rank, message) in (1..).zip(&mut got) {
-            let non_finite = message.pop().unwrap_or(0);
-            crew.note_non_finite(rank, non_finite.into());
-        }
-        let slot = status::NON_FINITE as usize;
-        let own = self.pipeline.home().status.read(slot, 1)?[0];
-        self.counters.non_finite = crew.non_finite() + u64::from(own);
         self.rest();
         Ok(got)
+    }
+
+    /// Counts the non-finite gradient values of all ranks, once all iterations have settled.
+    ///
+    /// # Errors
+    /// See [`Trainer::settle`]; another rank's failure.
+    pub fn count_non_finite(&mut self) -> Result<()> {
+        self.settle()?;
+        self.tell(vec![COUNT])?;
+        let got = self.tell_non_finite()?;
+        if let Some(crew) = &mut self.crew {
+            for (rank, told) in got.iter().enumerate().filter(|(rank, _)| *rank != LEADER) {
+                crew.note_non_finite(rank, told.first().copied().unwrap_or(0).into());
+            }
+            let own = got.first().and_then(|told| told.first());
+            if let Some(own) = own {
+                self.counters.non_finite = crew.non_finite() + u64::from(*own);
+            }
+        }
+        self.rest();
+        Ok(())
+    }
+
+    /// Tells the leader the non-finite gradient values of the rows here; returns what all have told, which is nothing at the others and
+    /// while rows are not spread.
+    fn tell_non_finite(&self) -> Result<Vec<Vec<u32>>> {
+        let Some(share) = &self.pipeline.share else {
+            return Ok(Vec::new());
+        };
+        let own = share.home.status.read(status::NON_FINITE as usize, 1)?;
+        share.tell_leader(Part::Orders, own)
     }
 
     /// All Gaussians with everything that belongs to them, in the host's memory, with the gradients of a batch if it is `amidst` one.
@@ -378,6 +400,7 @@ impl Trainer {
                 [EDIT, iterations, words @ ..] => {
                     self.follow_edits(*iterations, exchange.ranks(), words)?;
                 }
+                [COUNT] => self.tell_non_finite().map(|_| ())?,
                 [SEEN] => self.tell_seen().map(|_| ())?,
                 [KEEP, words @ ..] => self.follow_keep(words)?,
                 [LOOK, words @ ..] => self.follow_look(words)?,
@@ -392,9 +415,7 @@ impl Trainer {
                 }),
                 [GATHER] => {
                     let rows = 0..self.gaussians.scene.count;
-                    let mut words = self.gaussians.read_words(rows)?;
-                    let slot = status::NON_FINITE as usize;
-                    words.extend(self.pipeline.home().status.read(slot, 1)?);
+                    let words = self.gaussians.read_words(rows)?;
                     exchange.trade(Part::Rows, to_one(exchange, LEADER, words))?;
                 }
                 [END] => {
