@@ -22,8 +22,7 @@ pub fn psnr(data: &Dataset, config: &TrainConfig) -> [f64; 2] {
     let defines = Defines::new(Tuning::for_device(device.info()));
     let evaluator = Evaluator::new(&device, defines, views).unwrap();
     let score = |trainer: &mut Trainer| {
-        let (scene, renderer) = trainer.scene_and_renderer().unwrap();
-        let scores = evaluator.score_all(scene, renderer, [0.0; 3], false);
+        let scores = evaluator.score_all(trainer, [0.0; 3], false);
         FinalRecord::of(scores.unwrap()).unwrap().mean.psnr
     };
     let before = score(&mut trainer);

@@ -10,6 +10,7 @@ use mhsplat::config::{OptimizerConfig, Sampler};
 use mhsplat::device::{Defines, Device};
 use mhsplat::evaluate::{Evaluator, ViewScore};
 use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::forward::Renders;
 use mhsplat::pipeline::photos::Photos;
 use mhsplat::pipeline::stage::loss::loss;
 use mhsplat::pipeline::stage::metrics::sum_counted;
@@ -58,15 +59,13 @@ fn scores(views: &[View]) -> (Vec<ViewScore>, Vec<f32>) {
     let photos = Photos::new(&device, u64::MAX);
     let views = ViewSet::new(&photos, views.iter().cloned()).unwrap();
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
-    let (scene, renderer) = trainer.scene_and_renderer().unwrap();
-    let mut scores = evaluator
-        .score_all(scene, renderer, [0.0; 3], true)
-        .unwrap();
+    let scene = &mut trainer;
+    let mut scores = evaluator.score_all(scene, [0.0; 3], true).unwrap();
     evaluator
-        .add_color_corrected(&mut scores, scene, renderer, [0.0; 3])
+        .add_color_corrected(&mut scores, scene, [0.0; 3])
         .unwrap();
-    evaluator.score(0, &[], scene, renderer, [0.0; 3]).unwrap();
-    (scores, renderer.read_image().unwrap().rgb)
+    evaluator.score(0, &[], scene, [0.0; 3]).unwrap();
+    (scores, scene.renderer().read_image().unwrap().rgb)
 }
 
 /// Photos of which the left is white or black, and a mask that leaves it out.

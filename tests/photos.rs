@@ -237,8 +237,8 @@ fn trained(budget: u64) -> (Gaussians, Vec<ViewScore>, PhotoStats) {
     let mut scores = Vec::new();
     for until in [30, 60] {
         trainer.advance_to(until).unwrap();
-        let (scene, renderer) = trainer.scene_and_renderer().unwrap();
-        let all = evaluator.score_all(scene, renderer, [0.0; 3], false);
+        let scene = &mut trainer;
+        let all = evaluator.score_all(scene, [0.0; 3], false);
         scores.extend(all.unwrap());
     }
     assert!(trainer.stats().accepted > 0, "density control took no part");

@@ -2,15 +2,24 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use mhsplat::base::cores::Cores;
 use mhsplat::capture::{Alpha, Dataset};
-use mhsplat::config::{AntiAliasing, ExposureChoice, Sampler};
-use mhsplat::density::make;
+use mhsplat::config::{AntiAliasing, Background, ExposureChoice, Sampler, Surrogate};
+use mhsplat::density::{
+    DensityControl, Outcome, SceneState, Statistics, StatisticsKind, StepContext, make,
+};
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Device, Helpers};
+use mhsplat::device::{Defines, Device, Helpers};
+use mhsplat::evaluate::Evaluator;
+use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::photos::Photos;
+use mhsplat::ranks::Part;
 use mhsplat::run::{RunRecord, initial_gaussians};
-use mhsplat::train::{Trainer, TrainerState};
+use mhsplat::scene::Plane;
+use mhsplat::train::{Event, Trainer, TrainerState};
 use mhsplat::{Plan, TrainConfig};
 
 use crate::background::holed;
@@ -97,6 +106,21 @@ fn ranks_change_no_bit_with_exposure_filters_or_a_lag() {
     }
 }
 
+/// First-order estimates of births are those of one device, which has all rows then.
+#[test]
+fn ranks_change_no_bit_of_estimates() {
+    let data = room(48);
+    let mut config = sampled(Sampler::Mh);
+    config.max_size = 48;
+    config.mh.surrogate = Surrogate::Probe;
+    let (mut alone, _) = trained(&data, &config, 60);
+    let want = alone.state().unwrap();
+    assert!(want.stats.proposed > 0);
+    let mut together = shared(&data, &config, None, 2);
+    together.advance_to(60).unwrap();
+    same(&together.state().unwrap(), &want);
+}
+
 /// Tiles beside a band that are blank are known there, so that the losses, too, are those of one rank.
 #[test]
 fn ranks_change_no_bit_of_transparent_or_masked_photos() {
@@ -133,16 +157,69 @@ fn ranks_change_no_bit_of_a_strategy_of_ones_own() {
     same(&run(2), &run(1));
 }
 
+/// Removes another row each time that it is asked.
+#[derive(Default)]
+struct Fickle(AtomicU32);
+
+impl DensityControl for Fickle {
+    fn wanted(&self, _: usize, _: f64) -> StatisticsKind {
+        StatisticsKind::Nothing
+    }
+
+    fn step(
+        &self,
+        _: &StepContext<'_>,
+        scene: &SceneState<'_>,
+        _: &Statistics<'_>,
+    ) -> mhsplat::Result<Outcome> {
+        Ok(Outcome {
+            removed: vec![self.0.fetch_add(1, Ordering::Relaxed)],
+            ..Outcome::unchanged(scene.len())
+        })
+    }
+}
+
+#[test]
+fn ranks_that_decide_differently_end_the_run() {
+    let data = room(32);
+    let mut config = sampled(Sampler::Mh);
+    config.max_size = 32;
+    for lag in [0, 4] {
+        config.work.density_lag = Some(lag);
+        let plan = Plan::new(&data, &config).unwrap();
+        let splats = initial_gaussians(&data, &plan).unwrap();
+        let run = |ranks: usize| {
+            let list = vec!["cpu"; ranks].join(",");
+            let device = Device::open_all(Some(&list), Cores::allowed()).unwrap();
+            let fickle = Arc::new(Fickle::default());
+            let mut trainer =
+                Trainer::with_strategy(&device, &data, &plan, &splats, fickle).unwrap();
+            trainer
+                .recruit(device.helpers(), &data.train, data.image_budget, nobody)
+                .unwrap();
+            trainer.advance_to(60)
+        };
+        run(1).unwrap();
+        let said = run(2).unwrap_err().to_string();
+        assert!(said.contains("decided a density step otherwise"), "{said}");
+    }
+}
+
 /// Gradients that are not finite are counted once each, whoever has them.
 #[test]
 fn ranks_count_what_is_not_finite_once() {
     let data = room(64);
     let mut config = sampled(Sampler::None);
     config.optimizer.lr_sh0 = 1e38;
+    // Gradients of 1e18 and more count as not finite.
+    config.loss.lambda_opacity = 1e30;
     let (mut alone, _) = trained(&data, &config, 20);
     let want = alone.state();
     let mut together = shared(&data, &config, None, 2);
     together.advance_to(20).unwrap();
+    together.count_non_finite().unwrap();
+    assert!(alone.non_finite() > 0);
+    assert_eq!(together.non_finite(), alone.non_finite());
     let got = together.state();
     assert_eq!(together.non_finite(), alone.non_finite());
     match (got, want) {
@@ -154,19 +231,29 @@ fn ranks_count_what_is_not_finite_once() {
 #[test]
 fn a_run_goes_on_with_another_number_of_ranks() {
     let data = room(64);
-    let config = sampled(Sampler::Mh);
-    let (mut alone, _) = trained(&data, &config, 120);
+    for (lag, after, numbers) in [(0, 48, [1, 3].as_slice()), (8, 55, &[3])] {
+        let mut config = sampled(Sampler::Mh);
+        config.work.density_lag = Some(lag);
+        goes_on(&data, &config, after, numbers);
+    }
+}
+
+/// Asserts that a run of two ranks that is stopped after some iterations ends with so many ranks as without the stop.
+fn goes_on(data: &Dataset, config: &TrainConfig, after: u32, numbers: &[usize]) {
+    let (mut alone, _) = trained(data, config, 120);
     let want = alone.state().unwrap();
-    let mut half = shared(&data, &config, None, 2);
-    half.advance_to(48).unwrap();
+    let mut half = shared(data, config, None, 2);
+    half.advance_to(after).unwrap();
     let state = half.state().unwrap();
+    // The others do not know a step that the checkpoint has.
+    assert_eq!(state.deciding.is_some(), after == 55);
     drop(half);
     let device = Device::open(None).unwrap();
-    let plan = Plan::new(&data, &config).unwrap();
-    for ranks in [1, 3] {
+    let plan = Plan::new(data, config).unwrap();
+    for &ranks in numbers {
         let list = vec!["cpu"; ranks].join(",");
         let all = Device::open_all(Some(&list), Cores::allowed()).unwrap();
-        let mut trainer = Trainer::new(&device, &data, &plan, &state.splats).unwrap();
+        let mut trainer = Trainer::new(&device, data, &plan, &state.splats).unwrap();
         trainer
             .recruit(all.helpers(), &data.train, data.image_budget, nobody)
             .unwrap();
@@ -176,24 +263,105 @@ fn a_run_goes_on_with_another_number_of_ranks() {
     }
 }
 
-/// Between iterations everything is as it was: renders, losses and a length that changes on the way.
+/// Between iterations everything is as it was: renders, losses, scores and a length that changes on the way.
 #[test]
 fn a_look_and_a_new_length_change_nothing() {
     let data = room(64);
-    let config = sampled(Sampler::Mh);
+    let mut config = sampled(Sampler::Mh);
+    // Losses are those of renders over another one.
+    config.background = Background::Random;
     let run = |mut trainer: Trainer| {
+        let device = Device::open(None).unwrap();
+        let views = ViewSet::new(&Photos::new(&device, data.image_budget), data.test.clone());
+        let defines = Defines::new(trainer.tuning());
+        let evaluator = Evaluator::new(&device, defines, views.unwrap()).unwrap();
         trainer.advance_to(30).unwrap();
         let image = trainer.render(&data.train[0].camera).unwrap();
         trainer.advance_to(33).unwrap();
-        let noted = trainer.noted_loss().unwrap();
+        let losses = [trainer.noted_loss(), trainer.recent_loss()].map(Result::unwrap);
+        let mut scores = evaluator.score_all(&mut trainer, [0.5; 3], true).unwrap();
+        evaluator
+            .add_color_corrected(&mut scores, &mut trainer, [0.5; 3])
+            .unwrap();
+        let splats = trainer.splats().unwrap();
         trainer.set_length(90).unwrap();
         trainer.advance_to(90).unwrap();
-        (image, noted, trainer.state().unwrap())
+        ((image, losses, scores, splats), trainer.state().unwrap())
     };
     let alone = run(trained(&data, &config, 0).0);
     let together = run(shared(&data, &config, None, 2));
-    assert!(alone.0 == together.0 && alone.1 == together.1);
-    same(&alone.2, &together.2);
+    assert!(alone.0 == together.0);
+    assert_ne!(
+        alone.0.1[0], alone.0.1[1],
+        "the loss must be able to differ"
+    );
+    same(&alone.1, &together.1);
+}
+
+/// Gaussians that no view shows are removed at the end, wherever they are; what belongs to the others goes with them.
+#[test]
+fn ranks_change_no_bit_of_the_end() {
+    let data = room(64);
+    let mut config = sampled(Sampler::Mh);
+    config.iterations = 30;
+    config.anti_aliasing = AntiAliasing::On;
+    let plan = Plan::new(&data, &config).unwrap();
+    let mut splats = initial_gaussians(&data, &plan).unwrap();
+    for row in (0..splats.len()).step_by(7) {
+        splats.scatter(Plane::POSITION, row, [1e4, 0.0, row as f32]);
+    }
+    let run = |ranks: usize, tuning: Option<Tuning>| {
+        let list = vec!["cpu"; ranks].join(",");
+        let device = Device::open_all(Some(&list), Cores::allowed()).unwrap();
+        let device = match tuning {
+            Some(tuning) => device.with_tuning(tuning),
+            None => device,
+        };
+        let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
+        trainer
+            .recruit(device.helpers(), &data.train, data.image_budget, nobody)
+            .unwrap();
+        while trainer.advance().unwrap() != Event::Finished {}
+        let removed = trainer.learned().removed;
+        assert!(removed as usize >= splats.len() / 7, "{removed}");
+        trainer.state().unwrap()
+    };
+    same(&run(3, None), &run(1, None));
+    same(&run(2, Some(Tuning::GPU)), &run(1, Some(Tuning::GPU)));
+}
+
+/// Bytes of rows that the leader has sent.
+fn rows_sent(trainer: &Trainer) -> u64 {
+    trainer.traffic().unwrap()[Part::Rows as usize]
+}
+
+/// What is looked at, saved or changed between iterations leaves the rows where they are.
+#[test]
+fn rows_stay_with_their_ranks() {
+    let data = room(64);
+    let mut config = sampled(Sampler::Mh);
+    config.sh_degree = 0;
+    let mut together = shared(&data, &config, None, 2);
+    together.advance_to(1).unwrap();
+    let (spread, first) = (rows_sent(&together), together.gaussians() as u64);
+    assert!(spread > 0);
+    together.render(&data.train[0].camera).unwrap();
+    together.state().unwrap();
+    together.advance_to(24).unwrap();
+    assert_eq!(rows_sent(&together), spread);
+    // Bytes that spread the rows of every density step.
+    let mut all = 0;
+    while together.iteration() < 120 {
+        if let Event::Density(step) = together.advance().unwrap() {
+            all += spread * step.gaussians as u64 / first;
+        }
+    }
+    let moved = rows_sent(&together) - spread;
+    assert!(moved > 0 && moved < all, "{moved} of {all}");
+    // What needs all of them on one device has them there, and spreads them again.
+    together.brightness().unwrap();
+    together.advance_to(121).unwrap();
+    assert!(rows_sent(&together) - spread - moved > spread / 4);
 }
 
 #[test]

@@ -69,10 +69,10 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let defines = Defines::new(loaded.device.tuning());
     let evaluator = Evaluator::new(&loaded.device, defines, views)?;
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
-    let (scene, renderer) = (&loaded.scene, &mut loaded.renderer);
-    let mut scores = evaluator.score_all(scene, renderer, background, true)?;
+    let scene = &mut (&loaded.scene, &mut loaded.renderer);
+    let mut scores = evaluator.score_all(scene, background, true)?;
     if args.color_corrected {
-        evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
+        evaluator.add_color_corrected(&mut scores, scene, background)?;
     }
     let scores = FinalRecord::of(scores).ok_or_else(|| nothing_held_out(&dataset))?;
     let mean = &scores.mean;

@@ -5,8 +5,7 @@
 use crate::base::error::Result;
 use crate::device::Array;
 use crate::evaluate::{Evaluator, ViewScore, psnr_and_ssim};
-use crate::pipeline::buffers::GaussianBuffers;
-use crate::pipeline::forward::Renderer;
+use crate::pipeline::forward::Renders;
 use crate::pipeline::stage::exposure::exposed;
 use crate::pipeline::stage::loss::ImagePair;
 
@@ -79,8 +78,7 @@ impl Evaluator {
     pub fn add_color_corrected(
         &self,
         scores: &mut [ViewScore],
-        scene: &GaussianBuffers,
-        renderer: &mut Renderer,
+        scene: &mut dyn Renders,
         background: [f32; 3],
     ) -> Result<()> {
         for score in scores {
@@ -88,7 +86,8 @@ impl Evaluator {
                 continue;
             };
             // Leaves the clamped image in the renderer.
-            self.score(view, &[], scene, renderer, background)?;
+            self.score(view, &[], scene, background)?;
+            let renderer = scene.renderer();
             let camera = &self.views.cameras[view];
             let image = renderer.read_image()?;
             let (photo, mask) = self.compared(view, background)?;

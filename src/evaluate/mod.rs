@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::Result;
 use crate::device::{Defines, Device};
-use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
-use crate::pipeline::forward::Renderer;
+use crate::pipeline::buffers::ViewSet;
+use crate::pipeline::forward::{Renderer, Renders};
 use crate::pipeline::scoring::{PairErrors, Scoring};
 
 /// Scores of a held-out view, or their means over views.
@@ -90,20 +90,17 @@ impl Evaluator {
     /// to be scored after it.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`] and [`ViewSet::photo`].
+    /// Those of [`Renders::render_view`] and [`ViewSet::photo`].
     pub fn score(
         &self,
         view: usize,
         next: &[usize],
-        scene: &GaussianBuffers,
-        renderer: &mut Renderer,
+        scene: &mut dyn Renders,
         background: [f32; 3],
     ) -> Result<Option<ViewScore>> {
         let photo = self.views.photo(view, next)?;
         let camera = &self.views.cameras[view];
-        let errors = self
-            .scoring
-            .view(renderer, scene, camera, &photo, background)?;
+        let errors = self.scoring.view(scene, camera, &photo, background)?;
         let [psnr, ssim] = psnr_and_ssim(&errors);
         let score = ViewScore {
             view: self.views.names[view].clone(),
@@ -140,11 +137,10 @@ impl Evaluator {
     /// Scores all views whose masks are not 0 everywhere by PSNR and SSIM and, if `with_flip`, by ꟻLIP, computed on the host.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`] and [`ViewSet::photo`].
+    /// Those of [`Renders::render_view`] and [`ViewSet::photo`].
     pub fn score_all(
         &self,
-        scene: &GaussianBuffers,
-        renderer: &mut Renderer,
+        scene: &mut dyn Renders,
         background: [f32; 3],
         with_flip: bool,
     ) -> Result<Vec<ViewScore>> {
@@ -152,11 +148,11 @@ impl Evaluator {
         let mut scores = Vec::with_capacity(all.len());
         for v in 0..all.len() {
             let next = &all[v + 1..];
-            let Some(mut score) = self.score(v, next, scene, renderer, background)? else {
+            let Some(mut score) = self.score(v, next, scene, background)? else {
                 continue;
             };
             if with_flip {
-                score.scores.flip = Some(self.flip(v, renderer, background)?);
+                score.scores.flip = Some(self.flip(v, scene.renderer(), background)?);
             }
             scores.push(score);
         }

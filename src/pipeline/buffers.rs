@@ -94,7 +94,7 @@ pub(crate) fn check_room<R: Real>(
     }
 }
 
-/// `old` with a larger stride, the rows beyond the old ones zero.
+/// `old` with another stride, the rows beyond the old ones zero.
 pub(crate) fn restride<R: Real>(
     device: &Device,
     old: &Array<R>,
@@ -105,7 +105,7 @@ pub(crate) fn restride<R: Real>(
     check_room::<R>(device, old.name(), planes, to)?;
     let new = Array::zeros(device, old.name(), planes * to)?;
     for p in 0..planes {
-        new.copy_from(p * to, old, p * from, from)?;
+        new.copy_from(p * to, old, p * from, from.min(to))?;
     }
     Ok(new)
 }
@@ -157,17 +157,6 @@ impl<R: Real> GaussianBuffers<R> {
     pub fn plane(&self, plane: usize) -> Result<Vec<f32>> {
         let values = self.params.read(plane * self.stride, self.count)?;
         Ok(values.into_iter().map(|v| v.into() as f32).collect())
-    }
-
-    /// Reads the scene back.
-    ///
-    /// # Errors
-    /// The driver's, or non-finite parameters.
-    pub fn download(&self) -> Result<Gaussians> {
-        let planes = (0..self.planes())
-            .map(|p| self.plane(p))
-            .collect::<Result<_>>()?;
-        Gaussians::new(self.sh_degree, planes)
     }
 
     /// A stride for at least `capacity` Gaussians, with a quarter as many again to grow into.

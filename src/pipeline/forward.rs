@@ -73,6 +73,35 @@ pub fn to_byte(v: f32) -> u8 {
     (v.clamp(0.0, 1.0) * 255.0).round() as u8
 }
 
+/// Gaussians that can be rendered, whichever devices have them.
+pub trait Renders {
+    /// Renders a view over a background and waits; the image is in [`Renders::renderer`] then.
+    ///
+    /// # Errors
+    /// No room, or the driver's.
+    fn render_view(&mut self, camera: &CameraArg<f32>, background: [f32; 3]) -> Result<()>;
+
+    /// The renderer that has the image of the view rendered last.
+    fn renderer(&self) -> &Renderer;
+}
+
+/// Gaussians on one device.
+impl Renders for (&GaussianBuffers, &mut Renderer) {
+    fn render_view(&mut self, camera: &CameraArg<f32>, background: [f32; 3]) -> Result<()> {
+        let (scene, renderer) = self;
+        let options = RenderOptions {
+            sh_degree: scene.sh_degree,
+            background,
+            ..RenderOptions::default()
+        };
+        renderer.render(scene, camera, &options)
+    }
+
+    fn renderer(&self) -> &Renderer {
+        self.1
+    }
+}
+
 /// Runs the forward stages for one view at a time.
 #[derive(Debug)]
 pub struct Renderer<R: Real = f32> {
@@ -277,6 +306,18 @@ impl<R: Real> Renderer<R> {
             seen::mark(stage, &self.frame, &shown, &seen)?;
         }
         seen.to_vec()
+    }
+
+    /// Flags of the Gaussians of the view rendered last that its band shows; waits. `stage` is a build of `kernels/seen.cl`.
+    pub fn shown(&self, stage: &Program) -> Result<Vec<bool>> {
+        if self.frame.count == 0 {
+            // A kernel takes no empty array.
+            return Ok(Vec::new());
+        }
+        let seen = Array::zeros(&self.device, "seen", self.frame.count)?;
+        let shown = Array::zeros(&self.device, "shown", self.frame.capacity)?;
+        seen::mark(stage, &self.frame, &shown, &seen)?;
+        Ok(seen.to_vec()?.into_iter().map(|flag| flag != 0).collect())
     }
 
     /// Flags of the Gaussians from `first` on that intersect any tile of the view rendered last.

@@ -2,8 +2,7 @@
 
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program};
-use crate::pipeline::buffers::GaussianBuffers;
-use crate::pipeline::forward::{RenderOptions, Renderer};
+use crate::pipeline::forward::Renders;
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics;
 
@@ -40,22 +39,16 @@ impl Scoring {
     /// Renders a view and compares it with its photo; the clamped image stays in the renderer.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`].
+    /// Those of [`Renders::render_view`].
     pub fn view(
         &self,
-        renderer: &mut Renderer,
-        scene: &GaussianBuffers,
+        scene: &mut dyn Renders,
         camera: &CameraArg<f32>,
         photo: &Array<u8>,
         background: [f32; 3],
     ) -> Result<PairErrors> {
-        let options = RenderOptions {
-            sh_degree: scene.sh_degree,
-            background,
-            ..RenderOptions::default()
-        };
-        renderer.render(scene, camera, &options)?;
-        self.errors(&ImagePair::new(&renderer.frame, photo, background))
+        scene.render_view(camera, background)?;
+        self.errors(&ImagePair::new(&scene.renderer().frame, photo, background))
     }
 
     /// Clamps a render in place and compares it with its photo; waits.

@@ -17,7 +17,7 @@ use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::route::Route;
-use crate::ranks::{Exchange, LEADER, Part, to_all, to_one};
+use crate::ranks::{Exchange, LEADER, Part, bits_of, flags_of, to_all, to_one};
 
 /// Rows of pixels beside a band that the gradient of its loss sees: two windows of SSIM, one over maps of the other.
 const HALO: usize = SSIM_TAPS - 1;
@@ -109,8 +109,45 @@ impl<R: Real> Share<R> {
         Ok(())
     }
 
+    /// Number of this rank.
+    #[must_use]
+    pub fn rank(&self) -> usize {
+        self.exchange.rank()
+    }
+
+    /// Number of ranks.
+    #[must_use]
+    pub fn ranks(&self) -> usize {
+        self.exchange.ranks()
+    }
+
+    /// Divides the next view evenly.
+    pub fn divide_evenly(&mut self, size: ImageSize) -> Result<()> {
+        let (rows, ranks) = (size.tiles()[1], self.exchange.ranks());
+        self.set_bands((0..=ranks).map(|r| (r * rows / ranks) as u32).collect())
+    }
+
+    /// Gives every rank the words of each, by rank.
+    ///
+    /// # Errors
+    /// Another rank's failure.
+    pub fn tell_all(&self, part: Part, words: Vec<u32>) -> Result<Vec<Vec<u32>>> {
+        self.trade(part, to_all(self.exchange.as_ref(), words))
+    }
+
+    /// Gives the leader the words of each rank, by rank; others get nothing.
+    ///
+    /// # Errors
+    /// Another rank's failure.
+    pub fn tell_leader(&self, part: Part, words: Vec<u32>) -> Result<Vec<Vec<u32>>> {
+        self.trade(part, to_one(self.exchange.as_ref(), LEADER, words))
+    }
+
     /// Trades messages; the time of that is no work.
-    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+    ///
+    /// # Errors
+    /// Another rank's failure.
+    pub fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
         let mut watch = self.stopwatch.get();
         watch.worked += watch.since.elapsed();
         let got = self.exchange.trade(part, messages);
@@ -266,11 +303,58 @@ impl<R: Real> Share<R> {
         self.route.collect(device, scan, &got, &mut self.home)
     }
 
+    /// Takes flags of the Gaussians that this rank's band got of the view rendered last to the ranks whose Gaussians they are; returns those of
+    /// its own rows, true if any band has them true.
+    ///
+    /// # Errors
+    /// Another rank's failure, or the driver's.
+    pub fn return_flags(&self, flags: &[bool]) -> Result<Vec<bool>> {
+        let given = self
+            .firsts
+            .windows(2)
+            .map(|of| bits_of(&flags[of[0]..of[1]]));
+        let got = self.trade(Part::Sums, given.collect())?;
+        let mut own = vec![false; self.home.count];
+        for (rows, message) in self.route.sent_rows(&self.home)?.iter().zip(&got) {
+            for (row, flag) in rows.iter().zip(flags_of(message, rows.len())?) {
+                own[*row as usize] |= flag;
+            }
+        }
+        Ok(own)
+    }
+
     /// Gives every rank the bands of all others of some planes of images.
     ///
     /// # Errors
     /// Another rank's failure, or the driver's.
     pub fn complete(&self, planes: &Array<R>, count: usize, size: ImageSize) -> Result<()> {
+        self.bring(planes, count, size, &|own| {
+            to_all(self.exchange.as_ref(), own)
+        })
+    }
+
+    /// Gives the leader the bands of all others of the view rendered last, of which it has the whole image then.
+    ///
+    /// # Errors
+    /// Another rank's failure, or the driver's.
+    pub fn show_leader(&self, frame: &mut ViewBuffers<R>) -> Result<()> {
+        let size = frame.camera.image();
+        let to_leader = |own| to_one(self.exchange.as_ref(), LEADER, own);
+        self.bring(&frame.image, 4, size, &to_leader)?;
+        if self.rank() == LEADER {
+            frame.band = 0..size.tiles()[1];
+        }
+        Ok(())
+    }
+
+    /// Brings bands of some planes of images to those ranks whose messages `address` makes of this one's.
+    fn bring(
+        &self,
+        planes: &Array<R>,
+        count: usize,
+        size: ImageSize,
+        address: &dyn Fn(Vec<u32>) -> Vec<Vec<u32>>,
+    ) -> Result<()> {
         let ([stride, _], plane, tile) = (size.padded(), size.plane(), TILE as usize);
         let rank = self.exchange.rank();
         let rows = |of: usize| {
@@ -282,7 +366,7 @@ impl<R: Real> Share<R> {
         for k in 0..count {
             own.extend(planes.read_words(k * plane + first, len)?);
         }
-        let got = self.trade(Part::Images, to_all(self.exchange.as_ref(), own))?;
+        let got = self.trade(Part::Images, address(own))?;
         for (from, message) in got.iter().enumerate().filter(|(from, _)| *from != rank) {
             let (first, _) = rows(from);
             let parts = message.chunks_exact((message.len() / count).max(1));

@@ -24,11 +24,13 @@ pub enum Part {
     Images,
     /// Parameters, moments and statistics of Gaussians, between iterations.
     Rows,
+    /// Planes that all ranks decide a density step from.
+    Evidence,
 }
 
 impl Part {
     /// All kinds.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Orders,
         Self::Records,
         Self::Borders,
@@ -36,6 +38,7 @@ impl Part {
         Self::Loss,
         Self::Images,
         Self::Rows,
+        Self::Evidence,
     ];
 
     /// Name.
@@ -49,6 +52,7 @@ impl Part {
             Self::Loss => "loss",
             Self::Images => "images",
             Self::Rows => "rows",
+            Self::Evidence => "evidence",
         }
     }
 }
@@ -140,9 +144,43 @@ pub fn text_of(words: &[u32]) -> Option<String> {
     String::from_utf8(bytes).ok().filter(|_| whole)
 }
 
+/// Flags as words, 32 in each.
+#[must_use]
+pub fn bits_of(flags: &[bool]) -> Vec<u32> {
+    let word = |flags: &[bool]| {
+        let bits = (0..).zip(flags);
+        bits.fold(0, |word, (k, flag)| word | u32::from(*flag) << k)
+    };
+    flags.chunks(32).map(word).collect()
+}
+
+/// The flags of [`bits_of`], so many of them.
+///
+/// # Errors
+/// Another number of words than they take.
+pub fn flags_of(words: &[u32], len: usize) -> Result<Vec<bool>> {
+    if words.len() != len.div_ceil(32) {
+        let what = format!("{} words for {len} flags", words.len());
+        return Err(Error::numerics("exchange", what));
+    }
+    let flag = |k: usize| words[k / 32] >> (k % 32) & 1 != 0;
+    Ok((0..len).map(flag).collect())
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{text_of, words_of};
+    use super::{bits_of, flags_of, text_of, words_of};
+
+    #[test]
+    fn flags_come_back() {
+        for len in [0_usize, 1, 31, 32, 33, 100] {
+            let flags: Vec<bool> = (0..len).map(|k| k % 3 == 1).collect();
+            let words = bits_of(&flags);
+            assert_eq!(words.len(), len.div_ceil(32));
+            assert_eq!(flags_of(&words, len).unwrap(), flags);
+        }
+        assert!(flags_of(&[1], 33).is_err() && flags_of(&[1, 0], 32).is_err());
+    }
 
     #[test]
     fn texts_come_back() {

@@ -6,7 +6,9 @@ pub mod launched;
 mod mpi;
 mod threads;
 
-pub use exchange::{Exchange, LEADER, Part, Traffic, text_of, to_all, to_one, words_of};
+pub use exchange::{
+    Exchange, LEADER, Part, Traffic, bits_of, flags_of, text_of, to_all, to_one, words_of,
+};
 #[cfg(feature = "mpi")]
 pub use mpi::{Patience, mpi};
 pub use threads::threads;

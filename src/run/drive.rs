@@ -397,7 +397,7 @@ impl Run {
 
     /// Scores the held-out views; the `last` evaluation takes FLIP, too.
     fn evaluate(&mut self, last: bool) -> Result<()> {
-        self.trainer.settle()?;
+        self.trainer.count_non_finite()?;
         self.clock.pause();
         let loss = self.trainer.recent_loss()?.filter(|l| l.is_finite());
         let done = self.trainer.iteration();
@@ -438,13 +438,13 @@ impl Run {
     fn scores(&mut self, last: bool) -> Result<Option<FinalRecord>> {
         let background = self.trainer.schedule().fixed_background();
         let compensates = self.trainer.compensates_exposure();
-        let (scene, renderer) = self.trainer.scene_and_renderer()?;
         let Some(evaluator) = &self.evaluator else {
             return Ok(None);
         };
-        let mut scores = evaluator.score_all(scene, renderer, background, last)?;
+        let trainer = &mut self.trainer;
+        let mut scores = evaluator.score_all(trainer, background, last)?;
         if last && compensates {
-            evaluator.add_color_corrected(&mut scores, scene, renderer, background)?;
+            evaluator.add_color_corrected(&mut scores, trainer, background)?;
         }
         Ok(FinalRecord::of(scores))
     }
@@ -568,7 +568,6 @@ impl Run {
             return Ok(Vec::new());
         };
         let background = self.trainer.schedule().fixed_background();
-        let (scene, renderer) = self.trainer.scene_and_renderer()?;
         let n = evaluator.views().len();
         let shown = n.min(GALLERY_VIEWS);
         let mut views: Vec<usize> = (0..shown).map(|k| k * n / shown).collect();
@@ -580,6 +579,6 @@ impl Run {
             views.pop();
             views.push(worst);
         }
-        items(evaluator, &views, scene, renderer, background)
+        items(evaluator, &views, &mut self.trainer, background)
     }
 }

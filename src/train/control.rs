@@ -18,12 +18,14 @@ use crate::pipeline::stage::{noise, screen_grad};
 use crate::scene::{self, Plane};
 use crate::train::decision::{Deciding, Decision, Evidence, PendingStep};
 use crate::train::estimates::{Context, Estimates};
-use crate::train::gaussians::GaussianState;
+use crate::train::gaussians::{Carried, GaussianState};
+use crate::train::moves;
 use crate::train::noted::Noted;
 use crate::train::picture::PendingPicture;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
 use crate::train::trace::DensityTrace;
+use crate::train::views::Views;
 use crate::train::working::Working;
 
 /// Result of one density step.
@@ -113,6 +115,12 @@ impl Control {
         self.strategy.clone()
     }
 
+    /// True if births are estimated before a step is decided, which takes all Gaussians on one device.
+    #[must_use]
+    pub fn estimates_births(&self) -> bool {
+        self.estimates.is_some()
+    }
+
     /// Rows of statistics that the strategy wants gathered.
     #[must_use]
     pub fn rows(&self) -> usize {
@@ -134,7 +142,7 @@ impl Control {
             removed: vec![0],
             ..Outcome::default()
         };
-        self.apply(&mut on, &outcome)?;
+        self.apply(&mut on, &outcome, None)?;
         let snapshot = on.gaussians.snapshot(on.device, &self.edit)?;
         snapshot.wait().map(|_| ())
     }
@@ -253,11 +261,17 @@ impl Control {
         Ok(())
     }
 
-    /// Ends the density step that has begun: edits the Gaussians and puts them in Morton order. `None` if none has.
+    /// Ends the density step that has begun: edits the Gaussians and puts them in Morton order. `None` if none has. Where ranks share the
+    /// rows, `division` has the first row of each afterwards, and the number of all.
     ///
     /// # Errors
-    /// The strategy's, no room, or the driver's. The step is lost then: training goes on from a checkpoint.
-    pub fn end(&mut self, mut on: Working<'_>) -> Result<Option<DensityEvent>> {
+    /// The strategy's, ranks that have decided differently, another rank's failure, no room, or the driver's. The step is lost then:
+    /// training goes on from a checkpoint.
+    pub fn end(
+        &mut self,
+        mut on: Working<'_>,
+        division: Option<&[usize]>,
+    ) -> Result<Option<DensityEvent>> {
         let Some(deciding) = self.deciding.take() else {
             return Ok(None);
         };
@@ -270,8 +284,8 @@ impl Control {
         } = deciding.wait()?;
         self.decisions.seconds += seconds;
         self.decisions.calls += 1;
-        let rows = on.gaussians.scene.count;
-        let order = self.apply(&mut on, &outcome)?;
+        let rows = on.gaussians.scene.all();
+        let order = self.apply(&mut on, &outcome, division)?;
         if let (Some(trace), Some(before)) = (&mut self.trace, &before) {
             let logits = before.plane(Plane::OPACITY);
             trace.step(iteration, logits, &outcome, order.as_deref());
@@ -286,7 +300,7 @@ impl Control {
         Ok(Some(DensityEvent {
             iteration,
             progress,
-            gaussians: on.gaussians.scene.count,
+            gaussians: on.gaussians.scene.all(),
             stats: outcome.stats,
         }))
     }
@@ -301,12 +315,7 @@ impl Control {
     /// # Errors
     /// See [`Control::end`].
     pub fn settle(&mut self) -> Result<Option<PendingStep>> {
-        let Some(step) = self.deciding.take() else {
-            return Ok(None);
-        };
-        let (step, pending) = step.settled()?;
-        self.deciding = Some(step);
-        Ok(Some(pending))
+        self.deciding.as_mut().map(Deciding::pending).transpose()
     }
 
     /// Goes on with the step of a checkpoint, or with none.
@@ -334,7 +343,10 @@ impl Control {
 
     /// Enqueues the transfers of what a step decides from.
     fn evidence(&self, on: &mut Working<'_>, iteration: u32, progress: f64) -> Result<Evidence> {
-        let snapshot = on.gaussians.snapshot(on.device, &self.edit)?;
+        let mut snapshot = on.gaussians.snapshot(on.device, &self.edit)?;
+        if let Some(share) = &on.pipeline.share {
+            snapshot = snapshot.of_all(share)?;
+        }
         Ok(Evidence {
             context: StepContext {
                 iteration,
@@ -373,7 +385,29 @@ impl Control {
 
     /// Applies an outcome, and has the rows that stay in Morton order if that is wanted: births are appended, wherever they lie. Gives the
     /// order back where somebody asks for it; `None`, too, if nothing moves.
-    fn apply(&self, on: &mut Working<'_>, outcome: &Outcome) -> Result<Option<Vec<u32>>> {
+    fn apply(
+        &self,
+        on: &mut Working<'_>,
+        outcome: &Outcome,
+        division: Option<&[usize]>,
+    ) -> Result<Option<Vec<u32>>> {
+        let known = match (&on.pipeline.share, division) {
+            (Some(share), Some(division)) => {
+                let order = match self.plan.config.work.morton_order {
+                    true => Order::Morton,
+                    false => Order::Kept,
+                };
+                let gaussians = (on.device, &mut *on.gaussians, &self.edit);
+                Some(moves::apply(share, gaussians, outcome, (order, division))?)
+            }
+            _ => self.apply_alone(on, outcome)?,
+        };
+        on.smooth()?;
+        Ok(known)
+    }
+
+    /// [`Control::apply`] to all Gaussians on this device, without the smoothing filter.
+    fn apply_alone(&self, on: &mut Working<'_>, outcome: &Outcome) -> Result<Option<Vec<u32>>> {
         let (device, rows, removed) = (on.device, outcome.rows, &outcome.removed);
         let limit = outcome.logit_limit;
         on.gaussians
@@ -387,29 +421,33 @@ impl Control {
             let (forward, scene) = (&mut on.pipeline.forward, &on.gaussians.scene);
             let sorted = forward.sort_rows(&self.morton, scene, removed, order)?;
             let kept = (sorted, outcome.gaussians());
-            on.gaussians.reorder(device, &self.edit, kept)?;
+            on.gaussians
+                .reorder(device, &self.edit, kept, Carried::Optimized)?;
             if self.trace.is_some() || self.noted.is_some() {
                 known = Some(sorted.read(0, outcome.gaussians())?);
             }
         }
-        if let Some(smoothing) = on.smoothing {
-            smoothing.run(&on.gaussians.scene, &on.pipeline.forward.frame)?;
-        }
         Ok(known)
     }
 
-    /// The views that training takes next, as many as the strategy wants, at the size that they have now.
+    /// Numbers of the views that a step wants rendered: those that training takes next.
+    #[must_use]
+    pub fn pictured(&self, views: &Views, iteration: u32, progress: f64) -> Vec<usize> {
+        let count = self.strategy.pictures(progress).min(views.len());
+        views.upcoming(iteration, count)
+    }
+
+    /// The views that the strategy wants rendered, at the size that they have now.
     fn pictures(
         &self,
         on: &mut Working<'_>,
         iteration: u32,
         progress: f64,
     ) -> Result<Vec<PendingPicture>> {
-        let count = self.strategy.pictures(progress).min(on.views.len());
-        let Some(errors) = self.photo_errors.as_ref().filter(|_| count > 0) else {
+        let Some(errors) = &self.photo_errors else {
             return Ok(Vec::new());
         };
-        let views = on.views.upcoming(iteration, count);
+        let views = self.pictured(on.views, iteration, progress);
         (iteration..)
             .zip(views)
             .map(|(at, view)| PendingPicture::enqueue(on, errors, iteration, at, view))

@@ -46,6 +46,24 @@ pub const SPREAD: u32 = 1;
 pub const GATHER: u32 = 2;
 /// End.
 pub const END: u32 = 3;
+/// Begin a density step: iterations done.
+pub const DECIDE: u32 = 4;
+/// End a density step: iterations done, first rows of the ranks afterwards and the number of all, maybe the decision.
+pub const EDIT: u32 = 5;
+/// Raise the SH degree: the new one.
+pub const RAISE: u32 = 6;
+/// Go by another length of the run: from which iteration on, iterations.
+pub const LENGTH: u32 = 7;
+/// Compile the kernels of exposure compensation: the iteration that it begins with.
+pub const EXPOSE: u32 = 8;
+/// Render a view: background, camera.
+pub const LOOK: u32 = 9;
+/// Tell which rows any training view shows.
+pub const SEEN: u32 = 10;
+/// Keep some rows: first rows of the ranks and the number of all, before and afterwards, and flags of those that are kept.
+pub const KEEP: u32 = 11;
+/// Tell how many gradient values were not finite.
+pub const COUNT: u32 = 12;
 
 /// Gain of a step of the bands towards even times, after every view.
 const BAND_GAIN: f64 = 0.1;
@@ -193,12 +211,19 @@ impl Crew {
         self.band_parts = Parts::even(ranks);
     }
 
-    /// Divides rows among the ranks.
-    pub fn divide_rows(&mut self, all: usize) {
+    /// Divides rows among the ranks; returns the first row of each, and the number of all.
+    pub fn divide_rows(&mut self, all: usize) -> Vec<usize> {
         let ranks = self.exchange.ranks();
         let worked = std::mem::replace(&mut self.worked_on_rows, vec![0.0; ranks]);
         self.row_parts.level(&worked, ROW_GAIN);
         self.rows = self.row_parts.rows(all);
+        self.rows.clone()
+    }
+
+    /// First row of each rank, and the number of all, since they were divided last.
+    #[must_use]
+    pub fn division(&self) -> &[usize] {
+        &self.rows
     }
 
     /// Rows of a rank, since they were divided last.

@@ -14,6 +14,7 @@ use crate::density::{
     ScreenGradient, Statistics, StatisticsKind, StepContext,
 };
 use crate::scene::Plane;
+use crate::train::crew::Words;
 use crate::train::gaussians::{PendingSnapshot, Snapshot};
 use crate::train::picture::{ArrivedPicture, PendingPicture};
 
@@ -208,15 +209,27 @@ impl Deciding {
         }
     }
 
+    /// Waits for the decision, which stays.
+    ///
+    /// # Errors
+    /// The strategy's, or the driver's.
+    pub(super) fn settled(&mut self) -> Result<&Decision> {
+        let decision = Box::new(self.taken()?);
+        self.state = State::Decided(decision);
+        match &self.state {
+            State::Decided(decision) => Ok(decision),
+            _ => Err(gone()),
+        }
+    }
+
     /// Waits for the decision, and tells it.
     ///
     /// # Errors
-    /// See [`Deciding::wait`].
-    pub(super) fn settled(self) -> Result<(Self, PendingStep)> {
+    /// See [`Deciding::settled`].
+    pub(super) fn pending(&mut self) -> Result<PendingStep> {
         let (begun, progress, ends) = (self.begun, self.progress, self.ends);
-        let decision = self.wait()?;
-        let outcome = &decision.outcome;
-        let pending = PendingStep {
+        let outcome = &self.settled()?.outcome;
+        Ok(PendingStep {
             begun,
             progress,
             ends,
@@ -225,24 +238,62 @@ impl Deciding {
             logit_limit: outcome.logit_limit,
             removed: outcome.removed.clone(),
             stats: outcome.stats,
-        };
-        Ok((Self::decided([begun, ends], progress, decision), pending))
+        })
     }
 
     /// Waits for the decision.
     ///
     /// # Errors
-    /// The strategy's, or the driver's.
+    /// See [`Deciding::settled`].
     pub(super) fn wait(mut self) -> Result<Decision> {
-        let failed = |what| Err(Error::numerics("density control", what));
+        self.taken()
+    }
+
+    fn taken(&mut self) -> Result<Decision> {
         match std::mem::replace(&mut self.state, State::Gone) {
             State::Decided(decision) => Ok(*decision),
-            State::Running(thread) => thread
-                .join()
-                .unwrap_or_else(|_| failed("the thread that decides has panicked")),
-            State::Gone => failed("its decision has been taken already"),
+            State::Running(thread) => thread.join().unwrap_or_else(|_| {
+                let what = "the thread that decides has panicked";
+                Err(Error::numerics("density control", what))
+            }),
+            State::Gone => Err(gone()),
         }
     }
+}
+
+/// The error of a step that has ended.
+fn gone() -> Error {
+    Error::numerics("density control", "its decision has been taken already")
+}
+
+/// The parts of an outcome that change Gaussians, as words.
+#[must_use]
+pub(super) fn words_of(outcome: &Outcome) -> Vec<u32> {
+    let limit = outcome.logit_limit;
+    let mut words = vec![outcome.rows as u32, u32::from(limit.is_some())];
+    words.push(limit.unwrap_or(0.0).to_bits());
+    words.push(outcome.edits.len() as u32);
+    let edits = outcome.edits.iter().flat_map(Edit::to_bits);
+    words.extend(edits.map(f32::to_bits));
+    words.extend(&outcome.removed);
+    words
+}
+
+/// The outcome of [`words_of`].
+///
+/// # Errors
+/// Words that are too few.
+pub(super) fn outcome_of(words: &[u32]) -> Result<Outcome> {
+    let mut words = Words(words);
+    let [rows, limited, limit, edits] = words.take()?;
+    let mut outcome = Outcome::unchanged(rows as usize);
+    outcome.logit_limit = (limited != 0).then_some(f32::from_bits(limit));
+    for _ in 0..edits {
+        let numbers = words.take()?.map(f32::from_bits);
+        outcome.edits.push(Edit::of_bits(&numbers));
+    }
+    outcome.removed = words.0.to_vec();
+    Ok(outcome)
 }
 
 impl Drop for Deciding {

@@ -259,7 +259,7 @@ impl Context<'_> {
         let moments = Array::zeros(device, "no moments", planes * stride)?;
         edit::write_rows(self.edit, &copy, [&moments; 2], &rows)?;
         if let Some(smoothing) = self.smoothing {
-            smoothing.run(&copy, &self.pipeline.forward.frame)?;
+            smoothing.run(&copy, &self.pipeline.forward.frame, None)?;
         }
         Ok(copy)
     }

@@ -1,9 +1,12 @@
 //! Exposure compensation in the loop: when it is decided, and when its kernels are built.
 
 use crate::base::error::Result;
+use crate::capture::photo::colors;
 use crate::device::{Defines, Kernels};
 use crate::pipeline::exposure::ExposureModel;
-use crate::train::exposure::compare;
+use crate::pipeline::forward::Renders;
+use crate::train::brightness::{GainSpread, compared, gain};
+use crate::train::crew::EXPOSE;
 use crate::train::plan::Exposure;
 use crate::train::step::{Event, Next, Trainer};
 
@@ -16,11 +19,7 @@ impl Trainer {
         }
         match self.plan.exposure.value {
             Exposure::Compare => {
-                self.settle()?;
-                let iterations = self.schedule.iterations(at);
-                let (pipeline, scene) = (&mut self.pipeline, &self.gaussians.scene);
-                let gains = compare(pipeline, scene, &self.views, at, iterations)?;
-                self.learned.gains = Some(gains);
+                self.learned.gains = Some(self.compare()?);
                 let decision = self.plan.learn(&self.learned).into_iter().next();
                 Ok((decision.map(Event::Decided), Next::Exposure))
             }
@@ -30,6 +29,31 @@ impl Trainer {
             }
             _ => Ok((None, Next::Iterate)),
         }
+    }
+
+    /// Compares some training views with their renders.
+    fn compare(&mut self) -> Result<GainSpread> {
+        let at = self.iteration;
+        let numbers = compared(self.views.len(), self.schedule.iterations(at));
+        let mut gains = Vec::with_capacity(numbers.len());
+        for number in numbers {
+            let view = self.views.view(at, at, number, &[])?;
+            self.render_view(&view.camera, view.background)?;
+            let render = self.pipeline.forward.read_image()?;
+            let (alpha, pixels) = (self.views.set.alpha, render.width * render.height);
+            let bytes = self.views.photo(&view).read(0, alpha.planes() * pixels)?;
+            let photo = colors(alpha, &bytes, view.background);
+            gains.extend(gain(&render.rgb, &render.transmittance, &photo));
+        }
+        Ok(GainSpread::new(at, &gains))
+    }
+
+    /// Compiles the kernels of exposure compensation, which begins now, at all ranks.
+    pub(super) fn begin_exposure(&mut self) -> Result<()> {
+        let from = *self.learned.exposed_from.get_or_insert(self.iteration);
+        self.tell(vec![EXPOSE, from])?;
+        self.rest();
+        self.build_exposure()
     }
 
     /// Compiles the kernels of exposure compensation and runs each once; the transforms are the identity.

@@ -5,7 +5,9 @@ use std::ops::Range;
 use crate::base::error::{Error, Result};
 use crate::device::{Array, Arrived, Device, PendingRead, Program};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, check_room, restride};
+use crate::pipeline::share::Share;
 use crate::pipeline::stage::edit;
+use crate::ranks::Part;
 use crate::scene::{self, Gaussians, Plane};
 
 /// Number of arrays of parameters and their moments.
@@ -31,6 +33,25 @@ pub struct GaussianState {
     scratch: Array<f32>,
 }
 
+/// Arrays that go with Gaussians to other places.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Carried {
+    /// Parameters and moments. The statistics and the smoothing filter stay as they are: they are to start anew.
+    Optimized,
+    /// Everything that belongs to them.
+    All,
+}
+
+impl Carried {
+    /// Number of arrays, the first ones.
+    fn arrays(self) -> usize {
+        match self {
+            Self::Optimized => OPTIMIZED,
+            Self::All => usize::MAX,
+        }
+    }
+}
+
 /// Rows of a checkpoint, in the order of the Gaussians.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GaussianRows {
@@ -49,15 +70,24 @@ pub struct GaussianRows {
 /// Position, log-scale, rotation, opacity logit and the statistics of all Gaussians as they were at one time \[11 + rows\]\[N\].
 #[derive(Debug)]
 pub struct Snapshot {
-    values: Arrived<f32>,
+    values: Values,
     count: usize,
+}
+
+#[derive(Debug)]
+enum Values {
+    Read(Arrived<f32>),
+    /// Put together from those of several ranks.
+    Joined(Vec<f32>),
 }
 
 /// A snapshot on its way to the host.
 #[derive(Debug)]
-pub struct PendingSnapshot {
-    values: PendingRead<f32>,
-    count: usize,
+pub enum PendingSnapshot {
+    /// The transfer from this device, and the number of Gaussians.
+    Coming(PendingRead<f32>, usize),
+    /// One that is there.
+    Here(Snapshot),
 }
 
 impl PendingSnapshot {
@@ -66,10 +96,48 @@ impl PendingSnapshot {
     /// # Errors
     /// The driver's.
     pub fn wait(self) -> Result<Snapshot> {
-        Ok(Snapshot {
-            values: self.values.arrived()?,
-            count: self.count,
-        })
+        match self {
+            Self::Coming(values, count) => Ok(Snapshot {
+                values: Values::Read(values.arrived()?),
+                count,
+            }),
+            Self::Here(snapshot) => Ok(snapshot),
+        }
+    }
+
+    /// The snapshot of the rows of all ranks, each of which gives its own; waits.
+    ///
+    /// # Errors
+    /// Another rank's failure, or the driver's.
+    pub fn of_all(self, share: &Share<f32>) -> Result<Self> {
+        let Self::Coming(own, count) = self else {
+            return Ok(self);
+        };
+        let own = own.arrived()?;
+        let mut words = vec![count as u32];
+        words.extend(own.iter().map(|v| v.to_bits()));
+        let planes = own.len().checked_div(count).unwrap_or(0);
+        let got = share.tell_all(Part::Evidence, words)?;
+        let counts: Vec<usize> = got
+            .iter()
+            .map(|m| m.first().map_or(0, |n| *n as usize))
+            .collect();
+        // A rank without rows does not see how many planes the others have.
+        let filled = got.iter().zip(&counts).filter(|(_, n)| **n > 0);
+        let planes = filled.fold(planes, |_, (m, n)| (m.len() - 1) / n);
+        let mut values = Vec::new();
+        for plane in 0..planes {
+            for (message, n) in got.iter().zip(&counts) {
+                let part = message.get(1 + plane * n..1 + (plane + 1) * n);
+                let part =
+                    part.ok_or_else(|| Error::numerics("exchange", "a message that is too short"))?;
+                values.extend(part.iter().map(|v| f32::from_bits(*v)));
+            }
+        }
+        Ok(Self::Here(Snapshot {
+            values: Values::Joined(values),
+            count: counts.iter().sum(),
+        }))
     }
 }
 
@@ -77,7 +145,11 @@ impl Snapshot {
     /// Values of a plane below [`Plane::SH`].
     #[must_use]
     pub fn plane(&self, plane: usize) -> &[f32] {
-        &self.values[plane * self.count..][..self.count]
+        let values: &[f32] = match &self.values {
+            Values::Read(values) => values,
+            Values::Joined(values) => values,
+        };
+        &values[plane * self.count..][..self.count]
     }
 
     /// Values of a row of the statistics.
@@ -198,6 +270,24 @@ impl GaussianState {
         Ok(())
     }
 
+    /// Gives up the room beyond the first `rows` Gaussians, but for a quarter to grow into, and what is beyond.
+    pub fn shrink(&mut self, device: &Device, rows: usize) -> Result<()> {
+        let from = self.scene.stride;
+        let to = GaussianBuffers::<f32>::grown_stride(rows.max(1));
+        self.scene.count = rows;
+        if to >= from {
+            return Ok(());
+        }
+        for (array, planes) in self.arrays().0 {
+            if planes > 0 {
+                *array = restride(device, array, planes, from, to)?;
+            }
+        }
+        self.scratch = Array::zeros(device, "scratch", 0)?;
+        self.scene.stride = to;
+        Ok(())
+    }
+
     /// Applies the edits of a density step, which leave `rows` rows. The statistics start anew, and the smoothing filter is to be computed
     /// again. `stage` is a build of `kernels/edit.cl`.
     pub fn edit(
@@ -220,34 +310,18 @@ impl GaussianState {
         }
     }
 
-    /// Keeps the first `kept` Gaussians of `order`, in that order, with their moments. The statistics and the smoothing filter stay as they
-    /// are: they are to start anew.
+    /// Keeps the first `kept` Gaussians of an order, in that order.
     pub fn reorder(
         &mut self,
         device: &Device,
         stage: &Program,
         kept: (&Array<u32>, usize),
-    ) -> Result<()> {
-        self.gather(device, stage, kept, OPTIMIZED)
-    }
-
-    /// Keeps the Gaussians of `order`, in that order, with everything that belongs to them.
-    pub fn keep(&mut self, device: &Device, stage: &Program, order: &[u32]) -> Result<()> {
-        let kept = Array::from_slice(device, "row order", order)?;
-        self.gather(device, stage, (&kept, order.len()), usize::MAX)
-    }
-
-    fn gather(
-        &mut self,
-        device: &Device,
-        stage: &Program,
-        kept: (&Array<u32>, usize),
-        most_arrays: usize,
+        carried: Carried,
     ) -> Result<()> {
         self.fit_scratch(device)?;
         let stride = self.scene.stride;
         let (arrays, scratch) = self.arrays();
-        for (array, planes) in arrays.into_iter().take(most_arrays) {
+        for (array, planes) in arrays.into_iter().take(carried.arrays()) {
             for first in (0..planes).step_by(SCRATCH) {
                 let some = SCRATCH.min(planes - first);
                 edit::gather_rows(stage, kept, [first, some, stride], [array, scratch])?;
@@ -276,10 +350,8 @@ impl GaussianState {
             (&self.statistics, self.rows),
             &self.scratch,
         )?;
-        Ok(PendingSnapshot {
-            values: self.scratch.read_later(0, planes * count)?,
-            count,
-        })
+        let values = self.scratch.read_later(0, planes * count)?;
+        Ok(PendingSnapshot::Coming(values, count))
     }
 
     /// Makes room for the coefficients of a higher SH degree, which are zero, as are their moments and gradients.
@@ -301,6 +373,35 @@ impl GaussianState {
         Ok(())
     }
 
+    /// The arrays that some rows carry, as words: array by array and plane by plane. `stage` is a build of `kernels/edit.cl`.
+    pub fn pick_words(
+        &mut self,
+        device: &Device,
+        stage: &Program,
+        rows: &[u32],
+        carried: Carried,
+    ) -> Result<Vec<u32>> {
+        if rows.is_empty() {
+            return Ok(Vec::new());
+        }
+        self.fit_scratch(device)?;
+        let order = Array::from_slice(device, "row order", rows)?;
+        let stride = self.scene.stride;
+        let (arrays, scratch) = self.arrays();
+        let mut words = Vec::new();
+        for (array, planes) in arrays.into_iter().take(carried.arrays()) {
+            for first in (0..planes).step_by(SCRATCH) {
+                let some = SCRATCH.min(planes - first);
+                let kept = (&order, rows.len());
+                edit::gather_rows(stage, kept, [first, some, stride], [array, scratch])?;
+                for plane in 0..some {
+                    words.extend(scratch.read_words(plane * stride, rows.len())?);
+                }
+            }
+        }
+        Ok(words)
+    }
+
     /// Everything that belongs to some rows, as words: array by array and plane by plane.
     pub fn read_words(&self, rows: Range<usize>) -> Result<Vec<u32>> {
         let (stride, len) = (self.scene.stride, rows.len());
@@ -313,20 +414,20 @@ impl GaussianState {
         Ok(words)
     }
 
-    /// Writes what [`GaussianState::read_words`] has read from a state of as many planes.
+    /// Writes what [`GaussianState::read_words`] or [`GaussianState::pick_words`] has read from a state of as many planes.
     ///
     /// # Errors
     /// Another number of words, or the driver's.
-    pub fn write_words(&self, rows: Range<usize>, words: &[u32]) -> Result<()> {
+    pub fn write_words(&self, rows: Range<usize>, words: &[u32], carried: Carried) -> Result<()> {
         let (stride, len) = (self.scene.stride, rows.len());
-        let held = self.held();
-        let planes: usize = held.iter().map(|(_, planes)| planes).sum();
+        let held = || self.held().into_iter().take(carried.arrays());
+        let planes: usize = held().map(|(_, planes)| planes).sum();
         if words.len() != planes * len {
             let what = format!("{} words for {planes} planes of {len} rows", words.len());
             return Err(Error::numerics("rows", what));
         }
         let mut parts = words.chunks_exact(len.max(1));
-        for (array, planes) in held {
+        for (array, planes) in held() {
             for (plane, part) in (0..planes).zip(&mut parts) {
                 array.write_words(plane * stride + rows.start, part)?;
             }
@@ -334,30 +435,44 @@ impl GaussianState {
         Ok(())
     }
 
-    /// Reads the smoothing filter \[N\]; empty without anti-aliasing.
-    pub fn read_filter(&self) -> Result<Vec<f32>> {
-        match self.scene.filter.is_empty() {
-            true => Ok(Vec::new()),
-            false => self.scene.filter.read(0, self.scene.count),
+    /// All Gaussians with everything that belongs to them: the rows here, then those of others, of which [`GaussianState::read_words`] has
+    /// read the words; with the sums of gradients only amidst a batch.
+    ///
+    /// # Errors
+    /// Words of other planes, the driver's, or non-finite parameters.
+    pub fn joined(&self, others: &[Vec<u32>], amidst: bool) -> Result<(Gaussians, GaussianRows)> {
+        let (stride, count, held) = (self.scene.stride, self.scene.count, self.held());
+        let all: usize = held.iter().map(|(_, planes)| planes).sum();
+        if others.iter().any(|words| !words.len().is_multiple_of(all)) {
+            return Err(Error::numerics(
+                "rows",
+                "words of other planes than those here",
+            ));
         }
-    }
-
-    fn planes(&self, array: &Array<f32>, planes: usize) -> Result<Vec<Vec<f32>>> {
-        let (stride, count) = (self.scene.stride, self.scene.count);
-        let row = |k: usize| array.read(k * stride, count);
-        (0..planes).map(row).collect()
-    }
-
-    /// Reads everything but the parameters, with the sums of gradients only amidst a batch.
-    pub fn rows(&self, amidst: bool) -> Result<GaussianRows> {
-        let planes = self.scene.planes();
-        Ok(GaussianRows {
-            moment1: self.planes(&self.moments[0], planes)?,
-            moment2: self.planes(&self.moments[1], planes)?,
-            statistics: self.planes(&self.statistics, self.rows)?,
-            filter: self.read_filter()?,
-            gradients: self.planes(&self.gradients, if amidst { planes } else { 0 })?,
-        })
+        let mut before = 0;
+        let arrays = held.map(|(array, planes)| {
+            let first = before;
+            before += planes;
+            let plane = |k: usize| {
+                let mut values = array.read(k * stride, count)?;
+                for words in others {
+                    let len = words.len() / all;
+                    let part = &words[(first + k) * len..][..len];
+                    values.extend(part.iter().map(|v| f32::from_bits(*v)));
+                }
+                Ok(values)
+            };
+            (0..planes).map(plane).collect::<Result<Vec<Vec<f32>>>>()
+        });
+        let [params, moment1, moment2, filter, statistics, gradients] = arrays;
+        let rows = GaussianRows {
+            moment1: moment1?,
+            moment2: moment2?,
+            statistics: statistics?,
+            filter: filter?.pop().unwrap_or_default(),
+            gradients: if amidst { gradients? } else { Vec::new() },
+        };
+        Ok((Gaussians::new(self.scene.sh_degree, params?)?, rows))
     }
 
     /// Continues with the rows of a checkpoint.

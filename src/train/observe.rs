@@ -7,9 +7,9 @@ use crate::config::Sampler;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::{Candidate, DensityStats};
 use crate::device::tuning::Tuning;
-use crate::device::{Array, StageTime};
+use crate::device::{Array, CameraArg, StageTime};
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet, restride};
-use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer};
+use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer, Renders};
 use crate::pipeline::photos::PhotoStats;
 use crate::scene::sh::C0;
 use crate::scene::{Gaussians, Plane};
@@ -37,7 +37,7 @@ impl Trainer {
     /// Mean total loss that the last iterations have noted, each over its own background: [`Trainer::recent_loss`] but for that, and
     /// cheap.
     pub fn noted_loss(&mut self) -> Result<Option<f64>> {
-        self.land()?;
+        self.settle()?;
         let n = (self.iteration as usize)
             .min(LOSS_RING)
             .min(self.views.len());
@@ -68,18 +68,9 @@ impl Trainer {
             let at = self.iteration;
             let view = self.views.view(at, at, number, &views[k + 1..])?;
             let view = self.views.over_fixed_background(view);
-            let options = RenderOptions {
-                sh_degree: self.gaussians.scene.sh_degree,
-                background: view.background,
-                quantity: Quantity::Color,
-                active_only: false,
-            };
-            let pipeline = &mut self.pipeline;
-            pipeline
-                .forward
-                .render(&self.gaussians.scene, &view.camera, &options)?;
-            let pair = pipeline.pair(self.views.target(&view))?;
-            let parts = pipeline.loss(&pair.everywhere())?;
+            self.render_view(&view.camera, view.background)?;
+            let pair = self.pipeline.pair(self.views.target(&view))?;
+            let parts = self.pipeline.loss(&pair.everywhere())?;
             sum += self.total_loss(parts);
         }
         Ok(sum / count as f64)
@@ -151,23 +142,15 @@ impl Trainer {
     /// # Errors
     /// The driver's, or non-finite parameters.
     pub fn splats(&mut self) -> Result<(Gaussians, Vec<f32>)> {
-        self.settle()?;
-        Ok((
-            self.gaussians.scene.download()?,
-            self.gaussians.read_filter()?,
-        ))
+        let (splats, rows) = self.held(false)?;
+        Ok((splats, rows.filter))
     }
 
     /// Renders the Gaussians as they are, over the background that does not change.
     pub fn render(&mut self, camera: &Camera) -> Result<Rendered> {
-        self.settle()?;
-        let options = RenderOptions {
-            sh_degree: self.gaussians.scene.sh_degree,
-            background: self.schedule.fixed_background(),
-            ..RenderOptions::default()
-        };
-        let forward = &mut self.pipeline.forward;
-        forward.image(&self.gaussians.scene, camera, &options)
+        let background = self.schedule.fixed_background();
+        self.render_view(&CameraArg::new(camera), background)?;
+        self.pipeline.forward.read_image()
     }
 
     /// Renders the Gaussians as they are for somebody who looks on: refuses a view of more tile intersections than `most` and
@@ -198,7 +181,7 @@ impl Trainer {
 
     /// The tile intersections that a look may have, once nothing is in flight.
     fn before_a_look(&mut self, most: usize) -> Result<usize> {
-        self.settle()?;
+        self.gather()?;
         Ok(most.max(2 * self.counters.max_intersections))
     }
 
@@ -219,7 +202,7 @@ impl Trainer {
     /// # Errors
     /// The driver's.
     pub fn voxel_counts(&mut self) -> Result<Option<Vec<u32>>> {
-        self.settle()?;
+        self.gather()?;
         let config = &self.plan.config;
         if config.sampler != Sampler::Mh {
             return Ok(None);
@@ -243,7 +226,7 @@ impl Trainer {
     /// # Errors
     /// The driver's.
     pub fn brightness(&mut self) -> Result<Vec<f32>> {
-        self.settle()?;
+        self.gather()?;
         let scene = &self.gaussians.scene;
         let [red, green, blue] = [0, 1, 2].map(|c| scene.plane(Plane::SH + c));
         let (red, green, blue) = (red?, green?, blue?);
@@ -330,7 +313,7 @@ impl Trainer {
     /// Leaves room for no more than `pairs` tile intersections, so that a test can see what happens then.
     #[doc(hidden)]
     pub fn shrink_intersections(&mut self, pairs: usize) -> Result<()> {
-        self.settle()?;
+        self.gather()?;
         self.pipeline
             .forward
             .frame
@@ -340,7 +323,7 @@ impl Trainer {
     /// First-order estimates of births in the views that training takes next; empty if density control asks for none.
     #[doc(hidden)]
     pub fn estimate(&mut self, candidates: &[Candidate]) -> Result<Vec<f64>> {
-        self.settle()?;
+        self.gather()?;
         let at = self.iteration;
         let (control, mut on) = self.controlled();
         control.estimate(&mut on, at, candidates)
@@ -394,12 +377,12 @@ impl Trainer {
         self.views.set.some(most)
     }
 
-    /// The scene on the device and the renderer, for evaluation between iterations.
+    /// The scene, all of it on this device, and the renderer, between iterations.
     ///
     /// # Errors
-    /// See [`Trainer::settle`].
+    /// See [`Trainer::settle`]; no room.
     pub fn scene_and_renderer(&mut self) -> Result<(&GaussianBuffers, &mut Renderer)> {
-        self.settle()?;
+        self.gather()?;
         Ok((&self.gaussians.scene, &mut self.pipeline.forward))
     }
 }

@@ -9,6 +9,7 @@ use crate::capture::photo::write_colors;
 use crate::density::{Colors, Picture};
 use crate::device::{Arrived, CameraArg, PendingRead};
 use crate::pipeline::forward::{Quantity, RenderOptions};
+use crate::pipeline::pass::Pipeline;
 use crate::pipeline::stage::exposure::unexposed;
 use crate::pipeline::stage::loss::ImagePair;
 use crate::pipeline::stage::photo_error::PhotoErrors;
@@ -30,7 +31,7 @@ pub(super) struct PendingPicture {
 
 impl PendingPicture {
     /// Enqueues a view as it is at an iteration, over the background of iteration `background_of`: its render, the error of that by
-    /// `errors`, and the depth of the same pairs. Does not wait; an overflow of the pairs is told by the status array.
+    /// `errors`, and the depth of the same pairs. Does not wait, unless ranks share the Gaussians; an overflow of the pairs is told by the status array.
     ///
     /// # Errors
     /// A photo that cannot be read, no room, or the driver's.
@@ -54,10 +55,24 @@ impl PendingPicture {
         let pixels = size.0[0] * size.0[1];
         let taken = on.views.photo(&view);
         let photo = taken.read_later(0, alpha.planes() * pixels)?;
-        let exposure = on.pipeline.exposure.as_ref();
-        let forward = &mut on.pipeline.forward;
-        forward.fit(scene, &camera)?;
-        forward.enqueue(scene, &camera, &options)?;
+        let Pipeline {
+            exposure,
+            forward,
+            share,
+            ..
+        } = &mut *on.pipeline;
+        match share {
+            Some(share) => {
+                share.divide_evenly(size)?;
+                share.render(forward, scene, &camera, &options)?;
+                share.complete(&forward.frame.image, 4, size)?;
+            }
+            None => {
+                forward.fit(scene, &camera)?;
+                forward.enqueue(scene, &camera, &options)?;
+            }
+        }
+        let exposure = exposure.as_ref();
         let transform = exposure.map(|e| (&e.stage.transforms, number));
         errors.write(
             &ImagePair::new(&forward.frame, taken, view.background),
@@ -68,6 +83,9 @@ impl PendingPicture {
             .image
             .read_later(PhotoErrors::<f32>::PLANE * plane, 2 * plane)?;
         forward.enqueue_depths([0.0; 3])?;
+        if let Some(share) = share {
+            share.complete(&forward.frame.image, 1, size)?;
+        }
         let depth = forward.frame.image.read_later(0, plane)?;
         Ok(Self {
             camera,

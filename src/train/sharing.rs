@@ -1,5 +1,5 @@
-//! Training by several ranks, threads of this process or processes, with a device each. The leader trains as if it were alone; for an iteration the rows
-//! of the Gaussians are spread over the ranks, for everything else they are gathered.
+//! Training by several ranks, threads of this process or processes, with a device each. The leader trains as if it were alone; the rows of the Gaussians are
+//! spread over the ranks, and gathered for what takes all of them on one device.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,8 +16,11 @@ use crate::pipeline::photos::Photos;
 use crate::pipeline::share::Share;
 use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
 use crate::scene::Gaussians;
-use crate::train::crew::{Crew, END, GATHER, ITERATE, SPREAD, Words};
-use crate::train::gaussians::GaussianState;
+use crate::train::crew::{
+    COUNT, Crew, DECIDE, EDIT, END, EXPOSE, GATHER, ITERATE, KEEP, LENGTH, LOOK, RAISE, SEEN,
+    SPREAD, Words,
+};
+use crate::train::gaussians::{Carried, GaussianRows, GaussianState};
 use crate::train::plan::Plan;
 use crate::train::step::Trainer;
 
@@ -167,10 +170,6 @@ impl Trainer {
         if self.crew.is_none() {
             return Ok(());
         }
-        if self.smoothing_due(iteration) {
-            self.gather()?;
-            self.smooth()?;
-        }
         self.spread()?;
         // A photo that cannot be read is an error before the others begin.
         self.views.at(iteration)?;
@@ -182,8 +181,7 @@ impl Trainer {
         let bands = crew.bands(number, [across, rows]);
         let words = [&[ITERATE, iteration, sh_degree], bands.as_slice()].concat();
         share.set_bands(bands)?;
-        crew.at_rest = false;
-        crew.order(words)
+        self.tell(words)
     }
 
     /// Notes that an iteration of all ranks has been done, and the pairs of its view, for the next bands.
@@ -195,8 +193,30 @@ impl Trainer {
         }
     }
 
+    /// Tells the others an order while the rows are spread; what they do for it is over at [`Trainer::rest`].
+    pub(super) fn tell(&mut self, words: Vec<u32>) -> Result<()> {
+        match &mut self.crew {
+            Some(crew) if self.pipeline.share.is_some() => {
+                if !crew.at_rest {
+                    let what = "the other ranks are amidst what has failed; go on from the last checkpoint";
+                    return Err(Error::numerics("ranks", what));
+                }
+                crew.at_rest = false;
+                crew.order(words)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Notes that the others wait for an order.
+    pub(super) fn rest(&mut self) {
+        if let Some(crew) = &mut self.crew {
+            crew.at_rest = true;
+        }
+    }
+
     /// Spreads the rows over the ranks, if they are not.
-    fn spread(&mut self) -> Result<()> {
+    pub(super) fn spread(&mut self) -> Result<()> {
         if self.pipeline.share.is_some() {
             return Ok(());
         }
@@ -212,9 +232,8 @@ impl Trainer {
             messages.push(self.rows_for(rows, all)?);
         }
         exchange.trade(Part::Rows, messages)?;
-        let scene = &mut self.gaussians.scene;
-        scene.count = own;
-        scene.shard = Some(Shard { first: 0, all });
+        self.gaussians.shrink(&self.device, own)?;
+        self.gaussians.scene.shard = Some(Shard { first: 0, all });
         self.pipeline.share = self.crew.as_mut().and_then(|crew| crew.idle.take());
         Ok(())
     }
@@ -283,33 +302,82 @@ impl Trainer {
         let scene = &mut self.gaussians.scene;
         scene.count = count;
         scene.shard = Some(Shard { first, all });
-        self.gaussians.write_words(0..count, words.0)
+        self.gaussians.write_words(0..count, words.0, Carried::All)
     }
 
-    /// Gathers the rows of all ranks, if they are spread.
+    /// Gathers the rows of all ranks on this device, if they are spread.
     pub(super) fn gather(&mut self) -> Result<()> {
-        let (Some(crew), Some(shard)) = (&mut self.crew, self.gaussians.scene.shard) else {
+        let others = self.collect()?;
+        let Some(shard) = self.gaussians.scene.shard else {
             return Ok(());
         };
-        crew.at_rest = false;
-        crew.order(vec![GATHER])?;
-        let (exchange, ranks) = (crew.exchange.clone(), crew.exchange.ranks());
-        let got = exchange.trade(Part::Rows, vec![Vec::new(); ranks])?;
-        for (rank, message) in got.iter().enumerate().filter(|(rank, _)| *rank != LEADER) {
-            let mut words = Words(message);
-            let [non_finite] = words.take()?;
-            crew.note_non_finite(rank, non_finite.into());
-            let rows = crew.rows_of(rank);
-            self.gaussians.write_words(rows, words.0)?;
+        self.gaussians.grow(&self.device, shard.all)?;
+        if let Some(crew) = &mut self.crew {
+            for (rank, words) in (1..).zip(&others) {
+                let rows = crew.rows_of(rank);
+                self.gaussians.write_words(rows, words, Carried::All)?;
+            }
+            crew.idle = self.pipeline.share.take();
         }
         self.gaussians.scene.count = shard.all;
         self.gaussians.scene.shard = None;
-        let slot = status::NON_FINITE as usize;
-        let own = self.pipeline.home().status.read(slot, 1)?[0];
-        self.counters.non_finite = crew.non_finite() + u64::from(own);
-        crew.idle = self.pipeline.share.take();
-        crew.at_rest = true;
         Ok(())
+    }
+
+    /// Everything that belongs to the rows of each of the other ranks, as words, once all iterations have settled; nothing unless rows
+    /// are spread.
+    fn collect(&mut self) -> Result<Vec<Vec<u32>>> {
+        self.count_non_finite()?;
+        let Some(crew) = self.crew.as_ref().filter(|_| self.pipeline.share.is_some()) else {
+            return Ok(Vec::new());
+        };
+        let exchange = crew.exchange.clone();
+        self.tell(vec![GATHER])?;
+        let nothing = vec![Vec::new(); exchange.ranks()];
+        let mut got = exchange.trade(Part::Rows, nothing)?;
+        got.remove(LEADER);
+        self.rest();
+        Ok(got)
+    }
+
+    /// Counts the non-finite gradient values of all ranks, once all iterations have settled.
+    ///
+    /// # Errors
+    /// See [`Trainer::settle`]; another rank's failure.
+    pub fn count_non_finite(&mut self) -> Result<()> {
+        self.settle()?;
+        self.tell(vec![COUNT])?;
+        let got = self.tell_non_finite()?;
+        if let Some(crew) = &mut self.crew {
+            for (rank, told) in got.iter().enumerate().filter(|(rank, _)| *rank != LEADER) {
+                crew.note_non_finite(rank, told.first().copied().unwrap_or(0).into());
+            }
+            let own = got.first().and_then(|told| told.first());
+            if let Some(own) = own {
+                self.counters.non_finite = crew.non_finite() + u64::from(*own);
+            }
+        }
+        self.rest();
+        Ok(())
+    }
+
+    /// Tells the leader the non-finite gradient values of the rows here; returns what all have told, which is nothing at the others and
+    /// while rows are not spread.
+    fn tell_non_finite(&self) -> Result<Vec<Vec<u32>>> {
+        let Some(share) = &self.pipeline.share else {
+            return Ok(Vec::new());
+        };
+        let own = share.home.status.read(status::NON_FINITE as usize, 1)?;
+        share.tell_leader(Part::Orders, own)
+    }
+
+    /// All Gaussians with everything that belongs to them, in the host's memory, with the gradients of a batch if it is `amidst` one.
+    ///
+    /// # Errors
+    /// Another rank's failure, the driver's, or non-finite parameters.
+    pub(super) fn held(&mut self, amidst: bool) -> Result<(Gaussians, GaussianRows)> {
+        let others = self.collect()?;
+        self.gaussians.joined(&others, amidst)
     }
 
     /// Does what the leader orders, until it ends.
@@ -328,11 +396,26 @@ impl Trainer {
                     self.device.flush()?;
                 }
                 [SPREAD, words @ ..] => self.take_rows(words)?,
+                [DECIDE, iterations] => self.follow_decision(*iterations)?,
+                [EDIT, iterations, words @ ..] => {
+                    self.follow_edits(*iterations, exchange.ranks(), words)?;
+                }
+                [COUNT] => self.tell_non_finite().map(|_| ())?,
+                [SEEN] => self.tell_seen().map(|_| ())?,
+                [KEEP, words @ ..] => self.follow_keep(words)?,
+                [LOOK, words @ ..] => self.follow_look(words)?,
+                [EXPOSE, from] => {
+                    self.learned.exposed_from = Some(*from);
+                    self.build_exposure()?;
+                }
+                [RAISE, degree] => self.gaussians.raise_sh_degree(&self.device, *degree)?,
+                [LENGTH, from, iterations] => self.apply_length(Length {
+                    from: *from,
+                    iterations: *iterations,
+                }),
                 [GATHER] => {
-                    let slot = status::NON_FINITE as usize;
-                    let mut words = self.pipeline.home().status.read(slot, 1)?;
                     let rows = 0..self.gaussians.scene.count;
-                    words.extend(self.gaussians.read_words(rows)?);
+                    let words = self.gaussians.read_words(rows)?;
                     exchange.trade(Part::Rows, to_one(exchange, LEADER, words))?;
                 }
                 [END] => {

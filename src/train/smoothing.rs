@@ -4,7 +4,9 @@ use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Kernels, Program};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers, ViewSet};
+use crate::pipeline::share::Share;
 use crate::pipeline::stage::filter;
+use crate::ranks::Part;
 
 /// Iterations between two looks at the sampling rates (Mip-Splatting, §6); every density step has one as well.
 const INTERVAL: u32 = 100;
@@ -38,8 +40,24 @@ impl Smoothing {
         iteration.is_multiple_of(INTERVAL)
     }
 
-    /// Recomputes the filter of a scene from its positions, without waiting.
-    pub fn run(&self, scene: &GaussianBuffers, view: &ViewBuffers<f32>) -> Result<()> {
-        filter::compute(&self.stage, scene, view, &self.cameras, &self.largest)
+    /// Recomputes the filter of a scene from its positions; waits where ranks share its rows.
+    ///
+    /// # Errors
+    /// Another rank's failure, or the driver's.
+    pub fn run(
+        &self,
+        scene: &GaussianBuffers,
+        view: &ViewBuffers<f32>,
+        share: Option<&Share<f32>>,
+    ) -> Result<()> {
+        let (stage, cameras, largest) = (&self.stage, &self.cameras, &self.largest);
+        let Some(share) = share else {
+            return filter::compute(stage, scene, view, cameras, largest);
+        };
+        filter::measure(stage, scene, view, cameras, largest)?;
+        let got = share.tell_all(Part::Evidence, largest.read_words(0, largest.len())?)?;
+        let values = got.iter().flatten().map(|v| f32::from_bits(*v));
+        largest.write(0, &vec![values.fold(0.0, f32::max); largest.len()])?;
+        filter::fill(stage, scene, view, largest)
     }
 }

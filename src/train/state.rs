@@ -45,7 +45,7 @@ impl Trainer {
     /// The driver's, or non-finite parameters.
     pub fn state(&mut self) -> Result<TrainerState> {
         self.settle()?;
-        let amidst = self.amidst_batch(self.iteration);
+        let (splats, rows) = self.held(self.amidst_batch(self.iteration))?;
         let deciding = self.control.settle()?;
         Ok(TrainerState {
             deciding,
@@ -56,8 +56,8 @@ impl Trainer {
                 next => next,
             },
             detail: self.plan.detail.value.clone(),
-            splats: self.gaussians.scene.download()?,
-            rows: self.gaussians.rows(amidst)?,
+            splats,
+            rows,
             stats: self.control.stats,
             non_finite: self.counters.non_finite,
             learned: self.learned,
@@ -71,6 +71,7 @@ impl Trainer {
     /// # Errors
     /// A state of another shape, or the driver's.
     pub fn restore(&mut self, state: &TrainerState) -> Result<()> {
+        self.gather()?;
         let scene = &self.gaussians.scene;
         if (state.splats.sh_degree(), state.splats.len()) != (scene.sh_degree, scene.count) {
             return Err(mismatch(

@@ -19,7 +19,7 @@ use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::adam::Step;
 use crate::scene::Gaussians;
 use crate::train::control::{Control, DensityEvent};
-use crate::train::crew::Crew;
+use crate::train::crew::{Crew, LENGTH, RAISE};
 use crate::train::gaussians::GaussianState;
 use crate::train::optimizer::Optimizer;
 use crate::train::plan::{Decision, Learned, Plan};
@@ -230,8 +230,7 @@ impl Trainer {
 
     /// One iteration, enqueued and not waited for.
     pub(super) fn iterate(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
-        // It takes the rows of all ranks.
-        if self.pipeline.share.is_none() && self.smoothing_due(iteration) {
+        if self.smoothing_due(iteration) {
             self.smooth()?;
         }
         let view = self.views.at(iteration)?;
@@ -338,6 +337,8 @@ impl Trainer {
     pub fn set_length(&mut self, iterations: u32) -> Result<()> {
         self.settle()?;
         let from = self.iteration;
+        self.tell(vec![LENGTH, from, iterations])?;
+        self.rest();
         self.apply_length(Length { from, iterations });
         Ok(())
     }
@@ -387,7 +388,7 @@ impl Trainer {
             }
             Next::Exposure => self.exposure_due()?,
             Next::Compile => {
-                self.build_exposure()?;
+                self.begin_exposure()?;
                 (Some(Event::Compiled), Next::Iterate)
             }
             Next::Iterate => {
@@ -461,17 +462,11 @@ impl Trainer {
         Ok(())
     }
 
-    /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed), and has all Gaussians here.
+    /// Waits until every iteration enqueued so far has truly been done (repeating those that overflowed).
     ///
     /// # Errors
     /// See [`Trainer::advance`].
     pub fn settle(&mut self) -> Result<()> {
-        self.land()?;
-        self.gather()
-    }
-
-    /// [`Trainer::settle`] but for the Gaussians, which stay with the ranks that have them.
-    pub(super) fn land(&mut self) -> Result<()> {
         let (goal, next) = (self.iteration, self.next);
         loop {
             while !self.in_flight.is_empty() {
@@ -497,15 +492,14 @@ impl Trainer {
             return Ok(());
         }
         self.settle()?;
+        self.tell(vec![RAISE, degree + 1])?;
+        self.rest();
         self.gaussians.raise_sh_degree(&self.device, degree + 1)
     }
 
     /// Recomputes the smoothing filter from the positions; does nothing without anti-aliasing.
-    pub(super) fn smooth(&self) -> Result<()> {
-        match &self.smoothing {
-            Some(s) => s.run(&self.gaussians.scene, &self.pipeline.forward.frame),
-            None => Ok(()),
-        }
+    fn smooth(&mut self) -> Result<()> {
+        self.controlled().1.smooth()
     }
 
     /// Makes the buffers fit the Gaussians, the largest image, and the tile intersections so far with a quarter to spare.
@@ -513,6 +507,10 @@ impl Trainer {
         let frame = &mut self.pipeline.forward.frame;
         frame.fit_gaussians(&self.device, self.gaussians.scene.stride)?;
         frame.fit_image(&self.device, self.views.set.largest)?;
+        if self.pipeline.share.is_some() {
+            // A band makes room for its own pairs.
+            return Ok(());
+        }
         let max = self.counters.max_intersections;
         let least = 4 * self.gaussians.scene.count.max(1024);
         frame.fit_intersections(&self.device, (max + max / 4).max(least))

@@ -1,5 +1,6 @@
 //! [`Working`]: what density control works on.
 
+use crate::base::error::Result;
 use crate::device::Device;
 use crate::pipeline::pass::Pipeline;
 use crate::train::gaussians::GaussianState;
@@ -19,4 +20,18 @@ pub struct Working<'a> {
     pub views: &'a Views,
     /// Smoothing filter, if there is one.
     pub smoothing: Option<&'a Smoothing>,
+}
+
+impl Working<'_> {
+    /// Recomputes the smoothing filter, if there is one.
+    ///
+    /// # Errors
+    /// See [`Smoothing::run`].
+    pub fn smooth(&self) -> Result<()> {
+        let (scene, pipeline) = (&self.gaussians.scene, &self.pipeline);
+        match self.smoothing {
+            Some(s) => s.run(scene, &pipeline.forward.frame, pipeline.share.as_ref()),
+            None => Ok(()),
+        }
+    }
 }

@@ -131,10 +131,8 @@ fn scores(data: &Dataset) -> Vec<ViewScore> {
     let photos = Photos::new(&device, data.image_budget);
     let views = ViewSet::new(&photos, data.test.iter().cloned()).unwrap();
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
-    let (scene, renderer) = trainer.scene_and_renderer().unwrap();
-    evaluator
-        .score_all(scene, renderer, [0.0; 3], true)
-        .unwrap()
+    let scene = &mut trainer;
+    evaluator.score_all(scene, [0.0; 3], true).unwrap()
 }
 
 fn psnr(scores: &[ViewScore]) -> f64 {

@@ -2,7 +2,7 @@
 
 use crate::base::constants::FILTER_CHUNKS;
 use crate::base::error::Result;
-use crate::device::{Array, CameraArg, Program, Real};
+use crate::device::{Array, CameraArg, Launch, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 use crate::scene::Plane;
@@ -16,7 +16,19 @@ pub fn compute<R: Real>(
     cameras: &Array<CameraArg<R>>,
     largest: &Array<R>,
 ) -> Result<()> {
-    let chunks = FILTER_CHUNKS as usize;
+    measure(stage, scene, view, cameras, largest)?;
+    fill(stage, scene, view, largest)
+}
+
+/// Writes the filter of a scene from the cameras of the training views, 0 for what none of them sees, and the largest values of its chunks
+/// into `largest`. After an overflow in the view nothing changes.
+pub fn measure<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    cameras: &Array<CameraArg<R>>,
+    largest: &Array<R>,
+) -> Result<()> {
     stage
         .launch("filter_views")
         .scene(scene, Plane::LOG_SCALE)
@@ -25,16 +37,33 @@ pub fn compute<R: Real>(
         .status(view)
         .array(&scene.filter, scene.stride)
         .over_gaussians(scene.count)?;
-    let rest = |kernel| {
-        stage
-            .launch(kernel)
-            .uints([scene.count])
-            .status(view)
-            .array(&scene.filter, scene.stride)
-            .array(largest, chunks)
-    };
-    rest("filter_largest").over_chunks([chunks, 1])?;
-    rest("filter_unseen").over_gaussians(scene.count)
+    with_largest(stage, "filter_largest", scene, view, largest)
+        .over_chunks([FILTER_CHUNKS as usize, 1])
+}
+
+/// Gives the Gaussians that no view sees the largest filter of `largest`.
+pub fn fill<R: Real>(
+    stage: &Program,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    largest: &Array<R>,
+) -> Result<()> {
+    with_largest(stage, "filter_unseen", scene, view, largest).over_gaussians(scene.count)
+}
+
+fn with_largest<'a, R: Real>(
+    stage: &'a Program,
+    kernel: &'static str,
+    scene: &GaussianBuffers<R>,
+    view: &ViewBuffers<R>,
+    largest: &Array<R>,
+) -> Launch<'a> {
+    stage
+        .launch(kernel)
+        .uints([scene.count])
+        .status(view)
+        .array(&scene.filter, scene.stride)
+        .array(largest, FILTER_CHUNKS as usize)
 }
 
 // Definition in f64: that of the host.

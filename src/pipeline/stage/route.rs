@@ -133,6 +133,23 @@ impl<R: Real> Route<R> {
         totals.into_iter().enumerate().map(message).collect()
     }
 
+    /// Rows of the view sent last that each band got, in the order in which it got them; waits.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn sent_rows(&self, view: &ViewBuffers<R>) -> Result<Vec<Vec<u32>>> {
+        let (spans, bands) = (self.spans.read(0, view.count)?, self.bands.to_vec()?);
+        let rows = |band: &[u32]| -> Vec<u32> {
+            let touches = |span: &u32| {
+                let [first, last] = [span & 0xffff, span >> 16];
+                last >= band[0] && first < band[1] && band[0] < band[1]
+            };
+            let rows = (0..).zip(&spans).filter(|(_, span)| touches(span));
+            rows.map(|(row, _)| row).collect()
+        };
+        Ok(bands.windows(2).map(rows).collect())
+    }
+
     /// Takes the messages of [`Route::send`] of all ranks for this one: records and keys of a view, one rank's after the other's. Returns
     /// the first Gaussian of each rank, and their number.
     pub fn receive(

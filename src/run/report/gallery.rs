@@ -6,8 +6,7 @@ use image::{ExtendedColorType, ImageEncoder, RgbImage, imageops};
 
 use crate::base::error::{Error, Result};
 use crate::evaluate::Evaluator;
-use crate::pipeline::buffers::GaussianBuffers;
-use crate::pipeline::forward::Renderer;
+use crate::pipeline::forward::Renders;
 
 /// Error at which the map is brightest: mean absolute error over R, G, B of values in [0, 1]; larger errors look the
 /// same. One fixed scale, so that maps of different views and runs compare; 0.2 keeps 25–30 dB (0.02–0.04) visible.
@@ -91,17 +90,16 @@ pub fn error_map(render: &[u8], photo: &[u8]) -> Result<Vec<u8>> {
 pub(crate) fn items(
     evaluator: &Evaluator,
     views: &[usize],
-    scene: &GaussianBuffers,
-    renderer: &mut Renderer,
+    scene: &mut dyn Renders,
     background: [f32; 3],
 ) -> Result<Vec<GalleryItem>> {
     let mut items = Vec::with_capacity(views.len());
     for (k, &view) in views.iter().enumerate() {
         let next = &views[k + 1..];
-        let Some(score) = evaluator.score(view, next, scene, renderer, background)? else {
+        let Some(score) = evaluator.score(view, next, scene, background)? else {
             continue;
         };
-        let image = renderer.read_image()?;
+        let image = scene.renderer().read_image()?;
         let render = image.rgb8();
         let photo = evaluator.views().read_photo(view)?;
         let counted = photo.counted(render.clone());

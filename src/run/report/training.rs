@@ -29,14 +29,13 @@ pub(crate) fn training_views(
     let views = trainer.training_views(VIEWS);
     let device = views.photos().device().clone();
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views)?;
-    let (scene, renderer) = trainer.scene_and_renderer()?;
-    let mut scores = evaluator.score_all(scene, renderer, background, false)?;
+    let mut scores = evaluator.score_all(trainer, background, false)?;
     scores.sort_by(|a, b| a.scores.psnr.total_cmp(&b.scores.psnr));
     let names = &evaluator.views().names;
     let place = |view: &String| names.iter().position(|name| name == view);
     let worst = scores.iter().take(SHOWN).filter_map(|s| place(&s.view));
     let worst: Vec<usize> = worst.collect();
-    let mut shown = items(&evaluator, &worst, scene, renderer, background)?;
+    let mut shown = items(&evaluator, &worst, trainer, background)?;
     shown.iter_mut().for_each(|item| item.training = true);
     let views = scores.len();
     let mean = FinalRecord::of(scores).map(|scores| TrainingScores {
