@@ -335,7 +335,7 @@ fn rows_sent(trainer: &Trainer) -> u64 {
     trainer.traffic().unwrap()[Part::Rows as usize]
 }
 
-/// What is looked at, saved or changed between iterations leaves the rows where they are.
+/// Rows stay where they are while they are looked at, saved or changed between iterations.
 #[test]
 fn rows_stay_with_their_ranks() {
     let data = room(64);

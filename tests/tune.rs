@@ -128,15 +128,13 @@ fn a_gpu_tries_one_size_after_the_other() {
     // Sums of a larger group take more room, and may be fewer.
     wanted.extend([(vec!["grad-sums"], 1), (vec!["grad-group", "grad-sums"], 2)]);
     assert_eq!(changed, wanted);
-    // What does not fit into the device's local memory is not tried.
-    info.local_memory = 16 << 10;
-    let fit = candidates(&info);
-    assert!(
-        fit.len() == 13
-            && fit
-                .iter()
-                .all(|t| t.grad_local_bytes() <= info.local_memory)
-    );
+    // What does not fit into the device's local memory is not tried, nor what the checks in double precision could not build.
+    for (local_memory, fp64, number) in [(16 << 10, false, 13), (32 << 10, true, 13)] {
+        (info.local_memory, info.fp64) = (local_memory, fp64);
+        let fit = candidates(&info);
+        assert_eq!(fit.len(), number);
+        assert!(fit.iter().all(|t| t.grad_local_bytes(fp64) <= local_memory));
+    }
 }
 
 #[test]

@@ -197,7 +197,7 @@ impl Tuning {
                 "grad-sums is between 1 and a ninth of grad-group",
             ),
             (
-                !self.group_style || self.grad_local_bytes() <= info.local_memory,
+                !self.group_style || self.grad_local_bytes(info.fp64) <= info.local_memory,
                 "grad-group and grad-sums need no more than the device's local memory",
             ),
         ];
@@ -213,12 +213,13 @@ impl Tuning {
         pairs.div_ceil(self.grad_segment as usize) * 4 * (TILE * TILE) as usize
     }
 
-    /// Bytes of local memory that a work-group of splat_grad takes in f32: records and slots of a batch, and sums by work-item in rows that
-    /// are padded by four.
+    /// Bytes of local memory that a work-group of splat_grad takes at most, in f64 where that is to be built: records and slots of a batch, and
+    /// sums by work-item in rows that are padded by four.
     #[must_use]
-    pub fn grad_local_bytes(&self) -> u64 {
-        let staged = u64::from(GROUP_BATCH) * (RECORD_BYTES + size_of::<u32>()) as u64;
-        let row = u64::from(self.grad_group + 4) * size_of::<f32>() as u64;
+    pub fn grad_local_bytes(&self, in_double: bool) -> u64 {
+        let real = if in_double { 2 } else { 1 };
+        let staged = u64::from(GROUP_BATCH) * (real * RECORD_BYTES + size_of::<u32>()) as u64;
+        let row = u64::from(self.grad_group + 4) * (real * size_of::<f32>()) as u64;
         staged + u64::from(self.grad_sums) * SUMS as u64 * row
     }
 

@@ -306,6 +306,13 @@ impl<R: Real> ViewBuffers<R> {
         Ok(())
     }
 
+    /// Gives up the room for Gaussians and pairs, of which views need fewer from now on; each makes room for its own.
+    pub fn release(&mut self, device: &Device) -> Result<()> {
+        self.keys = Array::zeros(device, "keys", 0)?;
+        self.fit_gaussians(device, ROUND)?;
+        self.set_intersections(device, ROUND)
+    }
+
     /// Emission slots of the tile intersections, by tile and depth.
     #[must_use]
     pub fn order(&self) -> &Array<u32> {

@@ -16,15 +16,16 @@ pub enum Part {
     Records,
     /// Pixel rows beside bands.
     Borders,
-    /// Sums of pairs, back to the Gaussians.
+    /// Sums of pairs, or flags, back to the Gaussians.
     Sums,
     /// Sums of the loss, to the leader.
     Loss,
-    /// Bands of images, to all.
+    /// Bands of images, to all or to the leader.
     Images,
     /// Parameters, moments and statistics of Gaussians, between iterations.
     Rows,
-    /// Planes that all ranks decide a density step from.
+    /// Values of all Gaussians that every rank needs, or the leader: planes that density steps are decided from, checksums of decisions,
+    /// largest filters, flags of what is seen.
     Evidence,
 }
 

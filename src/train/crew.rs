@@ -26,11 +26,11 @@ pub struct Crew {
     row_parts: Parts,
     /// Parts of the ranks in the rows of tiles.
     band_parts: Parts,
-    /// Seconds that each rank worked on its rows since they were spread.
+    /// Seconds that each rank worked on its rows since they were divided.
     worked_on_rows: Vec<f64>,
     /// CPU seconds of the processes of other ranks.
     process_seconds: f64,
-    /// First row of each rank, and the number of all, when they were spread last.
+    /// First row of each rank, and the number of all, when they were divided last.
     rows: Vec<usize>,
     /// Non-finite gradient values of the other ranks, and of before there were any.
     non_finite: Vec<u64>,
@@ -67,7 +67,7 @@ pub const COUNT: u32 = 12;
 
 /// Gain of a step of the bands towards even times, after every view.
 const BAND_GAIN: f64 = 0.1;
-/// The same of the rows, when they are spread.
+/// The same of the rows, when they are divided.
 const ROW_GAIN: f64 = 0.5;
 /// Least share of a rank, as a part of an even one: it goes on being measured.
 const LEAST_PART: f64 = 0.02;

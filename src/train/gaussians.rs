@@ -274,8 +274,8 @@ impl GaussianState {
     pub fn shrink(&mut self, device: &Device, rows: usize) -> Result<()> {
         let from = self.scene.stride;
         let to = GaussianBuffers::<f32>::grown_stride(rows.max(1));
-        self.scene.count = rows;
         if to >= from {
+            self.scene.count = rows;
             return Ok(());
         }
         for (array, planes) in self.arrays().0 {
@@ -284,8 +284,18 @@ impl GaussianState {
             }
         }
         self.scratch = Array::zeros(device, "scratch", 0)?;
-        self.scene.stride = to;
+        (self.scene.stride, self.scene.count) = (to, rows);
         Ok(())
+    }
+
+    /// [`GaussianState::shrink`] to the Gaussians that there are, if there is much more room than that leaves.
+    pub fn shrink_far(&mut self, device: &Device) -> Result<()> {
+        let count = self.scene.count;
+        let least = GaussianBuffers::<f32>::grown_stride(count.max(1));
+        match 4 * self.scene.stride > 5 * least {
+            true => self.shrink(device, count),
+            false => Ok(()),
+        }
     }
 
     /// Applies the edits of a density step, which leave `rows` rows. The statistics start anew, and the smoothing filter is to be computed

@@ -54,7 +54,8 @@ impl Trainer {
         let mut words = Words(words);
         let background = words.take()?.map(f32::from_bits);
         let camera = Array::from_slice(&self.device, "camera", &[CameraArg::default()])?;
-        camera.write_words(0, words.0)?;
+        let len = size_of::<CameraArg<f32>>() / size_of::<u32>();
+        camera.write_words(0, words.some(len)?)?;
         self.render_band(&camera.read(0, 1)?[0], background)
     }
 }

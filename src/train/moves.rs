@@ -169,6 +169,7 @@ impl Places {
         let sorted = Array::from_slice(device, "row order", &sorted)?;
         let [start, end] = [division[rank], division[rank + 1]];
         gaussians.reorder(device, stage, (&sorted, end - start), carried)?;
+        gaussians.shrink_far(device)?;
         gaussians.scene.shard = Some(Shard {
             first: start,
             all: order.len(),

@@ -144,6 +144,8 @@ impl Trainer {
         // Of no meaning: the leader sends this rank's rows.
         let start = Gaussians::zeros(sh_degree, 1);
         let mut trainer = Self::assemble(set, plan, &start, strategy)?;
+        // The leader keeps it.
+        trainer.control.trace = None;
         trainer.pipeline.share = Some(trainer.share(exchange.clone())?);
         trainer.obey(exchange.as_ref())
     }
@@ -233,6 +235,7 @@ impl Trainer {
         }
         exchange.trade(Part::Rows, messages)?;
         self.gaussians.shrink(&self.device, own)?;
+        self.pipeline.forward.frame.release(&self.device)?;
         self.gaussians.scene.shard = Some(Shard { first: 0, all });
         self.pipeline.share = self.crew.as_mut().and_then(|crew| crew.idle.take());
         Ok(())
@@ -311,8 +314,11 @@ impl Trainer {
         let Some(shard) = self.gaussians.scene.shard else {
             return Ok(());
         };
-        self.gaussians.grow(&self.device, shard.all)?;
         if let Some(crew) = &mut self.crew {
+            // Where there is no room, some planes may have moved and others not: nothing goes on from that.
+            crew.at_rest = false;
+            self.gaussians.grow(&self.device, shard.all)?;
+            crew.at_rest = true;
             for (rank, words) in (1..).zip(&others) {
                 let rows = crew.rows_of(rank);
                 self.gaussians.write_words(rows, words, Carried::All)?;
@@ -321,7 +327,7 @@ impl Trainer {
         }
         self.gaussians.scene.count = shard.all;
         self.gaussians.scene.shard = None;
-        Ok(())
+        self.fit_views()
     }
 
     /// Everything that belongs to the rows of each of the other ranks, as words, once all iterations have settled; nothing unless rows

@@ -67,7 +67,7 @@ pub fn visit(browser: &Path, dir: &Path, address: &str, more: &[&str]) -> String
         .expect("the browser did not end, three times")
 }
 
-/// What the browser printed; `None` if it has not ended after a minute and a half.
+/// Output of the browser; `None` if it has not ended after a minute and a half.
 fn visit_once(browser: &Path, dir: &Path, address: &str, more: &[&str]) -> Option<String> {
     let log = dir.join("stdout");
     let mut child = headless(browser, dir)
