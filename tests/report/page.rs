@@ -303,27 +303,19 @@ fn advice_follows_from_the_figures() {
         record.final_scores.as_mut().unwrap().mean.psnr = 12.0;
     };
     assert!(advice(poor, level).contains("may not belong together"));
-    let by_heart = |psnr: f64| {
-        let gap = move |record: &mut RunRecord| {
-            full(record);
-            let views = 8;
-            let ssim = 0.95;
-            record.training = Some(TrainingScores { views, psnr, ssim });
-        };
-        advice(gap, level).contains("photos are too few or too far apart")
-    };
-    assert!(by_heart(33.5) && !by_heart(32.5));
-    // More Gaussians would fit such photos alone.
-    let both = |psnr: f64| {
+    let told = |psnr: f64, what: &str| {
         let gap = move |record: &mut RunRecord| {
             full(record);
             capped(record);
             let (views, ssim) = (8, 0.95);
             record.training = Some(TrainingScores { views, psnr, ssim });
         };
-        advice(gap, level).contains("was reached")
+        advice(gap, level).contains(what)
     };
-    assert!(both(32.5) && !both(33.5));
+    let by_heart = |psnr| told(psnr, "photos are too few or too far apart");
+    assert!(by_heart(33.5) && !by_heart(32.5));
+    // More Gaussians would fit such photos alone.
+    assert!(told(32.5, "was reached") && !told(33.5, "was reached"));
     let absent = |record: &mut RunRecord| record.dataset.missing = vec!["a.jpg".to_owned(); 3];
     assert!(advice(absent, level).contains("3 photos that the model names"));
 }
