@@ -37,23 +37,21 @@ CHUNK_KERNEL void route_count(ROUTE_ARGUMENTS, uint chunks, __global uint *sums)
   if (ITEM == 0) sums[rank * chunks + c] = n;
 }
 
-// Launch: as route_count. Writes what each rank gets, in the order of the Gaussians, and its number.
+// Launch: as route_count. Writes what each rank gets, in the order of the Gaussians, one rank's after the other's.
 CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *sums, // in [ranks, chunks]
                              __global const Projected *records, __global const uint *keys, // in [count]
-                             uint stride, __global uint *sent_keys,                   // out [ranks, stride]
-                             __global Projected *sent,                                // out [ranks, stride], cut to the band
-                             __global uint *place,                                    // out [ranks, stride] number among those sent
-                             __global uint *totals) {                                 // out [ranks]
+                             __global const uint *firsts,                             // in [ranks] first of what each gets
+                             __global uint *sent_keys,                                // out [sent to all]
+                             __global Projected *sent,                                // out [sent to all], cut to the band
+                             uint stride, __global uint *place) {                     // out [ranks, stride] number among those sent
   SCRATCH;
   const uint c = CHUNK, rank = get_global_id(1);
   if (c >= chunks) return;
   const uint size = chunk_size(count, chunks), first = min(c * size, count), last = min(first + size, count);
   const uint from = bands[rank], to = bands[rank + 1];
   __global const uint *of = sums + rank * chunks;
-  const size_t own = (size_t)rank * stride;
+  const size_t own = (size_t)rank * stride, to_rank = firsts[rank];
   uint before = (uint)group_sum(sum_before(of, c), scratch);
-  // Before the loop: what stands after one that holds barriers and has no turn, PoCL 3.1 leaves out.
-  if (c == chunks - 1 && ITEM == 0) totals[rank] = before + of[c];
   for (uint block = first; block < last; block += GROUP) {
     const uint i = block + ITEM;
     const int touches = i < last && touches_band(spans[i], from, to);
@@ -62,8 +60,8 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
     if (touches) {
       Projected cut = records[i];
       cut.by = max((uint)BOUND_LO(cut.by), from * TILE) | min((uint)BOUND_HI(cut.by), to * TILE - 1) << 16;
-      sent_keys[own + at] = keys[i];
-      sent[own + at] = cut;
+      sent_keys[to_rank + at] = keys[i];
+      sent[to_rank + at] = cut;
       place[own + i] = at;
     }
     before += total;

@@ -114,7 +114,7 @@ impl<R: Real> GaussianBuffers<R> {
     /// Uploads a scene, with room for at least `capacity` Gaussians.
     pub fn upload(device: &Device, splats: &Gaussians, capacity: usize) -> Result<Self> {
         let count = splats.len();
-        let stride = capacity.max(count).max(1).next_multiple_of(ROUND);
+        let stride = Self::stride_of(capacity.max(count));
         check_room::<R>(device, "params", splats.planes().len(), stride)?;
         let mut host = vec![R::of(0.0); splats.planes().len() * stride];
         for (p, plane) in splats.planes().iter().enumerate() {
@@ -162,7 +162,13 @@ impl<R: Real> GaussianBuffers<R> {
     /// A stride for at least `capacity` Gaussians, with a quarter as many again to grow into.
     #[must_use]
     pub fn grown_stride(capacity: usize) -> usize {
-        (capacity + capacity / 4).next_multiple_of(ROUND)
+        Self::stride_of(capacity + capacity / 4)
+    }
+
+    /// The least stride for so many Gaussians, one at least.
+    #[must_use]
+    pub fn stride_of(capacity: usize) -> usize {
+        capacity.max(1).next_multiple_of(ROUND)
     }
 }
 

@@ -270,10 +270,10 @@ impl GaussianState {
         Ok(())
     }
 
-    /// Gives up the room beyond the first `rows` Gaussians, but for a quarter to grow into, and what is beyond.
-    pub fn shrink(&mut self, device: &Device, rows: usize) -> Result<()> {
+    /// Gives up what is beyond the first `rows` Gaussians, and the room beyond `capacity`.
+    pub fn shrink(&mut self, device: &Device, rows: usize, capacity: usize) -> Result<()> {
         let from = self.scene.stride;
-        let to = GaussianBuffers::<f32>::grown_stride(rows.max(1));
+        let to = GaussianBuffers::<f32>::stride_of(capacity.max(rows));
         if to >= from {
             self.scene.count = rows;
             return Ok(());
@@ -288,12 +288,12 @@ impl GaussianState {
         Ok(())
     }
 
-    /// [`GaussianState::shrink`] to the Gaussians that there are, if there is much more room than that leaves.
+    /// Gives up the room beyond a quarter to grow into, if it is much.
     pub fn shrink_far(&mut self, device: &Device) -> Result<()> {
         let count = self.scene.count;
-        let least = GaussianBuffers::<f32>::grown_stride(count.max(1));
+        let least = GaussianBuffers::<f32>::grown_stride(count);
         match 4 * self.scene.stride > 5 * least {
-            true => self.shrink(device, count),
+            true => self.shrink(device, count, least),
             false => Ok(()),
         }
     }

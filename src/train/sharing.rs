@@ -23,6 +23,7 @@ use crate::train::crew::{
 use crate::train::gaussians::{Carried, GaussianRows, GaussianState};
 use crate::train::plan::Plan;
 use crate::train::step::Trainer;
+use crate::train::views::capacity;
 
 /// Threads of the ranks that do not lead.
 type Threads = Vec<JoinHandle<()>>;
@@ -234,7 +235,8 @@ impl Trainer {
             messages.push(self.rows_for(rows, all)?);
         }
         exchange.trade(Part::Rows, messages)?;
-        self.gaussians.shrink(&self.device, own)?;
+        let room = capacity(&self.plan.config, own);
+        self.gaussians.shrink(&self.device, own, room)?;
         self.pipeline.forward.frame.release(&self.device)?;
         self.gaussians.scene.shard = Some(Shard { first: 0, all });
         self.pipeline.share = self.crew.as_mut().and_then(|crew| crew.idle.take());
@@ -299,7 +301,7 @@ impl Trainer {
             let rows = self.gaussians.rows;
             let kept = [self.smoothing.is_some(), self.plan.config.batch > 1];
             let none = Gaussians::zeros(degree, 0);
-            let room = count + count / 4;
+            let room = capacity(&self.plan.config, count);
             self.gaussians = GaussianState::new(&self.device, &none, room, rows, kept)?;
         }
         let scene = &mut self.gaussians.scene;

@@ -21,17 +21,22 @@ pub struct Route<R: Real> {
     program: Program,
     rank: usize,
     ranks: usize,
-    /// Gaussians that there is room for.
+    /// Gaussians of this rank that there is room for.
     stride: usize,
     /// First row of tiles of each band, and the number of rows.
     bands: Array<u32>,
     spans: Array<u32>,
     /// Gaussians of each chunk that touch a band.
     chunk_sums: Array<u32>,
+    /// First of what each band gets, among what all get.
+    firsts: Array<u32>,
     keys: Array<u32>,
     sent: Array<Projected<R>>,
     place: Array<u32>,
-    totals: Array<u32>,
+    /// Gaussians that each band gets.
+    sent_counts: Vec<usize>,
+    /// First of what this rank's own band gets.
+    sent_first: usize,
     starts: Array<u32>,
     offsets: Array<u32>,
     returned: Array<R>,
@@ -67,7 +72,9 @@ impl<R: Real> Route<R> {
             keys: ints("sent keys", 0)?,
             sent: Array::zeros(device, "sent", 0)?,
             place: ints("place", 0)?,
-            totals: ints("sent totals", ranks)?,
+            firsts: ints("sent firsts", ranks)?,
+            sent_counts: vec![0; ranks],
+            sent_first: 0,
             starts: ints("starts", 0)?,
             offsets: ints("offsets", ranks)?,
             returned: Array::zeros(device, "returned", 0)?,
@@ -88,13 +95,10 @@ impl<R: Real> Route<R> {
     pub fn send(&mut self, device: &Device, view: &ViewBuffers<R>) -> Result<Vec<Vec<u32>>> {
         if self.stride < view.count {
             self.stride = view.count + view.count / 4;
-            fit(device, &mut self.keys, self.ranks * self.stride)?;
-            fit(device, &mut self.sent, self.ranks * self.stride)?;
             fit(device, &mut self.place, self.ranks * self.stride)?;
             fit(device, &mut self.spans, self.stride)?;
         }
         let (chunks, ranks) = (self.program.chunks(), self.ranks);
-        let rooms = ranks * self.stride;
         let over_bands = |launch: Launch<'_>| {
             let group = launch.defines().tuning.tile_group();
             launch.run([chunks * group, ranks], [group, 1])
@@ -108,29 +112,43 @@ impl<R: Real> Route<R> {
             .over_items([view.count, 1])?;
         let launch = self.own("route_count", view).uints([chunks]);
         over_bands(launch.array(&self.chunk_sums, ranks * chunks))?;
+        let counted = self.chunk_sums.read(0, ranks * chunks)?;
+        let total = |of: &[u32]| of.iter().map(|n| *n as usize).sum();
+        self.sent_counts = counted.chunks_exact(chunks).map(total).collect();
+        let all: usize = self.sent_counts.iter().sum();
+        let firsts: Vec<usize> = (self.sent_counts.iter())
+            .scan(0, |end, n| {
+                *end += n;
+                Some(*end - n)
+            })
+            .collect();
+        self.sent_first = firsts[self.rank];
+        fit(device, &mut self.keys, all.max(1))?;
+        fit(device, &mut self.sent, all.max(1))?;
+        let written: Vec<u32> = firsts.iter().map(|first| *first as u32).collect();
+        self.firsts.write(0, &written)?;
         let launch = self
             .own("route_pack", view)
             .uints([chunks])
             .array(&self.chunk_sums, ranks * chunks)
             .array(&view.records, view.count)
             .array(&view.keys, view.count)
+            .array(&self.firsts, ranks)
+            .array(&self.keys, all)
+            .array(&self.sent, all)
             .uints([self.stride])
-            .array(&self.keys, rooms)
-            .array(&self.sent, rooms)
-            .array(&self.place, rooms)
-            .array(&self.totals, ranks);
+            .array(&self.place, ranks * self.stride);
         over_bands(launch)?;
-        let totals = self.totals.to_vec()?;
-        let message = |(rank, total): (usize, u32)| {
-            let (from, n) = (rank * self.stride, total as usize);
+        let message = |(rank, from): (usize, &usize)| {
+            let n = self.sent_counts[rank];
             if rank == self.rank {
-                return Ok(vec![total]);
+                return Ok(vec![n as u32]);
             }
-            let mut words = self.keys.read_words(from, n)?;
-            words.extend(self.sent.read_words(from, n)?);
+            let mut words = self.keys.read_words(*from, n)?;
+            words.extend(self.sent.read_words(*from, n)?);
             Ok(words)
         };
-        totals.into_iter().enumerate().map(message).collect()
+        firsts.iter().enumerate().map(message).collect()
     }
 
     /// Rows of the view sent last that each band got, in the order in which it got them; waits.
@@ -177,7 +195,7 @@ impl<R: Real> Route<R> {
         for (rank, message) in messages.iter().enumerate() {
             let (first, n) = (firsts[rank], firsts[rank + 1] - firsts[rank]);
             if rank == self.rank {
-                let from = rank * self.stride;
+                let from = self.sent_first;
                 view.keys.copy_from(first, &self.keys, from, n)?;
                 view.records.copy_from(first, &self.sent, from, n)?;
             } else {
@@ -241,12 +259,11 @@ impl<R: Real> Route<R> {
         messages: &[Vec<u32>],
         view: &mut ViewBuffers<R>,
     ) -> Result<()> {
-        let totals = self.totals.to_vec()?;
         let words = size_of::<R>() / size_of::<u32>() * SUMS;
         let (mut starts, mut offsets, mut pairs) = (Vec::new(), Vec::new(), 0);
         let mut parts = Vec::new();
-        for (message, total) in messages.iter().zip(totals) {
-            let at = total as usize + 1;
+        for (message, sent) in messages.iter().zip(&self.sent_counts) {
+            let at = sent + 1;
             let (Some(&end), Some(sums)) = (message.get(at - 1), message.get(at..)) else {
                 return Err(Error::numerics("exchange", "a message that is too short"));
             };
