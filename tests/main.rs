@@ -31,6 +31,7 @@ mod flip;
 mod formats;
 mod fuzz;
 mod gradient;
+mod growth;
 mod hostile;
 mod house;
 mod inputs;

@@ -370,12 +370,18 @@ fn ranks_change_no_bit_in_the_group_style() {
     let data = room(32);
     let mut config = sampled(Sampler::Mh);
     config.max_size = 32;
+    // Tiles of several segments of pairs: even an eighth of the Gaussians in view are more than a tile's segment each.
+    let tuning = Tuning {
+        grad_segment: 64,
+        ..Tuning::GPU
+    };
     let run = |ranks| {
-        let mut trainer = shared(&data, &config, Some(Tuning::GPU), ranks);
+        let mut trainer = shared(&data, &config, Some(tuning), ranks);
         trainer.advance_to(30).unwrap();
         trainer.state().unwrap()
     };
     let want = run(1);
+    assert!(want.splats.len() > 8 * 4 * tuning.grad_segment as usize);
     same(&run(2), &want);
     same(&run(4), &want);
 }

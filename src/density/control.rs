@@ -97,6 +97,12 @@ pub trait DensityControl: Send + Sync {
         None
     }
 
+    /// Number of Gaussians that `n` are expected to be after a step, for forecasts of a run's time and size: as many unless the strategy
+    /// knows better. The context has no cameras and no pictures.
+    fn expected(&self, _context: &StepContext<'_>, n: f64) -> f64 {
+        n
+    }
+
     /// Decides on births, relocations and removals.
     ///
     /// # Errors

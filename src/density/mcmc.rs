@@ -54,6 +54,10 @@ impl DensityControl for Mcmc {
         })
     }
 
+    fn expected(&self, context: &StepContext<'_>, n: f64) -> f64 {
+        n + self.births(n as usize, context.max_gaussians) as f64
+    }
+
     fn step(
         &self,
         context: &StepContext<'_>,

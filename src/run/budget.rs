@@ -209,7 +209,7 @@ mod tests {
         let mut budget = Budget::new(seconds, false, most);
         let mut forecast = forecast(seconds);
         let (mut used, mut all, mut length, mut done, mut changes) = (0.5, 0.8, most, 0, 0);
-        forecast.iterated(done, length, used);
+        forecast.iterated(done, length, used, 1.0);
         while done < length {
             let one = cost(f64::from(done) / f64::from(length), done);
             (used, all) = (used + one, all + one);
@@ -220,7 +220,7 @@ mod tests {
                 forecast.evaluated(3.0 * one);
                 all += 3.0 * one;
             }
-            forecast.iterated(done, length, used);
+            forecast.iterated(done, length, used, 1.0);
             if let Some(n) = budget.length(done, length, &forecast, all) {
                 assert!(n > done && n <= most, "{n} of {most} after {done}");
                 length = n;
@@ -294,10 +294,10 @@ mod tests {
     fn a_run_that_goes_on_forgets_what_its_start_took() {
         let mut budget = Budget::new(60.0, false, 30_000);
         let mut forecast = forecast(60.0);
-        forecast.iterated(300, 1000, 30.0);
+        forecast.iterated(300, 1000, 30.0, 1.0);
         let next = (301..400).find_map(|at| {
             let used = 30.0 + 0.04 * f64::from(at - 300);
-            forecast.iterated(at, 1000, used);
+            forecast.iterated(at, 1000, used, 1.0);
             budget.length(at, 1000, &forecast, used)
         });
         assert!((500..1300).contains(&next.unwrap()), "{next:?}");
@@ -349,11 +349,54 @@ mod tests {
         let mut forecast = forecast(60.0);
         let mut seconds = 0.0;
         for done in [0, 20, 19, 18, 19, 20, 21, 40] {
-            forecast.iterated(done, 1000, seconds);
+            forecast.iterated(done, 1000, seconds, 1.0);
             seconds += 1.0;
         }
         let left = forecast.left(40, 1000).unwrap();
         assert!((10.0..600.0).contains(&left), "{left}");
+    }
+
+    /// A decision on the way takes a second in which a thousand iterations could be done.
+    #[test]
+    fn what_takes_time_beside_iterations_is_not_taken_for_them() {
+        let left = |disturbed: bool| {
+            let mut forecast = forecast(60.0);
+            for done in 0..=40 {
+                let extra = if done > 30 { 1.0 } else { 0.0 };
+                if disturbed && done == 31 {
+                    forecast.disturbed();
+                }
+                forecast.iterated(done, 1000, 1e-3 * f64::from(done) + extra, 1.0);
+            }
+            forecast.left(40, 1000).unwrap()
+        };
+        assert!(
+            left(false) > 3.0 * left(true),
+            "{} {}",
+            left(false),
+            left(true)
+        );
+    }
+
+    /// Costs grow with the photos and the Gaussians, more slowly than in proportion.
+    #[test]
+    fn larger_photos_and_more_gaussians_are_expected_to_cost_more() {
+        let unit = |gaussians: f64, halvings: &[f64]| {
+            let host = HostCost::of(0.65e-6, 2, false);
+            let sizes = Sizes::at_shares(halvings);
+            let mut forecast = Forecast::of(sizes, 0, (0, 0), EVERY, 20.0, host);
+            forecast.iterated(0, 1000, 0.0, gaussians);
+            forecast.iterated(20, 1000, 0.2, gaussians);
+            // The set has other numbers from now on.
+            forecast.iterated(20, 1000, 0.2, 1000.0);
+            forecast.left(20, 1000).unwrap() - forecast.end().unwrap()
+        };
+        let same = unit(1000.0, &[]);
+        assert!((9.5..10.5).contains(&same), "{same}");
+        let fewer = unit(250.0, &[]) / same;
+        assert!((fewer - 2.0).abs() < 0.01, "{fewer}");
+        let halved = unit(1000.0, &[0.021]) / same;
+        assert!((1.2..4.0).contains(&halved), "{halved}");
     }
 
     #[test]
@@ -362,8 +405,8 @@ mod tests {
         let (quick, slow) = (HostCost::of(1e-9, 1, false), HostCost::of(1e-3, 1, false));
         let end = |host: HostCost| {
             let mut forecast = Forecast::of(Sizes::default(), 0, (8, 2_400_000), EVERY, 20.0, host);
-            forecast.iterated(0, 1000, 0.0);
-            forecast.iterated(20, 1000, 0.2);
+            forecast.iterated(0, 1000, 0.0, 1.0);
+            forecast.iterated(20, 1000, 0.2, 1.0);
             forecast.end().unwrap()
         };
         assert!(end(quick) < end(measured) && end(measured) < end(slow));
@@ -391,7 +434,7 @@ mod tests {
                     Forecast::of(Sizes::at_shares(&[0.05, 0.1]), 0, (0, 0), EVERY, 20.0, host);
                 let mut used = 0.0;
                 for (done, time) in times.iter().enumerate() {
-                    forecast.iterated(done as u32, 3000, used);
+                    forecast.iterated(done as u32, 3000, used, 1.0);
                     let left = forecast.left(done as u32, 3000);
                     if (400..2700).contains(&done) {
                         let (told, end) = (left.unwrap(), forecast.end().unwrap());

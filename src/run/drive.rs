@@ -98,7 +98,8 @@ impl Run {
             if self.trainer.rested() {
                 let (training, all) = self.spent();
                 let told = self.forecast.measured() > 0;
-                self.forecast.iterated(done, self.iterations(), training);
+                let n = self.trainer.gaussians() as f64;
+                self.forecast.iterated(done, self.iterations(), training, n);
                 if !told
                     && self.pace.budget().is_none()
                     && let Some(left) = self.left()
@@ -126,7 +127,10 @@ impl Run {
                     None => break,
                 },
                 Event::Iteration { .. } => progress(&self.progress(None)),
-                Event::Decided(decision) => progress(&self.progress(Some(decision.to_string()))),
+                Event::Decided(decision) => {
+                    self.forecast.disturbed();
+                    progress(&self.progress(Some(decision.to_string())));
+                }
                 Event::Density(event) => self.log_density(&event)?,
                 Event::Settled(done) => {
                     if let Err(error) = self.pause(done) {

@@ -4,12 +4,13 @@ use std::fmt::Write;
 use std::time::Instant;
 
 use crate::base::error::Result;
-use crate::chart::text::about;
-use crate::config::{Preset, Sampler, TrainConfig};
+use crate::chart::text::{about, grouped};
+use crate::config::{Init, Preset, TrainConfig};
 use crate::evaluate::Evaluator;
 use crate::evaluate::flip::flip;
 use crate::run::report::training::VIEWS;
 use crate::train::Trainer;
+use crate::train::growth::Growth;
 use crate::train::sizes::Sizes;
 
 /// Iterations before the first measurement.
@@ -18,18 +19,20 @@ const FIRST: u32 = 20;
 /// The cost of an iteration is measured so many times in a run, evenly spread.
 const MEASUREMENTS: u32 = 50;
 
-/// Cost of an iteration of photos at full size over its largest one, at the middle of each tenth of the run: it grows with the
-/// births and falls with the deaths. Means of seven datasets (plush, fox, lego, tankard, toys, outdoor, south-half; 240 px, 3000
-/// iterations, CPU), which differ by up to a quarter from each other. What a run differs by from it is corrected on the way.
-const COST: [f64; 10] = [0.75, 0.83, 0.96, 1.0, 0.95, 0.85, 0.75, 0.72, 0.74, 0.8];
+/// Cost of an iteration: (pixels + [`BESIDE_PIXELS`])^[`PIXEL_POWER`] · √Gaussians. Fitted at eight runs of seven datasets of 240 to 640 px; the time
+/// of the later iterations told from that of a few differs by 7 % (root mean square) if the number of Gaussians is known
+/// (docs/results/budgets.md).
+const BESIDE_PIXELS: f64 = 20_000.0;
+const PIXEL_POWER: f64 = 0.7;
 
-/// The same of the strategies without deaths by turnover.
-const STEADY: [f64; 10] = [0.75, 0.8, 0.84, 0.86, 0.88, 0.88, 0.9, 0.9, 0.9, 0.95];
+/// Share of a run in which its first Gaussians are about all that there are, and cost of an iteration of later ones over that of these: sparse
+/// points are faint and far apart, random ones large. Of eleven runs 1.4 to 1.9 and 0.5 to 0.7 (docs/results/budgets.md).
+const BEGINNING: f64 = 1.0 / 12.0;
+const AFTER_POINTS: f64 = 1.6;
+const AFTER_RANDOM: f64 = 0.62;
 
-/// Share of an iteration's cost that does not depend on the photos' size, where they have [`PIXELS`]: of the same datasets, whose
-/// iterations take 0.42 to 0.59 at half and 0.3 to 0.48 at a quarter of the size of what they take at full size.
-const BESIDE_PIXELS: f64 = 0.39;
-const PIXELS: f64 = 43_000.0;
+/// Mean cost of an iteration at full size over that of the last one: Gaussians die towards the end.
+const MEAN_COST: f64 = 1.05;
 
 /// Cost of showing a view at the end, to find the Gaussians that none shows, and of scoring one, over that of an iteration then.
 const SEEN: f64 = 0.15;
@@ -47,8 +50,20 @@ const EVALUATIONS: f64 = 0.05;
 /// Share of a run's time that the scene and the report after evaluations on the way take at most, but for the first time.
 const EXPORTS: f64 = 0.01;
 
+/// Pixels of a photo where none is known.
+const SMALL: f64 = 43_000.0;
+
 /// Side of the square picture that tells how quick the host is.
 const PROBE: usize = 192;
+
+/// A number of Gaussians in words: two digits.
+fn counted(gaussians: f64) -> String {
+    let step = 10f64.powf((gaussians.max(1.0).log10() - 1.0).floor().max(0.0));
+    format!(
+        "about {}",
+        grouped((gaussians / step).round() as u64 * step as u64)
+    )
+}
 
 /// Number and total time of what is done now and then.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -139,8 +154,12 @@ impl Made {
 /// Measured times of a run. Seconds are of either clock, wall or CPU, the same in all calls.
 #[derive(Debug, Clone)]
 pub(super) struct Forecast {
-    /// Relative costs of iterations, by tenths of the run.
-    cost: &'static [f64; 10],
+    /// Numbers of Gaussians to come; `None` if they stay as many.
+    growth: Option<Growth>,
+    /// Cost of later iterations over that of those in the [`BEGINNING`].
+    later: f64,
+    /// Iterations and Gaussians at the last note of the training time.
+    now: (u32, f64),
     sizes: Sizes,
     /// Halvings that photos have had: there are no more from then on, be it that another length would have them.
     reached: u32,
@@ -158,9 +177,9 @@ pub(super) struct Forecast {
     every: Every,
     /// Seconds of an iteration of cost 1; `None` before the first measurement.
     unit: Option<f64>,
-    /// Iterations and seconds where the present measurement began.
-    mark: Option<(u32, f64)>,
-    /// True if what has been measured is of photos of another size.
+    /// Iterations, seconds and Gaussians where the present measurement began.
+    mark: Option<(u32, f64, f64)>,
+    /// True if what has been measured is of the [`BEGINNING`], which is over.
     stale: bool,
     /// Number of measurements.
     measured: u32,
@@ -195,12 +214,20 @@ impl Forecast {
                 .map(|[w, h]| u64::from(w) * u64::from(h));
             (cameras.len(), pixels.sum())
         });
-        let cost = match config.sampler == Sampler::Mh && config.mh.turns_over() {
-            true => &COST,
-            false => &STEADY,
-        };
+        let plan = trainer.plan();
+        let growth = Growth::new(
+            trainer.schedule().clone(),
+            plan.strategy(),
+            plan.most_gaussians.value,
+        );
         Self {
-            cost,
+            growth: Some(growth),
+            later: match config.init {
+                _ if plan.random_start => AFTER_RANDOM,
+                Init::Points => AFTER_POINTS,
+                _ => 1.0,
+            },
+            now: (trainer.iteration(), trainer.gaussians() as f64),
             pixels: trainer.largest_photo() as f64,
             also: trainer.views().min(VIEWS),
             reached: trainer.halvings(),
@@ -208,7 +235,7 @@ impl Forecast {
         }
     }
 
-    /// A forecast before anything is measured, for the costs of mh and photos of [`PIXELS`].
+    /// A forecast before anything is measured, for a fixed set of Gaussians and small photos.
     pub fn of(
         sizes: Sizes,
         shown: usize,
@@ -218,10 +245,12 @@ impl Forecast {
         host: HostCost,
     ) -> Self {
         Self {
-            cost: &COST,
+            growth: None,
+            later: 1.0,
+            now: (0, 1.0),
             sizes,
             reached: u32::MAX,
-            pixels: PIXELS,
+            pixels: SMALL,
             shown,
             also: 0,
             scored,
@@ -238,19 +267,22 @@ impl Forecast {
         }
     }
 
-    /// Takes note of the training time after so many iterations of a run of `length`.
-    pub fn iterated(&mut self, done: u32, length: u32, seconds: f64) {
-        let Some((before, then)) = self.mark else {
+    /// Takes note of the training time and the number of Gaussians after so many iterations of a run of `length`.
+    pub fn iterated(&mut self, done: u32, length: u32, seconds: f64, gaussians: f64) {
+        self.now = (done, gaussians);
+        let mark = Some((done, seconds, gaussians));
+        let Some((before, then, fewer)) = self.mark else {
             // What came before, reading photos and building kernels, is no cost of iterations.
-            self.mark = Some((done, seconds));
+            self.mark = mark;
             return;
         };
         let reached = self.reached;
         let halvings = |at: u32| self.sizes.halvings(at, length).min(reached);
         self.reached = halvings(done);
-        if halvings(before) != self.reached {
-            self.stale = true;
-            self.mark = Some((done, seconds));
+        let begins = |at: u32| f64::from(at) < BEGINNING * f64::from(length);
+        self.stale |= begins(before) != begins(done);
+        if halvings(before) != self.reached || begins(before) != begins(done) {
+            self.mark = mark;
             return;
         }
         // Where an iteration takes seconds there is no time for so many.
@@ -263,8 +295,9 @@ impl Forecast {
         if done <= before || (done - before < enough && !late) {
             return;
         }
-        let cost = self.work([before, done], length, self.reached);
-        let unit = (seconds - then).max(1e-9) / cost.max(1e-9);
+        let each = self.cost(self.reached, 0.5 * (fewer + gaussians));
+        let later = if begins(done) { self.later } else { 1.0 };
+        let unit = later * (seconds - then).max(1e-9) / (f64::from(done - before) * each);
         // The geometric mean with the one before: a window is short, and other programs run beside it.
         self.unit = Some(match self.unit {
             Some(old) if !self.stale => (old * unit).sqrt(),
@@ -272,7 +305,12 @@ impl Forecast {
         });
         self.stale = false;
         self.measured += 1;
-        self.mark = Some((done, seconds));
+        self.mark = mark;
+    }
+
+    /// Has the present measurement begin anew: something else than iterations has taken time.
+    pub fn disturbed(&mut self) {
+        self.mark = None;
     }
 
     /// Takes note of an evaluation on the way.
@@ -302,9 +340,15 @@ impl Forecast {
         self.measured
     }
 
-    /// The time `left` that a run of `iterations` is expected to take yet, and that of the presets beside it.
+    /// The time `left` that a run of `iterations` is expected to take yet and the size of its scene, and the time of the presets beside it.
     pub fn told(&self, iterations: u32, left: f64) -> String {
-        let mut text = format!("{iterations} iterations: about {} left", about(left));
+        let (done, n) = self.now;
+        let steps = self.steps(done, iterations);
+        let scene = counted(steps.last().map_or(n, |(_, n)| *n));
+        let mut text = format!(
+            "{iterations} iterations: about {} left, {scene} Gaussians",
+            about(left)
+        );
         let others = Preset::ALL.iter().filter(|p| p.iterations() != iterations);
         let times = others.filter_map(|p| {
             let whole = self.left(0, p.iterations())?;
@@ -318,33 +362,47 @@ impl Forecast {
     /// Seconds from `done` iterations to the very end of a run of `length`; `None` before the first measurement.
     pub fn left(&self, done: u32, length: u32) -> Option<f64> {
         let unit = self.unit?;
-        let iterations = unit * self.work([done, length], length, self.reached);
+        let (at, n) = self.now;
+        let steps = self.steps(done.max(at), length);
+        let iterations = unit * self.work([done, length], length, self.reached, (n, &steps));
+        let last = steps.last().map_or(n, |(_, n)| *n);
         let rest = length.saturating_sub(done);
         let times = |every: u32| f64::from(rest.checked_div(every).unwrap_or(0));
         let every = self.every.evaluation.unwrap_or((length / 20).max(1));
-        let mut evaluations = times(every) * self.evaluation()?;
+        let mut evaluations = times(every) * self.evaluation(last)?;
         if self.every.made != Made::All {
             evaluations = evaluations.min(EVALUATIONS * iterations);
         }
         let checkpoints = times(self.every.checkpoint) * self.checkpoints.mean().unwrap_or(0.0);
-        Some(iterations + evaluations + checkpoints + self.end()?)
+        Some(iterations + evaluations + checkpoints + self.ending(last)?)
     }
 
-    /// Seconds from the last iteration to the end: views are shown and scored, files are written. `None` as [`Forecast::left`].
+    /// Density steps of a run of `length` after `done` iterations, with the number of Gaussians expected after each.
+    fn steps(&self, done: u32, length: u32) -> Vec<(u32, f64)> {
+        let steps = |growth: &Growth| growth.steps(done, self.now.1, length);
+        self.growth.as_ref().map_or_else(Vec::new, steps)
+    }
+
+    /// Seconds from the last iteration to the end, if that comes with the Gaussians of now. `None` as [`Forecast::left`].
     pub fn end(&self) -> Option<f64> {
-        let last = self.unit? * self.cost[9];
+        self.ending(self.now.1)
+    }
+
+    /// Seconds from the last iteration to the end with so many Gaussians: views are shown and scored, files are written.
+    fn ending(&self, gaussians: f64) -> Option<f64> {
+        let last = self.unit? * self.cost(0, gaussians);
         let shown = SEEN * last * self.shown as f64 + SCORED * last * self.also as f64;
         let (views, pixels) = (self.scored.0 as u64, self.scored.1);
         let each = pixels.checked_div(views).unwrap_or(0);
         let pictures = views.min(LARGEST_PICTURES.0) * each.min(LARGEST_PICTURES.1);
         let beside = self.host.flip * pixels as f64 + self.host.pictures * pictures as f64 + FILES;
         let saved = self.checkpoints.mean().unwrap_or(0.0);
-        Some(shown + self.evaluation()? + saved + beside)
+        Some(shown + self.evaluation(gaussians)? + saved + beside)
     }
 
-    /// Seconds of an evaluation on the way.
-    pub fn evaluation(&self) -> Option<f64> {
-        let guess = SCORED * self.unit? * self.scored.0 as f64;
+    /// Seconds of an evaluation on the way with so many Gaussians.
+    fn evaluation(&self, gaussians: f64) -> Option<f64> {
+        let guess = SCORED * self.unit? * self.cost(0, gaussians) * self.scored.0 as f64;
         Some(self.evaluations.mean().unwrap_or(guess))
     }
 
@@ -353,12 +411,13 @@ impl Forecast {
         match self.every.made {
             Made::All => true,
             Made::AsTimeAllows => {
-                let next = self.evaluation().unwrap_or(0.0);
+                let next = self.evaluation(self.now.1).unwrap_or(0.0);
                 self.evaluations.seconds + next <= EVALUATIONS * spent
             }
             Made::AsLengthAllows => {
-                let run = self.work([0, length], length, u32::MAX);
-                let one = SCORED * self.cost[9] * self.scored.0 as f64;
+                // Without the number of Gaussians, which a run that goes on does not know from its start.
+                let run = self.work([0, length], length, u32::MAX, (1.0, &[]));
+                let one = SCORED / MEAN_COST * self.cost(0, 1.0) * self.scored.0 as f64;
                 let due = (length / 20).max(1);
                 let fit = EVALUATIONS * run / one.max(1e-9);
                 let apart = (f64::from(length / due - 1) / fit).ceil().max(1.0);
@@ -367,31 +426,31 @@ impl Forecast {
         }
     }
 
-    /// Cost of an iteration of photos that are halved so many times over that at full size.
-    fn size_cost(&self, halvings: usize) -> f64 {
-        let cost = |pixels: f64| BESIDE_PIXELS + (1.0 - BESIDE_PIXELS) * pixels / PIXELS;
-        cost(self.pixels * 0.25f64.powi(halvings as i32)) / cost(self.pixels)
+    /// Cost of an iteration of photos that are halved so many times, of so many Gaussians.
+    fn cost(&self, halvings: u32, gaussians: f64) -> f64 {
+        let pixels = self.pixels * 0.25f64.powi(halvings as i32);
+        (pixels + BESIDE_PIXELS).powf(PIXEL_POWER) * gaussians.max(1.0).sqrt()
     }
 
-    /// Cost of the iterations between two of a run of `length` with no more halvings than `most`, in iterations of cost 1.
-    fn work(&self, [from, to]: [u32; 2], length: u32, most: u32) -> f64 {
-        let tenths = self.cost.len();
-        let tenth = |at: f64| at / f64::from(length.max(1)) * tenths as f64;
-        let mut edges: Vec<f64> = (0..=tenths)
-            .map(|k| k as f64 / tenths as f64 * f64::from(length))
-            .collect();
+    /// Cost of the iterations between two of a run of `length` with no more halvings than `most`, of `n` Gaussians until the first of the
+    /// `steps` that tell another number.
+    fn work(
+        &self,
+        [from, to]: [u32; 2],
+        length: u32,
+        most: u32,
+        (n, steps): (f64, &[(u32, f64)]),
+    ) -> f64 {
         let ends: Vec<u32> = self.sizes.ends(length).collect();
-        edges.extend(ends.iter().copied().map(f64::from));
-        let [from, to] = [from, to].map(f64::from);
-        edges.extend([from, to]);
+        let mut edges = vec![from, to];
+        edges.extend(ends.iter().chain(steps.iter().map(|(at, _)| at)));
         edges.retain(|e| (from..=to).contains(e));
-        edges.sort_by(f64::total_cmp);
-        let piece = |pair: &[f64]| {
-            let middle = 0.5 * (pair[0] + pair[1]);
-            let tenth = (tenth(middle) as usize).min(tenths - 1);
-            let halvings = ends.iter().filter(|end| middle < f64::from(**end)).count();
-            let halvings = halvings.min(most as usize);
-            (pair[1] - pair[0]) * self.cost[tenth] * self.size_cost(halvings)
+        edges.sort_unstable();
+        let piece = |pair: &[u32]| {
+            let halvings = ends.iter().filter(|end| pair[0] < **end).count() as u32;
+            let past = steps.partition_point(|(at, _)| *at <= pair[0]);
+            let n = past.checked_sub(1).map_or(n, |last| steps[last].1);
+            f64::from(pair[1] - pair[0]) * self.cost(halvings.min(most), n)
         };
         edges.windows(2).map(piece).sum()
     }

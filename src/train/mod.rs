@@ -9,6 +9,7 @@ pub mod estimates;
 mod exposure_steps;
 mod finish;
 pub mod gaussians;
+pub mod growth;
 mod looks;
 mod moves;
 mod noted;

@@ -25,6 +25,14 @@ const NOISE_STEEPNESS: f64 = 100.0;
 /// Largest share of the Gaussians that are not dead which a step removes: runs with few steps would lose most of them.
 const MAX_RETIRED: f64 = 0.15;
 
+/// Share of the proposals that could be births, of those that a run is to accept, and that share where the temperature is fixed. With
+/// [`FADED`] for forecasts alone: fitted at eight runs of seven datasets, docs/results/budgets.md.
+const VALID: f64 = 0.95;
+const UNGUIDED: f64 = 0.5;
+
+/// Share of a step's births that are dead by the next one, at η = 0 and 1.
+const FADED: [f64; 2] = [0.1, 0.7];
+
 /// Density control by Metropolis–Hastings births and deaths.
 #[derive(Debug, Clone)]
 pub struct MetropolisHastings {
@@ -74,6 +82,18 @@ impl MetropolisHastings {
         }
         let span = context.progress - context.before.unwrap_or(0.0);
         (-(-c.turnover * span.max(0.0)).exp_m1()).min(MAX_RETIRED)
+    }
+
+    /// Number of births that a step at a progress is expected to have.
+    fn expected_births(&self, eta: f64) -> f64 {
+        let c = &self.config;
+        if !c.births_enabled(eta) {
+            return 0.0;
+        }
+        let proposals = f64::from(c.coarse_proposals + c.fine_proposals) * (1.0 - eta);
+        let target = lerp(c.target_acceptance, eta);
+        let share = if target > 0.0 { target } else { UNGUIDED };
+        VALID * share * proposals
     }
 
     /// The coarse and the fine phase at the progress of a step.
@@ -321,6 +341,24 @@ impl MetropolisHastings {
 }
 
 impl DensityControl for MetropolisHastings {
+    /// Deaths by turnover, of births of the step before that have come to nothing, and new births.
+    fn expected(&self, context: &StepContext<'_>, n: f64) -> f64 {
+        let eta = context.progress;
+        let newborn = context.before.map_or(0.0, |eta| self.expected_births(eta));
+        let faded = match self.config.relocation {
+            true => 0.0,
+            false => lerp(FADED, eta) * newborn,
+        };
+        let kept = ((1.0 - self.retired_share(context)) * n - faded).max(1.0);
+        let room = context
+            .max_gaussians
+            .map_or(f64::INFINITY, |most| most as f64 - kept);
+        match self.has_births(context) {
+            true => kept + self.expected_births(eta).min(room.max(0.0)),
+            false => kept,
+        }
+    }
+
     /// The view subset of Eq. 10, or nothing if no cue of errors has a weight.
     fn wanted(&self, views: usize, progress: f64) -> StatisticsKind {
         if !self.wants_errors(progress) {

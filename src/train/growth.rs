@@ -1,0 +1,73 @@
+//! [`Growth`]: the numbers of Gaussians that a run is expected to have.
+
+use std::fmt;
+use std::sync::Arc;
+
+use crate::config::Length;
+use crate::density::{DensityControl, StepContext};
+use crate::train::schedule::Schedule;
+
+/// Largest number of steps that are looked ahead: whoever searches for the length of a run asks for absurd ones.
+const MOST: usize = 1000;
+
+/// Density steps to come, by a schedule and what its strategy expects of them.
+#[derive(Clone)]
+pub struct Growth {
+    schedule: Schedule,
+    strategy: Arc<dyn DensityControl>,
+    max_gaussians: Option<usize>,
+}
+
+impl fmt::Debug for Growth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Growth").finish_non_exhaustive()
+    }
+}
+
+impl Growth {
+    /// The growth of a run with a bound on the number of its Gaussians.
+    #[must_use]
+    pub fn new(
+        schedule: Schedule,
+        strategy: Arc<dyn DensityControl>,
+        max_gaussians: Option<usize>,
+    ) -> Self {
+        Self {
+            schedule,
+            strategy,
+            max_gaussians,
+        }
+    }
+
+    /// Iterations done at each density step after `done` of a run of `length`, at most a thousand, and the number of Gaussians expected after it if there are
+    /// `n` before the first.
+    #[must_use]
+    pub fn steps(&self, done: u32, n: f64, length: u32) -> Vec<(u32, f64)> {
+        let mut schedule = self.schedule.clone();
+        schedule.set_length(Length {
+            from: done,
+            iterations: length,
+        });
+        let (mut steps, mut n) = (Vec::new(), n);
+        let mut next = schedule.next_density(done);
+        // An interval before the first, unless that is the first of all.
+        let mut before = next.and_then(|(at, _)| {
+            let at = at.checked_sub(schedule.density_interval(at))?;
+            let [from, _] = schedule.density_span(at);
+            (at >= from.max(1)).then(|| schedule.density_progress(at))
+        });
+        while let Some((at, progress)) = next.filter(|_| steps.len() < MOST) {
+            next = schedule.next_density(at);
+            let context = StepContext {
+                max_gaussians: self.max_gaussians,
+                last: next.is_none(),
+                before,
+                ..StepContext::at(at, progress, 0)
+            };
+            n = self.strategy.expected(&context, n);
+            steps.push((at, n));
+            before = Some(progress);
+        }
+        steps
+    }
+}
