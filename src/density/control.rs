@@ -63,6 +63,15 @@ impl StepContext<'_> {
     }
 }
 
+/// Size of a set of Gaussians after a density step, as far as it can be foreseen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    /// Number of Gaussians.
+    pub gaussians: f64,
+    /// Number of those born in the step.
+    pub born: f64,
+}
+
 /// A birth whose first-order estimate is wanted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
@@ -97,10 +106,10 @@ pub trait DensityControl: Send + Sync {
         None
     }
 
-    /// Number of Gaussians that `n` are expected to be after a step, for forecasts of a run's time and size: as many unless the strategy
-    /// knows better. The context has no cameras and no pictures.
-    fn expected(&self, _context: &StepContext<'_>, n: f64) -> f64 {
-        n
+    /// The set expected after a step from that after the step before, for forecasts of a run's time and size; `None` from a strategy that
+    /// cannot tell. The context has no cameras and no pictures.
+    fn expected(&self, _context: &StepContext<'_>, _before: Expected) -> Option<Expected> {
+        None
     }
 
     /// Decides on births, relocations and removals.

@@ -9,7 +9,7 @@ use crate::base::error::Result;
 use crate::base::math::sigmoid;
 use crate::base::rng::{Philox, Stream};
 use crate::config::McmcConfig;
-use crate::density::control::{DensityControl, NoiseLaw, StepContext};
+use crate::density::control::{DensityControl, Expected, NoiseLaw, StepContext};
 use crate::density::draw::Categorical;
 use crate::density::outcome::{DensityStats, Outcome};
 use crate::density::relocation::{Relocation, split};
@@ -54,8 +54,13 @@ impl DensityControl for Mcmc {
         })
     }
 
-    fn expected(&self, context: &StepContext<'_>, n: f64) -> f64 {
-        n + self.births(n as usize, context.max_gaussians) as f64
+    fn expected(&self, context: &StepContext<'_>, before: Expected) -> Option<Expected> {
+        let n = before.gaussians;
+        let born = self.births(n as usize, context.max_gaussians) as f64;
+        Some(Expected {
+            gaussians: n + born,
+            born,
+        })
     }
 
     fn step(

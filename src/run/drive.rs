@@ -131,7 +131,12 @@ impl Run {
                     self.forecast.disturbed();
                     progress(&self.progress(Some(decision.to_string())));
                 }
-                Event::Density(event) => self.log_density(&event)?,
+                Event::Density(event) => {
+                    let born = event.stats.accepted + event.stats.cloned + event.stats.split;
+                    self.forecast
+                        .grown(event.iteration, event.gaussians as u64, born);
+                    self.log_density(&event)?;
+                }
                 Event::Settled(done) => {
                     if let Err(error) = self.pause(done) {
                         self.trainer.repeat_pause();
@@ -262,6 +267,7 @@ impl Run {
 
     fn set_length(&mut self, length: u32) -> Result<()> {
         self.trainer.set_length(length)?;
+        self.forecast.follow(self.trainer.schedule());
         let lengths = &self.trainer.plan().config.lengths;
         self.record.config.lengths = [lengths.clone(), self.pace.to_come()].concat();
         Ok(())

@@ -6,11 +6,13 @@ use std::time::Instant;
 use crate::base::error::Result;
 use crate::chart::text::{about, grouped};
 use crate::config::{Init, Preset, TrainConfig};
+use crate::density::Expected;
 use crate::evaluate::Evaluator;
 use crate::evaluate::flip::flip;
 use crate::run::report::training::VIEWS;
 use crate::train::Trainer;
 use crate::train::growth::Growth;
+use crate::train::schedule::Schedule;
 use crate::train::sizes::Sizes;
 
 /// Iterations before the first measurement.
@@ -55,6 +57,14 @@ const SMALL: f64 = 43_000.0;
 
 /// Side of the square picture that tells how quick the host is.
 const PROBE: usize = 192;
+
+/// Iterations done at density steps to come, and the number of Gaussians expected after each; `None` if nothing is expected of them.
+type Steps = Option<Vec<(u32, f64)>>;
+
+/// True in the [`BEGINNING`] of a run of a length.
+fn begins(done: u32, length: u32) -> bool {
+    f64::from(done) < BEGINNING * f64::from(length)
+}
 
 /// A number of Gaussians in words: two digits.
 fn counted(gaussians: f64) -> String {
@@ -137,7 +147,7 @@ pub(super) enum Made {
     All,
     /// Those that keep their share, [`EVALUATIONS`], of the time spent so far: where a budget plans the run.
     AsTimeAllows,
-    /// Every so many of them, by the costs that the tables expect: the same whenever the run is repeated.
+    /// Every so many of them, by the costs of the photos' sizes: the same whenever the run is repeated.
     AsLengthAllows,
 }
 
@@ -158,8 +168,12 @@ pub(super) struct Forecast {
     growth: Option<Growth>,
     /// Cost of later iterations over that of those in the [`BEGINNING`].
     later: f64,
-    /// Iterations and Gaussians at the last note of the training time.
-    now: (u32, f64),
+    /// True in the [`BEGINNING`], which no other length brings back.
+    begins: bool,
+    /// Iterations done at the last density step, or where the run began or went on, and the set since then.
+    since: (u32, Expected),
+    /// Density steps to come of a run of a length; `None` if they are to be foreseen anew.
+    ahead: Option<(u32, Steps)>,
     sizes: Sizes,
     /// Halvings that photos have had: there are no more from then on, be it that another length would have them.
     reached: u32,
@@ -214,7 +228,7 @@ impl Forecast {
                 .map(|[w, h]| u64::from(w) * u64::from(h));
             (cameras.len(), pixels.sum())
         });
-        let plan = trainer.plan();
+        let (plan, done) = (trainer.plan(), trainer.iteration());
         let growth = Growth::new(
             trainer.schedule().clone(),
             plan.strategy(),
@@ -227,7 +241,14 @@ impl Forecast {
                 Init::Points => AFTER_POINTS,
                 _ => 1.0,
             },
-            now: (trainer.iteration(), trainer.gaussians() as f64),
+            begins: begins(done, config.iterations_at(done.saturating_sub(1))),
+            since: (
+                done,
+                Expected {
+                    gaussians: trainer.gaussians() as f64,
+                    born: 0.0,
+                },
+            ),
             pixels: trainer.largest_photo() as f64,
             also: trainer.views().min(VIEWS),
             reached: trainer.halvings(),
@@ -247,7 +268,15 @@ impl Forecast {
         Self {
             growth: None,
             later: 1.0,
-            now: (0, 1.0),
+            begins: true,
+            since: (
+                0,
+                Expected {
+                    gaussians: 1.0,
+                    born: 0.0,
+                },
+            ),
+            ahead: None,
             sizes,
             reached: u32::MAX,
             pixels: SMALL,
@@ -269,7 +298,9 @@ impl Forecast {
 
     /// Takes note of the training time and the number of Gaussians after so many iterations of a run of `length`.
     pub fn iterated(&mut self, done: u32, length: u32, seconds: f64, gaussians: f64) {
-        self.now = (done, gaussians);
+        if self.ahead.as_ref().is_none_or(|(of, _)| *of != length) {
+            self.ahead = Some((length, self.steps(length)));
+        }
         let mark = Some((done, seconds, gaussians));
         let Some((before, then, fewer)) = self.mark else {
             // What came before, reading photos and building kernels, is no cost of iterations.
@@ -279,9 +310,11 @@ impl Forecast {
         let reached = self.reached;
         let halvings = |at: u32| self.sizes.halvings(at, length).min(reached);
         self.reached = halvings(done);
-        let begins = |at: u32| f64::from(at) < BEGINNING * f64::from(length);
-        self.stale |= begins(before) != begins(done);
-        if halvings(before) != self.reached || begins(before) != begins(done) {
+        let over = self.begins && !begins(done, length);
+        if over {
+            (self.begins, self.stale) = (false, true);
+        }
+        if over || halvings(before) != self.reached {
             self.mark = mark;
             return;
         }
@@ -296,7 +329,7 @@ impl Forecast {
             return;
         }
         let each = self.cost(self.reached, 0.5 * (fewer + gaussians));
-        let later = if begins(done) { self.later } else { 1.0 };
+        let later = if self.begins { self.later } else { 1.0 };
         let unit = later * (seconds - then).max(1e-9) / (f64::from(done - before) * each);
         // The geometric mean with the one before: a window is short, and other programs run beside it.
         self.unit = Some(match self.unit {
@@ -306,6 +339,21 @@ impl Forecast {
         self.stale = false;
         self.measured += 1;
         self.mark = mark;
+    }
+
+    /// Takes note of a density step that began after so many iterations, and of the set after it.
+    pub fn grown(&mut self, begun: u32, gaussians: u64, born: u64) {
+        let [gaussians, born] = [gaussians, born].map(|n| n as f64);
+        self.since = (begun, Expected { gaussians, born });
+        self.ahead = None;
+    }
+
+    /// Takes over the schedule of a run whose length has changed.
+    pub fn follow(&mut self, schedule: &Schedule) {
+        if let Some(growth) = &mut self.growth {
+            growth.follow(schedule);
+        }
+        self.ahead = None;
     }
 
     /// Has the present measurement begin anew: something else than iterations has taken time.
@@ -342,13 +390,11 @@ impl Forecast {
 
     /// The time `left` that a run of `iterations` is expected to take yet and the size of its scene, and the time of the presets beside it.
     pub fn told(&self, iterations: u32, left: f64) -> String {
-        let (done, n) = self.now;
-        let steps = self.steps(done, iterations);
-        let scene = counted(steps.last().map_or(n, |(_, n)| *n));
-        let mut text = format!(
-            "{iterations} iterations: about {} left, {scene} Gaussians",
-            about(left)
-        );
+        let mut text = format!("{iterations} iterations: about {} left", about(left));
+        if let Some(steps) = self.steps(iterations) {
+            let n = steps.last().map_or(self.since.1.gaussians, |(_, n)| *n);
+            let _ = write!(text, ", {} Gaussians", counted(n));
+        }
         let others = Preset::ALL.iter().filter(|p| p.iterations() != iterations);
         let times = others.filter_map(|p| {
             let whole = self.left(0, p.iterations())?;
@@ -362,9 +408,17 @@ impl Forecast {
     /// Seconds from `done` iterations to the very end of a run of `length`; `None` before the first measurement.
     pub fn left(&self, done: u32, length: u32) -> Option<f64> {
         let unit = self.unit?;
-        let (at, n) = self.now;
-        let steps = self.steps(done.max(at), length);
-        let iterations = unit * self.work([done, length], length, self.reached, (n, &steps));
+        let n = self.since.1.gaussians;
+        let other;
+        let steps = match &self.ahead {
+            Some((of, steps)) if *of == length => steps,
+            _ => {
+                other = self.steps(length);
+                &other
+            }
+        };
+        let steps = steps.as_deref().unwrap_or_default();
+        let iterations = unit * self.work([done, length], length, self.reached, (n, steps));
         let last = steps.last().map_or(n, |(_, n)| *n);
         let rest = length.saturating_sub(done);
         let times = |every: u32| f64::from(rest.checked_div(every).unwrap_or(0));
@@ -377,15 +431,15 @@ impl Forecast {
         Some(iterations + evaluations + checkpoints + self.ending(last)?)
     }
 
-    /// Density steps of a run of `length` after `done` iterations, with the number of Gaussians expected after each.
-    fn steps(&self, done: u32, length: u32) -> Vec<(u32, f64)> {
-        let steps = |growth: &Growth| growth.steps(done, self.now.1, length);
-        self.growth.as_ref().map_or_else(Vec::new, steps)
+    /// Density steps to come of a run of `length`.
+    fn steps(&self, length: u32) -> Steps {
+        let (since, set) = self.since;
+        self.growth.as_ref()?.steps(since, set, length)
     }
 
     /// Seconds from the last iteration to the end, if that comes with the Gaussians of now. `None` as [`Forecast::left`].
     pub fn end(&self) -> Option<f64> {
-        self.ending(self.now.1)
+        self.ending(self.since.1.gaussians)
     }
 
     /// Seconds from the last iteration to the end with so many Gaussians: views are shown and scored, files are written.
@@ -411,7 +465,8 @@ impl Forecast {
         match self.every.made {
             Made::All => true,
             Made::AsTimeAllows => {
-                let next = self.evaluation(self.now.1).unwrap_or(0.0);
+                let now = self.since.1.gaussians;
+                let next = self.evaluation(now).unwrap_or(0.0);
                 self.evaluations.seconds + next <= EVALUATIONS * spent
             }
             Made::AsLengthAllows => {
@@ -428,8 +483,13 @@ impl Forecast {
 
     /// Cost of an iteration of photos that are halved so many times, of so many Gaussians.
     fn cost(&self, halvings: u32, gaussians: f64) -> f64 {
+        self.size_cost(halvings) * gaussians.max(1.0).sqrt()
+    }
+
+    /// Cost of an iteration of one Gaussian.
+    fn size_cost(&self, halvings: u32) -> f64 {
         let pixels = self.pixels * 0.25f64.powi(halvings as i32);
-        (pixels + BESIDE_PIXELS).powf(PIXEL_POWER) * gaussians.max(1.0).sqrt()
+        (pixels + BESIDE_PIXELS).powf(PIXEL_POWER)
     }
 
     /// Cost of the iterations between two of a run of `length` with no more halvings than `most`, of `n` Gaussians until the first of the
@@ -446,11 +506,13 @@ impl Forecast {
         edges.extend(ends.iter().chain(steps.iter().map(|(at, _)| at)));
         edges.retain(|e| (from..=to).contains(e));
         edges.sort_unstable();
+        let sizes = 0..=ends.len() as u32;
+        let costs: Vec<f64> = sizes.map(|k| self.size_cost(k.min(most))).collect();
         let piece = |pair: &[u32]| {
-            let halvings = ends.iter().filter(|end| pair[0] < **end).count() as u32;
+            let halvings = ends.iter().filter(|end| pair[0] < **end).count();
             let past = steps.partition_point(|(at, _)| *at <= pair[0]);
             let n = past.checked_sub(1).map_or(n, |last| steps[last].1);
-            f64::from(pair[1] - pair[0]) * self.cost(halvings.min(most), n)
+            f64::from(pair[1] - pair[0]) * costs[halvings] * n.max(1.0).sqrt()
         };
         edges.windows(2).map(piece).sum()
     }

@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use crate::config::Length;
-use crate::density::{DensityControl, StepContext};
+use crate::density::{DensityControl, Expected, StepContext};
 use crate::train::schedule::Schedule;
 
 /// Largest number of steps that are looked ahead: whoever searches for the length of a run asks for absurd ones.
@@ -39,17 +39,24 @@ impl Growth {
         }
     }
 
-    /// Iterations done at each density step after `done` of a run of `length`, at most a thousand, and the number of Gaussians expected after it if there are
-    /// `n` before the first.
+    /// Takes over the schedule of a run whose length has changed.
+    pub fn follow(&mut self, schedule: &Schedule) {
+        self.schedule = schedule.clone();
+    }
+
+    /// Iterations done at each density step after `since` of a run of `length`, at most a thousand, and the number of Gaussians expected after it
+    /// from the set before the first; `None` if the strategy cannot tell.
     #[must_use]
-    pub fn steps(&self, done: u32, n: f64, length: u32) -> Vec<(u32, f64)> {
+    pub fn steps(&self, since: u32, set: Expected, length: u32) -> Option<Vec<(u32, f64)>> {
         let mut schedule = self.schedule.clone();
-        schedule.set_length(Length {
-            from: done,
-            iterations: length,
-        });
-        let (mut steps, mut n) = (Vec::new(), n);
-        let mut next = schedule.next_density(done);
+        if schedule.iterations(since) != length {
+            schedule.set_length(Length {
+                from: since,
+                iterations: length,
+            });
+        }
+        let (mut steps, mut set) = (Vec::new(), set);
+        let mut next = schedule.next_density(since);
         // An interval before the first, unless that is the first of all.
         let mut before = next.and_then(|(at, _)| {
             let at = at.checked_sub(schedule.density_interval(at))?;
@@ -64,10 +71,10 @@ impl Growth {
                 before,
                 ..StepContext::at(at, progress, 0)
             };
-            n = self.strategy.expected(&context, n);
-            steps.push((at, n));
+            set = self.strategy.expected(&context, set)?;
+            steps.push((at, set.gaussians));
             before = Some(progress);
         }
-        steps
+        Some(steps)
     }
 }

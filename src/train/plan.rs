@@ -124,7 +124,7 @@ pub struct Plan {
     /// Gaussians removed at the end because no training view shows them; `None` before the end, and where all are shown.
     pub unseen: Option<Decided<u64>>,
     /// True if the first Gaussians are random.
-    pub random_start: bool,
+    pub(crate) random_start: bool,
     /// Parts that dataset or configuration switch and nobody else asks for.
     facts: Vec<(Part, Decided<bool>)>,
 }

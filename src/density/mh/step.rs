@@ -6,7 +6,9 @@ use crate::base::error::Result;
 use crate::base::math::logit;
 use crate::base::rng::{Philox, Stream};
 use crate::config::{Birth, MhConfig, ViewSubset};
-use crate::density::control::{Candidate, DensityControl, Estimator, NoiseLaw, StepContext};
+use crate::density::control::{
+    Candidate, DensityControl, Estimator, Expected, NoiseLaw, StepContext,
+};
 use crate::density::draw::{Categorical, RowWeights, birth_position};
 use crate::density::mh::births::Births;
 use crate::density::mh::progress::{lerp, shrinking};
@@ -25,13 +27,18 @@ const NOISE_STEEPNESS: f64 = 100.0;
 /// Largest share of the Gaussians that are not dead which a step removes: runs with few steps would lose most of them.
 const MAX_RETIRED: f64 = 0.15;
 
-/// Share of the proposals that could be births, of those that a run is to accept, and that share where the temperature is fixed. With
-/// [`FADED`] for forecasts alone: fitted at eight runs of seven datasets, docs/results/budgets.md.
-const VALID: f64 = 0.95;
-const UNGUIDED: f64 = 0.5;
+/// Distinct sources of a phase over those of as many uniform draws; fitted, as are the next three, at runs of seven datasets
+/// (docs/results/budgets.md), for forecasts alone.
+const DISTINCT: f64 = 0.88;
+
+/// Share of the births in image space that can be proposed.
+const PLACED: f64 = 0.3;
 
 /// Share of a step's births that are dead by the next one, at η = 0 and 1.
-const FADED: [f64; 2] = [0.1, 0.7];
+const FADED: [f64; 2] = [0.1, 0.8];
+
+/// Expected share of accepted births where the temperature is fixed; a guess.
+const UNGUIDED: f64 = 0.5;
 
 /// Density control by Metropolis–Hastings births and deaths.
 #[derive(Debug, Clone)]
@@ -84,16 +91,18 @@ impl MetropolisHastings {
         (-(-c.turnover * span.max(0.0)).exp_m1()).min(MAX_RETIRED)
     }
 
-    /// Number of births that a step at a progress is expected to have.
-    fn expected_births(&self, eta: f64) -> f64 {
+    /// Number of births that a step at a progress is expected to have among so many Gaussians, without a bound.
+    fn expected_births(&self, eta: f64, n: f64) -> f64 {
         let c = &self.config;
-        if !c.births_enabled(eta) {
-            return 0.0;
-        }
-        let proposals = f64::from(c.coarse_proposals + c.fine_proposals) * (1.0 - eta);
+        let distinct = |draws: u32| {
+            let draws = f64::from(draws) * (1.0 - eta);
+            -DISTINCT * n * (-draws / n).exp_m1()
+        };
+        let pixels = PLACED * f64::from(c.pixel_proposals) * (1.0 - eta);
+        let proposals = distinct(c.coarse_proposals) + distinct(c.fine_proposals) + pixels;
         let target = lerp(c.target_acceptance, eta);
         let share = if target > 0.0 { target } else { UNGUIDED };
-        VALID * share * proposals
+        share * proposals
     }
 
     /// The coarse and the fine phase at the progress of a step.
@@ -341,22 +350,25 @@ impl MetropolisHastings {
 }
 
 impl DensityControl for MetropolisHastings {
-    /// Deaths by turnover, of births of the step before that have come to nothing, and new births.
-    fn expected(&self, context: &StepContext<'_>, n: f64) -> f64 {
-        let eta = context.progress;
-        let newborn = context.before.map_or(0.0, |eta| self.expected_births(eta));
-        let faded = match self.config.relocation {
+    /// The set after deaths by turnover, of births of the step before that have faded, and births up to the bound.
+    fn expected(&self, context: &StepContext<'_>, before: Expected) -> Option<Expected> {
+        let (eta, n) = (context.progress, before.gaussians.max(1.0));
+        let faded = match self.config.relocation && !self.config.removes_dead(eta) {
             true => 0.0,
-            false => lerp(FADED, eta) * newborn,
+            false => lerp(FADED, eta) * before.born,
         };
         let kept = ((1.0 - self.retired_share(context)) * n - faded).max(1.0);
-        let room = context
+        let most = context
             .max_gaussians
-            .map_or(f64::INFINITY, |most| most as f64 - kept);
-        match self.has_births(context) {
-            true => kept + self.expected_births(eta).min(room.max(0.0)),
-            false => kept,
-        }
+            .map_or(f64::INFINITY, |most| most as f64);
+        let born = match self.has_births(context) {
+            true => self.expected_births(eta, n).min((most - kept).max(0.0)),
+            false => 0.0,
+        };
+        Some(Expected {
+            gaussians: kept + born,
+            born,
+        })
     }
 
     /// The view subset of Eq. 10, or nothing if no cue of errors has a weight.
