@@ -57,12 +57,7 @@ impl Growth {
         }
         let (mut steps, mut set) = (Vec::new(), set);
         let mut next = schedule.next_density(since);
-        // An interval before the first, unless that is the first of all.
-        let mut before = next.and_then(|(at, _)| {
-            let at = at.checked_sub(schedule.density_interval(at))?;
-            let [from, _] = schedule.density_span(at);
-            (at >= from.max(1)).then(|| schedule.density_progress(at))
-        });
+        let mut before = next.and_then(|(at, _)| schedule.density_before(at));
         while let Some((at, progress)) = next.filter(|_| steps.len() < MOST) {
             next = schedule.next_density(at);
             let context = StepContext {
