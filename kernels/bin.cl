@@ -187,15 +187,16 @@ static inline int touches_at(const Large *o, uint at, uint tiles_x, ACTIVE_TILES
   return at < o->tiles && IS_ACTIVE(*tile) && touches_tile(&o->g, o->slope, o->reach, tx, ty);
 }
 
-// Launch: one work-item per Gaussian, by depth; those past the visible ones count none.
+// Launch: one work-group per `owns` Gaussians, by depth; those past the visible ones count none.
 CHUNK_KERNEL void bin_count(WALK_ARGUMENTS
                             __global uint *cover,   // out [visible, 2] mask; packed box
                             __global uint *isect_counts, // out [count] tiles touched
-                            uint count, __global uint *depth_counts) { // out [count] the same by depth
+                            uint count, __global uint *depth_counts, // out [count] the same by depth
+                            uint owns) { // Gaussians of a group
   SCRATCH;
   __local uint large[GROUP], pairs[GROUP];
   const uint j = SPREAD_ITEM(ITEM);
-  const int exists = j < status[S_VISIBLE];
+  const int exists = ITEM < owns && j < status[S_VISIBLE];
   uint mask = 0, box = 0;
   pairs[ITEM] = 0;
   if (exists) {
@@ -214,7 +215,7 @@ CHUNK_KERNEL void bin_count(WALK_ARGUMENTS
   }
   barrier(CLK_LOCAL_MEM_FENCE);
   if (exists) isect_counts[visible[j]] = pairs[ITEM];
-  if (j < count) depth_counts[j] = pairs[ITEM];
+  if (ITEM < owns && j < count) depth_counts[j] = pairs[ITEM];
 }
 
 // Launch: as bin_count. Writes pairs in depth order, those of a Gaussian row by row of tiles; none after an overflow.
@@ -223,11 +224,12 @@ CHUNK_KERNEL void bin_emit(WALK_ARGUMENTS
                            __global const uint *depth_start, // in [count] exclusive sums of depth_counts
                            __global uint *isect_start,       // out [count] first slot
                            __global uint *isect_owner,       // out [pairs] Gaussian index, by slot
-                           __global uint *keys, __global uint *values) { // out [pairs] tile and slot, by slot
+                           __global uint *keys, __global uint *values, // out [pairs] tile and slot, by slot
+                           uint owns) { // Gaussians of a group
   SCRATCH;
   __local uint large[GROUP];
   const uint j = SPREAD_ITEM(ITEM);
-  const int exists = status[S_OVERFLOW] == 0 && j < status[S_VISIBLE];
+  const int exists = status[S_OVERFLOW] == 0 && ITEM < owns && j < status[S_VISIBLE];
   uint box = 0;
   if (exists) {
     Pairs pairs = {keys, values, isect_owner, depth_start[j], visible[j]};

@@ -3,15 +3,15 @@
 // are shifted by SHIFT = 1/2, padding included, which leaves variances and covariances as they are and keeps
 // E[x^2] - E[x]^2 from cancelling on flat images. Columns are windowed first, then rows. On CPUs a work-item takes a strip
 // of STRIP columns by LOSS_ROWS rows and has the windows in private arrays (2 RADIUS + LOSS_ROWS rows serve LOSS_ROWS sums, in
-// registers); on GPUs a work-group takes a tile and has them in local memory. Windows add in the same order in both: maps and
-// gradients are the same to the bit. With SKIP_BLANK vectors, or tiles, are left out whose windows see only tiles that are
+// registers); on GPUs a work-group takes two tiles side by side and has them in local memory. Windows add in the same order in both: maps
+// and gradients are the same to the bit. With SKIP_BLANK vectors, or pairs of tiles, are left out whose windows see only tiles that are
 // masked, or clear in the photo and without pairs in the render: render and photo are the same there, the derivatives of SSIM
 // with respect to x, x^2 and x y cancel, and zeros in the maps are right for neighbours. Pixels of other tiles have the same
 // gradient, to the bit. Source: [MH] Eq. 4; SSIM of Wang et al. 2004; gradient through three maps as in fused-ssim.
 
 #define RADIUS (TAPS / 2)
 #if GROUP_STYLE
-#define PART_WIDTH TILE // columns and rows that are left out together
+#define PART_WIDTH (2 * TILE) // columns and rows that are left out together
 #define PART_HEIGHT TILE
 #else
 #define PART_WIDTH VW
@@ -146,23 +146,25 @@ static inline realV gradient_of(const Images *s, int x, int y, realV dmx, realV 
 #if SKIP_BLANK
 // 1: leave out what is blank; [tiles] 0: masked or clear; [tiles + 1]
 #define BLANK_ARGUMENTS int skip, __global const uint *active_tiles, __global const uint *tile_start,
+#define IS_ACTIVE(part, margin) (!skip || may_differ(active_tiles, tile_start, (part).x, (part).y, margin, stride, rows))
 #else
 #define BLANK_ARGUMENTS
+#define IS_ACTIVE(part, margin) 1
 #endif
 // in [>= 3, rows, stride], [3 or 4, height, width]
 #define IMAGE_ARGUMENTS                                                                                                \
   __global const real *image, __global const uchar *photo, int width, int height, int stride, int rows, int first,     \
       real red, real green, real blue, BLANK_ARGUMENTS
-// A launch is over one channel, or by groups over some from `first` on, one after the other along the second axis.
+// A launch is over one channel, or by groups over some from `first` on: for gradients along the second axis, for errors one after the other.
 #if GROUP_STYLE
 #define CHANNEL (first + (int)get_group_id(1))
 #else
 #define CHANNEL first
 #endif
 #define BACKGROUND(channel) ((channel) == 0 ? red : (channel) == 1 ? green : blue)
-// out [3, rows, stride] (by groups [3, 3, rows, stride]), or [2, rows, stride] of errors; [3, strips or tiles, 2] sums of |x - y| and
+// out [3, rows, stride] (by groups [3, 3, rows, stride]), or [2, rows, stride] of errors; [3, strips or parts, 2] sums of |x - y| and
 // SSIM
-#define FORWARD_ARGUMENTS IMAGE_ARGUMENTS int write_error, __global real *maps, __global real *partial
+#define FORWARD_ARGUMENTS IMAGE_ARGUMENTS __global real *maps, __global real *partial
 // in [3, rows, stride] (by groups [3, 3, rows, stride]), (1 - lambda) / (3 width height), lambda / (3 width height); out [3, rows, stride]
 #define BACKWARD_ARGUMENTS IMAGE_ARGUMENTS __global const real *maps, real weight_l1, real weight_ssim, __global real *dimage
 
@@ -232,7 +234,7 @@ static inline real lane_total(realV v) {
 // Launch: one work-item per strip (columns x groups of rows). With write_error the maps hold the channel means of
 // 1 - SSIM (plane 0) and |x - y| (plane 1), added up from channel 0 on; otherwise the channel's derivative maps, 0 in
 // the padding. Longer than a function should be, because the windows stay in registers.
-CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
+CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS, int write_error) {
   const int sx = get_global_id(0), sy = get_global_id(1);
   const int x0 = sx * STRIP, y0 = sy * LOSS_ROWS;
   if (x0 >= stride || y0 >= rows) return;
@@ -345,161 +347,241 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
 }
 
 #else
-// Work-items side by side read columns side by side, of one row, and thus different banks.
-#define WIDE (TILE + 2 * RADIUS)  // rows and columns of a tile with its halo
-#define RUN 2                     // rows whose vertical windows a work-item makes
-#define LINE (GROUP * RUN / TILE) // work-items for a row, or a run of rows: at least WIDE, the others wait
+#define WIDE (PART_WIDTH + 2 * RADIUS)  // columns and rows of a part with its halo
+#define HIGH (PART_HEIGHT + 2 * RADIUS)
+#define RUN 4                           // rows whose vertical windows a work-item makes
+#define SEEN (RUN + 2 * RADIUS)         // rows that those see
+#define LINES (GROUP / WIDE)             // rows with their halo that a group stages at a time; the work-items left over wait
+#define PIXELS (PART_WIDTH * PART_HEIGHT / GROUP)
+#define ROW_STEP (PART_HEIGHT / PIXELS) // between the rows of a work-item's pixels
+// Place of the windows of a part's pixel among those of the part, which has a halo of columns.
+#define WINDOW_AT(row, column) ((row) * WIDE + (column) + RADIUS)
 
-// Horizontal windows around at[0], four at a time; added in the order of window_row. Not unrolled: all that it reads would lie
-// in registers at once, twice as many as the rest needs.
+// A work-item makes the vertical windows of RUN rows of a column; those without wait.
+#define HAS_RUN (get_local_id(0) < WIDE * (PART_HEIGHT / RUN))
+#define RUN_COLUMN ((int)get_local_id(0) % WIDE)
+#define RUN_FIRST ((int)get_local_id(0) / WIDE * RUN)
+
+// Vertical windows of one quantity, added in the order of window_columns in the other style.
+static inline void window_run(const real v[SEEN], real out[RUN]) {
+  const real weights[TAPS] = SSIM_WINDOW;
+#pragma unroll
+  for (int g = 0; g < RUN; g++) {
+    real sum = weights[RADIUS] * v[g + RADIUS];
+#pragma unroll
+    for (int k = 0; k < RADIUS; k++) sum = fma(weights[k], v[g + k] + v[g + 2 * RADIUS - k], sum);
+    out[g] = sum;
+  }
+}
+
+// Puts a run's windows into their places, when nobody needs what was there.
+static inline void put_run(const real4 sums[RUN], __local real4 *windows) {
+  if (!HAS_RUN) return;
+  for (int g = 0; g < RUN; g++) windows[(RUN_FIRST + g) * WIDE + RUN_COLUMN] = sums[g];
+}
+
+// Horizontal windows around at[0], four at a time; added in the order of window_row.
 static inline real4 window_line(__local const real4 *at) {
-  real4 sum = (real4)(WINDOW[RADIUS]) * at[0];
-#pragma unroll 1
-  for (int k = 1; k <= RADIUS; k++) sum = fma((real4)(WINDOW[RADIUS - k]), at[-k] + at[k], sum);
+  const real weights[TAPS] = SSIM_WINDOW;
+  real4 sum = (real4)(weights[RADIUS]) * at[0];
+#pragma unroll
+  for (int k = 1; k <= RADIUS; k++) sum = fma((real4)(weights[RADIUS - k]), at[-k] + at[k], sum);
   return sum;
 }
 
-// Render and photo of a tile with its halo, by the whole group.
-static inline void stage_images(const Images *s, int tile_x, int tile_y, __local real2 staged[WIDE][WIDE]) {
-  const int column = get_local_id(0) % LINE, x = tile_x - RADIUS + column;
-  if (column >= WIDE) return;
-  for (int row = get_local_id(0) / LINE; row < WIDE; row += GROUP / LINE) {
-    const int y = tile_y - RADIUS + row;
-    staged[row][column] = (real2)(render_at(s, x, y), photo_at(s, x, y));
+// Render and photo of a part with its halo, by the whole group.
+static inline void stage_images(const Images *s, int part_x, int part_y, __local real2 *staged) {
+  const int column = get_local_id(0) % WIDE, x = part_x - RADIUS + column;
+  if (get_local_id(0) >= LINES * WIDE) return;
+  for (int row = get_local_id(0) / WIDE; row < HIGH; row += LINES) {
+    const int y = part_y - RADIUS + row;
+    staged[row * WIDE + column] = (real2)(render_at(s, x, y), photo_at(s, x, y));
   }
 }
 
-// Quantities whose windowed means SSIM takes: x, y, x^2 + y^2 and x y.
-static inline real4 moments_of(real2 pair) {
-  const real x = pair.x, y = pair.y;
-  return (real4)(x, y, fma(x, x, y * y), x * y);
-}
-
-// Vertical windows of the moments, by the whole group: a work-item takes RUN rows of a column, added in the order of
-// window_columns in the other style. One row after the other: together they would share what they read, but take half as many registers again.
-static inline void window_moments(__local real2 staged[WIDE][WIDE], __local real4 windows[TILE][WIDE]) {
-  const int column = get_local_id(0) % LINE;
-  if (column >= WIDE) return;
-#pragma unroll 1
-  for (int g = 0; g < RUN; g++) {
-    const int row = get_local_id(0) / LINE * RUN + g;
-    real4 sum = (real4)(WINDOW[RADIUS]) * moments_of(staged[row + RADIUS][column]);
+// Vertical windows of x, y, x^2 + y^2 and x y, of which SSIM is made.
+static inline void window_moments(__local const real2 *staged, real4 sums[RUN]) {
+  if (!HAS_RUN) return;
+  real a[SEEN], b[SEEN], squares[SEEN], products[SEEN], out[4][RUN];
 #pragma unroll
-    for (int k = 0; k < RADIUS; k++)
-      sum = fma((real4)(WINDOW[k]), moments_of(staged[row + k][column]) + moments_of(staged[row + 2 * RADIUS - k][column]), sum);
-    windows[row][column] = sum;
+  for (int r = 0; r < SEEN; r++) {
+    const real2 pair = staged[(RUN_FIRST + r) * WIDE + RUN_COLUMN];
+    a[r] = pair.x;
+    b[r] = pair.y;
+    squares[r] = fma(a[r], a[r], b[r] * b[r]);
+    products[r] = a[r] * b[r];
   }
+  window_run(a, out[0]);
+  window_run(b, out[1]);
+  window_run(squares, out[2]);
+  window_run(products, out[3]);
+  for (int g = 0; g < RUN; g++) sums[g] = (real4)(out[0][g], out[1][g], out[2][g], out[3][g]);
 }
 
-// Launch: one work-group of TILE x TILE work-items per tile and channel, each with a pixel. Results as in the other style, but that
-// `partial` has the sums of tiles, and that each channel has derivative maps of its own. Work-items of the padding and of tiles that
+// A group's two tiles side by side, and a work-item's place in them.
+typedef struct {
+  uint index, of;   // among so many parts
+  int x, y;         // first column and row of the part
+  int column, row;  // of the work-item's first pixel in it; the others are ROW_STEP rows further each
+} Part;
+
+static inline Part own_part(int stride, int rows) {
+  const uint index = get_global_id(0) / GROUP, l = get_local_id(0), across = (stride + PART_WIDTH - 1) / PART_WIDTH;
+  const Part part = {index, across * (rows / PART_HEIGHT), index % across * PART_WIDTH, index / across * PART_HEIGHT,
+                     l % PART_WIDTH, l / PART_WIDTH};
+  return part;
+}
+
+// A channel of both images.
+#define IMAGES(channel)                                                                                                \
+  {image, photo, (long)stride * rows, (long)width * height, channel, width, height, stride, BACKGROUND(channel)}
+
+// |x - y| of a work-item's pixels, and in `room`, which was free, the vertical windows that SSIM is made of: everybody of the group comes
+// here. Of a part that is not active nothing is written.
+static inline void compare(const Images *s, const Part *part, int active, __local real4 room[PART_HEIGHT * WIDE], real difference[PIXELS]) {
+  __local real2 *staged = (__local real2 *)room; // until the vertical windows are made
+  real4 sums[RUN];
+  if (active) stage_images(s, part->x, part->y, staged);
+  barrier(CLK_LOCAL_MEM_FENCE);
+  if (active) {
+    for (int k = 0; k < PIXELS; k++) {
+      const real2 pair = staged[WINDOW_AT(part->row + k * ROW_STEP + RADIUS, part->column)];
+      difference[k] = fabs(pair.x - pair.y);
+    }
+    window_moments(staged, sums);
+  }
+  barrier(CLK_LOCAL_MEM_FENCE);
+  if (active) put_run(sums, room);
+  barrier(CLK_LOCAL_MEM_FENCE);
+}
+
+// Launch: one work-group of TILE x TILE work-items per two tiles side by side and channel. Results as in the other style, but that
+// `partial` has the sums of these parts, and that each channel has derivative maps of its own. Work-items of the padding and of parts that
 // are left out take part in every barrier.
 CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
-  const int tile = get_global_id(0) / GROUP, l = get_local_id(0), tiles_x = stride / TILE;
-  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
-  const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
-  const long plane = (long)stride * rows;
   const int channel = CHANNEL;
-  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, BACKGROUND(channel)};
-  __local real2 staged[WIDE][WIDE];
-  __local real4 windows[TILE][WIDE];
-#if SKIP_BLANK
-  const int active = !skip || may_differ(active_tiles, tile_start, tile_x, tile_y, RADIUS, stride, rows);
-#else
-  const int active = 1;
-#endif
-  if (active) stage_images(&s, tile_x, tile_y, staged);
-  barrier(CLK_LOCAL_MEM_FENCE);
-  real difference = R(0.0), ssim = R(1.0), dmx = R(0.0), dxx = R(0.0), dxy = R(0.0);
-  if (active) {
-    const real2 pair = staged[row + RADIUS][column + RADIUS];
-    difference = fabs(pair.x - pair.y);
-    window_moments(staged, windows);
+  const Images s = IMAGES(channel);
+  const Part part = own_part(stride, rows);
+  const int active = IS_ACTIVE(part, RADIUS), x = part.x + part.column;
+  __local real4 room[PART_HEIGHT * WIDE];
+  real difference[PIXELS];
+  compare(&s, &part, active, room, difference);
+  real2 total = (real2)(R(0.0));
+#pragma unroll
+  for (int k = 0; k < PIXELS; k++) {
+    const int y = part.y + part.row + k * ROW_STEP;
+    real d = R(0.0), ssim = R(1.0), dmx = R(0.0), dxx = R(0.0), dxy = R(0.0);
+    if (active) {
+      const real4 m = window_line(room + WINDOW_AT(part.row + k * ROW_STEP, part.column));
+      ssim = ssim_of(m.s0, m.s1, m.s2, m.s3, &dmx, &dxx, &dxy);
+      d = difference[k];
+    }
+    if (x >= width || y >= height) d = ssim = dmx = dxx = dxy = R(0.0);
+    total += (real2)(d, ssim);
+    if (x < stride) {
+      __global real *at = maps + 3 * channel * s.plane + (size_t)y * stride + x;
+      at[0] = dmx;
+      at[s.plane] = dxx;
+      at[2 * s.plane] = dxy;
+    }
   }
-  barrier(CLK_LOCAL_MEM_FENCE);
-  if (active) {
-    const real4 m = window_line(&windows[row][column + RADIUS]);
-    ssim = ssim_of(m.s0, m.s1, m.s2, m.s3, &dmx, &dxx, &dxy);
-  }
-  if (x >= width || y >= height) difference = ssim = dmx = dxx = dxy = R(0.0);
-  __global real *at = maps + (write_error ? 0 : 3 * channel * plane) + (size_t)y * stride + x;
-  if (write_error) {
-    const real third = R(1.0) / R(3.0), e = (R(1.0) - ssim) * third, d = difference * third;
-    at[0] = channel == 0 ? e : at[0] + e;
-    at[plane] = channel == 0 ? d : at[plane] + d;
-  } else {
-    at[0] = dmx;
-    at[plane] = dxx;
-    at[2 * plane] = dxy;
-  }
-  // Nobody has read the images since the last barrier: their place is free for the sums.
-  const real2 total = group_total((real2)(difference, ssim), &staged[0][0]);
-  const size_t pair = (size_t)channel * (tiles_x * (rows / TILE)) + tile;
-  if (l == 0) vstore2(total, pair, partial);
+  barrier(CLK_LOCAL_MEM_FENCE); // nobody needs the windows any more: their place is free for the sums
+  total = group_total(total, (__local real2 *)room);
+  if (part.column == 0 && part.row == 0) vstore2(total, (size_t)channel * part.of + part.index, partial);
 }
 
-// The derivative maps of a tile with its halo, by the whole group; 0 beyond the padding.
-static inline void stage_maps(__global const real *maps, int tile_x, int tile_y, int stride, int rows,
-                              __local real staged[3][WIDE][WIDE]) {
-  const int column = get_local_id(0) % LINE, x = tile_x - RADIUS + column;
-  if (column >= WIDE) return;
-  for (int row = get_local_id(0) / LINE; row < WIDE; row += GROUP / LINE) {
-    const int y = tile_y - RADIUS + row, in = x >= 0 && x < stride && y >= 0 && y < rows;
+// Launch: as loss_forward, once for all channels. The maps are the channel means of 1 - SSIM (plane 0) and |x - y| (plane 1).
+CHUNK_KERNEL void loss_errors(FORWARD_ARGUMENTS) {
+  const Part part = own_part(stride, rows);
+  const int active = IS_ACTIVE(part, RADIUS), x = part.x + part.column;
+  __local real4 room[PART_HEIGHT * WIDE];
+  real error[2][PIXELS] = {{R(0.0)}, {R(0.0)}};
+  for (int channel = first; channel < 3; channel++) {
+    const Images s = IMAGES(channel);
+    real difference[PIXELS];
+    barrier(CLK_LOCAL_MEM_FENCE); // nobody needs the sums of the channel before
+    compare(&s, &part, active, room, difference);
+    real2 total = (real2)(R(0.0));
+#pragma unroll
+    for (int k = 0; k < PIXELS; k++) {
+      const int row = part.row + k * ROW_STEP;
+      if (x >= width || part.y + row >= height) continue;
+      real dmx, dxx, dxy;
+      const real4 m = active ? window_line(room + WINDOW_AT(row, part.column)) : (real4)(R(0.0));
+      const real2 pair = active ? (real2)(difference[k], ssim_of(m.s0, m.s1, m.s2, m.s3, &dmx, &dxx, &dxy)) : (real2)(R(0.0), R(1.0));
+      total += pair;
+      error[0][k] += (R(1.0) - pair.y) * (R(1.0) / R(3.0));
+      error[1][k] += pair.x * (R(1.0) / R(3.0));
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    total = group_total(total, (__local real2 *)room);
+    if (part.column == 0 && part.row == 0) vstore2(total, (size_t)channel * part.of + part.index, partial);
+  }
+#pragma unroll
+  for (int k = 0; k < PIXELS; k++) {
+    const size_t at = (size_t)(part.y + part.row + k * ROW_STEP) * stride + x;
+    if (x < stride) {
+      maps[at] = error[0][k];
+      maps[(size_t)stride * rows + at] = error[1][k];
+    }
+  }
+}
+
+// The derivative maps of a part with its halo, by the whole group; 0 beyond the padding.
+static inline void stage_maps(__global const real *maps, int part_x, int part_y, int stride, int rows, __local real *staged) {
+  const int column = get_local_id(0) % WIDE, x = part_x - RADIUS + column;
+  if (get_local_id(0) >= LINES * WIDE) return;
+  for (int row = get_local_id(0) / WIDE; row < HIGH; row += LINES) {
+    const int y = part_y - RADIUS + row, in = x >= 0 && x < stride && y >= 0 && y < rows;
     __global const real *at = maps + (long)y * stride + x;
 #pragma unroll
-    for (int m = 0; m < 3; m++) staged[m][row][column] = in ? at[m * (long)stride * rows] : R(0.0);
+    for (int m = 0; m < 3; m++) staged[(m * HIGH + row) * WIDE + column] = in ? at[m * (long)stride * rows] : R(0.0);
   }
 }
 
-// The three maps at a place; a fourth value pads them, so that one load fetches a pixel's windows.
-static inline real4 maps_of(__local real staged[3][WIDE][WIDE], int row, int column) {
-  return (real4)(staged[0][row][column], staged[1][row][column], staged[2][row][column], R(0.0));
-}
-
-// Their vertical windows, by the whole group.
-static inline void window_maps(__local real staged[3][WIDE][WIDE], __local real4 windows[TILE][WIDE]) {
-  const int column = get_local_id(0) % LINE;
-  if (column >= WIDE) return;
-#pragma unroll 1
-  for (int g = 0; g < RUN; g++) {
-    const int row = get_local_id(0) / LINE * RUN + g;
-    real4 sum = (real4)(WINDOW[RADIUS]) * maps_of(staged, row + RADIUS, column);
+// Their vertical windows; a fourth value pads them, so that one load fetches a pixel's.
+static inline void window_maps(__local const real *staged, real4 sums[RUN]) {
+  if (!HAS_RUN) return;
+  real out[3][RUN];
 #pragma unroll
-    for (int k = 0; k < RADIUS; k++)
-      sum = fma((real4)(WINDOW[k]), maps_of(staged, row + k, column) + maps_of(staged, row + 2 * RADIUS - k, column), sum);
-    windows[row][column] = sum;
+  for (int m = 0; m < 3; m++) {
+    real v[SEEN];
+#pragma unroll
+    for (int r = 0; r < SEEN; r++) v[r] = staged[(m * HIGH + RUN_FIRST + r) * WIDE + RUN_COLUMN];
+    window_run(v, out[m]);
   }
+  for (int g = 0; g < RUN; g++) sums[g] = (real4)(out[0][g], out[1][g], out[2][g], R(0.0));
 }
 
 // Launch: as loss_forward. dL/dx of the channel, zero in the padding.
 CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
-  const int tile = get_global_id(0) / GROUP, l = get_local_id(0), tiles_x = stride / TILE;
-  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
-  const int column = l % TILE, row = l / TILE, x = tile_x + column, y = tile_y + row;
-  const long plane = (long)stride * rows;
   const int channel = CHANNEL;
-  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, BACKGROUND(channel)};
-  __local real staged[3][WIDE][WIDE];
-  __local real4 windows[TILE][WIDE];
-#if SKIP_BLANK
-  const int active = !skip || may_differ(active_tiles, tile_start, tile_x, tile_y, 2 * RADIUS, stride, rows);
-#else
-  const int active = 1;
-#endif
-  if (active) stage_maps(maps + 3 * channel * plane, tile_x, tile_y, stride, rows, staged);
+  const Images s = IMAGES(channel);
+  const Part part = own_part(stride, rows);
+  const int active = IS_ACTIVE(part, 2 * RADIUS), x = part.x + part.column;
+  // For the maps until the vertical windows are made, and then for those: the maps take more room.
+  __local real4 room[(3 * HIGH * WIDE + 3) / 4];
+  real4 sums[RUN];
+  if (active) stage_maps(maps + 3 * channel * s.plane, part.x, part.y, stride, rows, (__local real *)room);
   barrier(CLK_LOCAL_MEM_FENCE);
-  if (active) window_maps(staged, windows);
+  if (active) window_maps((__local const real *)room, sums);
   barrier(CLK_LOCAL_MEM_FENCE);
-  real d = R(0.0);
-  if (active && x < width && y < height) {
-    const real4 m = window_line(&windows[row][column + RADIUS]);
-    d = gradient_of(&s, x, y, m.s0, m.s1, m.s2, weight_l1, weight_ssim);
+  if (active) put_run(sums, room);
+  barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+  for (int k = 0; k < PIXELS; k++) {
+    const int row = part.row + k * ROW_STEP, y = part.y + row;
+    real d = R(0.0);
+    if (active && x < width && y < height) {
+      const real4 m = window_line(room + WINDOW_AT(row, part.column));
+      d = gradient_of(&s, x, y, m.s0, m.s1, m.s2, weight_l1, weight_ssim);
+    }
+    if (x < stride) dimage[channel * s.plane + (size_t)y * stride + x] = d;
   }
-  dimage[channel * plane + (size_t)y * stride + x] = d;
 }
 #endif
 
-// Launch: one work-group of TILE x TILE work-items, or one work-item where that is a whole core. Adds the strips, or tiles, in a
+// Launch: one work-group of TILE x TILE work-items, or one work-item where that is a whole core. Adds the strips, or parts, in a
 // fixed order. After an overflow the value means nothing; the repetition replaces it.
 CHUNK_KERNEL void loss_sum(__global const real *partial, uint strips, real scale, // in [strips, 2], 1 / (3 width height)
                        __global real *out, uint slot) { // out [slots, 2] mean |x - y| and mean SSIM

@@ -205,18 +205,19 @@ static inline void shape_grad(const Camera *cam, const Shape *o, const realV s[S
 }
 
 #if GROUP_STYLE
-// Launch: one work-item per Gaussian. Leaves the sums of one with more than LARGE_PAIRS pairs in its first slot and 0 in the others,
+// Launch: one work-group per `owns` Gaussians. Leaves the sums of one with more than LARGE_PAIRS pairs in its first slot and 0 in the others,
 // again where it has been before: the work-item of a Gaussian that fills the image would add thousands one after the other. Each
 // work-item of the group adds every GROUP-th pair, then sums are added by halves. Nothing is changed after a pair overflow.
 CHUNK_KERNEL void large_sums(uint count, __global const uint *isect_start,  // in [count] first emission slot
                              __global const uint *isect_counts,             // in [count]
                              __global const uint *status,                   // in S_OVERFLOW
-                             __global real *sums) {                         // in/out [pairs, SUMS]
+                             __global real *sums, // in/out [pairs, SUMS]
+                             uint owns) {          // Gaussians of a group
   SCRATCH;
   __local uint large[GROUP];
   __local real parts[SUMS * GROUP];
   const uint own = SPREAD_ITEM(ITEM);
-  const int exists = status[S_OVERFLOW] == 0 && own < count;
+  const int exists = status[S_OVERFLOW] == 0 && ITEM < owns && own < count;
   const uint n = list_large(exists && isect_counts[own] > LARGE_PAIRS, large, scratch);
   for (uint k = 0; k < n; k++) {
     const uint i = SPREAD_ITEM(large[k]), pairs = isect_counts[i];

@@ -121,61 +121,58 @@ static inline int beside(uint bounds, int pixel) {
   return pixel + 1 >= (int)BOUND_LO(bounds) && pixel <= (int)BOUND_HI(bounds) + 1;
 }
 
-// Launch: one work-group of GRAD_GROUP work-items per GRAD_SEGMENT pairs that there is room for. A tile's pairs are cut into segments of
-// as many, from the first one on, and a group takes those that begin among its pairs, at most one of each tile: no tile, however many
-// Gaussians it has, keeps a group longer than others, and the segments are the same however tiles are shared out. A work-item adds up
-// its pixels in registers, then every GRAD_SUMS pairs one work-item adds up each of their sums: a fixed order, no assumption on sub-groups.
-// Rows of local memory are padded by four numbers, so that the work-items that read them side by side do so from different banks.
+// Launch: `runs` work-groups of GRAD_GROUP work-items, one per GRAD_SEGMENT pairs that there is room for, then one per tile from
+// `first_tile` on. A tile's pairs are cut into segments of GRAD_SEGMENT, from the first one on: its own group takes the first segment, and
+// of those that begin among the pairs of a run, where there is one at most, the run's group. So no tile, however many Gaussians it has, keeps
+// a group longer than others, and the segments are the same however tiles are shared out. A work-item adds up its pixels in registers,
+// then every GRAD_SUMS pairs one work-item adds up each of their sums: a fixed order, no assumption on sub-groups. Rows of local
+// memory are padded by four numbers, so that the work-items that read them side by side do so from different banks.
 __kernel __attribute__((reqd_work_group_size(GRAD_GROUP, 1, 1))) void
 splat_grad(__global const Projected *records, __global const uint *isect_owner, // in [count], [pairs]
            __global const uint *order, __global const uint *tile_start,     // in [pairs], [tiles + 1]
            __global const uint *tile_used, int tiles_x, int tiles,          // in [tiles]
            __global const real *image,  // in [4, rows, stride] as splat left it
            __global const real *dimage, // in [3, rows, stride] dL/dC, 0 outside of the image
-           __global const uint *status, __global const uint *tile_of, // in S_INTERSECTIONS; [pairs] tiles in ascending order
+           uint runs, uint first_tile, __global const uint *status, // in S_INTERSECTIONS
+           __global const uint *tile_of,   // in [pairs] tiles in ascending order
            __global const real *snapshots, // in [pairs / GRAD_SEGMENT, 4, TILE * TILE] as splat left them
            __global real *sums) {       // out [pairs, SUMS] at emission slots
   const int l = get_local_id(0), x = BLOCK_X, y = BLOCK_Y, stride = tiles_x * TILE;
   const size_t plane = (size_t)stride * (size_t)(tiles / tiles_x * TILE);
-  const uint pairs = status[S_INTERSECTIONS];
-  const uint first_pair = min((uint)get_group_id(0) * GRAD_SEGMENT, pairs), last_pair = min(first_pair + GRAD_SEGMENT, pairs);
+  const uint group = get_group_id(0), first_pair = group * GRAD_SEGMENT, pairs = status[S_INTERSECTIONS];
+  const int own = group >= runs, listed = own || first_pair < pairs;
+  const uint tile = own ? first_tile + group - runs : listed ? tile_of[first_pair] : 0;
+  const uint start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
+  uint p = own ? start : start + (first_pair - start + GRAD_SEGMENT - 1) / GRAD_SEGMENT * GRAD_SEGMENT; // next pair
+  const int begins = own || (listed && p > start && p < min(first_pair + GRAD_SEGMENT, end));
+  const uint all = begins ? min(p + GRAD_SEGMENT, end) : p, last = max(p, min(all, used));
+  for (uint unused = last + l; unused < all; unused += GRAD_GROUP)
+    for (int q = 0; q < SUMS; q++) sums[(size_t)order[unused] * SUMS + q] = R(0.0);
+  const int tile_x = tile % tiles_x * TILE, tile_y = tile / tiles_x * TILE;
   real T[PIXELS], behind[PIXELS], dred[PIXELS], dgreen[PIXELS], dblue[PIXELS];
+  if (p < last) {
+    __global const real *before = snapshots + (size_t)(p / GRAD_SEGMENT) * 4 * (TILE * TILE) + y * TILE + x;
+#pragma unroll
+    for (int k = 0; k < PIXELS; k++, before += ROW_STEP * TILE) {
+      const size_t at = (size_t)(tile_y + y + k * ROW_STEP) * stride + (tile_x + x);
+      real red = image[at], green = image[plane + at], blue = image[2 * plane + at];
+      T[k] = R(1.0);
+      if (p > start) {
+        red -= before[0];
+        green -= before[TILE * TILE];
+        blue -= before[2 * TILE * TILE];
+        T[k] = before[3 * TILE * TILE];
+      }
+      dred[k] = dimage[at];
+      dgreen[k] = dimage[plane + at];
+      dblue[k] = dimage[2 * plane + at];
+      behind[k] = dred[k] * red + dgreen[k] * green + dblue[k] * blue;
+    }
+  }
   __local Projected staged[SPLAT_BATCH];
   __local uint slot[SPLAT_BATCH];
   __local real4 part[GRAD_SUMS][SUMS][GRAD_GROUP / 4 + 1];
-  uint next = first_pair, p = 0, last = 0; // first pair of the tile after this; next and last pair of the segment
-  int tile_x = 0, tile_y = 0;
-  for (;;) {
-    while (p == last && next < last_pair) {
-      const uint tile = tile_of[next], start = tile_start[tile], end = tile_start[tile + 1], used = start + tile_used[tile];
-      p = start + (next - start + GRAD_SEGMENT - 1) / GRAD_SEGMENT * GRAD_SEGMENT;
-      const uint all = p < last_pair ? min(p + GRAD_SEGMENT, end) : p;
-      last = max(p, min(all, used));
-      next = end;
-      for (uint unused = last + l; unused < all; unused += GRAD_GROUP)
-        for (int q = 0; q < SUMS; q++) sums[(size_t)order[unused] * SUMS + q] = R(0.0);
-      if (p == last) continue;
-      tile_x = tile % tiles_x * TILE;
-      tile_y = tile / tiles_x * TILE;
-      __global const real *before = snapshots + (size_t)(p / GRAD_SEGMENT) * 4 * (TILE * TILE) + y * TILE + x;
-#pragma unroll
-      for (int k = 0; k < PIXELS; k++, before += ROW_STEP * TILE) {
-        const size_t at = (size_t)(tile_y + y + k * ROW_STEP) * stride + (tile_x + x);
-        real red = image[at], green = image[plane + at], blue = image[2 * plane + at];
-        T[k] = R(1.0);
-        if (p > start) {
-          red -= before[0];
-          green -= before[TILE * TILE];
-          blue -= before[2 * TILE * TILE];
-          T[k] = before[3 * TILE * TILE];
-        }
-        dred[k] = dimage[at];
-        dgreen[k] = dimage[plane + at];
-        dblue[k] = dimage[2 * plane + at];
-        behind[k] = dred[k] * red + dgreen[k] * green + dblue[k] * blue;
-      }
-    }
-    if (p == last) break;
+  while (p < last) {
     const uint n = min((uint)SPLAT_BATCH, last - p);
     if ((uint)l < n) {
       slot[l] = order[p + l];

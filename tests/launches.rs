@@ -24,8 +24,8 @@ const FEWER: [(&str, usize); 3] = [
     ("bin_ranges", 6700),
 ];
 
-/// Launches of one iteration with a million Gaussians, all behind the camera so that little is computed.
-fn iteration() -> Vec<(&'static str, usize)> {
+/// Launches of each of some iterations with a million Gaussians, all behind the camera so that little is computed.
+fn iterations(change: impl Fn(&mut TrainConfig), count: usize) -> Vec<Vec<(&'static str, usize)>> {
     let device = Device::open(None).unwrap().with_tuning(Tuning::GPU);
     let mut data = room(64);
     let mut view = data.train[0].clone();
@@ -52,23 +52,29 @@ fn iteration() -> Vec<(&'static str, usize)> {
         ..TrainConfig::default()
     };
     config.work.resolution_levels = 0;
+    change(&mut config);
     let plan = Plan::new(&data, &config).unwrap();
     let splats = Gaussians::new(0, planes).unwrap();
     let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
     trainer.time_every_iteration();
-    assert!(matches!(
-        trainer.advance().unwrap(),
-        Event::Iteration { .. }
-    ));
-    let enqueued = device.enqueued();
+    let each = (0..count).map(|_| {
+        assert!(matches!(
+            trainer.advance().unwrap(),
+            Event::Iteration { .. }
+        ));
+        // Those of iterations before may be there still.
+        let mut enqueued = device.enqueued();
+        let first = enqueued
+            .iter()
+            .rposition(|(kernel, _)| *kernel == "project");
+        enqueued.split_off(first.unwrap())
+    });
+    let each = each.collect();
     trainer.settle().unwrap();
-    enqueued
+    each
 }
 
-#[test]
-fn kernels_have_work_for_a_gpu() {
-    let launches = iteration();
-    assert!(launches.len() > 20 && launches.len() <= 35, "{launches:?}");
+fn check_work(launches: Vec<(&'static str, usize)>) {
     for (kernel, items) in launches {
         let fewer = FEWER.iter().find(|(name, _)| *name == kernel);
         let least = fewer.map_or(LEAST, |(_, least)| *least);
@@ -77,4 +83,31 @@ fn kernels_have_work_for_a_gpu() {
             "{kernel} has {items} work-items, {least} expected"
         );
     }
+}
+
+#[test]
+fn kernels_have_work_for_a_gpu() {
+    let launches = iterations(|_| (), 1).remove(0);
+    assert!(launches.len() > 20 && launches.len() <= 35, "{launches:?}");
+    check_work(launches);
+}
+
+#[test]
+fn density_control_adds_few_launches() {
+    // A step after the third iteration, for which that one gathers the errors of its view.
+    let change = |config: &mut TrainConfig| {
+        config.sampler = Sampler::Mh;
+        (config.mh.from_iteration, config.mh.interval) = (3, 3);
+        config.mh.births_from_iteration = Some(0);
+        config.max_gaussians = Some(2 * GAUSSIANS);
+    };
+    let each = iterations(change, 3);
+    let counts: Vec<usize> = each.iter().map(Vec::len).collect();
+    assert!(counts[1] <= 35, "{counts:?}");
+    assert_eq!(
+        counts[2],
+        counts[1] + 2,
+        "errors of all channels at once, and their sums"
+    );
+    each.into_iter().for_each(check_work);
 }

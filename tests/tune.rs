@@ -4,7 +4,7 @@ use mhsplat::Device;
 use mhsplat::device::DeviceKind;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::stats::Spread;
-use mhsplat::lab::tune::{SizeClass, candidates, chosen, read};
+use mhsplat::lab::tune::{SizeClass, candidates, chosen, read, together};
 
 const OTHER: Tuning = Tuning {
     block_width: 8,
@@ -26,6 +26,41 @@ fn only_a_clear_winner_replaces_the_default() {
     );
     let alone = [(OTHER, spread([1.0; 3]))];
     assert_eq!(chosen(&alone, Tuning::CPU), None, "the default failed");
+}
+
+#[test]
+fn what_several_winners_change_is_tried_together() {
+    let own = Tuning::GPU;
+    let spread = |middle: f64| Spread::of(&[0.998 * middle, middle, 1.002 * middle]).unwrap();
+    let with = |change: &dyn Fn(&mut Tuning)| {
+        let mut tuning = own;
+        change(&mut tuning);
+        tuning
+    };
+    let chunks = with(&|t| t.chunks = 512);
+    let far = with(&|t| t.grad_segment = 256);
+    let near = with(&|t| t.grad_segment = 128);
+    let wide = with(&|t| (t.grad_group, t.grad_sums) = (128, 3));
+    let default = (own, spread(10.0));
+    // Both segments win, the nearer one by more; the other group does not.
+    let measured = [
+        default,
+        (chunks, spread(9.7)),
+        (far, spread(9.5)),
+        (near, spread(9.4)),
+        (wide, spread(9.9)),
+    ];
+    let both = with(&|t| (t.chunks, t.grad_segment) = (512, 128));
+    assert_eq!(together(&measured, own), Some(both));
+    assert_eq!(chosen(&measured, own), Some(near));
+    assert_eq!(together(&measured[..2], own), None, "that one is measured");
+    // Three hundredths that not every sample has are none.
+    let noisy = Spread::of(&[9.4, 9.5, 10.0]).unwrap();
+    assert_eq!(chosen(&[default, (far, noisy)], own), Some(own));
+    assert_eq!(
+        together(&[default, (far, noisy), (chunks, noisy)], own),
+        None
+    );
 }
 
 #[test]

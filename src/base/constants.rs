@@ -39,6 +39,10 @@ pub const LARGE_PAIRS: u32 = 64;
 pub const SPLAT_BATCH: u32 = 32;
 /// The same in the group style, to local memory (docs/results/gpu-measured.md).
 pub const GROUP_BATCH: u32 = 64;
+/// Consecutive Gaussians that groups take in turns in the group style, where those of a group take large ones together.
+pub const GROUP_SPREAD: usize = 8;
+/// Work-groups over which so few Gaussians are shared out that they are enough for a device (docs/results/gpu-measured.md).
+pub const SHARING_GROUPS: usize = 1024;
 /// Bins whose chunks a work-group of sort_totals sums up.
 pub const SORT_BINS: u32 = 8;
 /// Bits of the number of elements that a work-group of sort_scatter sorts at a time.

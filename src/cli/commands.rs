@@ -90,7 +90,7 @@ enum Tools {
     Doctor,
     /// List every OpenCL platform and device.
     #[command(after_help = "Example: mhsplat devices")]
-    Devices,
+    Devices(devices::DevicesArgs),
     /// Make a seeded scene with known truth.
     #[command(after_help = "Example: mhsplat synth room dataset")]
     Synth(lab::synth::SynthArgs),
@@ -137,7 +137,7 @@ impl Cli {
             Group::Measure(Measure::Surrogate(args)) => lab::surrogate::run(&args, &common),
             Group::Tools(Tools::Info(args)) => info::run(&args, &common),
             Group::Tools(Tools::Doctor) => doctor::run(&common),
-            Group::Tools(Tools::Devices) => devices::run(&common),
+            Group::Tools(Tools::Devices(args)) => devices::run(&common, &args),
             Group::Tools(Tools::Completions(args)) => {
                 shell::completions(&args, Self::grouped(), &common)
             }

@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::output;
 use mhsplat::base::cores::Cores;
 use mhsplat::base::error::Result;
@@ -11,8 +11,24 @@ use mhsplat::device::{Device, DeviceInfo, DeviceKind};
 use mhsplat::lab::tune;
 use mhsplat::lab::tune::{Origin, SizeClass};
 
+/// Arguments.
+#[derive(clap::Args)]
+pub struct DevicesArgs {
+    /// Measure now, and not at first use, how kernels suit the device with scenes of every size, as far as that is not known.
+    #[arg(long)]
+    tune: bool,
+    #[command(flatten)]
+    device: DeviceOption,
+}
+
 /// Lists the devices, with the default marked and explained.
-pub fn run(common: &Common) -> Result<Outcome> {
+pub fn run(common: &Common, args: &DevicesArgs) -> Result<Outcome> {
+    if args.tune {
+        let device = args.device.open()?;
+        for size in SizeClass::told_apart(device.info()) {
+            tune::tuned(device.clone(), *size, &mut output::note)?;
+        }
+    }
     let list = Device::list()?;
     let default = Device::default_of(&list).map(|d| d.index);
     let why = "the first GPU, else the first accelerator, else the first CPU";

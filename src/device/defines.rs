@@ -87,6 +87,7 @@ impl Defines {
         int("GRAD_GROUP", u64::from(self.tuning.grad_group));
         int("GRAD_SEGMENT", u64::from(self.tuning.grad_segment));
         int("GRAD_SUMS", u64::from(self.tuning.grad_sums));
+        int("SPREAD", constants::GROUP_SPREAD as u64);
         int("GROUP_BINS", u64::from(constants::SORT_BINS));
         int("BLOCK_BITS", u64::from(constants::SORT_BLOCK_BITS));
         int("TAPS", constants::SSIM_TAPS as u64);

@@ -8,7 +8,7 @@ use ocl_core::{
     KernelWorkGroupInfoResult,
 };
 
-use crate::base::constants::{SPLAT_BATCH, TILE};
+use crate::base::constants::{GROUP_SPREAD, SHARING_GROUPS, SPLAT_BATCH, TILE};
 use crate::base::error::{Error, Result};
 use crate::device::array::Array;
 use crate::device::context::{Enqueued, Inner};
@@ -338,6 +338,21 @@ impl Launch<'_> {
     pub fn over_groups(self, groups: usize) -> Result<()> {
         let group = self.defines().tuning.tile_group();
         self.run([groups * group, 1], [group, 1])
+    }
+
+    /// Adds the number of Gaussians of a work-group, and enqueues the kernel with as many groups of a work-item per pixel of a tile as `count`
+    /// of them need: each has few where there are few in all, so that large ones, which a group takes together, are shared out over the
+    /// whole device. Does not wait.
+    ///
+    /// # Errors
+    /// Those of [`Launch::run`].
+    pub fn over_shared(self, count: usize) -> Result<()> {
+        let most = self.defines().tuning.tile_group();
+        let owns = count
+            .div_ceil(SHARING_GROUPS)
+            .next_multiple_of(GROUP_SPREAD);
+        let owns = owns.clamp(GROUP_SPREAD, most);
+        self.uints([owns]).over_groups(count.div_ceil(owns))
     }
 
     /// Enqueues the kernel with small work-items, such as one for each Gaussian and plane. Does not wait.

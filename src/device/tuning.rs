@@ -100,7 +100,7 @@ impl Tuning {
         strip: 8,
         splat_group: 128,
         grad_group: 64,
-        grad_segment: 128,
+        grad_segment: 64,
         grad_sums: 5,
     };
 

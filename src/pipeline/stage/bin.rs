@@ -30,7 +30,7 @@ pub fn count<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool)
         true => launch
             .uints([view.count])
             .array(view.depth_counts(), view.count)
-            .over_groups(view.count.div_ceil(stage.defines().tuning.tile_group())),
+            .over_shared(view.count),
         false => launch.over_batches(view.count),
     }
 }
@@ -53,7 +53,7 @@ pub fn emit<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) 
         return walk(launch, view, active_only)
             .arrays([view.depth_start(), &view.isect_start], view.count)
             .arrays([&view.isect_owner, &pairs.keys[0], &pairs.values[0]], 1)
-            .over_groups(view.count.div_ceil(stage.defines().tuning.tile_group()));
+            .over_shared(view.count);
     }
     by_tile(launch, view, active_only)
         .array(&view.tile_start, view.camera.tile_count() + 1)

@@ -66,17 +66,18 @@ pub struct Loss<R: Real> {
     program: Program,
     /// SSIM derivative maps of the channel at hand (in the group style of each), or error maps.
     pub maps: Array<R>,
-    /// Sums of |x − y| and SSIM of each channel and strip (tile, where a work-group takes one), in turn.
+    /// Sums of |x − y| and SSIM of each channel and strip (two tiles side by side, where a work-group takes those), in turn.
     pub partial: Array<R>,
     /// An array for the arguments that say what is blank, when nothing does.
     nowhere: Array<u32>,
 }
 
-/// Parts of an image, in columns and rows: the tiles if each is a work-group's, else the work-items' strips.
+/// Parts of an image, in columns and rows: two tiles side by side if each is a work-group's, else the work-items' strips.
 fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
     let ([w, h], tuning) = (size.padded(), program.defines().tuning);
     if tuning.group_style {
-        size.tiles()
+        let [columns, rows] = size.tiles();
+        [columns.div_ceil(2), rows]
     } else {
         [
             w.div_ceil(tuning.strip as usize),
@@ -88,7 +89,7 @@ fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
 /// Planes of the maps of errors.
 const ERRORS: usize = 2;
 
-/// Rows of strips in some rows of tiles: those themselves where a work-group takes a tile.
+/// Rows of strips in some rows of tiles: those themselves where a work-group takes tiles.
 fn strip_rows(program: &Program, band: &Range<usize>) -> Range<usize> {
     let each = match program.defines().tuning.group_style {
         true => 1,
@@ -97,7 +98,7 @@ fn strip_rows(program: &Program, band: &Range<usize>) -> Range<usize> {
     band.start * each..band.end * each
 }
 
-/// Enqueues a sweep over the strips of some rows of tiles of a pair, or over their tiles in `channels` channels.
+/// Enqueues a sweep over the strips of some rows of tiles of a pair, or by work-groups along an axis of `channels` channels.
 fn sweep<R: Real>(
     launch: Launch<'_>,
     program: &Program,
@@ -178,7 +179,12 @@ impl<R: Real> Loss<R> {
     /// Writes the channel means of 1 − SSIM and |x − y| to the maps, and the sums of the strips; the time is counted as
     /// importance's.
     pub fn errors(&self, pair: &ImagePair<'_, R>) -> Result<()> {
-        (0..3).try_for_each(|channel| {
+        // A work-group goes through all channels.
+        let launches = match self.program.defines().tuning.group_style {
+            true => 1,
+            false => 3,
+        };
+        (0..launches).try_for_each(|channel| {
             let launch = self.maps_of(pair, channel, ERRORS);
             let launch = launch.counted_as("importance");
             sweep(launch, &self.program, (pair, &pair.band), 1)
@@ -214,10 +220,20 @@ impl<R: Real> Loss<R> {
 
     /// A sweep that writes so many planes of maps from a channel on, those of errors or of derivatives, and the sums of the strips.
     fn maps_of(&self, pair: &ImagePair<'_, R>, channel: usize, planes: usize) -> Launch<'_> {
-        self.channel("loss_forward", pair, channel)
-            .value(i32::from(planes == ERRORS))
+        let errors = planes == ERRORS;
+        let by_group = self.program.defines().tuning.group_style;
+        let kernel = match errors && by_group {
+            true => "loss_errors",
+            false => "loss_forward",
+        };
+        let launch = self
+            .channel(kernel, pair, channel)
             .array(&self.maps, planes * pair.size.plane())
-            .array(&self.partial, partial_len(&self.program, pair.size))
+            .array(&self.partial, partial_len(&self.program, pair.size));
+        match by_group {
+            true => launch,
+            false => launch.value(i32::from(errors)),
+        }
     }
 
     /// A sweep over a channel of both images.

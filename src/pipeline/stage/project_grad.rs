@@ -18,8 +18,7 @@ fn add_large<R: Real>(
     scene: &GaussianBuffers<R>,
     view: &ViewBuffers<R>,
 ) -> Result<()> {
-    let tuning = stage.defines().tuning;
-    if !tuning.group_style {
+    if !stage.defines().tuning.group_style {
         return Ok(());
     }
     stage
@@ -28,7 +27,7 @@ fn add_large<R: Real>(
         .arrays([&view.isect_start, &view.isect_counts], scene.count)
         .status(view)
         .array(&view.sums, 1)
-        .over_groups(scene.count.div_ceil(tuning.tile_group()))
+        .over_shared(scene.count)
 }
 
 /// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included, or adds them to those of the

@@ -22,14 +22,17 @@ pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<
     if !tuning.group_style {
         return launch.array(&view.sums, 1).over_tiles(size, &view.band);
     }
-    let segments = view.capacity.div_ceil(tuning.grad_segment as usize).max(1);
+    // One run of pairs more than there are in an empty view: a launch has one work-group at least.
+    let runs = view.capacity.div_ceil(tuning.grad_segment as usize).max(1);
+    let across = size.tiles()[0];
     let group = tuning.grad_group as usize;
     launch
+        .uints([runs, view.band.start * across])
         .status(view)
         .array(view.tile_of_pairs(), 1)
         .array(&view.snapshots, tuning.snapshot_values(view.capacity))
         .array(&view.sums, 1)
-        .run([segments * group, 1], [group, 1])
+        .run([(runs + view.band.len() * across) * group, 1], [group, 1])
 }
 
 // Definition in f64.
