@@ -155,7 +155,7 @@ static inline realV gradient_of(const Images *s, int x, int y, realV dmx, realV 
 #define IMAGE_ARGUMENTS                                                                                                \
   __global const real *image, __global const uchar *photo, int width, int height, int stride, int rows, int first,     \
       real red, real green, real blue, BLANK_ARGUMENTS
-// A launch is over one channel, or by groups over some from `first` on: for gradients along the second axis, for errors one after the other.
+// A launch is over channel `first`, or by groups, where `first` is 0, over all: for gradients along the second axis, for errors in turn.
 #if GROUP_STYLE
 #define CHANNEL (first + (int)get_group_id(1))
 #else
@@ -456,7 +456,7 @@ static inline void compare(const Images *s, const Part *part, int active, __loca
 }
 
 // Launch: one work-group of TILE x TILE work-items per two tiles side by side and channel. Results as in the other style, but that
-// `partial` has the sums of these parts, and that each channel has derivative maps of its own. Work-items of the padding and of parts that
+// `partial` has the sums of these parts, that each channel has derivative maps of its own, and that errors are 0 in the padding. Work-items of the padding and of parts that
 // are left out take part in every barrier.
 CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
   const int channel = CHANNEL;

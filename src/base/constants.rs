@@ -41,7 +41,8 @@ pub const SPLAT_BATCH: u32 = 32;
 pub const GROUP_BATCH: u32 = 64;
 /// Consecutive Gaussians that groups take in turns in the group style, where those of a group take large ones together.
 pub const GROUP_SPREAD: usize = 8;
-/// Work-groups over which so few Gaussians are shared out that they are enough for a device (docs/results/gpu-measured.md).
+/// Number of work-groups, enough for a large GPU, that Gaussians are shared out over before a group gets more than [`GROUP_SPREAD`] of them,
+/// where groups take large ones together (docs/results/gpu-measured.md).
 pub const SHARING_GROUPS: usize = 1024;
 /// Bins whose chunks a work-group of sort_totals sums up.
 pub const SORT_BINS: u32 = 8;

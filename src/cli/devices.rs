@@ -2,10 +2,10 @@
 
 use serde_json::json;
 
-use crate::cli::common::{Common, DeviceOption, Outcome};
+use crate::cli::common::{Common, Outcome};
 use crate::cli::output;
 use mhsplat::base::cores::Cores;
-use mhsplat::base::error::Result;
+use mhsplat::base::error::{Error, Result};
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Device, DeviceInfo, DeviceKind};
 use mhsplat::lab::tune;
@@ -14,20 +14,16 @@ use mhsplat::lab::tune::{Origin, SizeClass};
 /// Arguments.
 #[derive(clap::Args)]
 pub struct DevicesArgs {
-    /// Measure now, and not at first use, how kernels suit the device with scenes of every size, as far as that is not known.
+    /// Measure now, and not at first use, how kernels suit a device with scenes of every size, as far as that is not known: that of
+    /// MHSPLAT_DEVICE, else the default.
     #[arg(long)]
     tune: bool,
-    #[command(flatten)]
-    device: DeviceOption,
 }
 
 /// Lists the devices, with the default marked and explained.
 pub fn run(common: &Common, args: &DevicesArgs) -> Result<Outcome> {
     if args.tune {
-        let device = args.device.open()?;
-        for size in SizeClass::told_apart(device.info()) {
-            tune::tuned(device.clone(), *size, &mut output::note)?;
-        }
+        measure_tunings()?;
     }
     let list = Device::list()?;
     let default = Device::default_of(&list).map(|d| d.index);
@@ -73,6 +69,31 @@ pub fn run(common: &Common, args: &DevicesArgs) -> Result<Outcome> {
         "* is the default: {why}. Select with --device or MHSPLAT_DEVICE."
     ));
     Ok(Outcome::Done)
+}
+
+/// Measures and keeps the tunings of the selected device that are not known.
+fn measure_tunings() -> Result<()> {
+    if !matches!(
+        std::env::var(tune::VARIABLE).as_deref(),
+        Err(_) | Ok("" | "measure")
+    ) {
+        return Err(Error::config(
+            tune::VARIABLE,
+            "it says which sizes are taken, so that --tune has nothing to measure; unset it",
+        ));
+    }
+    let selector = std::env::var("MHSPLAT_DEVICE").ok();
+    let device = Device::open(selector.as_deref().filter(|selector| !selector.is_empty()))?;
+    for size in SizeClass::told_apart(device.info()) {
+        tune::tuned(device.clone(), *size, &mut output::note)?;
+        if !tune::is_kept(device.info(), *size) {
+            return Err(Error::config(
+                "--tune",
+                "nothing could be measured and kept; there must be a folder for it (XDG_CACHE_HOME, else ~/.cache) that can be written",
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// Tuning for scenes of a size, as far as it is known; without a size it is for all.

@@ -340,9 +340,9 @@ impl Launch<'_> {
         self.run([groups * group, 1], [group, 1])
     }
 
-    /// Adds the number of Gaussians of a work-group, and enqueues the kernel with as many groups of a work-item per pixel of a tile as `count`
-    /// of them need: each has few where there are few in all, so that large ones, which a group takes together, are shared out over the
-    /// whole device. Does not wait.
+    /// Adds the number of Gaussians that a work-group has, 8 to 256 of `count`, and enqueues the kernel with so many groups that all have
+    /// one, of a work-item per pixel of a tile. A group has few where there are few in all: large ones, for which it takes all its
+    /// work-items, are shared out over the whole device. Does not wait.
     ///
     /// # Errors
     /// Those of [`Launch::run`].

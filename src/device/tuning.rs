@@ -30,8 +30,8 @@ pub mod status {
     pub const SLOTS: usize = 8;
 }
 
-/// Sizes that kernels are built with. The defaults of its class were measured for CPUs; for GPUs the number of chunks was
-/// (docs/results/gpu-measured.md), the others are conservative. A choice for the device at hand can be measured and passed with `Device::with_tuning`.
+/// Sizes that kernels are built with. The defaults of its class were measured for CPUs; for GPUs the number of chunks and those of the
+/// compositing kernels were (docs/results/gpu-measured.md), the others are conservative. A choice for the device at hand can be measured and passed with `Device::with_tuning`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Tuning {

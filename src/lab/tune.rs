@@ -3,7 +3,7 @@
 //! A choice is kept per platform, device, driver, kernels and [`SizeClass`] in `mhsplat/tuning-*.json` under `$XDG_CACHE_HOME` or
 //! `~/.cache`; a file that cannot be read or does not fit the device is measured anew. Which lanes are added in which order
 //! depends on the choice, and with it the last bits of a scene. So that machines of one kind agree, a candidate replaces
-//! the default of the device's class only where it is clearly faster ([`CLEARLY`]). In the group style candidates change one size each, of
+//! the default of the device's class only where it is clearly faster ([`CLEARLY`]). In the group style candidates change one size each, or two that belong together, of
 //! kernels that take their time one after the other: what the winners change is measured together, too.
 //!
 //! `MHSPLAT_TUNING` overrules: `default` is the class default, `measure` measures again, and
@@ -224,6 +224,12 @@ fn given(asked: &str, info: &DeviceInfo) -> Result<Tuning> {
     }
 }
 
+/// True if a measured tuning of a device is kept for runs of a size.
+#[must_use]
+pub fn is_kept(info: &DeviceInfo, size: SizeClass) -> bool {
+    file(info, size).and_then(|f| read(&f, info)).is_some()
+}
+
 /// The file of a device and a size; `None` if the system has no place for it.
 fn file(info: &DeviceInfo, size: SizeClass) -> Option<PathBuf> {
     cache::file("tuning", info, (size.on(info).case(), candidates(info)))
@@ -300,20 +306,18 @@ impl Run {
 fn measure(device: &Device, size: SizeClass) -> Option<CachedTuning> {
     let own = Tuning::for_device(device.info());
     let mut milliseconds = samples(device, size, candidates(device.info()))?;
-    if let Some(together) = together(&milliseconds, own) {
-        // In turns with the default again: a device is not as warm as it was.
-        let mut again = samples(device, size, vec![own, together])?;
-        if chosen(&again, own) == Some(together) {
-            again.retain(|(tuning, _)| *tuning == together);
-            milliseconds.extend(again);
-            return Some(CachedTuning {
-                tuning: together,
-                milliseconds,
-            });
-        }
+    let mut tuning = chosen(&milliseconds, own)?;
+    if let Some(together) = together(&milliseconds, own)
+        // In turns with the others again: a device is not as warm as it was.
+        && let Some(again) = samples(device, size, vec![own, tuning, together])
+        && let Some(best) = chosen(&again, own)
+    {
+        tuning = best;
+        milliseconds.retain(|(one, _)| again.iter().all(|(other, _)| one != other));
+        milliseconds.splice(0..0, again);
     }
     Some(CachedTuning {
-        tuning: chosen(&milliseconds, own)?,
+        tuning,
         milliseconds,
     })
 }

@@ -103,7 +103,6 @@ fn shells_are_told_of_every_command() {
 fn devices_are_offered_where_they_are_used() {
     let uses = [
         "bench",
-        "devices",
         "eval",
         "experiment",
         "info",

@@ -72,7 +72,7 @@ pub struct Loss<R: Real> {
     nowhere: Array<u32>,
 }
 
-/// Parts of an image, in columns and rows: two tiles side by side if each is a work-group's, else the work-items' strips.
+/// Numbers of parts of an image, by columns and rows: two tiles side by side if each is a work-group's, else the work-items' strips.
 fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
     let ([w, h], tuning) = (size.padded(), program.defines().tuning);
     if tuning.group_style {

@@ -22,7 +22,7 @@ pub fn backward<R: Real>(stage: &Program, view: &ViewBuffers<R>, dimage: &Array<
     if !tuning.group_style {
         return launch.array(&view.sums, 1).over_tiles(size, &view.band);
     }
-    // One run of pairs more than there are in an empty view: a launch has one work-group at least.
+    // One at least: a launch needs a work-group where the band has no tiles.
     let runs = view.capacity.div_ceil(tuning.grad_segment as usize).max(1);
     let across = size.tiles()[0];
     let group = tuning.grad_group as usize;
