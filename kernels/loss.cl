@@ -427,8 +427,7 @@ typedef struct {
 
 static inline Part own_part(int stride, int rows) {
   const uint index = get_global_id(0) / GROUP, l = get_local_id(0), across = (stride + PART_WIDTH - 1) / PART_WIDTH;
-  const Part part = {index, across * (rows / PART_HEIGHT), index % across * PART_WIDTH, index / across * PART_HEIGHT,
-                     l % PART_WIDTH, l / PART_WIDTH};
+  const Part part = {index, across * (rows / PART_HEIGHT), index % across * PART_WIDTH, index / across * PART_HEIGHT, l % PART_WIDTH, l / PART_WIDTH};
   return part;
 }
 
@@ -456,7 +455,7 @@ static inline void compare(const Images *s, const Part *part, int active, __loca
 }
 
 // Launch: one work-group of TILE x TILE work-items per two tiles side by side and channel. Results as in the other style, but that
-// `partial` has the sums of these parts, that each channel has derivative maps of its own, and that errors are 0 in the padding. Work-items of the padding and of parts that
+// `partial` has the sums of these parts, and that each channel has derivative maps of its own. Work-items of the padding and of parts that
 // are left out take part in every barrier.
 CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
   const int channel = CHANNEL;
@@ -504,11 +503,13 @@ CHUNK_KERNEL void loss_errors(FORWARD_ARGUMENTS) {
     real2 total = (real2)(R(0.0));
 #pragma unroll
     for (int k = 0; k < PIXELS; k++) {
-      const int row = part.row + k * ROW_STEP;
-      if (x >= width || part.y + row >= height) continue;
+      const int row = part.row + k * ROW_STEP, in = x < width && part.y + row < height;
       real dmx, dxx, dxy;
-      const real4 m = active ? window_line(room + WINDOW_AT(row, part.column)) : (real4)(R(0.0));
-      const real2 pair = active ? (real2)(difference[k], ssim_of(m.s0, m.s1, m.s2, m.s3, &dmx, &dxx, &dxy)) : (real2)(R(0.0), R(1.0));
+      real2 pair = (real2)(R(0.0), in ? R(1.0) : R(0.0)); // as of a pixel that is left out, or of the padding
+      if (active && in) {
+        const real4 m = window_line(room + WINDOW_AT(row, part.column));
+        pair = (real2)(difference[k], ssim_of(m.s0, m.s1, m.s2, m.s3, &dmx, &dxx, &dxy));
+      }
       total += pair;
       error[0][k] += (R(1.0) - pair.y) * (R(1.0) / R(3.0));
       error[1][k] += pair.x * (R(1.0) / R(3.0));
@@ -517,7 +518,6 @@ CHUNK_KERNEL void loss_errors(FORWARD_ARGUMENTS) {
     total = group_total(total, (__local real2 *)room);
     if (part.column == 0 && part.row == 0) vstore2(total, (size_t)channel * part.of + part.index, partial);
   }
-#pragma unroll
   for (int k = 0; k < PIXELS; k++) {
     const size_t at = (size_t)(part.y + part.row + k * ROW_STEP) * stride + x;
     if (x < stride) {
