@@ -7,41 +7,47 @@ use mhsplat::device::{Defines, source, stages};
 use mhsplat::{Error, Result};
 
 /// Variants of a stage: a suffix of the file's name and what differs from the default.
-fn variants(stage: &str, tuning: Tuning) -> Vec<(&'static str, Defines)> {
+fn variants(stage: &str, tuning: Tuning) -> Vec<(String, Defines)> {
     let base = Defines {
         sh_degree: 3,
         ..Defines::new(tuning)
     };
-    let filtered = Defines {
-        anti_alias: true,
-        ..base
-    };
     let alpha = |alpha| Defines { alpha, ..base };
-    let flat = Defines {
-        sh_degree: 0,
+    // Every degree, without and with the 3D filter.
+    let shaded = |suffix: &str, base: Defines| {
+        let each = (0..=3).flat_map(|sh_degree| [(sh_degree, false), (sh_degree, true)]);
+        let variant = |(sh_degree, anti_alias): (u32, bool)| {
+            let filtered = if anti_alias { "-aa" } else { "" };
+            let defines = Defines {
+                sh_degree,
+                anti_alias,
+                ..base
+            };
+            (format!("{suffix}-sh{sh_degree}{filtered}"), defines)
+        };
+        each.map(variant).collect::<Vec<_>>()
+    };
+    let stepping = Defines {
+        take_step: true,
         ..base
     };
-    let stepping = |defines| Defines {
-        take_step: true,
-        ..defines
-    };
+    let plain = || ("".to_owned(), base);
+    let clear = || ("-alpha".to_owned(), alpha(Alpha::Transparency));
+    let masked = || ("-mask".to_owned(), alpha(Alpha::Mask));
     match stage {
-        "project" => vec![("-sh0", flat), ("-sh3", base), ("-sh3-aa", filtered)],
-        "project_grad" => vec![
-            ("-sh3", base),
-            ("-step-sh0", stepping(flat)),
-            ("-step-sh3", stepping(base)),
-            ("-step-sh3-aa", stepping(filtered)),
-        ],
-        "loss" | "metrics" | "photo_error" => vec![
-            ("", base),
-            ("-alpha", alpha(Alpha::Transparency)),
-            ("-mask", alpha(Alpha::Mask)),
-        ],
-        "bin" => vec![("", base), ("-mask", alpha(Alpha::Mask))],
-        "active_tiles" => vec![("-mask", alpha(Alpha::Mask))],
-        "filter" => vec![("", filtered)],
-        _ => vec![("", base)],
+        "project" => shaded("", base),
+        "project_grad" => [shaded("", base), shaded("-step", stepping)].concat(),
+        "loss" | "metrics" | "photo_error" => vec![plain(), clear(), masked()],
+        "bin" => vec![plain(), masked()],
+        "active_tiles" => vec![clear(), masked()],
+        "filter" => {
+            let filtered = Defines {
+                anti_alias: true,
+                ..base
+            };
+            vec![("".to_owned(), filtered)]
+        }
+        _ => vec![plain()],
     }
 }
 

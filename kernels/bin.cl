@@ -129,17 +129,38 @@ CHUNK_KERNEL void bin_visible(__global const uint *keys, uint count, // in [coun
   if (ITEM == 0) sums[c] = n;
 }
 
-// Launch: as bin_visible. Writes keys and indices of the visible ones, in index order, and their number to the status.
+#if GROUP_STYLE
+#define FIRST_PASS                                                                                                     \
+  , uint bins, __global uint *histogram,     /* out [chunks, bins] lowest digits of each chunk's visible ones */       \
+  uint pair_chunks, __global uint *pair_sums /* out [pair_chunks] 0, for bin_count */
+#else
+#define FIRST_PASS
+#endif
+
+// Launch: as bin_visible. Writes keys and indices of the visible ones, in index order, and their number to the status; by groups it also
+// counts for the first pass of their sort.
 CHUNK_KERNEL void bin_compact(__global const uint *keys, uint count,  // in [count]
                               uint chunks, __global const uint *sums, // in [chunks]
                               __global uint *visible_keys,            // out [visible]
                               __global uint *visible,                 // out [visible] Gaussian index
-                              __global uint *status) {                // out S_VISIBLE
+                              __global uint *status                   // out S_VISIBLE
+                              FIRST_PASS) {
   SCRATCH;
   const uint c = CHUNK;
   if (c >= chunks) return;
   const uint size = chunk_size(count, chunks);
   const uint first = min(c * size, count), last = min(first + size, count);
+#if GROUP_STYLE
+  // Before the loop that has barriers.
+  __local uint digits[GROUP];
+  digits[ITEM] = 0;
+  barrier(CLK_LOCAL_MEM_FENCE);
+  for (uint i = first + ITEM; i < last; i += GROUP)
+    if (keys[i] != KEY_CULLED) atomic_inc(digits + digit_of(keys[i], 0, bins)); // of integers: the same in any order
+  barrier(CLK_LOCAL_MEM_FENCE);
+  if (ITEM < bins) histogram[(size_t)c * bins + ITEM] = digits[ITEM];
+  for (uint k = c * GROUP + ITEM; k < pair_chunks; k += chunks * GROUP) pair_sums[k] = 0;
+#endif
   uint before = (uint)group_sum(sum_before(sums, c), scratch);
   if (c == chunks - 1 && ITEM == 0) status[S_VISIBLE] = before + sums[c];
   for (uint block = first; block < last; block += GROUP) {
@@ -192,6 +213,7 @@ CHUNK_KERNEL void bin_count(WALK_ARGUMENTS
                             __global uint *cover,   // out [visible, 2] mask; packed box
                             __global uint *isect_counts, // out [count] tiles touched
                             uint count, __global uint *depth_counts, // out [count] the same by depth
+                            uint pair_chunks, __global uint *pair_sums, // in 0, out [pair_chunks] of chunks by depth
                             uint owns) { // Gaussians of a group
   SCRATCH;
   __local uint large[GROUP], pairs[GROUP];
@@ -216,6 +238,11 @@ CHUNK_KERNEL void bin_count(WALK_ARGUMENTS
   barrier(CLK_LOCAL_MEM_FENCE);
   if (exists) isect_counts[visible[j]] = pairs[ITEM];
   if (ITEM < owns && j < count) depth_counts[j] = pairs[ITEM];
+  if (ITEM < owns && j < count && ITEM % SPREAD == 0) {
+    uint sum = 0;
+    for (uint k = 0; k < SPREAD; k++) sum += pairs[ITEM + k];
+    if (sum) atomic_add(pair_sums + j / chunk_size(count, pair_chunks), sum); // of integers
+  }
 }
 
 // Launch: as bin_count. Writes pairs in depth order, those of a Gaussian row by row of tiles; none after an overflow.

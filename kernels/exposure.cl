@@ -90,9 +90,10 @@ static inline real whole(real value, __local real2 *parts) {
 #define whole(value, parts) (value)
 #endif
 
-// Launch: 12 work-groups, or work-items where each is a whole core. Adds the sums of the view that was rendered in a fixed order and
-// takes one step of Adam for every view. A non-finite gradient counts as zero and is counted, a step that would make an entry
-// non-finite is not taken. Nothing is changed after a pair overflow: the host repeats the iteration.
+// Launch: 12 work-groups, one for each entry, or work-items where each is a whole core. Adds the sums of the view that was rendered in a
+// fixed order, takes one step of Adam for every view, and takes the mean deviation from the identity off the transforms. A non-finite
+// gradient counts as zero and is counted, a step that would make an entry non-finite is not taken. Nothing is changed after a pair
+// overflow: the host repeats the iteration.
 CHUNK_KERNEL void exposure_step(__global const real *partial, uint chunks, // in [12, chunks]
                                 uint view, uint views,
                                 real lr, real beta1, real beta2, real epsilon,
@@ -101,38 +102,31 @@ CHUNK_KERNEL void exposure_step(__global const real *partial, uint chunks, // in
                                 __global real *grads,             // out [12] loss per entry of the view rendered
                                 volatile __global uint *status) { // in S_OVERFLOW, out S_NON_FINITE
   PARTS;
-  const uint k = CHUNK, stopped = status[S_OVERFLOW] != 0;
+  const uint k = CHUNK, stepped = status[S_OVERFLOW] != 0 ? 0 : views;
   real sum = R(0.0);
   for (uint c = ITEM; c < chunks; c += GROUP) sum += partial[k * (size_t)chunks + c];
   const real total = whole(sum, parts);
-  if (stopped) return;
   const int good = fabs(total) < R(1e18); // squares stay finite
-  if (ITEM == 0) {
+  if (ITEM == 0 && stepped > 0) {
     if (!good) atomic_inc(status + S_NON_FINITE); // an integer count: order does not matter
     grads[k] = good ? total : R(0.0);
   }
-  for (uint of = ITEM; of < views; of += GROUP) {
+  const real identity = k % 5 == 0 ? R(1.0) : R(0.0);
+  real deviation = R(0.0);
+  for (uint of = ITEM; of < stepped; of += GROUP) {
     const size_t at = 12 * (size_t)of + k;
     const real g = of == view && good ? total : R(0.0);
     const real m = fma(beta1, moment1[at], (R(1.0) - beta1) * g);
     const real v = fma(beta2, moment2[at], (R(1.0) - beta2) * g * g);
     const real next = exposures[at] - (lr * correction1) * m / fma(sqrt(v), correction2, epsilon);
     if (isfinite(next)) exposures[at] = next;
+    deviation += exposures[at] - identity;
     moment1[at] = m;
     moment2[at] = v;
   }
-}
-
-// Launch: as exposure_step, after it. Takes the mean deviation from the identity off the transforms, in a fixed order.
-CHUNK_KERNEL void exposure_center(uint views,
-                                  __global real *exposures,        // in/out [views, 12]
-                                  __global const uint *status) {   // in S_OVERFLOW
-  PARTS;
-  const uint k = CHUNK, stopped = status[S_OVERFLOW] != 0;
-  const real identity = k % 5 == 0 ? R(1.0) : R(0.0);
-  real sum = R(0.0);
-  for (uint of = ITEM; of < views; of += GROUP) sum += exposures[12 * (size_t)of + k] - identity;
-  const real mean = whole(sum, parts) / (real)views;
-  if (stopped) return;
-  for (uint of = ITEM; of < views; of += GROUP) exposures[12 * (size_t)of + k] -= mean;
+#if GROUP_STYLE
+  barrier(CLK_LOCAL_MEM_FENCE); // everybody has read the first sum
+#endif
+  const real mean = whole(deviation, parts) / (real)views;
+  for (uint of = ITEM; of < stepped; of += GROUP) exposures[12 * (size_t)of + k] -= mean;
 }

@@ -1,7 +1,8 @@
 // filter: standard deviation of each Gaussian's 3D smoothing filter: sqrt(FILTER_VARIANCE) times the finest distance
 // between samples that any training view takes at its centre, z/f. What no view sees gets the largest of the others; if no
 // Gaussian is seen at all, none is filtered.
-// Launch: filter_views and filter_unseen a work-item per VW Gaussians, filter_largest one per chunk, FILTER_CHUNKS of them.
+// Launch: filter_views and filter_unseen a work-item per VW Gaussians, filter_largest one per chunk, FILTER_CHUNKS of them
+// (a work-group of TILE x TILE where that shares a chunk).
 // A view sees a centre beyond the near plane whose projection lies in the image, widened by FILTER_MARGIN of its width and
 // height on each side; a non-finite centre is seen by none. Least and largest do not depend on the order of anything.
 // Nothing is changed after a pair overflow: the host repeats the iteration. Source: Yu et al., Mip-Splatting, CVPR 2024,
@@ -29,16 +30,25 @@ __kernel void filter_views(__global const real *params, uint stride, uint count,
   vstore_real(choose(least < far, sqrt((real)FILTER_VARIANCE) * least, V(R(0.0))), 0, filter + i);
 }
 
-__kernel void filter_largest(uint count, __global const uint *status, // in S_OVERFLOW
-                             __global const real *filter,             // in [stride]
-                             __global real *largest) {                // out [FILTER_CHUNKS] of each chunk
-  const uint chunk = get_global_id(0);
+CHUNK_KERNEL void filter_largest(uint count, __global const uint *status, // in S_OVERFLOW
+                                 __global const real *filter,             // in [stride]
+                                 __global real *largest) {                // out [FILTER_CHUNKS] of each chunk
+  const uint chunk = CHUNK;
   if (chunk >= FILTER_CHUNKS || status[S_OVERFLOW] != 0) return;
   const uint length = (count + FILTER_CHUNKS - 1) / FILTER_CHUNKS;
   const uint end = min(count, (chunk + 1) * length);
   real most = R(0.0);
-  for (uint i = chunk * length; i < end; i++) most = fmax(most, filter[i]);
-  largest[chunk] = most;
+  for (uint i = chunk * length + ITEM; i < end; i += GROUP) most = fmax(most, filter[i]);
+#if GROUP_STYLE
+  __local real found[GROUP];
+  found[ITEM] = most;
+  for (uint near = GROUP / 2; near > 0; near /= 2) {
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (ITEM < near) found[ITEM] = fmax(found[ITEM], found[ITEM + near]);
+  }
+  most = found[0]; // as work-item 0 left it
+#endif
+  if (ITEM == 0) largest[chunk] = most;
 }
 
 __kernel void filter_unseen(uint count, __global const uint *status, // in S_OVERFLOW

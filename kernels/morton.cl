@@ -130,16 +130,31 @@ CHUNK_KERNEL void morton_box(__global const real *params, uint stride, uint coun
 #endif
 }
 
-// Launch: one work-item per axis. Cells per unit from the boxes of all chunks.
-__kernel void morton_cells(__global const float *boxes, uint chunks, // in [chunks, 3, 2]
-                           __global uint *grid) {                    // out [3, MORTON_GRID]
-  const uint k = get_global_id(0);
+// Launch: one work-group per axis, or work-item where that is a whole core. Cells per unit from the boxes of all chunks.
+CHUNK_KERNEL void morton_cells(__global const float *boxes, uint chunks, // in [chunks, 3, 2]
+                               __global uint *grid) {                    // out [3, MORTON_GRID]
+  const uint k = CHUNK;
   if (k >= 3) return;
   float low = INFINITY, high = -INFINITY;
-  for (uint c = 0; c < chunks; c++) {
+  for (uint c = ITEM; c < chunks; c += GROUP) {
     low = fmin(low, boxes[c * 6 + 2 * k]);
     high = fmax(high, boxes[c * 6 + 2 * k + 1]);
   }
+#if GROUP_STYLE
+  __local float bounds[2][GROUP];
+  bounds[0][ITEM] = low;
+  bounds[1][ITEM] = high;
+  for (uint width = GROUP / 2; width > 0; width /= 2) {
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (ITEM < width) {
+      bounds[0][ITEM] = fmin(bounds[0][ITEM], bounds[0][ITEM + width]);
+      bounds[1][ITEM] = fmax(bounds[1][ITEM], bounds[1][ITEM + width]);
+    }
+  }
+  if (ITEM != 0) return;
+  low = bounds[0][0];
+  high = bounds[1][0];
+#endif
   Float64 scale = {0, 0};
   if (high > low) scale = cells_over(difference(as_uint(high), as_uint(low)));
   grid[k * MORTON_GRID] = as_uint(low);

@@ -1,9 +1,7 @@
 // sort: a stable least-significant-digit radix sort of (key, value) pairs. Chunks of contiguous elements
 // keep their order, bins are walked in order: the same result on every device. The number of elements is in the status. A pass is
-// sort_histogram, sort_bins (by groups: sort_totals) and sort_scatter; few elements are sorted by one work-item in one launch where that
+// sort_histogram, sort_bins (by groups: sort_totals) and sort_scatter; by groups bin_compact counts for the first pass by depth. Few elements are sorted by one work-item in one launch where that
 // is a whole core.
-
-static inline uint digit_of(uint key, uint shift, uint bins) { return (key >> shift) & (bins - 1); }
 
 #if !GROUP_STYLE
 // Exclusive prefix sum.
@@ -90,10 +88,17 @@ __kernel void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/
 #define SORT_RUN (BLOCK / GROUP)
 #endif
 
+#if GROUP_STYLE
+#define CHUNK_LENGTHS __global const uint *lengths, uint uneven, // in [chunks] elements of each, if that is how they are cut
+#else
+#define CHUNK_LENGTHS
+#endif
+
 // Launch: over chunks.
 CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
                                __global const uint *status, uint counter, uint chunks, uint shift, uint bins,
                                __global uint *histogram,    // in/out [chunks, bins] elements of the chunks before
+                               CHUNK_LENGTHS
                                __global const uint *totals, // in [bins + 1] first places; by groups [bins] elements
                                __global const uint *values, // in [n]
                                __global uint *keys_out, __global uint *values_out) { // out [n]
@@ -101,9 +106,10 @@ CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
   if (c >= chunks) return;
   __global uint *row = histogram + (size_t)c * bins;
   const uint n = status[counter], size = chunk_size(n, chunks);
-  const uint first = min(c * size, n), last = min(first + size, n);
 #if GROUP_STYLE
   SCRATCH;
+  const uint before = (uint)group_sum(uneven ? sum_before(lengths, c) : 0, scratch);
+  const uint first = uneven ? before : min(c * size, n), last = uneven ? before + lengths[c] : min(first + size, n);
   __local uint place[GROUP], head[GROUP], sorted[BLOCK + 1]; // of sorted: digit and place in the block, after one that is no digit
   const uint l = ITEM;
   uint all;
@@ -154,6 +160,7 @@ CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
     }
   }
 #else
+  const uint first = min(c * size, n), last = min(first + size, n);
   for (uint i = first; i < last; i++) {
     const uint key = keys[i], digit = digit_of(key, shift, bins), at = totals[digit] + row[digit]++;
     keys_out[at] = key;

@@ -190,6 +190,12 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
     let config = TrainConfig::default();
     assert_eq!(lag(DeviceKind::Cpu, &config), 0);
     assert_eq!(lag(DeviceKind::Gpu, &config), 16);
+    // In a short run newborns need the time until the next step, which comes every 34 iterations here.
+    let short = TrainConfig {
+        iterations: 800,
+        ..TrainConfig::default()
+    };
+    assert_eq!(lag(DeviceKind::Gpu, &short), 5);
     assert_eq!(lag(DeviceKind::Cpu, &lagging(Sampler::Mh, 3)), 3);
     // Estimates need the device while the step is decided.
     let mut probing = lagging(Sampler::Mh, 3);

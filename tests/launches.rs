@@ -2,7 +2,7 @@
 
 use crate::determinism::room;
 use mhsplat::capture::{Alpha, Photo};
-use mhsplat::config::{Sampler, TrainConfig};
+use mhsplat::config::{ExposureChoice, Sampler, TrainConfig};
 use mhsplat::device::tuning::Tuning;
 use mhsplat::scene::Gaussians;
 use mhsplat::train::Event;
@@ -15,17 +15,19 @@ const SIZE: [u32; 2] = [1600, 1066];
 const LEAST: usize = 10_000;
 
 /// Kernels that may have fewer work-items, and how many they have at least: what they go over is small, or all of it is in order.
-const FEWER: [(&str, usize); 3] = [
+const FEWER: [(&str, usize); 4] = [
     // Two numbers of each tile and channel, 20,000 in all.
     ("loss_sum", 256),
+    // Sums of 1024 groups for each of twelve entries, and the transforms of all views.
+    ("exposure_step", 12 * 256),
     // Runs of chunks of eight bins for each group: 128 or 256 bins of a digit.
     ("sort_totals", 4096),
     // One for each of 6700 tiles.
     ("bin_ranges", 6700),
 ];
 
-/// Launches of each of some iterations with a million Gaussians, all behind the camera so that little is computed.
-fn iterations(change: impl Fn(&mut TrainConfig), count: usize) -> Vec<Vec<(&'static str, usize)>> {
+/// Training with a million Gaussians, all behind the camera so that little is computed.
+fn trainer(change: impl Fn(&mut TrainConfig)) -> (Device, Trainer) {
     let device = Device::open(None).unwrap().with_tuning(Tuning::GPU);
     let mut data = room(64);
     let mut view = data.train[0].clone();
@@ -57,21 +59,28 @@ fn iterations(change: impl Fn(&mut TrainConfig), count: usize) -> Vec<Vec<(&'sta
     let splats = Gaussians::new(0, planes).unwrap();
     let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
     trainer.time_every_iteration();
-    let each = (0..count).map(|_| {
-        assert!(matches!(
-            trainer.advance().unwrap(),
-            Event::Iteration { .. }
-        ));
+    (device, trainer)
+}
+
+type Launches = Vec<(&'static str, usize)>;
+
+/// Launches of each of the first iterations of a run.
+fn launches(change: impl Fn(&mut TrainConfig), count: usize) -> Vec<Launches> {
+    let (device, mut trainer) = trainer(change);
+    let mut iterations = Vec::new();
+    while iterations.len() < count {
+        if !matches!(trainer.advance().unwrap(), Event::Iteration { .. }) {
+            continue;
+        }
         // Those of iterations before may be there still.
         let mut enqueued = device.enqueued();
         let first = enqueued
             .iter()
             .rposition(|(kernel, _)| *kernel == "project");
-        enqueued.split_off(first.unwrap())
-    });
-    let each = each.collect();
+        iterations.push(enqueued.split_off(first.unwrap()));
+    }
     trainer.settle().unwrap();
-    each
+    iterations
 }
 
 fn check_work(launches: Vec<(&'static str, usize)>) {
@@ -87,7 +96,7 @@ fn check_work(launches: Vec<(&'static str, usize)>) {
 
 #[test]
 fn kernels_have_work_for_a_gpu() {
-    let launches = iterations(|_| (), 1).remove(0);
+    let launches = launches(|_| (), 1).remove(0);
     assert!(launches.len() > 20 && launches.len() <= 35, "{launches:?}");
     check_work(launches);
 }
@@ -101,13 +110,23 @@ fn density_control_adds_few_launches() {
         config.mh.births_from_iteration = Some(0);
         config.max_gaussians = Some(2 * GAUSSIANS);
     };
-    let each = iterations(change, 3);
-    let counts: Vec<usize> = each.iter().map(Vec::len).collect();
-    assert!(counts[1] <= 35, "{counts:?}");
-    assert_eq!(
-        counts[2],
-        counts[1] + 2,
-        "errors of all channels at once, and their sums"
-    );
-    each.into_iter().for_each(check_work);
+    let iterations = launches(change, 3);
+    let counts: Vec<usize> = iterations.iter().map(Vec::len).collect();
+    assert_eq!(counts[2], counts[1] + 2, "errors, and their sums");
+    assert!(counts.iter().all(|count| *count <= 35), "{counts:?}");
+    iterations.into_iter().for_each(check_work);
+}
+
+#[test]
+fn exposure_compensation_adds_few_launches() {
+    // It begins after a fifth of the run.
+    let change = |config: &mut TrainConfig| {
+        config.exposure = ExposureChoice::On;
+        config.iterations = 50;
+    };
+    let iterations = launches(change, 12);
+    let [first, last] = [&iterations[0], &iterations[11]].map(Vec::len);
+    assert_eq!(last, first + 3, "{:?}", iterations[11]);
+    assert!(last <= 35);
+    iterations.into_iter().for_each(check_work);
 }

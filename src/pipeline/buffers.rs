@@ -10,6 +10,7 @@ use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
 use crate::device::{Array, CameraArg, Device, ImageSize, Projected, Real};
 use crate::pipeline::photos::Photos;
+use crate::pipeline::room::{Load, ROUND, check_room, most_pairs};
 use crate::scene::{Gaussians, Plane};
 
 /// Tiles that are blank in a render and its photo.
@@ -21,8 +22,6 @@ pub struct Blank<'a> {
     pub tile_start: &'a Array<u32>,
 }
 
-/// Strides are multiples of this, so that vector loads of a plane never straddle two.
-const ROUND: usize = 256;
 /// Longest side of an image: projected Gaussians hold pixel bounds in 16 bits.
 const MAX_PIXELS: usize = 1 << 16;
 
@@ -58,56 +57,6 @@ pub struct Shard {
     pub first: usize,
     /// Gaussians of the whole set.
     pub all: usize,
-}
-
-/// The text on an array of `planes` values of `size` bytes for each of `stride` Gaussians that is larger than `most` bytes: what is
-/// wrong, and what to do; `None` if it is not.
-fn too_many([planes, size]: [usize; 2], stride: usize, most: u64) -> Option<[String; 2]> {
-    let each = planes * size;
-    let bytes = (each * stride) as u64;
-    if bytes <= most {
-        return None;
-    }
-    let fit = (most / each as u64) as usize / ROUND * ROUND;
-    // With room to grow into.
-    let gaussians = fit - fit.div_ceil(5);
-    Some([
-        format!(
-            "room for {stride} Gaussians is {bytes} bytes; the device allows {most} in one buffer"
-        ),
-        format!(
-            "--max-gaussians {gaussians} keeps a new run to what fits; else lower --sh-degree, or select a device that allows more"
-        ),
-    ])
-}
-
-/// Refuses an array of values for each Gaussian that no buffer of the device can hold.
-pub(crate) fn check_room<R: Real>(
-    device: &Device,
-    name: &'static str,
-    planes: usize,
-    stride: usize,
-) -> Result<()> {
-    match too_many([planes, size_of::<R>()], stride, device.info().max_alloc) {
-        None => Ok(()),
-        Some([what, fix]) => Err(Error::device(format!("allocate {name}"), what, fix)),
-    }
-}
-
-/// `old` with another stride, the rows beyond the old ones zero.
-pub(crate) fn restride<R: Real>(
-    device: &Device,
-    old: &Array<R>,
-    planes: usize,
-    from: usize,
-    to: usize,
-) -> Result<Array<R>> {
-    check_room::<R>(device, old.name(), planes, to)?;
-    let new = Array::zeros(device, old.name(), planes * to)?;
-    for p in 0..planes {
-        new.copy_from(p * to, old, p * from, from.min(to))?;
-    }
-    Ok(new)
 }
 
 impl<R: Real> GaussianBuffers<R> {
@@ -237,8 +186,10 @@ pub struct ViewBuffers<R: Real> {
     pub visible: SortBuffers,
     /// Bit mask and bounds of the tiles of each visible Gaussian, if they are few.
     pub cover: Array<u32>,
-    /// Sums per chunk.
+    /// Visible Gaussians of each chunk.
     pub chunk_sums: Array<u32>,
+    /// Pairs of each chunk.
+    pub pair_sums: Array<u32>,
     /// Tiles and emission slots of the tile intersections on their way through the sort; no more than [`ViewBuffers::order`] where
     /// every pair goes straight to its place.
     pub pairs: SortBuffers,
@@ -281,6 +232,7 @@ impl<R: Real> ViewBuffers<R> {
             visible: SortBuffers::new(device, VISIBLE, 0)?,
             cover: ints("cover")?,
             chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
+            pair_sums: Array::zeros(device, "pair_sums", tuning.chunks)?,
             pairs: SortBuffers::new(device, PAIRS, 0)?,
             isect_owner: ints("isect_owner")?,
             sums: Array::zeros(device, "sums", 0)?,
@@ -353,12 +305,35 @@ impl<R: Real> ViewBuffers<R> {
         }
     }
 
-    /// Makes room for `pairs` pairs. Contents are lost.
-    pub fn fit_intersections(&mut self, device: &Device, pairs: usize) -> Result<()> {
-        if self.capacity >= pairs {
+    /// Makes room for `wanted` pairs, or as many as a buffer of the device can hold, if that is no less than `needed`. Contents are lost.
+    ///
+    /// # Errors
+    /// No room for those that are needed, or the driver's.
+    pub fn fit_intersections(
+        &mut self,
+        device: &Device,
+        needed: usize,
+        wanted: usize,
+    ) -> Result<()> {
+        if self.capacity >= wanted {
             return Ok(());
         }
-        self.set_intersections(device, pairs)
+        let [width, height] = self.camera.image().0;
+        let view = Load {
+            pairs: needed,
+            gaussians: self.count,
+            longest: width.max(height),
+        };
+        let pairs = wanted.min(most_pairs::<R>(
+            device,
+            &self.tuning,
+            self.gradients,
+            &view,
+        )?);
+        match self.capacity >= pairs {
+            true => Ok(()),
+            false => self.set_intersections(device, pairs),
+        }
     }
 
     /// Room for `pairs` pairs, rounded up, whatever there was before.
@@ -568,27 +543,5 @@ impl<R: Real> ViewSet<R> {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.cameras.is_empty()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{GaussianBuffers, ROUND, too_many};
-
-    #[test]
-    fn a_buffer_that_is_too_large_says_how_many_gaussians_fit() {
-        // 59 planes of f32, on a device of 2 GB.
-        let (shape, most) = ([59, 4], 2_000_000_000);
-        let refused = |n: usize| {
-            let stride = GaussianBuffers::<f32>::grown_stride(n);
-            too_many(shape, stride, most)
-        };
-        let [what, fix] = refused(10_000_000).unwrap();
-        assert!(what.contains("2950052864 bytes"), "{what}");
-        assert!(what.contains("2000000000 in one buffer"), "{what}");
-        let (_, number) = fix.split_once("--max-gaussians ").unwrap();
-        let n: usize = number.split(' ').next().unwrap().parse().unwrap();
-        assert!(n > 6_700_000 && refused(n).is_none(), "{n}");
-        assert!(refused(n + ROUND).is_some(), "{n}");
     }
 }

@@ -147,7 +147,7 @@ impl<R: Real> Renderer<R> {
     pub fn fit(&mut self, scene: &GaussianBuffers<R>, camera: &CameraArg<R>) -> Result<()> {
         self.frame.fit_gaussians(&self.device, scene.stride)?;
         self.frame
-            .fit_intersections(&self.device, 4 * scene.count.max(1024))?;
+            .fit_intersections(&self.device, 0, 4 * scene.count.max(1024))?;
         self.frame.fit_image(&self.device, camera.image())
     }
 
@@ -216,22 +216,13 @@ impl<R: Real> Renderer<R> {
 
     /// Enqueues the stages from the records to the sorted pairs.
     pub(crate) fn intersect_records(&mut self, active_only: bool) -> Result<()> {
-        self.sort_visible()?;
+        bin::sort_visible(&self.bin, &self.sort, &mut self.frame)?;
         self.intersect_tiles(active_only)
     }
 
     /// Enqueues the compositing of colours.
     pub(crate) fn composite(&self, background: [f32; 3]) -> Result<()> {
         splat::composite(&self.splat, &self.frame, background)
-    }
-
-    /// Compacts the visible Gaussians and sorts them by depth.
-    fn sort_visible(&mut self) -> Result<()> {
-        let f = &mut self.frame;
-        bin::count_visible(&self.bin, f)?;
-        bin::compact_visible(&self.bin, f)?;
-        self.sort
-            .run(&mut f.visible, &Keys::depths(f.count), &f.status)
     }
 
     /// Sorts the rows of a scene, those of `removed` last; takes the arrays of a view for scratch. Does not wait.
@@ -256,7 +247,8 @@ impl<R: Real> Renderer<R> {
         let f = &mut self.frame;
         bin::count(&self.bin, f, active_only)?;
         if self.bin.defines().tuning.group_style {
-            scan::sum_pairs(&self.scan, f, f.count, [f.depth_counts(), f.depth_start()])?;
+            // bin_count has added up the chunks.
+            scan::sum_counted(&self.scan, f, f.count, [f.depth_counts(), f.depth_start()])?;
             bin::emit(&self.bin, f, active_only)?;
             let keys = Keys::tiles(f.capacity, f.camera.tile_count());
             self.sort.run(&mut f.pairs, &keys, &f.status)?;
@@ -341,7 +333,7 @@ impl<R: Real> Renderer<R> {
         // First: where there is no room, what is enqueued after the error goes by its own needs.
         self.frame.status.write(status::OVERFLOW as usize, &[0])?;
         self.frame
-            .fit_intersections(&self.device, needed + needed / 2)
+            .fit_intersections(&self.device, needed, needed + needed / 2)
     }
 
     /// Renders a view and waits; grows the pair arrays as needed.

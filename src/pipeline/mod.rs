@@ -9,6 +9,7 @@ pub mod pass;
 pub mod photos;
 pub mod reference;
 pub mod reference_pass;
+pub(crate) mod room;
 pub mod scoring;
 pub mod share;
 pub mod stage;

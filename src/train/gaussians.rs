@@ -4,7 +4,8 @@ use std::ops::Range;
 
 use crate::base::error::{Error, Result};
 use crate::device::{Array, Arrived, Device, PendingRead, Program};
-use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, check_room, restride};
+use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
+use crate::pipeline::room::{check_room, restride};
 use crate::pipeline::share::Share;
 use crate::pipeline::stage::edit;
 use crate::ranks::Part;

@@ -97,6 +97,8 @@ const LEAST_PIXELS: f64 = 64.0;
 
 /// Iterations that a GPU does while a density step is decided on the host, which takes it about as long (docs/results/gpu.md).
 const DENSITY_LAG: u32 = 16;
+/// The lag is at most one so-manieth of the interval between two steps: newborns need the rest to find their places (docs/results/gpu.md).
+const LAG_SHARE: u32 = 6;
 
 /// Decisions of one run.
 #[derive(Debug, Clone, PartialEq)]
@@ -152,7 +154,11 @@ impl Plan {
             Some(0) => Decided::new(0, Why::Off("work.density-lag")),
             Some(lag) => Decided::new(lag, Why::TrainsOn(lag)),
             None if kind == DeviceKind::Cpu => Decided::new(0, Why::SameProcessor),
-            None => Decided::new(DENSITY_LAG, Why::TrainsOn(DENSITY_LAG)),
+            None => {
+                let interval = Schedule::new(&self.config).density_interval(0);
+                let lag = DENSITY_LAG.min(interval / LAG_SHARE);
+                Decided::new(lag, Why::TrainsOn(lag))
+            }
         };
         self
     }

@@ -513,7 +513,7 @@ impl Trainer {
         }
         let max = self.counters.max_intersections;
         let least = 4 * self.gaussians.scene.count.max(1024);
-        frame.fit_intersections(&self.device, (max + max / 4).max(least))
+        frame.fit_intersections(&self.device, max, (max + max / 4).max(least))
     }
 
     /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the buffers of tile intersections by rendering

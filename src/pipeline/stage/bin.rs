@@ -7,22 +7,36 @@ use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, TILE};
 use crate::pipeline::stage::project::Projected64;
+use crate::pipeline::stage::sort::{Keys, Sort};
 
-/// Counts the visible Gaussians in each chunk.
-pub fn count_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
-    over_keys(stage.launch("bin_visible"), view).over_groups(stage.chunks())
-}
-
-/// Writes keys and indices of the visible Gaussians, and their number to the status.
-pub fn compact_visible<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
-    over_keys(stage.launch("bin_compact"), view)
+/// Sorts the visible Gaussians by depth and writes their number to the status.
+pub fn sort_visible<R: Real>(
+    stage: &Program,
+    sort: &Sort,
+    view: &mut ViewBuffers<R>,
+) -> Result<()> {
+    let keys = Keys::depths(view.count);
+    let chunks = sort.chunks(&keys);
+    over_keys(stage.launch("bin_visible"), view, chunks).over_groups(chunks)?;
+    let compact = over_keys(stage.launch("bin_compact"), view, chunks)
         .arrays([&view.visible.keys[0], &view.visible.values[0]], view.count)
-        .status(view)
-        .over_groups(stage.chunks())
+        .status(view);
+    if !stage.defines().tuning.group_style {
+        compact.over_groups(chunks)?;
+        return sort.run(&mut view.visible, &keys, &view.status);
+    }
+    let (bins, histogram) = sort.first_pass(&keys);
+    compact
+        .uints([bins])
+        .array(histogram, chunks * bins)
+        .uints([stage.chunks()])
+        .array(&view.pair_sums, stage.chunks())
+        .over_groups(chunks)?;
+    sort.run_counted(&mut view.visible, &keys, &view.status, &view.chunk_sums)
 }
 
 /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`; in the group
-/// style by depth, too.
+/// style by depth, too, and by chunk of those.
 pub fn count<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) -> Result<()> {
     let launch = walk(stage.launch("bin_count"), view, active_only);
     let launch = launch.array(&view.isect_counts, view.count);
@@ -30,6 +44,8 @@ pub fn count<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool)
         true => launch
             .uints([view.count])
             .array(view.depth_counts(), view.count)
+            .uints([stage.chunks()])
+            .array(&view.pair_sums, stage.chunks())
             .over_shared(view.count),
         false => launch.over_batches(view.count),
     }
@@ -87,8 +103,7 @@ fn by_tile<'k, R: Real>(
 }
 
 /// Adds the arguments of a sweep over the keys of all Gaussians.
-fn over_keys<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>) -> Launch<'k> {
-    let chunks = launch.defines().tuning.chunks;
+fn over_keys<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>, chunks: usize) -> Launch<'k> {
     launch
         .array(&view.keys, view.count)
         .uints([view.count, chunks])

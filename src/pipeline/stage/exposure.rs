@@ -95,12 +95,6 @@ impl<R: Real> Exposures<R> {
             .arrays([&self.transforms, m, v], len)
             .array(&self.grads, ENTRIES)
             .array(status, SLOTS)
-            .over_groups(ENTRIES)?;
-        self.program
-            .launch("exposure_center")
-            .uints([views])
-            .array(&self.transforms, len)
-            .array(status, SLOTS)
             .over_groups(ENTRIES)
     }
 

@@ -37,8 +37,7 @@ pub fn measure<R: Real>(
         .status(view)
         .array(&scene.filter, scene.stride)
         .over_gaussians(scene.count)?;
-    with_largest(stage, "filter_largest", scene, view, largest)
-        .over_chunks([FILTER_CHUNKS as usize, 1])
+    with_largest(stage, "filter_largest", scene, view, largest).over_groups(FILTER_CHUNKS as usize)
 }
 
 /// Gives the Gaussians that no view sees the largest filter of `largest`.

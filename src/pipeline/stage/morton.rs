@@ -103,7 +103,7 @@ impl Morton {
             .array(&self.boxes, 6 * chunks)
             .uints([chunks])
             .array(&self.grid, 3 * MORTON_GRID)
-            .run([3, 1], [1, 1])
+            .over_groups(3)
     }
 
     fn positions<R: Real>(&self, kernel: &'static str, scene: &GaussianBuffers<R>) -> Launch<'_> {

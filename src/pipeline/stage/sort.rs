@@ -91,8 +91,45 @@ impl Sort {
         (min..=bits).min_by_key(cost).unwrap_or(min)
     }
 
+    /// Chunks that the elements are cut into.
+    pub fn chunks(&self, keys: &Keys) -> usize {
+        let tuning = self.program.defines().tuning;
+        match tuning.group_style {
+            true => keys.most.div_ceil(PER_GROUP).clamp(1, tuning.chunks),
+            false => tuning.chunks,
+        }
+    }
+
+    /// Bins of a pass, and the array that has the elements of each chunk and bin, for who counts those of the first pass.
+    pub fn first_pass(&self, keys: &Keys) -> (usize, &Array<u32>) {
+        let passes = self.passes(keys, self.chunks(keys));
+        (1 << keys.bits.div_ceil(passes), &self.histogram)
+    }
+
     /// Sorts by key as many elements as the status array says.
     pub fn run(&self, elements: &mut SortBuffers, keys: &Keys, status: &Array<u32>) -> Result<()> {
+        self.run_passes(elements, keys, status, None)
+    }
+
+    /// [`Sort::run`] in the group style, elements being cut into [`Sort::chunks`] of these lengths for the first pass and counted for it
+    /// ([`Sort::first_pass`]).
+    pub fn run_counted(
+        &self,
+        elements: &mut SortBuffers,
+        keys: &Keys,
+        status: &Array<u32>,
+        lengths: &Array<u32>,
+    ) -> Result<()> {
+        self.run_passes(elements, keys, status, Some(lengths))
+    }
+
+    fn run_passes(
+        &self,
+        elements: &mut SortBuffers,
+        keys: &Keys,
+        status: &Array<u32>,
+        counted: Option<&Array<u32>>,
+    ) -> Result<()> {
         let (program, tuning, most) = (&self.program, self.program.defines().tuning, keys.most);
         if most <= FEW && !tuning.group_style {
             self.run_few(elements, keys, status)?;
@@ -101,10 +138,7 @@ impl Sort {
                 return Ok(());
             }
         }
-        let chunks = match tuning.group_style {
-            true => most.div_ceil(PER_GROUP).clamp(1, tuning.chunks),
-            false => tuning.chunks,
-        };
+        let chunks = self.chunks(keys);
         let passes = self.passes(keys, chunks);
         let per_pass = keys.bits.div_ceil(passes);
         let bins = 1 << per_pass;
@@ -118,9 +152,20 @@ impl Sort {
                     .uints([keys.counter as usize, chunks, shift, bins])
                     .array(&self.histogram, chunks * bins)
             };
-            over_keys("sort_histogram").over_groups(chunks)?;
+            let lengths = counted.filter(|_| pass == 0);
+            if lengths.is_none() {
+                over_keys("sort_histogram").over_groups(chunks)?;
+            }
             self.first_places(&self.histogram, [chunks, bins], &self.totals)?;
-            over_keys("sort_scatter")
+            let mut scatter = over_keys("sort_scatter");
+            if tuning.group_style {
+                // Any array if all chunks are as long.
+                scatter = match lengths {
+                    Some(lengths) => scatter.array(lengths, chunks).uints([1]),
+                    None => scatter.array(&self.totals, 1).uints([0]),
+                };
+            }
+            scatter
                 .array(&self.totals, bins + 1)
                 .array(&elements.values[from], most)
                 .arrays([&elements.keys[1 - from], &elements.values[1 - from]], most)

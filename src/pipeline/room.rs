@@ -1,0 +1,161 @@
+//! Room in one buffer of a device: what does not fit is refused with the number that would.
+
+use crate::base::constants::SUMS;
+use crate::base::error::{Error, Result};
+use crate::device::tuning::Tuning;
+use crate::device::{Array, Device, Real};
+
+/// Strides are multiples of this, so that vector loads of a plane never straddle two.
+pub(super) const ROUND: usize = 256;
+
+/// The text on an array of `planes` values of `size` bytes for each of `stride` Gaussians that is larger than `most` bytes: what is
+/// wrong, and what to do; `None` if it is not.
+fn too_many([planes, size]: [usize; 2], stride: usize, most: u64) -> Option<[String; 2]> {
+    let each = planes * size;
+    let bytes = (each * stride) as u64;
+    if bytes <= most {
+        return None;
+    }
+    let fit = (most / each as u64) as usize / ROUND * ROUND;
+    // With room to grow into.
+    let gaussians = fit - fit.div_ceil(5);
+    Some([
+        format!(
+            "room for {stride} Gaussians is {bytes} bytes; the device allows {most} in one buffer"
+        ),
+        format!(
+            "--max-gaussians {gaussians} keeps a new run to what fits; else lower --sh-degree, or select a device that allows more"
+        ),
+    ])
+}
+
+/// Refuses an array of values for each Gaussian that no buffer of the device can hold.
+pub(crate) fn check_room<R: Real>(
+    device: &Device,
+    name: &'static str,
+    planes: usize,
+    stride: usize,
+) -> Result<()> {
+    match too_many([planes, size_of::<R>()], stride, device.info().max_alloc) {
+        None => Ok(()),
+        Some([what, fix]) => Err(Error::device(format!("allocate {name}"), what, fix)),
+    }
+}
+
+/// `old` with another stride, the rows beyond the old ones zero.
+pub(crate) fn restride<R: Real>(
+    device: &Device,
+    old: &Array<R>,
+    planes: usize,
+    from: usize,
+    to: usize,
+) -> Result<Array<R>> {
+    check_room::<R>(device, old.name(), planes, to)?;
+    let new = Array::zeros(device, old.name(), planes * to)?;
+    for p in 0..planes {
+        new.copy_from(p * to, old, p * from, from.min(to))?;
+    }
+    Ok(new)
+}
+
+/// Bytes that the largest array of the pairs of a view takes for each, rounded up.
+fn bytes_per_pair<R: Real>(tuning: &Tuning, gradients: bool) -> usize {
+    let size = size_of::<R>();
+    let segment = tuning.grad_segment as usize;
+    let snapshots = (tuning.snapshot_values(segment) * size).div_ceil(segment);
+    match (gradients, tuning.group_style) {
+        (false, _) => size_of::<u32>(),
+        (true, false) => SUMS * size,
+        (true, true) => snapshots.max(SUMS * size),
+    }
+}
+
+/// View whose pairs need room.
+pub(super) struct Load {
+    /// Pairs that it has.
+    pub(super) pairs: usize,
+    /// Gaussians of its scene.
+    pub(super) gaussians: usize,
+    /// Longer side of its image, pixels.
+    pub(super) longest: usize,
+}
+
+/// Most pairs that buffers of at most `most` bytes have room for, or the text on a view that has more: what is wrong, and what to do, as
+/// far as pairs rise with Gaussians or pixels.
+fn pairs_within(each: usize, view: &Load, most: u64) -> std::result::Result<usize, [String; 2]> {
+    let fit = (most / each as u64) as usize / ROUND * ROUND;
+    if view.pairs <= fit {
+        return Ok(fit);
+    }
+    let share = fit as f64 / view.pairs as f64;
+    let gaussians = (view.gaussians as f64 * share) as usize;
+    let longest = (view.longest as f64 * share.sqrt()) as usize;
+    Err([
+        format!(
+            "a view has {} (tile, Gaussian) pairs, and the device has room for {fit}: it allows {most} bytes in one buffer",
+            view.pairs
+        ),
+        format!(
+            "--max-gaussians {gaussians} or --max-size {longest} brings a new run near to what fits; else select a device that allows more"
+        ),
+    ])
+}
+
+/// Most pairs that the device has room for; refuses a view that has more.
+pub(super) fn most_pairs<R: Real>(
+    device: &Device,
+    tuning: &Tuning,
+    gradients: bool,
+    view: &Load,
+) -> Result<usize> {
+    let each = bytes_per_pair::<R>(tuning, gradients);
+    pairs_within(each, view, device.info().max_alloc)
+        .map_err(|[what, fix]| Error::device("allocate pairs", what, fix))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Load, ROUND, bytes_per_pair, pairs_within, too_many};
+    use crate::device::tuning::Tuning;
+    use crate::pipeline::buffers::GaussianBuffers;
+
+    #[test]
+    fn a_buffer_that_is_too_large_says_how_many_gaussians_fit() {
+        // 59 planes of f32, on a device of 2 GB.
+        let (shape, most) = ([59, 4], 2_000_000_000);
+        let refused = |n: usize| {
+            let stride = GaussianBuffers::<f32>::grown_stride(n);
+            too_many(shape, stride, most)
+        };
+        let [what, fix] = refused(10_000_000).unwrap();
+        assert!(what.contains("2950052864 bytes"), "{what}");
+        assert!(what.contains("2000000000 in one buffer"), "{what}");
+        let (_, number) = fix.split_once("--max-gaussians ").unwrap();
+        let n: usize = number.split(' ').next().unwrap().parse().unwrap();
+        assert!(n > 6_700_000 && refused(n).is_none(), "{n}");
+        assert!(refused(n + ROUND).is_some(), "{n}");
+    }
+
+    #[test]
+    fn pairs_that_no_buffer_holds_are_refused_with_the_number_that_would_fit() {
+        let view = |pairs| Load {
+            pairs,
+            gaussians: 1_000_000,
+            longest: 2000,
+        };
+        // Sums of nine f32 each; on GPUs colours and transmittance of a tile for every segment of its pairs.
+        let each = bytes_per_pair::<f32>(&Tuning::CPU, true);
+        assert_eq!(each, 36);
+        assert_eq!(bytes_per_pair::<f32>(&Tuning::GPU, true), 64);
+        assert_eq!(bytes_per_pair::<f32>(&Tuning::GPU, false), 4);
+        let most = 36 * 1024 * 1024;
+        assert_eq!(pairs_within(each, &view(1 << 20), most), Ok(1 << 20));
+        let [what, fix] = pairs_within(each, &view(4 << 20), most).unwrap_err();
+        assert!(
+            what.contains("4194304") && what.contains("1048576"),
+            "{what}"
+        );
+        assert!(fix.contains("--max-gaussians 250000 "), "{fix}");
+        assert!(fix.contains("--max-size 1000 "), "{fix}");
+    }
+}
