@@ -1,8 +1,8 @@
 //! Cost of density steps within training: `cargo bench --bench steps [-- GAUSSIANS PIXELS STEPS]`.
 //!
 //! Trains the synthetic cloud with learning rates of zero, so that every step finds about as many Gaussians, and prints for each density
-//! step how long `Trainer::advance` took for it, how much of that the decision on the host took, during which the device has nothing to do,
-//! the CPU time of the process meanwhile, and the Gaussians after it. By default 100,000 Gaussians, then a million, at 800 pixels.
+//! step how long `Trainer::advance` took for it, how much of that no kernel ran (transfers included), how long the decision on the host
+//! took, the CPU time of the process meanwhile, and the Gaussians after it. By default 100,000 Gaussians, then a million, at 800 pixels.
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use std::time::Instant;
@@ -56,7 +56,7 @@ fn measure(gaussians: usize, pixels: u32, steps: usize) {
             // The iterations under way are none of the step's time.
             trainer.settle().unwrap();
         }
-        let decided = trainer.decision_time().seconds;
+        let (decided, idle) = (trainer.decision_time().seconds, idle_seconds(&trainer));
         let (start, cpu) = (Instant::now(), process_cpu_seconds());
         let event = trainer.advance().unwrap();
         let (wall, cpu) = (start.elapsed().as_secs_f64(), process_cpu_seconds() - cpu);
@@ -64,9 +64,10 @@ fn measure(gaussians: usize, pixels: u32, steps: usize) {
             Event::Density(event) => {
                 done += 1;
                 println!(
-                    "  step at {}: {:.1} ms, decided in {:.1}; {:.1} CPU ms, {} Gaussians",
+                    "  step at {}: {:.1} ms, no kernel in {:.1}, decided in {:.1}; {:.1} CPU ms, {} Gaussians",
                     event.iteration,
                     1e3 * wall,
+                    1e3 * (idle_seconds(&trainer) - idle),
                     1e3 * (trainer.decision_time().seconds - decided),
                     1e3 * cpu,
                     event.gaussians
@@ -80,4 +81,11 @@ fn measure(gaussians: usize, pixels: u32, steps: usize) {
         "  median iteration: {:.1} ms",
         1e3 * iterations[iterations.len() / 2]
     );
+}
+
+/// Time of density steps so far in which no kernel ran, seconds.
+fn idle_seconds(trainer: &Trainer) -> f64 {
+    let times = trainer.stage_times();
+    let mut steps = times.iter().filter(|(stage, _)| *stage == "density");
+    steps.next().map_or(0.0, |(_, time)| time.seconds)
 }

@@ -132,6 +132,7 @@ CHUNK_KERNEL void bin_visible(__global const uint *keys, uint count, // in [coun
 #if GROUP_STYLE
 #define FIRST_PASS                                                                                                     \
   , uint bins, __global uint *histogram,     /* out [chunks, bins] lowest digits of each chunk's visible ones */       \
+  __global uint *starts,                     /* out [chunks + 1] first of each chunk's visible ones, their number */     \
   uint pair_chunks, __global uint *pair_sums /* out [pair_chunks] 0, for bin_count */
 #else
 #define FIRST_PASS
@@ -163,6 +164,10 @@ CHUNK_KERNEL void bin_compact(__global const uint *keys, uint count,  // in [cou
 #endif
   uint before = (uint)group_sum(sum_before(sums, c), scratch);
   if (c == chunks - 1 && ITEM == 0) status[S_VISIBLE] = before + sums[c];
+#if GROUP_STYLE
+  if (ITEM == 0) starts[c] = before;
+  if (c == chunks - 1 && ITEM == 0) starts[chunks] = before + sums[c];
+#endif
   for (uint block = first; block < last; block += GROUP) {
     const uint i = block + ITEM, key = i < last ? keys[i] : KEY_CULLED;
     uint total;
@@ -238,10 +243,11 @@ CHUNK_KERNEL void bin_count(WALK_ARGUMENTS
   barrier(CLK_LOCAL_MEM_FENCE);
   if (exists) isect_counts[visible[j]] = pairs[ITEM];
   if (ITEM < owns && j < count) depth_counts[j] = pairs[ITEM];
-  if (ITEM < owns && j < count && ITEM % SPREAD == 0) {
+  if (ITEM * SPREAD < owns) {
     uint sum = 0;
-    for (uint k = 0; k < SPREAD; k++) sum += pairs[ITEM + k];
-    if (sum) atomic_add(pair_sums + j / chunk_size(count, pair_chunks), sum); // of integers
+    for (uint k = 0; k < SPREAD; k++) sum += pairs[ITEM * SPREAD + k];
+    // None has pairs beyond the visible ones.
+    if (sum) atomic_add(pair_sums + SPREAD_ITEM(ITEM * SPREAD) / chunk_size(count, pair_chunks), sum); // of integers
   }
 }
 

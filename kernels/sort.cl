@@ -89,16 +89,16 @@ __kernel void sort_bins(__global uint *histogram, uint chunks, uint bins, // in/
 #endif
 
 #if GROUP_STYLE
-#define CHUNK_LENGTHS __global const uint *lengths, uint uneven, // in [chunks] elements of each, if that is how they are cut
+#define CHUNK_STARTS __global const uint *starts, uint uneven, // in [chunks + 1] where chunks begin, if they are not as long as others
 #else
-#define CHUNK_LENGTHS
+#define CHUNK_STARTS
 #endif
 
 // Launch: over chunks.
 CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
                                __global const uint *status, uint counter, uint chunks, uint shift, uint bins,
                                __global uint *histogram,    // in/out [chunks, bins] elements of the chunks before
-                               CHUNK_LENGTHS
+                               CHUNK_STARTS
                                __global const uint *totals, // in [bins + 1] first places; by groups [bins] elements
                                __global const uint *values, // in [n]
                                __global uint *keys_out, __global uint *values_out) { // out [n]
@@ -108,8 +108,7 @@ CHUNK_KERNEL void sort_scatter(__global const uint *keys, // in [n]
   const uint n = status[counter], size = chunk_size(n, chunks);
 #if GROUP_STYLE
   SCRATCH;
-  const uint before = (uint)group_sum(uneven ? sum_before(lengths, c) : 0, scratch);
-  const uint first = uneven ? before : min(c * size, n), last = uneven ? before + lengths[c] : min(first + size, n);
+  const uint first = uneven ? starts[c] : min(c * size, n), last = uneven ? starts[c + 1] : min(first + size, n);
   __local uint place[GROUP], head[GROUP], sorted[BLOCK + 1]; // of sorted: digit and place in the block, after one that is no digit
   const uint l = ITEM;
   uint all;

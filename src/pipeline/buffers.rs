@@ -188,6 +188,8 @@ pub struct ViewBuffers<R: Real> {
     pub cover: Array<u32>,
     /// Visible Gaussians of each chunk.
     pub chunk_sums: Array<u32>,
+    /// First visible Gaussian of each chunk, and the number of all (group style).
+    pub chunk_starts: Array<u32>,
     /// Pairs of each chunk.
     pub pair_sums: Array<u32>,
     /// Tiles and emission slots of the tile intersections on their way through the sort; no more than [`ViewBuffers::order`] where
@@ -232,6 +234,7 @@ impl<R: Real> ViewBuffers<R> {
             visible: SortBuffers::new(device, VISIBLE, 0)?,
             cover: ints("cover")?,
             chunk_sums: Array::zeros(device, "chunk_sums", tuning.chunks)?,
+            chunk_starts: Array::zeros(device, "chunk_starts", tuning.chunks + 1)?,
             pair_sums: Array::zeros(device, "pair_sums", tuning.chunks)?,
             pairs: SortBuffers::new(device, PAIRS, 0)?,
             isect_owner: ints("isect_owner")?,

@@ -29,10 +29,11 @@ pub fn sort_visible<R: Real>(
     compact
         .uints([bins])
         .array(histogram, chunks * bins)
+        .array(&view.chunk_starts, chunks + 1)
         .uints([stage.chunks()])
         .array(&view.pair_sums, stage.chunks())
         .over_groups(chunks)?;
-    sort.run_counted(&mut view.visible, &keys, &view.status, &view.chunk_sums)
+    sort.run_counted(&mut view.visible, &keys, &view.status, &view.chunk_starts)
 }
 
 /// Counts the tiles of each visible Gaussian, those of a masked photo in which nothing counts left out if `active_only`; in the group

@@ -111,16 +111,16 @@ impl Sort {
         self.run_passes(elements, keys, status, None)
     }
 
-    /// [`Sort::run`] in the group style, elements being cut into [`Sort::chunks`] of these lengths for the first pass and counted for it
+    /// [`Sort::run`] in the group style, elements being cut into [`Sort::chunks`] that begin at these places for the first pass and counted for it
     /// ([`Sort::first_pass`]).
     pub fn run_counted(
         &self,
         elements: &mut SortBuffers,
         keys: &Keys,
         status: &Array<u32>,
-        lengths: &Array<u32>,
+        starts: &Array<u32>,
     ) -> Result<()> {
-        self.run_passes(elements, keys, status, Some(lengths))
+        self.run_passes(elements, keys, status, Some(starts))
     }
 
     fn run_passes(
@@ -152,16 +152,16 @@ impl Sort {
                     .uints([keys.counter as usize, chunks, shift, bins])
                     .array(&self.histogram, chunks * bins)
             };
-            let lengths = counted.filter(|_| pass == 0);
-            if lengths.is_none() {
+            let starts = counted.filter(|_| pass == 0);
+            if starts.is_none() {
                 over_keys("sort_histogram").over_groups(chunks)?;
             }
             self.first_places(&self.histogram, [chunks, bins], &self.totals)?;
             let mut scatter = over_keys("sort_scatter");
             if tuning.group_style {
                 // Any array if all chunks are as long.
-                scatter = match lengths {
-                    Some(lengths) => scatter.array(lengths, chunks).uints([1]),
+                scatter = match starts {
+                    Some(starts) => scatter.array(starts, chunks + 1).uints([1]),
                     None => scatter.array(&self.totals, 1).uints([0]),
                 };
             }
