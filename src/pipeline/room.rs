@@ -80,10 +80,11 @@ pub(super) struct Load {
     pub(super) longest: usize,
 }
 
-/// Most pairs that buffers of at most `most` bytes have room for, or the text on a view that has more: what is wrong, and what to do, as
-/// far as pairs rise with Gaussians or pixels.
+/// Most pairs that buffers of at most `most` bytes have room for, or the text on a view that has more: what is wrong, and what to do. The
+/// numbers in it take pairs to be proportional to Gaussians and to pixels.
 fn pairs_within(each: usize, view: &Load, most: u64) -> std::result::Result<usize, [String; 2]> {
-    let fit = (most / each as u64) as usize / ROUND * ROUND;
+    // Slots are numbered by 32 bits.
+    let fit = ((most / each as u64) as usize).min(u32::MAX as usize) / ROUND * ROUND;
     if view.pairs <= fit {
         return Ok(fit);
     }

@@ -97,7 +97,7 @@ const LEAST_PIXELS: f64 = 64.0;
 
 /// Iterations that a GPU does while a density step is decided on the host, which takes it about as long (docs/results/gpu.md).
 const DENSITY_LAG: u32 = 16;
-/// The lag is at most one so-manieth of the interval between two steps: newborns need the rest to find their places (docs/results/gpu.md).
+/// Times that the default lag fits into the interval between two steps at least: newborns need the rest to find their places (docs/results/gpu.md).
 const LAG_SHARE: u32 = 6;
 
 /// Decisions of one run.
@@ -156,7 +156,7 @@ impl Plan {
             None if kind == DeviceKind::Cpu => Decided::new(0, Why::SameProcessor),
             None => {
                 let interval = Schedule::new(&self.config).density_interval(0);
-                let lag = DENSITY_LAG.min(interval / LAG_SHARE);
+                let lag = DENSITY_LAG.min(interval / LAG_SHARE).max(1);
                 Decided::new(lag, Why::TrainsOn(lag))
             }
         };

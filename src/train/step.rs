@@ -513,7 +513,8 @@ impl Trainer {
         }
         let max = self.counters.max_intersections;
         let least = 4 * self.gaussians.scene.count.max(1024);
-        frame.fit_intersections(&self.device, max, (max + max / 4).max(least))
+        // A guess after density control: what is truly needed, an overflow tells.
+        frame.fit_intersections(&self.device, 0, (max + max / 4).max(least))
     }
 
     /// Runs every kernel once on no Gaussians, for every SH degree, and sizes the buffers of tile intersections by rendering

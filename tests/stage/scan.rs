@@ -62,7 +62,7 @@ fn a_total_beyond_the_capacity_raises_the_flag() {
             beyond[OVERFLOW as usize], 300,
             "what would have been needed"
         );
-        // Of two chunks.
+        // They are in different chunks.
         let mut large = [0; 9];
         (large[0], large[8]) = (u32::MAX, u32::MAX);
         let beyond = status(&large, 299);

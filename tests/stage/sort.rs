@@ -3,8 +3,10 @@
 use super::*;
 use mhsplat::base::rng::Philox;
 use mhsplat::device::Array;
+use mhsplat::device::tuning::KEY_CULLED;
 use mhsplat::device::tuning::status::{INTERSECTIONS, SLOTS, VISIBLE};
-use mhsplat::pipeline::buffers::SortBuffers;
+use mhsplat::pipeline::buffers::{SortBuffers, ViewBuffers};
+use mhsplat::pipeline::stage::bin::sort_visible;
 use mhsplat::pipeline::stage::sort::{Keys, Sort, sort as definition};
 
 #[test]
@@ -133,5 +135,40 @@ fn places_follow_bins_then_chunks() {
         }
         let before = [0, 0, 0, 0, 0, 2, 0, 1, 7, 0, 2, 4, 2, 7, 0];
         assert_eq!(histogram.to_vec().unwrap(), before);
+    }
+}
+
+/// Chunks of very different numbers of visible ones: none, all, some.
+#[test]
+fn the_visible_ones_are_sorted_whatever_their_chunks_have() {
+    let device = device();
+    for n in [1usize, 2000, 10_000, 30_000] {
+        let words = |i: u64| Philox::words(5, 1, i)[0];
+        let key = |i: usize| match (3 * i / n, words(i as u64)) {
+            (0, _) => KEY_CULLED,
+            (1, word) => word >> 16,
+            (_, word) if word % 7 > 0 => KEY_CULLED,
+            (_, word) => word >> 1,
+        };
+        let keys: Vec<u32> = (0..n).map(key).collect();
+        let mut want: Vec<u32> = (0..n as u32)
+            .filter(|row| keys[*row as usize] != KEY_CULLED)
+            .collect();
+        want.sort_by_key(|row| keys[*row as usize]);
+        for tuning in tunings() {
+            let kernels = Kernels::new(&device, Defines::new(tuning));
+            let tuning = &kernels.defines().tuning;
+            let mut frame = ViewBuffers::<f32>::new(&device, tuning, false).unwrap();
+            frame.fit_gaussians(&device, n).unwrap();
+            frame.keys.write(0, &keys).unwrap();
+            frame.count = n;
+            let sort = Sort::new::<f32>(&kernels).unwrap();
+            let stage = kernels.build::<f32>("bin").unwrap();
+            sort_visible(&stage, &sort, &mut frame).unwrap();
+            let visible = frame.status.read(VISIBLE as usize, 1).unwrap()[0];
+            assert_eq!(visible as usize, want.len(), "{n}");
+            let got = frame.visible.sorted_values().read(0, want.len()).unwrap();
+            assert!(got == want, "{n} Gaussians");
+        }
     }
 }
