@@ -4,7 +4,7 @@
 
 __kernel void importance(__global const real *params, uint stride, uint count, // in [planes, stride]
                          const Camera cam,
-                         __global const real *maps, int map_stride, int map_rows, // in [2, rows, stride]
+                         __global const real *maps, int map_stride, int map_rows, // in [ERROR_SETS, 2, rows, stride]
                          int first_view,              // 1: start the sums
                          __global const uint *status, // in S_OVERFLOW: then the view does not count
                          __global real *statistics) { // in/out [3, stride] sums of 1 - SSIM and |x - y|, views that see the centre
@@ -25,9 +25,12 @@ __kernel void importance(__global const real *params, uint stride, uint count, /
     __global real *ssim = statistics + at, *l1 = ssim + stride, *views = l1 + stride;
     if (first_view) *ssim = *l1 = *views = R(0.0);
     if (!(inside[l] > R(0.0))) continue;
-    const size_t pixel = (size_t)(int)py[l] * map_stride + (size_t)(int)px[l];
-    *ssim += maps[pixel];
-    *l1 += maps[(size_t)map_stride * map_rows + pixel];
+    const size_t pixel = (size_t)(int)py[l] * map_stride + (size_t)(int)px[l], plane = (size_t)map_stride * map_rows;
+    real e[2] = {maps[pixel], maps[plane + pixel]};
+    for (int set = 1; set < ERROR_SETS; set++)
+      for (int k = 0; k < 2; k++) e[k] += maps[(2 * set + k) * plane + pixel];
+    *ssim += e[0];
+    *l1 += e[1];
     *views += R(1.0);
   }
 }

@@ -155,18 +155,35 @@ static inline realV gradient_of(const Images *s, int x, int y, realV dmx, realV 
 #define IMAGE_ARGUMENTS                                                                                                \
   __global const real *image, __global const uchar *photo, int width, int height, int stride, int rows, int first,     \
       real red, real green, real blue, BLANK_ARGUMENTS
-// A launch is over channel `first`, or by groups, where `first` is 0, over all: for gradients along the second axis, for errors in turn.
+// A launch is over channel `first`, or by groups, where `first` is 0, over all along the second axis.
 #if GROUP_STYLE
 #define CHANNEL (first + (int)get_group_id(1))
 #else
 #define CHANNEL first
 #endif
 #define BACKGROUND(channel) ((channel) == 0 ? red : (channel) == 1 ? green : blue)
-// out [3, rows, stride] (by groups [3, 3, rows, stride]), or [2, rows, stride] of errors; [3, strips or parts, 2] sums of |x - y| and
-// SSIM
+// out [3, rows, stride], or [2, rows, stride] of errors (by groups [3, 3, rows, stride]); [3, strips or parts, 2] sums of |x - y| and SSIM
 #define FORWARD_ARGUMENTS IMAGE_ARGUMENTS __global real *maps, __global real *partial
 // in [3, rows, stride] (by groups [3, 3, rows, stride]), (1 - lambda) / (3 width height), lambda / (3 width height); out [3, rows, stride]
 #define BACKWARD_ARGUMENTS IMAGE_ARGUMENTS __global const real *maps, real weight_l1, real weight_ssim, __global real *dimage
+
+// Adds the sums of all strips, or parts, in a fixed order, by a whole work-group or by a work-item that is a whole core.
+static inline void add_strips(__global const real *partial, uint strips, real scale, // in [strips, 2], 1 / (3 width height)
+                              __global real *out, uint slot                          // out [slots, 2] mean |x - y| and mean SSIM
+#if GROUP_STYLE
+                              , __local real2 *parts
+#endif
+) {
+  real l1 = R(0.0), ssim = R(0.0);
+  for (uint s = ITEM; s < strips; s += GROUP) {
+    l1 += partial[2 * s];
+    ssim += partial[2 * s + 1];
+  }
+  const real2 total = group_total((real2)(l1, ssim), parts);
+  if (ITEM != 0) return;
+  out[2 * slot] = total.x * scale;
+  out[2 * slot + 1] = total.y * scale;
+}
 
 #if !GROUP_STYLE
 #define REACH (LOSS_ROWS + 2 * RADIUS)    // rows that windows of LOSS_ROWS rows see
@@ -454,10 +471,14 @@ static inline void compare(const Images *s, const Part *part, int active, __loca
   barrier(CLK_LOCAL_MEM_FENCE);
 }
 
+#define DERIVATIVES 1 // of `wanted`
+#define ERRORS 2
+
 // Launch: one work-group of TILE x TILE work-items per two tiles side by side and channel. Results as in the other style, but that
-// `partial` has the sums of these parts, and that each channel has derivative maps of its own. Work-items of the padding and of parts that
-// are left out take part in every barrier.
-CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
+// `partial` has the sums of these parts, that each channel has derivative maps of its own, and that errors may be wanted beside them: a
+// third of them for each channel, so that their sums over the channels are what the other style writes. Work-items of the padding and of
+// parts that are left out take part in every barrier.
+CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS, __global real *errors, int wanted) { // out [3, 2, rows, stride] thirds of 1 - SSIM, |x - y|
   const int channel = CHANNEL;
   const Images s = IMAGES(channel);
   const Part part = own_part(stride, rows);
@@ -477,54 +498,23 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS) {
     }
     if (x >= width || y >= height) d = ssim = dmx = dxx = dxy = R(0.0);
     total += (real2)(d, ssim);
-    if (x < stride) {
-      __global real *at = maps + 3 * channel * s.plane + (size_t)y * stride + x;
-      at[0] = dmx;
-      at[s.plane] = dxx;
-      at[2 * s.plane] = dxy;
+    if (x >= stride) continue;
+    const size_t at = (size_t)y * stride + x;
+    if (wanted & DERIVATIVES) {
+      __global real *to = maps + 3 * channel * s.plane + at;
+      to[0] = dmx;
+      to[s.plane] = dxx;
+      to[2 * s.plane] = dxy;
+    }
+    if (wanted & ERRORS) {
+      __global real *to = errors + 2 * channel * s.plane + at;
+      to[0] = (R(1.0) - ssim) * (R(1.0) / R(3.0));
+      to[s.plane] = d * (R(1.0) / R(3.0));
     }
   }
   barrier(CLK_LOCAL_MEM_FENCE); // nobody needs the windows any more: their place is free for the sums
   total = group_total(total, (__local real2 *)room);
   if (part.column == 0 && part.row == 0) vstore2(total, (size_t)channel * part.of + part.index, partial);
-}
-
-// Launch: as loss_forward, once for all channels. The maps are the channel means of 1 - SSIM (plane 0) and |x - y| (plane 1).
-CHUNK_KERNEL void loss_errors(FORWARD_ARGUMENTS) {
-  const Part part = own_part(stride, rows);
-  const int active = IS_ACTIVE(part, RADIUS), x = part.x + part.column;
-  __local real4 room[PART_HEIGHT * WIDE];
-  real error[2][PIXELS] = {{R(0.0)}, {R(0.0)}};
-  for (int channel = first; channel < 3; channel++) {
-    const Images s = IMAGES(channel);
-    real difference[PIXELS];
-    barrier(CLK_LOCAL_MEM_FENCE); // nobody needs the sums of the channel before
-    compare(&s, &part, active, room, difference);
-    real2 total = (real2)(R(0.0));
-#pragma unroll
-    for (int k = 0; k < PIXELS; k++) {
-      const int row = part.row + k * ROW_STEP, in = x < width && part.y + row < height;
-      real dmx, dxx, dxy;
-      real2 pair = (real2)(R(0.0), in ? R(1.0) : R(0.0)); // as of a pixel that is left out, or of the padding
-      if (active && in) {
-        const real4 m = window_line(room + WINDOW_AT(row, part.column));
-        pair = (real2)(difference[k], ssim_of(m.s0, m.s1, m.s2, m.s3, &dmx, &dxx, &dxy));
-      }
-      total += pair;
-      error[0][k] += (R(1.0) - pair.y) * (R(1.0) / R(3.0));
-      error[1][k] += pair.x * (R(1.0) / R(3.0));
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    total = group_total(total, (__local real2 *)room);
-    if (part.column == 0 && part.row == 0) vstore2(total, (size_t)channel * part.of + part.index, partial);
-  }
-  for (int k = 0; k < PIXELS; k++) {
-    const size_t at = (size_t)(part.y + part.row + k * ROW_STEP) * stride + x;
-    if (x < stride) {
-      maps[at] = error[0][k];
-      maps[(size_t)stride * rows + at] = error[1][k];
-    }
-  }
 }
 
 // The derivative maps of a part with its halo, by the whole group; 0 beyond the padding.
@@ -553,14 +543,19 @@ static inline void window_maps(__local const real *staged, real4 sums[RUN]) {
   for (int g = 0; g < RUN; g++) sums[g] = (real4)(out[0][g], out[1][g], out[2][g], R(0.0));
 }
 
-// Launch: as loss_forward. dL/dx of the channel, zero in the padding.
-CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
+// Launch: as loss_forward, with one part more if the loss is to be recorded: its first channel's group adds up the sums of the parts.
+// dL/dx of the channel, zero in the padding.
+CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS, __global const real *partial, real scale, __global real *losses, uint slot) { // as add_strips
   const int channel = CHANNEL;
   const Images s = IMAGES(channel);
   const Part part = own_part(stride, rows);
-  const int active = IS_ACTIVE(part, 2 * RADIUS), x = part.x + part.column;
   // For the maps until the vertical windows are made, and then for those: the maps take more room.
   __local real4 room[(3 * HIGH * WIDE + 3) / 4];
+  if (part.index == part.of) {
+    if (channel == 0) add_strips(partial, 3 * part.of, scale, losses, slot, (__local real2 *)room);
+    return;
+  }
+  const int active = IS_ACTIVE(part, 2 * RADIUS), x = part.x + part.column;
   real4 sums[RUN];
   if (active) stage_maps(maps + 3 * channel * s.plane, part.x, part.y, stride, rows, (__local real *)room);
   barrier(CLK_LOCAL_MEM_FENCE);
@@ -581,19 +576,13 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
 }
 #endif
 
-// Launch: one work-group of TILE x TILE work-items, or one work-item where that is a whole core. Adds the strips, or parts, in a
-// fixed order. After an overflow the value means nothing; the repetition replaces it.
-CHUNK_KERNEL void loss_sum(__global const real *partial, uint strips, real scale, // in [strips, 2], 1 / (3 width height)
-                       __global real *out, uint slot) { // out [slots, 2] mean |x - y| and mean SSIM
-  const uint l = ITEM;
-  real l1 = R(0.0), ssim = R(0.0);
-  for (uint s = l; s < strips; s += GROUP) {
-    l1 += partial[2 * s];
-    ssim += partial[2 * s + 1];
-  }
+// Launch: one work-group of TILE x TILE work-items, or one work-item where that is a whole core. After an overflow the value means
+// nothing; the repetition replaces it.
+CHUNK_KERNEL void loss_sum(__global const real *partial, uint strips, real scale, __global real *out, uint slot) { // as add_strips
+#if GROUP_STYLE
   PARTS;
-  const real2 total = group_total((real2)(l1, ssim), parts);
-  if (l != 0) return;
-  out[2 * slot] = total.x * scale;
-  out[2 * slot + 1] = total.y * scale;
+  add_strips(partial, strips, scale, out, slot, parts);
+#else
+  add_strips(partial, strips, scale, out, slot);
+#endif
 }

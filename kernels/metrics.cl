@@ -41,15 +41,16 @@ CHUNK_KERNEL void metrics(__global real *image,               // in/out [>= 3, r
 #endif
 }
 
-CHUNK_KERNEL void metrics_ssim(__global const real *maps,   // in [>= 1, rows, stride] channel means of 1 - SSIM
+CHUNK_KERNEL void metrics_ssim(__global const real *maps,   // in [ERROR_SETS, 2, rows, stride] 1 - SSIM first
                                __global const uchar *photo, // in [3 or 4, height, width]
-                               int width, int height, int stride,
+                               int width, int height, int stride, int rows,
                                __global real *score) { // out [3, height]: 2 sum over the row
   PARTS;
   const int y = CHUNK;
   real sum = R(0.0);
   for (int x = ITEM; x < width; x += GROUP) {
-    const real e = maps[(size_t)y * stride + x];
+    real e = maps[(size_t)y * stride + x];
+    for (int set = 1; set < ERROR_SETS; set++) e += maps[((size_t)(2 * set) * rows + y) * stride + x];
 #if HAS_MASK
     const size_t pixels = (size_t)width * height;
     sum = fma((real)photo[3 * pixels + (size_t)y * width + x] / R(255.0), e, sum);

@@ -1,6 +1,6 @@
 //! Broken and extreme parameters: culled or bounded, never NaN, and never anybody else's problem.
 
-use mhsplat::device::Device;
+use crate::device;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::verify::cases::{Case, mild};
 use mhsplat::lab::verify::pass::Outcome;
@@ -20,7 +20,7 @@ fn assert_finite(case: &Case, out: &Outcome) {
 }
 
 fn render(case: &Case) -> Outcome {
-    let device = Device::open(None).unwrap();
+    let device = device();
     let own = Tuning::for_device(device.info());
     let [own, group] = [own, Tuning::GPU].map(|t| run::<f32>(&device, t, case, None).unwrap());
     assert_finite(case, &own);

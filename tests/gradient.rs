@@ -3,7 +3,7 @@
 //! The alpha cut is a discontinuity at which finite differences disagree even in sign, so it lies at 1e-7 here; the bounds
 //! of the ellipses move with it.
 
-use mhsplat::device::Device;
+use crate::device;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::error::{Tolerance, compare};
 use mhsplat::lab::verify::cases::{self, Case};
@@ -132,7 +132,7 @@ fn the_reference_is_the_derivative_of_its_own_loss() {
 
 #[test]
 fn the_f64_kernels_are_the_derivative_of_the_reference_loss() {
-    let device = Device::open(None).unwrap();
+    let device = device();
     if !device.info().fp64 {
         println!("skipped: {} has no f64", device.info().name);
         return;

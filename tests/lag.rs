@@ -2,7 +2,7 @@
 
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
-use mhsplat::config::{Sampler, Surrogate};
+use mhsplat::config::{Length, Sampler, Surrogate};
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Device, DeviceKind};
 use mhsplat::run::{checkpoint, initial_gaussians};
@@ -196,6 +196,25 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
         ..TrainConfig::default()
     };
     assert_eq!(lag(DeviceKind::Gpu, &short), 5);
+    // A time budget changes the length on the way, and the default with it; what was asked for is kept as far as there is room.
+    for (asked, after) in [(None, 5), (Some(16), 16)] {
+        let mut budget = TrainConfig::default();
+        budget.work.density_lag = asked;
+        let strategy = mhsplat::density::make(&budget);
+        let plan = Plan::new(&data, &budget).unwrap();
+        let plan = plan.with_strategy(DeviceKind::Gpu, strategy.as_ref());
+        let mut schedule = plan.schedule();
+        assert_eq!(schedule.density_lag(1000), 16);
+        schedule.set_length(Length {
+            from: 100,
+            iterations: 800,
+        });
+        assert_eq!(schedule.density_lag(200), after);
+        // A rank lags as its leader does, whatever its own device is.
+        let led = plan.led_by(DeviceKind::Cpu);
+        let led = led.with_strategy(DeviceKind::Gpu, strategy.as_ref());
+        assert_eq!(led.density_lag.value, asked.unwrap_or(0));
+    }
     assert_eq!(lag(DeviceKind::Cpu, &lagging(Sampler::Mh, 3)), 3);
     // Estimates need the device while the step is decided.
     let mut probing = lagging(Sampler::Mh, 3);

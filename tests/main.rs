@@ -69,3 +69,14 @@ mod trace;
 mod tune;
 mod viewer;
 mod wiring;
+
+use std::sync::LazyLock;
+
+use mhsplat::Device;
+
+/// The device of tests that look at kernels: one for all of them, so that no kernel is built twice. Who trains, or reads what a device
+/// counts, opens one of its own.
+fn device() -> Device {
+    static DEVICE: LazyLock<Device> = LazyLock::new(|| Device::open(None).unwrap());
+    DEVICE.clone()
+}

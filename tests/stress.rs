@@ -1,6 +1,6 @@
 //! The stress suite: every family within its bound, none forgotten, and a bound that can be missed.
 
-use mhsplat::device::Device;
+use crate::device;
 use mhsplat::lab::verify::Verification;
 use mhsplat::lab::verify::check::Row;
 use mhsplat::lab::verify::page::report;
@@ -37,7 +37,7 @@ fn assert_good(rows: &[Row]) {
 }
 
 fn check(names: &[&str]) {
-    let device = Device::open(None).unwrap();
+    let device = device();
     for name in names {
         let family = family(name);
         let rows = verify_family(&device, &family).unwrap();
@@ -65,7 +65,7 @@ fn counts_and_values() {
 
 #[test]
 fn beside_the_scenes() {
-    let rows = beside_scenes(&Device::open(None).unwrap()).unwrap();
+    let rows = beside_scenes(&device()).unwrap();
     assert_good(&rows);
     for family in ["optimiser", "crowds and ties"] {
         assert!(rows.iter().any(|r| r.family == family), "{family}");
@@ -83,7 +83,7 @@ fn no_family_is_forgotten() {
 
 #[test]
 fn a_bound_can_be_missed_and_the_page_says_so() {
-    let device = Device::open(None).unwrap();
+    let device = device();
     let mut narrow = family("sizes");
     narrow.bound = 1e-9;
     narrow.stiffness = &narrow.stiffness[..4];
@@ -121,7 +121,7 @@ fn a_bound_can_be_missed_and_the_page_says_so() {
 fn a_device_that_computes_wrong_results_is_refused() {
     use mhsplat::Error;
     use mhsplat::lab::selftest::{judge, rows};
-    let good = rows(&Device::open(None).unwrap()).unwrap();
+    let good = rows(&device()).unwrap();
     judge(&good).unwrap();
     let mut bad = good;
     let at = bad.iter().position(|r| r.stage == "splat").unwrap();

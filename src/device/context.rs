@@ -84,6 +84,8 @@ pub(super) struct Inner {
     pending: Mutex<Vec<Enqueued>>,
     /// Bytes of the buffers that are alive.
     pub allocated: AtomicU64,
+    /// Programs built so far, by stage and `#define`s.
+    pub programs: Mutex<BTreeMap<(&'static str, String), core::Program>>,
     /// Number of the device among those that are open.
     pub seat: Option<Seat>,
     /// The part of the device that `id` is, if it is one; contexts and queues go before it.
@@ -235,6 +237,7 @@ impl Device {
                 staging: Staging::default(),
                 pending: Mutex::default(),
                 allocated: AtomicU64::new(0),
+                programs: Mutex::default(),
                 _part: part,
             }),
             helpers: Helpers::None,

@@ -5,13 +5,13 @@ use std::sync::{Mutex, PoisonError};
 use ocl_core::{
     self as core, DeviceInfo as Query, DeviceInfoResult, DeviceType, PlatformInfo, Status,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 use crate::device::error::device_error;
 
 /// Kind of a device, as OpenCL classes it, the preferred one first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DeviceKind {
     /// A GPU.

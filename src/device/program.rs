@@ -2,6 +2,7 @@
 
 use std::ffi::CString;
 use std::hash::{Hash, Hasher};
+use std::sync::PoisonError;
 
 use ocl_core::{
     self as core, ProgramBuildInfo, ProgramBuildInfoResult, ProgramBuildStatus, ProgramInfo,
@@ -9,7 +10,7 @@ use ocl_core::{
 use rustc_hash::FxHasher;
 
 use crate::base::error::{Error, Result};
-use crate::device::context::Device;
+use crate::device::context::{Device, Inner};
 use crate::device::defines::Defines;
 use crate::device::error::device_error;
 use crate::device::launch::{Kernel, Program};
@@ -59,16 +60,25 @@ pub fn stages() -> impl Iterator<Item = &'static str> {
 /// The text of a stage's kernels that drivers compile, in double or in single precision; an unknown stage has none of its own.
 #[must_use]
 pub fn source(stage: &str, defines: &Defines, is_double: bool) -> String {
+    let (prelude, own) = (used(stage, defines, is_double), own_source(stage));
+    format!("{prelude}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{own}")
+}
+
+fn own_source(stage: &str) -> &'static str {
     let own = SOURCES.iter().find(|(name, _)| *name == stage);
-    let own = own.map_or("", |(_, text)| text);
-    // Without what it does not use, a kernel stays what it is when something else changes: drivers keep what they have compiled.
+    own.map_or("", |(_, text)| text)
+}
+
+/// The `#define`s of a stage that it uses: without the others a kernel stays what it is when something else changes, and drivers keep what
+/// they have compiled.
+fn used(stage: &str, defines: &Defines, is_double: bool) -> String {
+    let own = own_source(stage);
     let used = |line: &&str| {
         let name = line.split(' ').nth(1).unwrap_or_default();
         COMMON.contains(name) || own.contains(name)
     };
     let prelude = defines.prelude(is_double);
-    let prelude: String = prelude.split_inclusive('\n').filter(used).collect();
-    format!("{prelude}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{own}")
+    prelude.split_inclusive('\n').filter(used).collect()
 }
 
 /// Hash of the sources of all kernels.
@@ -124,45 +134,31 @@ impl Kernels {
         &self.defines
     }
 
-    /// Builds `kernels/<stage>.cl`.
+    /// Builds `kernels/<stage>.cl`, unless this device has done so already: each [`Program`] has kernels of its own.
     ///
     /// # Errors
     /// A build failure, with the compiler's log.
     pub fn build<R: Real>(&self, stage: &'static str) -> Result<Program> {
-        let text = source(stage, &self.defines, R::IS_DOUBLE);
-        let bug = "if the log names no line, memory may have run out for the compiler (ulimit -v, a container's limit): allow more; \
-                   else update the driver or select another device";
-        let bytes = CString::new(text)
-            .map_err(|_| Error::device(stage, "the source holds a NUL byte", bug))?;
         let inner = &self.device.inner;
-        let program = core::create_program_with_source(&inner.context, &[bytes])
-            .map_err(|e| device_error(stage, &e, bug))?;
-        let apart = inner.seat.as_ref().map(Seat::options).unwrap_or_default();
-        let options = format!("-cl-std=CL1.2 -cl-kernel-arg-info{apart}");
-        let options = CString::new(options)
-            .map_err(|_| Error::device(stage, "the options hold a NUL byte", bug))?;
-        let built = core::build_program(&program, Some(&[inner.id]), &options, None, None);
-        // A build that fails without a log is no error to `ocl_core`.
-        let status =
-            core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildStatus);
-        let failed = match (built, status) {
-            (Err(e), _) => Some(e.to_string()),
-            (Ok(()), Ok(ProgramBuildInfoResult::BuildStatus(ProgramBuildStatus::Success))) => None,
-            (Ok(()), Ok(status)) => Some(format!("{status}; it gives no reason")),
-            (Ok(()), Err(e)) => Some(e.to_string()),
+        let of = (stage, used(stage, &self.defines, R::IS_DOUBLE));
+        let built = || {
+            inner
+                .programs
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
         };
-        if let Some(e) = failed {
-            let log = core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildLog)
-                .map_or_else(|_| e.clone(), |l| l.to_string());
-            let log = if log.trim().is_empty() { e } else { log };
-            return Err(Error::device(
-                format!("build {stage}.cl"),
-                format!("the device's compiler says:\n{}", log.trim()),
-                bug,
-            ));
-        }
+        let found = built().get(&of).cloned();
+        let program = match found {
+            Some(program) => program,
+            None => {
+                let text = source(stage, &self.defines, R::IS_DOUBLE);
+                let program = compile(inner, stage, &text)?;
+                built().insert(of, program.clone());
+                program
+            }
+        };
         let names = core::get_program_info(&program, ProgramInfo::KernelNames)
-            .map_err(|e| device_error(stage, &e, bug))?
+            .map_err(|e| device_error(stage, &e, BUG))?
             .to_string();
         let names = names.trim_end_matches('\0').split(';');
         Ok(Program {
@@ -174,4 +170,40 @@ impl Kernels {
                 .collect::<Result<_>>()?,
         })
     }
+}
+
+/// Advice where a kernel cannot be built.
+const BUG: &str = "if the log names no line, memory may have run out for the compiler (ulimit -v, a container's limit): allow more; \
+                   else update the driver or select another device";
+
+/// The driver's build of a source.
+fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<core::Program> {
+    let bytes =
+        CString::new(text).map_err(|_| Error::device(stage, "the source holds a NUL byte", BUG))?;
+    let program = core::create_program_with_source(&inner.context, &[bytes])
+        .map_err(|e| device_error(stage, &e, BUG))?;
+    let apart = inner.seat.as_ref().map(Seat::options).unwrap_or_default();
+    let options = format!("-cl-std=CL1.2 -cl-kernel-arg-info{apart}");
+    let options = CString::new(options)
+        .map_err(|_| Error::device(stage, "the options hold a NUL byte", BUG))?;
+    let built = core::build_program(&program, Some(&[inner.id]), &options, None, None);
+    // A build that fails without a log is no error to `ocl_core`.
+    let status = core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildStatus);
+    let failed = match (built, status) {
+        (Err(e), _) => Some(e.to_string()),
+        (Ok(()), Ok(ProgramBuildInfoResult::BuildStatus(ProgramBuildStatus::Success))) => None,
+        (Ok(()), Ok(status)) => Some(format!("{status}; it gives no reason")),
+        (Ok(()), Err(e)) => Some(e.to_string()),
+    };
+    let Some(e) = failed else {
+        return Ok(program);
+    };
+    let log = core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildLog)
+        .map_or_else(|_| e.clone(), |l| l.to_string());
+    let log = if log.trim().is_empty() { e } else { log };
+    Err(Error::device(
+        format!("build {stage}.cl"),
+        format!("the device's compiler says:\n{}", log.trim()),
+        BUG,
+    ))
 }

@@ -266,6 +266,12 @@ impl Tuning {
             1
         }
     }
+
+    /// Sets of error maps that the loss writes: one, of the means of the channels, or one for each channel, which their readers add up.
+    #[must_use]
+    pub fn error_sets(&self) -> usize {
+        if self.group_style { 3 } else { 1 }
+    }
 }
 
 /// The value in records that are older than the field.

@@ -7,7 +7,7 @@ use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::share::Share;
-use crate::pipeline::stage::loss::{ImagePair, Loss};
+use crate::pipeline::stage::loss::{Beside, ImagePair, Loss};
 use crate::pipeline::stage::{active_tiles, importance};
 use crate::scene::Plane;
 use crate::scene::sh::C0;
@@ -61,7 +61,7 @@ impl<R: Real> Pipeline<R> {
                 .transpose()?,
             share: None,
             exposure: None,
-            loss: Loss::new(&kernels, largest, 3)?,
+            loss: Loss::new(&kernels, largest, true)?,
             dimage: Array::zeros(device, "dimage", 3 * largest.plane())?,
             device: device.clone(),
         })
@@ -121,43 +121,52 @@ impl<R: Real> Pipeline<R> {
         Ok(pair)
     }
 
-    /// Takes (1 − λ)·L1 + λ·(1 − SSIM) of a view's pair back to its render, and to its exposure transform.
-    pub fn loss_gradient(&self, view: usize, pair: &ImagePair<'_, R>, lambda: f64) -> Result<()> {
-        self.loss.gradient(pair, lambda, &self.dimage)?;
-        match &self.exposure {
-            Some(exposure) => {
-                let frame = &self.forward.frame;
-                if let Some(share) = &self.share {
-                    share.complete(&frame.image, 3, pair.size)?;
-                    share.complete(&self.dimage, 3, pair.size)?;
-                }
-                exposure.stage.backward(frame, view, &self.dimage)
+    /// Takes (1 − λ)·L1 + λ·(1 − SSIM) of a view's pair back to its render, and to its exposure transform; writes what is wanted beside
+    /// that. The loss is written by the leader alone where ranks share the view.
+    pub fn loss_gradient(
+        &self,
+        view: usize,
+        pair: &ImagePair<'_, R>,
+        lambda: f64,
+        beside: Beside<'_, R>,
+    ) -> Result<()> {
+        // Ranks put their sums together first.
+        let here = match &self.share {
+            Some(_) => Beside::NOTHING,
+            None => beside,
+        };
+        self.loss.gradient(pair, lambda, &self.dimage, here)?;
+        let frame = &self.forward.frame;
+        if let Some(exposure) = &self.exposure {
+            if let Some(share) = &self.share {
+                share.complete(&frame.image, 3, pair.size)?;
+                share.complete(&self.dimage, 3, pair.size)?;
             }
-            None => Ok(()),
+            exposure.stage.backward(frame, view, &self.dimage)?;
+        }
+        let Some(share) = &self.share else {
+            return Ok(());
+        };
+        if let Some((losses, slot)) = beside.losses
+            && share.sum_loss(&self.loss, pair)?
+        {
+            self.loss.sum(pair, losses, slot)?;
+        }
+        match beside.errors {
+            true => self.errors(&pair.clone().everywhere()),
+            false => Ok(()),
         }
     }
 
-    /// Writes mean |x − y| and mean SSIM of the pair compared last into a slot of `losses`.
-    pub fn record_loss(
-        &self,
-        pair: &ImagePair<'_, R>,
-        losses: &Array<R>,
-        slot: usize,
-    ) -> Result<()> {
-        let here = match &self.share {
-            Some(share) => share.sum_loss(&self.loss, pair)?,
-            None => true,
-        };
-        match here {
-            true => self.loss.sum(pair, losses, slot),
-            false => Ok(()),
-        }
+    /// Writes the error maps of a pair.
+    pub fn errors(&self, pair: &ImagePair<'_, R>) -> Result<()> {
+        self.loss.errors(pair)
     }
 
     /// Mean |x − y| and mean SSIM of a pair; waits.
     pub fn loss(&self, pair: &ImagePair<'_, R>) -> Result<[f64; 2]> {
         let sums = Array::zeros(&self.device, "loss", 2)?;
-        self.loss.errors(pair)?;
+        self.loss.compare(pair)?;
         self.loss.sum(pair, &sums, 0)?;
         let parts = sums.to_vec()?;
         Ok([parts[0].into(), parts[1].into()])
@@ -165,26 +174,32 @@ impl<R: Real> Pipeline<R> {
 
     /// Sums of |x − y| and SSIM of each strip of a pair, in turn; waits.
     pub fn strips(&self, pair: &ImagePair<'_, R>) -> Result<Vec<f64>> {
-        self.loss.errors(pair)?;
+        self.loss.compare(pair)?;
         let sums = self.loss.read_strips(pair.size)?;
         Ok(sums.into_iter().map(Into::into).collect())
     }
 
-    /// Adds a pair's errors at the projected centres of the Gaussians to their statistics, which `first_view` starts anew.
+    /// Adds the errors of the pair compared last at the projected centres of the Gaussians to their statistics, which `first_view` starts
+    /// anew.
     pub fn add_errors(
         &self,
         stage: &Program,
         scene: &GaussianBuffers<R>,
-        pair: &ImagePair<'_, R>,
         first_view: bool,
         statistics: &Array<R>,
     ) -> Result<()> {
-        self.loss.errors(pair)?;
+        let (maps, planes) = (self.loss.error_maps()?, self.loss.error_planes());
         if let Some(share) = &self.share {
-            share.complete(&self.loss.maps, 2, pair.size)?;
+            share.complete(maps, planes, self.forward.frame.camera.image())?;
         }
-        let (view, maps) = (self.home(), &self.loss.maps);
-        importance::add_errors(stage, scene, view, maps, first_view, statistics)
+        importance::add_errors(
+            stage,
+            scene,
+            self.home(),
+            (maps, planes),
+            first_view,
+            statistics,
+        )
     }
 
     /// Takes the image gradient back to sums per tile intersection, those of the Gaussians that are here.
@@ -228,10 +243,12 @@ impl<R: Real> Pipeline<R> {
         Ok((0..scene.count).map(|i| weight(i) as f32).collect())
     }
 
-    /// Error maps of the pair compared last.
-    #[must_use]
-    pub fn error_maps(&self) -> &Array<R> {
-        &self.loss.maps
+    /// Error maps of the pair compared last, and the number of their planes ([`Loss::error_maps`]).
+    ///
+    /// # Errors
+    /// No room for them.
+    pub fn error_maps(&self) -> Result<(&Array<R>, usize)> {
+        Ok((self.loss.error_maps()?, self.loss.error_planes()))
     }
 
     /// Image gradient of the pair compared last.

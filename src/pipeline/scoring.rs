@@ -31,7 +31,7 @@ impl Scoring {
         let kernels = Kernels::new(device, defines);
         Ok(Self {
             metrics: kernels.build::<f32>("metrics")?,
-            loss: Loss::new(&kernels, largest, 2)?,
+            loss: Loss::new(&kernels, largest, false)?,
             rows: Array::zeros(device, "score", 3 * largest.0[1])?,
         })
     }
@@ -55,7 +55,8 @@ impl Scoring {
     pub fn errors(&self, pair: &ImagePair<'_, f32>) -> Result<PairErrors> {
         metrics::score(&self.metrics, pair, &self.rows)?;
         self.loss.errors(pair)?;
-        metrics::sum_dissimilarity(&self.metrics, pair, &self.loss.maps, &self.rows)?;
+        let maps = (self.loss.error_maps()?, self.loss.error_planes());
+        metrics::sum_dissimilarity(&self.metrics, pair, maps, &self.rows)?;
         let h = pair.size.0[1];
         let rows = self.rows.read(0, 3 * h)?;
         let sum = |k: usize| -> f64 { rows[k * h..][..h].iter().map(|v| f64::from(*v)).sum() };

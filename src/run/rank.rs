@@ -9,7 +9,7 @@ use crate::base::error::{Error, Result};
 use crate::capture::Dataset;
 use crate::config::TrainConfig;
 use crate::device::tuning::Tuning;
-use crate::device::{Device, sources_hash};
+use crate::device::{Device, DeviceKind, sources_hash};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::photos::Photos;
 use crate::ranks::{Exchange, LEADER, Part, text_of, words_of};
@@ -24,6 +24,8 @@ struct Beginning {
     dataset: PathBuf,
     fingerprint: String,
     config: TrainConfig,
+    /// Kind and tuning of the leader's device.
+    kind: DeviceKind,
     tuning: Tuning,
     /// Decisions that belong to the whole run.
     anti_aliasing: bool,
@@ -49,14 +51,12 @@ pub(super) fn beginning(
     sh_degree: u32,
 ) -> Result<Vec<u32>> {
     let plan = trainer.plan();
-    let mut config = plan.config.clone();
-    // The devices may be of other kinds.
-    config.work.density_lag = Some(plan.density_lag.value);
     let text = serde_json::to_string(&Beginning {
         program: version(),
         dataset: std::path::absolute(dataset).unwrap_or_else(|_| dataset.to_path_buf()),
         fingerprint,
-        config,
+        config: plan.config.clone(),
+        kind: trainer.device_kind(),
         tuning: trainer.tuning(),
         anti_aliasing: plan.anti_aliasing.value,
         detail: plan.detail.value.clone(),
@@ -115,7 +115,8 @@ pub fn serve(
         anti_aliasing: Some(said.anti_aliasing),
         detail: Some(said.detail),
     };
-    let plan = Plan::begun(&dataset, &said.config, &begun)?.on_device(&device);
+    let plan = Plan::begun(&dataset, &said.config, &begun)?;
+    let plan = plan.led_by(said.kind).on_device(&device);
     let photos = Photos::new(&device, dataset.image_budget);
     let set = ViewSet::new(&photos, dataset.train)?;
     let strategy = plan.strategy();

@@ -11,7 +11,6 @@ use crate::density::{
 use crate::device::tuning::status;
 use crate::device::{Kernels, Program, StageTime};
 use crate::pipeline::pass::{Pipeline, Target};
-use crate::pipeline::stage::loss::ImagePair;
 use crate::pipeline::stage::morton::{Morton, Order};
 use crate::pipeline::stage::photo_error::PhotoErrors;
 use crate::pipeline::stage::{noise, screen_grad};
@@ -155,24 +154,16 @@ impl Control {
             .map_or_else(StageTime::default, |e| e.time)
     }
 
-    /// Adds the errors of the iteration's render to the statistics if the next density step wants them.
+    /// Says if the next density step wants the errors of an iteration's render in the statistics, and if those begin with it.
     ///
     /// The last k renders before a step serve as its view subset (\[MH\] Eq. 10), as many as there are since the last step at
     /// most. Training takes the views in random order, so that they are a random subset (of two epochs where one ends
     /// between: a view may then count twice), and no view is rendered for density control alone.
-    pub fn observe(
-        &self,
-        iteration: u32,
-        pipeline: &Pipeline,
-        gaussians: &GaussianState,
-        pair: &ImagePair<'_, f32>,
-        views: usize,
-    ) -> Result<()> {
-        let Some((due, progress)) = self.schedule.next_density(iteration) else {
-            return Ok(());
-        };
+    pub fn observed(&self, iteration: u32, views: usize) -> Option<bool> {
+        self.importance.as_ref()?;
+        let (due, progress) = self.schedule.next_density(iteration)?;
         let StatisticsKind::Errors { views } = self.strategy.wanted(views, progress) else {
-            return Ok(());
+            return None;
         };
         let since_last = self.schedule.density_interval(due).min(due);
         let first = due - since_last.min(u32::try_from(views).unwrap_or(u32::MAX));
@@ -181,24 +172,21 @@ impl Control {
         let first = first
             .max(self.schedule.length_from(iteration))
             .max(before + self.schedule.density_lag(before));
-        if iteration < first {
-            return Ok(());
-        }
-        self.add_errors(pipeline, gaussians, pair, iteration == first)
+        (iteration >= first).then_some(iteration == first)
     }
 
-    fn add_errors(
+    /// Adds the errors of the pair compared last to the statistics, which `first_view` starts anew.
+    pub fn observe(
         &self,
         pipeline: &Pipeline,
         gaussians: &GaussianState,
-        pair: &ImagePair<'_, f32>,
         first_view: bool,
     ) -> Result<()> {
         let Some(importance) = &self.importance else {
             return Ok(());
         };
         let (scene, sums) = (&gaussians.scene, &gaussians.statistics);
-        pipeline.add_errors(importance, scene, pair, first_view, sums)
+        pipeline.add_errors(importance, scene, first_view, sums)
     }
 
     /// The strategy's part of an iteration, after the optimiser: screen-space gradients are added up until the last density
@@ -463,7 +451,8 @@ impl Control {
     ) -> Result<()> {
         if self.importance.is_some() {
             let pair = on.pipeline.pair(target)?.everywhere();
-            self.add_errors(on.pipeline, on.gaussians, &pair, true)?;
+            on.pipeline.errors(&pair)?;
+            self.observe(on.pipeline, on.gaussians, true)?;
         }
         let lambda = self.plan.config.loss.lambda_ssim;
         if let Some(estimates) = &mut self.estimates {

@@ -17,6 +17,7 @@ use crate::pipeline::forward::{Quantity, RenderOptions, Renderer};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::room::restride;
 use crate::pipeline::stage::edit;
+use crate::pipeline::stage::loss::Beside;
 use crate::scene::{self, Plane};
 use crate::train::gaussians::GaussianState;
 use crate::train::smoothing::Smoothing;
@@ -209,7 +210,7 @@ impl Estimates {
         let pair = at.pipeline.pair(at.views.target(&view))?;
         let pair = pair.everywhere();
         at.pipeline
-            .loss_gradient(view.number, &pair, at.lambda_ssim)?;
+            .loss_gradient(view.number, &pair, at.lambda_ssim, Beside::NOTHING)?;
         let (dimage, degree) = (at.pipeline.image_gradient(), sh_degree as usize);
         let sources = if shared {
             let forward = &at.pipeline.forward;

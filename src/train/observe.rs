@@ -7,7 +7,7 @@ use crate::config::Sampler;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
 use crate::density::{Candidate, DensityStats};
 use crate::device::tuning::Tuning;
-use crate::device::{Array, CameraArg, StageTime};
+use crate::device::{Array, CameraArg, DeviceKind, StageTime};
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer, Renders};
 use crate::pipeline::photos::PhotoStats;
@@ -124,6 +124,12 @@ impl Trainer {
     #[must_use]
     pub fn tuning(&self) -> Tuning {
         self.device.tuning()
+    }
+
+    /// Kind of the device.
+    #[must_use]
+    pub fn device_kind(&self) -> DeviceKind {
+        self.device.info().kind
     }
 
     /// Iterations enqueued so far.

@@ -97,8 +97,6 @@ const LEAST_PIXELS: f64 = 64.0;
 
 /// Iterations that a GPU does while a density step is decided on the host, which takes it about as long (docs/results/gpu.md).
 const DENSITY_LAG: u32 = 16;
-/// Times that the default lag fits into the interval between two steps at least: newborns need the rest to find their places (docs/results/gpu.md).
-const LAG_SHARE: u32 = 6;
 
 /// Decisions of one run.
 #[derive(Debug, Clone, PartialEq)]
@@ -127,6 +125,8 @@ pub struct Plan {
     pub unseen: Option<Decided<u64>>,
     /// True if the first Gaussians are random.
     pub(crate) random_start: bool,
+    /// Kind of the leader's device in the plan of a rank that does not lead.
+    leader: Option<DeviceKind>,
     /// Parts that dataset or configuration switch and nobody else asks for.
     facts: Vec<(Part, Decided<bool>)>,
 }
@@ -145,18 +145,25 @@ impl Plan {
         density::make(&self.density_config())
     }
 
+    /// The plan of a rank whose leader has a device of this kind: what depends on the kind is as the leader has it.
+    #[must_use]
+    pub fn led_by(mut self, kind: DeviceKind) -> Self {
+        self.leader = Some(kind);
+        self
+    }
+
     /// The plan for a kind of device and a strategy: a density step is decided while training goes on unless that takes the same
     /// processor, or the strategy asks the device for estimates meanwhile.
     #[must_use]
     pub fn with_strategy(mut self, kind: DeviceKind, strategy: &dyn DensityControl) -> Self {
+        let kind = self.leader.unwrap_or(kind);
         self.density_lag = match self.config.work.density_lag {
             _ if strategy.estimate_views() > 0 => Decided::new(0, Why::EstimatesNeedDevice),
             Some(0) => Decided::new(0, Why::Off("work.density-lag")),
             Some(lag) => Decided::new(lag, Why::TrainsOn(lag)),
             None if kind == DeviceKind::Cpu => Decided::new(0, Why::SameProcessor),
             None => {
-                let interval = Schedule::new(&self.config).density_interval(0);
-                let lag = DENSITY_LAG.min(interval / LAG_SHARE).max(1);
+                let lag = DENSITY_LAG.min(Schedule::new(&self.config).most_lag(0));
                 Decided::new(lag, Why::TrainsOn(lag))
             }
         };
@@ -207,6 +214,7 @@ impl Plan {
                 Init::Random => true,
                 Init::File(_) => false,
             },
+            leader: None,
             facts: Vec::new(),
             config: config.clone(),
         };

@@ -34,6 +34,9 @@ pub fn most_halvings(size: [usize; 2]) -> u32 {
     (size[0].min(size[1]) / MIN_SIDE).max(1).ilog2()
 }
 
+/// Times that the default lag fits into the interval between two steps at least: newborns need the rest to find their places (docs/results/gpu.md).
+const LAG_SHARE: u32 = 6;
+
 /// The schedules of one run.
 ///
 /// Each goes by the length of the run as it is planned at the iteration asked for: a time budget changes it on the way.
@@ -247,11 +250,20 @@ impl Schedule {
     }
 
     /// Iterations that training does between the begin of a density step after `done` iterations and its end: the plan's, but no more
-    /// than half of the interval, and whole batches.
+    /// than [`Schedule::most_lag`], and whole batches.
     #[must_use]
     pub fn density_lag(&self, done: u32) -> u32 {
-        let lag = self.density_lag.min(self.density_interval(done) / 2);
+        let lag = self.density_lag.min(self.most_lag(done));
         lag - lag % self.config.batch
+    }
+
+    /// Longest lag of a density step after `done` iterations: half of the interval, or [a sixth](LAG_SHARE) where none was asked for.
+    pub(super) fn most_lag(&self, done: u32) -> u32 {
+        let interval = self.density_interval(done);
+        match self.config.work.density_lag {
+            Some(_) => interval / 2,
+            None => (interval / LAG_SHARE).max(1).min(interval / 2),
+        }
     }
 
     /// True if the length of the run may change after `done` iterations: right after a density step or away from them all, so that

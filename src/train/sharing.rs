@@ -104,9 +104,7 @@ impl Trainer {
                 return Err(Error::device("ranks", what, "select devices of one kind"));
             }
             let device = device.clone().with_tuning(tuning);
-            let mut plan = self.plan.clone();
-            // The devices may be of other kinds.
-            plan.config.work.density_lag = Some(plan.density_lag.value);
+            let plan = self.plan.clone().led_by(self.device.info().kind);
             let (views, degree) = (views.to_vec(), self.gaussians.scene.sh_degree);
             let strategy = self.control.strategy();
             let work = move || {

@@ -17,6 +17,7 @@ use crate::pipeline::forward::{Quantity, RenderOptions};
 use crate::pipeline::pass::Pipeline;
 use crate::pipeline::photos::Photos;
 use crate::pipeline::stage::adam::Step;
+use crate::pipeline::stage::loss::Beside;
 use crate::scene::Gaussians;
 use crate::train::control::{Control, DensityEvent};
 use crate::train::crew::{Crew, LENGTH, RAISE};
@@ -241,16 +242,19 @@ impl Trainer {
 
         let pair = self.pipeline.pair(self.views.target(&view))?;
         let lambda = self.plan.config.loss.lambda_ssim;
-        self.pipeline.loss_gradient(view.number, &pair, lambda)?;
-        let slot = iteration as usize % LOSS_RING;
-        self.pipeline.record_loss(&pair, &self.losses, slot)?;
-
+        let observed = self.control.observed(iteration, self.views.len());
         // Faint Gaussians have statistics, too, and their tiles may be blank: the rounding of SSIM there must not depend on
         // what is skipped.
-        let pair = pair.everywhere();
-        let views = self.views.len();
-        self.control
-            .observe(iteration, &self.pipeline, &self.gaussians, &pair, views)?;
+        let beside = Beside {
+            losses: Some((&self.losses, iteration as usize % LOSS_RING)),
+            errors: observed.is_some(),
+        };
+        self.pipeline
+            .loss_gradient(view.number, &pair, lambda, beside)?;
+        if let Some(first_view) = observed {
+            self.control
+                .observe(&self.pipeline, &self.gaussians, first_view)?;
+        }
 
         if let Some(exposure) = &self.pipeline.exposure {
             // All ranks take this step alike; the leader counts for them.

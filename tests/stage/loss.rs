@@ -4,7 +4,7 @@ use super::*;
 use mhsplat::capture::Alpha;
 use mhsplat::device::{Array, ImageSize};
 use mhsplat::pipeline::buffers::Blank;
-use mhsplat::pipeline::stage::loss::{ImagePair, Loss};
+use mhsplat::pipeline::stage::loss::{Beside, ImagePair, Loss};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -84,6 +84,18 @@ fn blankish(speck: f64) -> Blankish {
     }
 }
 
+/// The maps of errors, those of the channels added up.
+fn mean_errors(loss: &Loss<f64>, plane: usize) -> Vec<f64> {
+    let maps = loss.error_maps().unwrap();
+    let all = maps.read(0, loss.error_planes() * plane).unwrap();
+    let mut sets = all.chunks_exact(2 * plane);
+    let mut sum = sets.next().unwrap().to_vec();
+    for set in sets {
+        sum.iter_mut().zip(set).for_each(|(sum, v)| *sum += v);
+    }
+    sum
+}
+
 /// Results of the loss stage, the blank parts left out or not: L1 and SSIM, the gradient, and the maps of errors.
 fn of_blankish(
     alpha: Alpha,
@@ -98,9 +110,9 @@ fn of_blankish(
         ..Defines::new(tuning)
     };
     let size = ImageSize([W, H]);
-    let loss = Loss::<f64>::new(&Kernels::new(&device, defines), size, 3).unwrap();
+    let loss = Loss::<f64>::new(&Kernels::new(&device, defines), size, true).unwrap();
     // What another view has left there.
-    for used in [&loss.maps, &loss.partial] {
+    for used in [&loss.maps, &loss.partial, loss.error_maps().unwrap()] {
         used.write(0, &vec![7.0; used.len()]).unwrap();
     }
     let used = |name, len| Array::from_slice(&device, name, &vec![7.0; len]).unwrap();
@@ -121,10 +133,13 @@ fn of_blankish(
             tile_start: &tile_start,
         }),
     };
-    loss.gradient(&pair, 0.2, &dimage).unwrap();
-    loss.sum(&pair, &out, 0).unwrap();
+    let beside = Beside {
+        losses: Some((&out, 0)),
+        errors: false,
+    };
+    loss.gradient(&pair, 0.2, &dimage, beside).unwrap();
     loss.errors(&pair).unwrap();
-    let mut errors = loss.maps.read(0, 2 * STRIDE * ROWS).unwrap();
+    let mut errors = mean_errors(&loss, STRIDE * ROWS);
     // The padding says nothing.
     let inside = |at: usize| at % STRIDE < W && at / STRIDE % ROWS < H;
     (0..errors.len())
@@ -200,13 +215,21 @@ fn of_noise(tuning: Tuning, size: ImageSize) -> [Vec<f64>; 3] {
         band: 0..size.tiles()[1],
         blank: None,
     };
-    let loss = Loss::<f64>::new(&Kernels::new(&device, Defines::new(tuning)), size, 3).unwrap();
+    let loss = Loss::<f64>::new(&Kernels::new(&device, Defines::new(tuning)), size, true).unwrap();
     let used = |name, len| Array::from_slice(&device, name, &vec![7.0; len]).unwrap();
     let (dimage, out) = (used("dimage", 3 * plane), used("losses", 2));
-    loss.gradient(&pair, 0.2, &dimage).unwrap();
-    loss.sum(&pair, &out, 0).unwrap();
+    let beside = Beside {
+        losses: Some((&out, 0)),
+        errors: true,
+    };
+    loss.gradient(&pair, 0.2, &dimage, beside).unwrap();
+    let errors = mean_errors(&loss, plane);
+    // Beside the gradient there is what there is alone.
     loss.errors(&pair).unwrap();
-    let errors = loss.maps.read(0, 2 * plane).unwrap();
+    assert_eq!(errors, mean_errors(&loss, plane));
+    let alone = Array::zeros(&device, "alone", 4).unwrap();
+    loss.sum(&pair, &alone, 1).unwrap();
+    assert_eq!(alone.read(2, 2).unwrap(), out.to_vec().unwrap());
     [out.to_vec().unwrap(), dimage.to_vec().unwrap(), errors]
 }
 

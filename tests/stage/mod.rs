@@ -26,6 +26,7 @@ mod splat_grad;
 
 use std::sync::LazyLock;
 
+use crate::device;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Defines, Device, Kernels};
 use mhsplat::lab::verify::cases::{self, Case, SINGLE};
@@ -43,10 +44,6 @@ const TUNINGS: [Tuning; 3] = [
         ..Tuning::GPU
     },
 ];
-
-fn device() -> Device {
-    Device::open(None).unwrap()
-}
 
 fn kernels(device: &Device) -> Kernels {
     Kernels::new(device, Defines::new(Tuning::for_device(device.info())))

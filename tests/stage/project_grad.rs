@@ -11,6 +11,7 @@ use mhsplat::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use mhsplat::pipeline::forward::RenderOptions;
 use mhsplat::pipeline::pass::{Pipeline, Target};
 use mhsplat::pipeline::stage::adam::{self, Step};
+use mhsplat::pipeline::stage::loss::Beside;
 use mhsplat::pipeline::stage::project_grad::update;
 use mhsplat::scene::Plane;
 
@@ -140,7 +141,9 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
             skip_blank: true,
         };
         let pair = pipeline.pair(target).unwrap();
-        pipeline.loss_gradient(0, &pair, lambda).unwrap();
+        pipeline
+            .loss_gradient(0, &pair, lambda, Beside::NOTHING)
+            .unwrap();
         pipeline.splat_gradient().unwrap();
         let of = |views| {
             let (backward, forward) = (&pipeline.backward, &pipeline.forward);

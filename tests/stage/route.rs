@@ -11,6 +11,7 @@ use mhsplat::pipeline::buffers::{GaussianBuffers, Shard, ViewBuffers};
 use mhsplat::pipeline::forward::RenderOptions;
 use mhsplat::pipeline::pass::{Pipeline, Target};
 use mhsplat::pipeline::share::Share;
+use mhsplat::pipeline::stage::loss::Beside;
 use mhsplat::pipeline::stage::project::{project, write_records};
 use mhsplat::pipeline::stage::route::{Route, route};
 use mhsplat::ranks::{Exchange, threads};
@@ -128,9 +129,13 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
             skip_blank: false,
         })
         .unwrap();
-    pipeline.loss_gradient(0, &pair, case.lambdas[0]).unwrap();
     let losses = Array::<f32>::zeros(&device, "losses", 2).unwrap();
-    pipeline.record_loss(&pair, &losses, 0).unwrap();
+    let beside = Beside {
+        losses: Some((&losses, 0)),
+        errors: false,
+    };
+    let [lambda, ..] = case.lambdas;
+    pipeline.loss_gradient(0, &pair, lambda, beside).unwrap();
     pipeline.splat_gradient().unwrap();
     let home = pipeline.home();
     let starts = home.isect_start.read(0, scene.count).unwrap();

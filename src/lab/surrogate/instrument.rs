@@ -13,7 +13,7 @@ use crate::pipeline::backward::GRADIENT_ROWS;
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{Pipeline, Target};
-use crate::pipeline::stage::loss::ImagePair;
+use crate::pipeline::stage::loss::{Beside, ImagePair};
 use crate::scene::{Gaussians, Plane};
 use crate::train::estimates::{FaintPass, SHAPE, change, scaled_logit};
 
@@ -159,7 +159,10 @@ impl<R: Real> Instrument<R> {
     /// Takes the loss of the render made last with the ordinary cut back to the image.
     fn image_gradient(&self, view: usize) -> Result<()> {
         let lambda = self.setting.lambda_ssim;
-        self.with_pair(view, |pair| self.pipeline.loss_gradient(view, pair, lambda))
+        self.with_pair(view, |pair| {
+            self.pipeline
+                .loss_gradient(view, pair, lambda, Beside::NOTHING)
+        })
     }
 
     /// Gradients of the rows from `first` (a multiple of 16) on from the render made last, ordinary or faint: opacity logit and
@@ -193,8 +196,8 @@ impl<R: Real> Instrument<R> {
             base.touched.push(self.pipeline.forward.intersected(0)?);
             self.with_pair(view, |pair| {
                 let (stage, first) = (&self.importance, view == 0);
-                self.pipeline
-                    .add_errors(stage, &self.scene, pair, first, &sums)
+                self.pipeline.errors(pair)?;
+                self.pipeline.add_errors(stage, &self.scene, first, &sums)
             })?;
             self.image_gradient(view)?;
             let gradients = self.gradients(false, 0)?;

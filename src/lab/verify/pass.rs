@@ -21,7 +21,7 @@ use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::exposure::{apply, backward};
-use crate::pipeline::stage::loss::ImagePair;
+use crate::pipeline::stage::loss::{Beside, ImagePair};
 use crate::pipeline::stage::morton::{Morton, Order};
 use crate::pipeline::stage::photo_error::{PhotoErrors, photo_error};
 use crate::pipeline::stage::{edit, filter, metrics, noise, project_grad, screen_grad, seen};
@@ -277,15 +277,33 @@ impl<'a, R: Real> Pass<'a, R> {
         pipeline.mark_tiles(&self.photo, &self.camera)?;
         let pair = self.pair()?;
         let losses = Array::zeros(self.device, "losses", 2)?;
-        pipeline.loss_gradient(0, &pair, self.case.lambdas[0])?;
-        pipeline.record_loss(&pair, &losses, 0)?;
+        // What is blank is skipped in most iterations; where density control gathers errors there is everything at once.
+        let [lambda, ..] = self.case.lambdas;
+        let beside = Beside {
+            losses: Some((&losses, 0)),
+            errors: false,
+        };
+        pipeline.loss_gradient(0, &pair, lambda, beside)?;
         let gradient = self.image(pipeline.image_gradient(), 0..3)?;
+        let beside = Beside {
+            errors: true,
+            ..beside
+        };
+        pipeline.loss_gradient(0, &pair, lambda, beside)?;
         let stage = self.kernels.build::<R>("importance")?;
         let sums = Array::zeros(self.device, "cues", 3 * self.scene.stride)?;
         for first_view in [true, false] {
-            pipeline.add_errors(&stage, &self.scene, &pair, first_view, &sums)?;
+            pipeline.add_errors(&stage, &self.scene, first_view, &sums)?;
         }
-        let maps = self.image(pipeline.error_maps(), 0..2)?;
+        let (maps, planes) = pipeline.error_maps()?;
+        let mut sets = (0..planes)
+            .step_by(2)
+            .map(|first| self.image(maps, first..first + 2));
+        let mut maps = sets.next().transpose()?.unwrap_or_default();
+        for set in sets {
+            let set = set?;
+            maps.iter_mut().zip(set).for_each(|(sum, v)| *sum += v);
+        }
         self.add("loss", "L1, SSIM", widen(losses.to_vec()?), |r, _| {
             vec![r.pass.loss.l1, r.pass.loss.ssim]
         });
@@ -495,7 +513,8 @@ impl<'a, R: Real> Pass<'a, R> {
         };
         let [w, h] = pair.size.0;
         let rows = Array::zeros(self.device, "score", 3 * h)?;
-        metrics::sum_dissimilarity(&stage, &pair, self.pipeline.error_maps(), &rows)?;
+        let maps = self.pipeline.error_maps()?;
+        metrics::sum_dissimilarity(&stage, &pair, maps, &rows)?;
         metrics::score(&stage, &pair, &rows)?;
         let sum = |k: usize| Ok(vec![widen(rows.read(k * h, h)?).iter().sum::<f64>()]);
         self.add("metrics", "squared error", sum(0)?, |r, _| {

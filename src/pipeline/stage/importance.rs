@@ -7,12 +7,12 @@ use crate::pipeline::launch::Arguments;
 use crate::pipeline::reference::{Camera64, Scene64};
 
 /// Adds the errors of a view to `statistics`, which `first_view` sets to zero before; `maps` are those of
-/// [`crate::pipeline::stage::loss::Loss::errors`]. After an overflow in the view nothing changes.
+/// [`crate::pipeline::stage::loss::Loss::error_maps`], of so many planes. After an overflow in the view nothing changes.
 pub fn add_errors<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
     view: &ViewBuffers<R>,
-    maps: &Array<R>,
+    (maps, planes): (&Array<R>, usize),
     first_view: bool,
     statistics: &Array<R>,
 ) -> Result<()> {
@@ -21,7 +21,7 @@ pub fn add_errors<R: Real>(
         .launch("importance")
         .scene(scene, 3)
         .value(view.camera)
-        .array(maps, 2 * size.plane())
+        .array(maps, planes * size.plane())
         .ints(size.padded())
         .value(i32::from(first_view))
         .status(view)

@@ -1,15 +1,16 @@
 //! L1 + SSIM and its gradient (`kernels/loss.cl`): 3DGS, Kerbl et al. 2023, eq. 7; SSIM, Wang et al. 2004.
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
 use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS, TILE};
 use crate::base::error::Result;
-use crate::device::{Array, ImageSize, Kernels, Launch, Program, Real};
+use crate::device::{Array, Device, ImageSize, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::{Blank, ViewBuffers};
 use crate::pipeline::launch::Arguments;
 
 /// A rendered image and its photo.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct ImagePair<'a, R: Real> {
     /// Render.
     pub image: &'a Array<R>,
@@ -63,14 +64,42 @@ impl<'a, R: Real> ImagePair<'a, R> {
 /// The kernels and their scratch.
 #[derive(Debug)]
 pub struct Loss<R: Real> {
+    device: Device,
     program: Program,
-    /// SSIM derivative maps of the channel at hand (in the group style of each), or error maps.
+    /// SSIM derivative maps of the channel at hand, or error maps; in the group style derivative maps of each channel.
     pub maps: Array<R>,
+    /// Error maps in the group style, from when they are wanted first.
+    errors: OnceLock<Array<R>>,
+    /// Pixels of the padded planes.
+    plane: usize,
     /// Sums of |x − y| and SSIM of each channel and strip (two tiles side by side, where a work-group takes those), in turn.
     pub partial: Array<R>,
     /// An array for the arguments that say what is blank, when nothing does.
     nowhere: Array<u32>,
+    /// An array for the maps that nobody wants.
+    nothing: Array<R>,
 }
+
+/// Results that a gradient of the loss leaves beside itself.
+#[derive(Debug, Clone, Copy)]
+pub struct Beside<'a, R: Real> {
+    /// The array of losses and the slot of it for mean |x − y| and mean SSIM; `None` if they are not wanted.
+    pub losses: Option<(&'a Array<R>, usize)>,
+    /// Error maps of the pair, of which nothing is skipped.
+    pub errors: bool,
+}
+
+impl<R: Real> Beside<'_, R> {
+    /// The gradient alone.
+    pub const NOTHING: Self = Self {
+        losses: None,
+        errors: false,
+    };
+}
+
+/// Maps that a sweep writes in the group style, as bits (`kernels/loss.cl`).
+const DERIVATIVES: i32 = 1;
+const ERRORS: i32 = 2;
 
 /// Numbers of parts of an image, by columns and rows: two tiles side by side if each is a work-group's, else the work-items' strips.
 fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
@@ -86,8 +115,9 @@ fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
     }
 }
 
-/// Planes of the maps of errors.
-const ERRORS: usize = 2;
+/// Planes of a set of error maps, and of derivative maps.
+const ERROR_PLANES: usize = 2;
+const DERIVATIVE_PLANES: usize = 3;
 
 /// Rows of strips in some rows of tiles: those themselves where a work-group takes tiles.
 fn strip_rows(program: &Program, band: &Range<usize>) -> Range<usize> {
@@ -98,12 +128,13 @@ fn strip_rows(program: &Program, band: &Range<usize>) -> Range<usize> {
     band.start * each..band.end * each
 }
 
-/// Enqueues a sweep over the strips of some rows of tiles of a pair, or by work-groups along an axis of `channels` channels.
+/// Enqueues a sweep over the strips of some rows of tiles of a pair, or by work-groups along an axis of the channels, with `more` parts
+/// beyond those of the image.
 fn sweep<R: Real>(
     launch: Launch<'_>,
     program: &Program,
     (pair, band): (&ImagePair<'_, R>, &Range<usize>),
-    channels: usize,
+    more: usize,
 ) -> Result<()> {
     let ([columns, _], rows) = (strips(program, pair.size), strip_rows(program, band));
     if rows.is_empty() {
@@ -117,7 +148,7 @@ fn sweep<R: Real>(
     }
     let group = tuning.tile_group();
     let launch = launch.starting_at([rows.start * columns * group, 0]);
-    launch.run([rows.len() * columns * group, channels], [group, 1])
+    launch.run([(rows.len() * columns + more) * group, 3], [group, 1])
 }
 
 /// The rows of tiles whose maps the gradient of those of a pair needs: one more on either side.
@@ -135,60 +166,143 @@ fn partial_len(program: &Program, size: ImageSize) -> usize {
 }
 
 impl<R: Real> Loss<R> {
-    /// Builds the kernels for images of at most `largest` pixels; gradients need three planes of maps, errors two.
-    pub fn new(kernels: &Kernels, largest: ImageSize, planes: usize) -> Result<Self> {
+    /// Builds the kernels for images of at most `largest` pixels, with room for the maps that `gradients` need.
+    pub fn new(kernels: &Kernels, largest: ImageSize, gradients: bool) -> Result<Self> {
         let program = kernels.build::<R>("loss")?;
         let zeros = |name, len| Array::zeros(kernels.device(), name, len);
-        // Those of all channels where a launch takes them all; of errors there is one set.
-        let sets = if planes > ERRORS && program.defines().tuning.group_style {
-            3
-        } else {
-            1
+        let plane = largest.plane();
+        let planes = match (program.defines().tuning.group_style, gradients) {
+            (true, true) => 3 * DERIVATIVE_PLANES,
+            (false, true) => DERIVATIVE_PLANES,
+            (true, false) => 0,
+            (false, false) => ERROR_PLANES,
         };
         Ok(Self {
-            maps: zeros("maps", sets * planes * largest.plane())?,
+            maps: zeros("maps", planes * plane)?,
+            errors: OnceLock::new(),
+            plane,
             partial: zeros("partial", partial_len(&program, largest))?,
             nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
+            nothing: zeros("nothing", 1)?,
+            device: kernels.device().clone(),
             program,
         })
     }
 
-    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render to `dimage`, and the sums of the strips.
-    pub fn gradient(&self, pair: &ImagePair<'_, R>, lambda: f64, dimage: &Array<R>) -> Result<()> {
+    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render to `dimage`, the sums of the strips, and what is wanted
+    /// beside them.
+    pub fn gradient(
+        &self,
+        pair: &ImagePair<'_, R>,
+        lambda: f64,
+        dimage: &Array<R>,
+        beside: Beside<'_, R>,
+    ) -> Result<()> {
+        let weights = [1.0 - lambda, lambda].map(|weight| weight / pair.values());
+        if self.by_group() {
+            return self.gradient_by_groups(pair, weights, dimage, beside);
+        }
         let (program, values) = (&self.program, 3 * pair.size.plane());
         let seen = seen_rows(pair);
-        let weights = [1.0 - lambda, lambda].map(|weight| weight / pair.values());
-        let launches = match self.program.defines().tuning.group_style {
-            true => 1,
-            false => 3,
-        };
-        for first in 0..launches {
-            let channels = 3 / launches;
-            let forward = self.maps_of(pair, first, 3 * channels);
-            sweep(forward, program, (pair, &seen), channels)?;
+        for channel in 0..3 {
+            let forward = self.strip_maps(pair, channel, false);
+            sweep(forward, program, (pair, &seen), 0)?;
             let backward = self
-                .channel("loss_backward", pair, first)
-                .array(&self.maps, channels * values)
+                .channel("loss_backward", pair, channel)
+                .array(&self.maps, values)
                 .reals::<R>(weights)
                 .array(dimage, values);
-            sweep(backward, program, (pair, &pair.band), channels)?;
+            sweep(backward, program, (pair, &pair.band), 0)?;
         }
-        Ok(())
+        if let Some((losses, slot)) = beside.losses {
+            self.sum(pair, losses, slot)?;
+        }
+        match beside.errors {
+            true => self.errors(&pair.clone().everywhere()),
+            false => Ok(()),
+        }
     }
 
-    /// Writes the channel means of 1 − SSIM and |x − y| to the maps, and the sums of the strips; the time is counted as
-    /// importance's.
+    /// [`Loss::gradient`] in two launches, all channels at once, whatever is wanted beside it.
+    fn gradient_by_groups(
+        &self,
+        pair: &ImagePair<'_, R>,
+        weights: [f64; 2],
+        dimage: &Array<R>,
+        beside: Beside<'_, R>,
+    ) -> Result<()> {
+        let mut pair = pair.clone();
+        if beside.errors {
+            // What is blank has the same gradient, skipped or not.
+            pair = pair.everywhere();
+        }
+        let (program, plane) = (&self.program, pair.size.plane());
+        let errors = if beside.errors { ERRORS } else { 0 };
+        let forward = self.group_maps(&pair, DERIVATIVES | errors)?;
+        sweep(forward, program, (&pair, &seen_rows(&pair)), 0)?;
+        let len = partial_len(program, pair.size);
+        let (losses, slot) = beside.losses.unwrap_or((&self.nothing, 0));
+        let backward = self
+            .channel("loss_backward", &pair, 0)
+            .array(&self.maps, 3 * DERIVATIVE_PLANES * plane)
+            .reals::<R>(weights)
+            .array(dimage, 3 * plane)
+            .array(&self.partial, len)
+            .reals::<R>([1.0 / pair.values()])
+            .array(losses, 2 * slot + 1)
+            .uints([slot]);
+        let more = usize::from(beside.losses.is_some());
+        sweep(backward, program, (&pair, &pair.band), more)
+    }
+
+    /// Writes thirds of 1 − SSIM and |x − y| of each channel, or their sums, to the error maps, and the sums of the strips; the time is
+    /// counted as importance's.
     pub fn errors(&self, pair: &ImagePair<'_, R>) -> Result<()> {
-        // A work-group goes through all channels.
-        let launches = match self.program.defines().tuning.group_style {
-            true => 1,
-            false => 3,
-        };
-        (0..launches).try_for_each(|channel| {
-            let launch = self.maps_of(pair, channel, ERRORS);
+        let launch = |launch: Launch<'_>| {
             let launch = launch.counted_as("importance");
-            sweep(launch, &self.program, (pair, &pair.band), 1)
-        })
+            sweep(launch, &self.program, (pair, &pair.band), 0)
+        };
+        match self.by_group() {
+            true => launch(self.group_maps(pair, ERRORS)?),
+            false => (0..3).try_for_each(|channel| launch(self.strip_maps(pair, channel, true))),
+        }
+    }
+
+    /// Leaves the sums of the strips of a pair.
+    pub fn compare(&self, pair: &ImagePair<'_, R>) -> Result<()> {
+        match self.by_group() {
+            true => sweep(
+                self.group_maps(pair, 0)?,
+                &self.program,
+                (pair, &pair.band),
+                0,
+            ),
+            false => self.errors(pair),
+        }
+    }
+
+    /// The error maps of the pair compared last, \[[`Tuning::error_sets`], 2, rows, stride\]: 1 − SSIM and |x − y|, to be added up over the
+    /// sets.
+    ///
+    /// # Errors
+    /// No room for them.
+    ///
+    /// [`Tuning::error_sets`]: crate::device::tuning::Tuning::error_sets
+    pub fn error_maps(&self) -> Result<&Array<R>> {
+        if !self.by_group() {
+            return Ok(&self.maps);
+        }
+        if let Some(maps) = self.errors.get() {
+            return Ok(maps);
+        }
+        let maps = Array::zeros(&self.device, "error maps", 3 * ERROR_PLANES * self.plane)?;
+        Ok(self.errors.get_or_init(|| maps))
+    }
+
+    /// Number of planes of [`Loss::error_maps`].
+    #[must_use]
+    pub fn error_planes(&self) -> usize {
+        self.program.defines().tuning.error_sets() * ERROR_PLANES
     }
 
     /// Writes the means of |x − y| and SSIM, from the sums of the strips, to `out[2·slot..]`.
@@ -218,22 +332,41 @@ impl<R: Real> Loss<R> {
         self.partial.read(0, partial_len(&self.program, size))
     }
 
-    /// A sweep that writes so many planes of maps from a channel on, those of errors or of derivatives, and the sums of the strips.
-    fn maps_of(&self, pair: &ImagePair<'_, R>, channel: usize, planes: usize) -> Launch<'_> {
-        let errors = planes == ERRORS;
-        let by_group = self.program.defines().tuning.group_style;
-        let kernel = match errors && by_group {
-            true => "loss_errors",
-            false => "loss_forward",
+    fn by_group(&self) -> bool {
+        self.program.defines().tuning.group_style
+    }
+
+    /// A sweep over the strips of a channel that writes its derivative maps, or adds to the error maps.
+    fn strip_maps(&self, pair: &ImagePair<'_, R>, channel: usize, errors: bool) -> Launch<'_> {
+        let planes = if errors {
+            ERROR_PLANES
+        } else {
+            DERIVATIVE_PLANES
+        };
+        self.channel("loss_forward", pair, channel)
+            .array(&self.maps, planes * pair.size.plane())
+            .array(&self.partial, partial_len(&self.program, pair.size))
+            .value(i32::from(errors))
+    }
+
+    /// A sweep by work-groups that writes maps of all channels.
+    fn group_maps(&self, pair: &ImagePair<'_, R>, wanted: i32) -> Result<Launch<'_>> {
+        let maps = |maps, planes: usize| (maps, 3 * planes * pair.size.plane());
+        let (derivatives, values) = match wanted & DERIVATIVES {
+            0 => (&self.nothing, 1),
+            _ => maps(&self.maps, DERIVATIVE_PLANES),
+        };
+        let (errors, error_values) = match wanted & ERRORS {
+            0 => (&self.nothing, 1),
+            _ => maps(self.error_maps()?, ERROR_PLANES),
         };
         let launch = self
-            .channel(kernel, pair, channel)
-            .array(&self.maps, planes * pair.size.plane())
-            .array(&self.partial, partial_len(&self.program, pair.size));
-        match by_group {
-            true => launch,
-            false => launch.value(i32::from(errors)),
-        }
+            .channel("loss_forward", pair, 0)
+            .array(derivatives, values)
+            .array(&self.partial, partial_len(&self.program, pair.size))
+            .array(errors, error_values)
+            .value(wanted);
+        Ok(launch)
     }
 
     /// A sweep over a channel of both images.

@@ -16,19 +16,19 @@ pub fn score<R: Real>(stage: &Program, pair: &ImagePair<'_, R>, score: &Array<R>
 }
 
 /// Sums 1 − SSIM of each row over its pixels that count into row 2 of `score`; `maps` are those of
-/// [`crate::pipeline::stage::loss::Loss::errors`] of the clamped render.
+/// [`crate::pipeline::stage::loss::Loss::error_maps`] of the clamped render, of so many planes.
 pub fn sum_dissimilarity<R: Real>(
     stage: &Program,
     pair: &ImagePair<'_, R>,
-    maps: &Array<R>,
+    (maps, planes): (&Array<R>, usize),
     score: &Array<R>,
 ) -> Result<()> {
-    let ([_, h], [stride, _]) = (pair.size.0, pair.size.padded());
+    let h = pair.size.0[1];
     stage
         .launch("metrics_ssim")
-        .array(maps, pair.size.plane())
+        .array(maps, planes * pair.size.plane())
         .photo(pair.photo, pair.size)
-        .ints([stride])
+        .ints(pair.size.padded())
         .array(score, 3 * h)
         .over_groups(h)
 }
