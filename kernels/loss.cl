@@ -471,9 +471,6 @@ static inline void compare(const Images *s, const Part *part, int active, __loca
   barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-#define DERIVATIVES 1 // of `wanted`
-#define ERRORS 2
-
 // Launch: one work-group of TILE x TILE work-items per two tiles side by side and channel. Results as in the other style, but that
 // `partial` has the sums of these parts, that each channel has derivative maps of its own, and that errors may be wanted beside them: a
 // third of them for each channel, so that their sums over the channels are what the other style writes. Work-items of the padding and of
@@ -500,13 +497,13 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS, __global real *errors, int wan
     total += (real2)(d, ssim);
     if (x >= stride) continue;
     const size_t at = (size_t)y * stride + x;
-    if (wanted & DERIVATIVES) {
+    if (wanted & LOSS_DERIVATIVES) {
       __global real *to = maps + 3 * channel * s.plane + at;
       to[0] = dmx;
       to[s.plane] = dxx;
       to[2 * s.plane] = dxy;
     }
-    if (wanted & ERRORS) {
+    if (wanted & LOSS_ERRORS) {
       __global real *to = errors + 2 * channel * s.plane + at;
       to[0] = (R(1.0) - ssim) * (R(1.0) / R(3.0));
       to[s.plane] = d * (R(1.0) / R(3.0));

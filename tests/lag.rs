@@ -185,7 +185,7 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
         let plan = plan.with_strategy(kind, strategy.as_ref());
         // A record says what was asked for, on any device.
         assert_eq!(plan.config, *config);
-        plan.density_lag.value
+        plan.schedule().density_lag(0)
     };
     let config = TrainConfig::default();
     assert_eq!(lag(DeviceKind::Cpu, &config), 0);
@@ -210,6 +210,11 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
             iterations: 800,
         });
         assert_eq!(schedule.density_lag(200), after);
+        schedule.set_length(Length {
+            from: 300,
+            iterations: 30_000,
+        });
+        assert_eq!(schedule.density_lag(400), 16);
         // A rank lags as its leader does, whatever its own device is.
         let led = plan.led_by(DeviceKind::Cpu);
         let led = led.with_strategy(DeviceKind::Gpu, strategy.as_ref());

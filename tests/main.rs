@@ -74,8 +74,8 @@ use std::sync::LazyLock;
 
 use mhsplat::Device;
 
-/// The device of tests that look at kernels: one for all of them, so that no kernel is built twice. Who trains, or reads what a device
-/// counts, opens one of its own.
+/// The device of tests that look at kernels: one for all of them, so that no kernel is built twice. Its times say nothing, because several
+/// tests use it at once; who trains, or reads what a device counts, opens one of its own.
 fn device() -> Device {
     static DEVICE: LazyLock<Device> = LazyLock::new(|| Device::open(None).unwrap());
     DEVICE.clone()

@@ -48,6 +48,10 @@ pub const SHARING_GROUPS: usize = 1024;
 pub const SORT_BINS: u32 = 8;
 /// Bits of the number of elements that a work-group of sort_scatter sorts at a time.
 pub const SORT_BLOCK_BITS: u32 = 10;
+/// Maps that a sweep of the loss writes in the group style, as bits: derivatives of SSIM, errors.
+pub const LOSS_DERIVATIVES: u32 = 1;
+/// See [`LOSS_DERIVATIVES`].
+pub const LOSS_ERRORS: u32 = 2;
 /// Image rows per work-item of the loss.
 pub const LOSS_ROWS: u32 = 8;
 /// Pixels of a row per work-item of the shrink stage.

@@ -21,7 +21,7 @@ pub struct WorkConfig {
     /// Morton order of the Gaussians, so that neighbours in space are neighbours in memory.
     pub morton_order: bool,
     /// Iterations that training goes on for while a density step is decided, at most half of the interval between two; 0: it waits (absent:
-    /// 16, or a sixth of the interval that the run begins with, on devices that are not the processor that decides, else 0).
+    /// 16, or a sixth of the interval if that is less, on devices that are not the processor that decides, else 0).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub density_lag: Option<u32>,
     /// Culling of whole chunks of neighbouring Gaussians that a view cannot see. Changes no result.

@@ -91,6 +91,8 @@ impl Defines {
         int("GROUP_BINS", u64::from(constants::SORT_BINS));
         int("BLOCK_BITS", u64::from(constants::SORT_BLOCK_BITS));
         int("TAPS", constants::SSIM_TAPS as u64);
+        int("LOSS_DERIVATIVES", u64::from(constants::LOSS_DERIVATIVES));
+        int("LOSS_ERRORS", u64::from(constants::LOSS_ERRORS));
         int("ERROR_SETS", self.tuning.error_sets() as u64);
         int("LOSS_ROWS", u64::from(constants::LOSS_ROWS));
         int("SHRINK_RUN", u64::from(constants::SHRINK_RUN));

@@ -158,7 +158,7 @@ impl Kernels {
             }
         };
         let names = core::get_program_info(&program, ProgramInfo::KernelNames)
-            .map_err(|e| device_error(stage, &e, BUG))?
+            .map_err(|e| device_error(stage, &e, COMPILER))?
             .to_string();
         let names = names.trim_end_matches('\0').split(';');
         Ok(Program {
@@ -173,19 +173,19 @@ impl Kernels {
 }
 
 /// Advice where a kernel cannot be built.
-const BUG: &str = "if the log names no line, memory may have run out for the compiler (ulimit -v, a container's limit): allow more; \
+const COMPILER: &str = "if the log names no line, memory may have run out for the compiler (ulimit -v, a container's limit): allow more; \
                    else update the driver or select another device";
 
 /// The driver's build of a source.
 fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<core::Program> {
-    let bytes =
-        CString::new(text).map_err(|_| Error::device(stage, "the source holds a NUL byte", BUG))?;
+    let bytes = CString::new(text)
+        .map_err(|_| Error::device(stage, "the source holds a NUL byte", COMPILER))?;
     let program = core::create_program_with_source(&inner.context, &[bytes])
-        .map_err(|e| device_error(stage, &e, BUG))?;
+        .map_err(|e| device_error(stage, &e, COMPILER))?;
     let apart = inner.seat.as_ref().map(Seat::options).unwrap_or_default();
     let options = format!("-cl-std=CL1.2 -cl-kernel-arg-info{apart}");
     let options = CString::new(options)
-        .map_err(|_| Error::device(stage, "the options hold a NUL byte", BUG))?;
+        .map_err(|_| Error::device(stage, "the options hold a NUL byte", COMPILER))?;
     let built = core::build_program(&program, Some(&[inner.id]), &options, None, None);
     // A build that fails without a log is no error to `ocl_core`.
     let status = core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildStatus);
@@ -204,6 +204,6 @@ fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<core::Progr
     Err(Error::device(
         format!("build {stage}.cl"),
         format!("the device's compiler says:\n{}", log.trim()),
-        BUG,
+        COMPILER,
     ))
 }

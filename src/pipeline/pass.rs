@@ -130,12 +130,12 @@ impl<R: Real> Pipeline<R> {
         lambda: f64,
         beside: Beside<'_, R>,
     ) -> Result<()> {
-        // Ranks put their sums together first.
-        let here = match &self.share {
-            Some(_) => Beside::NOTHING,
-            None => beside,
+        let fused = Beside {
+            // Ranks put their sums together first.
+            losses: beside.losses.filter(|_| self.share.is_none()),
+            ..beside
         };
-        self.loss.gradient(pair, lambda, &self.dimage, here)?;
+        self.loss.gradient(pair, lambda, &self.dimage, fused)?;
         let frame = &self.forward.frame;
         if let Some(exposure) = &self.exposure {
             if let Some(share) = &self.share {
@@ -144,15 +144,16 @@ impl<R: Real> Pipeline<R> {
             }
             exposure.stage.backward(frame, view, &self.dimage)?;
         }
-        let Some(share) = &self.share else {
-            return Ok(());
-        };
-        if let Some((losses, slot)) = beside.losses
-            && share.sum_loss(&self.loss, pair)?
-        {
-            self.loss.sum(pair, losses, slot)?;
+        if let Some((losses, slot)) = beside.losses {
+            let here = match &self.share {
+                Some(share) => share.sum_loss(&self.loss, pair)?,
+                None => !self.loss.fuses(),
+            };
+            if here {
+                self.loss.sum(pair, losses, slot)?;
+            }
         }
-        match beside.errors {
+        match beside.errors && !self.loss.fuses() {
             true => self.errors(&pair.clone().everywhere()),
             false => Ok(()),
         }
@@ -179,7 +180,7 @@ impl<R: Real> Pipeline<R> {
         Ok(sums.into_iter().map(Into::into).collect())
     }
 
-    /// Adds the errors of the pair compared last at the projected centres of the Gaussians to their statistics, which `first_view` starts
+    /// Adds the errors of the pair whose errors were wanted last at the projected centres of the Gaussians to their statistics, which `first_view` starts
     /// anew.
     pub fn add_errors(
         &self,
@@ -243,7 +244,7 @@ impl<R: Real> Pipeline<R> {
         Ok((0..scene.count).map(|i| weight(i) as f32).collect())
     }
 
-    /// Error maps of the pair compared last, and the number of their planes ([`Loss::error_maps`]).
+    /// Error maps of the pair whose errors were wanted last, and the number of their planes ([`Loss::error_maps`]).
     ///
     /// # Errors
     /// No room for them.

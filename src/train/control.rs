@@ -175,7 +175,7 @@ impl Control {
         (iteration >= first).then_some(iteration == first)
     }
 
-    /// Adds the errors of the pair compared last to the statistics, which `first_view` starts anew.
+    /// Adds the errors that were wanted last to the statistics, which `first_view` starts anew.
     pub fn observe(
         &self,
         pipeline: &Pipeline,

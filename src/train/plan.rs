@@ -163,8 +163,8 @@ impl Plan {
             Some(lag) => Decided::new(lag, Why::TrainsOn(lag)),
             None if kind == DeviceKind::Cpu => Decided::new(0, Why::SameProcessor),
             None => {
-                let lag = DENSITY_LAG.min(Schedule::new(&self.config).most_lag(0));
-                Decided::new(lag, Why::TrainsOn(lag))
+                let first = DENSITY_LAG.min(Schedule::new(&self.config).most_lag(0));
+                Decided::new(DENSITY_LAG, Why::TrainsOn(first.max(1)))
             }
         };
         self

@@ -138,6 +138,21 @@ fn of_blankish(
         errors: false,
     };
     loss.gradient(&pair, 0.2, &dimage, beside).unwrap();
+    if loss.fuses() {
+        // Errors are of everything, and take nothing from the gradient.
+        let with_errors = used("dimage", 3 * STRIDE * ROWS);
+        let also = Beside {
+            losses: None,
+            errors: true,
+        };
+        loss.gradient(&pair, 0.2, &with_errors, also).unwrap();
+        assert_eq!(with_errors.to_vec().unwrap(), dimage.to_vec().unwrap());
+        let beside = mean_errors(&loss, STRIDE * ROWS);
+        loss.errors(&pair.clone().everywhere()).unwrap();
+        assert_eq!(mean_errors(&loss, STRIDE * ROWS), beside);
+    } else {
+        loss.sum(&pair, &out, 0).unwrap();
+    }
     loss.errors(&pair).unwrap();
     let mut errors = mean_errors(&loss, STRIDE * ROWS);
     // The padding says nothing.
@@ -215,7 +230,10 @@ fn of_noise(tuning: Tuning, size: ImageSize) -> [Vec<f64>; 3] {
         band: 0..size.tiles()[1],
         blank: None,
     };
-    let loss = Loss::<f64>::new(&Kernels::new(&device, Defines::new(tuning)), size, true).unwrap();
+    // Images of a run are of several sizes.
+    let largest = ImageSize(size.0.map(|side| side + 20));
+    let kernels = Kernels::new(&device, Defines::new(tuning));
+    let loss = Loss::<f64>::new(&kernels, largest, true).unwrap();
     let used = |name, len| Array::from_slice(&device, name, &vec![7.0; len]).unwrap();
     let (dimage, out) = (used("dimage", 3 * plane), used("losses", 2));
     let beside = Beside {
@@ -223,14 +241,19 @@ fn of_noise(tuning: Tuning, size: ImageSize) -> [Vec<f64>; 3] {
         errors: true,
     };
     loss.gradient(&pair, 0.2, &dimage, beside).unwrap();
-    let errors = mean_errors(&loss, plane);
-    // Beside the gradient there is what there is alone.
-    loss.errors(&pair).unwrap();
-    assert_eq!(errors, mean_errors(&loss, plane));
     let alone = Array::zeros(&device, "alone", 4).unwrap();
     loss.sum(&pair, &alone, 1).unwrap();
-    assert_eq!(alone.read(2, 2).unwrap(), out.to_vec().unwrap());
-    [out.to_vec().unwrap(), dimage.to_vec().unwrap(), errors]
+    let sums = alone.read(2, 2).unwrap();
+    if loss.fuses() {
+        // Beside the gradient there is what there is alone.
+        assert_eq!(out.to_vec().unwrap(), sums);
+        let beside = mean_errors(&loss, plane);
+        loss.errors(&pair).unwrap();
+        assert_eq!(mean_errors(&loss, plane), beside);
+    }
+    loss.errors(&pair).unwrap();
+    let errors = mean_errors(&loss, plane);
+    [sums, dimage.to_vec().unwrap(), errors]
 }
 
 #[test]

@@ -279,16 +279,13 @@ impl<'a, R: Real> Pass<'a, R> {
         let losses = Array::zeros(self.device, "losses", 2)?;
         // What is blank is skipped in most iterations; where density control gathers errors there is everything at once.
         let [lambda, ..] = self.case.lambdas;
-        let beside = Beside {
+        let mut beside = Beside {
             losses: Some((&losses, 0)),
             errors: false,
         };
         pipeline.loss_gradient(0, &pair, lambda, beside)?;
         let gradient = self.image(pipeline.image_gradient(), 0..3)?;
-        let beside = Beside {
-            errors: true,
-            ..beside
-        };
+        beside.errors = true;
         pipeline.loss_gradient(0, &pair, lambda, beside)?;
         let stage = self.kernels.build::<R>("importance")?;
         let sums = Array::zeros(self.device, "cues", 3 * self.scene.stride)?;
@@ -296,13 +293,11 @@ impl<'a, R: Real> Pass<'a, R> {
             pipeline.add_errors(&stage, &self.scene, first_view, &sums)?;
         }
         let (maps, planes) = pipeline.error_maps()?;
-        let mut sets = (0..planes)
-            .step_by(2)
-            .map(|first| self.image(maps, first..first + 2));
-        let mut maps = sets.next().transpose()?.unwrap_or_default();
-        for set in sets {
-            let set = set?;
-            maps.iter_mut().zip(set).for_each(|(sum, v)| *sum += v);
+        let set = |first| self.image(maps, first..first + 2);
+        let mut errors = set(0)?;
+        for first in (2..planes).step_by(2) {
+            let more = set(first)?;
+            errors.iter_mut().zip(more).for_each(|(sum, v)| *sum += v);
         }
         self.add("loss", "L1, SSIM", widen(losses.to_vec()?), |r, _| {
             vec![r.pass.loss.l1, r.pass.loss.ssim]
@@ -311,7 +306,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let floor = 1.0 / gradient.len() as f64;
         let want = |r: &Reference, _: &Outcome| r.pass.loss.gradient.clone();
         *self.add("loss", "gradient", gradient, want) = floor;
-        self.add("loss", "error maps", maps, |r, _| {
+        self.add("loss", "error maps", errors, |r, _| {
             let loss = &r.pass.loss;
             [loss.ssim_error.as_slice(), &loss.l1_error].concat()
         });

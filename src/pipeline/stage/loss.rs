@@ -3,7 +3,9 @@
 use std::ops::Range;
 use std::sync::OnceLock;
 
-use crate::base::constants::{LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS, TILE};
+use crate::base::constants::{
+    LOSS_DERIVATIVES, LOSS_ERRORS, LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS, TILE,
+};
 use crate::base::error::Result;
 use crate::device::{Array, Device, ImageSize, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::{Blank, ViewBuffers};
@@ -76,14 +78,14 @@ pub struct Loss<R: Real> {
     pub partial: Array<R>,
     /// An array for the arguments that say what is blank, when nothing does.
     nowhere: Array<u32>,
-    /// An array for the maps that nobody wants.
+    /// An array for the maps and the losses that nobody wants.
     nothing: Array<R>,
 }
 
-/// Results that a gradient of the loss leaves beside itself.
+/// Results that are wanted beside a gradient of the loss.
 #[derive(Debug, Clone, Copy)]
 pub struct Beside<'a, R: Real> {
-    /// The array of losses and the slot of it for mean |x − y| and mean SSIM; `None` if they are not wanted.
+    /// The array of losses and the slot of it for mean |x − y| and mean SSIM of a whole view; `None` if they are not wanted.
     pub losses: Option<(&'a Array<R>, usize)>,
     /// Error maps of the pair, of which nothing is skipped.
     pub errors: bool,
@@ -96,10 +98,6 @@ impl<R: Real> Beside<'_, R> {
         errors: false,
     };
 }
-
-/// Maps that a sweep writes in the group style, as bits (`kernels/loss.cl`).
-const DERIVATIVES: i32 = 1;
-const ERRORS: i32 = 2;
 
 /// Numbers of parts of an image, by columns and rows: two tiles side by side if each is a work-group's, else the work-items' strips.
 fn strips(program: &Program, size: ImageSize) -> [usize; 2] {
@@ -183,14 +181,20 @@ impl<R: Real> Loss<R> {
             plane,
             partial: zeros("partial", partial_len(&program, largest))?,
             nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
-            nothing: zeros("nothing", 1)?,
+            nothing: zeros("nothing", 2)?,
             device: kernels.device().clone(),
             program,
         })
     }
 
-    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render to `dimage`, the sums of the strips, and what is wanted
-    /// beside them.
+    /// True if [`Loss::gradient`] does what is wanted beside it in its own launches.
+    #[must_use]
+    pub fn fuses(&self) -> bool {
+        self.program.defines().tuning.group_style
+    }
+
+    /// Writes the gradient of (1 − λ)·L1 + λ·(1 − SSIM) with respect to the render to `dimage`, and the sums of the strips; where it
+    /// [fuses](Loss::fuses) them, what is wanted beside it, too.
     pub fn gradient(
         &self,
         pair: &ImagePair<'_, R>,
@@ -199,7 +203,7 @@ impl<R: Real> Loss<R> {
         beside: Beside<'_, R>,
     ) -> Result<()> {
         let weights = [1.0 - lambda, lambda].map(|weight| weight / pair.values());
-        if self.by_group() {
+        if self.fuses() {
             return self.gradient_by_groups(pair, weights, dimage, beside);
         }
         let (program, values) = (&self.program, 3 * pair.size.plane());
@@ -214,13 +218,7 @@ impl<R: Real> Loss<R> {
                 .array(dimage, values);
             sweep(backward, program, (pair, &pair.band), 0)?;
         }
-        if let Some((losses, slot)) = beside.losses {
-            self.sum(pair, losses, slot)?;
-        }
-        match beside.errors {
-            true => self.errors(&pair.clone().everywhere()),
-            false => Ok(()),
-        }
+        Ok(())
     }
 
     /// [`Loss::gradient`] in two launches, all channels at once, whatever is wanted beside it.
@@ -231,28 +229,27 @@ impl<R: Real> Loss<R> {
         dimage: &Array<R>,
         beside: Beside<'_, R>,
     ) -> Result<()> {
-        let mut pair = pair.clone();
-        if beside.errors {
-            // What is blank has the same gradient, skipped or not.
-            pair = pair.everywhere();
-        }
         let (program, plane) = (&self.program, pair.size.plane());
-        let errors = if beside.errors { ERRORS } else { 0 };
-        let forward = self.group_maps(&pair, DERIVATIVES | errors)?;
-        sweep(forward, program, (&pair, &seen_rows(&pair)), 0)?;
-        let len = partial_len(program, pair.size);
+        let seen = seen_rows(pair);
+        let forward = if beside.errors {
+            // Pixels that have a gradient see no maps but those that are never skipped.
+            self.group_maps(&pair.clone().everywhere(), LOSS_DERIVATIVES | LOSS_ERRORS)?
+        } else {
+            self.group_maps(pair, LOSS_DERIVATIVES)?
+        };
+        sweep(forward, program, (pair, &seen), 0)?;
         let (losses, slot) = beside.losses.unwrap_or((&self.nothing, 0));
         let backward = self
-            .channel("loss_backward", &pair, 0)
+            .channel("loss_backward", pair, 0)
             .array(&self.maps, 3 * DERIVATIVE_PLANES * plane)
             .reals::<R>(weights)
             .array(dimage, 3 * plane)
-            .array(&self.partial, len)
+            .array(&self.partial, partial_len(program, pair.size))
             .reals::<R>([1.0 / pair.values()])
-            .array(losses, 2 * slot + 1)
+            .array(losses, 2 * (slot + 1))
             .uints([slot]);
         let more = usize::from(beside.losses.is_some());
-        sweep(backward, program, (&pair, &pair.band), more)
+        sweep(backward, program, (pair, &pair.band), more)
     }
 
     /// Writes thirds of 1 − SSIM and |x − y| of each channel, or their sums, to the error maps, and the sums of the strips; the time is
@@ -262,15 +259,15 @@ impl<R: Real> Loss<R> {
             let launch = launch.counted_as("importance");
             sweep(launch, &self.program, (pair, &pair.band), 0)
         };
-        match self.by_group() {
-            true => launch(self.group_maps(pair, ERRORS)?),
+        match self.fuses() {
+            true => launch(self.group_maps(pair, LOSS_ERRORS)?),
             false => (0..3).try_for_each(|channel| launch(self.strip_maps(pair, channel, true))),
         }
     }
 
     /// Leaves the sums of the strips of a pair.
     pub fn compare(&self, pair: &ImagePair<'_, R>) -> Result<()> {
-        match self.by_group() {
+        match self.fuses() {
             true => sweep(
                 self.group_maps(pair, 0)?,
                 &self.program,
@@ -281,7 +278,7 @@ impl<R: Real> Loss<R> {
         }
     }
 
-    /// The error maps of the pair compared last, \[[`Tuning::error_sets`], 2, rows, stride\]: 1 − SSIM and |x − y|, to be added up over the
+    /// The error maps of the pair whose errors were wanted last, \[[`Tuning::error_sets`], 2, rows, stride\]: 1 − SSIM and |x − y|, to be added up over the
     /// sets.
     ///
     /// # Errors
@@ -289,13 +286,13 @@ impl<R: Real> Loss<R> {
     ///
     /// [`Tuning::error_sets`]: crate::device::tuning::Tuning::error_sets
     pub fn error_maps(&self) -> Result<&Array<R>> {
-        if !self.by_group() {
+        if !self.fuses() {
             return Ok(&self.maps);
         }
         if let Some(maps) = self.errors.get() {
             return Ok(maps);
         }
-        let maps = Array::zeros(&self.device, "error maps", 3 * ERROR_PLANES * self.plane)?;
+        let maps = Array::zeros(&self.device, "error maps", self.error_planes() * self.plane)?;
         Ok(self.errors.get_or_init(|| maps))
     }
 
@@ -332,10 +329,6 @@ impl<R: Real> Loss<R> {
         self.partial.read(0, partial_len(&self.program, size))
     }
 
-    fn by_group(&self) -> bool {
-        self.program.defines().tuning.group_style
-    }
-
     /// A sweep over the strips of a channel that writes its derivative maps, or adds to the error maps.
     fn strip_maps(&self, pair: &ImagePair<'_, R>, channel: usize, errors: bool) -> Launch<'_> {
         let planes = if errors {
@@ -350,22 +343,22 @@ impl<R: Real> Loss<R> {
     }
 
     /// A sweep by work-groups that writes maps of all channels.
-    fn group_maps(&self, pair: &ImagePair<'_, R>, wanted: i32) -> Result<Launch<'_>> {
-        let maps = |maps, planes: usize| (maps, 3 * planes * pair.size.plane());
-        let (derivatives, values) = match wanted & DERIVATIVES {
+    fn group_maps(&self, pair: &ImagePair<'_, R>, wanted: u32) -> Result<Launch<'_>> {
+        let plane = pair.size.plane();
+        let (derivatives, values) = match wanted & LOSS_DERIVATIVES {
             0 => (&self.nothing, 1),
-            _ => maps(&self.maps, DERIVATIVE_PLANES),
+            _ => (&self.maps, 3 * DERIVATIVE_PLANES * plane),
         };
-        let (errors, error_values) = match wanted & ERRORS {
+        let (errors, error_values) = match wanted & LOSS_ERRORS {
             0 => (&self.nothing, 1),
-            _ => maps(self.error_maps()?, ERROR_PLANES),
+            _ => (self.error_maps()?, self.error_planes() * plane),
         };
         let launch = self
             .channel("loss_forward", pair, 0)
             .array(derivatives, values)
             .array(&self.partial, partial_len(&self.program, pair.size))
             .array(errors, error_values)
-            .value(wanted);
+            .value(wanted as i32);
         Ok(launch)
     }
 
