@@ -146,7 +146,12 @@ fn of_blankish(
             errors: true,
         };
         loss.gradient(&pair, 0.2, &with_errors, also).unwrap();
-        assert_eq!(with_errors.to_vec().unwrap(), dimage.to_vec().unwrap());
+        let [got, want] = [&with_errors, &dimage].map(|image| image.to_vec().unwrap());
+        let has_pairs = |at: usize| {
+            let tile = at / STRIDE % ROWS / 16 * (STRIDE / 16) + at % STRIDE / 16;
+            picture.tile_start[tile] < picture.tile_start[tile + 1]
+        };
+        assert!((0..got.len()).all(|at| !has_pairs(at) || got[at].to_bits() == want[at].to_bits()));
         let beside = mean_errors(&loss, STRIDE * ROWS);
         loss.errors(&pair.clone().everywhere()).unwrap();
         assert_eq!(mean_errors(&loss, STRIDE * ROWS), beside);
