@@ -250,7 +250,7 @@ impl Schedule {
     }
 
     /// Iterations that training does between the begin of a density step after `done` iterations and its end: the plan's, but no more
-    /// than [`Schedule::most_lag`], and whole batches.
+    /// than half of the interval, or a sixth where none was asked for, and whole batches.
     #[must_use]
     pub fn density_lag(&self, done: u32) -> u32 {
         let lag = self.density_lag.min(self.most_lag(done));
