@@ -143,7 +143,7 @@ fn what_cannot_be_allocated_or_built_is_named() {
     );
     assert!(!run.exists());
     // In the middle, where a density step asks for larger arrays, what was saved stays.
-    let late = failing(&library, &run, "clCreateBuffer", 165, MEMORY);
+    let late = failing(&library, &run, "clCreateBuffer", 173, MEMORY);
     refuses(&late, &["allocate", "lower", "iterations is saved"]);
     assert!(checkpoint::read(&run).is_ok());
 }
