@@ -1,5 +1,5 @@
-//! Composites a small scene in the style of GPUs, forward and backward, and prints how many pairs it has:
-//! `cargo run --release --example splat_pairs`. `.ci/gpu-check` counts within it how these kernels use local memory.
+//! Composites a small scene with the sizes of a class of GPUs (`gpu`, or `gpu-wide`), forward and backward, and prints how many pairs it has:
+//! `cargo run --release --example splat_pairs -- CLASS`. `.ci/gpu-check` counts within it how these kernels use local memory.
 
 use std::io::Write;
 
@@ -13,11 +13,14 @@ use mhsplat::{Error, Result};
 
 fn main() -> Result<()> {
     let case = mild("200 Gaussians, 48x32, SH 0", 200, [48, 32], 0, 5);
-    // An interpreter of kernels takes its time: few chunks, most of which would be empty.
-    let tuning = Tuning {
-        chunks: 2,
-        ..Tuning::GPU
+    let class = std::env::args().nth(1);
+    let sizes = match class.as_deref() {
+        Some("gpu") => Tuning::GPU,
+        Some("gpu-wide") => Tuning::GPU_WIDE,
+        _ => return Err(Error::config("CLASS", "missing: gpu or gpu-wide")),
     };
+    // An interpreter of kernels takes its time: few chunks, most of which would be empty.
+    let tuning = Tuning { chunks: 2, ..sizes };
     let defines = Defines::new(tuning);
     let device = Device::open(None)?;
     let scene = GaussianBuffers::<f32>::upload(&device, &case.splats, 0)?;

@@ -24,18 +24,27 @@ const FEWER: [(&str, usize); 3] = [
     ("bin_ranges", 6700),
 ];
 
-/// Training with a million Gaussians, all behind the camera so that little is computed.
-fn trainer(change: impl Fn(&mut TrainConfig)) -> (Device, Trainer) {
+/// Training with a million Gaussians, all behind the camera so that little is computed, and a photo with this meaning of alpha.
+fn trainer(alpha: Alpha, change: impl Fn(&mut TrainConfig)) -> (Device, Trainer) {
+    let mut config = TrainConfig {
+        sampler: Sampler::None,
+        sh_degree: 0,
+        ..TrainConfig::default()
+    };
+    config.work.resolution_levels = 0;
+    change(&mut config);
+    // The size that is used at first is always the same.
+    let size = SIZE.map(|side| side << config.work.resolution_levels);
     let device = Device::open(None).unwrap().with_tuning(Tuning::GPU);
     let mut data = room(64);
     let mut view = data.train[0].clone();
-    let [width, height] = SIZE;
+    let [width, height] = size;
     view.camera = view.camera.scaled_to(width, height);
     view.photo = Photo {
         width,
         height,
-        alpha: Alpha::None,
-        data: vec![128; 3 * (width * height) as usize],
+        alpha,
+        data: vec![128; alpha.planes() * (width * height) as usize],
     }
     .into();
     let behind = view.camera.center() - view.camera.rotation.row(2);
@@ -46,13 +55,6 @@ fn trainer(change: impl Fn(&mut TrainConfig)) -> (Device, Trainer) {
     }
     planes[3..6].iter_mut().for_each(|plane| plane.fill(-8.0));
     planes[6].fill(1.0);
-    let mut config = TrainConfig {
-        sampler: Sampler::None,
-        sh_degree: 0,
-        ..TrainConfig::default()
-    };
-    config.work.resolution_levels = 0;
-    change(&mut config);
     let plan = Plan::new(&data, &config).unwrap();
     let splats = Gaussians::new(0, planes).unwrap();
     let mut trainer = Trainer::new(&device, &data, &plan, &splats).unwrap();
@@ -64,7 +66,12 @@ type Launches = Vec<(&'static str, usize)>;
 
 /// Launches of each of the first iterations of a run.
 fn launches(change: impl Fn(&mut TrainConfig), count: usize) -> Vec<Launches> {
-    let (device, mut trainer) = trainer(change);
+    launches_over(Alpha::None, change, count)
+}
+
+/// The same for photos with this meaning of alpha.
+fn launches_over(alpha: Alpha, change: impl Fn(&mut TrainConfig), count: usize) -> Vec<Launches> {
+    let (device, mut trainer) = trainer(alpha, change);
     let mut iterations = Vec::new();
     while iterations.len() < count {
         if !matches!(trainer.advance().unwrap(), Event::Iteration { .. }) {
@@ -129,16 +136,33 @@ fn exposure_compensation_adds_few_launches() {
     iterations.into_iter().for_each(check_work);
 }
 
+/// Everything that adds launches to an iteration, all of it in the twelfth, with photos at half their size.
+fn with_everything(config: &mut TrainConfig) {
+    with_steps(config);
+    config.iterations = 50;
+    config.work.resolution_levels = 1;
+}
+
 #[test]
 fn everything_at_once_has_no_more_launches_than_a_gpu_is_to_wait_for() {
-    let change = |config: &mut TrainConfig| {
-        with_steps(config);
-        config.exposure = ExposureChoice::On;
-        config.iterations = 50;
-    };
-    let iterations = launches(change, 12);
-    let counts: Vec<usize> = iterations.iter().map(Vec::len).collect();
-    assert_eq!(counts.iter().max(), Some(&35), "{counts:?}");
-    assert_eq!(counts[11], 35, "errors, exposure and noise: {counts:?}");
-    iterations.into_iter().for_each(check_work);
+    // Transparent photos have no exposure compensation.
+    for (alpha, exposure, most) in [
+        (Alpha::None, ExposureChoice::On, 35),
+        (Alpha::Mask, ExposureChoice::On, 35),
+        (Alpha::Transparency, ExposureChoice::Off, 32),
+    ] {
+        let change = |config: &mut TrainConfig| {
+            with_everything(config);
+            config.exposure = exposure;
+        };
+        let iterations = launches_over(alpha, change, 12);
+        let counts: Vec<usize> = iterations.iter().map(Vec::len).collect();
+        assert_eq!(counts[11], most, "errors, exposure and noise: {counts:?}");
+        assert_eq!(counts.iter().max(), Some(&most), "{counts:?}");
+        // They are made once for each photo, before the first iteration that is counted here.
+        let once = |name: &str| name == "shrink" || name == "active_tiles";
+        let names = iterations.iter().flatten().map(|(kernel, _)| *kernel);
+        assert!(!names.into_iter().any(once), "{alpha:?}");
+        iterations.into_iter().for_each(check_work);
+    }
 }

@@ -17,9 +17,10 @@ use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Array, Defines, Device, ImageSize, Kernels};
 use mhsplat::evaluate::{Evaluator, ViewScore};
 use mhsplat::pipeline::buffers::ViewSet;
-use mhsplat::pipeline::photos::{PhotoStats, Photos};
+use mhsplat::pipeline::photos::{PhotoStats, Photos, Wanted};
 use mhsplat::pipeline::stage::loss::ImagePair;
 use mhsplat::pipeline::stage::metrics::score;
+use mhsplat::pipeline::stage::shrink::shrink;
 use mhsplat::run::initial_gaussians;
 use mhsplat::scene::Gaussians;
 use mhsplat::train::Begun;
@@ -47,6 +48,11 @@ fn added(data: &Dataset) -> Photos {
         assert_eq!(photos.add(view.photo.clone()).unwrap(), i);
     }
     photos
+}
+
+/// A photo at its full size.
+const fn whole(photo: usize) -> Wanted {
+    Wanted { photo, divisor: 1 }
 }
 
 /// Waits until so many files have been decoded, and a little longer for those that should not be.
@@ -81,7 +87,7 @@ fn the_least_recently_used_photo_gives_way() {
         (1, true),
         (0, false),
     ] {
-        let array = photos.get(photo, []).unwrap();
+        let array = photos.get(whole(photo), []).unwrap();
         let expected = data.train[photo].photo.load().unwrap();
         assert_eq!(array.to_vec().unwrap(), expected.data);
         decoded += u64::from(!is_there);
@@ -101,13 +107,13 @@ fn the_least_recently_used_photo_gives_way() {
 fn photos_are_decoded_ahead_as_far_as_the_budget_goes() {
     let dir = colmap_scene(9, DVec3::ZERO, true);
     let photos = added(&within(dir.path(), 5 * SMALL).unwrap());
-    photos.get(0, 1..9).unwrap();
+    photos.get(whole(0), (1..9).map(whole)).unwrap();
     wait_for(&photos, 5);
     for photo in 1..5 {
-        photos.get(photo, photo + 1..5).unwrap();
+        photos.get(whole(photo), (photo + 1..5).map(whole)).unwrap();
     }
     assert_eq!((photos.stats().hits, photos.stats().misses), (4, 1));
-    photos.get(5, [6, 5, 6, 7]).unwrap();
+    photos.get(whole(5), [6, 5, 6, 7].map(whole)).unwrap();
     wait_for(&photos, 8);
     assert_eq!(photos.stats().peak_bytes, 5 * SMALL);
 }
@@ -119,11 +125,82 @@ fn photos_that_fit_are_uploaded_once() {
     assert!(!data.photos_on_demand());
     let photos = added(&data);
     for photo in [3, 0, 3, 1] {
-        photos.get(photo, [2]).unwrap();
+        photos.get(whole(photo), [whole(2)]).unwrap();
     }
     let stats = photos.stats();
     assert_eq!((stats.hits, stats.misses, stats.decoded), (4, 0, 0));
     assert_eq!(stats.peak_bytes, 4 * SMALL);
+}
+
+/// Bytes of a photo of [`colmap_scene`] at half its size.
+const HALF: u64 = SMALL / 4;
+
+/// Photos at half their size, then at their full size, of a dataset read within a budget; each is asked for `rounds` times in turn and
+/// compared with its definition.
+fn halved(budget: u64, rounds: usize) -> (PhotoStats, PhotoStats) {
+    let dir = colmap_scene(6, DVec3::ZERO, true);
+    let data = within(dir.path(), budget).unwrap();
+    let photos = added(&data);
+    let mut stats = Vec::new();
+    for divisor in [2, 1] {
+        for photo in (0..6).cycle().take(6 * rounds) {
+            let found = photos.get(Wanted { photo, divisor }, []).unwrap();
+            let expected = data.train[photo].photo.load().unwrap();
+            let expected = shrink(&expected, divisor as u32);
+            assert_eq!(found.to_vec().unwrap(), expected.data, "photo {photo}");
+        }
+        stats.push(photos.stats());
+    }
+    (stats[0], stats[1])
+}
+
+#[test]
+fn small_photos_are_decoded_once_where_whole_ones_would_not_fit() {
+    // All six at half the size, and the whole of one while it is decoded.
+    let (small, whole) = halved(6 * HALF + SMALL, 4);
+    assert_eq!((small.decoded, small.hits, small.misses), (6, 18, 6));
+    assert!(small.peak_bytes <= 6 * HALF + SMALL, "{small:?}");
+    // Two at full size: each is decoded anew in its turn.
+    assert_eq!(whole.decoded, 6 + 24);
+}
+
+#[test]
+fn small_photos_beside_whole_ones_keep_to_the_budget() {
+    for (room, kept) in [(0, 0), (HALF, 1), (6 * HALF, 6)] {
+        let (small, whole) = halved(6 * SMALL + room, 2);
+        assert_eq!(small.peak_bytes, 6 * SMALL + kept * HALF);
+        assert_eq!((whole.decoded, whole.hits, whole.misses), (0, 24, 0));
+    }
+}
+
+#[test]
+fn small_photos_ahead_leave_room_for_the_whole_of_one() {
+    let dir = colmap_scene(9, DVec3::ZERO, true);
+    let photos = added(&within(dir.path(), SMALL + 3 * HALF).unwrap());
+    let half = |photo| Wanted { photo, divisor: 2 };
+    photos.get(half(0), (1..9).map(half)).unwrap();
+    wait_for(&photos, 4);
+    for photo in 1..9 {
+        let next = (photo + 1..9).map(half);
+        photos.get(half(photo), next).unwrap();
+    }
+    assert!(photos.stats().peak_bytes <= SMALL + 3 * HALF);
+}
+
+#[test]
+fn a_run_that_began_at_full_size_says_why_it_stays_there() {
+    let begun = Begun {
+        anti_aliasing: Some(false),
+        detail: Some(Vec::new()),
+    };
+    for (size, reason) in [(128, "as in the checkpoint"), (64, "too small")] {
+        let data = room_within(size, None);
+        let detail = Plan::begun(&data, &TrainConfig::default(), &begun)
+            .unwrap()
+            .detail;
+        assert!(detail.value.is_empty());
+        assert!(detail.why.to_string().contains(reason), "{}", detail.why);
+    }
 }
 
 /// One photo with transparent pixels, one with an alpha channel and none.

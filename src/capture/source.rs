@@ -159,6 +159,16 @@ impl PhotoSource {
             .is_some_and(|found| found == digest(&vec![0; pixels]))
     }
 
+    /// Width and height of the decoded photo, pixels.
+    #[must_use]
+    pub fn size(&self) -> [usize; 2] {
+        let (width, height) = match self {
+            Self::Memory(photo) => (photo.width, photo.height),
+            Self::File(file) => file.size(),
+        };
+        [width, height].map(|side| side as usize)
+    }
+
     /// Size of the decoded photo in bytes.
     #[must_use]
     pub fn bytes(&self) -> u64 {

@@ -243,12 +243,10 @@ pub fn read(file: &Path, info: &DeviceInfo) -> Option<Tuning> {
     kept.tuning.fault(info).is_none().then_some(kept.tuning)
 }
 
-/// The class default and its alternatives: in the group style one size after the other is another.
-#[doc(hidden)]
+/// Alternatives to a class default, itself among them: in the group style one size after the other is another.
 #[must_use]
-pub fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
-    let own = Tuning::for_device(info);
-    let others: Vec<Tuning> = if own.group_style {
+pub fn alternatives(own: Tuning) -> Vec<Tuning> {
+    if own.group_style {
         let locals = [64, 128, 256].map(|local| Tuning { local, ..own });
         let chunks = [512, 1024, 2048].map(|chunks| Tuning { chunks, ..own });
         let bits = [4, 6, 8].map(|radix_bits| Tuning { radix_bits, ..own });
@@ -272,12 +270,19 @@ pub fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
             ..own
         };
         widths.map(width).to_vec()
-    };
+    }
+}
+
+/// The class default of a device and the alternatives that fit it.
+#[doc(hidden)]
+#[must_use]
+pub fn candidates(info: &DeviceInfo) -> Vec<Tuning> {
+    let own = Tuning::for_device(info);
     // Half the width can win where wide units are slow; a quarter never did.
     let fits =
         |t: &Tuning| *t != own && 2 * t.vector_width >= own.vector_width && t.fault(info).is_none();
     std::iter::once(own)
-        .chain(others.into_iter().filter(fits))
+        .chain(alternatives(own).into_iter().filter(fits))
         .collect()
 }
 

@@ -9,8 +9,9 @@ use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
 use crate::device::{Array, CameraArg, Device, ImageSize, Projected, Real};
-use crate::pipeline::photos::Photos;
-use crate::pipeline::room::{Load, ROUND, check_room, most_pairs};
+use crate::pipeline::photo_array::PhotoArray;
+use crate::pipeline::photos::{Photos, Wanted};
+use crate::pipeline::room::{Load, ROUND, check_room, image_planes, most_pairs};
 use crate::scene::{Gaussians, Plane};
 
 /// Tiles that are blank in a render and its photo.
@@ -206,7 +207,7 @@ pub struct ViewBuffers<R: Real> {
     /// Tile intersections of each chunk of the visible Gaussians and tile, then those of the chunks before.
     pub tile_counts: Array<u32>,
     /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear.
-    pub active_tiles: Array<u32>,
+    pub active_tiles: Arc<Array<u32>>,
     /// Pairs used of each tile.
     pub tile_used: Array<u32>,
     /// Red, green, blue, transmittance.
@@ -242,7 +243,7 @@ impl<R: Real> ViewBuffers<R> {
             snapshots: Array::zeros(device, "snapshots", 0)?,
             tile_start: ints("tile_start")?,
             tile_counts: ints("tile_counts")?,
-            active_tiles: ints("active_tiles")?,
+            active_tiles: Arc::new(ints("active_tiles")?),
             tile_used: ints("tile_used")?,
             image: Array::zeros(device, "image", 0)?,
             status: Array::zeros(device, "status", status::SLOTS)?,
@@ -431,6 +432,9 @@ impl<R: Real> ViewBuffers<R> {
             ));
         }
         let tiles = size.tile_count();
+        if self.active_tiles.len() < tiles {
+            self.active_tiles = Arc::new(Array::zeros(device, "active_tiles", tiles)?);
+        }
         if self.tile_used.len() >= tiles {
             return Ok(());
         }
@@ -440,8 +444,7 @@ impl<R: Real> ViewBuffers<R> {
             false => (self.tuning.chunks * tiles).min(MAX_COUNTERS).max(tiles),
         };
         self.tile_counts = Array::zeros(device, "tile_counts", counters)?;
-        self.image = Array::zeros(device, "image", 4 * size.plane())?;
-        self.active_tiles = Array::zeros(device, "active_tiles", tiles)?;
+        self.image = image_planes(device, "image", 4, size)?;
         self.tile_used = Array::zeros(device, "tile_used", tiles)?;
         Ok(())
     }
@@ -510,9 +513,26 @@ impl<R: Real> ViewSet<R> {
     ///
     /// # Errors
     /// See [`Photos::get`].
-    pub fn photo(&self, view: usize, next: &[usize]) -> Result<Arc<Array<u8>>> {
-        let next = next.iter().map(|v| self.numbers[*v]);
-        self.photos.get(self.numbers[view], next)
+    pub fn photo(&self, view: usize, next: &[usize]) -> Result<Arc<PhotoArray>> {
+        self.photo_at(view, next, |_| 1)
+    }
+
+    /// The same at a fraction of the size, of which `divisor` answers the divisor for a view.
+    ///
+    /// # Errors
+    /// See [`Photos::get`].
+    pub fn photo_at(
+        &self,
+        view: usize,
+        next: &[usize],
+        divisor: impl Fn(usize) -> usize,
+    ) -> Result<Arc<PhotoArray>> {
+        let wanted = |view: usize| Wanted {
+            photo: self.numbers[view],
+            divisor: divisor(view),
+        };
+        let next = next.iter().map(|view| wanted(*view));
+        self.photos.get(wanted(view), next)
     }
 
     /// The photo of a view, read back from the device.

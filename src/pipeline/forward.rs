@@ -1,5 +1,7 @@
 //! [`Renderer`]: the forward stages, in order.
 
+use std::sync::Arc;
+
 use crate::base::error::{Error, Result};
 use crate::capture::Camera;
 use crate::device::tuning::status;
@@ -28,7 +30,7 @@ pub struct RenderOptions {
     pub background: [f32; 3],
     /// Quantity that is composited.
     pub quantity: Quantity,
-    /// Only the active tiles of the photo ([`Renderer::active_tiles`]); no effect unless photos have masks.
+    /// Only the active tiles of the photo ([`ViewBuffers::active_tiles`]); no effect unless photos have masks.
     pub active_only: bool,
 }
 
@@ -262,10 +264,9 @@ impl<R: Real> Renderer<R> {
         bin::emit(&self.bin, f, active_only)
     }
 
-    /// Tiles in which a pixel of the photo counts, or is not clear: written by the stage active_tiles.
-    #[must_use]
-    pub fn active_tiles(&self) -> &Array<u32> {
-        &self.frame.active_tiles
+    /// Has the views from now on take these active tiles, of a photo at their size.
+    pub fn take_tiles(&mut self, active: Arc<Array<u32>>) {
+        self.frame.active_tiles = active;
     }
 
     /// Pairs of each tile of the view rendered last.

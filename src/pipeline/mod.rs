@@ -6,6 +6,7 @@ pub mod exposure;
 pub mod forward;
 mod launch;
 pub mod pass;
+pub mod photo_array;
 pub mod photos;
 pub mod reference;
 pub mod reference_pass;

@@ -6,9 +6,11 @@ use crate::pipeline::backward::Backward;
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::{RenderOptions, Renderer};
+use crate::pipeline::photo_array::PhotoArray;
+use crate::pipeline::room::image_planes;
 use crate::pipeline::share::Share;
+use crate::pipeline::stage::importance;
 use crate::pipeline::stage::loss::{Beside, ImagePair, Loss};
-use crate::pipeline::stage::{active_tiles, importance};
 use crate::scene::Plane;
 use crate::scene::sh::C0;
 
@@ -62,7 +64,7 @@ impl<R: Real> Pipeline<R> {
             share: None,
             exposure: None,
             loss: Loss::new(&kernels, largest, true)?,
-            dimage: Array::zeros(device, "dimage", 3 * largest.plane())?,
+            dimage: image_planes(device, "dimage", 3, largest)?,
             device: device.clone(),
         })
     }
@@ -81,7 +83,7 @@ impl<R: Real> Pipeline<R> {
         &mut self,
         scene: &GaussianBuffers<R>,
         camera: &CameraArg<R>,
-        photo: &Array<u8>,
+        photo: &PhotoArray,
         options: &RenderOptions,
     ) -> Result<()> {
         self.mark_tiles(photo, camera)?;
@@ -98,14 +100,13 @@ impl<R: Real> Pipeline<R> {
         share.map_or(&self.forward.frame, |share| &share.home)
     }
 
-    /// Marks the tiles of a photo in which a pixel counts.
-    pub fn mark_tiles(&self, photo: &Array<u8>, camera: &CameraArg<R>) -> Result<()> {
-        match &self.active_tiles {
-            Some(stage) => {
-                active_tiles::mark(stage, photo, camera.image(), self.forward.active_tiles())
-            }
-            None => Ok(()),
+    /// Has the stages take the tiles of a photo in which a pixel counts.
+    pub fn mark_tiles(&mut self, photo: &PhotoArray, camera: &CameraArg<R>) -> Result<()> {
+        if let Some(stage) = &self.active_tiles {
+            let marked = photo.active_tiles(&self.device, stage, camera.image())?;
+            self.forward.take_tiles(marked);
         }
+        Ok(())
     }
 
     /// The render made last and its photo as the loss compares them: the render under its view's exposure transform.

@@ -1,12 +1,13 @@
-//! [`Photos`]: the photos of a run as device arrays. Those left in their files are decoded ahead of their use by threads of
-//! their own, and the least recently used give way when the budget is used up.
+//! [`Photos`]: the photos of a run as device arrays, at their full size or the fraction of it that is wanted. Those left in
+//! their files are decoded ahead of their use by threads of their own, and the least recently used give way when the budget is
+//! used up.
 //!
 //! Photos held here count against the budget: one that has given way stays on the device until the kernels
 //! already enqueued with it are done, because OpenCL keeps a buffer as long as a command uses it.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
@@ -14,7 +15,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{PhotoFile, PhotoSource};
-use crate::device::{Array, Device};
+use crate::device::{Array, Defines, Device, ImageSize, Kernels, Program};
+use crate::pipeline::photo_array::PhotoArray;
+use crate::pipeline::stage::shrink;
 
 /// Photos decoded ahead of the one in use, where the budget has room for so many.
 pub const AHEAD: usize = 8;
@@ -22,12 +25,21 @@ pub const AHEAD: usize = 8;
 /// Largest number of decoding threads: more than are looked ahead would have nothing to do.
 const MAX_THREADS: usize = AHEAD;
 
+/// A photo at 1/`divisor` of its size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wanted {
+    /// Number of the photo.
+    pub photo: usize,
+    /// Divisor of its size, 1 for all of it.
+    pub divisor: usize,
+}
+
 /// Use of the budget for photos.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PhotoStats {
     /// Bytes of all photos, decoded.
     pub total_bytes: u64,
-    /// Bytes that photos decoded on demand may take at one time.
+    /// Bytes that photos decoded on demand, and smaller ones, may take at one time.
     pub budget_bytes: u64,
     /// Bytes that photos have taken at one time, at most.
     pub peak_bytes: u64,
@@ -60,35 +72,76 @@ struct Shared {
     changed: Condvar,
     /// Held by the one caller whose wishes the window shows.
     turn: Mutex<()>,
+    /// Makes smaller photos; built when the first is wanted.
+    shrink: OnceLock<Program>,
+}
+
+/// Origin of the arrays of a photo.
+#[derive(Debug, Clone)]
+enum Source {
+    /// Whole on the device, where it stays.
+    Device(Arc<PhotoArray>),
+    /// Decoded from its file whenever it is needed.
+    File(PhotoFile),
 }
 
 #[derive(Debug)]
 enum Slot {
-    /// On disk only.
-    OnDisk,
-    /// Being decoded; its bytes count already.
+    /// Nothing but what the source has.
+    Empty,
+    /// Being decoded; the bytes of the whole photo count already.
     Decoding,
-    Ready(Arc<Array<u8>>),
+    /// The photo at a fraction of its size.
+    Ready(usize, Arc<PhotoArray>),
     /// Decoding failed; the next request returns the error.
     Failed(Error),
 }
 
 #[derive(Debug)]
 struct Entry {
-    /// File to decode it from again; `None` for photos that stay on the device.
-    file: Option<PhotoFile>,
-    bytes: u64,
+    source: Source,
+    /// Width and height.
+    size: ImageSize,
+    /// Colours, and the alpha plane.
+    planes: usize,
     slot: Slot,
     /// When it was last asked for or decoded, by `State::clock`.
     used: u64,
 }
 
+impl Entry {
+    /// Bytes at a fraction of the size.
+    fn bytes(&self, divisor: usize) -> u64 {
+        let [width, height] = self.size.0.map(|side| (side / divisor) as u64);
+        self.planes as u64 * width * height
+    }
+
+    /// Bytes of what is there or under way beside a source on the device.
+    fn held(&self) -> u64 {
+        match &self.slot {
+            Slot::Empty | Slot::Failed(_) => 0,
+            Slot::Decoding => self.bytes(1),
+            Slot::Ready(divisor, _) => self.bytes(*divisor),
+        }
+    }
+
+    /// True if it is there in this size.
+    fn has(&self, divisor: usize) -> bool {
+        match (&self.slot, &self.source) {
+            (_, Source::Device(_)) if divisor == 1 => true,
+            (Slot::Ready(found, _), _) => *found == divisor,
+            _ => false,
+        }
+    }
+}
+
 #[derive(Debug)]
 struct State {
     entries: Vec<Entry>,
-    /// The photo in use and those to follow, in the order of need; together within the budget.
-    window: VecDeque<usize>,
-    /// Bytes of what was decoded on demand and is there or under way, ≤ budget.
+    /// The photo in use and those to follow that are decoded on demand, in the order of need; together within the budget, beside the whole
+    /// of any one of them.
+    window: VecDeque<Wanted>,
+    /// Bytes of what can be made again and is there or under way, ≤ budget.
     bytes: u64,
     /// Bytes of the photos that stay.
     fixed: u64,
@@ -119,6 +172,7 @@ impl Photos {
                 state: Mutex::new(state),
                 changed: Condvar::new(),
                 turn: Mutex::new(()),
+                shrink: OnceLock::new(),
             }),
             threads: Mutex::new(Vec::new()),
         }))
@@ -135,57 +189,65 @@ impl Photos {
     /// # Errors
     /// More than the device can allocate, a photo larger than the budget, or no thread to be had.
     pub fn add(&self, photo: PhotoSource) -> Result<usize> {
-        let bytes = photo.bytes();
-        let (file, slot) = match photo {
+        let (bytes, planes) = (photo.bytes(), photo.alpha().planes());
+        let size = ImageSize(photo.size());
+        let source = match photo {
             PhotoSource::Memory(photo) => {
                 let array = Array::from_slice(self.device(), "photo", &photo.data)?;
-                (None, Slot::Ready(Arc::new(array)))
+                Source::Device(Arc::new(array.into()))
             }
             PhotoSource::File(file) => {
                 self.0.start_threads()?;
-                (Some(file), Slot::OnDisk)
+                Source::File(file)
             }
         };
         let mut state = self.0.shared.lock();
-        if file.is_none() {
-            state.fixed += bytes;
-        } else if bytes > state.stats.budget_bytes {
-            return Err(too_large(bytes, state.stats.budget_bytes));
+        match &source {
+            Source::Device(_) => state.fixed += bytes,
+            Source::File(_) if bytes > state.stats.budget_bytes => {
+                return Err(too_large(bytes, state.stats.budget_bytes));
+            }
+            Source::File(_) => (),
         }
         state.stats.total_bytes += bytes;
         state.entries.push(Entry {
-            file,
-            bytes,
-            slot,
+            source,
+            size,
+            planes,
+            slot: Slot::Empty,
             used: 0,
         });
         state.note_peak();
         Ok(state.entries.len() - 1)
     }
 
-    /// Photo number `photo`, waiting for it if need be, while those of `next` (in the order of their use) are decoded as far
-    /// as the budget allows, [`AHEAD`] at most. What was to follow by an earlier call no longer is.
+    /// A photo, waiting for it if need be, while those of `next` (in the order of their use) are decoded as far as the budget
+    /// allows, [`AHEAD`] at most. What was to follow by an earlier call no longer is.
     ///
     /// # Errors
     /// A file that is gone, no longer an image, or of another size than when the dataset was read; more than the device can
     /// allocate.
     pub fn get(
         &self,
-        photo: usize,
-        next: impl IntoIterator<Item = usize>,
-    ) -> Result<Arc<Array<u8>>> {
+        wanted: Wanted,
+        next: impl IntoIterator<Item = Wanted>,
+    ) -> Result<Arc<PhotoArray>> {
         let shared = &self.0.shared;
         let _turn = shared.turn.lock().unwrap_or_else(PoisonError::into_inner);
         let mut state = shared.lock();
-        state.look_ahead(photo, next);
+        let source = state.entries[wanted.photo].source.clone();
+        let there = matches!(source, Source::Device(_)) || state.has(&wanted);
+        state.look_ahead(wanted, next);
         shared.changed.notify_all();
         let asked = Instant::now();
-        let there = matches!(state.entries[photo].slot, Slot::Ready(_));
-        let found = loop {
-            if let Some(found) = state.take(photo) {
-                break found;
-            }
-            state = shared.wait(state);
+        let found = match source {
+            Source::Device(whole) => shared.beside_whole(&mut state, wanted, whole),
+            Source::File(_) => loop {
+                if let Some(found) = state.take(wanted) {
+                    break found;
+                }
+                state = shared.wait(state);
+            },
         };
         let stats = &mut state.stats;
         if there {
@@ -254,64 +316,132 @@ impl Shared {
     fn decode(&self) {
         let mut state = self.lock();
         while !state.closed {
-            let Some((photo, file)) = state.claim() else {
+            let Some((wanted, file)) = state.claim() else {
                 state = self.wait(state);
                 continue;
             };
+            let shape = state.shape(wanted.photo);
             drop(state);
             // A decoder that panics must not leave the trainer waiting for ever.
-            let made = catch_unwind(AssertUnwindSafe(|| self.upload(&file)))
-                .unwrap_or_else(|_| Err(file.undecodable()));
+            let made = catch_unwind(AssertUnwindSafe(|| {
+                let whole = Array::from_slice(&self.device, "photo", &file.load()?.data)?;
+                match wanted.divisor {
+                    1 => Ok(whole),
+                    divisor => self.smaller(&whole, shape, divisor),
+                }
+            }))
+            .unwrap_or_else(|_| Err(file.undecodable()));
             state = self.lock();
-            state.put(photo, made);
+            state.put(wanted, made);
             self.changed.notify_all();
         }
     }
 
-    fn upload(&self, file: &PhotoFile) -> Result<Array<u8>> {
-        Array::from_slice(&self.device, "photo", &file.load()?.data)
+    /// A photo at a fraction of its size.
+    fn smaller(
+        &self,
+        whole: &Array<u8>,
+        shape: (ImageSize, usize),
+        divisor: usize,
+    ) -> Result<Array<u8>> {
+        let stage = match self.shrink.get() {
+            Some(stage) => stage,
+            None => {
+                let kernels = Kernels::new(&self.device, Defines::new(self.device.tuning()));
+                let stage = kernels.build::<f32>("shrink")?;
+                self.shrink.get_or_init(|| stage)
+            }
+        };
+        shrink::reduce(&self.device, stage, whole, shape, divisor)
+    }
+
+    /// A photo of which the device has the whole; a smaller one is kept for later if there is room for it.
+    fn beside_whole(
+        &self,
+        state: &mut State,
+        wanted: Wanted,
+        whole: Arc<PhotoArray>,
+    ) -> Result<Arc<PhotoArray>> {
+        let kept = &state.entries[wanted.photo].slot;
+        match kept {
+            Slot::Ready(found, small) if *found == wanted.divisor => return Ok(small.clone()),
+            _ => state.clear(wanted.photo),
+        }
+        if wanted.divisor == 1 {
+            return Ok(whole);
+        }
+        let small = self.smaller(&whole, state.shape(wanted.photo), wanted.divisor)?;
+        let small = Arc::new(PhotoArray::from(small));
+        let bytes = state.entries[wanted.photo].bytes(wanted.divisor);
+        if state.fixed + state.bytes + bytes <= state.stats.budget_bytes {
+            state.entries[wanted.photo].slot = Slot::Ready(wanted.divisor, small.clone());
+            state.bytes += bytes;
+            state.note_peak();
+        }
+        Ok(small)
     }
 }
 
 impl State {
-    /// Puts `photo` and as much of `next` as there is room for into the window.
-    fn look_ahead(&mut self, photo: usize, next: impl IntoIterator<Item = usize>) {
-        let demand = |i: &usize| {
-            self.entries[*i]
-                .file
-                .as_ref()
-                .map(|_| self.entries[*i].bytes)
-        };
+    /// Size and planes of a photo.
+    fn shape(&self, photo: usize) -> (ImageSize, usize) {
+        let entry = &self.entries[photo];
+        (entry.size, entry.planes)
+    }
+
+    /// True if a photo is there in its size.
+    fn has(&self, wanted: &Wanted) -> bool {
+        self.entries[wanted.photo].has(wanted.divisor)
+    }
+
+    /// Gives up what is there of a photo beside its source.
+    fn clear(&mut self, photo: usize) {
+        self.bytes -= self.entries[photo].held();
+        self.entries[photo].slot = Slot::Empty;
+    }
+
+    /// Puts `wanted` and as much of `next` as there is room for into the window.
+    fn look_ahead(&mut self, wanted: Wanted, next: impl IntoIterator<Item = Wanted>) {
         self.window.clear();
-        let mut bytes = 0;
-        for i in std::iter::once(photo).chain(next.into_iter().take(AHEAD)) {
-            let Some(more) = demand(&i).filter(|_| !self.window.contains(&i)) else {
+        let (mut bytes, mut more) = (0, 0);
+        for one in std::iter::once(wanted).chain(next.into_iter().take(AHEAD)) {
+            let entry = &self.entries[one.photo];
+            let twice = self.window.iter().any(|other| other.photo == one.photo);
+            if twice || matches!(entry.source, Source::Device(_)) {
                 continue;
-            };
-            bytes += more;
-            if bytes > self.stats.budget_bytes {
+            }
+            let own = entry.bytes(one.divisor);
+            bytes += own;
+            // While it is decoded there is the whole of it.
+            more = entry.bytes(1).saturating_sub(own).max(more);
+            if bytes + more > self.stats.budget_bytes {
                 break;
             }
-            self.window.push_back(i);
+            self.window.push_back(one);
         }
     }
 
-    /// The first photo of the window that is neither there nor under way, if there is or can be made room for it. Its bytes
+    /// The first photo of the window that is neither there nor under way, if there is or can be made room for the whole of it. Its bytes
     /// are taken.
-    fn claim(&mut self) -> Option<(usize, PhotoFile)> {
-        let absent = |i: &&usize| matches!(self.entries[**i].slot, Slot::OnDisk);
-        let photo = *self.window.iter().find(absent)?;
-        let file = self.entries[photo].file.clone()?;
-        let bytes = self.entries[photo].bytes;
+    fn claim(&mut self) -> Option<(Wanted, PhotoFile)> {
+        let absent = |w: &&Wanted| match &self.entries[w.photo].slot {
+            Slot::Empty | Slot::Ready(..) => !self.has(w),
+            Slot::Decoding | Slot::Failed(_) => false,
+        };
+        let wanted = *self.window.iter().find(absent)?;
+        let Source::File(file) = self.entries[wanted.photo].source.clone() else {
+            return None;
+        };
+        self.clear(wanted.photo);
+        let bytes = self.entries[wanted.photo].bytes(1);
         while self.bytes + bytes > self.stats.budget_bytes {
             let old = self.least_recent()?;
-            self.bytes -= self.entries[old].bytes;
-            self.entries[old].slot = Slot::OnDisk;
+            self.clear(old);
         }
         self.bytes += bytes;
         self.note_peak();
-        self.entries[photo].slot = Slot::Decoding;
-        Some((photo, file))
+        self.entries[wanted.photo].slot = Slot::Decoding;
+        Some((wanted, file))
     }
 
     /// The photo to give way: of those there and not in the window, the least recently used. None while threads are still
@@ -319,44 +449,43 @@ impl State {
     fn least_recent(&self) -> Option<usize> {
         let may_go = |i: &usize| {
             let e = &self.entries[*i];
-            e.file.is_some() && matches!(e.slot, Slot::Ready(_)) && !self.window.contains(i)
+            matches!(e.slot, Slot::Ready(..)) && !self.window.iter().any(|w| w.photo == *i)
         };
         (0..self.entries.len())
             .filter(may_go)
             .min_by_key(|i| self.entries[*i].used)
     }
 
-    fn put(&mut self, photo: usize, made: Result<Array<u8>>) {
+    fn put(&mut self, wanted: Wanted, made: Result<Array<u8>>) {
         self.clock += 1;
         self.stats.decoded += 1;
-        let entry = &mut self.entries[photo];
+        self.clear(wanted.photo);
+        let entry = &mut self.entries[wanted.photo];
         entry.used = self.clock;
         entry.slot = match made {
-            Ok(array) => Slot::Ready(Arc::new(array)),
-            Err(error) => {
-                self.bytes -= entry.bytes;
-                Slot::Failed(error)
-            }
+            Ok(array) => Slot::Ready(wanted.divisor, Arc::new(array.into())),
+            Err(error) => Slot::Failed(error),
         };
+        self.bytes += self.entries[wanted.photo].held();
     }
 
     /// The photo, or why there is none; nothing as long as it is on its way.
-    fn take(&mut self, photo: usize) -> Option<Result<Arc<Array<u8>>>> {
+    fn take(&mut self, wanted: Wanted) -> Option<Result<Arc<PhotoArray>>> {
         self.clock += 1;
-        let entry = &mut self.entries[photo];
+        let entry = &mut self.entries[wanted.photo];
         match &entry.slot {
-            Slot::OnDisk | Slot::Decoding => None,
-            Slot::Ready(array) => {
+            Slot::Ready(divisor, array) if *divisor == wanted.divisor => {
                 entry.used = self.clock;
                 Some(Ok(array.clone()))
             }
             Slot::Failed(_) => {
                 self.window.clear();
-                match std::mem::replace(&mut entry.slot, Slot::OnDisk) {
+                match std::mem::replace(&mut entry.slot, Slot::Empty) {
                     Slot::Failed(error) => Some(Err(error)),
                     _ => None,
                 }
             }
+            Slot::Empty | Slot::Decoding | Slot::Ready(..) => None,
         }
     }
 

@@ -1,9 +1,9 @@
 //! Room in one buffer of a device: what does not fit is refused with the number that would.
 
-use crate::base::constants::SUMS;
+use crate::base::constants::{SUMS, TILE};
 use crate::base::error::{Error, Result};
 use crate::device::tuning::Tuning;
-use crate::device::{Array, Device, Real};
+use crate::device::{Array, Device, ImageSize, Real};
 
 /// Strides are multiples of this, so that vector loads of a plane never straddle two.
 pub(super) const ROUND: usize = 256;
@@ -114,9 +114,54 @@ pub(super) fn most_pairs<R: Real>(
         .map_err(|[what, fix]| Error::device("allocate pairs", what, fix))
 }
 
+/// The text on planes of `each` bytes a pixel for images of a size that are larger than `most` bytes: what is wrong, and what to do;
+/// `None` if they are not.
+fn too_large(each: usize, size: ImageSize, most: u64) -> Option<[String; 2]> {
+    let bytes = |size: ImageSize| (each * size.plane()) as u64;
+    if bytes(size) <= most {
+        return None;
+    }
+    let [width, height] = size.0;
+    let longest = width.max(height);
+    let at = |side: usize| ImageSize(size.0.map(|s| (s * side).div_ceil(longest)));
+    let share = (most as f64 / bytes(size) as f64).sqrt();
+    let near = (longest as f64 * share) as usize;
+    let fits = (1..=near).rev().find(|side| bytes(at(*side)) <= most);
+    let fix = match fits {
+        Some(side) if side >= TILE as usize => {
+            format!(
+                "--max-size {side} keeps a new run to what fits; else select a device that allows more"
+            )
+        }
+        _ => "select a device that allows more".to_owned(),
+    };
+    let what = format!(
+        "{} bytes for images of {width} × {height} pixels; the device allows {most} in one buffer",
+        bytes(size)
+    );
+    Some([what, fix])
+}
+
+/// Zeros in so many planes of images of a size.
+///
+/// # Errors
+/// More than a buffer of the device can hold, with the size that would fit, or the driver's.
+pub(crate) fn image_planes<R: Real>(
+    device: &Device,
+    name: &'static str,
+    planes: usize,
+    size: ImageSize,
+) -> Result<Array<R>> {
+    match too_large(planes * size_of::<R>(), size, device.info().max_alloc) {
+        None => Array::zeros(device, name, planes * size.plane()),
+        Some([what, fix]) => Err(Error::device(format!("allocate {name}"), what, fix)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Load, ROUND, bytes_per_pair, pairs_within, too_many};
+    use super::{Load, ROUND, bytes_per_pair, pairs_within, too_large, too_many};
+    use crate::device::ImageSize;
     use crate::device::tuning::Tuning;
     use crate::pipeline::buffers::GaussianBuffers;
 
@@ -135,6 +180,18 @@ mod tests {
         let n: usize = number.split(' ').next().unwrap().parse().unwrap();
         assert!(n > 6_700_000 && refused(n).is_none(), "{n}");
         assert!(refused(n + ROUND).is_some(), "{n}");
+    }
+
+    #[test]
+    fn planes_that_no_buffer_holds_are_refused_with_the_size_that_would_fit() {
+        let (each, most) = (9 * 4, 128 << 20);
+        let refused = |side: usize| too_large(each, ImageSize([side, side * 2 / 3]), most);
+        let [what, fix] = refused(6000).unwrap();
+        assert!(what.contains("6000 × 4000 pixels"), "{what}");
+        let (_, number) = fix.split_once("--max-size ").unwrap();
+        let side: usize = number.split(' ').next().unwrap().parse().unwrap();
+        assert!(refused(side).is_none() && side > 2300, "{side}");
+        assert!(refused(side + 32).is_some(), "{side}");
     }
 
     #[test]

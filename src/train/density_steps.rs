@@ -62,7 +62,7 @@ impl Trainer {
             self.spread()?;
             // A photo that cannot be read is an error before the others begin.
             for view in self.control.pictured(&self.views, at, progress) {
-                self.views.set.photo(view, &[])?;
+                self.views.view(at, at, view, &[])?;
             }
             self.tell(vec![DECIDE, at])?;
         } else if self.crew.is_some() {

@@ -41,7 +41,7 @@ impl Trainer {
             self.render_view(&view.camera, view.background)?;
             let render = self.pipeline.forward.read_image()?;
             let (alpha, pixels) = (self.views.set.alpha, render.width * render.height);
-            let bytes = self.views.photo(&view).read(0, alpha.planes() * pixels)?;
+            let bytes = view.photo.read(0, alpha.planes() * pixels)?;
             let photo = colors(alpha, &bytes, view.background);
             gains.extend(gain(&render.rgb, &render.transmittance, &photo));
         }

@@ -53,7 +53,7 @@ impl PendingPicture {
         let (size, alpha) = (camera.image(), on.views.set.alpha);
         let plane = size.plane();
         let pixels = size.0[0] * size.0[1];
-        let taken = on.views.photo(&view);
+        let taken = &view.photo;
         let photo = taken.read_later(0, alpha.planes() * pixels)?;
         let Pipeline {
             exposure,

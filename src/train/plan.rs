@@ -479,23 +479,20 @@ fn detail(
         let why = Why::Criterion("work.resolution-levels is 0");
         return Ok(as_begun(Decided::new(Vec::new(), why), begun.cloned()));
     }
-    let detail = match begun {
-        Some(detail) => detail.clone(),
-        None => measured_detail(dataset, levels)?,
-    };
-    let why = match detail.is_empty() {
-        true => Why::SmallPhotos,
-        false => Why::Detail(detail.clone()),
-    };
-    Ok(Decided::new(detail, why))
-}
-
-/// Detail that the photos lose by as many halvings, or fewer if they are small.
-fn measured_detail(dataset: &Dataset, levels: u32) -> Result<Vec<f32>> {
     let most = |v: &View| most_halvings([v.camera.width, v.camera.height].map(|s| s as usize));
     let levels = levels.min(dataset.train.iter().map(most).max().unwrap_or(0));
     let photos: Vec<&PhotoSource> = dataset.train.iter().map(|v| &v.photo).collect();
-    sizes::detail(&photos, levels)
+    let detail = match begun {
+        Some(detail) => detail.clone(),
+        None => sizes::detail(&photos, levels)?,
+    };
+    let why = match detail.is_empty() {
+        true if levels == 0 => Why::SmallPhotos,
+        // The run began without smaller sizes.
+        true => Why::Checkpoint,
+        false => Why::Detail(detail.clone()),
+    };
+    Ok(Decided::new(detail, why))
 }
 
 /// A decision with the value that the run began with, if that is another one.

@@ -205,7 +205,7 @@ impl Trainer {
             .then(|| kernels.build::<f32>("seen"));
         let mut trainer = Self {
             gaussians: GaussianState::new(device, splats, room, rows, kept)?,
-            views: Views::new(&kernels, set, plan)?,
+            views: Views::new(set, plan),
             optimizer: Optimizer::new(&kernels, plan)?,
             schedule: plan.schedule(),
             losses: Array::zeros(device, "losses", 2 * LOSS_RING)?,
@@ -236,7 +236,7 @@ impl Trainer {
         }
         let view = self.views.at(iteration)?;
         let options = self.options(&view, sh_degree);
-        let (camera, photo) = (&view.camera, self.views.photo(&view));
+        let (camera, photo) = (&view.camera, &view.photo);
         self.pipeline
             .enqueue(&self.gaussians.scene, camera, photo, &options)?;
 
@@ -533,7 +533,6 @@ impl Trainer {
             self.warm_up_control(degree)?;
         }
         self.seen(1)?;
-        self.views.warm_up()?;
         self.gaussians = self.gaussians.empty(&self.device, highest)?;
         let (control, on) = self.controlled();
         control.warm_up_edits(on)?;

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use crate::base::error::Result;
 use crate::config::TrainConfig;
-use crate::device::{Array, CameraArg, ImageSize, Kernels, Program};
+use crate::device::{CameraArg, ImageSize};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::pass::Target;
+use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::photos::AHEAD;
-use crate::pipeline::stage::shrink;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
 use crate::train::sizes::Sizes;
@@ -22,9 +22,8 @@ pub struct TrainingView {
     pub camera: CameraArg<f32>,
     /// Background colour.
     pub background: [f32; 3],
-    /// Divisor of the photo's size.
-    divisor: usize,
-    photo: Arc<Array<u8>>,
+    /// The photo at its size of this iteration.
+    pub photo: Arc<PhotoArray>,
 }
 
 /// Training views with their order, sizes and backgrounds.
@@ -36,31 +35,19 @@ pub struct Views {
     sizes: Sizes,
     random_background: bool,
     skip_blank: bool,
-    /// Makes smaller photos; `None` without progressive resolution.
-    shrink: Option<Program>,
-    /// A photo at a fraction of its size.
-    small: Array<u8>,
 }
 
 impl Views {
-    /// Builds the kernel that shrinks photos if the plan asks for it.
-    pub fn new(kernels: &Kernels, set: ViewSet, plan: &Plan) -> Result<Self> {
-        let detail = &plan.detail.value;
-        let [w, h] = set.largest.0;
-        let pixels = match detail.is_empty() {
-            true => 0,
-            false => (w / 2) * (h / 2),
-        };
-        let shrink = (!detail.is_empty()).then(|| kernels.build::<f32>("shrink"));
-        Ok(Self {
-            small: Array::zeros(kernels.device(), "small", set.alpha.planes() * pixels)?,
-            shrink: shrink.transpose()?,
+    /// Views of a set in the order and at the sizes of a plan.
+    #[must_use]
+    pub fn new(set: ViewSet, plan: &Plan) -> Self {
+        Self {
             schedule: plan.schedule(),
-            sizes: Sizes::new(detail, &plan.config.work),
+            sizes: Sizes::new(&plan.detail.value, &plan.config.work),
             random_background: plan.random_background.value,
             skip_blank: plan.skip_blank.value,
             set,
-        })
+        }
     }
 
     /// Number of views.
@@ -85,11 +72,14 @@ impl Views {
     #[must_use]
     pub fn size_at(&self, iteration: u32) -> (usize, ImageSize) {
         let number = self.upcoming(iteration, 1)[0];
-        let full = self.set.cameras[number];
-        let divisor = self
-            .schedule
-            .shrink_factor(&self.sizes, iteration, full.image().0);
-        (number, full.shrunk(divisor).image())
+        let shrunk = self.set.cameras[number].shrunk(self.divisor(iteration, number));
+        (number, shrunk.image())
+    }
+
+    /// Divisor of the size of a view's photo at an iteration.
+    fn divisor(&self, iteration: u32, number: usize) -> usize {
+        let full = self.set.cameras[number].image().0;
+        self.schedule.shrink_factor(&self.sizes, iteration, full)
     }
 
     /// The view of an iteration; photos of the iterations after it are fetched meanwhile.
@@ -112,23 +102,14 @@ impl Views {
         number: usize,
         next: &[usize],
     ) -> Result<TrainingView> {
-        let photo = self.set.photo(number, next)?;
-        let full = self.set.cameras[number];
-        let size = full.image();
-        let divisor = self.schedule.shrink_factor(&self.sizes, size_of, size.0);
-        if let Some(stage) = &self.shrink
-            && divisor > 1
-        {
-            shrink::reduce(stage, &photo, size, divisor, &self.small)?;
-        }
+        let divisor = |number| self.divisor(size_of, number);
         Ok(TrainingView {
             number,
-            camera: full.shrunk(divisor),
+            camera: self.set.cameras[number].shrunk(divisor(number)),
             background: self
                 .schedule
                 .background(background_of, self.random_background),
-            divisor,
-            photo,
+            photo: self.set.photo_at(number, next, divisor)?,
         })
     }
 
@@ -141,35 +122,14 @@ impl Views {
         }
     }
 
-    /// Photo of a view at its size; good until the next view is taken.
-    #[must_use]
-    pub fn photo<'a>(&'a self, view: &'a TrainingView) -> &'a Array<u8> {
-        match view.divisor {
-            1 => &view.photo,
-            _ => &self.small,
-        }
-    }
-
     /// Photo and background of a view, for the loss.
     #[must_use]
-    pub fn target<'a>(&'a self, view: &'a TrainingView) -> Target<'a> {
+    pub fn target<'a>(&self, view: &'a TrainingView) -> Target<'a> {
         Target {
             view: view.number,
-            photo: self.photo(view),
+            photo: &view.photo,
             background: view.background,
             skip_blank: self.skip_blank,
-        }
-    }
-
-    /// Runs the shrinking kernel once, if there is one.
-    pub fn warm_up(&self) -> Result<()> {
-        let photo = self.set.photo(0, &[])?;
-        let size = self.set.cameras[0].image();
-        match &self.shrink {
-            Some(stage) if size.0.iter().all(|s| *s > 1) => {
-                shrink::reduce(stage, &photo, size, 2, &self.small)
-            }
-            _ => Ok(()),
         }
     }
 

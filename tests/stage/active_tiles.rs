@@ -14,9 +14,8 @@ fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
     photo.extend(mask);
     let photo = Array::from_slice(&device, "photo", &photo).unwrap();
     let size = ImageSize(size);
-    let out = Array::zeros(&device, "active_tiles", size.tile_count()).unwrap();
     let stage = kernels(&device).build::<f32>("active_tiles").unwrap();
-    mark(&stage, &photo, size, &out).unwrap();
+    let out = mark(&device, &stage, &photo, size).unwrap();
     out.to_vec().unwrap().into_iter().map(|t| t == 1).collect()
 }
 
@@ -62,7 +61,8 @@ fn rendered(active_only: bool) -> (Vec<u32>, Vec<f32>) {
     let stage = Kernels::new(&device, defines)
         .build::<f32>("active_tiles")
         .unwrap();
-    mark(&stage, &photo, camera.image(), renderer.active_tiles()).unwrap();
+    let marked = mark(&device, &stage, &photo, camera.image()).unwrap();
+    renderer.take_tiles(marked.into());
     let options = RenderOptions {
         active_only,
         ..RenderOptions::default()

@@ -110,7 +110,9 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
         share.set_bands(bands).unwrap();
         pipeline.share = Some(share);
     }
-    let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
+    let photo = Array::from_slice(&device, "photo", &case.photo.data)
+        .unwrap()
+        .into();
     let options = RenderOptions {
         sh_degree: case.sh_degree,
         background: case.background,

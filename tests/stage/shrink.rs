@@ -28,10 +28,9 @@ fn shrunk(photo: &Photo, factor: u32) -> Vec<u8> {
     let stage = kernels.build::<f32>("shrink").unwrap();
     let size = ImageSize([photo.width, photo.height].map(|s| s as usize));
     let from = Array::from_slice(&device, "photo", &photo.data).unwrap();
-    let pixels = (photo.width / factor * (photo.height / factor)) as usize;
-    let to = Array::zeros(&device, "small", photo.alpha.planes() * pixels).unwrap();
-    reduce(&stage, &from, size, factor as usize, &to).unwrap();
-    to.to_vec().unwrap()
+    let shape = (size, photo.alpha.planes());
+    let to = reduce(&device, &stage, &from, shape, factor as usize);
+    to.unwrap().to_vec().unwrap()
 }
 
 #[test]

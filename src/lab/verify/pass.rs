@@ -19,6 +19,7 @@ use crate::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use crate::pipeline::exposure::ExposureModel;
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{Pipeline, Target};
+use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::exposure::{apply, backward};
 use crate::pipeline::stage::loss::{Beside, ImagePair};
@@ -75,7 +76,7 @@ struct Pass<'a, R: Real> {
     kernels: Kernels,
     pipeline: Pipeline<R>,
     scene: GaussianBuffers<R>,
-    photo: Array<u8>,
+    photo: PhotoArray,
     camera: CameraArg<R>,
     case: &'a Case,
     reference: Option<&'a Reference>,
@@ -104,7 +105,7 @@ impl<'a, R: Real> Pass<'a, R> {
         Ok(Self {
             pipeline: Pipeline::new(device, defines, case.sh_degree, camera.image())?,
             kernels: Kernels::new(device, defines),
-            photo: Array::from_slice(device, "photo", &case.photo.data)?,
+            photo: Array::from_slice(device, "photo", &case.photo.data)?.into(),
             device,
             scene,
             camera,
@@ -273,8 +274,8 @@ impl<'a, R: Real> Pass<'a, R> {
 
     /// Loss, its gradient and the error maps; returns the error statistics of the Gaussians after the same view twice.
     fn loss(&mut self) -> Result<Array<R>> {
+        self.pipeline.mark_tiles(&self.photo, &self.camera)?;
         let pipeline = &self.pipeline;
-        pipeline.mark_tiles(&self.photo, &self.camera)?;
         let pair = self.pair()?;
         let losses = Array::zeros(self.device, "losses", 2)?;
         // What is blank is skipped in most iterations; where density control gathers errors there is everything at once.

@@ -1,19 +1,29 @@
 //! Tiles of a masked photo in which any pixel counts, or of a transparent one in which any is not clear (`kernels/active_tiles.cl`).
 
 use crate::base::error::Result;
-use crate::device::{Array, ImageSize, Program};
+use crate::device::{Array, Device, ImageSize, Program};
 use crate::pipeline::reference::TILE;
 
-/// Marks the active tiles of a photo of this size.
-pub fn mark(stage: &Program, photo: &Array<u8>, size: ImageSize, tiles: &Array<u32>) -> Result<()> {
+/// Active tiles \[tiles\] of a photo of this size, which has an alpha plane: 1, or 0 for the others.
+///
+/// # Errors
+/// No room for them, or the driver's.
+pub fn mark(
+    device: &Device,
+    stage: &Program,
+    photo: &Array<u8>,
+    size: ImageSize,
+) -> Result<Array<u32>> {
     let ([w, h], count) = (size.0, size.tile_count());
+    let tiles = Array::zeros(device, "active_tiles", count)?;
     stage
         .launch("active_tiles")
         .array(photo, 4 * w * h)
         .ints([w, h])
         .tiles(size)
-        .array(tiles, count)
-        .over_chunks([count, 1])
+        .array(&tiles, count)
+        .over_chunks([count, 1])?;
+    Ok(tiles)
 }
 
 // Definition in f64.

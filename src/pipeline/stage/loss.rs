@@ -10,6 +10,7 @@ use crate::base::error::Result;
 use crate::device::{Array, Device, ImageSize, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::{Blank, ViewBuffers};
 use crate::pipeline::launch::Arguments;
+use crate::pipeline::room::image_planes;
 
 /// A rendered image and its photo.
 #[derive(Debug, Clone)]
@@ -72,8 +73,8 @@ pub struct Loss<R: Real> {
     pub maps: Array<R>,
     /// Error maps in the group style, from when they are wanted first.
     errors: OnceLock<Array<R>>,
-    /// Pixels of the padded planes.
-    plane: usize,
+    /// Size of the largest images.
+    largest: ImageSize,
     /// Sums of |x − y| and SSIM of each channel and strip (two tiles side by side, where a work-group takes those), in turn.
     pub partial: Array<R>,
     /// An array for the arguments that say what is blank, when nothing does.
@@ -168,7 +169,6 @@ impl<R: Real> Loss<R> {
     pub fn new(kernels: &Kernels, largest: ImageSize, gradients: bool) -> Result<Self> {
         let program = kernels.build::<R>("loss")?;
         let zeros = |name, len| Array::zeros(kernels.device(), name, len);
-        let plane = largest.plane();
         let planes = match (program.defines().tuning.group_style, gradients) {
             (true, true) => 3 * DERIVATIVE_PLANES,
             (false, true) => DERIVATIVE_PLANES,
@@ -176,9 +176,9 @@ impl<R: Real> Loss<R> {
             (false, false) => ERROR_PLANES,
         };
         Ok(Self {
-            maps: zeros("maps", planes * plane)?,
+            maps: image_planes(kernels.device(), "maps", planes, largest)?,
             errors: OnceLock::new(),
-            plane,
+            largest,
             partial: zeros("partial", partial_len(&program, largest))?,
             nowhere: Array::zeros(kernels.device(), "nowhere", 1)?,
             nothing: zeros("nothing", 2)?,
@@ -292,7 +292,8 @@ impl<R: Real> Loss<R> {
         if let Some(maps) = self.errors.get() {
             return Ok(maps);
         }
-        let maps = Array::zeros(&self.device, "error maps", self.error_planes() * self.plane)?;
+        let planes = self.error_planes();
+        let maps = image_planes(&self.device, "error maps", planes, self.largest)?;
         Ok(self.errors.get_or_init(|| maps))
     }
 

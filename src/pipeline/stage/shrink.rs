@@ -3,25 +3,29 @@
 use crate::base::constants::SHRINK_RUN;
 use crate::base::error::Result;
 use crate::capture::Photo;
-use crate::device::{Array, ImageSize, Program};
-use crate::pipeline::launch::Arguments;
+use crate::device::{Array, Device, ImageSize, Program};
 
-/// Writes a photo at 1/`factor` of its size to `small`.
+/// A photo of so many planes at 1/`factor` of its size.
+///
+/// # Errors
+/// No room for it, or the driver's.
 pub fn reduce(
+    device: &Device,
     stage: &Program,
     photo: &Array<u8>,
-    size: ImageSize,
+    (size, planes): (ImageSize, usize),
     factor: usize,
-    small: &Array<u8>,
-) -> Result<()> {
+) -> Result<Array<u8>> {
+    let [from_w, from_h] = size.0;
     let [w, h] = size.0.map(|s| s / factor);
-    let planes = stage.defines().photo_planes();
+    let small = Array::zeros(device, "small", planes * w * h)?;
     stage
         .launch("shrink")
-        .photo(photo, size)
-        .ints([planes, factor])
-        .array(small, planes * w * h)
-        .over_chunks([w.div_ceil(SHRINK_RUN as usize), planes * h])
+        .array(photo, planes * from_w * from_h)
+        .ints([from_w, from_h, planes, factor])
+        .array(&small, planes * w * h)
+        .over_chunks([w.div_ceil(SHRINK_RUN as usize), planes * h])?;
+    Ok(small)
 }
 
 // Definition in f64.
