@@ -193,7 +193,7 @@ fn a_run_that_began_at_full_size_says_why_it_stays_there() {
         anti_aliasing: Some(false),
         detail: Some(Vec::new()),
     };
-    for (size, reason) in [(128, "as in the checkpoint"), (64, "too small")] {
+    for (size, reason) in [(256, "as in the checkpoint"), (64, "too small")] {
         let data = room_within(size, None);
         let detail = Plan::begun(&data, &TrainConfig::default(), &begun)
             .unwrap()

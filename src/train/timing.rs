@@ -84,7 +84,8 @@ impl Timing {
         Ok(())
     }
 
-    /// Begins a density step, with nothing under way. All are timed.
+    /// Begins a density step, with nothing under way. All are timed: they are few, no two of them are alike, and the queue has been
+    /// waited for, so that the one with counters costs nothing.
     pub fn begin_step(&self) -> Result<()> {
         self.device.forget_launches(0);
         self.device.time_launches(true).map(|_| ())
