@@ -38,6 +38,11 @@ const TABLES: [(&str, &str); 4] = [
     ("dg2", "gpu-wide"),
 ];
 
+fn table(arch: &str) -> String {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("data/gpu/{arch}.csv"));
+    std::fs::read_to_string(file).unwrap()
+}
+
 fn sources(class: &str) -> BTreeMap<String, String> {
     let of = kernel_sources::CLASSES
         .into_iter()
@@ -48,14 +53,30 @@ fn sources(class: &str) -> BTreeMap<String, String> {
 #[test]
 fn tables_have_the_kernels_that_are_compiled() {
     for (arch, class) in TABLES {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("data/gpu/{arch}.csv"));
-        let table = std::fs::read_to_string(file).unwrap();
-        let found = differences(&table, &sources(class));
+        let found = differences(&table(arch), &sources(class));
         assert!(
             found.is_empty(),
             "{arch}: {found:?} (.ci/gpu-check {arch} --write)"
         );
     }
+}
+
+/// Sources and kernels of a table, but for the sizes that a tuner tries, which classes have of their own.
+fn rows(table: &str) -> Vec<String> {
+    let of = |row: &str| row.split(',').take(2).collect::<Vec<_>>().join(",");
+    let rows = table.lines().skip(1).map(of);
+    rows.filter(|row| !row.contains('.')).collect()
+}
+
+#[test]
+fn tables_of_all_gpus_have_the_same_kernels() {
+    let [first, others @ ..] = TABLES.map(|(arch, _)| rows(&table(arch)));
+    assert!(first.len() > 100, "{}", first.len());
+    for (other, (arch, _)) in others.into_iter().zip(&TABLES[1..]) {
+        assert_eq!(other, first, "{arch} and {}", TABLES[0].0);
+    }
+    let short = table("sm_90").replace("sort,sort_totals", "");
+    assert_ne!(rows(&short), first);
 }
 
 #[test]

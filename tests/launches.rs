@@ -25,7 +25,11 @@ const FEWER: [(&str, usize); 3] = [
 ];
 
 /// Training with a million Gaussians, all behind the camera so that little is computed, and a photo with this meaning of alpha.
-fn trainer(alpha: Alpha, change: impl Fn(&mut TrainConfig)) -> (Device, Trainer) {
+fn trainer(
+    alpha: Alpha,
+    room_for_small: bool,
+    change: impl Fn(&mut TrainConfig),
+) -> (Device, Trainer) {
     let mut config = TrainConfig {
         sampler: Sampler::None,
         sh_degree: 0,
@@ -48,6 +52,9 @@ fn trainer(alpha: Alpha, change: impl Fn(&mut TrainConfig)) -> (Device, Trainer)
     }
     .into();
     let behind = view.camera.center() - view.camera.rotation.row(2);
+    if !room_for_small {
+        data.image_budget = view.photo.bytes();
+    }
     data.train = vec![view];
     let mut planes = vec![vec![0.0; GAUSSIANS]; 11 + 3];
     for (plane, x) in planes.iter_mut().zip(behind.to_array()) {
@@ -66,12 +73,17 @@ type Launches = Vec<(&'static str, usize)>;
 
 /// Launches of each of the first iterations of a run.
 fn launches(change: impl Fn(&mut TrainConfig), count: usize) -> Vec<Launches> {
-    launches_over(Alpha::None, change, count)
+    launches_over(Alpha::None, true, change, count)
 }
 
-/// The same for photos with this meaning of alpha.
-fn launches_over(alpha: Alpha, change: impl Fn(&mut TrainConfig), count: usize) -> Vec<Launches> {
-    let (device, mut trainer) = trainer(alpha, change);
+/// The same for photos with this meaning of alpha, with room in the budget for smaller ones or not.
+fn launches_over(
+    alpha: Alpha,
+    room_for_small: bool,
+    change: impl Fn(&mut TrainConfig),
+    count: usize,
+) -> Vec<Launches> {
+    let (device, mut trainer) = trainer(alpha, room_for_small, change);
     let mut iterations = Vec::new();
     while iterations.len() < count {
         if !matches!(trainer.advance().unwrap(), Event::Iteration { .. }) {
@@ -79,10 +91,12 @@ fn launches_over(alpha: Alpha, change: impl Fn(&mut TrainConfig), count: usize) 
         }
         // Those of iterations before may be there still.
         let mut enqueued = device.enqueued();
-        let first = enqueued
-            .iter()
-            .rposition(|(kernel, _)| *kernel == "project");
-        iterations.push(enqueued.split_off(first.unwrap()));
+        let is = |at: usize, names: &[&str]| names.contains(&enqueued[at].0);
+        let project = (0..enqueued.len()).rfind(|at| is(*at, &["project"]));
+        let before = |at: &usize| is(*at, &["shrink", "active_tiles"]);
+        let first = (0..project.unwrap()).rev().take_while(before).last();
+        let first = first.or(project).unwrap();
+        iterations.push(enqueued.split_off(first));
     }
     trainer.settle().unwrap();
     iterations
@@ -155,14 +169,25 @@ fn everything_at_once_has_no_more_launches_than_a_gpu_is_to_wait_for() {
             with_everything(config);
             config.exposure = exposure;
         };
-        let iterations = launches_over(alpha, change, 12);
+        let iterations = launches_over(alpha, true, change, 12);
         let counts: Vec<usize> = iterations.iter().map(Vec::len).collect();
         assert_eq!(counts[11], most, "errors, exposure and noise: {counts:?}");
         assert_eq!(counts.iter().max(), Some(&most), "{counts:?}");
         // They are made once for each photo, before the first iteration that is counted here.
-        let once = |name: &str| name == "shrink" || name == "active_tiles";
-        let names = iterations.iter().flatten().map(|(kernel, _)| *kernel);
-        assert!(!names.into_iter().any(once), "{alpha:?}");
+        assert_eq!(made(&iterations), 0, "{alpha:?}");
         iterations.into_iter().for_each(check_work);
     }
+}
+
+/// Launches that make smaller photos or mark active tiles.
+fn made(iterations: &[Launches]) -> usize {
+    let once = |(name, _): &&(&str, usize)| ["shrink", "active_tiles"].contains(name);
+    iterations.iter().flatten().filter(once).count()
+}
+
+#[test]
+fn smaller_photos_without_room_in_the_budget_are_made_for_each_iteration() {
+    let change = |config: &mut TrainConfig| config.work.resolution_levels = 1;
+    let iterations = launches_over(Alpha::Mask, false, change, 3);
+    assert_eq!(made(&iterations), 6, "{iterations:?}");
 }

@@ -203,6 +203,24 @@ fn a_run_that_began_at_full_size_says_why_it_stays_there() {
     }
 }
 
+#[test]
+fn a_photo_ahead_that_is_there_in_another_size_gives_way() {
+    let dir = colmap_scene(3, DVec3::ZERO, true);
+    for budget in [SMALL + HALF, SMALL + 3 * HALF, 2 * SMALL + 3 * HALF] {
+        let photos = added(&within(dir.path(), budget).unwrap());
+        for first in [1, 2] {
+            let of = |photo, divisor| Wanted { photo, divisor };
+            for photo in [1, 2, 0] {
+                photos.get(of(photo, first), []).unwrap();
+            }
+            // Waited for in vain, once.
+            let next = [of(1, 3 - first), of(2, 3 - first)];
+            photos.get(of(0, 3 - first), next).unwrap();
+            assert!(photos.stats().peak_bytes <= budget);
+        }
+    }
+}
+
 /// One photo with transparent pixels, one with an alpha channel and none.
 fn with_alpha(dir: &Path, transparent: bool) {
     let mut image = image::RgbaImage::from_pixel(16, 12, image::Rgba([200, 100, 50, 255]));

@@ -206,7 +206,7 @@ pub struct ViewBuffers<R: Real> {
     pub tile_start: Array<u32>,
     /// Tile intersections of each chunk of the visible Gaussians and tile, then those of the chunks before.
     pub tile_counts: Array<u32>,
-    /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear.
+    /// Tiles of a masked photo that get pairs, or of a transparent one that are not clear; of the photo that they were marked for last.
     pub active_tiles: Arc<Array<u32>>,
     /// Pairs used of each tile.
     pub tile_used: Array<u32>,
@@ -432,9 +432,6 @@ impl<R: Real> ViewBuffers<R> {
             ));
         }
         let tiles = size.tile_count();
-        if self.active_tiles.len() < tiles {
-            self.active_tiles = Arc::new(Array::zeros(device, "active_tiles", tiles)?);
-        }
         if self.tile_used.len() >= tiles {
             return Ok(());
         }

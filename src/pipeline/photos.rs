@@ -320,30 +320,28 @@ impl Shared {
                 state = self.wait(state);
                 continue;
             };
-            let shape = state.shape(wanted.photo);
             drop(state);
             // A decoder that panics must not leave the trainer waiting for ever.
-            let made = catch_unwind(AssertUnwindSafe(|| {
-                let whole = Array::from_slice(&self.device, "photo", &file.load()?.data)?;
-                match wanted.divisor {
-                    1 => Ok(whole),
-                    divisor => self.smaller(&whole, shape, divisor),
-                }
-            }))
-            .unwrap_or_else(|_| Err(file.undecodable()));
+            let made = catch_unwind(AssertUnwindSafe(|| self.decoded(&file, wanted.divisor)))
+                .unwrap_or_else(|_| Err(file.undecodable()));
             state = self.lock();
             state.put(wanted, made);
             self.changed.notify_all();
         }
     }
 
-    /// A photo at a fraction of its size.
-    fn smaller(
-        &self,
-        whole: &Array<u8>,
-        shape: (ImageSize, usize),
-        divisor: usize,
-    ) -> Result<Array<u8>> {
+    /// A photo from its file, at a fraction of its size.
+    fn decoded(&self, file: &PhotoFile, divisor: usize) -> Result<Array<u8>> {
+        let whole = file.load()?;
+        let photo = match divisor {
+            1 => whole,
+            divisor => shrink::shrink(&whole, divisor as u32),
+        };
+        Array::from_slice(&self.device, "photo", &photo.data)
+    }
+
+    /// A photo of which the device has the whole, at a fraction of its size.
+    fn smaller(&self, whole: &Array<u8>, entry: &Entry, divisor: usize) -> Result<Array<u8>> {
         let stage = match self.shrink.get() {
             Some(stage) => stage,
             None => {
@@ -352,7 +350,13 @@ impl Shared {
                 self.shrink.get_or_init(|| stage)
             }
         };
-        shrink::reduce(&self.device, stage, whole, shape, divisor)
+        shrink::reduce(
+            &self.device,
+            stage,
+            whole,
+            (entry.size, entry.planes),
+            divisor,
+        )
     }
 
     /// A photo of which the device has the whole; a smaller one is kept for later if there is room for it.
@@ -370,9 +374,10 @@ impl Shared {
         if wanted.divisor == 1 {
             return Ok(whole);
         }
-        let small = self.smaller(&whole, state.shape(wanted.photo), wanted.divisor)?;
+        let entry = &state.entries[wanted.photo];
+        let bytes = entry.bytes(wanted.divisor);
+        let small = self.smaller(&whole, entry, wanted.divisor)?;
         let small = Arc::new(PhotoArray::from(small));
-        let bytes = state.entries[wanted.photo].bytes(wanted.divisor);
         if state.fixed + state.bytes + bytes <= state.stats.budget_bytes {
             state.entries[wanted.photo].slot = Slot::Ready(wanted.divisor, small.clone());
             state.bytes += bytes;
@@ -383,12 +388,6 @@ impl Shared {
 }
 
 impl State {
-    /// Size and planes of a photo.
-    fn shape(&self, photo: usize) -> (ImageSize, usize) {
-        let entry = &self.entries[photo];
-        (entry.size, entry.planes)
-    }
-
     /// True if a photo is there in its size.
     fn has(&self, wanted: &Wanted) -> bool {
         self.entries[wanted.photo].has(wanted.divisor)
@@ -444,12 +443,13 @@ impl State {
         Some((wanted, file))
     }
 
-    /// The photo to give way: of those there and not in the window, the least recently used. None while threads are still
-    /// at photos that are no longer wanted; then there will be one soon, because the window is within the budget.
+    /// The photo to give way: of those there and not in the window in the size that they have, the least recently used. None while threads
+    /// are still at photos that are no longer wanted; then there will be one soon, because the window is within the budget.
     fn least_recent(&self) -> Option<usize> {
         let may_go = |i: &usize| {
             let e = &self.entries[*i];
-            matches!(e.slot, Slot::Ready(..)) && !self.window.iter().any(|w| w.photo == *i)
+            let wanted = |w: &Wanted| w.photo == *i && e.has(w.divisor);
+            matches!(e.slot, Slot::Ready(..)) && !self.window.iter().any(wanted)
         };
         (0..self.entries.len())
             .filter(may_go)

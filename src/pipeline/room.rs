@@ -130,7 +130,7 @@ fn too_large(each: usize, size: ImageSize, most: u64) -> Option<[String; 2]> {
     let fix = match fits {
         Some(side) if side >= TILE as usize => {
             format!(
-                "--max-size {side} keeps a new run to what fits; else select a device that allows more"
+                "images of at most {side} pixels a side fit (--max-size {side} in a new run); else select a device that allows more"
             )
         }
         _ => "select a device that allows more".to_owned(),

@@ -120,8 +120,9 @@ fn walk<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>, active_only: boo
         .status(view)
         .uints([camera.tiles[0] as usize]);
     if launch.defines().masked() {
+        let read = if active_only { camera.tile_count() } else { 0 };
         launch = launch
-            .array(&view.active_tiles, camera.tile_count())
+            .array(&view.active_tiles, read)
             .value(i32::from(active_only));
     }
     launch.array(&view.cover, 2 * view.count)

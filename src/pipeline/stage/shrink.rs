@@ -28,24 +28,26 @@ pub fn reduce(
     Ok(small)
 }
 
-// Definition in f64.
+// Definition, exact in integers; photos that are decoded on demand are made by it.
 
 /// The photo at 1/`factor` of its size: means of `factor` × `factor` pixels, rounded to nearest; what does not fill a pixel
 /// is left out.
 #[must_use]
 pub fn shrink(photo: &Photo, factor: u32) -> Photo {
     let (width, height) = (photo.width / factor, photo.height / factor);
-    let mut data = Vec::new();
-    for plane in 0..photo.alpha.planes() as u32 {
-        for y in 0..height {
-            for x in 0..width {
-                let cell = (0..factor * factor).map(|k| {
-                    let (px, py) = (x * factor + k % factor, y * factor + k / factor);
-                    f64::from(photo.data[((plane * photo.height + py) * photo.width + px) as usize])
-                });
-                let mean = cell.sum::<f64>() / f64::from(factor * factor);
-                data.push((mean + 0.5).floor() as u8);
+    let [across, rows, factor] = [photo.width, photo.height, factor].map(|n| n as usize);
+    let area = (factor * factor) as u32;
+    let mut data = Vec::with_capacity(photo.alpha.planes() * (width * height) as usize);
+    let mut sums = vec![0_u32; width as usize];
+    for plane in photo.data.chunks_exact(across * rows) {
+        for group in plane.chunks_exact(across * factor) {
+            sums.fill(0);
+            for row in group.chunks_exact(across) {
+                for (sum, cell) in sums.iter_mut().zip(row.chunks_exact(factor)) {
+                    *sum += cell.iter().map(|v| u32::from(*v)).sum::<u32>();
+                }
             }
+            data.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u8));
         }
     }
     Photo {
