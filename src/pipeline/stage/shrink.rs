@@ -1,4 +1,4 @@
-//! Photos at a fraction of their size (`kernels/shrink.cl`).
+//! Photos at a fraction of their size: on the device (`kernels/shrink.cl`), and in the host as they are decoded on demand, with the same bytes.
 
 use crate::base::constants::SHRINK_RUN;
 use crate::base::error::Result;
