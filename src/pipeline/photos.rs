@@ -17,6 +17,7 @@ use crate::base::error::{Error, Result};
 use crate::capture::{PhotoFile, PhotoSource};
 use crate::device::{Array, Defines, Device, ImageSize, Kernels, Program};
 use crate::pipeline::photo_array::PhotoArray;
+use crate::pipeline::room::{check_photo, photo_bytes};
 use crate::pipeline::stage::shrink;
 
 /// Photos decoded ahead of the one in use, where the budget has room for so many.
@@ -112,8 +113,7 @@ struct Entry {
 impl Entry {
     /// Bytes at a fraction of the size.
     fn bytes(&self, divisor: usize) -> u64 {
-        let [width, height] = self.size.0.map(|side| (side / divisor) as u64);
-        self.planes as u64 * width * height
+        photo_bytes(self.planes)(ImageSize(self.size.0.map(|side| side / divisor)))
     }
 
     /// Bytes of what is there or under way beside a source on the device.
@@ -187,10 +187,11 @@ impl Photos {
     /// Adds a photo and answers its number. One in memory is uploaded and stays; one in a file waits until it is asked for.
     ///
     /// # Errors
-    /// More than the device can allocate, a photo larger than the budget, or no thread to be had.
+    /// A photo larger than a buffer of the device or than the budget, more than the device can allocate, or no thread to be had.
     pub fn add(&self, photo: PhotoSource) -> Result<usize> {
         let (bytes, planes) = (photo.bytes(), photo.alpha().planes());
         let size = ImageSize(photo.size());
+        check_photo(self.device(), planes, size)?;
         let source = match photo {
             PhotoSource::Memory(photo) => {
                 let array = Array::from_slice(self.device(), "photo", &photo.data)?;

@@ -114,10 +114,9 @@ pub(super) fn most_pairs<R: Real>(
         .map_err(|[what, fix]| Error::device("allocate pairs", what, fix))
 }
 
-/// The text on planes of `each` bytes a pixel for images of a size that are larger than `most` bytes: what is wrong, and what to do;
-/// `None` if they are not.
-fn too_large(each: usize, size: ImageSize, most: u64) -> Option<[String; 2]> {
-    let bytes = |size: ImageSize| (each * size.plane()) as u64;
+/// The text on an array of `bytes` for images of a size that is larger than `most` bytes: what is wrong, and what to do; `None` if it is
+/// not.
+fn too_large(bytes: impl Fn(ImageSize) -> u64, size: ImageSize, most: u64) -> Option<[String; 2]> {
     if bytes(size) <= most {
         return None;
     }
@@ -142,6 +141,24 @@ fn too_large(each: usize, size: ImageSize, most: u64) -> Option<[String; 2]> {
     Some([what, fix])
 }
 
+/// Bytes of planes of `each` bytes a pixel, with the padding of images.
+fn plane_bytes(each: usize) -> impl Fn(ImageSize) -> u64 {
+    move |size| (each * size.plane()) as u64
+}
+
+/// Bytes of a photo of so many planes.
+pub(super) fn photo_bytes(planes: usize) -> impl Fn(ImageSize) -> u64 {
+    move |size| (planes * size.0[0] * size.0[1]) as u64
+}
+
+/// Refuses a photo that no buffer of the device can hold, with the size that would fit.
+pub(super) fn check_photo(device: &Device, planes: usize, size: ImageSize) -> Result<()> {
+    match too_large(photo_bytes(planes), size, device.info().max_alloc) {
+        None => Ok(()),
+        Some([what, fix]) => Err(Error::device("allocate photo", what, fix)),
+    }
+}
+
 /// Zeros in so many planes of images of a size.
 ///
 /// # Errors
@@ -152,7 +169,11 @@ pub(crate) fn image_planes<R: Real>(
     planes: usize,
     size: ImageSize,
 ) -> Result<Array<R>> {
-    match too_large(planes * size_of::<R>(), size, device.info().max_alloc) {
+    match too_large(
+        plane_bytes(planes * size_of::<R>()),
+        size,
+        device.info().max_alloc,
+    ) {
         None => Array::zeros(device, name, planes * size.plane()),
         Some([what, fix]) => Err(Error::device(format!("allocate {name}"), what, fix)),
     }
@@ -160,7 +181,8 @@ pub(crate) fn image_planes<R: Real>(
 
 #[cfg(test)]
 mod tests {
-    use super::{Load, ROUND, bytes_per_pair, pairs_within, too_large, too_many};
+    use super::{Load, ROUND, bytes_per_pair, pairs_within, photo_bytes, plane_bytes};
+    use super::{too_large, too_many};
     use crate::device::ImageSize;
     use crate::device::tuning::Tuning;
     use crate::pipeline::buffers::GaussianBuffers;
@@ -184,14 +206,28 @@ mod tests {
 
     #[test]
     fn planes_that_no_buffer_holds_are_refused_with_the_size_that_would_fit() {
-        let (each, most) = (9 * 4, 128 << 20);
-        let refused = |side: usize| too_large(each, ImageSize([side, side * 2 / 3]), most);
+        let most = 128 << 20;
+        let refused =
+            |side: usize| too_large(plane_bytes(9 * 4), ImageSize([side, side * 2 / 3]), most);
         let [what, fix] = refused(6000).unwrap();
         assert!(what.contains("6000 × 4000 pixels"), "{what}");
         let (_, number) = fix.split_once("--max-size ").unwrap();
         let side: usize = number.split(' ').next().unwrap().parse().unwrap();
         assert!(refused(side).is_none() && side > 2300, "{side}");
         assert!(refused(side + 32).is_some(), "{side}");
+    }
+
+    #[test]
+    fn a_photo_that_no_buffer_holds_is_refused_with_the_size_that_would_fit() {
+        // A device of 256 MB in all allows a quarter of it in one buffer.
+        let refused = |side: usize| too_large(photo_bytes(4), ImageSize([side, side]), 64 << 20);
+        let [what, fix] = refused(12_000).unwrap();
+        assert!(
+            what.starts_with("576000000 bytes for images of 12000"),
+            "{what}"
+        );
+        assert!(fix.contains("--max-size 4096 "), "{fix}");
+        assert!(refused(4096).is_none() && refused(4097).is_some());
     }
 
     #[test]
