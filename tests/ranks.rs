@@ -14,13 +14,14 @@ use mhsplat::density::{
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Defines, Device, Helpers};
 use mhsplat::evaluate::Evaluator;
+use mhsplat::lab::bench::scene::cloud;
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photos::Photos;
 use mhsplat::pipeline::stage::shrink::shrink;
 use mhsplat::ranks::Part;
 use mhsplat::run::{RunRecord, initial_gaussians};
-use mhsplat::scene::Plane;
-use mhsplat::train::{Event, Trainer, TrainerState};
+use mhsplat::scene::{Gaussians, Plane};
+use mhsplat::train::{Event, GaussianRows, Trainer, TrainerState};
 use mhsplat::{Plan, TrainConfig};
 
 use crate::background::holed;
@@ -369,6 +370,49 @@ fn rows_stay_with_their_ranks() {
     together.brightness().unwrap();
     together.advance_to(121).unwrap();
     assert!(rows_sent(&together) - spread - moved > spread / 4);
+}
+
+/// Rows come to the ranks from the host's memory, so that a scene may be larger than what any of their devices has room for.
+#[test]
+fn no_device_has_all_rows_when_a_run_begins() {
+    let data = room(48);
+    let config = TrainConfig {
+        max_size: 48,
+        sh_degree: 2,
+        ..sampled(Sampler::None)
+    };
+    let plan = Plan::new(&data, &config).unwrap();
+    let splats = cloud(60_000).with_sh_degree(2).unwrap();
+    let alone = Device::open(None).unwrap();
+    let mut one = Trainer::new(&alone, &data, &plan, &splats).unwrap();
+    let want = one.state().unwrap();
+    let device = Device::open_all(Some("cpu,cpu,cpu"), Cores::allowed()).unwrap();
+    let none = Gaussians::zeros(2, 1);
+    let mut leader = Trainer::new(&device, &data, &plan, &none).unwrap();
+    leader
+        .recruit(device.helpers(), &data.train, data.image_budget, nobody)
+        .unwrap();
+    assert!(
+        leader
+            .spread_from_host(&Gaussians::zeros(2, 0), &GaussianRows::default())
+            .is_err()
+    );
+    leader
+        .spread_from_host(&splats, &GaussianRows::default())
+        .unwrap();
+    let [most, each] = [&alone, &device].map(Device::allocated_bytes);
+    assert!(2 * each < most, "{each} of {most} bytes");
+    same(&leader.state().unwrap(), &want);
+    one.advance_to(4).unwrap();
+    leader.advance_to(4).unwrap();
+    same(&leader.state().unwrap(), &one.state().unwrap());
+    // Whole rows of another shape are refused, as those of a damaged checkpoint.
+    let short = GaussianRows {
+        moment1: vec![vec![0.0; 60_000]; 3],
+        ..GaussianRows::default()
+    };
+    let said = leader.spread_from_host(&splats, &short).unwrap_err();
+    assert!(said.to_string().contains("3 planes of moment1"), "{said}");
 }
 
 #[test]

@@ -20,7 +20,7 @@ use crate::device::tuning::Tuning;
 use crate::run::clock::Reading;
 use crate::run::record::StageRecord;
 use crate::scene::{Edit, Gaussians, Plane};
-use crate::train::gaussians::GaussianRows;
+use crate::train::GaussianRows;
 use crate::train::{Learned, Next, PendingStep, TrainerState};
 
 const VERSION: u32 = 11;

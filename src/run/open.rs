@@ -25,7 +25,7 @@ use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::Gaussians;
-use crate::train::{Begun, Next, Plan, Trainer};
+use crate::train::{Begun, GaussianRows, Next, Plan, Trainer};
 
 /// State that a run begins with.
 struct From {
@@ -221,6 +221,9 @@ impl Run {
             None => Cow::Owned(start::first(&dataset, &plan, &mut exports.remarks)?),
         };
         let (mut trainer, test) = trainer(device, dataset, &plan, &splats)?;
+        if saved.is_none() {
+            trainer.spread_from_host(&splats, &GaussianRows::default())?;
+        }
         let defines = Defines::new(device.tuning());
         let evaluator = (!test.is_empty()).then(|| Evaluator::new(device, defines, test));
         let evaluator = evaluator.transpose()?;
@@ -311,7 +314,12 @@ fn trainer(
     let photos = Photos::new(device, budget);
     let train = ViewSet::new(&photos, dataset.train)?;
     let test = ViewSet::new(&photos, dataset.test)?;
-    let mut trainer = Trainer::with_views(train, plan, splats)?;
+    let splats = match device.helpers() {
+        Helpers::None => Cow::Borrowed(splats),
+        // Of no meaning: each device gets its part of the rows, and none all of them.
+        _ => Cow::Owned(Gaussians::zeros(splats.sh_degree(), 1)),
+    };
+    let mut trainer = Trainer::with_views(train, plan, &splats)?;
     trainer.recruit(device.helpers(), &shared, budget, |trainer| {
         beginning((&path, fingerprint), trainer, splats.sh_degree())
     })?;

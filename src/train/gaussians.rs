@@ -486,12 +486,52 @@ impl GaussianState {
         Ok((Gaussians::new(self.scene.sh_degree, params?)?, rows))
     }
 
-    /// Continues with the rows of a checkpoint.
+    /// Everything that belongs to some rows of Gaussians in the host's memory, as [`GaussianState::read_words`] has it of rows here; what `kept`
+    /// lacks is zero.
     ///
     /// # Errors
-    /// Rows of another shape, or the driver's.
-    pub fn restore(&self, rows: &GaussianRows) -> Result<()> {
-        let (stride, count) = (self.scene.stride, self.scene.count);
+    /// Other planes than those here.
+    pub fn words_of(
+        &self,
+        (splats, kept): (&Gaussians, &GaussianRows),
+        rows: Range<usize>,
+    ) -> Result<Vec<u32>> {
+        let filter = std::slice::from_ref(&kept.filter);
+        let filter = if kept.filter.is_empty() { &[] } else { filter };
+        let sources: [&[Vec<f32>]; 6] = [
+            splats.planes(),
+            &kept.moment1,
+            &kept.moment2,
+            filter,
+            &kept.statistics,
+            &kept.gradients,
+        ];
+        let mut words = Vec::new();
+        for (values, (array, planes)) in sources.into_iter().zip(self.held()) {
+            if values.is_empty() {
+                words.resize(words.len() + planes * rows.len(), 0);
+                continue;
+            }
+            let some = values.iter().map(|plane| plane.get(rows.clone()));
+            let some: Option<Vec<&[f32]>> = some.collect();
+            let Some(some) = some.filter(|some| some.len() == planes) else {
+                let (found, name) = (values.len(), array.name());
+                return Err(mismatch(format!(
+                    "{found} planes of {name}, {} wide; {planes} expected of {} rows",
+                    values.iter().map(Vec::len).min().unwrap_or(0),
+                    splats.len()
+                )));
+            };
+            words.extend(some.into_iter().flatten().map(|v| v.to_bits()));
+        }
+        Ok(words)
+    }
+
+    /// Refuses the rows of a checkpoint of `count` Gaussians that are of another shape.
+    ///
+    /// # Errors
+    /// Those.
+    pub fn check_rows(&self, rows: &GaussianRows, count: usize) -> Result<()> {
         if rows.statistics.len() != self.rows {
             let (found, wanted) = (rows.statistics.len(), self.rows);
             return Err(mismatch(format!(
@@ -508,6 +548,16 @@ impl GaussianState {
                 "3D filter of {found} Gaussians; {wanted} expected"
             )));
         }
+        Ok(())
+    }
+
+    /// Continues with the rows of a checkpoint.
+    ///
+    /// # Errors
+    /// Rows of another shape, or the driver's.
+    pub fn restore(&self, rows: &GaussianRows) -> Result<()> {
+        self.check_rows(rows, self.scene.count)?;
+        let stride = self.scene.stride;
         for (array, planes) in [
             (&self.moments[0], &rows.moment1),
             (&self.moments[1], &rows.moment2),
@@ -518,7 +568,7 @@ impl GaussianState {
                 array.write(p * stride, plane)?;
             }
         }
-        match wanted {
+        match rows.filter.len() {
             0 => Ok(()),
             _ => self.scene.filter.write(0, &rows.filter),
         }

@@ -32,6 +32,7 @@ pub mod working;
 
 pub use control::DensityEvent;
 pub use decision::PendingStep;
+pub use gaussians::GaussianRows;
 pub use noted::Noted;
 pub use plan::{Begun, Learned, Plan};
 pub use state::TrainerState;

@@ -22,7 +22,8 @@ use crate::train::crew::{
 };
 use crate::train::gaussians::{Carried, GaussianRows, GaussianState};
 use crate::train::plan::Plan;
-use crate::train::step::Trainer;
+use crate::train::step::{Trainer, no_gaussian};
+use crate::train::trace::DensityTrace;
 use crate::train::views::capacity;
 
 /// Threads of the ranks that do not lead.
@@ -218,32 +219,73 @@ impl Trainer {
 
     /// Spreads the rows over the ranks, if they are not.
     pub(super) fn spread(&mut self) -> Result<()> {
-        if self.pipeline.share.is_some() {
+        if self.pipeline.share.is_some() || self.crew.is_none() {
             return Ok(());
         }
         let all = self.gaussians.scene.count;
-        let Some(crew) = &mut self.crew else {
+        let own = self.spread_others(all, |state, rows| state.read_words(rows))?;
+        let room = capacity(&self.plan.config, own);
+        self.gaussians.shrink(&self.device, own, room)?;
+        self.gaussians.scene.shard = Some(Shard { first: 0, all });
+        self.begin_sharing()
+    }
+
+    /// Spreads Gaussians in the host's memory over the ranks, with what `kept` has of them, in place of those that are trained: no device
+    /// has room for all of them. Alone this does nothing.
+    ///
+    /// # Errors
+    /// No Gaussian, rows of another shape, another rank's failure, or no room.
+    pub fn spread_from_host(&mut self, splats: &Gaussians, kept: &GaussianRows) -> Result<()> {
+        if self.crew.is_none() {
             return Ok(());
+        }
+        if splats.is_empty() {
+            return Err(no_gaussian());
+        }
+        let (all, degree) = (splats.len(), splats.sh_degree());
+        // Words are of as many planes as are trained.
+        self.gaussians = self.gaussians.empty(&self.device, degree)?;
+        let own = self.spread_others(all, |state, rows| state.words_of((splats, kept), rows))?;
+        let words = self.gaussians.words_of((splats, kept), 0..own)?;
+        self.take_part(Shard { first: 0, all }, [own, degree as usize], &words)?;
+        let traced = self.plan.config.trace_density;
+        self.control.trace = traced.then(|| DensityTrace::new(all));
+        self.begin_sharing()
+    }
+
+    /// Divides so many rows and sends each other rank its part, of which `read` has the words; returns the number of those that stay. One after
+    /// the other, so that there is no copy of all.
+    fn spread_others(
+        &mut self,
+        all: usize,
+        read: impl Fn(&GaussianState, Range<usize>) -> Result<Vec<u32>>,
+    ) -> Result<usize> {
+        let Some(crew) = &mut self.crew else {
+            return Ok(all);
         };
         crew.divide_rows(all);
         let (exchange, own) = (crew.exchange.clone(), crew.rows_of(LEADER).len());
         let others: Vec<Range<usize>> = (1..exchange.ranks()).map(|r| crew.rows_of(r)).collect();
-        let mut messages = vec![Vec::new()];
-        for rows in others {
-            messages.push(self.rows_for(rows, all)?);
+        for (rank, rows) in (1..).zip(others) {
+            let mut words = self.words_before(&rows, all)?;
+            words.extend(read(&self.gaussians, rows)?);
+            exchange.trade(Part::Rows, to_one(exchange.as_ref(), rank, words))?;
         }
-        exchange.trade(Part::Rows, messages)?;
-        let room = capacity(&self.plan.config, own);
-        self.gaussians.shrink(&self.device, own, room)?;
+        Ok(own)
+    }
+
+    /// Goes on by the parts of the ranks.
+    fn begin_sharing(&mut self) -> Result<()> {
         self.pipeline.forward.frame.release(&self.device)?;
-        self.gaussians.scene.shard = Some(Shard { first: 0, all });
-        self.pipeline.share = self.crew.as_mut().and_then(|crew| crew.idle.take());
+        if let Some(idle) = self.crew.as_mut().and_then(|crew| crew.idle.take()) {
+            self.pipeline.share = Some(idle);
+        }
         Ok(())
     }
 
-    /// The message that spreads some of all rows: first row, number, all rows, SH degree, the lengths of the run, the iteration from which
-    /// exposure is compensated (one more; 0: not) with the transforms of the views and their moments, then the rows.
-    fn rows_for(&self, rows: Range<usize>, all: usize) -> Result<Vec<u32>> {
+    /// The words before the rows in a message that spreads some of all rows: first row, number, all rows, SH degree, the lengths of the run,
+    /// the iteration from which exposure is compensated (one more; 0: not) with the transforms of the views and their moments.
+    fn words_before(&self, rows: &Range<usize>, all: usize) -> Result<Vec<u32>> {
         let degree = self.gaussians.scene.sh_degree;
         let mut words = vec![SPREAD];
         words.extend([rows.start, rows.len(), all].map(|n| n as u32));
@@ -262,11 +304,10 @@ impl Trainer {
             words.push(row.len() as u32);
             words.extend(row.iter().map(|v| v.to_bits()));
         }
-        words.extend(self.gaussians.read_words(rows)?);
         Ok(words)
     }
 
-    /// Takes the rows of a message of [`Trainer::rows_for`].
+    /// Takes the rows of a message of [`Trainer::spread_others`].
     fn take_rows(&mut self, words: &[u32]) -> Result<()> {
         let mut words = Words(words);
         let [first, count, all] = words.take()?.map(|n: u32| n as usize);
@@ -294,18 +335,28 @@ impl Trainer {
                 model.restore(&rows)?;
             }
         }
+        self.take_part(Shard { first, all }, [count, degree as usize], words.0)
+    }
+
+    /// Takes a part of all rows: their number, SH degree and words.
+    fn take_part(
+        &mut self,
+        shard: Shard,
+        [count, degree]: [usize; 2],
+        words: &[u32],
+    ) -> Result<()> {
         let scene = &self.gaussians.scene;
-        if scene.sh_degree != degree || scene.stride < count {
+        if scene.sh_degree as usize != degree || scene.stride < count {
             let rows = self.gaussians.rows;
             let kept = [self.smoothing.is_some(), self.plan.config.batch > 1];
-            let none = Gaussians::zeros(degree, 0);
+            let none = Gaussians::zeros(degree as u32, 0);
             let room = capacity(&self.plan.config, count);
             self.gaussians = GaussianState::new(&self.device, &none, room, rows, kept)?;
         }
         let scene = &mut self.gaussians.scene;
         scene.count = count;
-        scene.shard = Some(Shard { first, all });
-        self.gaussians.write_words(0..count, words.0, Carried::All)
+        scene.shard = Some(shard);
+        self.gaussians.write_words(0..count, words, Carried::All)
     }
 
     /// Gathers the rows of all ranks on this device, if they are spread.

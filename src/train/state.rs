@@ -66,18 +66,20 @@ impl Trainer {
         })
     }
 
-    /// Continues from a state; the trainer must have been made with its Gaussians.
+    /// Continues from a state; a trainer that is alone must have been made with its Gaussians.
     ///
     /// # Errors
-    /// A state of another shape, or the driver's.
+    /// A state of another shape, another rank's failure, or the driver's.
     pub fn restore(&mut self, state: &TrainerState) -> Result<()> {
-        self.gather()?;
-        let scene = &self.gaussians.scene;
-        if (state.splats.sh_degree(), state.splats.len()) != (scene.sh_degree, scene.count) {
+        self.settle()?;
+        let (scene, alone) = (&self.gaussians.scene, self.crew.is_none());
+        let shape = (state.splats.sh_degree(), state.splats.len());
+        if alone && shape != (scene.sh_degree, scene.count) {
             return Err(mismatch(
                 "it holds other Gaussians than training begins with".into(),
             ));
         }
+        self.gaussians.check_rows(&state.rows, state.splats.len())?;
         if state.losses.len() != self.losses.len() {
             let (found, wanted) = (state.losses.len(), self.losses.len());
             return Err(mismatch(format!("{found} losses; {wanted} expected")));
@@ -86,13 +88,16 @@ impl Trainer {
             let what = "gradients of a batch where none has begun, or none where one has";
             return Err(mismatch(what.into()));
         }
-        self.gaussians.restore(&state.rows)?;
+        if alone {
+            self.gaussians.restore(&state.rows)?;
+        }
         self.losses.write(0, &state.losses)?;
         self.iteration = state.iteration;
         self.next = state.next;
         self.learned = state.learned;
         self.plan.learn(&state.learned);
         self.restore_exposures(&state.exposures)?;
+        self.spread_from_host(&state.splats, &state.rows)?;
         self.control.restore(state.deciding.as_ref());
         self.control.stats = state.stats;
         self.control.trace.take_if(|_| state.iteration > 0);

@@ -122,6 +122,11 @@ pub struct Trainer {
     pub(super) crew: Option<Crew>,
 }
 
+/// The error of a set without any.
+pub(super) fn no_gaussian() -> Error {
+    Error::numerics("train", "no Gaussian to start from")
+}
+
 impl Trainer {
     /// Uploads the training views and the Gaussians, builds the kernels of an iteration and runs each once over nothing, so that
     /// no later one waits for a compiler; those of exposure compensation, which is decided on the way, are built then.
@@ -172,7 +177,7 @@ impl Trainer {
     ) -> Result<Self> {
         plan.config.validate()?;
         if splats.is_empty() {
-            return Err(Error::numerics("train", "no Gaussian to start from"));
+            return Err(no_gaussian());
         }
         if plan.alpha != set.alpha {
             let what = format!(
