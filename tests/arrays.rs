@@ -49,6 +49,30 @@ fn cleared<T: Element>(device: &Device, value: T, len: usize) -> Vec<T> {
     array.to_vec().unwrap()
 }
 
+/// What lies beside a range that is cleared stays, wherever its bytes begin.
+#[test]
+fn clearing_a_range_leaves_what_is_beside_it() {
+    let device = Device::open(None).unwrap();
+    for (first, len) in [
+        (0, 0),
+        (0, 1),
+        (1, 2),
+        (1, 6),
+        (3, 30),
+        (4, 8),
+        (5, 11),
+        (16, 16),
+        (39, 1),
+    ] {
+        let array = Array::from_slice(&device, "range", &[7u8; 40]).unwrap();
+        array.clear_range(first, len).unwrap();
+        let mut want = vec![7; 40];
+        want[first..first + len].fill(0);
+        assert_eq!(array.to_vec().unwrap(), want, "{len} from {first} on");
+        assert!(array.clear_range(first, 41 - first).is_err());
+    }
+}
+
 #[test]
 fn clearing_reaches_the_last_byte() {
     let device = Device::open(None).unwrap();

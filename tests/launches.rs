@@ -2,7 +2,7 @@
 
 use crate::determinism::room;
 use mhsplat::capture::{Alpha, Photo};
-use mhsplat::config::{ExposureChoice, Sampler, TrainConfig};
+use mhsplat::config::{AntiAliasing, ExposureChoice, Sampler, TrainConfig};
 use mhsplat::device::tuning::Tuning;
 use mhsplat::scene::Gaussians;
 use mhsplat::train::Event;
@@ -55,7 +55,7 @@ fn trainer(
     if !room_for_small {
         data.image_budget = view.photo.bytes();
     }
-    data.train = vec![view];
+    data.train = vec![view; config.batch.max(1) as usize];
     let mut planes = vec![vec![0.0; GAUSSIANS]; 11 + 3];
     for (plane, x) in planes.iter_mut().zip(behind.to_array()) {
         plane.fill(x as f32);
@@ -93,7 +93,9 @@ fn launches_over(
         let mut enqueued = device.enqueued();
         let is = |at: usize, names: &[&str]| names.contains(&enqueued[at].0);
         let project = (0..enqueued.len()).rfind(|at| is(*at, &["project"]));
-        let before = |at: &usize| is(*at, &["shrink", "active_tiles"]);
+        let before = |at: &usize| {
+            is(*at, &["shrink", "active_tiles"]) || enqueued[*at].0.starts_with("filter_")
+        };
         let first = (0..project.unwrap()).rev().take_while(before).last();
         let first = first.or(project).unwrap();
         iterations.push(enqueued.split_off(first));
@@ -175,6 +177,29 @@ fn everything_at_once_has_no_more_launches_than_a_gpu_is_to_wait_for() {
         assert_eq!(counts.iter().max(), Some(&most), "{counts:?}");
         // They are made once for each photo, before the first iteration that is counted here.
         assert_eq!(made(&iterations), 0, "{alpha:?}");
+        iterations.into_iter().for_each(check_work);
+    }
+}
+
+/// The last view of a batch has one more, which takes the step, and every hundredth iteration with the 3D filter has three more.
+#[test]
+fn batches_and_filters_add_launches_to_few_iterations() {
+    let batches = launches(|config| config.batch = 3, 3);
+    let counts: Vec<usize> = batches.iter().map(Vec::len).collect();
+    assert_eq!(counts, [30, 30, 31]);
+    let filters = launches(|config| config.anti_aliasing = AntiAliasing::On, 2);
+    let counts: Vec<usize> = filters.iter().map(Vec::len).collect();
+    assert_eq!(counts, [33, 30]);
+    batches.into_iter().chain(filters).for_each(check_work);
+}
+
+/// Samplers other than mh have one launch a view of their own.
+#[test]
+fn other_samplers_have_no_more_launches() {
+    for sampler in [Sampler::Mcmc, Sampler::Adc] {
+        let iterations = launches(|config| config.sampler = sampler, 2);
+        let counts: Vec<usize> = iterations.iter().map(Vec::len).collect();
+        assert_eq!(counts, [31, 31], "{sampler:?}");
         iterations.into_iter().for_each(check_work);
     }
 }

@@ -30,6 +30,7 @@ mod faults;
 mod flip;
 mod formats;
 mod fuzz;
+mod gpu_report;
 mod gpu_tables;
 mod gradient;
 mod growth;

@@ -37,6 +37,11 @@ impl<T: Element> Array<T> {
         Ok(array)
     }
 
+    /// An array of `len` values of no meaning, which the caller is to set before anything reads them.
+    pub(crate) fn unset(device: &Device, name: &'static str, len: usize) -> Result<Self> {
+        Self::create(device, name, len, None)
+    }
+
     /// A copy of `data`, made at once: it waits for nothing that is enqueued, and any thread may make one.
     pub fn from_slice(device: &Device, name: &'static str, data: &[T]) -> Result<Self> {
         Self::create(device, name, data.len(), Some(data))
@@ -108,21 +113,49 @@ impl<T: Element> Array<T> {
 
     /// Sets every byte to zero. Does not wait.
     pub fn clear(&self) -> Result<()> {
-        // In pieces as large as may be: some drivers fill one after the other. The structs have no size that a piece may have.
-        match self.len.max(1) * size_of::<T>() {
-            bytes if bytes.is_multiple_of(16) => self.fill(Uint4::zero(), bytes / 16),
-            bytes if bytes.is_multiple_of(4) => self.fill(0u32, bytes / 4),
-            bytes => self.fill(0u8, bytes),
+        self.clear_bytes(0, self.len.max(1) * size_of::<T>())
+    }
+
+    /// Sets `len` values from `offset` on to zero. Does not wait.
+    ///
+    /// # Errors
+    /// A range beyond the array, or the driver's.
+    pub fn clear_range(&self, offset: usize, len: usize) -> Result<()> {
+        self.check(offset, len)?;
+        match len {
+            0 => Ok(()),
+            _ => self.clear_bytes(offset * size_of::<T>(), len * size_of::<T>()),
         }
     }
 
-    fn fill<P: OclPrm>(&self, pattern: P, times: usize) -> Result<()> {
+    /// In pieces as large as may be: some drivers fill one after the other. A piece begins at a multiple of its own size; the structs have no
+    /// size that a piece may have.
+    fn clear_bytes(&self, first: usize, bytes: usize) -> Result<()> {
+        let (at, end) = (first, first + bytes);
+        if (at | end).is_multiple_of(16) {
+            return self.fill(Uint4::zero(), at, bytes);
+        }
+        let words = [at.next_multiple_of(4), end / 4 * 4];
+        if words[0] >= words[1] {
+            return self.fill(0u8, at, bytes);
+        }
+        for [from, to] in [[at, words[0]], [words[1], end]] {
+            if from < to {
+                self.fill(0u8, from, to - from)?;
+            }
+        }
+        self.fill(0u32, words[0], words[1] - words[0])
+    }
+
+    /// Fills so many bytes from the `first` on.
+    fn fill<P: OclPrm>(&self, pattern: P, first: usize, bytes: usize) -> Result<()> {
+        let size = size_of::<P>();
         core::enqueue_fill_buffer(
             &self.device.queue(),
             &self.mem,
             pattern,
-            0,
-            times,
+            first / size,
+            bytes / size,
             None::<&Event>,
             None::<&mut Event>,
             None,

@@ -51,9 +51,11 @@ pub(crate) fn restride<R: Real>(
     to: usize,
 ) -> Result<Array<R>> {
     check_room::<R>(device, old.name(), planes, to)?;
-    let new = Array::zeros(device, old.name(), planes * to)?;
+    let new = Array::unset(device, old.name(), planes * to)?;
+    let kept = from.min(to);
     for p in 0..planes {
-        new.copy_from(p * to, old, p * from, from.min(to))?;
+        new.copy_from(p * to, old, p * from, kept)?;
+        new.clear_range(p * to + kept, to - kept)?;
     }
     Ok(new)
 }

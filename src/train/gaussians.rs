@@ -346,7 +346,8 @@ impl GaussianState {
     fn fit_scratch(&mut self, device: &Device) -> Result<()> {
         let len = SCRATCH * self.scene.stride;
         if self.scratch.len() < len {
-            self.scratch = Array::zeros(device, "scratch", len)?;
+            check_room::<f32>(device, "scratch", SCRATCH, self.scene.stride)?;
+            self.scratch = Array::unset(device, "scratch", len)?;
         }
         Ok(())
     }
@@ -376,8 +377,9 @@ impl GaussianState {
             .chain(summed)
         {
             check_room::<f32>(device, array.name(), to / stride, stride)?;
-            let new = Array::zeros(device, array.name(), to)?;
+            let new = Array::unset(device, array.name(), to)?;
             new.copy_from(0, array, 0, from)?;
+            new.clear_range(from, to - from)?;
             *array = new;
         }
         self.scene.sh_degree = degree;
