@@ -49,7 +49,7 @@ fn cleared<T: Element>(device: &Device, value: T, len: usize) -> Vec<T> {
     array.to_vec().unwrap()
 }
 
-/// What lies beside a range that is cleared stays, wherever its bytes begin.
+/// Values beside a range that is cleared stay, wherever its bytes begin.
 #[test]
 fn clearing_a_range_leaves_what_is_beside_it() {
     let device = Device::open(None).unwrap();

@@ -379,6 +379,8 @@ fn no_device_has_all_rows_when_a_run_begins() {
     let config = TrainConfig {
         max_size: 48,
         sh_degree: 2,
+        // A filter that is there before the first iteration.
+        anti_aliasing: AntiAliasing::On,
         ..sampled(Sampler::None)
     };
     let plan = Plan::new(&data, &config).unwrap();
@@ -402,6 +404,7 @@ fn no_device_has_all_rows_when_a_run_begins() {
         .unwrap();
     let [most, each] = [&alone, &device].map(Device::allocated_bytes);
     assert!(2 * each < most, "{each} of {most} bytes");
+    assert!(want.rows.filter.iter().any(|v| *v > 0.0));
     same(&leader.state().unwrap(), &want);
     one.advance_to(4).unwrap();
     leader.advance_to(4).unwrap();
@@ -413,6 +416,8 @@ fn no_device_has_all_rows_when_a_run_begins() {
     };
     let said = leader.spread_from_host(&splats, &short).unwrap_err();
     assert!(said.to_string().contains("3 planes of moment1"), "{said}");
+    // Nothing goes on from rows of which some ranks alone have a part.
+    assert!(leader.advance_to(5).is_err());
 }
 
 #[test]

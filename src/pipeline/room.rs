@@ -148,14 +148,25 @@ fn plane_bytes(each: usize) -> impl Fn(ImageSize) -> u64 {
     move |size| (each * size.plane()) as u64
 }
 
+/// Bytes a pixel of the largest array of an image: the maps of the loss in the group style, three for each channel.
+const LARGEST: usize = 9 * size_of::<f32>();
+
 /// Bytes of a photo of so many planes.
 pub(super) fn photo_bytes(planes: usize) -> impl Fn(ImageSize) -> u64 {
     move |size| (planes * size.0[0] * size.0[1]) as u64
 }
 
+/// The text on a photo that is larger than `most` bytes: what is wrong, and what to do; `None` if it is not. What fits is an image whose loss
+/// can be computed.
+fn photo_too_large(planes: usize, size: ImageSize, most: u64) -> Option<[String; 2]> {
+    let [what, _] = too_large(photo_bytes(planes), size, most)?;
+    let [_, fix] = too_large(plane_bytes(LARGEST), size, most)?;
+    Some([what, fix])
+}
+
 /// Refuses a photo that no buffer of the device can hold, with the size that would fit.
 pub(super) fn check_photo(device: &Device, planes: usize, size: ImageSize) -> Result<()> {
-    match too_large(photo_bytes(planes), size, device.info().max_alloc) {
+    match photo_too_large(planes, size, device.info().max_alloc) {
         None => Ok(()),
         Some([what, fix]) => Err(Error::device("allocate photo", what, fix)),
     }
@@ -183,7 +194,7 @@ pub(crate) fn image_planes<R: Real>(
 
 #[cfg(test)]
 mod tests {
-    use super::{Load, ROUND, bytes_per_pair, pairs_within, photo_bytes, plane_bytes};
+    use super::{Load, ROUND, bytes_per_pair, pairs_within, photo_too_large, plane_bytes};
     use super::{too_large, too_many};
     use crate::device::ImageSize;
     use crate::device::tuning::Tuning;
@@ -222,14 +233,22 @@ mod tests {
     #[test]
     fn a_photo_that_no_buffer_holds_is_refused_with_the_size_that_would_fit() {
         // A device of 256 MB in all allows a quarter of it in one buffer.
-        let refused = |side: usize| too_large(photo_bytes(4), ImageSize([side, side]), 64 << 20);
+        let most = 64 << 20;
+        let refused = |side: usize| photo_too_large(4, ImageSize([side, side]), most);
         let [what, fix] = refused(12_000).unwrap();
         assert!(
             what.starts_with("576000000 bytes for images of 12000"),
             "{what}"
         );
-        assert!(fix.contains("--max-size 4096 "), "{fix}");
         assert!(refused(4096).is_none() && refused(4097).is_some());
+        // Nor are the maps of its loss refused then.
+        let (_, number) = fix.split_once("--max-size ").unwrap();
+        let side: usize = number.split(' ').next().unwrap().parse().unwrap();
+        let maps = |side: usize| too_large(plane_bytes(9 * 4), ImageSize([side, side]), most);
+        assert!(
+            side > 1300 && maps(side).is_none() && maps(side + 16).is_some(),
+            "{side}"
+        );
     }
 
     #[test]

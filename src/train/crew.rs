@@ -64,6 +64,8 @@ pub const SEEN: u32 = 10;
 pub const KEEP: u32 = 11;
 /// Tell how many gradient values were not finite.
 pub const COUNT: u32 = 12;
+/// Compute the smoothing filter.
+pub const SMOOTH: u32 = 13;
 
 /// Gain of a step of the bands towards even times, after every view.
 const BAND_GAIN: f64 = 0.1;

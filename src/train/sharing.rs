@@ -18,7 +18,7 @@ use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
 use crate::scene::Gaussians;
 use crate::train::crew::{
     COUNT, Crew, DECIDE, EDIT, END, EXPOSE, GATHER, ITERATE, KEEP, LENGTH, LOOK, RAISE, SEEN,
-    SPREAD, Words,
+    SMOOTH, SPREAD, Words,
 };
 use crate::train::gaussians::{Carried, GaussianRows, GaussianState};
 use crate::train::plan::Plan;
@@ -212,9 +212,7 @@ impl Trainer {
 
     /// Notes that the others wait for an order.
     pub(super) fn rest(&mut self) {
-        if let Some(crew) = &mut self.crew {
-            crew.at_rest = true;
-        }
+        self.amidst(false);
     }
 
     /// Spreads the rows over the ranks, if they are not.
@@ -231,7 +229,7 @@ impl Trainer {
     }
 
     /// Spreads Gaussians in the host's memory over the ranks, with what `kept` has of them, in place of those that are trained: no device
-    /// has room for all of them. Alone this does nothing.
+    /// needs room for all of them. Alone this does nothing.
     ///
     /// # Errors
     /// No Gaussian, rows of another shape, another rank's failure, or no room.
@@ -242,15 +240,32 @@ impl Trainer {
         if splats.is_empty() {
             return Err(no_gaussian());
         }
+        self.settle()?;
         let (all, degree) = (splats.len(), splats.sh_degree());
         // Words are of as many planes as are trained.
         self.gaussians = self.gaussians.empty(&self.device, degree)?;
+        // Rows that have come to some of the ranks alone are nothing to go on from.
+        self.amidst(true);
         let own = self.spread_others(all, |state, rows| state.words_of((splats, kept), rows))?;
         let words = self.gaussians.words_of((splats, kept), 0..own)?;
         self.take_part(Shard { first: 0, all }, [own, degree as usize], &words)?;
         let traced = self.plan.config.trace_density;
         self.control.trace = traced.then(|| DensityTrace::new(all));
-        self.begin_sharing()
+        self.begin_sharing()?;
+        self.rest();
+        if self.smoothing.is_some() && kept.filter.is_empty() {
+            self.tell(vec![SMOOTH])?;
+            self.smooth()?;
+            self.rest();
+        }
+        Ok(())
+    }
+
+    /// Notes if the other ranks may be amidst something.
+    fn amidst(&mut self, something: bool) {
+        if let Some(crew) = &mut self.crew {
+            crew.at_rest = !something;
+        }
     }
 
     /// Divides so many rows and sends each other rank its part, of which `read` has the words; returns the number of those that stay. One after
@@ -459,6 +474,7 @@ impl Trainer {
                 }
                 [COUNT] => self.tell_non_finite().map(|_| ())?,
                 [SEEN] => self.tell_seen().map(|_| ())?,
+                [SMOOTH] => self.smooth()?,
                 [KEEP, words @ ..] => self.follow_keep(words)?,
                 [LOOK, words @ ..] => self.follow_look(words)?,
                 [EXPOSE, from] => {

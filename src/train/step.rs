@@ -507,7 +507,7 @@ impl Trainer {
     }
 
     /// Recomputes the smoothing filter from the positions; does nothing without anti-aliasing.
-    fn smooth(&mut self) -> Result<()> {
+    pub(super) fn smooth(&mut self) -> Result<()> {
         self.controlled().1.smooth()
     }
 

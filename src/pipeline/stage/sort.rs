@@ -6,9 +6,9 @@ use crate::device::tuning::status::{self, SLOTS};
 use crate::device::{Array, Kernels, Program, Real};
 use crate::pipeline::buffers::SortBuffers;
 
-/// Bits of the keys of [`Keys::depths`]: depths are above 0, so that the highest is never set and four digits of 8 bits, or three of 12, are
-/// what a view of any depth takes.
-const BITS: u32 = 31;
+/// Bits of the keys of [`Keys::depths`]. Depths are above 0, so that the highest is never set: without it there would be as many passes, four
+/// of 8 bits or three of 12.
+const BITS: u32 = 32;
 /// Most elements that one work-item sorts on a device whose work-items are whole cores: a second core does not make up for the
 /// launches that it takes (`docs/results/speed.md`).
 const FEW: usize = 1 << 14;
