@@ -7,6 +7,10 @@ use crate::run::forecast::Forecast;
 /// Share of the budget that is planned for; the rest is left for what the plan does not foresee.
 const PLANNED: f64 = 0.99;
 
+/// The length stays where it is off by no more than this part of the iterations that are left: every change moves the density steps to come and
+/// the progress that they go by (docs/results/budgets.md).
+const STEADY: u32 = 10;
+
 /// Share of the budget after which the first plan is made, if fewer iterations have been done by then than a forecast waits for.
 const LATEST: f64 = 0.1;
 
@@ -172,7 +176,7 @@ impl Budget {
                 high = middle - 1;
             }
         }
-        let little = (length.saturating_sub(done) / 200).max(1);
+        let little = (length.saturating_sub(done) / STEADY).max(1);
         // The first plan is recorded whatever it is: who repeats the run need not plan.
         (first || low.abs_diff(length) > little).then_some(low)
     }
