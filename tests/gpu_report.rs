@@ -21,7 +21,10 @@ case $1 in
   devices) echo "0 [Gpu] one; tuned: ${{MHSPLAT_TUNING:-measured}}" ;;
   verify) mkdir "$folder" && touch "$folder/verify.html" && exit {verifies} ;;
   train | synth) mkdir -p "${{folder:-$3}}" && touch "${{folder:-$3}}/scene.ply" "${{folder:-$3}}/run.json" ;;
-  bench) MHSPLAT_DEVICE=cpu MHSPLAT_TUNING=default exec "$real" bench --brief 100@16 -o "$folder" ;;
+  bench)
+    # Default sizes in the first bench alone.
+    case $folder:${{MHSPLAT_TUNING:-}} in *default:default | *tuned:) ;; *) exit 1 ;; esac
+    MHSPLAT_DEVICE=cpu MHSPLAT_TUNING=default exec "$real" bench --brief 100@16 -o "$folder" ;;
   *) echo "mhsplat 0" ;;
 esac
 "#,
