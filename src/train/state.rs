@@ -79,7 +79,6 @@ impl Trainer {
                 "it holds other Gaussians than training begins with".into(),
             ));
         }
-        self.gaussians.check_rows(&state.rows, state.splats.len())?;
         if state.losses.len() != self.losses.len() {
             let (found, wanted) = (state.losses.len(), self.losses.len());
             return Err(mismatch(format!("{found} losses; {wanted} expected")));
@@ -88,8 +87,9 @@ impl Trainer {
             let what = "gradients of a batch where none has begun, or none where one has";
             return Err(mismatch(what.into()));
         }
-        if alone {
-            self.gaussians.restore(&state.rows)?;
+        match alone {
+            true => self.gaussians.restore(&state.rows)?,
+            false => (self.gaussians).check_rows(&state.rows, state.splats.len())?,
         }
         self.losses.write(0, &state.losses)?;
         self.iteration = state.iteration;
