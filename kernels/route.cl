@@ -1,7 +1,8 @@
 // route: where several ranks train one scene, the visible Gaussians of one of them -> the bands of tile rows that they touch, one band a
 // rank; and the sums of their pairs there -> one list for each Gaussian, by bands from top to bottom, which is the order of its pairs
 // where one rank has them all; pairs of a Gaussian that lies in one band are added up there, in the same order. A Gaussian that a band gets is cut to the rows of the band, so that its pairs there are those of these
-// rows. Launches are over chunks of Gaussians, or Gaussians. Source: the division of Gaussians and pixels among devices of Grendel-GS,
+// rows. Launches are over chunks of Gaussians, or Gaussians, of some rows alone where what is sent of them travels while the device is at
+// others. Source: the division of Gaussians and pixels among devices of Grendel-GS,
 // Zhao et al. 2024.
 
 // Rows of tiles of a Gaussian: the first, and the last in the high half; of a culled one no row.
@@ -9,11 +10,11 @@
 #define FIRST_ROW(span) ((span) & 0xffffu)
 #define LAST_ROW(span) ((span) >> 16)
 
-// Launch: one work-item per Gaussian. Writes its rows of tiles, so that nobody fetches whole records for them.
-__kernel void route_spans(__global const Projected *records, __global const uint *keys, uint count, // in [count] depth bits or KEY_CULLED
-                          __global uint *spans) {                                                   // out [count]
-  const uint i = get_global_id(0);
-  if (i >= count) return;
+// Launch: one work-item per own Gaussian from `begin` to before `end`. Writes its rows of tiles, so that nobody fetches whole records for them.
+__kernel void route_spans(__global const Projected *records, __global const uint *keys, // in [end] depth bits or KEY_CULLED
+                          uint begin, uint end, __global uint *spans) {                 // out [end]
+  const uint i = begin + get_global_id(0);
+  if (i >= end) return;
   const uint by = keys[i] != KEY_CULLED ? records[i].by : 0;
   spans[i] = keys[i] != KEY_CULLED ? (uint)BOUND_LO(by) / TILE | (uint)BOUND_HI(by) / TILE << 16 : NO_ROWS;
 }
@@ -21,15 +22,17 @@ __kernel void route_spans(__global const Projected *records, __global const uint
 // True if a Gaussian touches the rows of tiles from `from` to before `to`.
 static inline int touches_band(uint span, uint from, uint to) { return LAST_ROW(span) >= from && FIRST_ROW(span) < to && from < to; }
 
-// Own Gaussians: in [count] rows of tiles; bands in [ranks + 1] first row of tiles of each.
-#define ROUTE_ARGUMENTS __global const uint *spans, uint count, __global const uint *bands
+// Own Gaussians from `begin` to before `end`: in [end] rows of tiles; bands in [ranks + 1] first row of tiles of each.
+#define ROUTE_ARGUMENTS __global const uint *spans, uint begin, uint end, __global const uint *bands
+// A chunk of them: the first, and the one after the last.
+#define CHUNK_BEGIN(c) min(begin + (c) * chunk_size(end - begin, chunks), end)
 
 // Launch: over chunks of Gaussians (first axis) and ranks (second). Counts those that touch a rank's band.
 CHUNK_KERNEL void route_count(ROUTE_ARGUMENTS, uint chunks, __global uint *sums) { // out [ranks, chunks]
   SCRATCH;
   const uint c = CHUNK, rank = get_global_id(1);
   if (c >= chunks) return;
-  const uint size = chunk_size(count, chunks), first = min(c * size, count), last = min(first + size, count);
+  const uint first = CHUNK_BEGIN(c), last = CHUNK_BEGIN(c + 1);
   const uint from = bands[rank], to = bands[rank + 1];
   uint n = 0;
   for (uint i = first + ITEM; i < last; i += GROUP) n += touches_band(spans[i], from, to);
@@ -39,7 +42,7 @@ CHUNK_KERNEL void route_count(ROUTE_ARGUMENTS, uint chunks, __global uint *sums)
 
 // Launch: as route_count. Writes what each rank gets, in the order of the Gaussians, one rank's after the other's.
 CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *sums, // in [ranks, chunks]
-                             __global const Projected *records, __global const uint *keys, // in [count]
+                             __global const Projected *records, __global const uint *keys, // in [end]
                              __global const uint *firsts,                             // in [ranks] first of what each gets
                              __global uint *sent_keys,                                // out [sent to all]
                              __global Projected *sent,                                // out [sent to all], cut to the band
@@ -47,7 +50,7 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
   SCRATCH;
   const uint c = CHUNK, rank = get_global_id(1);
   if (c >= chunks) return;
-  const uint size = chunk_size(count, chunks), first = min(c * size, count), last = min(first + size, count);
+  const uint first = CHUNK_BEGIN(c), last = CHUNK_BEGIN(c + 1);
   const uint from = bands[rank], to = bands[rank + 1];
   __global const uint *of = sums + rank * chunks;
   const size_t own = (size_t)rank * stride, to_rank = firsts[rank];
@@ -68,36 +71,48 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
   }
 }
 
-// First slots of what was sent to each rank, as it came back: in [number sent + 1] from offsets[rank] on. A Gaussian's pairs there:
-#define RETURN_ARGUMENTS uint ranks, uint stride, __global const uint *place, __global const uint *starts, __global const uint *offsets
+// First slots of what was sent to each rank, as it came back: in [number sent + 1] from offsets[rank] on; less where the sums begin there,
+// more by where they begin here: shifts[rank], modulo 2^32. A Gaussian's pairs there, and the first slot of its sums:
+#define RETURN_ARGUMENTS                                                                                                    \
+  uint ranks, uint stride, __global const uint *place, __global const uint *starts, __global const uint *offsets, __global const uint *shifts
 #define RETURNED(rank) (starts + offsets[rank] + place[(size_t)(rank) * stride + i])
 
-// Launch: one work-item per Gaussian. Adds up the numbers of its pairs in all bands.
-__kernel void route_pairs(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global uint *isect_counts) { // out [count]
-  const uint i = get_global_id(0);
-  if (i >= count) return;
+// Launch: one work-item per own Gaussian. Writes the number of its pairs in all bands and, where it touches one band, the first slot of
+// their sums; where it touches more, it wants a place for all of them together, of this length.
+__kernel void route_pairs(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global uint *isect_counts, // out [end]
+                          __global uint *isect_start,                                     // out [end]
+                          __global uint *wanted) {                                        // out [end - begin]
+  const uint i = begin + get_global_id(0);
+  if (i >= end) return;
   const uint span = spans[i];
-  uint n = 0;
+  uint n = 0, touched = 0, only = 0;
   for (uint rank = 0; rank < ranks; rank++)
     if (touches_band(span, bands[rank], bands[rank + 1])) {
       __global const uint *slot = RETURNED(rank);
       n += slot[1] - slot[0];
+      only = slot[0] + shifts[rank];
+      touched++;
     }
   isect_counts[i] = n;
+  isect_start[i] = only;
+  wanted[i - begin] = touched > 1 ? n : 0;
 }
 
-// Launch: one work-item per Gaussian. Brings the sums of its pairs together, by bands from top to bottom.
-__kernel void route_sums(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global const real *returned, // in [pairs, SUMS] of all ranks
-                         __global const uint *isect_start,                                 // in [count]
-                         __global real *sums) {                                            // out [pairs, SUMS]
-  const uint i = get_global_id(0);
-  if (i >= count) return;
-  const uint span = spans[i];
-  __global real *to = sums + (size_t)isect_start[i] * SUMS;
+// Launch: one work-item per own Gaussian. Brings the sums of the pairs of one that touches more than one band together, by bands from top to bottom.
+__kernel void route_sums(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global const uint *wanted, // in [end - begin]
+                         __global const uint *before,                                    // in [end - begin] exclusive sums of these
+                         uint together,                                                  // first slot of all of them
+                         __global uint *isect_start,                                     // out [end]
+                         __global real *sums) {                                          // in/out [pairs, SUMS] as they came, and together
+  const uint i = begin + get_global_id(0);
+  if (i >= end || wanted[i - begin] == 0) return;
+  const uint span = spans[i], at = together + before[i - begin];
+  isect_start[i] = at;
+  __global real *to = sums + (size_t)at * SUMS;
   for (uint rank = 0; rank < ranks; rank++)
     if (touches_band(span, bands[rank], bands[rank + 1])) {
       __global const uint *slot = RETURNED(rank);
-      __global const real *from = returned + (size_t)slot[0] * SUMS;
+      __global const real *from = sums + (size_t)(slot[0] + shifts[rank]) * SUMS;
       const uint n = (slot[1] - slot[0]) * SUMS;
       for (uint k = 0; k < n; k++) to[k] = from[k];
       to += n;
@@ -122,16 +137,17 @@ __kernel void route_lengths(BAND_ARGUMENTS, __global uint *lengths) { // out [co
   if (i < count) lengths[i] = pairs_back(isect_counts[i], records[i].by, from, to, rows);
 }
 
-// Launch: as route_lengths. Writes their sums, in the order of the Gaussians.
-__kernel void route_return(BAND_ARGUMENTS, __global const uint *isect_start, // in [count] first slot
+// Launch: one work-item per Gaussian that a band got from `begin` to before `end`. Writes their sums, in the order of the Gaussians.
+__kernel void route_return(BAND_ARGUMENTS, uint begin, uint end, __global const uint *isect_start, // in [count] first slot
                            __global const uint *row_start,                   // in [count] exclusive sums of the lengths
+                           uint base,                                        // of these sums what the first that is written has
                            __global const real *sums,                        // in [pairs, SUMS]
                            __global real *ordered) {                         // out [pairs that go back, SUMS]
-  const uint i = get_global_id(0);
-  if (i >= count) return;
+  const uint i = begin + get_global_id(0);
+  if (i >= end) return;
   const uint pairs = isect_counts[i], back = pairs_back(pairs, records[i].by, from, to, rows);
   __global const real *of = sums + (size_t)isect_start[i] * SUMS;
-  __global real *to_row = ordered + (size_t)row_start[i] * SUMS;
+  __global real *to_row = ordered + (size_t)(row_start[i] - base) * SUMS;
   if (back < pairs) {
     real sum[SUMS];
     for (int q = 0; q < SUMS; q++) sum[q] = R(0.0);

@@ -271,21 +271,28 @@ impl Launch<'_> {
     /// # Errors
     /// Those of [`Launch::run`].
     pub fn over_gaussians(self, count: usize) -> Result<()> {
-        let (vectors, local) = (
-            self.owner.vectors(count),
-            self.defines().tuning.lane_local(),
-        );
-        self.run([vectors, 1], [local, 1])
+        self.over_rows(0..count)
     }
 
-    /// Enqueues the kernel with a work-item for each of the optimiser's runs of `count` Gaussians. Does not wait.
+    /// Enqueues the kernel with a work-item for each vector of some Gaussians, the first of which begins a vector. Does not wait.
     ///
     /// # Errors
     /// Those of [`Launch::run`].
-    pub fn over_runs(self, count: usize) -> Result<()> {
+    pub fn over_rows(self, rows: Range<usize>) -> Result<()> {
+        let (lanes, local) = (self.owner.lanes(), self.defines().tuning.lane_local());
+        let launch = self.starting_at([rows.start / lanes, 0]);
+        launch.run([rows.len().div_ceil(lanes), 1], [local, 1])
+    }
+
+    /// Enqueues the kernel with a work-item for each of the optimiser's runs of some Gaussians, the first of which begins one. Does not wait.
+    ///
+    /// # Errors
+    /// Those of [`Launch::run`].
+    pub fn over_runs(self, rows: Range<usize>) -> Result<()> {
         let tuning = self.defines().tuning;
-        let items = count.div_ceil(tuning.update_run());
-        self.run([items, 1], [tuning.run_local(), 1])
+        let run = tuning.update_run();
+        let launch = self.starting_at([rows.start / run, 0]);
+        launch.run([rows.len().div_ceil(run), 1], [tuning.run_local(), 1])
     }
 
     /// Enqueues the kernel with a work-item for each batch of `count` Gaussians whose scattered records it fetches together, to have
@@ -324,7 +331,7 @@ impl Launch<'_> {
         launch.run([rows.len() * row, 1], [group, 1])
     }
 
-    /// The same beginning with another work-item than the first of each axis, one that begins a work-group.
+    /// The same beginning with another work-item than the first of each axis.
     #[must_use]
     pub fn starting_at(self, first: [usize; 2]) -> Self {
         Self { first, ..self }

@@ -96,6 +96,7 @@ impl Backward {
                 values: &values,
                 planes: Plane::count(sh_degree as u32),
                 stride,
+                first: from,
                 rows: from..count.min(from + BLOCK),
                 views: 0,
             };

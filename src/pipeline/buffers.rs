@@ -122,16 +122,18 @@ impl<R: Real> GaussianBuffers<R> {
     }
 }
 
-/// Gradients of the raw parameters of a block of Gaussians.
+/// Gradients of the raw parameters of some Gaussians of a block.
 #[derive(Debug, Clone)]
 pub struct GradientBlock<'a, R: Real> {
-    /// The values; a plane begins at the first Gaussian of the block.
+    /// The values; a plane begins at Gaussian `first`.
     pub values: &'a Array<R>,
     /// Number of planes in use.
     pub planes: usize,
     /// Number of Gaussians that a plane has room for, a multiple of 16.
     pub stride: usize,
-    /// Rows of the Gaussians; the first is a multiple of 16.
+    /// First Gaussian of the block, a multiple of 16.
+    pub first: usize,
+    /// Rows of the Gaussians, of the block; the first is a multiple of 16.
     pub rows: Range<usize>,
     /// Views whose gradients the values are the sum of.
     pub views: usize,
@@ -406,11 +408,15 @@ impl<R: Real> ViewBuffers<R> {
         Ok((0..self.band.len()).map(row).collect())
     }
 
-    /// Makes room for the sums of `pairs` pairs that others have composited, and for nothing else of them. Contents are lost.
-    pub fn fit_sums(&mut self, device: &Device, pairs: usize) -> Result<()> {
+    /// Makes room for the sums of `pairs` pairs that others have composited, and for nothing else of them. The first `kept` stay.
+    pub fn fit_sums(&mut self, device: &Device, pairs: usize, kept: usize) -> Result<()> {
         if self.capacity < pairs {
             self.capacity = pairs + pairs / 4;
-            self.sums = Array::zeros(device, "sums", self.capacity * SUMS)?;
+            let sums = Array::zeros(device, "sums", self.capacity * SUMS)?;
+            if kept > 0 {
+                sums.copy_from(0, &self.sums, 0, kept * SUMS)?;
+            }
+            self.sums = sums;
         }
         Ok(())
     }

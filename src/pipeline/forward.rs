@@ -1,5 +1,6 @@
 //! [`Renderer`]: the forward stages, in order.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::base::error::{Error, Result};
@@ -189,7 +190,7 @@ impl<R: Real> Renderer<R> {
     ) -> Result<()> {
         let rows = 0..camera.image().tiles()[1];
         (self.frame.camera, self.frame.band, self.frame.count) = (*camera, rows, scene.count);
-        self.project_into(scene, options, &self.frame)?;
+        self.project_into(scene, options, (&self.frame, 0..scene.count))?;
         self.intersect_records(options.active_only)
     }
 
@@ -206,14 +207,14 @@ impl<R: Real> Renderer<R> {
         })
     }
 
-    /// Enqueues the projection of a scene into the records of a view, which may be another than that of this renderer.
+    /// Enqueues the projection of some rows of a scene into the records of a view, which may be another than that of this renderer.
     pub(crate) fn project_into(
         &self,
         scene: &GaussianBuffers<R>,
         options: &RenderOptions,
-        view: &ViewBuffers<R>,
+        (view, rows): (&ViewBuffers<R>, Range<usize>),
     ) -> Result<()> {
-        project::write_records(self.projection(scene, options)?, scene, view)
+        project::write_records(self.projection(scene, options)?, scene, view, rows)
     }
 
     /// Enqueues the stages from the records to the sorted pairs.

@@ -9,8 +9,9 @@ use crate::scene::Plane;
 pub(super) trait Arguments: Sized {
     /// The first planes of the raw parameters, their stride, and the number of Gaussians.
     fn scene<R: Real>(self, scene: &GaussianBuffers<R>, planes: usize) -> Self;
-    /// The raw parameters of the SH degree that the kernel is built for, and, with anti-aliasing, their 3D filter.
-    fn gaussians<R: Real>(self, scene: &GaussianBuffers<R>) -> Self;
+    /// The raw parameters of the SH degree that the kernel is built for, their stride, the Gaussian after the last that the kernel takes,
+    /// and, with anti-aliasing, their 3D filter.
+    fn gaussians<R: Real>(self, scene: &GaussianBuffers<R>, end: usize) -> Self;
     /// The counters.
     fn status<R: Real>(self, view: &ViewBuffers<R>) -> Self;
     /// Records, and the pairs of each tile from front to back.
@@ -25,9 +26,11 @@ impl Arguments for Launch<'_> {
             .uints([scene.stride, scene.count])
     }
 
-    fn gaussians<R: Real>(self, scene: &GaussianBuffers<R>) -> Self {
+    fn gaussians<R: Real>(self, scene: &GaussianBuffers<R>, end: usize) -> Self {
         let defines = *self.defines();
-        let launch = self.scene(scene, Plane::count(defines.sh_degree));
+        let planes = Plane::count(defines.sh_degree);
+        let launch = self.array(&scene.params, planes * scene.stride);
+        let launch = launch.uints([scene.stride, end]);
         if defines.anti_alias {
             launch.array(&scene.filter, scene.stride)
         } else {

@@ -1,5 +1,7 @@
 //! [`Pipeline`]: all stages of one view, forward and backward. Nothing else knows their order.
 
+use std::ops::Range;
+
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program, Real};
 use crate::pipeline::backward::Backward;
@@ -204,12 +206,31 @@ impl<R: Real> Pipeline<R> {
         )
     }
 
-    /// Takes the image gradient back to sums per tile intersection, those of the Gaussians that are here.
+    /// Takes the image gradient back to sums per tile intersection, and sends those of other ranks' Gaussians to them; those of the rows that
+    /// are here come by [`Pipeline::take_sums`].
     pub fn splat_gradient(&mut self) -> Result<()> {
         self.backward.splats(&self.forward, &self.dimage)?;
         match &mut self.share {
             Some(share) => share.return_sums(&self.forward.frame),
             None => Ok(()),
+        }
+    }
+
+    /// Number of parts in which the sums of the rows that are here come: one, unless they come over a network.
+    #[must_use]
+    pub fn parts(&self) -> usize {
+        self.share.as_ref().map_or(1, Share::parts)
+    }
+
+    /// Brings the sums of a part of the `count` rows that are here, waiting for other ranks where they share the view; returns the rows. Parts
+    /// come one after the other, and what is enqueued for one is done while the next is on its way.
+    ///
+    /// # Errors
+    /// No room, another rank's failure, or the driver's.
+    pub fn take_sums(&mut self, part: usize, count: usize) -> Result<Range<usize>> {
+        match &mut self.share {
+            Some(share) => share.take_sums(part),
+            None => Ok(0..count),
         }
     }
 

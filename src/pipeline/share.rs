@@ -21,6 +21,8 @@ use crate::ranks::{Exchange, LEADER, Part, bits_of, flags_of, to_all, to_one};
 
 /// Rows of pixels beside a band that the gradient of its loss sees: two windows of SSIM, one over maps of the other.
 const HALO: usize = SSIM_TAPS - 1;
+/// Parts in which records and sums travel over a network: one is on its way while the device is at the other.
+const HALVES: usize = 2;
 
 /// Time that a rank works, without that in which it waits for others.
 #[derive(Debug, Clone, Copy)]
@@ -67,8 +69,6 @@ pub struct Share<R: Real> {
     pub home: ViewBuffers<R>,
     /// First row of tiles of each rank's band, and the number of rows.
     bands: Vec<u32>,
-    /// First of each rank's Gaussians among those that this rank's band got, and their number.
-    firsts: Vec<usize>,
     /// Pairs of each row of tiles of the view composited last; at the leader alone.
     pub pairs_by_row: Vec<u32>,
     /// Work that each rank told with the view composited last; at the leader alone.
@@ -83,13 +83,27 @@ impl<R: Real> Share<R> {
     /// # Errors
     /// A build failure.
     pub fn new(device: &Device, defines: Defines, exchange: Arc<dyn Exchange>) -> Result<Self> {
+        // What goes through the memory of one host takes less time than the launches of one more part.
+        let parts = if exchange.apart() { HALVES } else { 1 };
+        Self::in_parts(device, defines, exchange, parts)
+    }
+
+    /// [`Share::new`] with rows that travel in so many parts, the same number at all ranks.
+    ///
+    /// # Errors
+    /// A build failure.
+    pub fn in_parts(
+        device: &Device,
+        defines: Defines,
+        exchange: Arc<dyn Exchange>,
+        parts: usize,
+    ) -> Result<Self> {
         let kernels = Kernels::new(device, defines);
         Ok(Self {
-            route: Route::new(&kernels, [exchange.rank(), exchange.ranks()])?,
+            route: Route::new(&kernels, [exchange.rank(), exchange.ranks()], parts)?,
             scan: kernels.build::<R>("scan")?,
             home: ViewBuffers::new(device, &defines.tuning, true)?,
             bands: vec![0; exchange.ranks() + 1],
-            firsts: Vec::new(),
             pairs_by_row: Vec::new(),
             worked_by_rank: vec![Worked::default(); exchange.ranks()],
             worked: Worked::default(),
@@ -148,9 +162,15 @@ impl<R: Real> Share<R> {
     /// # Errors
     /// Another rank's failure.
     pub fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+        self.exchange.begin(part, messages)?;
+        self.wait()
+    }
+
+    /// Waits for the messages of the oldest part that is on its way; the time of that is no work.
+    fn wait(&self) -> Result<Vec<Vec<u32>>> {
         let mut watch = self.stopwatch.get();
         watch.worked += watch.since.elapsed();
-        let got = self.exchange.trade(part, messages);
+        let got = self.exchange.wait();
         watch.since = Instant::now();
         self.stopwatch.set(watch);
         got
@@ -188,13 +208,19 @@ impl<R: Real> Share<R> {
         let home = &mut self.home;
         home.fit_gaussians(&self.device, scene.stride)?;
         (home.camera, home.count) = (*camera, scene.count);
-        forward.project_into(scene, options, home)?;
-        let sent = self.route.send(&self.device, &self.home)?;
+        self.route.divide(&self.device, scene.count)?;
+        let parts = 0..self.parts();
+        for part in parts.clone() {
+            let rows = self.route.rows(part);
+            forward.project_into(scene, options, (&self.home, rows))?;
+            let sent = self.route.send(&self.device, &self.home, part)?;
+            self.exchange.begin(Part::Records, sent)?;
+        }
         self.worked.rows = self.lap();
-        let got = self.trade(Part::Records, sent)?;
+        let got: Vec<_> = parts.map(|_| self.wait()).collect::<Result<_>>()?;
         let own = self.band(self.exchange.rank());
         let frame = &mut forward.frame;
-        self.firsts = self.route.receive(&self.device, &got, frame)?;
+        self.route.receive(&self.device, &got, frame)?;
         (frame.camera, frame.band) = (*camera, own);
         loop {
             forward.intersect_records(options.active_only)?;
@@ -290,17 +316,40 @@ impl<R: Real> Share<R> {
         Ok(got.iter().map(first).collect())
     }
 
-    /// Takes the sums of the pairs of this rank's band to the ranks whose Gaussians they are, and those of its own rows from the others.
-    /// Waits.
+    /// Number of parts in which records and sums travel.
+    #[must_use]
+    pub fn parts(&self) -> usize {
+        self.route.parts()
+    }
+
+    /// Begins to send the sums of the pairs of this rank's band to the ranks whose Gaussians they are. Waits for its own device alone.
     ///
     /// # Errors
     /// No room, another rank's failure, or the driver's.
     pub fn return_sums(&mut self, frame: &ViewBuffers<R>) -> Result<()> {
         let (device, scan) = (&self.device, &self.scan);
-        let given = self.route.give_back(device, scan, frame, &self.firsts)?;
+        self.route
+            .give_back(device, scan, frame, &mut self.home)?;
+        for part in 0..self.parts() {
+            let given = self.route.returned(part)?;
+            self.exchange.begin(Part::Sums, given)?;
+        }
         self.worked.band = self.lap();
-        let got = self.trade(Part::Sums, given)?;
-        self.route.collect(device, scan, &got, &mut self.home)
+        Ok(())
+    }
+
+    /// Takes the sums of a part of the rows here, in the order of the parts; returns the rows. Waits.
+    ///
+    /// # Errors
+    /// No room, another rank's failure, or the driver's.
+    pub fn take_sums(&mut self, part: usize) -> Result<Range<usize>> {
+        // The step of the part before is taken meanwhile.
+        self.device.flush()?;
+        let got = self.wait()?;
+        let (device, scan) = (&self.device, &self.scan);
+        self.route
+            .collect(device, scan, (part, &got), &mut self.home)?;
+        Ok(self.route.rows(part))
     }
 
     /// Takes flags of the Gaussians that this rank's band got of the view rendered last to the ranks whose Gaussians they are; returns those of
@@ -309,10 +358,7 @@ impl<R: Real> Share<R> {
     /// # Errors
     /// Another rank's failure, or the driver's.
     pub fn return_flags(&self, flags: &[bool]) -> Result<Vec<bool>> {
-        let given = self
-            .firsts
-            .windows(2)
-            .map(|of| bits_of(&flags[of[0]..of[1]]));
+        let given = (0..self.ranks()).map(|rank| bits_of(&flags[self.route.got(rank)]));
         let got = self.trade(Part::Sums, given.collect())?;
         let mut own = vec![false; self.home.count];
         for (rows, message) in self.route.sent_rows(&self.home)?.iter().zip(&got) {

@@ -1,6 +1,8 @@
 //! [`Exchange`]: messages between ranks.
 
 use std::fmt::Debug;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use crate::base::error::{Error, Result};
 
@@ -61,11 +63,42 @@ impl Part {
 /// Bytes that a rank has sent to others, by [`Part::ALL`].
 pub type Traffic = [u64; Part::ALL.len()];
 
-/// Bytes that one rank sends to others with these messages.
-#[must_use]
-pub fn bytes_sent(rank: usize, messages: &[Vec<u32>]) -> u64 {
-    let others = messages.iter().enumerate().filter(|(to, _)| *to != rank);
-    others.map(|(_, m)| 4 * m.len() as u64).sum()
+/// Seconds for which a rank has waited for others, by [`Part::ALL`].
+pub type Waits = [f64; Part::ALL.len()];
+
+/// Counts of a rank's messages.
+#[derive(Debug, Default)]
+pub struct Meter {
+    bytes: [AtomicU64; Part::ALL.len()],
+    nanoseconds: [AtomicU64; Part::ALL.len()],
+}
+
+impl Meter {
+    /// Counts the bytes of messages to others.
+    pub fn send(&self, rank: usize, part: Part, messages: &[Vec<u32>]) {
+        let others = messages.iter().enumerate().filter(|(to, _)| *to != rank);
+        let bytes = others.map(|(_, m)| 4 * m.len() as u64).sum();
+        self.bytes[part as usize].fetch_add(bytes, Ordering::Relaxed);
+    }
+
+    /// Counts the time since then as one of waiting.
+    pub fn wait(&self, part: Part, since: Instant) {
+        let waited = u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        self.nanoseconds[part as usize].fetch_add(waited, Ordering::Relaxed);
+    }
+
+    /// Bytes sent.
+    #[must_use]
+    pub fn sent(&self) -> Traffic {
+        self.bytes.each_ref().map(|n| n.load(Ordering::Relaxed))
+    }
+
+    /// Seconds waited.
+    #[must_use]
+    pub fn waited(&self) -> Waits {
+        let nanoseconds = self.nanoseconds.each_ref();
+        nanoseconds.map(|n| Duration::from_nanos(n.load(Ordering::Relaxed)).as_secs_f64())
+    }
 }
 
 /// Refuses another number of messages than there are ranks.
@@ -91,14 +124,30 @@ pub trait Exchange: Debug + Send + Sync {
     /// True if every rank is a process of its own.
     fn apart(&self) -> bool;
 
-    /// Sends a message to each rank, this one included, and waits for one from each: those for and from rank r stand at r.
+    /// Begins to send a message to each rank, this one included: that for rank r stands at r. Does not wait; messages are on their way while
+    /// the rank goes on.
     ///
     /// # Errors
-    /// Another rank has failed, or is gone.
-    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>>;
+    /// Another number of messages than ranks, or another rank is gone.
+    fn begin(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<()>;
 
-    /// Bytes that this rank has sent to others so far.
-    fn sent(&self) -> Traffic;
+    /// Waits for the messages, one from each rank, of the oldest [`Exchange::begin`] that has not been waited for: that from rank r stands at r.
+    ///
+    /// # Errors
+    /// Another rank has failed, or is gone; nothing is on its way.
+    fn wait(&self) -> Result<Vec<Vec<u32>>>;
+
+    /// Sends a message to each rank and waits for one from each. Nothing else may be on its way.
+    ///
+    /// # Errors
+    /// See [`Exchange::begin`] and [`Exchange::wait`].
+    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+        self.begin(part, messages)?;
+        self.wait()
+    }
+
+    /// Bytes that this rank has sent, and times for which it has waited, so far.
+    fn meter(&self) -> &Meter;
 
     /// Tells the others that this rank cannot go on: what they trade from now on fails with this text. Processes are all ended at once, this
     /// one, too.
@@ -106,6 +155,12 @@ pub trait Exchange: Debug + Send + Sync {
 
     /// Ends the exchange in order, once no rank trades any more.
     fn end(&self);
+}
+
+/// The error of a wait for messages where none are on their way.
+#[must_use]
+pub fn nothing_begun() -> Error {
+    Error::numerics("exchange", "nothing is on its way")
 }
 
 /// One message for each rank.

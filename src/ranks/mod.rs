@@ -7,7 +7,7 @@ mod mpi;
 mod threads;
 
 pub use exchange::{
-    Exchange, LEADER, Part, Traffic, bits_of, flags_of, text_of, to_all, to_one, words_of,
+    Exchange, LEADER, Part, Traffic, Waits, bits_of, flags_of, text_of, to_all, to_one, words_of,
 };
 #[cfg(feature = "mpi")]
 pub use mpi::{Patience, mpi};

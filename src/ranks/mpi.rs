@@ -1,6 +1,6 @@
 //! [`mpi`]: ranks that are processes, launched together by MPI (`mpirun`, `srun`).
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{Builder, sleep, yield_now};
@@ -11,7 +11,7 @@ use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, Destination, MatchedReceiveVec, Source};
 
 use crate::base::error::{Error, Result};
-use crate::ranks::exchange::{Exchange, LEADER, Part, Traffic, bytes_sent, check_number};
+use crate::ranks::exchange::{Exchange, LEADER, Meter, Part, check_number, nothing_begun};
 
 /// Number of looks for a message before the first pause.
 const EAGER: u32 = 200;
@@ -31,7 +31,9 @@ struct Process {
     rank: usize,
     ranks: usize,
     tasks: Mutex<Sender<Task>>,
-    sent: [AtomicU64; Part::ALL.len()],
+    /// Messages that have not been waited for, the oldest first.
+    begun: Mutex<VecDeque<(Part, Receiver<Vec<Vec<u32>>>)>>,
+    meter: Meter,
 }
 
 /// Time for which a rank is waited for that does not lead, and what takes the sentence on the end of the job, before it is aborted.
@@ -59,7 +61,8 @@ pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
             rank,
             ranks,
             tasks: Mutex::new(tasks),
-            sent: Default::default(),
+            begun: Mutex::default(),
+            meter: Meter::default(),
         })),
         Err(_) => Err(Error::device("MPI", "it does not start", fix)),
     }
@@ -173,22 +176,32 @@ impl Exchange for Process {
         true
     }
 
-    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+    fn begin(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<()> {
         check_number(&messages, self.ranks)?;
         // MPI counts by 31 bits.
         if messages.iter().any(|m| i32::try_from(m.len()).is_err()) {
             let what = "a message of 8 GiB or more; take more ranks, or fewer Gaussians";
             return Err(Error::numerics("exchange", what));
         }
-        let bytes = bytes_sent(self.rank, &messages);
-        self.sent[part as usize].fetch_add(bytes, Ordering::Relaxed);
+        self.meter.send(self.rank, part, &messages);
         let (answer, got) = sync_channel(1);
         self.ask(Task::Trade(messages, answer))?;
-        got.recv().map_err(|_| gone())
+        let mut begun = self.begun.lock().unwrap_or_else(PoisonError::into_inner);
+        begun.push_back((part, got));
+        Ok(())
     }
 
-    fn sent(&self) -> Traffic {
-        self.sent.each_ref().map(|n| n.load(Ordering::Relaxed))
+    fn wait(&self) -> Result<Vec<Vec<u32>>> {
+        let mut begun = self.begun.lock().unwrap_or_else(PoisonError::into_inner);
+        let (part, got) = begun.pop_front().ok_or_else(nothing_begun)?;
+        let since = Instant::now();
+        let got = got.recv().map_err(|_| gone())?;
+        self.meter.wait(part, since);
+        Ok(got)
+    }
+
+    fn meter(&self) -> &Meter {
+        &self.meter
     }
 
     fn fail(&self, why: &str) {

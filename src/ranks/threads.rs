@@ -2,9 +2,10 @@
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use crate::base::error::{Error, Result};
-use crate::ranks::exchange::{Exchange, Part, Traffic, bytes_sent, check_number};
+use crate::ranks::exchange::{Exchange, Meter, Part, check_number, nothing_begun};
 
 /// Messages on their way between threads.
 #[derive(Debug)]
@@ -17,8 +18,6 @@ struct Hub {
 struct State {
     /// Messages from each rank to each, the oldest first.
     queues: Vec<Vec<VecDeque<Vec<u32>>>>,
-    /// Bytes that each rank has sent to others.
-    sent: Vec<Traffic>,
     /// The first rank that has failed, and why.
     failed: Option<(usize, String)>,
 }
@@ -29,6 +28,9 @@ struct Thread {
     rank: usize,
     ranks: usize,
     hub: Arc<Hub>,
+    meter: Meter,
+    /// Kinds of the messages that have not been waited for, the oldest first.
+    begun: Mutex<VecDeque<Part>>,
 }
 
 /// An exchange for each of so many threads.
@@ -37,14 +39,18 @@ pub fn threads(ranks: usize) -> Vec<Arc<dyn Exchange>> {
     let hub = Arc::new(Hub {
         state: Mutex::new(State {
             queues: vec![vec![VecDeque::new(); ranks]; ranks],
-            sent: vec![Traffic::default(); ranks],
             failed: None,
         }),
         changed: Condvar::new(),
     });
     let end = |rank| {
-        let hub = hub.clone();
-        Arc::new(Thread { rank, ranks, hub }) as Arc<dyn Exchange>
+        Arc::new(Thread {
+            rank,
+            ranks,
+            hub: hub.clone(),
+            meter: Meter::default(),
+            begun: Mutex::default(),
+        }) as Arc<dyn Exchange>
     };
     (0..ranks).map(end).collect()
 }
@@ -80,16 +86,27 @@ impl Exchange for Thread {
         false
     }
 
-    fn trade(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>> {
+    fn begin(&self, part: Part, messages: Vec<Vec<u32>>) -> Result<()> {
         check_number(&messages, self.ranks)?;
+        self.meter.send(self.rank, part, &messages);
+        let mut begun = self.begun.lock().unwrap_or_else(PoisonError::into_inner);
+        begun.push_back(part);
         let mut state = self.hub.state();
-        state.sent[self.rank][part as usize] += bytes_sent(self.rank, &messages);
         for (queue, message) in state.queues[self.rank].iter_mut().zip(messages) {
             queue.push_back(message);
         }
         self.hub.changed.notify_all();
+        Ok(())
+    }
+
+    fn wait(&self) -> Result<Vec<Vec<u32>>> {
+        let mut begun = self.begun.lock().unwrap_or_else(PoisonError::into_inner);
+        let part = begun.pop_front().ok_or_else(nothing_begun)?;
+        let since = Instant::now();
+        let mut state = self.hub.state();
         loop {
             if let Some(got) = state.take(self.rank) {
+                self.meter.wait(part, since);
                 return Ok(got);
             }
             if let Some((rank, why)) = &state.failed {
@@ -103,8 +120,8 @@ impl Exchange for Thread {
         }
     }
 
-    fn sent(&self) -> Traffic {
-        self.hub.state().sent[self.rank]
+    fn meter(&self) -> &Meter {
+        &self.meter
     }
 
     fn fail(&self, why: &str) {
@@ -141,8 +158,29 @@ mod tests {
             }
         });
         // To itself it sends nothing.
-        let records = ends[1].sent()[Part::Records as usize];
+        let records = ends[1].meter().sent()[Part::Records as usize];
         assert_eq!(records, 20 * 4 * (10 + 12));
+    }
+
+    #[test]
+    fn messages_that_are_on_their_way_come_in_their_order() {
+        let ends = threads(2);
+        assert!(ends[0].wait().is_err(), "nothing has begun");
+        for word in [1, 2] {
+            ends[0]
+                .begin(Part::Records, vec![vec![word], vec![10 * word]])
+                .unwrap();
+        }
+        for word in [3, 4] {
+            ends[1]
+                .begin(Part::Records, vec![vec![10 * word], vec![word]])
+                .unwrap();
+        }
+        assert_eq!(ends[0].wait().unwrap(), [[1], [30]]);
+        assert_eq!(ends[0].wait().unwrap(), [[2], [40]]);
+        assert_eq!(ends[1].wait().unwrap(), [[10], [3]]);
+        let waited = ends[1].meter().waited();
+        assert!(waited[Part::Records as usize] > 0.0 && waited[Part::Sums as usize] == 0.0);
     }
 
     #[test]

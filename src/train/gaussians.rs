@@ -206,14 +206,15 @@ impl GaussianState {
         )
     }
 
-    /// The sums of the gradients of so many views of a batch.
+    /// The sums of the gradients of so many views of a batch, of some rows.
     #[must_use]
-    pub fn gradients(&self, views: usize) -> GradientBlock<'_, f32> {
+    pub fn gradients(&self, views: usize, rows: Range<usize>) -> GradientBlock<'_, f32> {
         GradientBlock {
             values: &self.gradients,
             planes: self.scene.planes(),
             stride: self.scene.stride,
-            rows: 0..self.scene.count,
+            first: 0,
+            rows,
             views,
         }
     }

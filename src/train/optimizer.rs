@@ -1,5 +1,7 @@
 //! [`Optimizer`]: Adam's step with the gradients of the raw parameters.
 
+use std::ops::Range;
+
 use crate::base::error::Result;
 use crate::device::{Kernels, Program};
 use crate::pipeline::pass::Pipeline;
@@ -53,19 +55,20 @@ impl Optimizer {
         self.constants
     }
 
-    /// Takes the sums of the view rendered last back to the parameters and updates them, or adds their gradients to those of the batch,
-    /// whose last view updates the parameters.
+    /// Takes the sums of some rows in the view rendered last back to the parameters and updates them, or adds their gradients to those of the
+    /// batch, whose last view updates the parameters.
     pub fn step(
         &self,
         pipeline: &Pipeline,
         gaussians: &GaussianState,
-        iteration: u32,
-        sh_degree: u32,
+        [iteration, sh_degree]: [u32; 2],
+        rows: Range<usize>,
     ) -> Result<()> {
         let (stage, frame) = (&self.stages[sh_degree as usize], pipeline.home());
         let (scene, moments) = (&gaussians.scene, gaussians.moments.each_ref());
         if self.batched.is_some() {
-            let sums = gaussians.gradients(self.schedule.views_before(iteration));
+            let views = self.schedule.views_before(iteration);
+            let sums = gaussians.gradients(views, rows.clone());
             project_grad::backward(stage, scene, frame, self.lambdas, &sums)?;
         }
         let Some(t) = self.schedule.step_of(iteration) else {
@@ -81,10 +84,13 @@ impl Optimizer {
         };
         match &self.batched {
             Some(adam) => {
-                let sums = gaussians.gradients(self.batch as usize);
+                let sums = gaussians.gradients(self.batch as usize, rows);
                 adam::update(adam, scene, moments, &sums, &step, frame)
             }
-            None => project_grad::update(stage, scene, frame, self.lambdas, moments, &step),
+            None => {
+                let of = (frame, rows);
+                project_grad::update(stage, scene, of, self.lambdas, moments, &step)
+            }
         }
     }
 }

@@ -158,7 +158,7 @@ impl Trainer {
     /// Bytes that this rank has sent to others so far; `None` alone.
     #[must_use]
     pub fn traffic(&self) -> Option<Traffic> {
-        self.crew.as_ref().map(|crew| crew.exchange.sent())
+        self.crew.as_ref().map(|crew| crew.exchange.meter().sent())
     }
 
     /// CPU seconds of other processes that train with this one, so far.

@@ -270,8 +270,12 @@ impl Trainer {
             exposure.step(view.number, self.transform_step(iteration), status)?;
         }
         self.pipeline.splat_gradient()?;
-        self.optimizer
-            .step(&self.pipeline, &self.gaussians, iteration, sh_degree)?;
+        for part in 0..self.pipeline.parts() {
+            let rows = self.pipeline.take_sums(part, self.gaussians.scene.count)?;
+            let at = [iteration, sh_degree];
+            self.optimizer
+                .step(&self.pipeline, &self.gaussians, at, rows)?;
+        }
         self.control
             .perturb(iteration, &self.pipeline, &self.gaussians)
     }

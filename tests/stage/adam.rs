@@ -61,6 +61,7 @@ fn step_at(
         values: &grads,
         planes,
         stride,
+        first: block.start,
         rows: block,
         views: 1,
     };

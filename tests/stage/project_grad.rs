@@ -1,5 +1,7 @@
 //! project_grad: gradients of the raw parameters.
 
+use std::ops::Range;
+
 use super::*;
 use mhsplat::base::constants::{LARGE_PAIRS, SUMS};
 use mhsplat::base::rng::{Philox, Stream};
@@ -117,11 +119,14 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
     let mut pipeline = Pipeline::<R>::new(&device, defines, case.sh_degree, size).unwrap();
     let zeros = |name| Array::<R>::zeros(&device, name, scene.params.len()).unwrap();
     let (values, m, v) = (zeros("grads"), zeros("m"), zeros("v"));
-    let block = |views: usize| GradientBlock {
+    // Rows come in parts where they come over a network.
+    let parts = [0..32, 32..scene.count];
+    let block = |views: usize, rows: &Range<usize>| GradientBlock {
         values: &values,
         planes: scene.planes(),
         stride: scene.stride,
-        rows: 0..scene.count,
+        first: 0,
+        rows: rows.clone(),
         views,
     };
     let [lambda, opacity, scale] = case.lambdas;
@@ -148,7 +153,11 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
         let of = |views| {
             let (backward, forward) = (&pipeline.backward, &pipeline.forward);
             let lambdas = [opacity, scale];
-            backward.parameters(forward, &scene, case.sh_degree, lambdas, &block(views))
+            let of = |rows: &Range<usize>| {
+                let block = block(views, rows);
+                backward.parameters(forward, &scene, case.sh_degree, lambdas, &block)
+            };
+            parts.iter().try_for_each(of)
         };
         of(k).unwrap();
         let status = &pipeline.home().status;
@@ -162,8 +171,11 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
         t: 1,
     };
     let adam = Kernels::new(&device, defines).build::<R>("adam").unwrap();
-    let (grads, frame) = (block(cases.len()), pipeline.home());
-    adam::update(&adam, &scene, [&m, &v], &grads, &step, frame).unwrap();
+    let frame = pipeline.home();
+    for rows in &parts {
+        let grads = block(cases.len(), rows);
+        adam::update(&adam, &scene, [&m, &v], &grads, &step, frame).unwrap();
+    }
     let plane = |p: usize| m.read(p * scene.stride, scene.count).unwrap();
     let moments = (0..scene.planes()).flat_map(plane);
     moments.map(|m| m.into() / (1.0 - ADAM[0])).collect()
@@ -282,7 +294,14 @@ fn step_of(
     let kernels = Kernels::new(&device, Defines::new(tuning));
     let stage = kernels.of_degree(1).taking_steps();
     let stage = stage.build::<f32>("project_grad").unwrap();
-    update(&stage, &scene, &frame, [0.0; 2], [&m, &v], &step).unwrap();
+    let take = |rows: Range<usize>| {
+        let of = (&frame, rows);
+        update(&stage, &scene, of, [0.0; 2], [&m, &v], &step).unwrap();
+    };
+    // In two parts, as where sums come over a network.
+    let half = tuning.update_run().min(n);
+    take(0..half);
+    take(half..n);
     let rows = [&scene.params, &m, &v].map(|array| {
         let planes = 0..scene.planes();
         let of = |p| array.read(p * scene.stride, n).unwrap();
@@ -290,7 +309,7 @@ fn step_of(
     });
     let (status, sums) = (frame.status.to_vec(), frame.sums.to_vec().unwrap());
     // Gradients are computed block by block of the same sums.
-    update(&stage, &scene, &frame, [0.0; 2], [&m, &v], &step).unwrap();
+    take(0..n);
     let bits = |sums: &[f32]| sums.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
     assert_eq!(bits(&frame.sums.to_vec().unwrap()), bits(&sums));
     (rows, status.unwrap(), sums)

@@ -38,32 +38,38 @@ fn bands_get_the_gaussians_that_touch_them_cut_to_their_rows() {
         let mut view = ViewBuffers::<f64>::new(&device, &tuning, false).unwrap();
         view.fit_gaussians(&device, buffers.stride).unwrap();
         (view.camera, view.count) = (CameraArg::new(&case.camera), buffers.count);
-        write_records(&stage, &buffers, &view).unwrap();
+        write_records(&stage, &buffers, &view, 0..view.count).unwrap();
         let records = view.records.read(0, view.count).unwrap();
         let keys = view.keys.read(0, view.count).unwrap();
         // The last rank's own; as the first rank takes them, the others have nothing for it.
-        let mut stage = Route::<f64>::new(&kernels, [2, 3]).unwrap();
-        let first = Route::<f64>::new(&kernels, [0, 3]).unwrap();
+        let mut stage = Route::<f64>::new(&kernels, [2, 3], 2).unwrap();
+        let mut first = Route::<f64>::new(&kernels, [0, 3], 2).unwrap();
         stage.set_bands(&bands).unwrap();
-        let sent = stage.send(&device, &view).unwrap();
+        stage.divide(&device, view.count).unwrap();
+        let halves = [0, 1].map(|part| stage.send(&device, &view, part).unwrap());
+        assert!(!stage.rows(0).is_empty() && !stage.rows(1).is_empty());
+        assert_eq!(stage.rows(0).end, stage.rows(1).start);
         let mut shared = 0;
-        for (rank, message) in sent.iter().enumerate() {
+        for rank in 0..3 {
             let want = route(&projected, [bands[rank], bands[rank + 1]]);
             shared += want.len();
             let mut taken = ViewBuffers::<f64>::new(&device, &tuning, false).unwrap();
-            let mut messages = vec![Vec::new(), Vec::new(), message.clone()];
-            let firsts = match rank {
+            let parts = halves.each_ref().map(|half| half[rank].clone());
+            let sent: usize = parts.iter().map(Vec::len).sum();
+            let messages = parts.map(|part| vec![Vec::new(), Vec::new(), part]);
+            let taker = match rank {
                 2 => {
-                    assert_eq!(*message, [want.len() as u32], "they stay");
-                    stage.receive(&device, &messages, &mut taken).unwrap()
+                    assert_eq!(sent, 0, "they stay");
+                    &mut stage
                 }
                 _ => {
-                    assert_eq!(message.len(), want.len() * words::<f64>(), "rank {rank}");
-                    messages[0] = vec![0];
-                    first.receive(&device, &messages, &mut taken).unwrap()
+                    assert_eq!(sent, want.len() * words::<f64>(), "rank {rank}");
+                    &mut first
                 }
             };
-            assert_eq!(firsts, [0, 0, 0, want.len()]);
+            taker.receive(&device, &messages, &mut taken).unwrap();
+            let got = [0, 1, 2].map(|from| taker.got(from));
+            assert_eq!(got, [0..0, 0..0, 0..want.len()]);
             let got = taken.records.read(0, want.len()).unwrap();
             let got_keys = taken.keys.read(0, want.len()).unwrap();
             for (k, (i, rows)) in want.into_iter().enumerate() {
@@ -82,11 +88,22 @@ fn rows(splats: &Gaussians, first: usize, end: usize) -> Gaussians {
     Gaussians::new(splats.sh_degree(), planes.collect()).unwrap()
 }
 
-/// A rank's end of the exchange, its first row and the one after its last, and the bands of all.
-type Part = (Arc<dyn Exchange>, [usize; 2], Vec<u32>);
+/// A rank's end of the exchange, its first row and the one after its last, the bands of all, and the parts in which rows travel.
+type Part = (Arc<dyn Exchange>, [usize; 2], Vec<u32>, usize);
 
 /// Number of pairs of each Gaussian, and their sums, added up in their order.
 type Sums = Vec<(usize, Vec<f32>)>;
+
+/// Lets the other ranks of a test go on to their end when one panics.
+struct Ended(Arc<dyn Exchange>);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            self.0.fail("has panicked");
+        }
+    }
+}
 
 /// Sums of each Gaussian's pairs, the loss in the place of one more, and the image gradient, of a pass over some rows: of all, or as one of
 /// some ranks.
@@ -100,13 +117,14 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
     let mut pipeline =
         Pipeline::<f32>::new(&device, defines, case.sh_degree, camera.image()).unwrap();
     let all = case.splats.len();
-    let [first, end] = part.as_ref().map_or([0, all], |(_, rows, _)| *rows);
+    let [first, end] = part.as_ref().map_or([0, all], |(_, rows, ..)| *rows);
     let own = rows(&case.splats, first, end);
     let mut scene = GaussianBuffers::<f32>::upload(&device, &own, 0).unwrap();
     pipeline.forward.fit(&scene, &camera).unwrap();
-    if let Some((exchange, _, bands)) = part {
+    let _ended = part.as_ref().map(|(exchange, ..)| Ended(exchange.clone()));
+    if let Some((exchange, _, bands, parts)) = part {
         scene.shard = Some(Shard { first, all });
-        let mut share = Share::new(&device, defines, exchange).unwrap();
+        let mut share = Share::in_parts(&device, defines, exchange, parts).unwrap();
         share.set_bands(bands).unwrap();
         pipeline.share = Some(share);
     }
@@ -139,6 +157,15 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
     let [lambda, ..] = case.lambdas;
     pipeline.loss_gradient(0, &pair, lambda, beside).unwrap();
     pipeline.splat_gradient().unwrap();
+    let mut taken = 0;
+    for part in 0..pipeline.parts() {
+        let rows = pipeline.take_sums(part, scene.count).unwrap();
+        if !rows.is_empty() {
+            assert_eq!(rows.start, taken);
+            taken = rows.end;
+        }
+    }
+    assert_eq!(taken, scene.count);
     let home = pipeline.home();
     let starts = home.isect_start.read(0, scene.count).unwrap();
     let counts = home.isect_counts.read(0, scene.count).unwrap();
@@ -175,7 +202,7 @@ fn ranks_have_the_sums_of_one_that_has_all() {
         let (want, gradient) = pass(&case, tuning, None);
         let pairs: usize = want.iter().map(|s| s.0).sum();
         assert!(pairs > 1500, "{pairs}");
-        for bands in &cuts {
+        for (bands, parts) in cuts.iter().zip([1, 2]).chain(cuts.iter().zip([2, 1])) {
             let ranks = bands.len() - 1;
             let ends = [0, 150, 151, 400, 400];
             let shares = thread::scope(|scope| {
@@ -185,7 +212,7 @@ fn ranks_have_the_sums_of_one_that_has_all() {
                     } else {
                         ends[rank + 1]
                     };
-                    let part = Some((exchange, [ends[rank], end], bands.clone()));
+                    let part = Some((exchange, [ends[rank], end], bands.clone(), parts));
                     let case = &case;
                     scope.spawn(move || pass(case, tuning, part))
                 };
@@ -230,7 +257,7 @@ fn a_rank_without_room_for_its_pairs_makes_some() {
     // The first room, see `Renderer::fit`.
     assert!(pairs(&want) > 4096, "{}", pairs(&want));
     let exchange = threads(1).remove(0);
-    let (got, _) = pass(&case, Tuning::CPU, Some((exchange, [0, 300], vec![0, 10])));
+    let (got, _) = pass(&case, Tuning::CPU, Some((exchange, [0, 300], vec![0, 10], 1)));
     let totals = |sums: Sums| sums.into_iter().map(|s| s.1).collect::<Vec<_>>();
     assert!(totals(got) == totals(want));
 }

@@ -371,6 +371,7 @@ impl<'a, R: Real> Pass<'a, R> {
             values,
             planes: Plane::count(self.case.sh_degree),
             stride: self.scene.stride,
+            first: 0,
             rows: 0..self.scene.count,
             views,
         }
@@ -400,8 +401,8 @@ impl<'a, R: Real> Pass<'a, R> {
             t: 1,
         };
         let stage = self.kernels.taking_steps().build::<R>("project_grad")?;
-        let (frame, both) = (self.frame(), moments.each_ref());
-        project_grad::update(&stage, &scene, frame, [opacity, scale], both, &step)?;
+        let (of, both) = ((self.frame(), 0..scene.count), moments.each_ref());
+        project_grad::update(&stage, &scene, of, [opacity, scale], both, &step)?;
         let names = [
             "parameters, one step",
             "first moments, one step",

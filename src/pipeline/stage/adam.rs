@@ -63,18 +63,20 @@ pub fn update<R: Real>(
     step: &Step<LearningRates>,
     view: &ViewBuffers<R>,
 ) -> Result<()> {
-    let vectors = stage.vectors(grads.rows.len());
+    let [first, end] =
+        [grads.rows.start, grads.rows.end].map(|row| stage.vectors(row - grads.first));
     stage
         .launch("adam")
         .array(grads.values, grads.planes * grads.stride)
-        .uints([grads.stride, grads.rows.start, vectors])
+        .uints([grads.stride, grads.first, end])
         .reals::<R>([1.0 / grads.views as f64])
         .array(&scene.params, grads.planes * scene.stride)
         .uints([scene.stride])
         .reals::<R>(step.numbers::<R>())
         .arrays([m, v], grads.planes * scene.stride)
         .status(view)
-        .over_items([vectors, grads.planes])
+        .starting_at([first, 0])
+        .over_items([end - first, grads.planes])
 }
 
 // Definition in f64.

@@ -1,6 +1,8 @@
 //! Raw Gaussians → records of one camera (`kernels/project.cl`): EWA splatting, Zwicker et al. 2002; 3DGS, Kerbl et al. 2023,
 //! section 4.
 
+use std::ops::Range;
+
 use crate::base::constants::{COLOR_MAX, LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
@@ -12,19 +14,21 @@ use crate::pipeline::reference::{
 };
 use crate::scene::{Plane, sh, sh_coefficients};
 
-/// Writes the records and keys of a view and zeroes the numbers of pairs. The kernel is built for one SH degree.
+/// Writes the records and keys of some rows of a view, the first of which begins a vector, and zeroes their numbers of pairs. The kernel is
+/// built for one SH degree.
 pub fn write_records<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
     view: &ViewBuffers<R>,
+    rows: Range<usize>,
 ) -> Result<()> {
     stage
         .launch("project")
-        .gaussians(scene)
+        .gaussians(scene, rows.end)
         .value(view.camera)
         .array(&view.records, scene.count)
         .arrays([&view.keys, &view.isect_counts], scene.count)
-        .over_gaussians(scene.count)
+        .over_rows(rows)
 }
 
 /// Makes the depth (local units) the colour of the records of a view.

@@ -1,5 +1,7 @@
 //! Sums of each pair → gradients of the raw parameters, and a step of the optimiser with them (`kernels/project_grad.cl`).
 
+use std::ops::Range;
+
 use crate::base::constants::{LOG_SCALE, blur};
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
@@ -12,22 +14,19 @@ use crate::pipeline::stage::project::{Area64, Shape64, color, cross, shape};
 use crate::pipeline::stage::screen_grad::mean_gradient;
 use crate::scene::{Plane, sh, sh_coefficients};
 
-/// Adds the sums of large Gaussians in the group style, in place; there is nothing to do where it has been done, or in the other style.
-fn add_large<R: Real>(
-    stage: &Program,
-    scene: &GaussianBuffers<R>,
-    view: &ViewBuffers<R>,
-) -> Result<()> {
+/// Adds the sums of large Gaussians before row `end` in the group style, in place; there is nothing to do where it has been done, or in the
+/// other style.
+fn add_large<R: Real>(stage: &Program, view: &ViewBuffers<R>, end: usize) -> Result<()> {
     if !stage.defines().tuning.group_style {
         return Ok(());
     }
     stage
         .launch("large_sums")
-        .uints([scene.count])
-        .arrays([&view.isect_start, &view.isect_counts], scene.count)
+        .uints([end])
+        .arrays([&view.isect_start, &view.isect_counts], end)
         .status(view)
         .array(&view.sums, 1)
-        .over_shared(scene.count)
+        .over_shared(end)
 }
 
 /// Writes the gradients of a block of Gaussians, those of λ_o·mean(opacity) + λ_s·mean(scale) included, or adds them to those of the
@@ -39,36 +38,37 @@ pub fn backward<R: Real>(
     lambdas: [f64; 2],
     grads: &GradientBlock<'_, R>,
 ) -> Result<()> {
-    add_large(stage, scene, view)?;
+    let rows = grads.rows.clone();
+    add_large(stage, view, rows.end)?;
     let planes = Plane::count(stage.defines().sh_degree);
     stage
         .launch("project_grad")
-        .gaussians(scene)
-        .uints([grads.rows.start, grads.stride, usize::from(grads.views > 0)])
+        .gaussians(scene, rows.end)
+        .uints([grads.first, grads.stride, usize::from(grads.views > 0)])
         .value(view.camera)
         .arrays([&view.isect_start, &view.isect_counts], scene.count)
         .status(view)
         .array(&view.sums, 1)
         .reals::<R>(regularisers(scene, lambdas))
         .array(grads.values, planes * grads.stride)
-        .over_gaussians(grads.rows.len())
+        .over_rows(rows.start - grads.first..rows.end - grads.first)
 }
 
-/// Takes a step of the optimiser with the gradients of all Gaussians, of which none is written; after an overflow in the view nothing
-/// changes. The kernel is built for one SH degree, with `take_step`.
+/// Takes a step of the optimiser with the gradients of some Gaussians, the first of which begins a run, and none of which is written; after an
+/// overflow in the view nothing changes. The kernel is built for one SH degree, with `take_step`.
 pub fn update<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
-    view: &ViewBuffers<R>,
+    (view, rows): (&ViewBuffers<R>, Range<usize>),
     lambdas: [f64; 2],
     moments: [&Array<R>; 2],
     step: &Step<LearningRates>,
 ) -> Result<()> {
-    add_large(stage, scene, view)?;
+    add_large(stage, view, rows.end)?;
     let planes = Plane::count(stage.defines().sh_degree);
     stage
         .launch("project_step")
-        .gaussians(scene)
+        .gaussians(scene, rows.end)
         .value(view.camera)
         .arrays([&view.isect_start, &view.isect_counts], scene.count)
         .array(&view.sums, 1)
@@ -76,7 +76,7 @@ pub fn update<R: Real>(
         .reals::<R>(step.numbers::<R>())
         .arrays(moments, planes * scene.stride)
         .status(view)
-        .over_runs(scene.count)
+        .over_runs(rows)
 }
 
 /// λ_o / N and λ_s / 3N.

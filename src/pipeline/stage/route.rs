@@ -1,6 +1,7 @@
 //! Visible Gaussians of a rank → the bands of tile rows that they touch, and the sums of their pairs back (`kernels/route.cl`).
 
 use std::mem::size_of;
+use std::ops::Range;
 
 use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
@@ -15,12 +16,27 @@ const fn routed_words<R>() -> usize {
     1 + size_of::<Projected<R>>() / size_of::<u32>()
 }
 
+/// A part of the rows of a rank, which travels while the device is at the next one.
+#[derive(Debug)]
+struct Trip<R: Real> {
+    rows: Range<usize>,
+    keys: Array<u32>,
+    sent: Array<Projected<R>>,
+    /// Gaussians that each band gets.
+    sent_counts: Vec<usize>,
+    /// First of what this rank's own band gets, in `sent`.
+    sent_first: usize,
+    /// Gaussians that this rank's band got of each rank, in its view.
+    got: Vec<Range<usize>>,
+}
+
 /// The kernels, and what is on its way between ranks.
 #[derive(Debug)]
 pub struct Route<R: Real> {
     program: Program,
     rank: usize,
     ranks: usize,
+    trips: Vec<Trip<R>>,
     /// Gaussians of this rank that there is room for.
     stride: usize,
     /// First row of tiles of each band, and the number of rows.
@@ -30,21 +46,20 @@ pub struct Route<R: Real> {
     chunk_sums: Array<u32>,
     /// First of what each band gets, among what all get.
     firsts: Array<u32>,
-    keys: Array<u32>,
-    sent: Array<Projected<R>>,
     place: Array<u32>,
-    /// Gaussians that each band gets.
-    sent_counts: Vec<usize>,
-    /// First of what this rank's own band gets.
-    sent_first: usize,
     starts: Array<u32>,
     offsets: Array<u32>,
-    returned: Array<R>,
+    shifts: Array<u32>,
+    wanted: Array<u32>,
+    before: Array<u32>,
     lengths: Array<u32>,
     row_start: Array<u32>,
+    /// The sums before each Gaussian that this rank's band got, of those that go back, and their number.
+    back: Vec<u32>,
+    /// Sums that go to others, by Gaussian.
     ordered: Array<R>,
-    /// First of this rank's own sums in `ordered`, pairs.
-    own_sums: usize,
+    /// Sums of own rows that are there.
+    there: usize,
 }
 
 /// Makes an array hold `len` values, with a quarter to spare where it is to grow. Contents are lost then.
@@ -56,31 +71,41 @@ fn fit<T: Element>(device: &Device, array: &mut Array<T>, len: usize) -> Result<
 }
 
 impl<R: Real> Route<R> {
-    /// Builds the kernels for one of so many ranks.
-    pub fn new(kernels: &Kernels, [rank, ranks]: [usize; 2]) -> Result<Self> {
+    /// Builds the kernels for one of so many ranks, whose rows travel in so many parts.
+    pub fn new(kernels: &Kernels, [rank, ranks]: [usize; 2], parts: usize) -> Result<Self> {
         let program = kernels.build::<R>("route")?;
         let device = kernels.device();
         let ints = |name, len| Array::<u32>::zeros(device, name, len);
+        let trip = |_| {
+            Ok(Trip {
+                rows: 0..0,
+                keys: ints("sent keys", 0)?,
+                sent: Array::zeros(device, "sent", 0)?,
+                sent_counts: vec![0; ranks],
+                sent_first: 0,
+                got: vec![0..0; ranks],
+            })
+        };
         Ok(Self {
             rank,
             ranks,
-            own_sums: 0,
+            trips: (0..parts).map(trip).collect::<Result<_>>()?,
             stride: 0,
             bands: ints("bands", ranks + 1)?,
             spans: ints("spans", 0)?,
             chunk_sums: ints("route sums", ranks * program.chunks())?,
-            keys: ints("sent keys", 0)?,
-            sent: Array::zeros(device, "sent", 0)?,
-            place: ints("place", 0)?,
             firsts: ints("sent firsts", ranks)?,
-            sent_counts: vec![0; ranks],
-            sent_first: 0,
+            place: ints("place", 0)?,
             starts: ints("starts", 0)?,
             offsets: ints("offsets", ranks)?,
-            returned: Array::zeros(device, "returned", 0)?,
+            shifts: ints("shifts", ranks)?,
+            wanted: ints("wanted", 0)?,
+            before: ints("before", 0)?,
             lengths: ints("lengths", 0)?,
             row_start: ints("row_start", 0)?,
+            back: vec![0],
             ordered: Array::zeros(device, "ordered", 0)?,
+            there: 0,
             program,
         })
     }
@@ -90,62 +115,94 @@ impl<R: Real> Route<R> {
         self.bands.write(0, bands)
     }
 
-    /// Finds the Gaussians of a view that each band gets; returns the message for each rank, keys before records. Those of this rank's own
-    /// band stay on the device, and their message is their number. Waits.
-    pub fn send(&mut self, device: &Device, view: &ViewBuffers<R>) -> Result<Vec<Vec<u32>>> {
-        if self.stride < view.count {
-            self.stride = view.count + view.count / 4;
+    /// Number of parts.
+    #[must_use]
+    pub fn parts(&self) -> usize {
+        self.trips.len()
+    }
+
+    /// Rows of a part, since they were divided last.
+    #[must_use]
+    pub fn rows(&self, part: usize) -> Range<usize> {
+        self.trips[part].rows.clone()
+    }
+
+    /// Divides so many rows into the parts; each begins a run of the optimiser.
+    pub fn divide(&mut self, device: &Device, count: usize) -> Result<()> {
+        let (run, parts) = (self.program.defines().tuning.update_run(), self.trips.len());
+        // Also of no rows each part has a beginning of its own: PoCL compiles kernels that begin at 0 apart.
+        let first = |k: usize| (k * count / parts + k).next_multiple_of(run);
+        for (k, trip) in self.trips.iter_mut().enumerate() {
+            let end = if k + 1 == parts { count } else { first(k + 1) };
+            trip.rows = first(k)..end.min(count).max(first(k));
+        }
+        let room = count.max(first(parts));
+        if self.stride < room {
+            self.stride = room + room / 4;
             fit(device, &mut self.place, self.ranks * self.stride)?;
             fit(device, &mut self.spans, self.stride)?;
         }
-        let (chunks, ranks) = (self.program.chunks(), self.ranks);
+        Ok(())
+    }
+
+    /// Finds the Gaussians of a part of the rows of a view that each band gets; returns the message for each rank, keys before records. Those
+    /// of this rank's own band stay on the device: no word. Waits.
+    pub fn send(
+        &mut self,
+        device: &Device,
+        view: &ViewBuffers<R>,
+        part: usize,
+    ) -> Result<Vec<Vec<u32>>> {
+        let (chunks, ranks, rows) = (self.program.chunks(), self.ranks, self.rows(part));
         let over_bands = |launch: Launch<'_>| {
             let group = launch.defines().tuning.tile_group();
             launch.run([chunks * group, ranks], [group, 1])
         };
         self.program
             .launch("route_spans")
-            .array(&view.records, view.count)
-            .array(&view.keys, view.count)
-            .uints([view.count])
-            .array(&self.spans, view.count)
-            .over_items([view.count, 1])?;
-        let launch = self.own("route_count", view).uints([chunks]);
+            .array(&view.records, rows.end)
+            .array(&view.keys, rows.end)
+            .uints([rows.start, rows.end])
+            .array(&self.spans, rows.end)
+            .over_items([rows.len(), 1])?;
+        let launch = self.own("route_count", &rows).uints([chunks]);
         over_bands(launch.array(&self.chunk_sums, ranks * chunks))?;
         let counted = self.chunk_sums.read(0, ranks * chunks)?;
         let total = |of: &[u32]| of.iter().map(|n| *n as usize).sum();
-        self.sent_counts = counted.chunks_exact(chunks).map(total).collect();
-        let all: usize = self.sent_counts.iter().sum();
-        let firsts: Vec<usize> = (self.sent_counts.iter())
+        let counts: Vec<usize> = counted.chunks_exact(chunks).map(total).collect();
+        let all: usize = counts.iter().sum();
+        let firsts: Vec<usize> = (counts.iter())
             .scan(0, |end, n| {
                 *end += n;
                 Some(*end - n)
             })
             .collect();
-        self.sent_first = firsts[self.rank];
-        fit(device, &mut self.keys, all.max(1))?;
-        fit(device, &mut self.sent, all.max(1))?;
+        let trip = &mut self.trips[part];
+        fit(device, &mut trip.keys, all.max(1))?;
+        fit(device, &mut trip.sent, all.max(1))?;
+        (trip.sent_first, trip.sent_counts) = (firsts[self.rank], counts);
         let written: Vec<u32> = firsts.iter().map(|first| *first as u32).collect();
         self.firsts.write(0, &written)?;
+        let trip = &self.trips[part];
         let launch = self
-            .own("route_pack", view)
+            .own("route_pack", &rows)
             .uints([chunks])
             .array(&self.chunk_sums, ranks * chunks)
-            .array(&view.records, view.count)
-            .array(&view.keys, view.count)
+            .array(&view.records, rows.end)
+            .array(&view.keys, rows.end)
             .array(&self.firsts, ranks)
-            .array(&self.keys, all)
-            .array(&self.sent, all)
+            .array(&trip.keys, all)
+            .array(&trip.sent, all)
             .uints([self.stride])
             .array(&self.place, ranks * self.stride);
         over_bands(launch)?;
         let message = |(rank, from): (usize, &usize)| {
-            let n = self.sent_counts[rank];
+            let n = trip.sent_counts[rank];
             if rank == self.rank {
-                return Ok(vec![n as u32]);
+                return Ok(Vec::new());
             }
-            let mut words = self.keys.read_words(*from, n)?;
-            words.extend(self.sent.read_words(*from, n)?);
+            let mut words = trip.keys.read_words(*from, n)?;
+            words.extend(trip.sent.read_words(*from, n)?);
             Ok(words)
         };
         firsts.iter().enumerate().map(message).collect()
@@ -168,155 +225,210 @@ impl<R: Real> Route<R> {
         Ok(bands.windows(2).map(rows).collect())
     }
 
-    /// Takes the messages of [`Route::send`] of all ranks for this one: records and keys of a view, one rank's after the other's. Returns
-    /// the first Gaussian of each rank, and their number.
+    /// Takes the messages of [`Route::send`] of all ranks for this one, by part: records and keys of a view, one rank's after the other's, in
+    /// the order of its rows.
+    ///
+    /// # Errors
+    /// Messages of another shape, no room, or the driver's.
     pub fn receive(
-        &self,
+        &mut self,
         device: &Device,
-        messages: &[Vec<u32>],
+        parts: &[Vec<Vec<u32>>],
         view: &mut ViewBuffers<R>,
-    ) -> Result<Vec<usize>> {
-        let mut firsts = vec![0];
-        for (rank, message) in messages.iter().enumerate() {
-            let n = match rank == self.rank {
-                true => message.first().copied().unwrap_or(0) as usize,
-                false if !message.len().is_multiple_of(routed_words::<R>()) => {
-                    let what = format!("{} words are no records", message.len());
-                    return Err(Error::numerics("exchange", what));
-                }
-                false => message.len() / routed_words::<R>(),
-            };
-            firsts.push(firsts[rank] + n);
+    ) -> Result<()> {
+        let mut end = 0;
+        for rank in 0..self.ranks {
+            for (trip, messages) in self.trips.iter_mut().zip(parts) {
+                let words = messages.get(rank).map_or(0, Vec::len);
+                let n = match rank == self.rank {
+                    true => trip.sent_counts[rank],
+                    false if !words.is_multiple_of(routed_words::<R>()) => {
+                        let what = format!("{words} words are no records");
+                        return Err(Error::numerics("exchange", what));
+                    }
+                    false => words / routed_words::<R>(),
+                };
+                trip.got[rank] = end..end + n;
+                end += n;
+            }
         }
-        view.count = firsts[messages.len()];
+        view.count = end;
         if view.keys.len() < view.count {
             view.fit_gaussians(device, view.count + view.count / 4)?;
         }
-        for (rank, message) in messages.iter().enumerate() {
-            let (first, n) = (firsts[rank], firsts[rank + 1] - firsts[rank]);
-            if rank == self.rank {
-                let from = self.sent_first;
-                view.keys.copy_from(first, &self.keys, from, n)?;
-                view.records.copy_from(first, &self.sent, from, n)?;
-            } else {
-                let (keys, records) = message.split_at(n);
-                view.keys.write_words(first, keys)?;
-                view.records.write_words(first, records)?;
+        for (trip, messages) in self.trips.iter().zip(parts) {
+            for (rank, (got, message)) in trip.got.iter().zip(messages).enumerate() {
+                let (first, n) = (got.start, got.len());
+                if rank == self.rank {
+                    let from = trip.sent_first;
+                    view.keys.copy_from(first, &trip.keys, from, n)?;
+                    view.records.copy_from(first, &trip.sent, from, n)?;
+                } else {
+                    let (keys, records) = message.split_at(n);
+                    view.keys.write_words(first, keys)?;
+                    view.records.write_words(first, records)?;
+                }
             }
         }
-        Ok(firsts)
+        Ok(())
     }
 
-    /// The message for each rank whose Gaussians stand in a view from `firsts[rank]` on: first slots and their end, then the sums of
-    /// their pairs. This rank's own stay on the device, and its message has the slots alone. Waits.
+    /// Gaussians that this rank's band got of a rank, in its view.
+    #[must_use]
+    pub fn got(&self, rank: usize) -> Range<usize> {
+        let of = |trip: &Trip<R>| trip.got[rank].clone();
+        let (first, last) = (self.trips.first().map(of), self.trips.last().map(of));
+        first.map_or(0, |got| got.start)..last.map_or(0, |got| got.end)
+    }
+
+    /// Brings the sums of the pairs of this rank's band into the order of its Gaussians: those of other ranks' to go back
+    /// ([`Route::returned`]), and its own to `home`. Waits.
     pub fn give_back(
         &mut self,
         device: &Device,
         scan: &Program,
         view: &ViewBuffers<R>,
-        firsts: &[usize],
-    ) -> Result<Vec<Vec<u32>>> {
+        home: &mut ViewBuffers<R>,
+    ) -> Result<()> {
         fit(device, &mut self.lengths, view.count)?;
-        fit(device, &mut self.row_start, view.count)?;
+        fit(device, &mut self.row_start, view.count + 1)?;
         self.band("route_lengths", view)
             .array(&self.lengths, view.count)
             .over_items([view.count, 1])?;
         let lengths = [&self.lengths, &self.row_start];
         scan::sum_pairs(scan, view, view.count, lengths)?;
-        let mut starts = self.row_start.read(0, view.count)?;
-        starts.push(view.pairs_found()?);
-        let back = starts[view.count] as usize;
-        fit(device, &mut self.ordered, back * SUMS)?;
-        self.band("route_return", view)
-            .array(&view.isect_start, view.count)
-            .array(&self.row_start, view.count)
-            .array(&view.sums, back * SUMS)
-            .array(&self.ordered, back * SUMS)
-            .over_items([view.count, 1])?;
-        let message = |(rank, pair): (usize, &[usize])| {
-            let of = &starts[pair[0]..=pair[1]];
-            let (first, end) = (of[0] as usize, of[of.len() - 1] as usize);
-            let mut words: Vec<u32> = of.iter().map(|start| start - of[0]).collect();
-            if rank != self.rank {
-                let sums = &self.ordered;
-                words.extend(sums.read_words(first * SUMS, (end - first) * SUMS)?);
-            }
-            Ok(words)
-        };
-        self.own_sums = starts[firsts[self.rank]] as usize;
-        firsts.windows(2).enumerate().map(message).collect()
+        let all = view.pairs_found()?;
+        self.row_start.write(view.count, &[all])?;
+        self.back = self.row_start.read(0, view.count + 1)?;
+        let own = self.got(self.rank);
+        let [before, after] = [own.start, own.end].map(|at| self.back[at]);
+        self.there = (after - before) as usize;
+        fit(device, &mut self.ordered, (all as usize - self.there) * SUMS)?;
+        // A kernel takes no empty array.
+        home.fit_sums(device, self.there.max(1), 0)?;
+        for (rows, base, to) in [
+            (0..own.start, 0, &self.ordered),
+            (own.clone(), before, &home.sums),
+            (own.end..view.count, after - before, &self.ordered),
+        ] {
+            self.band("route_return", view)
+                .uints([rows.start, rows.end])
+                .array(&view.isect_start, view.count)
+                .array(&self.row_start, view.count)
+                .value(base)
+                .array(&view.sums, all as usize * SUMS)
+                .array(to, 0)
+                .over_items([rows.len(), 1])?;
+        }
+        Ok(())
     }
 
-    /// Takes the messages of [`Route::give_back`] of all ranks for this one: pairs and their sums of the Gaussians of a view, by bands
-    /// from top to bottom.
+    /// The message for each rank about its Gaussians of a part: the sums before each of them and all of them, then the sums. Own ones are there:
+    /// no word. Waits.
     ///
     /// # Errors
-    /// Messages of another shape.
+    /// The driver's.
+    pub fn returned(&self, part: usize) -> Result<Vec<Vec<u32>>> {
+        let message = |(rank, got): (usize, &Range<usize>)| {
+            if rank == self.rank {
+                return Ok(Vec::new());
+            }
+            let starts = &self.back[got.start..=got.end];
+            let (first, end) = (starts[0] as usize, starts[got.len()] as usize);
+            let gap = if rank < self.rank { 0 } else { self.there };
+            let mut words = starts.to_vec();
+            let sums = (first - gap) * SUMS;
+            words.extend(self.ordered.read_words(sums, (end - first) * SUMS)?);
+            Ok(words)
+        };
+        let got = self.trips[part].got.iter();
+        got.enumerate().map(message).collect()
+    }
+
+    /// Takes the messages of [`Route::returned`] of all ranks for a part of the rows of a view: pairs and their sums, by bands from top to
+    /// bottom. Parts come in their order.
+    ///
+    /// # Errors
+    /// Messages of another shape, no room, or the driver's.
     pub fn collect(
         &mut self,
         device: &Device,
         scan: &Program,
-        messages: &[Vec<u32>],
+        (part, messages): (usize, &[Vec<u32>]),
         view: &mut ViewBuffers<R>,
     ) -> Result<()> {
         let words = size_of::<R>() / size_of::<u32>() * SUMS;
-        let (mut starts, mut offsets, mut pairs) = (Vec::new(), Vec::new(), 0);
-        let mut parts = Vec::new();
-        for (message, sent) in messages.iter().zip(&self.sent_counts) {
-            let at = sent + 1;
-            let (Some(&end), Some(sums)) = (message.get(at - 1), message.get(at..)) else {
+        let trip = &self.trips[part];
+        let (mut offsets, mut shifts, mut parts) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut place, mut end) = (0, self.there);
+        for (rank, (message, n)) in messages.iter().zip(&trip.sent_counts).enumerate() {
+            offsets.push(place as u32);
+            place += n + 1;
+            if rank == self.rank {
+                let first = self.got(rank).start;
+                shifts.push(0u32.wrapping_sub(self.back[first]));
+                continue;
+            }
+            let Some((starts, sums)) = message.split_at_checked(n + 1) else {
                 return Err(Error::numerics("exchange", "a message that is too short"));
             };
-            let own = offsets.len() == self.rank;
-            if !own && sums.len() != end as usize * words {
-                let what = format!("sums of {} words for {end} pairs", sums.len());
+            let pairs = starts[*n].wrapping_sub(starts[0]) as usize;
+            if sums.len() != pairs * words {
+                let what = format!("sums of {} words for {pairs} pairs", sums.len());
                 return Err(Error::numerics("exchange", what));
             }
-            let all = pairs + end as usize;
-            let first = u32::try_from(all).ok().and(u32::try_from(pairs).ok());
-            let Some(first) = first else {
-                let what = format!("{all} pairs of the Gaussians of one rank in one view");
-                let fix = "train with more ranks, or lower --max-size or --max-gaussians";
-                return Err(Error::device("route", what, fix));
-            };
-            offsets.push(starts.len() as u32);
-            starts.extend(message[..at].iter().map(|start| start + first));
-            parts.push((pairs, end as usize, sums));
-            pairs += end as usize;
+            shifts.push((end as u32).wrapping_sub(starts[0]));
+            parts.push((rank, starts, end, sums));
+            end += pairs;
         }
-        fit(device, &mut self.starts, starts.len())?;
-        fit(device, &mut self.returned, pairs * SUMS)?;
-        // A kernel takes no empty array.
-        view.fit_sums(device, pairs.max(1))?;
-        self.starts.write(0, &starts)?;
+        self.check_pairs(2 * end)?;
+        view.fit_sums(device, end.max(1), self.there)?;
+        fit(device, &mut self.starts, place)?;
+        fit(device, &mut self.wanted, trip.rows.len().max(1))?;
+        fit(device, &mut self.before, trip.rows.len().max(1))?;
         self.offsets.write(0, &offsets)?;
-        for (rank, (first, len, sums)) in parts.into_iter().enumerate() {
-            if rank == self.rank {
-                let (from, len) = (self.own_sums * SUMS, len * SUMS);
-                let own = &self.ordered;
-                self.returned.copy_from(first * SUMS, own, from, len)?;
-            } else {
-                self.returned.write_words(first * SUMS, sums)?;
-            }
+        self.shifts.write(0, &shifts)?;
+        let (own, at) = (trip.got[self.rank].clone(), offsets[self.rank] as usize);
+        self.starts
+            .copy_from(at, &self.row_start, own.start, own.len() + 1)?;
+        for (rank, starts, first, sums) in parts {
+            self.starts.write(offsets[rank] as usize, starts)?;
+            view.sums.write_words(first * SUMS, sums)?;
         }
-        self.returning("route_pairs", view)
-            .array(&view.isect_counts, view.count)
-            .over_items([view.count, 1])?;
-        let counts = [&view.isect_counts, &view.isect_start];
-        scan::sum_pairs(scan, view, view.count, counts)?;
-        self.returning("route_sums", view)
-            .array(&self.returned, pairs * SUMS)
-            .array(&view.isect_start, view.count)
-            .array(&view.sums, pairs * SUMS)
-            .over_items([view.count, 1])
+        let rows = trip.rows.clone();
+        self.returning("route_pairs", &rows)
+            .arrays([&view.isect_counts, &view.isect_start], rows.end)
+            .array(&self.wanted, rows.len())
+            .over_items([rows.len(), 1])?;
+        let places = [&self.wanted, &self.before];
+        scan::sum_pairs(scan, view, rows.len(), places)?;
+        let together = view.pairs_found()? as usize;
+        view.fit_sums(device, end + together, end)?;
+        self.there = end + together;
+        self.returning("route_sums", &rows)
+            .arrays(places, rows.len())
+            .uints([end])
+            .array(&view.isect_start, rows.end)
+            .array(&view.sums, self.there * SUMS)
+            .over_items([rows.len(), 1])
     }
 
-    /// A sweep over the Gaussians of a view.
-    fn own(&self, kernel: &'static str, view: &ViewBuffers<R>) -> Launch<'_> {
+    /// Refuses more pairs than can be numbered.
+    fn check_pairs(&self, pairs: usize) -> Result<()> {
+        if u32::try_from(pairs).is_ok() {
+            return Ok(());
+        }
+        let what = format!("{pairs} pairs of the Gaussians of one rank in one view");
+        let fix = "train with more ranks, or lower --max-size or --max-gaussians";
+        Err(Error::device("route", what, fix))
+    }
+
+    /// A sweep over rows of a view.
+    fn own(&self, kernel: &'static str, rows: &Range<usize>) -> Launch<'_> {
         self.program
             .launch(kernel)
-            .array(&self.spans, view.count)
-            .uints([view.count])
+            .array(&self.spans, rows.end)
+            .uints([rows.start, rows.end])
             .array(&self.bands, self.ranks + 1)
     }
 
@@ -330,13 +442,13 @@ impl<R: Real> Route<R> {
             .array(&view.isect_counts, view.count)
     }
 
-    /// A sweep over the Gaussians of a view that takes what has come back.
-    fn returning(&self, kernel: &'static str, view: &ViewBuffers<R>) -> Launch<'_> {
-        self.own(kernel, view)
+    /// A sweep over rows of a view that takes what has come back.
+    fn returning(&self, kernel: &'static str, rows: &Range<usize>) -> Launch<'_> {
+        self.own(kernel, rows)
             .uints([self.ranks, self.stride])
             .array(&self.place, self.ranks * self.stride)
             .array(&self.starts, self.ranks)
-            .array(&self.offsets, self.ranks)
+            .arrays([&self.offsets, &self.shifts], self.ranks)
     }
 }
 

@@ -57,6 +57,7 @@ fn errors<R: Real>(device: &Device, size: f64, rate: f64) -> Result<Vec<f64>> {
         values: &Array::from_slice(device, "grads", &gradients)?,
         planes,
         stride: N,
+        first: 0,
         rows: 0..N,
         views: 1,
     };
