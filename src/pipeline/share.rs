@@ -328,8 +328,7 @@ impl<R: Real> Share<R> {
     /// No room, another rank's failure, or the driver's.
     pub fn return_sums(&mut self, frame: &ViewBuffers<R>) -> Result<()> {
         let (device, scan) = (&self.device, &self.scan);
-        self.route
-            .give_back(device, scan, frame, &mut self.home)?;
+        self.route.give_back(device, scan, frame, &mut self.home)?;
         for part in 0..self.parts() {
             let given = self.route.returned(part)?;
             self.exchange.begin(Part::Sums, given)?;

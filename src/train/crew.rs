@@ -28,6 +28,8 @@ pub struct Crew {
     band_parts: Parts,
     /// Seconds that each rank worked on its rows since they were divided.
     worked_on_rows: Vec<f64>,
+    /// Seconds that a rank has worked on its rows and on its band so far, in the mean.
+    worked: [f64; 2],
     /// CPU seconds of the processes of other ranks.
     process_seconds: f64,
     /// First row of each rank, and the number of all, when they were divided last.
@@ -146,6 +148,7 @@ impl Crew {
             row_parts: Parts::even(exchange.ranks()),
             band_parts: Parts::even(exchange.ranks()),
             worked_on_rows: vec![0.0; exchange.ranks()],
+            worked: [0.0; 2],
             process_seconds: 0.0,
             rows: Vec::new(),
             pairs: BTreeMap::new(),
@@ -166,6 +169,12 @@ impl Crew {
     #[must_use]
     pub fn process_seconds(&self) -> f64 {
         self.process_seconds
+    }
+
+    /// Seconds that a rank has worked on its rows and on its band so far, in the mean.
+    #[must_use]
+    pub fn worked(&self) -> [f64; 2] {
+        self.worked
     }
 
     /// Notes the non-finite gradient values of another rank, or, for the leader, those of before there were ranks.
@@ -199,6 +208,9 @@ impl Crew {
         self.pairs.insert((view, pairs.len()), pairs.to_vec());
         for (sum, worked) in self.worked_on_rows.iter_mut().zip(worked) {
             *sum += f64::from(worked.rows);
+            for (sum, seconds) in self.worked.iter_mut().zip([worked.rows, worked.band]) {
+                *sum += f64::from(seconds) / self.exchange.ranks() as f64;
+            }
         }
         self.process_seconds = worked.iter().map(|worked| f64::from(worked.process)).sum();
         let seconds: Vec<f64> = worked.iter().map(|worked| worked.band.into()).collect();

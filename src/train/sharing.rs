@@ -14,7 +14,7 @@ use crate::device::{Device, Helpers};
 use crate::pipeline::buffers::{Shard, ViewSet};
 use crate::pipeline::photos::Photos;
 use crate::pipeline::share::Share;
-use crate::ranks::{Exchange, LEADER, Part, Traffic, threads, to_all, to_one};
+use crate::ranks::{Exchange, LEADER, Part, Traffic, Waits, threads, to_all, to_one};
 use crate::scene::Gaussians;
 use crate::train::crew::{
     COUNT, Crew, DECIDE, EDIT, END, EXPOSE, GATHER, ITERATE, KEEP, LENGTH, LOOK, RAISE, SEEN,
@@ -159,6 +159,20 @@ impl Trainer {
     #[must_use]
     pub fn traffic(&self) -> Option<Traffic> {
         self.crew.as_ref().map(|crew| crew.exchange.meter().sent())
+    }
+
+    /// Seconds for which this rank has waited for others so far; `None` alone.
+    #[must_use]
+    pub fn waits(&self) -> Option<Waits> {
+        self.crew
+            .as_ref()
+            .map(|crew| crew.exchange.meter().waited())
+    }
+
+    /// Seconds that a rank has worked on its rows and on its band of the views so far, in the mean; `None` alone.
+    #[must_use]
+    pub fn worked(&self) -> Option<[f64; 2]> {
+        self.crew.as_ref().map(Crew::worked)
     }
 
     /// CPU seconds of other processes that train with this one, so far.

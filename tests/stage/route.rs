@@ -257,7 +257,11 @@ fn a_rank_without_room_for_its_pairs_makes_some() {
     // The first room, see `Renderer::fit`.
     assert!(pairs(&want) > 4096, "{}", pairs(&want));
     let exchange = threads(1).remove(0);
-    let (got, _) = pass(&case, Tuning::CPU, Some((exchange, [0, 300], vec![0, 10], 1)));
+    let (got, _) = pass(
+        &case,
+        Tuning::CPU,
+        Some((exchange, [0, 300], vec![0, 10], 1)),
+    );
     let totals = |sums: Sums| sums.into_iter().map(|s| s.1).collect::<Vec<_>>();
     assert!(totals(got) == totals(want));
 }

@@ -13,7 +13,7 @@ use crate::lab::bench::scene::{self, VIEWS};
 use crate::lab::report::{Report, Section};
 use crate::lab::stats::{Ratio, Spread, ratio};
 use crate::lab::table::{Table, digits, few, or_dash};
-use crate::ranks::Part;
+use crate::ranks::{Part, Traffic, Waits};
 use crate::train::{Plan, Trainer};
 
 /// Numbers of ranks that are measured.
@@ -42,6 +42,17 @@ pub struct Shared {
     pub apart: bool,
     /// Bytes that one rank sends, by part.
     pub bytes: Vec<(&'static str, f64)>,
+    /// Milliseconds for which the first rank waits for others, by part.
+    pub waits_ms: Vec<(&'static str, f64)>,
+    /// Milliseconds that a rank works on its rows and on its band, in the mean.
+    pub works_ms: [f64; 2],
+}
+
+/// Counts of a trainer so far.
+struct Counts {
+    sent: Traffic,
+    waited: Waits,
+    worked: [f64; 2],
 }
 
 /// Figures of a scene by several numbers of ranks.
@@ -125,7 +136,12 @@ pub fn measure(
             let passes = options.sample_seconds / (wall * f64::from(VIEWS)).max(1e-9);
             iterations = iterations.max(VIEWS * passes.ceil().clamp(1.0, 100.0) as u32);
         }
-        let before: Vec<_> = trainers.iter().map(Trainer::traffic).collect();
+        let counts = |trainer: &Trainer| Counts {
+            sent: trainer.traffic().unwrap_or_default(),
+            waited: trainer.waits().unwrap_or_default(),
+            worked: trainer.worked().unwrap_or_default(),
+        };
+        let before: Vec<Counts> = trainers.iter().map(counts).collect();
         let mut samples = vec![Vec::new(); trainers.len()];
         for _ in 0..options.samples {
             for (trainer, samples) in trainers.iter_mut().zip(&mut samples) {
@@ -138,16 +154,25 @@ pub fn measure(
                 let figures = samples[k].iter().map(|s| 1e3 * s[which]);
                 spread("bench", figures)
             };
-            let (before, after) = (before.unwrap_or_default(), trainer.traffic());
-            let after = after.unwrap_or_default();
+            let after = counts(trainer);
             let done = f64::from(iterations) * options.samples as f64;
-            let bytes = |part: Part| (after[part as usize] - before[part as usize]) as f64 / done;
+            let bytes = |part: Part| {
+                let [before, after] = [&before, &after].map(|c| c.sent[part as usize]);
+                (part.name(), (after - before) as f64 / done)
+            };
+            let wait = |part: Part| {
+                let [before, after] = [&before, &after].map(|c| c.waited[part as usize]);
+                (part.name(), 1e3 * (after - before) / done)
+            };
+            let work = |k: usize| 1e3 * (after.worked[k] - before.worked[k]) / done;
             shared.push(Shared {
                 ranks: MEASURED[k],
                 ms: of(0)?,
                 cpu_ms: of(1)?,
                 apart: MEASURED[k] <= cores,
-                bytes: Part::ALL.map(|part| (part.name(), bytes(part))).to_vec(),
+                bytes: Part::ALL.map(bytes).to_vec(),
+                waits_ms: Part::ALL.map(wait).to_vec(),
+                works_ms: [work(0), work(1)],
             });
         }
         Ok(Scaling {
@@ -262,6 +287,26 @@ impl Scaling {
             "borders, kB",
             "loss, kB",
         ];
+        let seconds = |s: &Shared| {
+            let waits = |name: &str| {
+                let found = s.waits_ms.iter().find(|(part, _)| *part == name);
+                digits(found.map_or(0.0, |(_, ms)| *ms))
+            };
+            let mut cells = vec![s.ranks.to_string()];
+            cells.extend(s.works_ms.map(digits));
+            cells.extend(["orders", "records", "borders", "loss", "sums"].map(waits));
+            cells
+        };
+        let spent = [
+            "ranks",
+            "rows",
+            "band",
+            "wait: orders",
+            "records",
+            "borders",
+            "loss",
+            "sums",
+        ];
         let speedup = or_dash(self.speedup(), |r| crate::lab::table::ratio(&r));
         let measured = format!("{}, two ranks {speedup} as fast as one", self.title());
         let model = |ranks: &usize| {
@@ -280,6 +325,12 @@ impl Scaling {
                 "An iteration; what one rank sends to others.",
                 &columns,
                 self.shared.iter().map(row),
+            )),
+            Section::Table(Table::new(
+                format!("{}: milliseconds of an iteration, by part", self.title()),
+                "Work of a rank on its rows and on its band, in the mean; what the first rank waits for the others' messages.",
+                &spent,
+                self.shared.iter().filter(|s| s.ranks > 1).map(seconds),
             )),
             Section::Table(Table::new(
                 format!(
@@ -320,6 +371,8 @@ mod tests {
             cpu_ms: spread(cpu),
             apart: true,
             bytes: vec![(Part::Records.name(), bytes)],
+            waits_ms: Vec::new(),
+            works_ms: [0.0; 2],
         }
     }
 

@@ -303,7 +303,11 @@ impl<R: Real> Route<R> {
         let own = self.got(self.rank);
         let [before, after] = [own.start, own.end].map(|at| self.back[at]);
         self.there = (after - before) as usize;
-        fit(device, &mut self.ordered, (all as usize - self.there) * SUMS)?;
+        fit(
+            device,
+            &mut self.ordered,
+            (all as usize - self.there) * SUMS,
+        )?;
         // A kernel takes no empty array.
         home.fit_sums(device, self.there.max(1), 0)?;
         for (rows, base, to) in [
