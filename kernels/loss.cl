@@ -53,9 +53,9 @@ LOAD_AT(bytes_at, uchar, bytes_to_real)
 // A render and its photo.
 typedef struct {
   __global const real *image;  // [>= 3, rows, stride]
-  __global const uchar *photo; // [3 or 4, height, width]
+  __global const uchar *photo; // [3 or 4, photo_rows, width]: rows of the photo from photo_first on
   long plane, pixels;
-  int channel, width, height, stride;
+  int channel, width, height, photo_first, photo_rows, stride;
   real background;
 } Images;
 
@@ -66,10 +66,11 @@ static inline realV over_255(realV v) {
 }
 
 #if HAS_MASK
-// How far pixels of row y from column x on count; 0 outside of the image.
+// How far pixels of row y from column x on count; 0 outside of the image and of the rows of the photo that there are.
 static inline realV mask_at(const Images *s, int x, int y) {
-  if (y < 0 || y >= s->height) return (realV)(R(0.0));
-  return over_255(bytes_at(s->photo, 4 * s->pixels, 3 * s->pixels + (long)y * s->width, x, s->width));
+  const int row = y - s->photo_first;
+  if (row < 0 || row >= s->photo_rows) return (realV)(R(0.0));
+  return over_255(bytes_at(s->photo, 4 * s->pixels, 3 * s->pixels + (long)row * s->width, x, s->width));
 }
 #endif
 
@@ -84,10 +85,12 @@ static inline realV render_at(const Images *s, int x, int y) {
 #endif
 }
 
-// The photo's counterpart: premultiplied colour plus (1 - alpha) of the background when there is an alpha plane.
+// The photo's counterpart: premultiplied colour plus (1 - alpha) of the background when there is an alpha plane. Rows that the array
+// lacks are as those outside of the image: no gradient or sum of a band depends on them.
 static inline realV photo_at(const Images *s, int x, int y) {
-  if (y < 0 || y >= s->height) return (realV)(-SHIFT);
-  const long length = (3 + (HAS_ALPHA || HAS_MASK)) * s->pixels, row = (long)y * s->width;
+  const int held = y - s->photo_first;
+  if (held < 0 || held >= s->photo_rows) return (realV)(-SHIFT);
+  const long length = (3 + (HAS_ALPHA || HAS_MASK)) * s->pixels, row = (long)held * s->width;
   realV v = over_255(bytes_at(s->photo, length, s->channel * s->pixels + row, x, s->width));
 #if HAS_ALPHA
   const realV a = over_255(bytes_at(s->photo, length, 3 * s->pixels + row, x, s->width));
@@ -151,10 +154,13 @@ static inline realV gradient_of(const Images *s, int x, int y, realV dmx, realV 
 #define BLANK_ARGUMENTS
 #define IS_ACTIVE(part, margin) 1
 #endif
-// in [>= 3, rows, stride], [3 or 4, height, width]
+// in [>= 3, rows, stride], [3 or 4, photo_rows, width]: rows of the photo from photo_first on
 #define IMAGE_ARGUMENTS                                                                                                \
-  __global const real *image, __global const uchar *photo, int width, int height, int stride, int rows, int first,     \
-      real red, real green, real blue, BLANK_ARGUMENTS
+  __global const real *image, __global const uchar *photo, int width, int height, int photo_first, int photo_rows,     \
+      int stride, int rows, int first, real red, real green, real blue, BLANK_ARGUMENTS
+// A channel of both images.
+#define IMAGES(channel)                                                                                                \
+  {image, photo, (long)stride * rows, (long)width * photo_rows, channel, width, height, photo_first, photo_rows, stride, BACKGROUND(channel)}
 // A launch is over channel `first`, or by groups, where `first` is 0, over all along the second axis.
 #if GROUP_STYLE
 #define CHANNEL (first + (int)get_group_id(1))
@@ -257,7 +263,7 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS, int write_error) {
   if (x0 >= stride || y0 >= rows) return;
   const long plane = (long)stride * rows;
   const int channel = CHANNEL;
-  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, BACKGROUND(channel)};
+  const Images s = IMAGES(channel);
   const size_t columns = (stride + STRIP - 1) / STRIP, strips = columns * ((rows + LOSS_ROWS - 1) / LOSS_ROWS);
   const size_t strip = channel * strips + sy * columns + sx;
 #if SKIP_BLANK
@@ -326,7 +332,7 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
   if (x0 >= stride || y0 >= rows) return;
   const long plane = (long)stride * rows;
   const int channel = CHANNEL;
-  const Images s = {image, photo, plane, (long)width * height, channel, width, height, stride, BACKGROUND(channel)};
+  const Images s = IMAGES(channel);
   dimage += channel * plane;
 #if SKIP_BLANK
   int active[STRIP / VW];
@@ -447,10 +453,6 @@ static inline Part own_part(int stride, int rows) {
   const Part part = {index, across * (rows / PART_HEIGHT), index % across * PART_WIDTH, index / across * PART_HEIGHT, l % PART_WIDTH, l / PART_WIDTH};
   return part;
 }
-
-// A channel of both images.
-#define IMAGES(channel)                                                                                                \
-  {image, photo, (long)stride * rows, (long)width * height, channel, width, height, stride, BACKGROUND(channel)}
 
 // |x - y| of a work-item's pixels, and in `room`, which was free, the vertical windows that SSIM is made of: everybody of the group comes
 // here. Of a part that is not active nothing is written.

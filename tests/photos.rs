@@ -17,6 +17,7 @@ use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Array, Defines, Device, ImageSize, Kernels};
 use mhsplat::evaluate::{Evaluator, ViewScore};
 use mhsplat::pipeline::buffers::ViewSet;
+use mhsplat::pipeline::photo_array::PhotoArray;
 use mhsplat::pipeline::photos::{PhotoStats, Photos, Wanted};
 use mhsplat::pipeline::stage::loss::ImagePair;
 use mhsplat::pipeline::stage::metrics::score;
@@ -52,7 +53,15 @@ fn added(data: &Dataset) -> Photos {
 
 /// A photo at its full size.
 const fn whole(photo: usize) -> Wanted {
-    Wanted { photo, divisor: 1 }
+    smaller(photo, 1)
+}
+
+const fn smaller(photo: usize, divisor: usize) -> Wanted {
+    Wanted {
+        photo,
+        divisor,
+        rows: None,
+    }
 }
 
 /// Waits until so many files have been decoded, and a little longer for those that should not be.
@@ -144,7 +153,7 @@ fn halved(budget: u64, rounds: usize) -> (PhotoStats, PhotoStats) {
     let mut stats = Vec::new();
     for divisor in [2, 1] {
         for photo in (0..6).cycle().take(6 * rounds) {
-            let found = photos.get(Wanted { photo, divisor }, []).unwrap();
+            let found = photos.get(smaller(photo, divisor), []).unwrap();
             let expected = data.train[photo].photo.load().unwrap();
             let expected = shrink(&expected, divisor as u32);
             assert_eq!(found.to_vec().unwrap(), expected.data, "photo {photo}");
@@ -177,7 +186,7 @@ fn small_photos_beside_whole_ones_keep_to_the_budget() {
 fn small_photos_ahead_leave_room_for_the_whole_of_one() {
     let dir = colmap_scene(9, DVec3::ZERO, true);
     let photos = added(&within(dir.path(), SMALL + 3 * HALF).unwrap());
-    let half = |photo| Wanted { photo, divisor: 2 };
+    let half = |photo| smaller(photo, 2);
     photos.get(half(0), (1..9).map(half)).unwrap();
     wait_for(&photos, 4);
     for photo in 1..9 {
@@ -209,14 +218,13 @@ fn a_photo_ahead_that_is_there_in_another_size_gives_way() {
     for budget in [SMALL + HALF, SMALL + 3 * HALF, 2 * SMALL + 3 * HALF] {
         let photos = added(&within(dir.path(), budget).unwrap());
         for first in [1, 2] {
-            let of = |photo, divisor| Wanted { photo, divisor };
             // Those ahead come last, and stay as far as the budget goes.
             for photo in [0, 2, 1] {
-                photos.get(of(photo, first), []).unwrap();
+                photos.get(smaller(photo, first), []).unwrap();
             }
             // Waited for in vain, once.
-            let next = [of(1, 3 - first), of(2, 3 - first)];
-            photos.get(of(0, 3 - first), next).unwrap();
+            let next = [1, 2].map(|photo| smaller(photo, 3 - first));
+            photos.get(smaller(0, 3 - first), next).unwrap();
             assert!(photos.stats().peak_bytes <= budget);
         }
     }
@@ -397,11 +405,13 @@ fn rows_against(device: &Device, photo: Array<u8>, side: usize, drop_early: bool
     let stage = kernels.build::<f32>("metrics").unwrap();
     let image = Array::zeros(device, "image", 4 * side * side).unwrap();
     let rows = Array::zeros(device, "rows", 2 * side).unwrap();
+    let size = ImageSize([side, side]);
+    let photo = PhotoArray::whole(photo, size);
     let pair = ImagePair {
         image: &image,
         photo: &photo,
         background: [0.0; 3],
-        size: ImageSize([side, side]),
+        size,
         band: 0..side.div_ceil(16),
         blank: None,
     };

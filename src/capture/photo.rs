@@ -1,5 +1,7 @@
 //! 8-bit photos, planar, and the exact area filter.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
@@ -78,6 +80,22 @@ impl Photo {
             alpha,
             data,
         })
+    }
+
+    /// Some rows of the photo, those that it has.
+    pub(crate) fn rows(self, rows: Range<usize>) -> Self {
+        let (width, height) = (self.width as usize, self.height as usize);
+        let rows = rows.start.min(height)..rows.end.min(height);
+        if rows.len() == height {
+            return self;
+        }
+        let planes = self.data.chunks_exact(self.pixels().max(1));
+        let part = planes.map(|plane| &plane[rows.start * width..rows.end * width]);
+        Self {
+            height: rows.len() as u32,
+            data: part.collect::<Vec<_>>().concat(),
+            ..self
+        }
     }
 
     /// Number of pixels.

@@ -517,10 +517,11 @@ impl<R: Real> ViewSet<R> {
     /// # Errors
     /// See [`Photos::get`].
     pub fn photo(&self, view: usize, next: &[usize]) -> Result<Arc<PhotoArray>> {
-        self.photo_at(view, next, |_| 1)
+        self.photo_at(view, next, |_| (1, None))
     }
 
-    /// The same at a fraction of the size, of which `divisor` answers the divisor for a view.
+    /// The same at a fraction of the size, or some rows of that: `part` answers the divisor for a view, and the pixel rows that are
+    /// needed if those are not all.
     ///
     /// # Errors
     /// See [`Photos::get`].
@@ -528,11 +529,15 @@ impl<R: Real> ViewSet<R> {
         &self,
         view: usize,
         next: &[usize],
-        divisor: impl Fn(usize) -> usize,
+        part: impl Fn(usize) -> (usize, Option<Range<usize>>),
     ) -> Result<Arc<PhotoArray>> {
-        let wanted = |view: usize| Wanted {
-            photo: self.numbers[view],
-            divisor: divisor(view),
+        let wanted = |view: usize| {
+            let (divisor, rows) = part(view);
+            Wanted {
+                photo: self.numbers[view],
+                divisor,
+                rows,
+            }
         };
         let next = next.iter().map(|view| wanted(*view));
         self.photos.get(wanted(view), next)

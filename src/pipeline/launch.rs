@@ -1,8 +1,9 @@
 //! [`Arguments`]: arguments that many kernels share, taken from the buffers.
 
 use crate::device::tuning::status::SLOTS;
-use crate::device::{Array, ImageSize, Launch, Real};
+use crate::device::{ImageSize, Launch, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
+use crate::pipeline::photo_array::PhotoArray;
 use crate::scene::Plane;
 
 /// Arguments in the order in which the kernels take them.
@@ -16,8 +17,10 @@ pub(super) trait Arguments: Sized {
     fn status<R: Real>(self, view: &ViewBuffers<R>) -> Self;
     /// Records, and the pairs of each tile from front to back.
     fn tile_lists<R: Real>(self, view: &ViewBuffers<R>) -> Self;
-    /// A photo with the planes that the kernel is built for, and its size.
-    fn photo(self, photo: &Array<u8>, size: ImageSize) -> Self;
+    /// All of a photo, with the planes that the kernel is built for, and its size.
+    fn photo(self, photo: &PhotoArray, size: ImageSize) -> Self;
+    /// The rows of a photo that there are, with the planes that the kernel is built for; its size, the first row and their number.
+    fn photo_rows(self, photo: &PhotoArray, size: ImageSize) -> Self;
 }
 
 impl Arguments for Launch<'_> {
@@ -48,9 +51,17 @@ impl Arguments for Launch<'_> {
             .array(&view.tile_start, view.camera.tile_count() + 1)
     }
 
-    fn photo(self, photo: &Array<u8>, size: ImageSize) -> Self {
+    fn photo(self, photo: &PhotoArray, size: ImageSize) -> Self {
         let planes = self.defines().photo_planes();
+        // A part is shorter, and refused for that.
         self.array(photo, planes * size.0[0] * size.0[1])
             .ints(size.0)
+    }
+
+    fn photo_rows(self, photo: &PhotoArray, size: ImageSize) -> Self {
+        let (planes, rows) = (self.defines().photo_planes(), photo.rows());
+        self.array(photo, planes * size.0[0] * rows.len())
+            .ints(size.0)
+            .ints([rows.start, rows.len()])
     }
 }

@@ -21,8 +21,8 @@ use crate::scene::sh::C0;
 pub struct Target<'a> {
     /// Number of the view, for its exposure transform.
     pub view: usize,
-    /// Photo at the camera's size.
-    pub photo: &'a Array<u8>,
+    /// Photo at the camera's size: all of it, or the rows that the band of this rank needs.
+    pub photo: &'a PhotoArray,
     /// Background under the photo's alpha.
     pub background: [f32; 3],
     /// Loss left out of tiles that are blank in render and photo.

@@ -1,26 +1,18 @@
-//! [`PhotoArray`]: a photo on the device and its active tiles.
+//! [`PhotoArray`]: the rows of a photo that a device has, and their active tiles.
 
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 use std::sync::{Arc, OnceLock};
 
 use crate::base::error::Result;
 use crate::device::{Array, Device, ImageSize, Program};
 use crate::pipeline::stage::active_tiles;
 
-/// A photo \[3 or 4, height, width\] on the device, with its active tiles once they have been marked.
+/// Some rows of a photo \[3 or 4, rows, width\] on the device, with its active tiles once they have been marked.
 #[derive(Debug)]
 pub struct PhotoArray {
     pixels: Array<u8>,
+    rows: Range<usize>,
     active_tiles: OnceLock<Arc<Array<u32>>>,
-}
-
-impl From<Array<u8>> for PhotoArray {
-    fn from(pixels: Array<u8>) -> Self {
-        Self {
-            pixels,
-            active_tiles: OnceLock::new(),
-        }
-    }
 }
 
 impl Deref for PhotoArray {
@@ -32,7 +24,54 @@ impl Deref for PhotoArray {
 }
 
 impl PhotoArray {
-    /// Active tiles of the photo, which is of this size and has an alpha plane; marked by the first call.
+    /// These pixel rows of a photo.
+    #[must_use]
+    pub fn new(pixels: Array<u8>, rows: Range<usize>) -> Self {
+        Self {
+            pixels,
+            rows,
+            active_tiles: OnceLock::new(),
+        }
+    }
+
+    /// All of a photo of this size.
+    #[must_use]
+    pub fn whole(pixels: Array<u8>, size: ImageSize) -> Self {
+        Self::new(pixels, 0..size.0[1])
+    }
+
+    /// The pixel rows that there are.
+    #[must_use]
+    pub fn rows(&self) -> &Range<usize> {
+        &self.rows
+    }
+
+    /// True if these pixel rows are there.
+    #[must_use]
+    pub fn has(&self, rows: &Range<usize>) -> bool {
+        rows.is_empty() || self.rows.start <= rows.start && rows.end <= self.rows.end
+    }
+
+    /// A copy of some of the rows, each of so many values in every one of the planes.
+    ///
+    /// # Errors
+    /// No room for them, or the driver's.
+    pub fn part(
+        &self,
+        device: &Device,
+        [planes, width]: [usize; 2],
+        rows: &Range<usize>,
+    ) -> Result<Self> {
+        let (all, len) = (self.rows.len() * width, rows.len() * width);
+        let part = Array::unset(device, self.pixels.name(), planes * len)?;
+        let first = (rows.start - self.rows.start) * width;
+        for plane in 0..planes {
+            part.copy_from(plane * len, &self.pixels, plane * all + first, len)?;
+        }
+        Ok(Self::new(part, rows.clone()))
+    }
+
+    /// Active tiles of a photo of this size, which has an alpha plane; none where there are no rows of it. Marked by the first call.
     ///
     /// # Errors
     /// No room for them, or the driver's.
@@ -45,7 +84,7 @@ impl PhotoArray {
         if let Some(found) = self.active_tiles.get() {
             return Ok(found.clone());
         }
-        let marked = Arc::new(active_tiles::mark(device, stage, &self.pixels, size)?);
-        Ok(self.active_tiles.get_or_init(|| marked).clone())
+        let tiles = active_tiles::mark(device, stage, (&self.pixels, &self.rows), size)?;
+        Ok(self.active_tiles.get_or_init(|| Arc::new(tiles)).clone())
     }
 }

@@ -6,6 +6,7 @@
 //! already enqueued with it are done, because OpenCL keeps a buffer as long as a command uses it.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
@@ -13,6 +14,7 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use crate::base::constants::TILE;
 use crate::base::error::{Error, Result};
 use crate::capture::{PhotoFile, PhotoSource};
 use crate::device::{Array, Defines, Device, ImageSize, Kernels, Program};
@@ -26,13 +28,19 @@ pub const AHEAD: usize = 8;
 /// Largest number of decoding threads: more than are looked ahead would have nothing to do.
 const MAX_THREADS: usize = AHEAD;
 
-/// A photo at 1/`divisor` of its size.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Rows of tiles that are kept beside those of a photo that are needed, on either side. A rank's band in a view moves by a few rows from
+/// one visit to the next; while it does not leave what is kept, no file is decoded again.
+const SLACK: usize = 2;
+
+/// A photo at 1/`divisor` of its size, or a part of that.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Wanted {
     /// Number of the photo.
     pub photo: usize,
     /// Divisor of its size, 1 for all of it.
     pub divisor: usize,
+    /// Pixel rows of the smaller photo that are needed; `None` for all.
+    pub rows: Option<Range<usize>>,
 }
 
 /// Use of the budget for photos.
@@ -92,7 +100,7 @@ enum Slot {
     Empty,
     /// Being decoded; the bytes of the whole photo count already.
     Decoding,
-    /// The photo at a fraction of its size.
+    /// The photo at a fraction of its size, or a part of that.
     Ready(usize, Arc<PhotoArray>),
     /// Decoding failed; the next request returns the error.
     Failed(Error),
@@ -111,25 +119,50 @@ struct Entry {
 }
 
 impl Entry {
-    /// Bytes at a fraction of the size.
-    fn bytes(&self, divisor: usize) -> u64 {
-        photo_bytes(self.planes)(ImageSize(self.size.0.map(|side| side / divisor)))
+    /// Width and height at a fraction of the size.
+    fn size(&self, divisor: usize) -> [usize; 2] {
+        self.size.0.map(|side| side / divisor)
+    }
+
+    /// Bytes of so many rows at a fraction of the size.
+    fn bytes(&self, divisor: usize, rows: usize) -> u64 {
+        photo_bytes(self.planes)(ImageSize([self.size(divisor)[0], rows]))
+    }
+
+    /// Bytes of the whole at its full size.
+    fn whole(&self) -> u64 {
+        self.bytes(1, self.size.0[1])
+    }
+
+    /// Pixel rows that are needed.
+    fn needed(&self, wanted: &Wanted) -> Range<usize> {
+        let height = self.size(wanted.divisor)[1];
+        wanted.rows.clone().unwrap_or(0..height)
+    }
+
+    /// Pixel rows that are kept for those that are needed.
+    fn kept(&self, wanted: &Wanted) -> Range<usize> {
+        let (height, slack) = (self.size(wanted.divisor)[1], SLACK * TILE as usize);
+        let needed = self.needed(wanted);
+        needed.start.saturating_sub(slack)..(needed.end + slack).min(height)
     }
 
     /// Bytes of what is there or under way beside a source on the device.
     fn held(&self) -> u64 {
         match &self.slot {
             Slot::Empty | Slot::Failed(_) => 0,
-            Slot::Decoding => self.bytes(1),
-            Slot::Ready(divisor, _) => self.bytes(*divisor),
+            Slot::Decoding => self.whole(),
+            Slot::Ready(divisor, found) => self.bytes(*divisor, found.rows().len()),
         }
     }
 
-    /// True if it is there in this size.
-    fn has(&self, divisor: usize) -> bool {
+    /// True if what is wanted is there.
+    fn has(&self, wanted: &Wanted) -> bool {
         match (&self.slot, &self.source) {
-            (_, Source::Device(_)) if divisor == 1 => true,
-            (Slot::Ready(found, _), _) => *found == divisor,
+            (_, Source::Device(_)) if wanted.divisor == 1 => true,
+            (Slot::Ready(divisor, found), _) => {
+                *divisor == wanted.divisor && found.has(&self.needed(wanted))
+            }
             _ => false,
         }
     }
@@ -195,7 +228,7 @@ impl Photos {
         let source = match photo {
             PhotoSource::Memory(photo) => {
                 let array = Array::from_slice(self.device(), "photo", &photo.data)?;
-                Source::Device(Arc::new(array.into()))
+                Source::Device(Arc::new(PhotoArray::whole(array, size)))
             }
             PhotoSource::File(file) => {
                 self.0.start_threads()?;
@@ -223,7 +256,8 @@ impl Photos {
     }
 
     /// A photo, waiting for it if need be, while those of `next` (in the order of their use) are decoded as far as the budget
-    /// allows, [`AHEAD`] at most. What was to follow by an earlier call no longer is.
+    /// allows, [`AHEAD`] at most. What was to follow by an earlier call no longer is. There may be more rows than are wanted; of one
+    /// that is in memory there are all.
     ///
     /// # Errors
     /// A file that is gone, no longer an image, or of another size than when the dataset was read; more than the device can
@@ -238,14 +272,14 @@ impl Photos {
         let mut state = shared.lock();
         let source = state.entries[wanted.photo].source.clone();
         let there = matches!(source, Source::Device(_)) || state.has(&wanted);
-        state.look_ahead(wanted, next);
+        state.look_ahead(wanted.clone(), next);
         shared.changed.notify_all();
         let asked = Instant::now();
         let found = match source {
-            Source::Device(whole) => shared.beside_whole(&mut state, wanted, whole),
+            Source::Device(whole) => shared.beside_whole(&mut state, &wanted, whole),
             Source::File(_) => loop {
-                if let Some(found) = state.take(wanted) {
-                    break found;
+                if let Some(found) = state.take(&wanted) {
+                    break found.and_then(|found| shared.cut(&mut state, &wanted, found));
                 }
                 state = shared.wait(state);
             },
@@ -321,24 +355,48 @@ impl Shared {
                 state = self.wait(state);
                 continue;
             };
+            let kept = state.entries[wanted.photo].kept(&wanted);
             drop(state);
             // A decoder that panics must not leave the trainer waiting for ever.
-            let made = catch_unwind(AssertUnwindSafe(|| self.decoded(&file, wanted.divisor)))
-                .unwrap_or_else(|_| Err(file.undecodable()));
+            let made = catch_unwind(AssertUnwindSafe(|| {
+                self.decoded(&file, wanted.divisor, kept)
+            }))
+            .unwrap_or_else(|_| Err(file.undecodable()));
             state = self.lock();
-            state.put(wanted, made);
+            state.put(&wanted, made);
             self.changed.notify_all();
         }
     }
 
-    /// A photo from its file, at a fraction of its size.
-    fn decoded(&self, file: &PhotoFile, divisor: usize) -> Result<Array<u8>> {
+    /// Some rows of a photo from its file, at a fraction of its size.
+    fn decoded(&self, file: &PhotoFile, divisor: usize, rows: Range<usize>) -> Result<PhotoArray> {
         let whole = file.load()?;
+        let part = whole.rows(rows.start * divisor..rows.end * divisor);
         let photo = match divisor {
-            1 => whole,
-            divisor => shrink::shrink(&whole, divisor as u32),
+            1 => part,
+            divisor => shrink::shrink(&part, divisor as u32),
         };
-        Array::from_slice(&self.device, "photo", &photo.data)
+        let pixels = Array::from_slice(&self.device, "photo", &photo.data)?;
+        Ok(PhotoArray::new(pixels, rows))
+    }
+
+    /// The rows that are kept of a photo, where the whole of it was there for another use: room for those of others.
+    fn cut(
+        &self,
+        state: &mut State,
+        wanted: &Wanted,
+        found: Arc<PhotoArray>,
+    ) -> Result<Arc<PhotoArray>> {
+        let entry = &state.entries[wanted.photo];
+        let ([width, height], kept) = (entry.size(wanted.divisor), entry.kept(wanted));
+        if found.rows().len() < height || kept.len() == height {
+            return Ok(found);
+        }
+        let part = Arc::new(found.part(&self.device, [entry.planes, width], &kept)?);
+        state.clear(wanted.photo);
+        state.fill(wanted.photo, Slot::Ready(wanted.divisor, part.clone()));
+        self.changed.notify_all();
+        Ok(part)
     }
 
     /// A photo of which the device has the whole, at a fraction of its size.
@@ -364,7 +422,7 @@ impl Shared {
     fn beside_whole(
         &self,
         state: &mut State,
-        wanted: Wanted,
+        wanted: &Wanted,
         whole: Arc<PhotoArray>,
     ) -> Result<Arc<PhotoArray>> {
         let kept = &state.entries[wanted.photo].slot;
@@ -376,12 +434,12 @@ impl Shared {
             return Ok(whole);
         }
         let entry = &state.entries[wanted.photo];
-        let bytes = entry.bytes(wanted.divisor);
+        let size = entry.size(wanted.divisor);
+        let bytes = entry.bytes(wanted.divisor, size[1]);
         let small = self.smaller(&whole, entry, wanted.divisor)?;
-        let small = Arc::new(PhotoArray::from(small));
+        let small = Arc::new(PhotoArray::whole(small, ImageSize(size)));
         if state.fixed + state.bytes + bytes <= state.stats.budget_bytes {
-            state.entries[wanted.photo].slot = Slot::Ready(wanted.divisor, small.clone());
-            state.bytes += bytes;
+            state.fill(wanted.photo, Slot::Ready(wanted.divisor, small.clone()));
             state.note_peak();
         }
         Ok(small)
@@ -389,15 +447,21 @@ impl Shared {
 }
 
 impl State {
-    /// True if a photo is there in its size.
+    /// True if what is wanted is there.
     fn has(&self, wanted: &Wanted) -> bool {
-        self.entries[wanted.photo].has(wanted.divisor)
+        self.entries[wanted.photo].has(wanted)
     }
 
     /// Gives up what is there of a photo beside its source.
     fn clear(&mut self, photo: usize) {
         self.bytes -= self.entries[photo].held();
         self.entries[photo].slot = Slot::Empty;
+    }
+
+    /// Takes what there is of a photo from now on beside its source.
+    fn fill(&mut self, photo: usize, slot: Slot) {
+        self.entries[photo].slot = slot;
+        self.bytes += self.entries[photo].held();
     }
 
     /// Puts `wanted` and as much of `next` as there is room for into the window.
@@ -410,10 +474,14 @@ impl State {
             if twice || matches!(entry.source, Source::Device(_)) {
                 continue;
             }
-            let own = entry.bytes(one.divisor);
+            let own = match entry.has(&one) {
+                // Of more rows than are wanted, maybe.
+                true => entry.held(),
+                false => entry.bytes(one.divisor, entry.kept(&one).len()),
+            };
             bytes += own;
             // While it is decoded there is the whole of it.
-            more = entry.bytes(1).saturating_sub(own).max(more);
+            more = entry.whole().saturating_sub(own).max(more);
             if bytes + more > self.stats.budget_bytes {
                 break;
             }
@@ -428,19 +496,18 @@ impl State {
             Slot::Empty | Slot::Ready(..) => !self.has(w),
             Slot::Decoding | Slot::Failed(_) => false,
         };
-        let wanted = *self.window.iter().find(absent)?;
+        let wanted = self.window.iter().find(absent)?.clone();
         let Source::File(file) = self.entries[wanted.photo].source.clone() else {
             return None;
         };
         self.clear(wanted.photo);
-        let bytes = self.entries[wanted.photo].bytes(1);
+        let bytes = self.entries[wanted.photo].whole();
         while self.bytes + bytes > self.stats.budget_bytes {
             let old = self.least_recent()?;
             self.clear(old);
         }
-        self.bytes += bytes;
+        self.fill(wanted.photo, Slot::Decoding);
         self.note_peak();
-        self.entries[wanted.photo].slot = Slot::Decoding;
         Some((wanted, file))
     }
 
@@ -449,7 +516,7 @@ impl State {
     fn least_recent(&self) -> Option<usize> {
         let may_go = |i: &usize| {
             let e = &self.entries[*i];
-            let wanted = |w: &Wanted| w.photo == *i && e.has(w.divisor);
+            let wanted = |w: &Wanted| w.photo == *i && e.has(w);
             matches!(e.slot, Slot::Ready(..)) && !self.window.iter().any(wanted)
         };
         (0..self.entries.len())
@@ -457,25 +524,25 @@ impl State {
             .min_by_key(|i| self.entries[*i].used)
     }
 
-    fn put(&mut self, wanted: Wanted, made: Result<Array<u8>>) {
+    fn put(&mut self, wanted: &Wanted, made: Result<PhotoArray>) {
         self.clock += 1;
         self.stats.decoded += 1;
         self.clear(wanted.photo);
-        let entry = &mut self.entries[wanted.photo];
-        entry.used = self.clock;
-        entry.slot = match made {
-            Ok(array) => Slot::Ready(wanted.divisor, Arc::new(array.into())),
+        self.entries[wanted.photo].used = self.clock;
+        let slot = match made {
+            Ok(array) => Slot::Ready(wanted.divisor, Arc::new(array)),
             Err(error) => Slot::Failed(error),
         };
-        self.bytes += self.entries[wanted.photo].held();
+        self.fill(wanted.photo, slot);
     }
 
     /// The photo, or why there is none; nothing as long as it is on its way.
-    fn take(&mut self, wanted: Wanted) -> Option<Result<Arc<PhotoArray>>> {
+    fn take(&mut self, wanted: &Wanted) -> Option<Result<Arc<PhotoArray>>> {
         self.clock += 1;
+        let there = self.has(wanted);
         let entry = &mut self.entries[wanted.photo];
         match &entry.slot {
-            Slot::Ready(divisor, array) if *divisor == wanted.divisor => {
+            Slot::Ready(_, array) if there => {
                 entry.used = self.clock;
                 Some(Ok(array.clone()))
             }

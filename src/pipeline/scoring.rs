@@ -3,6 +3,7 @@
 use crate::base::error::Result;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program};
 use crate::pipeline::forward::Renders;
+use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics;
 
@@ -44,7 +45,7 @@ impl Scoring {
         &self,
         scene: &mut dyn Renders,
         camera: &CameraArg<f32>,
-        photo: &Array<u8>,
+        photo: &PhotoArray,
         background: [f32; 3],
     ) -> Result<PairErrors> {
         scene.render_view(camera, background)?;

@@ -8,19 +8,17 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::base::constants::{SSIM_TAPS, TILE};
+use crate::base::constants::TILE;
 use crate::base::error::{Error, Result};
 use crate::base::process::process_cpu_seconds;
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program, Real};
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::forward::{RenderOptions, Renderer};
-use crate::pipeline::stage::loss::{ImagePair, Loss};
+use crate::pipeline::stage::loss::{HALO, ImagePair, Loss};
 use crate::pipeline::stage::route::Route;
 use crate::ranks::{Exchange, LEADER, Part, bits_of, flags_of, to_all, to_one};
 
-/// Rows of pixels beside a band that the gradient of its loss sees: two windows of SSIM, one over maps of the other.
-const HALO: usize = SSIM_TAPS - 1;
 /// Parts in which records and sums travel over a network: one is on its way while the device is at the other.
 const HALVES: usize = 2;
 
@@ -137,8 +135,26 @@ impl<R: Real> Share<R> {
 
     /// Divides the next view evenly.
     pub fn divide_evenly(&mut self, size: ImageSize) -> Result<()> {
+        self.set_bands(self.even_bands(size))
+    }
+
+    /// Even bands: the first row of tiles of each rank, and the number of rows.
+    fn even_bands(&self, size: ImageSize) -> Vec<u32> {
         let (rows, ranks) = (size.tiles()[1], self.exchange.ranks());
-        self.set_bands((0..=ranks).map(|r| (r * rows / ranks) as u32).collect())
+        (0..=ranks).map(|r| (r * rows / ranks) as u32).collect()
+    }
+
+    /// This rank's band of the next view.
+    #[must_use]
+    pub fn own_band(&self) -> Range<usize> {
+        self.band(self.rank())
+    }
+
+    /// This rank's band where a view is divided evenly.
+    #[must_use]
+    pub fn even_band(&self, size: ImageSize) -> Range<usize> {
+        let (bands, rank) = (self.even_bands(size), self.rank());
+        bands[rank] as usize..bands[rank + 1] as usize
     }
 
     /// Gives every rank the words of each, by rank.

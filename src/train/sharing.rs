@@ -187,8 +187,6 @@ impl Trainer {
             return Ok(());
         }
         self.spread()?;
-        // A photo that cannot be read is an error before the others begin.
-        self.views.at(iteration)?;
         let (number, size) = self.views.size_at(iteration);
         let [across, rows] = size.tiles();
         let (Some(crew), Some(share)) = (&mut self.crew, &mut self.pipeline.share) else {
@@ -197,6 +195,8 @@ impl Trainer {
         let bands = crew.bands(number, [across, rows]);
         let words = [&[ITERATE, iteration, sh_degree], bands.as_slice()].concat();
         share.set_bands(bands)?;
+        // A photo that cannot be read is an error before the others begin.
+        self.views.at(iteration, Some(share))?;
         self.tell(words)
     }
 

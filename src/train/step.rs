@@ -239,7 +239,7 @@ impl Trainer {
         if self.smoothing_due(iteration) {
             self.smooth()?;
         }
-        let view = self.views.at(iteration)?;
+        let view = self.views.at(iteration, self.pipeline.share.as_ref())?;
         let options = self.options(&view, sh_degree);
         let (camera, photo) = (&view.camera, &view.photo);
         self.pipeline
@@ -569,7 +569,7 @@ impl Trainer {
     }
 
     fn warm_up_control(&mut self, sh_degree: u32) -> Result<()> {
-        let view = self.views.at(0)?;
+        let view = self.views.at(0, None)?;
         let (control, mut on) = self.controlled();
         let target = on.views.target(&view);
         control.warm_up(&mut on, target, sh_degree)

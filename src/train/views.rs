@@ -1,5 +1,7 @@
 //! [`Views`]: the training views at the size and over the background of an iteration.
 
+use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::base::error::Result;
@@ -9,6 +11,8 @@ use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::pass::Target;
 use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::photos::AHEAD;
+use crate::pipeline::share::Share;
+use crate::pipeline::stage::loss::photo_rows;
 use crate::train::plan::Plan;
 use crate::train::schedule::Schedule;
 use crate::train::sizes::Sizes;
@@ -22,7 +26,7 @@ pub struct TrainingView {
     pub camera: CameraArg<f32>,
     /// Background colour.
     pub background: [f32; 3],
-    /// The photo at its size of this iteration.
+    /// The photo at its size of this iteration: all of it, or the rows that this rank's band needs.
     pub photo: Arc<PhotoArray>,
 }
 
@@ -35,6 +39,8 @@ pub struct Views {
     sizes: Sizes,
     random_background: bool,
     skip_blank: bool,
+    /// Bands of this rank when a view was seen last, by view and rows of tiles; those to come are near them.
+    bands: BTreeMap<(usize, usize), Range<usize>>,
 }
 
 impl Views {
@@ -46,6 +52,7 @@ impl Views {
             sizes: Sizes::new(&plan.detail.value, &plan.config.work),
             random_background: plan.random_background.value,
             skip_blank: plan.skip_blank.value,
+            bands: BTreeMap::new(),
             set,
         }
     }
@@ -72,8 +79,13 @@ impl Views {
     #[must_use]
     pub fn size_at(&self, iteration: u32) -> (usize, ImageSize) {
         let number = self.upcoming(iteration, 1)[0];
-        let shrunk = self.set.cameras[number].shrunk(self.divisor(iteration, number));
-        (number, shrunk.image())
+        (number, self.size_of(iteration, number))
+    }
+
+    /// Size of a view at an iteration.
+    fn size_of(&self, iteration: u32, number: usize) -> ImageSize {
+        let divisor = self.divisor(iteration, number);
+        self.set.cameras[number].shrunk(divisor).image()
     }
 
     /// Divisor of the size of a view's photo at an iteration.
@@ -82,16 +94,29 @@ impl Views {
         self.schedule.shrink_factor(&self.sizes, iteration, full)
     }
 
-    /// The view of an iteration; photos of the iterations after it are fetched meanwhile.
+    /// The view of an iteration; photos of the iterations after it are fetched meanwhile. Where ranks share it, of each photo the rows that
+    /// this rank's band needs: the band that is set now, and for those to come that of the last time, at first an even one.
     ///
     /// # Errors
     /// A photo that cannot be read, or the driver's.
-    pub fn at(&self, iteration: u32) -> Result<TrainingView> {
+    pub fn at(&mut self, iteration: u32, share: Option<&Share<f32>>) -> Result<TrainingView> {
         let order = self.upcoming(iteration, 1 + AHEAD);
-        self.view(iteration, iteration, order[0], &order[1..])
+        let key = |number: usize, size: ImageSize| (number, size.tiles()[1]);
+        if let Some(share) = share {
+            let size = self.size_of(iteration, order[0]);
+            self.bands.insert(key(order[0], size), share.own_band());
+        }
+        let rows = |number: usize| {
+            let (share, size) = (share?, self.size_of(iteration, number));
+            let band = self.bands.get(&key(number, size)).cloned();
+            let band = band.unwrap_or_else(|| share.even_band(size));
+            Some(photo_rows(&band, size))
+        };
+        self.taken([iteration; 2], order[0], &order[1..], rows)
     }
 
-    /// A view by its number, at the size of iteration `size_of` and over the background of iteration `background_of`.
+    /// A view by its number, with all of its photo, at the size of iteration `size_of` and over the background of iteration
+    /// `background_of`.
     ///
     /// # Errors
     /// See [`Views::at`].
@@ -102,14 +127,25 @@ impl Views {
         number: usize,
         next: &[usize],
     ) -> Result<TrainingView> {
+        self.taken([size_of, background_of], number, next, |_| None)
+    }
+
+    fn taken(
+        &self,
+        [size_of, background_of]: [u32; 2],
+        number: usize,
+        next: &[usize],
+        rows: impl Fn(usize) -> Option<Range<usize>>,
+    ) -> Result<TrainingView> {
         let divisor = |number| self.divisor(size_of, number);
+        let part = |number| (divisor(number), rows(number));
         Ok(TrainingView {
             number,
             camera: self.set.cameras[number].shrunk(divisor(number)),
             background: self
                 .schedule
                 .background(background_of, self.random_background),
-            photo: self.set.photo_at(number, next, divisor)?,
+            photo: self.set.photo_at(number, next, part)?,
         })
     }
 

@@ -15,7 +15,7 @@ fn tiles(mask: &[u8], size: [usize; 2]) -> Vec<bool> {
     let photo = Array::from_slice(&device, "photo", &photo).unwrap();
     let size = ImageSize(size);
     let stage = kernels(&device).build::<f32>("active_tiles").unwrap();
-    let out = mark(&device, &stage, &photo, size).unwrap();
+    let out = mark(&device, &stage, (&photo, &(0..size.0[1])), size).unwrap();
     out.to_vec().unwrap().into_iter().map(|t| t == 1).collect()
 }
 
@@ -61,7 +61,8 @@ fn rendered(active_only: bool) -> (Vec<u32>, Vec<f32>) {
     let stage = Kernels::new(&device, defines)
         .build::<f32>("active_tiles")
         .unwrap();
-    let marked = mark(&device, &stage, &photo, camera.image()).unwrap();
+    let (size, stage) = (camera.image(), &stage);
+    let marked = mark(&device, stage, (&photo, &(0..size.0[1])), size).unwrap();
     renderer.take_tiles(marked.into());
     let options = RenderOptions {
         active_only,

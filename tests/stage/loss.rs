@@ -4,6 +4,7 @@ use super::*;
 use mhsplat::capture::Alpha;
 use mhsplat::device::{Array, ImageSize};
 use mhsplat::pipeline::buffers::Blank;
+use mhsplat::pipeline::photo_array::PhotoArray;
 use mhsplat::pipeline::stage::loss::{Beside, ImagePair, Loss};
 
 #[test]
@@ -33,6 +34,12 @@ fn flat_images_stay_finite() {
             "{level}: {loss:?}"
         );
     }
+}
+
+/// All rows of a photo.
+fn whole(photo: &[u8], size: ImageSize) -> PhotoArray {
+    let pixels = Array::from_slice(&device(), "photo", photo).unwrap();
+    PhotoArray::whole(pixels, size)
 }
 
 /// A picture that is blank but for a corner and one pixel: render, photo with alpha or a mask, and which tiles are active and have pairs.
@@ -124,7 +131,7 @@ fn of_blankish(
     );
     let pair = ImagePair {
         image: &Array::from_slice(&device, "image", &picture.image).unwrap(),
-        photo: &Array::from_slice(&device, "photo", &picture.photo).unwrap(),
+        photo: &whole(&picture.photo, size),
         background: BACKGROUND,
         size,
         band: 0..size.tiles()[1],
@@ -229,7 +236,7 @@ fn of_noise(tuning: Tuning, size: ImageSize) -> [Vec<f64>; 3] {
     let photo: Vec<u8> = (0..3 * pixels).map(|at| (at * 53 % 256) as u8).collect();
     let pair = ImagePair {
         image: &Array::from_slice(&device, "image", &image).unwrap(),
-        photo: &Array::from_slice(&device, "photo", &photo).unwrap(),
+        photo: &whole(&photo, size),
         background: BACKGROUND,
         size,
         band: 0..size.tiles()[1],

@@ -3,6 +3,7 @@
 use super::*;
 use mhsplat::capture::{Alpha, photo};
 use mhsplat::device::{Array, CameraArg};
+use mhsplat::pipeline::photo_array::PhotoArray;
 use mhsplat::pipeline::stage::exposure::{IDENTITY, exposed};
 use mhsplat::pipeline::stage::loss::ImagePair;
 use mhsplat::pipeline::stage::photo_error::PhotoErrors;
@@ -60,6 +61,7 @@ fn errors_are_those_of_the_formula_to_the_bit() {
         let transforms = [IDENTITY.map(|v| v as f32), bent].concat();
         let transforms = Array::from_slice(&device, "exposures", &transforms).unwrap();
         let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
+        let photo = PhotoArray::whole(photo, size);
         let own = Tuning::for_device(device.info());
         let group = Tuning {
             chunks: 64,

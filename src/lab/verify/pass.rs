@@ -105,7 +105,10 @@ impl<'a, R: Real> Pass<'a, R> {
         Ok(Self {
             pipeline: Pipeline::new(device, defines, case.sh_degree, camera.image())?,
             kernels: Kernels::new(device, defines),
-            photo: Array::from_slice(device, "photo", &case.photo.data)?.into(),
+            photo: PhotoArray::whole(
+                Array::from_slice(device, "photo", &case.photo.data)?,
+                camera.image(),
+            ),
             device,
             scene,
             camera,

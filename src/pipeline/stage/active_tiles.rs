@@ -1,25 +1,28 @@
 //! Tiles of a masked photo in which any pixel counts, or of a transparent one in which any is not clear (`kernels/active_tiles.cl`).
 
+use std::ops::Range;
+
 use crate::base::error::Result;
 use crate::device::{Array, Device, ImageSize, Program};
 use crate::pipeline::reference::TILE;
 
-/// Active tiles \[tiles\] of a photo of this size, which has an alpha plane: 1, or 0 for the others.
+/// Active tiles \[tiles\] of a photo of this size, which has an alpha plane: 1, or 0 for the others, and for those that none of the pixel rows
+/// that there are lies in.
 ///
 /// # Errors
 /// No room for them, or the driver's.
 pub fn mark(
     device: &Device,
     stage: &Program,
-    photo: &Array<u8>,
+    (photo, rows): (&Array<u8>, &Range<usize>),
     size: ImageSize,
 ) -> Result<Array<u32>> {
-    let ([w, h], count) = (size.0, size.tile_count());
+    let ([w, _], count) = (size.0, size.tile_count());
     let tiles = Array::zeros(device, "active_tiles", count)?;
     stage
         .launch("active_tiles")
-        .array(photo, 4 * w * h)
-        .ints([w, h])
+        .array(photo, 4 * w * rows.len())
+        .ints([w, rows.start, rows.len()])
         .tiles(size)
         .array(&tiles, count)
         .over_chunks([count, 1])?;

@@ -10,6 +10,7 @@ use crate::base::error::Result;
 use crate::device::{Array, Device, ImageSize, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::{Blank, ViewBuffers};
 use crate::pipeline::launch::Arguments;
+use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::room::image_planes;
 
 /// A rendered image and its photo.
@@ -17,8 +18,8 @@ use crate::pipeline::room::image_planes;
 pub struct ImagePair<'a, R: Real> {
     /// Render.
     pub image: &'a Array<R>,
-    /// Photo of the same size.
-    pub photo: &'a Array<u8>,
+    /// Photo of the same size: all of it, or the [rows](photo_rows) that the band needs.
+    pub photo: &'a PhotoArray,
     /// Background under the photo's alpha.
     pub background: [f32; 3],
     /// Size of both.
@@ -32,7 +33,7 @@ pub struct ImagePair<'a, R: Real> {
 impl<'a, R: Real> ImagePair<'a, R> {
     /// The image of the view rendered last and its photo, of which nothing is skipped.
     #[must_use]
-    pub fn new(view: &'a ViewBuffers<R>, photo: &'a Array<u8>, background: [f32; 3]) -> Self {
+    pub fn new(view: &'a ViewBuffers<R>, photo: &'a PhotoArray, background: [f32; 3]) -> Self {
         Self {
             image: &view.image,
             photo,
@@ -55,7 +56,7 @@ impl<'a, R: Real> ImagePair<'a, R> {
         (3 * self.size.0[0] * self.size.0[1]) as f64
     }
 
-    /// Adds render and photo, with their size and the padded size.
+    /// Adds render and all of the photo, with their size and the padded size.
     pub(super) fn images<'k>(&self, launch: Launch<'k>) -> Launch<'k> {
         launch
             .array(self.image, 3 * self.size.plane())
@@ -150,13 +151,27 @@ fn sweep<R: Real>(
     launch.run([(rows.len() * columns + more) * group, 3], [group, 1])
 }
 
-/// The rows of tiles whose maps the gradient of those of a pair needs: one more on either side.
-fn seen_rows<R: Real>(pair: &ImagePair<'_, R>) -> Range<usize> {
-    if pair.band.is_empty() {
-        return pair.band.clone();
+/// Pixel rows beside a band that the gradient of its loss sees: two windows of SSIM, one over maps of the other.
+pub const HALO: usize = SSIM_TAPS - 1;
+
+/// Rows of tiles that the loss of a band of them takes into account, one more on either side: its gradient needs their maps, and those
+/// render and photo in [`HALO`] pixel rows beside the band; and strips of the band are left out only where all tiles beside them are
+/// blank, too, which is known of whole tiles.
+fn seen_rows(band: &Range<usize>, size: ImageSize) -> Range<usize> {
+    const { assert!(HALO <= TILE as usize, "more rows of tiles would be seen") };
+    if band.is_empty() {
+        return band.clone();
     }
-    let last = (pair.band.end + 1).min(pair.size.tiles()[1]);
-    pair.band.start.saturating_sub(1)..last
+    band.start.saturating_sub(1)..(band.end + 1).min(size.tiles()[1])
+}
+
+/// Pixel rows of a photo of this size that the loss of a band of rows of tiles needs, those of [`seen_rows`]. Kernels take rows beyond these
+/// for outside of the image, and the maps that they make of them for nothing.
+#[must_use]
+pub fn photo_rows(band: &Range<usize>, size: ImageSize) -> Range<usize> {
+    let (seen, height) = (seen_rows(band, size), size.0[1]);
+    let pixels = |row: usize| (row * TILE as usize).min(height);
+    pixels(seen.start)..pixels(seen.end)
 }
 
 /// Length of [`Loss::partial`] for an image.
@@ -207,7 +222,7 @@ impl<R: Real> Loss<R> {
             return self.gradient_by_groups(pair, weights, dimage, beside);
         }
         let (program, values) = (&self.program, 3 * pair.size.plane());
-        let seen = seen_rows(pair);
+        let seen = seen_rows(&pair.band, pair.size);
         for channel in 0..3 {
             let forward = self.strip_maps(pair, channel, false);
             sweep(forward, program, (pair, &seen), 0)?;
@@ -230,7 +245,7 @@ impl<R: Real> Loss<R> {
         beside: Beside<'_, R>,
     ) -> Result<()> {
         let (program, plane) = (&self.program, pair.size.plane());
-        let seen = seen_rows(pair);
+        let seen = seen_rows(&pair.band, pair.size);
         let forward = if beside.errors {
             // Pixels that have a gradient see no maps but those that are never skipped.
             self.group_maps(&pair.clone().everywhere(), LOSS_DERIVATIVES | LOSS_ERRORS)?
@@ -365,8 +380,12 @@ impl<R: Real> Loss<R> {
 
     /// A sweep over a channel of both images.
     fn channel(&self, kernel: &'static str, pair: &ImagePair<'_, R>, at: usize) -> Launch<'_> {
-        let launch = pair
-            .images(self.program.launch(kernel))
+        let launch = self
+            .program
+            .launch(kernel)
+            .array(pair.image, 3 * pair.size.plane())
+            .photo_rows(pair.photo, pair.size)
+            .ints(pair.size.padded())
             .ints([at])
             .reals::<R>(pair.background.map(f64::from));
         if !self.program.defines().skips_blank() {
