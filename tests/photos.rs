@@ -1,6 +1,7 @@
 //! Photos within a budget: decoded on demand and ahead, the least recently used gives way, and no result changes.
 
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -228,6 +229,76 @@ fn a_photo_ahead_that_is_there_in_another_size_gives_way() {
             assert!(photos.stats().peak_bytes <= budget);
         }
     }
+}
+
+/// Bytes of a photo of the bundled room at its full size, 256 by 192 pixels, and of a row of it.
+const LARGE: u64 = 192 * LINE;
+const LINE: u64 = 256 * 3;
+
+/// Some rows of a photo at 1/`divisor` of its size.
+fn part(photo: usize, divisor: usize, rows: Range<usize>) -> Wanted {
+    Wanted {
+        rows: Some(rows),
+        ..smaller(photo, divisor)
+    }
+}
+
+#[test]
+fn a_part_of_a_photo_is_kept_where_no_more_is_wanted() {
+    let data = room_within(256, Some(2 * LARGE));
+    let photos = added(&data);
+    let get = |wanted: Wanted, kept: Range<usize>, decoded: u64| {
+        let photo = data.train[wanted.photo].photo.load().unwrap();
+        let photo = shrink(&photo, wanted.divisor as u32);
+        let (width, pixels) = (photo.width as usize, (photo.width * photo.height) as usize);
+        let planes = photo.data.chunks_exact(pixels);
+        let rows = planes.map(|plane| &plane[kept.start * width..kept.end * width]);
+        let found = photos.get(wanted.clone(), []).unwrap();
+        assert_eq!(*found.rows(), kept, "{wanted:?}");
+        assert_eq!(found.to_vec().unwrap(), rows.collect::<Vec<_>>().concat());
+        assert_eq!(photos.stats().decoded, decoded, "{wanted:?}");
+    };
+    // Two rows of tiles are kept on either side.
+    get(part(0, 1, 0..48), 0..80, 1);
+    get(part(0, 1, 16..80), 0..80, 1);
+    get(part(0, 1, 16..81), 0..113, 2);
+    get(part(0, 1, 144..192), 112..192, 3);
+    get(part(0, 1, 192..192), 112..192, 3);
+    // The whole serves any part, and gives way to it.
+    get(whole(0), 0..192, 4);
+    get(part(0, 1, 64..80), 32..112, 4);
+    get(whole(0), 0..192, 5);
+    get(part(0, 1, 16..160), 0..192, 5);
+    // Rows are those of the smaller photo.
+    get(part(1, 2, 0..16), 0..48, 6);
+    get(part(1, 2, 80..96), 48..96, 7);
+    get(part(1, 1, 80..96), 48..128, 8);
+    get(part(1, 4, 0..16), 0..48, 9);
+    assert!(photos.stats().peak_bytes <= 2 * LARGE);
+}
+
+#[test]
+fn parts_of_more_photos_are_within_a_budget_than_whole_ones() {
+    let data = room_within(256, Some(4 * LARGE));
+    let photos = added(&data);
+    // Six of twelve rows of tiles are kept: of six photos, beside the whole of one.
+    let own = |photo| part(photo, 1, 0..64);
+    for photo in (0..6).chain(0..6) {
+        photos.get(own(photo), []).unwrap();
+    }
+    let stats = photos.stats();
+    assert_eq!((stats.decoded, stats.hits, stats.misses), (6, 6, 6));
+    assert_eq!(stats.peak_bytes, 5 * 96 * LINE + LARGE);
+    // Whole ones that are looked at give way, those ahead, too.
+    for photo in 1..4 {
+        photos.get(whole(photo), []).unwrap();
+    }
+    for photo in [0, 4, 5, 3, 2, 1, 6, 7] {
+        let next = (0..8).map(|k| own((photo + k) % 8));
+        let found = photos.get(own(photo), next).unwrap();
+        assert_eq!(*found.rows(), 0..96);
+    }
+    assert!(photos.stats().peak_bytes <= 4 * LARGE);
 }
 
 /// One photo with transparent pixels, one with an alpha channel and none.

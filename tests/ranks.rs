@@ -26,7 +26,7 @@ use mhsplat::{Plan, TrainConfig};
 
 use crate::background::holed;
 use crate::cli::{program, room as room_path, stderr, text};
-use crate::determinism::{room, sampled, trained};
+use crate::determinism::{room, room_within, sampled, trained};
 
 /// Number of devices that help one.
 fn helpers(device: &Device) -> usize {
@@ -121,6 +121,30 @@ fn ranks_change_no_bit_of_estimates() {
     let mut together = shared(&data, &config, None, 2);
     together.advance_to(60).unwrap();
     same(&together.state().unwrap(), &want);
+}
+
+/// Photos that do not fit are decoded on demand, and each rank keeps the rows that its bands need, of smaller photos, too.
+#[test]
+fn ranks_keep_parts_of_photos_and_change_no_bit() {
+    // Of twelve rows of tiles a quarter is a band; it sees one more, and two are kept on either side.
+    let (photo, few) = (256 * 192 * 3, 30);
+    let data = room_within(256, Some(few * photo));
+    assert!(data.photos_on_demand());
+    let mut config = sampled(Sampler::Mh);
+    config.max_size = 256;
+    for (levels, iterations) in [(0, 50), (1, 130)] {
+        config.work.resolution_levels = levels;
+        let (mut alone, _) = trained(&data, &config, iterations);
+        let mut together = shared(&data, &config, None, 4);
+        together.advance_to(iterations).unwrap();
+        same(&together.state().unwrap(), &alone.state().unwrap());
+        let [one, leader] = [&alone, &together].map(Trainer::photo_stats);
+        assert_eq!(one.total_bytes, leader.total_bytes);
+        if levels == 0 {
+            assert!(one.peak_bytes > (few - 1) * photo, "{one:?}");
+            assert!(4 * leader.peak_bytes < 3 * one.peak_bytes, "{leader:?}");
+        }
+    }
 }
 
 /// Tiles beside a band that are blank are known there, so that the losses, too, are those of one rank.

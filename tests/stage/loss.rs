@@ -1,11 +1,14 @@
 //! loss: L1 + SSIM.
 
 use super::*;
+use std::ops::Range;
+
 use mhsplat::capture::Alpha;
 use mhsplat::device::{Array, ImageSize};
 use mhsplat::pipeline::buffers::Blank;
 use mhsplat::pipeline::photo_array::PhotoArray;
-use mhsplat::pipeline::stage::loss::{Beside, ImagePair, Loss};
+use mhsplat::pipeline::stage::active_tiles::mark;
+use mhsplat::pipeline::stage::loss::{Beside, HALO, ImagePair, Loss, photo_rows};
 
 #[test]
 fn agrees_with_the_reference() {
@@ -281,6 +284,113 @@ fn every_cut_and_style_gives_the_same_gradient() {
             assert_eq!(errors, other_errors, "{case}");
             let differs = |(a, b): (&f64, &f64)| (a - b).abs() > 1e-13;
             assert!(!sums.iter().zip(&other_sums).any(differs), "{case}");
+        }
+    }
+}
+
+/// A noisy picture with blank tiles: render, photo with alpha or a mask, and first pairs of the tiles.
+fn patchy(size: ImageSize) -> (Vec<f64>, Vec<u8>, Vec<u32>) {
+    let ([w, h], [stride, rows], across) = (size.0, size.padded(), size.tiles()[0]);
+    let blank = |tile: usize| tile * 7 % 5 > 1;
+    let (mut image, mut photo) = (vec![0.5; 3 * stride * rows], vec![0; 4 * w * h]);
+    for (at, x, y) in (0..w * h).map(|at| (at, at % w, at / w)) {
+        let noisy = !blank(y / 16 * across + x / 16);
+        for c in 0..3 {
+            image[(c * rows + y) * stride + x] = match noisy {
+                true => ((at * 37 + c * 11) % 251) as f64 / 200.0,
+                false => f64::from(BACKGROUND[c]),
+            };
+        }
+        for c in (0..4).filter(|_| noisy) {
+            photo[c * w * h + at] = ((at * 53 + c * 29) % 120) as u8 + u8::from(c == 3);
+        }
+    }
+    let mut tile_start = vec![0];
+    for tile in 0..size.tile_count() {
+        tile_start.push(tile_start[tile] + u32::from(!blank(tile)));
+    }
+    (image, photo, tile_start)
+}
+
+/// Results of a band, of some pixel rows of the photo: its gradient, its maps of errors, and the sums of its strips.
+fn of_band(
+    (alpha, tuning): (Alpha, Tuning),
+    size: ImageSize,
+    band: &Range<usize>,
+    rows: &Range<usize>,
+) -> [Vec<u64>; 3] {
+    let device = device();
+    let (image, photo, tile_start) = patchy(size);
+    let ([w, h], plane) = (size.0, size.plane());
+    let defines = Defines {
+        alpha,
+        skip_blank: alpha != Alpha::None,
+        ..Defines::new(tuning)
+    };
+    let kernels = Kernels::new(&device, defines);
+    let photo = whole(&photo[..alpha.planes() * w * h], size)
+        .part(&device, [alpha.planes(), w], rows)
+        .unwrap();
+    assert_eq!(photo.len(), alpha.planes() * w * rows.len());
+    let tiles = match alpha {
+        Alpha::None => Array::zeros(&device, "active_tiles", size.tile_count()).unwrap(),
+        _ => {
+            let stage = kernels.build::<f32>("active_tiles").unwrap();
+            mark(&device, &stage, (&photo, rows), size).unwrap()
+        }
+    };
+    let pair = ImagePair {
+        image: &Array::from_slice(&device, "image", &image).unwrap(),
+        photo: &photo,
+        background: BACKGROUND,
+        size,
+        band: band.clone(),
+        blank: Some(Blank {
+            active_tiles: &tiles,
+            tile_start: &Array::from_slice(&device, "tile_start", &tile_start).unwrap(),
+        }),
+    };
+    let loss = Loss::<f64>::new(&kernels, size, true).unwrap();
+    let dimage = Array::from_slice(&device, "dimage", &vec![7.0; 3 * plane]).unwrap();
+    loss.gradient(&pair, 0.2, &dimage, Beside::NOTHING).unwrap();
+    let strips = loss.read_strips(size).unwrap();
+    loss.errors(&pair).unwrap();
+    let errors = mean_errors(&loss, plane);
+    let stride = size.padded()[0];
+    let within = |at: &usize| band.contains(&(at % plane / stride / 16));
+    let rows = |values: &[f64]| -> Vec<u64> {
+        let own = (0..values.len()).filter(within);
+        own.map(|at| values[at].to_bits()).collect()
+    };
+    let sums = loss.places(size, band).map(|place| &strips[place]).concat();
+    [
+        rows(&dimage.to_vec().unwrap()),
+        rows(&errors),
+        sums.iter().map(|v| v.to_bits()).collect(),
+    ]
+}
+
+#[test]
+fn a_band_needs_no_more_of_a_photo_than_its_rows() {
+    let size = ImageSize([75, 139]);
+    for alpha in [Alpha::None, Alpha::Transparency, Alpha::Mask] {
+        for tuning in strips() {
+            for band in [0..2, 2..3, 3..7, 7..9, 4..4, 0..9] {
+                let case = format!("{alpha:?}, {tuning:?}, {band:?}");
+                let of = |rows| of_band((alpha, tuning), size, &band, &rows);
+                let rows = photo_rows(&band, size);
+                assert_eq!(rows.len() < 139, band != (0..9), "{case}");
+                let want = of(0..139);
+                assert!(of(rows) == want, "{case}");
+                if band != (3..7) || alpha != Alpha::None {
+                    continue;
+                }
+                // With alpha whole tiles say what is blank; else the two windows see these, and every one of them.
+                let [first, end] = [3 * 16 - HALO, 7 * 16 + HALO];
+                assert!(of(first..end) == want, "{case}");
+                assert!(of(first + 1..end)[0] != want[0], "{case}");
+                assert!(of(first..end - 1)[0] != want[0], "{case}");
+            }
         }
     }
 }

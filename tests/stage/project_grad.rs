@@ -12,6 +12,7 @@ use mhsplat::lab::verify::cases::ADAM;
 use mhsplat::pipeline::buffers::{GaussianBuffers, GradientBlock, ViewBuffers};
 use mhsplat::pipeline::forward::RenderOptions;
 use mhsplat::pipeline::pass::{Pipeline, Target};
+use mhsplat::pipeline::photo_array::PhotoArray;
 use mhsplat::pipeline::stage::adam::{self, Step};
 use mhsplat::pipeline::stage::loss::Beside;
 use mhsplat::pipeline::stage::project_grad::update;
@@ -139,6 +140,7 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
         let camera = CameraArg::new(&case.camera);
         pipeline.forward.render(&scene, &camera, &options).unwrap();
         let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
+        let photo = PhotoArray::whole(photo, camera.image());
         let target = Target {
             view: 0,
             photo: &photo,

@@ -10,8 +10,9 @@ use mhsplat::lab::verify::definition::inputs;
 use mhsplat::pipeline::buffers::{GaussianBuffers, Shard, ViewBuffers};
 use mhsplat::pipeline::forward::RenderOptions;
 use mhsplat::pipeline::pass::{Pipeline, Target};
+use mhsplat::pipeline::photo_array::PhotoArray;
 use mhsplat::pipeline::share::Share;
-use mhsplat::pipeline::stage::loss::Beside;
+use mhsplat::pipeline::stage::loss::{Beside, photo_rows};
 use mhsplat::pipeline::stage::project::{project, write_records};
 use mhsplat::pipeline::stage::route::{Route, route};
 use mhsplat::ranks::{Exchange, threads};
@@ -121,16 +122,19 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
     let own = rows(&case.splats, first, end);
     let mut scene = GaussianBuffers::<f32>::upload(&device, &own, 0).unwrap();
     pipeline.forward.fit(&scene, &camera).unwrap();
+    let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
+    let mut photo = PhotoArray::whole(photo, camera.image());
     let _ended = part.as_ref().map(|(exchange, ..)| Ended(exchange.clone()));
     if let Some((exchange, _, bands, parts)) = part {
         scene.shard = Some(Shard { first, all });
         let mut share = Share::in_parts(&device, defines, exchange, parts).unwrap();
         share.set_bands(bands).unwrap();
+        // Of the photo there is what the band needs.
+        let (planes, [width, _]) = (case.photo.alpha.planes(), camera.image().0);
+        let rows = photo_rows(&share.own_band(), camera.image());
+        photo = photo.part(&device, [planes, width], &rows).unwrap();
         pipeline.share = Some(share);
     }
-    let photo = Array::from_slice(&device, "photo", &case.photo.data)
-        .unwrap()
-        .into();
     let options = RenderOptions {
         sh_degree: case.sh_degree,
         background: case.background,
@@ -146,7 +150,7 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
             view: 0,
             photo: &photo,
             background: case.background,
-            skip_blank: false,
+            skip_blank: true,
         })
         .unwrap();
     let losses = Array::<f32>::zeros(&device, "losses", 2).unwrap();
@@ -197,7 +201,8 @@ fn ranks_have_the_sums_of_one_that_has_all() {
     for (tuning, case) in [
         (Tuning::CPU, case.clone()),
         (Tuning::GPU, case.clone()),
-        (Tuning::CPU, case.with_mask()),
+        (Tuning::CPU, case.clone().with_mask()),
+        (Tuning::GPU, case.with_mask()),
     ] {
         let (want, gradient) = pass(&case, tuning, None);
         let pairs: usize = want.iter().map(|s| s.0).sum();
