@@ -258,22 +258,22 @@ fn a_part_of_a_photo_is_kept_where_no_more_is_wanted() {
         assert_eq!(found.to_vec().unwrap(), rows.collect::<Vec<_>>().concat());
         assert_eq!(photos.stats().decoded, decoded, "{wanted:?}");
     };
-    // Two rows of tiles are kept on either side.
-    get(part(0, 1, 0..48), 0..80, 1);
+    // A row of tiles is kept on either side.
+    get(part(0, 1, 0..64), 0..80, 1);
     get(part(0, 1, 16..80), 0..80, 1);
-    get(part(0, 1, 16..81), 0..113, 2);
-    get(part(0, 1, 144..192), 112..192, 3);
-    get(part(0, 1, 192..192), 112..192, 3);
+    get(part(0, 1, 16..81), 0..97, 2);
+    get(part(0, 1, 144..192), 128..192, 3);
+    get(part(0, 1, 192..192), 128..192, 3);
     // The whole serves any part, and gives way to it.
     get(whole(0), 0..192, 4);
-    get(part(0, 1, 64..80), 32..112, 4);
+    get(part(0, 1, 64..80), 48..96, 4);
     get(whole(0), 0..192, 5);
-    get(part(0, 1, 16..160), 0..192, 5);
+    get(part(0, 1, 16..176), 0..192, 5);
     // Rows are those of the smaller photo.
-    get(part(1, 2, 0..16), 0..48, 6);
-    get(part(1, 2, 80..96), 48..96, 7);
-    get(part(1, 1, 80..96), 48..128, 8);
-    get(part(1, 4, 0..16), 0..48, 9);
+    get(part(1, 2, 0..16), 0..32, 6);
+    get(part(1, 2, 80..96), 64..96, 7);
+    get(part(1, 1, 80..96), 64..112, 8);
+    get(part(1, 4, 0..16), 0..32, 9);
     assert!(photos.stats().peak_bytes <= 2 * LARGE);
 }
 
@@ -282,7 +282,7 @@ fn parts_of_more_photos_are_within_a_budget_than_whole_ones() {
     let data = room_within(256, Some(4 * LARGE));
     let photos = added(&data);
     // Six of twelve rows of tiles are kept: of six photos, beside the whole of one.
-    let own = |photo| part(photo, 1, 0..64);
+    let own = |photo| part(photo, 1, 0..80);
     for photo in (0..6).chain(0..6) {
         photos.get(own(photo), []).unwrap();
     }

@@ -126,7 +126,7 @@ fn ranks_change_no_bit_of_estimates() {
 /// Photos that do not fit are decoded on demand, and each rank keeps the rows that its bands need, of smaller photos, too.
 #[test]
 fn ranks_keep_parts_of_photos_and_change_no_bit() {
-    // Of twelve rows of tiles a quarter is a band; it sees one more, and two are kept on either side.
+    // Of twelve rows of tiles a quarter is a band; on either side it sees one more, and another is kept.
     let (photo, few) = (256 * 192 * 3, 30);
     let data = room_within(256, Some(few * photo));
     assert!(data.photos_on_demand());
@@ -142,7 +142,7 @@ fn ranks_keep_parts_of_photos_and_change_no_bit() {
         assert_eq!(one.total_bytes, leader.total_bytes);
         if levels == 0 {
             assert!(one.peak_bytes > (few - 1) * photo, "{one:?}");
-            assert!(4 * leader.peak_bytes < 3 * one.peak_bytes, "{leader:?}");
+            assert!(3 * leader.peak_bytes < 2 * one.peak_bytes, "{leader:?}");
         }
     }
 }

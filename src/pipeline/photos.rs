@@ -28,9 +28,9 @@ pub const AHEAD: usize = 8;
 /// Largest number of decoding threads: more than are looked ahead would have nothing to do.
 const MAX_THREADS: usize = AHEAD;
 
-/// Rows of tiles that are kept beside those of a photo that are needed, on either side. A rank's band in a view moves by a few rows from
-/// one visit to the next; while it does not leave what is kept, no file is decoded again.
-const SLACK: usize = 2;
+/// Part of a photo's rows of tiles that is kept beside those that are needed, on either side: one of so many, rounded up. A rank's band in a
+/// view moves by as much from one visit to the next; while it stays within what is kept, no file is decoded again (docs/results/ranks.md).
+const SLACK: usize = 24;
 
 /// A photo at 1/`divisor` of its size, or a part of that.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -142,7 +142,8 @@ impl Entry {
 
     /// Pixel rows that are kept for those that are needed.
     fn kept(&self, wanted: &Wanted) -> Range<usize> {
-        let (height, slack) = (self.size(wanted.divisor)[1], SLACK * TILE as usize);
+        let (height, tile) = (self.size(wanted.divisor)[1], TILE as usize);
+        let slack = height.div_ceil(tile).div_ceil(SLACK) * tile;
         let needed = self.needed(wanted);
         needed.start.saturating_sub(slack)..(needed.end + slack).min(height)
     }
