@@ -1,6 +1,6 @@
 //! [`Photos`]: the photos of a run as device arrays, at their full size or the fraction of it that is wanted. Those left in
 //! their files are decoded ahead of their use by threads of their own, and the least recently used give way when the budget is
-//! used up.
+//! used up. Of these there are the rows that are wanted and some beside them, where no more is wanted; those in memory are whole.
 //!
 //! Photos held here count against the budget: one that has given way stays on the device until the kernels
 //! already enqueued with it are done, because OpenCL keeps a buffer as long as a command uses it.
