@@ -102,13 +102,11 @@ impl<'a, R: Real> Pass<'a, R> {
             scene = scene.with_filter(device)?;
         }
         let camera = CameraArg::<R>::new(&case.camera);
+        let pixels = Array::from_slice(device, "photo", &case.photo.data)?;
         Ok(Self {
             pipeline: Pipeline::new(device, defines, case.sh_degree, camera.image())?,
             kernels: Kernels::new(device, defines),
-            photo: PhotoArray::whole(
-                Array::from_slice(device, "photo", &case.photo.data)?,
-                camera.image(),
-            ),
+            photo: PhotoArray::whole(pixels, camera.image()),
             device,
             scene,
             camera,
