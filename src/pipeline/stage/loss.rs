@@ -165,7 +165,7 @@ fn seen_rows(band: &Range<usize>, size: ImageSize) -> Range<usize> {
     band.start.saturating_sub(1)..(band.end + 1).min(size.tiles()[1])
 }
 
-/// Pixel rows of a photo of this size that the loss of a band of rows of tiles needs, those of [`seen_rows`]. Kernels take rows beyond these
+/// Pixel rows of a photo of this size that the loss of a band of rows of tiles needs, those of the rows of tiles that it takes into account. Kernels take rows beyond these
 /// for outside of the image, and the maps that they make of them for nothing.
 #[must_use]
 pub fn photo_rows(band: &Range<usize>, size: ImageSize) -> Range<usize> {
