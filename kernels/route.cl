@@ -22,6 +22,15 @@ __kernel void route_spans(__global const Projected *records, __global const uint
 // True if a Gaussian touches the rows of tiles from `from` to before `to`.
 static inline int touches_band(uint span, uint from, uint to) { return LAST_ROW(span) >= from && FIRST_ROW(span) < to && from < to; }
 
+// Bands that a Gaussian touches, from .x to before .y; empty ones between them, too. Sums in the place of branches, of which half would be
+// foretold wrongly.
+static inline uint2 bands_of(uint span, __global const uint *bands, uint ranks) {
+  uint2 touched = (uint2)(0, 0);
+  for (uint rank = 0; rank < ranks; rank++) touched += (uint2)(bands[rank + 1] <= FIRST_ROW(span), bands[rank] <= LAST_ROW(span));
+  return touched;
+}
+#define IS_EMPTY(rank) (bands[rank] == bands[(rank) + 1])
+
 // Own Gaussians from `begin` to before `end`: in [end] rows of tiles; bands in [ranks + 1] first row of tiles of each.
 #define ROUTE_ARGUMENTS __global const uint *spans, uint begin, uint end, __global const uint *bands
 // A chunk of them: the first, and the one after the last.
@@ -84,18 +93,18 @@ __kernel void route_pairs(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global uint *isec
                           __global uint *wanted) {                                        // out [end - begin]
   const uint i = begin + get_global_id(0);
   if (i >= end) return;
-  const uint span = spans[i];
-  uint n = 0, touched = 0, only = 0;
-  for (uint rank = 0; rank < ranks; rank++)
-    if (touches_band(span, bands[rank], bands[rank + 1])) {
-      __global const uint *slot = RETURNED(rank);
-      n += slot[1] - slot[0];
-      only = slot[0] + shifts[rank];
-      touched++;
-    }
+  const uint2 touched = bands_of(spans[i], bands, ranks);
+  uint n = 0, lists = 0, only = 0;
+  for (uint rank = touched.x; rank < touched.y; rank++) {
+    if (IS_EMPTY(rank)) continue;
+    __global const uint *slot = RETURNED(rank);
+    n += slot[1] - slot[0];
+    only = slot[0] + shifts[rank];
+    lists++;
+  }
   isect_counts[i] = n;
   isect_start[i] = only;
-  wanted[i - begin] = touched > 1 ? n : 0;
+  wanted[i - begin] = lists > 1 ? n : 0;
 }
 
 // Launch: one work-item per own Gaussian. Brings the sums of the pairs of one that touches more than one band together, by bands from top to bottom.
@@ -106,17 +115,18 @@ __kernel void route_sums(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global const uint 
                          __global real *sums) {                                          // in/out [pairs, SUMS] as they came, and together
   const uint i = begin + get_global_id(0);
   if (i >= end || wanted[i - begin] == 0) return;
-  const uint span = spans[i], at = together + before[i - begin];
+  const uint2 touched = bands_of(spans[i], bands, ranks);
+  const uint at = together + before[i - begin];
   isect_start[i] = at;
   __global real *to = sums + (size_t)at * SUMS;
-  for (uint rank = 0; rank < ranks; rank++)
-    if (touches_band(span, bands[rank], bands[rank + 1])) {
-      __global const uint *slot = RETURNED(rank);
-      __global const real *from = sums + (size_t)(slot[0] + shifts[rank]) * SUMS;
-      const uint n = (slot[1] - slot[0]) * SUMS;
-      for (uint k = 0; k < n; k++) to[k] = from[k];
-      to += n;
-    }
+  for (uint rank = touched.x; rank < touched.y; rank++) {
+    if (IS_EMPTY(rank)) continue;
+    __global const uint *slot = RETURNED(rank);
+    __global const real *from = sums + (size_t)(slot[0] + shifts[rank]) * SUMS;
+    const uint n = (slot[1] - slot[0]) * SUMS;
+    for (uint k = 0; k < n; k++) to[k] = from[k];
+    to += n;
+  }
 }
 
 // Pairs of a Gaussian that a band got whose sums go back: one for all of them where the band has it whole, which has then been added up as

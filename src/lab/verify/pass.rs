@@ -383,8 +383,12 @@ impl<'a, R: Real> Pass<'a, R> {
         let scene = self.copy_of_scene()?;
         let (block, steps) = (self.block(grads, 1), (self.case.rates, 2));
         let moments = optimise(&self.kernels, &scene, &block, steps, self.frame())?;
-        let names = ["parameters", "first moments", "second moments"];
-        self.add_steps(names, &scene, &moments, 2)?;
+        self.add_steps(
+            ["parameters", "first moments", "second moments"],
+            &scene,
+            &moments,
+            2,
+        )?;
         self.out.non_finite = self.frame().status.read(status::NON_FINITE as usize, 1)?[0];
         self.step()?;
         Ok((scene, moments))
@@ -402,8 +406,8 @@ impl<'a, R: Real> Pass<'a, R> {
             t: 1,
         };
         let stage = self.kernels.taking_steps().build::<R>("project_grad")?;
-        let (of, both) = ((self.frame(), 0..scene.count), moments.each_ref());
-        project_grad::update(&stage, &scene, of, [opacity, scale], both, &step)?;
+        let (of, lambdas) = ((self.frame(), 0..scene.count), [opacity, scale]);
+        project_grad::update(&stage, &scene, of, lambdas, moments.each_ref(), &step)?;
         let names = [
             "parameters, one step",
             "first moments, one step",
