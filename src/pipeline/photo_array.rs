@@ -4,6 +4,7 @@ use std::ops::{Deref, Range};
 use std::sync::{Arc, OnceLock};
 
 use crate::base::error::Result;
+use crate::capture::Photo;
 use crate::device::{Array, Device, ImageSize, Program};
 use crate::pipeline::stage::active_tiles;
 
@@ -38,6 +39,15 @@ impl PhotoArray {
     #[must_use]
     pub fn whole(pixels: Array<u8>, size: ImageSize) -> Self {
         Self::new(pixels, 0..size.0[1])
+    }
+
+    /// All of a photo, on the device.
+    ///
+    /// # Errors
+    /// No room for it, or the driver's.
+    pub fn upload(device: &Device, photo: &Photo) -> Result<Self> {
+        let pixels = Array::from_slice(device, "photo", &photo.data)?;
+        Ok(Self::new(pixels, 0..photo.height as usize))
     }
 
     /// The pixel rows that there are.

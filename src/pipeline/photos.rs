@@ -228,8 +228,7 @@ impl Photos {
         check_photo(self.device(), planes, size)?;
         let source = match photo {
             PhotoSource::Memory(photo) => {
-                let array = Array::from_slice(self.device(), "photo", &photo.data)?;
-                Source::Device(Arc::new(PhotoArray::whole(array, size)))
+                Source::Device(Arc::new(PhotoArray::upload(self.device(), &photo)?))
             }
             PhotoSource::File(file) => {
                 self.0.start_threads()?;

@@ -60,8 +60,7 @@ fn errors_are_those_of_the_formula_to_the_bit() {
         [bent[1], bent[3], bent[4], bent[10]] = [0.07, -0.013, 0.21, 0.83];
         let transforms = [IDENTITY.map(|v| v as f32), bent].concat();
         let transforms = Array::from_slice(&device, "exposures", &transforms).unwrap();
-        let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
-        let photo = PhotoArray::whole(photo, size);
+        let photo = PhotoArray::upload(&device, &case.photo).unwrap();
         let own = Tuning::for_device(device.info());
         let group = Tuning {
             chunks: 64,

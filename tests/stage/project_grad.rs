@@ -139,8 +139,7 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
         };
         let camera = CameraArg::new(&case.camera);
         pipeline.forward.render(&scene, &camera, &options).unwrap();
-        let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
-        let photo = PhotoArray::whole(photo, camera.image());
+        let photo = PhotoArray::upload(&device, &case.photo).unwrap();
         let target = Target {
             view: 0,
             photo: &photo,

@@ -122,8 +122,7 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
     let own = rows(&case.splats, first, end);
     let mut scene = GaussianBuffers::<f32>::upload(&device, &own, 0).unwrap();
     pipeline.forward.fit(&scene, &camera).unwrap();
-    let photo = Array::from_slice(&device, "photo", &case.photo.data).unwrap();
-    let mut photo = PhotoArray::whole(photo, camera.image());
+    let mut photo = PhotoArray::upload(&device, &case.photo).unwrap();
     let _ended = part.as_ref().map(|(exchange, ..)| Ended(exchange.clone()));
     if let Some((exchange, _, bands, parts)) = part {
         scene.shard = Some(Shard { first, all });

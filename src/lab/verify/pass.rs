@@ -102,11 +102,10 @@ impl<'a, R: Real> Pass<'a, R> {
             scene = scene.with_filter(device)?;
         }
         let camera = CameraArg::<R>::new(&case.camera);
-        let pixels = Array::from_slice(device, "photo", &case.photo.data)?;
         Ok(Self {
             pipeline: Pipeline::new(device, defines, case.sh_degree, camera.image())?,
             kernels: Kernels::new(device, defines),
-            photo: PhotoArray::whole(pixels, camera.image()),
+            photo: PhotoArray::upload(device, &case.photo)?,
             device,
             scene,
             camera,
@@ -383,12 +382,8 @@ impl<'a, R: Real> Pass<'a, R> {
         let scene = self.copy_of_scene()?;
         let (block, steps) = (self.block(grads, 1), (self.case.rates, 2));
         let moments = optimise(&self.kernels, &scene, &block, steps, self.frame())?;
-        self.add_steps(
-            ["parameters", "first moments", "second moments"],
-            &scene,
-            &moments,
-            2,
-        )?;
+        let names = ["parameters", "first moments", "second moments"];
+        self.add_steps(names, &scene, &moments, 2)?;
         self.out.non_finite = self.frame().status.read(status::NON_FINITE as usize, 1)?[0];
         self.step()?;
         Ok((scene, moments))
