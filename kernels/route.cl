@@ -80,8 +80,8 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
   }
 }
 
-// First slots of what was sent to each rank, as it came back: in [number sent + 1] from offsets[rank] on; less where the sums begin there,
-// more by where they begin here: shifts[rank], modulo 2^32. A Gaussian's pairs there, and the first slot of its sums:
+// First slots of what was sent to each rank, as that rank counts them: in [number sent + 1] from offsets[rank] on; the slot here is
+// shifts[rank] more, modulo 2^32. A Gaussian's first slot there, and the one after its last:
 #define RETURN_ARGUMENTS                                                                                                    \
   uint ranks, uint stride, __global const uint *place, __global const uint *starts, __global const uint *offsets, __global const uint *shifts
 #define RETURNED(rank) (starts + offsets[rank] + place[(size_t)(rank) * stride + i])
@@ -150,9 +150,9 @@ __kernel void route_lengths(BAND_ARGUMENTS, __global uint *lengths) { // out [co
 // Launch: one work-item per Gaussian that a band got from `begin` to before `end`. Writes their sums, in the order of the Gaussians.
 __kernel void route_return(BAND_ARGUMENTS, uint begin, uint end, __global const uint *isect_start, // in [count] first slot
                            __global const uint *row_start,                   // in [count] exclusive sums of the lengths
-                           uint base,                                        // of these sums what the first that is written has
+                           uint base,                                        // sums before the first that is written
                            __global const real *sums,                        // in [pairs, SUMS]
-                           __global real *ordered) {                         // out [pairs that go back, SUMS]
+                           __global real *ordered) {                         // out [pairs that are written, SUMS]
   const uint i = begin + get_global_id(0);
   if (i >= end) return;
   const uint pairs = isect_counts[i], back = pairs_back(pairs, records[i].by, from, to, rows);

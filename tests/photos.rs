@@ -3,6 +3,8 @@
 use std::fs;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::mpsc::channel;
+use std::thread::spawn;
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
@@ -299,6 +301,26 @@ fn parts_of_more_photos_are_within_a_budget_than_whole_ones() {
         assert_eq!(*found.rows(), 0..96);
     }
     assert!(photos.stats().peak_bytes <= 4 * LARGE);
+}
+
+/// Whole photos on their way when parts of them are wanted, in another order: they take what they take, and nobody waits for ever.
+#[test]
+fn photos_that_come_whole_leave_room_for_the_one_in_use() {
+    let data = room_within(256, Some(3 * LARGE));
+    for _ in 0..10 {
+        let photos = added(&data);
+        let (done, wait) = channel();
+        let work = move || {
+            photos.get(whole(0), [whole(1), whole(2)]).unwrap();
+            let own = |photo| part(photo, 1, 0..80);
+            let found = photos.get(own(5), [own(0), own(1), own(2)]).unwrap();
+            done.send(found.rows().clone()).unwrap();
+        };
+        let thread = spawn(work);
+        let rows = wait.recv_timeout(Duration::from_secs(30));
+        assert_eq!(rows.expect("waits for ever"), 0..96);
+        thread.join().unwrap();
+    }
 }
 
 /// One photo with transparent pixels, one with an alpha channel and none.

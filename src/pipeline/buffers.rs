@@ -133,7 +133,7 @@ pub struct GradientBlock<'a, R: Real> {
     pub stride: usize,
     /// First Gaussian of the block, a multiple of 16.
     pub first: usize,
-    /// Rows of the Gaussians, of the block; the first is a multiple of 16.
+    /// Rows of the Gaussians, of the block; the first begins a vector.
     pub rows: Range<usize>,
     /// Views whose gradients the values are the sum of.
     pub views: usize,
@@ -411,8 +411,10 @@ impl<R: Real> ViewBuffers<R> {
     /// Makes room for the sums of `pairs` pairs that others have composited, and for nothing else of them. The first `kept` stay.
     pub fn fit_sums(&mut self, device: &Device, pairs: usize, kept: usize) -> Result<()> {
         if self.capacity < pairs {
-            self.capacity = pairs + pairs / 4;
-            let sums = Array::zeros(device, "sums", self.capacity * SUMS)?;
+            let room = |pairs: usize| Ok((Array::zeros(device, "sums", pairs * SUMS)?, pairs));
+            // A quarter to spare where there is room for it.
+            let (sums, capacity) = room(pairs + pairs / 4).or_else(|_: Error| room(pairs))?;
+            self.capacity = capacity;
             if kept > 0 {
                 sums.copy_from(0, &self.sums, 0, kept * SUMS)?;
             }

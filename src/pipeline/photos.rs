@@ -1,6 +1,6 @@
 //! [`Photos`]: the photos of a run as device arrays, at their full size or the fraction of it that is wanted. Those left in
 //! their files are decoded ahead of their use by threads of their own, and the least recently used give way when the budget is
-//! used up. Of these there are the rows that are wanted and some beside them, where no more is wanted; those in memory are whole.
+//! used up. The rows that are wanted of these are there, and some beside them; those in memory are whole.
 //!
 //! Photos held here count against the budget: one that has given way stays on the device until the kernels
 //! already enqueued with it are done, because OpenCL keeps a buffer as long as a command uses it.
@@ -474,8 +474,9 @@ impl State {
             if twice || matches!(entry.source, Source::Device(_)) {
                 continue;
             }
-            let own = match entry.has(&one) {
-                // Of more rows than are wanted, maybe.
+            // More rows than are wanted, maybe, are there or under way.
+            let stays = entry.has(&one) || matches!(entry.slot, Slot::Decoding);
+            let own = match stays {
                 true => entry.held(),
                 false => entry.bytes(one.divisor, entry.kept(&one).len()),
             };

@@ -1,7 +1,8 @@
 //! [`Share`]: one rank's part of a view, where several train one scene. A rank has some rows of the Gaussians, and composites a band of
 //! tile rows: it projects its rows, sends them to the bands that they touch, composites and compares its band, and gets the sums of its
 //! Gaussians' pairs back. Grendel-GS (Zhao et al. 2024) divides both likewise. Every sum is added in the order in which one rank alone
-//! adds it, so that the result has the same bits for any number of ranks and any bands.
+//! adds it, so that the result has the same bits for any number of ranks and any bands. Between processes its rows travel in two parts, one
+//! while the device is at the other.
 
 use std::cell::Cell;
 use std::ops::Range;
@@ -72,6 +73,8 @@ pub struct Share<R: Real> {
     /// Work that each rank told with the view composited last; at the leader alone.
     pub worked_by_rank: Vec<Worked>,
     worked: Worked,
+    /// Seconds of the update of the rows, as far as it was waited for between two views.
+    updated: f32,
     stopwatch: Cell<Stopwatch>,
 }
 
@@ -105,6 +108,7 @@ impl<R: Real> Share<R> {
             pairs_by_row: Vec::new(),
             worked_by_rank: vec![Worked::default(); exchange.ranks()],
             worked: Worked::default(),
+            updated: 0.0,
             stopwatch: Cell::new(Stopwatch {
                 worked: Duration::ZERO,
                 since: Instant::now(),
@@ -232,7 +236,7 @@ impl<R: Real> Share<R> {
             let sent = self.route.send(&self.device, &self.home, part)?;
             self.exchange.begin(Part::Records, sent)?;
         }
-        self.worked.rows = self.lap();
+        self.worked.rows = std::mem::take(&mut self.updated) + self.lap();
         let got: Vec<_> = parts.map(|_| self.wait()).collect::<Result<_>>()?;
         let own = self.band(self.exchange.rank());
         let frame = &mut forward.frame;
@@ -346,7 +350,7 @@ impl<R: Real> Share<R> {
         let (device, scan) = (&self.device, &self.scan);
         self.route.give_back(device, scan, frame, &mut self.home)?;
         for part in 0..self.parts() {
-            let given = self.route.returned(part)?;
+            let given = self.route.to_return(part)?;
             self.exchange.begin(Part::Sums, given)?;
         }
         self.worked.band = self.lap();
@@ -364,6 +368,7 @@ impl<R: Real> Share<R> {
         let (device, scan) = (&self.device, &self.scan);
         self.route
             .collect(device, scan, (part, &got), &mut self.home)?;
+        self.updated += self.lap();
         Ok(self.route.rows(part))
     }
 

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{Builder, sleep, yield_now};
 use std::time::{Duration, Instant};
 
@@ -22,7 +22,7 @@ const PAUSE: Duration = Duration::from_micros(40);
 enum Task {
     Trade(Vec<Vec<u32>>, SyncSender<Vec<Vec<u32>>>),
     End(SyncSender<()>),
-    Abort(String),
+    Abort,
 }
 
 /// This process's end of an exchange. MPI is asked by one thread alone: that is all that every library offers.
@@ -32,9 +32,16 @@ struct Process {
     ranks: usize,
     tasks: Mutex<Sender<Task>>,
     /// Messages that have not been waited for, the oldest first.
-    begun: Mutex<VecDeque<(Part, Receiver<Vec<Vec<u32>>>)>>,
+    begun: Mutex<VecDeque<(Part, Answer)>>,
     meter: Meter,
+    failed: Failed,
 }
+
+/// Messages from all ranks, once they are there.
+type Answer = Receiver<Vec<Vec<u32>>>;
+
+/// Why this process cannot go on, once it cannot: what is on its way is not waited for then.
+type Failed = Arc<OnceLock<String>>;
 
 /// Time for which a rank is waited for that does not lead, and what takes the sentence on the end of the job, before it is aborted.
 #[derive(Debug, Clone, Copy)]
@@ -52,7 +59,9 @@ pub struct Patience {
 pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
     let (tasks, to_do) = channel();
     let (begun, ready) = sync_channel(1);
-    let work = move || serve(&to_do, &begun, patience);
+    let failed = Failed::default();
+    let seen = failed.clone();
+    let work = move || serve(&to_do, &begun, (patience, &seen));
     let thread = Builder::new().name("mpi".to_owned()).spawn(work);
     let fix = "start it with mpirun or srun, as docs/guide/clusters.md shows";
     thread.map_err(|e| Error::device("MPI", format!("no thread can be made: {e}"), fix))?;
@@ -63,13 +72,18 @@ pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
             tasks: Mutex::new(tasks),
             begun: Mutex::default(),
             meter: Meter::default(),
+            failed,
         })),
         Err(_) => Err(Error::device("MPI", "it does not start", fix)),
     }
 }
 
 /// Starts MPI and does what is asked of it.
-fn serve(tasks: &Receiver<Task>, begun: &SyncSender<[usize; 2]>, patience: Patience) {
+fn serve(
+    tasks: &Receiver<Task>,
+    begun: &SyncSender<[usize; 2]>,
+    (patience, failed): (Patience, &Failed),
+) {
     let Some((universe, _)) = mpi::initialize_with_threading(Threading::Serialized) else {
         return;
     };
@@ -81,17 +95,14 @@ fn serve(tasks: &Receiver<Task>, begun: &SyncSender<[usize; 2]>, patience: Patie
     loop {
         match tasks.recv() {
             Ok(Task::Trade(messages, answer)) => {
-                let _ = answer.send(trade(&world, messages, patience));
+                let _ = answer.send(trade(&world, messages, (patience, failed)));
             }
             Ok(Task::End(ended)) => {
                 drop(universe);
                 let _ = ended.send(());
                 return;
             }
-            Ok(Task::Abort(why)) => {
-                (patience.tell)(&why);
-                world.abort(2)
-            }
+            Ok(Task::Abort) => abort(&world, (patience, failed)),
             // An end in disorder: the others are not waited for, as the end of MPI would.
             Err(_) => {
                 std::mem::forget(universe);
@@ -101,11 +112,19 @@ fn serve(tasks: &Receiver<Task>, begun: &SyncSender<[usize; 2]>, patience: Patie
     }
 }
 
+/// Ends the job if this process has failed.
+fn abort(world: &SimpleCommunicator, (patience, failed): (Patience, &Failed)) {
+    if let Some(why) = failed.get() {
+        (patience.tell)(why);
+        world.abort(2);
+    }
+}
+
 /// Sends a message to each rank and waits for one from each.
 fn trade(
     world: &SimpleCommunicator,
     mut messages: Vec<Vec<u32>>,
-    patience: Patience,
+    (patience, failed): (Patience, &Failed),
 ) -> Vec<Vec<u32>> {
     let rank = world.rank() as usize;
     let mut got = vec![None; messages.len()];
@@ -142,6 +161,7 @@ fn trade(
                 1..=EAGER => yield_now(),
                 _ => sleep(PAUSE),
             }
+            abort(world, (patience, failed));
             // The leader may write a report meanwhile.
             let waited = began.elapsed().as_secs_f64();
             let late = missing.iter().find(|other| **other != LEADER);
@@ -206,7 +226,8 @@ impl Exchange for Process {
 
     fn fail(&self, why: &str) {
         let why = format!("error: rank {}: {why}", self.rank);
-        if self.ask(Task::Abort(why)).is_ok() {
+        let _ = self.failed.set(why);
+        if self.ask(Task::Abort).is_ok() {
             // Until then.
             std::thread::sleep(Duration::from_secs(10));
         }

@@ -26,7 +26,8 @@ const NETWORKS: [(&str, f64, f64); 3] = [
     ("10 Gb/s", 1e10, 2e-5),
     ("100 Gb/s", 1e11, 3e-6),
 ];
-/// Trades of an iteration, one after the other: order, records, borders, loss, sums.
+/// Trades of an iteration that are waited for one after the other: order, records, borders, loss, sums. Between processes records and sums
+/// have two each, of which one passes while the device is at the other; the model leaves out what that saves.
 const TRADES: f64 = 5.0;
 
 /// Figures of an iteration by so many ranks.
@@ -302,10 +303,10 @@ impl Scaling {
             "rows",
             "band",
             "wait: orders",
-            "records",
-            "borders",
-            "loss",
-            "sums",
+            "wait: records",
+            "wait: borders",
+            "wait: loss",
+            "wait: sums",
         ];
         let speedup = or_dash(self.speedup(), |r| crate::lab::table::ratio(&r));
         let measured = format!("{}, two ranks {speedup} as fast as one", self.title());

@@ -39,7 +39,7 @@ pub fn backward<R: Real>(
     grads: &GradientBlock<'_, R>,
 ) -> Result<()> {
     let rows = grads.rows.clone();
-    add_large(stage, view, rows.end)?;
+    add_large(stage, view, rows.end.min(scene.count))?;
     let planes = Plane::count(stage.defines().sh_degree);
     stage
         .launch("project_grad")
@@ -64,7 +64,7 @@ pub fn update<R: Real>(
     moments: [&Array<R>; 2],
     step: &Step<LearningRates>,
 ) -> Result<()> {
-    add_large(stage, view, rows.end)?;
+    add_large(stage, view, rows.end.min(scene.count))?;
     let planes = Plane::count(stage.defines().sh_degree);
     stage
         .launch("project_step")

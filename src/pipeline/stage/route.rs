@@ -16,7 +16,7 @@ const fn routed_words<R>() -> usize {
     1 + size_of::<Projected<R>>() / size_of::<u32>()
 }
 
-/// A part of the rows of a rank, which travels while the device is at the next one.
+/// One part of the rows of a rank: its records on their way to the bands, while the device is at the next part.
 #[derive(Debug)]
 struct Trip<R: Real> {
     rows: Range<usize>,
@@ -58,7 +58,9 @@ pub struct Route<R: Real> {
     back: Vec<u32>,
     /// Sums that go to others, by Gaussian.
     ordered: Array<R>,
-    /// Sums of own rows that are there.
+    /// Pairs of this rank's own Gaussians in its band.
+    own_pairs: usize,
+    /// Pairs of its own rows whose sums are there, those of other bands, too.
     there: usize,
 }
 
@@ -105,6 +107,7 @@ impl<R: Real> Route<R> {
             row_start: ints("row_start", 0)?,
             back: vec![0],
             ordered: Array::zeros(device, "ordered", 0)?,
+            own_pairs: 0,
             there: 0,
             program,
         })
@@ -130,7 +133,7 @@ impl<R: Real> Route<R> {
     /// Divides so many rows into the parts; each begins a run of the optimiser.
     pub fn divide(&mut self, device: &Device, count: usize) -> Result<()> {
         let (run, parts) = (self.program.defines().tuning.update_run(), self.trips.len());
-        // Also of no rows each part has a beginning of its own: PoCL compiles kernels that begin at 0 apart.
+        // Parts begin apart even where there is no row: PoCL compiles kernels that begin at 0 for themselves, and warming up runs both.
         let first = |k: usize| (k * count / parts + k).next_multiple_of(run);
         for (k, trip) in self.trips.iter_mut().enumerate() {
             let end = if k + 1 == parts { count } else { first(k + 1) };
@@ -233,12 +236,12 @@ impl<R: Real> Route<R> {
     pub fn receive(
         &mut self,
         device: &Device,
-        parts: &[Vec<Vec<u32>>],
+        messages_by_part: &[Vec<Vec<u32>>],
         view: &mut ViewBuffers<R>,
     ) -> Result<()> {
         let mut end = 0;
         for rank in 0..self.ranks {
-            for (trip, messages) in self.trips.iter_mut().zip(parts) {
+            for (trip, messages) in self.trips.iter_mut().zip(messages_by_part) {
                 let words = messages.get(rank).map_or(0, Vec::len);
                 let n = match rank == self.rank {
                     true => trip.sent_counts[rank],
@@ -256,7 +259,7 @@ impl<R: Real> Route<R> {
         if view.keys.len() < view.count {
             view.fit_gaussians(device, view.count + view.count / 4)?;
         }
-        for (trip, messages) in self.trips.iter().zip(parts) {
+        for (trip, messages) in self.trips.iter().zip(messages_by_part) {
             for (rank, (got, message)) in trip.got.iter().zip(messages).enumerate() {
                 let (first, n) = (got.start, got.len());
                 if rank == self.rank {
@@ -282,7 +285,7 @@ impl<R: Real> Route<R> {
     }
 
     /// Brings the sums of the pairs of this rank's band into the order of its Gaussians: those of other ranks' to go back
-    /// ([`Route::returned`]), and its own to `home`. Waits.
+    /// ([`Route::to_return`]), and its own to `home`. Waits.
     pub fn give_back(
         &mut self,
         device: &Device,
@@ -302,14 +305,12 @@ impl<R: Real> Route<R> {
         self.back = self.row_start.read(0, view.count + 1)?;
         let own = self.got(self.rank);
         let [before, after] = [own.start, own.end].map(|at| self.back[at]);
-        self.there = (after - before) as usize;
-        fit(
-            device,
-            &mut self.ordered,
-            (all as usize - self.there) * SUMS,
-        )?;
+        self.own_pairs = (after - before) as usize;
+        self.there = self.own_pairs;
+        let others = all as usize - self.own_pairs;
+        fit(device, &mut self.ordered, others * SUMS)?;
         // A kernel takes no empty array.
-        home.fit_sums(device, self.there.max(1), 0)?;
+        home.fit_sums(device, self.own_pairs.max(1), 0)?;
         for (rows, base, to) in [
             (0..own.start, 0, &self.ordered),
             (own.clone(), before, &home.sums),
@@ -332,14 +333,14 @@ impl<R: Real> Route<R> {
     ///
     /// # Errors
     /// The driver's.
-    pub fn returned(&self, part: usize) -> Result<Vec<Vec<u32>>> {
+    pub fn to_return(&self, part: usize) -> Result<Vec<Vec<u32>>> {
         let message = |(rank, got): (usize, &Range<usize>)| {
             if rank == self.rank {
                 return Ok(Vec::new());
             }
             let starts = &self.back[got.start..=got.end];
             let (first, end) = (starts[0] as usize, starts[got.len()] as usize);
-            let gap = if rank < self.rank { 0 } else { self.there };
+            let gap = if rank < self.rank { 0 } else { self.own_pairs };
             let mut words = starts.to_vec();
             let sums = (first - gap) * SUMS;
             words.extend(self.ordered.read_words(sums, (end - first) * SUMS)?);
@@ -349,7 +350,7 @@ impl<R: Real> Route<R> {
         got.enumerate().map(message).collect()
     }
 
-    /// Takes the messages of [`Route::returned`] of all ranks for a part of the rows of a view: pairs and their sums, by bands from top to
+    /// Takes the messages of [`Route::to_return`] of all ranks for a part of the rows of a view: pairs and their sums, by bands from top to
     /// bottom. Parts come in their order.
     ///
     /// # Errors
@@ -363,7 +364,7 @@ impl<R: Real> Route<R> {
     ) -> Result<()> {
         let words = size_of::<R>() / size_of::<u32>() * SUMS;
         let trip = &self.trips[part];
-        let (mut offsets, mut shifts, mut parts) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut offsets, mut shifts, mut came) = (Vec::new(), Vec::new(), Vec::new());
         let (mut place, mut end) = (0, self.there);
         for (rank, (message, n)) in messages.iter().zip(&trip.sent_counts).enumerate() {
             offsets.push(place as u32);
@@ -382,10 +383,10 @@ impl<R: Real> Route<R> {
                 return Err(Error::numerics("exchange", what));
             }
             shifts.push((end as u32).wrapping_sub(starts[0]));
-            parts.push((rank, starts, end, sums));
+            came.push((rank, starts, end, sums));
             end += pairs;
         }
-        self.check_pairs(2 * end)?;
+        self.check_pairs(end)?;
         view.fit_sums(device, end.max(1), self.there)?;
         fit(device, &mut self.starts, place)?;
         fit(device, &mut self.wanted, trip.rows.len().max(1))?;
@@ -395,7 +396,7 @@ impl<R: Real> Route<R> {
         let (own, at) = (trip.got[self.rank].clone(), offsets[self.rank] as usize);
         self.starts
             .copy_from(at, &self.row_start, own.start, own.len() + 1)?;
-        for (rank, starts, first, sums) in parts {
+        for (rank, starts, first, sums) in came {
             self.starts.write(offsets[rank] as usize, starts)?;
             view.sums.write_words(first * SUMS, sums)?;
         }
@@ -407,6 +408,7 @@ impl<R: Real> Route<R> {
         let places = [&self.wanted, &self.before];
         scan::sum_pairs(scan, view, rows.len(), places)?;
         let together = view.pairs_found()? as usize;
+        self.check_pairs(end + together)?;
         view.fit_sums(device, end + together, end)?;
         self.there = end + together;
         self.returning("route_sums", &rows)
