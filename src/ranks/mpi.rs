@@ -1,6 +1,7 @@
 //! [`mpi`]: ranks that are processes, launched together by MPI (`mpirun`, `srun`).
 
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{Builder, sleep, yield_now};
@@ -13,10 +14,14 @@ use mpi::traits::{Communicator, Destination, MatchedReceiveVec, Source};
 use crate::base::error::{Error, Result};
 use crate::ranks::exchange::{Exchange, LEADER, Meter, Part, check_number, nothing_begun};
 
-/// Number of looks for a message before the first pause.
+/// Number of looks before it counts that nobody waits: who trades waits right after it has begun.
+const FIRST: u32 = 20;
+/// Number of looks for a message that is waited for before the first pause.
 const EAGER: u32 = 200;
 /// Pause between two looks after that.
 const PAUSE: Duration = Duration::from_micros(40);
+/// Pause between two looks while nobody waits: this rank computes, maybe on all its cores.
+const IDLE_PAUSE: Duration = Duration::from_micros(500);
 
 /// A task of the thread that has MPI.
 enum Task {
@@ -34,14 +39,20 @@ struct Process {
     /// Messages that have not been waited for, the oldest first.
     begun: Mutex<VecDeque<(Part, Answer)>>,
     meter: Meter,
-    failed: Failed,
+    now: Arc<Now>,
 }
 
 /// Messages from all ranks, once they are there.
 type Answer = Receiver<Vec<Vec<u32>>>;
 
-/// Why this process cannot go on, once it cannot: what is on its way is not waited for then.
-type Failed = Arc<OnceLock<String>>;
+/// The state of a process that the thread looks at which has MPI.
+#[derive(Debug, Default)]
+struct Now {
+    /// Why this process cannot go on, once it cannot: what is on its way is not waited for then.
+    failed: OnceLock<String>,
+    /// True while messages are waited for.
+    waits: AtomicBool,
+}
 
 /// Time for which a rank is waited for that does not lead, and what takes the sentence on the end of the job, before it is aborted.
 #[derive(Debug, Clone, Copy)]
@@ -59,8 +70,8 @@ pub struct Patience {
 pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
     let (tasks, to_do) = channel();
     let (begun, ready) = sync_channel(1);
-    let failed = Failed::default();
-    let seen = failed.clone();
+    let now = Arc::new(Now::default());
+    let seen = now.clone();
     let work = move || serve(&to_do, &begun, (patience, &seen));
     let thread = Builder::new().name("mpi".to_owned()).spawn(work);
     let fix = "start it with mpirun or srun, as docs/guide/clusters.md shows";
@@ -72,7 +83,7 @@ pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
             tasks: Mutex::new(tasks),
             begun: Mutex::default(),
             meter: Meter::default(),
-            failed,
+            now,
         })),
         Err(_) => Err(Error::device("MPI", "it does not start", fix)),
     }
@@ -82,7 +93,7 @@ pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
 fn serve(
     tasks: &Receiver<Task>,
     begun: &SyncSender<[usize; 2]>,
-    (patience, failed): (Patience, &Failed),
+    (patience, now): (Patience, &Now),
 ) {
     let Some((universe, _)) = mpi::initialize_with_threading(Threading::Serialized) else {
         return;
@@ -95,14 +106,14 @@ fn serve(
     loop {
         match tasks.recv() {
             Ok(Task::Trade(messages, answer)) => {
-                let _ = answer.send(trade(&world, messages, (patience, failed)));
+                let _ = answer.send(trade(&world, messages, (patience, now)));
             }
             Ok(Task::End(ended)) => {
                 drop(universe);
                 let _ = ended.send(());
                 return;
             }
-            Ok(Task::Abort) => abort(&world, (patience, failed)),
+            Ok(Task::Abort) => abort(&world, (patience, now)),
             // An end in disorder: the others are not waited for, as the end of MPI would.
             Err(_) => {
                 std::mem::forget(universe);
@@ -113,8 +124,8 @@ fn serve(
 }
 
 /// Ends the job if this process has failed.
-fn abort(world: &SimpleCommunicator, (patience, failed): (Patience, &Failed)) {
-    if let Some(why) = failed.get() {
+fn abort(world: &SimpleCommunicator, (patience, now): (Patience, &Now)) {
+    if let Some(why) = now.failed.get() {
         (patience.tell)(why);
         world.abort(2);
     }
@@ -124,7 +135,7 @@ fn abort(world: &SimpleCommunicator, (patience, failed): (Patience, &Failed)) {
 fn trade(
     world: &SimpleCommunicator,
     mut messages: Vec<Vec<u32>>,
-    (patience, failed): (Patience, &Failed),
+    (patience, now): (Patience, &Now),
 ) -> Vec<Vec<u32>> {
     let rank = world.rank() as usize;
     let mut got = vec![None; messages.len()];
@@ -156,12 +167,17 @@ fn trade(
                 break;
             }
             looks = if any { 0 } else { looks + 1 };
+            let eager = match now.waits.load(Ordering::Relaxed) {
+                true => EAGER,
+                false => FIRST,
+            };
             match looks {
                 0 => {}
-                1..=EAGER => yield_now(),
+                _ if looks <= eager => yield_now(),
+                _ if eager == FIRST => sleep(IDLE_PAUSE),
                 _ => sleep(PAUSE),
             }
-            abort(world, (patience, failed));
+            abort(world, (patience, now));
             // The leader may write a report meanwhile.
             let waited = began.elapsed().as_secs_f64();
             let late = missing.iter().find(|other| **other != LEADER);
@@ -215,7 +231,10 @@ impl Exchange for Process {
         let mut begun = self.begun.lock().unwrap_or_else(PoisonError::into_inner);
         let (part, got) = begun.pop_front().ok_or_else(nothing_begun)?;
         let since = Instant::now();
-        let got = got.recv().map_err(|_| gone())?;
+        self.now.waits.store(true, Ordering::Relaxed);
+        let got = got.recv().map_err(|_| gone());
+        self.now.waits.store(false, Ordering::Relaxed);
+        let got = got?;
         self.meter.wait(part, since);
         Ok(got)
     }
@@ -226,7 +245,7 @@ impl Exchange for Process {
 
     fn fail(&self, why: &str) {
         let why = format!("error: rank {}: {why}", self.rank);
-        let _ = self.failed.set(why);
+        let _ = self.now.failed.set(why);
         if self.ask(Task::Abort).is_ok() {
             // Until then.
             std::thread::sleep(Duration::from_secs(10));
