@@ -48,7 +48,7 @@ type Answer = Receiver<Vec<Vec<u32>>>;
 /// The state of a process that the thread looks at which has MPI.
 #[derive(Debug, Default)]
 struct Now {
-    /// Why this process cannot go on, once it cannot: what is on its way is not waited for then.
+    /// Reason that this process cannot go on, once it cannot: what is on its way is not waited for then.
     failed: OnceLock<String>,
     /// True while messages are waited for.
     waits: AtomicBool,

@@ -31,7 +31,8 @@ type Threads = Vec<JoinHandle<()>>;
 
 impl Trainer {
     /// Has the device's helpers train with this trainer; the result has the same bits. Other devices get a thread each; `views` are those
-    /// of this trainer, whose photos each device reads itself, within `image_budget` bytes: in memory whole, in files the rows that its bands need. Other processes get `beginning`, and
+    /// of this trainer, whose photos each device reads itself, within `image_budget` bytes: whole if they are in memory, else the rows that
+    /// its bands need. Other processes get `beginning`, and
     /// make their trainers from that ([`Trainer::follow`]).
     ///
     /// # Errors
