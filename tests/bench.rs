@@ -336,6 +336,29 @@ fn the_command_writes_its_folder_once() {
 }
 
 #[test]
+fn ranks_are_measured_beside_one_and_beside_another_scene() {
+    let args = ["bench", "--scaling", "--brief", "600@48", "--json"];
+    let printed: serde_json::Value = serde_json::from_str(&cli::done(&args)).unwrap();
+    let case = &printed[0];
+    let visible = case["visible"].as_f64().unwrap();
+    assert!((1.0..=600.0).contains(&visible), "{visible}");
+    let shared = case["shared"].as_array().unwrap();
+    let sent = |k: usize, part: usize| shared[k]["bytes"][part][1].as_f64().unwrap();
+    let records = |k: usize| {
+        let parts = shared[k]["bytes"].as_array().unwrap();
+        sent(k, parts.iter().position(|p| p[0] == "records").unwrap())
+    };
+    assert_eq!(records(0), 0.0, "one rank sends nothing");
+    assert!(records(1) > 0.0 && records(1) < 52.0 * visible);
+    // Both need two cores.
+    for key in ["speedup", "speedup_beside"] {
+        let samples = &case[key]["samples"];
+        assert!(case[key].is_null() || samples == 3, "{key}: {samples}");
+        assert_eq!(case[key].is_null(), case["beside_ms"].is_null(), "{key}");
+    }
+}
+
+#[test]
 fn what_cannot_be_measured_is_refused() {
     for (args, word) in [
         (vec!["bench", "--device", "abacus"], "abacus"),

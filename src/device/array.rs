@@ -178,22 +178,26 @@ impl<T: Element> Array<T> {
     /// A range beyond the array, or the driver's.
     pub fn read(&self, offset: usize, len: usize) -> Result<Vec<T>> {
         self.check(offset, len)?;
-        self.read_as(offset, vec![T::default(); len])
+        let mut values = vec![T::default(); len];
+        self.read_as(offset, &mut values)?;
+        Ok(values)
     }
 
     /// 32-bit words of a value.
     const WORDS: usize = size_of::<T>() / size_of::<u32>();
 
-    /// Reads `len` values of whole words from `offset` on as words, after everything enqueued so far.
+    /// Reads `len` values of whole words from `offset` on, after everything enqueued so far, to the end of `words`.
     ///
     /// # Errors
     /// A range beyond the array, or the driver's.
-    pub fn read_words(&self, offset: usize, len: usize) -> Result<Vec<u32>> {
+    pub fn append_words(&self, offset: usize, len: usize, words: &mut Vec<u32>) -> Result<()> {
         self.check(offset, len)?;
-        self.read_as(offset * Self::WORDS, vec![0; len * Self::WORDS])
+        let first = words.len();
+        words.resize(first + len * Self::WORDS, 0);
+        self.read_as(offset * Self::WORDS, &mut words[first..])
     }
 
-    /// Writes values from `offset` on that [`Array::read_words`] has read from an array of the same type, and waits until `words` may be
+    /// Writes values from `offset` on that [`Array::append_words`] has read from an array of the same type, and waits until `words` may be
     /// reused.
     ///
     /// # Errors
@@ -228,10 +232,10 @@ impl<T: Element> Array<T> {
         .map_err(|e| self.failed("write", &e))
     }
 
-    /// Values of a type in the place of `data`, from the place of the `offset`-th of them on, all within the array.
-    fn read_as<U: OclPrm>(&self, offset: usize, mut data: Vec<U>) -> Result<Vec<U>> {
+    /// Reads values of a type to `data`, from the place of the `offset`-th of them on, all within the array.
+    fn read_as<U: OclPrm>(&self, offset: usize, data: &mut [U]) -> Result<()> {
         if data.is_empty() {
-            return Ok(data);
+            return Ok(());
         }
         // SAFETY: a blocking read: `data` outlives it; any bits are a value of `U`.
         unsafe {
@@ -240,13 +244,12 @@ impl<T: Element> Array<T> {
                 &self.mem,
                 true,
                 offset,
-                &mut data,
+                data,
                 None::<&Event>,
                 None::<&mut Event>,
             )
         }
-        .map_err(|e| self.failed("read", &e))?;
-        Ok(data)
+        .map_err(|e| self.failed("read", &e))
     }
 
     /// All values; see [`Array::read`].

@@ -399,12 +399,20 @@ impl<R: Real> ViewBuffers<R> {
         self.tile_start.write(at, &next.collect::<Vec<_>>())
     }
 
-    /// Number of pairs of each row of tiles of the band; waits.
-    pub(crate) fn pairs_by_row(&self) -> Result<Vec<u32>> {
+    /// Number of pairs of each row of tiles of the band, and of those that were looked at; waits.
+    pub(crate) fn pairs_by_row(&self) -> Result<Vec<[u32; 2]>> {
         let across = self.camera.tiles[0] as usize;
         let (first, tiles) = (self.band.start * across, self.band.len() * across);
         let start = self.tile_start.read(first, tiles + 1)?;
-        let row = |k: usize| start[(k + 1) * across].wrapping_sub(start[k * across]);
+        let used = self.tile_used.read(first, tiles)?;
+        let row = |k: usize| {
+            let (from, to) = (k * across, (k + 1) * across);
+            // Lists of a view that had no room are of no use.
+            let used = used[from..to]
+                .iter()
+                .fold(0, |sum: u32, n| sum.wrapping_add(*n));
+            [start[to].wrapping_sub(start[from]), used]
+        };
         Ok((0..self.band.len()).map(row).collect())
     }
 

@@ -234,6 +234,14 @@ impl<R: Real> Pipeline<R> {
         }
     }
 
+    /// Waits for the update of the rows where ranks share them, whose time decides who has how many.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn end_update(&mut self) -> Result<()> {
+        self.share.as_mut().map_or(Ok(()), Share::end_update)
+    }
+
     /// Blending weight α·T of each Gaussian in a view, summed over its pixels, in single precision; a third is missing for each
     /// channel in which the colour is cut off at 0. Waits.
     pub fn blending_weights(

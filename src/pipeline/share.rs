@@ -68,12 +68,12 @@ pub struct Share<R: Real> {
     pub home: ViewBuffers<R>,
     /// First row of tiles of each rank's band, and the number of rows.
     bands: Vec<u32>,
-    /// Pairs of each row of tiles of the view composited last; at the leader alone.
-    pub pairs_by_row: Vec<u32>,
+    /// Pairs of each row of tiles of the view composited last, and how many of them were looked at; at the leader alone.
+    pub pairs_by_row: Vec<[u32; 2]>,
     /// Work that each rank told with the view composited last; at the leader alone.
     pub worked_by_rank: Vec<Worked>,
     worked: Worked,
-    /// Seconds of the update of the rows, as far as it was waited for between two views.
+    /// Seconds of the update of the rows after the view before.
     updated: f32,
     stopwatch: Cell<Stopwatch>,
 }
@@ -119,10 +119,8 @@ impl<R: Real> Share<R> {
     }
 
     /// Sets the bands of the next view: the first row of tiles of each rank, and the number of rows.
-    pub fn set_bands(&mut self, bands: Vec<u32>) -> Result<()> {
-        self.route.set_bands(&bands)?;
+    pub fn set_bands(&mut self, bands: Vec<u32>) {
         self.bands = bands;
-        Ok(())
     }
 
     /// Number of this rank.
@@ -138,8 +136,8 @@ impl<R: Real> Share<R> {
     }
 
     /// Divides the next view evenly.
-    pub fn divide_evenly(&mut self, size: ImageSize) -> Result<()> {
-        self.set_bands(self.even_bands(size))
+    pub fn divide_evenly(&mut self, size: ImageSize) {
+        self.bands = self.even_bands(size);
     }
 
     /// Even bands: the first row of tiles of each rank, and the number of rows.
@@ -225,6 +223,7 @@ impl<R: Real> Share<R> {
     ) -> Result<()> {
         // What lay between two views is no work on them: orders, photos.
         self.lap();
+        self.route.set_bands(&self.bands)?;
         let home = &mut self.home;
         home.fit_gaussians(&self.device, scene.stride)?;
         (home.camera, home.count) = (*camera, scene.count);
@@ -293,18 +292,18 @@ impl<R: Real> Share<R> {
             for rows in self.border(to, rank, size) {
                 for channel in 0..3 {
                     let at = channel * plane + rows.start * stride;
-                    message.extend(frame.image.read_words(at, rows.len() * stride)?);
+                    frame.image.append_words(at, rows.len() * stride, message)?;
                 }
             }
             for row in self.beside(to, rank, size) {
                 message.extend(frame.paired_tiles(row)?);
             }
         }
-        messages[LEADER].extend(frame.pairs_by_row()?);
+        messages[LEADER].extend(frame.pairs_by_row()?.as_flattened());
         let mut got = self.trade(Part::Borders, messages)?;
         let all = size.tiles()[1];
         if rank == LEADER {
-            self.pairs_by_row = vec![0; all];
+            self.pairs_by_row = vec![[0; 2]; all];
         }
         let words = size_of::<R>() / size_of::<u32>();
         for (from, message) in got.iter_mut().enumerate() {
@@ -328,8 +327,9 @@ impl<R: Real> Share<R> {
                 let told = message.get(1..begins).ok_or_else(short)?;
                 self.worked_by_rank[from] = Worked::from_words(told).ok_or_else(short)?;
                 let band = self.band(from);
-                let part = message.get(at..at + band.len()).ok_or_else(short)?;
-                self.pairs_by_row[band].copy_from_slice(part);
+                let part = message.get(at..at + 2 * band.len()).ok_or_else(short)?;
+                let rows = self.pairs_by_row[band].as_flattened_mut();
+                rows.copy_from_slice(part);
             }
         }
         let first = |message: &Vec<u32>| message.first().copied().unwrap_or(0);
@@ -370,6 +370,22 @@ impl<R: Real> Share<R> {
             .collect(device, scan, (part, &got), &mut self.home)?;
         self.updated += self.lap();
         Ok(self.route.rows(part))
+    }
+
+    /// Waits for the update of the rows, which is work on them; of what is done while messages are waited for nothing counts.
+    ///
+    /// # Errors
+    /// The driver's.
+    pub fn end_update(&mut self) -> Result<()> {
+        self.device.finish()?;
+        self.updated += self.lap();
+        Ok(())
+    }
+
+    /// Forgets the time of all work so far: it was on other rows.
+    pub fn forget_times(&mut self) {
+        self.lap();
+        (self.updated, self.worked) = (0.0, Worked::default());
     }
 
     /// Takes flags of the Gaussians that this rank's band got of the view rendered last to the ranks whose Gaussians they are; returns those of
@@ -430,7 +446,7 @@ impl<R: Real> Share<R> {
         let (first, len) = rows(rank);
         let mut own = Vec::new();
         for k in 0..count {
-            own.extend(planes.read_words(k * plane + first, len)?);
+            planes.append_words(k * plane + first, len, &mut own)?;
         }
         let got = self.trade(Part::Images, address(own))?;
         for (from, message) in got.iter().enumerate().filter(|(from, _)| *from != rank) {
@@ -450,7 +466,8 @@ impl<R: Real> Share<R> {
     pub fn sum_loss(&self, loss: &Loss<R>, pair: &ImagePair<'_, R>) -> Result<bool> {
         let (rank, mut own) = (self.exchange.rank(), Vec::new());
         for place in loss.places(pair.size, &self.band(rank)) {
-            own.extend(loss.partial.read_words(place.start, place.len())?);
+            loss.partial
+                .append_words(place.start, place.len(), &mut own)?;
         }
         let messages = to_one(self.exchange.as_ref(), LEADER, own);
         let got = self.trade(Part::Loss, messages)?;

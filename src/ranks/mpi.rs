@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::thread::{Builder, sleep, yield_now};
+use std::thread::{Builder, Thread, park_timeout, yield_now};
 use std::time::{Duration, Instant};
 
 use mpi::Threading;
@@ -20,7 +20,7 @@ const FIRST: u32 = 20;
 const EAGER: u32 = 200;
 /// Pause between two looks after that.
 const PAUSE: Duration = Duration::from_micros(40);
-/// Pause between two looks while nobody waits: this rank computes, maybe on all its cores.
+/// Longest pause between two looks while nobody waits: this rank computes, maybe on all its cores.
 const IDLE_PAUSE: Duration = Duration::from_micros(500);
 
 /// A task of the thread that has MPI.
@@ -40,6 +40,8 @@ struct Process {
     begun: Mutex<VecDeque<(Part, Answer)>>,
     meter: Meter,
     now: Arc<Now>,
+    /// The thread that has MPI.
+    thread: Thread,
 }
 
 /// Messages from all ranks, once they are there.
@@ -75,7 +77,8 @@ pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
     let work = move || serve(&to_do, &begun, (patience, &seen));
     let thread = Builder::new().name("mpi".to_owned()).spawn(work);
     let fix = "start it with mpirun or srun, as docs/guide/clusters.md shows";
-    thread.map_err(|e| Error::device("MPI", format!("no thread can be made: {e}"), fix))?;
+    let thread =
+        thread.map_err(|e| Error::device("MPI", format!("no thread can be made: {e}"), fix))?;
     match ready.recv() {
         Ok([rank, ranks]) => Ok(Arc::new(Process {
             rank,
@@ -84,6 +87,7 @@ pub fn mpi(patience: Patience) -> Result<Arc<dyn Exchange>> {
             begun: Mutex::default(),
             meter: Meter::default(),
             now,
+            thread: thread.thread().clone(),
         })),
         Err(_) => Err(Error::device("MPI", "it does not start", fix)),
     }
@@ -174,8 +178,8 @@ fn trade(
             match looks {
                 0 => {}
                 _ if looks <= eager => yield_now(),
-                _ if eager == FIRST => sleep(IDLE_PAUSE),
-                _ => sleep(PAUSE),
+                _ if eager == FIRST => park_timeout(IDLE_PAUSE),
+                _ => park_timeout(PAUSE),
             }
             abort(world, (patience, now));
             // The leader may write a report meanwhile.
@@ -232,6 +236,8 @@ impl Exchange for Process {
         let (part, got) = begun.pop_front().ok_or_else(nothing_begun)?;
         let since = Instant::now();
         self.now.waits.store(true, Ordering::Relaxed);
+        // It may pause.
+        self.thread.unpark();
         let got = got.recv().map_err(|_| gone());
         self.now.waits.store(false, Ordering::Relaxed);
         let got = got?;

@@ -9,8 +9,11 @@ use crate::base::error::{Error, Result};
 use crate::pipeline::share::{Share, Worked};
 use crate::ranks::{Exchange, LEADER, Part, to_all};
 
-/// Weight of a row of tiles in a division by bands, in pairs per tile: compositing and loss of a tile without any.
-const EMPTY_TILE: u64 = 16;
+/// Time of a tile's loss in a division by bands, in times of finding and sorting a pair; by the stages of 500,000 Gaussians at 800 px on
+/// a CPU, and so for the next.
+const TILE_WORK: u64 = 96;
+/// Time of compositing a pair and of its gradient, in the same.
+const USED_PAIR_WORK: u64 = 3;
 
 /// The ranks as the leader sees them: messages, threads, pairs of views, counts.
 #[derive(Debug)]
@@ -20,8 +23,8 @@ pub struct Crew {
     threads: Vec<JoinHandle<()>>,
     /// The leader's part of a view, while the rows are gathered.
     pub idle: Option<Share<f32>>,
-    /// Pairs of each row of tiles of a view when it was seen last, by view and number of rows.
-    pairs: BTreeMap<(usize, usize), Vec<u32>>,
+    /// Pairs of each row of tiles of a view when it was seen last, and those that were looked at, by view and number of rows.
+    pairs: BTreeMap<(usize, usize), Vec<[u32; 2]>>,
     /// Parts of the ranks in the rows of the Gaussians.
     row_parts: Parts,
     /// Parts of the ranks in the rows of tiles.
@@ -195,16 +198,21 @@ impl Crew {
     /// Bands of the next render of a view of so many rows of `across` tiles.
     #[must_use]
     pub fn bands(&self, view: usize, [across, rows]: [usize; 2]) -> Vec<u32> {
-        let empty = EMPTY_TILE * across as u64;
+        let empty = TILE_WORK * across as u64;
         let weights = match self.pairs.get(&(view, rows)) {
-            Some(pairs) => pairs.iter().map(|n| u64::from(*n) + empty).collect(),
+            Some(pairs) => {
+                let weight = |[all, used]: &[u32; 2]| {
+                    u64::from(*all) + USED_PAIR_WORK * u64::from(*used) + empty
+                };
+                pairs.iter().map(weight).collect()
+            }
             None => vec![empty; rows],
         };
         self.band_parts.bands(&weights)
     }
 
     /// Notes the pairs of each row of tiles of a view, for its next bands, and how long each rank worked, for the next parts.
-    pub fn note_view(&mut self, view: usize, pairs: &[u32], worked: &[Worked]) {
+    pub fn note_view(&mut self, view: usize, pairs: &[[u32; 2]], worked: &[Worked]) {
         self.pairs.insert((view, pairs.len()), pairs.to_vec());
         for (sum, worked) in self.worked_on_rows.iter_mut().zip(worked) {
             *sum += f64::from(worked.rows);

@@ -85,7 +85,7 @@ impl Trainer {
         };
         let mut seen = vec![false; scene.count];
         for camera in &self.views.set.cameras {
-            share.divide_evenly(camera.image())?;
+            share.divide_evenly(camera.image());
             share.render(forward, scene, camera, &options)?;
             let shown = share.return_flags(&forward.shown(stage)?)?;
             seen.iter_mut()

@@ -409,7 +409,7 @@ impl GaussianState {
                 let kept = (&order, rows.len());
                 edit::gather_rows(stage, kept, [first, some, stride], [array, scratch])?;
                 for plane in 0..some {
-                    words.extend(scratch.read_words(plane * stride, rows.len())?);
+                    scratch.append_words(plane * stride, rows.len(), &mut words)?;
                 }
             }
         }
@@ -422,7 +422,7 @@ impl GaussianState {
         let mut words = Vec::new();
         for (array, planes) in self.held() {
             for plane in 0..planes {
-                words.extend(array.read_words(plane * stride + rows.start, len)?);
+                array.append_words(plane * stride + rows.start, len, &mut words)?;
             }
         }
         Ok(words)

@@ -15,7 +15,7 @@ impl Renders for Trainer {
         }
         let mut words = vec![LOOK];
         words.extend(background.map(f32::to_bits));
-        words.extend(Array::from_slice(&self.device, "camera", &[*camera])?.read_words(0, 1)?);
+        Array::from_slice(&self.device, "camera", &[*camera])?.append_words(0, 1, &mut words)?;
         self.tell(words)?;
         self.render_band(camera, background)?;
         self.rest();
@@ -41,7 +41,7 @@ impl Trainer {
             return Err(Error::numerics("render", "no rows that ranks share"));
         };
         forward.frame.fit_image(&self.device, camera.image())?;
-        share.divide_evenly(camera.image())?;
+        share.divide_evenly(camera.image());
         share.render(forward, scene, camera, &options)?;
         share.show_leader(&mut forward.frame)
     }

@@ -215,7 +215,7 @@ pub(super) fn apply(
     let mut told = Vec::new();
     for axis in 0..3 {
         let at = (Plane::POSITION + axis) * gaussians.scene.stride;
-        told.extend(gaussians.scene.params.read_words(at, own)?);
+        gaussians.scene.params.append_words(at, own, &mut told)?;
     }
     let got = share.tell_all(Part::Evidence, told)?;
     let [x, y, z] = [0, 1, 2].map(|axis| places.plane(&got, axis));

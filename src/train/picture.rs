@@ -63,7 +63,7 @@ impl PendingPicture {
         } = &mut *on.pipeline;
         match share {
             Some(share) => {
-                share.divide_evenly(size)?;
+                share.divide_evenly(size);
                 share.render(forward, scene, &camera, &options)?;
                 share.complete(&forward.frame.image, 4, size)?;
             }

@@ -195,7 +195,7 @@ impl Trainer {
         };
         let bands = crew.bands(number, [across, rows]);
         let words = [&[ITERATE, iteration, sh_degree], bands.as_slice()].concat();
-        share.set_bands(bands)?;
+        share.set_bands(bands);
         // A photo that cannot be read is an error before the others begin.
         self.views.at(iteration, Some(share))?;
         self.tell(words)
@@ -310,7 +310,14 @@ impl Trainer {
         if let Some(idle) = self.crew.as_mut().and_then(|crew| crew.idle.take()) {
             self.pipeline.share = Some(idle);
         }
+        self.forget_times();
         Ok(())
+    }
+
+    fn forget_times(&mut self) {
+        if let Some(share) = &mut self.pipeline.share {
+            share.forget_times();
+        }
     }
 
     /// The words before the rows in a message that spreads some of all rows: first row, number, all rows, SH degree, the lengths of the run,
@@ -365,7 +372,9 @@ impl Trainer {
                 model.restore(&rows)?;
             }
         }
-        self.take_part(Shard { first, all }, [count, degree as usize], words.0)
+        self.take_part(Shard { first, all }, [count, degree as usize], words.0)?;
+        self.forget_times();
+        Ok(())
     }
 
     /// Takes a part of all rows: their number, SH degree and words.
@@ -477,7 +486,7 @@ impl Trainer {
                 [] => {}
                 [ITERATE, iteration, sh_degree, bands @ ..] => {
                     if let Some(share) = &mut self.pipeline.share {
-                        share.set_bands(bands.to_vec())?;
+                        share.set_bands(bands.to_vec());
                     }
                     self.iterate(*iteration, *sh_degree)?;
                     self.device.flush()?;

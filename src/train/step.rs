@@ -234,7 +234,7 @@ impl Trainer {
         Ok(trainer)
     }
 
-    /// One iteration, enqueued and not waited for.
+    /// One iteration, enqueued and not waited for; where ranks share the rows, all of it is waited for.
     pub(super) fn iterate(&mut self, iteration: u32, sh_degree: u32) -> Result<()> {
         if self.smoothing_due(iteration) {
             self.smooth()?;
@@ -277,7 +277,8 @@ impl Trainer {
                 .step(&self.pipeline, &self.gaussians, at, rows)?;
         }
         self.control
-            .perturb(iteration, &self.pipeline, &self.gaussians)
+            .perturb(iteration, &self.pipeline, &self.gaussians)?;
+        self.pipeline.end_update()
     }
 
     /// True if the smoothing filter is to be computed before an iteration: a density step that has just ended has done it already.
@@ -455,7 +456,7 @@ impl Trainer {
         }
         let max = &mut self.counters.max_intersections;
         let found = match &self.pipeline.share {
-            Some(share) => share.pairs_by_row.iter().map(|n| *n as usize).sum(),
+            Some(share) => share.pairs_by_row.iter().map(|[n, _]| *n as usize).sum(),
             None => counters[status::INTERSECTIONS as usize] as usize,
         };
         *max = (*max).max(found);

@@ -127,7 +127,7 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
     if let Some((exchange, _, bands, parts)) = part {
         scene.shard = Some(Shard { first, all });
         let mut share = Share::in_parts(&device, defines, exchange, parts).unwrap();
-        share.set_bands(bands).unwrap();
+        share.set_bands(bands);
         // Of the photo there is what the band needs.
         let (planes, [width, _]) = (case.photo.alpha.planes(), camera.image().0);
         let rows = photo_rows(&share.own_band(), camera.image());

@@ -108,6 +108,7 @@ fn scaling(
     let options = match args.brief.as_slice() {
         [] => Options {
             cases: SCALED.to_vec(),
+            samples: 15,
             ..options.clone()
         },
         _ => options.clone(),

@@ -1,23 +1,30 @@
 //! Several ranks on one scene: what an iteration takes and sends, and a model of as many nodes like this one.
 
+use std::panic::resume_unwind;
+use std::thread;
 use std::time::Instant;
 
 use serde::Serialize;
 
+use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
 use crate::base::process::process_cpu_seconds;
-use crate::device::{Device, DeviceKind, Helpers};
+use crate::device::tuning::status;
+use crate::device::{CameraArg, Device, DeviceKind, Helpers, Projected};
 use crate::lab::bench::options::Options;
 use crate::lab::bench::record::spread;
 use crate::lab::bench::scene::{self, VIEWS};
 use crate::lab::report::{Report, Section};
-use crate::lab::stats::{Ratio, Spread, ratio};
+use crate::lab::stats::Spread;
 use crate::lab::table::{Table, digits, few, or_dash};
+use crate::pipeline::forward::RenderOptions;
 use crate::ranks::{Part, Traffic, Waits};
 use crate::train::{Plan, Trainer};
 
 /// Numbers of ranks that are measured.
 const MEASURED: [usize; 3] = [1, 2, 4];
+/// Order in which they are: two ranks between one and one beside another, with which they are compared.
+const BY_TURNS: [usize; 3] = [1, 0, 2];
 /// Numbers of ranks that the model tells.
 const TOLD: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
 /// Networks of the model: name, bits a second, seconds from one rank to another.
@@ -49,6 +56,10 @@ pub struct Shared {
     pub works_ms: [f64; 2],
 }
 
+/// Caption of the table of iterations.
+const SENT: &str = "An iteration; what the first rank sends to others, and, of all, what each would send if the record and the sums of every \
+                    visible Gaussian travelled once.";
+
 /// Counts of a trainer so far.
 struct Counts {
     sent: Traffic,
@@ -65,15 +76,23 @@ pub struct Scaling {
     pub size: u32,
     /// Measured numbers of ranks.
     pub shared: Vec<Shared>,
+    /// Visible Gaussians of a view, mean.
+    pub visible: f64,
+    /// Wall time of an iteration of one rank while another, on cores of its own, trains a scene of its own, ms. `None` where there are
+    /// no two.
+    pub beside_ms: Option<Spread>,
+    /// Wall time of one rank over that of two, of samples that follow each other.
+    pub speedup: Option<Spread>,
+    /// The same of one beside another ([`Scaling::beside_ms`]): the machine takes as much from either side.
+    pub speedup_beside: Option<Spread>,
 }
 
-/// A trainer that changes nothing, by so many ranks of one core each, or of as many as there are for four ranks on a larger machine.
-fn trainer(
+/// So many devices: parts of one core each of the one selected, or, on a larger machine, a quarter of its cores.
+fn devices(
     open: &dyn Fn(&str) -> Result<Device>,
     (device, cores): (&str, usize),
-    (gaussians, size): (usize, u32),
     ranks: usize,
-) -> Result<Trainer> {
+) -> Result<Vec<Device>> {
     let parts = cores.clamp(1, MEASURED[MEASURED.len() - 1]);
     let part = match parts {
         1 => device.to_owned(),
@@ -82,14 +101,21 @@ fn trainer(
     // Of each list of parts there are as many as parts.
     let lists = vec![part; ranks.div_ceil(parts).max(1)];
     let all = open(&lists.join(","))?;
+    let mut devices = vec![all.clone()];
+    if let Helpers::Devices(others) = all.helpers() {
+        devices.extend(others.iter().take(ranks - 1).cloned());
+    }
+    Ok(devices)
+}
+
+/// A trainer that changes nothing, by the devices.
+fn trainer(devices: &[Device], (gaussians, size): (usize, u32)) -> Result<Trainer> {
     let data = scene::dataset(&scene::circle(size));
     let plan = Plan::new(&data, &scene::still(scene::SH_DEGREE))?;
-    let mut trainer = Trainer::new(&all, &data, &plan, &scene::cloud(gaussians))?;
-    let helpers = match all.helpers() {
-        Helpers::Devices(devices) if ranks > 1 => {
-            Helpers::Devices(devices.iter().take(ranks - 1).cloned().collect())
-        }
-        _ => Helpers::None,
+    let mut trainer = Trainer::new(&devices[0], &data, &plan, &scene::cloud(gaussians))?;
+    let helpers = match &devices[1..] {
+        [] => Helpers::None,
+        others => Helpers::Devices(others.into()),
     };
     let none = |_: &Trainer| Err(Error::numerics("bench", "processes"));
     trainer.recruit(&helpers, &data.train, data.image_budget, none)?;
@@ -107,6 +133,34 @@ fn sample(trainer: &mut Trainer, iterations: u32) -> Result<[f64; 2]> {
     trainer.noted_loss()?;
     let each = f64::from(iterations);
     Ok([began.elapsed().as_secs_f64(), process_cpu_seconds() - cpu].map(|s| s / each))
+}
+
+/// Mean wall seconds of an iteration of trainers that have nothing to do with each other, at the same time; `None` without any.
+fn sample_beside(trainers: &mut [Trainer], iterations: u32) -> Result<Option<f64>> {
+    let each = thread::scope(|scope| {
+        let spawn = |trainer| scope.spawn(move || sample(trainer, iterations));
+        let threads: Vec<_> = trainers.iter_mut().map(spawn).collect();
+        let join = |thread: thread::ScopedJoinHandle<_>| match thread.join() {
+            Ok(sample) => sample,
+            Err(panic) => resume_unwind(panic),
+        };
+        threads.into_iter().map(join).collect::<Result<Vec<_>>>()
+    })?;
+    let sum: f64 = each.iter().map(|[wall, _]| wall).sum();
+    Ok((!each.is_empty()).then(|| sum / each.len() as f64))
+}
+
+/// Visible Gaussians of a view, mean.
+fn visible(trainer: &mut Trainer, size: u32) -> Result<f64> {
+    let (scene, renderer) = trainer.scene_and_renderer()?;
+    let cameras = scene::circle(size);
+    let mut all = 0;
+    for camera in &cameras {
+        let camera = CameraArg::<f32>::new(camera);
+        renderer.render(scene, &camera, &RenderOptions::default())?;
+        all += renderer.frame.status.read(status::VISIBLE as usize, 1)?[0];
+    }
+    Ok(f64::from(all) / cameras.len() as f64)
 }
 
 /// Measures the cases of the options that are large enough to be worth it, by turns of the numbers of ranks. `open` opens a list of
@@ -127,8 +181,18 @@ pub fn measure(
     };
     let measure_case = |case: &(usize, u32)| {
         note(&format!("{} Gaussians, {} px", case.0, case.1));
-        let make = |ranks: &usize| trainer(open, (device, cores), *case, *ranks);
+        let devices = |ranks: usize| devices(open, (device, cores), ranks);
+        let make = |ranks: &usize| trainer(&devices(*ranks)?, *case);
         let mut trainers: Vec<Trainer> = MEASURED.iter().map(make).collect::<Result<_>>()?;
+        let mut singles: Vec<Trainer> = match cores {
+            0 | 1 => Vec::new(),
+            _ => {
+                let devices = devices(2)?;
+                let each = devices.chunks(1).map(|device| trainer(device, *case));
+                each.collect::<Result<_>>()?
+            }
+        };
+        sample_beside(&mut singles, VIEWS)?;
         let mut iterations = VIEWS;
         for trainer in &mut trainers {
             // Every view once, for its bands; then the length of a sample.
@@ -144,9 +208,11 @@ pub fn measure(
         };
         let before: Vec<Counts> = trainers.iter().map(counts).collect();
         let mut samples = vec![Vec::new(); trainers.len()];
+        let mut beside = Vec::new();
         for _ in 0..options.samples {
-            for (trainer, samples) in trainers.iter_mut().zip(&mut samples) {
-                samples.push(sample(trainer, iterations)?);
+            beside.extend(sample_beside(&mut singles, iterations)?);
+            for k in BY_TURNS {
+                samples[k].push(sample(&mut trainers[k], iterations)?);
             }
         }
         let mut shared = Vec::new();
@@ -176,9 +242,18 @@ pub fn measure(
                 works_ms: [work(0), work(1)],
             });
         }
+        let walls = |k: usize| samples[k].iter().map(|s| s[0]).collect::<Vec<f64>>();
+        let faster = |one: &[f64]| {
+            let ratios: Vec<f64> = one.iter().zip(walls(1)).map(|(a, b)| a / b).collect();
+            Spread::of_ratios(&ratios).filter(|_| MEASURED[1] <= cores)
+        };
         Ok(Scaling {
             gaussians: case.0,
             size: case.1,
+            visible: visible(&mut trainers[0], case.1)?,
+            beside_ms: Spread::of(&beside).map(|s| s.scaled(1e3)),
+            speedup: faster(&walls(0)),
+            speedup_beside: faster(&beside),
             shared,
         })
     };
@@ -211,12 +286,6 @@ impl Predicted {
 impl Scaling {
     fn of(&self, ranks: usize) -> Option<&Shared> {
         self.shared.iter().find(|s| s.ranks == ranks)
-    }
-
-    /// Wall time of one rank over that of two, if both have their own cores.
-    fn speedup(&self) -> Option<Ratio> {
-        let [one, two] = [self.of(1)?, self.of(2)?];
-        two.apart.then(|| ratio(&one.ms, &two.ms)).flatten()
     }
 
     /// Milliseconds of CPU that one rank takes, and that each further rank adds: least squares over what was measured.
@@ -255,6 +324,12 @@ impl Scaling {
         }
     }
 
+    /// Bytes that one of so many ranks would send if the records and the sums of all visible Gaussians travelled once.
+    fn bound(&self, ranks: usize) -> f64 {
+        let each = size_of::<Projected<f32>>() + SUMS * size_of::<f32>();
+        self.visible * each as f64 / ranks as f64
+    }
+
     fn title(&self) -> String {
         format!(
             "{} Gaussians, {} × {} px",
@@ -275,6 +350,7 @@ impl Scaling {
                 ms(&s.cpu_ms),
                 bytes("records"),
                 bytes("sums"),
+                digits(self.bound(s.ranks) / 1e3),
                 bytes("borders"),
                 bytes("loss"),
             ]
@@ -285,6 +361,7 @@ impl Scaling {
             "CPU ms of all",
             "records, kB",
             "sums, kB",
+            "of all, kB",
             "borders, kB",
             "loss, kB",
         ];
@@ -308,8 +385,15 @@ impl Scaling {
             "wait: loss",
             "wait: sums",
         ];
-        let speedup = or_dash(self.speedup(), |r| crate::lab::table::ratio(&r));
-        let measured = format!("{}, two ranks {speedup} as fast as one", self.title());
+        let [speedup, beside] =
+            [&self.speedup, &self.speedup_beside].map(|r| or_dash(r.as_ref(), |r| few(r, digits)));
+        let measured = match self.speedup {
+            Some(_) => format!(
+                "{}, two ranks {speedup} as fast as one, {beside} as one beside another scene",
+                self.title()
+            ),
+            None => self.title(),
+        };
         let model = |ranks: &usize| {
             let one = self.predict(1, NETWORKS[0]).total();
             let cells = NETWORKS.map(|network| {
@@ -323,7 +407,14 @@ impl Scaling {
         vec![
             Section::Table(Table::new(
                 measured,
-                "An iteration; what one rank sends to others.",
+                match &self.beside_ms {
+                    Some(ms) => format!(
+                        "{SENT} One rank takes {} ms while another trains a scene of its own, which takes caches, memory and clock from \
+                         it, too.",
+                        few(ms, digits)
+                    ),
+                    None => SENT.to_owned(),
+                },
                 &columns,
                 self.shared.iter().map(row),
             )),
@@ -393,6 +484,10 @@ mod tests {
             gaussians: 1,
             size: 1,
             shared: vec![of(1), of(2), of(4)],
+            visible: 1000.0,
+            beside_ms: None,
+            speedup: None,
+            speedup_beside: None,
         };
         assert_eq!(scaling.compute(), [100.0, 2.0]);
         for ranks in [1, 2, 4, 64] {
@@ -405,7 +500,7 @@ mod tests {
         assert_eq!(fast.limit(), "computing");
         assert!((fast.compute - 0.051).abs() < 1e-9);
         assert_eq!(scaling.predict(1, NETWORKS[0]).total(), 0.1);
-        let speedup = scaling.speedup().unwrap();
-        assert!((speedup.median - 100.0 / 51.0).abs() < 1e-9);
+        // A record of 48 bytes and nine sums, of half of the visible Gaussians.
+        assert_eq!(scaling.bound(2), 1000.0 * (48.0 + 36.0) / 2.0);
     }
 }

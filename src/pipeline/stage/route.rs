@@ -204,8 +204,9 @@ impl<R: Real> Route<R> {
             if rank == self.rank {
                 return Ok(Vec::new());
             }
-            let mut words = trip.keys.read_words(*from, n)?;
-            words.extend(trip.sent.read_words(*from, n)?);
+            let mut words = Vec::with_capacity(n * routed_words::<R>());
+            trip.keys.append_words(*from, n, &mut words)?;
+            trip.sent.append_words(*from, n, &mut words)?;
             Ok(words)
         };
         firsts.iter().enumerate().map(message).collect()
@@ -341,9 +342,11 @@ impl<R: Real> Route<R> {
             let starts = &self.back[got.start..=got.end];
             let (first, end) = (starts[0] as usize, starts[got.len()] as usize);
             let gap = if rank < self.rank { 0 } else { self.own_pairs };
-            let mut words = starts.to_vec();
-            let sums = (first - gap) * SUMS;
-            words.extend(self.ordered.read_words(sums, (end - first) * SUMS)?);
+            let sums = (end - first) * SUMS;
+            let mut words = Vec::with_capacity(starts.len() + sums * size_of::<R>() / 4);
+            words.extend(starts);
+            self.ordered
+                .append_words((first - gap) * SUMS, sums, &mut words)?;
             Ok(words)
         };
         let got = self.trips[part].got.iter();
