@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use mhsplat::config::{Length, Sampler, TrainConfig};
+use mhsplat::config::{Length, Sampler, TrainConfig, TrainingSize};
 use mhsplat::run::{RunRecord, checkpoint};
 use mhsplat::train::schedule::Schedule;
 
@@ -133,10 +133,7 @@ fn a_finished_run_goes_on_to_more_iterations() {
     assert!(resume("first", "150").status.success());
     let record = RunRecord::read(run("first")).unwrap();
     assert_eq!((record.iterations, record.config.iterations), (150, 60));
-    let length = Length {
-        from: 60,
-        iterations: 150,
-    };
+    let length = Length::new(60, 150);
     assert_eq!(record.config.lengths, [length]);
     let settings = run("first").join("run.json");
     train(&["--config", settings.to_str().unwrap()], &run("again"));
@@ -149,6 +146,64 @@ fn a_finished_run_goes_on_to_more_iterations() {
     assert_eq!(record.config.time_budget, None);
     let [a, b] = ["first", "again"].map(|r| fs::read(run(r).join("scene.ply")).unwrap());
     assert!(a == b, "other bytes");
+}
+
+/// A budget with room for few iterations: the photos are smaller, which is recorded, said and repeated; an extension without a budget
+/// brings the size that was asked for.
+#[test]
+fn a_budget_with_room_for_few_iterations_trains_on_smaller_photos() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |name: &str| dir.path().join(name);
+    let few = dir.path().join("few.toml");
+    fs::write(&few, "[work]\nresolution-iterations = 1000000\n").unwrap();
+    let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
+    let mut command = program();
+    command.arg("train").arg(room).args(["--max-size", "256"]);
+    command.args(["--budget-cpu", "6s", "--progress", "log"]);
+    let done = command.arg("--config").arg(&few).arg("-o").arg(run("small"));
+    let done = done.output().unwrap();
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{said}");
+    assert!(said.contains("9/16 of the photos' size"), "{said}");
+    let record = RunRecord::read(run("small")).unwrap();
+    let sizes = record.config.lengths.iter().map(|l| l.size);
+    assert!(
+        sizes
+            .into_iter()
+            .all(|size| size == TrainingSize::NineSixteenths)
+    );
+    let mut left_out = record.plan.left_out.iter();
+    assert!(left_out.any(|item| item.why.contains("trained at 9/16")));
+    let of_config = |name: &str, from: &Path, more: &[&str]| {
+        let mut command = program();
+        command.arg("train").arg(&record.dataset.path);
+        command.arg("--config").arg(from).args(more);
+        let done = command.arg("-o").arg(run(name)).output().unwrap();
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert!(done.status.success(), "{said}");
+        RunRecord::read(run(name)).unwrap()
+    };
+    let settings = run("small").join("run.json");
+    let again = of_config("again", &settings, &[]);
+    assert_eq!(again.config.lengths, record.config.lengths);
+    if record.iterations == again.iterations {
+        let [a, b] = ["small", "again"].map(|r| fs::read(run(r).join("scene.ply")).unwrap());
+        assert!(a == b, "other bytes");
+    }
+    // The same lengths at full size give another scene.
+    let text = fs::read_to_string(&settings).unwrap();
+    let whole = dir.path().join("whole.json");
+    fs::write(&whole, text.replace("\"9/16\"", "\"full\"")).unwrap();
+    of_config("whole", &whole, &[]);
+    let [a, b] = ["again", "whole"].map(|r| fs::read(run(r).join("scene.ply")).unwrap());
+    assert!(a != b, "the same bytes");
+    let more = (again.iterations + 30).to_string();
+    let mut longer = program();
+    longer.arg("train").arg("--resume").arg(run("again"));
+    assert!(longer.args(["--iterations", &more]).status().unwrap().success());
+    let longer = RunRecord::read(run("again")).unwrap();
+    assert_eq!(longer.config.last_size(), TrainingSize::Full);
+    assert_eq!(longer.iterations, again.iterations + 30);
 }
 
 /// CPU seconds of the process end the run, whatever a clock on the wall says.
@@ -175,7 +230,7 @@ fn a_budget_of_cpu_seconds_gives_a_whole_run() {
 /// Lengths that go up and down.
 fn changing(sampler: Sampler) -> Schedule {
     let lengths = [(20, 900), (60, 1100), (137, 870), (400, 1000), (640, 700)];
-    let lengths = lengths.map(|(from, iterations)| Length { from, iterations });
+    let lengths = lengths.map(|(from, iterations)| Length::new(from, iterations));
     Schedule::new(&TrainConfig {
         sampler,
         lengths: lengths.to_vec(),
@@ -206,7 +261,7 @@ fn density_steps_keep_their_distance_where_the_length_changes() {
 fn a_length_takes_the_place_of_one_from_the_same_iteration() {
     let mut config = TrainConfig::default();
     for (from, iterations) in [(20, 900), (60, 1100), (60, 700)] {
-        config.set_length(Length { from, iterations });
+        config.set_length(Length::new(from, iterations));
     }
     config.validate().unwrap();
     assert_eq!(
@@ -215,7 +270,7 @@ fn a_length_takes_the_place_of_one_from_the_same_iteration() {
     );
     for wrong in [[(60, 700), (20, 900)], [(20, 900), (60, 60)]] {
         config.lengths = wrong
-            .map(|(from, iterations)| Length { from, iterations })
+            .map(|(from, iterations)| Length::new(from, iterations))
             .to_vec();
         assert!(config.validate().is_err(), "{wrong:?}");
     }

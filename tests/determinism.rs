@@ -2,7 +2,7 @@
 
 use mhsplat::Plan;
 use mhsplat::capture::{Dataset, LoadOptions, load};
-use mhsplat::config::{ExposureChoice, Length, MhConfig, Sampler};
+use mhsplat::config::{ExposureChoice, Length, MhConfig, Sampler, TrainingSize};
 use mhsplat::device::Device;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::run::checkpoint::Checkpoint;
@@ -279,7 +279,7 @@ fn a_run_that_begins_with_coarse_photos_resumes_with_the_same_bits() {
 fn coarse_photos_come_first_and_keep_64_pixels() {
     let schedule = Schedule::new(&config(3000));
     let sizes = Sizes::at_shares(&[0.05, 0.1]);
-    let factors = |size| [0, 149, 150, 299, 300].map(|i| schedule.shrink_factor(&sizes, i, size));
+    let factors = |size| [0, 149, 150, 299, 300].map(|i| schedule.scale_of(&sizes, i, size).den);
     assert_eq!(factors([800, 600]), [4, 4, 2, 2, 1]);
     assert_eq!(factors([800, 200]), [2, 2, 2, 2, 1]);
     assert_eq!(factors([100, 90]), [1; 5]);
@@ -290,14 +290,34 @@ fn photos_do_not_shrink_again_in_a_run_that_gets_longer() {
     let (sizes, photo) = (Sizes::at_shares(&[0.75]), [800, 600]);
     let mut schedule = Schedule::new(&config(1000));
     let mut lengthen = |from, iterations| {
-        schedule.set_length(Length { from, iterations });
-        let factors = [0, 749, 750, 2249, 2250].map(|i| schedule.shrink_factor(&sizes, i, photo));
+        schedule.set_length(Length::new(from, iterations));
+        let factors = [0, 749, 750, 2249, 2250].map(|i| schedule.scale_of(&sizes, i, photo).den);
         (factors, schedule.full_size_from(&sizes, photo))
     };
     // Full size was reached before; then not yet, and at once when the run gets shorter.
     assert_eq!(lengthen(800, 3000), ([2, 2, 1, 1, 1], 750));
     assert_eq!(lengthen(400, 3000), ([2, 2, 2, 2, 1], 2250));
     assert_eq!(lengthen(900, 1000), ([2, 2, 2, 1, 1], 900));
+}
+
+/// The largest size is that of the length; smaller sizes come from it, whatever it is.
+#[test]
+fn a_length_says_the_largest_size_of_the_photos() {
+    let (sizes, photo) = (Sizes::at_shares(&[0.25, 0.5]), [800, 600]);
+    let mut schedule = Schedule::new(&config(1000));
+    let mut set = |from, iterations, size| {
+        schedule.set_length(Length {
+            size,
+            ..Length::new(from, iterations)
+        });
+        let at = [0, 100, 300, 700, 950].map(|i| schedule.scale_of(&sizes, i, photo));
+        let at = at.map(|scale| (scale.num, scale.den));
+        (at, schedule.full_size_from(&sizes, photo))
+    };
+    let quarters = set(20, 1000, TrainingSize::ThreeQuarters);
+    assert_eq!(quarters, ([(1, 4), (3, 16), (3, 8), (3, 4), (3, 4)], 500));
+    let full = set(900, 1200, TrainingSize::Full);
+    assert_eq!(full, ([(1, 4), (3, 16), (3, 8), (3, 4), (1, 1)], 900));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
-use mhsplat::config::{MhConfig, Sampler};
+use mhsplat::config::{MhConfig, Sampler, TrainingSize};
 use mhsplat::density::Expected;
 use mhsplat::device::Device;
 use mhsplat::run::initial_gaussians;
@@ -55,7 +55,7 @@ fn made(trainer: &mut Trainer, change: u32, length: u32) -> Steps {
     let mut steps = Vec::new();
     while trainer.iteration() < length {
         if trainer.iteration() == change {
-            trainer.set_length(length).unwrap();
+            trainer.set_length(length, TrainingSize::Full).unwrap();
         }
         if let Event::Density(step) = trainer.advance().unwrap() {
             steps.push((step.iteration, step.gaussians as f64));

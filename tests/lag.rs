@@ -2,7 +2,7 @@
 
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
-use mhsplat::config::{Length, Sampler, Surrogate};
+use mhsplat::config::{Length, Sampler, Surrogate, TrainingSize};
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Device, DeviceKind};
 use mhsplat::run::{checkpoint, initial_gaussians};
@@ -205,15 +205,9 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
         let plan = plan.with_strategy(DeviceKind::Gpu, strategy.as_ref());
         let mut schedule = plan.schedule();
         assert_eq!(schedule.density_lag(1000), 16);
-        schedule.set_length(Length {
-            from: 100,
-            iterations: 800,
-        });
+        schedule.set_length(Length::new(100, 800));
         assert_eq!(schedule.density_lag(200), after);
-        schedule.set_length(Length {
-            from: 300,
-            iterations: 30_000,
-        });
+        schedule.set_length(Length::new(300, 30_000));
         assert_eq!(schedule.density_lag(400), 16);
         // A rank lags as its leader does, whatever its own device is.
         let led = plan.led_by(DeviceKind::Cpu);
@@ -252,7 +246,7 @@ fn a_length_that_changes_after_a_step_is_repeated_to_the_bit() {
         changed.advance().unwrap();
     }
     let (at, longer) = (changed.iteration(), ITERATIONS + 60);
-    changed.set_length(longer).unwrap();
+    changed.set_length(longer, TrainingSize::ThreeQuarters).unwrap();
     drive(&mut changed, longer).unwrap();
     let mut repeated = config.clone();
     repeated.lengths = changed.plan().config.lengths.clone();

@@ -17,7 +17,7 @@ use mhsplat::capture::source::parse_available;
 use mhsplat::capture::{Alpha, Dataset, LoadOptions, PhotoSource, load};
 use mhsplat::config::parse_bytes;
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Array, Defines, Device, ImageSize, Kernels};
+use mhsplat::device::{Array, Defines, Device, ImageSize, Kernels, PhotoScale};
 use mhsplat::evaluate::{Evaluator, ViewScore};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::photo_array::PhotoArray;
@@ -62,7 +62,7 @@ const fn whole(photo: usize) -> Wanted {
 const fn smaller(photo: usize, divisor: usize) -> Wanted {
     Wanted {
         photo,
-        divisor,
+        scale: PhotoScale::one_over(divisor),
         rows: None,
     }
 }
@@ -158,7 +158,7 @@ fn halved(budget: u64, rounds: usize) -> (PhotoStats, PhotoStats) {
         for photo in (0..6).cycle().take(6 * rounds) {
             let found = photos.get(smaller(photo, divisor), []).unwrap();
             let expected = data.train[photo].photo.load().unwrap();
-            let expected = shrink(&expected, divisor as u32);
+            let expected = shrink(&expected, PhotoScale::one_over(divisor));
             assert_eq!(found.to_vec().unwrap(), expected.data, "photo {photo}");
         }
         stats.push(photos.stats());
@@ -251,7 +251,7 @@ fn a_part_of_a_photo_is_kept_where_no_more_is_wanted() {
     let photos = added(&data);
     let get = |wanted: Wanted, kept: Range<usize>, decoded: u64| {
         let photo = data.train[wanted.photo].photo.load().unwrap();
-        let photo = shrink(&photo, wanted.divisor as u32);
+        let photo = shrink(&photo, wanted.scale);
         let (width, pixels) = (photo.width as usize, (photo.width * photo.height) as usize);
         let planes = photo.data.chunks_exact(pixels);
         let rows = planes.map(|plane| &plane[kept.start * width..kept.end * width]);

@@ -7,12 +7,12 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use mhsplat::base::cores::Cores;
 use mhsplat::capture::{Alpha, Dataset};
-use mhsplat::config::{AntiAliasing, Background, ExposureChoice, Sampler, Surrogate};
+use mhsplat::config::{AntiAliasing, Background, ExposureChoice, Sampler, Surrogate, TrainingSize};
 use mhsplat::density::{
     DensityControl, Outcome, SceneState, Statistics, StatisticsKind, StepContext, make,
 };
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Defines, Device, Helpers};
+use mhsplat::device::{Defines, Device, Helpers, PhotoScale};
 use mhsplat::evaluate::Evaluator;
 use mhsplat::lab::bench::scene::cloud;
 use mhsplat::pipeline::buffers::ViewSet;
@@ -154,7 +154,7 @@ fn ranks_change_no_bit_of_transparent_or_masked_photos() {
         let mut data = holed(0, meaning);
         // Photos of two sizes, so that a density step looks at views of more tiles than the iteration before it had.
         for view in data.train.iter_mut().step_by(2) {
-            let small = shrink(&view.photo.load().unwrap(), 2);
+            let small = shrink(&view.photo.load().unwrap(), PhotoScale::one_over(2));
             view.camera = view.camera.scaled_to(small.width, small.height);
             view.photo = small.into();
         }
@@ -316,7 +316,7 @@ fn a_look_and_a_new_length_change_nothing() {
             .add_color_corrected(&mut scores, &mut trainer, [0.5; 3])
             .unwrap();
         let splats = trainer.splats().unwrap();
-        trainer.set_length(90).unwrap();
+        trainer.set_length(90, TrainingSize::ThreeQuarters).unwrap();
         trainer.advance_to(90).unwrap();
         ((image, losses, scores, splats), trainer.state().unwrap())
     };

@@ -34,6 +34,49 @@ pub enum ExposureChoice {
     Off,
 }
 
+/// Size of the photos that a run trains on, over the size asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+pub enum TrainingSize {
+    /// All of it.
+    #[default]
+    #[serde(rename = "full")]
+    Full,
+    /// Three quarters of each side.
+    #[serde(rename = "3/4")]
+    ThreeQuarters,
+    /// Three quarters of three quarters.
+    #[serde(rename = "9/16")]
+    NineSixteenths,
+}
+
+impl TrainingSize {
+    /// All of them, the largest first.
+    pub const ALL: [Self; 3] = [Self::Full, Self::ThreeQuarters, Self::NineSixteenths];
+
+    /// Returns numerator and denominator of the fraction of a side.
+    #[must_use]
+    pub fn fraction(self) -> [u32; 2] {
+        match self {
+            Self::Full => [1, 1],
+            Self::ThreeQuarters => [3, 4],
+            Self::NineSixteenths => [9, 16],
+        }
+    }
+
+    /// Returns the fraction of the pixels.
+    #[must_use]
+    pub fn area(self) -> f64 {
+        let [num, den] = self.fraction().map(f64::from);
+        (num / den).powi(2)
+    }
+
+    /// Returns true for all of the size.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        *self == Self::Full
+    }
+}
+
 /// Length of a run in a word: its time depends on photos, scene and device, and is told after the first iterations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Preset {

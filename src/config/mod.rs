@@ -11,7 +11,7 @@ mod values;
 mod work;
 
 pub use choices::{Acceptance, Birth, Surrogate, ViewSubset};
-pub use choices::{AntiAliasing, ExposureChoice, Preset, SceneFormat};
+pub use choices::{AntiAliasing, ExposureChoice, Preset, SceneFormat, TrainingSize};
 pub use mh::MhConfig;
 pub use optimizer::{LossConfig, OptimizerConfig};
 pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};

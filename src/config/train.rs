@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::config::choices::{AntiAliasing, ExposureChoice, SceneFormat};
+use crate::config::choices::{AntiAliasing, ExposureChoice, SceneFormat, TrainingSize};
 use crate::config::mh::MhConfig;
 use crate::config::optimizer::{LossConfig, OptimizerConfig};
 use crate::config::samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
@@ -120,14 +120,14 @@ pub struct TrainConfig {
     /// Adaptive density control.
     #[arg(skip)]
     pub adc: AdcConfig,
-    /// Iterations of the whole run as its time budget set them on the way; none without one. A configuration with some repeats
-    /// these decisions, whatever the clock says.
+    /// Iterations of the whole run, and the size of its photos, as its time budget set them on the way; none without one. A configuration
+    /// with some repeats these decisions, whatever the clock says.
     #[arg(skip)]
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lengths: Vec<Length>,
 }
 
-/// Number of iterations of a run from one of them on.
+/// Number of iterations of a run from one of them on, and the size of its photos.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Length {
@@ -135,6 +135,22 @@ pub struct Length {
     pub from: u32,
     /// Iterations of the whole run.
     pub iterations: u32,
+    /// Largest size of the photos.
+    #[serde(default, skip_serializing_if = "TrainingSize::is_full")]
+    pub size: TrainingSize,
+}
+
+impl Length {
+    /// Returns a length of a run on photos of the size asked for.
+    #[must_use]
+    pub fn new(from: u32, iterations: u32) -> Self {
+        let size = TrainingSize::Full;
+        Self {
+            from,
+            iterations,
+            size,
+        }
+    }
 }
 
 impl Default for TrainConfig {
@@ -271,6 +287,19 @@ impl TrainConfig {
     #[must_use]
     pub fn last_iterations(&self) -> u32 {
         self.iterations_at(u32::MAX)
+    }
+
+    /// Returns the largest size of photos from an iteration on.
+    #[must_use]
+    pub fn size_at(&self, iteration: u32) -> TrainingSize {
+        let planned = self.lengths.iter().rev().find(|l| l.from <= iteration);
+        planned.map_or(TrainingSize::Full, |l| l.size)
+    }
+
+    /// Returns the largest size of photos as it was planned last.
+    #[must_use]
+    pub fn last_size(&self) -> TrainingSize {
+        self.size_at(u32::MAX)
     }
 
     /// Returns when the chosen sampler acts; `None` for a fixed set of Gaussians.

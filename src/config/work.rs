@@ -18,6 +18,9 @@ pub struct WorkConfig {
     pub resolution_detail: f64,
     /// Largest share of the run at the smaller sizes together.
     pub resolution_share: f64,
+    /// A run with a time budget into which fewer iterations fit trains at 3/4 of the photos' size, and at 9/16 where fewer than half as
+    /// many fit then (0: at the size asked for, however few).
+    pub resolution_iterations: u32,
     /// Morton order of the Gaussians, so that neighbours in space are neighbours in memory.
     pub morton_order: bool,
     /// Iterations that training goes on for while a density step is decided, at most half of the interval between two; 0: it waits (absent:
@@ -38,6 +41,7 @@ impl Default for WorkConfig {
             resolution_levels: 4,
             resolution_detail: 1.5,
             resolution_share: 0.75,
+            resolution_iterations: 1200,
             morton_order: true,
             density_lag: None,
             cull_chunks: true,

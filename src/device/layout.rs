@@ -121,12 +121,13 @@ impl<R: Real> CameraArg<R> {
         }
     }
 
-    /// The camera of the photo that the shrink stage makes: the same pixel grid, `factor` times coarser (1: as it is).
+    /// The camera of the photo that the shrink stage makes: the same pixel grid, coarser by the scale.
     #[must_use]
-    pub fn shrunk(&self, factor: usize) -> Self {
-        let size = self.size.map(|s| s / factor as i32);
+    pub fn shrunk(&self, scale: PhotoScale) -> Self {
+        let size = self.size.map(|s| scale.of(s as usize) as i32);
+        let [num, den] = [scale.num, scale.den].map(|n| n as f64);
         Self {
-            intrinsics: self.intrinsics.map(|v| R::of(v.into() / factor as f64)),
+            intrinsics: self.intrinsics.map(|v| R::of(v.into() * num / den)),
             size,
             tiles: size.map(|s| (s as u32).div_ceil(TILE) as i32),
             ..*self
@@ -143,6 +144,44 @@ impl<R: Real> CameraArg<R> {
     #[must_use]
     pub fn tile_count(&self) -> usize {
         (self.tiles[0] * self.tiles[1]) as usize
+    }
+}
+
+/// Size of a smaller photo over that of the whole, no more than 1: a fraction of small numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct PhotoScale {
+    /// Numerator.
+    pub num: usize,
+    /// Denominator.
+    pub den: usize,
+}
+
+impl PhotoScale {
+    /// The whole size.
+    pub const FULL: Self = Self { num: 1, den: 1 };
+
+    /// One over a divisor.
+    #[must_use]
+    pub const fn one_over(divisor: usize) -> Self {
+        Self {
+            num: 1,
+            den: divisor,
+        }
+    }
+
+    /// Pixels of a side that the whole has so many pixels of.
+    #[must_use]
+    pub fn of(self, side: usize) -> usize {
+        side * self.num / self.den
+    }
+
+    /// The scale halved so many times.
+    #[must_use]
+    pub fn halved(self, times: u32) -> Self {
+        Self {
+            den: self.den << times,
+            ..self
+        }
     }
 }
 

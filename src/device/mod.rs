@@ -22,6 +22,6 @@ pub use crate::device::context::{Device, Helpers, StageTime, StageTimes};
 pub use crate::device::defines::Defines;
 pub use crate::device::info::{DeviceInfo, DeviceKind};
 pub use crate::device::launch::{Launch, Program};
-pub use crate::device::layout::{CameraArg, Element, ImageSize, Projected, Real};
+pub use crate::device::layout::{CameraArg, Element, ImageSize, PhotoScale, Projected, Real};
 pub use crate::device::program::{Kernels, source, sources_hash, stages};
 pub use crate::device::read::{Arrived, PendingRead};

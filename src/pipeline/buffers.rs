@@ -8,7 +8,7 @@ use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Photo, View};
 use crate::device::tuning::{Tuning, status};
-use crate::device::{Array, CameraArg, Device, ImageSize, Projected, Real};
+use crate::device::{Array, CameraArg, Device, ImageSize, PhotoScale, Projected, Real};
 use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::photos::{Photos, Wanted};
 use crate::pipeline::room::{Load, ROUND, check_room, image_planes, most_pairs};
@@ -527,10 +527,10 @@ impl<R: Real> ViewSet<R> {
     /// # Errors
     /// See [`Photos::get`].
     pub fn photo(&self, view: usize, next: &[usize]) -> Result<Arc<PhotoArray>> {
-        self.photo_at(view, next, |_| (1, None))
+        self.photo_at(view, next, |_| (PhotoScale::FULL, None))
     }
 
-    /// The same at a fraction of the size, or some rows of that: `part` answers the divisor for a view, and the pixel rows that are
+    /// The same at a fraction of the size, or some rows of that: `part` answers the scale for a view, and the pixel rows that are
     /// needed if those are not all.
     ///
     /// # Errors
@@ -539,13 +539,13 @@ impl<R: Real> ViewSet<R> {
         &self,
         view: usize,
         next: &[usize],
-        part: impl Fn(usize) -> (usize, Option<Range<usize>>),
+        part: impl Fn(usize) -> (PhotoScale, Option<Range<usize>>),
     ) -> Result<Arc<PhotoArray>> {
         let wanted = |view: usize| {
-            let (divisor, rows) = part(view);
+            let (scale, rows) = part(view);
             Wanted {
                 photo: self.numbers[view],
-                divisor,
+                scale,
                 rows,
             }
         };

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::constants::TILE;
 use crate::base::error::{Error, Result};
 use crate::capture::{PhotoFile, PhotoSource};
-use crate::device::{Array, Defines, Device, ImageSize, Kernels, Program};
+use crate::device::{Array, Defines, Device, ImageSize, Kernels, PhotoScale, Program};
 use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::room::{check_photo, photo_bytes};
 use crate::pipeline::stage::shrink;
@@ -32,13 +32,13 @@ const MAX_THREADS: usize = AHEAD;
 /// view moves by as much from one visit to the next; while it stays within what is kept, no file is decoded again (docs/results/ranks.md).
 const SLACK: usize = 24;
 
-/// A photo at 1/`divisor` of its size, or a part of that.
+/// A photo at a fraction of its size, or a part of that.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Wanted {
     /// Number of the photo.
     pub photo: usize,
-    /// Divisor of its size, 1 for all of it.
-    pub divisor: usize,
+    /// Its size over the full one.
+    pub scale: PhotoScale,
     /// Pixel rows of the smaller photo that are needed; `None` for all.
     pub rows: Option<Range<usize>>,
 }
@@ -101,7 +101,7 @@ enum Slot {
     /// Being decoded; the bytes of the whole photo count already.
     Decoding,
     /// The photo at a fraction of its size, or a part of that.
-    Ready(usize, Arc<PhotoArray>),
+    Ready(PhotoScale, Arc<PhotoArray>),
     /// Decoding failed; the next request returns the error.
     Failed(Error),
 }
@@ -120,29 +120,29 @@ struct Entry {
 
 impl Entry {
     /// Width and height at a fraction of the size.
-    fn size(&self, divisor: usize) -> [usize; 2] {
-        self.size.0.map(|side| side / divisor)
+    fn size(&self, scale: PhotoScale) -> [usize; 2] {
+        self.size.0.map(|side| scale.of(side))
     }
 
     /// Bytes of so many rows at a fraction of the size.
-    fn bytes(&self, divisor: usize, rows: usize) -> u64 {
-        photo_bytes(self.planes)(ImageSize([self.size(divisor)[0], rows]))
+    fn bytes(&self, scale: PhotoScale, rows: usize) -> u64 {
+        photo_bytes(self.planes)(ImageSize([self.size(scale)[0], rows]))
     }
 
     /// Bytes of the whole at its full size.
     fn whole(&self) -> u64 {
-        self.bytes(1, self.size.0[1])
+        self.bytes(PhotoScale::FULL, self.size.0[1])
     }
 
     /// Pixel rows that are needed.
     fn needed(&self, wanted: &Wanted) -> Range<usize> {
-        let height = self.size(wanted.divisor)[1];
+        let height = self.size(wanted.scale)[1];
         wanted.rows.clone().unwrap_or(0..height)
     }
 
     /// Pixel rows that are kept for those that are needed.
     fn kept(&self, wanted: &Wanted) -> Range<usize> {
-        let (height, tile) = (self.size(wanted.divisor)[1], TILE as usize);
+        let (height, tile) = (self.size(wanted.scale)[1], TILE as usize);
         let slack = height.div_ceil(tile).div_ceil(SLACK) * tile;
         let needed = self.needed(wanted);
         needed.start.saturating_sub(slack)..(needed.end + slack).min(height)
@@ -153,16 +153,16 @@ impl Entry {
         match &self.slot {
             Slot::Empty | Slot::Failed(_) => 0,
             Slot::Decoding => self.whole(),
-            Slot::Ready(divisor, found) => self.bytes(*divisor, found.rows().len()),
+            Slot::Ready(scale, found) => self.bytes(*scale, found.rows().len()),
         }
     }
 
     /// True if what is wanted is there.
     fn has(&self, wanted: &Wanted) -> bool {
         match (&self.slot, &self.source) {
-            (_, Source::Device(_)) if wanted.divisor == 1 => true,
-            (Slot::Ready(divisor, found), _) => {
-                *divisor == wanted.divisor && found.has(&self.needed(wanted))
+            (_, Source::Device(_)) if wanted.scale == PhotoScale::FULL => true,
+            (Slot::Ready(scale, found), _) => {
+                *scale == wanted.scale && found.has(&self.needed(wanted))
             }
             _ => false,
         }
@@ -359,7 +359,7 @@ impl Shared {
             drop(state);
             // A decoder that panics must not leave the trainer waiting for ever.
             let made = catch_unwind(AssertUnwindSafe(|| {
-                self.decoded(&file, wanted.divisor, kept)
+                self.decoded(&file, wanted.scale, kept)
             }))
             .unwrap_or_else(|_| Err(file.undecodable()));
             state = self.lock();
@@ -369,12 +369,11 @@ impl Shared {
     }
 
     /// Some rows of a photo from its file, at a fraction of its size.
-    fn decoded(&self, file: &PhotoFile, divisor: usize, rows: Range<usize>) -> Result<PhotoArray> {
+    fn decoded(&self, file: &PhotoFile, scale: PhotoScale, rows: Range<usize>) -> Result<PhotoArray> {
         let whole = file.load()?;
-        let part = whole.rows(rows.start * divisor..rows.end * divisor);
-        let photo = match divisor {
-            1 => part,
-            divisor => shrink::shrink(&part, divisor as u32),
+        let photo = match scale {
+            PhotoScale::FULL => whole.rows(rows.clone()),
+            scale => shrink::shrink_rows(&whole, scale, rows.clone()),
         };
         let pixels = Array::from_slice(&self.device, "photo", &photo.data)?;
         Ok(PhotoArray::new(pixels, rows))
@@ -388,19 +387,19 @@ impl Shared {
         found: Arc<PhotoArray>,
     ) -> Result<Arc<PhotoArray>> {
         let entry = &state.entries[wanted.photo];
-        let ([width, height], kept) = (entry.size(wanted.divisor), entry.kept(wanted));
+        let ([width, height], kept) = (entry.size(wanted.scale), entry.kept(wanted));
         if found.rows().len() < height || kept.len() == height {
             return Ok(found);
         }
         let part = Arc::new(found.part(&self.device, [entry.planes, width], &kept)?);
         state.clear(wanted.photo);
-        state.fill(wanted.photo, Slot::Ready(wanted.divisor, part.clone()));
+        state.fill(wanted.photo, Slot::Ready(wanted.scale, part.clone()));
         self.changed.notify_all();
         Ok(part)
     }
 
     /// A photo of which the device has the whole, at a fraction of its size.
-    fn smaller(&self, whole: &Array<u8>, entry: &Entry, divisor: usize) -> Result<Array<u8>> {
+    fn smaller(&self, whole: &Array<u8>, entry: &Entry, scale: PhotoScale) -> Result<Array<u8>> {
         let stage = match self.shrink.get() {
             Some(stage) => stage,
             None => {
@@ -414,7 +413,7 @@ impl Shared {
             stage,
             whole,
             (entry.size, entry.planes),
-            divisor,
+            scale,
         )
     }
 
@@ -427,19 +426,19 @@ impl Shared {
     ) -> Result<Arc<PhotoArray>> {
         let kept = &state.entries[wanted.photo].slot;
         match kept {
-            Slot::Ready(found, small) if *found == wanted.divisor => return Ok(small.clone()),
+            Slot::Ready(found, small) if *found == wanted.scale => return Ok(small.clone()),
             _ => state.clear(wanted.photo),
         }
-        if wanted.divisor == 1 {
+        if wanted.scale == PhotoScale::FULL {
             return Ok(whole);
         }
         let entry = &state.entries[wanted.photo];
-        let size = entry.size(wanted.divisor);
-        let bytes = entry.bytes(wanted.divisor, size[1]);
-        let small = self.smaller(&whole, entry, wanted.divisor)?;
+        let size = entry.size(wanted.scale);
+        let bytes = entry.bytes(wanted.scale, size[1]);
+        let small = self.smaller(&whole, entry, wanted.scale)?;
         let small = Arc::new(PhotoArray::whole(small, ImageSize(size)));
         if state.fixed + state.bytes + bytes <= state.stats.budget_bytes {
-            state.fill(wanted.photo, Slot::Ready(wanted.divisor, small.clone()));
+            state.fill(wanted.photo, Slot::Ready(wanted.scale, small.clone()));
             state.note_peak();
         }
         Ok(small)
@@ -478,7 +477,7 @@ impl State {
             let stays = entry.has(&one) || matches!(entry.slot, Slot::Decoding);
             let own = match stays {
                 true => entry.held(),
-                false => entry.bytes(one.divisor, entry.kept(&one).len()),
+                false => entry.bytes(one.scale, entry.kept(&one).len()),
             };
             bytes += own;
             // While it is decoded there is the whole of it.
@@ -531,7 +530,7 @@ impl State {
         self.clear(wanted.photo);
         self.entries[wanted.photo].used = self.clock;
         let slot = match made {
-            Ok(array) => Slot::Ready(wanted.divisor, Arc::new(array)),
+            Ok(array) => Slot::Ready(wanted.scale, Arc::new(array)),
             Err(error) => Slot::Failed(error),
         };
         self.fill(wanted.photo, slot);

@@ -1,6 +1,7 @@
-//! Length of a run that fits a budget of time: planned from the cost of an iteration, and corrected on the way.
+//! Length of a run that fits a budget of time: planned from the cost of an iteration, and corrected on the way. Where few iterations fit the photos
+//! are trained on at a smaller size, at which there are more (docs/results/budgets.md).
 
-use crate::config::{Length, TrainConfig};
+use crate::config::{Length, TrainConfig, TrainingSize};
 use crate::run::clock::Clock;
 use crate::run::forecast::Forecast;
 
@@ -51,23 +52,24 @@ pub(super) enum Pace {
 }
 
 impl Pace {
-    /// The pace of a run that begins or goes on.
-    pub fn new(config: &TrainConfig, to_come: Vec<Length>) -> Self {
-        match (Budget::of(config), to_come.is_empty()) {
+    /// The pace of a run that begins or goes on; `halves` if its photos are large enough for smaller ones.
+    pub fn new(config: &TrainConfig, to_come: Vec<Length>, halves: bool) -> Self {
+        match (Budget::of(config, halves), to_come.is_empty()) {
             (Some(budget), _) => Self::Budget(budget),
             (None, true) => Self::Fixed,
             (None, false) => Self::Repeats(to_come.into_iter().rev().collect()),
         }
     }
 
-    /// Another length for the run, if it is to have one from now on; `spent` is what the budget's clock shows.
+    /// Another length for the run, which has had `done` iterations of so many, if it is to have one from now on; `spent` is what the budget's
+    /// clock shows.
     pub fn length(
         &mut self,
         done: u32,
         length: u32,
         forecast: &Forecast,
         spent: f64,
-    ) -> Option<u32> {
+    ) -> Option<Length> {
         match self {
             Self::Fixed => None,
             Self::Budget(budget) => budget.length(done, length, forecast, spent),
@@ -76,12 +78,9 @@ impl Pace {
     }
 
     /// The length that a run which is repeated had from now on, be it that it had come to its end.
-    pub fn beyond(&mut self, done: u32) -> Option<u32> {
+    pub fn beyond(&mut self, done: u32) -> Option<Length> {
         match self {
-            Self::Repeats(to_come) => {
-                let due = to_come.pop_if(|next| next.from <= done);
-                due.map(|length| length.iterations)
-            }
+            Self::Repeats(to_come) => to_come.pop_if(|next| next.from <= done),
             _ => None,
         }
     }
@@ -114,27 +113,45 @@ pub(super) struct Budget {
     most: u32,
     /// Measurements that the last plan was made from; none before the first.
     planned: u32,
+    /// Sizes of photos to choose from at the first plan, the largest first.
+    sizes: Vec<TrainingSize>,
+    /// Iterations that the largest of them is to have; half as many for the next.
+    few: u32,
+    /// Iterations that the first plan found room for at full size, where it chose a smaller one.
+    pub at_full_size: Option<u32>,
 }
 
 impl Budget {
-    /// The budget that a configuration asks for.
-    fn of(config: &TrainConfig) -> Option<Self> {
+    /// The budget that a configuration asks for; see [`Pace::new`].
+    fn of(config: &TrainConfig, halves: bool) -> Option<Self> {
         let wall = config.time_budget.map(|seconds| (seconds, false));
         let (seconds, cpu) = wall.or(config.budget_cpu.map(|seconds| (seconds, true)))?;
         let most = match config.extended() {
             true => MOST,
             false => config.iterations,
         };
-        Some(Self::new(seconds, cpu, most))
+        let mut budget = Self::new(seconds, cpu, most);
+        // A run that goes on may get larger photos than before, and no smaller ones.
+        let larger = |size: &TrainingSize| {
+            config.lengths.is_empty() || size.area() >= config.last_size().area()
+        };
+        if halves {
+            budget.sizes = TrainingSize::ALL.into_iter().filter(larger).collect();
+            budget.few = config.work.resolution_iterations;
+        }
+        Some(budget)
     }
 
-    /// A budget for a run that begins or goes on.
+    /// A budget for a run at full size that begins or goes on.
     pub fn new(seconds: f64, cpu: bool, most: u32) -> Self {
         Self {
             seconds,
             cpu,
             most,
             planned: 0,
+            sizes: vec![TrainingSize::Full],
+            few: 0,
+            at_full_size: None,
         }
     }
 
@@ -151,22 +168,68 @@ impl Budget {
         }
     }
 
-    /// The length of the run if another than `length` fits better: asked between two iterations, answered after a measurement.
+    /// A length in a sentence.
+    pub fn told(&self, length: &Length) -> String {
+        let fit = format!("about {} iterations fit into the time budget", length.iterations);
+        let [num, den] = length.size.fraction();
+        match self.at_full_size {
+            Some(few) => format!("{fit} at {num}/{den} of the photos' size ({few} at all of it)"),
+            None => fit,
+        }
+    }
+
+    /// The length of the run if another than `length` fits better: asked between two iterations, answered after a measurement. The first plan
+    /// chooses the size of the photos, too.
     pub fn length(
         &mut self,
         done: u32,
         length: u32,
         forecast: &Forecast,
         spent: f64,
-    ) -> Option<u32> {
+    ) -> Option<Length> {
         if forecast.measured() == self.planned || spent >= self.seconds {
             return None;
         }
         let first = self.planned == 0;
         self.planned = forecast.measured();
         let left = self.seconds.mul_add(PLANNED, -spent);
+        let (iterations, size) = match first {
+            true => self.first_plan(done, left, forecast),
+            false => (self.most_that_fit(done, left, forecast), forecast.size()),
+        };
+        let little = (length.saturating_sub(done) / STEADY).max(1);
+        // The first plan is recorded whatever it is: who repeats the run need not plan.
+        (first || iterations.abs_diff(length) > little).then_some(Length {
+            from: done,
+            iterations,
+            size,
+        })
+    }
+
+    /// Iterations of the run, and the largest size of photos that leaves room for enough of them.
+    fn first_plan(&mut self, done: u32, left: f64, forecast: &Forecast) -> (u32, TrainingSize) {
+        let mut needed = self.few.min(self.most);
+        let mut plan = (self.most, TrainingSize::Full);
+        for size in &self.sizes {
+            let fit = self.most_that_fit(done, left, &forecast.at_size(*size));
+            plan = (fit, *size);
+            if fit >= needed {
+                break;
+            }
+            if size.is_full() {
+                self.at_full_size = Some(fit);
+            }
+            needed /= 2;
+        }
+        if plan.1.is_full() {
+            self.at_full_size = None;
+        }
+        plan
+    }
+
+    /// The longest run that fits into the time that is left, by bisection: it needs the more the longer it is.
+    fn most_that_fit(&self, done: u32, left: f64, forecast: &Forecast) -> u32 {
         let fits = |n: u32| forecast.left(done, n).is_some_and(|needs| needs <= left);
-        // The longest run that fits, by bisection: it needs the more the longer it is.
         let (mut low, mut high) = (done + 1, self.most.max(done + 1));
         while low < high {
             let middle = low + (high - low).div_ceil(2);
@@ -176,15 +239,14 @@ impl Budget {
                 high = middle - 1;
             }
         }
-        let little = (length.saturating_sub(done) / STEADY).max(1);
-        // The first plan is recorded whatever it is: who repeats the run need not plan.
-        (first || low.abs_diff(length) > little).then_some(low)
+        low
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::{Budget, LATEST};
+    use crate::config::{Length, TrainConfig, TrainingSize};
     use crate::run::forecast::{Every, Forecast, HostCost, Made};
     use crate::train::sizes::Sizes;
 
@@ -225,7 +287,8 @@ mod tests {
                 all += 3.0 * one;
             }
             forecast.iterated(done, length, used, 1.0);
-            if let Some(n) = budget.length(done, length, &forecast, all) {
+            if let Some(next) = budget.length(done, length, &forecast, all) {
+                let n = next.iterations;
                 assert!(n > done && n <= most, "{n} of {most} after {done}");
                 length = n;
                 changes += 1;
@@ -300,6 +363,68 @@ mod tests {
         );
     }
 
+    /// Size of the photos that the first plan of a run of 1000 pixels and 20 ms an iteration chooses, and its length.
+    fn first_plan(seconds: f64, config: &TrainConfig, halves: bool) -> (TrainingSize, u32) {
+        let config = TrainConfig {
+            time_budget: Some(seconds),
+            ..config.clone()
+        };
+        let mut budget = Budget::of(&config, halves).unwrap();
+        let mut forecast = forecast(seconds).at_size(config.last_size());
+        forecast.iterated(0, 1000, 0.0, 1.0);
+        forecast.iterated(20, 1000, 0.4, 1.0);
+        let length = budget.length(20, 1000, &forecast, 0.4).unwrap();
+        let told = budget.told(&length);
+        let smaller = length.size != TrainingSize::Full && config.lengths.is_empty();
+        assert_eq!(smaller, told.contains("of the photos' size"), "{told}");
+        (length.size, length.iterations)
+    }
+
+    #[test]
+    fn photos_are_smaller_where_few_iterations_fit() {
+        let mut config = TrainConfig::default();
+        let size = |seconds, config: &TrainConfig| first_plan(seconds, config, true).0;
+        let [full, quarters, sixteenths] = TrainingSize::ALL;
+        let (_, n) = first_plan(60.0, &config, true);
+        assert!(n > 1000, "{n}");
+        for (seconds, chosen) in [(60.0, full), (24.0, quarters), (8.0, sixteenths)] {
+            assert_eq!(size(seconds, &config), chosen, "{seconds} s");
+        }
+        // Smaller photos leave room for more iterations.
+        let more = first_plan(24.0, &config, true).1;
+        assert!(more > first_plan(24.0, &config, false).1);
+        // Nobody has fewer than are asked for, and photos of 64 pixels get no smaller.
+        config.iterations = 200;
+        assert_eq!(size(24.0, &config), full);
+        config.iterations = 30_000;
+        assert_eq!(first_plan(24.0, &config, false).0, full);
+        config.work.resolution_iterations = 0;
+        assert_eq!(size(8.0, &config), full);
+        config.work.resolution_iterations = 100_000;
+        assert_eq!(size(60.0, &config), sixteenths);
+    }
+
+    #[test]
+    fn photos_of_a_run_that_goes_on_get_no_smaller() {
+        let [full, quarters, sixteenths] = TrainingSize::ALL;
+        for (before, seconds, chosen) in [
+            (full, 8.0, full),
+            (quarters, 8.0, quarters),
+            (sixteenths, 8.0, sixteenths),
+            (sixteenths, 60.0, full),
+        ] {
+            let config = TrainConfig {
+                lengths: vec![Length {
+                    size: before,
+                    ..Length::new(10, 500)
+                }],
+                ..TrainConfig::default()
+            };
+            let (size, _) = first_plan(seconds, &config, true);
+            assert_eq!(size, chosen, "{before:?}, {seconds} s");
+        }
+    }
+
     #[test]
     fn a_run_that_goes_on_forgets_what_its_start_took() {
         let mut budget = Budget::new(60.0, false, 30_000);
@@ -310,7 +435,7 @@ mod tests {
             forecast.iterated(at, 1000, used, 1.0);
             budget.length(at, 1000, &forecast, used)
         });
-        assert!((500..1300).contains(&next.unwrap()), "{next:?}");
+        assert!((500..1300).contains(&next.unwrap().iterations), "{next:?}");
     }
 
     /// Without a budget: as many evaluations as cost a twentieth of the run, evenly spread, the same whatever the clock says.

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
 use crate::base::process::peak_rss_bytes;
-use crate::config::TrainConfig;
+use crate::config::{Length, TrainConfig};
 use crate::evaluate::Evaluator;
 use crate::run::budget::{Budget, Pace};
 use crate::run::checkpoint::{self, Checkpoint};
@@ -256,18 +256,21 @@ impl Run {
         let Some(length) = self.pace.length(done, length, &self.forecast, spent) else {
             return Ok(());
         };
+        let before = self.forecast.size();
         self.set_length(length)?;
         let first = self.trainer.plan().config.lengths.len() == 1;
-        if first && self.pace.budget().is_some() {
-            let what = format!("about {length} iterations fit into the time budget");
-            progress(&self.progress(Some(what)));
+        if (first || length.size != before)
+            && let Some(budget) = self.pace.budget()
+        {
+            progress(&self.progress(Some(budget.told(&length))));
         }
         Ok(())
     }
 
-    fn set_length(&mut self, length: u32) -> Result<()> {
-        self.trainer.set_length(length)?;
-        self.forecast.follow(self.trainer.schedule());
+    fn set_length(&mut self, length: Length) -> Result<()> {
+        self.trainer.set_length(length.iterations, length.size)?;
+        let done = self.trainer.iteration();
+        self.forecast.follow(self.trainer.schedule(), done);
         let lengths = &self.trainer.plan().config.lengths;
         self.record.config.lengths = [lengths.clone(), self.pace.to_come()].concat();
         Ok(())

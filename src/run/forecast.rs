@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::chart::text::{about, grouped};
-use crate::config::{Init, Preset, TrainConfig};
+use crate::config::{Init, Preset, TrainConfig, TrainingSize};
 use crate::density::Expected;
 use crate::evaluate::Evaluator;
 use crate::evaluate::flip::flip;
@@ -64,6 +64,11 @@ type Steps = Option<Vec<(u32, f64)>>;
 /// True in the [`BEGINNING`] of a run of a length.
 fn begins(done: u32, length: u32) -> bool {
     f64::from(done) < BEGINNING * f64::from(length)
+}
+
+/// Cost of an iteration of one Gaussian and so many pixels.
+fn pixel_cost(pixels: f64) -> f64 {
+    (pixels + BESIDE_PIXELS).powf(PIXEL_POWER)
 }
 
 /// A number of Gaussians in words: two digits.
@@ -179,6 +184,8 @@ pub(super) struct Forecast {
     reached: u32,
     /// Pixels of a photo of full size.
     pixels: f64,
+    /// Largest size of the photos that are trained on.
+    size: TrainingSize,
     /// Training views that are shown at the end.
     shown: usize,
     /// Training views that are scored at the end.
@@ -250,6 +257,7 @@ impl Forecast {
                 },
             ),
             pixels: trainer.largest_photo() as f64,
+            size: config.last_size(),
             also: trainer.views().min(VIEWS),
             reached: trainer.halvings(),
             ..Self::of(trainer.sizes().clone(), shown, scored, every, latest, host)
@@ -280,6 +288,7 @@ impl Forecast {
             sizes,
             reached: u32::MAX,
             pixels: SMALL,
+            size: TrainingSize::Full,
             shown,
             also: 0,
             scored,
@@ -348,12 +357,30 @@ impl Forecast {
         self.ahead = None;
     }
 
-    /// Takes over the schedule of a run whose length has changed.
-    pub fn follow(&mut self, schedule: &Schedule) {
+    /// Takes over the schedule of a run whose length, and maybe the size of its photos, has changed after so many iterations.
+    pub fn follow(&mut self, schedule: &Schedule, done: u32) {
         if let Some(growth) = &mut self.growth {
             growth.follow(schedule);
         }
         self.ahead = None;
+        let size = schedule.size(done);
+        if size != self.size {
+            self.size = size;
+            self.disturbed();
+        }
+    }
+
+    /// Largest size of the photos that are trained on.
+    pub fn size(&self) -> TrainingSize {
+        self.size
+    }
+
+    /// The forecast for photos of another size from now on.
+    pub fn at_size(&self, size: TrainingSize) -> Self {
+        Self {
+            size,
+            ..self.clone()
+        }
     }
 
     /// Has the present measurement begin anew: something else than iterations has taken time.
@@ -444,7 +471,7 @@ impl Forecast {
 
     /// Seconds from the last iteration to the end with so many Gaussians: views are shown and scored, files are written.
     fn ending(&self, gaussians: f64) -> Option<f64> {
-        let last = self.unit? * self.cost(0, gaussians);
+        let last = self.unit? * self.cost_at_end(gaussians);
         let shown = SEEN * last * self.shown as f64 + SCORED * last * self.also as f64;
         let (views, pixels) = (self.scored.0 as u64, self.scored.1);
         let each = pixels.checked_div(views).unwrap_or(0);
@@ -456,7 +483,7 @@ impl Forecast {
 
     /// Seconds of an evaluation on the way with so many Gaussians.
     fn evaluation(&self, gaussians: f64) -> Option<f64> {
-        let guess = SCORED * self.unit? * self.cost(0, gaussians) * self.scored.0 as f64;
+        let guess = SCORED * self.unit? * self.cost_at_end(gaussians) * self.scored.0 as f64;
         Some(self.evaluations.mean().unwrap_or(guess))
     }
 
@@ -472,7 +499,7 @@ impl Forecast {
             Made::AsLengthAllows => {
                 // Without the number of Gaussians, which a run that goes on does not know from its start.
                 let run = self.work([0, length], length, u32::MAX, (1.0, &[]));
-                let one = SCORED / MEAN_COST * self.cost(0, 1.0) * self.scored.0 as f64;
+                let one = SCORED / MEAN_COST * self.cost_at_end(1.0) * self.scored.0 as f64;
                 let due = (length / 20).max(1);
                 let fit = EVALUATIONS * run / one.max(1e-9);
                 let apart = (f64::from(length / due - 1) / fit).ceil().max(1.0);
@@ -486,10 +513,14 @@ impl Forecast {
         self.size_cost(halvings) * gaussians.max(1.0).sqrt()
     }
 
+    /// The same with photos of the size asked for, at which views are shown and scored.
+    fn cost_at_end(&self, gaussians: f64) -> f64 {
+        pixel_cost(self.pixels) * gaussians.max(1.0).sqrt()
+    }
+
     /// Cost of an iteration of one Gaussian.
     fn size_cost(&self, halvings: u32) -> f64 {
-        let pixels = self.pixels * 0.25f64.powi(halvings as i32);
-        (pixels + BESIDE_PIXELS).powf(PIXEL_POWER)
+        pixel_cost(self.pixels * self.size.area() * 0.25f64.powi(halvings as i32))
     }
 
     /// Cost of the iterations between two of a run of `length` with no more halvings than `most`, of `n` Gaussians until the first of the

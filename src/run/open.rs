@@ -7,7 +7,7 @@ use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
 use crate::base::process::process_cpu_seconds;
 use crate::capture::Dataset;
-use crate::config::{Length, TrainConfig};
+use crate::config::{Length, TrainConfig, TrainingSize};
 use crate::device::{Defines, Device, Helpers};
 use crate::evaluate::Evaluator;
 use crate::pipeline::buffers::ViewSet;
@@ -232,7 +232,7 @@ impl Run {
         if let Some(Checkpoint { state, .. }) = &saved {
             trainer.restore(state)?;
             if let Some(length) = extended {
-                trainer.set_length(length)?;
+                trainer.set_length(length, size_beyond(&plan.config))?;
                 record
                     .config
                     .lengths
@@ -248,7 +248,7 @@ impl Run {
         let done = saved.as_ref().map(|saved| saved.state.iteration);
         let stepped = saved.as_ref().map(stepped);
         // That of the trainer: an extension has made it longer.
-        let pace = Pace::new(&trainer.plan().config, to_come);
+        let pace = Pace::new(&trainer.plan().config, to_come, trainer.halves());
         let budget = pace.budget();
         let host = HostCost::measure(budget.is_some_and(|budget| budget.cpu))?;
         let latest = Budget::latest(budget);
@@ -331,6 +331,14 @@ fn budget_of(config: &mut TrainConfig) -> &mut Option<f64> {
     match config.budget_cpu.is_some() {
         true => &mut config.budget_cpu,
         false => &mut config.time_budget,
+    }
+}
+
+/// The size of the photos beyond the end of a run: as it was, or the one asked for where no budget is left.
+fn size_beyond(config: &TrainConfig) -> TrainingSize {
+    match config.has_budget() {
+        true => config.last_size(),
+        false => TrainingSize::Full,
     }
 }
 

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use crate::base::error::{Error, Result};
+use crate::config::{Length, TrainingSize};
 use crate::pipeline::share::{Share, Worked};
 use crate::ranks::{Exchange, LEADER, Part, to_all};
 
@@ -57,7 +58,7 @@ pub const DECIDE: u32 = 4;
 pub const EDIT: u32 = 5;
 /// Raise the SH degree: the new one.
 pub const RAISE: u32 = 6;
-/// Go by another length of the run: from which iteration on, iterations.
+/// Go by another length of the run: see [`words_of_length`].
 pub const LENGTH: u32 = 7;
 /// Compile the kernels of exposure compensation: the iteration that it begins with.
 pub const EXPOSE: u32 = 8;
@@ -273,6 +274,25 @@ impl Drop for Crew {
 /// Words of a message that are not read yet.
 #[derive(Debug)]
 pub struct Words<'a>(pub &'a [u32]);
+
+/// A length of the run as words: from which iteration on, iterations, size of the photos.
+pub fn words_of_length(length: &Length) -> [u32; 3] {
+    let place = TrainingSize::ALL.iter().position(|s| *s == length.size);
+    [length.from, length.iterations, place.unwrap_or(0) as u32]
+}
+
+/// The length of [`words_of_length`].
+///
+/// # Errors
+/// No such size.
+pub fn length_of([from, iterations, size]: [u32; 3]) -> Result<Length> {
+    let size = TrainingSize::ALL.get(size as usize).copied();
+    Ok(Length {
+        from,
+        iterations,
+        size: size.ok_or_else(|| Error::numerics("exchange", "an unknown size of photos"))?,
+    })
+}
 
 impl<'a> Words<'a> {
     /// The next words, so many of them.

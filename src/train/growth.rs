@@ -50,10 +50,7 @@ impl Growth {
     pub fn steps(&self, since: u32, set: Expected, length: u32) -> Option<Vec<(u32, f64)>> {
         let mut schedule = self.schedule.clone();
         if schedule.iterations(since) != length {
-            schedule.set_length(Length {
-                from: since,
-                iterations: length,
-            });
+            schedule.set_length(Length::new(since, length));
         }
         let (mut steps, mut set) = (Vec::new(), set);
         let mut next = schedule.next_density(since);

@@ -16,7 +16,7 @@ use crate::scene::sh::C0;
 use crate::scene::{Gaussians, Plane};
 use crate::train::noted::Noted;
 use crate::train::plan::{Learned, Plan};
-use crate::train::schedule::Schedule;
+use crate::train::schedule::{Schedule, most_halvings};
 use crate::train::sizes::Sizes;
 use crate::train::step::{LOSS_RING, Trainer};
 
@@ -96,6 +96,12 @@ impl Trainer {
         width * height
     }
 
+    /// True if the largest training photo can be halved.
+    #[must_use]
+    pub fn halves(&self) -> bool {
+        most_halvings(self.views.set.largest.0) > 0
+    }
+
     /// Number of training views.
     #[must_use]
     pub fn views(&self) -> usize {
@@ -114,7 +120,7 @@ impl Trainer {
         self.views.halvings(self.iteration)
     }
 
-    /// First iteration that takes photos at their full size.
+    /// First iteration that takes photos at the largest size of the run.
     #[must_use]
     pub fn full_size_from(&self) -> u32 {
         self.views.full_size_from()

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset, PhotoSource, View};
 use crate::config::{
-    AntiAliasing, Background, ExposureChoice, Init, Sampler, TrainConfig, WorkConfig,
+    AntiAliasing, Background, ExposureChoice, Init, Length, Sampler, TrainConfig, WorkConfig,
 };
 use crate::density::{self, DensityControl};
 use crate::device::{Device, DeviceKind};
@@ -125,6 +125,8 @@ pub struct Plan {
     pub unseen: Option<Decided<u64>>,
     /// True if the first Gaussians are random.
     pub(crate) random_start: bool,
+    /// Reason for a largest size of the photos below the size asked for; `None` where they have that.
+    smaller: Option<Why>,
     /// Kind of the leader's device in the plan of a rank that does not lead.
     leader: Option<DeviceKind>,
     /// Parts that dataset or configuration switch and nobody else asks for.
@@ -214,6 +216,7 @@ impl Plan {
                 Init::Random => true,
                 Init::File(_) => false,
             },
+            smaller: smaller(config),
             leader: None,
             facts: Vec::new(),
             config: config.clone(),
@@ -233,6 +236,12 @@ impl Plan {
             self.most_gaussians = Decided::new(None, why);
         }
         self
+    }
+
+    /// Sets the length of the run from an iteration on, and the largest size of its photos.
+    pub(super) fn set_length(&mut self, length: Length) {
+        self.config.set_length(length);
+        self.smaller = smaller(&self.config);
     }
 
     /// The configuration with what the start decides about density control.
@@ -298,6 +307,7 @@ impl Plan {
                 (Part::ProgressiveResolution, !self.detail.value.is_empty()),
                 &self.detail.why,
             ),
+            self.smaller.as_ref().map(|why| (Part::FullSize, false, why)),
             fact(Part::MortonOrder),
             fact(Part::BlockCulling),
             typed(on(Part::SkipBlank, &self.skip_blank), &self.skip_blank.why),
@@ -493,6 +503,12 @@ fn detail(
         false => Why::Detail(detail.clone()),
     };
     Ok(Decided::new(detail, why))
+}
+
+/// The reason for photos below the size asked for, if the run ends with such.
+fn smaller(config: &TrainConfig) -> Option<Why> {
+    let (size, few) = (config.last_size(), config.work.resolution_iterations);
+    (!size.is_full()).then_some(Why::FewIterations(size, few))
 }
 
 /// A decision with the value that the run began with, if that is another one.

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::config::Background;
+use crate::config::{Background, TrainingSize};
 use crate::train::brightness::{GainSpread, MAX_SPREAD};
 use crate::train::sampling_rates::{MIN_SPREAD, MIN_SPREAD_WITHIN, Spreads};
 
@@ -25,6 +25,8 @@ pub enum Part {
     AntiAliasing,
     /// [`crate::train::Plan::detail`].
     ProgressiveResolution,
+    /// Photos of the size asked for.
+    FullSize,
     /// Morton order of the Gaussians.
     MortonOrder,
     /// Culling of whole blocks of neighbours.
@@ -76,6 +78,7 @@ impl fmt::Display for Part {
             Self::ViewDependentColor => "view-dependent colour",
             Self::AntiAliasing => "anti-aliasing",
             Self::ProgressiveResolution => "progressive resolution",
+            Self::FullSize => "photos of the size asked for",
             Self::MortonOrder => "Morton order",
             Self::BlockCulling => "block culling",
             Self::SkipBlank => "loss skipped in blank tiles",
@@ -146,6 +149,8 @@ pub enum Why {
     Detail(Vec<f32>),
     /// Photos are too small to be halved.
     SmallPhotos,
+    /// Largest size of the photos, because fewer iterations than these of full size fit into the budget.
+    FewIterations(TrainingSize, u32),
     /// Neighbours in space share cache lines.
     Locality,
     /// Blocks that a view cannot see cost next to nothing.
@@ -246,6 +251,13 @@ impl fmt::Display for Why {
                 let grey: Vec<String> = lost.iter().rev().map(grey).collect();
                 let grey = grey.join(", ");
                 write!(f, ", double that when the loss is expected to be near the detail lost ({grey} grey levels)")
+            }
+            Self::FewIterations(size, few) => {
+                let [num, den] = size.fraction();
+                write!(
+                    f,
+                    "trained at {num}/{den} of it: fewer than {few} iterations of full size fit into the budget"
+                )
             }
             Self::SmallPhotos => f.write_str("the photos are too small to be halved"),
             Self::Locality => {

@@ -1,7 +1,8 @@
 //! Schedules of a run: pure functions of the configuration and the iteration. Learning rates decay here.
 
 use crate::base::rng::{Philox, Stream};
-use crate::config::{Background, ExposureChoice, Length, TrainConfig};
+use crate::config::{Background, ExposureChoice, Length, TrainConfig, TrainingSize};
+use crate::device::PhotoScale;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::train::sizes::Sizes;
 
@@ -90,11 +91,19 @@ impl Schedule {
         self.scaled(at, self.config.optimizer.sh_interval).max(1)
     }
 
-    /// Divisor of the size of photos of `size` pixels at an iteration: a power of two, 1 for full size; both sides keep at least
-    /// 64 pixels. Never larger than at an iteration before, be it that another length was planned then.
+    /// Size of photos of `size` pixels at an iteration over their full size: the largest of the run, halved as often as both sides keep at
+    /// least 64 pixels of the full size. Never halved more often than at an iteration before, be it that another length was planned then.
     #[must_use]
-    pub fn shrink_factor(&self, sizes: &Sizes, iteration: u32, size: [usize; 2]) -> usize {
-        1 << self.halvings(sizes, iteration).min(most_halvings(size))
+    pub fn scale_of(&self, sizes: &Sizes, iteration: u32, size: [usize; 2]) -> PhotoScale {
+        let [num, den] = self.size(iteration).fraction().map(|n| n as usize);
+        let halvings = self.halvings(sizes, iteration).min(most_halvings(size));
+        PhotoScale { num, den }.halved(halvings)
+    }
+
+    /// Largest size of the photos over that asked for, as it is planned at an iteration.
+    #[must_use]
+    pub fn size(&self, at: u32) -> TrainingSize {
+        self.config.size_at(at)
     }
 
     /// Number of halvings of photos of any size at an iteration.
@@ -106,11 +115,15 @@ impl Schedule {
         ends.map(halvings).fold(halvings(iteration), u32::min)
     }
 
-    /// First iteration at which photos of `size` pixels have their full size, by the lengths so far.
+    /// First iteration from which photos of `size` pixels have the largest size of the run, by the lengths so far.
     #[must_use]
     pub fn full_size_from(&self, sizes: &Sizes, size: [usize; 2]) -> u32 {
-        if self.shrink_factor(sizes, 0, size) == 1 {
-            return 0;
+        let lengths = &self.config.lengths;
+        let before = |k: usize| k.checked_sub(1).map_or(TrainingSize::Full, |k| lengths[k].size);
+        let changed = (0..lengths.len()).rfind(|k| lengths[*k].size != before(*k));
+        let changed = changed.map_or(0, |k| lengths[k].from);
+        if self.halvings(sizes, 0).min(most_halvings(size)) == 0 {
+            return changed;
         }
         let changes = self.config.lengths.iter().map(|l| l.from);
         let starts: Vec<u32> = [0].into_iter().chain(changes).collect();
@@ -119,7 +132,7 @@ impl Schedule {
             let next = starts.get(k + 1).copied().unwrap_or(u32::MAX);
             Some(end.max(*from)).filter(|first| *first < next)
         });
-        reached.unwrap_or(0)
+        reached.unwrap_or(0).max(changed)
     }
 
     /// Views of a batch that come before the one of an iteration.

@@ -7,7 +7,6 @@ use std::thread::{Builder, JoinHandle};
 
 use crate::base::error::{Error, Result};
 use crate::capture::View;
-use crate::config::Length;
 use crate::density::DensityControl;
 use crate::device::tuning::status;
 use crate::device::{Device, Helpers};
@@ -18,7 +17,7 @@ use crate::ranks::{Exchange, LEADER, Part, Traffic, Waits, threads, to_all, to_o
 use crate::scene::Gaussians;
 use crate::train::crew::{
     COUNT, Crew, DECIDE, EDIT, END, EXPOSE, GATHER, ITERATE, KEEP, LENGTH, LOOK, RAISE, SEEN,
-    SMOOTH, SPREAD, Words,
+    SMOOTH, SPREAD, Words, length_of, words_of_length,
 };
 use crate::train::gaussians::{Carried, GaussianRows, GaussianState};
 use crate::train::plan::Plan;
@@ -329,7 +328,7 @@ impl Trainer {
         words.push(degree);
         let lengths = &self.plan.config.lengths;
         words.push(lengths.len() as u32);
-        words.extend(lengths.iter().flat_map(|l| [l.from, l.iterations]));
+        words.extend(lengths.iter().flat_map(words_of_length));
         let exposures = self.exposures()?;
         let exposed = self
             .learned
@@ -350,8 +349,7 @@ impl Trainer {
         let [first, count, all] = words.take()?.map(|n: u32| n as usize);
         let [degree, lengths] = words.take()?;
         for _ in 0..lengths {
-            let [from, iterations] = words.take()?;
-            let length = Length { from, iterations };
+            let length = length_of(words.take()?)?;
             if !self.plan.config.lengths.contains(&length) {
                 self.apply_length(length);
             }
@@ -506,10 +504,7 @@ impl Trainer {
                     self.build_exposure()?;
                 }
                 [RAISE, degree] => self.gaussians.raise_sh_degree(&self.device, *degree)?,
-                [LENGTH, from, iterations] => self.apply_length(Length {
-                    from: *from,
-                    iterations: *iterations,
-                }),
+                [LENGTH, words @ ..] => self.apply_length(length_of(Words(words).take()?)?),
                 [GATHER] => {
                     let rows = 0..self.gaussians.scene.count;
                     let words = self.gaussians.read_words(rows)?;

@@ -138,6 +138,7 @@ mod tests {
     use super::{Sizes, detail};
     use crate::capture::{Alpha, Photo, PhotoSource};
     use crate::config::WorkConfig;
+    use crate::device::PhotoScale;
     use crate::pipeline::stage::shrink::shrink;
 
     fn photo(value: impl Fn(u32, u32) -> u8) -> Photo {
@@ -160,7 +161,7 @@ mod tests {
 
     /// Mean |p − q| by the kernel's definition, whose pixels are rounded to whole grey levels.
     fn by_definition(photo: &Photo, factor: u32) -> f64 {
-        let small = shrink(photo, factor);
+        let small = shrink(photo, PhotoScale::one_over(factor as usize));
         let at = |p: &Photo, x: u32, y: u32| f64::from(p.data[(y * p.width + x) as usize]);
         let (w, h) = (small.width * factor, small.height * factor);
         let pixels = (0..h).flat_map(|y| (0..w).map(move |x| (x, y)));

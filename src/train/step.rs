@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 use crate::capture::{Alpha, Dataset};
-use crate::config::Length;
+use crate::config::{Length, TrainingSize};
 use crate::density::DensityControl;
 use crate::device::tuning::status;
 use crate::device::{Array, Defines, Device, Kernels, PendingRead, Program};
@@ -20,7 +20,7 @@ use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::loss::Beside;
 use crate::scene::Gaussians;
 use crate::train::control::{Control, DensityEvent};
-use crate::train::crew::{Crew, LENGTH, RAISE};
+use crate::train::crew::{Crew, LENGTH, RAISE, words_of_length};
 use crate::train::gaussians::GaussianState;
 use crate::train::optimizer::Optimizer;
 use crate::train::plan::{Decision, Learned, Plan};
@@ -344,21 +344,26 @@ impl Trainer {
         }
     }
 
-    /// Sets the length of the run, in iterations, from the next iteration on; all schedules go by it.
+    /// Sets the length of the run, in iterations, and the largest size of its photos from the next iteration on; all schedules go by it.
     ///
     /// # Errors
     /// The driver's.
-    pub fn set_length(&mut self, iterations: u32) -> Result<()> {
+    pub fn set_length(&mut self, iterations: u32, size: TrainingSize) -> Result<()> {
         self.settle()?;
         let from = self.iteration;
-        self.tell(vec![LENGTH, from, iterations])?;
+        let length = Length {
+            from,
+            iterations,
+            size,
+        };
+        self.tell([&[LENGTH][..], &words_of_length(&length)].concat())?;
         self.rest();
-        self.apply_length(Length { from, iterations });
+        self.apply_length(length);
         Ok(())
     }
 
     pub(super) fn apply_length(&mut self, length: Length) {
-        self.plan.config.set_length(length);
+        self.plan.set_length(length);
         for schedule in [
             &mut self.schedule,
             &mut self.views.schedule,

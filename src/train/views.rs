@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::base::error::Result;
 use crate::config::TrainConfig;
-use crate::device::{CameraArg, ImageSize};
+use crate::device::{CameraArg, ImageSize, PhotoScale};
 use crate::pipeline::buffers::ViewSet;
 use crate::pipeline::pass::Target;
 use crate::pipeline::photo_array::PhotoArray;
@@ -84,14 +84,14 @@ impl Views {
 
     /// Size of a view at an iteration.
     fn size_of(&self, iteration: u32, number: usize) -> ImageSize {
-        let divisor = self.divisor(iteration, number);
-        self.set.cameras[number].shrunk(divisor).image()
+        let scale = self.scale(iteration, number);
+        self.set.cameras[number].shrunk(scale).image()
     }
 
-    /// Divisor of the size of a view's photo at an iteration.
-    fn divisor(&self, iteration: u32, number: usize) -> usize {
+    /// Size of a view's photo at an iteration over its full size.
+    fn scale(&self, iteration: u32, number: usize) -> PhotoScale {
         let full = self.set.cameras[number].image().0;
-        self.schedule.shrink_factor(&self.sizes, iteration, full)
+        self.schedule.scale_of(&self.sizes, iteration, full)
     }
 
     /// The view of an iteration; photos of the iterations after it are fetched meanwhile. Where ranks share it, of each photo the rows that
@@ -137,11 +137,11 @@ impl Views {
         next: &[usize],
         rows: impl Fn(usize) -> Option<Range<usize>>,
     ) -> Result<TrainingView> {
-        let divisor = |number| self.divisor(size_of, number);
-        let part = |number| (divisor(number), rows(number));
+        let scale = |number| self.scale(size_of, number);
+        let part = |number| (scale(number), rows(number));
         Ok(TrainingView {
             number,
-            camera: self.set.cameras[number].shrunk(divisor(number)),
+            camera: self.set.cameras[number].shrunk(scale(number)),
             background: self
                 .schedule
                 .background(background_of, self.random_background),
@@ -181,7 +181,7 @@ impl Views {
         self.schedule.halvings(&self.sizes, iteration)
     }
 
-    /// First iteration that takes photos at their full size.
+    /// First iteration that takes photos at the largest size of the run.
     #[must_use]
     pub fn full_size_from(&self) -> u32 {
         self.schedule

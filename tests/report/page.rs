@@ -92,10 +92,7 @@ fn tag_checker_finds_what_is_wrong() {
 #[test]
 fn the_command_of_a_run_within_a_time_budget_repeats_its_lengths() {
     let mut record = record();
-    record.config.lengths = vec![Length {
-        from: 20,
-        iterations: 6000,
-    }];
+    record.config.lengths = vec![Length::new(20, 6000)];
     let text = page(&record, &rows(), &density(), &[]);
     assert!(text.contains("mhsplat train scenes/plush --config "));
     assert!(!text.contains("--time-budget") && !text.contains("--iterations"));
