@@ -48,6 +48,9 @@ static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV
 }
 #endif
 
+// Rows of tiles of a Gaussian, for ranks that share a view (route): the first, and the one after the last in the high half.
+static inline uint tile_rows(uint by) { return (uint)BOUND_LO(by) / TILE | ((uint)BOUND_HI(by) / TILE + 1) << 16; }
+
 // A field of the records of VW Gaussians, lane by lane.
 #define EACH_LANE(field, value)                  \
   do {                                           \
@@ -64,7 +67,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
                       const Camera cam,              // in camera
                       __global Projected *records,      // out [stride]
                       __global uint *keys,           // out [stride] bits of the f32 depth, or KEY_CULLED
-                      __global uint *isect_counts) {  // out [stride] 0: no pair of this Gaussian yet
+                      __global uint *isect_counts) {  // out [stride] tile_rows() until bin counts the pairs; 0 where culled
   const uint i = get_global_id(0) * VW;
   if (i >= count) return;
   const uint n = min((uint)VW, count - i);
@@ -131,6 +134,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
     g[l].by = (uint)top[l] | ((uint)bottom[l] << 16);
     records[i + l] = g[l];
     keys[i + l] = as_uint((float)g[l].depth);
+    isect_counts[i + l] = tile_rows(g[l].by);
   }
 }
 

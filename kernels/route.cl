@@ -1,32 +1,23 @@
 // route: where several ranks train one scene, the visible Gaussians of one of them -> the bands of tile rows that they touch, one band a
 // rank; and the sums of their pairs there -> one list for each Gaussian, by bands from top to bottom, which is the order of its pairs
-// where one rank has them all; pairs of a Gaussian that lies in one band are added up there, in the same order. A Gaussian that a band gets is cut to the rows of the band, so that its pairs there are those of these
-// rows. Launches are over chunks of Gaussians, or Gaussians, of some rows alone where what is sent of them travels while the device is at
+// where one rank has them all; pairs of another rank's Gaussian that lies in one band are added up there, in the same order. A Gaussian
+// that a band gets is cut to the rows of the band, so that its pairs there are those of these rows. Launches are over chunks of Gaussians, or Gaussians, of some rows alone where what is sent of them travels while the device is at
 // others. Source: the division of Gaussians and pixels among devices of Grendel-GS,
 // Zhao et al. 2024.
 
-// Rows of tiles of a Gaussian: the first, and the last in the high half; of a culled one no row.
-#define NO_ROWS 0xffffu
+// Rows of tiles of a Gaussian, as project leaves them in the place of the number of its pairs: the first, and the one after the last in the high
+// half; of a culled one no row.
 #define FIRST_ROW(span) ((span) & 0xffffu)
-#define LAST_ROW(span) ((span) >> 16)
-
-// Launch: one work-item per own Gaussian from `begin` to before `end`. Writes its rows of tiles, so that nobody fetches whole records for them.
-__kernel void route_spans(__global const Projected *records, __global const uint *keys, // in [end] depth bits or KEY_CULLED
-                          uint begin, uint end, __global uint *spans) {                 // out [end]
-  const uint i = begin + get_global_id(0);
-  if (i >= end) return;
-  const uint by = keys[i] != KEY_CULLED ? records[i].by : 0;
-  spans[i] = keys[i] != KEY_CULLED ? (uint)BOUND_LO(by) / TILE | (uint)BOUND_HI(by) / TILE << 16 : NO_ROWS;
-}
+#define END_ROW(span) ((span) >> 16)
 
 // True if a Gaussian touches the rows of tiles from `from` to before `to`.
-static inline int touches_band(uint span, uint from, uint to) { return LAST_ROW(span) >= from && FIRST_ROW(span) < to && from < to; }
+static inline int touches_band(uint span, uint from, uint to) { return END_ROW(span) > from && FIRST_ROW(span) < to && from < to; }
 
 // Bands that a Gaussian touches, from .x to before .y; empty ones between them, too. Sums in the place of branches, of which half would be
 // foretold wrongly.
 static inline uint2 bands_of(uint span, __global const uint *bands, uint ranks) {
   uint2 touched = (uint2)(0, 0);
-  for (uint rank = 0; rank < ranks; rank++) touched += (uint2)(bands[rank + 1] <= FIRST_ROW(span), bands[rank] <= LAST_ROW(span));
+  for (uint rank = 0; rank < ranks; rank++) touched += (uint2)(bands[rank + 1] <= FIRST_ROW(span), bands[rank] < END_ROW(span));
   return touched;
 }
 #define IS_EMPTY(rank) (bands[rank] == bands[(rank) + 1])
@@ -52,7 +43,6 @@ CHUNK_KERNEL void route_count(ROUTE_ARGUMENTS, uint chunks, __global uint *sums)
 // Launch: as route_count. Writes what each rank gets, in the order of the Gaussians, one rank's after the other's.
 CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *sums, // in [ranks, chunks]
                              __global const Projected *records, __global const uint *keys, // in [end]
-                             __global const uint *firsts,                             // in [ranks] first of what each gets
                              __global uint *sent_keys,                                // out [sent to all]
                              __global Projected *sent,                                // out [sent to all], cut to the band
                              uint stride, __global uint *place) {                     // out [ranks, stride] number among those sent
@@ -61,9 +51,9 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
   if (c >= chunks) return;
   const uint first = CHUNK_BEGIN(c), last = CHUNK_BEGIN(c + 1);
   const uint from = bands[rank], to = bands[rank + 1];
-  __global const uint *of = sums + rank * chunks;
-  const size_t own = (size_t)rank * stride, to_rank = firsts[rank];
-  uint before = (uint)group_sum(sum_before(of, c), scratch);
+  const size_t own = (size_t)rank * stride;
+  const uint to_rank = (uint)group_sum(sum_before(sums, rank * chunks), scratch);
+  uint before = (uint)group_sum(sum_before(sums + rank * chunks, c), scratch);
   for (uint block = first; block < last; block += GROUP) {
     const uint i = block + ITEM;
     const int touches = i < last && touches_band(spans[i], from, to);
@@ -72,19 +62,29 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
     if (touches) {
       Projected cut = records[i];
       cut.by = max((uint)BOUND_LO(cut.by), from * TILE) | min((uint)BOUND_HI(cut.by), to * TILE - 1) << 16;
-      sent_keys[to_rank + at] = keys[i];
-      sent[to_rank + at] = cut;
+      sent_keys[(size_t)to_rank + at] = keys[i];
+      sent[(size_t)to_rank + at] = cut;
       place[own + i] = at;
     }
     before += total;
   }
 }
 
-// First slots of what was sent to each rank, as that rank counts them: in [number sent + 1] from offsets[rank] on; the slot here is
-// shifts[rank] more, modulo 2^32. A Gaussian's first slot there, and the one after its last:
-#define RETURN_ARGUMENTS                                                                                                    \
-  uint ranks, uint stride, __global const uint *place, __global const uint *starts, __global const uint *offsets, __global const uint *shifts
-#define RETURNED(rank) (starts + offsets[rank] + place[(size_t)(rank) * stride + i])
+// First slots of what was sent to each other rank, as that rank counts them: in [number sent + 1] from offsets[rank] on; the slot here is
+// shifts[rank] more, modulo 2^32. In the own band first slots and numbers of pairs are those of its view, in which the Gaussians of these rows
+// begin at own_first.
+#define RETURN_ARGUMENTS                                                                                                       \
+  uint ranks, uint stride, __global const uint *place, __global const uint *starts, __global const uint *offsets,              \
+      __global const uint *shifts, uint own, uint own_first, __global const uint *own_start, __global const uint *own_counts
+#define RETURN_NAMES ranks, stride, place, starts, offsets, shifts, own, own_first, own_start, own_counts
+
+// First slot of the sums of a Gaussian's pairs in a band that it touches, and their number.
+static inline uint2 returned(uint rank, uint i, RETURN_ARGUMENTS) {
+  const uint at = place[(size_t)rank * stride + i];
+  if (rank == own) return (uint2)(own_start[own_first + at], own_counts[own_first + at]);
+  __global const uint *slot = starts + offsets[rank] + at;
+  return (uint2)(slot[0] + shifts[rank], slot[1] - slot[0]);
+}
 
 // Launch: one work-item per own Gaussian. Writes the number of its pairs in all bands and, where it touches one band, the first slot of
 // their sums; where it touches more, it wants a place for all of them together, of this length.
@@ -97,9 +97,9 @@ __kernel void route_pairs(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global uint *isec
   uint n = 0, lists = 0, only = 0;
   for (uint rank = touched.x; rank < touched.y; rank++) {
     if (IS_EMPTY(rank)) continue;
-    __global const uint *slot = RETURNED(rank);
-    n += slot[1] - slot[0];
-    only = slot[0] + shifts[rank];
+    const uint2 list = returned(rank, i, RETURN_NAMES);
+    n += list.y;
+    only = list.x;
     lists++;
   }
   isect_counts[i] = n;
@@ -121,9 +121,9 @@ __kernel void route_sums(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global const uint 
   __global real *to = sums + (size_t)at * SUMS;
   for (uint rank = touched.x; rank < touched.y; rank++) {
     if (IS_EMPTY(rank)) continue;
-    __global const uint *slot = RETURNED(rank);
-    __global const real *from = sums + (size_t)(slot[0] + shifts[rank]) * SUMS;
-    const uint n = (slot[1] - slot[0]) * SUMS;
+    const uint2 list = returned(rank, i, RETURN_NAMES);
+    __global const real *from = sums + (size_t)list.x * SUMS;
+    const uint n = list.y * SUMS;
     for (uint k = 0; k < n; k++) to[k] = from[k];
     to += n;
   }
@@ -141,23 +141,24 @@ static inline uint pairs_back(const uint pairs, uint by, uint from, uint to, uin
 #define BAND_ARGUMENTS                                                                                                \
   __global const Projected *records, uint count, uint from, uint to, uint rows, __global const uint *isect_counts
 
-// Launch: one work-item per Gaussian that a band got. Counts the pairs whose sums go back.
-__kernel void route_lengths(BAND_ARGUMENTS, __global uint *lengths) { // out [count]
+// Launch: one work-item per Gaussian that a band got. Counts the pairs whose sums go back: none of the rank's own.
+__kernel void route_lengths(BAND_ARGUMENTS, uint own_first, uint own_end, __global uint *lengths) { // out [count]
   const uint i = get_global_id(0);
-  if (i < count) lengths[i] = pairs_back(isect_counts[i], records[i].by, from, to, rows);
+  if (i >= count) return;
+  const int stays = i >= own_first && i < own_end;
+  lengths[i] = stays ? 0 : pairs_back(isect_counts[i], records[i].by, from, to, rows);
 }
 
 // Launch: one work-item per Gaussian that a band got from `begin` to before `end`. Writes their sums, in the order of the Gaussians.
 __kernel void route_return(BAND_ARGUMENTS, uint begin, uint end, __global const uint *isect_start, // in [count] first slot
                            __global const uint *row_start,                   // in [count] exclusive sums of the lengths
-                           uint base,                                        // sums before the first that is written
                            __global const real *sums,                        // in [pairs, SUMS]
                            __global real *ordered) {                         // out [pairs that are written, SUMS]
   const uint i = begin + get_global_id(0);
   if (i >= end) return;
   const uint pairs = isect_counts[i], back = pairs_back(pairs, records[i].by, from, to, rows);
   __global const real *of = sums + (size_t)isect_start[i] * SUMS;
-  __global real *to_row = ordered + (size_t)(row_start[i] - base) * SUMS;
+  __global real *to_row = ordered + (size_t)row_start[i] * SUMS;
   if (back < pairs) {
     real sum[SUMS];
     for (int q = 0; q < SUMS; q++) sum[q] = R(0.0);

@@ -1,7 +1,7 @@
 //! Arrays on the device: reads that are under way, and clearing.
 
 use mhsplat::Device;
-use mhsplat::device::{Array, Element, PendingRead};
+use mhsplat::device::{Array, Element, PendingRead, read_sections, write_sections};
 use mhsplat::scene::Edit;
 
 /// More than the buffers that are kept for reads to come hold, in all.
@@ -87,4 +87,49 @@ fn clearing_reaches_the_last_byte() {
         };
         assert!(cleared(&device, edit, len) == vec![Edit::default(); len]);
     }
+}
+
+/// Parts of several arrays, of several types, come and go in their order; empty ones anywhere.
+#[test]
+fn sections_are_read_and_written_in_their_order() {
+    let device = Device::open(None).unwrap();
+    let ints = Array::<u32>::from_slice(&device, "ints", &[1, 2, 3, 4]).unwrap();
+    let reals = Array::<f32>::from_slice(&device, "reals", &[0.5, 1.5, 2.5]).unwrap();
+    let wide = Array::<f64>::from_slice(&device, "wide", &[7.0, 8.0]).unwrap();
+    let sections = || {
+        [
+            ints.section(4, 0).unwrap(),
+            reals.section(1, 2).unwrap(),
+            ints.section(0, 0).unwrap(),
+            wide.section(1, 1).unwrap(),
+            ints.section(1, 2).unwrap(),
+            reals.section(0, 0).unwrap(),
+        ]
+    };
+    let mut words = vec![9];
+    read_sections(&sections(), &mut words).unwrap();
+    let eight = 8.0f64.to_bits();
+    let [one, two] = [1.5f32, 2.5].map(f32::to_bits);
+    let want = [9, one, two, eight as u32, (eight >> 32) as u32, 2, 3];
+    assert_eq!(words, want);
+    let doubled = [3.0f32, 5.0].map(f32::to_bits);
+    let other = 6.25f64.to_bits();
+    let halves = [other as u32, (other >> 32) as u32];
+    let parts: [&[u32]; 6] = [&[], &doubled, &[], &halves, &[20, 30], &[]];
+    let written: Vec<_> = sections().into_iter().zip(parts).collect();
+    write_sections(&written).unwrap();
+    assert_eq!(ints.to_vec().unwrap(), [1, 20, 30, 4]);
+    assert_eq!(reals.to_vec().unwrap(), [0.5, 3.0, 5.0]);
+    assert_eq!(wide.to_vec().unwrap(), [7.0, 6.25]);
+    // Nothing is written where a section and its words differ in length, and there is none beyond an array.
+    let short: [(_, &[u32]); 2] = [
+        (ints.section(0, 1).unwrap(), &[5]),
+        (wide.section(0, 1).unwrap(), &[5]),
+    ];
+    assert!(write_sections(&short).is_err());
+    assert_eq!(ints.to_vec().unwrap(), [1, 20, 30, 4]);
+    assert!(ints.section(3, 2).is_err());
+    read_sections(&[], &mut words).unwrap();
+    write_sections(&[]).unwrap();
+    assert_eq!(words.len(), 7);
 }

@@ -246,7 +246,9 @@ fn a_length_that_changes_after_a_step_is_repeated_to_the_bit() {
         changed.advance().unwrap();
     }
     let (at, longer) = (changed.iteration(), ITERATIONS + 60);
-    changed.set_length(longer, TrainingSize::ThreeQuarters).unwrap();
+    changed
+        .set_length(longer, TrainingSize::ThreeQuarters)
+        .unwrap();
     drive(&mut changed, longer).unwrap();
     let mut repeated = config.clone();
     repeated.lengths = changed.plan().config.lengths.clone();

@@ -21,7 +21,7 @@ use mhsplat::run::{
 };
 
 /// Keys of a configuration that say how long the run is.
-const LENGTHS: [&str; 3] = ["iterations", "time-budget", "budget-cpu"];
+const LENGTHS: [&str; 4] = ["iterations", "time-budget", "budget-cpu", "lengths"];
 
 /// Arguments of `mhsplat train`.
 #[derive(clap::Args)]

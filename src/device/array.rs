@@ -11,6 +11,7 @@ use crate::device::context::{Device, Inner};
 use crate::device::error::{BUG, LOST, LOWER, device_error};
 use crate::device::layout::Element;
 use crate::device::read::PendingRead;
+use crate::device::section::{Section, read_sections, write_sections};
 
 /// A device buffer of `len` values of `T`.
 #[derive(Debug)]
@@ -169,55 +170,10 @@ impl<T: Element> Array<T> {
     /// A range beyond the array, or the driver's.
     pub fn write(&self, offset: usize, data: &[T]) -> Result<()> {
         self.check(offset, data.len())?;
-        self.write_as(offset, data)
-    }
-
-    /// Reads `len` values from `offset` on, after everything enqueued so far.
-    ///
-    /// # Errors
-    /// A range beyond the array, or the driver's.
-    pub fn read(&self, offset: usize, len: usize) -> Result<Vec<T>> {
-        self.check(offset, len)?;
-        let mut values = vec![T::default(); len];
-        self.read_as(offset, &mut values)?;
-        Ok(values)
-    }
-
-    /// 32-bit words of a value.
-    const WORDS: usize = size_of::<T>() / size_of::<u32>();
-
-    /// Reads `len` values of whole words from `offset` on, after everything enqueued so far, to the end of `words`.
-    ///
-    /// # Errors
-    /// A range beyond the array, or the driver's.
-    pub fn append_words(&self, offset: usize, len: usize, words: &mut Vec<u32>) -> Result<()> {
-        self.check(offset, len)?;
-        let first = words.len();
-        words.resize(first + len * Self::WORDS, 0);
-        self.read_as(offset * Self::WORDS, &mut words[first..])
-    }
-
-    /// Writes values from `offset` on that [`Array::append_words`] has read from an array of the same type, and waits until `words` may be
-    /// reused.
-    ///
-    /// # Errors
-    /// A range beyond the array, words that are no whole values, or the driver's.
-    pub fn write_words(&self, offset: usize, words: &[u32]) -> Result<()> {
-        let len = words.len().checked_div(Self::WORDS).unwrap_or(0);
-        self.check(offset, len)?;
-        if words.len() != len * Self::WORDS {
-            let what = format!("{} words for values of {}", words.len(), Self::WORDS);
-            return Err(Error::device(self.name, what, BUG));
-        }
-        self.write_as(offset * Self::WORDS, words)
-    }
-
-    /// Writes values of a type, from the place of the `offset`-th of them on, all within the array.
-    fn write_as<U: OclPrm>(&self, offset: usize, data: &[U]) -> Result<()> {
         if data.is_empty() {
             return Ok(());
         }
-        // SAFETY: a blocking write: `data` outlives it; any bits are a value of `T`.
+        // SAFETY: a blocking write: `data` outlives it.
         unsafe {
             core::enqueue_write_buffer(
                 &self.device.queue(),
@@ -232,24 +188,66 @@ impl<T: Element> Array<T> {
         .map_err(|e| self.failed("write", &e))
     }
 
-    /// Reads values of a type to `data`, from the place of the `offset`-th of them on, all within the array.
-    fn read_as<U: OclPrm>(&self, offset: usize, data: &mut [U]) -> Result<()> {
-        if data.is_empty() {
-            return Ok(());
+    /// Reads `len` values from `offset` on, after everything enqueued so far.
+    ///
+    /// # Errors
+    /// A range beyond the array, or the driver's.
+    pub fn read(&self, offset: usize, len: usize) -> Result<Vec<T>> {
+        self.check(offset, len)?;
+        let mut values = vec![T::default(); len];
+        if values.is_empty() {
+            return Ok(values);
         }
-        // SAFETY: a blocking read: `data` outlives it; any bits are a value of `U`.
+        // SAFETY: a blocking read: `values` outlives it.
         unsafe {
             core::enqueue_read_buffer(
                 &self.device.queue(),
                 &self.mem,
                 true,
                 offset,
-                data,
+                &mut values,
                 None::<&Event>,
                 None::<&mut Event>,
             )
         }
-        .map_err(|e| self.failed("read", &e))
+        .map_err(|e| self.failed("read", &e))?;
+        Ok(values)
+    }
+
+    /// 32-bit words of a value.
+    const WORDS: usize = size_of::<T>() / size_of::<u32>();
+
+    /// Values of whole words from `offset` on, to be read or written with those of other arrays.
+    ///
+    /// # Errors
+    /// A range beyond the array.
+    pub fn section(&self, offset: usize, len: usize) -> Result<Section<'_>> {
+        self.check(offset, len)?;
+        Ok(Section {
+            device: &self.device,
+            mem: &self.mem,
+            name: self.name,
+            first: offset * Self::WORDS,
+            len: len * Self::WORDS,
+        })
+    }
+
+    /// Reads `len` values of whole words from `offset` on, after everything enqueued so far, to the end of `words`.
+    ///
+    /// # Errors
+    /// A range beyond the array, or the driver's.
+    pub fn append_words(&self, offset: usize, len: usize, words: &mut Vec<u32>) -> Result<()> {
+        read_sections(&[self.section(offset, len)?], words)
+    }
+
+    /// Writes values from `offset` on that [`Array::append_words`] has read from an array of the same type, and waits until `words` may be
+    /// reused.
+    ///
+    /// # Errors
+    /// A range beyond the array, words that are no whole values, or the driver's.
+    pub fn write_words(&self, offset: usize, words: &[u32]) -> Result<()> {
+        let len = words.len().checked_div(Self::WORDS).unwrap_or(0);
+        write_sections(&[(self.section(offset, len)?, words)])
     }
 
     /// All values; see [`Array::read`].

@@ -14,6 +14,7 @@ mod program;
 mod queues;
 mod read;
 mod seat;
+mod section;
 mod staging;
 pub mod tuning;
 
@@ -25,3 +26,4 @@ pub use crate::device::launch::{Launch, Program};
 pub use crate::device::layout::{CameraArg, Element, ImageSize, PhotoScale, Projected, Real};
 pub use crate::device::program::{Kernels, source, sources_hash, stages};
 pub use crate::device::read::{Arrived, PendingRead};
+pub use crate::device::section::{Section, read_sections, write_sections};

@@ -369,66 +369,24 @@ impl<R: Real> ViewBuffers<R> {
         Ok(self.status.read(status::INTERSECTIONS as usize, 1)?[0])
     }
 
-    /// Flags of the tiles of a row of the band that have pairs, 1 or 0; waits.
-    pub(crate) fn paired_tiles(&self, row: usize) -> Result<Vec<u32>> {
-        let across = self.camera.tiles[0] as usize;
-        let start = self.tile_start.read(row * across, across + 1)?;
-        Ok(start.windows(2).map(|w| u32::from(w[0] != w[1])).collect())
-    }
-
-    /// Marks the tiles of a row beside the band that have pairs elsewhere: their first pairs differ from those of the next tile, and mean
-    /// nothing else.
-    pub(crate) fn mark_paired(&self, row: usize, flags: &[u32]) -> Result<()> {
-        let across = self.camera.tiles[0] as usize;
-        let mut at = row * across;
-        if row < self.band.start {
-            let mut value = self.tile_start.read(self.band.start * across, 1)?[0];
-            let mut starts = vec![0; across];
-            for (start, flag) in starts.iter_mut().zip(flags).rev() {
-                value = value.wrapping_add(*flag);
-                *start = value;
-            }
-            return self.tile_start.write(at, &starts);
-        }
-        let mut value = self.tile_start.read(at, 1)?[0];
-        let next = flags.iter().map(|flag| {
-            value = value.wrapping_add(*flag);
-            value
-        });
-        at += 1;
-        self.tile_start.write(at, &next.collect::<Vec<_>>())
-    }
-
-    /// Number of pairs of each row of tiles of the band, and of those that were looked at; waits.
-    pub(crate) fn pairs_by_row(&self) -> Result<Vec<[u32; 2]>> {
-        let across = self.camera.tiles[0] as usize;
-        let (first, tiles) = (self.band.start * across, self.band.len() * across);
-        let start = self.tile_start.read(first, tiles + 1)?;
-        let used = self.tile_used.read(first, tiles)?;
-        let row = |k: usize| {
-            let (from, to) = (k * across, (k + 1) * across);
-            // Lists of a view that had no room are of no use.
-            let used = used[from..to]
-                .iter()
-                .fold(0, |sum: u32, n| sum.wrapping_add(*n));
-            [start[to].wrapping_sub(start[from]), used]
-        };
-        Ok((0..self.band.len()).map(row).collect())
-    }
-
     /// Makes room for the sums of `pairs` pairs that others have composited, and for nothing else of them. The first `kept` stay.
     pub fn fit_sums(&mut self, device: &Device, pairs: usize, kept: usize) -> Result<()> {
-        if self.capacity < pairs {
-            let room = |pairs: usize| Ok((Array::zeros(device, "sums", pairs * SUMS)?, pairs));
+        if self.sums.len() < pairs * SUMS {
+            let room = |pairs: usize| Array::zeros(device, "sums", pairs * SUMS);
             // A quarter to spare where there is room for it.
-            let (sums, capacity) = room(pairs + pairs / 4).or_else(|_: Error| room(pairs))?;
-            self.capacity = capacity;
+            let sums = room(pairs + pairs / 4).or_else(|_: Error| room(pairs))?;
             if kept > 0 {
                 sums.copy_from(0, &self.sums, 0, kept * SUMS)?;
             }
             self.sums = sums;
         }
+        self.capacity = self.sums.len() / SUMS;
         Ok(())
+    }
+
+    /// Lends the sums of another view's pairs to this one, or gives them back.
+    pub fn swap_sums(&mut self, other: &mut Self) {
+        std::mem::swap(&mut self.sums, &mut other.sums);
     }
 
     /// Number of chunks of the visible Gaussians whose pairs are counted by tile.

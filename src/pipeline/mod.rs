@@ -1,6 +1,7 @@
 //! One view through the kernels: buffers, photos, the forward and backward passes, one file per stage.
 
 pub mod backward;
+pub mod band;
 pub mod buffers;
 pub mod exposure;
 pub mod forward;

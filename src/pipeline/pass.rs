@@ -211,7 +211,7 @@ impl<R: Real> Pipeline<R> {
     pub fn splat_gradient(&mut self) -> Result<()> {
         self.backward.splats(&self.forward, &self.dimage)?;
         match &mut self.share {
-            Some(share) => share.return_sums(&self.forward.frame),
+            Some(share) => share.return_sums(&mut self.forward.frame),
             None => Ok(()),
         }
     }
@@ -229,7 +229,7 @@ impl<R: Real> Pipeline<R> {
     /// No room, another rank's failure, or the driver's.
     pub fn take_sums(&mut self, part: usize, count: usize) -> Result<Range<usize>> {
         match &mut self.share {
-            Some(share) => share.take_sums(part),
+            Some(share) => share.take_sums(part, &self.forward.frame),
             None => Ok(0..count),
         }
     }
@@ -239,7 +239,9 @@ impl<R: Real> Pipeline<R> {
     /// # Errors
     /// The driver's.
     pub fn end_update(&mut self) -> Result<()> {
-        self.share.as_mut().map_or(Ok(()), Share::end_update)
+        let frame = &mut self.forward.frame;
+        let share = self.share.as_mut();
+        share.map_or(Ok(()), |share| share.end_update(frame))
     }
 
     /// Blending weight α·T of each Gaussian in a view, summed over its pixels, in single precision; a third is missing for each

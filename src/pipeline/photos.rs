@@ -358,10 +358,8 @@ impl Shared {
             let kept = state.entries[wanted.photo].kept(&wanted);
             drop(state);
             // A decoder that panics must not leave the trainer waiting for ever.
-            let made = catch_unwind(AssertUnwindSafe(|| {
-                self.decoded(&file, wanted.scale, kept)
-            }))
-            .unwrap_or_else(|_| Err(file.undecodable()));
+            let made = catch_unwind(AssertUnwindSafe(|| self.decoded(&file, wanted.scale, kept)))
+                .unwrap_or_else(|_| Err(file.undecodable()));
             state = self.lock();
             state.put(&wanted, made);
             self.changed.notify_all();
@@ -369,7 +367,12 @@ impl Shared {
     }
 
     /// Some rows of a photo from its file, at a fraction of its size.
-    fn decoded(&self, file: &PhotoFile, scale: PhotoScale, rows: Range<usize>) -> Result<PhotoArray> {
+    fn decoded(
+        &self,
+        file: &PhotoFile,
+        scale: PhotoScale,
+        rows: Range<usize>,
+    ) -> Result<PhotoArray> {
         let whole = file.load()?;
         let photo = match scale {
             PhotoScale::FULL => whole.rows(rows.clone()),

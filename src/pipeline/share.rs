@@ -14,6 +14,8 @@ use crate::base::error::{Error, Result};
 use crate::base::process::process_cpu_seconds;
 use crate::device::tuning::status;
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program, Real};
+use crate::device::{Section, read_sections, write_sections};
+use crate::pipeline::band::BandTiles;
 use crate::pipeline::buffers::{GaussianBuffers, ViewBuffers};
 use crate::pipeline::forward::{RenderOptions, Renderer};
 use crate::pipeline::stage::loss::{HALO, ImagePair, Loss};
@@ -64,8 +66,12 @@ pub struct Share<R: Real> {
     exchange: Arc<dyn Exchange>,
     route: Route<R>,
     scan: Program,
-    /// Records of the rows of this rank, and the sums of their pairs.
+    /// Records of the rows of this rank; while these are updated the sums of their pairs, too, on loan from the view of the band.
     pub home: ViewBuffers<R>,
+    /// True while they are.
+    lent: bool,
+    /// Pairs of the view composited last.
+    pairs: usize,
     /// First row of tiles of each rank's band, and the number of rows.
     bands: Vec<u32>,
     /// Pairs of each row of tiles of the view composited last, and how many of them were looked at; at the leader alone.
@@ -104,6 +110,8 @@ impl<R: Real> Share<R> {
             route: Route::new(&kernels, [exchange.rank(), exchange.ranks()], parts)?,
             scan: kernels.build::<R>("scan")?,
             home: ViewBuffers::new(device, &defines.tuning, true)?,
+            lent: false,
+            pairs: 0,
             bands: vec![0; exchange.ranks() + 1],
             pairs_by_row: Vec::new(),
             worked_by_rank: vec![Worked::default(); exchange.ranks()],
@@ -223,6 +231,8 @@ impl<R: Real> Share<R> {
     ) -> Result<()> {
         // What lay between two views is no work on them: orders, photos.
         self.lap();
+        // An error may have come between.
+        self.take_back(&mut forward.frame);
         self.route.set_bands(&self.bands)?;
         let home = &mut self.home;
         home.fit_gaussians(&self.device, scene.stride)?;
@@ -280,60 +290,85 @@ impl<R: Real> Share<R> {
 
     /// Trades the pixel rows beside the bands, and the flags of the tiles there that have pairs; returns the pairs that each rank lacks room for.
     fn trade_borders(&mut self, frame: &ViewBuffers<R>) -> Result<Vec<u32>> {
-        let (rank, size) = (self.exchange.rank(), frame.camera.image());
-        let ([stride, _], plane) = (size.padded(), size.plane());
-        let needed = frame.status.read(status::OVERFLOW as usize, 1)?[0];
+        let (rank, size, ranks) = (self.exchange.rank(), frame.camera.image(), self.ranks());
+        let borders: Vec<Vec<Section<'_>>> = (0..ranks)
+            .map(|to| self.border_sections(frame, to, rank))
+            .collect::<Result<_>>()?;
+        let mut sections = vec![frame.status.section(0, status::SLOTS)?];
+        sections.extend(BandTiles::sections(frame)?);
+        let before: usize = sections.iter().map(Section::len).sum();
+        sections.extend(borders.iter().flatten());
+        let mut words = Vec::new();
+        read_sections(&sections, &mut words)?;
+        let (counters, words) = words.split_at(status::SLOTS);
+        let (tiles, mut words) = words.split_at(before - status::SLOTS);
+        let tiles = BandTiles::new(frame, tiles);
+        self.pairs = counters[status::INTERSECTIONS as usize] as usize;
         if self.exchange.apart() && rank != LEADER {
             self.worked.process = process_cpu_seconds() as f32;
         }
+        let needed = counters[status::OVERFLOW as usize];
         let header = [&[needed], self.worked.words().as_slice()].concat();
         let (begins, mut messages) = (header.len(), to_all(self.exchange.as_ref(), header));
-        for (to, message) in messages.iter_mut().enumerate() {
-            for rows in self.border(to, rank, size) {
-                for channel in 0..3 {
-                    let at = channel * plane + rows.start * stride;
-                    frame.image.append_words(at, rows.len() * stride, message)?;
-                }
-            }
+        for (to, (message, border)) in messages.iter_mut().zip(&borders).enumerate() {
+            let (part, rest) = words.split_at(border.iter().map(Section::len).sum());
+            words = rest;
+            message.extend(part);
             for row in self.beside(to, rank, size) {
-                message.extend(frame.paired_tiles(row)?);
+                message.extend(tiles.paired(row));
             }
         }
-        messages[LEADER].extend(frame.pairs_by_row()?.as_flattened());
-        let mut got = self.trade(Part::Borders, messages)?;
-        let all = size.tiles()[1];
+        messages[LEADER].extend(tiles.pairs_by_row().flatten());
+        let got = self.trade(Part::Borders, messages)?;
         if rank == LEADER {
-            self.pairs_by_row = vec![[0; 2]; all];
+            self.pairs_by_row = vec![[0; 2]; size.tiles()[1]];
         }
-        let words = size_of::<R>() / size_of::<u32>();
-        for (from, message) in got.iter_mut().enumerate() {
+        let (mut written, mut marks) = (Vec::new(), Vec::new());
+        for (from, message) in got.iter().enumerate() {
             let mut at = begins;
-            for rows in self.border(rank, from, size) {
-                for channel in 0..3 {
-                    let len = rows.len() * stride;
-                    let part = message.get(at..at + len * words).ok_or_else(short)?;
-                    let place = channel * plane + rows.start * stride;
-                    frame.image.write_words(place, part)?;
-                    at += len * words;
-                }
+            let mut next = |len: usize| {
+                at += len;
+                message.get(at - len..at).ok_or_else(short)
+            };
+            for section in self.border_sections(frame, rank, from)? {
+                written.push((section, next(section.len())?));
             }
             for row in self.beside(rank, from, size) {
-                let across = size.tiles()[0];
-                let flags = message.get(at..at + across).ok_or_else(short)?;
-                frame.mark_paired(row, flags)?;
-                at += across;
+                marks.push(tiles.marks(row, next(size.tiles()[0])?));
             }
             if rank == LEADER {
                 let told = message.get(1..begins).ok_or_else(short)?;
                 self.worked_by_rank[from] = Worked::from_words(told).ok_or_else(short)?;
                 let band = self.band(from);
-                let part = message.get(at..at + 2 * band.len()).ok_or_else(short)?;
+                let part = next(2 * band.len())?;
                 let rows = self.pairs_by_row[band].as_flattened_mut();
                 rows.copy_from_slice(part);
             }
         }
+        for (first, starts) in &marks {
+            written.push((frame.tile_start.section(*first, starts.len())?, starts));
+        }
+        write_sections(&written)?;
         let first = |message: &Vec<u32>| message.first().copied().unwrap_or(0);
         Ok(got.iter().map(first).collect())
+    }
+
+    /// Pixels of another rank's border that this one has, in all channels.
+    fn border_sections<'v>(
+        &self,
+        frame: &'v ViewBuffers<R>,
+        of: usize,
+        owner: usize,
+    ) -> Result<Vec<Section<'v>>> {
+        let size = frame.camera.image();
+        let ([stride, _], plane) = (size.padded(), size.plane());
+        let borders = self.border(of, owner, size).into_iter();
+        let planes = borders.flat_map(|rows| (0..3).map(move |channel| (channel, rows.clone())));
+        let section = |(channel, rows): (usize, Range<usize>)| {
+            let at = channel * plane + rows.start * stride;
+            frame.image.section(at, rows.len() * stride)
+        };
+        planes.map(section).collect()
     }
 
     /// Number of parts in which records and sums travel.
@@ -342,13 +377,16 @@ impl<R: Real> Share<R> {
         self.route.parts()
     }
 
-    /// Begins to send the sums of the pairs of this rank's band to the ranks whose Gaussians they are. Waits for its own device alone.
+    /// Begins to send the sums of the pairs of this rank's band to the ranks whose Gaussians they are; all of them are lent to [`Share::home`]
+    /// until [`Share::end_update`]. Waits for its own device alone.
     ///
     /// # Errors
     /// No room, another rank's failure, or the driver's.
-    pub fn return_sums(&mut self, frame: &ViewBuffers<R>) -> Result<()> {
-        let (device, scan) = (&self.device, &self.scan);
-        self.route.give_back(device, scan, frame, &mut self.home)?;
+    pub fn return_sums(&mut self, frame: &mut ViewBuffers<R>) -> Result<()> {
+        let of = (&*frame, self.pairs);
+        self.route.give_back(&self.device, &self.scan, of)?;
+        self.home.swap_sums(frame);
+        self.lent = true;
         for part in 0..self.parts() {
             let given = self.route.to_return(part)?;
             self.exchange.begin(Part::Sums, given)?;
@@ -361,25 +399,34 @@ impl<R: Real> Share<R> {
     ///
     /// # Errors
     /// No room, another rank's failure, or the driver's.
-    pub fn take_sums(&mut self, part: usize) -> Result<Range<usize>> {
+    pub fn take_sums(&mut self, part: usize, frame: &ViewBuffers<R>) -> Result<Range<usize>> {
         // The step of the part before is taken meanwhile.
         self.device.flush()?;
         let got = self.wait()?;
         let (device, scan) = (&self.device, &self.scan);
-        self.route
-            .collect(device, scan, (part, &got), &mut self.home)?;
+        let views = (&mut self.home, frame);
+        self.route.collect(device, scan, (part, &got), views)?;
         self.updated += self.lap();
         Ok(self.route.rows(part))
     }
 
-    /// Waits for the update of the rows, which is work on them; of what is done while messages are waited for nothing counts.
+    /// Gives the sums back to the view of the band, and waits for the update of the rows, which is work on them; of what is done while messages
+    /// are waited for nothing counts.
     ///
     /// # Errors
     /// The driver's.
-    pub fn end_update(&mut self) -> Result<()> {
+    pub fn end_update(&mut self, frame: &mut ViewBuffers<R>) -> Result<()> {
+        self.take_back(frame);
         self.device.finish()?;
         self.updated += self.lap();
         Ok(())
+    }
+
+    /// Ends the loan of the sums.
+    fn take_back(&mut self, frame: &mut ViewBuffers<R>) {
+        if std::mem::take(&mut self.lent) {
+            self.home.swap_sums(frame);
+        }
     }
 
     /// Forgets the time of all work so far: it was on other rows.
@@ -445,18 +492,18 @@ impl<R: Real> Share<R> {
         };
         let (first, len) = rows(rank);
         let mut own = Vec::new();
-        for k in 0..count {
-            planes.append_words(k * plane + first, len, &mut own)?;
-        }
+        let sections = (0..count).map(|k| planes.section(k * plane + first, len));
+        read_sections(&sections.collect::<Result<Vec<_>>>()?, &mut own)?;
         let got = self.trade(Part::Images, address(own))?;
+        let mut written = Vec::new();
         for (from, message) in got.iter().enumerate().filter(|(from, _)| *from != rank) {
-            let (first, _) = rows(from);
+            let (first, len) = rows(from);
             let parts = message.chunks_exact((message.len() / count).max(1));
             for (k, part) in parts.enumerate() {
-                planes.write_words(k * plane + first, part)?;
+                written.push((planes.section(k * plane + first, len)?, part));
             }
         }
-        Ok(())
+        write_sections(&written)
     }
 
     /// Gives the leader the sums of the loss of all bands; true there.
@@ -465,21 +512,23 @@ impl<R: Real> Share<R> {
     /// Another rank's failure, or the driver's.
     pub fn sum_loss(&self, loss: &Loss<R>, pair: &ImagePair<'_, R>) -> Result<bool> {
         let (rank, mut own) = (self.exchange.rank(), Vec::new());
-        for place in loss.places(pair.size, &self.band(rank)) {
-            loss.partial
-                .append_words(place.start, place.len(), &mut own)?;
-        }
+        let sections = |of: usize| -> Result<Vec<Section<'_>>> {
+            let places = loss.places(pair.size, &self.band(of)).into_iter();
+            let section = |place: Range<usize>| loss.partial.section(place.start, place.len());
+            places.map(section).collect()
+        };
+        read_sections(&sections(rank)?, &mut own)?;
         let messages = to_one(self.exchange.as_ref(), LEADER, own);
         let got = self.trade(Part::Loss, messages)?;
         if rank != LEADER {
             return Ok(false);
         }
+        let mut written = Vec::new();
         for (from, message) in got.iter().enumerate() {
             let parts = message.chunks_exact((message.len() / 3).max(1));
-            for (place, part) in loss.places(pair.size, &self.band(from)).iter().zip(parts) {
-                loss.partial.write_words(place.start, part)?;
-            }
+            written.extend(sections(from)?.into_iter().zip(parts));
         }
+        write_sections(&written)?;
         Ok(true)
     }
 }

@@ -52,9 +52,9 @@ pub(super) enum Pace {
 }
 
 impl Pace {
-    /// The pace of a run that begins or goes on; `halves` if its photos are large enough for smaller ones.
-    pub fn new(config: &TrainConfig, to_come: Vec<Length>, halves: bool) -> Self {
-        match (Budget::of(config, halves), to_come.is_empty()) {
+    /// The pace of a run that begins or goes on; a budget chooses from the sizes of photos, the largest first.
+    pub fn new(config: &TrainConfig, to_come: Vec<Length>, sizes: Vec<TrainingSize>) -> Self {
+        match (Budget::of(config, sizes), to_come.is_empty()) {
             (Some(budget), _) => Self::Budget(budget),
             (None, true) => Self::Fixed,
             (None, false) => Self::Repeats(to_come.into_iter().rev().collect()),
@@ -118,28 +118,23 @@ pub(super) struct Budget {
     /// Iterations that the largest of them is to have; half as many for the next.
     few: u32,
     /// Iterations that the first plan found room for at full size, where it chose a smaller one.
-    pub at_full_size: Option<u32>,
+    at_full_size: Option<u32>,
 }
 
 impl Budget {
     /// The budget that a configuration asks for; see [`Pace::new`].
-    fn of(config: &TrainConfig, halves: bool) -> Option<Self> {
+    fn of(config: &TrainConfig, sizes: Vec<TrainingSize>) -> Option<Self> {
         let wall = config.time_budget.map(|seconds| (seconds, false));
         let (seconds, cpu) = wall.or(config.budget_cpu.map(|seconds| (seconds, true)))?;
         let most = match config.extended() {
             true => MOST,
             false => config.iterations,
         };
-        let mut budget = Self::new(seconds, cpu, most);
-        // A run that goes on may get larger photos than before, and no smaller ones.
-        let larger = |size: &TrainingSize| {
-            config.lengths.is_empty() || size.area() >= config.last_size().area()
-        };
-        if halves {
-            budget.sizes = TrainingSize::ALL.into_iter().filter(larger).collect();
-            budget.few = config.work.resolution_iterations;
-        }
-        Some(budget)
+        Some(Self {
+            sizes,
+            few: config.work.resolution_iterations,
+            ..Self::new(seconds, cpu, most)
+        })
     }
 
     /// A budget for a run at full size that begins or goes on.
@@ -170,7 +165,10 @@ impl Budget {
 
     /// A length in a sentence.
     pub fn told(&self, length: &Length) -> String {
-        let fit = format!("about {} iterations fit into the time budget", length.iterations);
+        let fit = format!(
+            "about {} iterations fit into the time budget",
+            length.iterations
+        );
         let [num, den] = length.size.fraction();
         match self.at_full_size {
             Some(few) => format!("{fit} at {num}/{den} of the photos' size ({few} at all of it)"),
@@ -209,7 +207,7 @@ impl Budget {
     /// Iterations of the run, and the largest size of photos that leaves room for enough of them.
     fn first_plan(&mut self, done: u32, left: f64, forecast: &Forecast) -> (u32, TrainingSize) {
         let mut needed = self.few.min(self.most);
-        let mut plan = (self.most, TrainingSize::Full);
+        let mut plan = (self.most, forecast.size());
         for size in &self.sizes {
             let fit = self.most_that_fit(done, left, &forecast.at_size(*size));
             plan = (fit, *size);
@@ -246,7 +244,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::{Budget, LATEST};
-    use crate::config::{Length, TrainConfig, TrainingSize};
+    use crate::config::{TrainConfig, TrainingSize};
     use crate::run::forecast::{Every, Forecast, HostCost, Made};
     use crate::train::sizes::Sizes;
 
@@ -363,19 +361,23 @@ mod tests {
         );
     }
 
-    /// Size of the photos that the first plan of a run of 1000 pixels and 20 ms an iteration chooses, and its length.
-    fn first_plan(seconds: f64, config: &TrainConfig, halves: bool) -> (TrainingSize, u32) {
+    /// Size of the photos that the first plan chooses of some, and the length, in a run of 20 ms an iteration.
+    fn first_plan(
+        seconds: f64,
+        config: &TrainConfig,
+        sizes: &[TrainingSize],
+    ) -> (TrainingSize, u32) {
         let config = TrainConfig {
             time_budget: Some(seconds),
             ..config.clone()
         };
-        let mut budget = Budget::of(&config, halves).unwrap();
-        let mut forecast = forecast(seconds).at_size(config.last_size());
+        let mut budget = Budget::of(&config, sizes.to_vec()).unwrap();
+        let mut forecast = forecast(seconds).at_size(sizes[sizes.len() - 1]);
         forecast.iterated(0, 1000, 0.0, 1.0);
         forecast.iterated(20, 1000, 0.4, 1.0);
         let length = budget.length(20, 1000, &forecast, 0.4).unwrap();
         let told = budget.told(&length);
-        let smaller = length.size != TrainingSize::Full && config.lengths.is_empty();
+        let smaller = length.size != sizes[0];
         assert_eq!(smaller, told.contains("of the photos' size"), "{told}");
         (length.size, length.iterations)
     }
@@ -383,46 +385,29 @@ mod tests {
     #[test]
     fn photos_are_smaller_where_few_iterations_fit() {
         let mut config = TrainConfig::default();
-        let size = |seconds, config: &TrainConfig| first_plan(seconds, config, true).0;
-        let [full, quarters, sixteenths] = TrainingSize::ALL;
-        let (_, n) = first_plan(60.0, &config, true);
-        assert!(n > 1000, "{n}");
-        for (seconds, chosen) in [(60.0, full), (24.0, quarters), (8.0, sixteenths)] {
+        let all = TrainingSize::ALL;
+        let [full, quarters, sixteenths] = all;
+        let size = |seconds, config: &TrainConfig| first_plan(seconds, config, &all).0;
+        let (_, n) = first_plan(60.0, &config, &all);
+        assert!(n > 1200, "{n}");
+        for (seconds, chosen) in [(60.0, full), (40.0, quarters), (8.0, sixteenths)] {
             assert_eq!(size(seconds, &config), chosen, "{seconds} s");
         }
         // Smaller photos leave room for more iterations.
-        let more = first_plan(24.0, &config, true).1;
-        assert!(more > first_plan(24.0, &config, false).1);
-        // Nobody has fewer than are asked for, and photos of 64 pixels get no smaller.
+        let [whole, smaller] = [&all[..1], &all].map(|sizes| first_plan(40.0, &config, sizes).1);
+        assert!(smaller > whole, "{smaller} {whole}");
+        // Nobody gets more than are asked for, nor another size than there is to choose.
         config.iterations = 200;
-        assert_eq!(size(24.0, &config), full);
+        assert_eq!(size(40.0, &config), full);
         config.iterations = 30_000;
-        assert_eq!(first_plan(24.0, &config, false).0, full);
+        for one in all {
+            assert_eq!(first_plan(8.0, &config, &[one]).0, one);
+        }
+        assert_eq!(first_plan(8.0, &config, &all[..2]).0, quarters);
         config.work.resolution_iterations = 0;
         assert_eq!(size(8.0, &config), full);
         config.work.resolution_iterations = 100_000;
         assert_eq!(size(60.0, &config), sixteenths);
-    }
-
-    #[test]
-    fn photos_of_a_run_that_goes_on_get_no_smaller() {
-        let [full, quarters, sixteenths] = TrainingSize::ALL;
-        for (before, seconds, chosen) in [
-            (full, 8.0, full),
-            (quarters, 8.0, quarters),
-            (sixteenths, 8.0, sixteenths),
-            (sixteenths, 60.0, full),
-        ] {
-            let config = TrainConfig {
-                lengths: vec![Length {
-                    size: before,
-                    ..Length::new(10, 500)
-                }],
-                ..TrainConfig::default()
-            };
-            let (size, _) = first_plan(seconds, &config, true);
-            assert_eq!(size, chosen, "{before:?}, {seconds} s");
-        }
     }
 
     #[test]

@@ -270,7 +270,9 @@ impl Run {
     fn set_length(&mut self, length: Length) -> Result<()> {
         self.trainer.set_length(length.iterations, length.size)?;
         let done = self.trainer.iteration();
-        self.forecast.follow(self.trainer.schedule(), done);
+        if self.forecast.follow(self.trainer.schedule(), done) {
+            self.losses.clear();
+        }
         let lengths = &self.trainer.plan().config.lengths;
         self.record.config.lengths = [lengths.clone(), self.pace.to_come()].concat();
         Ok(())

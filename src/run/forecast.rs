@@ -357,17 +357,18 @@ impl Forecast {
         self.ahead = None;
     }
 
-    /// Takes over the schedule of a run whose length, and maybe the size of its photos, has changed after so many iterations.
-    pub fn follow(&mut self, schedule: &Schedule, done: u32) {
+    /// Takes over the schedule of a run whose length, and maybe the size of its photos, has changed after so many iterations; returns true
+    /// for another size, of which losses are others.
+    pub fn follow(&mut self, schedule: &Schedule, done: u32) -> bool {
         if let Some(growth) = &mut self.growth {
             growth.follow(schedule);
         }
         self.ahead = None;
-        let size = schedule.size(done);
-        if size != self.size {
-            self.size = size;
+        let before = std::mem::replace(&mut self.size, schedule.size(done));
+        if before != self.size {
             self.disturbed();
         }
+        before != self.size
     }
 
     /// Largest size of the photos that are trained on.

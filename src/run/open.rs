@@ -247,12 +247,10 @@ impl Run {
         patience::check(&plan.config, &losses)?;
         let done = saved.as_ref().map(|saved| saved.state.iteration);
         let stepped = saved.as_ref().map(stepped);
-        // That of the trainer: an extension has made it longer.
-        let pace = Pace::new(&trainer.plan().config, to_come, trainer.halves());
-        let budget = pace.budget();
-        let host = HostCost::measure(budget.is_some_and(|budget| budget.cpu))?;
-        let latest = Budget::latest(budget);
-        let forecast = Forecast::new(&trainer, evaluator.as_ref(), latest, host);
+        // The trainer's configuration: an extension has made it longer.
+        let sizes = sizes(&trainer, done.is_none(), extended.is_some());
+        let pace = Pace::new(&trainer.plan().config, to_come, sizes);
+        let forecast = forecast(&trainer, evaluator.as_ref(), pace.budget())?;
         let clock = match &saved {
             Some(saved) => clock.after(saved.clock),
             None => clock,
@@ -324,6 +322,29 @@ fn trainer(
         beginning((&path, fingerprint), trainer, splats.sh_degree())
     })?;
     Ok((trainer, test))
+}
+
+/// The sizes of photos that a budget chooses from, the largest first: all where the run begins, no smaller ones than before where it goes on
+/// from its end, else that which it has. Photos that cannot be halved keep their size.
+fn sizes(trainer: &Trainer, begins: bool, extended: bool) -> Vec<TrainingSize> {
+    let now = trainer.plan().config.last_size();
+    let may_be = |size: &TrainingSize| match trainer.halves() {
+        true if begins => true,
+        true if extended => size.area() >= now.area(),
+        _ => *size == now,
+    };
+    TrainingSize::ALL.into_iter().filter(may_be).collect()
+}
+
+/// The forecast of a run that begins or goes on.
+fn forecast(
+    trainer: &Trainer,
+    evaluator: Option<&Evaluator>,
+    budget: Option<&Budget>,
+) -> Result<Forecast> {
+    let host = HostCost::measure(budget.is_some_and(|budget| budget.cpu))?;
+    let latest = Budget::latest(budget);
+    Ok(Forecast::new(trainer, evaluator, latest, host))
 }
 
 /// The budget that a run goes by, or the one of time if it has none.

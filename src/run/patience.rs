@@ -20,7 +20,7 @@ pub(super) fn stalled(losses: &[f64], patience: Option<u32>) -> bool {
     best(last) > best(before) * (1.0 - IMPROVEMENT)
 }
 
-/// Training losses at the evaluations of a run (its rows of metrics.csv), of photos of full size.
+/// Training losses at the evaluations of a run (its rows of metrics.csv), of photos of the largest size.
 pub(super) fn losses(rows: &[MetricsRow], full_from: u32) -> Vec<f64> {
     let mut rows: Vec<&MetricsRow> = rows.iter().filter(|r| r.iteration > full_from).collect();
     rows.dedup_by_key(|row| row.iteration);

@@ -212,7 +212,7 @@ pub struct RunRecord {
     pub plan: PlanRecord,
     /// Iterations done.
     pub iterations: u32,
-    /// First iteration of photos of full size; absent where all have it.
+    /// First iteration from which photos have the largest size of the run; absent where all have it.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub full_size_from: u64,
     /// Number of Gaussians.

@@ -307,7 +307,9 @@ impl Plan {
                 (Part::ProgressiveResolution, !self.detail.value.is_empty()),
                 &self.detail.why,
             ),
-            self.smaller.as_ref().map(|why| (Part::FullSize, false, why)),
+            self.smaller
+                .as_ref()
+                .map(|why| (Part::FullSize, false, why)),
             fact(Part::MortonOrder),
             fact(Part::BlockCulling),
             typed(on(Part::SkipBlank, &self.skip_blank), &self.skip_blank.why),

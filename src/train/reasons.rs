@@ -252,13 +252,7 @@ impl fmt::Display for Why {
                 let grey = grey.join(", ");
                 write!(f, ", double that when the loss is expected to be near the detail lost ({grey} grey levels)")
             }
-            Self::FewIterations(size, few) => {
-                let [num, den] = size.fraction();
-                write!(
-                    f,
-                    "trained at {num}/{den} of it: fewer than {few} iterations of full size fit into the budget"
-                )
-            }
+            Self::FewIterations(size, few) => spelt_size(f, *size, *few),
             Self::SmallPhotos => f.write_str("the photos are too small to be halved"),
             Self::Locality => {
                 f.write_str("neighbours in space share cache lines and are culled together")
@@ -314,6 +308,15 @@ impl fmt::Display for Why {
             ),
         }
     }
+}
+
+/// Spells the size of the photos where fewer iterations than wanted fit at full size.
+fn spelt_size(f: &mut fmt::Formatter<'_>, size: TrainingSize, few: u32) -> fmt::Result {
+    let [num, den] = size.fraction();
+    write!(
+        f,
+        "trained at {num}/{den} of it: fewer than {few} iterations of full size fit into the budget"
+    )
 }
 
 /// Spells the spreads that decide: those that reach their bar, or all of them if none does.

@@ -91,13 +91,16 @@ impl Schedule {
         self.scaled(at, self.config.optimizer.sh_interval).max(1)
     }
 
-    /// Size of photos of `size` pixels at an iteration over their full size: the largest of the run, halved as often as both sides keep at
-    /// least 64 pixels of the full size. Never halved more often than at an iteration before, be it that another length was planned then.
+    /// Size of photos of `size` pixels at an iteration over their full size: the largest of the run, halved, both if both sides keep at
+    /// least 64 pixels. Never halved more often than at an iteration before, be it that another length was planned then.
     #[must_use]
     pub fn scale_of(&self, sizes: &Sizes, iteration: u32, size: [usize; 2]) -> PhotoScale {
         let [num, den] = self.size(iteration).fraction().map(|n| n as usize);
-        let halvings = self.halvings(sizes, iteration).min(most_halvings(size));
-        PhotoScale { num, den }.halved(halvings)
+        let large = |scale: &PhotoScale| size.iter().all(|side| scale.of(*side) >= MIN_SIDE);
+        let largest = Some(PhotoScale { num, den }).filter(large);
+        let largest = largest.unwrap_or(PhotoScale::FULL);
+        let most = most_halvings(size.map(|side| largest.of(side)));
+        largest.halved(self.halvings(sizes, iteration).min(most))
     }
 
     /// Largest size of the photos over that asked for, as it is planned at an iteration.
@@ -119,7 +122,10 @@ impl Schedule {
     #[must_use]
     pub fn full_size_from(&self, sizes: &Sizes, size: [usize; 2]) -> u32 {
         let lengths = &self.config.lengths;
-        let before = |k: usize| k.checked_sub(1).map_or(TrainingSize::Full, |k| lengths[k].size);
+        let before = |k: usize| {
+            k.checked_sub(1)
+                .map_or(TrainingSize::Full, |k| lengths[k].size)
+        };
         let changed = (0..lengths.len()).rfind(|k| lengths[*k].size != before(*k));
         let changed = changed.map_or(0, |k| lengths[k].from);
         if self.halvings(sizes, 0).min(most_halvings(size)) == 0 {

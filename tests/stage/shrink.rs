@@ -49,7 +49,10 @@ fn agrees_with_the_reference_to_the_byte() {
             // A band of the smaller photo, as ranks take it.
             let rows = 1..want.height as usize - 1;
             let part = shrink_rows(&photo, scale, rows.clone());
-            assert_eq!(part.data, want.rows(rows).data);
+            let (width, pixels) = (want.width as usize, (want.width * want.height) as usize);
+            let planes = want.data.chunks_exact(pixels);
+            let planes = planes.map(|p| &p[rows.start * width..rows.end * width]);
+            assert_eq!(part.data, planes.collect::<Vec<_>>().concat());
         }
     }
 }

@@ -5,7 +5,9 @@ use std::ops::Range;
 
 use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
+use crate::device::tuning::status;
 use crate::device::{Array, Device, Element, Kernels, Launch, Program, Projected, Real};
+use crate::device::{read_sections, write_sections};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::reference::TILE;
 use crate::pipeline::stage::project::Projected64;
@@ -44,8 +46,6 @@ pub struct Route<R: Real> {
     spans: Array<u32>,
     /// Gaussians of each chunk that touch a band.
     chunk_sums: Array<u32>,
-    /// First of what each band gets, among what all get.
-    firsts: Array<u32>,
     place: Array<u32>,
     starts: Array<u32>,
     offsets: Array<u32>,
@@ -58,10 +58,10 @@ pub struct Route<R: Real> {
     back: Vec<u32>,
     /// Sums that go to others, by Gaussian.
     ordered: Array<R>,
-    /// Pairs of this rank's own Gaussians in its band.
-    own_pairs: usize,
-    /// Pairs of its own rows whose sums are there, those of other bands, too.
+    /// Pairs whose sums are there: those of this rank's band, and those of its own rows in other bands that have come.
     there: usize,
+    /// The most that there have been.
+    most: usize,
 }
 
 /// Makes an array hold `len` values, with a quarter to spare where it is to grow. Contents are lost then.
@@ -96,7 +96,6 @@ impl<R: Real> Route<R> {
             bands: ints("bands", ranks + 1)?,
             spans: ints("spans", 0)?,
             chunk_sums: ints("route sums", ranks * program.chunks())?,
-            firsts: ints("sent firsts", ranks)?,
             place: ints("place", 0)?,
             starts: ints("starts", 0)?,
             offsets: ints("offsets", ranks)?,
@@ -107,8 +106,8 @@ impl<R: Real> Route<R> {
             row_start: ints("row_start", 0)?,
             back: vec![0],
             ordered: Array::zeros(device, "ordered", 0)?,
-            own_pairs: 0,
             there: 0,
+            most: 0,
             program,
         })
     }
@@ -161,13 +160,9 @@ impl<R: Real> Route<R> {
             let group = launch.defines().tuning.tile_group();
             launch.run([chunks * group, ranks], [group, 1])
         };
-        self.program
-            .launch("route_spans")
-            .array(&view.records, rows.end)
-            .array(&view.keys, rows.end)
-            .uints([rows.start, rows.end])
-            .array(&self.spans, rows.end)
-            .over_items([rows.len(), 1])?;
+        // The numbers of pairs will take their place, while they are still asked for.
+        self.spans
+            .copy_from(rows.start, &view.isect_counts, rows.start, rows.len())?;
         let launch = self.own("route_count", &rows).uints([chunks]);
         over_bands(launch.array(&self.chunk_sums, ranks * chunks))?;
         let counted = self.chunk_sums.read(0, ranks * chunks)?;
@@ -184,8 +179,6 @@ impl<R: Real> Route<R> {
         fit(device, &mut trip.keys, all.max(1))?;
         fit(device, &mut trip.sent, all.max(1))?;
         (trip.sent_first, trip.sent_counts) = (firsts[self.rank], counts);
-        let written: Vec<u32> = firsts.iter().map(|first| *first as u32).collect();
-        self.firsts.write(0, &written)?;
         let trip = &self.trips[part];
         let launch = self
             .own("route_pack", &rows)
@@ -193,7 +186,6 @@ impl<R: Real> Route<R> {
             .array(&self.chunk_sums, ranks * chunks)
             .array(&view.records, rows.end)
             .array(&view.keys, rows.end)
-            .array(&self.firsts, ranks)
             .array(&trip.keys, all)
             .array(&trip.sent, all)
             .uints([self.stride])
@@ -204,9 +196,9 @@ impl<R: Real> Route<R> {
             if rank == self.rank {
                 return Ok(Vec::new());
             }
-            let mut words = Vec::with_capacity(n * routed_words::<R>());
-            trip.keys.append_words(*from, n, &mut words)?;
-            trip.sent.append_words(*from, n, &mut words)?;
+            let mut words = Vec::new();
+            let sections = [trip.keys.section(*from, n)?, trip.sent.section(*from, n)?];
+            read_sections(&sections, &mut words)?;
             Ok(words)
         };
         firsts.iter().enumerate().map(message).collect()
@@ -220,8 +212,8 @@ impl<R: Real> Route<R> {
         let (spans, bands) = (self.spans.read(0, view.count)?, self.bands.to_vec()?);
         let rows = |band: &[u32]| -> Vec<u32> {
             let touches = |span: &u32| {
-                let [first, last] = [span & 0xffff, span >> 16];
-                last >= band[0] && first < band[1] && band[0] < band[1]
+                let [first, end] = [span & 0xffff, span >> 16];
+                end > band[0] && first < band[1] && band[0] < band[1]
             };
             let rows = (0..).zip(&spans).filter(|(_, span)| touches(span));
             rows.map(|(row, _)| row).collect()
@@ -260,6 +252,7 @@ impl<R: Real> Route<R> {
         if view.keys.len() < view.count {
             view.fit_gaussians(device, view.count + view.count / 4)?;
         }
+        let mut written = Vec::new();
         for (trip, messages) in self.trips.iter().zip(messages_by_part) {
             for (rank, (got, message)) in trip.got.iter().zip(messages).enumerate() {
                 let (first, n) = (got.start, got.len());
@@ -269,12 +262,12 @@ impl<R: Real> Route<R> {
                     view.records.copy_from(first, &trip.sent, from, n)?;
                 } else {
                     let (keys, records) = message.split_at(n);
-                    view.keys.write_words(first, keys)?;
-                    view.records.write_words(first, records)?;
+                    written.push((view.keys.section(first, n)?, keys));
+                    written.push((view.records.section(first, n)?, records));
                 }
             }
         }
-        Ok(())
+        write_sections(&written)
     }
 
     /// Gaussians that this rank's band got of a rank, in its view.
@@ -285,45 +278,44 @@ impl<R: Real> Route<R> {
         first.map_or(0, |got| got.start)..last.map_or(0, |got| got.end)
     }
 
-    /// Brings the sums of the pairs of this rank's band into the order of its Gaussians: those of other ranks' to go back
-    /// ([`Route::to_return`]), and its own to `home`. Waits.
+    /// Brings the sums of the pairs of this rank's band that are of other ranks' Gaussians into the order of these, to go back
+    /// ([`Route::to_return`]); its own stay where they are, in the view of `pairs` pairs. Waits.
     pub fn give_back(
         &mut self,
         device: &Device,
         scan: &Program,
-        view: &ViewBuffers<R>,
-        home: &mut ViewBuffers<R>,
+        (view, pairs): (&ViewBuffers<R>, usize),
     ) -> Result<()> {
         fit(device, &mut self.lengths, view.count)?;
-        fit(device, &mut self.row_start, view.count + 1)?;
+        fit(device, &mut self.row_start, view.count)?;
+        let own = self.got(self.rank);
         self.band("route_lengths", view)
+            .uints([own.start, own.end])
             .array(&self.lengths, view.count)
             .over_items([view.count, 1])?;
         let lengths = [&self.lengths, &self.row_start];
         scan::sum_pairs(scan, view, view.count, lengths)?;
-        let all = view.pairs_found()?;
-        self.row_start.write(view.count, &[all])?;
-        self.back = self.row_start.read(0, view.count + 1)?;
-        let own = self.got(self.rank);
-        let [before, after] = [own.start, own.end].map(|at| self.back[at]);
-        self.own_pairs = (after - before) as usize;
-        self.there = self.own_pairs;
-        let others = all as usize - self.own_pairs;
-        fit(device, &mut self.ordered, others * SUMS)?;
-        // A kernel takes no empty array.
-        home.fit_sums(device, self.own_pairs.max(1), 0)?;
-        for (rows, base, to) in [
-            (0..own.start, 0, &self.ordered),
-            (own.clone(), before, &home.sums),
-            (own.end..view.count, after - before, &self.ordered),
-        ] {
+        self.back.clear();
+        let sections = [
+            self.row_start.section(0, own.start)?,
+            self.row_start.section(own.end, view.count - own.end)?,
+            view.status.section(status::INTERSECTIONS as usize, 1)?,
+        ];
+        read_sections(&sections, &mut self.back)?;
+        let others = self.back[self.back.len() - 1];
+        // None of its own goes back.
+        let at_own = self.back[own.start];
+        let stay = std::iter::repeat_n(at_own, own.len());
+        self.back.splice(own.start..own.start, stay);
+        self.there = pairs;
+        fit(device, &mut self.ordered, others as usize * SUMS)?;
+        for rows in [0..own.start, own.end..view.count] {
             self.band("route_return", view)
                 .uints([rows.start, rows.end])
                 .array(&view.isect_start, view.count)
                 .array(&self.row_start, view.count)
-                .value(base)
-                .array(&view.sums, all as usize * SUMS)
-                .array(to, 0)
+                .array(&view.sums, pairs * SUMS)
+                .array(&self.ordered, others as usize * SUMS)
                 .over_items([rows.len(), 1])?;
         }
         Ok(())
@@ -341,12 +333,10 @@ impl<R: Real> Route<R> {
             }
             let starts = &self.back[got.start..=got.end];
             let (first, end) = (starts[0] as usize, starts[got.len()] as usize);
-            let gap = if rank < self.rank { 0 } else { self.own_pairs };
             let sums = (end - first) * SUMS;
             let mut words = Vec::with_capacity(starts.len() + sums * size_of::<R>() / 4);
             words.extend(starts);
-            self.ordered
-                .append_words((first - gap) * SUMS, sums, &mut words)?;
+            self.ordered.append_words(first * SUMS, sums, &mut words)?;
             Ok(words)
         };
         let got = self.trips[part].got.iter();
@@ -354,7 +344,7 @@ impl<R: Real> Route<R> {
     }
 
     /// Takes the messages of [`Route::to_return`] of all ranks for a part of the rows of a view: pairs and their sums, by bands from top to
-    /// bottom. Parts come in their order.
+    /// bottom, beside the sums of `band`, the view of this rank's own band, which it has got. Parts come in their order.
     ///
     /// # Errors
     /// Messages of another shape, no room, or the driver's.
@@ -363,7 +353,7 @@ impl<R: Real> Route<R> {
         device: &Device,
         scan: &Program,
         (part, messages): (usize, &[Vec<u32>]),
-        view: &mut ViewBuffers<R>,
+        (view, band): (&mut ViewBuffers<R>, &ViewBuffers<R>),
     ) -> Result<()> {
         let words = size_of::<R>() / size_of::<u32>() * SUMS;
         let trip = &self.trips[part];
@@ -371,12 +361,11 @@ impl<R: Real> Route<R> {
         let (mut place, mut end) = (0, self.there);
         for (rank, (message, n)) in messages.iter().zip(&trip.sent_counts).enumerate() {
             offsets.push(place as u32);
-            place += n + 1;
             if rank == self.rank {
-                let first = self.got(rank).start;
-                shifts.push(0u32.wrapping_sub(self.back[first]));
+                shifts.push(0);
                 continue;
             }
+            place += n + 1;
             let Some((starts, sums)) = message.split_at_checked(n + 1) else {
                 return Err(Error::numerics("exchange", "a message that is too short"));
             };
@@ -390,21 +379,25 @@ impl<R: Real> Route<R> {
             end += pairs;
         }
         self.check_pairs(end)?;
-        view.fit_sums(device, end.max(1), self.there)?;
-        fit(device, &mut self.starts, place)?;
+        // Room for what is to be put together, too, by the views before.
+        view.fit_sums(device, end.max(self.most).max(1), self.there)
+            .or_else(|_| view.fit_sums(device, end, self.there))?;
+        fit(device, &mut self.starts, place.max(1))?;
         fit(device, &mut self.wanted, trip.rows.len().max(1))?;
         fit(device, &mut self.before, trip.rows.len().max(1))?;
-        self.offsets.write(0, &offsets)?;
-        self.shifts.write(0, &shifts)?;
-        let (own, at) = (trip.got[self.rank].clone(), offsets[self.rank] as usize);
-        self.starts
-            .copy_from(at, &self.row_start, own.start, own.len() + 1)?;
+        let mut written = vec![
+            (self.offsets.section(0, self.ranks)?, &*offsets),
+            (self.shifts.section(0, self.ranks)?, &*shifts),
+        ];
         for (rank, starts, first, sums) in came {
-            self.starts.write(offsets[rank] as usize, starts)?;
-            view.sums.write_words(first * SUMS, sums)?;
+            let at = offsets[rank] as usize;
+            written.push((self.starts.section(at, starts.len())?, starts));
+            let pairs = sums.len() / words;
+            written.push((view.sums.section(first * SUMS, pairs * SUMS)?, sums));
         }
+        write_sections(&written)?;
         let rows = trip.rows.clone();
-        self.returning("route_pairs", &rows)
+        self.returning("route_pairs", part, band)
             .arrays([&view.isect_counts, &view.isect_start], rows.end)
             .array(&self.wanted, rows.len())
             .over_items([rows.len(), 1])?;
@@ -414,7 +407,8 @@ impl<R: Real> Route<R> {
         self.check_pairs(end + together)?;
         view.fit_sums(device, end + together, end)?;
         self.there = end + together;
-        self.returning("route_sums", &rows)
+        self.most = self.most.max(self.there);
+        self.returning("route_sums", part, band)
             .arrays(places, rows.len())
             .uints([end])
             .array(&view.isect_start, rows.end)
@@ -427,7 +421,8 @@ impl<R: Real> Route<R> {
         if u32::try_from(pairs).is_ok() {
             return Ok(());
         }
-        let what = format!("{pairs} pairs of the Gaussians of one rank in one view");
+        let what =
+            format!("{pairs} pairs of one view in the band and of the Gaussians of one rank");
         let fix = "train with more ranks, or lower --max-size or --max-gaussians";
         Err(Error::device("route", what, fix))
     }
@@ -451,13 +446,16 @@ impl<R: Real> Route<R> {
             .array(&view.isect_counts, view.count)
     }
 
-    /// A sweep over rows of a view that takes what has come back.
-    fn returning(&self, kernel: &'static str, rows: &Range<usize>) -> Launch<'_> {
-        self.own(kernel, rows)
+    /// A sweep over a part of the rows of a view that takes what has come back, and what this rank's own band has.
+    fn returning(&self, kernel: &'static str, part: usize, band: &ViewBuffers<R>) -> Launch<'_> {
+        let own_first = self.trips[part].got[self.rank].start;
+        self.own(kernel, &self.rows(part))
             .uints([self.ranks, self.stride])
             .array(&self.place, self.ranks * self.stride)
-            .array(&self.starts, self.ranks)
+            .array(&self.starts, 1)
             .arrays([&self.offsets, &self.shifts], self.ranks)
+            .uints([self.rank, own_first])
+            .arrays([&band.isect_start, &band.isect_counts], band.count)
     }
 }
 
