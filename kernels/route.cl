@@ -40,19 +40,22 @@ CHUNK_KERNEL void route_count(ROUTE_ARGUMENTS, uint chunks, __global uint *sums)
   if (ITEM == 0) sums[rank * chunks + c] = n;
 }
 
-// Launch: as route_count. Writes what each rank gets, in the order of the Gaussians, one rank's after the other's.
+// Launch: over chunks of Gaussians (first axis) and some ranks from `begins` on (second). Writes what each of these gets, in the order of the
+// Gaussians, one rank's after the other's.
 CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *sums, // in [ranks, chunks]
                              __global const Projected *records, __global const uint *keys, // in [end]
-                             __global uint *sent_keys,                                // out [sent to all]
-                             __global Projected *sent,                                // out [sent to all], cut to the band
+                             uint begins, uint at_first,                              // first of the ranks, and the place of its first
+                             __global uint *sent_keys,                                // out [at_first + sent to them]
+                             __global Projected *sent,                                // out [at_first + sent to them], cut to the band
                              uint stride, __global uint *place) {                     // out [ranks, stride] number among those sent
   SCRATCH;
-  const uint c = CHUNK, rank = get_global_id(1);
+  const uint c = CHUNK, rank = begins + get_global_id(1);
   if (c >= chunks) return;
   const uint first = CHUNK_BEGIN(c), last = CHUNK_BEGIN(c + 1);
   const uint from = bands[rank], to = bands[rank + 1];
   const size_t own = (size_t)rank * stride;
-  const uint to_rank = (uint)group_sum(sum_before(sums, rank * chunks), scratch);
+  const uint sums_before = (uint)group_sum(sum_before(sums + begins * chunks, (rank - begins) * chunks), scratch);
+  const uint to_rank = at_first + sums_before;
   uint before = (uint)group_sum(sum_before(sums + rank * chunks, c), scratch);
   for (uint block = first; block < last; block += GROUP) {
     const uint i = block + ITEM;
@@ -145,18 +148,20 @@ static inline uint pairs_back(const uint pairs, uint by, uint from, uint to, uin
 __kernel void route_lengths(BAND_ARGUMENTS, uint own_first, uint own_end, __global uint *lengths) { // out [count]
   const uint i = get_global_id(0);
   if (i >= count) return;
-  const int stays = i >= own_first && i < own_end;
-  lengths[i] = stays ? 0 : pairs_back(isect_counts[i], records[i].by, from, to, rows);
+  uint back = 0;
+  if (i < own_first || i >= own_end) back = pairs_back(isect_counts[i], records[i].by, from, to, rows);
+  lengths[i] = back;
 }
 
 // Launch: one work-item per Gaussian that a band got from `begin` to before `end`. Writes their sums, in the order of the Gaussians.
-__kernel void route_return(BAND_ARGUMENTS, uint begin, uint end, __global const uint *isect_start, // in [count] first slot
-                           __global const uint *row_start,                   // in [count] exclusive sums of the lengths
+__kernel void route_return(uint begin, uint end, __global const uint *isect_counts, __global const uint *isect_start, // in [end] pairs, first slot
+                           __global const uint *lengths,                     // in [end] pairs whose sums go back
+                           __global const uint *row_start,                   // in [end] exclusive sums of the lengths
                            __global const real *sums,                        // in [pairs, SUMS]
                            __global real *ordered) {                         // out [pairs that are written, SUMS]
   const uint i = begin + get_global_id(0);
   if (i >= end) return;
-  const uint pairs = isect_counts[i], back = pairs_back(pairs, records[i].by, from, to, rows);
+  const uint pairs = isect_counts[i], back = lengths[i];
   __global const real *of = sums + (size_t)isect_start[i] * SUMS;
   __global real *to_row = ordered + (size_t)row_start[i] * SUMS;
   if (back < pairs) {

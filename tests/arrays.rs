@@ -107,11 +107,16 @@ fn sections_are_read_and_written_in_their_order() {
         ]
     };
     let mut words = vec![9];
-    read_sections(&sections(), &mut words).unwrap();
+    read_sections(&sections(), words.len(), &mut words).unwrap();
     let eight = 8.0f64.to_bits();
     let [one, two] = [1.5f32, 2.5].map(f32::to_bits);
     let want = [9, one, two, eight as u32, (eight >> 32) as u32, 2, 3];
     assert_eq!(words, want);
+    // Words that are there are written over, and those after them go.
+    for mut words in [vec![9, 9], vec![9; 40]] {
+        read_sections(&sections(), 1, &mut words).unwrap();
+        assert_eq!(words, want);
+    }
     let doubled = [3.0f32, 5.0].map(f32::to_bits);
     let other = 6.25f64.to_bits();
     let halves = [other as u32, (other >> 32) as u32];
@@ -129,7 +134,7 @@ fn sections_are_read_and_written_in_their_order() {
     assert!(write_sections(&short).is_err());
     assert_eq!(ints.to_vec().unwrap(), [1, 20, 30, 4]);
     assert!(ints.section(3, 2).is_err());
-    read_sections(&[], &mut words).unwrap();
+    read_sections(&[], words.len(), &mut words).unwrap();
     write_sections(&[]).unwrap();
     assert_eq!(words.len(), 7);
 }

@@ -237,7 +237,7 @@ impl<T: Element> Array<T> {
     /// # Errors
     /// A range beyond the array, or the driver's.
     pub fn append_words(&self, offset: usize, len: usize, words: &mut Vec<u32>) -> Result<()> {
-        read_sections(&[self.section(offset, len)?], words)
+        read_sections(&[self.section(offset, len)?], words.len(), words)
     }
 
     /// Writes values from `offset` on that [`Array::append_words`] has read from an array of the same type, and waits until `words` may be

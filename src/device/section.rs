@@ -42,14 +42,14 @@ impl Section<'_> {
     }
 }
 
-/// Reads sections, one after the other, to the end of `words`, after everything enqueued so far. All are of arrays of one device.
+/// Reads sections, one after the other, into `words` from word `at` on, after everything enqueued so far; with them it ends. Words that are there
+/// already are written over, which is faster than to make room anew. All sections are of arrays of one device.
 ///
 /// # Errors
 /// The driver's.
-pub fn read_sections(sections: &[Section<'_>], words: &mut Vec<u32>) -> Result<()> {
-    let begins = words.len();
-    words.resize(begins + sections.iter().map(Section::len).sum::<usize>(), 0);
-    let mut rest = &mut words[begins..];
+pub fn read_sections(sections: &[Section<'_>], at: usize, words: &mut Vec<u32>) -> Result<()> {
+    words.resize(at + sections.iter().map(Section::len).sum::<usize>(), 0);
+    let mut rest = &mut words[at..];
     let last = sections.iter().rposition(|section| !section.is_empty());
     for (k, section) in sections.iter().enumerate() {
         let (part, others) = rest.split_at_mut(section.len);

@@ -249,7 +249,7 @@ impl<R: Real> Share<R> {
         let got: Vec<_> = parts.map(|_| self.wait()).collect::<Result<_>>()?;
         let own = self.band(self.exchange.rank());
         let frame = &mut forward.frame;
-        self.route.receive(&self.device, &got, frame)?;
+        self.route.receive(&self.device, got, (&self.home, frame))?;
         (frame.camera, frame.band) = (*camera, own);
         loop {
             forward.intersect_records(options.active_only)?;
@@ -299,7 +299,7 @@ impl<R: Real> Share<R> {
         let before: usize = sections.iter().map(Section::len).sum();
         sections.extend(borders.iter().flatten());
         let mut words = Vec::new();
-        read_sections(&sections, &mut words)?;
+        read_sections(&sections, 0, &mut words)?;
         let (counters, words) = words.split_at(status::SLOTS);
         let (tiles, mut words) = words.split_at(before - status::SLOTS);
         let tiles = BandTiles::new(frame, tiles);
@@ -405,7 +405,7 @@ impl<R: Real> Share<R> {
         let got = self.wait()?;
         let (device, scan) = (&self.device, &self.scan);
         let views = (&mut self.home, frame);
-        self.route.collect(device, scan, (part, &got), views)?;
+        self.route.collect(device, scan, (part, got), views)?;
         self.updated += self.lap();
         Ok(self.route.rows(part))
     }
@@ -493,7 +493,7 @@ impl<R: Real> Share<R> {
         let (first, len) = rows(rank);
         let mut own = Vec::new();
         let sections = (0..count).map(|k| planes.section(k * plane + first, len));
-        read_sections(&sections.collect::<Result<Vec<_>>>()?, &mut own)?;
+        read_sections(&sections.collect::<Result<Vec<_>>>()?, 0, &mut own)?;
         let got = self.trade(Part::Images, address(own))?;
         let mut written = Vec::new();
         for (from, message) in got.iter().enumerate().filter(|(from, _)| *from != rank) {
@@ -517,7 +517,7 @@ impl<R: Real> Share<R> {
             let section = |place: Range<usize>| loss.partial.section(place.start, place.len());
             places.map(section).collect()
         };
-        read_sections(&sections(rank)?, &mut own)?;
+        read_sections(&sections(rank)?, 0, &mut own)?;
         let messages = to_one(self.exchange.as_ref(), LEADER, own);
         let got = self.trade(Part::Loss, messages)?;
         if rank != LEADER {

@@ -68,7 +68,8 @@ fn bands_get_the_gaussians_that_touch_them_cut_to_their_rows() {
                     &mut first
                 }
             };
-            taker.receive(&device, &messages, &mut taken).unwrap();
+            let views = (&view, &mut taken);
+            taker.receive(&device, messages.to_vec(), views).unwrap();
             let got = [0, 1, 2].map(|from| taker.got(from));
             assert_eq!(got, [0..0, 0..0, 0..want.len()]);
             let got = taken.records.read(0, want.len()).unwrap();

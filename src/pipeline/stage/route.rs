@@ -22,12 +22,13 @@ const fn routed_words<R>() -> usize {
 #[derive(Debug)]
 struct Trip<R: Real> {
     rows: Range<usize>,
+    /// Keys and records for other ranks' bands.
     keys: Array<u32>,
     sent: Array<Projected<R>>,
+    /// Gaussians of each chunk that touch each band.
+    chunk_sums: Array<u32>,
     /// Gaussians that each band gets.
     sent_counts: Vec<usize>,
-    /// First of what this rank's own band gets, in `sent`.
-    sent_first: usize,
     /// Gaussians that this rank's band got of each rank, in its view.
     got: Vec<Range<usize>>,
 }
@@ -44,8 +45,6 @@ pub struct Route<R: Real> {
     /// First row of tiles of each band, and the number of rows.
     bands: Array<u32>,
     spans: Array<u32>,
-    /// Gaussians of each chunk that touch a band.
-    chunk_sums: Array<u32>,
     place: Array<u32>,
     starts: Array<u32>,
     offsets: Array<u32>,
@@ -62,6 +61,19 @@ pub struct Route<R: Real> {
     there: usize,
     /// The most that there have been.
     most: usize,
+    /// Messages of records and of sums that have been received, to be written over by the next that are sent.
+    spare: [Vec<Vec<u32>>; 2],
+}
+
+/// Place of messages of records in [`Route::spare`].
+const RECORDS: usize = 0;
+/// Place of messages of sums there.
+const RETURNED: usize = 1;
+
+/// Runs a sweep over chunks and so many ranks.
+fn over_bands(launch: Launch<'_>, chunks: usize, ranks: usize) -> Result<()> {
+    let group = launch.defines().tuning.tile_group();
+    launch.run([chunks * group, ranks], [group, 1])
 }
 
 /// Makes an array hold `len` values, with a quarter to spare where it is to grow. Contents are lost then.
@@ -83,8 +95,8 @@ impl<R: Real> Route<R> {
                 rows: 0..0,
                 keys: ints("sent keys", 0)?,
                 sent: Array::zeros(device, "sent", 0)?,
+                chunk_sums: ints("route sums", ranks * program.chunks())?,
                 sent_counts: vec![0; ranks],
-                sent_first: 0,
                 got: vec![0..0; ranks],
             })
         };
@@ -95,7 +107,6 @@ impl<R: Real> Route<R> {
             stride: 0,
             bands: ints("bands", ranks + 1)?,
             spans: ints("spans", 0)?,
-            chunk_sums: ints("route sums", ranks * program.chunks())?,
             place: ints("place", 0)?,
             starts: ints("starts", 0)?,
             offsets: ints("offsets", ranks)?,
@@ -108,6 +119,7 @@ impl<R: Real> Route<R> {
             ordered: Array::zeros(device, "ordered", 0)?,
             there: 0,
             most: 0,
+            spare: [Vec::new(), Vec::new()],
             program,
         })
     }
@@ -148,7 +160,7 @@ impl<R: Real> Route<R> {
     }
 
     /// Finds the Gaussians of a part of the rows of a view that each band gets; returns the message for each rank, keys before records. Those
-    /// of this rank's own band stay on the device: no word. Waits.
+    /// of this rank's own band stay on the device ([`Route::receive`]): no word. Waits.
     pub fn send(
         &mut self,
         device: &Device,
@@ -156,52 +168,65 @@ impl<R: Real> Route<R> {
         part: usize,
     ) -> Result<Vec<Vec<u32>>> {
         let (chunks, ranks, rows) = (self.program.chunks(), self.ranks, self.rows(part));
-        let over_bands = |launch: Launch<'_>| {
-            let group = launch.defines().tuning.tile_group();
-            launch.run([chunks * group, ranks], [group, 1])
-        };
         // The numbers of pairs will take their place, while they are still asked for.
         self.spans
             .copy_from(rows.start, &view.isect_counts, rows.start, rows.len())?;
+        let sums = &self.trips[part].chunk_sums;
         let launch = self.own("route_count", &rows).uints([chunks]);
-        over_bands(launch.array(&self.chunk_sums, ranks * chunks))?;
-        let counted = self.chunk_sums.read(0, ranks * chunks)?;
+        over_bands(launch.array(sums, ranks * chunks), chunks, ranks)?;
+        let counted = sums.read(0, ranks * chunks)?;
         let total = |of: &[u32]| of.iter().map(|n| *n as usize).sum();
         let counts: Vec<usize> = counted.chunks_exact(chunks).map(total).collect();
-        let all: usize = counts.iter().sum();
-        let firsts: Vec<usize> = (counts.iter())
-            .scan(0, |end, n| {
-                *end += n;
-                Some(*end - n)
-            })
-            .collect();
+        let before: usize = counts[..self.rank].iter().sum();
+        let others = counts.iter().sum::<usize>() - counts[self.rank];
         let trip = &mut self.trips[part];
-        fit(device, &mut trip.keys, all.max(1))?;
-        fit(device, &mut trip.sent, all.max(1))?;
-        (trip.sent_first, trip.sent_counts) = (firsts[self.rank], counts);
+        fit(device, &mut trip.keys, others.max(1))?;
+        fit(device, &mut trip.sent, others.max(1))?;
+        trip.sent_counts = counts;
         let trip = &self.trips[part];
+        let to = (&trip.keys, &trip.sent);
+        self.pack(part, (0..self.rank, 0), view, to)?;
+        self.pack(part, (self.rank + 1..ranks, before), view, to)?;
+        let (mut end, mut messages) = (0, Vec::new());
+        for (rank, n) in trip.sent_counts.iter().enumerate() {
+            if rank == self.rank {
+                messages.push(Vec::new());
+                continue;
+            }
+            let mut words = self.spare[RECORDS].pop().unwrap_or_default();
+            let sections = [trip.keys.section(end, *n)?, trip.sent.section(end, *n)?];
+            read_sections(&sections, 0, &mut words)?;
+            messages.push(words);
+            end += n;
+        }
+        Ok(messages)
+    }
+
+    /// Writes the keys and the records of a part of the rows of a view that some ranks' bands get, from a place on.
+    fn pack(
+        &self,
+        part: usize,
+        (ranks, first): (Range<usize>, usize),
+        view: &ViewBuffers<R>,
+        (keys, records): (&Array<u32>, &Array<Projected<R>>),
+    ) -> Result<()> {
+        let (chunks, rows, trip) = (self.program.chunks(), self.rows(part), &self.trips[part]);
+        let end = first + trip.sent_counts[ranks.clone()].iter().sum::<usize>();
+        if end == first {
+            return Ok(());
+        }
         let launch = self
             .own("route_pack", &rows)
             .uints([chunks])
-            .array(&self.chunk_sums, ranks * chunks)
+            .array(&trip.chunk_sums, self.ranks * chunks)
             .array(&view.records, rows.end)
             .array(&view.keys, rows.end)
-            .array(&trip.keys, all)
-            .array(&trip.sent, all)
+            .uints([ranks.start, first])
+            .array(keys, end)
+            .array(records, end)
             .uints([self.stride])
-            .array(&self.place, ranks * self.stride);
-        over_bands(launch)?;
-        let message = |(rank, from): (usize, &usize)| {
-            let n = trip.sent_counts[rank];
-            if rank == self.rank {
-                return Ok(Vec::new());
-            }
-            let mut words = Vec::new();
-            let sections = [trip.keys.section(*from, n)?, trip.sent.section(*from, n)?];
-            read_sections(&sections, &mut words)?;
-            Ok(words)
-        };
-        firsts.iter().enumerate().map(message).collect()
+            .array(&self.place, self.ranks * self.stride);
+        over_bands(launch, chunks, ranks.len())
     }
 
     /// Rows of the view sent last that each band got, in the order in which it got them; waits.
@@ -221,20 +246,20 @@ impl<R: Real> Route<R> {
         Ok(bands.windows(2).map(rows).collect())
     }
 
-    /// Takes the messages of [`Route::send`] of all ranks for this one, by part: records and keys of a view, one rank's after the other's, in
-    /// the order of its rows.
+    /// Takes the messages of [`Route::send`] of all ranks for this one, by part: records and keys of a view of the band, one rank's after the
+    /// other's, in the order of its rows; this rank's own come from `home`, the view of its rows.
     ///
     /// # Errors
     /// Messages of another shape, no room, or the driver's.
     pub fn receive(
         &mut self,
         device: &Device,
-        messages_by_part: &[Vec<Vec<u32>>],
-        view: &mut ViewBuffers<R>,
+        messages_by_part: Vec<Vec<Vec<u32>>>,
+        (home, view): (&ViewBuffers<R>, &mut ViewBuffers<R>),
     ) -> Result<()> {
         let mut end = 0;
         for rank in 0..self.ranks {
-            for (trip, messages) in self.trips.iter_mut().zip(messages_by_part) {
+            for (trip, messages) in self.trips.iter_mut().zip(&messages_by_part) {
                 let words = messages.get(rank).map_or(0, Vec::len);
                 let n = match rank == self.rank {
                     true => trip.sent_counts[rank],
@@ -253,21 +278,29 @@ impl<R: Real> Route<R> {
             view.fit_gaussians(device, view.count + view.count / 4)?;
         }
         let mut written = Vec::new();
-        for (trip, messages) in self.trips.iter().zip(messages_by_part) {
+        for (part, (trip, messages)) in self.trips.iter().zip(&messages_by_part).enumerate() {
+            let to = (&view.keys, &view.records);
+            let own = self.rank..self.rank + 1;
+            self.pack(part, (own, trip.got[self.rank].start), home, to)?;
             for (rank, (got, message)) in trip.got.iter().zip(messages).enumerate() {
                 let (first, n) = (got.start, got.len());
-                if rank == self.rank {
-                    let from = trip.sent_first;
-                    view.keys.copy_from(first, &trip.keys, from, n)?;
-                    view.records.copy_from(first, &trip.sent, from, n)?;
-                } else {
+                if rank != self.rank {
                     let (keys, records) = message.split_at(n);
                     written.push((view.keys.section(first, n)?, keys));
                     written.push((view.records.section(first, n)?, records));
                 }
             }
         }
-        write_sections(&written)
+        write_sections(&written)?;
+        self.keep(RECORDS, messages_by_part.into_iter().flatten());
+        Ok(())
+    }
+
+    /// Keeps messages of others to be written over.
+    fn keep(&mut self, kind: usize, messages: impl Iterator<Item = Vec<u32>>) {
+        let (spare, most) = (&mut self.spare[kind], (self.ranks - 1) * self.trips.len());
+        spare.extend(messages.filter(|m| m.capacity() > 0));
+        spare.truncate(most);
     }
 
     /// Gaussians that this rank's band got of a rank, in its view.
@@ -295,13 +328,12 @@ impl<R: Real> Route<R> {
             .over_items([view.count, 1])?;
         let lengths = [&self.lengths, &self.row_start];
         scan::sum_pairs(scan, view, view.count, lengths)?;
-        self.back.clear();
         let sections = [
             self.row_start.section(0, own.start)?,
             self.row_start.section(own.end, view.count - own.end)?,
             view.status.section(status::INTERSECTIONS as usize, 1)?,
         ];
-        read_sections(&sections, &mut self.back)?;
+        read_sections(&sections, 0, &mut self.back)?;
         let others = self.back[self.back.len() - 1];
         // None of its own goes back.
         let at_own = self.back[own.start];
@@ -310,10 +342,11 @@ impl<R: Real> Route<R> {
         self.there = pairs;
         fit(device, &mut self.ordered, others as usize * SUMS)?;
         for rows in [0..own.start, own.end..view.count] {
-            self.band("route_return", view)
+            self.program
+                .launch("route_return")
                 .uints([rows.start, rows.end])
-                .array(&view.isect_start, view.count)
-                .array(&self.row_start, view.count)
+                .arrays([&view.isect_counts, &view.isect_start], rows.end)
+                .arrays(lengths, rows.end)
                 .array(&view.sums, pairs * SUMS)
                 .array(&self.ordered, others as usize * SUMS)
                 .over_items([rows.len(), 1])?;
@@ -326,21 +359,26 @@ impl<R: Real> Route<R> {
     ///
     /// # Errors
     /// The driver's.
-    pub fn to_return(&self, part: usize) -> Result<Vec<Vec<u32>>> {
-        let message = |(rank, got): (usize, &Range<usize>)| {
+    pub fn to_return(&mut self, part: usize) -> Result<Vec<Vec<u32>>> {
+        let mut messages = Vec::new();
+        for (rank, got) in self.trips[part].got.iter().enumerate() {
             if rank == self.rank {
-                return Ok(Vec::new());
+                messages.push(Vec::new());
+                continue;
             }
             let starts = &self.back[got.start..=got.end];
             let (first, end) = (starts[0] as usize, starts[got.len()] as usize);
-            let sums = (end - first) * SUMS;
-            let mut words = Vec::with_capacity(starts.len() + sums * size_of::<R>() / 4);
-            words.extend(starts);
-            self.ordered.append_words(first * SUMS, sums, &mut words)?;
-            Ok(words)
-        };
-        let got = self.trips[part].got.iter();
-        got.enumerate().map(message).collect()
+            let mut words = self.spare[RETURNED].pop().unwrap_or_default();
+            // What is there is written over.
+            if words.len() < starts.len() {
+                words.resize(starts.len(), 0);
+            }
+            words[..starts.len()].copy_from_slice(starts);
+            let sums = self.ordered.section(first * SUMS, (end - first) * SUMS)?;
+            read_sections(&[sums], starts.len(), &mut words)?;
+            messages.push(words);
+        }
+        Ok(messages)
     }
 
     /// Takes the messages of [`Route::to_return`] of all ranks for a part of the rows of a view: pairs and their sums, by bands from top to
@@ -352,7 +390,7 @@ impl<R: Real> Route<R> {
         &mut self,
         device: &Device,
         scan: &Program,
-        (part, messages): (usize, &[Vec<u32>]),
+        (part, messages): (usize, Vec<Vec<u32>>),
         (view, band): (&mut ViewBuffers<R>, &ViewBuffers<R>),
     ) -> Result<()> {
         let words = size_of::<R>() / size_of::<u32>() * SUMS;
@@ -397,6 +435,7 @@ impl<R: Real> Route<R> {
         }
         write_sections(&written)?;
         let rows = trip.rows.clone();
+        self.keep(RETURNED, messages.into_iter());
         self.returning("route_pairs", part, band)
             .arrays([&view.isect_counts, &view.isect_start], rows.end)
             .array(&self.wanted, rows.len())
