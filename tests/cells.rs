@@ -186,6 +186,7 @@ fn lenses_and_masks_go_with_their_photos() {
         let done = split(colmap.path(), &out, &options(2));
         if let Some(told) = told {
             assert_refused(done, &["(Fov", told]);
+            assert!(!out.exists(), "nothing is written");
             continue;
         }
         let (whole, part) = (colmap.path(), Cells::part(&out, 1));

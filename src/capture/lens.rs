@@ -11,6 +11,7 @@ use glam::DVec3;
 
 use crate::capture::camera::Camera;
 use crate::capture::panorama::angles;
+use crate::capture::photo::nearest;
 
 /// Largest number of Newton steps of an inverse.
 const STEPS: usize = 100;
@@ -178,17 +179,18 @@ impl Lens {
     /// Image point of the ray through (u, v, 1).
     #[must_use]
     pub fn distort(&self, [u, v]: [f64; 2]) -> [f64; 2] {
-        let r = u.hypot(v);
-        if r < 1e-12 && self.is_fisheye() {
-            return [u, v];
+        if !self.is_fisheye() {
+            return self.warp([u, v]);
         }
-        match self.is_fisheye() {
-            true => self.warp([u * r.atan() / r, v * r.atan() / r]),
-            false => self.warp([u, v]),
+        let r = u.hypot(v);
+        match r < 1e-12 {
+            true => [u, v],
+            false => self.warp([u * r.atan() / r, v * r.atan() / r]),
         }
     }
 
     /// Image point of a point of the equidistant image of a fisheye, of the plane at depth 1 else.
+    #[inline]
     fn warp(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let r2 = x * x + y * y;
         match self {
@@ -410,35 +412,44 @@ impl Undistortion {
         [self.source.width, self.source.height]
     }
 
-    /// The photo as the pinhole camera sees it, bilinearly interpolated: from `bytes` of `channels` interleaved channels with
-    /// straight alpha in the source's size to the same in the target's. Black, and transparent if there is alpha, beyond the photo.
+    /// The photo as the pinhole camera sees it, bilinearly interpolated: from `bytes` of three interleaved channels, or of four of which the
+    /// last is straight alpha, in the source's size to the same in the target's. Black, and transparent if there is alpha, beyond the photo.
     #[must_use]
     pub fn apply(&self, bytes: &[u8], channels: usize) -> Vec<u8> {
+        match channels {
+            4 => self.resampled::<4>(bytes),
+            _ => self.resampled::<3>(bytes),
+        }
+    }
+
+    /// [`Self::apply`] for so many channels.
+    fn resampled<const N: usize>(&self, bytes: &[u8]) -> Vec<u8> {
         let width = self.target.width as usize;
-        let mut out = vec![0; width * self.target.height as usize * channels];
-        for (i, pixel) in out.chunks_exact_mut(channels.max(1)).enumerate() {
-            let place = self.source_of([(i % width) as f64 + 0.5, (i / width) as f64 + 0.5]);
-            if let Some(place) = place {
-                self.sample(bytes, place, pixel);
+        let mut out = vec![0; width * self.target.height as usize * N];
+        for (y, row) in out.chunks_exact_mut((width * N).max(1)).enumerate() {
+            for (x, pixel) in row.as_chunks_mut::<N>().0.iter_mut().enumerate() {
+                if let Some(place) = self.source_of([x as f64 + 0.5, y as f64 + 0.5]) {
+                    self.sample(bytes.as_chunks::<N>().0, place, pixel);
+                }
             }
         }
         out
     }
 
     /// Point of the photo for a point of the pinhole image, pixels; `None` beyond the fold.
+    #[inline]
     fn source_of(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
         let (t, s) = (&self.target, &self.source);
         let ray = [(x - t.cx) / t.fx, (y - t.cy) / t.fy];
-        let r = ray[0].hypot(ray[1]);
-        let far = match self.lens.is_fisheye() {
-            true => r.atan(),
-            false => r,
+        let before_fold = match self.lens.is_fisheye() {
+            true => ray[0].hypot(ray[1]).atan() <= self.fold,
+            false => ray[0] * ray[0] + ray[1] * ray[1] <= self.fold * self.fold,
         };
         let [u, v] = self.lens.distort(ray);
-        (far <= self.fold).then_some([s.fx * u + s.cx, s.fy * v + s.cy])
+        before_fold.then_some([s.fx * u + s.cx, s.fy * v + s.cy])
     }
 
-    fn sample(&self, bytes: &[u8], [x, y]: [f64; 2], out: &mut [u8]) {
+    fn sample<const N: usize>(&self, pixels: &[[u8; N]], [x, y]: [f64; 2], out: &mut [u8; N]) {
         let (w, h) = (self.source.width as usize, self.source.height as usize);
         let (x, y) = (x - 0.5, y - 0.5);
         // NaN is within nothing.
@@ -458,24 +469,23 @@ impl Undistortion {
             (x0, y1, (1.0 - fx) * fy),
             (x1, y1, fx * fy),
         ];
-        let channels = out.len();
-        let mut sum = [0.0; 4];
+        let mut sum = [0.0; 3];
         let mut weights = 0.0;
         for (x, y, weight) in corners {
-            let pixel = &bytes[(y * w + x) * channels..][..channels];
+            let pixel = &pixels[y * w + x];
             // Colours count as far as they are opaque.
             let opaque = pixel.get(3).map_or(1.0, |a| f64::from(*a) / 255.0);
-            for (s, v) in sum.iter_mut().zip(pixel).take(3) {
+            for (s, v) in sum.iter_mut().zip(pixel) {
                 *s += weight * opaque * f64::from(*v);
             }
             weights += weight * opaque;
         }
-        for (o, s) in out.iter_mut().zip(sum).take(3) {
-            // A cast of 0/0 is 0.
-            *o = (s / weights).round() as u8;
+        for (o, s) in out.iter_mut().zip(sum) {
+            // Of 0/0 it is 0.
+            *o = nearest(s / weights);
         }
         if let Some(alpha) = out.get_mut(3) {
-            *alpha = (255.0 * weights).round() as u8;
+            *alpha = nearest(255.0 * weights);
         }
     }
 }

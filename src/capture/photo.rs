@@ -168,6 +168,11 @@ impl Photo {
     }
 }
 
+/// The byte nearest to a value; 0 for one that is not a number. [`f64::round`] is a call of a function on machines of the least that x86-64 has.
+pub(super) fn nearest(value: f64) -> u8 {
+    (value + 0.5) as u8
+}
+
 /// Red, green and blue in [0, 1] of a photo's planes (laid out as in [`Photo`]): over the background (RGB in [0, 1]) if they
 /// are transparent; as without the mask if they have one, but black where the mask is 0.
 #[must_use]
@@ -310,7 +315,7 @@ impl Shrink {
         let (channels, [width, height]) = (self.alpha.planes(), self.to);
         for (i, s) in self.sum.iter_mut().enumerate() {
             let at = ((i % channels) * height + self.done) * width + i / channels;
-            self.data[at] = s.round().clamp(0.0, 255.0) as u8;
+            self.data[at] = nearest(f64::from(*s));
             *s = 0.0;
         }
         self.done += 1;

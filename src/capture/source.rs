@@ -14,7 +14,7 @@ use crate::capture::lens::Undistortion;
 use crate::capture::memory::check_memory;
 pub use crate::capture::memory::parse_available;
 use crate::capture::panorama::{self, Side};
-use crate::capture::photo::{Alpha, Photo, Shrink};
+use crate::capture::photo::{Alpha, Photo, Shrink, nearest};
 use crate::capture::rows::{Rows, not_an_image, open};
 
 /// Size and channels of an image file, from its header.
@@ -374,7 +374,7 @@ impl PhotoFile {
         let fix = "scale the photo down, undistort it first, or use a machine with more memory";
         check_memory(&self.path, bytes, part, fix)?;
         let mut whole = Vec::with_capacity(from as usize);
-        source.each(|row| whole.extend(row.iter().map(|v| v.round() as u8)))?;
+        source.each(|row| whole.extend(row.iter().map(|v| nearest(f64::from(*v)))))?;
         drop(source);
         let bytes = undistortion.apply(&whole, channels);
         drop(whole);

@@ -24,7 +24,7 @@ use crate::capture::layouts;
 use crate::capture::lens::Lens;
 use crate::capture::panorama::{Side, side_of};
 use crate::capture::point_cloud::{self, Points};
-use crate::capture::transforms::{Listed, write_listed};
+use crate::capture::transforms::{Listed, keys_of, write_listed};
 
 /// File that tells the cells, in the folder of the parts.
 pub const CELLS_FILE: &str = "cells.json";
@@ -161,6 +161,10 @@ pub fn split(dataset: &Path, out: &Path, options: &SplitOptions) -> Result<Cells
             let n = names.len();
             remarks.push(format!("left out: {n} images {what}, the first is {first}"));
         }
+    }
+    // Before anything is written.
+    for Shot { view, .. } in &capture.shots {
+        keys_of(dataset, &view.name, view.lens)?;
     }
     let mut cells = Vec::with_capacity(bounds.len());
     for (i, bounds) in bounds.into_iter().enumerate() {

@@ -411,6 +411,29 @@ pub(super) fn write_listed(
     std::fs::write(file, format!("{root:#}")).map_err(|e| Error::io(file, e))
 }
 
+/// Camera model, keys and coefficients of a lens.
+type Keys = (Option<&'static str>, &'static [&'static str], Vec<f64>);
+
+/// The keys of a photo's lens in a transforms file.
+///
+/// # Errors
+/// [`Error::Input`], with this file's name, for a lens that there are none for.
+pub(super) fn keys_of(file: &Path, name: &str, lens: Lens) -> Result<Keys> {
+    Ok(match lens {
+        Lens::Pinhole => (None, &[], Vec::new()),
+        Lens::Equirectangular => (Some(SPHERE), &[], Vec::new()),
+        Lens::Fisheye { radial } => (Some("OPENCV_FISHEYE"), &FISHEYE, radial.to_vec()),
+        Lens::Perspective { radial, tangential } => {
+            let k = [&radial[..2], &tangential, &radial[2..]].concat();
+            (Some("FULL_OPENCV"), &PERSPECTIVE, k)
+        }
+        lens => {
+            let what = format!("the lens of {name} ({lens:?}) has no place in a transforms file");
+            return Err(Error::input(file, what, UNDISTORT));
+        }
+    })
+}
+
 /// The frame of a view.
 fn frame(file: &Path, view: &Listed) -> Result<Value> {
     let (name, camera) = (&view.name, &view.camera);
@@ -428,19 +451,7 @@ fn frame(file: &Path, view: &Listed) -> Result<Value> {
         "w": camera.width, "h": camera.height,
         "transform_matrix": [row(0, c.x), row(1, c.y), row(2, c.z), json!([0.0, 0.0, 0.0, 1.0])],
     });
-    let (model, keys, coefficients): (_, &[&str], Vec<f64>) = match view.lens {
-        Lens::Pinhole => (None, &[], Vec::new()),
-        Lens::Equirectangular => (Some(SPHERE), &[], Vec::new()),
-        Lens::Fisheye { radial } => (Some("OPENCV_FISHEYE"), &FISHEYE, radial.to_vec()),
-        Lens::Perspective { radial, tangential } => {
-            let k = [&radial[..2], &tangential, &radial[2..]].concat();
-            (Some("FULL_OPENCV"), &PERSPECTIVE, k)
-        }
-        lens => {
-            let what = format!("the lens of {name} ({lens:?}) has no place in a transforms file");
-            return Err(Error::input(file, what, UNDISTORT));
-        }
-    };
+    let (model, keys, coefficients) = keys_of(file, name, view.lens)?;
     if view.lens != Lens::Equirectangular {
         let named = ["fl_x", "fl_y", "cx", "cy"].into_iter().zip(intrinsics);
         named.for_each(|(key, v)| frame[key] = json!(v));

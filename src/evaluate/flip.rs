@@ -235,9 +235,13 @@ fn filter(plane: &[f64], size: [usize; 2], across: &[f64], down: &[f64]) -> Vec<
     let mut rows = vec![0.0; plane.len()];
     rows.par_chunks_mut(width).enumerate().for_each(|(y, out)| {
         let line = &plane[y * width..(y + 1) * width];
-        for (x, v) in out.iter_mut().enumerate() {
-            let taps = across.iter().enumerate();
-            *v = taps.map(|(k, w)| w * line[at(x, k, width)]).sum();
+        let line: Vec<f64> = (0..width + 2 * radius)
+            .map(|i| line[at(i, 0, width)])
+            .collect();
+        for (k, w) in across.iter().enumerate() {
+            for (v, p) in out.iter_mut().zip(&line[k..]) {
+                *v += w * p;
+            }
         }
     });
     let mut out = vec![0.0; plane.len()];
