@@ -47,7 +47,7 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
                              uint begins, uint at_first,                              // first of the ranks, and the place of its first
                              __global uint *sent_keys,                                // out [at_first + sent to them]
                              __global Projected *sent,                                // out [at_first + sent to them], cut to the band
-                             uint stride, __global uint *place) {                     // out [ranks, stride] number among those sent
+                             uint stride, __global uint *place) {                     // out [ranks, stride] number among those that a rank gets
   SCRATCH;
   const uint c = CHUNK, rank = begins + get_global_id(1);
   if (c >= chunks) return;

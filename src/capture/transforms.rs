@@ -417,7 +417,7 @@ type Keys = (Option<&'static str>, &'static [&'static str], Vec<f64>);
 /// The keys of a photo's lens in a transforms file.
 ///
 /// # Errors
-/// [`Error::Input`], with this file's name, for a lens that there are none for.
+/// [`Error::Input`], about this path, for a lens that there are none for.
 pub(super) fn keys_of(file: &Path, name: &str, lens: Lens) -> Result<Keys> {
     Ok(match lens {
         Lens::Pinhole => (None, &[], Vec::new()),

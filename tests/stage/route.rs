@@ -84,6 +84,33 @@ fn bands_get_the_gaussians_that_touch_them_cut_to_their_rows() {
     }
 }
 
+#[test]
+fn records_of_no_gaussian_are_packed_so_that_warming_up_compiles_it() {
+    // Its own: other tests have launches, too.
+    let device = Device::open(None).unwrap();
+    for tuning in TUNINGS {
+        let kernels = Kernels::new(&device, Defines::new(tuning)).of_degree(1);
+        let view = || ViewBuffers::<f64>::new(&device, &tuning, false).unwrap();
+        let (home, mut band) = (view(), view());
+        let mut stage = Route::<f64>::new(&kernels, [1, 3], 1).unwrap();
+        stage.set_bands(&[0, 2, 2, 5]).unwrap();
+        stage.divide(&device, 0).unwrap();
+        let round = || {
+            let sent = stage.send(&device, &home, 0)?;
+            stage.receive(&device, vec![sent], (&home, &mut band))
+        };
+        device.timed(round).unwrap();
+        let enqueued = device.enqueued();
+        let packed = enqueued.iter().filter(|(name, _)| *name == "route_pack");
+        assert_eq!(
+            packed.count(),
+            3,
+            "for ranks before, after, and itself: {enqueued:?}"
+        );
+        assert_eq!(band.count, 0);
+    }
+}
+
 /// A scene's rows from `first` to before `end`.
 fn rows(splats: &Gaussians, first: usize, end: usize) -> Gaussians {
     let planes = splats.planes().iter().map(|p| p[first..end].to_vec());
