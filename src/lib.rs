@@ -27,7 +27,7 @@
 //! | photo_error | `kernels/photo_error.cl` | error of each pixel of a render, from which births in image space are drawn (mh) |
 //! | density control | [`density`] | births, moves and removals, decided on the host |
 //! | edit, morton | `kernels/{edit,morton}.cl` | rows written by density control, and the order of all |
-//! | metrics | `kernels/metrics.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
+//! | metrics, flip | `kernels/{metrics,flip}.cl`, [`evaluate`] | PSNR, SSIM, ꟻLIP |
 //! | run | [`run`] | run folder, checkpoints, report |
 //! | measure | [`lab`], `kernels/{peak,adam}.cl` | verify, bench, compare, experiment, surrogate: only the command line uses it |
 //!

@@ -1,9 +1,15 @@
-//! FLIP against the authors' program, and what it must refuse.
+//! FLIP against the authors' program: its definition, and the kernels.
 //!
 //! The figures below were computed with `nv-flip` 0.1.2, which wraps the authors' C++ (f32), of the pictures that [`pair`]
 //! makes: stored, because that crate needs a C++ compiler wherever the tests run.
 
-use mhsplat::evaluate::flip::{PIXELS_PER_DEGREE, error_map, flip};
+use crate::device;
+use mhsplat::base::constants::FLIP_PIXELS_PER_DEGREE;
+use mhsplat::device::tuning::Tuning;
+use mhsplat::device::{Array, Defines, ImageSize, Kernels};
+use mhsplat::pipeline::photo_array::PhotoArray;
+use mhsplat::pipeline::stage::flip::{Flip, error_map};
+use mhsplat::pipeline::stage::loss::ImagePair;
 
 /// (pair, pixels per degree, mean, largest error, error of the pixel at a third of the picture)
 const EXPECTED: [(&str, f64, f64, f64, f64); 14] = [
@@ -71,21 +77,24 @@ pub fn pair(name: &str) -> (usize, usize, Vec<u8>, Vec<u8>) {
     (width, height, reference, test)
 }
 
-fn planar(interleaved: &[u8]) -> Vec<f32> {
+fn planar(interleaved: &[u8]) -> Vec<f64> {
     let channel = |c: usize| interleaved.iter().skip(c).step_by(3);
     (0..3)
-        .flat_map(|c| channel(c).map(|v| f32::from(*v) / 255.0))
+        .flat_map(|c| channel(c).map(|v| f64::from(*v) / 255.0))
         .collect()
+}
+
+fn mean(map: &[f64]) -> f64 {
+    map.iter().sum::<f64>() / map.len() as f64
 }
 
 /// Mean, largest and one pixel of the map.
 fn figures(name: &str, pixels_per_degree: f64) -> [f64; 3] {
     let (width, height, reference, test) = pair(name);
     let (reference, test) = (planar(&reference), planar(&test));
-    let map = error_map(&reference, &test, width, height, pixels_per_degree).unwrap();
-    let mean = map.iter().sum::<f64>() / map.len() as f64;
+    let map = error_map(&reference, &test, [width, height], pixels_per_degree);
     [
-        mean,
+        mean(&map),
         map.iter().copied().fold(0.0, f64::max),
         map[map.len() / 3],
     ]
@@ -124,60 +133,99 @@ fn the_comparison_can_fail() {
 fn symmetric_zero_for_equal_pictures_and_growing_with_the_error() {
     let (width, height, a, b) = pair("noise");
     let (a, b) = (planar(&a), planar(&b));
-    let forth = flip(&a, &b, width, height, &[]).unwrap();
-    let back = flip(&b, &a, width, height, &[]).unwrap();
-    assert!((forth - back).abs() < 1e-12);
-    assert_eq!(flip(&a, &a, width, height, &[]).unwrap(), 0.0);
-    let half: Vec<f32> = a
+    let flip =
+        |x: &[f64], y: &[f64]| mean(&error_map(x, y, [width, height], FLIP_PIXELS_PER_DEGREE));
+    let forth = flip(&a, &b);
+    assert!((forth - flip(&b, &a)).abs() < 1e-12);
+    assert_eq!(flip(&a, &a), 0.0);
+    let half: Vec<f64> = a
         .iter()
         .zip(&b)
-        .map(|(x, y)| f32::midpoint(*x, *y))
+        .map(|(x, y)| f64::midpoint(*x, *y))
         .collect();
-    let less = flip(&a, &half, width, height, &[]).unwrap();
+    let less = flip(&a, &half);
     assert!(0.0 < less && less < forth, "{less} against {forth}");
 }
 
-#[test]
-fn tall_pictures_are_those_of_their_parts() {
-    // Worked on by strips of 96 rows: the map of the whole in its upper and lower part is that of these parts, as far as no
-    // filter reaches over the cut.
-    let [width, height, cut, reach] = [24, 300, 150, 10];
-    let value = |i: usize, k: usize| ((i * k) % 251) as f32 / 250.0;
-    let picture = |k: usize| -> Vec<f32> { (0..3 * width * height).map(|i| value(i, k)).collect() };
-    let (a, b) = (picture(7919), picture(104_729));
-    let rows = |p: &[f32], from: usize, to: usize| -> Vec<f32> {
-        let planes = p.chunks_exact(width * height);
-        planes
-            .flat_map(|plane| plane[from * width..to * width].to_vec())
-            .collect()
+/// Sums over the rows by the kernels, of pictures of interleaved RGB8, the first one rendered and worth the factor.
+fn rows(
+    tuning: Tuning,
+    [width, height]: [usize; 2],
+    [render, photo]: [&[u8]; 2],
+    factor: f32,
+) -> Vec<f64> {
+    let (device, size) = (device(), ImageSize([width, height]));
+    let kernels = Kernels::new(&device, Defines::new(tuning));
+    let [stride, rows] = size.padded();
+    let mut image = vec![0.0_f32; 3 * stride * rows];
+    let mut planes = vec![0; 3 * width * height];
+    for (at, value) in render.iter().enumerate() {
+        let (c, x, y) = (at % 3, at / 3 % width, at / 3 / width);
+        image[(c * rows + y) * stride + x] = factor * f32::from(*value) / 255.0;
+        planes[(c * height + y) * width + x] = photo[at];
+    }
+    let pair = ImagePair {
+        image: &Array::from_slice(&device, "image", &image).unwrap(),
+        photo: &PhotoArray::whole(Array::from_slice(&device, "photo", &planes).unwrap(), size),
+        background: [0.0; 3],
+        size,
+        band: 0..size.tiles()[1],
+        blank: None,
     };
-    let map = |from: usize, to: usize| {
-        let (a, b) = (rows(&a, from, to), rows(&b, from, to));
-        error_map(&a, &b, width, to - from, PIXELS_PER_DEGREE).unwrap()
-    };
-    let (whole, upper, lower) = (map(0, height), map(0, cut), map(cut, height));
-    let alike = |x: &[f64], y: &[f64]| x.iter().zip(y).all(|(x, y)| (x - y).abs() < 1e-12);
-    let near = (cut - reach) * width;
-    assert!(alike(&whole[..near], &upper[..near]));
-    let far = (cut + reach) * width;
-    assert!(alike(&whole[far..], &lower[reach * width..]));
-    assert!(
-        !alike(&whole[..cut * width], &upper),
-        "at the cut they differ"
-    );
+    // With room for larger ones.
+    let flip = Flip::<f32>::new(&kernels, ImageSize([width + 30, height + 7])).unwrap();
+    let sums = flip.rows(&pair).unwrap();
+    sums.into_iter().map(f64::from).collect()
 }
 
 #[test]
-fn what_is_no_picture_is_refused() {
-    let gray = vec![0.5; 12];
-    assert!(error_map(&gray, &gray, 2, 2, PIXELS_PER_DEGREE).is_ok());
-    for (width, height, ppd) in [(2, 3, 67.0), (0, 2, 67.0), (2, 2, 0.0), (2, 2, f64::NAN)] {
-        assert!(error_map(&gray, &gray, width, height, ppd).is_err());
+fn the_kernels_agree_with_the_authors_program() {
+    for tuning in [Tuning::CPU, Tuning::GPU] {
+        for (name, _, expected, ..) in EXPECTED.iter().filter(|e| e.1 == 67.0) {
+            let (width, height, reference, test) = pair(name);
+            let sums = rows(tuning, [width, height], [&test, &reference], 1.0);
+            let mean = sums.iter().sum::<f64>() / (width * height) as f64;
+            assert!(
+                (mean - expected).abs() <= 2e-5,
+                "{name}: {mean}, {expected}"
+            );
+        }
     }
-    for value in [f32::NAN, f32::INFINITY, -0.01, 1.01] {
-        let mut bad = gray.clone();
-        bad[7] = value;
-        assert!(flip(&gray, &bad, 2, 2, &[]).is_err(), "{value}");
-        assert!(flip(&bad, &gray, 2, 2, &[]).is_err(), "{value}");
+}
+
+/// Pictures higher than a strip of either style, and as wide as no vector.
+#[test]
+fn strips_leave_no_trace() {
+    let size @ [width, height] = [41, 600];
+    let mut state = 7_u32;
+    let mut noise = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    };
+    let [a, b]: [Vec<u8>; 2] = [0; 2].map(|_| (0..3 * width * height).map(|_| noise()).collect());
+    let map = error_map(&planar(&a), &planar(&b), size, FLIP_PIXELS_PER_DEGREE);
+    let expected: Vec<f64> = map
+        .chunks_exact(width)
+        .map(|row| row.iter().sum())
+        .collect();
+    for tuning in [Tuning::CPU, Tuning::GPU] {
+        let sums = rows(tuning, size, [&b, &a], 1.0);
+        for (y, (found, expected)) in sums.iter().zip(&expected).enumerate() {
+            assert!(
+                (found - expected).abs() < 1e-4 * expected,
+                "{y}: {found}, {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_error_that_is_no_number_is_told() {
+    let (width, height, _, test) = pair("noise");
+    // Of a black photo no colour differs where what is no number is taken for black.
+    let black = vec![0; test.len()];
+    for tuning in [Tuning::CPU, Tuning::GPU] {
+        let sums = rows(tuning, [width, height], [&test, &black], f32::NAN);
+        assert!(sums.iter().all(|sum| sum.is_nan()), "{sums:?}");
     }
 }

@@ -5,6 +5,7 @@ mod pictures;
 use crate::determinism::{room, trained};
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
+use mhsplat::base::constants::FLIP_PIXELS_PER_DEGREE;
 use mhsplat::capture::{Alpha, Dataset, Photo, PhotoSource, View};
 use mhsplat::config::{OptimizerConfig, Sampler};
 use mhsplat::device::{Defines, Device};
@@ -12,6 +13,7 @@ use mhsplat::evaluate::{Evaluator, ViewScore};
 use mhsplat::pipeline::buffers::ViewSet;
 use mhsplat::pipeline::forward::Renders;
 use mhsplat::pipeline::photos::Photos;
+use mhsplat::pipeline::stage::flip::error_map;
 use mhsplat::pipeline::stage::loss::loss;
 use mhsplat::pipeline::stage::metrics::sum_counted;
 use mhsplat::scene::Plane;
@@ -154,6 +156,10 @@ fn scores_are_means_over_what_counts() {
         assert!((score.ssim - ssim).abs() < 1e-5, "{} {ssim}", score.ssim);
         assert!((score.psnr - psnr).abs() < 1e-3, "{} {psnr}", score.psnr);
         assert!((-1.0..1.0).contains(&score.ssim));
+        let map = error_map(&y, &x, [w, h], FLIP_PIXELS_PER_DEGREE);
+        let flip = sum_counted(&map, Some(&m)) / all;
+        let got = score.flip.unwrap();
+        assert!((got - flip).abs() < 1e-5, "{got} {flip}");
     }
     let nothing = scores(&[masked(&data.test[0], |_, _| 0)]).0;
     assert!(

@@ -65,6 +65,14 @@ pub const SSIM_TAPS: usize = 11;
 pub const SSIM_SIGMA: f64 = 1.5;
 /// Constants C1 and C2 of SSIM for a data range of 1.
 pub const SSIM_C: [f64; 2] = [0.01 * 0.01, 0.03 * 0.03];
+/// Pixels per degree of the visual field at which ꟻLIP is given: a screen 0.7 m away, 0.7 m wide, of 3840 pixels.
+pub const FLIP_PIXELS_PER_DEGREE: f64 = 67.0;
+/// Radius of ꟻLIP's filters there, pixels: three standard deviations of the widest.
+pub const FLIP_REACH: usize = 10;
+/// Exponent of ꟻLIP's colour difference (Andersson et al. 2020, §4.1.3).
+pub const FLIP_POWER: f64 = 0.7;
+/// Point (share of the largest difference, error) at which the compression of ꟻLIP's colour differences becomes a straight line (§4.1.3).
+pub const FLIP_KNEE: [f64; 2] = [0.4, 0.95];
 
 /// Numbers per axis of the grid of Morton cells on the device.
 pub const MORTON_GRID: usize = 4;

@@ -17,6 +17,8 @@ use crate::capture::photo::nearest;
 const STEPS: usize = 100;
 /// Smallest and largest size of an undistorted image, relative to the photo.
 const SCALES: (f64, f64) = (0.2, 2.0);
+/// Places between two pixels at which a photo is interpolated: in 32 bits a colour's sum of 255 times their square has room.
+const PLACES: i64 = 2048;
 /// Largest angle of a ray to the axis on a pinhole image, radians.
 const WIDEST: f64 = 1.5;
 /// Steps of the search for the angle at which a lens folds over.
@@ -95,6 +97,12 @@ pub enum Lens {
 /// Σ k_i x^{i+1} by Horner's scheme.
 fn series(k: &[f64], x: f64) -> f64 {
     k.iter().rev().fold(0.0, |sum, k| (sum + k) * x)
+}
+
+/// A point by a radial factor, with tangential terms.
+fn with_tangent(factor: f64, tangential: [f64; 2], [x, y]: [f64; 2]) -> [f64; 2] {
+    let [dx, dy] = tangent(tangential, [x, y]);
+    [x * factor + dx, y * factor + dy]
 }
 
 /// Tangential distortion of a point, OpenCV's p1 and p2.
@@ -198,8 +206,7 @@ impl Lens {
             Self::Equirectangular => angles(DVec3::new(x, y, 1.0)),
             Self::Perspective { radial, tangential } => {
                 let factor = (1.0 + series(&radial[..3], r2)) / (1.0 + series(&radial[3..], r2));
-                let [dx, dy] = tangent(*tangential, [x, y]);
-                [x * factor + dx, y * factor + dy]
+                with_tangent(factor, *tangential, [x, y])
             }
             Self::Brown {
                 radial,
@@ -207,9 +214,7 @@ impl Lens {
                 skew,
                 ..
             } => {
-                let factor = 1.0 + series(radial, r2);
-                let [dx, dy] = tangent(*tangential, [x, y]);
-                let [a, b] = [x * factor + dx, y * factor + dy];
+                let [a, b] = with_tangent(1.0 + series(radial, r2), *tangential, [x, y]);
                 [a + skew * b, b]
             }
             Self::ThinPrismFisheye {
@@ -426,59 +431,103 @@ impl Undistortion {
     fn resampled<const N: usize>(&self, bytes: &[u8]) -> Vec<u8> {
         let width = self.target.width as usize;
         let mut out = vec![0; width * self.target.height as usize * N];
+        let (mut places, pixels) = (vec![None; width], bytes.as_chunks::<N>().0);
         for (y, row) in out.chunks_exact_mut((width * N).max(1)).enumerate() {
-            for (x, pixel) in row.as_chunks_mut::<N>().0.iter_mut().enumerate() {
-                if let Some(place) = self.source_of([x as f64 + 0.5, y as f64 + 0.5]) {
-                    self.sample(bytes.as_chunks::<N>().0, place, pixel);
+            self.find_sources(y as f64 + 0.5, &mut places);
+            for (place, pixel) in places.iter().zip(row.as_chunks_mut::<N>().0) {
+                if let Some(place) = place {
+                    self.sample(pixels, *place, pixel);
                 }
             }
         }
         out
     }
 
-    /// Point of the photo for a point of the pinhole image, pixels; `None` beyond the fold.
-    #[inline]
-    fn source_of(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
-        let (t, s) = (&self.target, &self.source);
-        let ray = [(x - t.cx) / t.fx, (y - t.cy) / t.fy];
-        let before_fold = match self.lens.is_fisheye() {
-            true => ray[0].hypot(ray[1]).atan() <= self.fold,
-            false => ray[0] * ray[0] + ray[1] * ray[1] <= self.fold * self.fold,
-        };
-        let [u, v] = self.lens.distort(ray);
-        before_fold.then_some([s.fx * u + s.cx, s.fy * v + s.cy])
+    /// Finds the points of the photo for the pixels of a row of the pinhole image, in units of [`PLACES`] from the centre of its first
+    /// pixel; `None` beyond the fold or the photo.
+    fn find_sources(&self, y: f64, places: &mut [Option<[i64; 2]>]) {
+        match self.lens {
+            // By far the most frequent ones: loops that compilers make vectors of.
+            Lens::Perspective { radial, tangential } if radial[3..] == [0.0; 3] => {
+                let k = [radial[0], radial[1], radial[2]];
+                self.each_source(y, places, |r2, ray| {
+                    with_tangent(1.0 + series(&k, r2), tangential, ray)
+                });
+            }
+            lens if lens.is_fisheye() => {
+                let fold = self.fold;
+                self.each_source(y, places, |r2, ray| match r2.sqrt().atan() <= fold {
+                    true => lens.distort(ray),
+                    false => [f64::NAN; 2],
+                });
+            }
+            lens => self.each_source(y, places, |_, ray| lens.warp(ray)),
+        }
     }
 
-    fn sample<const N: usize>(&self, pixels: &[[u8; N]], [x, y]: [f64; 2], out: &mut [u8; N]) {
-        let (w, h) = (self.source.width as usize, self.source.height as usize);
-        let (x, y) = (x - 0.5, y - 0.5);
-        // NaN is within nothing.
-        let within = x >= -0.5 && y >= -0.5 && x <= w as f64 - 0.5 && y <= h as f64 - 0.5;
-        if !within {
-            return;
+    /// Fills in the points of the photo that `distort` makes of the square of the distance from the axis and the ray.
+    fn each_source(
+        &self,
+        y: f64,
+        places: &mut [Option<[i64; 2]>],
+        distort: impl Fn(f64, [f64; 2]) -> [f64; 2],
+    ) {
+        let (t, s) = (&self.target, &self.source);
+        let (v, per_pixel) = ((y - t.cy) / t.fy, 1.0 / t.fx);
+        let farthest = match self.lens.is_fisheye() {
+            true => f64::INFINITY,
+            false => self.fold * self.fold,
+        };
+        let ends = [s.width, s.height].map(|n| f64::from(n) - 0.5);
+        for (x, place) in places.iter_mut().enumerate() {
+            let u = (x as f64 + 0.5 - t.cx) * per_pixel;
+            let r2 = u * u + v * v;
+            let [a, b] = distort(r2, [u, v]);
+            let at = [s.fx * a + s.cx - 0.5, s.fy * b + s.cy - 0.5];
+            // NaN is within nothing.
+            let within = |k: usize| at[k] >= -0.5 && at[k] <= ends[k];
+            let found = (r2 <= farthest) & within(0) & within(1);
+            *place = found.then(|| at.map(|c| (c * PLACES as f64 + 0.5) as i64));
         }
-        let axis = |at: f64, n: usize| {
-            let at = at.clamp(0.0, (n - 1) as f64);
-            let low = (at as usize).min(n.saturating_sub(2));
-            (low, (low + 1).min(n - 1), at - low as f64)
+    }
+
+    /// A pixel at a place of the photo, its borders going on to either side.
+    fn sample<const N: usize>(&self, pixels: &[[u8; N]], [x, y]: [i64; 2], out: &mut [u8; N]) {
+        let (w, h) = (i64::from(self.source.width), i64::from(self.source.height));
+        let axis = |at: i64, n: i64| {
+            let at = at.clamp(0, (n - 1) * PLACES);
+            let low = (at / PLACES).min((n - 2).max(0));
+            (low, (low + 1).min(n - 1), (at - low * PLACES) as u32)
         };
         let ((x0, x1, fx), (y0, y1, fy)) = (axis(x, w), axis(y, h));
+        let (one, all) = (PLACES as u32, (PLACES * PLACES) as u32);
         let corners = [
-            (x0, y0, (1.0 - fx) * (1.0 - fy)),
-            (x1, y0, fx * (1.0 - fy)),
-            (x0, y1, (1.0 - fx) * fy),
+            (x0, y0, (one - fx) * (one - fy)),
+            (x1, y0, fx * (one - fy)),
+            (x0, y1, (one - fx) * fy),
             (x1, y1, fx * fy),
         ];
+        let corners = corners.map(|(x, y, weight)| (&pixels[(y * w + x) as usize], weight));
+        if N == 3 {
+            for (k, o) in out.iter_mut().enumerate() {
+                let sum: u32 = corners
+                    .iter()
+                    .map(|(p, weight)| weight * u32::from(p[k]))
+                    .sum();
+                *o = ((sum + all / 2) / all) as u8;
+            }
+            return;
+        }
         let mut sum = [0.0; 3];
         let mut weights = 0.0;
-        for (x, y, weight) in corners {
-            let pixel = &pixels[y * w + x];
+        for (pixel, weight) in corners {
             // Colours count as far as they are opaque.
             let opaque = pixel.get(3).map_or(1.0, |a| f64::from(*a) / 255.0);
+            let weight = opaque * f64::from(weight) / f64::from(all);
             for (s, v) in sum.iter_mut().zip(pixel) {
-                *s += weight * opaque * f64::from(*v);
+                *s += weight * f64::from(*v);
             }
-            weights += weight * opaque;
+            weights += weight;
         }
         for (o, s) in out.iter_mut().zip(sum) {
             // Of 0/0 it is 0.

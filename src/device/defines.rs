@@ -91,6 +91,7 @@ impl Defines {
         int("GROUP_BINS", u64::from(constants::SORT_BINS));
         int("BLOCK_BITS", u64::from(constants::SORT_BLOCK_BITS));
         int("TAPS", constants::SSIM_TAPS as u64);
+        int("FLIP_REACH", constants::FLIP_REACH as u64);
         int("LOSS_DERIVATIVES", u64::from(constants::LOSS_DERIVATIVES));
         int("LOSS_ERRORS", u64::from(constants::LOSS_ERRORS));
         int("ERROR_SETS", self.tuning.error_sets() as u64);
@@ -131,6 +132,9 @@ impl Defines {
         real("T_MIN", constants::T_MIN);
         real("SSIM_C1", constants::SSIM_C[0]);
         real("SSIM_C2", constants::SSIM_C[1]);
+        real("FLIP_POWER", constants::FLIP_POWER);
+        real("FLIP_KNEE_AT", constants::FLIP_KNEE[0]);
+        real("FLIP_KNEE_TO", constants::FLIP_KNEE[1]);
         real("COLOR_MAX", constants::COLOR_MAX);
         real("BLUR", blur(self.anti_alias));
         real("FILTER_VARIANCE", constants::FILTER_VARIANCE);

@@ -43,6 +43,7 @@ const SOURCES: &[(&str, &str)] = &[
     ("filter", include_str!("../../kernels/filter.cl")),
     ("shrink", include_str!("../../kernels/shrink.cl")),
     ("metrics", include_str!("../../kernels/metrics.cl")),
+    ("flip", include_str!("../../kernels/flip.cl")),
     (
         "active_tiles",
         include_str!("../../kernels/active_tiles.cl"),

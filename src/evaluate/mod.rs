@@ -5,15 +5,15 @@
 //! pixels that count, Σ m·s / Σ m. A window reaches past the mask's edge, where both pictures are black and agree.
 
 pub mod color;
-pub mod flip;
 
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::Result;
 use crate::device::{Defines, Device};
 use crate::pipeline::buffers::ViewSet;
-use crate::pipeline::forward::{Renderer, Renders};
+use crate::pipeline::forward::Renders;
 use crate::pipeline::scoring::{PairErrors, Scoring};
+use crate::pipeline::stage::loss::ImagePair;
 
 /// Scores of a held-out view, or their means over views.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -86,6 +86,14 @@ impl Evaluator {
         &self.views
     }
 
+    /// Has the device compile all that scoring takes, and make room for it.
+    ///
+    /// # Errors
+    /// No room for the scratch, or the driver's.
+    pub(crate) fn warm_up(&self) -> Result<()> {
+        self.scoring.warm_up()
+    }
+
     /// Renders and scores one view; `None` if its mask is 0 everywhere. The clamped image stays in the renderer. `next` are the views
     /// to be scored after it.
     ///
@@ -98,19 +106,37 @@ impl Evaluator {
         scene: &mut dyn Renders,
         background: [f32; 3],
     ) -> Result<Option<ViewScore>> {
+        self.score_by(view, next, scene, background, false)
+    }
+
+    /// [`Evaluator::score`], with ꟻLIP if that is wanted.
+    fn score_by(
+        &self,
+        view: usize,
+        next: &[usize],
+        scene: &mut dyn Renders,
+        background: [f32; 3],
+        with_flip: bool,
+    ) -> Result<Option<ViewScore>> {
         let photo = self.views.photo(view, next)?;
         let camera = &self.views.cameras[view];
         let errors = self.scoring.view(scene, camera, &photo, background)?;
-        let [psnr, ssim] = psnr_and_ssim(&errors);
-        let score = ViewScore {
-            view: self.views.names[view].clone(),
-            scores: Scores {
-                psnr,
-                ssim,
-                ..Scores::default()
-            },
+        if errors.counted <= 0.0 {
+            return Ok(None);
+        }
+        let flip = || {
+            let pair = ImagePair::new(&scene.renderer().frame, &photo, background);
+            self.scoring.flip(&pair, errors.counted)
         };
-        Ok((errors.counted > 0.0).then_some(score))
+        let [psnr, ssim] = psnr_and_ssim(&errors);
+        let scores = Scores {
+            psnr,
+            ssim,
+            flip: with_flip.then(flip).transpose()?,
+            ..Scores::default()
+        };
+        let view = self.views.names[view].clone();
+        Ok(Some(ViewScore { view, scores }))
     }
 
     /// The photo that a view's render is compared with, planar \[3, pixels\] in \[0, 1\], and its mask (empty without one).
@@ -122,19 +148,7 @@ impl Evaluator {
         Ok((planes.collect(), photo.counts()))
     }
 
-    /// ꟻLIP of a view that [`Evaluator::score`] has just scored.
-    fn flip(&self, view: usize, renderer: &Renderer, background: [f32; 3]) -> Result<f64> {
-        let mut image = renderer.read_image()?;
-        let (photo, mask) = self.compared(view, background)?;
-        if !mask.is_empty() {
-            for plane in image.rgb.chunks_exact_mut(mask.len()) {
-                plane.iter_mut().zip(&mask).for_each(|(v, m)| *v *= m);
-            }
-        }
-        flip::flip(&photo, &image.rgb, image.width, image.height, &mask)
-    }
-
-    /// Scores all views whose masks are not 0 everywhere by PSNR and SSIM and, if `with_flip`, by ꟻLIP, computed on the host.
+    /// Scores all views whose masks are not 0 everywhere by PSNR and SSIM and, if `with_flip`, by ꟻLIP.
     ///
     /// # Errors
     /// Those of [`Renders::render_view`] and [`ViewSet::photo`].
@@ -147,14 +161,7 @@ impl Evaluator {
         let all: Vec<usize> = (0..self.views.len()).collect();
         let mut scores = Vec::with_capacity(all.len());
         for v in 0..all.len() {
-            let next = &all[v + 1..];
-            let Some(mut score) = self.score(v, next, scene, background)? else {
-                continue;
-            };
-            if with_flip {
-                score.scores.flip = Some(self.flip(v, scene.renderer(), background)?);
-            }
-            scores.push(score);
+            scores.extend(self.score_by(v, &all[v + 1..], scene, background, with_flip)?);
         }
         Ok(scores)
     }

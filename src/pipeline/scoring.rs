@@ -1,9 +1,12 @@
 //! [`Scoring`]: a rendered view held against its photo.
 
-use crate::base::error::Result;
+use std::sync::OnceLock;
+
+use crate::base::error::{Error, Result};
 use crate::device::{Array, CameraArg, Defines, Device, ImageSize, Kernels, Program};
 use crate::pipeline::forward::Renders;
 use crate::pipeline::photo_array::PhotoArray;
+use crate::pipeline::stage::flip::Flip;
 use crate::pipeline::stage::loss::{ImagePair, Loss};
 use crate::pipeline::stage::metrics;
 
@@ -24,6 +27,10 @@ pub struct Scoring {
     metrics: Program,
     loss: Loss<f32>,
     rows: Array<f32>,
+    /// From when it is wanted first.
+    flip: OnceLock<Flip<f32>>,
+    kernels: Kernels,
+    largest: ImageSize,
 }
 
 impl Scoring {
@@ -34,7 +41,30 @@ impl Scoring {
             metrics: kernels.build::<f32>("metrics")?,
             loss: Loss::new(&kernels, largest, false)?,
             rows: Array::zeros(device, "score", 3 * largest.0[1])?,
+            flip: OnceLock::new(),
+            kernels,
+            largest,
         })
+    }
+
+    /// Scores a picture of one pixel, so that everything is compiled and has its room.
+    ///
+    /// # Errors
+    /// See [`Scoring::flip`].
+    pub fn warm_up(&self) -> Result<()> {
+        let (device, size) = (self.kernels.device(), ImageSize([1, 1]));
+        let planes = self.kernels.defines().photo_planes();
+        let image = Array::zeros(device, "image", 3 * size.plane())?;
+        let pair = ImagePair {
+            image: &image,
+            photo: &PhotoArray::whole(Array::zeros(device, "photo", planes)?, size),
+            background: [0.0; 3],
+            size,
+            band: 0..1,
+            blank: None,
+        };
+        let errors = self.errors(&pair)?;
+        self.flip(&pair, errors.counted).map(drop)
     }
 
     /// Renders a view and compares it with its photo; the clamped image stays in the renderer.
@@ -66,5 +96,24 @@ impl Scoring {
             counted: sum(1),
             dissimilarity: sum(2),
         })
+    }
+
+    /// Mean ꟻLIP of a pair that [`Scoring::errors`] has clamped, over its `counted` pixels; 0 if there are none. Waits.
+    ///
+    /// # Errors
+    /// A render that is not finite, or see [`Flip::new`].
+    pub fn flip(&self, pair: &ImagePair<'_, f32>, counted: f64) -> Result<f64> {
+        let flip = match self.flip.get() {
+            Some(flip) => flip,
+            None => {
+                let flip = Flip::new(&self.kernels, self.largest)?;
+                self.flip.get_or_init(|| flip)
+            }
+        };
+        let sum: f64 = flip.rows(pair)?.into_iter().map(f64::from).sum();
+        if !sum.is_finite() {
+            return Err(Error::numerics("flip", "a render that is not finite"));
+        }
+        Ok(if counted > 0.0 { sum / counted } else { 0.0 })
     }
 }

@@ -245,7 +245,7 @@ impl Budget {
 mod tests {
     use super::{Budget, LATEST};
     use crate::config::{TrainConfig, TrainingSize};
-    use crate::run::forecast::{Every, Forecast, HostCost, Made};
+    use crate::run::forecast::{Every, Forecast, Made, picture_cost};
     use crate::train::sizes::Sizes;
 
     const EVERY: Every = Every {
@@ -254,16 +254,18 @@ mod tests {
         checkpoint: 1000,
     };
 
+    /// Seconds per pixel of a view's pictures.
+    const PICTURES: f64 = 1e-7;
+
     fn forecast(seconds: f64) -> Forecast {
         // 50 views are shown and 8 of 0.3 megapixels scored at the end.
-        let host = HostCost::of(0.65e-6, 2, false);
         Forecast::of(
             Sizes::at_shares(&[0.05, 0.1]),
             50,
             (8, 2_400_000),
             EVERY,
             LATEST * seconds,
-            host,
+            PICTURES,
         )
     }
 
@@ -431,14 +433,7 @@ mod tests {
             ..EVERY
         };
         let made = |length: u32, views: usize| -> Vec<u32> {
-            let forecast = Forecast::of(
-                Sizes::default(),
-                0,
-                (views, 0),
-                every,
-                20.0,
-                HostCost::of(0.65e-6, 2, false),
-            );
+            let forecast = Forecast::of(Sizes::default(), 0, (views, 0), every, 20.0, PICTURES);
             let due = (1..20).map(|k| k * (length / 20));
             due.filter(|at| forecast.affords_evaluation(*at, length, 1e9))
                 .collect()
@@ -452,14 +447,7 @@ mod tests {
             made: Made::All,
             ..EVERY
         };
-        let asked = Forecast::of(
-            Sizes::default(),
-            0,
-            (4000, 0),
-            all,
-            20.0,
-            HostCost::of(0.65e-6, 2, false),
-        );
+        let asked = Forecast::of(Sizes::default(), 0, (4000, 0), all, 20.0, PICTURES);
         assert!(asked.affords_evaluation(75, 1500, 0.0));
     }
 
@@ -502,9 +490,8 @@ mod tests {
     #[test]
     fn larger_photos_and_more_gaussians_are_expected_to_cost_more() {
         let unit = |gaussians: f64, halvings: &[f64]| {
-            let host = HostCost::of(0.65e-6, 2, false);
             let sizes = Sizes::at_shares(halvings);
-            let mut forecast = Forecast::of(sizes, 0, (0, 0), EVERY, 20.0, host);
+            let mut forecast = Forecast::of(sizes, 0, (0, 0), EVERY, 20.0, PICTURES);
             forecast.iterated(0, 1000, 0.0, gaussians);
             forecast.iterated(20, 1000, 0.2, gaussians);
             forecast.grown(20, 1000, 0);
@@ -519,19 +506,21 @@ mod tests {
     }
 
     #[test]
-    fn the_end_is_told_from_what_flip_takes_here() {
-        let measured = HostCost::measure(false).unwrap();
-        let (quick, slow) = (HostCost::of(1e-9, 1, false), HostCost::of(1e-3, 1, false));
-        let end = |host: HostCost| {
-            let mut forecast = Forecast::of(Sizes::default(), 0, (8, 2_400_000), EVERY, 20.0, host);
+    fn the_end_is_told_from_what_pictures_take_here() {
+        let measured = picture_cost().unwrap();
+        let end = |pictures: f64| {
+            let sizes = Sizes::default();
+            let mut forecast = Forecast::of(sizes, 0, (8, 2_400_000), EVERY, 20.0, pictures);
             forecast.iterated(0, 1000, 0.0, 1.0);
             forecast.iterated(20, 1000, 0.2, 1.0);
             forecast.end().unwrap()
         };
-        assert!(end(quick) < end(measured) && end(measured) < end(slow));
-        // On eight cores FLIP takes eight times its time in CPU seconds; pictures are made on one.
-        let (wall, cpu) = (HostCost::of(1e-6, 8, false), HostCost::of(1e-6, 8, true));
-        assert!((end(cpu) - end(wall) - 7.0 * 2.4).abs() < 1e-9);
+        assert!(end(1e-12) < end(measured) && end(measured) < end(1e-3));
+        // Six of the eight views are shown; whole views cost more than the probe.
+        let shown = 6.0 * 300_000.0;
+        let each = (end(2e-6) - end(1e-6)) / (1e-6 * shown);
+        assert!((1.0..10.0).contains(&each), "{each}");
+        assert!((end(3e-6) - end(2e-6) - each * 1e-6 * shown).abs() < 1e-9);
     }
 
     #[test]
@@ -548,9 +537,14 @@ mod tests {
                     .map(|s| unit * size(s) * cost(s))
                     .collect();
                 let whole: f64 = times.iter().sum();
-                let host = HostCost::of(0.65e-6, 2, false);
-                let mut forecast =
-                    Forecast::of(Sizes::at_shares(&[0.05, 0.1]), 0, (0, 0), EVERY, 20.0, host);
+                let mut forecast = Forecast::of(
+                    Sizes::at_shares(&[0.05, 0.1]),
+                    0,
+                    (0, 0),
+                    EVERY,
+                    20.0,
+                    PICTURES,
+                );
                 let mut used = 0.0;
                 for (done, time) in times.iter().enumerate() {
                     forecast.iterated(done as u32, 3000, used, 1.0);

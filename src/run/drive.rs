@@ -18,16 +18,13 @@ use crate::run::live::{LARGEST_LIVE, LivePage, Server, Watch};
 use crate::run::patience;
 use crate::run::progress::Progress;
 use crate::run::record::{FinalRecord, PlanRecord, RunRecord, StageRecord};
-use crate::run::report::gallery::{GalleryItem, items};
+use crate::run::report::gallery::{GALLERY_VIEWS, GalleryItem, items};
 use crate::run::report::page::{folder_name, write_report};
 use crate::run::report::training::training_views;
 use crate::run::table::{DENSITY_FILE, DensityRow, DensityWriter};
 use crate::run::table::{METRICS_FILE, MetricsRow, MetricsWriter, read_rows};
 use crate::scene::Gaussians;
 use crate::train::{DensityEvent, Event, Trainer};
-
-/// Held-out views shown in the report.
-const GALLERY_VIEWS: usize = 6;
 
 /// A run under way.
 pub struct Run {

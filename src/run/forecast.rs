@@ -8,8 +8,8 @@ use crate::chart::text::{about, grouped};
 use crate::config::{Init, Preset, TrainConfig, TrainingSize};
 use crate::density::Expected;
 use crate::evaluate::Evaluator;
-use crate::evaluate::flip::flip;
-use crate::run::report::training::VIEWS;
+use crate::run::report::gallery::{GALLERY_VIEWS, data_uri, error_map};
+use crate::run::report::training::{SHOWN, VIEWS};
 use crate::train::Trainer;
 use crate::train::growth::Growth;
 use crate::train::schedule::Schedule;
@@ -36,15 +36,16 @@ const AFTER_RANDOM: f64 = 0.62;
 /// Mean cost of an iteration at full size over that of the last one: Gaussians die towards the end.
 const MEAN_COST: f64 = 1.05;
 
-/// Cost of showing a view at the end, to find the Gaussians that none shows, and of scoring one, over that of an iteration then.
+/// Cost of showing a view at the end, to find the Gaussians that none shows, of scoring one, and of FLIP beside that, over that of an
+/// iteration then (FLIP: tankard, plush and herz-jesus at 400, 640 and 1600 px 0.5, 0.5, 1.0; a little too much ends a budget in time).
 const SEEN: f64 = 0.15;
 const SCORED: f64 = 0.4;
+const FLIPPED: f64 = 0.8;
 
-/// Cost of the report's pictures over that of FLIP on one core, per pixel of at most so many views of at most so many pixels (plush
-/// and fox at 480 px, herz-jesus at 640: 0.5 to 0.65), and seconds of the files.
-const PICTURES: f64 = 0.6;
-const LARGEST_PICTURES: (u64, u64) = (6, 410_000);
-const FILES: f64 = 0.25;
+/// Cost of the report's pictures of a view over that of the probe's, per pixel of the view (six datasets of 400 to 1600 px: 2.9 to 3.5, one
+/// 6.5), and seconds of the files.
+const PICTURES: f64 = 3.0;
+const FILES: f64 = 0.1;
 
 /// Share of a run's time that evaluations on the way take at most unless they are asked for.
 const EVALUATIONS: f64 = 0.05;
@@ -109,40 +110,25 @@ pub(super) struct Every {
     pub checkpoint: u32,
 }
 
-/// Seconds per pixel of what the host does at the end.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct HostCost {
-    flip: f64,
-    pictures: f64,
-}
-
-impl HostCost {
-    /// The cost where FLIP takes so many seconds per pixel of a clock, CPU seconds of all threads if `cpu`.
-    pub fn of(flip: f64, threads: usize, cpu: bool) -> Self {
-        let one_core = flip * threads as f64;
-        Self {
-            flip: if cpu { one_core } else { flip },
-            pictures: PICTURES * one_core,
+/// Seconds per pixel that the pictures of a view take on this machine, from those of a small one: some thousandths of a second.
+///
+/// # Errors
+/// None that a picture of these numbers could bring about.
+pub(super) fn picture_cost() -> Result<f64> {
+    let value = |i: usize, by: usize| (i / 3 % PROBE + ((i * by) >> 7) % 31) as u8;
+    let picture = |by: usize| -> Vec<u8> { (0..3 * PROBE * PROBE).map(|i| value(i, by)).collect() };
+    let (render, photo) = (picture(40_503), picture(69_069));
+    let side = PROBE as u32;
+    let mut best = f64::INFINITY;
+    for _ in 0..3 {
+        let start = Instant::now();
+        let error = error_map(&render, &photo)?;
+        for rgb in [&render, &photo, &error] {
+            data_uri("probe", rgb, side, side)?;
         }
+        best = best.min(start.elapsed().as_secs_f64());
     }
-
-    /// The cost on this machine, from FLIP of a small picture: some hundredths of a second.
-    ///
-    /// # Errors
-    /// None that a picture of these numbers could bring about.
-    pub fn measure(cpu: bool) -> Result<Self> {
-        let value = |i: usize| (i * 97 % 256) as f32 / 255.0;
-        let picture: Vec<f32> = (0..3 * PROBE * PROBE).map(value).collect();
-        let other: Vec<f32> = picture.iter().rev().copied().collect();
-        let mut best = f64::INFINITY;
-        for _ in 0..2 {
-            let start = Instant::now();
-            flip(&picture, &other, PROBE, PROBE, &[])?;
-            best = best.min(start.elapsed().as_secs_f64());
-        }
-        let pixels = (PROBE * PROBE) as f64;
-        Ok(Self::of(best / pixels, rayon::current_num_threads(), cpu))
-    }
+    Ok(best / (PROBE * PROBE) as f64)
 }
 
 /// Evaluations on the way that are made of those that are due.
@@ -188,11 +174,16 @@ pub(super) struct Forecast {
     size: TrainingSize,
     /// Training views that are shown at the end.
     shown: usize,
-    /// Training views that are scored at the end.
+    /// Training views that are scored at the end, or held-out ones that are scored again after a fit of colours.
     also: usize,
+    /// Training views whose pictures are shown.
+    pictured: usize,
+    /// Cost of FLIP of a view over that of an iteration.
+    flipped: f64,
     /// Held-out views, and pixels of all of them.
     scored: (usize, u64),
-    host: HostCost,
+    /// Seconds per pixel of a view's pictures.
+    pictures: f64,
     /// Seconds after which the first measurement is made, if fewer iterations have been done by then.
     latest: f64,
     every: Every,
@@ -210,12 +201,13 @@ pub(super) struct Forecast {
 }
 
 impl Forecast {
-    /// A forecast for a run that begins or goes on, whose first measurement is made after `latest` seconds at the latest.
+    /// A forecast for a run that begins or goes on, whose first measurement is made after `latest` seconds at the latest; seconds per pixel
+    /// of a view's pictures, and ranks that share an iteration.
     pub fn new(
         trainer: &Trainer,
         evaluator: Option<&Evaluator>,
         latest: f64,
-        host: HostCost,
+        (pictures, ranks): (f64, usize),
     ) -> Self {
         let config = &trainer.plan().config;
         let shown = match config.work.remove_unseen {
@@ -236,6 +228,7 @@ impl Forecast {
             (cameras.len(), pixels.sum())
         });
         let (plan, done) = (trainer.plan(), trainer.iteration());
+        let exposed = trainer.compensates_exposure();
         let growth = Growth::new(
             trainer.schedule().clone(),
             plan.strategy(),
@@ -258,9 +251,26 @@ impl Forecast {
             ),
             pixels: trainer.largest_photo() as f64,
             size: config.last_size(),
-            also: trainer.views().min(VIEWS),
+            also: if exposed {
+                scored.0
+            } else {
+                trainer.views().min(VIEWS)
+            },
+            pictured: if exposed {
+                0
+            } else {
+                trainer.views().min(SHOWN)
+            },
+            flipped: FLIPPED * ranks as f64,
             reached: trainer.halvings(),
-            ..Self::of(trainer.sizes().clone(), shown, scored, every, latest, host)
+            ..Self::of(
+                trainer.sizes().clone(),
+                shown,
+                scored,
+                every,
+                latest,
+                pictures,
+            )
         }
     }
 
@@ -271,7 +281,7 @@ impl Forecast {
         scored: (usize, u64),
         every: Every,
         latest: f64,
-        host: HostCost,
+        pictures: f64,
     ) -> Self {
         Self {
             growth: None,
@@ -291,8 +301,10 @@ impl Forecast {
             size: TrainingSize::Full,
             shown,
             also: 0,
+            pictured: 0,
+            flipped: FLIPPED,
             scored,
-            host,
+            pictures,
             latest,
             every,
             unit: None,
@@ -473,13 +485,16 @@ impl Forecast {
     /// Seconds from the last iteration to the end with so many Gaussians: views are shown and scored, files are written.
     fn ending(&self, gaussians: f64) -> Option<f64> {
         let last = self.unit? * self.cost_at_end(gaussians);
-        let shown = SEEN * last * self.shown as f64 + SCORED * last * self.also as f64;
-        let (views, pixels) = (self.scored.0 as u64, self.scored.1);
-        let each = pixels.checked_div(views).unwrap_or(0);
-        let pictures = views.min(LARGEST_PICTURES.0) * each.min(LARGEST_PICTURES.1);
-        let beside = self.host.flip * pixels as f64 + self.host.pictures * pictures as f64 + FILES;
+        let (views, pixels) = self.scored;
+        // Views with pictures are rendered and scored once more.
+        let pictured = [views.min(GALLERY_VIEWS), self.pictured];
+        let scored = (self.also + pictured[0] + pictured[1]) as f64;
+        let rendered = SEEN * self.shown as f64 + SCORED * scored + self.flipped * views as f64;
+        let held_out = pixels as f64 / views.max(1) as f64;
+        let shown = pictured[0] as f64 * held_out + pictured[1] as f64 * self.pixels;
         let saved = self.checkpoints.mean().unwrap_or(0.0);
-        Some(shown + self.evaluation(gaussians)? + saved + beside)
+        let host = PICTURES * self.pictures * shown + saved + FILES;
+        Some(last * rendered + self.evaluation(gaussians)? + host)
     }
 
     /// Seconds of an evaluation on the way with so many Gaussians.

@@ -17,7 +17,7 @@ use crate::run::checkpoint::{self, Checkpoint};
 use crate::run::clock::Clock;
 use crate::run::drive::Run;
 use crate::run::export::Exports;
-use crate::run::forecast::{Forecast, HostCost};
+use crate::run::forecast::{Forecast, picture_cost};
 use crate::run::patience;
 use crate::run::rank::beginning;
 use crate::run::record::{RECORD_FILE, RunRecord};
@@ -250,7 +250,7 @@ impl Run {
         // The trainer's configuration: an extension has made it longer.
         let sizes = sizes(&trainer, done.is_none(), extended.is_some());
         let pace = Pace::new(&trainer.plan().config, to_come, sizes);
-        let forecast = forecast(&trainer, evaluator.as_ref(), pace.budget())?;
+        let forecast = forecast(device, &trainer, evaluator.as_ref(), pace.budget())?;
         let clock = match &saved {
             Some(saved) => clock.after(saved.clock),
             None => clock,
@@ -338,12 +338,22 @@ fn sizes(trainer: &Trainer, begins: bool, extended: bool) -> Vec<TrainingSize> {
 
 /// The forecast of a run that begins or goes on.
 fn forecast(
+    device: &Device,
     trainer: &Trainer,
     evaluator: Option<&Evaluator>,
     budget: Option<&Budget>,
 ) -> Result<Forecast> {
-    let host = HostCost::measure(budget.is_some_and(|budget| budget.cpu))?;
+    if let Some(evaluator) = evaluator {
+        // The end is to take no compiler's time, and not to fail for want of room.
+        evaluator.warm_up()?;
+    }
     let latest = Budget::latest(budget);
+    // One device takes FLIP, while others that share the iterations wait.
+    let ranks = match budget.is_some_and(|budget| budget.cpu) {
+        true => 1,
+        false => device.helpers().ranks(),
+    };
+    let host = (picture_cost()?, ranks);
     Ok(Forecast::new(trainer, evaluator, latest, host))
 }
 

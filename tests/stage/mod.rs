@@ -6,6 +6,7 @@ mod bin;
 mod edit;
 mod exposure;
 mod filter;
+mod flip;
 mod importance;
 mod loss;
 mod metrics;

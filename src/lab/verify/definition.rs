@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use crate::base::constants::{LOG_SCALE, NEAR, SUMS};
+use crate::base::constants::{FLIP_PIXELS_PER_DEGREE, LOG_SCALE, NEAR, SUMS};
 use crate::capture::Alpha;
 use crate::density::NoiseLaw;
 use crate::lab::verify::cases::{ADAM, Case};
@@ -11,6 +11,7 @@ use crate::pipeline::reference_pass::{ReferencePass, run};
 use crate::pipeline::stage::adam::{Step, adam};
 use crate::pipeline::stage::edit::edit;
 use crate::pipeline::stage::exposure::{ENTRIES, IDENTITY, backward, center};
+use crate::pipeline::stage::flip::error_map;
 use crate::pipeline::stage::importance::importance;
 use crate::pipeline::stage::morton::{Order, kept};
 use crate::pipeline::stage::noise::noise;
@@ -283,6 +284,27 @@ impl Reference {
         let sum = |k: usize| errors.iter().map(move |e| 2.0 * e.map_or(0.0, |e| e[k]));
         let views = errors.iter().map(|e| if e.is_some() { 2.0 } else { 0.0 });
         sum(0).chain(sum(1)).chain(views).collect()
+    }
+
+    /// Sums of ꟻLIP over each row of an image that is clamped, as far as its pixels count.
+    pub(super) fn flip(&self, image: &[f64]) -> Vec<f64> {
+        let counts = |i: usize| self.mask.as_ref().map_or(1.0, |mask| mask[i]);
+        let [width, height] = self.camera.size.map(|s| s as usize);
+        let render = image.iter().enumerate();
+        let render = render.map(|(at, v)| counts(at % (width * height)) * v.clamp(0.0, 1.0));
+        let render: Vec<f64> = render.collect();
+        let map = error_map(
+            &self.photo,
+            &render,
+            [width, height],
+            FLIP_PIXELS_PER_DEGREE,
+        );
+        let sum = |y: usize| {
+            (y * width..(y + 1) * width)
+                .map(|i| counts(i) * map[i])
+                .sum()
+        };
+        (0..height).map(sum).collect()
     }
 
     /// Transforms and moments \[views · 12\] after two steps with this gradient of the case's transform.

@@ -15,7 +15,7 @@ const MIN_ERROR: f64 = 1e-17;
 const CURVES: [&[&str]; 5] = [
     &["project"],
     &["splat", "scan", "bin", "sort"],
-    &["loss", "metrics", "importance", "photo_error"],
+    &["loss", "metrics", "flip", "importance", "photo_error"],
     &["exposure", "splat_grad", "screen_grad", "seen"],
     &["project_grad", "adam", "noise", "edit", "morton"],
 ];

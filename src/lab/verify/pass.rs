@@ -22,6 +22,7 @@ use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::stage::adam::Step;
 use crate::pipeline::stage::exposure::{apply, backward};
+use crate::pipeline::stage::flip::Flip;
 use crate::pipeline::stage::loss::{Beside, ImagePair};
 use crate::pipeline::stage::morton::{Morton, Order};
 use crate::pipeline::stage::photo_error::{PhotoErrors, photo_error};
@@ -513,6 +514,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let maps = self.pipeline.error_maps()?;
         metrics::sum_dissimilarity(&stage, &pair, maps, &rows)?;
         metrics::score(&stage, &pair, &rows)?;
+        let flips = widen(Flip::new(&self.kernels, pair.size)?.rows(&pair)?);
         let sum = |k: usize| Ok(vec![widen(rows.read(k * h, h)?).iter().sum::<f64>()]);
         self.add("metrics", "squared error", sum(0)?, |r, _| {
             let mask = r.mask.as_deref();
@@ -524,6 +526,9 @@ impl<'a, R: Real> Pass<'a, R> {
         });
         // It is nothing but rounding where pictures agree.
         *floor = 1e-3 * (w * h) as f64;
+        let want = |r: &Reference, out: &Outcome| r.flip(out.got("splat", "image"));
+        // Errors are judged beside the largest possible.
+        *self.add("flip", "errors of the rows", flips, want) = w as f64;
         Ok(())
     }
 
@@ -543,13 +548,8 @@ impl<'a, R: Real> Pass<'a, R> {
         let got = self.image(&image, plane..plane + 1)?;
         let alpha = self.case.photo.alpha;
         self.add("photo_error", "errors", got, |r, out| {
-            let opacity = (alpha, r.opacity.as_slice());
-            photo_error(
-                out.got("splat", "image"),
-                &EXPOSURES[VIEW],
-                &r.photo,
-                opacity,
-            )
+            let (image, opacity) = (out.got("splat", "image"), (alpha, &r.opacity[..]));
+            photo_error(image, &EXPOSURES[VIEW], &r.photo, opacity)
         });
         Ok(())
     }

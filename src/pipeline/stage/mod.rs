@@ -11,6 +11,7 @@ pub mod bin;
 pub mod edit;
 pub mod exposure;
 pub mod filter;
+pub mod flip;
 pub mod importance;
 pub mod loss;
 pub mod metrics;

@@ -15,6 +15,9 @@ pub const ERROR_FULL_SCALE: f64 = 0.2;
 /// Longest side of an image in the page, in pixels: two per CSS pixel in a column of three. Larger ones are reduced.
 const LONGEST_SIDE: u32 = 640;
 
+/// Largest number of held-out views that are shown.
+pub(crate) const GALLERY_VIEWS: usize = 6;
+
 /// One view. The three images are 8-bit RGB, interleaved, row-major, `width · height · 3` bytes each.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct GalleryItem {
@@ -140,7 +143,7 @@ pub(crate) fn picture(name: &str, rgb: &[u8], width: u32, height: u32) -> Result
 pub fn data_uri(name: &str, rgb: &[u8], width: u32, height: u32) -> Result<String> {
     let image = picture(name, rgb, width, height)?;
     let mut png = Vec::new();
-    PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::Adaptive)
+    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)
         .write_image(
             image.as_raw(),
             image.width(),

@@ -12,7 +12,7 @@ use crate::train::Trainer;
 pub(crate) const VIEWS: usize = 8;
 
 /// Largest number of training views that are shown.
-const SHOWN: usize = 3;
+pub(crate) const SHOWN: usize = 3;
 
 /// Mean scores of at most [`VIEWS`] training views, evenly spread, and pictures of the worst of them; nothing where exposure is
 /// compensated, which gives each of them a colour of its own.
