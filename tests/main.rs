@@ -44,6 +44,7 @@ mod learning;
 mod library;
 mod live;
 mod masks;
+mod needed;
 #[cfg(target_os = "linux")]
 mod packaging;
 mod photos;

@@ -324,7 +324,7 @@ fn photos_that_come_whole_leave_room_for_the_one_in_use() {
 }
 
 /// One photo with transparent pixels, one with an alpha channel and none.
-fn with_alpha(dir: &Path, transparent: bool) {
+pub fn with_alpha(dir: &Path, transparent: bool) {
     let mut image = image::RgbaImage::from_pixel(16, 12, image::Rgba([200, 100, 50, 255]));
     image.save(dir.join("images/v 01.png")).unwrap();
     if transparent {

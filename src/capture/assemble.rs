@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::base::error::{Error, Result};
 use crate::base::math::{order_statistic, sorted};
 use crate::capture::camera::Camera;
-use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
+use crate::capture::dataset::{Dataset, Layout, LoadOptions, Needed, View};
 use crate::capture::endings::{EXTENSIONS, is_converted, is_image};
 use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
@@ -166,9 +166,16 @@ pub(super) fn assemble(path: &Path, mut scene: RawScene, options: &LoadOptions) 
         .par_iter()
         .map(|v| place(v, &frame, options, meaning))
         .collect::<Result<_>>()?;
-    let photos = match options.poses_only {
-        true => files.into_iter().map(PhotoSource::File).collect(),
-        false => read(files, budget, options.progress)?,
+    let all = 0..files.len();
+    let needed = match options.photos {
+        Needed::None => None,
+        Needed::Training => Some(0..first_held_out),
+        Needed::HeldOut if first_held_out < all.end => Some(first_held_out..all.end),
+        Needed::All | Needed::HeldOut => Some(all),
+    };
+    let photos = match needed {
+        None => files.into_iter().map(PhotoSource::File).collect(),
+        Some(needed) => read(files, needed, budget, options.progress)?,
     };
     let mut views = raw
         .into_iter()

@@ -192,6 +192,20 @@ impl Dataset {
     }
 }
 
+/// Photos that are needed of a dataset. Others are not decoded before they are asked for, so that broken ones are not told; but they are, whichever are
+/// needed, if they may have an alpha plane: it decides what the photos are to have, and which are masked out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Needed {
+    /// All of them.
+    All,
+    /// Held-out ones, and those to train on where none is held out.
+    HeldOut,
+    /// Those to train on.
+    Training,
+    /// None, whatever their alpha: photos that are masked out are not known to be.
+    None,
+}
+
 /// Options of [`crate::capture::load`].
 #[derive(Debug, Clone)]
 pub struct LoadOptions {
@@ -208,8 +222,8 @@ pub struct LoadOptions {
     pub alpha_is_mask: bool,
     /// True if masks are 0 where a photo counts: of files, and of alpha that is a mask.
     pub invert_masks: bool,
-    /// True if the photos are not wanted: none is decoded before it is asked for, so that broken and masked-out ones are not told.
-    pub poses_only: bool,
+    /// Photos that are needed.
+    pub photos: Needed,
     /// Called whenever a photo has been read, from any thread, with how many have been and how many there are.
     pub progress: Option<fn(usize, usize)>,
 }
@@ -223,7 +237,7 @@ impl Default for LoadOptions {
             image_budget: None,
             alpha_is_mask: false,
             invert_masks: false,
-            poses_only: false,
+            photos: Needed::All,
             progress: None,
         }
     }

@@ -24,7 +24,7 @@ mod up;
 
 pub use crate::capture::archive::{Temporary, is_archive, remove_temporary};
 pub use crate::capture::camera::Camera;
-pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, View};
+pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, Needed, View};
 pub use crate::capture::frame::Frame;
 pub use crate::capture::lens::{Lens, Undistortion};
 #[doc(hidden)]

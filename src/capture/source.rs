@@ -1,5 +1,6 @@
 //! Sources of photos: memory, or an image file that is decoded on demand.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -418,41 +419,86 @@ fn with_alpha(photo: Arc<Photo>, alpha: Alpha) -> Photo {
     Arc::unwrap_or_clone(photo).with_alpha(alpha)
 }
 
-/// The photos of `files`: in memory if all of them fit into `budget` bytes, else left in their files.
+/// Part of a photo that is to be known when its dataset has been read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Asked {
+    /// Its pixels.
+    Photo,
+    /// Its alpha plane.
+    Alpha,
+    /// Nothing: it is opaque by its header.
+    Nothing,
+}
+
+/// The alpha of each photo of a group that one file has, and the photo if it is asked for; calls `told` after each that was decoded.
 ///
-/// Every file is decoded here in either case: a broken one is found before training begins, and whether any pixel of any
-/// photo is transparent decides for all whether they have an alpha plane.
+/// # Errors
+/// A file that cannot be decoded.
+fn decode(
+    group: &mut [(&mut PhotoFile, Asked)],
+    told: impl Fn(),
+) -> Result<Vec<(Alpha, Option<Arc<Photo>>)>> {
+    let read = group[0].1 != Asked::Nothing;
+    let whole = read.then(|| group[0].0.whole()).transpose()?.map(Arc::new);
+    let parts = group.iter_mut().map(|(file, asked)| {
+        let photo = whole.as_ref().map(|whole| file.part(whole));
+        if *asked != Asked::Photo && file.alpha == Alpha::Mask {
+            let white = || digest(&vec![255; file.width as usize * file.height as usize]);
+            let mask = photo.as_ref().and_then(|photo| photo.mask_plane());
+            file.mask_digest = mask.map_or_else(white, digest);
+        }
+        if read {
+            told();
+        }
+        let alpha = photo.as_ref().map_or(Alpha::None, |photo| photo.alpha);
+        (alpha, photo.filter(|_| *asked == Asked::Photo))
+    });
+    Ok(parts.collect())
+}
+
+/// The photos of `files`: the `needed` ones in memory if all of them fit into `budget` bytes, all others left in their files.
+///
+/// Those that are needed, or may have an alpha plane, are decoded here in either case: a broken one is found before training begins, and one transparent
+/// pixel of any photo decides for all that they have an alpha plane.
 ///
 /// # Errors
 /// A file that cannot be decoded, or a photo that does not fit into the budget alone.
 pub(super) fn read(
     mut files: Vec<PhotoFile>,
+    needed: Range<usize>,
     budget: u64,
     progress: Option<fn(usize, usize)>,
 ) -> Result<Vec<PhotoSource>> {
     let may_be = Alpha::common(files.iter().map(|f| f.alpha));
-    files.iter_mut().for_each(|f| f.alpha = may_be);
-    let fits = files.iter().map(PhotoFile::bytes).sum::<u64>() <= budget;
-    let (all, done) = (files.len(), AtomicUsize::new(0));
-    let decode = |group: &mut [PhotoFile]| -> Result<Vec<(Alpha, Option<Arc<Photo>>)>> {
-        let whole = Arc::new(group[0].whole()?);
-        let parts = group.iter_mut().map(|f| {
-            let photo = f.part(&whole);
-            if !fits && f.alpha == Alpha::Mask {
-                let white = || vec![255; photo.data.len() / 3];
-                f.mask_digest = photo.mask_plane().map_or_else(|| digest(&white()), digest);
-            }
-            if let Some(progress) = progress {
-                progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
-            }
-            (photo.alpha, fits.then_some(photo))
-        });
-        Ok(parts.collect())
+    let fits = files[needed.clone()]
+        .iter()
+        .map(PhotoFile::bytes)
+        .sum::<u64>()
+        <= budget;
+    let mut asked: Vec<(&mut PhotoFile, Asked)> = files
+        .iter_mut()
+        .enumerate()
+        .map(|(i, file)| {
+            let opaque = std::mem::replace(&mut file.alpha, may_be) == Alpha::None;
+            let asked = match (needed.contains(&i), opaque) {
+                (true, _) if fits => Asked::Photo,
+                (false, true) => Asked::Nothing,
+                _ => Asked::Alpha,
+            };
+            (file, asked)
+        })
+        .collect();
+    let all = asked.iter().filter(|a| a.1 != Asked::Nothing).count();
+    let done = AtomicUsize::new(0);
+    let told = || {
+        if let Some(progress) = progress {
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
+        }
     };
-    // The sides of a panorama stand together unless another name comes between theirs, and are cut from one decoding.
-    let decoded = files
-        .par_chunk_by_mut(|a, b| a.path == b.path)
-        .map(decode)
+    // The sides of a panorama stand together unless another name comes between theirs, are all needed or none is, and are cut from one decoding.
+    let decoded = asked
+        .par_chunk_by_mut(|a, b| a.0.path == b.0.path)
+        .map(|group| decode(group, told))
         .collect::<Result<Vec<_>>>()?
         .concat();
     let alpha = Alpha::common(decoded.iter().map(|d| d.0));

@@ -8,6 +8,7 @@ use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
+use mhsplat::capture::Needed;
 use mhsplat::device::Defines;
 use mhsplat::evaluate::Evaluator;
 use mhsplat::pipeline::buffers::ViewSet;
@@ -52,7 +53,11 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         "give the folder of the photos after it",
     )?;
     remove_unpacked_at_end(&dataset)?;
-    let mut data = scene::dataset(&dataset, record.as_ref(), &args.photos)?;
+    let needed = match args.training_views {
+        true => Needed::Training,
+        false => Needed::HeldOut,
+    };
+    let mut data = scene::dataset(&dataset, record.as_ref(), &args.photos, needed)?;
     if args.training_views {
         data.test = std::mem::take(&mut data.train);
     }

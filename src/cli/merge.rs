@@ -9,8 +9,8 @@ use crate::cli::common::{Common, Outcome};
 use crate::cli::scene::{PhotoOptions, Written};
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
-use mhsplat::capture::Frame;
 use mhsplat::capture::split::Cells;
+use mhsplat::capture::{Frame, Needed};
 use mhsplat::run::RunRecord;
 use mhsplat::scene::formats::SceneFile;
 use mhsplat::train::reasons::Part;
@@ -156,7 +156,7 @@ fn compensated(record: &RunRecord) -> bool {
 /// # Errors
 /// A run that was trained on something else.
 fn check_run(run: &Path, record: &RunRecord, part: &Path) -> Result<()> {
-    let data = scene::views(part, Some(record), &PhotoOptions::of_run())?;
+    let data = scene::dataset(part, Some(record), &PhotoOptions::of_run(), Needed::None)?;
     let known = &record.dataset.capture;
     if known
         .as_ref()

@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
-use mhsplat::capture::{Camera, Dataset, Frame, LoadOptions, View};
+use mhsplat::capture::{Camera, Dataset, Frame, LoadOptions, Needed, View};
 use mhsplat::config::{Background, SceneFormat, TrainConfig};
 use mhsplat::device::{Defines, Device};
 use mhsplat::pipeline::buffers::GaussianBuffers;
@@ -135,44 +135,17 @@ pub fn dataset_path(
     Ok(path)
 }
 
-/// Reads a dataset at the resolution and split of a run, or at those given.
+/// Reads a dataset at the resolution and split of a run, or at those given. Photos that are not `needed` are not read before they are asked for.
 ///
 /// # Errors
 /// Those of [`capture::load`]; another dataset than the run's, unless that is allowed.
-pub fn dataset(path: &Path, record: Option<&RunRecord>, options: &PhotoOptions) -> Result<Dataset> {
-    read_dataset(path, record, options, false)
-}
-
-/// Reads the frame of a dataset and the cameras of its views in the order of their names, which that of capture is as a rule; no photos.
-///
-/// # Errors
-/// Those of [`dataset`].
-pub fn cameras(
+pub fn dataset(
     path: &Path,
     record: Option<&RunRecord>,
     options: &PhotoOptions,
-) -> Result<(Frame, Vec<Camera>)> {
-    let mut data = views(path, record, options)?;
-    data.train.append(&mut data.test);
-    data.train.sort_by(|a, b| a.name.cmp(&b.name));
-    let cameras = data.train.iter().map(|view| view.camera).collect();
-    Ok((data.frame, cameras))
-}
-
-/// Reads a dataset for its views; its photos are not read before they are asked for.
-///
-/// # Errors
-/// Those of [`dataset`].
-pub fn views(path: &Path, record: Option<&RunRecord>, options: &PhotoOptions) -> Result<Dataset> {
-    read_dataset(path, record, options, true)
-}
-
-fn read_dataset(
-    path: &Path,
-    record: Option<&RunRecord>,
-    options: &PhotoOptions,
-    poses_only: bool,
+    needed: Needed,
 ) -> Result<Dataset> {
+    let poses_only = needed == Needed::None;
     let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
     let of_run = config.clone();
     config.max_size = options.max_size.unwrap_or(config.max_size);
@@ -192,7 +165,7 @@ fn read_dataset(
     config.alpha_is_mask |= options.alpha_is_mask;
     config.invert_masks |= options.invert_masks;
     let load = LoadOptions {
-        poses_only,
+        photos: needed,
         ..load_options(&config)
     };
     let mut data = capture::load(path, &load)?;
@@ -226,6 +199,22 @@ fn read_dataset(
     Ok(data)
 }
 
+/// Reads the frame of a dataset and the cameras of its views in the order of their names, which that of capture is as a rule; no photos.
+///
+/// # Errors
+/// Those of [`dataset`].
+pub fn cameras(
+    path: &Path,
+    record: Option<&RunRecord>,
+    options: &PhotoOptions,
+) -> Result<(Frame, Vec<Camera>)> {
+    let mut data = dataset(path, record, options, Needed::None)?;
+    data.train.append(&mut data.test);
+    data.train.sort_by(|a, b| a.name.cmp(&b.name));
+    let cameras = data.train.iter().map(|view| view.camera).collect();
+    Ok((data.frame, cameras))
+}
+
 /// Returns what a configuration says about reading a dataset.
 pub fn load_options(config: &TrainConfig) -> LoadOptions {
     LoadOptions {
@@ -235,7 +224,7 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
         images: config.images.clone(),
         alpha_is_mask: config.alpha_is_mask,
         invert_masks: config.invert_masks,
-        poses_only: false,
+        photos: Needed::All,
         progress: Some(progress::reading),
     }
 }

@@ -10,7 +10,7 @@ use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::base::files;
-use mhsplat::capture::{Camera, Frame, PhotoSource, View, up_axis};
+use mhsplat::capture::{Camera, Frame, Needed, PhotoSource, View, up_axis};
 use mhsplat::config::from_json;
 use mhsplat::run::RunRecord;
 use mhsplat::scene::orbit::{fov_of, look_at};
@@ -230,7 +230,7 @@ impl<'a> Shots<'a> {
         };
         remove_unpacked_at_end(&path)?;
         if kind == Kind::Views {
-            let data = scene::dataset(&path, record, how)?;
+            let data = scene::dataset(&path, record, how, Needed::HeldOut)?;
             shots.frame = data.frame;
             shots.views = match data.test.is_empty() {
                 true => data.train,

@@ -12,7 +12,7 @@ use crate::cli::signals::stop_flag;
 use crate::cli::{output, scene};
 use mhsplat::base::error::Result;
 use mhsplat::capture::photo::Photo;
-use mhsplat::capture::{Camera, Dataset, Frame, PhotoSource};
+use mhsplat::capture::{Camera, Dataset, Frame, Needed, PhotoSource};
 use mhsplat::pipeline::forward::{Quantity, RenderOptions, Rendered};
 use mhsplat::run::RunRecord;
 use mhsplat::run::live::{Door, LivePage, Scenery, Server};
@@ -163,7 +163,7 @@ fn dataset(args: &ViewArgs, record: Option<&RunRecord>) -> Result<Option<Dataset
         }
         path => path?,
     };
-    scene::views(&path, record, &args.photos).map(Some)
+    scene::dataset(&path, record, &args.photos, Needed::None).map(Some)
 }
 
 /// Photos of the views that a page lists, in their order.

@@ -7,6 +7,7 @@ use crate::cli::lab::Form;
 use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
+use mhsplat::capture::Needed;
 use mhsplat::lab::folder::json;
 use mhsplat::lab::report::check_page;
 use mhsplat::lab::surrogate;
@@ -65,7 +66,12 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
     }
     let path = scene::dataset_path(args.dataset.as_deref(), Some(&record), "give it")?;
     remove_unpacked_at_end(&path)?;
-    let dataset = scene::dataset(&path, Some(&record), &scene::PhotoOptions::of_run())?;
+    let dataset = scene::dataset(
+        &path,
+        Some(&record),
+        &scene::PhotoOptions::of_run(),
+        Needed::All,
+    )?;
     let device = args.device.open_tested()?;
     let options = Options {
         candidates: args.candidates,
