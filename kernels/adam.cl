@@ -2,6 +2,7 @@
 // within project_grad.
 // Launch: (Gaussians of the block / VW, active planes) work-items. Nothing is changed after a pair overflow: the host repeats the
 // iteration.
+#include "adam.clh"
 
 __kernel void adam(__global const real *grads, uint grad_stride, // in [planes, grad_stride] of the block
                    uint first, uint groups,                     // block: first Gaussian, a multiple of VW; its vectors

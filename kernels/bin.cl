@@ -2,6 +2,7 @@
 // counting sort: pairs are counted by chunk of Gaussians and tile, the sort stage turns the counts into places, and every pair goes
 // straight to its own; no key of a pair is stored. Elsewhere the pairs are written in depth order, the sort stage sorts them by tile,
 // and bin_ranges looks up where tiles begin.
+#include "chunks.clh"
 
 // The minimum over the tile's pixel centres' rectangle of the record's quadratic form, against its reach: exact for a
 // convex form, whose minimum lies at the mean or on an edge that faces the mean (StopThePop, Speedy-Splat intersect

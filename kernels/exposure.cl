@@ -5,6 +5,8 @@
 // A change of all transforms that the scene undoes changes no picture; here their mean over the views is kept at the
 // identity, so that the scene keeps the colours of the average photo and can be shown without a transform.
 // Images are taken as flat planes, padding included: dL/dx' is 0 there, so that it adds nothing to the sums.
+#include "chunks.clh"
+#include "lanes.clh"
 
 // The vectors of a plane that a work-item takes: neighbours on CPUs; on GPUs, where neighbouring work-items then read neighbouring
 // pixels, a group takes every chunks-th run of them.

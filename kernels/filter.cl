@@ -7,6 +7,8 @@
 // height on each side; a non-finite centre is seen by none. Least and largest do not depend on the order of anything.
 // Nothing is changed after a pair overflow: the host repeats the iteration. Source: Yu et al., Mip-Splatting, CVPR 2024,
 // Eq. 6 to 8; margin and what is unseen as in the released implementation.
+#include "chunks.clh"
+#include "gaussians.clh"
 
 __kernel void filter_views(__global const real *params, uint stride, uint count, // in [planes, stride]
                            __global const Camera *cameras, uint views,           // in [views] of the training views

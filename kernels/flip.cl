@@ -4,6 +4,8 @@
 // columns with the errors and their sum over each row (flip_columns). All filters are sums of products of one-dimensional ones. Beyond
 // the border the nearest pixel goes on. Launch of each: one work-group per row, or one work-item where that is a whole core; the sums are
 // in a fixed order. A pixel that is not finite makes sums that are not.
+#include "chunks.clh"
+#include "lanes.clh"
 
 // Filters of 2 FLIP_REACH + 1 weights: Y, Cx and twice Cz as the eye resolves them (4.1), smooth, edge, point (4.2).
 #define FILTERS 7

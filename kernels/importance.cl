@@ -1,6 +1,7 @@
 // importance: error statistics of each Gaussian from one view's error maps, of a render that training has just made.
 // Launch: one work-item per VW Gaussians. The pixel under the projected centre, if it is in front of the camera and inside
 // the image; sums over the views of the subset. Source: [MH] Eq. 11 and 13, with the Gaussian projected into each view.
+#include "gaussians.clh"
 
 __kernel void importance(__global const real *params, uint stride, uint count, // in [planes, stride]
                          const Camera cam,

@@ -8,6 +8,8 @@
 // masked, or clear in the photo and without pairs in the render: render and photo are the same there, the derivatives of SSIM
 // with respect to x, x^2 and x y cancel, and zeros in the maps are right for neighbours. Pixels of other tiles have the same
 // gradient, to the bit. Source: [MH] Eq. 4; SSIM of Wang et al. 2004; gradient through three maps as in fused-ssim.
+#include "chunks.clh"
+#include "lanes.clh"
 
 #define RADIUS (TAPS / 2)
 #if GROUP_STYLE

@@ -3,6 +3,7 @@
 // m both are of the masked pictures: (m x - m y)^2, and m (1 - SSIM) of the map between m x and m y, so that nothing under a
 // mask changes a score. Launch of both kernels: one work-group per image row, or one work-item where that is a whole core; the
 // sums are in a fixed order.
+#include "chunks.clh"
 
 CHUNK_KERNEL void metrics(__global real *image,               // in/out [>= 3, rows, stride]
                           __global const uchar *photo,        // in [3 or 4, height, width]

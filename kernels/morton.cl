@@ -2,6 +2,7 @@
 // bits, 21 an axis; a cell is trunc((x - low) * (cells / extent)) in f64, whose roundings are made here with integers: many GPUs
 // have no f64, and the same scene has the same order on every device. Source: Morton 1966.
 // A pass is morton_box, morton_cells, morton_keys, morton_remove, a sort of the low halves, morton_high, a sort of the high halves.
+#include "chunks.clh"
 
 #define CELLS ((1ul << MORTON_BITS) - 1)
 // Numbers of the grid are four to an axis: bits of the lowest coordinate; high and low half of the significand of cells per unit, 0

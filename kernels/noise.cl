@@ -3,6 +3,7 @@
 // Launch: one work-item per VW Gaussians. Numbers are keyed by (seed, stream, index) like the host's (src/base/rng.rs), whatever
 // the launch; a step to a non-finite position is not taken. Nothing is changed after a pair overflow: the host repeats
 // the iteration. Source: [MCMC] Eq. 8; Philox4x32-10 of Salmon et al., SC 2011; Box and Muller 1958.
+#include "gaussians.clh"
 
 #if VW == 1
 typedef uint uintV;

@@ -1,5 +1,6 @@
 // peak: what the device can do at best, for the shares that `mhsplat bench` prints. Two kernels that do nothing but
 // fused multiply-adds in registers, and nothing but moving vectors through memory. Not part of an iteration.
+#include "lanes.clh"
 
 // Launch: any number of work-items. Every lane of each of CHAINS independent chains c goes x -> a x + b, `steps` times from c + 1, and the
 // chains' sum is written so that nothing can be left out. 2 * CHAINS * VW * steps FLOP per work-item.

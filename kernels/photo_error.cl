@@ -4,6 +4,8 @@
 // where the photo has nothing, whatever fog is there. Non-finite values are taken as they are. Sums and quotients are those that
 // the formula has, without fma(): density control decided by the same numbers when the host computed them.
 // Launch: one work-group per image row, or one work-item where that is a whole core.
+#include "chunks.clh"
+#include "lanes.clh"
 
 // VW values of a plane of the photo, `left` of which are of the row.
 static inline realV photo_values(__global const uchar *from, int left) {

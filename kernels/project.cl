@@ -1,6 +1,7 @@
 // project: raw Gaussians -> records of one camera.
 // Launch: one work-item per VW Gaussians. Culled (behind the near plane, outside the image, below the alpha cut, any
 // non-finite value): key KEY_CULLED, no record. Source: 3DGS image formation in numerically stable forms; the definition in f64 is that of the textbook.
+#include "projection.clh"
 
 // Colour from SH coefficients: max(0, sum + 1/2); off where that is broken.
 static inline maskV sh_color(__global const real *params, uint stride, uint i, const realV basis[SH_COUNT],

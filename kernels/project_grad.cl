@@ -1,8 +1,11 @@
 // project_grad: the nine sums of each Gaussian -> gradients of its raw parameters, regularisers included.
 // Without TAKE_STEP they are written, for a block of Gaussians, or added to those of the views before in a batch; with it they go into a
 // step of the optimiser at once, and none of them is stored. A Gaussian's pairs are added in the order of their tiles,
-// those of large ones in the group style by large_sums. Source: chain rule through M = J W R S (see common.clh),
+// those of large ones in the group style by large_sums. Source: chain rule through M = J W R S (see projection.clh),
 // [MH] Eq. 4 for the regularisers.
+#include "adam.clh"
+#include "chunks.clh"
+#include "projection.clh"
 
 // Destination of the gradients of VW Gaussians: an array, or, where a work-item takes no more of them at a time, the step itself.
 #if TAKE_STEP && UPDATE_RUN == VW

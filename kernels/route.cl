@@ -4,6 +4,7 @@
 // that a band gets is cut to the rows of the band, so that its pairs there are those of these rows. Launches are over chunks of Gaussians, or Gaussians, of some rows alone where what is sent of them travels while the device is at
 // others. Source: the division of Gaussians and pixels among devices of Grendel-GS,
 // Zhao et al. 2024.
+#include "chunks.clh"
 
 // Rows of tiles of a Gaussian, as project leaves them in the place of the number of its pairs: the first, and the one after the last in the high
 // half; of a culled one no row.

@@ -1,4 +1,5 @@
 // scan: exclusive prefix sum of uint, in fixed order, in two launches over chunks.
+#include "chunks.clh"
 
 CHUNK_KERNEL void scan_sums(__global const uint *values, uint n, // in [n]
                             uint chunks, __global uint *sums) {  // out [chunks]

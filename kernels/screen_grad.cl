@@ -4,6 +4,7 @@
 // the order of their tiles; those of a large one in the group style have been by project_grad, after which this is launched. Source:
 // [3DGS] section 5.2; the gradient is that with respect to the mean in normalised device coordinates, -1 to 1 over the image, so that
 // its two parts are those with respect to pixels times half of the width and height.
+#include "chunks.clh"
 
 #define TWO_LN2 R(1.3862943611198906)
 

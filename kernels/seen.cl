@@ -1,6 +1,7 @@
 // seen: which Gaussians a view shows, where a pixel adds alpha T > 0 of their colour. Only tiles with a Gaussian that no view
 // before has shown are composited, without colours, and no further than the last of these; the decisions are splat's,
 // to the bit. Source: compositing as in splat.cl.
+#include "pixels.clh"
 
 // Launch: as splat. Writes `shown` at the emission slots of the pairs whose Gaussian was not seen before.
 #if !GROUP_STYLE

@@ -2,6 +2,7 @@
 // walked in order: the same result on every device. The number of elements is in the status. A pass is sort_histogram, sort_bins (by
 // groups: sort_totals) and sort_scatter; by groups bin_compact counts for the first pass by depth. Few elements are sorted by one
 // work-item in one launch where that is a whole core.
+#include "chunks.clh"
 
 #if !GROUP_STYLE
 // Exclusive prefix sum.

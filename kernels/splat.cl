@@ -3,6 +3,7 @@
 // A pixel takes contributions while its transmittance is >= T_MIN; alpha is capped at ALPHA_MAX and dropped below the
 // cut. Longer than a function should be: the compositing loop stays in one piece, in registers. Source: 3DGS; block structure and staging measured on CPUs.
 // Images are planar with stride tiles_x*TILE and tiles_y*TILE rows: planes red, green, blue, transmittance.
+#include "pixels.clh"
 
 #if !GROUP_STYLE
 // Launch: one work-item per tile, local size 1.

@@ -5,6 +5,7 @@
 // (u, dy are the coordinates in which the record's quadratic form is diagonal: no cancellation for needles).
 // dL/dalpha = T <dL/dC, c> - behind / (1 - alpha), behind = <dL/dC, what is composited after>, kept by subtraction from
 // the final colour (1 - alpha >= 1 - ALPHA_MAX). Source: 3DGS backward; front to back as in Faster-GS.
+#include "pixels.clh"
 
 // Adds one block's contributions. s: the nine sums, d*: dL/dC, T and behind are advanced.
 static inline void grad_block(const Projected *g, realV u, realV dy, realV dred, realV dgreen, realV dblue, realV *T,

@@ -73,6 +73,13 @@ pub(super) struct Enqueued {
     pub event: Event,
 }
 
+/// A program, and its number among those of the same text; the number goes after it.
+#[derive(Debug)]
+pub(super) struct Built {
+    pub program: core::Program,
+    pub _seat: Option<Seat>,
+}
+
 #[derive(Debug)]
 pub(super) struct Inner {
     pub info: DeviceInfo,
@@ -84,10 +91,8 @@ pub(super) struct Inner {
     pending: Mutex<Vec<Enqueued>>,
     /// Bytes of the buffers that are alive.
     pub allocated: AtomicU64,
-    /// Programs built so far, by stage and `#define`s.
-    pub programs: Mutex<BTreeMap<(&'static str, String), core::Program>>,
-    /// Number of the device among those that are open.
-    pub seat: Option<Seat>,
+    /// Programs built so far, by their texts.
+    pub programs: Mutex<BTreeMap<String, Built>>,
     /// The part of the device that `id` is, if it is one; contexts and queues go before it.
     _part: Option<Part>,
 }
@@ -109,9 +114,9 @@ impl Inner {
 }
 
 impl Drop for Inner {
-    /// Waits for what is enqueued on a device that has a seat: nothing of it runs any more when another device takes the seat.
+    /// Waits for what is enqueued on a device whose programs have seats: nothing of them runs any more when others take the seats.
     fn drop(&mut self) {
-        if self.seat.is_some() {
+        if Seat::is_needed(&self.info) {
             let _ = core::finish(&self.queue());
         }
     }
@@ -229,7 +234,6 @@ impl Device {
         Ok(Self {
             tuning: Tuning::for_device(&info),
             inner: Arc::new(Inner {
-                seat: Seat::of(&info),
                 info,
                 id,
                 context,

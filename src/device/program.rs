@@ -1,6 +1,8 @@
 //! Builds the embedded kernel sources for a device.
 
+use std::collections::BTreeSet;
 use std::ffi::CString;
+use std::fmt::Write as _;
 use std::hash::{Hash, Hasher};
 use std::sync::PoisonError;
 
@@ -10,14 +12,26 @@ use ocl_core::{
 use rustc_hash::FxHasher;
 
 use crate::base::error::{Error, Result};
-use crate::device::context::{Device, Inner};
+use crate::device::context::{Built, Device, Inner};
 use crate::device::defines::Defines;
 use crate::device::error::device_error;
 use crate::device::launch::{Kernel, Program};
 use crate::device::layout::Real;
 use crate::device::seat::Seat;
 
-const COMMON: &str = include_str!("../../kernels/common.clh");
+/// Headers by name; the first is a part of every stage, the others are where a stage or a header includes them.
+const HEADERS: &[(&str, &str)] = &[
+    ("common.clh", include_str!("../../kernels/common.clh")),
+    ("lanes.clh", include_str!("../../kernels/lanes.clh")),
+    ("chunks.clh", include_str!("../../kernels/chunks.clh")),
+    ("gaussians.clh", include_str!("../../kernels/gaussians.clh")),
+    (
+        "projection.clh",
+        include_str!("../../kernels/projection.clh"),
+    ),
+    ("pixels.clh", include_str!("../../kernels/pixels.clh")),
+    ("adam.clh", include_str!("../../kernels/adam.clh")),
+];
 
 /// Sources by stage.
 const SOURCES: &[(&str, &str)] = &[
@@ -61,22 +75,58 @@ pub fn stages() -> impl Iterator<Item = &'static str> {
 /// The text of a stage's kernels that drivers compile, in double or in single precision; an unknown stage has none of its own.
 #[must_use]
 pub fn source(stage: &str, defines: &Defines, is_double: bool) -> String {
-    let (prelude, own) = (used(stage, defines, is_double), own_source(stage));
-    format!("{prelude}#line 1 \"common.clh\"\n{COMMON}\n#line 1 \"{stage}.cl\"\n{own}")
+    let text = with_headers(stage);
+    used(&text, defines, is_double) + &text
 }
 
-fn own_source(stage: &str) -> &'static str {
+/// A stage's kernels after the headers that they need.
+fn with_headers(stage: &str) -> String {
     let own = SOURCES.iter().find(|(name, _)| *name == stage);
-    own.map_or("", |(_, text)| text)
+    let (mut text, mut included) = (String::new(), BTreeSet::new());
+    include(HEADERS[0].0, HEADERS[0].1, &mut included, &mut text);
+    let own = own.map_or("", |(_, text)| text);
+    include(&format!("{stage}.cl"), own, &mut included, &mut text);
+    text
 }
 
-/// The `#define`s of a stage that it uses: without the others a kernel stays what it is when something else changes, and drivers keep what
+/// Adds a file to `text`, with headers in the places where they are included for the first time.
+fn include(
+    name: &str,
+    file: &'static str,
+    included: &mut BTreeSet<&'static str>,
+    text: &mut String,
+) {
+    let begin = |line: usize, text: &mut String| {
+        let _ = writeln!(text, "#line {line} \"{name}\"");
+    };
+    begin(1, text);
+    for (number, line) in file.lines().enumerate() {
+        let header = line.strip_prefix("#include \"");
+        match header.and_then(|rest| HEADERS.iter().find(|(name, _)| rest == format!("{name}\""))) {
+            Some((header, content)) => {
+                if included.insert(header) {
+                    include(header, content, included, text);
+                }
+                begin(number + 2, text);
+            }
+            None => {
+                text.push_str(line);
+                text.push('\n');
+            }
+        }
+    }
+}
+
+/// The `#define`s that a text uses: without the others a kernel stays what it is when something else changes, and drivers keep what
 /// they have compiled.
-fn used(stage: &str, defines: &Defines, is_double: bool) -> String {
-    let own = own_source(stage);
+fn used(text: &str, defines: &Defines, is_double: bool) -> String {
+    let code = text.lines().filter_map(|line| line.split("//").next());
+    let apart = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+    let words: BTreeSet<&str> = code.flat_map(|code| code.split(apart)).collect();
     let used = |line: &&str| {
-        let name = line.split(' ').nth(1).unwrap_or_default();
-        COMMON.contains(name) || own.contains(name)
+        line.split(' ')
+            .nth(1)
+            .is_some_and(|name| words.contains(name))
     };
     let prelude = defines.prelude(is_double);
     prelude.split_inclusive('\n').filter(used).collect()
@@ -86,7 +136,7 @@ fn used(stage: &str, defines: &Defines, is_double: bool) -> String {
 #[must_use]
 pub fn sources_hash() -> u64 {
     let mut hasher = FxHasher::default();
-    (COMMON, SOURCES).hash(&mut hasher);
+    (HEADERS, SOURCES).hash(&mut hasher);
     hasher.finish()
 }
 
@@ -141,21 +191,20 @@ impl Kernels {
     /// A build failure, with the compiler's log.
     pub fn build<R: Real>(&self, stage: &'static str) -> Result<Program> {
         let inner = &self.device.inner;
-        let of = (stage, used(stage, &self.defines, R::IS_DOUBLE));
+        let text = source(stage, &self.defines, R::IS_DOUBLE);
         let built = || {
             inner
                 .programs
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
         };
-        let found = built().get(&of).cloned();
+        let found = built().get(&text).map(|built| built.program.clone());
         let program = match found {
             Some(program) => program,
             None => {
-                let text = source(stage, &self.defines, R::IS_DOUBLE);
-                let program = compile(inner, stage, &text)?;
-                built().insert(of, program.clone());
-                program
+                let own = compile(inner, stage, &text)?;
+                // Another thread may have been faster: then the number of this one is free again, and nobody is to have its program.
+                built().entry(text).or_insert(own).program.clone()
             }
         };
         let names = core::get_program_info(&program, ProgramInfo::KernelNames)
@@ -178,12 +227,13 @@ const COMPILER: &str = "if the log names no line, memory may have run out for th
                    else update the driver or select another device";
 
 /// The driver's build of a source.
-fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<core::Program> {
+fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<Built> {
     let bytes = CString::new(text)
         .map_err(|_| Error::device(stage, "the source holds a NUL byte", COMPILER))?;
     let program = core::create_program_with_source(&inner.context, &[bytes])
         .map_err(|e| device_error(stage, &e, COMPILER))?;
-    let apart = inner.seat.as_ref().map(Seat::options).unwrap_or_default();
+    let seat = Seat::of(&inner.info, text);
+    let apart = seat.as_ref().map(Seat::options).unwrap_or_default();
     let options = format!("-cl-std=CL1.2 -cl-kernel-arg-info{apart}");
     let options = CString::new(options)
         .map_err(|_| Error::device(stage, "the options hold a NUL byte", COMPILER))?;
@@ -197,7 +247,10 @@ fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<core::Progr
         (Ok(()), Err(e)) => Some(e.to_string()),
     };
     let Some(e) = failed else {
-        return Ok(program);
+        return Ok(Built {
+            program,
+            _seat: seat,
+        });
     };
     let log = core::get_program_build_info(&program, inner.id, ProgramBuildInfo::BuildLog)
         .map_or_else(|_| e.clone(), |l| l.to_string());
@@ -207,4 +260,68 @@ fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<core::Progr
         format!("the device's compiler says:\n{}", log.trim()),
         COMPILER,
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{HEADERS, SOURCES, source, stages, with_headers};
+    use crate::device::defines::Defines;
+    use crate::device::tuning::Tuning;
+
+    /// What a training changes on its way, and what another one has, compiles few stages anew.
+    #[test]
+    fn stages_depend_on_the_symbols_that_they_use_alone() {
+        let plain = Defines::new(Tuning::CPU);
+        let other = |defines: Defines| -> Vec<&str> {
+            let differs = |s: &&str| source(s, &plain, false) != source(s, &defines, false);
+            stages().filter(differs).collect()
+        };
+        let sh_degree = Defines {
+            sh_degree: 3,
+            ..plain
+        };
+        assert_eq!(other(sh_degree), ["project", "project_grad"]);
+        let anti_alias = Defines {
+            anti_alias: true,
+            ..plain
+        };
+        assert_eq!(other(anti_alias), ["project", "project_grad"]);
+        let lanes = Defines::new(Tuning {
+            vector_width: 4,
+            ..plain.tuning
+        });
+        let unlike = other(lanes);
+        assert!(unlike.contains(&"splat"), "{unlike:?}");
+        for alike in ["scan", "sort", "bin", "route", "edit", "morton", "metrics"] {
+            assert!(!unlike.contains(&alike), "{alike}");
+        }
+    }
+
+    #[test]
+    fn headers_come_once_and_before_what_needs_them() {
+        for (stage, own) in SOURCES {
+            let text = with_headers(stage);
+            assert!(!text.contains("#include"), "{stage}: no such header");
+            let places: Vec<Vec<usize>> = HEADERS
+                .iter()
+                .map(|(name, _)| format!("#line 1 \"{name}\""))
+                .map(|begin| text.match_indices(&begin).map(|found| found.0).collect())
+                .collect();
+            assert_eq!(places[0], [0], "{stage}");
+            assert!(places.iter().all(|found| found.len() < 2), "{stage}");
+            let mut included = HEADERS.iter().zip(&places).skip(1);
+            assert!(included.all(|((name, _), found)| !own.contains(name) || found.len() == 1));
+            // A message of the compiler names the line in its file.
+            let last = own.lines().last().unwrap_or_default();
+            let begun = text.rfind("#line ").unwrap();
+            let (line, rest) = text[begun + 6..]
+                .split_once(&format!(" \"{stage}.cl\"\n"))
+                .unwrap();
+            let number = line.parse::<usize>().unwrap() + rest.lines().count() - 1;
+            assert_eq!(
+                (number, rest.lines().last().unwrap()),
+                (own.lines().count(), last)
+            );
+        }
+    }
 }

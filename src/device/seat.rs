@@ -1,27 +1,35 @@
-//! [`Seat`]: the number of an open device among those of this process.
+//! [`Seat`]: the number of a program among those of the same text in this process.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::hash::{Hash, Hasher};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use rustc_hash::FxHasher;
 
 use crate::device::info::DeviceInfo;
 
-/// Numbers that are taken.
-static TAKEN: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
+/// Numbers that are taken, by the hash of a program's text.
+type Taken = BTreeMap<u64, BTreeSet<u32>>;
 
-/// The smallest number that no other open device of the process has, free again when this is dropped.
+static TAKEN: Mutex<Taken> = Mutex::new(BTreeMap::new());
+
+/// The smallest number that the program of no other open device of the process with the same text has, free again when this is dropped.
 ///
 /// PoCL loads a kernel once for a process, and once more for more work-items or another first one; it counts the uses by
 /// kernel, program and work-group size alone. With the same program in the queues of several devices it confuses those counts, and version 3.1
 /// aborts (`pocl_release_dlhandle_cache: Assertion found->ref_count > 0`). Programs that differ in one macro are apart.
 #[derive(Debug)]
-pub(super) struct Seat(u32);
+pub(super) struct Seat {
+    program: u64,
+    number: u32,
+}
 
 /// The smallest number that is not among these.
 fn smallest_free(taken: &BTreeSet<u32>) -> u32 {
     (0..).find(|n| !taken.contains(n)).unwrap_or(u32::MAX)
 }
 
-fn taken() -> MutexGuard<'static, BTreeSet<u32>> {
+fn taken() -> MutexGuard<'static, Taken> {
     TAKEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -33,19 +41,31 @@ fn confuses_counts(info: &DeviceInfo) -> bool {
 }
 
 impl Seat {
-    /// A number for a device; `None` if its driver needs none.
-    pub fn of(info: &DeviceInfo) -> Option<Self> {
-        confuses_counts(info).then(|| {
-            let mut taken = taken();
-            let number = smallest_free(&taken);
-            taken.insert(number);
-            Self(number)
+    /// True if programs of a device need numbers.
+    pub fn is_needed(info: &DeviceInfo) -> bool {
+        confuses_counts(info)
+    }
+
+    fn hash(text: &str) -> u64 {
+        let mut hasher = FxHasher::default();
+        text.hash(&mut hasher);
+        hasher.finish()
+    }
+
+    /// A number for a device's program of this text; `None` if the driver needs none.
+    pub fn of(info: &DeviceInfo, text: &str) -> Option<Self> {
+        Self::is_needed(info).then(|| {
+            let (program, mut taken) = (Self::hash(text), taken());
+            let numbers = taken.entry(program).or_default();
+            let number = smallest_free(numbers);
+            numbers.insert(number);
+            Self { program, number }
         })
     }
 
-    /// Further options that programs of the device are built with; none for the first device, whose compiled kernels all processes share.
+    /// Further options that the program is built with; none for the first of its text, whose compiled kernels all processes share.
     pub fn options(&self) -> String {
-        match self.0 {
+        match self.number {
             0 => String::new(),
             number => format!(" -DMHSPLAT_SEAT={number}"),
         }
@@ -54,7 +74,13 @@ impl Seat {
 
 impl Drop for Seat {
     fn drop(&mut self) {
-        taken().remove(&self.0);
+        let mut taken = taken();
+        if let Some(numbers) = taken.get_mut(&self.program) {
+            numbers.remove(&self.number);
+            if numbers.is_empty() {
+                taken.remove(&self.program);
+            }
+        }
     }
 }
 
@@ -93,14 +119,22 @@ mod tests {
     }
 
     #[test]
-    fn seats_differ_as_long_as_they_are_held() {
+    fn seats_of_a_program_differ_as_long_as_they_are_held() {
         let info = of_driver("Portable Computing Language", "3.1");
-        let seats: Vec<Seat> = (0..4).filter_map(|_| Seat::of(&info)).collect();
+        let at = |text| Seat::of(&info, text);
+        let seats: Vec<Seat> = (0..4).filter_map(|_| at("one of its own")).collect();
         let options: BTreeSet<String> = seats.iter().map(Seat::options).collect();
         assert_eq!(options.len(), 4, "{options:?}");
-        let numbers: BTreeSet<u32> = seats.iter().map(|seat| seat.0).collect();
-        assert!(taken().is_superset(&numbers));
+        assert_eq!(at("another of its own").unwrap().options(), "");
+        let held: Vec<&Seat> = seats.iter().filter(|seat| seat.number == 2).collect();
+        assert_eq!(held[0].options(), " -DMHSPLAT_SEAT=2");
         drop(seats);
+        assert_eq!(at("one of its own").unwrap().options(), "");
+        let program = Seat::hash("one of its own");
+        assert!(
+            !taken().contains_key(&program),
+            "what nobody holds is forgotten"
+        );
         assert_eq!(smallest_free(&BTreeSet::from([0, 1, 3])), 2);
         assert_eq!(smallest_free(&BTreeSet::from([1])), 0);
     }

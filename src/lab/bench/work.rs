@@ -78,7 +78,7 @@ impl TileWork {
     }
 
     /// Pixel lanes that the kernels of this tuning evaluate: the blocks that a Gaussian's pixel bounds reach (`block_range`
-    /// in `kernels/common.clh`), or the pixels within the bounds where a work-group takes a tile.
+    /// in `kernels/pixels.clh`), or the pixels within the bounds where a work-group takes a tile.
     #[must_use]
     pub fn lanes(&self, tuning: &Tuning) -> u64 {
         let block = [tuning.block_width, tuning.vector_width / tuning.block_width];

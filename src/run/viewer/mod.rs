@@ -1,5 +1,5 @@
 //! `scene.html`: a scene in a page that shows it, with nothing to load. The page is `page.html` with style, script
-//! and shaders (WebGL2) in its places; the shaders' formulas are those of `kernels/common.clh`, `project.cl` and `splat.cl`.
+//! and shaders (WebGL2) in its places; the shaders' formulas are those of `kernels/projection.clh`, `project.cl` and `splat.cl`.
 //!
 //! Lengths are local units, axes those of the dataset, so that directions, and with them SH coefficients, are those of
 //! `scene.ply`.

@@ -1,6 +1,6 @@
 // One corner of the rectangle that a Gaussian's ellipse needs; four per instance, instances front to back.
 // Defines nothing of its own: projection, covariance and determinant are those of shape_of(), the anti-aliasing that of
-// log2_left(), colours those of sh_basis() in kernels/common.clh; the conic, the clamp of colours and the culling those of
+// log2_left(), colours those of sh_basis() in kernels/projection.clh; the conic, the clamp of colours and the culling those of
 // kernels/project.cl. tests/viewer.rs holds pictures of both together. The constants come with the scene (src/base/constants.rs).
 precision highp float;
 precision highp int;
