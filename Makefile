@@ -18,19 +18,13 @@ demo: install
 	@if [ -e $(DEMO)/report.html ]; then echo "$(DEMO) is there already: open $(DEMO)/report.html, or choose another with DEMO=name"; \
 	else target/release/mhsplat train data/room-tiny -o $(DEMO) --iterations 2500; fi
 
-# Some of the tests run in a process beside that of the others: in one process PoCL compiles one kernel after the other.
-APART = antialias:: batches:: launches:: ranks:: stage::
-IT = cargo test --release --locked --test it
-
 test: install
 ifdef TESTS
 	cargo test --release --locked -- $(TESTS)
 else
 	cargo test --release --locked --no-run
 	cargo test --release --locked --lib --bins
-	@$(IT) -- $(APART) >target/apart.log 2>&1 & apart=$$!; \
-	$(IT) -- $(APART:%=--skip %); others=$$?; \
-	wait $$apart; beside=$$?; cat target/apart.log; [ $$others = 0 ] && [ $$beside = 0 ]
+	.ci/suite
 	cargo test --release --locked --doc
 endif
 

@@ -8,13 +8,12 @@ use glam::DVec3;
 use crate::dataset::colmap_scene;
 use crate::photos::with_alpha;
 use mhsplat::base::error::Result;
-use mhsplat::capture::{Alpha, Dataset, LoadOptions, Needed, PhotoSource, load};
+use mhsplat::capture::{Alpha, Dataset, LoadOptions, Needed, PhotoSource, View, load};
 
 /// Every second photo held out.
 fn needing(path: &Path, photos: Needed) -> Result<Dataset> {
     let options = LoadOptions {
         test_every: 2,
-        image_budget: None,
         photos,
         ..LoadOptions::default()
     };
@@ -72,4 +71,64 @@ fn broken_photos_are_told_where_they_are_needed_or_may_be_transparent() {
     image.save(&file).unwrap();
     break_it();
     assert!(refused(Needed::HeldOut) && !refused(Needed::None));
+}
+
+/// Masks decide which photos count, and are in the fingerprint.
+#[test]
+fn photos_that_are_not_needed_have_their_masks() {
+    let dir = colmap_scene(6, DVec3::ZERO, true);
+    let mask = |photo: &str, value| {
+        let folder = dir.path().join("masks");
+        fs::create_dir_all(&folder).unwrap();
+        let mask = image::GrayImage::from_fn(16, 12, |x, _| image::Luma([value * u8::from(x > 7)]));
+        mask.save(folder.join(photo)).unwrap();
+    };
+    let names = |views: &[View]| views.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
+    let before = needing(dir.path(), Needed::All).unwrap();
+    for views in [&before.train, &before.test] {
+        mask(&views[0].name, 0);
+        mask(&views[1].name, 255);
+    }
+    let all = needing(dir.path(), Needed::All).unwrap();
+    assert_eq!(
+        all.masked_out,
+        [&before.train[0].name, &before.test[0].name].map(String::clone)
+    );
+    assert_ne!(all.fingerprint(), before.fingerprint());
+    for photos in [Needed::HeldOut, Needed::Training] {
+        let data = needing(dir.path(), photos).unwrap();
+        assert_eq!(data.masked_out, all.masked_out, "{photos:?}");
+        assert_eq!(data.fingerprint(), all.fingerprint(), "{photos:?}");
+        assert_eq!(names(&data.train), names(&all.train));
+        for (view, other) in data.views().zip(all.views()) {
+            assert_eq!(view.photo.load().unwrap(), other.photo.load().unwrap());
+        }
+    }
+}
+
+#[test]
+fn all_photos_are_needed_where_none_is_held_out() {
+    let dir = colmap_scene(3, DVec3::ZERO, true);
+    let options = LoadOptions {
+        test_every: 0,
+        photos: Needed::HeldOut,
+        ..LoadOptions::default()
+    };
+    assert!(!load(dir.path(), &options).unwrap().photos_on_demand());
+}
+
+/// One photo with alpha widens them all.
+#[test]
+fn the_budget_counts_the_alpha_plane_that_all_photos_will_have() {
+    let dir = colmap_scene(5, DVec3::ZERO, true);
+    with_alpha(dir.path(), true);
+    for (bytes, on_demand) in [(5 * 16 * 12 * 4, false), (5 * 16 * 12 * 4 - 1, true)] {
+        let options = LoadOptions {
+            test_every: 0,
+            image_budget: Some(bytes),
+            ..LoadOptions::default()
+        };
+        let data = load(dir.path(), &options).unwrap();
+        assert_eq!(data.photos_on_demand(), on_demand, "{bytes}");
+    }
 }

@@ -184,7 +184,7 @@ impl Dataset {
         self.views().map(|view| view.photo.bytes()).sum()
     }
 
-    /// True if photos are decoded on demand, because not all fit into the budget at one time.
+    /// True if photos are decoded on demand, because not all fit into the budget at one time, or were not needed.
     #[must_use]
     pub fn photos_on_demand(&self) -> bool {
         let on_demand = |view: &View| matches!(view.photo, PhotoSource::File(_));
@@ -192,8 +192,8 @@ impl Dataset {
     }
 }
 
-/// Photos that are needed of a dataset. Others are not decoded before they are asked for, so that broken ones are not told; but they are, whichever are
-/// needed, if they may have an alpha plane: it decides what the photos are to have, and which are masked out.
+/// Photos that are needed of a dataset. Others are not decoded before they are asked for, so that broken ones are not told; but where any are needed, those
+/// that may have an alpha plane are decoded, too: it decides what the photos are to have, and which are masked out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Needed {
     /// All of them.

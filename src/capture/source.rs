@@ -469,25 +469,21 @@ pub(super) fn read(
     budget: u64,
     progress: Option<fn(usize, usize)>,
 ) -> Result<Vec<PhotoSource>> {
+    let opaque: Vec<bool> = files.iter().map(|f| f.alpha == Alpha::None).collect();
+    // What all of them have if any has.
     let may_be = Alpha::common(files.iter().map(|f| f.alpha));
-    let fits = files[needed.clone()]
+    files.iter_mut().for_each(|f| f.alpha = may_be);
+    let bytes = files[needed.clone()].iter().map(PhotoFile::bytes);
+    let fits = bytes.sum::<u64>() <= budget;
+    let asked = opaque
         .iter()
-        .map(PhotoFile::bytes)
-        .sum::<u64>()
-        <= budget;
-    let mut asked: Vec<(&mut PhotoFile, Asked)> = files
-        .iter_mut()
         .enumerate()
-        .map(|(i, file)| {
-            let opaque = std::mem::replace(&mut file.alpha, may_be) == Alpha::None;
-            let asked = match (needed.contains(&i), opaque) {
-                (true, _) if fits => Asked::Photo,
-                (false, true) => Asked::Nothing,
-                _ => Asked::Alpha,
-            };
-            (file, asked)
-        })
-        .collect();
+        .map(|(i, opaque)| match (needed.contains(&i), opaque) {
+            (true, _) if fits => Asked::Photo,
+            (false, true) => Asked::Nothing,
+            _ => Asked::Alpha,
+        });
+    let mut asked: Vec<(&mut PhotoFile, Asked)> = files.iter_mut().zip(asked).collect();
     let all = asked.iter().filter(|a| a.1 != Asked::Nothing).count();
     let done = AtomicUsize::new(0);
     let told = || {

@@ -135,7 +135,7 @@ pub fn dataset_path(
     Ok(path)
 }
 
-/// Reads a dataset at the resolution and split of a run, or at those given. Photos that are not `needed` are not read before they are asked for.
+/// Reads a dataset at the resolution and split of a run, or at those given. Photos that are not `needed` may be left in their files ([`Needed`]).
 ///
 /// # Errors
 /// Those of [`capture::load`]; another dataset than the run's, unless that is allowed.
@@ -145,7 +145,6 @@ pub fn dataset(
     options: &PhotoOptions,
     needed: Needed,
 ) -> Result<Dataset> {
-    let poses_only = needed == Needed::None;
     let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
     let of_run = config.clone();
     config.max_size = options.max_size.unwrap_or(config.max_size);
@@ -169,7 +168,7 @@ pub fn dataset(
         ..load_options(&config)
     };
     let mut data = capture::load(path, &load)?;
-    if let Some(record) = record.filter(|_| poses_only) {
+    if let Some(record) = record.filter(|_| needed == Needed::None) {
         // Unread, they are not known to be masked out.
         let shown = |view: &View| !record.dataset.masked_out.contains(&view.name);
         data.train.retain(shown);
@@ -182,7 +181,7 @@ pub fn dataset(
     };
     if let Some(record) = record.filter(|_| !options.allow_different) {
         // With another size or split the whole fingerprint is another one.
-        let (known, found) = match !poses_only && asked(&config) == asked(&of_run) {
+        let (known, found) = match needed != Needed::None && asked(&config) == asked(&of_run) {
             true => (&record.dataset.fingerprint, data.fingerprint()),
             false => (&record.dataset.capture, data.capture_fingerprint()),
         };

@@ -118,7 +118,7 @@ fn include(
 }
 
 /// The `#define`s that a text uses: without the others a kernel stays what it is when something else changes, and drivers keep what
-/// they have compiled.
+/// they have compiled. Their names are never pasted together, and stand behind no `//` of a string.
 fn used(text: &str, defines: &Defines, is_double: bool) -> String {
     let code = text.lines().filter_map(|line| line.split("//").next());
     let apart = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn headers_come_once_and_before_what_needs_them() {
+    fn headers_come_once() {
         for (stage, own) in SOURCES {
             let text = with_headers(stage);
             assert!(!text.contains("#include"), "{stage}: no such header");
@@ -309,8 +309,10 @@ mod tests {
                 .collect();
             assert_eq!(places[0], [0], "{stage}");
             assert!(places.iter().all(|found| found.len() < 2), "{stage}");
-            let mut included = HEADERS.iter().zip(&places).skip(1);
-            assert!(included.all(|((name, _), found)| !own.contains(name) || found.len() == 1));
+            let included = HEADERS.iter().zip(&places).filter(|h| own.contains(h.0.0));
+            for ((name, _), found) in included {
+                assert_eq!(found.len(), 1, "{stage}: {name}");
+            }
             // A message of the compiler names the line in its file.
             let last = own.lines().last().unwrap_or_default();
             let begun = text.rfind("#line ").unwrap();
