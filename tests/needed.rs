@@ -6,9 +6,9 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::dataset::colmap_scene;
-use crate::photos::with_alpha;
+use crate::photos::{painted, with_alpha};
 use mhsplat::base::error::Result;
-use mhsplat::capture::{Alpha, Dataset, LoadOptions, Needed, PhotoSource, View, load};
+use mhsplat::capture::{Dataset, LoadOptions, Needed, PhotoSource, View, load};
 
 /// Every second photo held out.
 fn needing(path: &Path, photos: Needed) -> Result<Dataset> {
@@ -22,15 +22,7 @@ fn needing(path: &Path, photos: Needed) -> Result<Dataset> {
 
 #[test]
 fn photos_that_are_not_needed_are_left_in_their_files() {
-    for (painted, alpha) in [
-        (None, Alpha::None),
-        (Some(false), Alpha::None),
-        (Some(true), Alpha::Transparency),
-    ] {
-        let dir = colmap_scene(5, DVec3::ZERO, true);
-        if let Some(transparent) = painted {
-            with_alpha(dir.path(), transparent);
-        }
+    for (dir, alpha) in painted() {
         let all = needing(dir.path(), Needed::All).unwrap();
         assert_eq!((all.train.len(), all.test.len()), (2, 3));
         for (photos, in_memory) in [

@@ -8,6 +8,7 @@ use std::thread::spawn;
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
+use tempfile::TempDir;
 
 use crate::dataset::colmap_scene;
 use crate::determinism::room_within;
@@ -333,17 +334,25 @@ pub fn with_alpha(dir: &Path, transparent: bool) {
     }
 }
 
-#[test]
-fn photos_on_demand_are_those_in_memory() {
-    for (painted, alpha) in [
+/// Five photos and what their alpha means: without an alpha channel, with one that is opaque, with transparent pixels.
+pub fn painted() -> [(TempDir, Alpha); 3] {
+    [
         (None, Alpha::None),
         (Some(false), Alpha::None),
         (Some(true), Alpha::Transparency),
-    ] {
+    ]
+    .map(|(transparent, alpha)| {
         let dir = colmap_scene(5, DVec3::ZERO, true);
-        if let Some(transparent) = painted {
+        if let Some(transparent) = transparent {
             with_alpha(dir.path(), transparent);
         }
+        (dir, alpha)
+    })
+}
+
+#[test]
+fn photos_on_demand_are_those_in_memory() {
+    for (dir, alpha) in painted() {
         let eager = within(dir.path(), u64::MAX).unwrap();
         let lazy = within(dir.path(), 2 * SMALL).unwrap();
         assert_eq!(eager.fingerprint(), lazy.fingerprint());

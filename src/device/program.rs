@@ -268,7 +268,7 @@ mod tests {
     use crate::device::defines::Defines;
     use crate::device::tuning::Tuning;
 
-    /// What a training changes on its way, and what another one has, compiles few stages anew.
+    /// Settings that differ from run to run, or change within one, compile few stages anew.
     #[test]
     fn stages_depend_on_the_symbols_that_they_use_alone() {
         let plain = Defines::new(Tuning::CPU);
