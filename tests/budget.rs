@@ -2,9 +2,13 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use mhsplat::base::error::Error;
+use mhsplat::capture::{LoadOptions, load};
 use mhsplat::config::{Length, Sampler, TrainConfig, TrainingSize};
-use mhsplat::run::{RunRecord, checkpoint};
+use mhsplat::device::Device;
+use mhsplat::run::{Clock, Run, RunRecord, checkpoint};
 use mhsplat::train::schedule::Schedule;
 
 use crate::cli::program;
@@ -109,6 +113,43 @@ fn a_finished_run_goes_on_and_its_record_repeats_that_too() {
     let again = train(&["--config", settings.to_str().unwrap()], &run("again"));
     assert_eq!(again.config.lengths, whole.config.lengths);
     let [a, b] = [place, run("again")].map(|r| fs::read(r.join("scene.ply")).unwrap());
+    assert!(a == b, "other bytes");
+}
+
+/// Stopped between two density steps, it has the other length from there on; so has what repeats it.
+#[test]
+fn a_stopped_run_goes_on_to_more_iterations() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |name: &str| dir.path().join(name);
+    let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room-tiny");
+    let config = TrainConfig {
+        iterations: 400,
+        max_size: 64,
+        ..TrainConfig::default()
+    };
+    let options = LoadOptions {
+        max_size: 64,
+        ..LoadOptions::default()
+    };
+    let (data, device) = (load(&room, &options).unwrap(), Device::open(None).unwrap());
+    let stop = AtomicBool::new(false);
+    let mut begun = Run::start(&run("first"), data, config, &device, Clock::start()).unwrap();
+    let stopped = begun.drive(&stop, |p| stop.store(p.iteration >= 149, Ordering::Relaxed));
+    assert!(matches!(stopped, Err(Error::Interrupted)));
+    drop(begun);
+    let saved = checkpoint::read(&run("first")).unwrap();
+    let done = saved.state.iteration;
+    assert!(!Schedule::new(&saved.config).may_change(done), "{done}");
+    let mut resumed = program();
+    resumed.arg("train").arg("--resume").arg(run("first"));
+    let resumed = resumed.args(["--iterations", "600"]).output().unwrap();
+    assert!(resumed.status.success());
+    let first = RunRecord::read(run("first")).unwrap();
+    assert_eq!(first.config.lengths, [Length::new(done, 600)]);
+    let settings = run("first").join("run.json");
+    let again = train(&["--config", settings.to_str().unwrap()], &run("again"));
+    assert_eq!(again.config.lengths, first.config.lengths);
+    let [a, b] = ["first", "again"].map(|r| fs::read(run(r).join("scene.ply")).unwrap());
     assert!(a == b, "other bytes");
 }
 

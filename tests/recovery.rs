@@ -10,7 +10,8 @@ use mhsplat::base::rng::Philox;
 use mhsplat::capture::{LoadOptions, load};
 use mhsplat::device::Device;
 use mhsplat::run::{
-    Clock, DensityRow, Progress, Run, checkpoint, read_rows, saved_config, saved_tuning,
+    Clock, DensityRow, Extension, Progress, Run, RunRecord, checkpoint, read_rows, saved_config,
+    saved_tuning,
 };
 
 /// Kills; more with MHSPLAT_KILLS.
@@ -299,8 +300,35 @@ fn a_damaged_checkpoint_is_refused_by_its_checksum() {
         let status = train(&room(), &run, true).status().unwrap();
         assert_eq!(status.code(), Some(2), "{what}");
     }
+    // The configuration is read without the tensors.
     fs::write(&file, &good[..good.len() / 2]).unwrap();
     assert!(checkpoint::read(&run).is_err());
+    checkpoint::read_config(&run).unwrap();
+    fs::write(&file, &good[..header]).unwrap();
+    assert!(checkpoint::read_config(&run).is_err());
+}
+
+/// Iterations that were asked for are not forgotten, nor the largest memory of an earlier session.
+#[test]
+fn an_extension_that_is_killed_at_once_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    assert!(long(&room(), &run, false, "40").status().unwrap().success());
+    let mut record = RunRecord::read(&run).unwrap();
+    record.peak_rss_bytes = 1 << 40;
+    record.write(&run).unwrap();
+    let options = LoadOptions {
+        max_size: 64,
+        ..LoadOptions::default()
+    };
+    let data = load(&room(), &options).unwrap();
+    let (config, device) = (saved_config(&run).unwrap(), Device::open(None).unwrap());
+    let longer = Some(Extension::Iterations(90));
+    let begun = Run::resume(&run, data, config, &device, Clock::start(), longer);
+    drop(begun.unwrap());
+    assert!(train(&room(), &run, true).status().unwrap().success());
+    let record = RunRecord::read(&run).unwrap();
+    assert_eq!((record.iterations, record.peak_rss_bytes), (90, 1 << 40));
 }
 
 #[test]

@@ -4,6 +4,9 @@
 /// library supports. (Asking `sysconf` would need a dependency on libc.)
 const TICKS_PER_SECOND: f64 = 100.0;
 
+/// Resolution of [`process_cpu_seconds`], seconds.
+pub const CPU_TICK: f64 = 1.0 / TICKS_PER_SECOND;
+
 /// CPU seconds (user + system) of this process so far, over all its threads, ended ones included.
 ///
 /// From fields 14 and 15 of `/proc/self/stat` (proc(5)). The resolution is one tick, 10 ms; the nanosecond figures of

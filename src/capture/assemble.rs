@@ -151,7 +151,8 @@ pub(super) fn assemble(path: &Path, mut scene: RawScene, options: &LoadOptions) 
         return Err(Error::input(path, what, "check the poses"));
     }
     let points = Points::local(path, &frame, (scene.positions, scene.colors))?;
-    let budget = options.image_budget.unwrap_or_else(automatic_budget);
+    let each = || automatic_budget() / options.keepers.max(1) as u64;
+    let budget = options.image_budget.unwrap_or_else(each);
     let masked = raw.iter().any(|v| v.mask.is_some());
     if options.invert_masks && !options.alpha_is_mask && !masked {
         let what = "given, but no photo has a mask (a file in the folder masks, mask_path, or alpha with --alpha-is-mask)";

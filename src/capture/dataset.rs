@@ -216,8 +216,10 @@ pub struct LoadOptions {
     /// Every n-th image by name is held out, the first one included (0: none). A `transforms_test.json` takes precedence.
     pub test_every: u32,
     /// Bytes that all photos together may take; if they take more, they are decoded on demand. `None`: half of the available
-    /// memory.
+    /// memory, over `keepers`.
     pub image_budget: Option<u64>,
+    /// Number of processes, or devices of this process, that keep the photos in the memory of this host, ≥ 1.
+    pub keepers: usize,
     /// True if the photos' alpha is a mask and not transparency. With mask files it always is.
     pub alpha_is_mask: bool,
     /// True if masks are 0 where a photo counts: of files, and of alpha that is a mask.
@@ -235,6 +237,7 @@ impl Default for LoadOptions {
             max_size: 1600,
             test_every: 8,
             image_budget: None,
+            keepers: 1,
             alpha_is_mask: false,
             invert_masks: false,
             photos: Needed::All,

@@ -21,16 +21,14 @@ pub fn open(option: &DeviceOption) -> Result<Option<Device>> {
         1 => option.open_all().map(Some),
         processes => {
             let exchange = exchange(processes)?;
+            let tell = |error: &Error| exchange.fail(&error.to_string());
             // One each.
-            let device = option.open()?;
+            let device = option.open().inspect_err(tell)?;
             if exchange.rank() == LEADER {
                 return Ok(Some(device.with_processes(exchange)));
             }
-            let followed = follow(&exchange, &device);
-            if let Err(error) = &followed {
-                exchange.fail(&error.to_string());
-            }
-            followed.map(|()| None)
+            follow(&exchange, &device).inspect_err(tell)?;
+            Ok(None)
         }
     }
 }
@@ -68,6 +66,7 @@ fn follow(exchange: &Arc<dyn Exchange>, device: &Device) -> Result<()> {
         let options = LoadOptions {
             // The leader shows it.
             progress: None,
+            keepers: launched::on_this_node(),
             ..scene::load_options(config)
         };
         capture::load(path, &options)

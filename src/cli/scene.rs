@@ -27,6 +27,10 @@ pub struct Loaded {
 
 /// Returns the scene file at `path` (a file or a run folder), and the run's record.
 pub fn locate(path: &Path) -> Result<(PathBuf, Option<RunRecord>)> {
+    if !path.exists() {
+        let fix = "give a scene file or the folder of a run";
+        return Err(Error::input(path, "is not there", fix));
+    }
     if !path.is_dir() {
         return Ok((path.to_path_buf(), None));
     }
@@ -220,6 +224,7 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
         max_size: config.max_size,
         test_every: config.test_every,
         image_budget: config.image_budget,
+        keepers: 1,
         images: config.images.clone(),
         alpha_is_mask: config.alpha_is_mask,
         invert_masks: config.invert_masks,

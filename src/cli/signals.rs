@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -10,13 +11,21 @@ use signal_hook::iterator::Signals;
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture;
 
-/// Returns a flag that Ctrl-C, SIGTERM or the end of the session (SIGHUP, unless `nohup` ignores it) sets; a Ctrl-C or SIGTERM after
-/// that ends the program at once.
+/// Time within which a second signal is no impatience: `timeout` and launchers signal a process, and then its group with it.
+const ONE_WISH: Duration = Duration::from_millis(500);
+
+/// Returns a flag that Ctrl-C, SIGTERM or the end of the session (SIGHUP, unless `nohup` ignores it) sets; a Ctrl-C or SIGTERM half a
+/// second after that ends the program at once.
 pub fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
+    let mut first = None;
     // A shell and the kernel both send SIGHUP when a session ends: two of them are no impatience.
-    listen(move |signal| flag.swap(true, Ordering::SeqCst) && signal != SIGHUP)?;
+    listen(move |signal| {
+        flag.store(true, Ordering::SeqCst);
+        let first: &mut Instant = first.get_or_insert_with(Instant::now);
+        signal != SIGHUP && first.elapsed() > ONE_WISH
+    })?;
     Ok(stop)
 }
 
@@ -34,7 +43,7 @@ pub fn remove_temporary_at_end() -> Result<()> {
 }
 
 /// Ends the program, without its temporary folders, at the first signal for which `ends` returns true.
-fn listen(ends: impl Fn(i32) -> bool + Send + 'static) -> Result<()> {
+fn listen(ends: impl FnMut(i32) -> bool + Send + 'static) -> Result<()> {
     let mut signals = Signals::new(handled()).map_err(failed)?;
     let wait = move || {
         if signals.forever().any(ends) {

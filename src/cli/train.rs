@@ -10,11 +10,12 @@ use crate::cli::progress::{Display, Form, finish, tell_objects};
 use crate::cli::signals::stop_flag;
 use crate::cli::{output, ranks, scene, view};
 use mhsplat::base::error::{Error, Result};
-use mhsplat::capture::{self, Dataset};
+use mhsplat::capture::{self, Dataset, LoadOptions};
 use mhsplat::config::{Preset, RUN_CONTROL, TrainConfig};
 use mhsplat::config::{deserialize, from_json, parse_duration};
 use mhsplat::device::{Device, Helpers};
 use mhsplat::lab::tune::SizeClass;
+use mhsplat::ranks::launched;
 use mhsplat::run::live::{Door, Server};
 use mhsplat::run::{
     Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config, saved_tuning,
@@ -84,8 +85,15 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
         }
         resume => resume.as_ref(),
     };
-    let config = config(args, resume.map(PathBuf::as_path))?;
-    config.validate()?;
+    let config = || {
+        let config = config(args, resume.map(PathBuf::as_path))?;
+        config.validate().map(|()| config)
+    };
+    // A process that does not lead gets its configuration from the one that does, and may have no run folder.
+    let known = match launched::processes() {
+        1 => Some(config()?),
+        _ => None,
+    };
     if args.quiet {
         output::be_quiet();
     }
@@ -97,7 +105,8 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     let Some(device) = ranks::open(&args.device)? else {
         return Ok(Outcome::Done);
     };
-    let trained = train(args, common, (config, resume), &device, &stop);
+    let known = known.map_or_else(config, Ok);
+    let trained = known.and_then(|config| train(args, common, (config, resume), &device, &stop));
     if let (Err(error), Helpers::Processes(exchange)) = (&trained, device.helpers()) {
         // Does nothing where training has come to its end before.
         exchange.fail(&error.to_string());
@@ -136,7 +145,7 @@ fn train(
         _ => args.dataset.clone().unwrap_or_default(),
     };
     let mut clock = Clock::start();
-    let data = read_photos(&dataset, &config)?;
+    let data = read_photos(&dataset, &config, device.helpers())?;
     clock.stop();
     let device = tuned(device.clone(), resume, SizeClass::of_run(&data, &config))?;
     clock.resume();
@@ -222,8 +231,15 @@ fn note_resume(saved: Option<u32>, dataset: &Path, dir: &Path, stopped: bool) {
 }
 
 /// Reads the dataset of a run, and tells what it holds.
-fn read_photos(dataset: &Path, config: &TrainConfig) -> Result<Dataset> {
-    let data = capture::load(dataset, &scene::load_options(config))?;
+fn read_photos(dataset: &Path, config: &TrainConfig, helpers: &Helpers) -> Result<Dataset> {
+    let options = LoadOptions {
+        keepers: match helpers {
+            Helpers::Processes(_) => launched::on_this_node(),
+            _ => helpers.ranks(),
+        },
+        ..scene::load_options(config)
+    };
+    let data = capture::load(dataset, &options)?;
     output::info(&format!(
         "{}: {} ({}), {} training views, {} held out, {} points",
         dataset.display(),
@@ -296,6 +312,17 @@ fn with_options(args: &TrainArgs, config: TrainConfig) -> Result<TrainConfig> {
     Ok(config)
 }
 
+/// Refuses a configuration with a list in the place of a table: its values would be taken by their order.
+fn are_tables(is_table: impl Fn(&str) -> bool) -> std::result::Result<(), String> {
+    let all = serde_json::to_value(TrainConfig::default()).map_err(|e| e.to_string())?;
+    let tables = all.as_object().into_iter().flatten();
+    let mut tables = tables.filter(|(_, value)| value.is_object());
+    match tables.find(|(key, _)| !is_table(key)) {
+        Some((key, _)) => Err(format!("{key}: a table expected")),
+        None => Ok(()),
+    }
+}
+
 /// Returns the configuration of a file, and true if that says how long the run is.
 fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
     let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
@@ -309,11 +336,16 @@ fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
     if file.extension().is_some_and(|e| e == "json") {
         let value: serde_json::Value = from_json(&text).map_err(wrong)?;
         let inner = value.get("config").cloned().unwrap_or(value);
+        if !inner.is_object() {
+            return Err(wrong("an object expected".to_owned()));
+        }
+        are_tables(|key| inner.get(key).is_none_or(serde_json::Value::is_object)).map_err(wrong)?;
         let long = LENGTHS.iter().any(|key| inner.get(key).is_some());
         return Ok((deserialize(inner).map_err(wrong)?, long));
     }
     let parse = |text| toml::Deserializer::parse(text).map_err(|e| wrong(e.to_string()));
     let table: toml::Table = deserialize(parse(&text)?).map_err(wrong)?;
+    are_tables(|key| table.get(key).is_none_or(toml::Value::is_table)).map_err(wrong)?;
     let long = LENGTHS.iter().any(|key| table.contains_key(*key));
     Ok((deserialize(parse(&text)?).map_err(wrong)?, long))
 }

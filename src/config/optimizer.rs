@@ -112,8 +112,8 @@ impl OptimizerConfig {
         let good = o.lr_settle > 0.0 && o.lr_settle <= 1.0;
         let what = "more than 0 and no more than 1 expected";
         Error::unless(good, "optimizer.lr-settle", what)?;
-        let good = share(o.beta1) && share(o.beta2) && o.epsilon > 0.0;
-        let what = "beta1 and beta2 in [0, 1) and epsilon > 0 expected";
+        let good = share(o.beta1) && share(o.beta2) && o.epsilon > 0.0 && o.epsilon.is_finite();
+        let what = "beta1 and beta2 in [0, 1) and a finite epsilon > 0 expected";
         Error::unless(good, "optimizer", what)
     }
 }

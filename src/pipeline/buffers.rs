@@ -257,6 +257,16 @@ impl<R: Real> ViewBuffers<R> {
 
     /// Makes room for a scene of `stride` Gaussians. Contents are lost.
     pub fn fit_gaussians(&mut self, device: &Device, stride: usize) -> Result<()> {
+        self.fit_records(device, stride)?;
+        if self.cover.len() < 2 * stride {
+            self.visible = SortBuffers::new(device, VISIBLE, stride)?;
+            self.cover = Array::zeros(device, "cover", 2 * stride)?;
+        }
+        Ok(())
+    }
+
+    /// Makes room for the records of `stride` Gaussians that are projected into this view and composited in others. Contents are lost.
+    pub fn fit_records(&mut self, device: &Device, stride: usize) -> Result<()> {
         if self.keys.len() >= stride {
             return Ok(());
         }
@@ -265,14 +275,13 @@ impl<R: Real> ViewBuffers<R> {
         self.keys = ints("keys")?;
         self.isect_counts = ints("isect_counts")?;
         self.isect_start = ints("isect_start")?;
-        self.visible = SortBuffers::new(device, VISIBLE, stride)?;
-        self.cover = Array::zeros(device, "cover", 2 * stride)?;
         Ok(())
     }
 
     /// Gives up the room for Gaussians and pairs, of which views need fewer from now on; each makes room for its own.
     pub fn release(&mut self, device: &Device) -> Result<()> {
         self.keys = Array::zeros(device, "keys", 0)?;
+        self.cover = Array::zeros(device, "cover", 0)?;
         self.fit_gaussians(device, ROUND)?;
         self.set_intersections(device, ROUND)
     }

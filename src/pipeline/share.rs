@@ -235,7 +235,7 @@ impl<R: Real> Share<R> {
         self.take_back(&mut forward.frame);
         self.route.set_bands(&self.bands)?;
         let home = &mut self.home;
-        home.fit_gaussians(&self.device, scene.stride)?;
+        home.fit_records(&self.device, scene.stride)?;
         (home.camera, home.count) = (*camera, scene.count);
         self.route.divide(&self.device, scene.count)?;
         let parts = 0..self.parts();

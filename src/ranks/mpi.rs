@@ -2,14 +2,15 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{Builder, Thread, park_timeout, yield_now};
 use std::time::{Duration, Instant};
 
-use mpi::Threading;
+use mpi::request::{Request, StaticScope};
 use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, Destination, MatchedReceiveVec, Source};
+use mpi::{Tag, Threading};
 
 use crate::base::error::{Error, Result};
 use crate::ranks::exchange::{Exchange, LEADER, Meter, Part, check_number, nothing_begun};
@@ -22,6 +23,14 @@ const EAGER: u32 = 200;
 const PAUSE: Duration = Duration::from_micros(40);
 /// Longest pause between two looks while nobody waits: this rank computes, maybe on all its cores.
 const IDLE_PAUSE: Duration = Duration::from_micros(500);
+/// Tag of what ranks trade.
+const TRADE: Tag = 0;
+/// Tag of the leader's signs of life.
+const ALIVE: Tag = 1;
+/// Longest time between two of those.
+const SIGN_INTERVAL: Duration = Duration::from_secs(10);
+/// Longest time between two looks that counts as waiting: in a longer one this process was suspended, and maybe the whole job.
+const LONGEST_LOOK: Duration = Duration::from_secs(1);
 
 /// A task of the thread that has MPI.
 enum Task {
@@ -56,7 +65,8 @@ struct Now {
     waits: AtomicBool,
 }
 
-/// Time for which a rank is waited for that does not lead, and what takes the sentence on the end of the job, before it is aborted.
+/// Time for which a rank is waited for, the leader for a sign of life: it may write a report meanwhile. And what takes the sentence on the end of
+/// the job, before it is aborted.
 #[derive(Debug, Clone, Copy)]
 pub struct Patience {
     /// Seconds.
@@ -107,23 +117,78 @@ fn serve(
     if begun.send(numbers).is_err() {
         return;
     }
+    let mut signs = Signs::new(&world, patience);
     loop {
-        match tasks.recv() {
+        match tasks.recv_timeout(signs.interval) {
             Ok(Task::Trade(messages, answer)) => {
-                let _ = answer.send(trade(&world, messages, (patience, now)));
+                let got = trade((&world, &mut signs), messages, (patience, now));
+                let _ = answer.send(got);
             }
+            Err(RecvTimeoutError::Timeout) => signs.give(&world),
             Ok(Task::End(ended)) => {
+                drop(signs);
                 drop(universe);
                 let _ = ended.send(());
                 return;
             }
             Ok(Task::Abort) => abort(&world, (patience, now)),
             // An end in disorder: the others are not waited for, as the end of MPI would.
-            Err(_) => {
+            Err(RecvTimeoutError::Disconnected) => {
                 std::mem::forget(universe);
                 return;
             }
         }
+    }
+}
+
+/// Signs of life that the leader gives to all others, whatever it does.
+struct Signs {
+    interval: Duration,
+    given: Instant,
+    /// The last one for each rank; a further one only once that has gone.
+    sent: Vec<Option<Request<'static, [u32], StaticScope>>>,
+}
+
+impl Signs {
+    fn new(world: &SimpleCommunicator, patience: Patience) -> Self {
+        let others = 1..world.size();
+        let leads = world.rank() as usize == LEADER;
+        Self {
+            interval: SIGN_INTERVAL
+                .min(Duration::from_secs_f64(patience.seconds.min(600.0) / 20.0)),
+            given: Instant::now(),
+            sent: others.filter(|_| leads).map(|_| None).collect(),
+        }
+    }
+
+    /// Gives one to each rank if it is time; nothing but at the leader.
+    fn give(&mut self, world: &SimpleCommunicator) {
+        if self.given.elapsed() < self.interval {
+            return;
+        }
+        self.given = Instant::now();
+        for (to, sent) in (1..).zip(&mut self.sent) {
+            let left = sent.take().and_then(|request| request.test().err());
+            let to = world.process_at_rank(to);
+            *sent = left.or_else(|| Some(to.immediate_send_with_tag(StaticScope, &[], ALIVE)));
+        }
+    }
+
+    /// Takes the leader's that have come; true if there were any.
+    fn taken(world: &SimpleCommunicator) -> bool {
+        let leader = world.process_at_rank(LEADER as i32);
+        let next = || leader.immediate_matched_probe_with_tag(ALIVE);
+        let signs = std::iter::from_fn(next).map(MatchedReceiveVec::matched_receive_vec::<u32>);
+        signs.count() > 0
+    }
+}
+
+impl Drop for Signs {
+    fn drop(&mut self) {
+        // A request that is dropped before it is done panics; who does not take a sign any more has ended.
+        let left = self.sent.iter_mut().filter_map(Option::take);
+        left.filter_map(|request| request.test().err())
+            .for_each(std::mem::forget);
     }
 }
 
@@ -137,7 +202,7 @@ fn abort(world: &SimpleCommunicator, (patience, now): (Patience, &Now)) {
 
 /// Sends a message to each rank and waits for one from each.
 fn trade(
-    world: &SimpleCommunicator,
+    (world, signs): (&SimpleCommunicator, &mut Signs),
     mut messages: Vec<Vec<u32>>,
     (patience, now): (Patience, &Now),
 ) -> Vec<Vec<u32>> {
@@ -149,15 +214,17 @@ fn trade(
         let mut sent: Vec<_> = others
             .map(|(to, message)| {
                 let process = world.process_at_rank(to as i32);
-                (to, process.immediate_send(scope, message.as_slice()))
+                let request = process.immediate_send_with_tag(scope, message.as_slice(), TRADE);
+                (to, request)
             })
             .collect();
-        let (began, mut looks) = (Instant::now(), 0);
+        let (mut waited, mut without_sign) = (Duration::ZERO, Duration::ZERO);
+        let (mut looked, mut looks) = (Instant::now(), 0);
         loop {
             let mut any = false;
             for (from, place) in got.iter_mut().enumerate().filter(|(_, g)| g.is_none()) {
                 let from = world.process_at_rank(from as i32);
-                if let Some(found) = from.immediate_matched_probe() {
+                if let Some(found) = from.immediate_matched_probe_with_tag(TRADE) {
                     *place = Some(found.matched_receive_vec().0);
                     any = true;
                 }
@@ -182,12 +249,25 @@ fn trade(
                 _ => park_timeout(PAUSE),
             }
             abort(world, (patience, now));
-            // The leader may write a report meanwhile.
-            let waited = began.elapsed().as_secs_f64();
-            let late = missing.iter().find(|other| **other != LEADER);
-            if let Some(late) = late.filter(|_| waited > patience.seconds) {
+            signs.give(world);
+            let look = looked.elapsed().min(LONGEST_LOOK);
+            looked = Instant::now();
+            waited += look;
+            without_sign = match missing.contains(&LEADER) && !Signs::taken(world) {
+                true => without_sign + look,
+                false => Duration::ZERO,
+            };
+            let silent = |other: &usize| match *other {
+                LEADER => without_sign.as_secs_f64(),
+                _ => waited.as_secs_f64(),
+            };
+            let late = missing
+                .iter()
+                .find(|other| silent(other) > patience.seconds);
+            if let Some(late) = late {
+                let seconds = silent(late);
                 (patience.tell)(&format!(
-                    "rank {late} has not answered rank {rank} for {waited:.0} s; the job ends"
+                    "rank {late} has not answered rank {rank} for {seconds:.0} s; the job ends"
                 ));
                 world.abort(3);
             }

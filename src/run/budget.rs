@@ -1,6 +1,7 @@
 //! Length of a run that fits a budget of time: planned from the cost of an iteration, and corrected on the way. Where few iterations fit the photos
 //! are trained on at a smaller size, at which there are more (docs/results/budgets.md).
 
+use crate::base::process::CPU_TICK;
 use crate::config::{Length, TrainConfig, TrainingSize};
 use crate::run::clock::Clock;
 use crate::run::forecast::Forecast;
@@ -17,6 +18,9 @@ const LATEST: f64 = 0.1;
 
 /// The same for the first forecast of a run without a budget, seconds.
 const LATEST_SECONDS: f64 = 20.0;
+
+/// Shortest time that a measurement on the CPU clock is of, seconds: its ends are off by a tick at most.
+const SHORTEST: f64 = 5.0 * CPU_TICK;
 
 /// Largest number of iterations of a run that is extended: no more than its time.
 const MOST: u32 = u32::MAX / 4;
@@ -85,6 +89,11 @@ impl Pace {
         }
     }
 
+    /// True if lengths are those of another run: each from where that run had it, be it that it was resumed there with another.
+    pub fn repeats(&self) -> bool {
+        matches!(self, Self::Repeats(_))
+    }
+
     /// The run's budget, if it has one.
     pub fn budget(&self) -> Option<&Budget> {
         match self {
@@ -148,6 +157,11 @@ impl Budget {
             few: 0,
             at_full_size: None,
         }
+    }
+
+    /// Shortest time that a measurement is of, seconds.
+    pub fn shortest(budget: Option<&Self>) -> f64 {
+        budget.filter(|b| b.cpu).map_or(0.0, |_| SHORTEST)
     }
 
     /// Seconds of training until the first plan at the latest.
@@ -243,7 +257,7 @@ impl Budget {
 
 #[cfg(test)]
 mod tests {
-    use super::{Budget, LATEST};
+    use super::{Budget, CPU_TICK, LATEST, SHORTEST};
     use crate::config::{TrainConfig, TrainingSize};
     use crate::run::forecast::{Every, Forecast, Made, picture_cost};
     use crate::train::sizes::Sizes;
@@ -295,6 +309,30 @@ mod tests {
             }
         }
         (all + forecast.end().unwrap_or(0.0), length, changes)
+    }
+
+    /// Longest plan of a run of 2 CPU seconds, an iteration of which takes no, one or six ticks of the clock, with measurements of so many
+    /// seconds at least.
+    fn longest(shortest: f64) -> u32 {
+        let (mut budget, mut forecast) = (Budget::new(2.0, true, 30_000), forecast(2.0));
+        forecast.shortest = shortest;
+        let (mut used, mut length, mut longest) = (0.5, 30_000, 0);
+        for done in 0..150 {
+            forecast.iterated(done, length, used, 1.0);
+            used += CPU_TICK * [0.0, 0.0, 0.0, 0.0, 0.0, 6.0, 1.0][done as usize % 7];
+            if let Some(next) = budget.length(done, length, &forecast, used) {
+                length = next.iterations;
+                longest = longest.max(length);
+            }
+        }
+        longest
+    }
+
+    #[test]
+    fn ticks_of_the_clock_are_not_measured() {
+        let all = longest(SHORTEST);
+        assert!(all < 400, "{all}");
+        assert!(longest(0.0) > 4 * all);
     }
 
     fn growing(share: f64) -> f64 {

@@ -7,6 +7,8 @@
 //! written beside the old one and renamed over it.
 
 use std::collections::HashMap;
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -41,6 +43,18 @@ const NAMES: [&str; 10] = [
 
 /// Number of the first of them, which are there even without a value.
 const ALWAYS: usize = 4;
+
+/// Name of the entry of the file's metadata that holds the header.
+const ENTRY: &str = "mhsplat";
+
+const NOT_OURS: &str = "it was not written by mhsplat";
+
+/// What a safetensors file begins with, after its length, as far as it is read without the tensors.
+#[derive(Deserialize)]
+struct Beginning {
+    #[serde(rename = "__metadata__", default)]
+    entries: HashMap<String, String>,
+}
 
 /// First entry of the header, in every version.
 #[derive(Deserialize)]
@@ -164,7 +178,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
             view.map(|t| (**name, t)).map_err(encoding)
         })
         .collect::<Result<Vec<_>>>()?;
-    let metadata = HashMap::from([("mhsplat".to_owned(), header), ("crc32".to_owned(), sum)]);
+    let metadata = HashMap::from([(ENTRY.to_owned(), header), ("crc32".to_owned(), sum)]);
     let data = safetensors::serialize(views, Some(metadata)).map_err(encoding)?;
     crate::base::files::write_bytes(&file, &data)
 }
@@ -217,20 +231,53 @@ fn checksum<'a>(header: &str, tensors: impl Iterator<Item = &'a [u8]>) -> String
 /// No checkpoint, or one that is damaged or of another version.
 pub fn read(run_dir: &Path) -> Result<Checkpoint> {
     let file = path(run_dir);
-    let data = std::fs::read(&file).map_err(|_| {
-        Error::input(
-            &file,
-            "no checkpoint to be read there",
-            "give the folder of a run that was stopped, or start anew with -o",
-        )
-    })?;
-    parse(&data).map_err(|what| {
-        Error::input(
-            &file,
-            format!("damaged checkpoint: {what}"),
-            "start anew with -o NEW_FOLDER",
-        )
-    })
+    let data = std::fs::read(&file).map_err(|_| none(&file))?;
+    parse(&data).map_err(|what| damaged(&file, &what))
+}
+
+/// Reads the configuration from the checkpoint of a run folder, and of the file no more than it needs for that: damage elsewhere is found by [`read`].
+///
+/// # Errors
+/// No checkpoint, or one with a damaged header or of another version.
+pub fn read_config(run_dir: &Path) -> Result<TrainConfig> {
+    let file = path(run_dir);
+    let beginning = || -> std::io::Result<Vec<u8>> {
+        let (mut opened, mut length, mut data) = (File::open(&file)?, [0; 8], Vec::new());
+        opened.read_exact(&mut length)?;
+        opened
+            .take(u64::from_le_bytes(length))
+            .read_to_end(&mut data)?;
+        Ok(data)
+    };
+    let data = beginning().map_err(|_| none(&file))?;
+    let text = |e: &dyn std::fmt::Display| damaged(&file, &e.to_string());
+    let beginning: Beginning = serde_json::from_slice(&data).map_err(|e| text(&e))?;
+    let written = beginning
+        .entries
+        .get(ENTRY)
+        .ok_or_else(|| text(&NOT_OURS))?;
+    check_version(written).map_err(|e| text(&e))?;
+    let header: Header = from_json(written).map_err(|e| text(&e))?;
+    Ok(header.config)
+}
+
+/// Refuses the header of another version.
+fn check_version(written: &str) -> std::result::Result<(), String> {
+    let found: Version = serde_json::from_str(written).map_err(|e| e.to_string())?;
+    match found.version {
+        VERSION => Ok(()),
+        other => Err(format!("version {other}; {VERSION} expected")),
+    }
+}
+
+fn none(file: &Path) -> Error {
+    let fix = "give the folder of a run that was stopped, or start anew with -o";
+    Error::input(file, "no checkpoint to be read there", fix)
+}
+
+fn damaged(file: &Path, what: &str) -> Error {
+    let fix = "start anew with -o NEW_FOLDER";
+    Error::input(file, format!("damaged checkpoint: {what}"), fix)
 }
 
 /// A checkpoint from the bytes of its file, or what is wrong with them.
@@ -238,11 +285,8 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     let text = |e: &dyn std::fmt::Display| e.to_string();
     let (_, metadata) = SafeTensors::read_metadata(data).map_err(|e| text(&e))?;
     let entry = |name: &str| metadata.metadata().as_ref().and_then(|m| m.get(name));
-    let written = entry("mhsplat").ok_or("it was not written by mhsplat")?;
-    let version: Version = serde_json::from_str(written).map_err(|e| text(&e))?;
-    if version.version != VERSION {
-        return Err(format!("version {}; {VERSION} expected", version.version));
-    }
+    let written = entry(ENTRY).ok_or(NOT_OURS)?;
+    check_version(written)?;
     let tensors = SafeTensors::deserialize(data).map_err(|e| text(&e))?;
     let parts = NAMES.iter().filter_map(|n| tensors.tensor(n).ok());
     if entry("crc32") != Some(&checksum(written, parts.map(|t| t.data()))) {

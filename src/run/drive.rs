@@ -104,7 +104,7 @@ impl Run {
                     let what = self.forecast.told(self.iterations(), left);
                     progress(&self.progress(Some(what)));
                 }
-                if self.trainer.schedule().may_change(done) {
+                if self.pace.repeats() || self.trainer.schedule().may_change(done) {
                     self.plan_length(done, all, &mut progress)?;
                 }
             }
@@ -473,7 +473,7 @@ impl Run {
         r.train_seconds = now.train_seconds;
         r.wall_seconds = now.wall_seconds;
         r.cpu_seconds = now.cpu_seconds;
-        r.peak_rss_bytes = peak_rss_bytes();
+        r.peak_rss_bytes = r.peak_rss_bytes.max(peak_rss_bytes());
         r.density = *self.trainer.stats();
         r.photos = self.trainer.photo_stats();
         r.stages = stages;
@@ -506,7 +506,7 @@ impl Run {
 
     /// Writes a checkpoint, then the scene, from one read of the device: first the state to continue from, then the file that
     /// says the run is not to begin again.
-    fn save(&mut self, checkpoint: bool, export: bool) -> Result<()> {
+    pub(super) fn save(&mut self, checkpoint: bool, export: bool) -> Result<()> {
         self.clock.pause();
         if checkpoint {
             let saved = Checkpoint {

@@ -186,6 +186,8 @@ pub(super) struct Forecast {
     pictures: f64,
     /// Seconds after which the first measurement is made, if fewer iterations have been done by then.
     latest: f64,
+    /// Shortest time that a measurement is of, seconds.
+    pub(super) shortest: f64,
     every: Every,
     /// Seconds of an iteration of cost 1; `None` before the first measurement.
     unit: Option<f64>,
@@ -201,12 +203,12 @@ pub(super) struct Forecast {
 }
 
 impl Forecast {
-    /// A forecast for a run that begins or goes on, whose first measurement is made after `latest` seconds at the latest; seconds per pixel
+    /// A forecast for a run that begins or goes on, whose first measurement is made after the first of `times` at the latest, and none of less than the second, seconds; seconds per pixel
     /// of a view's pictures, and ranks that share an iteration.
     pub fn new(
         trainer: &Trainer,
         evaluator: Option<&Evaluator>,
-        latest: f64,
+        [latest, shortest]: [f64; 2],
         (pictures, ranks): (f64, usize),
     ) -> Self {
         let config = &trainer.plan().config;
@@ -263,6 +265,7 @@ impl Forecast {
             },
             flipped: FLIPPED * ranks as f64,
             reached: trainer.halvings(),
+            shortest,
             ..Self::of(
                 trainer.sizes().clone(),
                 shown,
@@ -306,6 +309,7 @@ impl Forecast {
             scored,
             pictures,
             latest,
+            shortest: 0.0,
             every,
             unit: None,
             mark: None,
@@ -346,7 +350,7 @@ impl Forecast {
             false => (length / MEASUREMENTS).max(1),
         };
         // An overflow of tile intersections takes training back by an iteration or two.
-        if done <= before || (done - before < enough && !late) {
+        if done <= before || seconds - then < self.shortest || (done - before < enough && !late) {
             return;
         }
         let each = self.cost(self.reached, 0.5 * (fewer + gaussians));

@@ -188,7 +188,12 @@ impl Run {
             extended,
             lock,
         };
-        Self::open(dir, dataset, from, &device, clock)
+        let mut run = Self::open(dir, dataset, from, &device, clock)?;
+        if extended.is_some() {
+            // Who is killed before the next checkpoint goes on by the new length, too.
+            run.save(true, false)?;
+        }
+        Ok(run)
     }
 
     /// Begins the run, or goes on from its checkpoint. The photos move to the device one by one, so that nobody holds their pixels on
@@ -213,7 +218,9 @@ impl Run {
         record.config.lengths.extend(&to_come);
         if saved.is_some() && dir.join(RECORD_FILE).exists() {
             // A finished run keeps what its trace has shown.
-            record.funnel = RunRecord::read(dir)?.funnel;
+            let before = RunRecord::read(dir)?;
+            record.funnel = before.funnel;
+            record.peak_rss_bytes = before.peak_rss_bytes;
         }
         let mut exports = Exports::new(&dataset);
         let splats = match &saved {
@@ -347,14 +354,14 @@ fn forecast(
         // The end is to take no compiler's time, and not to fail for want of room.
         evaluator.warm_up()?;
     }
-    let latest = Budget::latest(budget);
+    let times = [Budget::latest(budget), Budget::shortest(budget)];
     // One device takes FLIP, while others that share the iterations wait.
     let ranks = match budget.is_some_and(|budget| budget.cpu) {
         true => 1,
         false => device.helpers().ranks(),
     };
     let host = (picture_cost()?, ranks);
-    Ok(Forecast::new(trainer, evaluator, latest, host))
+    Ok(Forecast::new(trainer, evaluator, times, host))
 }
 
 /// The budget that a run goes by, or the one of time if it has none.

@@ -77,8 +77,7 @@ pub fn serve(
     test: impl FnOnce(&Device) -> Result<()>,
 ) -> Result<()> {
     let mut got = exchange.trade(Part::Orders, vec![Vec::new(); exchange.ranks()])?;
-    let rank = format!("rank {}", exchange.rank());
-    let wrong = |what: String| Error::numerics(&rank, what);
+    let wrong = |what: String| Error::numerics("program", what);
     let text = text_of(&got.swap_remove(LEADER));
     let text = text.ok_or_else(|| wrong("the leader does not say how to begin".to_owned()))?;
     let said: Beginning = serde_json::from_str(&text).map_err(|e| {
@@ -104,7 +103,7 @@ pub fn serve(
             device.info().name
         );
         return Err(Error::device(
-            &rank,
+            "tuning",
             what,
             "select alike devices on all nodes",
         ));

@@ -112,7 +112,7 @@ pub fn saved_config(dir: &Path) -> Result<TrainConfig> {
     if !has_checkpoint(dir)? && dir.join(RECORD_FILE).is_file() {
         return Ok(RunRecord::read(dir)?.config);
     }
-    Ok(checkpoint::read(dir)?.config)
+    checkpoint::read_config(dir)
 }
 
 /// The sizes of the kernels that the run in a folder goes on with; `None` if it begins again, or if they are not on record.

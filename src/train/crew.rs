@@ -34,8 +34,8 @@ pub struct Crew {
     worked_on_rows: Vec<f64>,
     /// Seconds that a rank has worked on its rows and on its band so far, in the mean.
     worked: [f64; 2],
-    /// CPU seconds of the processes of other ranks.
-    process_seconds: f64,
+    /// CPU seconds of the processes of other ranks, and those of them before training.
+    process_seconds: [f64; 2],
     /// First row of each rank, and the number of all, when they were divided last.
     rows: Vec<usize>,
     /// Non-finite gradient values of the other ranks, and of before there were any.
@@ -153,7 +153,7 @@ impl Crew {
             band_parts: Parts::even(exchange.ranks()),
             worked_on_rows: vec![0.0; exchange.ranks()],
             worked: [0.0; 2],
-            process_seconds: 0.0,
+            process_seconds: [0.0; 2],
             rows: Vec::new(),
             pairs: BTreeMap::new(),
             idle: None,
@@ -169,10 +169,10 @@ impl Crew {
         self.non_finite.iter().sum()
     }
 
-    /// CPU seconds of the processes of other ranks so far.
+    /// CPU seconds of the processes of other ranks so far, without those of building and trying the kernels.
     #[must_use]
     pub fn process_seconds(&self) -> f64 {
-        self.process_seconds
+        self.process_seconds[0] - self.process_seconds[1]
     }
 
     /// Seconds that a rank has worked on its rows and on its band so far, in the mean.
@@ -221,7 +221,7 @@ impl Crew {
                 *sum += f64::from(seconds) / self.exchange.ranks() as f64;
             }
         }
-        self.process_seconds = worked.iter().map(|worked| f64::from(worked.process)).sum();
+        self.process_seconds[0] = worked.iter().map(|worked| f64::from(worked.process)).sum();
         let seconds: Vec<f64> = worked.iter().map(|worked| worked.band.into()).collect();
         self.band_parts.level(&seconds, BAND_GAIN);
     }
@@ -232,6 +232,7 @@ impl Crew {
         self.worked_on_rows = vec![0.0; ranks];
         self.row_parts = Parts::even(ranks);
         self.band_parts = Parts::even(ranks);
+        self.process_seconds[1] = self.process_seconds[0];
     }
 
     /// Divides rows among the ranks; returns the first row of each, and the number of all.

@@ -524,12 +524,12 @@ impl Trainer {
     /// Makes the buffers fit the Gaussians, the largest image, and the tile intersections so far with a quarter to spare.
     pub(super) fn fit_views(&mut self) -> Result<()> {
         let frame = &mut self.pipeline.forward.frame;
-        frame.fit_gaussians(&self.device, self.gaussians.scene.stride)?;
         frame.fit_image(&self.device, self.views.set.largest)?;
         if self.pipeline.share.is_some() {
-            // A band makes room for its own pairs.
+            // A band makes room for its own Gaussians and pairs.
             return Ok(());
         }
+        frame.fit_gaussians(&self.device, self.gaussians.scene.stride)?;
         let max = self.counters.max_intersections;
         let least = 4 * self.gaussians.scene.count.max(1024);
         // A guess after density control: what is truly needed, an overflow tells.

@@ -287,6 +287,25 @@ fn refused_values_name_their_option() {
             }
         }
     }
+    // Lists would be taken by the order of their values.
+    for (file, content, expected) in [
+        (&json, "[]", "an object expected"),
+        (&json, r#"{ "config": ["mcmc", 20] }"#, "an object expected"),
+        (
+            &json,
+            r#"{ "optimizer": [0.5] }"#,
+            "optimizer: a table expected",
+        ),
+        (&toml, "optimizer = [0.5]", "optimizer: a table expected"),
+        (&toml, "[optimizer]\nepsilon = inf", "a finite epsilon > 0"),
+    ] {
+        fs::write(file, content).unwrap();
+        let args = ["train", "nowhere", "-o", "run", "--config", text(file)];
+        let output = mhsplat(&args);
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{content}: {said}");
+        assert!(said.contains(expected), "{content}: {said}");
+    }
     fs::write(&toml, "[mh]\nbirth = \"twin\"").unwrap();
     fs::write(&json, r#"{ "mh": { "birth": "twin" } }"#).unwrap();
     for file in [&toml, &json] {

@@ -471,12 +471,8 @@ fn ctrl_c_leaves_a_checkpoint_that_resumes_to_the_same_scene() {
         Some(mask) if mask & 1 == 0 => "-HUP",
         _ => "-INT",
     };
-    let signals = match signal {
-        // A shell sends one and the kernel another.
-        "-HUP" => 2,
-        _ => 1,
-    };
-    for _ in 0..signals {
+    // A shell sends one and the kernel another; `timeout` signals a process and then its group.
+    for signal in [signal, signal, "-TERM"] {
         let killed = std::process::Command::new("kill")
             .args([signal, &child.id().to_string()])
             .status()

@@ -137,6 +137,8 @@ fn mistakes_are_said() {
         (&["train", "--view", room, "-o", run], "put --view last"),
         (&["view", room, "--port", "0"], "holds no scene.ply"),
         (&["view", room, "--port", "70000"], "70000"),
+        (&["eval", run], "is not there"),
+        (&["render", run, "-o", run], "is not there"),
     ] {
         let output = mhsplat(args);
         let found = stderr(&output);
