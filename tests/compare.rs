@@ -10,6 +10,7 @@ use made::{Made, compared, run};
 
 use mhsplat::RunRecord;
 use mhsplat::base::error::Error;
+use mhsplat::config::Length;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::lab::compare::{Clock, Options, Source, compare, finished, report};
 
@@ -53,6 +54,13 @@ fn seeds_are_samples_of_one_group_and_everything_else_sets_apart() {
     assert_eq!(names, ["mh, iterations 1000", "none", "mh, iterations 500"]);
     let caps = labels(&[run("a", 0), capped(run("b", 0))]);
     assert_eq!(caps[1].0, "mh, max-gaussians 900");
+    // An option that the first run does not list is a difference, too.
+    let longer = run("b", 0).with(|r| r.config.lengths = vec![Length::new(5, 2000)]);
+    for runs in [[run("a", 0), longer.clone()], [longer, run("a", 0)]] {
+        let c = compared(&runs, &Options::default()).unwrap();
+        let names: Vec<&str> = c.differences.iter().map(|d| d.what.as_str()).collect();
+        assert!(names.contains(&"lengths"), "{names:?}");
+    }
     // How often a run was evaluated changes nothing in it.
     let beside = [
         run("a", 0),
@@ -88,6 +96,14 @@ fn unequal_numbers_of_gaussians_are_named() {
         c.warnings
     };
     assert!(more(20).is_empty(), "equal to 2 %");
+    // Those that were removed at the end count, in tables and curves.
+    let removed = run("b", 0).named("other").with(|r| r.removed = 30);
+    let c = compared(&[run("a", 0), removed], &Options::default()).unwrap();
+    let ends = c.groups.iter().map(|g| {
+        let run = &g.runs[0];
+        (run.last.gaussians, run.rows[run.rows.len() - 1].gaussians)
+    });
+    assert_eq!(ends.collect::<Vec<_>>(), [(1200, 1200), (1230, 1230)]);
     let warnings = more(200);
     let named = "not at equal numbers of Gaussians: 1200 (mh) to 1400 (other)";
     assert!(warnings[0].starts_with(named), "{warnings:?}");

@@ -27,6 +27,7 @@ use glam::{DMat3, DQuat, DVec3};
 use mhsplat::base::error::Error;
 use mhsplat::capture::colmap::{ColmapModel, ColmapPoint};
 use mhsplat::capture::{Camera, Dataset, LoadOptions, load};
+use mhsplat::lab::synth::SynthLayout;
 
 /// Cameras on a ring around `middle`, radius 3, each turned its own way; images named so that the order given is not the
 /// sorted one.
@@ -84,6 +85,25 @@ pub fn colmap_scene(count: usize, middle: DVec3, binary: bool) -> tempfile::Temp
     model.write(&dir.path().join("sparse/0"), binary).unwrap();
     write_images(&dir.path().join("images"), &views);
     dir
+}
+
+/// Some programs on Windows begin text with a byte-order mark.
+#[test]
+fn text_may_begin_with_a_byte_order_mark() {
+    let colmap = colmap_scene(9, DVec3::ZERO, false);
+    let synth = tempfile::tempdir().unwrap();
+    let transforms = crate::cli::scratch_dataset(synth.path(), SynthLayout::Transforms);
+    for (path, file) in [
+        (colmap.path(), "sparse/0/cameras.txt"),
+        (colmap.path(), "sparse/0/images.txt"),
+        (&transforms, "transforms_train.json"),
+    ] {
+        let before = load_every(path, 8).unwrap().train.len();
+        let file = path.join(file);
+        let text = std::fs::read_to_string(&file).unwrap();
+        std::fs::write(&file, format!("\u{feff}{text}")).unwrap();
+        assert_eq!(load_every(path, 8).unwrap().train.len(), before);
+    }
 }
 
 /// Loads with a split.

@@ -305,6 +305,11 @@ fn files_that_make_no_sense_are_refused_with_their_reason() {
         ("name = \"mh\"\n", "name = \"../mh\"\n", "names a folder"),
         (
             "name = \"mh\"\n",
+            "name = \"compare.html\"\n",
+            "written beside its folder",
+        ),
+        (
+            "name = \"mh\"\n",
             "name = \"none\"\n",
             "none is there twice",
         ),

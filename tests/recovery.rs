@@ -308,6 +308,31 @@ fn a_damaged_checkpoint_is_refused_by_its_checksum() {
     assert!(checkpoint::read_config(&run).is_err());
 }
 
+/// A budget that was asked for on the way is that of the run from then on, be it that the run is killed at once.
+#[test]
+fn a_budget_that_is_given_on_the_way_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    assert!(long(&room(), &run, false, "40").status().unwrap().success());
+    let options = LoadOptions {
+        max_size: 64,
+        ..LoadOptions::default()
+    };
+    let data = load(&room(), &options).unwrap();
+    let device = Device::open(None).unwrap();
+    // As if it had been stopped.
+    let mut saved = checkpoint::read(&run).unwrap();
+    saved.config.iterations = 4000;
+    saved.config.time_budget = Some(100.0);
+    checkpoint::write(&run, &saved).unwrap();
+    let config = saved_config(&run).unwrap();
+    let longer = Some(Extension::Seconds(3600.0));
+    let begun = Run::resume(&run, data, config, &device, Clock::start(), longer);
+    drop(begun.unwrap());
+    let kept = saved_config(&run).unwrap().time_budget.unwrap();
+    assert!(kept >= 3600.0, "{kept}");
+}
+
 /// Iterations that were asked for are not forgotten, nor the largest memory of an earlier session.
 #[test]
 fn an_extension_that_is_killed_at_once_goes_on() {

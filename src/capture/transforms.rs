@@ -137,7 +137,9 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
 /// The content of one file.
 fn read(file: &Path) -> Result<File> {
     let text = crate::base::files::read(file)?;
-    serde_json::from_slice(&text).map_err(|e| {
+    // Some programs on Windows begin text with a byte-order mark.
+    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
+    serde_json::from_slice(text).map_err(|e| {
         let fix = "a list `frames` with `file_path` and a 4×4 `transform_matrix` each is expected";
         Error::input(file, e.to_string(), fix)
     })

@@ -84,7 +84,11 @@ impl Outcome {
     /// [`Outcome::Missed`] if a bar is set and `psnr` does not reach it.
     pub fn of(bar: Option<f64>, psnr: Option<f64>) -> Self {
         match bar {
-            Some(bar) if !psnr.is_some_and(|p| p >= bar) => Self::Missed,
+            Some(bar) if !psnr.is_some_and(|p| p >= bar) => {
+                let had = psnr.map_or("no held-out view".to_owned(), |p| format!("{p:.2} dB"));
+                output::note(&format!("--require-psnr {bar}: missed ({had})"));
+                Self::Missed
+            }
             _ => Self::Done,
         }
     }

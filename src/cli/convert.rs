@@ -59,7 +59,11 @@ pub fn run(args: &ConvertArgs, common: &Common) -> Result<Outcome> {
         let degree = degree.min(splats.sh_degree());
         splats = splats.with_sh_degree(degree)?;
     }
-    let (kept, degree) = (splats.len(), splats.sh_degree());
+    let kept = splats.len();
+    let degree = match format {
+        mhsplat::config::SceneFormat::Splat => 0,
+        _ => splats.sh_degree(),
+    };
     if kept == 0 && found > 0 {
         let what = format!("none of its {found} Gaussians is left");
         let fix =

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
-use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::Needed;
@@ -52,7 +51,6 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
         record.as_ref(),
         "give the folder of the photos after it",
     )?;
-    remove_unpacked_at_end(&dataset)?;
     let needed = match args.training_views {
         true => Needed::Training,
         false => Needed::HeldOut,

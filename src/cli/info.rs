@@ -8,7 +8,6 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use crate::cli::common::{Common, DeviceOption, Outcome, tested};
-use crate::cli::signals::{remove_temporary_at_end, remove_unpacked_at_end};
 use crate::cli::{output, scene};
 use mhsplat::base::constants::LOG_SCALE;
 use mhsplat::base::error::{Error, Result};
@@ -86,10 +85,6 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
         ..TrainConfig::default()
     };
     config.validate()?;
-    match args.time {
-        true => remove_temporary_at_end()?,
-        false => remove_unpacked_at_end(&args.path)?,
-    }
     let data = capture::load(&args.path, &scene::load_options(&config))?;
     let plan = PlanRecord::of(&Plan::new(&data, &config)?);
     scene::note_left_out(&data);

@@ -39,7 +39,8 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => error.exit(),
     };
-    let ran = make_threads(&matches).and_then(|()| cli.run());
+    let begun = signals::begin().and_then(|()| make_threads(&matches));
+    let ran = begun.and_then(|()| cli.run());
     match ran.and_then(|done| output::check().map(|()| done)) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::Missed) => ExitCode::from(1),

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use clap::ValueEnum;
+use image::ImageFormat;
 use serde_json::json;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
@@ -193,20 +194,13 @@ fn write_all(
     let mut written = Written::default();
     let mut taken = HashSet::new();
     for (name, camera, photo) in jobs {
-        let mut file = file_name(name);
-        while !taken.insert(file.clone()) {
-            // Two views whose names differ only in folder or ending.
-            file = file
-                .with_extension("")
-                .with_extension(format!("{}.png", taken.len()));
-        }
+        let file = free_name(&mut taken, &file_stem(name));
         let path = args.output.join(&file);
         let (w, h) = (camera.width, camera.height);
         let saved = match args.what {
             What::Depth => {
                 let (depths, step) = depths(loaded, camera, scale)?;
-                let name = file.to_string_lossy().into_owned();
-                written.steps.insert(name, step);
+                written.steps.insert(file, step);
                 let bytes: Vec<u8> = depths.iter().flat_map(|d| d.to_ne_bytes()).collect();
                 image::save_buffer(&path, &bytes, w, h, image::ColorType::L16)
             }
@@ -226,8 +220,23 @@ fn write_all(
     Ok(written)
 }
 
-fn file_name(view: &str) -> PathBuf {
-    let stem = Path::new(view).with_extension("");
+/// A name that no view before has, of two views whose names differ only in folder or ending.
+fn free_name(taken: &mut HashSet<String>, stem: &str) -> String {
+    let (mut file, mut number) = (format!("{stem}.png"), taken.len());
+    while !taken.insert(file.clone()) {
+        file = format!("{stem}.{number}.png");
+        number += 1;
+    }
+    file
+}
+
+/// A view's name without the ending of an image, as part of a file's.
+fn file_stem(view: &str) -> String {
+    let ending = Path::new(view).extension();
+    let stem = match ending.and_then(ImageFormat::from_extension) {
+        Some(_) => Path::new(view).with_extension(""),
+        None => PathBuf::from(view),
+    };
     let flat: String = stem
         .to_string_lossy()
         .chars()
@@ -236,7 +245,7 @@ fn file_name(view: &str) -> PathBuf {
             _ => '_',
         })
         .collect();
-    PathBuf::from(format!("{}.png", flat.trim_start_matches(['.', '_'])))
+    flat.trim_start_matches(['.', '_']).to_owned()
 }
 
 fn pixels(
@@ -286,4 +295,26 @@ fn depths(loaded: &mut Loaded, camera: &Camera, scale: f64) -> Result<(Vec<u16>,
     };
     let number = |d: f64| (d * scale / step).round() as u16;
     Ok((depths.into_iter().map(number).collect(), step))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{file_stem, free_name};
+    use std::collections::HashSet;
+
+    #[test]
+    fn every_view_has_a_file_of_its_own() {
+        let mut taken = HashSet::new();
+        let views = [
+            "shot.2.png",
+            "shot.jpg",
+            "shot.png",
+            "a/r.1",
+            "a/r.10",
+            "a_r.1.webp",
+        ];
+        let files = views.map(|view| free_name(&mut taken, &file_stem(view)));
+        let expected = ["shot.2", "shot", "shot.3", "a_r.1", "a_r.10", "a_r.1.5"];
+        assert_eq!(files, expected.map(|stem| format!("{stem}.png")));
+    }
 }

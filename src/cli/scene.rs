@@ -191,11 +191,17 @@ pub fn dataset(
         };
         let same = known.as_ref().is_none_or(|known| *known == found);
         if !same {
-            let what = format!(
-                "not the dataset that the run was trained on ({})",
-                record.dataset.path
-            );
-            let fix = "give that one, or --allow-different if the scene is the same";
+            let trained_on = Path::new(&record.dataset.path);
+            let (what, fix) = match path.canonicalize().is_ok_and(|path| path == trained_on) {
+                true => (
+                    "not as it was when the run was trained on it (a photo or a pose has come, gone or changed)".to_owned(),
+                    "restore it, or give --allow-different if the scene is the same",
+                ),
+                false => (
+                    format!("not the dataset that the run was trained on ({})", trained_on.display()),
+                    "give that one, or --allow-different if the scene is the same",
+                ),
+            };
             return Err(Error::input(path, what, fix));
         }
     }

@@ -6,7 +6,6 @@ use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
 use crate::cli::scene::{Loaded, PhotoOptions};
-use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::base::files;
@@ -228,7 +227,6 @@ impl<'a> Shots<'a> {
             Err(_) if optional && options.dataset.is_none() => return Ok(shots),
             path => path?,
         };
-        remove_unpacked_at_end(&path)?;
         if kind == Kind::Views {
             let data = scene::dataset(&path, record, how, Needed::HeldOut)?;
             shots.frame = data.frame;

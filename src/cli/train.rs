@@ -100,8 +100,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Outcome> {
     if args.progress == Form::Json {
         tell_objects();
     }
-    // Before the device: some drivers' compilers set handlers that end the process, and the first one set is the last to run.
-    let stop = stop_flag()?;
+    let stop = stop_flag();
     let Some(device) = ranks::open(&args.device)? else {
         return Ok(Outcome::Done);
     };
@@ -313,11 +312,18 @@ fn with_options(args: &TrainArgs, config: TrainConfig) -> Result<TrainConfig> {
 }
 
 /// Refuses a configuration with a list in the place of a table: its values would be taken by their order.
-fn are_tables(is_table: impl Fn(&str) -> bool) -> std::result::Result<(), String> {
-    let all = serde_json::to_value(TrainConfig::default()).map_err(|e| e.to_string())?;
-    let tables = all.as_object().into_iter().flatten();
-    let mut tables = tables.filter(|(_, value)| value.is_object());
-    match tables.find(|(key, _)| !is_table(key)) {
+fn check_tables(given: &serde_json::Value) -> std::result::Result<(), String> {
+    let default = serde_json::to_value(TrainConfig::default()).map_err(|e| e.to_string())?;
+    let (Some(given), Some(default)) = (given.as_object(), default.as_object()) else {
+        return Err("a table of options expected".to_owned());
+    };
+    let is_wrong = |key: &str, value: &serde_json::Value| match value.as_array() {
+        Some(list) if key == "lengths" => list.iter().any(serde_json::Value::is_array),
+        Some(_) => default.get(key).is_some_and(serde_json::Value::is_object),
+        None => false,
+    };
+    match given.iter().find(|(key, value)| is_wrong(key, value)) {
+        Some((key, _)) if key == "lengths" => Err("lengths: tables expected".to_owned()),
         Some((key, _)) => Err(format!("{key}: a table expected")),
         None => Ok(()),
     }
@@ -336,16 +342,14 @@ fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
     if file.extension().is_some_and(|e| e == "json") {
         let value: serde_json::Value = from_json(&text).map_err(wrong)?;
         let inner = value.get("config").cloned().unwrap_or(value);
-        if !inner.is_object() {
-            return Err(wrong("an object expected".to_owned()));
-        }
-        are_tables(|key| inner.get(key).is_none_or(serde_json::Value::is_object)).map_err(wrong)?;
+        check_tables(&inner).map_err(wrong)?;
         let long = LENGTHS.iter().any(|key| inner.get(key).is_some());
         return Ok((deserialize(inner).map_err(wrong)?, long));
     }
     let parse = |text| toml::Deserializer::parse(text).map_err(|e| wrong(e.to_string()));
     let table: toml::Table = deserialize(parse(&text)?).map_err(wrong)?;
-    are_tables(|key| table.get(key).is_none_or(toml::Value::is_table)).map_err(wrong)?;
+    let as_json = serde_json::to_value(&table).map_err(|e| wrong(e.to_string()))?;
+    check_tables(&as_json).map_err(wrong)?;
     let long = LENGTHS.iter().any(|key| table.contains_key(*key));
     Ok((deserialize(parse(&text)?).map_err(wrong)?, long))
 }

@@ -106,7 +106,7 @@ impl Scenery for Stage {
 
 /// Shows a scene in a browser until Ctrl-C.
 pub fn run(args: &ViewArgs, common: &Common) -> Result<Outcome> {
-    let stop = stop_flag()?;
+    let stop = stop_flag();
     let (file, record) = scene::locate(&args.scene)?;
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
     let door = Door::open("--port", args.port)?;

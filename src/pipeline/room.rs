@@ -60,6 +60,19 @@ pub(crate) fn restride<R: Real>(
     Ok(new)
 }
 
+/// Refuses Gaussians, with room for so many and so many f32 values each, that take more than the memory of a device, bytes.
+pub(crate) fn check_memory([rows, room, planes]: [usize; 3], memory: u64) -> Result<()> {
+    let needed = (planes * room * size_of::<f32>()) as u64;
+    if needed <= memory {
+        return Ok(());
+    }
+    let [needed, memory] = [needed, memory].map(|bytes| bytes as f64 / 1e9);
+    let what = format!(
+        "{rows} Gaussians take {needed:.1} GB on one device, which has {memory:.1} GB of memory"
+    );
+    Err(Error::numerics("gather", what))
+}
+
 /// Bytes that the largest array of the pairs of a view takes for each, rounded up.
 fn bytes_per_pair<R: Real>(tuning: &Tuning, gradients: bool) -> usize {
     let size = size_of::<R>();
@@ -195,10 +208,19 @@ pub(crate) fn image_planes<R: Real>(
 #[cfg(test)]
 mod tests {
     use super::{Load, ROUND, bytes_per_pair, pairs_within, photo_too_large, plane_bytes};
-    use super::{too_large, too_many};
+    use super::{check_memory, too_large, too_many};
     use crate::device::ImageSize;
     use crate::device::tuning::Tuning;
     use crate::pipeline::buffers::GaussianBuffers;
+
+    /// 59 planes and both moments of a million take 708 MB.
+    #[test]
+    fn a_scene_larger_than_the_memory_of_a_device_is_not_gathered() {
+        let check = |memory: u64| check_memory([1_000_000, 1_000_000, 177], memory);
+        check(708_000_000).unwrap();
+        let said = check(707_999_999).unwrap_err().to_string();
+        assert!(said.contains("1000000 Gaussians take 0.7 GB"), "{said}");
+    }
 
     #[test]
     fn a_buffer_that_is_too_large_says_how_many_gaussians_fit() {

@@ -19,8 +19,8 @@ const LATEST: f64 = 0.1;
 /// The same for the first forecast of a run without a budget, seconds.
 const LATEST_SECONDS: f64 = 20.0;
 
-/// Shortest time that a measurement on the CPU clock is of, seconds: its ends are off by a tick at most.
-const SHORTEST: f64 = 5.0 * CPU_TICK;
+/// Shortest time that a measurement on the CPU clock of one process is of, seconds: either end is cut to ticks, of the user's and the system's time.
+const SHORTEST: f64 = 8.0 * CPU_TICK;
 
 /// Largest number of iterations of a run that is extended: no more than its time.
 const MOST: u32 = u32::MAX / 4;
@@ -89,7 +89,7 @@ impl Pace {
         }
     }
 
-    /// True if lengths are those of another run: each from where that run had it, be it that it was resumed there with another.
+    /// True if lengths are those of another run.
     pub fn repeats(&self) -> bool {
         matches!(self, Self::Repeats(_))
     }

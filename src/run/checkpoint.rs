@@ -8,7 +8,7 @@
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -49,7 +49,7 @@ const ENTRY: &str = "mhsplat";
 
 const NOT_OURS: &str = "it was not written by mhsplat";
 
-/// What a safetensors file begins with, after its length, as far as it is read without the tensors.
+/// Beginning of a safetensors file after its length: all that is read without the tensors.
 #[derive(Deserialize)]
 struct Beginning {
     #[serde(rename = "__metadata__", default)]
@@ -249,8 +249,11 @@ pub fn read_config(run_dir: &Path) -> Result<TrainConfig> {
             .read_to_end(&mut data)?;
         Ok(data)
     };
-    let data = beginning().map_err(|_| none(&file))?;
     let text = |e: &dyn std::fmt::Display| damaged(&file, &e.to_string());
+    let data = beginning().map_err(|e| match e.kind() {
+        ErrorKind::UnexpectedEof => text(&e),
+        _ => none(&file),
+    })?;
     let beginning: Beginning = serde_json::from_slice(&data).map_err(|e| text(&e))?;
     let written = beginning
         .entries

@@ -104,6 +104,7 @@ impl Run {
                     let what = self.forecast.told(self.iterations(), left);
                     progress(&self.progress(Some(what)));
                 }
+                // A run that is repeated may have been resumed with another length anywhere.
                 if self.pace.repeats() || self.trainer.schedule().may_change(done) {
                     self.plan_length(done, all, &mut progress)?;
                 }

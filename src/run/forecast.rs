@@ -203,7 +203,7 @@ pub(super) struct Forecast {
 }
 
 impl Forecast {
-    /// A forecast for a run that begins or goes on, whose first measurement is made after the first of `times` at the latest, and none of less than the second, seconds; seconds per pixel
+    /// A forecast for a run that begins or goes on, whose first measurement is made after `latest` seconds at the latest, and is of `shortest` at least, as all are; seconds per pixel
     /// of a view's pictures, and ranks that share an iteration.
     pub fn new(
         trainer: &Trainer,

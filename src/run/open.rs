@@ -172,6 +172,7 @@ impl Run {
         let device = device.clone().with_tuning(saved.tuning);
         let smoothed = !saved.state.rows.filter.is_empty();
         config.validate()?;
+        let changed = extended.is_some() || config != saved.config;
         let (config, mut to_come) = go_on(config, done);
         if extended.is_some() {
             to_come.clear();
@@ -189,8 +190,8 @@ impl Run {
             lock,
         };
         let mut run = Self::open(dir, dataset, from, &device, clock)?;
-        if extended.is_some() {
-            // Who is killed before the next checkpoint goes on by the new length, too.
+        if changed {
+            // Who is killed before the next checkpoint goes on by the new length or budget, too.
             run.save(true, false)?;
         }
         Ok(run)
@@ -255,7 +256,7 @@ impl Run {
         let done = saved.as_ref().map(|saved| saved.state.iteration);
         let stepped = saved.as_ref().map(stepped);
         // The trainer's configuration: an extension has made it longer.
-        let sizes = sizes(&trainer, done.is_none(), extended.is_some());
+        let sizes = sizes(&trainer, done);
         let pace = Pace::new(&trainer.plan().config, to_come, sizes);
         let forecast = forecast(device, &trainer, evaluator.as_ref(), pace.budget())?;
         let clock = match &saved {
@@ -332,12 +333,15 @@ fn trainer(
 }
 
 /// The sizes of photos that a budget chooses from, the largest first: all where the run begins, no smaller ones than before where it goes on
-/// from its end, else that which it has. Photos that cannot be halved keep their size.
-fn sizes(trainer: &Trainer, begins: bool, extended: bool) -> Vec<TrainingSize> {
-    let now = trainer.plan().config.last_size();
+/// from its end, which it has had `done` iterations before, else that which it has. Photos that cannot be halved keep their size.
+fn sizes(trainer: &Trainer, done: Option<u32>) -> Vec<TrainingSize> {
+    let config = &trainer.plan().config;
+    let now = config.last_size();
+    let last = config.lengths.last().map(|length| length.from);
+    let from_its_end = config.extended() && last == done;
     let may_be = |size: &TrainingSize| match trainer.halves() {
-        true if begins => true,
-        true if extended => size.area() >= now.area(),
+        true if done.is_none() => true,
+        true if from_its_end => size.area() >= now.area(),
         _ => *size == now,
     };
     TrainingSize::ALL.into_iter().filter(may_be).collect()
@@ -354,7 +358,9 @@ fn forecast(
         // The end is to take no compiler's time, and not to fail for want of room.
         evaluator.warm_up()?;
     }
-    let times = [Budget::latest(budget), Budget::shortest(budget)];
+    // The clocks of all processes are added up.
+    let shortest = Budget::shortest(budget) * device.helpers().ranks() as f64;
+    let times = [Budget::latest(budget), shortest];
     // One device takes FLIP, while others that share the iterations wait.
     let ranks = match budget.is_some_and(|budget| budget.cpu) {
         true => 1,

@@ -5,7 +5,7 @@ use std::ops::Range;
 use crate::base::error::{Error, Result};
 use crate::device::{Array, Arrived, Device, PendingRead, Program};
 use crate::pipeline::buffers::{GaussianBuffers, GradientBlock};
-use crate::pipeline::room::{check_room, restride};
+use crate::pipeline::room::{check_memory, check_room, restride};
 use crate::pipeline::share::Share;
 use crate::pipeline::stage::edit;
 use crate::ranks::Part;
@@ -254,6 +254,13 @@ impl GaussianState {
             (&self.statistics, self.rows),
             (&self.gradients, if self.batched { planes } else { 0 }),
         ]
+    }
+
+    /// Refuses more Gaussians than a device has memory for, with what belongs to them.
+    pub fn check_memory(&self, device: &Device, rows: usize) -> Result<()> {
+        let planes = self.held().iter().map(|(_, planes)| planes).sum();
+        let room = GaussianBuffers::<f32>::grown_stride(rows);
+        check_memory([rows, room, planes], device.info().global_memory)
     }
 
     /// Makes room for `rows` Gaussians; the new ones are zero.

@@ -398,6 +398,10 @@ impl Trainer {
 
     /// Gathers the rows of all ranks on this device, if they are spread.
     pub(super) fn gather(&mut self) -> Result<()> {
+        if let Some(shard) = self.gaussians.scene.shard {
+            // Before anything is done that nothing goes on from: whoever looks at a page may ask for it.
+            self.gaussians.check_memory(&self.device, shard.all)?;
+        }
         let others = self.collect()?;
         let Some(shard) = self.gaussians.scene.shard else {
             return Ok(());

@@ -289,14 +289,19 @@ fn refused_values_name_their_option() {
     }
     // Lists would be taken by the order of their values.
     for (file, content, expected) in [
-        (&json, "[]", "an object expected"),
-        (&json, r#"{ "config": ["mcmc", 20] }"#, "an object expected"),
+        (&json, "[]", "a table of options expected"),
+        (
+            &json,
+            r#"{ "config": ["mcmc", 20] }"#,
+            "a table of options expected",
+        ),
         (
             &json,
             r#"{ "optimizer": [0.5] }"#,
             "optimizer: a table expected",
         ),
         (&toml, "optimizer = [0.5]", "optimizer: a table expected"),
+        (&toml, "lengths = [[10, 100]]", "lengths: tables expected"),
         (&toml, "[optimizer]\nepsilon = inf", "a finite epsilon > 0"),
     ] {
         fs::write(file, content).unwrap();

@@ -474,7 +474,7 @@ fn ctrl_c_leaves_a_checkpoint_that_resumes_to_the_same_scene() {
     // A shell sends one and the kernel another; `timeout` signals a process and then its group.
     for signal in [signal, signal, "-TERM"] {
         let killed = std::process::Command::new("kill")
-            .args([signal, &child.id().to_string()])
+            .args([signal, &child.id().to_string(), &child.id().to_string()])
             .status()
             .unwrap();
         assert!(killed.success());

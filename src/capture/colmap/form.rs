@@ -67,7 +67,7 @@ pub(super) fn records<T>(
         return Ok(records);
     }
     let text = std::str::from_utf8(&bytes).map_err(|_| bad("not UTF-8 text".into()))?;
-    let mut lines = text.lines().enumerate();
+    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate();
     while let Some((i, line)) = lines.next() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {

@@ -51,7 +51,7 @@ pub fn run(args: &ExperimentArgs, common: &Common) -> Result<Outcome> {
     if args.dry_run {
         return list(&experiment, common.json);
     }
-    let stop = crate::cli::signals::stop_flag()?;
+    let stop = crate::cli::signals::stop_flag();
     let mut processes = Processes {
         device: args.device.selector(),
         threads: args.device.threads(),

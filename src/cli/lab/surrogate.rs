@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::lab::Form;
-use crate::cli::signals::remove_unpacked_at_end;
 use crate::cli::{output, scene};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::Needed;
@@ -65,7 +64,6 @@ pub fn run(args: &SurrogateArgs, common: &Common) -> Result<Outcome> {
         ));
     }
     let path = scene::dataset_path(args.dataset.as_deref(), Some(&record), "give it")?;
-    remove_unpacked_at_end(&path)?;
     let dataset = scene::dataset(
         &path,
         Some(&record),

@@ -140,7 +140,12 @@ pub fn values<'a>(name: &str, runs: impl IntoIterator<Item = &'a Loaded>) -> Vec
 
 /// Facts that differ between groups or within one.
 fn differences(groups: &[Group]) -> Vec<Difference> {
-    let names = groups[0].runs[0].facts.iter().map(|f| f.0.as_str());
+    let mut names = Vec::new();
+    for (name, _) in groups.iter().flat_map(|g| &g.runs).flat_map(|r| &r.facts) {
+        if !names.contains(&name.as_str()) {
+            names.push(name.as_str());
+        }
+    }
     let shown = |name: &&str| {
         *name == "seed" || values(name, groups.iter().flat_map(|g| &g.runs)).len() > 1
     };
@@ -151,7 +156,7 @@ fn differences(groups: &[Group]) -> Vec<Difference> {
             .map(|g| values(name, &g.runs).join("; "))
             .collect(),
     };
-    names.filter(shown).map(row).collect()
+    names.into_iter().filter(shown).map(row).collect()
 }
 
 /// Caveats of the groups: settings mixed under one name, and other seeds, machines or numbers of Gaussians than the reference has.

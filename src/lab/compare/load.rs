@@ -209,7 +209,11 @@ fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
     }
     let record = RunRecord::read(dir)?;
     let rows = read_rows::<MetricsRow>(dir.join(METRICS_FILE))?;
-    let rows: Vec<_> = rows.into_iter().filter(|r| r.psnr.is_some()).collect();
+    let mut rows: Vec<_> = rows.into_iter().filter(|r| r.psnr.is_some()).collect();
+    // Those that are removed at the end were trained.
+    if let Some(last) = rows.last_mut().filter(|_| finished(&record)) {
+        last.gaussians += record.removed;
+    }
     let name = dir.display().to_string();
     let Some(last) = rows.last().copied() else {
         let why = match record.dataset.test_views {
@@ -233,10 +237,7 @@ fn load(source: &Source, warnings: &mut Vec<String>) -> Result<Option<Loaded>> {
         group: source.group.clone(),
         seed: record.seed,
         finished,
-        last: MetricsRow {
-            gaussians: last.gaussians + record.removed,
-            ..last
-        },
+        last,
         flip: scores.and_then(|f| f.mean.flip),
         facts: facts(&record),
         record,

@@ -173,6 +173,7 @@ impl Drive<'_> {
                 Err(Error::Interrupted) => return Err(Error::Interrupted),
                 Err(error) => {
                     let (name, why) = (run.dir.display().to_string(), error.to_string());
+                    let why = why.trim_start_matches(&format!("{name}: ")).to_owned();
                     (self.note)(&format!("{name}: failed: {why}"));
                     self.outcome.failed.push((name, why));
                 }
@@ -228,12 +229,12 @@ impl Drive<'_> {
                 "run `mhsplat train` on it by hand to see why",
             );
         };
-        let psnr = record
-            .final_scores
-            .as_ref()
-            .map_or(f64::NAN, |f| f.mean.psnr);
+        let psnr = record.final_scores.as_ref().map_or_else(
+            || "no held-out view".to_owned(),
+            |f| format!("{:.2} dB", f.mean.psnr),
+        );
         (self.note)(&format!(
-            "    {psnr:.2} dB, {} Gaussians, {:.0} s ({:.0} CPU s)",
+            "    {psnr}, {} Gaussians, {:.0} s ({:.0} CPU s)",
             record.gaussians, record.train_seconds, record.cpu_seconds
         ));
         Ok(())

@@ -200,6 +200,14 @@ fn folder(name: &str) -> Parsed<()> {
             "name {name:?}; letters, digits and -_.+ expected, for it names a folder"
         ));
     }
+    if ["html", "json", "toml"]
+        .iter()
+        .any(|ending| name.ends_with(&format!(".{ending}")))
+    {
+        return Err(format!(
+            "name {name:?}; files with such an ending are written beside its folder"
+        ));
+    }
     Ok(())
 }
 

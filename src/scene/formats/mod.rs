@@ -32,6 +32,9 @@ use crate::config::SceneFormat;
 pub use crate::scene::formats::scene_file::{Contents, SceneFile};
 use crate::scene::formats::spz::Packing;
 
+/// Share of the scene's extent, a radius of the cameras: half a pixel of a photo of 2000 that shows it.
+const COARSE: f64 = 2.5e-4;
+
 /// Endings of formats, those within others first.
 const ENDINGS: [(&str, SceneFormat); 6] = [
     (".compressed.ply", SceneFormat::CompressedPly),
@@ -154,8 +157,10 @@ pub fn write(
     scene: &SceneFile,
     frame: &Frame,
 ) -> Result<Vec<String>> {
+    let far = rounded(frame);
     if format == SceneFormat::Ply {
-        return ply::write_scene(path, scene, frame).map(|()| Vec::new());
+        ply::write_scene(path, scene, frame)?;
+        return Ok(far.into_iter().collect());
     }
     let scene = SceneFile {
         splats: scene_file::in_dataset(&scene.splats, frame)?,
@@ -172,5 +177,40 @@ pub fn write(
         }
     };
     files::write_bytes(path, &bytes)?;
-    Ok(remarks)
+    Ok(far.into_iter().chain(remarks).collect())
+}
+
+/// A remark where the dataset's coordinates are so large that positions in f32 lose more than [`COARSE`] of the scene's extent.
+fn rounded(frame: &Frame) -> Option<String> {
+    let largest = frame.center.abs().max_element();
+    let step = largest.log2().floor().exp2() * f64::from(f32::EPSILON);
+    (step > COARSE * frame.scale).then(|| {
+        format!(
+            "warning: positions are rounded to {step:.2e} units, {:.1e} of the scene's extent, because the dataset lies {largest:.1e} units from its origin: \
+             what is written looks worse than what was trained; shift the dataset's cameras and points towards the origin",
+            step / frame.scale
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::rounded;
+    use crate::capture::Frame;
+
+    #[test]
+    fn coordinates_far_from_the_origin_are_told() {
+        let at = |x: f64| {
+            let mut frame = Frame::IDENTITY;
+            (frame.center.x, frame.scale) = (x, 5.0);
+            rounded(&frame)
+        };
+        assert_eq!((at(0.0), at(-1000.0)), (None, None));
+        // UTM.
+        let said = at(-5_428_000.0).unwrap();
+        assert!(
+            said.contains("5.00e-1 units, 1.0e-1 of the scene's extent"),
+            "{said}"
+        );
+    }
 }
