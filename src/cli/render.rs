@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashSet};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use clap::ValueEnum;
 use image::ImageFormat;
@@ -12,7 +12,7 @@ use serde_json::json;
 use crate::cli::common::{Common, DeviceOption, Outcome};
 use crate::cli::scene::Loaded;
 use crate::cli::shots::{Job, ShotOptions, Shots};
-use crate::cli::{output, scene};
+use crate::cli::{output, scene, signals};
 use mhsplat::base::error::{Error, Result};
 use mhsplat::base::files;
 use mhsplat::capture::{Camera, PhotoSource};
@@ -170,7 +170,9 @@ fn encode(folder: &Path, pattern: &str, fps: u32, file: &Path) -> Result<()> {
     // Players want even sizes and this form of colour.
     let even = "pad=ceil(iw/2)*2:ceil(ih/2)*2,format=yuv420p";
     command.args(["-vf", even]).arg(&partial);
-    let ended = command.stdin(Stdio::null()).output();
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    let child = signals::spawn(command.stderr(Stdio::piped()));
+    let ended = child.and_then(Child::wait_with_output);
     let ended = ended.map_err(|e| Error::io("ffmpeg", e))?;
     if !ended.status.success() {
         let _ = std::fs::remove_file(&partial);

@@ -192,7 +192,8 @@ pub fn dataset(
         let same = known.as_ref().is_none_or(|known| *known == found);
         if !same {
             let trained_on = Path::new(&record.dataset.path);
-            let (what, fix) = match path.canonicalize().is_ok_and(|path| path == trained_on) {
+            let same = |path: &Path| path.canonicalize().ok();
+            let (what, fix) = match same(path).is_some() && same(path) == same(trained_on) {
                 true => (
                     "not as it was when the run was trained on it (a photo or a pose has come, gone or changed)".to_owned(),
                     "restore it, or give --allow-different if the scene is the same",

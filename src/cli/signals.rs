@@ -1,5 +1,6 @@
 //! Signals that end a command in order.
 
+use std::process::{Child, Command};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -20,9 +21,14 @@ static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 /// the process. The first signal ends the program, without its temporary folders, or sets the flag of a command that
 /// [has one](stop_flag); then a Ctrl-C or SIGTERM half a second later ends it.
 pub fn begin() -> Result<()> {
-    let failed = |error| Error::io("signals", error);
+    let failed = |error| {
+        let fix = "raise the limit on processes (ulimit -u, or the container's)";
+        Error::device("threads", format!("none can be made ({error})"), fix)
+    };
     let signals: SigSet = handled().collect();
-    signals.thread_block().map_err(|e| failed(e.into()))?;
+    signals
+        .thread_block()
+        .map_err(|e| Error::io("signals", e.into()))?;
     let thread = std::thread::Builder::new().spawn(move || wait(&signals));
     thread.map(drop).map_err(failed)
 }
@@ -43,6 +49,15 @@ fn wait(signals: &SigSet) {
             signal_hook::low_level::exit(130);
         }
     }
+}
+
+/// Spawns a process that takes signals: it has those blocked that the thread has which spawns it.
+pub fn spawn(command: &mut Command) -> std::io::Result<Child> {
+    let signals: SigSet = handled().collect();
+    signals.thread_unblock()?;
+    let child = command.spawn();
+    signals.thread_block()?;
+    child
 }
 
 /// Returns the flag that the first signal sets from now on, in place of ending the program.

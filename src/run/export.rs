@@ -35,7 +35,7 @@ impl Exports {
             views,
             listed,
             pictured: None,
-            remarks: Vec::new(),
+            remarks: formats::rounded(&dataset.frame).into_iter().collect(),
         }
     }
 

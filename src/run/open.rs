@@ -337,8 +337,13 @@ fn trainer(
 fn sizes(trainer: &Trainer, done: Option<u32>) -> Vec<TrainingSize> {
     let config = &trainer.plan().config;
     let now = config.last_size();
-    let last = config.lengths.last().map(|length| length.from);
-    let from_its_end = config.extended() && last == done;
+    let from_its_end = match config.lengths.split_last() {
+        Some((last, before)) => {
+            let end = before.last().map_or(config.iterations, |l| l.iterations);
+            Some(last.from) == done && last.from >= end
+        }
+        None => false,
+    };
     let may_be = |size: &TrainingSize| match trainer.halves() {
         true if done.is_none() => true,
         true if from_its_end => size.area() >= now.area(),

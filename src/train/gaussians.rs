@@ -258,6 +258,9 @@ impl GaussianState {
 
     /// Refuses more Gaussians than a device has memory for, with what belongs to them.
     pub fn check_memory(&self, device: &Device, rows: usize) -> Result<()> {
+        if rows <= self.scene.stride {
+            return Ok(());
+        }
         let planes = self.held().iter().map(|(_, planes)| planes).sum();
         let room = GaussianBuffers::<f32>::grown_stride(rows);
         check_memory([rows, room, planes], device.info().global_memory)

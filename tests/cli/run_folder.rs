@@ -472,13 +472,10 @@ fn ctrl_c_leaves_a_checkpoint_that_resumes_to_the_same_scene() {
         _ => "-INT",
     };
     // A shell sends one and the kernel another; `timeout` signals a process and then its group.
-    for signal in [signal, signal, "-TERM"] {
-        let killed = std::process::Command::new("kill")
-            .args([signal, &child.id().to_string(), &child.id().to_string()])
-            .status()
-            .unwrap();
-        assert!(killed.success());
-    }
+    let id = child.id();
+    let all = format!("kill {signal} {id}; kill {signal} {id}; kill -TERM {id}");
+    let killed = std::process::Command::new("sh").args(["-c", &all]).status();
+    assert!(killed.unwrap().success());
     assert_eq!(child.wait().unwrap().code(), Some(130));
     for file in ["scene.html", "report.html"] {
         assert!(cut.join(file).is_file(), "{file}");
@@ -530,4 +527,31 @@ fn a_missed_bar_is_1_and_a_time_budget_ends_the_run() {
     let record = json(&super::stdout(&output));
     assert!(record["iterations"].as_u64() < Some(30_000));
     assert!(run.join("scene.ply").exists());
+}
+
+/// UTM coordinates: the scores of a run are of a scene that its file cannot hold.
+#[test]
+fn what_lies_far_from_the_origin_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let utm = glam::DVec3::new(458_000.0, 5_428_000.0, 110.0);
+    for (middle, told) in [(glam::DVec3::ZERO, false), (utm, true)] {
+        let data = crate::dataset::colmap_scene(9, middle, true);
+        let run = dir.path().join(told.to_string());
+        let args = [
+            "train",
+            text(data.path()),
+            "-o",
+            text(&run),
+            "--iterations",
+            "20",
+        ];
+        let output = mhsplat(&args);
+        let said = stderr(&output);
+        assert!(output.status.success(), "{said}");
+        assert_eq!(
+            said.matches("positions are rounded").count(),
+            usize::from(told),
+            "{said}"
+        );
+    }
 }

@@ -200,7 +200,7 @@ fn folder(name: &str) -> Parsed<()> {
             "name {name:?}; letters, digits and -_.+ expected, for it names a folder"
         ));
     }
-    if ["html", "json", "toml"]
+    if ["html", "json", "md", "toml"]
         .iter()
         .any(|ending| name.ends_with(&format!(".{ending}")))
     {

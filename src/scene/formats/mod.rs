@@ -157,10 +157,8 @@ pub fn write(
     scene: &SceneFile,
     frame: &Frame,
 ) -> Result<Vec<String>> {
-    let far = rounded(frame);
     if format == SceneFormat::Ply {
-        ply::write_scene(path, scene, frame)?;
-        return Ok(far.into_iter().collect());
+        return ply::write_scene(path, scene, frame).map(|()| Vec::new());
     }
     let scene = SceneFile {
         splats: scene_file::in_dataset(&scene.splats, frame)?,
@@ -177,11 +175,11 @@ pub fn write(
         }
     };
     files::write_bytes(path, &bytes)?;
-    Ok(far.into_iter().chain(remarks).collect())
+    Ok(remarks)
 }
 
 /// A remark where the dataset's coordinates are so large that positions in f32 lose more than [`COARSE`] of the scene's extent.
-fn rounded(frame: &Frame) -> Option<String> {
+pub(crate) fn rounded(frame: &Frame) -> Option<String> {
     let largest = frame.center.abs().max_element();
     let step = largest.log2().floor().exp2() * f64::from(f32::EPSILON);
     (step > COARSE * frame.scale).then(|| {
