@@ -34,6 +34,26 @@ fn cameras_arrive_where_they_were_put() {
     }
 }
 
+/// Some programs write one line for each image: none of them is lost, nor one whose name looks like numbers.
+#[test]
+fn images_need_no_lines_of_observations() {
+    let dir = colmap_scene(9, DVec3::ZERO, false);
+    let file = dir.path().join("sparse/0/images.txt");
+    let text = fs::read_to_string(&file).unwrap();
+    let images: Vec<&str> = text.lines().filter(|line| !line.is_empty()).collect();
+    let seen = "\n12.5 7 -1 3.25 4 17\n";
+    for between in ["\n", "\n\n", seen, "\n\n# an image\n"] {
+        fs::write(&file, images.join(between)).unwrap();
+        let data = load_every(dir.path(), 0).unwrap();
+        assert_eq!(data.train.len(), 9, "{between:?}");
+        assert_eq!(data.remarks, Vec::<String>::new(), "{between:?}");
+    }
+    let named = "1 1 0 0 0 0 0 0 1 20 31 4.jpg\n".repeat(2);
+    fs::write(&file, named).unwrap();
+    let model = ColmapModel::read(&dir.path().join("sparse/0"), false).unwrap();
+    assert_eq!(model.images.len(), 2);
+}
+
 #[test]
 fn every_truncation_is_an_error() {
     let dir = tempfile::tempdir().unwrap();

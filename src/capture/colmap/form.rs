@@ -25,8 +25,14 @@ pub(super) struct Fields<'a> {
     place: String,
 }
 
+/// True for a line of an image's observations in a text file: X, Y and POINT3D_ID of each, or nothing.
+pub(super) fn is_observations(line: &str) -> bool {
+    let mut words = line.split_ascii_whitespace();
+    words.clone().count().is_multiple_of(3) && words.all(|word| word.parse::<f64>().is_ok())
+}
+
 /// All records of a file. `what` names one of them, `least` is the smallest size of a binary one in bytes; `paired` records of
-/// text files end with a line of their own, empty or not, that is skipped (an image's observations).
+/// text files end with a line of [observations](is_observations), which is skipped; some programs leave it out.
 ///
 /// # Errors
 /// A missing, truncated or overlong file, and what `read` refuses.
@@ -67,7 +73,8 @@ pub(super) fn records<T>(
         return Ok(records);
     }
     let text = std::str::from_utf8(&bytes).map_err(|_| bad("not UTF-8 text".into()))?;
-    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate();
+    let text = text.trim_start_matches('\u{feff}');
+    let mut lines = text.lines().enumerate().peekable();
     while let Some((i, line)) = lines.next() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
@@ -77,7 +84,7 @@ pub(super) fn records<T>(
         fields.place = format!("line {}", i + 1);
         records.push(read(&mut fields)?);
         if paired {
-            lines.next();
+            lines.next_if(|(_, line)| is_observations(line));
         }
     }
     Ok(records)

@@ -4,6 +4,7 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
+use crate::capture::colmap::form::is_observations;
 use crate::capture::dataset::Layout;
 use crate::capture::endings::is_photo;
 use crate::capture::images::short;
@@ -111,16 +112,16 @@ fn images_bin(file: &Path) -> Option<u64> {
     Some(u64::from_le_bytes(count))
 }
 
-/// Number of images of a text file, which has two lines for each.
+/// Number of images of a text file, in which a line of observations follows that of each unless it is left out.
 fn images_txt(file: &Path) -> Option<u64> {
     let file = file.is_file().then(|| fs::File::open(file).ok())??;
-    let mut lines = BufReader::new(file).lines().map_while(Result::ok);
-    let mut images = 0;
+    let lines = BufReader::new(file).lines().map_while(Result::ok);
+    let (mut lines, mut images) = (lines.peekable(), 0);
     while let Some(line) = lines.next() {
         let line = line.trim();
         if !line.is_empty() && !line.starts_with('#') {
             images += 1;
-            lines.next();
+            lines.next_if(|line| is_observations(line));
         }
     }
     Some(images)
