@@ -116,6 +116,18 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).map_err(|source| Error::io(path, source))
 }
 
+/// The bytes of a text file, without the byte-order mark that some programs on Windows begin one with.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_text(path: &Path) -> Result<Vec<u8>> {
+    let mut bytes = read(path)?;
+    if bytes.starts_with(b"\xef\xbb\xbf") {
+        bytes.drain(..3);
+    }
+    Ok(bytes)
+}
+
 /// Writes bytes atomically.
 ///
 /// # Errors

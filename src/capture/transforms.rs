@@ -136,13 +136,21 @@ pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<Raw
 
 /// The content of one file.
 fn read(file: &Path) -> Result<File> {
-    let text = crate::base::files::read(file)?;
-    // Some programs on Windows begin text with a byte-order mark.
-    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
-    serde_json::from_slice(text).map_err(|e| {
+    let text = crate::base::files::read_text(file)?;
+    let mut parsed: File = serde_json::from_slice(&text).map_err(|e| {
         let fix = "a list `frames` with `file_path` and a 4×4 `transform_matrix` each is expected";
         Error::input(file, e.to_string(), fix)
-    })
+    })?;
+    let root = file.parent().unwrap_or(file);
+    let frames = parsed.frames.iter_mut();
+    let named = frames.flat_map(|f| [Some(&mut f.file_path), f.mask_path.as_mut()]);
+    for path in named.chain([parsed.ply_file_path.as_mut()]).flatten() {
+        // Some programs on Windows write another sign between folders.
+        if path.contains('\\') && !root.join(&*path).exists() {
+            *path = path.replace('\\', "/");
+        }
+    }
+    Ok(parsed)
 }
 
 /// The views of one file in a folder, with their images; names of images that are not there are added to `missing`. `resized` if the

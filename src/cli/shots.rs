@@ -393,7 +393,7 @@ fn unit(name: &str, up: DVec3) -> Result<DVec3> {
 }
 
 fn read_path(file: &Path) -> Result<PathFile> {
-    let bytes = files::read(file)?;
+    let bytes = files::read_text(file)?;
     let text = String::from_utf8_lossy(&bytes);
     from_json(&text).map_err(|what| {
         let fix = "see docs/guide/viewing.md for the keys: keyframes of position, look_at or rotation, fov and time";

@@ -332,6 +332,7 @@ fn check_tables(given: &serde_json::Value) -> std::result::Result<(), String> {
 /// Returns the configuration of a file, and true if that says how long the run is.
 fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
     let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
+    let text = text.trim_start_matches('\u{feff}').to_owned();
     let wrong = |what: String| {
         Error::input(
             file,

@@ -11,6 +11,9 @@ use crate::config::values::{Background, Init, parse_bytes, parse_duration};
 use crate::config::values::{image_budget, time_budget};
 use crate::config::work::WorkConfig;
 
+/// Iterations that the papers' schedules are written for.
+pub(crate) const PAPER_ITERATIONS: f64 = 30_000.0;
+
 /// Heading of the options in `--help` that a resumed run may change; the others are those of its checkpoint.
 pub const RUN_CONTROL: &str = "Run control (may change with --resume)";
 

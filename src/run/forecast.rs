@@ -5,10 +5,9 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::chart::text::{about, grouped};
-use crate::config::{Preset, TrainConfig, TrainingSize};
+use crate::config::{Init, Preset, TrainConfig, TrainingSize};
 use crate::density::Expected;
 use crate::evaluate::Evaluator;
-use crate::run::first::{First, GROWN};
 use crate::run::report::gallery::{GALLERY_VIEWS, data_uri, error_map};
 use crate::run::report::training::{SHOWN, VIEWS};
 use crate::train::Trainer;
@@ -28,8 +27,11 @@ const MEASUREMENTS: u32 = 50;
 const BESIDE_PIXELS: f64 = 20_000.0;
 const PIXEL_POWER: f64 = 0.7;
 
-/// Parts of a run of a cost each, at most, until the share [`GROWN`].
-const PARTS: f64 = 50.0;
+/// Share of a run in which its first Gaussians are about all that there are, and cost of an iteration of later ones over that of these: sparse
+/// points are faint and far apart, random ones large. Of eleven runs 1.4 to 1.9 and 0.5 to 0.7 (docs/results/budgets.md).
+const BEGINNING: f64 = 1.0 / 12.0;
+const AFTER_POINTS: f64 = 1.6;
+const AFTER_RANDOM: f64 = 0.62;
 
 /// Mean cost of an iteration at full size over that of the last one: Gaussians die towards the end.
 const MEAN_COST: f64 = 1.05;
@@ -59,6 +61,11 @@ const PROBE: usize = 192;
 
 /// Iterations done at density steps to come, and the number of Gaussians expected after each; `None` if nothing is expected of them.
 type Steps = Option<Vec<(u32, f64)>>;
+
+/// True in the [`BEGINNING`] of a run of a length.
+fn begins(done: u32, length: u32) -> bool {
+    f64::from(done) < BEGINNING * f64::from(length)
+}
 
 /// Cost of an iteration of one Gaussian and so many pixels.
 fn pixel_cost(pixels: f64) -> f64 {
@@ -150,7 +157,10 @@ impl Made {
 pub(super) struct Forecast {
     /// Numbers of Gaussians to come; `None` if they stay as many.
     growth: Option<Growth>,
-    pub(super) first: First,
+    /// Cost of later iterations over that of those in the [`BEGINNING`].
+    later: f64,
+    /// True in the [`BEGINNING`], which no other length brings back.
+    begins: bool,
     /// Iterations done at the last density step, or where the run began or went on, and the set since then.
     since: (u32, Expected),
     /// Density steps to come of a run of a length; `None` if they are to be foreseen anew.
@@ -179,13 +189,12 @@ pub(super) struct Forecast {
     /// Shortest time that a measurement is of, seconds.
     pub(super) shortest: f64,
     every: Every,
-    /// Length of the run.
-    length: u32,
-    /// Seconds of an iteration of cost 1 but for the run's beginning, and the iteration they were measured at; `None` before the first
-    /// measurement.
-    unit: Option<(f64, f64)>,
+    /// Seconds of an iteration of cost 1; `None` before the first measurement.
+    unit: Option<f64>,
     /// Iterations, seconds and Gaussians where the present measurement began.
     mark: Option<(u32, f64, f64)>,
+    /// True if what has been measured is of the [`BEGINNING`], which is over.
+    stale: bool,
     /// Number of measurements.
     measured: u32,
     evaluations: Spent,
@@ -229,7 +238,12 @@ impl Forecast {
         );
         Self {
             growth: Some(growth),
-            first: First::of(plan),
+            later: match config.init {
+                _ if plan.random_start => AFTER_RANDOM,
+                Init::Points => AFTER_POINTS,
+                _ => 1.0,
+            },
+            begins: begins(done, config.iterations_at(done.saturating_sub(1))),
             since: (
                 done,
                 Expected {
@@ -274,7 +288,8 @@ impl Forecast {
     ) -> Self {
         Self {
             growth: None,
-            first: First::Trained,
+            later: 1.0,
+            begins: true,
             since: (
                 0,
                 Expected {
@@ -296,9 +311,9 @@ impl Forecast {
             latest,
             shortest: 0.0,
             every,
-            length: 1,
             unit: None,
             mark: None,
+            stale: false,
             measured: 0,
             evaluations: Spent::default(),
             exports: Spent::default(),
@@ -311,7 +326,6 @@ impl Forecast {
         if self.ahead.as_ref().is_none_or(|(of, _)| *of != length) {
             self.ahead = Some((length, self.steps(length)));
         }
-        self.length = length;
         let mark = Some((done, seconds, gaussians));
         let Some((before, then, fewer)) = self.mark else {
             // What came before, reading photos and building kernels, is no cost of iterations.
@@ -321,13 +335,17 @@ impl Forecast {
         let reached = self.reached;
         let halvings = |at: u32| self.sizes.halvings(at, length).min(reached);
         self.reached = halvings(done);
-        if halvings(before) != self.reached {
+        let over = self.begins && !begins(done, length);
+        if over {
+            (self.begins, self.stale) = (false, true);
+        }
+        if over || halvings(before) != self.reached {
             self.mark = mark;
             return;
         }
         // Where an iteration takes seconds there is no time for so many.
         let late = self.unit.is_none() && seconds - then >= self.latest;
-        let enough = match self.unit.is_none() {
+        let enough = match self.unit.is_none() || self.stale {
             true => FIRST,
             false => (length / MEASUREMENTS).max(1),
         };
@@ -336,14 +354,14 @@ impl Forecast {
             return;
         }
         let each = self.cost(self.reached, 0.5 * (fewer + gaussians));
-        let at = 0.5 * (f64::from(before) + f64::from(done));
-        let unit = (seconds - then).max(1e-9) / (f64::from(done - before) * each);
+        let later = if self.begins { self.later } else { 1.0 };
+        let unit = later * (seconds - then).max(1e-9) / (f64::from(done - before) * each);
         // The geometric mean with the one before: a window is short, and other programs run beside it.
-        let unit = match self.later_unit(length) {
-            Some(old) => (old * self.early(at, length) * unit).sqrt(),
-            None => unit,
-        };
-        self.unit = Some((unit, at));
+        self.unit = Some(match self.unit {
+            Some(old) if !self.stale => (old * unit).sqrt(),
+            _ => unit,
+        });
+        self.stale = false;
         self.measured += 1;
         self.mark = mark;
     }
@@ -433,7 +451,7 @@ impl Forecast {
 
     /// Seconds from `done` iterations to the very end of a run of `length`; `None` before the first measurement.
     pub fn left(&self, done: u32, length: u32) -> Option<f64> {
-        let unit = self.later_unit(length)?;
+        let unit = self.unit?;
         let n = self.since.1.gaussians;
         let other;
         let steps = match &self.ahead {
@@ -449,12 +467,12 @@ impl Forecast {
         let rest = length.saturating_sub(done);
         let times = |every: u32| f64::from(rest.checked_div(every).unwrap_or(0));
         let every = self.every.evaluation.unwrap_or((length / 20).max(1));
-        let mut evaluations = times(every) * self.evaluation(unit, last);
+        let mut evaluations = times(every) * self.evaluation(last)?;
         if self.every.made != Made::All {
             evaluations = evaluations.min(EVALUATIONS * iterations);
         }
         let checkpoints = times(self.every.checkpoint) * self.checkpoints.mean().unwrap_or(0.0);
-        Some(iterations + evaluations + checkpoints + self.ending(unit, last))
+        Some(iterations + evaluations + checkpoints + self.ending(last)?)
     }
 
     /// Density steps to come of a run of `length`.
@@ -465,24 +483,12 @@ impl Forecast {
 
     /// Seconds from the last iteration to the end, if that comes with the Gaussians of now. `None` as [`Forecast::left`].
     pub fn end(&self) -> Option<f64> {
-        let unit = self.later_unit(self.length)?;
-        Some(self.ending(unit, self.since.1.gaussians))
-    }
-
-    /// Seconds of an iteration of cost 1 after the beginning of a run of a length; `None` before the first measurement.
-    fn later_unit(&self, length: u32) -> Option<f64> {
-        let (unit, at) = self.unit?;
-        Some(unit / self.early(at, length))
-    }
-
-    /// Cost at an iteration of a run of a length over that of a later one of as many Gaussians.
-    fn early(&self, at: f64, length: u32) -> f64 {
-        self.first.cost(at / f64::from(length.max(1)))
+        self.ending(self.since.1.gaussians)
     }
 
     /// Seconds from the last iteration to the end with so many Gaussians: views are shown and scored, files are written.
-    fn ending(&self, unit: f64, gaussians: f64) -> f64 {
-        let last = unit * self.cost_at_end(gaussians);
+    fn ending(&self, gaussians: f64) -> Option<f64> {
+        let last = self.unit? * self.cost_at_end(gaussians);
         let (views, pixels) = self.scored;
         // Views with pictures are rendered and scored once more.
         let pictured = [views.min(GALLERY_VIEWS), self.pictured];
@@ -492,13 +498,13 @@ impl Forecast {
         let shown = pictured[0] as f64 * held_out + pictured[1] as f64 * self.pixels;
         let saved = self.checkpoints.mean().unwrap_or(0.0);
         let host = PICTURES * self.pictures * shown + saved + FILES;
-        last * rendered + self.evaluation(unit, gaussians) + host
+        Some(last * rendered + self.evaluation(gaussians)? + host)
     }
 
     /// Seconds of an evaluation on the way with so many Gaussians.
-    fn evaluation(&self, unit: f64, gaussians: f64) -> f64 {
-        let guess = SCORED * unit * self.cost_at_end(gaussians) * self.scored.0 as f64;
-        self.evaluations.mean().unwrap_or(guess)
+    fn evaluation(&self, gaussians: f64) -> Option<f64> {
+        let guess = SCORED * self.unit? * self.cost_at_end(gaussians) * self.scored.0 as f64;
+        Some(self.evaluations.mean().unwrap_or(guess))
     }
 
     /// True if the evaluation that is due after `done` iterations of a run of `length` and so many seconds is to be made.
@@ -506,8 +512,8 @@ impl Forecast {
         match self.every.made {
             Made::All => true,
             Made::AsTimeAllows => {
-                let (unit, now) = (self.later_unit(length), self.since.1.gaussians);
-                let next = unit.map_or(0.0, |unit| self.evaluation(unit, now));
+                let now = self.since.1.gaussians;
+                let next = self.evaluation(now).unwrap_or(0.0);
                 self.evaluations.seconds + next <= EVALUATIONS * spent
             }
             Made::AsLengthAllows => {
@@ -549,10 +555,6 @@ impl Forecast {
         let ends: Vec<u32> = self.sizes.ends(length).collect();
         let mut edges = vec![from, to];
         edges.extend(ends.iter().chain(steps.iter().map(|(at, _)| at)));
-        let early = (1..)
-            .map(|k| f64::from(k) / PARTS)
-            .take_while(|share| *share <= GROWN);
-        edges.extend(early.map(|share| (share * f64::from(length)) as u32));
         edges.retain(|e| (from..=to).contains(e));
         edges.sort_unstable();
         let sizes = 0..=ends.len() as u32;
@@ -561,9 +563,7 @@ impl Forecast {
             let halvings = ends.iter().filter(|end| pair[0] < **end).count();
             let past = steps.partition_point(|(at, _)| *at <= pair[0]);
             let n = past.checked_sub(1).map_or(n, |last| steps[last].1);
-            let middle = 0.5 * (f64::from(pair[0]) + f64::from(pair[1]));
-            let cost = self.early(middle, length) * costs[halvings] * n.max(1.0).sqrt();
-            f64::from(pair[1] - pair[0]) * cost
+            f64::from(pair[1] - pair[0]) * costs[halvings] * n.max(1.0).sqrt()
         };
         edges.windows(2).map(piece).sum()
     }

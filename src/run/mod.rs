@@ -21,7 +21,6 @@ pub mod clock;
 pub mod density_trace;
 mod drive;
 mod export;
-mod first;
 mod forecast;
 pub mod live;
 mod open;

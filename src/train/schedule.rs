@@ -1,13 +1,11 @@
 //! Schedules of a run: pure functions of the configuration and the iteration. Learning rates decay here.
 
 use crate::base::rng::{Philox, Stream};
+use crate::config::PAPER_ITERATIONS;
 use crate::config::{Background, ExposureChoice, Length, TrainConfig, TrainingSize};
 use crate::device::PhotoScale;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::train::sizes::Sizes;
-
-/// Iterations that the papers' schedules are written for.
-const PAPER_ITERATIONS: f64 = 30_000.0;
 
 /// Largest factor on the learning rates of a short run.
 const MAX_BOOST: f64 = 4.0;

@@ -192,7 +192,7 @@ fn runs_are_filmed() {
         { "position": [0, 0, 0], "look_at": [1, 0, 0] },
         { "position": [0.1, 0, 0], "rotation": [1, 0, 0, 0], "time": 0.5, "fov": 50 },
     ]});
-    fs::write(&file, keys.to_string()).unwrap();
+    fs::write(&file, format!("\u{feff}{keys}")).unwrap();
     let names = render(
         "keys",
         &["--path", text(&file), "--fps", "4", "--what", "depth"],

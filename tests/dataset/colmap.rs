@@ -40,7 +40,10 @@ fn images_need_no_lines_of_observations() {
     let dir = colmap_scene(9, DVec3::ZERO, false);
     let file = dir.path().join("sparse/0/images.txt");
     let text = fs::read_to_string(&file).unwrap();
-    let images: Vec<&str> = text.lines().filter(|line| !line.is_empty()).collect();
+    let images = text
+        .lines()
+        .filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let images: Vec<&str> = images.collect();
     let seen = "\n12.5 7 -1 3.25 4 17\n";
     for between in ["\n", "\n\n", seen, "\n\n# an image\n"] {
         fs::write(&file, images.join(between)).unwrap();
@@ -48,8 +51,12 @@ fn images_need_no_lines_of_observations() {
         assert_eq!(data.train.len(), 9, "{between:?}");
         assert_eq!(data.remarks, Vec::<String>::new(), "{between:?}");
     }
-    let named = "1 1 0 0 0 0 0 0 1 20 31 4.jpg\n".repeat(2);
-    fs::write(&file, named).unwrap();
+    // A record that is cut is none of observations.
+    let cut = format!("{}\n12 1 0 0 0 0 0 0 1\n", images.join("\n"));
+    fs::write(&file, cut).unwrap();
+    assert_refused(load_every(dir.path(), 0), &["line 10", "NAME"]);
+    let named = [1, 2].map(|id| format!("{id} 1 0 0 0 0 0 0 1 20 31 {id}.jpg\n"));
+    fs::write(&file, named.concat()).unwrap();
     let model = ColmapModel::read(&dir.path().join("sparse/0"), false).unwrap();
     assert_eq!(model.images.len(), 2);
 }

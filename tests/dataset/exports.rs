@@ -452,6 +452,10 @@ fn bundler_projects_as_its_manual_says() {
     fs::rename(&file, &out).unwrap();
     fs::rename(&names, &listed).unwrap();
     assert_eq!(load_every(dir.path(), 0).unwrap().train.len(), VIEWS);
+    // A byte-order mark before either.
+    fs::write(&out, format!("\u{feff}{bundle}")).unwrap();
+    fs::write(&listed, format!("\u{feff}{list}")).unwrap();
+    assert_eq!(load_every(dir.path(), 0).unwrap().train.len(), VIEWS);
     fs::write(&listed, list.replace("lost.png\n", "")).unwrap();
     let words = ["a.list.txt", "6 photos", "7 cameras"];
     assert_refused(load_every(dir.path(), 0), &words);

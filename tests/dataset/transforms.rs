@@ -110,6 +110,35 @@ fn frames_override_the_file_and_defaults_fill_in() {
     assert_eq!(lens(1), [40.0, 40.0, 7.0, 6.0]);
 }
 
+/// Some programs on Windows write `\` between folders.
+#[test]
+fn either_sign_between_folders_is_read() {
+    let dir = scene(3, DVec3::ZERO);
+    let below = dir.path().join("photos/left");
+    fs::create_dir_all(&below).unwrap();
+    let points = Points {
+        positions: vec![[1.0, 2.0, 3.0]],
+        colors: vec![[1, 2, 3]],
+    };
+    point_cloud::write(&below.join("sparse.ply"), &points, &Frame::IDENTITY).unwrap();
+    edit(dir.path(), "transforms.json", |v| {
+        v["ply_file_path"] = json!(r"photos\left\sparse.ply");
+        for frame in v["frames"].as_array_mut().unwrap() {
+            let name = frame["file_path"].as_str().unwrap();
+            let file = name.trim_start_matches("./");
+            fs::rename(dir.path().join(file), below.join(file)).unwrap();
+            frame["file_path"] = json!(format!(r".\photos\left\{file}"));
+        }
+    });
+    let d = load_every(dir.path(), 0).unwrap();
+    assert_eq!((d.train.len(), d.points.colors.len()), (3, 1));
+    assert!(
+        d.train[0].name.starts_with("photos/left/"),
+        "{}",
+        d.train[0].name
+    );
+}
+
 #[test]
 fn points_come_with_ply_file_path() {
     let dir = scene(3, DVec3::ZERO);

@@ -25,14 +25,15 @@ pub(super) struct Fields<'a> {
     place: String,
 }
 
-/// True for a line of an image's observations in a text file: X, Y and POINT3D_ID of each, or nothing.
-pub(super) fn is_observations(line: &str) -> bool {
-    let mut words = line.split_ascii_whitespace();
+/// True if the line after the first image of a text file has its observations, X, Y and POINT3D_ID of each, or nothing: then there is
+/// such a line after every image. Some programs write none.
+pub(super) fn has_observations(after_first: &str) -> bool {
+    let mut words = after_first.split_ascii_whitespace();
     words.clone().count().is_multiple_of(3) && words.all(|word| word.parse::<f64>().is_ok())
 }
 
 /// All records of a file. `what` names one of them, `least` is the smallest size of a binary one in bytes; `paired` records of
-/// text files end with a line of [observations](is_observations), which is skipped; some programs leave it out.
+/// text files end with a line of their own, which is skipped, if [the first](has_observations) does.
 ///
 /// # Errors
 /// A missing, truncated or overlong file, and what `read` refuses.
@@ -75,6 +76,7 @@ pub(super) fn records<T>(
     let text = std::str::from_utf8(&bytes).map_err(|_| bad("not UTF-8 text".into()))?;
     let text = text.trim_start_matches('\u{feff}');
     let mut lines = text.lines().enumerate().peekable();
+    let mut skips = None;
     while let Some((i, line)) = lines.next() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
@@ -83,8 +85,9 @@ pub(super) fn records<T>(
         fields.rest = line.as_bytes();
         fields.place = format!("line {}", i + 1);
         records.push(read(&mut fields)?);
-        if paired {
-            lines.next_if(|(_, line)| is_observations(line));
+        let mut after = || lines.peek().is_none_or(|(_, line)| has_observations(line));
+        if paired && *skips.get_or_insert_with(&mut after) {
+            lines.next();
         }
     }
     Ok(records)

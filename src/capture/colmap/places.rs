@@ -4,7 +4,7 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use crate::capture::colmap::form::is_observations;
+use crate::capture::colmap::form::has_observations;
 use crate::capture::dataset::Layout;
 use crate::capture::endings::is_photo;
 use crate::capture::images::short;
@@ -112,16 +112,19 @@ fn images_bin(file: &Path) -> Option<u64> {
     Some(u64::from_le_bytes(count))
 }
 
-/// Number of images of a text file, in which a line of observations follows that of each unless it is left out.
+/// Number of images of a text file, in which a line of observations follows that of each if one follows the first.
 fn images_txt(file: &Path) -> Option<u64> {
     let file = file.is_file().then(|| fs::File::open(file).ok())??;
     let lines = BufReader::new(file).lines().map_while(Result::ok);
-    let (mut lines, mut images) = (lines.peekable(), 0);
+    let (mut lines, mut images, mut skips) = (lines.peekable(), 0, None);
     while let Some(line) = lines.next() {
-        let line = line.trim();
+        let line = line.trim_start_matches('\u{feff}').trim();
         if !line.is_empty() && !line.starts_with('#') {
             images += 1;
-            lines.next_if(|line| is_observations(line));
+            let mut after = || lines.peek().is_none_or(|line| has_observations(line));
+            if *skips.get_or_insert_with(&mut after) {
+                lines.next();
+            }
         }
     }
     Some(images)

@@ -174,7 +174,7 @@ impl BundleCamera {
 /// A truncated file, a list of another length, a camera that is none; what [`scene`] refuses.
 pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<RawScene> {
     let text = |file: &Path| -> Result<String> {
-        let bytes = crate::base::files::read(file)?;
+        let bytes = crate::base::files::read_text(file)?;
         Ok(String::from_utf8_lossy(&bytes).into_owned())
     };
     let (cameras, (positions, colors)) = parse(file, &text(file)?)?;

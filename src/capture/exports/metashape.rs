@@ -276,10 +276,9 @@ fn largest(mut cameras: Vec<Aligned<'_>>) -> (Vec<Aligned<'_>>, Option<String>) 
 /// XML that is none, no aligned camera, a sensor that is not read; what [`scene`] and [`add_cloud`] refuse.
 pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<RawScene> {
     let reader = Reader(file);
-    let bytes = crate::base::files::read(file)?;
+    let bytes = crate::base::files::read_text(file)?;
     let text = String::from_utf8_lossy(&bytes);
-    let text = text.trim_start_matches('\u{feff}');
-    let document = Document::parse(text).map_err(|e| reader.bad(format!("not XML: {e}")))?;
+    let document = Document::parse(&text).map_err(|e| reader.bad(format!("not XML: {e}")))?;
     let chunks = document.root_element().children();
     let chunks = chunks.filter(|node| node.has_tag_name("chunk"));
     let chunks = chunks.map(|chunk| Ok((chunk, reader.aligned(chunk)?)));

@@ -49,7 +49,8 @@ fn recognised(file: &Path) -> Option<Layout> {
     let mut head = Vec::new();
     file.take(HEAD).read_to_end(&mut head).ok()?;
     let head = String::from_utf8_lossy(&head);
-    let found = candidates.find(|(_, begins, _)| begins(&head));
+    let head = head.trim_start_matches('\u{feff}');
+    let found = candidates.find(|(_, begins, _)| begins(head));
     found.map(|(.., layout)| *layout)
 }
 

@@ -50,7 +50,7 @@ const EXPORT: &str = "export \"Internal/External camera parameters\" again";
 
 /// The columns of a header, first those of [`NEEDED`], then those of [`OTHERS`]; `None` for another header.
 fn columns(header: &str) -> Option<Vec<Option<usize>>> {
-    let header = header.trim_start_matches('\u{feff}').trim();
+    let header = header.trim();
     let names = header.strip_prefix('#').unwrap_or(header).split(',');
     let names: Vec<String> = names.map(|n| n.trim().to_ascii_lowercase()).collect();
     let column = |known: &&[&str]| names.iter().position(|n| known.contains(&n.as_str()));
@@ -179,7 +179,7 @@ impl Row {
 /// # Errors
 /// A row that lacks a number; what [`scene`] and [`add_cloud`] refuse.
 pub(super) fn load(root: &Path, file: &Path, asked: Option<&Path>) -> Result<RawScene> {
-    let bytes = crate::base::files::read(file)?;
+    let bytes = crate::base::files::read_text(file)?;
     let rows = rows(file, &String::from_utf8_lossy(&bytes))?;
     let names: Vec<&str> = rows.iter().map(|row| row.name.as_str()).collect();
     let place = (root, file, Layout::RealityScan);

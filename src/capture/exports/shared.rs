@@ -77,7 +77,7 @@ pub(super) fn scene(
 /// # Errors
 /// A file that cannot be read, or of another kind.
 pub(super) fn document<T: DeserializeOwned>(file: &Path) -> Result<T> {
-    let text = crate::base::files::read(file)?;
+    let text = crate::base::files::read_text(file)?;
     serde_json::from_slice(&text).map_err(|error| {
         let fix = "export the cameras again";
         Error::input(file, format!("not what it seems to be: {error}"), fix)

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use crate::base::error::Result;
 use crate::base::math::logit;
 use crate::base::rng::{Philox, Stream};
+use crate::config::PAPER_ITERATIONS;
 use crate::config::{Birth, MhConfig, ViewSubset};
 use crate::density::control::{
     Candidate, DensityControl, Estimator, Expected, NoiseLaw, StepContext,
@@ -27,15 +28,16 @@ const NOISE_STEEPNESS: f64 = 100.0;
 /// Largest share of the Gaussians that are not dead which a step removes: runs with few steps would lose most of them.
 const MAX_RETIRED: f64 = 0.15;
 
-/// Distinct sources of a phase over those of as many uniform draws; fitted, as are the next three, at runs of seven datasets
-/// (docs/results/budgets.md), for forecasts alone.
-const DISTINCT: f64 = 0.88;
+/// Distinct sources of a phase over those of as many uniform draws; fitted at sixteen runs of six datasets, as are the next two, for forecasts
+/// alone (docs/results/budgets.md).
+const DISTINCT: f64 = 0.98;
 
 /// Share of the births in image space that can be proposed.
-const PLACED: f64 = 0.3;
+const PLACED: f64 = 0.7;
 
-/// Share of a step's births that are dead by the next one, at η = 0 and 1.
-const FADED: [f64; 2] = [0.1, 0.8];
+/// Share of a step's births that are dead by the next one: logarithm of its odds after 3000 iterations at η = 0, and what that grows by to
+/// η = 1 and with the logarithm of the run's length. In a short run a step has fewer iterations, in which fewer fade.
+const FADED: [f64; 3] = [0.03, 1.12, 0.62];
 
 /// Expected share of accepted births where the temperature is fixed; a guess.
 const UNGUIDED: f64 = 0.5;
@@ -103,6 +105,17 @@ impl MetropolisHastings {
         let target = lerp(c.target_acceptance, eta);
         let share = if target > 0.0 { target } else { UNGUIDED };
         share * proposals
+    }
+
+    /// Share of the births of the step before that are expected to have faded since.
+    fn faded(&self, context: &StepContext<'_>) -> f64 {
+        let span = [self.config.from_iteration, self.config.until_iteration];
+        let of_papers = lerp(span.map(f64::from), context.progress);
+        let length = PAPER_ITERATIONS * f64::from(context.iteration) / of_papers.max(1.0);
+        let [first, by_progress, by_length] = FADED;
+        let odds = (first + by_progress * context.progress).exp();
+        let odds = odds * (length / 3000.0).powf(by_length);
+        odds / (1.0 + odds)
     }
 
     /// The coarse and the fine phase at the progress of a step.
@@ -355,7 +368,7 @@ impl DensityControl for MetropolisHastings {
         let (eta, n) = (context.progress, before.gaussians.max(1.0));
         let faded = match self.config.relocation && !self.config.removes_dead(eta) {
             true => 0.0,
-            false => lerp(FADED, eta) * before.born,
+            false => self.faded(context) * before.born,
         };
         let kept = ((1.0 - self.retired_share(context)) * n - faded).max(1.0);
         let most = context
