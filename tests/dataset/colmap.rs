@@ -44,8 +44,8 @@ fn images_need_no_lines_of_observations() {
         .lines()
         .filter(|line| !line.is_empty() && !line.starts_with('#'));
     let images: Vec<&str> = images.collect();
-    let seen = "\n12.5 7 -1 3.25 4 17\n";
-    for between in ["\n", "\n\n", seen, "\n\n# an image\n"] {
+    let (seen, cut) = ("\n12.5 7 -1 3.25 4 17\n", "\n12.5 7 -1 3.25\n");
+    for between in ["\n", "\n\n", seen, cut, "\n\n# an image\n"] {
         fs::write(&file, images.join(between)).unwrap();
         let data = load_every(dir.path(), 0).unwrap();
         assert_eq!(data.train.len(), 9, "{between:?}");

@@ -25,15 +25,20 @@ pub(super) struct Fields<'a> {
     place: String,
 }
 
-/// True if the line after the first image of a text file has its observations, X, Y and POINT3D_ID of each, or nothing: then there is
-/// such a line after every image. Some programs write none.
+/// True if the line after the first image of a text file is no image's: then a line of observations, empty or not, follows every image.
+/// Some programs write none.
 pub(super) fn has_observations(after_first: &str) -> bool {
-    let mut words = after_first.split_ascii_whitespace();
-    words.clone().count().is_multiple_of(3) && words.all(|word| word.parse::<f64>().is_ok())
+    let words: Vec<&str> = after_first.split_ascii_whitespace().collect();
+    let numbers = |words: &[&str]| words.iter().all(|word| word.parse::<f64>().is_ok());
+    let id = |k: usize| words[k].parse::<u32>().is_ok();
+    // X, Y and POINT3D_ID of each, where a name may look like numbers, too.
+    let observations = words.len().is_multiple_of(3) && numbers(&words);
+    let image = words.len() > 9 && id(0) && numbers(&words[1..8]) && id(8);
+    observations || !image
 }
 
 /// All records of a file. `what` names one of them, `least` is the smallest size of a binary one in bytes; `paired` records of
-/// text files end with a line of their own, which is skipped, if [the first](has_observations) does.
+/// text files are followed by a line of observations each, which is skipped, if [the first](has_observations) is.
 ///
 /// # Errors
 /// A missing, truncated or overlong file, and what `read` refuses.

@@ -112,7 +112,7 @@ fn images_bin(file: &Path) -> Option<u64> {
     Some(u64::from_le_bytes(count))
 }
 
-/// Number of images of a text file, in which a line of observations follows that of each if one follows the first.
+/// Number of images of a text file, with or without lines of observations.
 fn images_txt(file: &Path) -> Option<u64> {
     let file = file.is_file().then(|| fs::File::open(file).ok())??;
     let lines = BufReader::new(file).lines().map_while(Result::ok);

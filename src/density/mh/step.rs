@@ -35,8 +35,8 @@ const DISTINCT: f64 = 0.98;
 /// Share of the births in image space that can be proposed.
 const PLACED: f64 = 0.7;
 
-/// Share of a step's births that are dead by the next one: logarithm of its odds after 3000 iterations at η = 0, and what that grows by to
-/// η = 1 and with the logarithm of the run's length. In a short run a step has fewer iterations, in which fewer fade.
+/// Share of a step's births that are dead by the next one: logarithm of its odds in a run of 3000 iterations at η = 0, and what that grows by to
+/// η = 1 and with the logarithm of the run's length. Too large for runs of less than 1000 iterations, whose steps have fewer of them.
 const FADED: [f64; 3] = [0.03, 1.12, 0.62];
 
 /// Expected share of accepted births where the temperature is fixed; a guess.
