@@ -7,6 +7,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use crate::base::error::{Error, Result};
+use crate::base::files;
 
 /// Fix in the messages about damaged model files.
 pub(super) const REBUILD: &str = "export the COLMAP model again";
@@ -48,7 +49,10 @@ pub(super) fn records<T>(
     (what, least, paired): (&str, usize, bool),
     read: fn(&mut Fields<'_>) -> Result<T>,
 ) -> Result<Vec<T>> {
-    let bytes = crate::base::files::read(path)?;
+    let bytes = match binary {
+        true => files::read(path)?,
+        false => files::read_text(path)?,
+    };
     let bad = |what: String| Error::input(path, what, REBUILD);
     let mut fields = Fields {
         path,
@@ -79,7 +83,6 @@ pub(super) fn records<T>(
         return Ok(records);
     }
     let text = std::str::from_utf8(&bytes).map_err(|_| bad("not UTF-8 text".into()))?;
-    let text = text.trim_start_matches('\u{feff}');
     let mut lines = text.lines().enumerate().peekable();
     let mut skips = None;
     while let Some((i, line)) = lines.next() {
